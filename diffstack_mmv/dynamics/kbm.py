@@ -1,0 +1,113 @@
+"""DiffKBM: the kinematic bicycle with a learnable wheelbase."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_positive
+from diffstack_mmv.dynamics.base import DynamicsModel
+from diffstack_mmv.geometry import direction
+from diffstack_mmv.smooth import floor_at_zero, saturate
+from diffstack_mmv.types import Motion
+from diffstack_mmv.vehicles import SoftClamped, VehicleSpec
+
+
+class SoftplusFloor:
+    """Smooth v ≥ 0: w softplus(v / w), at most w ln 2 above the ReLU.
+
+    Args:
+        width_mps: w in m/s.
+
+    Raises:
+        ValueError: The width is not positive.
+    """
+
+    def __init__(self, width_mps: float = 0.05) -> None:
+        require_positive("width_mps", width_mps)
+        self.width_mps = width_mps
+
+    def __call__(self, speed: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+        """Bound a speed in m/s from below by zero."""
+        return self.width_mps * torch.nn.functional.softplus(speed / self.width_mps)
+
+
+class DiffKBM(DynamicsModel):
+    """Kinematic bicycle, reference point at the rear axle, one Euler step.
+
+        v⁺ = max(v + a dt, 0)
+        θ⁺ = θ + (v⁺ / L) tan δ dt
+        p⁺ = p + v (cos θ, sin θ) dt
+
+    with the OLD speed and heading in the position. Commands inside the limits act unchanged, beyond them they saturate
+    smoothly. Source: Cai et al., DMMV, Sec. IV-A. The wheelbase L is learnable.
+
+    Args:
+        spec: The vehicle: wheelbase and limits.
+        dt_s: Length of one step in s.
+        floor: How the speed is kept from going negative: the ReLU with its right-hand derivative at zero, or a
+            `SoftplusFloor`, whose gradient never vanishes.
+    """
+
+    class State(NamedTuple):
+        """Position of the rear axle in m, heading in rad, speed in m/s."""
+
+        position_x: Float[Tensor, "*b"]
+        position_y: Float[Tensor, "*b"]
+        heading: Float[Tensor, "*b"]
+        speed: Float[Tensor, "*b"]
+
+    class Control(NamedTuple):
+        """Acceleration in m/s², steering angle in rad."""
+
+        acceleration: Float[Tensor, "*b"]
+        steer: Float[Tensor, "*b"]
+
+    def __init__(
+        self,
+        spec: VehicleSpec,
+        dt_s: float = 0.1,
+        floor: Callable[[Tensor], Tensor] = floor_at_zero,
+    ) -> None:
+        limits = spec.limits
+        super().__init__(
+            dt_s,
+            (limits.acceleration_min_mps2, -limits.steer_max_rad),
+            (limits.acceleration_max_mps2, limits.steer_max_rad),
+        )
+        self.wheelbase = SoftClamped(spec.wheelbase)
+        self.floor = floor
+
+    def step(self, state: Float[Tensor, "*b 4"], control: Float[Tensor, "*b 2"]) -> Float[Tensor, "*b 4"]:
+        """Advance by one control step."""
+        acceleration, steer = saturate(control, *self.bounds).unbind(-1)
+        heading, speed = state[..., 2], state[..., 3]
+        next_speed = self.floor(speed + self.dt_s * acceleration)
+        next_heading = heading + self.dt_s * next_speed / self.wheelbase() * steer.tan()
+        position = state[..., :2] + self.dt_s * speed.unsqueeze(-1) * direction(heading)
+        return torch.cat([position, torch.stack([next_heading, next_speed], -1)], -1)
+
+    def motion(self, states: Float[Tensor, "*b 4"], controls: Float[Tensor, "*b 2"]) -> Motion:
+        """Motion of the rear axle, which has no lateral velocity; yaw rate v tan δ / L in rad/s."""
+        speed = states[..., 3]
+        steer = saturate(controls, *self.bounds)[..., 1]
+        return Motion(
+            position=states[..., :2],
+            heading=states[..., 2],
+            velocity=torch.stack([speed, torch.zeros_like(speed)], -1),
+            yaw_rate=speed / self.wheelbase() * steer.tan(),
+        )
+
+    def initial_state(self, motion: Motion) -> Float[Tensor, "*b 4"]:
+        """Take pose and forward speed (m/s), which this forward-only model floors at zero."""
+        speed = motion.velocity[..., :1].clamp_min(0)
+        return torch.cat([motion.position, motion.heading.unsqueeze(-1), speed], -1)
+
+    def control_for(
+        self, state: Float[Tensor, "*b 4"], acceleration: Float[Tensor, "*b"], curvature: Float[Tensor, "*b"]
+    ) -> Float[Tensor, "*b 2"]:
+        """Steering angle atan(L κ) in rad, acceleration (m/s²) as it is."""
+        steer = torch.atan(self.wheelbase() * curvature)
+        return self.within_bounds(torch.stack([acceleration.expand_as(steer), steer], -1))

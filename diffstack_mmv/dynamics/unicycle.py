@@ -1,0 +1,89 @@
+"""The dynamically extended unicycle, the ego model of DiffStack."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.dynamics.base import DynamicsModel
+from diffstack_mmv.geometry import rotate
+from diffstack_mmv.smooth import saturate, sinc, sinc_slope
+from diffstack_mmv.types import Motion
+from diffstack_mmv.vehicles import VehicleSpec
+
+
+class ExtendedUnicycle(DynamicsModel):
+    """Point with heading and speed, driven by yaw rate and acceleration.
+
+    Exact for constant ω and a over one step, with φ = ω dt / 2, v_m = v + a dt / 2 and θ_m = θ + φ:
+
+        p⁺ = p + R(θ_m) (v_m dt sin φ / φ,  ½ a dt² (sin φ - φ cos φ) / φ²)
+        θ⁺ = θ + ω dt,   v⁺ = v + a dt
+
+    written by sin φ / φ and its slope, which are smooth through ω = 0. Commands beyond the limits of the vehicle saturate
+    smoothly; inside they act unchanged. Source: Karkus et al., DiffStack (CoRL 2022), with the integral in closed form.
+
+    Args:
+        spec: The vehicle, of which only the limits are used.
+        dt_s: Length of one step in s.
+    """
+
+    class State(NamedTuple):
+        """Position in m, heading in rad, speed in m/s."""
+
+        position_x: Float[Tensor, "*b"]
+        position_y: Float[Tensor, "*b"]
+        heading: Float[Tensor, "*b"]
+        speed: Float[Tensor, "*b"]
+
+    class Control(NamedTuple):
+        """Yaw rate in rad/s, acceleration in m/s²."""
+
+        yaw_rate: Float[Tensor, "*b"]
+        acceleration: Float[Tensor, "*b"]
+
+    def __init__(self, spec: VehicleSpec, dt_s: float = 0.1) -> None:
+        limits = spec.limits
+        yaw_rate = limits.yaw_rate_max_radps
+        super().__init__(
+            dt_s, (-yaw_rate, limits.acceleration_min_mps2), (yaw_rate, limits.acceleration_max_mps2)
+        )
+
+    def step(self, state: Float[Tensor, "*b 4"], control: Float[Tensor, "*b 2"]) -> Float[Tensor, "*b 4"]:
+        """Advance by one control step."""
+        dt_s = self.dt_s
+        yaw_rate, acceleration = saturate(control, *self.bounds).unbind(-1)
+        heading, speed = state[..., 2], state[..., 3]
+        half_turn = 0.5 * dt_s * yaw_rate
+        chord = torch.stack(
+            [
+                dt_s * (speed + 0.5 * dt_s * acceleration) * sinc(half_turn),
+                0.5 * dt_s**2 * acceleration * sinc_slope(half_turn),
+            ],
+            -1,
+        )
+        position = state[..., :2] + rotate(chord, heading + half_turn)
+        rates = torch.stack([yaw_rate, acceleration], -1)
+        return torch.cat([position, state[..., 2:] + dt_s * rates], -1)
+
+    def motion(self, states: Float[Tensor, "*b 4"], controls: Float[Tensor, "*b 2"]) -> Motion:
+        """Motion of the point itself."""
+        speed = states[..., 3]
+        return Motion(
+            position=states[..., :2],
+            heading=states[..., 2],
+            velocity=torch.stack([speed, torch.zeros_like(speed)], -1),
+            yaw_rate=controls[..., 0],
+        )
+
+    def initial_state(self, motion: Motion) -> Float[Tensor, "*b 4"]:
+        """Take pose and forward speed; the yaw rate is a control, not a state."""
+        return torch.cat([motion.position, motion.heading.unsqueeze(-1), motion.velocity[..., :1]], -1)
+
+    def control_for(
+        self, state: Float[Tensor, "*b 4"], acceleration: Float[Tensor, "*b"], curvature: Float[Tensor, "*b"]
+    ) -> Float[Tensor, "*b 2"]:
+        """Yaw rate v κ at the middle of the step, acceleration (m/s²) as it is."""
+        speed = state[..., 3] + 0.5 * self.dt_s * acceleration
+        return self.within_bounds(torch.stack([curvature * speed, acceleration], -1))

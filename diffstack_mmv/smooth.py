@@ -1,0 +1,71 @@
+"""Smooth replacements for functions with kinks or removable singularities.
+
+Each is finite in value and in first and second derivative for every finite argument.
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+SERIES_BELOW = 0.3  # rad; the truncated series are exact to double precision there
+
+
+def limiter(ratio: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """Odd limiter S(x) = x (1 + x⁴)^(-1/4): slope 1 at zero, always inside (-1, 1), dimensionless."""
+    # x^4 overflows for large arguments; 1e6 is already saturated to the last digit of float64
+    bounded = ratio.clamp(-1e6, 1e6)
+    return bounded * (1 + bounded**4) ** -0.25
+
+
+def soft_clamp(value: Float[Tensor, "*b"], limit: float | Tensor) -> Float[Tensor, "*b"]:
+    """Clamp to (-limit, limit) as limit · tanh(value / limit), in the unit of `value`."""
+    return limit * torch.tanh(value / limit)
+
+
+def saturate(
+    value: Float[Tensor, "*b m"], low: Float[Tensor, " m"], high: Float[Tensor, " m"], margin: float = 0.1
+) -> Float[Tensor, "*b m"]:
+    """Pass values inside [low, high] unchanged and saturate smoothly outside.
+
+    Beyond a bound the excess e becomes w tanh(e / w) with w = margin · (high - low): twice continuously
+    differentiable, and never dead just outside of the bound.
+    """
+    width = margin * (high - low)
+    inside = torch.minimum(torch.maximum(value, low), high)
+    return inside + width * torch.tanh((value - inside) / width)
+
+
+def floor_at_zero(value: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """ReLU with its right-hand derivative (1) at zero, so that a vehicle at rest can learn to start."""
+    return torch.where(value >= 0, value, torch.zeros_like(value))
+
+
+def safe_norm(vector: Float[Tensor, "*b n"], epsilon: float = 1e-12) -> Float[Tensor, "*b"]:
+    """Euclidean norm sqrt(|x|² + ε), in the unit of `vector`, differentiable at zero."""
+    return (vector.square().sum(-1) + epsilon).sqrt()
+
+
+def smooth_maximum(
+    first: Float[Tensor, "*b"], second: Float[Tensor, "*b"], width: float
+) -> Float[Tensor, "*b"]:
+    """Maximum (a + b + sqrt((a - b)² + w²)) / 2 with a corner rounded over `width`."""
+    return 0.5 * (first + second + ((first - second).square() + width**2).sqrt())
+
+
+def sinc(angle: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """Return sin(x) / x for x in rad, by its series near zero where the quotient loses its derivatives."""
+    small = angle.abs() < SERIES_BELOW
+    square = torch.where(small, angle, torch.zeros_like(angle)).square()
+    series = 1 - square / 6 * (1 - square / 20 * (1 - square / 42 * (1 - square / 72 * (1 - square / 110))))
+    far = torch.where(small, torch.ones_like(angle), angle)
+    return torch.where(small, series, far.sin() / far)
+
+
+def sinc_slope(angle: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """Return (sin x - x cos x) / x² for x in rad: minus the derivative of sin(x) / x."""
+    small = angle.abs() < SERIES_BELOW
+    near = torch.where(small, angle, torch.zeros_like(angle))
+    square = near.square()
+    series = 1 - square / 10 * (1 - square / 28 * (1 - square / 54 * (1 - square / 88 * (1 - square / 130))))
+    far = torch.where(small, torch.ones_like(angle), angle)
+    return torch.where(small, near / 3 * series, (far.sin() - far * far.cos()) / far.square())

@@ -1,0 +1,174 @@
+"""The named records that travel between the stages: SI units, oldest time first, masks true where valid."""
+
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from diffstack_mmv.checks import require_one_of
+
+
+class Mode(IntEnum):
+    """Mode of transport of an agent; the first five values are those of trajdata's `AgentType`."""
+
+    UNKNOWN = 0
+    CAR = 1
+    PEDESTRIAN = 2
+    BICYCLE = 3
+    MOTORCYCLE = 4
+    SCOOTER = 5
+    SKATEBOARD = 6
+    CART = 7
+    STROLLER = 8
+    WHEELCHAIR = 9
+    TRUCK = 10
+
+    @classmethod
+    def named(cls, name: str) -> "Mode":
+        """Return the mode of that name, in any case of letters.
+
+        Raises:
+            ValueError: There is no such mode.
+        """
+        require_one_of("mode", name.lower(), [mode.label for mode in cls])
+        return cls[name.upper()]
+
+    @property
+    def label(self) -> str:
+        """The name in lower case, as configurations and tables write it."""
+        return self.name.lower()
+
+
+class SolverStatus(IntEnum):
+    """How the optimisation of one problem ended; only converged problems carry a gradient."""
+
+    CONVERGED = 0
+    ITERATION_LIMIT = 1
+    STALLED = 2
+    NOT_FINITE = 3
+
+    @property
+    def advice(self) -> str:
+        """What happened, and what to try."""
+        return _ADVICE[self]
+
+
+_ADVICE = {
+    SolverStatus.CONVERGED: "Converged: the projected gradient is within the tolerance.",
+    SolverStatus.ITERATION_LIMIT: "The iteration limit was reached: raise `max_iterations` or start closer.",
+    SolverStatus.STALLED: "No step lowers the cost: loosen `tolerance`, or solve in float64.",
+    SolverStatus.NOT_FINITE: "State, cost or dynamics are NaN or infinite: check the inputs of this problem.",
+}
+
+
+class Motion(NamedTuple):
+    """Planar motion of a point and its body; time, where there is one, is the last leading dimension."""
+
+    position: Float[Tensor, "*b 2"]  # m
+    heading: Float[Tensor, "*b"]  # rad, counter-clockwise from +x
+    velocity: Float[Tensor, "*b 2"]  # m/s, in the body frame (forward, left)
+    yaw_rate: Float[Tensor, "*b"]  # rad/s
+
+
+class Tracks(NamedTuple):
+    """Observed agents."""
+
+    motion: Motion  # *b T
+    extent: Float[Tensor, "*b 2"]  # m (length, width)
+    mode: Int[Tensor, "*b"]
+    valid: Bool[Tensor, "*b T"]
+
+
+class StackBatch(NamedTuple):
+    """Samples in the frame of the ego at the last row of its past (position 0, heading 0)."""
+
+    ego_past: Tracks  # B H
+    ego_future: Tracks  # B T
+    others_past: Tracks  # B N H
+    others_future: Tracks  # B N T
+    goal: Float[Tensor, "B 2"]  # m, the position of the human at the horizon
+    dt_s: float
+
+
+class Forecast(NamedTuple):
+    """Mixture of Gaussians over the future positions of agents, one weight per whole trajectory."""
+
+    log_weight: Float[Tensor, "*b K"]
+    mean: Float[Tensor, "*b K T 2"]  # m
+    scale_tril: Float[Tensor, "*b K T 2 2"]  # m
+
+    def log_prob(self, position: Float[Tensor, "*b T 2"]) -> Float[Tensor, "*b T"]:
+        """Log density in nats of a position at each time, marginal over the components."""
+        error = (position.unsqueeze(-3) - self.mean).unsqueeze(-1)
+        white = torch.linalg.solve_triangular(self.scale_tril, error, upper=False).squeeze(-1)
+        log_scale = self.scale_tril.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        log_density = -0.5 * white.square().sum(-1) - log_scale - torch.log(2 * torch.pi * torch.ones_like(log_scale))
+        return torch.logsumexp(self.log_weight.unsqueeze(-1) + log_density, -2)
+
+    def most_likely(self) -> Float[Tensor, "*b T 2"]:
+        """Mean trajectory in m of the component with the largest weight."""
+        best = self.log_weight.argmax(-1)[..., None, None, None]
+        return self.mean.take_along_dim(best, -3).squeeze(-3)
+
+
+class Obstacles(NamedTuple):
+    """Predicted agents that a plan has to keep clear of, at the times of the plan."""
+
+    position: Float[Tensor, "*b N K T 2"]  # m, row 0 is now
+    weight: Float[Tensor, "*b N K"]  # probability of each component
+    radius: Float[Tensor, "*b N"]  # m
+    valid: Bool[Tensor, "*b N"]
+
+
+class PlanningProblem(NamedTuple):
+    """What a planner needs to know, from a data set's batch or from a simulator's observation."""
+
+    motion: Motion  # *b, the ego now
+    goal: Float[Tensor, "*b 2"]  # m
+    reference_speed: Float[Tensor, "*b"]  # m/s
+    radius: Float[Tensor, "*b"]  # m, of the disc around the ego
+    obstacles: Obstacles
+
+
+class Bounds(NamedTuple):
+    """Box of admissible controls."""
+
+    lower: Float[Tensor, " m"]
+    upper: Float[Tensor, " m"]
+
+
+class Solution(NamedTuple):
+    """Result of a batch of trajectory optimisations, one status per problem."""
+
+    states: Float[Tensor, "*b T1 n"]
+    controls: Float[Tensor, "*b T m"]
+    cost: Float[Tensor, "*b"]
+    residual: Float[Tensor, "*b"]  # largest entry of the projected gradient
+    iterations: Int[Tensor, "*b"]
+    status: Int[Tensor, "*b"]  # a SolverStatus
+
+    @property
+    def converged(self) -> Bool[Tensor, "*b"]:
+        """Which problems converged."""
+        return self.status == SolverStatus.CONVERGED
+
+
+class Plan(NamedTuple):
+    """A plan with the candidates it was started from."""
+
+    solution: Solution
+    motion: Motion  # *b T+1
+    candidates: Motion  # *b C T+1
+    logits: Float[Tensor, "*b C"]
+
+
+def map_tensors(function: Callable[[Tensor], Tensor], record: Any) -> Any:
+    """Apply a function to every tensor of a (nested) record and keep all else, e.g. `dt_s`, as it is."""
+    if isinstance(record, Tensor):
+        return function(record)
+    if isinstance(record, tuple) and hasattr(record, "_fields"):
+        return type(record)(*(map_tensors(function, field) for field in record))
+    return record
