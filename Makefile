@@ -1,0 +1,48 @@
+# `make quickstart` and `make test` need Python 3.11 or 3.12 and nothing else.
+PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v python3)
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+OUT    ?= outputs/quickstart
+JOBS   ?= 2
+LIMIT  := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
+
+.PHONY: help install quickstart test test-all bench lint lock clean
+help:            ## Show this list
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
+
+$(BIN)/.installed: requirements.lock pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --requirement requirements.lock
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	touch $@
+
+install: $(BIN)/.installed ## Create .venv with the locked dependencies
+
+quickstart: install ## Sample, conversion, training, per-mode table: about five minutes
+	$(BIN)/python scripts/generate_sample.py out=$(OUT)/recordings seed=0
+	$(BIN)/python scripts/convert.py data=imptc data.root=$(OUT)/recordings data.cache=$(OUT)/cache
+	$(BIN)/python scripts/train.py experiment=quickstart data=imptc data.cache=$(OUT)/cache out=$(OUT)/run
+	$(BIN)/python scripts/evaluate.py checkpoint=$(OUT)/run/checkpoints/best.ckpt data=imptc data.cache=$(OUT)/cache out=$(OUT)/report
+	@cat $(OUT)/report/metrics.md
+	@echo "Report: $(OUT)/report/metrics.md and the plots beside it."
+
+test: install ## Fast tests
+	$(LIMIT) $(BIN)/python -m pytest -n $(JOBS)
+
+test-all: install ## All tests that need no GPU, slow ones included
+	$(LIMIT) $(BIN)/python -m pytest -n $(JOBS) -m "not gpu"
+
+bench: install ## Benchmarks, results in benchmarks/results
+	$(BIN)/python -m pytest benchmarks --benchmark-only -m "slow or not slow"
+
+lint: install ## ruff, pyright, codespell
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+	$(BIN)/codespell
+
+lock: ## Write requirements.lock anew from the ranges of pyproject.toml
+	sh scripts/lock.sh $(PYTHON)
+
+clean: ## Remove the environment and all outputs
+	rm -rf $(VENV) outputs build *.egg-info
