@@ -56,9 +56,18 @@ def det(first: Float[Tensor, "*#b 2"], second: Float[Tensor, "*#b 2"]) -> Float[
     return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
 
 
+def root(square: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """Correctly rounded square root.
+
+    The vector library behind torch may err by one unit in the last place in float32; the root in
+    float64 has more than twice as many digits, so that rounding it once more gives the true one.
+    """
+    return torch.sqrt(square.double()).to(square.dtype)
+
+
 def normalise(vector: Float[Tensor, "*b 2"]) -> Float[Tensor, "*b 2"]:
     """Unit vector, NaN for the zero vector: a half-plane of NaN forbids nothing."""
-    return vector * torch.reciprocal(torch.sqrt(dot(vector, vector)))[..., None]
+    return vector * torch.reciprocal(root(dot(vector, vector)))[..., None]
 
 
 def nearest(
@@ -154,7 +163,7 @@ def _cut_off_circle(
     from_centre = relative - rate[..., None] * offset
     squared = dot(from_centre, from_centre)
     ahead = dot(from_centre, offset)
-    length = torch.sqrt(squared)
+    length = root(squared)
     unit = from_centre * torch.reciprocal(length)[..., None]
     return _CutOff(
         direction=torch.stack((unit[..., 1], -unit[..., 0]), dim=-1),
@@ -172,7 +181,7 @@ def _legs(
 ) -> _Boundary:
     """Boundary point on the left or right tangent of the velocity obstacle."""
     squared = dot(offset, offset)
-    length = torch.sqrt(squared - radius * radius)
+    length = root(squared - radius * radius)
     x, y = offset.unbind(dim=-1)
     left = torch.stack((x * length - y * radius, x * radius + y * length), dim=-1)
     right = -torch.stack((x * length + y * radius, -x * radius + y * length), dim=-1)

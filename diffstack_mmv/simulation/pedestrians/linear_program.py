@@ -10,7 +10,13 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from diffstack_mmv.simulation.pedestrians.half_planes import HalfPlanes, det, dot, normalise
+from diffstack_mmv.simulation.pedestrians.half_planes import (
+    HalfPlanes,
+    det,
+    dot,
+    normalise,
+    root,
+)
 
 PARALLEL = 1e-5
 """Lines count as parallel where the determinant of their directions is at most this."""
@@ -106,7 +112,7 @@ def feasible_interval(planes: HalfPlanes, max_speed: Float[Tensor, "*b"]) -> Int
     middle = -dot(planes.point, planes.direction)
     reach = (max_speed * max_speed)[..., None]
     discriminant = middle * middle + reach - dot(planes.point, planes.point)
-    half = torch.sqrt(discriminant)
+    half = root(discriminant)
     this, that = planes.direction[..., :, None, :], planes.direction[..., None, :, :]
     offset = planes.point[..., :, None, :] - planes.point[..., None, :, :]
     denominator, numerator = det(this, that), det(that, offset)
@@ -116,10 +122,11 @@ def feasible_interval(planes: HalfPlanes, max_speed: Float[Tensor, "*b"]) -> Int
     parallel = denominator.abs() <= PARALLEL
     crossing = numerator / denominator
     usable = earlier & ~parallel & ~crossing.isnan()
-    upper = torch.where(usable & (denominator >= 0), crossing, torch.inf).amin(dim=-1)
-    lower = torch.where(usable & ~(denominator >= 0), crossing, -torch.inf).amax(dim=-1)
-    left = torch.maximum(middle - half, lower)
-    right = torch.minimum(middle + half, upper)
+    left, right = middle - half, middle + half
+    if lines:
+        upper = torch.where(usable & (denominator >= 0), crossing, torch.inf).amin(dim=-1)
+        lower = torch.where(usable & ~(denominator >= 0), crossing, -torch.inf).amax(dim=-1)
+        left, right = torch.maximum(left, lower), torch.minimum(right, upper)
     shut_out = (earlier & parallel & (numerator < 0)).any(dim=-1)
     return Interval(left, right, ~((discriminant < 0) | (left > right) | shut_out))
 

@@ -1,0 +1,60 @@
+"""What every pedestrian model gets and gives: the interface behind which models are exchanged."""
+
+from typing import NamedTuple, Protocol
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+class CrowdState(NamedTuple):
+    """The humans of a batch of episodes; lengths in m, speeds in m/s, world frame."""
+
+    position: Float[Tensor, "*b h 2"]
+    velocity: Float[Tensor, "*b h 2"]
+    goal: Float[Tensor, "*b h 2"]
+    radius: Float[Tensor, "*b h"]
+    preferred_speed: Float[Tensor, "*b h"]
+
+    def moved(self, velocity: Float[Tensor, "*b h 2"], dt_s: float) -> "CrowdState":
+        """The crowd after `dt_s` at constant `velocity` (m/s)."""
+        return self._replace(position=self.position + velocity * dt_s, velocity=velocity)
+
+
+class Bystander(NamedTuple):
+    """A robot that the humans see; position in m, velocity in m/s, radius in m."""
+
+    position: Float[Tensor, "*b 2"]
+    velocity: Float[Tensor, "*b 2"]
+    radius: Float[Tensor, "*b"]
+
+
+class Crowd(Protocol):
+    """A pedestrian model: all humans of all episodes choose their next velocity at once."""
+
+    def __call__(
+        self, crowd: CrowdState, dt_s: float, bystander: Bystander | None = None
+    ) -> Float[Tensor, "*b h 2"]:
+        """Velocities in m/s that hold for the next `dt_s`, from the present state of everybody."""
+        ...
+
+
+def towards(
+    position: Float[Tensor, "*b 2"], goal: Float[Tensor, "*b 2"]
+) -> Float[Tensor, "*b 2"]:
+    """Walk towards the goal at 1 m/s, slowing down within the last metre.
+
+    Args:
+        position: Where the agent is, m.
+        goal: Where it wants to be, m.
+
+    Returns:
+        Velocity in m/s.
+
+    Source:
+        Chen et al., Crowd-Robot Interaction: the preferred velocity of the benchmark's humans,
+        which disregards their preferred speed.
+    """
+    way = goal - position
+    distance = torch.sqrt(way[..., 0] * way[..., 0] + way[..., 1] * way[..., 1])[..., None]
+    return torch.where(distance > 1, way / distance, way)

@@ -1,0 +1,123 @@
+"""Pedestrians that avoid each other by ORCA, as those of the CrowdNav benchmark do."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.simulation.pedestrians.base import Bystander, CrowdState, towards
+from diffstack_mmv.simulation.pedestrians.half_planes import (
+    Agents,
+    Neighbours,
+    half_planes,
+    nearest,
+)
+from diffstack_mmv.simulation.pedestrians.linear_program import safest_velocity
+
+
+@dataclass(frozen=True)
+class OrcaCrowd:
+    """Optimal reciprocal collision avoidance, vectorised over episodes x humans.
+
+    Computes in float32 with the rounding of the RVO2 library and reproduces it bit for bit.
+
+    Attributes:
+        neighbour_distance_m: Nobody further away is considered.
+        max_neighbours: Only the nearest ones are considered.
+        time_horizon_s: Time for which the chosen velocities are free of collision.
+        margin_m: Added to every radius.
+
+    Raises:
+        ValueError: A distance or time is not positive, or the margin negative.
+
+    Source:
+        van den Berg et al., Reciprocal n-Body Collision Avoidance; the settings are those that
+        Chen et al., Crowd-Robot Interaction, pass to it.
+    """
+
+    neighbour_distance_m: float = 10.0
+    max_neighbours: int = 10
+    time_horizon_s: float = 5.0
+    margin_m: float = 0.01
+
+    def __post_init__(self) -> None:
+        """Check the settings once, at the border."""
+        require_positive("neighbour_distance_m", self.neighbour_distance_m)
+        require_at_least("max_neighbours", self.max_neighbours, 1)
+        require_positive("time_horizon_s", self.time_horizon_s)
+        require_at_least("margin_m", self.margin_m, 0)
+
+    def __call__(
+        self, crowd: CrowdState, dt_s: float, bystander: Bystander | None = None
+    ) -> Float[Tensor, "*b h 2"]:
+        """Velocities of all humans for the next step.
+
+        Args:
+            crowd: The humans of all episodes.
+            dt_s: Length of the step in s.
+            bystander: The robot, where the humans see it.
+
+        Returns:
+            Velocities in m/s in the precision of the positions; every value is a float32 number.
+        """
+        agents = Agents(
+            position=crowd.position,
+            velocity=crowd.velocity,
+            preferred_velocity=towards(crowd.position, crowd.goal),
+            radius=crowd.radius,
+            max_speed=crowd.preferred_speed,
+        )
+        return self.velocity(agents, _everybody_else(crowd, bystander), dt_s)
+
+    def velocity(
+        self, agents: Agents, others: Neighbours, dt_s: float
+    ) -> Float[Tensor, "*b 2"]:
+        """Velocity of any agents among any neighbours: also a robot may drive by ORCA.
+
+        Args:
+            agents: Agents, `*b`; radii in m without the margin.
+            others: What each of them sees, `*b k`, radii in m without the margin.
+            dt_s: Length of the step in s.
+
+        Returns:
+            Velocities in m/s in the precision of the positions.
+        """
+        wide = agents._replace(radius=agents.radius + self.margin_m)
+        wide = Agents(*(field.float() for field in wide))
+        seen = Neighbours(
+            position=others.position.float(),
+            velocity=others.velocity.float(),
+            radius=(others.radius + self.margin_m).float(),
+            valid=others.valid,
+        )
+        constant = wide.radius.new_tensor
+        count = torch.tensor(self.max_neighbours, device=wide.radius.device)
+        seen = nearest(wide, seen, constant(self.neighbour_distance_m), count).neighbours
+        planes = half_planes(wide, seen, constant(dt_s), constant(self.time_horizon_s))
+        chosen = safest_velocity(planes, wide.max_speed, wide.preferred_velocity)
+        return chosen.to(agents.position.dtype)
+
+
+def _everybody_else(crowd: CrowdState, bystander: Bystander | None) -> Neighbours:
+    """For each human the other ones in order of their index, then the bystander."""
+    humans = crowd.radius.shape[-1]
+    index = torch.arange(humans - 1, device=crowd.radius.device).expand(humans, humans - 1)
+    index = index + (index >= torch.arange(humans, device=index.device)[:, None])
+    position = crowd.position[..., index, :]
+    velocity = crowd.velocity[..., index, :]
+    radius = crowd.radius[..., index]
+    if bystander is not None:
+        shape = radius.shape[:-1]
+        position = torch.cat((position, _for_all(bystander.position, (*shape, 1, 2))), dim=-2)
+        velocity = torch.cat((velocity, _for_all(bystander.velocity, (*shape, 1, 2))), dim=-2)
+        radius = torch.cat((radius, bystander.radius[..., None, None].expand(*shape, 1)), dim=-1)
+    return Neighbours(position, velocity, radius, torch.ones_like(radius, dtype=torch.bool))
+
+
+def _for_all(
+    vector: Float[Tensor, "*b 2"], shape: tuple[int, ...]
+) -> Float[Tensor, "..."]:
+    """Show one vector per episode to every human of it."""
+    return vector[..., None, None, :].expand(shape)
