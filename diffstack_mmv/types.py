@@ -165,6 +165,40 @@ class Plan(NamedTuple):
     logits: Float[Tensor, "*b C"]
 
 
+class Outcome(IntEnum):
+    """What one step of a closed-loop episode led to; the last three end the episode."""
+
+    RUNNING = 0
+    DISCOMFORT = 1
+    COLLISION = 2
+    SUCCESS = 3
+    TIMEOUT = 4
+
+    @property
+    def label(self) -> str:
+        """The name in lower case, as tables and files write it."""
+        return self.name.lower()
+
+    @property
+    def ends_episode(self) -> bool:
+        """Whether an episode is over with this outcome."""
+        return self >= Outcome.COLLISION
+
+
+class EpisodeRecord(NamedTuple):
+    """Closed-loop episodes; an episode that ended early repeats its last row up to the end."""
+
+    motion: Motion  # E T+1, of the robot
+    pedestrians: Float[Tensor, "E T1 H 2"]  # m
+    controls: Float[Tensor, "E T m"]
+    reward: Float[Tensor, "E T"]  # zero after the end
+    clearance: Float[Tensor, "E T1"]  # m, smallest one over the step that leads to this row; row 0: at the start
+    outcome: Int[Tensor, " E"]  # an Outcome
+    steps: Int[Tensor, " E"]  # steps until the end
+    duration: Float[Tensor, " E"]  # s until the end; the limit for a time-out
+    dt_s: float
+
+
 def map_tensors(function: Callable[[Tensor], Tensor], record: Any) -> Any:
     """Apply a function to every tensor of a (nested) record and keep all else, e.g. `dt_s`, as it is."""
     if isinstance(record, Tensor):
