@@ -128,6 +128,7 @@ class PlanningProblem(NamedTuple):
 
     motion: Motion  # *b, the ego now
     goal: Float[Tensor, "*b 2"]  # m
+    reference: Float[Tensor, "*b T 2"]  # m, row 0 is now; where the plan would go if nothing were in its way
     reference_speed: Float[Tensor, "*b"]  # m/s
     radius: Float[Tensor, "*b"]  # m, of the disc around the ego
     obstacles: Obstacles

@@ -1,0 +1,24 @@
+"""Cost terms of a plan, and their learnable sum."""
+
+from diffstack_mmv.costs.base import CostTerm
+from diffstack_mmv.costs.clearance import ExpectedCollision, TurningCircleBarrier
+from diffstack_mmv.costs.effort import ControlEffort, LateralAcceleration, YawRate
+from diffstack_mmv.costs.goal import BrakingProfile, FinalGoal, HeadingToGoal, ReferenceSpeed, RunningGoal
+from diffstack_mmv.costs.tracking import ReferenceTracking
+from diffstack_mmv.costs.weighted import WeightedCost
+
+__all__ = [
+    "BrakingProfile",
+    "ControlEffort",
+    "CostTerm",
+    "ExpectedCollision",
+    "FinalGoal",
+    "HeadingToGoal",
+    "LateralAcceleration",
+    "ReferenceSpeed",
+    "ReferenceTracking",
+    "RunningGoal",
+    "TurningCircleBarrier",
+    "WeightedCost",
+    "YawRate",
+]

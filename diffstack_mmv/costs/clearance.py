@@ -1,0 +1,101 @@
+"""Terms that keep the plan clear of predicted agents."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.costs.base import CostTerm
+from diffstack_mmv.smooth import safe_norm, smooth_maximum
+from diffstack_mmv.types import Motion, PlanningProblem
+
+GRAVITY = 9.81  # m/s²
+
+
+class ExpectedCollision(CostTerm):
+    """Radial basis function of the expected distance to each agent's predicted mixture, summed over agents.
+
+        C_t = Σ_i exp(-½ (d̄_i / s)²),   d̄_i = Σ_k w_ik ‖p_t - μ_ikt‖
+
+    Source: Karkus et al., DiffStack, Sec. IV (collision term).
+
+    Args:
+        bandwidth_m: s in m.
+
+    Raises:
+        ValueError: The bandwidth is not positive.
+    """
+
+    def __init__(self, bandwidth_m: float = 0.6) -> None:
+        super().__init__()
+        require_positive("bandwidth_m", bandwidth_m)
+        self.bandwidth_m = bandwidth_m
+
+    def forward(
+        self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
+    ) -> Float[Tensor, "*b t"]:
+        """Value at each time, dimensionless, at most the number of agents."""
+        obstacles = problem.obstacles
+        offset = motion.position[..., None, None, :, :] - obstacles.position
+        distance = (obstacles.weight.unsqueeze(-1) * safe_norm(offset, 1e-4)).sum(-2)
+        value = torch.exp(-0.5 * (distance / self.bandwidth_m).square())
+        return (value * obstacles.valid.unsqueeze(-1)).sum(-2)
+
+
+class TurningCircleBarrier(CostTerm):
+    """Turning-circle control barrier ReLU(-h)² in m²: active only where both turns are obstructed.
+
+    With the smallest turning radius ρ = max(ρ_min, v² / (μ g)) and the circle centres c_L, c_R = p ± ρ n(θ),
+
+        h_L = ‖o - c_L‖ - (ρ + r_ego + r_o + margin),  h_R likewise,  h = smooth max(h_L, h_R) per agent
+
+    evaluated at the position of the agent at time t and averaged over the components of its mixture. Source: Lee et al.,
+    TC-CBF (arXiv 2503.20280), as in DMMV, Sec. IV-B.
+
+    Args:
+        radius_min_m: ρ_min, the wheelbase over the tangent of the largest steering angle, in m.
+        friction: μ.
+        margin_m: Clearance kept beyond the two discs in m.
+        lead_m: Distance by which the circles are laid ahead of the reference point, in m.
+
+    Raises:
+        ValueError: A radius or the friction is not positive, or the margin is negative.
+    """
+
+    def __init__(
+        self, radius_min_m: float = 1.0, friction: float = 0.8, margin_m: float = 0.2, lead_m: float = 0.0
+    ) -> None:
+        super().__init__()
+        require_positive("radius_min_m", radius_min_m)
+        require_positive("friction", friction)
+        require_at_least("margin_m", margin_m, 0.0)
+        self.radius_min_m = radius_min_m
+        self.friction = friction
+        self.margin_m = margin_m
+        self.lead_m = lead_m
+
+    def barrier(self, motion: Motion, problem: PlanningProblem) -> Float[Tensor, "*b N K t"]:
+        """Barrier h in m for each agent and component at each time: negative where both circles are obstructed."""
+        speed = motion.velocity[..., 0]
+        grip = speed.square() / (self.friction * GRAVITY)
+        radius = smooth_maximum(grip, torch.full_like(grip, self.radius_min_m), 0.05)
+        forward = torch.stack([motion.heading.cos(), motion.heading.sin()], -1)
+        left = torch.stack([-forward[..., 1], forward[..., 0]], -1)
+        centre = motion.position + self.lead_m * forward
+        keep = problem.radius[..., None] + problem.obstacles.radius + self.margin_m
+        reach = radius[..., None, None, :] + keep[..., None, None]
+
+        def clearance(side: float) -> Tensor:
+            circle = centre + side * radius.unsqueeze(-1) * left
+            offset = problem.obstacles.position - circle[..., None, None, :, :]
+            return safe_norm(offset, 1e-6) - reach
+
+        return smooth_maximum(clearance(1.0), clearance(-1.0), 0.05)
+
+    def forward(
+        self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
+    ) -> Float[Tensor, "*b t"]:
+        """Value in m² at each time, summed over agents."""
+        violation = torch.relu(-self.barrier(motion, problem)).square()
+        expected = (problem.obstacles.weight.unsqueeze(-1) * violation).sum(-2)
+        return (expected * problem.obstacles.valid.unsqueeze(-1)).sum(-2)

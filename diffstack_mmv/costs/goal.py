@@ -1,0 +1,107 @@
+"""Terms that pull the plan to its goal."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_positive
+from diffstack_mmv.costs.base import CostTerm
+from diffstack_mmv.smooth import safe_norm
+from diffstack_mmv.types import Motion, PlanningProblem
+
+
+def _offset_to_goal(motion: Motion, problem: PlanningProblem) -> Float[Tensor, "*b t 2"]:
+    return problem.goal.unsqueeze(-2) - motion.position
+
+
+class RunningGoal(CostTerm):
+    """Squared distance to the goal ‖p_t - g‖² in m², at every time but the horizon."""
+
+    def forward(
+        self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
+    ) -> Float[Tensor, "*b t"]:
+        """Value in m² at each time."""
+        distance = _offset_to_goal(motion, problem).square().sum(-1)
+        running = torch.ones_like(distance[..., :1]).expand_as(distance[..., :-1])
+        return distance * torch.cat([running, torch.zeros_like(distance[..., :1])], -1)
+
+
+class FinalGoal(CostTerm):
+    """Squared distance to the goal ‖p_T - g‖² in m², at the horizon only."""
+
+    def forward(
+        self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
+    ) -> Float[Tensor, "*b t"]:
+        """Value in m², zero before the horizon."""
+        distance = _offset_to_goal(motion, problem).square().sum(-1)
+        final = torch.zeros_like(distance)
+        final[..., -1] = 1.0
+        return distance * final
+
+
+class HeadingToGoal(CostTerm):
+    """Misalignment 1 - cos(θ - θ_des), with θ_des the direction to the goal.
+
+    Near the goal that direction is meaningless: the term fades as d / sqrt(d² + d₀²), written with the offset itself so
+    that nothing is divided by zero.
+
+    Args:
+        fade_m: d₀ in m.
+
+    Raises:
+        ValueError: The fading distance is not positive.
+    """
+
+    def __init__(self, fade_m: float = 1.0) -> None:
+        super().__init__()
+        require_positive("fade_m", fade_m)
+        self.fade_m = fade_m
+
+    def forward(
+        self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
+    ) -> Float[Tensor, "*b t"]:
+        """Value at each time, dimensionless, in [0, 2]."""
+        offset = _offset_to_goal(motion, problem)
+        ahead = offset[..., 0] * motion.heading.cos() + offset[..., 1] * motion.heading.sin()
+        distance = safe_norm(offset)
+        return (distance - ahead) / (distance.square() + self.fade_m**2).sqrt()
+
+
+class ReferenceSpeed(CostTerm):
+    """Squared deviation of the forward speed from the reference speed of the problem, in (m/s)²."""
+
+    def forward(
+        self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
+    ) -> Float[Tensor, "*b t"]:
+        """Value in (m/s)² at each time."""
+        return (motion.velocity[..., 0] - problem.reference_speed.unsqueeze(-1)).square()
+
+
+class BrakingProfile(CostTerm):
+    """Squared deviation from the speed v_ref = min(v_max, sqrt(2 a d)) that still stops at the goal, in (m/s)².
+
+    d is the distance to the goal; the root is smoothed to sqrt(2 a d + w²) - w and the minimum over a width, so that both have
+    slopes at the goal. Source: design of the closed-loop cost of DMMV, Sec. IV-B.
+
+    Args:
+        braking_mps2: a in m/s².
+
+    Raises:
+        ValueError: The deceleration is not positive.
+    """
+
+    def __init__(self, braking_mps2: float = 1.5) -> None:
+        super().__init__()
+        require_positive("braking_mps2", braking_mps2)
+        self.braking_mps2 = braking_mps2
+
+    def forward(
+        self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
+    ) -> Float[Tensor, "*b t"]:
+        """Value in (m/s)² at each time."""
+        width = 0.1
+        distance = safe_norm(_offset_to_goal(motion, problem), 1e-4)
+        stopping = (2 * self.braking_mps2 * distance + width**2).sqrt() - width
+        cruise = problem.reference_speed.unsqueeze(-1)
+        reference = 0.5 * (stopping + cruise - ((stopping - cruise).square() + width**2).sqrt())
+        return (motion.velocity[..., 0] - reference).square()
