@@ -14,16 +14,20 @@ def _offset_to_goal(motion: Motion, problem: PlanningProblem) -> Float[Tensor, "
     return problem.goal.unsqueeze(-2) - motion.position
 
 
+def _at_horizon(times: Float[Tensor, "*b t"]) -> Float[Tensor, " t"]:
+    steps = torch.arange(times.shape[-1], device=times.device)
+    return (steps == times.shape[-1] - 1).to(times.dtype)
+
+
 class RunningGoal(CostTerm):
     """Squared distance to the goal ‖p_t - g‖² in m², at every time but the horizon."""
 
     def forward(
         self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
     ) -> Float[Tensor, "*b t"]:
-        """Value in m² at each time."""
+        """Value in m² at each time, zero at the horizon."""
         distance = _offset_to_goal(motion, problem).square().sum(-1)
-        running = torch.ones_like(distance[..., :1]).expand_as(distance[..., :-1])
-        return distance * torch.cat([running, torch.zeros_like(distance[..., :1])], -1)
+        return distance * (1 - _at_horizon(distance))
 
 
 class FinalGoal(CostTerm):
@@ -32,11 +36,9 @@ class FinalGoal(CostTerm):
     def forward(
         self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
     ) -> Float[Tensor, "*b t"]:
-        """Value in m², zero before the horizon."""
+        """Value in m² at each time, zero before the horizon."""
         distance = _offset_to_goal(motion, problem).square().sum(-1)
-        final = torch.zeros_like(distance)
-        final[..., -1] = 1.0
-        return distance * final
+        return distance * _at_horizon(distance)
 
 
 class HeadingToGoal(CostTerm):

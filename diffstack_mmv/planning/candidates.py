@@ -1,0 +1,119 @@
+"""The fan of feasible candidate trajectories."""
+
+import math
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.types import Motion, PlanningProblem
+
+
+class Candidates(NamedTuple):
+    """Candidate plans of each problem."""
+
+    states: Float[Tensor, "*b C T1 n"]
+    controls: Float[Tensor, "*b C T m"]
+    motion: Motion  # *b C T+1
+
+
+class Manoeuvre(NamedTuple):
+    """A constant acceleration along an arc of constant curvature."""
+
+    acceleration: Float[Tensor, "*b C"]  # m/s²
+    curvature: Float[Tensor, "*b C"]  # 1/m
+
+
+class CandidateFan:
+    """Lattice of terminal speeds and lateral offsets, each rolled out through the selected dynamics.
+
+    A terminal speed fixes a constant acceleration, a lateral offset y at the end of the path of length s an arc of
+    curvature 2 y / s²; one more candidate is the arc with constant acceleration that ends at the goal. Since each is the
+    motion of the model under admissible controls, all are feasible for the vehicle.
+
+    Args:
+        speeds: Number of terminal speeds, evenly spread within reach.
+        offsets: Number of lateral offsets, an odd number keeps the straight line.
+        speed_change_mps: Largest change of speed over the horizon in m/s.
+        offset_share: Largest lateral offset as a share of the length of the path.
+        speed_max_mps: Speed that no candidate exceeds, in m/s.
+
+    Raises:
+        ValueError: A number is below 1, or a range is not positive.
+    """
+
+    def __init__(
+        self,
+        speeds: int = 7,
+        offsets: int = 9,
+        speed_change_mps: float = 3.0,
+        offset_share: float = 0.5,
+        speed_max_mps: float = 12.0,
+    ) -> None:
+        require_at_least("speeds", speeds, 1)
+        require_at_least("offsets", offsets, 1)
+        for name, value in (("speed_change_mps", speed_change_mps), ("speed_max_mps", speed_max_mps)):
+            require_positive(name, value)
+        require_positive("offset_share", offset_share)
+        self.speeds = speeds
+        self.offsets = offsets
+        self.speed_change_mps = speed_change_mps
+        self.offset_share = offset_share
+        self.speed_max_mps = speed_max_mps
+
+    def __call__(self, dynamics: DynamicsModel, problem: PlanningProblem, steps: int) -> Candidates:
+        """Roll out the fan of every problem over a number of steps."""
+        horizon_s = steps * dynamics.dt_s
+        start = dynamics.state_on_course(problem.motion)
+        lattice, to_goal = self._lattice(problem, horizon_s), self._to_goal(problem, horizon_s)
+        manoeuvre = Manoeuvre(*(torch.cat(pair, -1) for pair in zip(lattice, to_goal, strict=True)))
+        return _follow(dynamics, start, manoeuvre, steps)
+
+    def _lattice(self, problem: PlanningProblem, horizon_s: float) -> Manoeuvre:
+        speed = problem.motion.velocity[..., 0].clamp_min(0).unsqueeze(-1)
+        change = torch.linspace(-1, 1, self.speeds, device=speed.device, dtype=speed.dtype)
+        final = (speed + self.speed_change_mps * change).clamp(0, self.speed_max_mps)
+        acceleration = (final - speed) / horizon_s
+        length = (0.5 * (speed + final) * horizon_s).clamp_min(1.0)
+        # A share of offset 0 is 0 exactly, so an odd number of offsets contains the straight line.
+        share = torch.linspace(-1, 1, self.offsets, device=speed.device, dtype=speed.dtype)
+        curvature = 2 * self.offset_share * share / length.unsqueeze(-1)
+        return Manoeuvre(
+            acceleration.unsqueeze(-1).expand_as(curvature).flatten(-2), curvature.flatten(-2)
+        )
+
+    def _to_goal(self, problem: PlanningProblem, horizon_s: float) -> Manoeuvre:
+        motion = problem.motion
+        offset = problem.goal - motion.position
+        cosine, sine = motion.heading.cos(), motion.heading.sin()
+        left = offset[..., 1] * cosine - offset[..., 0] * sine
+        ahead = offset[..., 0] * cosine + offset[..., 1] * sine
+        chord = offset.square().sum(-1).clamp_min(1e-6)
+        half_turn = torch.atan2(left, ahead).clamp(-0.45 * math.pi, 0.45 * math.pi)
+        length = chord.sqrt() * half_turn / torch.where(half_turn == 0, 1.0, half_turn).sin()
+        length = torch.where(half_turn == 0, chord.sqrt(), length)
+        acceleration = 2 * (length - motion.velocity[..., 0] * horizon_s) / horizon_s**2
+        curvature = 2 * half_turn.sin() / chord.sqrt().clamp_min(0.5)
+        return Manoeuvre(acceleration.unsqueeze(-1), curvature.unsqueeze(-1))
+
+
+def _follow(
+    dynamics: DynamicsModel, start: Float[Tensor, "*b n"], manoeuvre: Manoeuvre, steps: int
+) -> Candidates:
+    count = manoeuvre.acceleration.shape[-1]
+    state = start.unsqueeze(-2).expand(*start.shape[:-1], count, start.shape[-1])
+    states, controls = [state], []
+    for _ in range(steps):
+        controls.append(dynamics.control_for(states[-1], manoeuvre.acceleration, manoeuvre.curvature))
+        states.append(dynamics(states[-1], controls[-1]))
+    all_states, all_controls = torch.stack(states, -2), torch.stack(controls, -2)
+    motion = dynamics.motion(all_states, with_final_row(all_controls))
+    return Candidates(all_states, all_controls, motion)
+
+
+def with_final_row(controls: Float[Tensor, "*b T m"]) -> Float[Tensor, "*b T1 m"]:
+    """Append the zero row that stands beside the final state."""
+    return torch.cat([controls, torch.zeros_like(controls[..., :1, :])], -2)

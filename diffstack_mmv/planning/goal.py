@@ -1,0 +1,38 @@
+"""Where the goal of a plan comes from."""
+
+from typing import Protocol
+
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.types import Forecast, StackBatch
+
+
+class GoalSource(Protocol):
+    """Chooses the goal of each sample; every table names the source it was made with."""
+
+    name: str
+
+    def __call__(self, batch: StackBatch, forecast: Forecast) -> Float[Tensor, "B 2"]:
+        """Goal in m in the frame of the sample, given the forecast of the ego (B K T)."""
+        ...
+
+
+class FutureGoal:
+    """The human's position at the horizon: the route is known, as in DMMV."""
+
+    name = "future"
+
+    def __call__(self, batch: StackBatch, forecast: Forecast) -> Float[Tensor, "B 2"]:
+        """Goal in m from the recording."""
+        return batch.goal
+
+
+class PredictedGoal:
+    """The end of the ego's most likely predicted trajectory: no future is used at all."""
+
+    name = "predicted"
+
+    def __call__(self, batch: StackBatch, forecast: Forecast) -> Float[Tensor, "B 2"]:
+        """Goal in m from the forecast."""
+        return forecast.most_likely()[..., -1, :]

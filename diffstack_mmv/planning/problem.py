@@ -1,0 +1,97 @@
+"""Planning problems from observed agents and their forecasts."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_at_least
+from diffstack_mmv.types import Forecast, Motion, Obstacles, PlanningProblem, Tracks
+
+
+def present(tracks: Tracks) -> Tracks:
+    """The last row of observed tracks."""
+    motion = Motion(*(field.select(tracks.valid.dim() - 1, -1) for field in tracks.motion))
+    return tracks._replace(motion=motion, valid=tracks.valid[..., -1])
+
+
+def disc_radius(extent: Float[Tensor, "*b 2"]) -> Float[Tensor, "*b"]:
+    """Radius in m of the disc with the area of a (length, width) box in m: between its half width and half length."""
+    return (extent.prod(-1) / torch.pi).sqrt()
+
+
+def predicted_obstacles(others: Tracks, forecast: Forecast, components: int = 5) -> Obstacles:
+    """Obstacles from the predictions of the other agents.
+
+    Args:
+        others: Observed agents, *b N H.
+        forecast: Their forecast, *b N K T.
+        components: How many of the K components are kept, the most likely ones, weights renormalised: a plan's cost grows
+            with them and hardly changes beyond a handful.
+
+    Raises:
+        ValueError: No component is to be kept.
+    """
+    require_at_least("components", components, 1)
+    now = present(others)
+    kept = min(components, forecast.log_weight.shape[-1])
+    log_weight, index = forecast.log_weight.topk(kept, dim=-1)
+    mean = forecast.mean.take_along_dim(index[..., None, None], -3)
+    start = now.motion.position[..., None, None, :].expand_as(mean[..., :1, :])
+    return Obstacles(
+        position=torch.cat([start, mean], -2),
+        weight=torch.softmax(log_weight, -1),
+        radius=disc_radius(others.extent),
+        valid=now.valid,
+    )
+
+
+def observed_obstacles(past: Tracks, future: Tracks) -> Obstacles:
+    """Obstacles whose future is known, for costs in hindsight: one component, held where the track ends."""
+    now = present(past)
+    start = now.motion.position.unsqueeze(-2)
+    steps = torch.arange(future.valid.shape[-1], device=future.valid.device)
+    last_seen = torch.where(future.valid, steps, -1).cummax(-1).values
+    position = torch.cat([start, future.motion.position], -2)
+    held = position.take_along_dim((last_seen + 1).unsqueeze(-1), -2)
+    path = torch.cat([start, held], -2).unsqueeze(-3)
+    return Obstacles(
+        position=path,
+        weight=torch.ones_like(path[..., 0, 0]),
+        radius=disc_radius(past.extent),
+        valid=now.valid,
+    )
+
+
+def reference_to_goal(
+    position: Float[Tensor, "*b 2"], path: Float[Tensor, "*b T 2"], goal: Float[Tensor, "*b 2"]
+) -> Float[Tensor, "*b T1 2"]:
+    """Bend a predicted path in m so that it ends at the goal.
+
+    p_ref(t) = p(t) + (t / T)² (g - p(T)): the correction of a constant acceleration, so that a constant-velocity
+    prediction becomes the constant acceleration to the goal. Row 0 is the present position.
+    """
+    steps = path.shape[-2]
+    share = torch.arange(1, steps + 1, device=path.device, dtype=path.dtype).div(steps).square()
+    bent = path + share.unsqueeze(-1) * (goal - path[..., -1, :]).unsqueeze(-2)
+    return torch.cat([position.unsqueeze(-2), bent], -2)
+
+
+def build_problem(
+    ego: Tracks, path: Float[Tensor, "*b T 2"], goal: Float[Tensor, "*b 2"], obstacles: Obstacles, dt_s: float
+) -> PlanningProblem:
+    """Planning problem of an observed ego (*b H) with a predicted path (m), a goal (m) and obstacles.
+
+    The reference speed is the mean speed along the reference path in m/s.
+    """
+    motion = present(ego).motion
+    reference = reference_to_goal(motion.position, path, goal)
+    steps = reference[..., 1:, :] - reference[..., :-1, :]
+    speed = steps.square().sum(-1).clamp_min(1e-8).sqrt().mean(-1) / dt_s
+    return PlanningProblem(
+        motion=motion,
+        goal=goal,
+        reference=reference,
+        reference_speed=speed,
+        radius=disc_radius(ego.extent),
+        obstacles=obstacles,
+    )

@@ -1,0 +1,18 @@
+"""Scores of candidates, and the cross entropy against the human's choice."""
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+
+def closest_candidate(
+    positions: Float[Tensor, "*b C T 2"], human: Float[Tensor, "*b T 2"], valid: Bool[Tensor, "*b T"]
+) -> Int[Tensor, "*b"]:
+    """Index of the candidate with the smallest mean squared displacement from the human's future (m)."""
+    error = (positions - human.unsqueeze(-3)).square().sum(-1)
+    return (error * valid.unsqueeze(-2)).sum(-1).argmin(-1)
+
+
+def cross_entropy(logits: Float[Tensor, "*b C"], target: Int[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """Cross entropy in nats of the softmax over candidates against the chosen one."""
+    return -torch.log_softmax(logits, -1).take_along_dim(target.unsqueeze(-1), -1).squeeze(-1)
