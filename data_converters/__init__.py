@@ -1,0 +1,30 @@
+"""Converters from recordings to trajdata caches.
+
+Everything a script needs is here; `README.md` describes the cache on disk.
+"""
+
+from data_converters.convert import ConversionSettings, convert
+from data_converters.errors import CacheError, ConversionError, RejectReason, TrackError
+from data_converters.modes import Mode, default_extent
+from data_converters.opening import open_cache
+from data_converters.report import ConversionReport
+from data_converters.smoothing import CausalSmoother, ZeroPhaseSmoother
+from data_converters.thab import ThabVruDataset
+from data_converters.tracks import ResampleSettings
+
+__all__ = [
+    "CacheError",
+    "CausalSmoother",
+    "ConversionError",
+    "ConversionReport",
+    "ConversionSettings",
+    "Mode",
+    "RejectReason",
+    "ResampleSettings",
+    "ThabVruDataset",
+    "TrackError",
+    "ZeroPhaseSmoother",
+    "convert",
+    "default_extent",
+    "open_cache",
+]

@@ -1,0 +1,129 @@
+"""The cache on disk: trajdata's own files per scene, and one file that says version and state."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from trajdata.caching.df_cache import DataFrameCache
+from trajdata.caching.env_cache import EnvCache
+from trajdata.data_structures.agent import AgentMetadata
+from trajdata.data_structures.environment import EnvMetadata
+from trajdata.data_structures.scene_metadata import Scene
+
+from data_converters.errors import CacheError, fault
+from data_converters.recordings import SPLITS, RawScene
+from data_converters.tracks import AgentRows
+
+FORMAT_VERSION = 1
+STATE_FILE = "cache.json"
+SCENE_REPORT_FILE = "conversion.json"
+REPORT_FILE = "conversion_report.json"
+
+
+def environment(name: str, dt_s: float, scene_splits: Mapping[str, str]) -> EnvMetadata:
+    """trajdata's description of a data set with the tags `name` x train, val, test; dt_s in s."""
+    metadata = EnvMetadata(
+        name=name,
+        data_dir=name,
+        dt=dt_s,
+        parts=[SPLITS],  # type: ignore[list-item]
+        scene_split_map=dict(scene_splits),
+    )
+    metadata.data_dir = Path(name)
+    return metadata
+
+
+def write_scene(
+    base: Path, metadata: EnvMetadata, name: str, location: str, agents: Sequence[AgentRows], raw: RawScene
+) -> Scene:
+    """Write one scene under `base`/environment/scene as trajdata 1.4.0 stores it.
+
+    Args:
+        base: Folder that takes the place of the cache.
+        metadata: The environment, with the split of this scene.
+        name: Name of the scene.
+        location: Name of the place.
+        agents: At least one stretch; rows every dt_s.
+        raw: Gives side tables and signals.
+
+    Returns:
+        trajdata's record of the scene.
+    """
+    steps = max(agent.first_step + len(agent.rows) for agent in agents)
+    split = metadata.scene_split_map[name]
+    scene = Scene(metadata, name, location, split, steps, 0, None)
+    listed = [_agent_metadata(agent) for agent in agents]
+    presence: list[list[AgentMetadata]] = [[] for _ in range(steps)]
+    for agent in listed:
+        for step in range(agent.first_timestep, agent.last_timestep + 1):
+            presence[step].append(agent)
+    scene.update_agent_info(listed, presence)
+    DataFrameCache.save_agent_data(_agent_table(agents), base, scene)
+    if raw.signals is not None:
+        DataFrameCache.save_traffic_light_data(raw.signals, base, scene)
+    for stem, table in raw.side_tables.items():
+        table.to_parquet(base / metadata.name / name / f"{stem}.parquet", index=False)
+    EnvCache(base).save_scene(scene)
+    return scene
+
+
+def _agent_metadata(agent: AgentRows) -> AgentMetadata:
+    return AgentMetadata(
+        name=agent.name,
+        agent_type=agent.mode,  # type: ignore[arg-type]
+        first_timestep=agent.first_step,
+        last_timestep=agent.first_step + len(agent.rows) - 1,
+        extent=agent.extent,
+    )
+
+
+def _agent_table(agents: Sequence[AgentRows]) -> pd.DataFrame:
+    parts = []
+    for agent in agents:
+        steps = range(agent.first_step, agent.first_step + len(agent.rows))
+        parts.append(agent.rows.assign(agent_id=agent.name, scene_ts=steps))
+    return pd.concat(parts, ignore_index=True).set_index(["agent_id", "scene_ts"])
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write `content` so that a reader sees the old file or the whole new one, never a part."""
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(json.dumps(content, indent=1, default=str) + "\n", encoding="utf-8")
+    os.replace(partial, path)
+
+
+def read_state(cache: Path, name: str) -> dict[str, Any]:
+    """The state file of a finished environment of this version.
+
+    Args:
+        cache: Folder of the cache.
+        name: Name of the environment.
+
+    Returns:
+        The content of `cache.json`.
+
+    Raises:
+        CacheError: If the environment is absent, unfinished or of another version.
+    """
+    path = cache / name / STATE_FILE
+    remedy = f"Convert the data again: scripts/convert.py data={name} data.cache={cache}"
+    if not path.is_file():
+        unfinished = any(cache.glob(f".converting_{name}_*"))
+        found = "an unfinished conversion" if unfinished else "no such file"
+        requirement = f"hold a finished conversion of '{name}' ({STATE_FILE})"
+        raise CacheError(fault("cache", requirement, found, path, remedy))
+    try:
+        state = json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as error:
+        raise CacheError(fault(STATE_FILE, "be JSON", error, path, remedy)) from error
+    if state.get("format_version") != FORMAT_VERSION:
+        found = state.get("format_version")
+        raise CacheError(fault("format_version", f"be {FORMAT_VERSION}", found, path, remedy))
+    if state.get("complete") is not True:
+        raise CacheError(fault("complete", "be true", state.get("complete"), path, remedy))
+    return state

@@ -1,0 +1,64 @@
+"""Errors of the converters: one class to catch, one wording, one reason per rejected track."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class RejectReason(StrEnum):
+    """Why a track, or a part of it, is missing from the cache; the keys of the conversion report."""
+
+    BROKEN_JSON = "broken_json"
+    MISSING_FIELD = "missing_field"
+    NO_TIMESTAMPS = "no_timestamps"
+    TIMESTAMP_UNIT = "unknown_timestamp_unit"
+    REPEATED_TIMESTAMPS = "repeated_timestamps"
+    NOT_FINITE = "coordinates_not_finite"
+    UNKNOWN_CLASS = "unknown_class_id"
+    BROKEN_CUBOID = "broken_cuboid"
+    LOW_STATUS = "status_below_minimum"
+    LOW_PROBABILITY = "class_probability_below_minimum"
+    CONTAINED = "contained_in_another_file"
+    OTHER_SPLIT = "source_sequence_in_another_split"
+    TOO_SHORT = "too_short"
+
+
+class ConversionError(ValueError):
+    """A recording, a setting or a cache cannot be used; the message names file, value and remedy."""
+
+
+class CacheError(ConversionError):
+    """A cache is missing, unfinished or of another version."""
+
+
+class TrackError(ConversionError):
+    """One track cannot be used.
+
+    It is rejected and counted under `reason`, or raised when the conversion is strict.
+    """
+
+    def __init__(self, message: str, reason: RejectReason) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+    def __reduce__(self) -> tuple[type[TrackError], tuple[str, RejectReason]]:
+        return type(self), (str(self), self.reason)
+
+
+def fault(field: str, requirement: str, value: object, where: object, remedy: str) -> str:
+    """Wording of an error: "`field` must requirement, but got value in where. Remedy".
+
+    Args:
+        field: Name of the argument, the column or the key at fault.
+        requirement: What it must do or be.
+        value: What was found; long values are cut.
+        where: File or scene, "" where there is none.
+        remedy: One sentence that says what to do.
+
+    Returns:
+        The message.
+    """
+    shown = repr(value) if isinstance(value, str) else str(value)
+    shown = shown if len(shown) <= 120 else f"{shown[:117]}..."
+    place = f" in {where}" if str(where) else ""
+    return f"`{field}` must {requirement}, but got {shown}{place}. {remedy}"

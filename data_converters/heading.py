@@ -1,0 +1,93 @@
+"""Heading of an agent: along its motion, held where it stands still, along its cuboid if it has one."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_converters.smoothing import Smoother
+
+Array = NDArray[np.float64]
+
+
+class HeadingSource(IntEnum):
+    """Where the heading of a row comes from; column `heading_source` of the cache."""
+
+    MEASURED = 0
+    HELD = 1
+    BACKFILLED = 2
+    UNKNOWN = 3
+
+
+class Heading(NamedTuple):
+    """Heading (n,) in rad, counter-clockwise from east, in [-pi, pi), and its source (n,)."""
+
+    angle: Array
+    source: NDArray[np.int8]
+
+
+def wrap(angle: Array) -> Array:
+    """Angle in rad brought to [-pi, pi), any shape (*b)."""
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def heading_from_motion(velocity: Array, standstill_mps: float, *, backfill: bool) -> Heading:
+    """Direction of the velocity; held while the agent is slower than `standstill_mps`.
+
+    Before the first motion the heading of that first motion is used (a cyclist cannot turn on the
+    spot), unless `backfill` is off because that would look into the future. An agent that never
+    moves gets 0.
+
+    Args:
+        velocity: (n, 2) m/s, smoothed.
+        standstill_mps: Speed in m/s below which the direction of motion is noise.
+        backfill: Whether rows before the first motion take its heading.
+
+    Returns:
+        Heading in rad and its source per row.
+    """
+    moving = np.hypot(velocity[:, 0], velocity[:, 1]) >= standstill_mps
+    source = np.where(moving, HeadingSource.MEASURED, HeadingSource.HELD).astype(np.int8)
+    if not moving.any():
+        return Heading(np.zeros(len(velocity)), np.full(len(velocity), HeadingSource.UNKNOWN, np.int8))
+    angle = np.arctan2(velocity[:, 1], velocity[:, 0])
+    start = int(np.argmax(moving))
+    latest = np.maximum.accumulate(np.where(moving, np.arange(len(angle)), start))
+    angle = angle[latest]
+    source[:start] = HeadingSource.BACKFILLED if backfill else HeadingSource.UNKNOWN
+    if not backfill:
+        angle[:start] = 0.0
+    return Heading(wrap(angle), source)
+
+
+def heading_from_axis(
+    axis: Array, time_s: Array, at_s: Array, velocity: Array, smoother: Smoother, standstill_mps: float
+) -> Heading:
+    """Heading along a measured body axis whose direction is known up to half a turn.
+
+    The doubled angle is smoothed as a unit vector, which is blind to half turns; the sign follows
+    the motion: the one that agrees with most of the distance travelled.
+
+    Args:
+        axis: (n,) rad, modulo pi, at `time_s` (n,) s.
+        time_s: Times of the samples.
+        at_s: (m,) s, times of the result.
+        velocity: (m, 2) m/s at `at_s`.
+        smoother: Smoother of the positions.
+        standstill_mps: Speed in m/s from which motion decides the sign.
+
+    Returns:
+        Heading in rad at `at_s`; unknown in sign, and marked so, for an agent that never moves.
+    """
+    doubled = np.column_stack([np.cos(2.0 * axis), np.sin(2.0 * axis)])
+    smooth = smoother(time_s, doubled, at_s).value
+    angle = np.unwrap(np.arctan2(smooth[:, 1], smooth[:, 0])) / 2.0
+    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    moving = speed >= standstill_mps
+    along = velocity[:, 0] * np.cos(angle) + velocity[:, 1] * np.sin(angle)
+    flipped = float(along[moving].sum()) < 0.0
+    known = HeadingSource.MEASURED if moving.any() else HeadingSource.UNKNOWN
+    return Heading(wrap(angle + np.pi * flipped), np.full(len(angle), known, np.int8))

@@ -1,0 +1,115 @@
+"""What a data set has to offer to be converted: its scenes, and the tracks of one of them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import pandas as pd
+
+from data_converters.errors import RejectReason, TrackError
+from data_converters.tracks import RawTrack
+
+SPLITS = ("train", "val", "test")
+
+
+class SceneSource(NamedTuple):
+    """One scene before it is read.
+
+    `key` is whatever its data set finds it by, `fingerprint` changes when its files change.
+    """
+
+    name: str
+    split: str
+    key: str
+    fingerprint: str
+
+
+class Rejection(NamedTuple):
+    """A track that did not make it into the cache."""
+
+    track: str
+    source: str
+    reason: RejectReason
+    detail: str
+
+
+@dataclass
+class RawScene:
+    """The tracks of one scene on one clock that starts at 0 s.
+
+    Attributes:
+        tracks: Usable tracks.
+        rejected: Tracks refused while reading.
+        side_tables: Tables trajdata has no place for, by file stem; written as parquet.
+        signals: Traffic lights as trajdata keeps them: lane_id, scene_ts, status; or None.
+        notes: Counts worth reporting, such as rows dropped while reading.
+    """
+
+    tracks: list[RawTrack] = field(default_factory=list)
+    rejected: list[Rejection] = field(default_factory=list)
+    side_tables: dict[str, pd.DataFrame] = field(default_factory=dict)
+    signals: pd.DataFrame | None = None
+    notes: dict[str, int] = field(default_factory=dict)
+
+    def reject(self, track: str, source: str, error: TrackError, *, strict: bool) -> None:
+        """Count a refused track, or raise its error where the conversion is strict.
+
+        Raises:
+            TrackError: `error`, if `strict`.
+        """
+        if strict:
+            raise error
+        self.rejected.append(Rejection(track, source, error.reason, str(error)))
+
+    def note(self, name: str, count: int) -> None:
+        """Add `count` to the counter `name`."""
+        self.notes[name] = self.notes.get(name, 0) + count
+
+
+@dataclass(frozen=True)
+class RecordingDataset(ABC):
+    """A data set on disk.
+
+    Attributes:
+        root: Folder of the recordings.
+    """
+
+    root: Path
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Name of the trajdata environment; no "-" in it."""
+
+    @property
+    @abstractmethod
+    def location(self) -> str:
+        """Name of the place, as trajdata wants it."""
+
+    @abstractmethod
+    def scenes(self) -> list[SceneSource]:
+        """All scenes in a fixed order.
+
+        Raises:
+            ConversionError: If the data set is missing or incomplete.
+        """
+
+    @abstractmethod
+    def read(self, scene: SceneSource, dt_s: float, *, strict: bool) -> RawScene:
+        """Read one scene; `dt_s` in s is the step at which signals are tabulated.
+
+        Raises:
+            ConversionError: If the scene cannot be read, or, when `strict`, one of its tracks.
+        """
+
+    @abstractmethod
+    def settings(self) -> Mapping[str, object]:
+        """Plain values that change what `read` returns; hashed, and shown in the report."""
+
+    def notes(self) -> Mapping[str, object]:
+        """Facts about the whole data set for the report, such as files dropped as duplicates."""
+        return {}

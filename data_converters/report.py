@@ -1,0 +1,187 @@
+"""The conversion report: what was read, kept and rejected, and how much smoothing took away."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from data_converters.heading import HeadingSource
+from data_converters.recordings import RawScene, Rejection
+from data_converters.tracks import AgentRows, Residual
+
+WINDOW_STEPS_S = (4.0, 3.0)
+
+
+@dataclass
+class SceneReport:
+    """Counts of one scene; plain values, so that it survives a trip through JSON.
+
+    `residual` holds per mode the number of moving samples and the sums of the squared residual
+    along and across the motion in m². `windows` counts per mode the time steps with 4 s of history
+    and 3 s of future.
+    """
+
+    name: str
+    split: str
+    key: str
+    steps: int = 0
+    tracks_read: int = 0
+    agents: dict[str, int] = field(default_factory=dict)
+    windows: dict[str, int] = field(default_factory=dict)
+    rows: int = 0
+    interpolated_rows: int = 0
+    heading_rows: dict[str, int] = field(default_factory=dict)
+    residual: dict[str, list[float]] = field(default_factory=dict)
+    speed_errors_mps: list[float] = field(default_factory=list)
+    rejected: list[dict[str, str]] = field(default_factory=list)
+    notes: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def usable(self) -> bool:
+        """Whether the scene holds an agent."""
+        return bool(self.agents)
+
+
+def report_scene(
+    name: str, split: str, key: str, raw: RawScene, agents: Sequence[AgentRows], dt_s: float
+) -> SceneReport:
+    """Count one scene.
+
+    Args:
+        name: Name of the scene.
+        split: Its split.
+        key: Hash of everything it was made from.
+        raw: The scene as read, with all rejections.
+        agents: What was kept, rows every `dt_s`.
+        dt_s: Step in s.
+
+    Returns:
+        The counts.
+    """
+    report = SceneReport(name, split, key, tracks_read=len(raw.tracks) + _refused(raw))
+    report.notes = dict(raw.notes)
+    report.rejected = [_plain(item) for item in raw.rejected]
+    window_steps = round(sum(WINDOW_STEPS_S) / dt_s)
+    for agent in agents:
+        mode = agent.mode.name.lower()
+        _add(report.agents, mode, 1)
+        _add(report.windows, mode, max(0, len(agent.rows) - window_steps))
+        _count_rows(report, agent)
+        _add_residual(report.residual, mode, agent.residual)
+        if np.isfinite(agent.speed_error):
+            report.speed_errors_mps.append(round(agent.speed_error, 4))
+        report.steps = max(report.steps, agent.first_step + len(agent.rows))
+    return report
+
+
+def _refused(raw: RawScene) -> int:
+    kept = {track.name for track in raw.tracks}
+    return len({item.track for item in raw.rejected} - kept)
+
+
+def _plain(item: Rejection) -> dict[str, str]:
+    return {**item._asdict(), "reason": item.reason.value}
+
+
+def _count_rows(report: SceneReport, agent: AgentRows) -> None:
+    report.rows += len(agent.rows)
+    report.interpolated_rows += int(agent.rows["interpolated"].sum())
+    for source in HeadingSource:
+        count = int((agent.rows["heading_source"] == source).sum())
+        _add(report.heading_rows, source.name.lower(), count)
+
+
+def _add(counts: dict[str, int], name: str, count: int) -> None:
+    counts[name] = counts.get(name, 0) + count
+
+
+def _add_residual(sums: dict[str, list[float]], mode: str, residual: Residual) -> None:
+    before = sums.get(mode, [0.0, 0.0, 0.0])
+    sums[mode] = [a + b for a, b in zip(before, residual, strict=True)]
+
+
+@dataclass
+class ConversionReport:
+    """The report of a whole conversion; `as_dict` is what `conversion_report.json` holds."""
+
+    dataset: str
+    settings: dict[str, Any]
+    settings_hash: str
+    versions: dict[str, str]
+    scenes: list[SceneReport]
+    dataset_notes: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def rejected_by_reason(self) -> dict[str, int]:
+        """Number of rejected tracks (or stretches of tracks) per reason."""
+        reasons = Counter(item["reason"] for scene in self.scenes for item in scene.rejected)
+        return dict(sorted(reasons.items()))
+
+    @property
+    def residual_m(self) -> dict[str, dict[str, float]]:
+        """Per mode: root mean square residual of the smoother along and across the motion in m."""
+        sums: dict[str, list[float]] = {}
+        for scene in self.scenes:
+            for mode, values in scene.residual.items():
+                _add_residual(sums, mode, Residual(int(values[0]), values[1], values[2]))
+        return {
+            mode: {"samples": n, "along_m": (along / n) ** 0.5, "across_m": (across / n) ** 0.5}
+            for mode, (n, along, across) in sorted(sums.items())
+            if n > 0
+        }
+
+    def windows(self) -> dict[str, dict[str, int]]:
+        """Time steps with 4 s of history and 3 s of future, per split and mode."""
+        return _per_split((scene.split, scene.windows) for scene in self.scenes)
+
+    def agents(self) -> dict[str, dict[str, int]]:
+        """Agents (gap-free stretches) per split and mode."""
+        return _per_split((scene.split, scene.agents) for scene in self.scenes)
+
+    def totals(self) -> dict[str, Any]:
+        """Sums over all scenes."""
+        errors = [error for scene in self.scenes for error in scene.speed_errors_mps]
+        return {
+            "scenes": sum(scene.usable for scene in self.scenes),
+            "scenes_without_agents": sum(not scene.usable for scene in self.scenes),
+            "tracks_read": sum(scene.tracks_read for scene in self.scenes),
+            "rows": sum(scene.rows for scene in self.scenes),
+            "interpolated_rows": sum(scene.interpolated_rows for scene in self.scenes),
+            "heading_rows": _summed(scene.heading_rows for scene in self.scenes),
+            "notes": _summed(scene.notes for scene in self.scenes),
+            "median_speed_error_mps": float(np.median(errors)) if errors else None,
+            "agents": self.agents(),
+            "windows_4s_3s": self.windows(),
+            "rejected": self.rejected_by_reason,
+            "smoother_residual": self.residual_m,
+        }
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything as plain values."""
+        return {
+            "dataset": self.dataset,
+            "settings": self.settings,
+            "settings_hash": self.settings_hash,
+            "versions": self.versions,
+            "dataset_notes": self.dataset_notes,
+            "totals": self.totals(),
+            "scenes": [asdict(scene) for scene in self.scenes],
+        }
+
+
+def _summed(counts: Iterable[dict[str, int]]) -> dict[str, int]:
+    total: Counter[str] = Counter()
+    for part in counts:
+        total.update(part)
+    return dict(total)
+
+
+def _per_split(counts: Iterable[tuple[str, dict[str, int]]]) -> dict[str, dict[str, int]]:
+    total: dict[str, Counter[str]] = {}
+    for split, part in counts:
+        total.setdefault(split, Counter()).update(part)
+    return {split: dict(sorted(part.items())) for split, part in sorted(total.items())}

@@ -1,0 +1,156 @@
+"""Smoothers of irregularly sampled series: values, first and second derivatives at any time."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import asdict, dataclass
+from math import ceil
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.signal import savgol_filter
+
+from data_converters.errors import ConversionError, fault
+
+Array = NDArray[np.float64]
+
+SAMPLES_NEEDED = 4
+
+
+class SmoothSeries(NamedTuple):
+    """A smoothed series at m times: value, rate in 1/s, curvature in 1/s², each (m, k)."""
+
+    value: Array
+    rate: Array
+    curvature: Array
+
+
+@dataclass(frozen=True)
+class Smoother(ABC):
+    """Local polynomial smoother.
+
+    Attributes:
+        window_s: Length of the window in s.
+        order: Degree of the polynomial; 2 reproduces constant acceleration exactly.
+
+    Raises:
+        ConversionError: If the window is not positive or the order is not 1, 2 or 3.
+    """
+
+    window_s: float = 0.9
+    order: int = 2
+
+    def __post_init__(self) -> None:
+        if not self.window_s > 0.0:
+            raise ConversionError(fault("window_s", "be positive", self.window_s, "", "Try 0.9."))
+        if self.order not in (1, 2, 3):
+            raise ConversionError(fault("order", "be 1, 2 or 3", self.order, "", "Use 2."))
+
+    @property
+    @abstractmethod
+    def lookahead_s(self) -> float:
+        """How far into the future, in s, a smoothed value depends on the recording."""
+
+    @property
+    @abstractmethod
+    def warmup_s(self) -> float:
+        """Time after the first sample, in s, before which nothing is put out."""
+
+    @abstractmethod
+    def __call__(self, time_s: Array, values: Array, at_s: Array) -> SmoothSeries:
+        """Smooth `values` (n, k) sampled at increasing `time_s` (n,) s; evaluate at `at_s` (m,) s."""
+
+    def settings(self) -> dict[str, float | int | str]:
+        """The smoother as plain values, for the report and the hash of the settings."""
+        return {"name": type(self).__name__, **asdict(self), "lookahead_s": self.lookahead_s}
+
+
+@dataclass(frozen=True)
+class ZeroPhaseSmoother(Smoother):
+    """Savitzky-Golay filter on a time-uniform grid: no lag, looks half a window ahead.
+
+    The series is brought to a uniform fine grid by a cubic spline in time and filtered with
+    `scipy.signal.savgol_filter`, whose ends are fitted polynomials. Any quadratic series comes back
+    exactly, at any sampling.
+
+    Attributes:
+        grid_s: Spacing of the grid in s, adjusted so that the grid ends with the series.
+
+    Source: window and order were chosen by leaving out every fifth sample of the TH-AB tracks; see
+        data_converters/README.md.
+    """
+
+    grid_s: float = 0.02
+
+    @property
+    def lookahead_s(self) -> float:
+        """Half the window, in s."""
+        return self.window_s / 2.0
+
+    @property
+    def warmup_s(self) -> float:
+        """Zero: the ends of a track are fitted."""
+        return 0.0
+
+    def __call__(self, time_s: Array, values: Array, at_s: Array) -> SmoothSeries:
+        """See `Smoother`; shapes (n,), (n, k), (m,)."""
+        count = max(ceil((time_s[-1] - time_s[0]) / self.grid_s) + 1, self.order + 3)
+        grid, step = np.linspace(time_s[0], time_s[-1], count, retstep=True)
+        uniform = CubicSpline(time_s, values)(grid)
+        width = min(round(self.window_s / float(step)) | 1, (count - 1) | 1)
+        parts = [
+            savgol_filter(uniform, width, self.order, deriv=d, delta=float(step), axis=0)
+            for d in range(3)
+        ]
+        return SmoothSeries(*(CubicSpline(grid, part)(at_s) for part in parts))
+
+
+@dataclass(frozen=True)
+class CausalSmoother(Smoother):
+    """Least-squares polynomial through the samples of the last window: uses no later sample.
+
+    The value at t is fitted to the samples in (t - window_s, t] only, so it is noisier than the
+    zero-phase one. Nothing is put out before the track has lasted half a window.
+    """
+
+    window_s: float = 1.2
+
+    @property
+    def lookahead_s(self) -> float:
+        """Zero."""
+        return 0.0
+
+    @property
+    def warmup_s(self) -> float:
+        """Half the window, in s."""
+        return self.window_s / 2.0
+
+    def __call__(self, time_s: Array, values: Array, at_s: Array) -> SmoothSeries:
+        """See `Smoother`; shapes (n,), (n, k), (m,). Times in the warm-up get NaN."""
+        last = np.searchsorted(time_s, at_s + 1e-9, side="right")
+        first = np.searchsorted(time_s, at_s - self.window_s + 1e-9)
+        usable = (at_s >= time_s[0] + self.warmup_s - 1e-9) & (last - first > self.order)
+        result = np.full((3, len(at_s), values.shape[1]), np.nan)
+        for d, part in enumerate(self._fit(time_s, values, at_s[usable], first[usable], last[usable])):
+            result[d, usable] = part
+        return SmoothSeries(*result)
+
+    def _fit(
+        self, time_s: Array, values: Array, at_s: Array, first: NDArray[np.int64], last: NDArray[np.int64]
+    ) -> list[Array]:
+        """Value, rate and curvature (m, k) of the polynomial fitted to samples first..last-1."""
+        if len(at_s) == 0:
+            return []
+        index = first[:, None] + np.arange(int((last - first).max()))
+        inside = index < last[:, None]
+        index = np.minimum(index, len(time_s) - 1)
+        lag = (time_s[index] - at_s[:, None]) / self.window_s
+        basis = lag[..., None] ** np.arange(self.order + 1) * inside[..., None]
+        normal = np.einsum("mni,mnj->mij", basis, basis)
+        moment = np.einsum("mni,mnk->mik", basis, values[index])
+        coefficient = np.linalg.solve(normal, moment)
+        zero = np.zeros_like(coefficient[:, 0])
+        curvature = 2.0 * coefficient[:, 2] / self.window_s**2 if self.order > 1 else zero
+        return [coefficient[:, 0], coefficient[:, 1] / self.window_s, curvature]

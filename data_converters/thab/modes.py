@@ -1,0 +1,8 @@
+"""Folder names of the TH-AB VRU tracks and the modes they hold."""
+
+from __future__ import annotations
+
+from data_converters.modes import Mode
+
+FOLDER_MODES = {"cyclists": Mode.BICYCLE, "pedestrians": Mode.PEDESTRIAN}
+PHASES = ("moving", "starting", "stopping", "waiting")

@@ -1,0 +1,198 @@
+"""From one recorded track to gap-free rows at a fixed step: split, smooth, resample by time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from trajdata.data_structures.agent import FixedExtent
+
+from data_converters.errors import ConversionError, RejectReason, TrackError, fault
+from data_converters.heading import heading_from_axis, heading_from_motion
+from data_converters.modes import Mode, default_extent
+from data_converters.smoothing import SAMPLES_NEEDED, Smoother, SmoothSeries, ZeroPhaseSmoother
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RawTrack:
+    """One track as recorded, in the units of the cache.
+
+    Attributes:
+        name: Name of the agent within its scene, ASCII.
+        mode: Its mode of travel.
+        time_s: (n,) s on the clock of the scene, increasing.
+        position: (n, 3) m, x east, y north, z up.
+        source: File it was read from, for messages and the report.
+        extent: Measured size in m, None where unknown.
+        axis: (n,) rad, measured direction of the longer side modulo pi, None where unknown.
+        speed: (n,) m/s as stated by the recording, only checked against; None where absent.
+    """
+
+    name: str
+    mode: Mode
+    time_s: Array
+    position: Array
+    source: str
+    extent: FixedExtent | None = None
+    axis: Array | None = None
+    speed: Array | None = None
+
+
+@dataclass(frozen=True)
+class ResampleSettings:
+    """How tracks become rows.
+
+    Attributes:
+        dt_s: Step of the cache in s.
+        max_gap_s: Longest gap in s that is interpolated; longer ones split the track.
+        min_duration_s: Shortest stretch in s that is kept.
+        standstill_mps: Speed in m/s below which the heading is held.
+        smoother: Smoother of positions.
+
+    Raises:
+        ConversionError: If a number is not positive.
+    """
+
+    dt_s: float = 0.1
+    max_gap_s: float = 0.5
+    min_duration_s: float = 1.0
+    standstill_mps: float = 0.4
+    smoother: Smoother = field(default_factory=ZeroPhaseSmoother)
+
+    def __post_init__(self) -> None:
+        for name in ("dt_s", "max_gap_s", "min_duration_s", "standstill_mps"):
+            if not getattr(self, name) > 0.0:
+                value = getattr(self, name)
+                raise ConversionError(fault(name, "be positive", value, "", "Give SI units."))
+
+
+class Residual(NamedTuple):
+    """Sums over moving raw samples: count, squared residual along and across the motion in m²."""
+
+    count: int
+    along: float
+    across: float
+
+
+class AgentRows(NamedTuple):
+    """One gap-free stretch of an agent.
+
+    `rows` has one row per step from `first_step` on: x, y, z (m), vx, vy (m/s), ax, ay (m/s²),
+    heading (rad), interpolated (bool), heading_source (see `HeadingSource`).
+    """
+
+    name: str
+    mode: Mode
+    extent: FixedExtent
+    first_step: int
+    rows: pd.DataFrame
+    residual: Residual
+    speed_error: float
+
+
+def split_at_gaps(track: RawTrack, max_gap_s: float) -> list[RawTrack]:
+    """Stretches of a track between gaps longer than `max_gap_s` in s; later ones get _s1, _s2, ..."""
+    cuts = np.flatnonzero(np.diff(track.time_s) > max_gap_s + 1e-6) + 1
+    bounds = [0, *cuts.tolist(), len(track.time_s)]
+    return [
+        _stretch(track, slice(a, b), number)
+        for number, (a, b) in enumerate(zip(bounds[:-1], bounds[1:], strict=True))
+    ]
+
+
+def _stretch(track: RawTrack, part: slice, number: int) -> RawTrack:
+    return RawTrack(
+        name=track.name if number == 0 else f"{track.name}_s{number}",
+        mode=track.mode,
+        time_s=track.time_s[part],
+        position=track.position[part],
+        source=track.source,
+        extent=track.extent,
+        axis=None if track.axis is None else track.axis[part],
+        speed=None if track.speed is None else track.speed[part],
+    )
+
+
+def resample(track: RawTrack, settings: ResampleSettings) -> AgentRows:
+    """Smooth one gap-free stretch and sample it at the multiples of `dt_s` that it covers.
+
+    Args:
+        track: Stretch with n samples, (n,) s and (n, 3) m.
+        settings: Step, thresholds and smoother.
+
+    Returns:
+        Rows at k · dt_s on the clock of the scene.
+
+    Raises:
+        TrackError: If the stretch is shorter than `min_duration_s` or has too few samples.
+    """
+    smoother = settings.smoother
+    begin, end = track.time_s[0] + smoother.warmup_s, track.time_s[-1]
+    first = int(np.ceil(begin / settings.dt_s - 1e-6))
+    last = int(np.floor(end / settings.dt_s + 1e-6))
+    if end - begin < settings.min_duration_s or len(track.time_s) < SAMPLES_NEEDED or last <= first:
+        lasts = f"{track.time_s[-1] - track.time_s[0]:.2f} s with {len(track.time_s)} samples"
+        needs = f"last at least {settings.min_duration_s + smoother.warmup_s:g} s without a gap"
+        remedy = "Lower `min_duration_s` to keep it."
+        raise TrackError(fault("track", needs, lasts, track.source, remedy), RejectReason.TOO_SHORT)
+    at_s = np.clip(np.arange(first, last + 1) * settings.dt_s, track.time_s[0], end)
+    smooth = smoother(track.time_s, track.position, np.concatenate([at_s, track.time_s]))
+    steps = SmoothSeries(*(part[: len(at_s)] for part in smooth))
+    raw = SmoothSeries(*(part[len(at_s) :] for part in smooth))
+    return AgentRows(
+        name=track.name,
+        mode=track.mode,
+        extent=track.extent or default_extent(track.mode),
+        first_step=first,
+        rows=_rows(track, steps, at_s, settings),
+        residual=_residual(track, raw, settings.standstill_mps),
+        speed_error=_speed_error(track, raw),
+    )
+
+
+def _rows(
+    track: RawTrack, steps: SmoothSeries, at_s: Array, settings: ResampleSettings
+) -> pd.DataFrame:
+    velocity = steps.rate[:, :2]
+    if track.axis is None:
+        backfill = settings.smoother.lookahead_s > 0.0
+        heading = heading_from_motion(velocity, settings.standstill_mps, backfill=backfill)
+    else:
+        heading = heading_from_axis(
+            track.axis, track.time_s, at_s, velocity, settings.smoother, settings.standstill_mps
+        )
+    columns = np.column_stack([steps.value, velocity, steps.curvature[:, :2], heading.angle])
+    rows = pd.DataFrame(columns, columns=["x", "y", "z", "vx", "vy", "ax", "ay", "heading"])
+    rows["interpolated"] = _in_gap(track.time_s, at_s)
+    rows["heading_source"] = heading.source
+    return rows
+
+
+def _in_gap(time_s: Array, at_s: Array) -> NDArray[np.bool_]:
+    """True (m,) where the samples around a time are more than 1.5 usual steps apart."""
+    steps = np.diff(time_s)
+    after = np.clip(np.searchsorted(time_s, at_s - 1e-6, side="left"), 1, len(time_s) - 1)
+    exact = np.abs(time_s[after] - at_s) < 1e-6
+    return (steps[after - 1] > 1.5 * np.median(steps)) & ~exact
+
+
+def _residual(track: RawTrack, raw: SmoothSeries, standstill_mps: float) -> Residual:
+    speed = np.hypot(raw.rate[:, 0], raw.rate[:, 1])
+    moving = speed >= standstill_mps
+    direction = raw.rate[moving, :2] / speed[moving, None]
+    error = (track.position - raw.value)[moving, :2]
+    along = (error * direction).sum(axis=1)
+    across = direction[:, 0] * error[:, 1] - direction[:, 1] * error[:, 0]
+    return Residual(int(moving.sum()), float((along**2).sum()), float((across**2).sum()))
+
+
+def _speed_error(track: RawTrack, raw: SmoothSeries) -> float:
+    """Median difference in m/s between the recording's own speed and the smoothed one; NaN if none."""
+    if track.speed is None:
+        return float("nan")
+    return float(np.nanmedian(np.abs(track.speed - np.hypot(raw.rate[:, 0], raw.rate[:, 1]))))
