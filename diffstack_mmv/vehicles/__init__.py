@@ -1,0 +1,43 @@
+"""Vehicles: what they are made of, where their numbers come from, and how to load them."""
+
+from diffstack_mmv.vehicles.catalogue import (
+    config_folder,
+    load_vehicle,
+    save_vehicle,
+    vehicle_names,
+)
+from diffstack_mmv.vehicles.layout import axles
+from diffstack_mmv.vehicles.parameter import ExactBuffers, ParameterSpec, SoftClamped
+from diffstack_mmv.vehicles.parts import (
+    AckermannSteering,
+    DifferentialDrive,
+    Footprint,
+    Limits,
+    Smoothing,
+    Steering,
+    TruckSteering,
+    WheelSpec,
+)
+from diffstack_mmv.vehicles.spec import BODY_PARAMETERS, WHEEL_PARAMETERS, VehicleSpec
+
+__all__ = [
+    "BODY_PARAMETERS",
+    "WHEEL_PARAMETERS",
+    "AckermannSteering",
+    "DifferentialDrive",
+    "ExactBuffers",
+    "Footprint",
+    "Limits",
+    "ParameterSpec",
+    "Smoothing",
+    "SoftClamped",
+    "Steering",
+    "TruckSteering",
+    "VehicleSpec",
+    "WheelSpec",
+    "axles",
+    "config_folder",
+    "load_vehicle",
+    "save_vehicle",
+    "vehicle_names",
+]

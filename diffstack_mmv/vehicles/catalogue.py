@@ -1,0 +1,87 @@
+"""The vehicles that come with the package, and vehicles in files of one's own."""
+
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
+
+from diffstack_mmv.checks import message
+from diffstack_mmv.vehicles.reading import config_from_spec
+from diffstack_mmv.vehicles.spec import VehicleSpec
+
+
+def config_folder() -> Path:
+    """Folder of the configuration groups: beside the package in a checkout, else installed.
+
+    Raises:
+        FileNotFoundError: Neither exists.
+    """
+    beside = Path(__file__).resolve().parents[2] / "configs"
+    if (beside / "vehicle").is_dir():
+        return beside
+    try:
+        return Path(str(files("diffstack_mmv_configs")))
+    except ModuleNotFoundError as missing:
+        raise FileNotFoundError(
+            f"No configuration folder: neither {beside} nor the installed package."
+        ) from missing
+
+
+def vehicle_names() -> list[str]:
+    """Names of the vehicles that come with the package, sorted."""
+    return sorted(path.stem for path in (config_folder() / "vehicle").glob("*.yaml"))
+
+
+def load_vehicle(name_or_path: str | Path) -> VehicleSpec:
+    """Load a vehicle by its name, or from a YAML file of one's own.
+
+    Raises:
+        ValueError: The name is unknown, the file is missing or no YAML, or its content is no
+            possible vehicle.
+    """
+    text = str(name_or_path)
+    is_name = "/" not in text and os.sep not in text and not text.endswith((".yaml", ".yml"))
+    path = config_folder() / "vehicle" / f"{text}.yaml" if is_name else Path(name_or_path)
+    if not path.is_file():
+        wanted = f"be one of {', '.join(vehicle_names())}, or the path of a YAML file"
+        raise ValueError(message("vehicle", wanted, repr(text)))
+    try:
+        content = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
+    except (YAMLError, OmegaConfBaseException, UnicodeDecodeError) as problem:
+        raise ValueError(message("vehicle", "be a YAML file", f"{path}: {problem}")) from problem
+    if not isinstance(content, dict):
+        raise ValueError(message("vehicle", "be a mapping of keys", f"{path}: {content!r}"))
+    try:
+        return VehicleSpec.from_config({str(key): value for key, value in content.items()})
+    except ValueError as problem:
+        raise ValueError(f"{problem} (file {path})") from problem
+
+
+def save_vehicle(
+    spec: VehicleSpec, path: str | Path, provenance: Mapping[str, Any] | None = None
+) -> None:
+    """Write a vehicle as YAML that `load_vehicle` reads back, all or nothing.
+
+    Args:
+        spec: The vehicle, e.g. with calibrated parameters (`VehicleSpec.with_values`).
+        path: File to write; it is replaced in one go.
+        provenance: How the numbers came about (data, losses, date, seed), kept in the file.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    kept = replace(spec, provenance=dict(provenance)) if provenance else spec
+    with tempfile.NamedTemporaryFile(
+        "w", dir=target.parent, suffix=".partial", delete=False
+    ) as stream:
+        stream.write(OmegaConf.to_yaml(OmegaConf.create(config_from_spec(kept))))
+    os.replace(stream.name, target)

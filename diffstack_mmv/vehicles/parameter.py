@@ -1,0 +1,203 @@
+"""Bounded, learnable physical parameters and exact constants."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from diffstack_mmv.checks import require
+
+Numbers = float | tuple[float, ...]
+_EDGE = 1e-6  # an estimate at the very edge of its range is moved inside by this share of the range
+
+
+def as_numbers(values: float | Sequence[float]) -> Numbers:
+    """Return a float, or a tuple of floats for a sequence."""
+    if isinstance(values, Sequence):
+        return tuple(float(value) for value in values)
+    return float(values)
+
+
+def _broadcast(values: Numbers, length: int) -> tuple[float, ...]:
+    return values if isinstance(values, tuple) else (values,) * length
+
+
+@dataclass(frozen=True)
+class ParameterSpec:
+    """A physical quantity with its prior value, range, unit and source.
+
+    Args:
+        initial: Prior value, one number or one per wheel.
+        low: Lower end of the range; `low == high` makes the parameter a constant.
+        high: Upper end of the range.
+        unit: SI unit, "1" for a dimensionless number.
+        learn: Whether training may move it.
+        source: Where the number comes from.
+        tied: Whether wheels move together (one learned number) or each for itself.
+
+    Raises:
+        ValueError: A number is not finite, outside of its range, or the lengths differ; unit or
+            source is missing.
+    """
+
+    initial: Numbers
+    low: Numbers
+    high: Numbers
+    unit: str
+    learn: bool
+    source: str
+    tied: bool = False
+
+    def __post_init__(self) -> None:
+        lengths = {
+            len(field) for field in (self.initial, self.low, self.high) if isinstance(field, tuple)
+        }
+        require(
+            len(lengths) <= 1,
+            "initial, low, high",
+            "have the same number of entries",
+            sorted(lengths),
+            remedy="Give one number for all wheels, or one per wheel.",
+        )
+        for initial, low, high in self.entries():
+            require(
+                math.isfinite(low) and math.isfinite(high), "low, high", "be finite", (low, high)
+            )
+            require(low <= high, "low", f"be at most high = {high:g}", low)
+            inside = low < initial < high or low == initial == high
+            remedy = "Widen the range, or set low = initial = high for a constant."
+            require(
+                inside,
+                "initial",
+                f"lie between low = {low:g} and high = {high:g}",
+                initial,
+                remedy=remedy,
+            )
+        require(
+            bool(self.unit),
+            "unit",
+            "be given",
+            "nothing",
+            remedy='Write the SI unit, "1" for a plain number.',
+        )
+        require(
+            bool(self.source),
+            "source",
+            "be given",
+            "nothing",
+            remedy="Say where the number comes from.",
+        )
+
+    @property
+    def length(self) -> int | None:
+        """Number of entries, None for a single number."""
+        sized = [field for field in (self.initial, self.low, self.high) if isinstance(field, tuple)]
+        return len(sized[0]) if sized else None
+
+    def entries(self) -> list[tuple[float, float, float]]:
+        """One (initial, low, high) per entry."""
+        length = self.length or 1
+        columns = (_broadcast(field, length) for field in (self.initial, self.low, self.high))
+        return list(zip(*columns, strict=True))
+
+    def with_value(self, value: float | Sequence[float], source: str) -> "ParameterSpec":
+        """Return the same parameter with another prior, kept just inside of the range.
+
+        Raises:
+            ValueError: The number of values does not fit.
+        """
+        values = _broadcast(as_numbers(value), self.length or 1)
+        count = self.length or 1
+        require(len(values) == count, "value", f"have {count} entries", len(values))
+        moved = []
+        for new, (_, low, high) in zip(values, self.entries(), strict=True):
+            margin = _EDGE * (high - low)
+            moved.append(min(max(new, low + margin), high - margin))
+        initial = tuple(moved) if self.length else moved[0]
+        return ParameterSpec(initial, self.low, self.high, self.unit, self.learn, source, self.tied)
+
+
+class ExactBuffers(nn.Module):
+    """Module whose constants keep double precision when it changes its type.
+
+    Constants are stored as Python floats and become tensors anew whenever the module moves or
+    changes type; a model built in float32 and then turned to float64 is exact, and no call copies
+    from host to device.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._exact: dict[str, Any] = {}
+
+    def register_exact(
+        self, name: str, values: float | Sequence[float] | Sequence[Sequence[float]]
+    ) -> None:
+        """Register a constant under `self.name`, outside of the state dictionary."""
+        self._exact[name] = values
+        self.register_buffer(
+            name, torch.tensor(values, dtype=torch.get_default_dtype()), persistent=False
+        )
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
+        super()._apply(fn, recurse)
+        for name, values in self._exact.items():
+            moved = self.get_buffer(name)
+            if moved.is_floating_point() and not moved.is_meta:
+                self.register_buffer(
+                    name,
+                    torch.tensor(values, dtype=moved.dtype, device=moved.device),
+                    persistent=False,
+                )
+        return self
+
+
+class SoftClamped(ExactBuffers):
+    """A physical parameter that stays inside its range: middle + half_range · tanh(raw + offset).
+
+    `raw` is the constant that makes offset 0 the prior; `offset` is what training moves. A range
+    of zero width gives exactly the constant.
+
+    Args:
+        spec: Prior, range, unit, and whether it is learned.
+    """
+
+    def __init__(self, spec: ParameterSpec) -> None:
+        super().__init__()
+        self.spec = spec
+        columns: dict[str, list[float]] = {"middle": [], "half_range": [], "raw": []}
+        for initial, low, high in spec.entries():
+            mid, half = 0.5 * (low + high), 0.5 * (high - low)
+            columns["middle"].append(mid)
+            columns["half_range"].append(half)
+            columns["raw"].append(math.atanh((initial - mid) / half) if half > 0 else 0.0)
+        for name, column in columns.items():
+            self.register_exact(name, column if spec.length else column[0])
+        shape = (spec.length,) if spec.length and not spec.tied else ()
+        self.offset = nn.Parameter(torch.zeros(shape), requires_grad=spec.learn)
+
+    @property
+    def unit(self) -> str:
+        """Unit of the value."""
+        return self.spec.unit
+
+    @property
+    def low(self) -> Numbers:
+        """Lower end of the range."""
+        return self.spec.low
+
+    @property
+    def high(self) -> Numbers:
+        """Upper end of the range."""
+        return self.spec.high
+
+    def forward(self) -> Float[Tensor, "*wheels"]:
+        """Value in its physical unit, shape () or (wheels,)."""
+        return torch.addcmul(
+            self.get_buffer("middle"),
+            self.get_buffer("half_range"),
+            torch.tanh(self.get_buffer("raw") + self.offset),
+        )

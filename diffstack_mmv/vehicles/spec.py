@@ -1,0 +1,206 @@
+"""What a vehicle is: wheels, masses, limits, footprint and parameters, checked when built."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from diffstack_mmv.checks import require, require_at_least, require_positive
+from diffstack_mmv.vehicles.layout import require_possible_layout
+from diffstack_mmv.vehicles.parameter import ParameterSpec
+from diffstack_mmv.vehicles.parts import Footprint, Limits, Smoothing, Steering, WheelSpec
+from diffstack_mmv.vehicles.reading import fields_from_config
+from diffstack_mmv.vehicles.reference import fields_from_reference
+
+WHEEL_PARAMETERS = {"friction": "1", "tread_stiffness": "N/m^2", "contact_half_length": "m"}
+BODY_PARAMETERS = {
+    "yaw_inertia": "kg m^2",
+    "roll_inertia": "kg m^2",
+    "aligning_gain": "1",
+    "yaw_damping": "1/s",
+    "roll_damping": "N m s",
+    "length_scale": "1",
+    "rolling_resistance": "1",
+    "drag": "N s^2/m^2",
+}
+_POSITIVE = (
+    "friction",
+    "tread_stiffness",
+    "contact_half_length",
+    "yaw_inertia",
+    "roll_inertia",
+    "length_scale",
+)
+
+
+@dataclass(frozen=True)
+class VehicleSpec:
+    """A vehicle with its rider. Positions are relative to the centre of gravity: x forward, y left.
+
+    Args:
+        name: Name of the vehicle.
+        mode: Mode of transport it belongs to, as in `types.Mode`.
+        mass_kg: Mass with rider.
+        height_m: Height of the centre of gravity.
+        wheelbase: Wheelbase of the kinematic bicycle in m; a virtual one for a single axle.
+        limits: What it can do at most.
+        footprint: Outline seen from above.
+        wheels: All wheels.
+        steering: How a steering command turns the wheels.
+        parameters: Physical parameters by name, see `WHEEL_PARAMETERS` and `BODY_PARAMETERS`.
+        leans: Whether it leans into turns; the lean is then part of the state's dynamics.
+        balanced: Whether the rider balances it, so that no load moves sideways.
+        reverse: Whether a negative acceleration drives it backwards instead of braking to a halt.
+        smoothing: Widths of the smooth transitions at standstill and at the friction limit.
+        sources: Where the plain numbers come from, nested like the configuration.
+        provenance: How the parameters were calibrated, empty for a prior.
+
+    Raises:
+        ValueError: A number is impossible, a parameter is missing or unknown, or the wheel layout
+            cannot stand.
+    """
+
+    name: str
+    mode: str
+    mass_kg: float
+    height_m: float
+    wheelbase: ParameterSpec
+    limits: Limits
+    footprint: Footprint
+    wheels: tuple[WheelSpec, ...]
+    steering: Steering
+    parameters: Mapping[str, ParameterSpec]
+    leans: bool = False
+    balanced: bool = False
+    reverse: bool = False
+    smoothing: Smoothing = field(default_factory=Smoothing)
+    sources: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        where = f"for vehicle '{self.name}'"
+        require_positive("mass_kg", self.mass_kg, where, "Give the mass with the rider.")
+        require_positive("height_m", self.height_m, where)
+        self._require_parameters(where)
+        if self.leans:
+            require_positive(
+                "limits.lean_max_rad",
+                self.limits.lean_max_rad,
+                where,
+                "A leaning vehicle needs it.",
+            )
+        require_possible_layout(self.wheels, self.steering, self.leans or self.balanced, where)
+        for _, low, _ in self.wheelbase.entries():
+            require_positive(
+                "wheelbase.low", low, where, "A vehicle with one axle takes a virtual wheelbase."
+            )
+
+    def _require_parameters(self, where: str) -> None:
+        known = WHEEL_PARAMETERS | BODY_PARAMETERS
+        for name, unit in known.items():
+            require(name in self.parameters, f"parameters.{name}", "be given", "nothing", where)
+            parameter = self.parameters[name]
+            require(
+                parameter.unit == unit,
+                f"parameters.{name}.unit",
+                f"be '{unit}'",
+                repr(parameter.unit),
+                where,
+            )
+            lengths = (None, len(self.wheels)) if name in WHEEL_PARAMETERS else (None,)
+            remedy = (
+                f"The vehicle has {len(self.wheels)} wheels." if name in WHEEL_PARAMETERS else ""
+            )
+            require(
+                parameter.length in lengths,
+                f"parameters.{name}",
+                "be one number, or one per wheel" if name in WHEEL_PARAMETERS else "be one number",
+                f"{parameter.length} entries",
+                where,
+                remedy,
+            )
+            for _, low, _ in parameter.entries():
+                if name in _POSITIVE:
+                    require_positive(f"parameters.{name}.low", low, where)
+                else:
+                    require_at_least(f"parameters.{name}.low", low, 0.0, where)
+        for name in self.parameters:
+            require(
+                name in known,
+                f"parameters.{name}",
+                f"be one of {', '.join(known)}",
+                "an unknown name",
+                where,
+            )
+
+    @property
+    def front_m(self) -> float:
+        """Distance from the centre of gravity to the front axle in m (0 for a single axle)."""
+        return max(wheel.x_m for wheel in self.wheels)
+
+    @property
+    def rear_m(self) -> float:
+        """Distance from the centre of gravity to the rear axle in m (0 for a single axle)."""
+        return 0.0 - min(wheel.x_m for wheel in self.wheels)
+
+    def per_wheel(self, attribute: str) -> list[float]:
+        """One number per wheel of a `WheelSpec` attribute, e.g. `x_m`."""
+        return [float(getattr(wheel, attribute)) for wheel in self.wheels]
+
+    def wheel_parameter(self, name: str) -> ParameterSpec:
+        """Return a wheel parameter with one entry per wheel."""
+        parameter = self.parameters[name]
+        if parameter.length is not None:
+            return parameter
+        (initial, low, high) = parameter.entries()[0]
+        count = len(self.wheels)
+        return replace(
+            parameter, initial=(initial,) * count, low=(low,) * count, high=(high,) * count
+        )
+
+    def with_values(
+        self, values: Mapping[str, float | Sequence[float]], source: str = "calibrated"
+    ) -> "VehicleSpec":
+        """Return the same vehicle with other priors, e.g. the estimates of an identification.
+
+        Args:
+            values: By parameter name, or `wheelbase`; one number, or one per wheel.
+            source: Where the new numbers come from.
+
+        Raises:
+            ValueError: A name is unknown or the number of values does not fit.
+        """
+        parameters = dict(self.parameters)
+        wheelbase = self.wheelbase
+        for name, value in values.items():
+            if name == "wheelbase":
+                wheelbase = wheelbase.with_value(_single(value), source)
+                continue
+            require(
+                name in parameters, name, f"be one of {', '.join(parameters)}", "an unknown name"
+            )
+            spec = self.wheel_parameter(name) if name in WHEEL_PARAMETERS else parameters[name]
+            parameters[name] = spec.with_value(value if spec.length else _single(value), source)
+        return replace(self, parameters=parameters, wheelbase=wheelbase)
+
+    @classmethod
+    def from_config(cls, mapping: Mapping[str, Any]) -> "VehicleSpec":
+        """Build a vehicle from the content of a YAML file.
+
+        Raises:
+            ValueError: A key is unknown or missing, or a number is impossible; the message names
+                vehicle, field, value and remedy.
+        """
+        return cls(**fields_from_config(mapping))
+
+    @classmethod
+    def from_reference(cls, entry: Mapping[str, Any]) -> "VehicleSpec":
+        """Build a vehicle from an entry of the reference parameter sets (their keys and units).
+
+        Raises:
+            ValueError: A number is missing or impossible.
+        """
+        return cls(**fields_from_reference(entry))
+
+
+def _single(value: float | Sequence[float]) -> float:
+    return float(value[0]) if isinstance(value, Sequence) else float(value)
