@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from diffstack_mmv.simulation.rounding import length
+
 
 class CrowdState(NamedTuple):
     """The humans of a batch of episodes; lengths in m, speeds in m/s, world frame."""
@@ -39,9 +41,7 @@ class Crowd(Protocol):
         ...
 
 
-def towards(
-    position: Float[Tensor, "*b 2"], goal: Float[Tensor, "*b 2"]
-) -> Float[Tensor, "*b 2"]:
+def towards(position: Float[Tensor, "*b 2"], goal: Float[Tensor, "*b 2"]) -> Float[Tensor, "*b 2"]:
     """Walk towards the goal at 1 m/s, slowing down within the last metre.
 
     Args:
@@ -56,5 +56,5 @@ def towards(
         which disregards their preferred speed.
     """
     way = goal - position
-    distance = torch.sqrt(way[..., 0] * way[..., 0] + way[..., 1] * way[..., 1])[..., None]
+    distance = length(way)[..., None]
     return torch.where(distance > 1, way / distance, way)

@@ -11,6 +11,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from diffstack_mmv.simulation.rounding import root
+
 
 class Agents(NamedTuple):
     """Agents that choose a velocity; lengths in m, speeds in m/s, world frame."""
@@ -23,7 +25,7 @@ class Agents(NamedTuple):
 
 
 class Neighbours(NamedTuple):
-    """What each agent sees of the others; lengths in m, speeds in m/s, True in `valid` = present."""
+    """What each agent sees of the others; m and m/s, `valid` where there is somebody."""
 
     position: Float[Tensor, "*b k 2"]
     velocity: Float[Tensor, "*b k 2"]
@@ -54,15 +56,6 @@ def dot(first: Float[Tensor, "*#b 2"], second: Float[Tensor, "*#b 2"]) -> Float[
 def det(first: Float[Tensor, "*#b 2"], second: Float[Tensor, "*#b 2"]) -> Float[Tensor, "..."]:
     """Determinant of two planar vectors: positive where `second` lies to the left of `first`."""
     return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
-
-
-def root(square: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """Correctly rounded square root.
-
-    The vector library behind torch may err by one unit in the last place in float32; the root in
-    float64 has more than twice as many digits, so that rounding it once more gives the true one.
-    """
-    return torch.sqrt(square.double()).to(square.dtype)
 
 
 def normalise(vector: Float[Tensor, "*b 2"]) -> Float[Tensor, "*b 2"]:

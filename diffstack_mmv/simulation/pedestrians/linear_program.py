@@ -10,13 +10,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from diffstack_mmv.simulation.pedestrians.half_planes import (
-    HalfPlanes,
-    det,
-    dot,
-    normalise,
-    root,
-)
+from diffstack_mmv.simulation.pedestrians.half_planes import HalfPlanes, det, dot, normalise
+from diffstack_mmv.simulation.rounding import root
 
 PARALLEL = 1e-5
 """Lines count as parallel where the determinant of their directions is at most this."""
@@ -40,7 +35,7 @@ class Optimum(NamedTuple):
 def safest_velocity(
     planes: HalfPlanes, max_speed: Float[Tensor, "*b"], preferred: Float[Tensor, "*b 2"]
 ) -> Float[Tensor, "*b 2"]:
-    """Permitted velocity nearest to the preferred one; the least unsafe one where none is permitted.
+    """Permitted velocity nearest to the preferred one, or the least unsafe one if none is permitted.
 
     Args:
         planes: Half-planes, `*b k`, in order of importance.
@@ -181,9 +176,7 @@ def least_violation(
     return velocity
 
 
-def _least_violation_of(
-    planes: HalfPlanes, line: int, max_speed: Float[Tensor, " b"]
-) -> Optimum:
+def _least_violation_of(planes: HalfPlanes, line: int, max_speed: Float[Tensor, " b"]) -> Optimum:
     """Program on `line`, where the earlier lines are those of equal violation with it."""
     this = planes.direction[:, line, None, :]
     point = planes.point[:, line, None, :]

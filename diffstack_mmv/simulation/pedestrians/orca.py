@@ -71,9 +71,7 @@ class OrcaCrowd:
         )
         return self.velocity(agents, _everybody_else(crowd, bystander), dt_s)
 
-    def velocity(
-        self, agents: Agents, others: Neighbours, dt_s: float
-    ) -> Float[Tensor, "*b 2"]:
+    def velocity(self, agents: Agents, others: Neighbours, dt_s: float) -> Float[Tensor, "*b 2"]:
         """Velocity of any agents among any neighbours: also a robot may drive by ORCA.
 
         Args:
@@ -116,8 +114,6 @@ def _everybody_else(crowd: CrowdState, bystander: Bystander | None) -> Neighbour
     return Neighbours(position, velocity, radius, torch.ones_like(radius, dtype=torch.bool))
 
 
-def _for_all(
-    vector: Float[Tensor, "*b 2"], shape: tuple[int, ...]
-) -> Float[Tensor, "..."]:
+def _for_all(vector: Float[Tensor, "*b 2"], shape: tuple[int, ...]) -> Float[Tensor, "..."]:
     """Show one vector per episode to every human of it."""
     return vector[..., None, None, :].expand(shape)

@@ -1,0 +1,84 @@
+"""Whole episodes, all of them as one batch."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from diffstack_mmv.simulation.policies import Controller
+from diffstack_mmv.simulation.scenario import Scene
+from diffstack_mmv.simulation.verdict import Judgement
+from diffstack_mmv.simulation.world import World, WorldState
+from diffstack_mmv.types import EpisodeRecord, Motion, Outcome
+
+
+class _Row(NamedTuple):
+    """What is recorded per step; `running` is true for the episodes that took part in it."""
+
+    action: Float[Tensor, "E m"]
+    judgement: Judgement
+    running: Bool[Tensor, " E"]
+
+
+def drive(world: World, scene: Scene, controller: Controller) -> EpisodeRecord:
+    """Run episodes until each has ended; those that have ended wait for the others.
+
+    Args:
+        world: The world.
+        scene: Starts of the episodes, one leading dimension `E`.
+        controller: Chooses the actions from the observations of all episodes.
+
+    Returns:
+        The record of all episodes, as long as the longest of them.
+
+    Raises:
+        ValueError: A human stands in the robot at the start, or an action has the wrong shape.
+    """
+    state = world.start(scene)
+    states, rows = [state], []
+    running = torch.ones_like(state.time, dtype=torch.bool)
+    for _ in range(world.max_steps):
+        action = controller(world.observe(state))
+        state, judgement = world.step(state, action)
+        states.append(state)
+        rows.append(_Row(action, judgement, running))
+        running = running & (judgement.outcome < Outcome.COLLISION)
+        if not bool(running.any()):
+            break
+    return _record(world, states, rows)
+
+
+def _record(world: World, states: list[WorldState], rows: list[_Row]) -> EpisodeRecord:
+    """Join the steps; what happened after the end of an episode is replaced by its last row."""
+    steps = torch.stack([row.running for row in rows]).sum(dim=0)
+    row_of = torch.minimum(torch.arange(len(states), device=steps.device), steps[:, None])
+    last = (steps - 1)[:, None]
+    motions = [world.robot.motion(state.robot) for state in states]
+    judgement = Judgement(
+        *(torch.stack(field, dim=1) for field in zip(*(r.judgement for r in rows), strict=True))
+    )
+    running = torch.stack([row.running for row in rows], dim=1)
+    clearance = torch.cat((world.clearance(states[0])[:, None], judgement.clearance), dim=1)
+    outcome = judgement.outcome.gather(1, last).squeeze(1)
+    time = torch.stack([state.time for state in states], dim=1).gather(1, steps[:, None])
+    limit = torch.full_like(time.squeeze(1), world.verdict.limit_s)
+    return EpisodeRecord(
+        motion=Motion(*(_held(torch.stack(f, dim=1), row_of) for f in zip(*motions, strict=True))),
+        pedestrians=_held(torch.stack([s.humans.position for s in states], dim=1), row_of),
+        controls=_held(
+            torch.stack([row.action for row in rows], dim=1), row_of[:, :-1].clamp(max=last)
+        ),
+        reward=torch.where(running, judgement.reward, torch.zeros_like(judgement.reward)),
+        clearance=_held(clearance, row_of),
+        outcome=outcome,
+        steps=steps,
+        duration=torch.where(outcome == Outcome.TIMEOUT, limit, time.squeeze(1)),
+        dt_s=world.dt_s,
+    )
+
+
+def _held(rows: Float[Tensor, "E T *c"], row_of: Int[Tensor, "E S"]) -> Float[Tensor, "E S *c"]:
+    """Pick rows of time per episode."""
+    index = row_of.reshape(*row_of.shape, *(1 for _ in rows.shape[2:]))
+    return torch.take_along_dim(rows, index, dim=1)

@@ -1,0 +1,89 @@
+"""The simplest controllers: baselines of the benchmark, and the shortest complete examples."""
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_positive
+from diffstack_mmv.simulation.pedestrians import OrcaCrowd
+from diffstack_mmv.simulation.pedestrians.base import towards
+from diffstack_mmv.simulation.pedestrians.half_planes import Agents, Neighbours
+from diffstack_mmv.simulation.rounding import unit_vector
+from diffstack_mmv.simulation.world import Observation
+
+
+class Controller(Protocol):
+    """Chooses the actions of the robots of all episodes at once."""
+
+    def __call__(self, observation: Observation) -> Float[Tensor, "*b m"]:
+        """Action in the units of the robot."""
+        ...
+
+
+@dataclass(frozen=True)
+class StraightLine:
+    """Drive a holonomic robot straight to the goal, blind to the humans.
+
+    Attributes:
+        speed_mps: Constant speed.
+
+    Raises:
+        ValueError: The speed is not positive.
+    """
+
+    speed_mps: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check the speed once, at the border."""
+        require_positive("speed_mps", self.speed_mps)
+
+    def __call__(self, observation: Observation) -> Float[Tensor, "*b 2"]:
+        """Velocity in m/s."""
+        way = observation.goal - observation.motion.position
+        angle = torch.atan2(way[..., 1], way[..., 0])
+        return unit_vector(angle) * self.speed_mps
+
+
+@dataclass(frozen=True)
+class OrcaPolicy:
+    """Drive a holonomic robot by ORCA, as the original benchmark's ORCA robot does.
+
+    Attributes:
+        dt_s: Step of the simulation.
+        speed_mps: Largest speed.
+        orca: Its settings.
+
+    Raises:
+        ValueError: The step or the speed is not positive.
+    """
+
+    dt_s: float = 0.25
+    speed_mps: float = 1.0
+    orca: OrcaCrowd = field(default_factory=OrcaCrowd)
+
+    def __post_init__(self) -> None:
+        """Check the numbers once, at the border."""
+        require_positive("dt_s", self.dt_s)
+        require_positive("speed_mps", self.speed_mps)
+
+    def __call__(self, observation: Observation) -> Float[Tensor, "*b 2"]:
+        """Velocity in m/s."""
+        position = observation.motion.position
+        robot = Agents(
+            position=position,
+            velocity=observation.velocity,
+            preferred_velocity=towards(position, observation.goal),
+            radius=observation.radius,
+            max_speed=torch.full_like(observation.radius, self.speed_mps),
+        )
+        radius = observation.human_radius
+        humans = Neighbours(
+            position=observation.human_position,
+            velocity=observation.human_velocity,
+            radius=radius,
+            valid=torch.ones_like(radius, dtype=torch.bool),
+        )
+        return self.orca.velocity(robot, humans, self.dt_s)

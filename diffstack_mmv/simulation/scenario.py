@@ -1,0 +1,290 @@
+"""Initial states of episodes: a case is a number, and the same number always gives the same case.
+
+The draws and their order are those of the CrowdNav benchmark, from a generator of their own; the
+global generator of numpy is left alone.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import (
+    message,
+    require,
+    require_at_least,
+    require_one_of,
+    require_positive,
+)
+from diffstack_mmv.simulation.pedestrians import CrowdState
+
+MAX_TRIES = 200_000
+"""Draws for one human before a scenario counts as too crowded."""
+
+
+class Scene(NamedTuple):
+    """Start of episodes, `*b`, with `h` humans; float64, m, rad, world frame; all at rest."""
+
+    robot_position: Float[Tensor, "*b 2"]
+    robot_heading: Float[Tensor, "*b"]
+    robot_goal: Float[Tensor, "*b 2"]
+    humans: CrowdState
+
+
+class Phase(NamedTuple):
+    """Numbers of the cases of a phase and where their seeds begin."""
+
+    first_seed: int
+    cases: int
+
+
+PHASES = {
+    "train": Phase(2000, 2**32 - 2000),
+    "val": Phase(0, 1000),
+    "test": Phase(1000, 1000),
+}
+
+
+class _Placed(NamedTuple):
+    """Discs that a newcomer has to keep clear of: the robot and the humans placed so far."""
+
+    position: np.ndarray
+    goal: np.ndarray
+
+
+@dataclass(frozen=True)
+class Scenario(ABC):
+    """A family of cases: the robot crosses from (0, -R) to (0, R), the humans get in its way.
+
+    Attributes:
+        humans: Number of humans.
+        circle_radius_m: R, half of the robot's way.
+        human_radius_m: Radius of each human.
+        human_speed_mps: Preferred speed of each human.
+        robot_radius_m: Radius of the robot that the placement keeps clear of.
+        clearance_m: Smallest clearance between any two agents at the start.
+
+    Raises:
+        ValueError: A size is out of range.
+
+    Source:
+        Chen et al., Crowd-Robot Interaction (ICRA 2019).
+    """
+
+    humans: int = 5
+    circle_radius_m: float = 4.0
+    human_radius_m: float = 0.3
+    human_speed_mps: float = 1.0
+    robot_radius_m: float = 0.3
+    clearance_m: float = 0.2
+
+    def __post_init__(self) -> None:
+        """Check the sizes once, at the border."""
+        require_at_least("humans", self.humans, 1)
+        require_positive("circle_radius_m", self.circle_radius_m)
+        require_positive("human_radius_m", self.human_radius_m)
+        require_positive("human_speed_mps", self.human_speed_mps)
+        require_positive("robot_radius_m", self.robot_radius_m)
+        require_at_least("clearance_m", self.clearance_m, 0)
+
+    def case(self, phase: str, number: int) -> Scene:
+        """One case without leading dimensions.
+
+        Args:
+            phase: "train", "val" or "test".
+            number: Which case of the phase, from 0.
+
+        Returns:
+            The scene, in m and rad.
+
+        Raises:
+            ValueError: There is no such phase or case, or the scenario is too crowded.
+        """
+        return self.sample(generator(phase, number))
+
+    def cases(self, phase: str, numbers: Iterable[int]) -> Scene:
+        """Several cases as one batch.
+
+        Args:
+            phase: "train", "val" or "test".
+            numbers: The cases of the phase.
+
+        Returns:
+            The scenes with one leading dimension, in m and rad.
+
+        Raises:
+            ValueError: As in `case`, or there are no numbers.
+        """
+        scenes = [self.case(phase, number) for number in numbers]
+        require(bool(scenes), "numbers", "name at least one case", "none")
+        humans = CrowdState(
+            *(torch.stack(field) for field in zip(*(s.humans for s in scenes), strict=True))
+        )
+        robot = (torch.stack(field) for field in zip(*(s[:3] for s in scenes), strict=True))
+        return Scene(*robot, humans)
+
+    def sample(self, random: np.random.RandomState) -> Scene:
+        """Draw a scene.
+
+        Args:
+            random: Generator, which is advanced.
+
+        Returns:
+            A scene without leading dimensions, in m and rad.
+
+        Raises:
+            ValueError: No free place was found for a human.
+        """
+        radius = self.circle_radius_m
+        position, goal = np.zeros((2, self.humans + 1, 2))
+        position[0], goal[0] = (0, -radius), (0, radius)
+        for human in range(1, self.humans + 1):
+            placed = _Placed(position[:human], goal[:human])
+            position[human], goal[human] = self._place(placed, random)
+        return self._scene(torch.from_numpy(position), torch.from_numpy(goal))
+
+    def _scene(self, position: Float[Tensor, "a 2"], goal: Float[Tensor, "a 2"]) -> Scene:
+        """Turn positions and goals in m, the robot's first, into a scene."""
+        each = position.new_full((self.humans,), 1.0)
+        return Scene(
+            robot_position=position[0],
+            robot_heading=position.new_tensor(np.pi / 2),
+            robot_goal=goal[0],
+            humans=CrowdState(
+                position=position[1:],
+                velocity=torch.zeros_like(position[1:]),
+                goal=goal[1:],
+                radius=each * self.human_radius_m,
+                preferred_speed=each * self.human_speed_mps,
+            ),
+        )
+
+    @abstractmethod
+    def _place(
+        self, placed: _Placed, random: np.random.RandomState
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Draw position and goal in m of the next human."""
+
+    def _is_free(self, point: np.ndarray, others: np.ndarray) -> bool:
+        """Whether a disc at `point` keeps clear of the discs at `others`, all in m."""
+        radii = np.full(len(others), self.human_radius_m)
+        radii[0] = self.robot_radius_m
+        x, y = (others - point).T
+        return not bool(
+            (np.sqrt(x * x + y * y) < self.human_radius_m + radii + self.clearance_m).any()
+        )
+
+    def _too_crowded(self, human: int) -> ValueError:
+        """Explain that the scenario has no room for one more human."""
+        return ValueError(
+            message(
+                "humans",
+                "fit into the scenario",
+                self.humans,
+                f"with no free place for human {human} in {MAX_TRIES} draws",
+                f"Take at most {max(human - 1, 1)}, or a larger scenario.",
+            )
+        )
+
+
+@dataclass(frozen=True)
+class CircleCrossing(Scenario):
+    """Humans start near a circle of radius R and walk to the opposite point.
+
+    Raises:
+        ValueError: As in `Scenario`.
+    """
+
+    def _place(
+        self, placed: _Placed, random: np.random.RandomState
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Draw an angle and a displacement until the place is free."""
+        for _ in range(MAX_TRIES):
+            angle = random.random_sample() * np.pi * 2
+            shift_x = (random.random_sample() - 0.5) * self.human_speed_mps
+            shift_y = (random.random_sample() - 0.5) * self.human_speed_mps
+            start = np.array(
+                (
+                    self.circle_radius_m * np.cos(angle) + shift_x,
+                    self.circle_radius_m * np.sin(angle) + shift_y,
+                )
+            )
+            if self._is_free(start, placed.position) and self._is_free(start, placed.goal):
+                return start, -start
+        raise self._too_crowded(len(placed.position))
+
+
+@dataclass(frozen=True)
+class SquareCrossing(Scenario):
+    """Humans start in one half of a square, left or right, and walk to a point in the other half.
+
+    Attributes:
+        square_width_m: Width of the square.
+
+    Raises:
+        ValueError: As in `Scenario`.
+    """
+
+    square_width_m: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Check the sizes once, at the border."""
+        super().__post_init__()
+        require_positive("square_width_m", self.square_width_m)
+
+    def _place(
+        self, placed: _Placed, random: np.random.RandomState
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Draw a side, then a free place on it, then a free goal on the other side."""
+        side = -1 if random.random_sample() > 0.5 else 1
+        start = self._free_place(placed.position, side, random)
+        return start, self._free_place(placed.goal, -side, random)
+
+    def _free_place(
+        self, others: np.ndarray, side: int, random: np.random.RandomState
+    ) -> np.ndarray:
+        """Draw a free place in m in the half with this sign of x."""
+        width = self.square_width_m
+        for _ in range(MAX_TRIES):
+            x = random.random_sample() * width * 0.5 * side
+            place = np.array((x, (random.random_sample() - 0.5) * width))
+            if self._is_free(place, others):
+                return place
+        raise self._too_crowded(len(others))
+
+
+SCENARIOS: dict[str, type[Scenario]] = {
+    "circle_crossing": CircleCrossing,
+    "square_crossing": SquareCrossing,
+}
+
+
+def generator(phase: str, number: int) -> np.random.RandomState:
+    """Random generator of a case, the one of the original benchmark.
+
+    Args:
+        phase: "train", "val" or "test".
+        number: Which case of the phase, from 0.
+
+    Returns:
+        A generator of its own.
+
+    Raises:
+        ValueError: There is no such phase or case.
+    """
+    require_one_of("phase", phase, tuple(PHASES))
+    first_seed, cases = PHASES[phase]
+    require(
+        0 <= number < cases,
+        "case",
+        f"lie in [0, {cases - 1}]",
+        number,
+        f"in phase {phase!r}",
+        "Seeds beyond belong to another phase.",
+    )
+    return np.random.RandomState(first_seed + number)

@@ -1,0 +1,258 @@
+"""Who judges a step: collision, success, time-out or discomfort, and the reward for it."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.simulation.collision import Approach, Footprint
+from diffstack_mmv.simulation.pedestrians import CrowdState
+from diffstack_mmv.simulation.rounding import length
+from diffstack_mmv.types import Outcome
+
+EARLY_S = 1.0
+"""By how much the original benchmark ends an episode before its limit."""
+ROUNDING_S = 1e-9
+"""Slack for a clock that adds up steps."""
+
+
+class RobotPath(NamedTuple):
+    """Path of the robot's centre over one step, `k` points at equal intervals, ends included."""
+
+    position: Float[Tensor, "*b k 2"]  # m
+    heading: Float[Tensor, "*b k"]  # rad
+
+
+class Encounter(NamedTuple):
+    """One step of robot and humans, with all that a verdict may look at."""
+
+    path: RobotPath
+    velocity: Float[Tensor, "*b 2"]  # m/s, of the robot: constant over the step, to the same end
+    humans: CrowdState  # before the step
+    human_velocity: Float[Tensor, "*b h 2"]  # m/s, that holds during the step
+    goal: Float[Tensor, "*b 2"]  # m
+    time: Float[Tensor, "*b"]  # s, before the step
+    dt_s: float
+
+
+class Judgement(NamedTuple):
+    """The verdict on one step."""
+
+    outcome: Int[Tensor, "*b"]  # an Outcome
+    reward: Float[Tensor, "*b"]
+    clearance: Float[Tensor, "*b"]  # m, smallest one over the step
+
+
+@dataclass(frozen=True)
+class Rewards:
+    """Rewards of the benchmark, per step.
+
+    Attributes:
+        success: For reaching the goal.
+        collision: For a collision.
+        discomfort_m: Clearance below which a human feels uncomfortable.
+        discomfort_factor: Penalty per metre below that clearance and per second.
+    """
+
+    success: float = 1.0
+    collision: float = -0.25
+    discomfort_m: float = 0.2
+    discomfort_factor: float = 0.5
+
+    def of(
+        self, outcome: Int[Tensor, "*b"], clearance: Float[Tensor, "*b"], dt_s: float
+    ) -> Float[Tensor, "*b"]:
+        """Reward of a step of `dt_s` with this outcome and clearance (m)."""
+        uneasy = (clearance - self.discomfort_m) * self.discomfort_factor * dt_s
+        reward = torch.where(outcome == Outcome.DISCOMFORT, uneasy, torch.zeros_like(uneasy))
+        reward = torch.where(outcome == Outcome.COLLISION, self.collision, reward)
+        return torch.where(outcome == Outcome.SUCCESS, self.success, reward)
+
+
+class _Facts(NamedTuple):
+    collided: Bool[Tensor, "*b"]
+    reached: Bool[Tensor, "*b"]
+    late: Bool[Tensor, "*b"]
+    uneasy: Bool[Tensor, "*b"]
+
+
+@dataclass(frozen=True)
+class Verdict(ABC):
+    """Judges the steps of episodes.
+
+    Attributes:
+        footprint: Outline of the robot.
+        limit_s: Time limit of an episode.
+        goal_tolerance_m: The goal counts as reached where a step ends closer than this to it.
+        rewards: What each outcome is worth.
+
+    Raises:
+        ValueError: The limit or the tolerance is not positive.
+
+    Source:
+        Chen et al., Crowd-Robot Interaction (ICRA 2019), Eq. 2.
+    """
+
+    footprint: Footprint
+    limit_s: float
+    goal_tolerance_m: float = 0.3
+    rewards: Rewards = field(default_factory=Rewards)
+
+    def __post_init__(self) -> None:
+        """Check the sizes once, at the border."""
+        require_positive("limit_s", self.limit_s)
+        require_positive("goal_tolerance_m", self.goal_tolerance_m)
+
+    def __call__(self, step: Encounter) -> Judgement:
+        """Judge one step of every episode.
+
+        Args:
+            step: The step, `*b`.
+
+        Returns:
+            Outcome, reward and smallest clearance in m.
+        """
+        clearance = self._clearance(step).amin(dim=-1)
+        way = step.path.position[..., -1, :] - step.goal
+        distance = length(way)
+        facts = _Facts(
+            collided=clearance < 0,
+            reached=distance < self.goal_tolerance_m,
+            late=self._is_late(step),
+            uneasy=clearance < self.rewards.discomfort_m,
+        )
+        outcome = self._outcome(facts)
+        return Judgement(outcome, self.rewards.of(outcome, clearance, step.dt_s), clearance)
+
+    def at_rest(self, path: RobotPath, humans: CrowdState) -> Float[Tensor, "*b"]:
+        """Clearance in m to the nearest human at the end of `path`, all standing still."""
+        position, heading = path.position[..., -1:, :], path.heading[..., -1:]
+        offset = humans.position - position
+        heading = heading.expand(humans.radius.shape)
+        approach = Approach(offset, offset, humans.radius, heading, heading)
+        return self.footprint.clearance(approach).amin(dim=-1)
+
+    @abstractmethod
+    def _clearance(self, step: Encounter) -> Float[Tensor, "*b h"]:
+        """Smallest clearance in m to each human over the step."""
+
+    @abstractmethod
+    def _is_late(self, step: Encounter) -> Bool[Tensor, "*b"]:
+        """Whether the time is up at the end of the step."""
+
+    @abstractmethod
+    def _outcome(self, facts: _Facts) -> Int[Tensor, "*b"]:
+        """Weigh the facts against each other."""
+
+
+@dataclass(frozen=True)
+class CrowdNavVerdict(Verdict):
+    """The verdict of the original benchmark, with its faults.
+
+    A collision is looked for along the velocities that the humans had before the step. The time is
+    up in the first step that starts one second or less before the limit, and a time-out hides
+    collision and success. Needed to compare with published numbers.
+
+    Attributes:
+        footprint: Outline of the robot.
+        limit_s: Time limit of an episode, which ends about one second earlier.
+        goal_tolerance_m: The goal counts as reached where a step ends closer than this to it.
+        rewards: What each outcome is worth.
+
+    Raises:
+        ValueError: The limit is not above one second, or the tolerance not positive.
+    """
+
+    def __post_init__(self) -> None:
+        """Check the sizes once, at the border."""
+        super().__post_init__()
+        remedy = f"Episodes end {EARLY_S} s early under this verdict; take a later limit."
+        require_positive("limit_s - 1", self.limit_s - EARLY_S, remedy=remedy)
+
+    def _clearance(self, step: Encounter) -> Float[Tensor, "*b h"]:
+        """Straight motion at the robot's mean velocity and the humans' old ones."""
+        start = step.humans.position - step.path.position[..., :1, :]
+        relative = step.humans.velocity - step.velocity[..., None, :]
+        first, last = (
+            step.path.heading[..., end, None].expand(start.shape[:-1]) for end in (0, -1)
+        )
+        end = start + relative * step.dt_s
+        return self.footprint.clearance(Approach(start, end, step.humans.radius, first, last))
+
+    def _is_late(self, step: Encounter) -> Bool[Tensor, "*b"]:
+        """The clock before the step stands within a second of the limit."""
+        return step.time >= self.limit_s - EARLY_S
+
+    def _outcome(self, facts: _Facts) -> Int[Tensor, "*b"]:
+        """Time-out before collision before success before discomfort."""
+        outcome = _mark(
+            torch.zeros_like(facts.late, dtype=torch.int64), facts.uneasy, Outcome.DISCOMFORT
+        )
+        outcome = _mark(outcome, facts.reached, Outcome.SUCCESS)
+        outcome = _mark(outcome, facts.collided, Outcome.COLLISION)
+        return _mark(outcome, facts.late, Outcome.TIMEOUT)
+
+
+@dataclass(frozen=True)
+class ExactVerdict(Verdict):
+    """The same rules with the two faults mended.
+
+    A collision is looked for between the fine path of the robot and the humans as they truly move
+    in this step; the time is up at the limit; collision and success come before time-out.
+
+    Attributes:
+        footprint: Outline of the robot.
+        limit_s: Time limit of an episode.
+        goal_tolerance_m: The goal counts as reached where a step ends closer than this to it.
+        rewards: What each outcome is worth.
+
+    Raises:
+        ValueError: The limit or the tolerance is not positive.
+    """
+
+    def __post_init__(self) -> None:
+        """Check the sizes once, at the border."""
+        super().__post_init__()
+        require_at_least("limit_s", self.limit_s, ROUNDING_S)
+
+    def _clearance(self, step: Encounter) -> Float[Tensor, "*b h"]:
+        """Smallest over the pieces of the path, in each of which the relative motion is straight."""
+        points = step.path.position.shape[-2]
+        time = torch.linspace(0, step.dt_s, points, dtype=step.time.dtype, device=step.time.device)
+        travelled = step.human_velocity[..., None, :] * time[:, None]
+        human = step.humans.position[..., None, :] + travelled
+        relative = human - step.path.position[..., None, :, :]
+        heading = step.path.heading[..., None, :].expand(relative.shape[:-1])
+        radius = step.humans.radius[..., None].expand(relative.shape[:-1])
+        approach = Approach(
+            start=relative[..., :-1, :],
+            end=relative[..., 1:, :],
+            radius=radius[..., 1:],
+            start_heading=heading[..., :-1],
+            end_heading=heading[..., 1:],
+        )
+        return self.footprint.clearance(approach).amin(dim=-1)
+
+    def _is_late(self, step: Encounter) -> Bool[Tensor, "*b"]:
+        """The clock after the step has reached the limit."""
+        return step.time + step.dt_s >= self.limit_s - ROUNDING_S
+
+    def _outcome(self, facts: _Facts) -> Int[Tensor, "*b"]:
+        """Collision before success before time-out before discomfort."""
+        outcome = _mark(
+            torch.zeros_like(facts.late, dtype=torch.int64), facts.uneasy, Outcome.DISCOMFORT
+        )
+        outcome = _mark(outcome, facts.late, Outcome.TIMEOUT)
+        outcome = _mark(outcome, facts.reached, Outcome.SUCCESS)
+        return _mark(outcome, facts.collided, Outcome.COLLISION)
+
+
+def _mark(
+    outcome: Int[Tensor, "*b"], where: Bool[Tensor, "*b"], mark: Outcome
+) -> Int[Tensor, "*b"]:
+    """Overwrite the outcome where a fact holds."""
+    return torch.where(where, int(mark), outcome)

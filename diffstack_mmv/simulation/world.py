@@ -1,0 +1,156 @@
+"""The world of the episodes: a pure step from state and action to the next state and a verdict."""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import message, require_columns, require_multiple, require_positive
+from diffstack_mmv.simulation.pedestrians import Crowd, CrowdState
+from diffstack_mmv.simulation.robot import Robot, seen_by_humans
+from diffstack_mmv.simulation.scenario import Scene
+from diffstack_mmv.simulation.verdict import Encounter, Judgement, RobotPath, Verdict
+from diffstack_mmv.types import Motion
+
+
+class WorldState(NamedTuple):
+    """Everything that a step depends on, for a batch `*b` of episodes."""
+
+    robot: Any  # the record of the world's robot
+    humans: CrowdState
+    goal: Float[Tensor, "*b 2"]  # m, of the robot
+    time: Float[Tensor, "*b"]  # s
+
+
+class Observation(NamedTuple):
+    """What a controller may know: the robot, and the humans without their goals."""
+
+    motion: Motion  # *b, of the robot's centre
+    velocity: Float[Tensor, "*b 2"]  # m/s, of the robot in world directions
+    radius: Float[Tensor, "*b"]  # m, of the robot
+    goal: Float[Tensor, "*b 2"]  # m
+    human_position: Float[Tensor, "*b h 2"]  # m
+    human_velocity: Float[Tensor, "*b h 2"]  # m/s
+    human_radius: Float[Tensor, "*b h"]  # m
+    time: Float[Tensor, "*b"]  # s
+
+
+class WorldStep(NamedTuple):
+    """Result of one step; an episode that has ended may be stepped on, its verdict then says nothing."""
+
+    state: WorldState
+    judgement: Judgement
+
+
+@dataclass(frozen=True)
+class World:
+    """Robot, pedestrian model and verdict; it holds no state and works on any batch of episodes.
+
+    Attributes:
+        robot: What an action does.
+        crowd: How the humans choose their velocities.
+        verdict: How a step is judged; it also knows the limit and the footprint.
+        dt_s: Length of a step, in which an action and the velocities of the humans hold.
+        robot_visible: Whether the humans avoid the robot; in the benchmark they do not.
+
+    Raises:
+        ValueError: The step is not positive or the limit is no multiple of it.
+    """
+
+    robot: Robot
+    crowd: Crowd
+    verdict: Verdict
+    dt_s: float = 0.25
+    robot_visible: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the times once, at the border."""
+        require_positive("dt_s", self.dt_s)
+        require_multiple("limit_s", self.verdict.limit_s, self.dt_s, "for the step `dt_s`")
+
+    @property
+    def max_steps(self) -> int:
+        """Steps until the limit."""
+        return round(self.verdict.limit_s / self.dt_s)
+
+    def start(self, scene: Scene) -> WorldState:
+        """State at the start of scenes, `*b`.
+
+        Raises:
+            ValueError: A human stands in the robot at the start.
+        """
+        state = WorldState(
+            robot=self.robot.start(scene),
+            humans=scene.humans,
+            goal=scene.robot_goal,
+            time=torch.zeros_like(scene.robot_heading),
+        )
+        clearance = self.clearance(state)
+        if bool((clearance < 0).any()):
+            raise ValueError(
+                message(
+                    "scene",
+                    "start without a collision",
+                    f"a clearance of {clearance.min():.3f} m",
+                    remedy="Give the scenario a larger `clearance_m` or `robot_radius_m`.",
+                )
+            )
+        return state
+
+    def step(self, state: WorldState, action: Float[Tensor, "*b m"]) -> WorldStep:
+        """Robot and humans move at once, from the present state.
+
+        Args:
+            state: State of all episodes, `*b`.
+            action: Action of the robot, in its own units.
+
+        Returns:
+            The next state and the verdict on the step.
+
+        Raises:
+            ValueError: The action has the wrong number of columns.
+        """
+        require_columns("action", action, len(self.robot.bounds.lower))
+        seen = seen_by_humans(self.robot, state.robot, self.verdict.footprint.radius_m)
+        velocity = self.crowd(state.humans, self.dt_s, seen if self.robot_visible else None)
+        travel = self.robot.step(state.robot, action, self.dt_s)
+        judgement = self.verdict(
+            Encounter(
+                path=travel.path,
+                velocity=travel.velocity,
+                humans=state.humans,
+                human_velocity=velocity,
+                goal=state.goal,
+                time=state.time,
+                dt_s=self.dt_s,
+            )
+        )
+        after = WorldState(
+            robot=travel.state,
+            humans=state.humans.moved(velocity, self.dt_s),
+            goal=state.goal,
+            time=state.time + self.dt_s,
+        )
+        return WorldStep(after, judgement)
+
+    def observe(self, state: WorldState) -> Observation:
+        """What a controller may know of the state, m, rad and m/s."""
+        seen = seen_by_humans(self.robot, state.robot, self.verdict.footprint.radius_m)
+        return Observation(
+            motion=self.robot.motion(state.robot),
+            velocity=seen.velocity,
+            radius=seen.radius,
+            goal=state.goal,
+            human_position=state.humans.position,
+            human_velocity=state.humans.velocity,
+            human_radius=state.humans.radius,
+            time=state.time,
+        )
+
+    def clearance(self, state: WorldState) -> Float[Tensor, "*b"]:
+        """Clearance in m between the robot and the nearest human at this instant."""
+        motion = self.robot.motion(state.robot)
+        path = RobotPath(motion.position[..., None, :], motion.heading[..., None])
+        return self.verdict.at_rest(path, state.humans)
