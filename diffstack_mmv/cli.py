@@ -1,0 +1,62 @@
+"""What all command lines share: Hydra's composition, one message per failure, and an exit status to trust."""
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+
+import hydra
+from hydra.errors import CompactHydraException, HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+EXPECTED = (ValueError, TypeError, LookupError, OSError, HydraException, OmegaConfBaseException)
+
+
+class CommandError(CompactHydraException):
+    """A failure told in one message; Hydra prints it without a traceback and exits with status 1."""
+
+
+def command(
+    config_folder: Path, config_name: str
+) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
+    """Make a function of a composed configuration a command line.
+
+    The resolved configuration goes into the run folder (`out=DIR`) as `config.yaml` before the work begins, so that every
+    run can be repeated. A bad input ends with one message and exit status 1; `HYDRA_FULL_ERROR=1` shows where it
+    came from.
+
+    Args:
+        config_folder: The folder of the configuration groups.
+        config_name: File in it, without its ending.
+    """
+
+    def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
+        @functools.wraps(task)
+        def guarded(config: DictConfig) -> None:
+            try:
+                OmegaConf.resolve(config)
+                save_config(config, Path(config.out))
+                task(config)
+            except EXPECTED as error:
+                raise CommandError(_told(error)) from error
+
+        return hydra.main(
+            version_base="1.3", config_path=str(config_folder), config_name=config_name
+        )(guarded)
+
+    return decorate
+
+
+def save_config(config: DictConfig, folder: Path) -> None:
+    """Write a configuration to `folder/config.yaml`, atomically."""
+    folder.mkdir(parents=True, exist_ok=True)
+    unfinished = folder / "config.yaml.part"
+    OmegaConf.save(config, unfinished)
+    unfinished.replace(folder / "config.yaml")
+
+
+def _told(error: BaseException) -> str:
+    """The message of the first cause: what a constructor refused, not that Hydra could not call it."""
+    while isinstance(error, HydraException) and error.__cause__ is not None:
+        error = error.__cause__
+    return f"{type(error).__name__}: {error}"

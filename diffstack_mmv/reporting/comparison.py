@@ -1,0 +1,91 @@
+"""Comparison of evaluated runs: dynamics x mode, mean and deviation over seeds, and a paired test."""
+
+from collections.abc import Sequence
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from scipy.stats import wilcoxon
+
+from diffstack_mmv.reporting.files import read_json, read_parquet, write_text
+
+COMPARED = {
+    "ade": "ADE [m]",
+    "nll": "NLL [nats]",
+    "plan_ade": "plan ADE [m]",
+    "planning_loss": "planning loss",
+    "collision_rate": "collisions",
+    "solved": "solved",
+}
+GROUP = ["data", "split", "goal", "mode", "dynamics"]
+
+
+def read_runs(folders: Sequence[Path]) -> pd.DataFrame:
+    """Per-mode scores of all runs, one row per run and mode; the baselines stand as methods of their own.
+
+    Raises:
+        ValueError: No folder is given, or one has no readable `metrics.json`.
+    """
+    if not folders:
+        raise ValueError("`runs` must name at least one folder, but got []. Give those that evaluate.py wrote.")
+    rows: list[dict[str, Any]] = []
+    for folder in folders:
+        metrics = read_json(folder / "metrics.json")
+        common = {key: metrics[key] for key in ("data", "split", "goal", "seed")} | {"run": str(folder)}
+        for mode, scores in metrics["modes"].items():
+            own = {name: scores[name] for name in ("n", *COMPARED)}
+            rows.append(common | {"mode": mode, "dynamics": metrics["dynamics"]} | own)
+        for name, modes in metrics["baselines"].items():
+            for mode, scores in modes.items():
+                row = {"mode": mode, "dynamics": name, "n": metrics["modes"][mode]["n"]}
+                rows.append(common | row | {"ade": scores["ade"]})
+    return pd.DataFrame(rows)
+
+
+def compare(runs: pd.DataFrame) -> pd.DataFrame:
+    """Mean ± standard deviation over seeds of each score, by data, goal, mode and dynamics."""
+    table = runs.groupby(GROUP, sort=False).agg(
+        seeds=("seed", "nunique"), n=("n", "max"), **{key: (key, _spread) for key in COMPARED}
+    )
+    return table.rename(columns=COMPARED).reset_index().sort_values(["data", "goal", "mode"], kind="stable")
+
+
+def _spread(values: pd.Series) -> str:
+    known = values.dropna()
+    if known.empty:
+        return "-"
+    return f"{known.mean():.3f}" + (f" ± {known.std():.3f}" if len(known) > 1 else "")
+
+
+def paired_tests(folders: Sequence[Path], score: str = "plan_ade") -> pd.DataFrame:
+    """Wilcoxon signed-rank test between the dynamics, paired by scene.
+
+    Windows of one scene resemble each other, so a score (m) is averaged over them, and over seeds, before the test.
+    """
+    samples = []
+    for folder in folders:
+        metrics = read_json(folder / "metrics.json")
+        frame = read_parquet(folder / "samples.parquet")[["scene", "mode", score]]
+        samples.append(frame.assign(**{key: metrics[key] for key in ("data", "goal", "dynamics")}))
+    scenes = pd.concat(samples).groupby(["data", "goal", "mode", "scene", "dynamics"])[score].mean().unstack()
+    rows = []
+    for (data, goal, mode), group in scenes.groupby(level=[0, 1, 2]):
+        for first, second in combinations(group.columns, 2):
+            pairs = group[[first, second]].dropna()
+            difference = pairs[first] - pairs[second]
+            row = {"data": data, "goal": goal, "mode": mode, "pair": f"{first} - {second}", "scenes": len(pairs)}
+            p_value = wilcoxon(difference).pvalue if (difference != 0).sum() > 5 else float("nan")
+            rows.append(row | {f"mean {score}": difference.mean(), "p": p_value})
+    return pd.DataFrame(rows)
+
+
+def write_comparison(folder: Path, table: pd.DataFrame, tests: pd.DataFrame) -> None:
+    """Write `table.md`, `table.tex` and `table.csv`, and the tests beside them as `tests.csv`."""
+    markdown = table.to_markdown(index=False)
+    if not tests.empty:
+        markdown += "\n\nPaired by scene, Wilcoxon signed-rank:\n\n" + tests.to_markdown(index=False, floatfmt=".4g")
+    write_text(folder / "table.md", markdown + "\n")
+    write_text(folder / "table.tex", table.to_latex(index=False, escape=True))
+    write_text(folder / "table.csv", table.to_csv(index=False))
+    write_text(folder / "tests.csv", tests.to_csv(index=False))
