@@ -1,0 +1,17 @@
+"""What a training run does beside training: records, tables and figures."""
+
+from diffstack_mmv.callbacks.dashboard import build_dashboard
+from diffstack_mmv.callbacks.monitors import GradientNorms, LearnedParameters, Throughput
+from diffstack_mmv.callbacks.plans import PlanTable, scenes_of
+from diffstack_mmv.callbacks.reproducibility import Provenance, RandomState
+
+__all__ = [
+    "GradientNorms",
+    "LearnedParameters",
+    "PlanTable",
+    "Provenance",
+    "RandomState",
+    "Throughput",
+    "build_dashboard",
+    "scenes_of",
+]

@@ -1,0 +1,79 @@
+"""Numbers logged while training: learned parameters, gradient norms and throughput."""
+
+import time
+from typing import Any
+
+import pytorch_lightning as pl
+import torch
+from pytorch_lightning.callbacks import Callback
+
+
+class LearnedParameters(Callback):
+    """Logs the physical parameters in physical units and the cost weights after every epoch."""
+
+    def on_train_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Log all values; a parameter per wheel gets one entry per wheel."""
+        planner: Any = pl_module.planner
+        values: dict[str, Any] = {
+            f"cost_weight/{name}": weight for name, weight in planner.cost.weights().items()
+        }
+        for name, value in planner.dynamics.physical_parameters().items():
+            flat = value.detach().reshape(-1)
+            keys = [f"physical/{name}"] if flat.numel() == 1 else [
+                f"physical/{name}/{wheel}" for wheel in range(flat.numel())
+            ]
+            values |= dict(zip(keys, flat, strict=True))
+        pl_module.log_dict({name: torch.as_tensor(value).detach() for name, value in values.items()})
+
+
+class GradientNorms(Callback):
+    """Logs the norm of the gradient of each part of the stack, before it is clipped."""
+
+    def on_before_optimizer_step(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, optimizer: torch.optim.Optimizer
+    ) -> None:
+        """Log one norm per part."""
+        stack: Any = pl_module
+        parts = {
+            "predictor": stack.predictor,
+            "cost": stack.planner.cost,
+            "dynamics": stack.planner.dynamics,
+        }
+        for name, part in parts.items():
+            norms = [p.grad.norm() for p in part.parameters() if p.grad is not None]
+            if norms:
+                pl_module.log(f"gradient/{name}", torch.stack(norms).norm())
+
+
+class Throughput(Callback):
+    """Logs the samples trained on per second, and the share of the time spent waiting for data."""
+
+    def __init__(self) -> None:
+        self._batch_start = 0.0
+        self._batch_end = 0.0
+
+    def on_train_epoch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Start the clock."""
+        self._batch_end = time.perf_counter()
+
+    def on_train_batch_start(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, batch: Any, batch_idx: int
+    ) -> None:
+        """Mark when the batch had arrived."""
+        self._batch_start = time.perf_counter()
+
+    def on_train_batch_end(
+        self,
+        trainer: pl.Trainer,
+        pl_module: pl.LightningModule,
+        outputs: Any,
+        batch: Any,
+        batch_idx: int,
+    ) -> None:
+        """Log the rate of this batch, per process."""
+        now = time.perf_counter()
+        elapsed_s = now - self._batch_end
+        waited_s = self._batch_start - self._batch_end
+        self._batch_end = now
+        pl_module.log("throughput/samples_per_s", len(batch.goal) / elapsed_s)
+        pl_module.log("throughput/waiting_share", waited_s / elapsed_s)

@@ -1,0 +1,93 @@
+"""A table of sample plans with images in the run's dashboard."""
+
+from typing import Any
+
+import numpy as np
+import pytorch_lightning as pl
+import torch
+import wandb
+from pytorch_lightning.callbacks import Callback
+from pytorch_lightning.loggers import WandbLogger
+from pytorch_lightning.utilities import rank_zero_only
+
+from diffstack_mmv.checks import require_at_least
+from diffstack_mmv.plotting import Scene, draw_scenes
+from diffstack_mmv.types import Mode, StackBatch, Tracks
+
+
+def scenes_of(batch: StackBatch, output: Any, titles: list[str], shown_components: int = 5) -> list[Scene]:
+    """What a stack made of a batch, ready to draw; positions in m."""
+    forecast = output.forecast
+    order = forecast.log_weight[:, 0].argsort(-1, descending=True)[:, :shown_components]
+    mean = forecast.mean[:, 0].take_along_dim(order[:, :, None, None], 1)
+    weight = forecast.log_weight[:, 0].take_along_dim(order, 1).exp()
+    others = _paths(batch.others_future)
+    present = batch.others_past.valid[..., -1]
+    columns = (
+        batch.ego_past.motion.position,
+        batch.ego_future.motion.position,
+        output.plan.motion.position,
+        mean,
+        weight,
+        output.goal,
+        output.plan.candidates.position,
+    )
+    arrays = [column.detach().cpu().numpy() for column in columns]
+    return [
+        Scene(title, *(array[i] for array in arrays), others[i][present[i].cpu().numpy()])
+        for i, title in enumerate(titles)
+    ]
+
+
+def _paths(tracks: Tracks) -> np.ndarray:
+    position = tracks.motion.position.masked_fill(~tracks.valid.unsqueeze(-1), float("nan"))
+    return position.detach().cpu().numpy()
+
+
+class PlanTable(Callback):
+    """Logs the plans of the first validation samples as a W&B table with one image each.
+
+    Args:
+        samples: How many samples.
+        every_epochs: After how many epochs.
+
+    Raises:
+        ValueError: A number is below one.
+    """
+
+    def __init__(self, samples: int = 6, every_epochs: int = 5) -> None:
+        require_at_least("samples", samples, 1)
+        require_at_least("every_epochs", every_epochs, 1)
+        self.samples = samples
+        self.every_epochs = every_epochs
+
+    @rank_zero_only
+    def on_validation_batch_end(
+        self,
+        trainer: pl.Trainer,
+        pl_module: pl.LightningModule,
+        outputs: Any,
+        batch: StackBatch,
+        batch_idx: int,
+        dataloader_idx: int = 0,
+    ) -> None:
+        """Draw and log, on the first batch of an epoch whose turn it is."""
+        logger = next((each for each in trainer.loggers if isinstance(each, WandbLogger)), None)
+        its_turn = trainer.current_epoch % self.every_epochs == 0 and not trainer.sanity_checking
+        if batch_idx > 0 or logger is None or not its_turn:
+            return
+        with torch.no_grad():
+            output: Any = pl_module(batch)
+            scores: Any = pl_module.score(batch, output)  # pyright: ignore[reportCallIssue]
+        labels = [Mode(int(mode)).label for mode in batch.ego_past.mode[: self.samples]]
+        table = wandb.Table(columns=["mode", "ade_m", "plan_ade_m", "plan"])
+        for i, scene in enumerate(scenes_of(batch, output, labels)):
+            figure = draw_scenes([scene], columns=1)
+            image = wandb.Image(_pixels(figure))
+            table.add_data(labels[i], float(scores["ade"][i]), float(scores["plan_ade"][i]), image)
+        logger.experiment.log({"plans": table, "epoch": trainer.current_epoch})
+
+
+def _pixels(figure: Any) -> np.ndarray:
+    figure.canvas.draw()
+    return np.asarray(figure.canvas.buffer_rgba())

@@ -1,0 +1,88 @@
+"""What a checkpoint needs beyond weights: where it came from, and the state of all random generators."""
+
+import random
+import subprocess
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytorch_lightning as pl
+import torch
+from pytorch_lightning.callbacks import Callback
+
+
+class Provenance(Callback):
+    """Stores the resolved configuration, the commit and the versions in every checkpoint.
+
+    Args:
+        config: The resolved configuration as plain containers.
+    """
+
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        self.config = dict(config)
+
+    def on_save_checkpoint(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, checkpoint: dict[str, Any]
+    ) -> None:
+        """Add the provenance to a checkpoint."""
+        checkpoint["provenance"] = {
+            "config": self.config,
+            "commit": current_commit(),
+            "torch": torch.__version__,
+            "diffstack_mmv": _installed_version(),
+        }
+
+
+def current_commit() -> str:
+    """Commit of the checkout this package runs from, `unknown` outside of one."""
+    try:
+        answer = subprocess.run(
+            ["git", "rev-parse", "HEAD"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return answer.stdout.strip()
+
+
+def _installed_version() -> str:
+    try:
+        return version("diffstack_mmv")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+class RandomState(Callback):
+    """Saves and restores all random generators, so that a resumed run continues as if it had not stopped."""
+
+    def __init__(self) -> None:
+        self._restored: dict[str, Any] | None = None
+
+    def state_dict(self) -> dict[str, Any]:
+        """State of the generators of Python, numpy, torch and every CUDA device."""
+        return {
+            "python": random.getstate(),
+            "numpy": np.random.get_state(),
+            "torch": torch.get_rng_state(),
+            "cuda": torch.cuda.get_rng_state_all() if torch.cuda.is_available() else [],
+        }
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Keep a state until training starts: building the loaders draws numbers, too."""
+        self._restored = state_dict
+
+    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Restore the generators."""
+        if self._restored is None:
+            return
+        state, self._restored = self._restored, None
+        random.setstate(state["python"])
+        np.random.set_state(state["numpy"])
+        torch.set_rng_state(state["torch"].cpu())
+        if state["cuda"] and torch.cuda.is_available():
+            torch.cuda.set_rng_state_all([value.cpu() for value in state["cuda"]])

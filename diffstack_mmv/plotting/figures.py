@@ -1,0 +1,24 @@
+"""What all figures share: one palette, and saving without a display."""
+
+from pathlib import Path
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+# Okabe and Ito's palette, which people with any colour vision can tell apart
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
+
+
+def new_figure(width: float = 6.0, height: float = 4.0) -> Figure:
+    """Make a figure (inches) that needs no display and touches no global state."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure atomically, in the format of the ending of the path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(path.name + ".part")
+    figure.savefig(unfinished, dpi=130, format=path.suffix.removeprefix("."))
+    unfinished.replace(path)

@@ -1,0 +1,36 @@
+"""How errors grow over the horizon."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from diffstack_mmv.plotting.figures import PALETTE, new_figure
+
+
+def draw_error_over_horizon(errors: Mapping[str, Mapping[str, np.ndarray]], dt_s: float) -> Figure:
+    """Draw the mean distance to the human over the horizon, one panel per mode and one line per method.
+
+    Args:
+        errors: Mode -> method -> mean error (T,) in m.
+        dt_s: Length of a step in s.
+    """
+    figure = new_figure(4.2 * max(len(errors), 1), 3.6)
+    for column, (mode, methods) in enumerate(errors.items()):
+        axes = figure.add_subplot(1, len(errors), column + 1)
+        for index, (name, error) in enumerate(methods.items()):
+            ours = name in ("prediction", "plan")
+            time_s = dt_s * np.arange(1, len(error) + 1)
+            axes.plot(
+                time_s,
+                error,
+                color=PALETTE[index % len(PALETTE)],
+                linewidth=2.2 if ours else 1.1,
+                linestyle="-" if ours else "--",
+                label=name.replace("_", " "),
+            )
+        axes.set(title=mode, xlabel="time ahead [s]", ylabel="mean distance to the human [m]")
+        axes.set_ylim(0, None)
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=7)
+    return figure

@@ -1,0 +1,64 @@
+"""A plan beside what the human did."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from diffstack_mmv.plotting.figures import PALETTE, new_figure
+
+
+class Scene(NamedTuple):
+    """One sample to draw, positions in m in the frame of the ego."""
+
+    title: str
+    past: np.ndarray  # H 2
+    human: np.ndarray  # T 2
+    plan: np.ndarray  # T 2
+    prediction: np.ndarray  # K T 2, the most likely first
+    weights: np.ndarray  # K
+    goal: np.ndarray  # 2
+    candidates: np.ndarray  # C T 2
+    others: np.ndarray  # N T 2, NaN where unknown
+
+
+def draw_scene(axes: Axes, scene: Scene) -> None:
+    """Draw one sample into a pair of axes."""
+    for path in scene.candidates:
+        axes.plot(*path.T, color="0.85", linewidth=0.6, zorder=1)
+    for path, weight in zip(scene.prediction, scene.weights, strict=True):
+        axes.plot(*path.T, color=PALETTE[5], linewidth=1.0, alpha=float(np.clip(weight, 0.15, 1.0)), zorder=2)
+    for path in scene.others:
+        axes.plot(*path.T, color=PALETTE[3], linewidth=1.0, zorder=2)
+        axes.plot(*path[0], "s", color=PALETTE[3], markersize=3)
+    axes.plot(*scene.past.T, color="0.4", linewidth=1.2, label="past", zorder=3)
+    axes.plot(*scene.human.T, color=PALETTE[6], linewidth=2.2, label="human", zorder=4)
+    axes.plot(*scene.prediction[0].T, color=PALETTE[0], linewidth=1.4, label="prediction", zorder=5)
+    axes.plot(*scene.plan.T, color=PALETTE[1], linewidth=1.8, label="plan", zorder=6)
+    axes.plot(*scene.goal, "*", color=PALETTE[2], markersize=10, label="goal", zorder=7)
+    axes.set_title(scene.title, fontsize=8)
+    axes.set_aspect("equal", "datalim")
+    _frame(axes, scene)
+    axes.grid(alpha=0.3)
+    axes.tick_params(labelsize=7)
+
+
+def _frame(axes: Axes, scene: Scene) -> None:
+    seen = np.concatenate([scene.past, scene.human, scene.plan])
+    low, high = seen.min(0) - 2.0, seen.max(0) + 2.0
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+
+
+def draw_scenes(scenes: Sequence[Scene], columns: int = 3) -> Figure:
+    """Draw samples in a grid, x and y in m, with one legend."""
+    rows = -(-len(scenes) // columns)
+    figure = new_figure(4.0 * columns, 3.4 * rows)
+    for index, scene in enumerate(scenes):
+        draw_scene(figure.add_subplot(rows, columns, index + 1), scene)
+    figure.axes[0].legend(fontsize=7)
+    figure.supxlabel("x [m]", fontsize=8)
+    figure.supylabel("y [m]", fontsize=8)
+    return figure
