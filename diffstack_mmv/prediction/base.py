@@ -1,0 +1,109 @@
+"""The interface of a predictor, and views on what it returns.
+
+A predictor answers for the ego and all neighbours in one forecast: the dimension after the batch is the agent, 0 is
+the ego and 1 .. N are the neighbours in the order in which they were given.
+"""
+
+from abc import ABC, abstractmethod
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from diffstack_mmv.checks import require, require_at_least, require_positive
+from diffstack_mmv.types import Forecast, Motion, StackBatch, Tracks
+
+
+class Predictor(nn.Module, ABC):
+    """Forecasts the positions of the ego and its neighbours, in the frame in which the tracks are given.
+
+    Args:
+        horizon_steps: Number of predicted time steps T.
+        dt_s: Length of one step in s.
+
+    Raises:
+        ValueError: The horizon has no step, or the step is not positive.
+    """
+
+    def __init__(self, horizon_steps: int = 30, dt_s: float = 0.1) -> None:
+        super().__init__()
+        require_at_least("horizon_steps", horizon_steps, 1)
+        require_positive("dt_s", dt_s)
+        self.horizon_steps = horizon_steps
+        self.dt_s = dt_s
+
+    @abstractmethod
+    def forward(self, past: Tracks, others: Tracks) -> Forecast:
+        """Forecast all agents.
+
+        Args:
+            past: The ego, `*b`, with times `*b H`.
+            others: Its neighbours, `*b N`, with times `*b N H`; N may be 0. A neighbour counts if its last row is valid.
+
+        Returns:
+            Forecast with leading dimensions `*b 1+N`, finite for every agent; see `ego_forecast`, `others_forecast`.
+        """
+
+    def predict(self, batch: StackBatch) -> Forecast:
+        """Forecast the agents of a batch, `B 1+N`; the futures in it are not used."""
+        return self(batch.ego_past, batch.others_past)
+
+    def loss(self, batch: StackBatch) -> Float[Tensor, "*b"]:
+        """Mean negative log density in nats of the true positions, over valid times and agents."""
+        future = all_agents(batch.ego_future, batch.others_future)
+        seen = present_agents(batch).unsqueeze(-1) & future.valid
+        log_prob = self.predict(batch).log_prob(future.motion.position)
+        total = torch.where(seen, log_prob, torch.zeros_like(log_prob)).sum((-2, -1))
+        return -total / seen.sum((-2, -1)).clamp_min(1)
+
+
+def all_agents(ego: Tracks, others: Tracks) -> Tracks:
+    """Join the ego (`*b H`) and its neighbours (`*b N H`) to agents `*b 1+N H`, the ego first.
+
+    Raises:
+        ValueError: The two differ in their number of rows.
+    """
+    rows, expected = others.valid.shape[-1], ego.valid.shape[-1]
+    require(rows == expected, "others", f"have {expected} rows as the ego has", rows)
+    agent_dim = ego.mode.dim()
+
+    def join(first: Tensor, rest: Tensor) -> Tensor:
+        return torch.cat([first.unsqueeze(agent_dim), rest], agent_dim)
+
+    return Tracks(
+        Motion(*(join(*fields) for fields in zip(ego.motion, others.motion, strict=True))),
+        *(join(*fields) for fields in zip(ego[1:], others[1:], strict=True)),
+    )
+
+
+def present_agents(batch: StackBatch) -> Bool[Tensor, "*b agents"]:
+    """Which of the agents are observed now, the ego first."""
+    return all_agents(batch.ego_past, batch.others_past).valid[..., -1]
+
+
+def ego_forecast(forecast: Forecast) -> Forecast:
+    """Forecast `*b` of the ego alone, from one of ego and neighbours `*b 1+N`."""
+    return Forecast(forecast.log_weight[..., 0, :], forecast.mean[..., 0, :, :, :], forecast.scale_tril[..., 0, :, :, :, :])
+
+
+def others_forecast(forecast: Forecast) -> Forecast:
+    """Forecast `*b N` of the neighbours alone, from one of ego and neighbours `*b 1+N`."""
+    return Forecast(
+        forecast.log_weight[..., 1:, :], forecast.mean[..., 1:, :, :, :], forecast.scale_tril[..., 1:, :, :, :, :]
+    )
+
+
+def strongest(forecast: Forecast, components: int) -> Forecast:
+    """Keep at most that many components, those with the largest weights, and normalise the weights again.
+
+    Raises:
+        ValueError: `components` is below one.
+    """
+    require_at_least("components", components, 1)
+    count = min(components, forecast.log_weight.shape[-1])
+    log_weight, index = forecast.log_weight.topk(count, -1)
+    return Forecast(
+        log_weight.log_softmax(-1),
+        forecast.mean.take_along_dim(index[..., None, None], -3),
+        forecast.scale_tril.take_along_dim(index[..., None, None, None], -4),
+    )

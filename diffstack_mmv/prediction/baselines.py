@@ -1,0 +1,233 @@
+"""Predictors that learn nothing: the lines a learned one is held against, and its shortest complete examples."""
+
+from abc import abstractmethod
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_positive
+from diffstack_mmv.geometry import rotate
+from diffstack_mmv.prediction.base import Predictor, all_agents
+from diffstack_mmv.prediction.current import current_heading, current_position, mean_velocity, trend
+from diffstack_mmv.prediction.gaussian import covariance_along, scale_from_covariance
+from diffstack_mmv.smooth import safe_norm
+from diffstack_mmv.types import Forecast, StackBatch, Tracks
+
+SPREAD_ROWS = 5  # over which the speed that scales the uncertainty is measured
+FAR_AWAY_M = 1e4  # out of reach of every cost, and well inside of float32
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Standard deviation of a prediction: sqrt(position² + (acceleration t² / 2)²) with acceleration = rest + gain · speed.
+
+    Args:
+        position_m: Error of the present position, along and across the course.
+        rest_mps2: Unknown acceleration of an agent at rest, in any direction.
+        along_per_s: Its growth with the speed, along the course.
+        across_per_s: Its growth with the speed, across the course.
+
+    Raises:
+        ValueError: An entry is not positive.
+    """
+
+    position_m: float = 0.05
+    rest_mps2: float = 0.1
+    along_per_s: float = 0.1
+    across_per_s: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            require_positive(name, getattr(self, name))
+
+    def scale_tril(
+        self, course: Float[Tensor, "*b"], speed: Float[Tensor, "*b"], time: Float[Tensor, " T"]
+    ) -> Float[Tensor, "*b T 2 2"]:
+        """Cholesky factors in m at times in s for a course in rad and a speed in m/s."""
+
+        def deviation(gain: float) -> Tensor:
+            drift = 0.5 * (self.rest_mps2 + gain * speed.unsqueeze(-1)) * time.square()
+            return (self.position_m**2 + drift.square()).sqrt()
+
+        along, across = deviation(self.along_per_s), deviation(self.across_per_s)
+        return scale_from_covariance(covariance_along(course.unsqueeze(-1).expand_as(along), along, across))
+
+
+def single_component(
+    mean: Float[Tensor, "*b T 2"], scale_tril: Float[Tensor, "*b T 2 2"]
+) -> Forecast:
+    """Forecast with one component of weight one."""
+    return Forecast(mean.new_zeros(mean.shape[:-2]).unsqueeze(-1), mean.unsqueeze(-3), scale_tril.unsqueeze(-4))
+
+
+class Extrapolation(Predictor):
+    """A predictor that treats every agent by itself and answers with one Gaussian per time.
+
+    Args:
+        horizon_steps: Number of predicted time steps T.
+        dt_s: Length of one step in s.
+        spread: How the uncertainty grows.
+    """
+
+    def __init__(self, horizon_steps: int = 30, dt_s: float = 0.1, spread: Spread | None = None) -> None:
+        super().__init__(horizon_steps, dt_s)
+        self.spread = spread if spread is not None else Spread()
+
+    def forward(self, past: Tracks, others: Tracks) -> Forecast:
+        """Forecast all agents, `*b 1+N`."""
+        tracks = all_agents(past, others)
+        time = self.dt_s * torch.arange(1, self.horizon_steps + 1, device=tracks.valid.device)
+        time = time.to(tracks.motion.position.dtype)
+        heading = current_heading(tracks)
+        speed = safe_norm(mean_velocity(tracks, SPREAD_ROWS, self.dt_s))
+        return single_component(self.positions(tracks, time), self.spread.scale_tril(heading, speed, time))
+
+    @abstractmethod
+    def positions(self, tracks: Tracks, time: Float[Tensor, " T"]) -> Float[Tensor, "*b T 2"]:
+        """Positions in m of agents `*b` at times in s after their last row."""
+
+
+class StandStill(Extrapolation):
+    """Every agent stays where it is."""
+
+    def positions(self, tracks: Tracks, time: Float[Tensor, " T"]) -> Float[Tensor, "*b T 2"]:
+        """Positions in m of agents `*b` at times in s after their last row."""
+        return current_position(tracks).unsqueeze(-2).expand(*tracks.mode.shape, len(time), 2)
+
+
+class ConstantVelocity(Extrapolation):
+    """Every agent keeps the velocity that it had on average over a short window.
+
+    Args:
+        horizon_steps: Number of predicted time steps T.
+        dt_s: Length of one step in s.
+        spread: How the uncertainty grows.
+        window_s: Length of the window.
+
+    Raises:
+        ValueError: The window is not positive.
+    """
+
+    def __init__(
+        self, horizon_steps: int = 30, dt_s: float = 0.1, spread: Spread | None = None, window_s: float = 0.5
+    ) -> None:
+        super().__init__(horizon_steps, dt_s, spread)
+        require_positive("window_s", window_s)
+        self.rows = max(round(window_s / dt_s), 1)
+
+    def positions(self, tracks: Tracks, time: Float[Tensor, " T"]) -> Float[Tensor, "*b T 2"]:
+        """Positions in m of agents `*b` at times in s after their last row."""
+        velocity = mean_velocity(tracks, self.rows, self.dt_s)
+        return current_position(tracks).unsqueeze(-2) + time.unsqueeze(-1) * velocity.unsqueeze(-2)
+
+
+class ConstantTurnRateAcceleration(Extrapolation):
+    """CTRA: acceleration a₀ and yaw rate ω₀ of the recent track persist, fading out exponentially.
+
+        v(t) = max(v₀ + a₀ τ (1 - exp(-t / τ)), 0),    θ(t) = θ₀ + ω₀ τ (1 - exp(-t / τ))
+
+    integrated by the midpoint rule, with the course θ₀. A large τ gives the textbook model, whose errors on measured
+    tracks exceed those of constant velocity: an acceleration of a cyclist rarely lasts for three seconds.
+
+    Args:
+        horizon_steps: Number of predicted time steps T.
+        dt_s: Length of one step in s.
+        spread: How the uncertainty grows.
+        memory_s: Memory of the fit of velocity and acceleration to the track, see `trend`.
+        acceleration_fade_s: τ of the acceleration.
+        yaw_rate_fade_s: τ of the yaw rate.
+        acceleration_limit_mps2: Bound on |a₀|.
+        yaw_rate_limit_radps: Bound on |ω₀|.
+        walking_mps: Speed below which the turn counts less, as the course is not observable at rest.
+
+    Raises:
+        ValueError: A time, limit or speed is not positive.
+    """
+
+    def __init__(
+        self,
+        horizon_steps: int = 30,
+        dt_s: float = 0.1,
+        spread: Spread | None = None,
+        memory_s: float = 0.7,
+        acceleration_fade_s: float = 0.3,
+        yaw_rate_fade_s: float = 0.3,
+        acceleration_limit_mps2: float = 3.0,
+        yaw_rate_limit_radps: float = 1.0,
+        walking_mps: float = 0.5,
+    ) -> None:
+        super().__init__(horizon_steps, dt_s, spread)
+        self.memory_s = memory_s
+        self.acceleration_fade_s = acceleration_fade_s
+        self.yaw_rate_fade_s = yaw_rate_fade_s
+        self.acceleration_limit_mps2 = acceleration_limit_mps2
+        self.yaw_rate_limit_radps = yaw_rate_limit_radps
+        self.walking_mps = walking_mps
+        for name in ("memory_s", "acceleration_fade_s", "yaw_rate_fade_s", "walking_mps"):
+            require_positive(name, getattr(self, name))
+        require_positive("acceleration_limit_mps2", acceleration_limit_mps2)
+        require_positive("yaw_rate_limit_radps", yaw_rate_limit_radps)
+
+    def positions(self, tracks: Tracks, time: Float[Tensor, " T"]) -> Float[Tensor, "*b T 2"]:
+        """Positions in m of agents `*b` at times in s after their last row."""
+        now = trend(tracks, self.memory_s, self.dt_s)
+        speed = safe_norm(now.velocity)
+        forward = now.velocity / speed.unsqueeze(-1)
+        left = torch.stack([-forward[..., 1], forward[..., 0]], -1)
+        acceleration = (now.acceleration * forward).sum(-1)
+        yaw_rate = (now.acceleration * left).sum(-1) * speed / (speed.square() + self.walking_mps**2)
+        middle = time - 0.5 * self.dt_s
+        acceleration = acceleration.clamp(-self.acceleration_limit_mps2, self.acceleration_limit_mps2)
+        yaw_rate = yaw_rate.clamp(-self.yaw_rate_limit_radps, self.yaw_rate_limit_radps)
+        gained = acceleration.unsqueeze(-1) * faded(middle, self.acceleration_fade_s)
+        turned = yaw_rate.unsqueeze(-1) * faded(middle, self.yaw_rate_fade_s)
+        way = self.dt_s * (speed.unsqueeze(-1) + gained).clamp_min(0)
+        step = way.unsqueeze(-1) * rotate(forward.unsqueeze(-2), turned)
+        return current_position(tracks).unsqueeze(-2) + step.cumsum(-2)
+
+
+def faded(time: Float[Tensor, " T"], fade_s: float) -> Float[Tensor, " T"]:
+    """Integral τ (1 - exp(-t / τ)) in s of a rate that fades out with the time constant `fade_s`."""
+    return -fade_s * torch.expm1(-time / fade_s)
+
+
+class NoPrediction(ConstantVelocity):
+    """The ego keeps its velocity; neighbours are reported far away, so that no plan reacts to them."""
+
+    def forward(self, past: Tracks, others: Tracks) -> Forecast:
+        """Forecast all agents, `*b 1+N`, the neighbours out of reach."""
+        forecast = super().forward(past, others)
+        ego = torch.arange(forecast.mean.shape[-4], device=forecast.mean.device) == 0
+        mean = torch.where(ego[:, None, None, None], forecast.mean, torch.full_like(forecast.mean, FAR_AWAY_M))
+        return forecast._replace(mean=mean)
+
+    def loss(self, batch: StackBatch) -> Float[Tensor, "*b"]:
+        """Mean negative log density in nats of the ego's true positions."""
+        nobody = batch.others_past._replace(valid=torch.zeros_like(batch.others_past.valid))
+        return super().loss(batch._replace(others_past=nobody))
+
+
+class GroundTruth(Extrapolation):
+    """Answers with the true future: the bound that no predictor can pass."""
+
+    def predict(self, batch: StackBatch) -> Forecast:
+        """Forecast `B 1+N` from the futures of the batch; an agent that vanishes stays at its last true position."""
+        past, future = all_agents(batch.ego_past, batch.others_past), all_agents(batch.ego_future, batch.others_future)
+        known = torch.cat([current_position(past).unsqueeze(-2), future.motion.position], -2)
+        valid = torch.cat([torch.ones_like(future.valid[..., :1]), future.valid], -1)
+        row = torch.arange(valid.shape[-1], device=valid.device).expand_as(valid)
+        latest = torch.where(valid, row, torch.zeros_like(row)).cummax(-1).values
+        mean = known.take_along_dim(latest.unsqueeze(-1), -2)[..., 1:, :]
+        time = torch.zeros(mean.shape[-2], dtype=mean.dtype, device=mean.device)
+        heading = current_heading(past)
+        return single_component(mean, self.spread.scale_tril(heading, torch.zeros_like(heading), time))
+
+    def positions(self, tracks: Tracks, time: Float[Tensor, " T"]) -> Float[Tensor, "*b T 2"]:
+        """Refuse: a past alone does not tell the future.
+
+        Raises:
+            TypeError: Always.
+        """
+        raise TypeError("`GroundTruth` must see the future, but got a past alone. Call `predict` with a whole batch.")

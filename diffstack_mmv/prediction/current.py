@@ -1,0 +1,75 @@
+"""Estimates of an agent's present motion from its track, robust to missing rows and to a poor last velocity.
+
+Measured velocities at the end of a track are the noisiest of all, since no later sample supports them; the estimates
+here therefore come from positions.
+"""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.geometry import rotate
+from diffstack_mmv.types import Tracks
+
+_PRIOR_WEIGHT = 0.01  # of one row at the present time; decides only where rows are missing
+
+
+class Trend(NamedTuple):
+    """How an agent moves now, in the frame of its positions."""
+
+    velocity: Float[Tensor, "*b 2"]  # m/s
+    acceleration: Float[Tensor, "*b 2"]  # m/s²
+
+
+def current_position(tracks: Tracks) -> Float[Tensor, "*b 2"]:
+    """Position in m at the last row, the origin for an agent that is not observed there."""
+    position = tracks.motion.position[..., -1, :]
+    return torch.where(tracks.valid[..., -1:], position, torch.zeros_like(position))
+
+
+def current_heading(tracks: Tracks) -> Float[Tensor, "*b"]:
+    """Heading in rad at the last row, zero for an agent that is not observed there."""
+    heading = tracks.motion.heading[..., -1]
+    return torch.where(tracks.valid[..., -1], heading, torch.zeros_like(heading))
+
+
+def current_velocity(tracks: Tracks) -> Float[Tensor, "*b 2"]:
+    """Measured velocity in m/s at the last row, in the frame of the positions; zero for an agent not observed there."""
+    velocity = rotate(tracks.motion.velocity[..., -1, :], tracks.motion.heading[..., -1])
+    return torch.where(tracks.valid[..., -1:], velocity, torch.zeros_like(velocity))
+
+
+def mean_velocity(tracks: Tracks, rows: int, dt_s: float) -> Float[Tensor, "*b 2"]:
+    """Way from the first valid row of a window to the last row over the time it took, in m/s.
+
+    An agent with no other valid row within the last `rows` steps has its measured velocity.
+    """
+    valid = tracks.valid[..., -1 - rows :]
+    steps_back = torch.arange(valid.shape[-1] - 1, -1, -1, device=valid.device)
+    first = torch.where(valid, steps_back, torch.zeros_like(steps_back)).amax(-1, keepdim=True)
+    recent = tracks.motion.position[..., -1 - rows :, :]
+    start = recent.take_along_dim((valid.shape[-1] - 1 - first).unsqueeze(-1), -2).squeeze(-2)
+    way = current_position(tracks) - start
+    observed = (first > 0) & tracks.valid[..., -1:]
+    return torch.where(observed, way / (first.clamp_min(1) * dt_s), current_velocity(tracks))
+
+
+def trend(tracks: Tracks, memory_s: float, dt_s: float) -> Trend:
+    """Velocity and acceleration at the last row of the parabola through the valid positions, with fading memory.
+
+    Least squares with the weights exp(-age / memory), and a slight pull to the measured velocity and to zero
+    acceleration, which decides for an agent with fewer than three rows.
+    """
+    valid = tracks.valid & tracks.valid[..., -1:]
+    offset = tracks.motion.position - current_position(tracks).unsqueeze(-2)
+    offset = torch.where(valid.unsqueeze(-1), offset, torch.zeros_like(offset))
+    rows = valid.shape[-1]
+    time = dt_s * torch.arange(1 - rows, 1, device=offset.device, dtype=offset.dtype)
+    powers = torch.stack([torch.ones_like(time), time, 0.5 * time.square()], -1)
+    weighted = (valid * torch.exp(time / memory_s)).unsqueeze(-1) * powers
+    pull = _PRIOR_WEIGHT * torch.eye(3, device=time.device, dtype=time.dtype)
+    prior = torch.stack([torch.zeros_like(offset[..., 0, :]), current_velocity(tracks), torch.zeros_like(offset[..., 0, :])], -2)
+    solution = torch.linalg.solve(weighted.mT @ powers + pull, weighted.mT @ offset + pull @ prior)
+    return Trend(solution[..., 1, :], solution[..., 2, :])

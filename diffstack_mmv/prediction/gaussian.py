@@ -1,0 +1,54 @@
+"""Gaussians in the plane, in closed form: no library call per 2×2 matrix."""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.geometry import direction
+
+VARIANCE_FLOOR = 1e-4  # m²: 1 cm, the rounding of recorded positions
+
+
+def scale_from_covariance(
+    covariance: Float[Tensor, "*b 2 2"], floor: float = VARIANCE_FLOOR
+) -> Float[Tensor, "*b 2 2"]:
+    """Lower Cholesky factor in m of a covariance in m², after `floor` in m² was added to its diagonal."""
+    first = (covariance[..., 0, 0] + floor).sqrt()
+    cross = covariance[..., 1, 0] / first
+    # exact arithmetic leaves at least `floor` here; rounding may not
+    second = (covariance[..., 1, 1] + floor - cross.square()).clamp_min(0.5 * floor).sqrt()
+    top = torch.stack([first, torch.zeros_like(first)], -1)
+    return torch.stack([top, torch.stack([cross, second], -1)], -2)
+
+
+def covariance_along(
+    course: Float[Tensor, "*b"], along: Float[Tensor, "*b"], across: Float[Tensor, "*b"]
+) -> Float[Tensor, "*b 2 2"]:
+    """Covariance in m² of errors with standard deviations in m along and across a course in rad."""
+    forward = direction(course)
+    left = torch.stack([-forward[..., 1], forward[..., 0]], -1)
+    axes = torch.stack([along.unsqueeze(-1) * forward, across.unsqueeze(-1) * left], -1)
+    return axes @ axes.mT
+
+
+def rotate_covariance(
+    covariance: Float[Tensor, "*b 2 2"], angle: Float[Tensor, "*#b"]
+) -> Float[Tensor, "*b 2 2"]:
+    """Covariance R Σ Rᵀ of a vector that was rotated counter-clockwise by an angle in rad."""
+    forward = direction(angle)
+    left = torch.stack([-forward[..., 1], forward[..., 0]], -1)
+    rotation = torch.stack([forward, left], -1)
+    return rotation @ covariance @ rotation.mT
+
+
+def log_density(
+    error: Float[Tensor, "*b 2"], scale_tril: Float[Tensor, "*b 2 2"]
+) -> Float[Tensor, "*b"]:
+    """Log density in nats (per m²) of an error in m under N(0, L Lᵀ)."""
+    first, second = scale_tril[..., 0, 0], scale_tril[..., 1, 1]
+    white_first = error[..., 0] / first
+    white_second = (error[..., 1] - scale_tril[..., 1, 0] * white_first) / second
+    squared = white_first.square() + white_second.square()
+    return -0.5 * squared - (first * second).log() - math.log(2 * math.pi)
