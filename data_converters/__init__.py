@@ -5,6 +5,8 @@ Everything a script needs is here; `README.md` describes the cache on disk.
 
 from data_converters.convert import ConversionSettings, convert
 from data_converters.errors import CacheError, ConversionError, RejectReason, TrackError
+from data_converters.imptc import ImptcDataset, ImptcVruDataset, SequenceSplit, TrackFilter
+from data_converters.imptc.sample import generate_sample, generate_vru_sample
 from data_converters.modes import Mode, default_extent
 from data_converters.opening import open_cache
 from data_converters.report import ConversionReport
@@ -18,13 +20,19 @@ __all__ = [
     "ConversionError",
     "ConversionReport",
     "ConversionSettings",
+    "ImptcDataset",
+    "ImptcVruDataset",
     "Mode",
     "RejectReason",
     "ResampleSettings",
+    "SequenceSplit",
     "ThabVruDataset",
     "TrackError",
+    "TrackFilter",
     "ZeroPhaseSmoother",
     "convert",
     "default_extent",
+    "generate_sample",
+    "generate_vru_sample",
     "open_cache",
 ]

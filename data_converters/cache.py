@@ -26,7 +26,7 @@ REPORT_FILE = "conversion_report.json"
 
 
 def environment(name: str, dt_s: float, scene_splits: Mapping[str, str]) -> EnvMetadata:
-    """trajdata's description of a data set with the tags `name` x train, val, test; dt_s in s."""
+    """Trajdata's description of a data set with the tags `name` x train, val, test; dt_s in s."""
     metadata = EnvMetadata(
         name=name,
         data_dir=name,
@@ -39,7 +39,12 @@ def environment(name: str, dt_s: float, scene_splits: Mapping[str, str]) -> EnvM
 
 
 def write_scene(
-    base: Path, metadata: EnvMetadata, name: str, location: str, agents: Sequence[AgentRows], raw: RawScene
+    base: Path,
+    metadata: EnvMetadata,
+    name: str,
+    location: str,
+    agents: Sequence[AgentRows],
+    raw: RawScene,
 ) -> Scene:
     """Write one scene under `base`/environment/scene as trajdata 1.4.0 stores it.
 

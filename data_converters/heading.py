@@ -52,7 +52,9 @@ def heading_from_motion(velocity: Array, standstill_mps: float, *, backfill: boo
     moving = np.hypot(velocity[:, 0], velocity[:, 1]) >= standstill_mps
     source = np.where(moving, HeadingSource.MEASURED, HeadingSource.HELD).astype(np.int8)
     if not moving.any():
-        return Heading(np.zeros(len(velocity)), np.full(len(velocity), HeadingSource.UNKNOWN, np.int8))
+        return Heading(
+            np.zeros(len(velocity)), np.full(len(velocity), HeadingSource.UNKNOWN, np.int8)
+        )
     angle = np.arctan2(velocity[:, 1], velocity[:, 0])
     start = int(np.argmax(moving))
     latest = np.maximum.accumulate(np.where(moving, np.arange(len(angle)), start))
@@ -64,7 +66,12 @@ def heading_from_motion(velocity: Array, standstill_mps: float, *, backfill: boo
 
 
 def heading_from_axis(
-    axis: Array, time_s: Array, at_s: Array, velocity: Array, smoother: Smoother, standstill_mps: float
+    axis: Array,
+    time_s: Array,
+    at_s: Array,
+    velocity: Array,
+    smoother: Smoother,
+    standstill_mps: float,
 ) -> Heading:
     """Heading along a measured body axis whose direction is known up to half a turn.
 

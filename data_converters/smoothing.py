@@ -133,12 +133,19 @@ class CausalSmoother(Smoother):
         first = np.searchsorted(time_s, at_s - self.window_s + 1e-9)
         usable = (at_s >= time_s[0] + self.warmup_s - 1e-9) & (last - first > self.order)
         result = np.full((3, len(at_s), values.shape[1]), np.nan)
-        for d, part in enumerate(self._fit(time_s, values, at_s[usable], first[usable], last[usable])):
+        for d, part in enumerate(
+            self._fit(time_s, values, at_s[usable], first[usable], last[usable])
+        ):
             result[d, usable] = part
         return SmoothSeries(*result)
 
     def _fit(
-        self, time_s: Array, values: Array, at_s: Array, first: NDArray[np.int64], last: NDArray[np.int64]
+        self,
+        time_s: Array,
+        values: Array,
+        at_s: Array,
+        first: NDArray[np.int64],
+        last: NDArray[np.int64],
     ) -> list[Array]:
         """Value, rate and curvature (m, k) of the polynomial fitted to samples first..last-1."""
         if len(at_s) == 0:

@@ -55,7 +55,9 @@ class ThabVruDataset(RecordingDataset):
     def __post_init__(self) -> None:
         if min(self.shares) < 0.0 or abs(sum(self.shares) - 1.0) > 1e-9:
             remedy = "Give for instance (0.7, 0.15, 0.15)."
-            raise ConversionError(fault("shares", "be >= 0 and add up to 1", self.shares, "", remedy))
+            raise ConversionError(
+                fault("shares", "be >= 0 and add up to 1", self.shares, "", remedy)
+            )
 
     @property
     def name(self) -> str:
@@ -141,7 +143,9 @@ class ThabVruDataset(RecordingDataset):
         """Split of each group: groups in hashed order fill train, then val, then test."""
         sizes = Counter(groups.values())
         bounds = np.cumsum(self.shares) * sum(sizes.values())
-        order = sorted(sizes, key=lambda group: hashlib.sha256((self.salt + group).encode()).digest())
+        order = sorted(
+            sizes, key=lambda group: hashlib.sha256((self.salt + group).encode()).digest()
+        )
         split_of_group: dict[str, str] = {}
         dealt = 0
         for group in order:

@@ -64,7 +64,9 @@ def group_recordings(tracks: Mapping[str, Array], recordings: Mapping[str, str])
         samples = _centimetres(tracks[name])
         for index in range(len(samples) - RUN + 1):
             run = samples[index : index + RUN].tobytes()
-            first, second = sorted((root(owner.setdefault(run, recordings[name])), root(recordings[name])))
+            first, second = sorted(
+                (root(owner.setdefault(run, recordings[name])), root(recordings[name]))
+            )
             parent[second] = first
     return {name: root(recordings[name]) for name in tracks}
 

@@ -1,0 +1,117 @@
+"""Traffic lights and weather of a sequence: what trajdata has a place for, and side tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from trajdata.maps.traffic_light_status import TrafficLightStatus
+
+from data_converters.errors import TrackError
+from data_converters.imptc.reader import load_json, microseconds
+
+SIGNAL_GROUPS = ("k1", "k2", "k3", "k4", "k5", "k6", "f1", "f2", "f3")
+"""k1-k6 are lanes of vehicles, f1-f3 crossings of pedestrians."""
+
+STATES = {
+    2: TrafficLightStatus.UNKNOWN,
+    4: TrafficLightStatus.GREEN,
+    10: TrafficLightStatus.RED,
+    11: TrafficLightStatus.NO_DATA,
+    20: TrafficLightStatus.UNKNOWN,
+    30: TrafficLightStatus.RED,
+}
+"""trajdata's status of the codes yellow-blinking, green, red, disabled, yellow, red-yellow."""
+
+LIGHTS_FILE = "traffic_light_signals.json"
+WEATHER_FILE = "weather_data.json"
+
+
+def read_table(path: Path, section: str, origin_us: int) -> pd.DataFrame | None:
+    """One row per entry of a context file, ordered by time.
+
+    The time is the inner `ts` where there is one, else the key (the documents show both).
+
+    Args:
+        path: The file; it may be absent.
+        section: Key of the entries.
+        origin_us: Time 0 of the scene in microseconds.
+
+    Returns:
+        Column `time_s` in s and the recorded values; None if the file is absent or empty.
+
+    Raises:
+        TrackError: If the file is broken or an entry has no time.
+    """
+    if not path.is_file():
+        return None
+    content = load_json(path)
+    entries = content.get(section) if isinstance(content, dict) else None
+    if not isinstance(entries, dict) or not entries:
+        return None
+    rows = [_row(key, entry, origin_us, path) for key, entry in entries.items()]
+    return pd.DataFrame(rows).sort_values("time_s", ignore_index=True)
+
+
+def _row(key: str, entry: Mapping[str, Any], origin_us: int, path: Path) -> dict[str, Any]:
+    stamp = entry.get("ts", key.removeprefix("ts_").removeprefix("ts:"))
+    time_s = (microseconds(stamp, str(path)) - origin_us) / 1e6
+    return {"time_s": time_s, **{name: value for name, value in entry.items() if name != "ts"}}
+
+
+def read_context(folder: Path, origin_us: int) -> tuple[dict[str, pd.DataFrame], int]:
+    """Side tables of a sequence and the number of context files that could not be read.
+
+    Args:
+        folder: Folder `context`; it may be absent.
+        origin_us: Time 0 of the scene in microseconds.
+
+    Returns:
+        Tables `traffic_lights` and `weather`, as far as present, with `time_s` in s; broken files.
+    """
+    tables: dict[str, pd.DataFrame] = {}
+    broken = 0
+    files = {
+        "traffic_lights": (LIGHTS_FILE, "status_data"),
+        "weather": (WEATHER_FILE, "weather_data"),
+    }
+    for stem, (name, section) in files.items():
+        try:
+            table = read_table(folder / name, section, origin_us)
+        except TrackError:
+            broken += 1
+            continue
+        if table is not None:
+            tables[stem] = table
+    return tables, broken
+
+
+def signals_per_step(lights: pd.DataFrame, steps: int, dt_s: float) -> pd.DataFrame:
+    """Traffic lights as trajdata keeps them: the latest state at every step of dt_s s.
+
+    Args:
+        lights: Column `time_s` and a column of state codes per signal group.
+        steps: Number of steps.
+        dt_s: Step in s.
+
+    Returns:
+        Index lane_id (the signal group) and scene_ts, column status.
+    """
+    latest = (
+        np.searchsorted(lights["time_s"].to_numpy(), np.arange(steps) * dt_s + 1e-6, side="right")
+        - 1
+    )
+    parts = []
+    for group in SIGNAL_GROUPS:
+        if group not in lights:
+            continue
+        codes = lights[group].to_numpy()[np.maximum(latest, 0)]
+        status = [STATES.get(int(code), TrafficLightStatus.UNKNOWN).value for code in codes]
+        status = np.where(latest < 0, TrafficLightStatus.NO_DATA.value, status)
+        parts.append(
+            pd.DataFrame({"lane_id": group, "scene_ts": np.arange(steps), "status": status})
+        )
+    return pd.concat(parts, ignore_index=True).set_index(["lane_id", "scene_ts"])

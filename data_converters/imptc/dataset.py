@@ -1,0 +1,206 @@
+"""The IMPTC sequences: all road users of a sequence on one clock."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from data_converters.errors import ConversionError, TrackError, fault
+from data_converters.imptc.context import read_context, signals_per_step
+from data_converters.imptc.reader import TrackFile, TrackFilter, load_json, missing, parse_track
+from data_converters.recordings import SPLITS, RawScene, RecordingDataset, SceneSource
+from data_converters.tracks import RawTrack
+
+SEQUENCE = re.compile(r"(\d{4})_(\d{8}_\d{6})")
+FAMILIES = ("vrus", "vehicles")
+
+
+class NumberRange(NamedTuple):
+    """Sequence numbers first..last, both included."""
+
+    first: int
+    last: int
+
+
+PUBLISHED_SETS = {
+    "set_01": NumberRange(0, 49),
+    "set_02": NumberRange(50, 99),
+    "set_03": NumberRange(100, 149),
+    "set_04": NumberRange(150, 199),
+    "set_05": NumberRange(200, 269),
+}
+
+
+@dataclass(frozen=True)
+class SequenceSplit:
+    """Which sets go to which split.
+
+    Attributes:
+        train: Names of sets.
+        val: Names of sets.
+        test: Names of sets.
+
+    Raises:
+        ConversionError: If a set is unknown or stands in two splits.
+    """
+
+    train: tuple[str, ...] = ("set_01", "set_03")
+    val: tuple[str, ...] = ("set_02", "set_04")
+    test: tuple[str, ...] = ("set_05",)
+
+    def __post_init__(self) -> None:
+        named = [name for split in SPLITS for name in getattr(self, split)]
+        if len(set(named)) != len(named) or not set(named) <= set(PUBLISHED_SETS):
+            known = f"name each of {sorted(PUBLISHED_SETS)} at most once"
+            raise ConversionError(fault("split", known, named, "", "Correct the lists."))
+
+    def of(self, number: int) -> str | None:
+        """Split of a sequence number, None if its set is not used."""
+        for split in SPLITS:
+            for name in getattr(self, split):
+                numbers = PUBLISHED_SETS[name]
+                if numbers.first <= number <= numbers.last:
+                    return split
+        return None
+
+
+@dataclass(frozen=True)
+class ImptcDataset(RecordingDataset):
+    """The IMPTC sequences below a folder, at any depth up to three.
+
+    Attributes:
+        root: Folder of the sequences or of the sets.
+        split: Which sets go to which split; sequences of other sets are left out.
+        keep: Which samples and tracks to keep.
+    """
+
+    split: SequenceSplit = field(default_factory=SequenceSplit)
+    keep: TrackFilter = field(default_factory=TrackFilter)
+
+    @property
+    def name(self) -> str:
+        """Environment name."""
+        return "imptc"
+
+    @property
+    def location(self) -> str:
+        """Name of the place."""
+        return "aschaffenburg"
+
+    def settings(self) -> Mapping[str, object]:
+        """Split and filter."""
+        return {"split": asdict(self.split), "keep": asdict(self.keep)}
+
+    def scenes(self) -> list[SceneSource]:
+        """One scene per sequence folder.
+
+        Raises:
+            ConversionError: If no sequence folder is there.
+        """
+        folders = find_sequences(self.root)
+        if not folders:
+            found = "no such folder" if not self.root.is_dir() else "none"
+            raise missing("sequence folders NNNN_YYYYMMDD_HHMMSS", found, self.root)
+        scenes = []
+        for name, folder in folders.items():
+            split = self.split.of(int(name[:4]))
+            if split is not None:
+                key = str(folder.relative_to(self.root))
+                scenes.append(SceneSource(name, split, key, _fingerprint(folder)))
+        return scenes
+
+    def read(self, scene: SceneSource, dt_s: float, *, strict: bool) -> RawScene:
+        """All tracks of a sequence; time 0 is its first sample.
+
+        Raises:
+            TrackError: When `strict`, if a track cannot be used.
+        """
+        raw = RawScene()
+        folder = self.root / scene.key
+        files: dict[str, TrackFile] = {}
+        for path in track_files(folder):
+            name = f"{path.parent.parent.name[:-1]}_{path.parent.name}"
+            source = str(path.relative_to(self.root))
+            try:
+                files[name] = parse_track(load_json(path), str(path), self.keep)
+            except TrackError as error:
+                raw.reject(name, source, error, strict=strict)
+        if not files:
+            return raw
+        origin = min(int(track.timestamp[0]) for track in files.values())
+        for name, track in files.items():
+            raw.note("samples_dropped", track.dropped)
+            raw.tracks.append(to_raw_track(track, name, f"{scene.key}/{name}", origin))
+        self._add_context(raw, folder, origin, dt_s)
+        return raw
+
+    def read_tracks(self, folder: Path) -> pd.DataFrame:
+        """Samples of all usable tracks of one sequence folder, as recorded.
+
+        Returns:
+            Columns agent_id, mode, timestamp_us, x, y, z (m), speed (m/s), one row per sample.
+        """
+        parts = []
+        for path in track_files(folder):
+            try:
+                track = parse_track(load_json(path), str(path), self.keep)
+            except TrackError:
+                continue
+            table = pd.DataFrame(track.position, columns=["x", "y", "z"])
+            name = f"{path.parent.parent.name[:-1]}_{path.parent.name}"
+            table = table.assign(
+                timestamp_us=track.timestamp, speed=track.speed, mode=int(track.mode)
+            )
+            parts.append(table.assign(agent_id=name))
+        return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+
+    def _add_context(self, raw: RawScene, folder: Path, origin: int, dt_s: float) -> None:
+        raw.side_tables, broken = read_context(folder / "context", origin)
+        raw.note("broken_context_files", broken)
+        lights = raw.side_tables.get("traffic_lights")
+        if lights is not None:
+            last = max(float(track.time_s[-1]) for track in raw.tracks)
+            raw.signals = signals_per_step(lights, int(last / dt_s) + 1, dt_s)
+
+
+def find_sequences(root: Path) -> dict[str, Path]:
+    """Sequence folders up to three levels below `root`, by name, in order."""
+    found = {}
+    for pattern in ("*", "*/*", "*/*/*"):
+        for path in root.glob(pattern):
+            if SEQUENCE.fullmatch(path.name) and path.is_dir():
+                found.setdefault(path.name, path)
+    return dict(sorted(found.items()))
+
+
+def track_files(folder: Path) -> list[Path]:
+    """The track files of a sequence; either family may be absent."""
+    return [path for family in FAMILIES for path in sorted((folder / family).glob("*/track.json"))]
+
+
+def to_raw_track(track: TrackFile, name: str, source: str, origin_us: int) -> RawTrack:
+    """A track on the clock of its scene, whose time 0 is `origin_us` in microseconds."""
+    return RawTrack(
+        name=name,
+        mode=track.mode,
+        time_s=(track.timestamp - origin_us).astype(np.float64) / 1e6,
+        position=track.position,
+        source=source,
+        extent=track.extent,
+        axis=track.axis,
+        speed=track.speed if np.isfinite(track.speed).any() else None,
+    )
+
+
+def _fingerprint(folder: Path) -> str:
+    sizes = [(str(path.relative_to(folder)), path.stat().st_size) for path in track_files(folder)]
+    context = sorted((folder / "context").glob("*.json"))
+    sizes += [(path.name, path.stat().st_size) for path in context]
+    return hashlib.sha256(repr(sizes).encode()).hexdigest()[:16]

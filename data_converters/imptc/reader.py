@@ -1,0 +1,224 @@
+"""Reading of IMPTC track files: order, units, classes, and every fault a file can have."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from trajdata.data_structures.agent import FixedExtent
+
+from data_converters.errors import ConversionError, RejectReason, TrackError, fault
+from data_converters.imptc.cuboid import measure_cuboid
+from data_converters.imptc.modes import CLASS_MODES
+from data_converters.modes import Mode
+
+Array = NDArray[np.float64]
+
+UTM32_OFFSET_M = (511570.38, 5535358.32, 150.22)
+"""Origin of the local frame in UTM zone 32 N."""
+
+KMH = 1.0 / 3.6
+
+
+@dataclass(frozen=True)
+class TrackFilter:
+    """Which samples and tracks to keep.
+
+    Attributes:
+        min_status: Smallest status of a sample: 1 candidate, 2 accepted.
+        min_class_prob: Smallest median class probability of a track, 0-1.
+        utm: Whether positions are given in UTM 32 N instead of the local frame.
+    """
+
+    min_status: int = 1
+    min_class_prob: float = 0.0
+    utm: bool = False
+
+
+class TrackFile(NamedTuple):
+    """Content of one track file, ordered by time.
+
+    timestamp (n,) µs UTC; position (n, 3) m; speed (n,) m/s as stated, NaN where absent; axis (n,)
+    rad modulo pi and extent m where every sample has a cuboid; dropped: samples left out.
+    """
+
+    mode: Mode
+    timestamp: NDArray[np.int64]
+    position: Array
+    speed: Array
+    axis: Array | None
+    extent: FixedExtent | None
+    dropped: int
+
+
+def load_json(path: Path) -> Any:
+    """Content of a JSON file.
+
+    Raises:
+        TrackError: If the file is cut off or no JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        remedy = "The file is damaged or half unpacked: unpack the archive again."
+        raise TrackError(
+            fault("file", "be JSON", error, path, remedy), RejectReason.BROKEN_JSON
+        ) from error
+
+
+def microseconds(value: object, where: str) -> int:
+    """A timestamp of a file in integer microseconds UTC.
+
+    Numbers and digits in text are taken; a magnitude of 1e12 is milliseconds, 1e15 microseconds.
+
+    Raises:
+        TrackError: If it is no number, or of another magnitude.
+    """
+    try:
+        number = int(str(value))
+    except ValueError as error:
+        message = fault("ts", "be a whole number", value, where, "Unpack the archive again.")
+        raise TrackError(message, RejectReason.NO_TIMESTAMPS) from error
+    if 10**14 <= number < 10**17:
+        return number
+    if 10**11 <= number < 10**14:
+        return number * 1000
+    remedy = (
+        "Milliseconds are converted; other units are refused, because they cannot be told apart."
+    )
+    message = fault("ts", "be microseconds since 1970 (about 1.7e15)", number, where, remedy)
+    raise TrackError(message, RejectReason.TIMESTAMP_UNIT)
+
+
+def parse_track(content: Any, where: str, keep: TrackFilter) -> TrackFile:
+    """Samples of one track, ordered by their inner timestamp.
+
+    Args:
+        content: Content of a track.json.
+        where: The file, for messages.
+        keep: What to keep.
+
+    Returns:
+        The track.
+
+    Raises:
+        TrackError: If class, timestamps, coordinates or cuboids are missing or wrong, or the filter
+            leaves nothing.
+    """
+    samples = _section(content, "track_data", where)
+    mode = _mode(_section(content, "overview", where), where)
+    rows = [sample for sample in samples.values() if _status(sample, keep)]
+    if not rows:
+        message = fault("status", f"reach {keep.min_status}", "no such sample", where, "Lower it.")
+        raise TrackError(message, RejectReason.LOW_STATUS)
+    _check_probability(rows, keep, where)
+    stamps = np.array([_timestamp(row, where) for row in rows], dtype=np.int64)
+    stamps, order = np.unique(stamps, return_index=True)
+    rows_in_order = [rows[i] for i in order.tolist()]
+    position = _positions(rows_in_order, where)
+    axis, extent = _body(rows_in_order, where)
+    return TrackFile(
+        mode=mode,
+        timestamp=stamps,
+        position=position + (np.array(UTM32_OFFSET_M) if keep.utm else 0.0),
+        speed=np.array([_number(row.get("velocity")) for row in rows_in_order]) * KMH,
+        axis=axis,
+        extent=extent,
+        dropped=len(samples) - len(stamps),
+    )
+
+
+def _section(content: Any, name: str, where: str) -> Mapping[str, Any]:
+    section = content.get(name) if isinstance(content, dict) else None
+    if not isinstance(section, dict) or not section:
+        message = fault(name, "be a filled object", section, where, "Unpack the archive again.")
+        missing_clock = (
+            RejectReason.NO_TIMESTAMPS if name == "track_data" else RejectReason.MISSING_FIELD
+        )
+        raise TrackError(message, missing_clock)
+    return section
+
+
+def _mode(overview: Mapping[str, Any], where: str) -> Mode:
+    known = sorted(CLASS_MODES)
+    try:
+        return CLASS_MODES[int(overview["class_id"])]
+    except (KeyError, TypeError, ValueError) as error:
+        found = overview.get("class_id")
+        remedy = "Add it to data_converters/imptc/modes.py if the data set has a new class."
+        message = fault("class_id", f"be one of {known}", found, where, remedy)
+        raise TrackError(message, RejectReason.UNKNOWN_CLASS) from error
+
+
+def _status(sample: Any, keep: TrackFilter) -> bool:
+    return (
+        isinstance(sample, dict) and int(sample.get("status", keep.min_status)) >= keep.min_status
+    )
+
+
+def _check_probability(rows: list[dict[str, Any]], keep: TrackFilter, where: str) -> None:
+    stated = [_number(row.get("class_prob", 1.0)) for row in rows]
+    median = float(np.nanmedian(stated)) if np.isfinite(stated).any() else 1.0
+    if median < keep.min_class_prob:
+        message = fault("class_prob", f"reach {keep.min_class_prob}", median, where, "Lower it.")
+        raise TrackError(message, RejectReason.LOW_PROBABILITY)
+
+
+def _timestamp(row: Mapping[str, Any], where: str) -> int:
+    if row.get("ts") is None:
+        message = fault("ts", "stand in every sample", "none", where, "Unpack the archive again.")
+        raise TrackError(message, RejectReason.NO_TIMESTAMPS)
+    return microseconds(row["ts"], where)
+
+
+def _number(value: object) -> float:
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return float("nan")
+
+
+def _positions(rows: list[dict[str, Any]], where: str) -> Array:
+    position = np.array([_point(row.get("coordinates")) for row in rows])
+    bad = ~np.isfinite(position).all(axis=1)
+    if bad.any():
+        row = rows[int(np.argmax(bad))]
+        place = f"{where}, ts {row['ts']}"
+        found = row.get("coordinates")
+        message = fault("coordinates", "be three finite numbers", found, place, "Remove the track.")
+        raise TrackError(message, RejectReason.NOT_FINITE)
+    return position
+
+
+def _point(value: object) -> list[float]:
+    if not isinstance(value, list) or len(value) != 3:
+        return [float("nan")] * 3
+    return [_number(part) for part in value]
+
+
+def _body(rows: list[dict[str, Any]], where: str) -> tuple[Array | None, FixedExtent | None]:
+    """Axis per sample and median size, from the cuboids; None unless every sample has one."""
+    if not all("cuboid" in row for row in rows):
+        return None, None
+    boxes = [measure_cuboid(row["cuboid"], f"{where}, ts {row['ts']}") for row in rows]
+    length, width, height = np.median([box[:3] for box in boxes], axis=0).tolist()
+    return np.array([box.axis for box in boxes]), FixedExtent(length, width, height)
+
+
+def missing(what: str, found: str, root: Path) -> ConversionError:
+    """Error for a data set that is absent or half downloaded; `what` tells what is expected."""
+    remedy = (
+        "Run scripts/download_imptc.py (it resumes), or scripts/generate_sample.py for a sample."
+    )
+    leftovers = [path.name for path in root.glob("*.part")] if root.is_dir() else []
+    archives = [path.name for path in root.glob("*.tar.gz")] if root.is_dir() else []
+    if leftovers:
+        found = f"an unfinished download {leftovers}"
+    elif archives:
+        found = f"archives that are not unpacked {archives}"
+    return ConversionError(fault("root", f"hold {what}", found, root, remedy))

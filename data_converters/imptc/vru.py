@@ -1,0 +1,154 @@
+"""The IMPTC VRU-trajectory release: single tracks, split as published."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from data_converters.errors import RejectReason, TrackError
+from data_converters.imptc.dataset import ImptcDataset, find_sequences, to_raw_track
+from data_converters.imptc.reader import TrackFilter, load_json, missing, parse_track
+from data_converters.recordings import RawScene, RecordingDataset, SceneSource
+
+RELEASE_SPLITS = {"train": "train", "eval": "val", "test": "test"}
+"""Folder of the release and its split."""
+
+
+class Overlap(NamedTuple):
+    """A track of the VRU release whose sequence stands in the sequence release, and both splits."""
+
+    track: str
+    source: str
+    sequence: str
+    vru_split: str
+    sequence_split: str
+
+
+@dataclass(frozen=True)
+class ImptcVruDataset(RecordingDataset):
+    """The VRU-trajectory release; every track is a scene of its own.
+
+    The release is cut from sequences, of which many are in the sequence release as well. Give these
+    as `sequences` to leave out every track whose sequence stands in another split there, so that
+    nothing is trained on in one release and tested on in the other.
+
+    Attributes:
+        root: Folder with train, eval and test, or with their `_tracks.json` files.
+        keep: Which samples and tracks to keep.
+        sequences: The sequence release to agree with, None to take the published split as it is.
+    """
+
+    keep: TrackFilter = field(default_factory=TrackFilter)
+    sequences: ImptcDataset | None = None
+
+    @property
+    def name(self) -> str:
+        """Environment name."""
+        return "imptc_vru"
+
+    @property
+    def location(self) -> str:
+        """Name of the place."""
+        return "aschaffenburg"
+
+    def settings(self) -> Mapping[str, object]:
+        """Filter, and the split of the sequences where they are given."""
+        split = None if self.sequences is None else asdict(self.sequences.split)
+        return {"keep": asdict(self.keep), "agrees_with_sequences": split}
+
+    def notes(self) -> Mapping[str, object]:
+        """Tracks that stand in another split of the sequence release."""
+        return {
+            "overlaps_in_other_split": [overlap._asdict() for overlap in self._conflicts.values()]
+        }
+
+    def scenes(self) -> list[SceneSource]:
+        """One scene per track, named split_NNNN.
+
+        Raises:
+            ConversionError: If a split is missing.
+        """
+        absent = [
+            name
+            for name in RELEASE_SPLITS
+            if not (self.root / name).is_dir() and not (self.root / f"{name}_tracks.json").is_file()
+        ]
+        if absent:
+            raise missing("train, eval and test of the VRU release", f"no {absent}", self.root)
+        scenes = []
+        for name, split in RELEASE_SPLITS.items():
+            for track, fingerprint in self._tracks(name):
+                key = f"{name}/{track}"
+                agrees = "" if key not in self._conflicts else "other_split"
+                scenes.append(SceneSource(f"{name}_{track}", split, key, fingerprint + agrees))
+        return scenes
+
+    def read(self, scene: SceneSource, dt_s: float, *, strict: bool) -> RawScene:
+        """The one track of a scene; time 0 is its first sample.
+
+        Raises:
+            TrackError: When `strict`, if the track cannot be used; standing in another split of the
+                sequence release is never an error.
+        """
+        raw = RawScene()
+        conflict = self._conflicts.get(scene.key)
+        if conflict is not None:
+            message = f"{conflict.source} is in {conflict.sequence_split} of the sequence release"
+            raw.reject(
+                "vru", scene.key, TrackError(message, RejectReason.OTHER_SPLIT), strict=False
+            )
+            return raw
+        path = self.root / scene.key / "track.json"
+        try:
+            track = parse_track(self._content(scene.key, path), str(path), self.keep)
+        except TrackError as error:
+            raw.reject("vru", scene.key, error, strict=strict)
+            return raw
+        raw.note("samples_dropped", track.dropped)
+        raw.tracks.append(to_raw_track(track, "vru", scene.key, int(track.timestamp[0])))
+        return raw
+
+    def overlaps(self, sequences: ImptcDataset) -> list[Overlap]:
+        """Tracks whose sequence is part of the sequence release, joined by `src_info.txt`."""
+        known = {name.partition("_")[2]: name for name in find_sequences(sequences.root)}
+        found = []
+        for folder, split in RELEASE_SPLITS.items():
+            for path in sorted((self.root / folder).glob("*/src_info.txt")):
+                source = path.read_text(encoding="utf-8").strip().strip('"')
+                sequence = known.get(source.partition("/")[0])
+                other = sequences.split.of(int(sequence[:4])) if sequence else None
+                if sequence and other:
+                    key = f"{folder}/{path.parent.name}"
+                    found.append(Overlap(key, source, sequence, split, other))
+        return found
+
+    @cached_property
+    def _conflicts(self) -> dict[str, Overlap]:
+        overlaps = self.overlaps(self.sequences) if self.sequences is not None else []
+        return {o.track: o for o in overlaps if o.vru_split != o.sequence_split}
+
+    def _tracks(self, folder: str) -> list[tuple[str, str]]:
+        """Names and fingerprints of the tracks of a split."""
+        if (self.root / folder).is_dir():
+            paths = sorted((self.root / folder).glob("*/track.json"))
+            return [(path.parent.name, str(path.stat().st_size)) for path in paths]
+        return [
+            (name, _digest(content)) for name, content in sorted(self._combined[folder].items())
+        ]
+
+    def _content(self, key: str, path: Path) -> Any:
+        folder, _, name = key.partition("/")
+        return load_json(path) if path.is_file() else self._combined[folder][name]
+
+    @cached_property
+    def _combined(self) -> dict[str, dict[str, Any]]:
+        paths = {name: self.root / f"{name}_tracks.json" for name in RELEASE_SPLITS}
+        return {name: load_json(path) for name, path in paths.items() if path.is_file()}
+
+
+def _digest(content: object) -> str:
+    return hashlib.sha256(repr(content).encode()).hexdigest()[:16]
