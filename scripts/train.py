@@ -1,0 +1,30 @@
+"""Train the stack end to end by imitation."""
+
+from pathlib import Path
+
+import pytorch_lightning as pl
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from diffstack_mmv.callbacks import Provenance, resume_point
+from diffstack_mmv.cli import command
+from diffstack_mmv.vehicles import config_folder
+
+
+@command(config_folder(), "train")
+def main(config: DictConfig) -> None:
+    """Fit, and continue where an interrupted run of the same configuration stopped."""
+    pl.seed_everything(config.seed, workers=True)
+    content = OmegaConf.to_container(config)
+    resume = resume_point(Path(config.out) / "checkpoints" / "last.ckpt", content)
+    stack, data = instantiate(config.stack), instantiate(config.data.module)
+    callbacks = [instantiate(each) for each in config.callbacks.values() if each is not None]
+    loggers = [instantiate(each) for each in config.logger.values() if each is not None]
+    trainer = instantiate(
+        config.trainer, callbacks=[*callbacks, Provenance(content)], logger=loggers
+    )
+    trainer.fit(stack, data, ckpt_path=resume)
+
+
+if __name__ == "__main__":
+    main()
