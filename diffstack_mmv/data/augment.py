@@ -1,0 +1,241 @@
+"""Augmentations of training batches; all that is random comes from the generator that is passed."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Generator, Tensor
+
+from diffstack_mmv.checks import require_at_least, require_between, require_positive
+from diffstack_mmv.geometry import rotate, wrap_angle
+from diffstack_mmv.types import Motion, StackBatch, Tracks
+
+MotionMap = Callable[[Motion], Motion]
+
+
+class Augmentation(Protocol):
+    """Changes a batch at random and keeps it physical."""
+
+    def __call__(self, batch: StackBatch, generator: Generator) -> StackBatch:
+        """Return the changed batch; the same generator state gives the same result."""
+        ...
+
+
+class Chain:
+    """Several augmentations, one after the other."""
+
+    def __init__(self, augmentations: Sequence[Augmentation]) -> None:
+        """Apply `augmentations` in this order."""
+        self.augmentations = tuple(augmentations)
+
+    def __call__(self, batch: StackBatch, generator: Generator) -> StackBatch:
+        """Return the changed batch."""
+        for augmentation in self.augmentations:
+            batch = augmentation(batch, generator)
+        return batch
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """Exchange left and right.
+
+    Attributes:
+        probability: Share of the samples that are mirrored.
+
+    Raises:
+        ValueError: The probability is not in [0, 1].
+    """
+
+    probability: float = 0.5
+
+    def __post_init__(self) -> None:
+        require_between("probability", self.probability, 0.0, 1.0)
+
+    def __call__(self, batch: StackBatch, generator: Generator) -> StackBatch:
+        """Change the signs of y, heading, velocity to the left and yaw rate."""
+        chosen = _uniform(batch, 0.0, 1.0, generator) < self.probability
+        sign = torch.where(chosen, -1.0, 1.0).to(batch.goal)
+
+        def mirrored(motion: Motion) -> Motion:
+            factor = _like(sign, motion.heading)
+            flip = torch.stack([torch.ones_like(factor), factor], -1)
+            position, velocity = motion.position * flip, motion.velocity * flip
+            return Motion(position, motion.heading * factor, velocity, motion.yaw_rate * factor)
+
+        return _map_motions(batch, mirrored)
+
+
+@dataclass(frozen=True)
+class Rotation:
+    """Turn the frame about the position of the ego.
+
+    The heading of the ego in the present is then not zero any more, as if it had been observed with
+    an error: for models that rely on it being exactly zero.
+
+    Attributes:
+        limit_rad: Largest angle in rad.
+
+    Raises:
+        ValueError: The angle is not positive.
+    """
+
+    limit_rad: float = 0.1
+
+    def __post_init__(self) -> None:
+        require_positive("limit_rad", self.limit_rad)
+
+    def __call__(self, batch: StackBatch, generator: Generator) -> StackBatch:
+        """Rotate positions and headings; body velocities and yaw rates stay."""
+        angle = _uniform(batch, -self.limit_rad, self.limit_rad, generator)
+
+        def rotated(motion: Motion) -> Motion:
+            turn = _like(angle, motion.heading)
+            position = rotate(motion.position, turn.expand_as(motion.heading))
+            return motion._replace(position=position, heading=wrap_angle(motion.heading + turn))
+
+        return _keep_absent_zero(_map_motions(batch, rotated))
+
+
+@dataclass(frozen=True)
+class SpeedScale:
+    """Scale the plane about the ego: everybody is faster and further away by one factor per sample.
+
+    Positions and velocities scale together, headings and yaw rates stay, so that each track remains
+    consistent; turning radii and accelerations scale as well. Extents stay.
+
+    Attributes:
+        low: Smallest factor.
+        high: Largest factor.
+
+    Raises:
+        ValueError: The factors are not positive or not in order.
+    """
+
+    low: float = 0.9
+    high: float = 1.1
+
+    def __post_init__(self) -> None:
+        require_positive("low", self.low)
+        require_at_least("high", self.high, self.low)
+
+    def __call__(self, batch: StackBatch, generator: Generator) -> StackBatch:
+        """Scale positions and velocities."""
+        scale = _uniform(batch, self.low, self.high, generator)
+
+        def scaled(motion: Motion) -> Motion:
+            factor = _like(scale, motion.heading)[..., None]
+            return motion._replace(
+                position=motion.position * factor, velocity=motion.velocity * factor
+            )
+
+        return _map_motions(batch, scaled)
+
+
+@dataclass(frozen=True)
+class PositionNoise:
+    """Noise on the observed past of the ego and its neighbours, not on the future.
+
+    The present of the ego stays the origin of the frame.
+
+    Attributes:
+        std_m: Standard deviation in m in each direction.
+
+    Raises:
+        ValueError: It is not positive.
+    """
+
+    std_m: float = 0.02
+
+    def __post_init__(self) -> None:
+        require_positive("std_m", self.std_m)
+
+    def __call__(self, batch: StackBatch, generator: Generator) -> StackBatch:
+        """Move each past position on its own."""
+        ego = self._moved(batch.ego_past, generator)
+        position = ego.motion.position.clone()
+        position[..., -1, :] = batch.ego_past.motion.position[..., -1, :]
+        ego = ego._replace(motion=ego.motion._replace(position=position))
+        return batch._replace(ego_past=ego, others_past=self._moved(batch.others_past, generator))
+
+    def _moved(self, tracks: Tracks, generator: Generator) -> Tracks:
+        position = tracks.motion.position
+        noise = torch.randn(position.shape, generator=generator, dtype=position.dtype) * self.std_m
+        moved = position + noise * tracks.valid[..., None]
+        return tracks._replace(motion=tracks.motion._replace(position=moved))
+
+
+@dataclass(frozen=True)
+class HistoryDropout:
+    """Forget the oldest part of the past of some agents, as if they had come into view only later.
+
+    Attributes:
+        probability: Share of the agents that this happens to.
+        keep: Rows that are always kept.
+
+    Raises:
+        ValueError: The probability is not in [0, 1], or less than one row is kept.
+    """
+
+    probability: float = 0.2
+    keep: int = 11
+
+    def __post_init__(self) -> None:
+        require_between("probability", self.probability, 0.0, 1.0)
+        require_at_least("keep", self.keep, 1)
+
+    def __call__(self, batch: StackBatch, generator: Generator) -> StackBatch:
+        """Mark the oldest rows as invalid, and set them to zero."""
+        past = self._shortened(batch.ego_past, generator)
+        others = self._shortened(batch.others_past, generator)
+        return _keep_absent_zero(batch._replace(ego_past=past, others_past=others))
+
+    def _shortened(self, tracks: Tracks, generator: Generator) -> Tracks:
+        rows = tracks.valid.shape[-1]
+        agents = tracks.valid.shape[:-1]
+        chosen = torch.rand(agents, generator=generator) < self.probability
+        forgotten = (torch.rand(agents, generator=generator) * max(rows - self.keep + 1, 1)).long()
+        first = torch.where(chosen, forgotten, 0)
+        return tracks._replace(valid=tracks.valid & (torch.arange(rows) >= first[..., None]))
+
+
+def _uniform(
+    batch: StackBatch, low: float, high: float, generator: Generator
+) -> Float[Tensor, " B"]:
+    draws = torch.rand(len(batch.goal), generator=generator, dtype=batch.goal.dtype)
+    return low + (high - low) * draws
+
+
+def _like(value: Float[Tensor, " B"], reference: Tensor) -> Tensor:
+    return value.reshape(-1, *[1] * (reference.dim() - 1))
+
+
+def _map_motions(batch: StackBatch, change: MotionMap) -> StackBatch:
+    tracks = [track._replace(motion=change(track.motion)) for track in _all_tracks(batch)]
+    return _joined(batch, tracks)
+
+
+def _keep_absent_zero(batch: StackBatch) -> StackBatch:
+    return _joined(batch, [_zeroed(track) for track in _all_tracks(batch)])
+
+
+def _zeroed(tracks: Tracks) -> Tracks:
+    valid: Bool[Tensor, "*b T"] = tracks.valid
+    motion = Motion(
+        *(
+            part * (valid[..., None] if part.dim() > valid.dim() else valid)
+            for part in tracks.motion
+        )
+    )
+    return tracks._replace(motion=motion)
+
+
+def _all_tracks(batch: StackBatch) -> tuple[Tracks, ...]:
+    return batch.ego_past, batch.ego_future, batch.others_past, batch.others_future
+
+
+def _joined(batch: StackBatch, tracks: Sequence[Tracks]) -> StackBatch:
+    ego_past, ego_future, others_past, others_future = tracks
+    goal = ego_future.motion.position[..., -1, :]
+    return StackBatch(ego_past, ego_future, others_past, others_future, goal, batch.dt_s)

@@ -1,0 +1,170 @@
+"""The data module: recordings in, `StackBatch` out."""
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import pandas as pd
+from pytorch_lightning import LightningDataModule
+from torch import distributed
+
+from diffstack_mmv.checks import require
+from diffstack_mmv.data.augment import Augmentation
+from diffstack_mmv.data.dataset import DirectWindows, ExportedWindows, WindowDataset
+from diffstack_mmv.data.export import Export, ExportSettings, export_windows
+from diffstack_mmv.data.loading import DrawnWindows, LoaderSettings, WindowLoader
+from diffstack_mmv.data.sampling import Balance, EvaluationSampler, Share, TrainingSampler
+from diffstack_mmv.data.settings import WindowSettings
+from diffstack_mmv.data.sources import WindowSource
+
+
+@dataclass(frozen=True)
+class Splits:
+    """Which split of the data set serves which purpose."""
+
+    train: str = "train"
+    val: str = "val"
+    test: str = "test"
+
+
+_NEEDED = {"fit": ("train", "val"), "validate": ("val",), "test": ("test",), "predict": ("test",)}
+
+
+class TrajdataModule(LightningDataModule):
+    """Yields `StackBatch` from any data set that trajdata can open.
+
+    With several processes each one takes its own samples: in training all take equally many, in
+    evaluation every sample is taken exactly once, so that metrics which synchronise when they are
+    computed equal those of one process.
+    """
+
+    def __init__(
+        self,
+        source: WindowSource,
+        windows: WindowSettings,
+        loading: LoaderSettings,
+        export: ExportSettings | None,
+        splits: Splits | None = None,
+        augmentation: Augmentation | None = None,
+        balance: Balance | None = None,
+    ) -> None:
+        """Describe the data; nothing is read before `prepare_data`.
+
+        Args:
+            source: The data set.
+            windows: What a sample is.
+            loading: Batch size, workers and seed.
+            export: Where the samples of each split are exported once; None reads trajdata at each
+                access, which is slow but leaves nothing on disk.
+            splits: Names of the splits for training, validation and test.
+            augmentation: Applied to training batches.
+            balance: How often samples are drawn in training; None takes each once per epoch.
+        """
+        super().__init__()
+        self.source = source
+        self.windows = windows
+        self.loading = loading
+        self.export = export
+        self.splits = splits or Splits()
+        self.augmentation = augmentation
+        self.balance = balance
+        self._datasets: dict[str, WindowDataset] = {}
+
+    def prepare_data(self) -> None:
+        """Export the splits that are needed, unless they are there; runs in one process per node.
+
+        Raises:
+            ValueError: The source cannot be opened or a split holds no window.
+            OSError: The disk is full.
+        """
+        if self.export is None:
+            return
+        for split in self._needed(self._stage()):
+            _export_alone(Export(self.source, split, self.windows), self.export)
+
+    def setup(self, stage: str | None = None) -> None:
+        """Open the splits of a stage ("fit", "validate", "test"), or all."""
+        for split in self._needed(stage):
+            self.dataset(split)
+
+    def dataset(self, split: str) -> WindowDataset:
+        """Samples of a split of the source, by number, without augmentation.
+
+        Raises:
+            ValueError: The split was not exported, or its export is damaged.
+        """
+        if split not in self._datasets:
+            self._datasets[split] = self._open(split)
+        return self._datasets[split]
+
+    def samples(self, split: str) -> pd.DataFrame:
+        """Tell of each sample of a split: dataset, scene, agent, row (time index), mode, situation.
+
+        Evaluation in one process yields its samples in the order of this table; process r of P
+        yields the rows r, r + P, r + 2 P, ...
+        """
+        return self.dataset(split).samples
+
+    def train_dataloader(self) -> WindowLoader:
+        """Batches for training: shuffled, augmented, balanced."""
+        dataset = self.dataset(self.splits.train)
+        weights = None if self.balance is None else self.balance.weights(dataset.samples)
+        share, loading = self._share(), self.loading
+        enough = len(dataset) >= share.processes
+        require(
+            enough, "processes", f"be at most {len(dataset)} (training samples)", share.processes
+        )
+        sampler = TrainingSampler(len(dataset), loading.batch_size, loading.seed, share, weights)
+        sampler.set_epoch(self.trainer.current_epoch if self.trainer else 0)
+        return WindowLoader(DrawnWindows(dataset, self.augmentation), sampler, loading.workers)
+
+    def val_dataloader(self) -> WindowLoader:
+        """Batches for validation, in order."""
+        return self.evaluation_loader(self.splits.val)
+
+    def test_dataloader(self) -> WindowLoader:
+        """Batches for the test, in order."""
+        return self.evaluation_loader(self.splits.test)
+
+    def predict_dataloader(self) -> WindowLoader:
+        """Batches of the test split, in order."""
+        return self.evaluation_loader(self.splits.test)
+
+    def evaluation_loader(self, split: str) -> WindowLoader:
+        """Batches of any split in order, each sample once."""
+        dataset = self.dataset(split)
+        sampler = EvaluationSampler(
+            len(dataset), self.loading.batch_size, self.loading.seed, self._share()
+        )
+        return WindowLoader(DrawnWindows(dataset), sampler, self.loading.workers)
+
+    def _open(self, split: str) -> WindowDataset:
+        export = Export(self.source, split, self.windows)
+        if self.export is None:
+            return DirectWindows(self.source.open(split, self.windows), self.source.name)
+        return ExportedWindows(export.folder(Path(self.export.folder).expanduser()))
+
+    def _needed(self, stage: str | None) -> list[str]:
+        purposes = _NEEDED.get(stage or "", ("train", "val", "test"))
+        return list(dict.fromkeys(getattr(self.splits, purpose) for purpose in purposes))
+
+    def _stage(self) -> str | None:
+        return self.trainer.state.fn.value if self.trainer and self.trainer.state.fn else None
+
+    def _share(self) -> Share:
+        return Share(self.trainer.global_rank, self.trainer.world_size) if self.trainer else Share()
+
+
+def _export_alone(export: Export, settings: ExportSettings) -> None:
+    """Export outside of a process group: trajdata waits for all of its members when it opens."""
+    grouped = (
+        distributed.is_available()
+        and distributed.is_initialized()
+        and distributed.get_world_size() > 1
+    )
+    if not grouped:
+        export_windows(export, settings)
+        return
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        pool.submit(export_windows, export, settings).result()

@@ -1,0 +1,227 @@
+"""Export: all samples of a split, read from trajdata once and written as arrays for training."""
+
+import errno
+import fcntl
+import hashlib
+import json
+import logging
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch.utils.data import DataLoader, Dataset
+from tqdm import tqdm
+
+from diffstack_mmv.checks import message, require_at_least
+from diffstack_mmv.data.batch import stack_batch
+from diffstack_mmv.data.dataset import EXPORT_VERSION, MARKER, SAMPLES, USABLE, sample_table
+from diffstack_mmv.data.layout import FieldLayout, create, fields, pack, write_rows
+from diffstack_mmv.data.registration import TrajdataWindows, WindowLocation
+from diffstack_mmv.data.settings import WindowSettings
+from diffstack_mmv.data.situations import Situations, situations
+from diffstack_mmv.data.sources import WindowSource
+
+logger = logging.getLogger(__name__)
+
+CHUNK = 512  # windows per task: what is lost when an export is interrupted
+PIECE = 64  # windows in memory at once
+
+
+@dataclass(frozen=True)
+class ExportSettings:
+    """Where exports are kept and how they are made.
+
+    Attributes:
+        folder: Parent of the folders of all exports.
+        workers: Processes; 0 exports in this one.
+        progress: Whether to show a progress bar.
+
+    Raises:
+        ValueError: The number of workers is negative.
+    """
+
+    folder: str
+    workers: int = 0
+    progress: bool = True
+
+    def __post_init__(self) -> None:
+        require_at_least("workers", self.workers, 0)
+
+
+class Export(NamedTuple):
+    """One split of a data set with the settings of its windows."""
+
+    source: WindowSource
+    split: str
+    windows: WindowSettings
+
+    def key(self) -> dict[str, object]:
+        """What decides the content: the recordings, their conversion, the windows."""
+        return {
+            "version": EXPORT_VERSION,
+            "source": self.source.identity(),
+            "split": self.split,
+            "windows": self.windows.content(),
+        }
+
+    def folder(self, parent: Path) -> Path:
+        """Folder of this export, named by a hash of its key."""
+        text = json.dumps(self.key(), sort_keys=True, default=str)
+        digest = hashlib.sha256(text.encode()).hexdigest()[:16]
+        return parent / f"{self.source.name}_{self.split}_{digest}"
+
+
+def export_windows(export: Export, settings: ExportSettings) -> Path:
+    """Make an export unless it is there already.
+
+    It grows in a hidden folder and takes its name when it is complete. A second process that asks
+    for the same export waits; a later call goes on where an interrupted one stopped.
+
+    Returns:
+        The folder of the export.
+
+    Raises:
+        ValueError: The source cannot be opened or holds no window.
+        OSError: The disk is full.
+    """
+    parent = Path(settings.folder).expanduser()
+    target = export.folder(parent)
+    if (target / MARKER).is_file():
+        return target
+    parent.mkdir(parents=True, exist_ok=True)
+    with _locked(parent / f".{target.name}.lock"):
+        if not (target / MARKER).is_file():
+            try:
+                _write(export, settings, target)
+            except OSError as error:
+                if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+                    raise
+                remedy = "Free space and run again: finished parts are kept."
+                text = message(
+                    "folder", "have free disk space", error.strerror, f"at {parent}", remedy
+                )
+                raise OSError(error.errno, text) from error
+    return target
+
+
+def _write(export: Export, settings: ExportSettings, target: Path) -> None:
+    source = export.source.open(export.split, export.windows)
+    where = source.locations()
+    count = len(where.element)
+    partial = target.with_name(f".exporting_{target.name}")
+    _prepare(partial, count, export.windows)
+    writer = _ChunkWriter(source, where, partial)
+    pending = [number for number in range(len(writer)) if not writer.marker(number).is_file()]
+    loader = DataLoader(
+        writer,
+        batch_size=None,
+        sampler=pending,
+        num_workers=settings.workers,
+        multiprocessing_context="fork" if settings.workers else None,
+        collate_fn=_unchanged,  # type: ignore[arg-type]
+    )
+    title = f"export {export.source.name} {export.split}"
+    with tqdm(total=count, desc=title, unit="window", disable=not settings.progress) as bar:
+        bar.update(count - sum(writer.size(number) for number in pending))
+        for number in loader:
+            writer.marker(number).touch()
+            bar.update(writer.size(number))
+    _finish(export, source, where, partial)
+    shutil.rmtree(target, ignore_errors=True)
+    os.replace(partial, target)
+
+
+def _prepare(partial: Path, count: int, windows: WindowSettings) -> None:
+    """Create the array files, unless an interrupted export of the same key left them."""
+    created = partial / "done"
+    if created.is_dir():
+        logger.info("going on with the interrupted export %s", partial)
+        return
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    create(partial, count, fields(windows) | _LABELS)
+    created.mkdir()
+
+
+_LABELS = {
+    "usable": FieldLayout((), np.bool_),
+    "situations": FieldLayout((len(Situations._fields),), np.bool_),
+}
+
+
+class _ChunkWriter(Dataset[int]):
+    """Item k writes the k-th chunk of windows and returns k; workers are forked."""
+
+    def __init__(self, source: TrajdataWindows, where: WindowLocation, folder: Path) -> None:
+        self._source = source
+        self._element = where.element
+        self._folder = folder
+        self._collate = source.get_collate_fn()
+
+    def __len__(self) -> int:
+        return -(-len(self._element) // CHUNK)
+
+    def size(self, number: int) -> int:
+        """Windows in a chunk."""
+        return min(CHUNK, len(self._element) - number * CHUNK)
+
+    def marker(self, number: int) -> Path:
+        """File that says that a chunk is written."""
+        return self._folder / "done" / str(number)
+
+    def __getitem__(self, number: int) -> int:
+        end = number * CHUNK + self.size(number)
+        for first in range(number * CHUNK, end, PIECE):
+            self._write(first, min(first + PIECE, end))
+        return number
+
+    def _write(self, first: int, end: int) -> None:
+        elements = [self._source[int(element)] for element in self._element[first:end]]
+        batch = stack_batch(self._collate(elements), self._source.windows)
+        usable = batch.ego_past.valid.all(-1) & batch.ego_future.valid.all(-1)
+        rows = pack(batch) | {
+            "usable": usable.numpy(),
+            "situations": torch.stack(situations(batch), -1).numpy(),
+        }
+        for name, content in rows.items():
+            write_rows(self._folder / f"{name}.npy", first, content)
+
+
+def _finish(export: Export, source: TrajdataWindows, where: WindowLocation, partial: Path) -> None:
+    usable = np.load(partial / USABLE)
+    labels = dict(zip(Situations._fields, np.load(partial / "situations.npy").T, strict=True))
+    sample_table(where, export.source.name).assign(**labels).to_parquet(
+        partial / SAMPLES, index=False
+    )
+    for mode, count in zip(*np.unique(where.mode[~usable], return_counts=True), strict=True):
+        source.tally.drop(int(mode), int(count))
+    content: dict[str, Any] = {
+        "version": EXPORT_VERSION,
+        "key": export.key(),
+        "windows": len(usable),
+        "samples": int(usable.sum()),
+        "rows": source.tally.as_dict(),
+        "situations": {name: int(label[usable].sum()) for name, label in labels.items()},
+    }
+    (partial / MARKER).write_text(
+        json.dumps(content, indent=1, default=str) + "\n", encoding="utf-8"
+    )
+    shutil.rmtree(partial / "done")
+
+
+def _unchanged(number: int) -> int:
+    return number
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Hold a lock that the system releases even if this process dies."""
+    with path.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield

@@ -1,0 +1,126 @@
+"""How an export lies on disk: one .npy file per field, one row per window."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from numpy.typing import NDArray
+from torch import Tensor
+
+from diffstack_mmv.data.settings import WindowSettings
+from diffstack_mmv.types import Motion, StackBatch, Tracks
+
+MOTION_COLUMNS = 6  # x, y, heading, forward and left velocity, yaw rate
+PER_NEIGHBOUR = ("others", "others_valid", "others_extent", "others_mode")
+
+
+class FieldLayout(NamedTuple):
+    """Shape of one window's entry, and its type."""
+
+    shape: tuple[int, ...]
+    dtype: type[np.generic]
+
+
+def fields(windows: WindowSettings) -> dict[str, FieldLayout]:
+    """Fields of an export; neighbours are padded to their largest number."""
+    rows, others = windows.rows, windows.neighbours
+    return {
+        "ego": FieldLayout((rows, MOTION_COLUMNS), np.float32),
+        "ego_extent": FieldLayout((2,), np.float32),
+        "ego_mode": FieldLayout((), np.int16),
+        "others": FieldLayout((others, rows, MOTION_COLUMNS), np.float32),
+        "others_valid": FieldLayout((others, rows), np.bool_),
+        "others_extent": FieldLayout((others, 2), np.float32),
+        "others_mode": FieldLayout((others,), np.int16),
+        "others_count": FieldLayout((), np.int16),
+    }
+
+
+def create(folder: Path, count: int, layout: dict[str, FieldLayout]) -> None:
+    """Create the files for `count` windows, all zero; sparse where the file system can."""
+    for name, (shape, dtype) in layout.items():
+        np.lib.format.open_memmap(folder / f"{name}.npy", "w+", dtype, (count, *shape))
+
+
+def write_rows(path: Path, first: int, rows: NDArray[np.generic]) -> None:
+    """Overwrite consecutive rows of an array file.
+
+    Written through the file, not through a memory map, so that a full disk is an error and not a
+    crash. Zeros at the end of a row are not written.
+
+    Raises:
+        OSError: The disk is full.
+    """
+    array = np.load(path, mmap_mode="r")
+    width = array.itemsize * int(np.prod(array.shape[1:]))
+    content = np.ascontiguousarray(rows, dtype=array.dtype)
+    with path.open("r+b") as file:
+        for number, row in enumerate(content):
+            used = np.flatnonzero(row.reshape(-1))
+            length = int(used[-1]) + 1 if used.size else 0
+            file.seek(array.offset + (first + number) * width)
+            file.write(row.reshape(-1)[:length].tobytes())
+
+
+def pack(batch: StackBatch) -> dict[str, NDArray[np.generic]]:
+    """Lay a batch out as fields; neighbours beyond those of the batch are left out."""
+    ego, others = batch.ego_past, batch.others_past
+    valid = torch.cat([others.valid, batch.others_future.valid], -1)
+    packed = {
+        "ego": _pack_motion(ego.motion, batch.ego_future.motion),
+        "ego_extent": ego.extent,
+        "ego_mode": ego.mode,
+        "others": _pack_motion(others.motion, batch.others_future.motion),
+        "others_valid": valid,
+        "others_extent": others.extent,
+        "others_mode": others.mode,
+        "others_count": (valid.any(-1).flip(-1).cumsum(-1) > 0).sum(-1),
+    }
+    return {name: tensor.numpy() for name, tensor in packed.items()}
+
+
+def unpack(rows: dict[str, Tensor], windows: WindowSettings) -> StackBatch:
+    """Build a batch of fields; the opposite of `pack`."""
+    present = rows["ego"].new_ones(rows["ego"].shape[:-1], dtype=torch.bool)
+    ego = _unpack_tracks(
+        rows["ego"], rows["ego_extent"], rows["ego_mode"], present, windows.past_rows
+    )
+    others = _unpack_tracks(
+        rows["others"],
+        rows["others_extent"],
+        rows["others_mode"],
+        rows["others_valid"],
+        windows.past_rows,
+    )
+    goal = ego[1].motion.position[..., -1, :].clone()
+    return StackBatch(*ego, *others, goal, windows.dt_s)
+
+
+def _pack_motion(past: Motion, future: Motion) -> Float[Tensor, "*b T 6"]:
+    parts = [
+        torch.cat([m.position, m.heading[..., None], m.velocity, m.yaw_rate[..., None]], -1)
+        for m in (past, future)
+    ]
+    return torch.cat(parts, -2)
+
+
+def _unpack_motion(columns: Float[Tensor, "*b T 6"]) -> Motion:
+    position, heading, velocity, rate = columns.split([2, 1, 2, 1], -1)
+    return Motion(position, heading.squeeze(-1), velocity, rate.squeeze(-1))
+
+
+def _unpack_tracks(
+    columns: Float[Tensor, "*b T 6"],
+    extent: Float[Tensor, "*b 2"],
+    mode: Tensor,
+    valid: Bool[Tensor, "*b T"],
+    past_rows: int,
+) -> tuple[Tracks, Tracks]:
+    past, future = columns[..., :past_rows, :], columns[..., past_rows:, :]
+    mode = mode.long()
+    return (
+        Tracks(_unpack_motion(past), extent, mode, valid[..., :past_rows]),
+        Tracks(_unpack_motion(future), extent, mode, valid[..., past_rows:]),
+    )

@@ -1,0 +1,227 @@
+"""The only place that knows the inside of trajdata 1.4.0.
+
+Converted caches are opened without a fork and without a patch: a subclass of `UnifiedDataset` gets
+no data directories and puts its environments in place where the base class first looks for them.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from trajdata import UnifiedDataset
+from trajdata.augmentation.augmentation import DatasetAugmentation
+from trajdata.caching.df_cache import DataFrameCache
+from trajdata.caching.env_cache import EnvCache
+from trajdata.data_structures.agent import AgentMetadata
+from trajdata.data_structures.batch_element import AgentBatchElement
+from trajdata.data_structures.environment import EnvMetadata
+from trajdata.data_structures.scene import SceneTimeAgent
+from trajdata.data_structures.scene_metadata import Scene
+from trajdata.data_structures.scene_tag import SceneTag
+from trajdata.dataset_specific.raw_dataset import RawDataset
+from trajdata.utils import scene_utils
+
+from diffstack_mmv.data.settings import WindowSettings
+from diffstack_mmv.data.tally import WindowTally
+
+OBSERVED = "x,y,xd,yd,h"
+_STORED = "x,y,z,xd,yd,xdd,ydd,h"
+
+
+class CachedEnvironment(RawDataset):
+    """A converted data set: lists its scenes, holds no raw recordings."""
+
+    def __init__(self, cache: Path, state: Mapping[str, Any]) -> None:
+        """Describe the environment that `state`, the content of its `cache.json`, tells of."""
+        self._state = state
+        super().__init__(state["dataset"], str(cache), parallelizable=False, has_maps=False)
+
+    def compute_metadata(self, env_name: str, data_dir: str) -> EnvMetadata:
+        """Step in s and the split of each scene, as trajdata wants them told."""
+        splits = {scene["name"]: scene["split"] for scene in self._state["scenes"]}
+        parts: list[Any] = [tuple(sorted(set(splits.values())))]
+        return EnvMetadata(env_name, data_dir, self._state["dt_s"], parts, splits)
+
+    def _get_matching_scenes_from_cache(
+        self, scene_tag: SceneTag, scene_desc_contains: list[str] | None, env_cache: EnvCache
+    ) -> list[Scene]:
+        place = self._state["location"]
+        return [
+            Scene(self.metadata, scene["name"], place, scene["split"], scene["steps"], index, None)
+            for index, scene in enumerate(self._state["scenes"])
+            if scene["split"] in scene_tag and scene_desc_contains is None
+        ]
+
+
+class SceneTable(DataFrameCache):
+    """The rows of one scene, opened once for all its windows."""
+
+    def get_agents_future(
+        self,
+        scene_ts: int,
+        agents: list[AgentMetadata],
+        history_sec: tuple[float | None, float | None],
+    ) -> tuple[list[Any], list[NDArray[np.float64]], NDArray[np.int64]]:
+        """Futures of the neighbours; none for one that ends now: trajdata repeats its present."""
+        futures, extents, lengths = super().get_agents_future(scene_ts, agents, history_sec)
+        ongoing = np.array([agent.last_timestep > scene_ts for agent in agents], dtype=bool)
+        kept = [
+            (future if alive else future[:0], extent if alive else extent[:0])
+            for future, extent, alive in zip(futures, extents, ongoing, strict=True)
+        ]
+        return [future for future, _ in kept], [extent for _, extent in kept], lengths * ongoing
+
+
+class WindowLocation(NamedTuple):
+    """Where windows are, one entry each."""
+
+    element: NDArray[np.int64]  # index into the data set
+    scene: list[str]
+    agent: list[str]
+    row: NDArray[np.int64]  # time index of the present within the scene
+    mode: NDArray[np.int64]
+
+
+class _OpenScene(NamedTuple):
+    path: str
+    scene: Scene
+    table: SceneTable
+
+
+class _OneRadius(dict[Any, float]):
+    """The same interaction distance in m for every pair of modes."""
+
+    def __init__(self, radius_m: float) -> None:
+        super().__init__()
+        self.radius_m = radius_m
+
+    def __missing__(self, pair: object) -> float:
+        return self.radius_m
+
+
+class TrajdataWindows(UnifiedDataset):
+    """Agent-centric windows of one split; item i is trajdata's element for one agent at one time.
+
+    Unlike the base class it keeps the scene of the last item open, because trajdata reads the whole
+    scene from disk at each access.
+    """
+
+    def __init__(
+        self,
+        query: str,
+        windows: WindowSettings,
+        cache: Path,
+        environments: Sequence[RawDataset] = (),
+        raw_folders: Mapping[str, str] | None = None,
+        corrections: Sequence[DatasetAugmentation] = (),
+    ) -> None:
+        """Open the scenes whose tags match `query`.
+
+        Args:
+            query: Environment and split, joined by "-".
+            windows: What a sample is.
+            cache: Folder of trajdata's cache.
+            environments: Converted data sets; none if trajdata itself knows the data set.
+            raw_folders: Folder of the recordings of each data set that trajdata itself knows.
+            corrections: Repairs applied to each scene that is opened.
+        """
+        self._environments = list(environments)
+        self._opened: _OpenScene | None = None
+        self._modes: list[list[int]] = []
+        self.windows = windows
+        self.tally = WindowTally(windows)
+        history, future = windows.history_s, windows.horizon_s
+        super().__init__(
+            desired_data=[query],
+            desired_dt=windows.dt_s,
+            history_sec=(history, history),
+            future_sec=(future, future),
+            agent_interaction_distances=_OneRadius(windows.radius_m),
+            only_predict=list(windows.modes),  # type: ignore[arg-type]
+            state_format=_STORED,
+            obs_format=OBSERVED,
+            augmentations=list(corrections),  # type: ignore[arg-type]
+            max_neighbor_num=windows.neighbours,
+            data_dirs=dict(raw_folders or {}),
+            cache_location=str(cache),
+            require_map_cache=False,
+        )
+        self.cache_class = SceneTable
+
+    def _get_matching_scene_tags(self, queries: list[str]) -> list[SceneTag]:
+        if self._environments:
+            self.envs = self._environments
+            self.envs_dict = {environment.name: environment for environment in self.envs}
+        return super()._get_matching_scene_tags(queries)
+
+    def _get_data_index(self, num_workers: int, scene_paths: list[Path]) -> list[Any]:
+        index = []
+        for scene_path in scene_paths:
+            entry: tuple[Any, ...] = self._get_data_index_agent(
+                scene_path,
+                incl_robot_future=False,
+                only_types=None,
+                only_predict=self.only_predict,
+                no_types=None,
+                history_sec=self.history_sec,
+                future_sec=self.future_sec,
+                desired_dt=self.desired_dt,
+                ret_scene_info=True,
+            )
+            scene, path, elements, agents = entry
+            modes = {agent.name: int(agent.type) for agent in scene.agents}
+            for agent in scene.agents:
+                self.tally.add(modes[agent.name], agent.last_timestep - agent.first_timestep + 1)
+            if elements:
+                index.append((str(path), elements, agents))
+                self._modes.append([modes[name] for name, _ in agents])
+        self.tally.require_windows(self.desired_data[0])
+        return index
+
+    def __getitem__(self, idx: int) -> AgentBatchElement:
+        """Return trajdata's element of one window."""
+        path, agent, row = self._data_index[idx]
+        if self._opened is None or self._opened.path != path:
+            self._opened = self._open(path)
+        _, scene, table = self._opened
+        return AgentBatchElement(
+            table,
+            idx,
+            SceneTimeAgent.from_cache(scene, row, agent, table),  # type: ignore[arg-type]
+            history_sec=self.history_sec,
+            future_sec=self.future_sec,
+            agent_interaction_distances=self.agent_interaction_distances,
+            state_format=self.state_format,
+            standardize_data=True,
+            max_neighbor_num=self.max_neighbor_num,
+        )
+
+    def _open(self, path: str) -> _OpenScene:
+        scene = EnvCache.load(path)
+        scene_utils.enforce_desired_dt(scene, self.desired_dt)
+        table = SceneTable(self.cache_path, scene, self.augmentations)
+        table.set_obs_format(self.obs_format)
+        return _OpenScene(path, scene, table)
+
+    def locations(self) -> WindowLocation:
+        """List every `stride`-th window of each agent, scene by scene."""
+        index: Any = self._data_index
+        elements, rows, modes = [], [], []
+        scenes: list[str] = []
+        agents: list[str] = []
+        for number, offset in enumerate(index._cumulative_lengths[:-1]):
+            scene = Path(str(index._scene_paths[number], encoding="utf-8")).parent.name
+            starts = index._cumulative_scene_lengths[number][:-1]
+            spans = index._agent_times[number]
+            listed = zip(index._agent_ids[number], self._modes[number], starts, spans, strict=True)
+            for agent, mode, start, (first, last) in listed:
+                row = np.arange(first, last + 1, self.windows.stride)
+                elements.append(offset + start + row - first)
+                rows.append(row)
+                modes.append(np.full(len(row), mode))
+                scenes += [scene] * len(row)
+                agents += [str(agent, encoding="utf-8")] * len(row)
+        joined = [np.concatenate(parts) for parts in (elements, rows, modes)]
+        return WindowLocation(joined[0], scenes, agents, joined[1], joined[2])

@@ -1,0 +1,185 @@
+"""Where recordings come from: a cache that our converters wrote, or a data set of trajdata's."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Protocol
+
+from trajdata.augmentation.augmentation import DatasetAugmentation
+from trajdata.utils import env_utils
+
+from diffstack_mmv.checks import message, require
+from diffstack_mmv.data.corrections import HeldHeading
+from diffstack_mmv.data.registration import CachedEnvironment, TrajdataWindows
+from diffstack_mmv.data.settings import WindowSettings
+
+CACHE_VERSION = 1
+STATE_FILE = "cache.json"
+_REPORT_FILE = "conversion_report.json"
+
+
+class WindowSource(Protocol):
+    """A data set with splits, from which windows can be read."""
+
+    @property
+    def name(self) -> str:
+        """Name of the data set."""
+        ...
+
+    def identity(self) -> dict[str, object]:
+        """Plain values that change whenever the recordings or their conversion do."""
+        ...
+
+    def open(self, split: str, windows: WindowSettings) -> TrajdataWindows:
+        """Open the windows of one split."""
+        ...
+
+
+@dataclass(frozen=True)
+class ConvertedCache:
+    """A data set in a cache that `scripts/convert.py` wrote.
+
+    Attributes:
+        name: Name of the data set, e.g. "thab_vru".
+        folder: Folder of the cache.
+    """
+
+    name: str
+    folder: str
+
+    def identity(self) -> dict[str, object]:
+        """Name and a hash of the state and the report of the conversion.
+
+        Raises:
+            ValueError: The cache is absent, unfinished or of another version.
+        """
+        self._state()
+        digest = hashlib.sha256()
+        for file in (STATE_FILE, _REPORT_FILE):
+            path = self._path / file
+            digest.update(path.read_bytes() if path.is_file() else b"")
+        return {"dataset": self.name, "content": digest.hexdigest()}
+
+    def open(self, split: str, windows: WindowSettings) -> TrajdataWindows:
+        """Open the windows of one split.
+
+        Raises:
+            ValueError: The cache is absent, unfinished or of another version, has no such split or
+                another step, or holds no window.
+        """
+        state = self._state()
+        splits = sorted({scene["split"] for scene in state["scenes"]})
+        require(
+            split in splits,
+            "split",
+            f"be one of {', '.join(splits)}",
+            f"'{split}'",
+            f"for '{self.name}'",
+        )
+        _require_step(windows, state["dt_s"], f"in {self._path / STATE_FILE}")
+        environment = CachedEnvironment(Path(self.folder), state)
+        return TrajdataWindows(f"{self.name}-{split}", windows, Path(self.folder), [environment])
+
+    @property
+    def _path(self) -> Path:
+        return Path(self.folder) / self.name
+
+    def _state(self) -> dict[str, Any]:
+        path = self._path / STATE_FILE
+        remedy = (
+            f"Run scripts/convert.py data={self.name} data.root=RECORDINGS data.cache={self.folder}"
+        )
+        if not path.is_file():
+            unfinished = any(Path(self.folder).glob(f".converting_{self.name}_*"))
+            found = "an interrupted conversion" if unfinished else "no such file"
+            requirement = f"hold a finished conversion of '{self.name}'"
+            raise ValueError(message("cache", requirement, found, f"at {path}", remedy))
+        try:
+            state = json.loads(path.read_text(encoding="utf-8"))
+        except json.JSONDecodeError as error:
+            raise ValueError(
+                message("cache", "have a state in JSON", error, f"in {path}", remedy)
+            ) from error
+        found = state.get("format_version")
+        require(
+            found == CACHE_VERSION,
+            "format_version",
+            f"be {CACHE_VERSION}",
+            found,
+            f"in {path}",
+            remedy,
+        )
+        finished = state.get("complete")
+        require(finished is True, "complete", "be true", finished, f"in {path}", remedy)
+        return state
+
+
+@dataclass(frozen=True)
+class NamedDataset:
+    """A data set that trajdata itself reads, by its name there.
+
+    Attributes:
+        name: trajdata's name, e.g. "sdd" or "eupeds_eth".
+        root: Folder of the recordings in the layout that trajdata documents.
+        folder: Folder of the cache that trajdata writes.
+        corrections: Repairs of each scene; by default the heading is held at standstill.
+    """
+
+    name: str
+    root: str
+    folder: str
+    corrections: Sequence[DatasetAugmentation] = field(default_factory=lambda: (HeldHeading(),))
+
+    def identity(self) -> dict[str, object]:
+        """Name, folder of the recordings, version of trajdata and the repairs.
+
+        trajdata does not tell when recordings change under an existing cache.
+        """
+        repairs = [[type(repair).__name__, vars(repair)] for repair in self.corrections]
+        root = str(Path(self.root).expanduser().resolve())
+        return {
+            "dataset": self.name,
+            "root": root,
+            "trajdata": version("trajdata"),
+            "corrections": repairs,
+        }
+
+    def open(self, split: str, windows: WindowSettings) -> TrajdataWindows:
+        """Open the windows of one split; the first time trajdata reads all recordings.
+
+        Raises:
+            ValueError: trajdata does not know the data set or the split, the folder is missing, the
+                step does not fit, or there is no window.
+        """
+        root = Path(self.root).expanduser()
+        require(
+            root.is_dir(), "root", "be a folder with recordings", root, "", "Give data.root=FOLDER."
+        )
+        environment = env_utils.get_raw_dataset(self.name, str(root))
+        tags = [str(tag) for tag in environment.scene_tags]
+        asked = {self.name, *split.split("-")}
+        known = bool(environment.get_matching_scene_tags(asked))
+        require(
+            known, "split", f"be part of a tag of '{self.name}' ({', '.join(tags)})", f"'{split}'"
+        )
+        _require_step(windows, environment.metadata.dt, f"for '{self.name}'")
+        query = f"{self.name}-{split}"
+        folders = {self.name: str(root)}
+        cache = Path(self.folder).expanduser()
+        return TrajdataWindows(query, windows, cache, (), folders, self.corrections)
+
+
+def _require_step(windows: WindowSettings, recorded_s: float, where: str) -> None:
+    """Refuse a step that trajdata cannot resample to; it knows whole factors only."""
+    factors = windows.dt_s / recorded_s, recorded_s / windows.dt_s
+    require(
+        any(factor.is_integer() for factor in factors),
+        "dt_s",
+        f"be a multiple or a whole fraction of {recorded_s:g}",
+        windows.dt_s,
+        where,
+        "Convert the data with the step you want.",
+    )
