@@ -10,7 +10,9 @@ import torch
 from torch import Tensor
 
 
-def message(argument: str, requirement: str, value: object, where: str = "", remedy: str = "") -> str:
+def message(
+    argument: str, requirement: str, value: object, where: str = "", remedy: str = ""
+) -> str:
     """Compose the one form in which this package complains about an argument."""
     place = f" {where}" if where else ""
     advice = f" {remedy}" if remedy else ""
@@ -18,7 +20,12 @@ def message(argument: str, requirement: str, value: object, where: str = "", rem
 
 
 def require(
-    condition: bool, argument: str, requirement: str, value: object, where: str = "", remedy: str = ""
+    condition: bool,
+    argument: str,
+    requirement: str,
+    value: object,
+    where: str = "",
+    remedy: str = "",
 ) -> None:
     """Refuse a value.
 
@@ -38,7 +45,9 @@ def require_positive(argument: str, value: float, where: str = "", remedy: str =
     require(math.isfinite(value) and value > 0, argument, "be positive", value, where, remedy)
 
 
-def require_at_least(argument: str, value: float, low: float, where: str = "", remedy: str = "") -> None:
+def require_at_least(
+    argument: str, value: float, low: float, where: str = "", remedy: str = ""
+) -> None:
     """Refuse a number below `low`.
 
     Raises:
@@ -64,7 +73,9 @@ def require_one_of(argument: str, value: str, choices: Sequence[str], where: str
     Raises:
         ValueError: `value` is not in `choices`.
     """
-    require(value in choices, argument, f"be one of {', '.join(sorted(choices))}", repr(value), where)
+    require(
+        value in choices, argument, f"be one of {', '.join(sorted(choices))}", repr(value), where
+    )
 
 
 def require_multiple(argument: str, value: float, step: float, where: str = "") -> int:
@@ -77,7 +88,12 @@ def require_multiple(argument: str, value: float, step: float, where: str = "") 
     steps = round(value / step)
     whole = steps >= 1 and math.isclose(steps * step, value, rel_tol=1e-6)
     require(
-        whole, argument, f"be a multiple of {step}", value, where, f"Take {max(steps, 1) * step:g}, for example."
+        whole,
+        argument,
+        f"be a multiple of {step}",
+        value,
+        where,
+        f"Take {max(steps, 1) * step:g}, for example.",
     )
     return steps
 
@@ -91,7 +107,11 @@ def require_columns(argument: str, tensor: Tensor, columns: int, names: Sequence
     told = f" ({', '.join(names)})" if names else ""
     if tensor.dim() == 0 or tensor.shape[-1] != columns:
         raise ValueError(
-            message(argument, f"have {columns} columns{told} in its last dimension", f"shape {tuple(tensor.shape)}")
+            message(
+                argument,
+                f"have {columns} columns{told} in its last dimension",
+                f"shape {tuple(tensor.shape)}",
+            )
         )
 
 
@@ -102,4 +122,11 @@ def require_finite(argument: str, tensor: Tensor, where: str = "", remedy: str =
         ValueError: Any entry of `tensor` is NaN or infinite.
     """
     bad = int((~torch.isfinite(tensor)).sum())
-    require(bad == 0, argument, "be finite", f"{bad} of {tensor.numel()} entries NaN or infinite", where, remedy)
+    require(
+        bad == 0,
+        argument,
+        "be finite",
+        f"{bad} of {tensor.numel()} entries NaN or infinite",
+        where,
+        remedy,
+    )

@@ -48,5 +48,3 @@ def motion_in_frame(
         position=position_in_frame(motion.position, origin, heading),
         heading=wrap_angle(motion.heading - heading),
     )
-
-

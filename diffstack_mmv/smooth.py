@@ -23,7 +23,10 @@ def soft_clamp(value: Float[Tensor, "*b"], limit: float | Tensor) -> Float[Tenso
 
 
 def saturate(
-    value: Float[Tensor, "*b m"], low: Float[Tensor, " m"], high: Float[Tensor, " m"], margin: float = 0.1
+    value: Float[Tensor, "*b m"],
+    low: Float[Tensor, " m"],
+    high: Float[Tensor, " m"],
+    margin: float = 0.1,
 ) -> Float[Tensor, "*b m"]:
     """Pass values inside [low, high] unchanged and saturate smoothly outside.
 
@@ -56,7 +59,9 @@ def sinc(angle: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
     """Return sin(x) / x for x in rad, by its series near zero where the quotient loses its derivatives."""
     small = angle.abs() < SERIES_BELOW
     square = torch.where(small, angle, torch.zeros_like(angle)).square()
-    series = 1 - square / 6 * (1 - square / 20 * (1 - square / 42 * (1 - square / 72 * (1 - square / 110))))
+    series = 1 - square / 6 * (
+        1 - square / 20 * (1 - square / 42 * (1 - square / 72 * (1 - square / 110)))
+    )
     far = torch.where(small, torch.ones_like(angle), angle)
     return torch.where(small, series, far.sin() / far)
 
@@ -66,6 +71,33 @@ def sinc_slope(angle: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
     small = angle.abs() < SERIES_BELOW
     near = torch.where(small, angle, torch.zeros_like(angle))
     square = near.square()
-    series = 1 - square / 10 * (1 - square / 28 * (1 - square / 54 * (1 - square / 88 * (1 - square / 130))))
+    series = 1 - square / 10 * (
+        1 - square / 28 * (1 - square / 54 * (1 - square / 88 * (1 - square / 130)))
+    )
     far = torch.where(small, torch.ones_like(angle), angle)
     return torch.where(small, near / 3 * series, (far.sin() - far * far.cos()) / far.square())
+
+
+def limiter_gain(ratio: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """Return S(x) / x = (1 + x⁴)^(-1/4) of the odd limiter, dimensionless and even in x."""
+    # x^8 of the square must stay finite in float32, also in second derivatives
+    square = ratio.square().clamp(max=1e15)
+    return (1 + square.square()).sqrt().rsqrt()
+
+
+def arctan_ratio(tangent: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """Return atan(x) / x, by its series near zero where the quotient loses its derivatives."""
+    small = tangent.abs() < 0.03
+    square = torch.where(small, tangent, torch.zeros_like(tangent)).square()
+    series = 1 - square * (1 / 3 - square * (1 / 5 - square * (1 / 7 - square * (1 / 9 - square / 11))))
+    far = torch.where(small, torch.ones_like(tangent), tangent)
+    return torch.where(small, series, far.atan() / far)
+
+
+def tanh_ratio(argument: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """Return tanh(x) / x, by its series near zero where the quotient loses its derivatives."""
+    small = argument.abs() < 0.03
+    square = torch.where(small, argument, torch.zeros_like(argument)).square()
+    series = 1 - square * (1 / 3 - square * (2 / 15 - square * (17 / 315 - square * (62 / 2835))))
+    far = torch.where(small, torch.ones_like(argument), argument)
+    return torch.where(small, series, far.tanh() / far)

@@ -105,7 +105,11 @@ class Forecast(NamedTuple):
         error = (position.unsqueeze(-3) - self.mean).unsqueeze(-1)
         white = torch.linalg.solve_triangular(self.scale_tril, error, upper=False).squeeze(-1)
         log_scale = self.scale_tril.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-        log_density = -0.5 * white.square().sum(-1) - log_scale - torch.log(2 * torch.pi * torch.ones_like(log_scale))
+        log_density = (
+            -0.5 * white.square().sum(-1)
+            - log_scale
+            - torch.log(2 * torch.pi * torch.ones_like(log_scale))
+        )
         return torch.logsumexp(self.log_weight.unsqueeze(-1) + log_density, -2)
 
     def most_likely(self) -> Float[Tensor, "*b T 2"]:
@@ -128,7 +132,9 @@ class PlanningProblem(NamedTuple):
 
     motion: Motion  # *b, the ego now
     goal: Float[Tensor, "*b 2"]  # m
-    reference: Float[Tensor, "*b T 2"]  # m, row 0 is now; where the plan would go if nothing were in its way
+    reference: Float[
+        Tensor, "*b T 2"
+    ]  # m, row 0 is now; where the plan would go if nothing were in its way
     reference_speed: Float[Tensor, "*b"]  # m/s
     radius: Float[Tensor, "*b"]  # m, of the disc around the ego
     obstacles: Obstacles
@@ -193,7 +199,9 @@ class EpisodeRecord(NamedTuple):
     pedestrians: Float[Tensor, "E T1 H 2"]  # m
     controls: Float[Tensor, "E T m"]
     reward: Float[Tensor, "E T"]  # zero after the end
-    clearance: Float[Tensor, "E T1"]  # m, smallest one over the step that leads to this row; row 0: at the start
+    clearance: Float[
+        Tensor, "E T1"
+    ]  # m, smallest one over the step that leads to this row; row 0: at the start
     outcome: Int[Tensor, " E"]  # an Outcome
     steps: Int[Tensor, " E"]  # steps until the end
     duration: Float[Tensor, " E"]  # s until the end; the limit for a time-out

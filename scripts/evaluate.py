@@ -1,29 +1,69 @@
 """Evaluate a checkpoint per mode, beside its trivial baselines."""
 
+import logging
 from pathlib import Path
 
+import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from diffstack_mmv.callbacks import scenes_of
+from diffstack_mmv.checks import require
 from diffstack_mmv.cli import command
+from diffstack_mmv.plotting import draw_error_over_horizon, draw_scenes, save_figure
 from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
-from diffstack_mmv.stack import SampleTable, load_stack
+from diffstack_mmv.stack import evaluate_windows, load_stack, outputs_of, representative
 from diffstack_mmv.vehicles import config_folder
+
+logger = logging.getLogger(__name__)
 
 
 @command(config_folder(), "evaluate")
 def main(config: DictConfig) -> None:
     """Score every window of a split; write tables and plots."""
-    trained = load_stack(config.checkpoint, config.device, config.goal_source)
+    require(
+        bool(config.checkpoint),
+        "checkpoint",
+        "be given",
+        config.checkpoint,
+        "",
+        "Add checkpoint=PATH.",
+    )
+    stack, trained = load_stack(Path(config.checkpoint), _device(config.device))
+    if config.goal is not None:
+        stack.goal = instantiate(config.goal)
     windows = instantiate(config.data.module).dataset(config.split)
-    table = SampleTable(windows, trained.stack, instantiate(config.baselines), config.batch_size)
-    samples = table.fill()
+    evaluation = evaluate_windows(stack, instantiate(config.baselines), windows, config.batch_size)
+    metrics = summarise_modes(evaluation.samples, config.situations)
+    for mode in set(config.modes) - set(metrics["modes"]):
+        logger.warning(
+            "No sample of mode '%s' in split '%s'; the tables leave it out.", mode, config.split
+        )
+    header = {
+        "goal": stack.goal.name,
+        "dynamics": trained["names"]["dynamics"],
+        "vehicle": trained["vehicle"],
+        "data": config.data.name,
+        "split": config.split,
+        "seed": trained["seed"],
+        "checkpoint": str(config.checkpoint),
+    }
     out = Path(config.out)
-    write_parquet(out / "samples.parquet", samples)
-    metrics = trained.header | {"data": config.data.name, "split": config.split}
-    write_metrics(out, metrics | summarise_modes(samples, table.situations))
+    write_parquet(out / "samples.parquet", evaluation.samples)
+    write_metrics(out, header | metrics)
     if config.plots:
-        table.draw(out / "plots")
+        save_figure(
+            draw_error_over_horizon(evaluation.errors, config.dt_s), out / "error_over_horizon.png"
+        )
+        for mode, chosen in representative(evaluation.samples).items():
+            scenes = scenes_of(*outputs_of(stack, windows, list(chosen.values())), list(chosen))
+            save_figure(draw_scenes(scenes), out / f"plans_{mode}.png")
+    logger.info("Report: %s", out / "metrics.md")
+
+
+def _device(name: str) -> str:
+    automatic = "cuda" if torch.cuda.is_available() else "cpu"
+    return automatic if name == "auto" else name
 
 
 if __name__ == "__main__":

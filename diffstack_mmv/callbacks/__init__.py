@@ -3,7 +3,7 @@
 from diffstack_mmv.callbacks.dashboard import build_dashboard
 from diffstack_mmv.callbacks.monitors import GradientNorms, LearnedParameters, Throughput
 from diffstack_mmv.callbacks.plans import PlanTable, scenes_of
-from diffstack_mmv.callbacks.reproducibility import Provenance, RandomState
+from diffstack_mmv.callbacks.reproducibility import Provenance, RandomState, resume_point
 
 __all__ = [
     "GradientNorms",
@@ -13,5 +13,6 @@ __all__ = [
     "RandomState",
     "Throughput",
     "build_dashboard",
+    "resume_point",
     "scenes_of",
 ]

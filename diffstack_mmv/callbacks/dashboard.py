@@ -3,8 +3,21 @@
 from collections.abc import Sequence
 
 PANELS: dict[str, tuple[str, ...]] = {
-    "Losses": ("train/loss", "train/prediction", "train/planning_ce", "train/planning_cost", "train/control"),
-    "Validation": ("val/ade", "val/fde", "val/nll", "val/plan_ade", "val/planning_loss", "val/collision_rate"),
+    "Losses": (
+        "train/loss",
+        "train/prediction",
+        "train/planning_ce",
+        "train/planning_cost",
+        "train/control",
+    ),
+    "Validation": (
+        "val/ade",
+        "val/fde",
+        "val/nll",
+        "val/plan_ade",
+        "val/planning_loss",
+        "val/collision_rate",
+    ),
     "Solver": ("train/solved", "val/solved"),
     "Gradients": ("gradient/predictor", "gradient/cost", "gradient/dynamics"),
     "Throughput": ("throughput/samples_per_s", "throughput/waiting_share"),
@@ -44,5 +57,7 @@ def build_dashboard(entity: str, project: str, modes: Sequence[str]) -> str:
         )
         for name, keys in layout.items()
     ]
-    view = workspaces.Workspace(entity=entity, project=project, name="diffstack_mmv", sections=sections)
+    view = workspaces.Workspace(
+        entity=entity, project=project, name="diffstack_mmv", sections=sections
+    )
     return view.save().url

@@ -19,11 +19,15 @@ class LearnedParameters(Callback):
         }
         for name, value in planner.dynamics.physical_parameters().items():
             flat = value.detach().reshape(-1)
-            keys = [f"physical/{name}"] if flat.numel() == 1 else [
-                f"physical/{name}/{wheel}" for wheel in range(flat.numel())
-            ]
+            keys = (
+                [f"physical/{name}"]
+                if flat.numel() == 1
+                else [f"physical/{name}/{wheel}" for wheel in range(flat.numel())]
+            )
             values |= dict(zip(keys, flat, strict=True))
-        pl_module.log_dict({name: torch.as_tensor(value).detach() for name, value in values.items()})
+        pl_module.log_dict(
+            {name: torch.as_tensor(value).detach() for name, value in values.items()}
+        )
 
 
 class GradientNorms(Callback):

@@ -15,7 +15,9 @@ from diffstack_mmv.plotting import Scene, draw_scenes
 from diffstack_mmv.types import Mode, StackBatch, Tracks
 
 
-def scenes_of(batch: StackBatch, output: Any, titles: list[str], shown_components: int = 5) -> list[Scene]:
+def scenes_of(
+    batch: StackBatch, output: Any, titles: list[str], shown_components: int = 5
+) -> list[Scene]:
     """What a stack made of a batch, ready to draw; positions in m."""
     forecast = output.forecast
     order = forecast.log_weight[:, 0].argsort(-1, descending=True)[:, :shown_components]

@@ -12,6 +12,8 @@ import pytorch_lightning as pl
 import torch
 from pytorch_lightning.callbacks import Callback
 
+from diffstack_mmv.checks import require
+
 
 class Provenance(Callback):
     """Stores the resolved configuration, the commit and the versions in every checkpoint.
@@ -67,7 +69,7 @@ class RandomState(Callback):
         """State of the generators of Python, numpy, torch and every CUDA device."""
         return {
             "python": random.getstate(),
-            "numpy": np.random.get_state(),
+            "numpy": _numpy_state(),
             "torch": torch.get_rng_state(),
             "cuda": torch.cuda.get_rng_state_all() if torch.cuda.is_available() else [],
         }
@@ -81,8 +83,58 @@ class RandomState(Callback):
         if self._restored is None:
             return
         state, self._restored = self._restored, None
-        random.setstate(state["python"])
-        np.random.set_state(state["numpy"])
+        version, internal, gauss = state["python"]
+        random.setstate((version, tuple(internal), gauss))
+        _set_numpy_state(state["numpy"])
         torch.set_rng_state(state["torch"].cpu())
         if state["cuda"] and torch.cuda.is_available():
             torch.cuda.set_rng_state_all([value.cpu() for value in state["cuda"]])
+
+
+def _numpy_state() -> dict[str, Any]:
+    # plain numbers: a checkpoint is read without unpickling objects
+    state = np.random.get_state(legacy=False)
+    inner = state["state"]
+    return dict(state) | {"state": {"key": inner["key"].tolist(), "pos": int(inner["pos"])}}
+
+
+def _set_numpy_state(state: Mapping[str, Any]) -> None:
+    key = np.array(state["state"]["key"], dtype=np.uint32)
+    np.random.set_state(dict(state) | {"state": {"key": key, "pos": state["state"]["pos"]}})
+
+
+def resume_point(last: Path, config: Mapping[str, Any]) -> Path | None:
+    """Checkpoint from which an interrupted run of this configuration continues, if there is one.
+
+    Raises:
+        ValueError: The folder holds a run of another configuration.
+    """
+    if not last.is_file():
+        return None
+    stored = torch.load(last, map_location="cpu", weights_only=True).get("provenance", {})
+    before = stored.get("config", {})
+    changed = sorted(key for key in _MEANING if before.get(key) != config.get(key))
+    require(
+        not changed,
+        "out",
+        "be a new folder, or that of the same run",
+        f"{last.parents[1]} with another {', '.join(changed)}",
+        "",
+        "Choose another `out`, or delete the folder.",
+    )
+    return last
+
+
+# `epochs` may grow, the device may change: what is left decides whether it is the same run
+_MEANING = (
+    "data",
+    "dynamics",
+    "predictor",
+    "cost",
+    "solver",
+    "goal",
+    "loss",
+    "vehicle",
+    "modes",
+    "seed",
+)

@@ -3,7 +3,13 @@
 from diffstack_mmv.costs.base import CostTerm
 from diffstack_mmv.costs.clearance import ExpectedCollision, TurningCircleBarrier
 from diffstack_mmv.costs.effort import ControlEffort, LateralAcceleration, YawRate
-from diffstack_mmv.costs.goal import BrakingProfile, FinalGoal, HeadingToGoal, ReferenceSpeed, RunningGoal
+from diffstack_mmv.costs.goal import (
+    BrakingProfile,
+    FinalGoal,
+    HeadingToGoal,
+    ReferenceSpeed,
+    RunningGoal,
+)
 from diffstack_mmv.costs.tracking import ReferenceTracking
 from diffstack_mmv.costs.weighted import WeightedCost
 

@@ -63,7 +63,11 @@ class TurningCircleBarrier(CostTerm):
     """
 
     def __init__(
-        self, radius_min_m: float = 1.0, friction: float = 0.8, margin_m: float = 0.2, lead_m: float = 0.0
+        self,
+        radius_min_m: float = 1.0,
+        friction: float = 0.8,
+        margin_m: float = 0.2,
+        lead_m: float = 0.0,
     ) -> None:
         super().__init__()
         require_positive("radius_min_m", radius_min_m)

@@ -29,18 +29,30 @@ class WeightedCost(nn.Module):
     """
 
     def __init__(
-        self, terms: Mapping[str, CostTerm], weights: Mapping[str, float], frozen: Collection[str] = ()
+        self,
+        terms: Mapping[str, CostTerm],
+        weights: Mapping[str, float],
+        frozen: Collection[str] = (),
     ) -> None:
         super().__init__()
-        require(set(terms) == set(weights), "weights", f"name the terms {sorted(terms)}", sorted(weights))
+        require(
+            set(terms) == set(weights),
+            "weights",
+            f"name the terms {sorted(terms)}",
+            sorted(weights),
+        )
         require(set(frozen) <= set(terms), "frozen", f"be among {sorted(terms)}", sorted(frozen))
         for name, weight in weights.items():
-            require_positive(f"weights.{name}", weight, remedy="Leave the term out to switch it off.")
+            require_positive(
+                f"weights.{name}", weight, remedy="Leave the term out to switch it off."
+            )
         self.terms = nn.ModuleDict(terms)
         self.learned = [name for name in terms if name not in frozen]
         self.fixed = {name: float(weights[name]) for name in terms if name in frozen}
         self.scale = math.fsum(weights[name] for name in self.learned)
-        self.log_weight = nn.Parameter(torch.tensor([math.log(weights[name]) for name in self.learned]))
+        self.log_weight = nn.Parameter(
+            torch.tensor([math.log(weights[name]) for name in self.learned])
+        )
 
     def weights(self) -> dict[str, Tensor | float]:
         """Present weight of every term."""
@@ -48,12 +60,16 @@ class WeightedCost(nn.Module):
         return {**dict(zip(self.learned, learned.unbind(0), strict=True)), **self.fixed}
 
     def components(
-        self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
+        self,
+        motion: Motion,
+        controls: Float[Tensor, "*b t m"],
+        problem: PlanningProblem,
+        weights: Mapping[str, Tensor | float] | None = None,
     ) -> dict[str, Float[Tensor, "*b t"]]:
-        """Weighted value of every term at each time."""
-        weights = self.weights()
+        """Weighted value of every term at each time, under the present weights unless others are given."""
+        used = self.weights() if weights is None else weights
         return {
-            name: weights[name] * term(motion, controls, problem) for name, term in self.terms.items()
+            name: used[name] * term(motion, controls, problem) for name, term in self.terms.items()
         }
 
     def forward(

@@ -55,7 +55,10 @@ class CandidateFan:
     ) -> None:
         require_at_least("speeds", speeds, 1)
         require_at_least("offsets", offsets, 1)
-        for name, value in (("speed_change_mps", speed_change_mps), ("speed_max_mps", speed_max_mps)):
+        for name, value in (
+            ("speed_change_mps", speed_change_mps),
+            ("speed_max_mps", speed_max_mps),
+        ):
             require_positive(name, value)
         require_positive("offset_share", offset_share)
         self.speeds = speeds
@@ -107,7 +110,9 @@ def _follow(
     state = start.unsqueeze(-2).expand(*start.shape[:-1], count, start.shape[-1])
     states, controls = [state], []
     for _ in range(steps):
-        controls.append(dynamics.control_for(states[-1], manoeuvre.acceleration, manoeuvre.curvature))
+        controls.append(
+            dynamics.control_for(states[-1], manoeuvre.acceleration, manoeuvre.curvature)
+        )
         states.append(dynamics(states[-1], controls[-1]))
     all_states, all_controls = torch.stack(states, -2), torch.stack(controls, -2)
     motion = dynamics.motion(all_states, with_final_row(all_controls))

@@ -61,10 +61,18 @@ class MPCPlanner(Planner):
         """Cost at each time of a motion under controls in SI units, whose last row is zero."""
         return self.cost(motion, self._relative(controls), problem)
 
-    def cost_parts(self, plan: Plan, problem: PlanningProblem) -> dict[str, Float[Tensor, "*b"]]:
-        """Weighted cost of every term of a plan, summed over time."""
+    def hindsight_cost(
+        self, plan: Plan, problem: PlanningProblem
+    ) -> dict[str, Float[Tensor, "*b"]]:
+        """Cost of a plan in another problem, e.g. under the true futures, by term and summed over time.
+
+        The weights are constants here: a cost must not be lowered by weighing its terms anew.
+        """
         controls = self._relative(with_final_row(plan.solution.controls))
-        parts = self.cost.components(plan.motion, controls, problem)
+        weights = {
+            name: torch.as_tensor(weight).detach() for name, weight in self.cost.weights().items()
+        }
+        parts = self.cost.components(plan.motion, controls, problem, weights)
         return {name: value.sum(-1) for name, value in parts.items()}
 
     def forward(self, problem: PlanningProblem) -> Plan:

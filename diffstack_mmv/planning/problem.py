@@ -4,7 +4,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.types import Forecast, Motion, Obstacles, PlanningProblem, Tracks
 
 
@@ -19,27 +18,18 @@ def disc_radius(extent: Float[Tensor, "*b 2"]) -> Float[Tensor, "*b"]:
     return (extent.prod(-1) / torch.pi).sqrt()
 
 
-def predicted_obstacles(others: Tracks, forecast: Forecast, components: int = 5) -> Obstacles:
+def predicted_obstacles(others: Tracks, forecast: Forecast) -> Obstacles:
     """Obstacles from the predictions of the other agents.
 
     Args:
         others: Observed agents, *b N H.
-        forecast: Their forecast, *b N K T.
-        components: How many of the K components are kept, the most likely ones, weights renormalised: a plan's cost grows
-            with them and hardly changes beyond a handful.
-
-    Raises:
-        ValueError: No component is to be kept.
+        forecast: Their forecast, *b N K T; thin it out beforehand, the cost of planning grows with K.
     """
-    require_at_least("components", components, 1)
     now = present(others)
-    kept = min(components, forecast.log_weight.shape[-1])
-    log_weight, index = forecast.log_weight.topk(kept, dim=-1)
-    mean = forecast.mean.take_along_dim(index[..., None, None], -3)
-    start = now.motion.position[..., None, None, :].expand_as(mean[..., :1, :])
+    start = now.motion.position[..., None, None, :].expand_as(forecast.mean[..., :1, :])
     return Obstacles(
-        position=torch.cat([start, mean], -2),
-        weight=torch.softmax(log_weight, -1),
+        position=torch.cat([start, forecast.mean], -2),
+        weight=forecast.log_weight.exp(),
         radius=disc_radius(others.extent),
         valid=now.valid,
     )
@@ -77,7 +67,11 @@ def reference_to_goal(
 
 
 def build_problem(
-    ego: Tracks, path: Float[Tensor, "*b T 2"], goal: Float[Tensor, "*b 2"], obstacles: Obstacles, dt_s: float
+    ego: Tracks,
+    path: Float[Tensor, "*b T 2"],
+    goal: Float[Tensor, "*b 2"],
+    obstacles: Obstacles,
+    dt_s: float,
 ) -> PlanningProblem:
     """Planning problem of an observed ego (*b H) with a predicted path (m), a goal (m) and obstacles.
 

@@ -6,7 +6,9 @@ from torch import Tensor
 
 
 def closest_candidate(
-    positions: Float[Tensor, "*b C T 2"], human: Float[Tensor, "*b T 2"], valid: Bool[Tensor, "*b T"]
+    positions: Float[Tensor, "*b C T 2"],
+    human: Float[Tensor, "*b T 2"],
+    valid: Bool[Tensor, "*b T"],
 ) -> Int[Tensor, "*b"]:
     """Index of the candidate with the smallest mean squared displacement from the human's future (m)."""
     error = (positions - human.unsqueeze(-3)).square().sum(-1)

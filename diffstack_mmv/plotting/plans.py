@@ -29,7 +29,13 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
     for path in scene.candidates:
         axes.plot(*path.T, color="0.85", linewidth=0.6, zorder=1)
     for path, weight in zip(scene.prediction, scene.weights, strict=True):
-        axes.plot(*path.T, color=PALETTE[5], linewidth=1.0, alpha=float(np.clip(weight, 0.15, 1.0)), zorder=2)
+        axes.plot(
+            *path.T,
+            color=PALETTE[5],
+            linewidth=1.0,
+            alpha=float(np.clip(weight, 0.15, 1.0)),
+            zorder=2,
+        )
     for path in scene.others:
         axes.plot(*path.T, color=PALETTE[3], linewidth=1.0, zorder=2)
         axes.plot(*path[0], "s", color=PALETTE[3], markersize=3)

@@ -1,1 +1,25 @@
 """Tables from saved results; nothing here runs a model."""
+
+from diffstack_mmv.reporting.comparison import compare, paired_tests, read_runs, write_comparison
+from diffstack_mmv.reporting.files import (
+    read_json,
+    read_parquet,
+    write_json,
+    write_parquet,
+    write_text,
+)
+from diffstack_mmv.reporting.metrics_table import summarise_modes, write_metrics
+
+__all__ = [
+    "compare",
+    "paired_tests",
+    "read_json",
+    "read_parquet",
+    "read_runs",
+    "summarise_modes",
+    "write_comparison",
+    "write_json",
+    "write_metrics",
+    "write_parquet",
+    "write_text",
+]

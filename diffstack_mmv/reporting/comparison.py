@@ -28,11 +28,15 @@ def read_runs(folders: Sequence[Path]) -> pd.DataFrame:
         ValueError: No folder is given, or one has no readable `metrics.json`.
     """
     if not folders:
-        raise ValueError("`runs` must name at least one folder, but got []. Give those that evaluate.py wrote.")
+        raise ValueError(
+            "`runs` must name at least one folder, but got []. Give those that evaluate.py wrote."
+        )
     rows: list[dict[str, Any]] = []
     for folder in folders:
         metrics = read_json(folder / "metrics.json")
-        common = {key: metrics[key] for key in ("data", "split", "goal", "seed")} | {"run": str(folder)}
+        common = {key: metrics[key] for key in ("data", "split", "goal", "seed")} | {
+            "run": str(folder)
+        }
         for mode, scores in metrics["modes"].items():
             own = {name: scores[name] for name in ("n", *COMPARED)}
             rows.append(common | {"mode": mode, "dynamics": metrics["dynamics"]} | own)
@@ -48,7 +52,11 @@ def compare(runs: pd.DataFrame) -> pd.DataFrame:
     table = runs.groupby(GROUP, sort=False).agg(
         seeds=("seed", "nunique"), n=("n", "max"), **{key: (key, _spread) for key in COMPARED}
     )
-    return table.rename(columns=COMPARED).reset_index().sort_values(["data", "goal", "mode"], kind="stable")
+    return (
+        table.rename(columns=COMPARED)
+        .reset_index()
+        .sort_values(["data", "goal", "mode"], kind="stable")
+    )
 
 
 def _spread(values: pd.Series) -> str:
@@ -68,13 +76,24 @@ def paired_tests(folders: Sequence[Path], score: str = "plan_ade") -> pd.DataFra
         metrics = read_json(folder / "metrics.json")
         frame = read_parquet(folder / "samples.parquet")[["scene", "mode", score]]
         samples.append(frame.assign(**{key: metrics[key] for key in ("data", "goal", "dynamics")}))
-    scenes = pd.concat(samples).groupby(["data", "goal", "mode", "scene", "dynamics"])[score].mean().unstack()
+    scenes = (
+        pd.concat(samples)
+        .groupby(["data", "goal", "mode", "scene", "dynamics"])[score]
+        .mean()
+        .unstack()
+    )
     rows = []
     for (data, goal, mode), group in scenes.groupby(level=[0, 1, 2]):
         for first, second in combinations(group.columns, 2):
             pairs = group[[first, second]].dropna()
             difference = pairs[first] - pairs[second]
-            row = {"data": data, "goal": goal, "mode": mode, "pair": f"{first} - {second}", "scenes": len(pairs)}
+            row = {
+                "data": data,
+                "goal": goal,
+                "mode": mode,
+                "pair": f"{first} - {second}",
+                "scenes": len(pairs),
+            }
             p_value = wilcoxon(difference).pvalue if (difference != 0).sum() > 5 else float("nan")
             rows.append(row | {f"mean {score}": difference.mean(), "p": p_value})
     return pd.DataFrame(rows)
@@ -84,7 +103,9 @@ def write_comparison(folder: Path, table: pd.DataFrame, tests: pd.DataFrame) -> 
     """Write `table.md`, `table.tex` and `table.csv`, and the tests beside them as `tests.csv`."""
     markdown = table.to_markdown(index=False)
     if not tests.empty:
-        markdown += "\n\nPaired by scene, Wilcoxon signed-rank:\n\n" + tests.to_markdown(index=False, floatfmt=".4g")
+        markdown += "\n\nPaired by scene, Wilcoxon signed-rank:\n\n" + tests.to_markdown(
+            index=False, floatfmt=".4g"
+        )
     write_text(folder / "table.md", markdown + "\n")
     write_text(folder / "table.tex", table.to_latex(index=False, escape=True))
     write_text(folder / "table.csv", table.to_csv(index=False))

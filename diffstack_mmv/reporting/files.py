@@ -34,7 +34,9 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as missing:
-        raise ValueError(f"`{path}` must exist, but there is no such file. Run the step that writes it.") from missing
+        raise ValueError(
+            f"`{path}` must exist, but there is no such file. Run the step that writes it."
+        ) from missing
     except json.JSONDecodeError as broken:
         raise ValueError(f"`{path}` must be JSON, but got: {broken}. Write it anew.") from broken
     if not isinstance(content, dict):
@@ -57,5 +59,7 @@ def read_parquet(path: Path) -> pd.DataFrame:
         ValueError: The file is missing.
     """
     if not path.is_file():
-        raise ValueError(f"`{path}` must exist, but there is no such file. Run the step that writes it.")
+        raise ValueError(
+            f"`{path}` must exist, but there is no such file. Run the step that writes it."
+        )
     return pd.read_parquet(path)

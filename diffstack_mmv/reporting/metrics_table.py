@@ -121,6 +121,7 @@ def _markdown(metrics: Mapping[str, Any]) -> str:
         ("ADE in m by situation", situation_table(metrics), False),
     )
     body = "\n\n".join(
-        f"## {name}\n\n{frame.to_markdown(floatfmt='.3f', index=index)}" for name, frame, index in sections
+        f"## {name}\n\n{frame.to_markdown(floatfmt='.3f', index=index)}"
+        for name, frame, index in sections
     )
     return title + body + "\n"

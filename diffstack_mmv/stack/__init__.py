@@ -1,11 +1,15 @@
 """The stack of prediction, planning and control, its training losses and its evaluation."""
 
+from diffstack_mmv.stack.checkpoint import TrainedStack, load_stack, read_checkpoint
 from diffstack_mmv.stack.evaluation import (
     Baseline,
-    Evaluated,
+    Evaluation,
     PathToGoal,
     PredictedPath,
-    evaluate_batches,
+    Windows,
+    evaluate_windows,
+    outputs_of,
+    representative,
 )
 from diffstack_mmv.stack.module import SCORES, DiffStackMMV, LossWeights, StackOutput, assemble
 
@@ -13,11 +17,17 @@ __all__ = [
     "SCORES",
     "Baseline",
     "DiffStackMMV",
-    "Evaluated",
+    "Evaluation",
     "LossWeights",
     "PathToGoal",
     "PredictedPath",
     "StackOutput",
+    "TrainedStack",
+    "Windows",
     "assemble",
-    "evaluate_batches",
+    "evaluate_windows",
+    "load_stack",
+    "outputs_of",
+    "read_checkpoint",
+    "representative",
 ]

@@ -1,16 +1,19 @@
 """Per-sample evaluation of a trained stack beside its trivial baselines."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
+import numpy as np
+import pandas as pd
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from tqdm import tqdm
 
-from diffstack_mmv.prediction import Predictor, ego_forecast
 from diffstack_mmv.planning import present
+from diffstack_mmv.prediction import Predictor, ego_forecast
 from diffstack_mmv.stack.module import DiffStackMMV, StackOutput, displacements
-from diffstack_mmv.types import Motion, StackBatch
+from diffstack_mmv.types import Mode, Motion, StackBatch, map_tensors
 
 
 class Baseline(Protocol):
@@ -39,9 +42,7 @@ class PathToGoal:
         path: (motion, goal, steps, dt_s) -> path.
     """
 
-    def __init__(
-        self, path: Callable[[Motion, Float[Tensor, "B 2"], int, float], Float[Tensor, "B T 2"]]
-    ) -> None:
+    def __init__(self, path: Callable[[Motion, Tensor, int, float], Tensor]) -> None:
         self.path = path
 
     def __call__(self, batch: StackBatch, goal: Float[Tensor, "B 2"]) -> Float[Tensor, "B T 2"]:
@@ -50,28 +51,100 @@ class PathToGoal:
         return self.path(present(batch.ego_past).motion, goal, steps, batch.dt_s)
 
 
-class Evaluated(NamedTuple):
-    """A batch, what the stack made of it, and how that scores."""
+class Windows(Protocol):
+    """Samples by number, with one row of `samples` about each."""
 
-    batch: StackBatch
-    output: StackOutput
-    scores: dict[str, Tensor]  # one number per sample; baselines as name/ade and name/fde
-    errors: dict[str, Float[Tensor, "B T"]]  # m, distance to the human over the horizon
+    @property
+    def samples(self) -> pd.DataFrame:
+        """One row per sample: at least `scene` and `mode`."""
+        ...
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        ...
+
+    def __getitem__(self, index: Sequence[int]) -> StackBatch:
+        """Return the samples of these numbers."""
+        ...
 
 
-def evaluate_batches(
-    stack: DiffStackMMV, baselines: Mapping[str, Baseline], batches: Iterable[StackBatch]
-) -> Iterator[Evaluated]:
-    """Evaluate batch by batch, without gradients; the stack has to be in evaluation mode and on the device of the batches."""
-    for batch in batches:
-        with torch.no_grad():
-            output = stack(batch)
-            scores = stack.score(batch, output)
-            human = batch.ego_future.motion.position
-            paths = {"prediction": ego_forecast(output.forecast).most_likely()}
-            paths["plan"] = output.plan.motion.position[..., 1:, :]
-            for name, baseline in baselines.items():
-                paths[name] = baseline(batch, output.goal)
-                scores |= displacements(f"{name}/", paths[name], batch)
-        errors = {name: (path - human).square().sum(-1).sqrt() for name, path in paths.items()}
-        yield Evaluated(batch, output, scores, errors)
+class Evaluation(NamedTuple):
+    """What came out of a data set."""
+
+    samples: (
+        pd.DataFrame
+    )  # one row per sample: identity, scores, and NAME/ade, NAME/fde of each baseline
+    errors: dict[
+        str, dict[str, np.ndarray]
+    ]  # mode -> method -> mean distance (T,) to the human in m
+
+
+def evaluate_windows(
+    stack: DiffStackMMV, baselines: Mapping[str, Baseline], windows: Windows, batch_size: int = 64
+) -> Evaluation:
+    """Score every sample, in order and without randomness, on the device of the stack.
+
+    Raises:
+        ValueError: There is no sample.
+    """
+    if len(windows) == 0:
+        raise ValueError(
+            "`windows` must hold at least one sample, but got 0. Choose other modes or another split."
+        )
+    stack.eval()
+    scores: list[pd.DataFrame] = []
+    errors: list[dict[str, np.ndarray]] = []
+    for start in tqdm(range(0, len(windows), batch_size), desc="evaluate", unit="batch"):
+        numbers = range(start, min(start + batch_size, len(windows)))
+        batch = map_tensors(lambda tensor: tensor.to(stack.device), windows[numbers])
+        row, error = _evaluate_batch(stack, baselines, batch)
+        scores.append(pd.DataFrame({name: value.cpu().numpy() for name, value in row.items()}))
+        errors.append({name: value.cpu().numpy() for name, value in error.items()})
+    samples = windows.samples.reset_index(drop=True)
+    samples["mode"] = [Mode(mode).label for mode in samples["mode"]]
+    joined = {name: np.concatenate([part[name] for part in errors]) for name in errors[0]}
+    by_mode = {
+        str(mode): {name: error[rows].mean(0) for name, error in joined.items()}
+        for mode, rows in samples.groupby("mode", sort=True).indices.items()
+    }
+    return Evaluation(pd.concat([samples, pd.concat(scores, ignore_index=True)], axis=1), by_mode)
+
+
+def representative(samples: pd.DataFrame, score: str = "plan_ade") -> dict[str, dict[str, int]]:
+    """Numbers of the best, the median and the worst sample of each mode by a score (m)."""
+    chosen = {}
+    for mode, group in samples.groupby("mode", sort=True):
+        order = group[score].sort_values(kind="stable").index
+        chosen[str(mode)] = {
+            "best": int(order[0]),
+            "median": int(order[len(order) // 2]),
+            "worst": int(order[-1]),
+        }
+    return chosen
+
+
+@torch.no_grad()
+def outputs_of(
+    stack: DiffStackMMV, windows: Windows, numbers: Sequence[int]
+) -> tuple[StackBatch, StackOutput]:
+    """Run the stack on a few samples, to look at them."""
+    batch = map_tensors(lambda tensor: tensor.to(stack.device), windows[numbers])
+    return batch, stack(batch)
+
+
+@torch.no_grad()
+def _evaluate_batch(
+    stack: DiffStackMMV, baselines: Mapping[str, Baseline], batch: StackBatch
+) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    output = stack(batch)
+    scores = stack.score(batch, output)
+    paths = {
+        "prediction": ego_forecast(output.forecast).most_likely(),
+        "plan": output.plan.motion.position[..., 1:, :],
+    }
+    for name, baseline in baselines.items():
+        paths[name] = baseline(batch, output.goal)
+        scores |= displacements(f"{name}/", paths[name], batch)
+    human = batch.ego_future.motion.position
+    errors = {name: (path - human).square().sum(-1).sqrt() for name, path in paths.items()}
+    return scores, errors

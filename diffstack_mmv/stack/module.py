@@ -97,7 +97,9 @@ class DiffStackMMV(pl.LightningModule):
         )
         return StackOutput(forecast, goal, problem, self.planner(problem))
 
-    def planning_losses(self, batch: StackBatch, output: StackOutput) -> dict[str, Float[Tensor, " B"]]:
+    def planning_losses(
+        self, batch: StackBatch, output: StackOutput
+    ) -> dict[str, Float[Tensor, " B"]]:
         """`planning_ce` (nats), `planning_cost` (1) and the squared error of the plan `control` (m²) of each sample.
 
         The hindsight cost is that of the plan under the true futures of the other agents.
@@ -239,5 +241,3 @@ def assemble(
     return DiffStackMMV(
         predictor=predictor(ego_dynamics=dynamics), planner=planner(dynamics=dynamics), **parts
     )
-
-

@@ -1,0 +1,198 @@
+"""Scores of closed-loop episodes: how often the goal is reached, how fast, and at which distance."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torchmetrics import Metric
+
+from diffstack_mmv.checks import message, require_positive
+from diffstack_mmv.types import EpisodeRecord, Outcome
+
+DISCOMFORT_M = 0.2
+"""Clearance below which a human feels uncomfortable (Chen et al., Crowd-Robot Interaction)."""
+NORMAL_QUANTILE = 1.959963984540054
+"""Standard normal quantile of a two-sided interval of 95 %."""
+
+
+class Interval(NamedTuple):
+    """A share with its interval of confidence."""
+
+    low: Float[Tensor, "*b"]
+    high: Float[Tensor, "*b"]
+
+
+def wilson_interval(
+    hits: Float[Tensor, "*b"], total: Float[Tensor, "*b"], quantile: float = NORMAL_QUANTILE
+) -> Interval:
+    """Interval of confidence of a share, sound also for shares of 0 and 1 and for few cases.
+
+    (p + z²/2n ± z sqrt(p (1 - p)/n + z²/4n²)) / (1 + z²/n) with p = hits/n and n = total.
+
+    Args:
+        hits: Number of cases with the property.
+        total: Number of cases.
+        quantile: z, the default gives 95 %.
+
+    Returns:
+        Lower and upper end, dimensionless, NaN without cases.
+
+    Raises:
+        ValueError: The quantile is not positive.
+
+    Source:
+        Wilson, Probable inference, the law of succession, and statistical inference (1927).
+    """
+    require_positive("quantile", quantile)
+    share = hits / total
+    spread = quantile * torch.sqrt(share * (1 - share) / total + (quantile / (2 * total)) ** 2)
+    middle = share + quantile**2 / (2 * total)
+    scale = 1 + quantile**2 / total
+    low, high = (middle - spread) / scale, (middle + spread) / scale
+    return Interval(low.clamp(min=0), high.clamp(max=1))
+
+
+def uneasy_steps(record: EpisodeRecord) -> Bool[Tensor, "E T1"]:
+    """Steps in which a human feels uncomfortable: clearance in [0, 0.2 m), the last step apart.
+
+    The step that ends an episode counts as collision, success or time-out instead, as in the
+    original benchmark.
+    """
+    row = torch.arange(record.clearance.shape[1], device=record.clearance.device)
+    during = (row > 0) & (row < record.steps[:, None])
+    return during & (record.clearance >= 0) & (record.clearance < DISCOMFORT_M)
+
+
+class EpisodeMean(Metric):
+    """Quotient of two sums over episodes; a subclass says which.
+
+    Class attributes:
+        title: Name for tables.
+        unit: Unit of the value, "1" for a share.
+    """
+
+    is_differentiable = False
+    full_state_update = False
+    title: str
+    unit: str
+    total: Tensor
+    weight: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        zero = torch.zeros((), dtype=torch.float64)
+        self.add_state("total", zero, dist_reduce_fx="sum")
+        self.add_state("weight", zero.clone(), dist_reduce_fx="sum")
+
+    def update(self, record: EpisodeRecord) -> None:
+        """Add the episodes of a record.
+
+        Raises:
+            ValueError: An episode has not ended.
+        """
+        if bool((record.outcome < Outcome.COLLISION).any()):
+            unfinished = int((record.outcome < Outcome.COLLISION).sum())
+            raise ValueError(
+                message("record", "hold ended episodes only", f"{unfinished} that still run")
+            )
+        self.total += self._values(record).double().sum()
+        self.weight += self._weights(record).double().sum()
+
+    def compute(self) -> Float[Tensor, ""]:
+        """The quotient in the unit of the class; NaN where nothing was counted."""
+        return self.total / self.weight
+
+    def _values(self, record: EpisodeRecord) -> Tensor:
+        """What is summed in the numerator."""
+        raise NotImplementedError(f"{type(self).__name__} must say what it sums.")
+
+    def _weights(self, record: EpisodeRecord) -> Tensor:
+        """What is summed in the denominator: episodes, unless a subclass says otherwise."""
+        return torch.ones_like(record.outcome)
+
+
+class OutcomeRate(EpisodeMean):
+    """Share of the episodes with one outcome."""
+
+    unit = "1"
+    outcome: Outcome
+
+    def _values(self, record: EpisodeRecord) -> Tensor:
+        return record.outcome == self.outcome
+
+    def interval(self) -> Interval:
+        """Wilson interval of 95 %, dimensionless."""
+        return wilson_interval(self.total, self.weight)
+
+
+class SuccessRate(OutcomeRate):
+    """Share of the episodes that reached the goal."""
+
+    title, outcome, higher_is_better = "success", Outcome.SUCCESS, True
+
+
+class CollisionRate(OutcomeRate):
+    """Share of the episodes that ended in a collision."""
+
+    title, outcome, higher_is_better = "collision", Outcome.COLLISION, False
+
+
+class IncompleteRate(OutcomeRate):
+    """Share of the episodes that ran out of time."""
+
+    title, outcome, higher_is_better = "incomplete", Outcome.TIMEOUT, False
+
+
+class NavigationTime(EpisodeMean):
+    """Mean time of the successful episodes; NaN without a success."""
+
+    title, unit, higher_is_better = "time", "s", False
+
+    def _values(self, record: EpisodeRecord) -> Tensor:
+        return torch.where(record.outcome == Outcome.SUCCESS, record.duration, 0)
+
+    def _weights(self, record: EpisodeRecord) -> Tensor:
+        return record.outcome == Outcome.SUCCESS
+
+
+class NavigationTimeOfAll(EpisodeMean):
+    """Mean time of all episodes: to the goal, to the collision, or the limit."""
+
+    title, unit, higher_is_better = "time of all", "s", False
+
+    def _values(self, record: EpisodeRecord) -> Tensor:
+        return record.duration
+
+
+class DiscomfortFrequency(EpisodeMean):
+    """Share of all steps with a clearance below 0.2 m, `uneasy_steps`; time-outs last to the limit."""
+
+    title, unit, higher_is_better = "discomfort", "1", False
+
+    def _values(self, record: EpisodeRecord) -> Tensor:
+        return uneasy_steps(record)
+
+    def _weights(self, record: EpisodeRecord) -> Tensor:
+        return record.duration / record.dt_s
+
+
+class DiscomfortDistance(EpisodeMean):
+    """Mean clearance over the `uneasy_steps`, below 0.2 m by construction; NaN without any."""
+
+    title, unit, higher_is_better = "average minimum distance", "m", True
+
+    def _values(self, record: EpisodeRecord) -> Tensor:
+        return torch.where(uneasy_steps(record), record.clearance, 0)
+
+    def _weights(self, record: EpisodeRecord) -> Tensor:
+        return uneasy_steps(record)
+
+
+class EpisodeMinimumDistance(EpisodeMean):
+    """Mean over the episodes of the smallest clearance, an overlap counting as zero."""
+
+    title, unit, higher_is_better = "minimum distance", "m", True
+
+    def _values(self, record: EpisodeRecord) -> Tensor:
+        return record.clearance.amin(dim=1).clamp(min=0)

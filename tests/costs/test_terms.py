@@ -1,0 +1,146 @@
+"""Every cost term: not negative, the same in every frame, and blind to other times."""
+
+import pytest
+import torch
+
+from diffstack_mmv import costs
+from diffstack_mmv.geometry import rotate
+from diffstack_mmv.types import Motion, Obstacles, PlanningProblem
+
+TERMS = [
+    costs.RunningGoal(),
+    costs.FinalGoal(),
+    costs.HeadingToGoal(),
+    costs.ReferenceSpeed(),
+    costs.BrakingProfile(),
+    costs.ReferenceTracking(),
+    costs.ControlEffort(),
+    costs.YawRate(),
+    costs.LateralAcceleration(),
+    costs.ExpectedCollision(),
+    costs.TurningCircleBarrier(),
+]
+each_term = pytest.mark.parametrize("term", TERMS, ids=lambda term: type(term).__name__)
+
+
+def random_case(batch=3, times=6, others=4, components=2):
+    motion = Motion(
+        torch.randn(batch, times, 2),
+        torch.randn(batch, times),
+        torch.randn(batch, times, 2),
+        torch.randn(batch, times),
+    )
+    obstacles = Obstacles(
+        torch.randn(batch, others, components, times, 2),
+        torch.randn(batch, others, components).softmax(-1),
+        torch.rand(batch, others),
+        torch.rand(batch, others) > 0.3,
+    )
+    now = Motion(*(field[:, 0] for field in motion))
+    problem = PlanningProblem(
+        now,
+        torch.randn(batch, 2),
+        torch.randn(batch, times, 2),
+        torch.rand(batch),
+        torch.rand(batch),
+        obstacles,
+    )
+    controls = torch.cat([torch.randn(batch, times - 1, 2), torch.zeros(batch, 1, 2)], 1)
+    return motion, controls, problem
+
+
+@each_term
+def test_value_is_finite_and_not_negative(term, double):
+    value = term(*random_case())
+    assert value.shape == (3, 6)
+    assert torch.isfinite(value).all()
+    assert (value >= 0).all()
+
+
+@each_term
+def test_value_is_the_same_in_every_frame(term, double):
+    motion, controls, problem = random_case()
+    shift, angle = torch.tensor([2.0, -3.0]), torch.tensor(0.9)
+
+    def move(points):
+        return rotate(points, angle.expand(points.shape[:-1])) + shift
+
+    moved = problem._replace(
+        goal=move(problem.goal),
+        reference=move(problem.reference),
+        obstacles=problem.obstacles._replace(position=move(problem.obstacles.position)),
+    )
+    turned = motion._replace(position=move(motion.position), heading=motion.heading + angle)
+    assert torch.allclose(term(motion, controls, problem), term(turned, controls, moved))
+
+
+@each_term
+def test_entry_sees_its_own_time_only(term, double):
+    motion, controls, problem = random_case()
+    position = motion.position.requires_grad_()
+    value = term(motion._replace(position=position), controls, problem)
+    for t in range(6):
+        gradient = torch.autograd.grad(
+            value[:, t].sum() + 0 * position.sum(), position, retain_graph=True
+        )[0]
+        assert (gradient[:, [s for s in range(6) if s != t]] == 0).all()
+
+
+@each_term
+def test_derivatives_are_finite_on_top_of_goal_and_obstacle(term, double):
+    motion, controls, problem = random_case()
+    position = problem.goal.unsqueeze(-2).expand(3, 6, 2).clone().requires_grad_()
+    on_top = problem.obstacles._replace(position=position.detach()[:, None, None].expand(3, 4, 2, 6, 2))
+    value = term(motion._replace(position=position), controls, problem._replace(obstacles=on_top))
+    (gradient,) = torch.autograd.grad(value.sum() + 0 * position.sum(), position, create_graph=True)
+    (second,) = torch.autograd.grad(gradient.sum() + 0 * position.sum(), position)
+    assert torch.isfinite(gradient).all()
+    assert torch.isfinite(second).all()
+
+
+@each_term
+def test_no_agents_is_no_special_case(term, double):
+    motion, controls, problem = random_case(others=0)
+    assert torch.isfinite(term(motion, controls, problem)).all()
+
+
+def test_barrier_is_active_only_where_both_turns_are_obstructed(double):
+    term = costs.TurningCircleBarrier(radius_min_m=1.0, margin_m=0.0)
+    motion, controls, problem = random_case(batch=1, times=1, others=1, components=1)
+    still = Motion(torch.zeros(1, 1, 2), torch.zeros(1, 1), torch.zeros(1, 1, 2), torch.zeros(1, 1))
+
+    def value(x, y):
+        obstacles = Obstacles(
+            torch.tensor([x, y]).reshape(1, 1, 1, 1, 2),
+            torch.ones(1, 1, 1),
+            torch.full((1, 1), 0.3),
+            torch.ones(1, 1, dtype=torch.bool),
+        )
+        return term(still, controls, problem._replace(obstacles=obstacles, radius=torch.tensor([0.3])))
+
+    assert value(0.5, 0.0).item() > 0
+    assert value(0.0, 1.0).item() == 0
+    assert value(5.0, 0.0).item() == 0
+
+
+def test_braking_profile_asks_for_rest_at_the_goal_and_for_cruise_far_away(double):
+    term = costs.BrakingProfile(1.5)
+    motion, controls, problem = random_case(batch=1, times=1)
+    problem = problem._replace(goal=torch.zeros(1, 2), reference_speed=torch.full((1,), 3.0))
+
+    def value(distance, speed):
+        at = motion._replace(
+            position=torch.tensor([[[distance, 0.0]]]), velocity=torch.tensor([[[speed, 0.0]]])
+        )
+        return term(at, controls, problem).item()
+
+    assert value(0.0, 0.0) < 1e-2
+    assert value(100.0, 3.0) < 1e-2
+    assert value(0.0, 3.0) > 5
+
+
+@pytest.mark.parametrize("width", [0.0, -1.0])
+def test_impossible_constants_are_refused(width):
+    for make in (costs.HeadingToGoal, costs.ExpectedCollision, costs.BrakingProfile):
+        with pytest.raises(ValueError, match="must be positive"):
+            make(width)

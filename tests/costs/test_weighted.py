@@ -1,0 +1,44 @@
+"""The learnable sum of cost terms."""
+
+import pytest
+import torch
+
+from diffstack_mmv.costs import ControlEffort, ReferenceTracking, WeightedCost, YawRate
+from tests.costs.test_terms import random_case
+
+TERMS = {"tracking": ReferenceTracking(), "effort": ControlEffort(), "yaw": YawRate()}
+WEIGHTS = {"tracking": 2.0, "effort": 0.5, "yaw": 0.1}
+
+
+def test_initial_weights_are_those_asked_for():
+    weights = WeightedCost(TERMS, WEIGHTS, frozen=["yaw"]).weights()
+    assert {name: pytest.approx(float(weight)) for name, weight in weights.items()} == WEIGHTS
+
+
+def test_value_is_the_weighted_sum_of_the_terms():
+    case = random_case()
+    expected = sum(WEIGHTS[name] * term(*case) for name, term in TERMS.items())
+    assert torch.allclose(WeightedCost(TERMS, WEIGHTS)(*case), expected, atol=1e-5)
+
+
+def test_learning_keeps_weights_positive_and_their_sum_and_spares_the_frozen():
+    cost = WeightedCost(TERMS, WEIGHTS, frozen=["yaw"])
+    with torch.no_grad():
+        cost.log_weight += torch.tensor([-30.0, 4.0])
+    weights = cost.weights()
+    assert all(weight > 0 for weight in weights.values())
+    assert float(weights["tracking"] + weights["effort"]) == pytest.approx(2.5)
+    assert weights["yaw"] == 0.1
+
+
+@pytest.mark.parametrize(
+    ("weights", "frozen", "told"),
+    [
+        ({"tracking": 1.0}, [], "`weights` must name the terms"),
+        (WEIGHTS | {"yaw": 0.0}, [], "`weights.yaw` must be positive"),
+        (WEIGHTS, ["goal"], "`frozen` must be among"),
+    ],
+)
+def test_inconsistent_weights_are_refused(weights, frozen, told):
+    with pytest.raises(ValueError, match=told):
+        WeightedCost(TERMS, weights, frozen)

@@ -1,0 +1,56 @@
+"""The one form in which a bad argument is told."""
+
+import pytest
+import torch
+
+from diffstack_mmv import checks
+
+
+def test_message_names_argument_requirement_value_place_and_remedy():
+    text = checks.message("mass_kg", "be positive", -1, "for vehicle 'x'", "Give kilograms.")
+    assert text == "`mass_kg` must be positive, but got -1 for vehicle 'x'. Give kilograms."
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+def test_positive_refuses_zero_negative_and_not_finite(value):
+    with pytest.raises(ValueError, match="`dt_s` must be positive"):
+        checks.require_positive("dt_s", value)
+
+
+@pytest.mark.parametrize(("value", "steps"), [(3.0, 30), (0.1, 1), (4.0, 40), (0.3, 3)])
+def test_multiples_survive_binary_rounding(value, steps):
+    assert checks.require_multiple("horizon_s", value, 0.1) == steps
+
+
+@pytest.mark.parametrize("value", [0.05, 2.95, 0.101])
+def test_a_horizon_that_is_no_multiple_of_the_step_is_refused(value):
+    with pytest.raises(ValueError, match=r"`horizon_s` must be a multiple of 0.1, but got .* Take"):
+        checks.require_multiple("horizon_s", value, 0.1)
+
+
+def test_columns_are_named_in_the_refusal():
+    with pytest.raises(ValueError, match=r"3 columns \(a, b, c\).*shape \(2, 2\)"):
+        checks.require_columns("state", torch.zeros(2, 2), 3, ("a", "b", "c"))
+
+
+def test_not_finite_entries_are_counted():
+    with pytest.raises(ValueError, match="2 of 3 entries"):
+        checks.require_finite("state", torch.tensor([float("nan"), 1.0, float("inf")]))
+
+
+def test_unknown_name_lists_the_known_ones():
+    with pytest.raises(ValueError, match="be one of bicycle, scooter, but got 'bike'"):
+        checks.require_one_of("mode", "bike", ["scooter", "bicycle"])
+
+
+@pytest.mark.parametrize(
+    ("check", "arguments"),
+    [
+        (checks.require_at_least, ("n", 0, 1)),
+        (checks.require_at_least, ("n", float("nan"), 1)),
+        (checks.require_between, ("n", 2, 0, 1)),
+    ],
+)
+def test_values_outside_a_range_are_refused(check, arguments):
+    with pytest.raises(ValueError, match="`n` must"):
+        check(*arguments)

@@ -1,0 +1,53 @@
+"""Frames and angles."""
+
+import math
+
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from diffstack_mmv.geometry import (
+    direction,
+    motion_in_frame,
+    position_from_frame,
+    position_in_frame,
+    rotate,
+    wrap_angle,
+)
+from diffstack_mmv.types import Motion
+
+NUMBERS = st.floats(-50, 50)
+
+
+@given(st.floats(-1000, 1000))
+def test_wrapped_angle_points_the_same_way_and_is_short(angle):
+    wrapped = wrap_angle(torch.tensor(angle, dtype=torch.float64)).item()
+    assert -math.pi <= wrapped <= math.pi
+    assert math.isclose(math.cos(wrapped), math.cos(angle), abs_tol=1e-9)
+    assert math.isclose(math.sin(wrapped), math.sin(angle), abs_tol=1e-9)
+
+
+@given(NUMBERS, NUMBERS, NUMBERS, NUMBERS, NUMBERS)
+def test_leaving_a_frame_undoes_entering_it(x, y, ox, oy, heading):
+    position = torch.tensor([x, y], dtype=torch.float64)
+    origin = torch.tensor([ox, oy], dtype=torch.float64)
+    angle = torch.tensor(heading, dtype=torch.float64)
+    inside = position_in_frame(position, origin, angle)
+    assert torch.allclose(position_from_frame(inside, origin, angle), position)
+
+
+def test_rotation_by_a_quarter_turns_forward_to_left():
+    quarter = torch.tensor(math.pi / 2)
+    assert torch.allclose(rotate(torch.tensor([1.0, 0.0]), quarter), torch.tensor([0.0, 1.0]), atol=1e-6)
+    assert torch.allclose(direction(quarter), torch.tensor([0.0, 1.0]), atol=1e-6)
+
+
+def test_own_frame_puts_the_motion_at_the_origin_and_keeps_body_rates():
+    motion = Motion(
+        torch.tensor([3.0, 4.0]), torch.tensor(1.0), torch.tensor([2.0, 0.1]), torch.tensor(0.3)
+    )
+    own = motion_in_frame(motion, motion.position, motion.heading)
+    assert torch.equal(own.position, torch.zeros(2))
+    assert own.heading == 0
+    assert torch.equal(own.velocity, motion.velocity)
+    assert own.yaw_rate == motion.yaw_rate

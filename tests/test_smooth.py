@@ -1,0 +1,94 @@
+"""Smooth functions: values, limits, and derivatives where the plain formulas have none."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from diffstack_mmv.smooth import (
+    floor_at_zero,
+    limiter,
+    safe_norm,
+    saturate,
+    sinc,
+    sinc_slope,
+    smooth_maximum,
+    soft_clamp,
+)
+
+ANGLES = st.floats(-20, 20).filter(lambda x: abs(x) > 1e-3)
+
+
+@given(ANGLES)
+def test_sinc_is_sine_over_angle(angle):
+    value = sinc(torch.tensor(angle, dtype=torch.float64)).item()
+    assert math.isclose(value, math.sin(angle) / angle, rel_tol=1e-13, abs_tol=1e-15)
+
+
+@given(ANGLES)
+def test_sinc_slope_is_minus_the_derivative_of_sinc(angle):
+    x = torch.tensor(angle, dtype=torch.float64, requires_grad=True)
+    slope = torch.autograd.grad(sinc(x), x)[0]
+    assert torch.allclose(sinc_slope(x), -slope, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("function", [sinc, sinc_slope, limiter, torch.tanh])
+@pytest.mark.parametrize("point", [0.0, 1e-9, 0.29999, 0.3, 0.30001, 5.0])
+def test_first_and_second_derivatives_hold_everywhere(function, point):
+    x = torch.tensor([point], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(function, x)
+    assert torch.autograd.gradgradcheck(function, x)
+
+
+def test_limiter_has_slope_one_and_stays_below_one():
+    x = torch.tensor([0.0, 1e-3, 1.0, 1e3, 1e30, -1e30], dtype=torch.float64, requires_grad=True)
+    value = limiter(x)
+    (slope,) = torch.autograd.grad(value.sum(), x)
+    assert slope[0] == 1
+    assert (value.abs() <= 1).all()
+    assert torch.isfinite(slope).all()
+
+
+def test_floor_has_the_right_hand_derivative_at_zero():
+    x = torch.tensor([-1.0, 0.0, 2.0], requires_grad=True)
+    value = floor_at_zero(x)
+    (slope,) = torch.autograd.grad(value.sum(), x)
+    assert value.tolist() == [0.0, 0.0, 2.0]
+    assert slope.tolist() == [0.0, 1.0, 1.0]
+
+
+@given(st.floats(-0.999, 0.999))
+def test_saturation_leaves_the_inside_alone(share):
+    low, high = torch.tensor([-2.0]), torch.tensor([3.0])
+    value = torch.tensor([0.5 + 2.5 * share])
+    assert torch.equal(saturate(value, low, high), value)
+
+
+def test_saturation_is_bounded_and_never_dead_at_the_bound():
+    low, high = torch.tensor([-2.0], dtype=torch.float64), torch.tensor([3.0], dtype=torch.float64)
+    x = torch.tensor([[-1e6], [-2.0], [3.0], [3.2], [1e6]], dtype=torch.float64, requires_grad=True)
+    value = saturate(x, low, high)
+    (slope,) = torch.autograd.grad(value.sum(), x)
+    assert value.min() >= -2.5
+    assert value.max() <= 3.5
+    assert torch.allclose(slope[1:3], torch.ones(2, 1, dtype=torch.float64))
+
+
+def test_soft_clamp_is_odd_and_keeps_its_limit():
+    x = torch.tensor([-100.0, -0.1, 0.1, 100.0])
+    assert torch.allclose(soft_clamp(x, 0.7), -soft_clamp(-x, 0.7))
+    assert soft_clamp(x, 0.7).abs().max() <= 0.7
+
+
+def test_norm_is_differentiable_at_zero():
+    x = torch.zeros(2, requires_grad=True)
+    safe_norm(x).backward()
+    assert torch.equal(x.grad, torch.zeros(2))
+
+
+@given(st.floats(-5, 5), st.floats(-5, 5))
+def test_smooth_maximum_lies_above_the_maximum_by_at_most_half_the_width(a, b):
+    value = smooth_maximum(torch.tensor(a), torch.tensor(b), 0.1).item()
+    assert max(a, b) - 1e-5 <= value <= max(a, b) + 0.05 + 1e-5

@@ -1,0 +1,59 @@
+"""Records: modes, forecasts, and mapping over their tensors."""
+
+import pytest
+import torch
+from torch.distributions import Categorical, MixtureSameFamily, MultivariateNormal
+from trajdata.data_structures.agent import AgentType
+
+from diffstack_mmv.types import Bounds, Forecast, Mode, SolverStatus, map_tensors
+
+
+def example_forecast(batch=(3,), components=4, steps=5):
+    factor = torch.randn(*batch, components, steps, 2, 2).tril()
+    scale = factor.tril(-1) + torch.diag_embed(factor.diagonal(dim1=-2, dim2=-1).abs() + 0.1)
+    weight = torch.randn(*batch, components).log_softmax(-1)
+    return Forecast(weight, torch.randn(*batch, components, steps, 2), scale)
+
+
+@pytest.mark.parametrize("agent_type", list(AgentType))
+def test_modes_begin_with_the_values_of_trajdata(agent_type):
+    names = {"VEHICLE": "CAR"}
+    assert Mode(agent_type.value).name == names.get(agent_type.name, agent_type.name)
+
+
+def test_mode_is_found_by_name_in_any_case():
+    assert Mode.named("Scooter") is Mode.SCOOTER
+    with pytest.raises(ValueError, match="`mode` must be one of bicycle, .* but got 'bike'"):
+        Mode.named("bike")
+
+
+def test_forecast_density_agrees_with_torch_distributions():
+    forecast = example_forecast()
+    position = torch.randn(3, 5, 2)
+    for t in range(5):
+        mixture = MixtureSameFamily(
+            Categorical(logits=forecast.log_weight),
+            MultivariateNormal(forecast.mean[..., t, :], scale_tril=forecast.scale_tril[..., t, :, :]),
+        )
+        expected = mixture.log_prob(position[:, t])
+        assert torch.allclose(forecast.log_prob(position)[:, t], expected, atol=1e-4)
+
+
+def test_most_likely_path_is_that_of_the_heaviest_component():
+    forecast = example_forecast()
+    best = forecast.log_weight.argmax(-1)
+    for i in range(3):
+        assert torch.equal(forecast.most_likely()[i], forecast.mean[i, best[i]])
+
+
+def test_mapping_reaches_every_tensor_and_keeps_the_rest():
+    record = (Bounds(torch.zeros(2), torch.ones(2)), 0.1)
+    mapped = map_tensors(lambda tensor: tensor + 1, record[0])
+    assert isinstance(mapped, Bounds)
+    assert torch.equal(mapped.upper, torch.full((2,), 2.0))
+    assert map_tensors(torch.neg, record[1]) == 0.1
+
+
+@pytest.mark.parametrize("status", list(SolverStatus))
+def test_every_status_comes_with_advice(status):
+    assert status.advice.endswith(".")
