@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class RejectReason(StrEnum):
-    """Why a track, or a part of it, is missing from the cache; the keys of the conversion report."""
+    """Why a track, or a stretch of it, is missing from the cache; keys of the report."""
 
     BROKEN_JSON = "broken_json"
     MISSING_FIELD = "missing_field"
@@ -24,7 +24,7 @@ class RejectReason(StrEnum):
 
 
 class ConversionError(ValueError):
-    """A recording, a setting or a cache cannot be used; the message names file, value and remedy."""
+    """A recording, setting or cache cannot be used; the message names file, value, remedy."""
 
 
 class CacheError(ConversionError):

@@ -1,4 +1,4 @@
-"""Heading of an agent: along its motion, held where it stands still, along its cuboid if it has one."""
+"""Heading of an agent: along its cuboid if it has one, else along its motion, held at rest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Modes of travel as they stand in the cache, and the size of an agent whose size is not measured."""
+"""Modes of travel as they stand in the cache, and sizes for agents that nobody measured."""
 
 from __future__ import annotations
 

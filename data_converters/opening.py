@@ -1,4 +1,4 @@
-"""Opening a converted cache as a trajdata `UnifiedDataset`, without raw data and without a patch."""
+"""Opening a converted cache as a trajdata `UnifiedDataset`, without raw data or a patch."""
 
 from __future__ import annotations
 

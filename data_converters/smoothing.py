@@ -60,7 +60,7 @@ class Smoother(ABC):
 
     @abstractmethod
     def __call__(self, time_s: Array, values: Array, at_s: Array) -> SmoothSeries:
-        """Smooth `values` (n, k) sampled at increasing `time_s` (n,) s; evaluate at `at_s` (m,) s."""
+        """Smooth `values` (n, k) sampled at rising `time_s` (n,) s; result at `at_s` (m,) s."""
 
     def settings(self) -> dict[str, float | int | str]:
         """The smoother as plain values, for the report and the hash of the settings."""

@@ -53,6 +53,8 @@ class ResampleSettings:
         min_duration_s: Shortest stretch in s that is kept.
         standstill_mps: Speed in m/s below which the heading is held.
         smoother: Smoother of positions.
+        backfill_heading: Whether rows before the first motion take its heading, which looks into
+            the future; off, they get 0. A causal smoother never does.
 
     Raises:
         ConversionError: If a number is not positive.
@@ -63,6 +65,7 @@ class ResampleSettings:
     min_duration_s: float = 1.0
     standstill_mps: float = 0.4
     smoother: Smoother = field(default_factory=ZeroPhaseSmoother)
+    backfill_heading: bool = True
 
     def __post_init__(self) -> None:
         for name in ("dt_s", "max_gap_s", "min_duration_s", "standstill_mps"):
@@ -96,7 +99,7 @@ class AgentRows(NamedTuple):
 
 
 def split_at_gaps(track: RawTrack, max_gap_s: float) -> list[RawTrack]:
-    """Stretches of a track between gaps longer than `max_gap_s` in s; later ones get _s1, _s2, ..."""
+    """Stretches of a track between gaps longer than `max_gap_s` s; later ones get _s1, _s2."""
     cuts = np.flatnonzero(np.diff(track.time_s) > max_gap_s + 1e-6) + 1
     bounds = [0, *cuts.tolist(), len(track.time_s)]
     return [
@@ -144,6 +147,11 @@ def resample(track: RawTrack, settings: ResampleSettings) -> AgentRows:
     smooth = smoother(track.time_s, track.position, np.concatenate([at_s, track.time_s]))
     steps = SmoothSeries(*(part[: len(at_s)] for part in smooth))
     raw = SmoothSeries(*(part[len(at_s) :] for part in smooth))
+    if not np.isfinite(steps.value).all():
+        found = f"{len(track.time_s)} samples in {end - track.time_s[0]:.2f} s"
+        needs = f"have more than {smoother.order} samples per window of {smoother.window_s:g} s"
+        message = fault("track", needs, found, track.source, "Use a longer window.")
+        raise TrackError(message, RejectReason.TOO_SHORT)
     return AgentRows(
         name=track.name,
         mode=track.mode,
@@ -160,7 +168,7 @@ def _rows(
 ) -> pd.DataFrame:
     velocity = steps.rate[:, :2]
     if track.axis is None:
-        backfill = settings.smoother.lookahead_s > 0.0
+        backfill = settings.backfill_heading and settings.smoother.lookahead_s > 0.0
         heading = heading_from_motion(velocity, settings.standstill_mps, backfill=backfill)
     else:
         heading = heading_from_axis(
@@ -192,7 +200,7 @@ def _residual(track: RawTrack, raw: SmoothSeries, standstill_mps: float) -> Resi
 
 
 def _speed_error(track: RawTrack, raw: SmoothSeries) -> float:
-    """Median difference in m/s between the recording's own speed and the smoothed one; NaN if none."""
+    """Median difference in m/s of the recording's own speed to the smoothed one, or NaN."""
     if track.speed is None:
         return float("nan")
     return float(np.nanmedian(np.abs(track.speed - np.hypot(raw.rate[:, 0], raw.rate[:, 1]))))

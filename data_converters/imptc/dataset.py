@@ -14,7 +14,14 @@ import pandas as pd
 
 from data_converters.errors import ConversionError, TrackError, fault
 from data_converters.imptc.context import read_context, signals_per_step
-from data_converters.imptc.reader import TrackFile, TrackFilter, load_json, missing, parse_track
+from data_converters.imptc.reader import (
+    TrackFile,
+    TrackFilter,
+    load_json,
+    missing,
+    parse_track,
+    refuse_unfinished,
+)
 from data_converters.recordings import SPLITS, RawScene, RecordingDataset, SceneSource
 from data_converters.tracks import RawTrack
 
@@ -46,23 +53,31 @@ class SequenceSplit:
         train: Names of sets.
         val: Names of sets.
         test: Names of sets.
+        exceptions: Split by sequence number, for numbers that do not follow their set, such as the
+            four sample sequences.
 
     Raises:
-        ConversionError: If a set is unknown or stands in two splits.
+        ConversionError: If a set or split is unknown, or a set stands in two splits.
     """
 
     train: tuple[str, ...] = ("set_01", "set_03")
     val: tuple[str, ...] = ("set_02", "set_04")
     test: tuple[str, ...] = ("set_05",)
+    exceptions: Mapping[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         named = [name for split in SPLITS for name in getattr(self, split)]
         if len(set(named)) != len(named) or not set(named) <= set(PUBLISHED_SETS):
             known = f"name each of {sorted(PUBLISHED_SETS)} at most once"
             raise ConversionError(fault("split", known, named, "", "Correct the lists."))
+        if not set(self.exceptions.values()) <= set(SPLITS):
+            found = dict(self.exceptions)
+            raise ConversionError(fault("exceptions", f"name {SPLITS}", found, "", "Correct it."))
 
     def of(self, number: int) -> str | None:
         """Split of a sequence number, None if its set is not used."""
+        if number in self.exceptions:
+            return self.exceptions[number]
         for split in SPLITS:
             for name in getattr(self, split):
                 numbers = PUBLISHED_SETS[name]
@@ -102,12 +117,12 @@ class ImptcDataset(RecordingDataset):
         """One scene per sequence folder.
 
         Raises:
-            ConversionError: If no sequence folder is there.
+            ConversionError: If no sequence folder is there, or a download is not finished.
         """
+        refuse_unfinished(self.root)
         folders = find_sequences(self.root)
         if not folders:
-            found = "no such folder" if not self.root.is_dir() else "none"
-            raise missing("sequence folders NNNN_YYYYMMDD_HHMMSS", found, self.root)
+            raise missing("sequence folders NNNN_YYYYMMDD_HHMMSS", "none", self.root)
         scenes = []
         for name, folder in folders.items():
             split = self.split.of(int(name[:4]))
@@ -171,13 +186,18 @@ class ImptcDataset(RecordingDataset):
 
 
 def find_sequences(root: Path) -> dict[str, Path]:
-    """Sequence folders up to three levels below `root`, by name, in order."""
-    found = {}
-    for pattern in ("*", "*/*", "*/*/*"):
-        for path in root.glob(pattern):
-            if SEQUENCE.fullmatch(path.name) and path.is_dir():
-                found.setdefault(path.name, path)
-    return dict(sorted(found.items()))
+    """Sequence folders up to three levels below `root`, by name, in order.
+
+    The sample package repeats sequences of the sets under other numbers: of folders that start at
+    the same time, the one below a folder named after a set is taken.
+    """
+    found: dict[str, Path] = {}
+    paths = [path for pattern in ("*", "*/*", "*/*/*") for path in root.glob(pattern)]
+    for path in sorted(paths, key=lambda path: ("set_" not in str(path.parent), path.name)):
+        match = SEQUENCE.fullmatch(path.name)
+        if match and path.is_dir():
+            found.setdefault(match[2], path)
+    return {path.name: path for path in sorted(found.values(), key=lambda path: path.name)}
 
 
 def track_files(folder: Path) -> list[Path]:

@@ -211,14 +211,25 @@ def _body(rows: list[dict[str, Any]], where: str) -> tuple[Array | None, FixedEx
 
 
 def missing(what: str, found: str, root: Path) -> ConversionError:
-    """Error for a data set that is absent or half downloaded; `what` tells what is expected."""
+    """Error for a data set that is not in `root`; `what` tells what is expected."""
     remedy = (
         "Run scripts/download_imptc.py (it resumes), or scripts/generate_sample.py for a sample."
     )
-    leftovers = [path.name for path in root.glob("*.part")] if root.is_dir() else []
-    archives = [path.name for path in root.glob("*.tar.gz")] if root.is_dir() else []
-    if leftovers:
-        found = f"an unfinished download {leftovers}"
-    elif archives:
+    if not root.is_dir():
+        found = "no such folder"
+    archives = [path.name for path in root.glob("*.tar.gz")]
+    if archives:
         found = f"archives that are not unpacked {archives}"
     return ConversionError(fault("root", f"hold {what}", found, root, remedy))
+
+
+def refuse_unfinished(root: Path) -> None:
+    """Refuse a folder in which a download is under way or was interrupted.
+
+    Raises:
+        ConversionError: If it holds an unfinished download or a half unpacked archive.
+    """
+    leftovers = sorted(path.name for mark in ("*.part", ".unpacking_*") for path in root.glob(mark))
+    if leftovers:
+        remedy = "Run scripts/download_imptc.py again (it resumes), or remove them."
+        raise ConversionError(fault("root", "be a finished download", leftovers, root, remedy))

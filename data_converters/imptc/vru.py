@@ -11,7 +11,13 @@ from typing import Any, NamedTuple
 
 from data_converters.errors import RejectReason, TrackError
 from data_converters.imptc.dataset import ImptcDataset, find_sequences, to_raw_track
-from data_converters.imptc.reader import TrackFilter, load_json, missing, parse_track
+from data_converters.imptc.reader import (
+    TrackFilter,
+    load_json,
+    missing,
+    parse_track,
+    refuse_unfinished,
+)
 from data_converters.recordings import RawScene, RecordingDataset, SceneSource
 
 RELEASE_SPLITS = {"train": "train", "eval": "val", "test": "test"}
@@ -70,13 +76,10 @@ class ImptcVruDataset(RecordingDataset):
         """One scene per track, named split_NNNN.
 
         Raises:
-            ConversionError: If a split is missing.
+            ConversionError: If a split is missing, or a download is not finished.
         """
-        absent = [
-            name
-            for name in RELEASE_SPLITS
-            if not (self.root / name).is_dir() and not (self.root / f"{name}_tracks.json").is_file()
-        ]
+        refuse_unfinished(self.root)
+        absent = [name for name in RELEASE_SPLITS if not _present(self._base, name)]
         if absent:
             raise missing("train, eval and test of the VRU release", f"no {absent}", self.root)
         scenes = []
@@ -102,7 +105,7 @@ class ImptcVruDataset(RecordingDataset):
                 "vru", scene.key, TrackError(message, RejectReason.OTHER_SPLIT), strict=False
             )
             return raw
-        path = self.root / scene.key / "track.json"
+        path = self._base / scene.key / "track.json"
         try:
             track = parse_track(self._content(scene.key, path), str(path), self.keep)
         except TrackError as error:
@@ -117,7 +120,7 @@ class ImptcVruDataset(RecordingDataset):
         known = {name.partition("_")[2]: name for name in find_sequences(sequences.root)}
         found = []
         for folder, split in RELEASE_SPLITS.items():
-            for path in sorted((self.root / folder).glob("*/src_info.txt")):
+            for path in sorted((self._base / folder).glob("*/src_info.txt")):
                 source = path.read_text(encoding="utf-8").strip().strip('"')
                 sequence = known.get(source.partition("/")[0])
                 other = sequences.split.of(int(sequence[:4])) if sequence else None
@@ -127,14 +130,20 @@ class ImptcVruDataset(RecordingDataset):
         return found
 
     @cached_property
+    def _base(self) -> Path:
+        """Folder of the splits: the root or one up to two levels below it."""
+        places = [self.root, *sorted(self.root.glob("*")), *sorted(self.root.glob("*/*"))]
+        return next((place for place in places if _present(place, "train")), self.root)
+
+    @cached_property
     def _conflicts(self) -> dict[str, Overlap]:
         overlaps = self.overlaps(self.sequences) if self.sequences is not None else []
         return {o.track: o for o in overlaps if o.vru_split != o.sequence_split}
 
     def _tracks(self, folder: str) -> list[tuple[str, str]]:
         """Names and fingerprints of the tracks of a split."""
-        if (self.root / folder).is_dir():
-            paths = sorted((self.root / folder).glob("*/track.json"))
+        if (self._base / folder).is_dir():
+            paths = sorted((self._base / folder).glob("*/track.json"))
             return [(path.parent.name, str(path.stat().st_size)) for path in paths]
         return [
             (name, _digest(content)) for name, content in sorted(self._combined[folder].items())
@@ -146,8 +155,12 @@ class ImptcVruDataset(RecordingDataset):
 
     @cached_property
     def _combined(self) -> dict[str, dict[str, Any]]:
-        paths = {name: self.root / f"{name}_tracks.json" for name in RELEASE_SPLITS}
+        paths = {name: self._base / f"{name}_tracks.json" for name in RELEASE_SPLITS}
         return {name: load_json(path) for name, path in paths.items() if path.is_file()}
+
+
+def _present(base: Path, name: str) -> bool:
+    return (base / name).is_dir() or (base / f"{name}_tracks.json").is_file()
 
 
 def _digest(content: object) -> str:

@@ -96,7 +96,7 @@ class ThabVruDataset(RecordingDataset):
         """The track of one file, (n, 3) m with z = 0.
 
         Raises:
-            TrackError: When `strict`, if the file cannot be used. A contained file is never an error.
+            TrackError: When `strict`, if the file cannot be used; being contained is no error.
         """
         raw = RawScene()
         path, index = scene.key, self._index

@@ -11,7 +11,7 @@ from data_converters.imptc.sample.traffic import Traveller
 
 
 class Kind(NamedTuple):
-    """A kind of road user: class, how many per sequence, ranges of speed (m/s), size (m), place (m)."""
+    """A kind of road user: class, number per sequence, speeds (m/s), size (m), place (m)."""
 
     class_id: int
     count: int
@@ -40,7 +40,7 @@ IN_TURNS = (STROLLER, WHEELCHAIR, TRUCK, UNKNOWN)
 
 
 def make_cast(number: int, duration_s: float, rng: np.random.Generator) -> list[Traveller]:
-    """Road users of sequence `number` that lasts `duration_s` s, in random order of right of way."""
+    """Road users of sequence `number` of `duration_s` s, in random order of right of way."""
     kinds = [kind for kind in ALWAYS for _ in range(kind.count)]
     kinds.append(IN_TURNS[number % 2])
     if number % 4 >= 2:

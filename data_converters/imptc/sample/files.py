@@ -68,8 +68,8 @@ def track_content(
         else:
             edges = cuboid_edges(position, float(seen.heading[row]), extent_m)
             sample["cuboid"] = np.round(edges + rng.normal(0, 0.01, (1, 1, 3)), 2).tolist()
-        sample["coordinates"] = np.round(position, 3).tolist()
-        sample["velocity"] = round(float(seen.speed[row]) * 3.6, 2)
+        sample["coordinates"] = np.round(position, 2).tolist()
+        sample["velocity"] = round(float(seen.speed[row]) * 3.6, 1)
         sample |= {"ground_type": 0, "z_offset": round(float(position[2]), 2)}
         samples[spelling.key.format(row + spelling.first)] = sample
     overview = {

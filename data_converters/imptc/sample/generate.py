@@ -17,7 +17,7 @@ from data_converters.imptc.sample.lights import SignalPlan
 from data_converters.imptc.sample.sensor import detect, master_clock
 from data_converters.imptc.sample.traffic import STEP_S, simulate
 
-SAMPLE_SEQUENCES = (0, 1, 2, 100, 101, 50, 150, 151, 200, 201)
+SAMPLE_SEQUENCES = (0, 1, 2, 100, 50, 150, 200, 201)
 """Numbers that fall into set_01, set_03 (train), set_02, set_04 (val) and set_05 (test)."""
 
 FIRST_START = datetime(2023, 3, 22, 8, 15, 6, tzinfo=UTC)
@@ -50,7 +50,8 @@ def generate_sample(
         The folders written.
 
     Raises:
-        ConversionError: If the duration is too short, a number is not in 0..9999, or a folder exists.
+        ConversionError: If the duration is too short, a number is not in 0..9999, or a folder
+            exists.
     """
     folders = []
     for sequence in _simulated(seed, sequences, duration_s):
@@ -88,7 +89,8 @@ def generate_vru_sample(
         The three folders.
 
     Raises:
-        ConversionError: If the duration is too short, a number is not in 0..9999, or `out` holds tracks.
+        ConversionError: If the duration is too short, a number is not in 0..9999, or `out` holds
+            tracks.
     """
     if any((out / split).exists() for split in RELEASE_SPLITS):
         remedy = "Choose another folder or remove them."

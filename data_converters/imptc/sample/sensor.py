@@ -23,7 +23,7 @@ STEP_SHARE = np.array([0.02, 0.03, 0.05, 0.8, 0.1])
 
 
 class Detections(NamedTuple):
-    """Noisy samples: index into the motion (n,), position (n, 3) m, heading (n,) rad, speed (n,) m/s."""
+    """Noisy samples: index into the motion (n,), position (n, 3) m, heading rad, speed m/s."""
 
     index: NDArray[np.int64]
     position: Array
@@ -32,7 +32,7 @@ class Detections(NamedTuple):
 
 
 def master_clock(count: int, start_us: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Timestamps (count,) in microseconds: steps of 40 ms with the small jitter of the recordings."""
+    """Timestamps (count,) in µs: steps of 40 ms with the small jitter of the recordings."""
     steps = rng.choice(STEPS_US, size=count, p=STEP_SHARE)
     return start_us + np.concatenate([[0], np.cumsum(steps[1:])])
 

@@ -47,7 +47,7 @@ class Traveller:
 
 
 class Motion(NamedTuple):
-    """True motion of one road user: step numbers (n,), position (n, 2) m, heading (n,) rad, speed (n,) m/s."""
+    """True motion: step numbers (n,), position (n, 2) m, heading (n,) rad, speed (n,) m/s."""
 
     step: NDArray[np.int64]
     position: Array
@@ -173,24 +173,10 @@ def _advance(world: _World, plan: SignalPlan, time_s: float) -> None:
 def _conflicts(world: _World, here: Array) -> tuple[Array, Array, Array]:
     """Gap ahead (n,) m, closing speed (n,) m/s and lateral push (n,) m caused by the others."""
     heading = world.heading()
-    ahead = world.position(
-        world.arc[:, None] + LOOK_M, np.repeat(world.side[:, None], len(LOOK_M), 1)
-    )
     direction = np.column_stack([np.cos(heading), np.sin(heading)])
-    velocity = direction * world.speed[:, None]
-    arrival = LOOK_M / np.maximum(world.speed, 1.0)[:, None]
-    reach = world.radius[:, None] + world.radius + 0.35
     others = world.active & world.active[:, None] & ~np.eye(len(heading), dtype=bool)
     along = np.cos(heading[:, None] - heading)
-    now = np.linalg.norm(ahead[:, None] - here[None, :, None], axis=-1) < reach[..., None]
-    predicted = here[None, :, None] + velocity[None, :, None] * arrival[:, None, :, None]
-    later = np.linalg.norm(ahead[:, None] - predicted, axis=-1) < reach[..., None]
-    first = np.arange(len(heading))[None, :] < np.arange(len(heading))[:, None]
-    brakes = now & (others & (along > -0.5))[..., None]
-    brakes |= later & (others & (np.abs(along) < 0.7) & first)[..., None]
-    distance = np.where(brakes, LOOK_M, FREE_M).min(axis=-1) - 0.5 * (
-        world.length[:, None] + world.length
-    )
+    distance = _free_distance(world, here, direction, others, along)
     nearest = distance.argmin(axis=1)
     row = np.arange(len(heading))
     closing = world.speed - (along[row, nearest] * world.speed[nearest]).clip(min=0.0)
@@ -200,6 +186,41 @@ def _conflicts(world: _World, here: Array) -> tuple[Array, Array, Array]:
     close = others & (front > 0.0) & (front < 5.0) & (np.abs(left) < 1.4)
     push = (np.where(left > -0.05, -0.5, 0.5) * close).sum(axis=1).clip(-0.8, 0.8)
     return distance[row, nearest], closing, push
+
+
+def _free_distance(
+    world: _World, here: Array, direction: Array, others: NDArray[np.bool_], along: Array
+) -> Array:
+    """Distance (n, n) m that each can travel along its route before it meets each other.
+
+    Who is in the way now makes everybody brake who does not come towards him; who will be in the
+    way makes those brake who come later in the order, and all if it is less than 1.5 s ahead.
+    """
+    count = len(here)
+    side = np.repeat(world.side[:, None], len(LOOK_M), axis=1)
+    ahead = world.position(world.arc[:, None] + LOOK_M, side)
+    arrival = LOOK_M / np.maximum(world.speed, 1.0)[:, None]
+    velocity = direction * world.speed[:, None]
+    reach = (world.radius[:, None] + world.radius + 0.35)[..., None]
+    offset = ahead[:, None] - here[None, :, None]
+    now = _distance_to_body(offset, direction, world.length) < reach
+    later_offset = offset - velocity[None, :, None] * arrival[:, None, :, None]
+    later = _distance_to_body(later_offset, direction, world.length) < reach
+    yields = (np.arange(count)[None, :] < np.arange(count)[:, None])[..., None]
+    yields = yields | (arrival < 1.5)[:, None]
+    brakes = now & (others & (along > -0.5))[..., None]
+    brakes |= later & (others & (np.abs(along) < 0.7))[..., None] & yields
+    return np.where(brakes, LOOK_M, FREE_M).min(axis=-1) - 0.5 * world.length[:, None] - 0.3
+
+
+def _distance_to_body(offset: Array, direction: Array, length: Array) -> Array:
+    """Distance (n, n, m) m of points to the middle lines of bodies; offset (n, n, m, 2) m."""
+    forward = (offset * direction[None, :, None]).sum(-1)
+    beyond = np.maximum(np.abs(forward) - 0.5 * length[None, :, None], 0.0)
+    across = (
+        direction[None, :, None, 0] * offset[..., 1] - direction[None, :, None, 1] * offset[..., 0]
+    )
+    return np.hypot(beyond, across)
 
 
 def _gap_to_red(world: _World, plan: SignalPlan, time_s: float) -> Array:
