@@ -1,5 +1,6 @@
-"""Scores of closed-loop episodes: how often the goal is reached, how fast, and at which distance."""
+"""Scores of closed-loop episodes: how often, how fast and how far from people."""
 
+from abc import abstractmethod
 from typing import NamedTuple
 
 import torch
@@ -103,9 +104,9 @@ class EpisodeMean(Metric):
         """The quotient in the unit of the class; NaN where nothing was counted."""
         return self.total / self.weight
 
+    @abstractmethod
     def _values(self, record: EpisodeRecord) -> Tensor:
         """What is summed in the numerator."""
-        raise NotImplementedError(f"{type(self).__name__} must say what it sums.")
 
     def _weights(self, record: EpisodeRecord) -> Tensor:
         """What is summed in the denominator: episodes, unless a subclass says otherwise."""
@@ -166,7 +167,7 @@ class NavigationTimeOfAll(EpisodeMean):
 
 
 class DiscomfortFrequency(EpisodeMean):
-    """Share of all steps with a clearance below 0.2 m, `uneasy_steps`; time-outs last to the limit."""
+    """Share of the `uneasy_steps` among all steps; time-outs count up to the limit."""
 
     title, unit, higher_is_better = "discomfort", "1", False
 

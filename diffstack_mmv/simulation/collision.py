@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
@@ -84,7 +84,7 @@ class RectangleFootprint:
         return 0.5 * (self.length_m**2 + self.width_m**2) ** 0.5
 
     def clearance(self, approach: Approach) -> Float[Tensor, "*b"]:
-        """Distance in m from the rectangle to the discs; minus their radius where centres go inside.
+        """Distance in m from the rectangle to the discs; minus their radius for centres inside it.
 
         In the frame of the robot a disc moves straight where the heading stays constant; a turn
         during one fine step bends its path by less than its length times the angle turned.
@@ -132,8 +132,8 @@ def distance_box_to_segment(
 
 def _meets_box(
     half: Float[Tensor, " 2"], start: Float[Tensor, "*b 2"], end: Float[Tensor, "*b 2"]
-) -> Tensor:
-    """Whether a segment enters the box |x| <= half (m), by clipping it at the two pairs of sides."""
+) -> Bool[Tensor, "*b"]:
+    """Whether a segment enters the box |x| <= half (m), clipped at the two pairs of sides."""
     way = end - start
     first, second = (-half - start) / way, (half - start) / way
     enter, leave = torch.minimum(first, second), torch.maximum(first, second)

@@ -120,7 +120,7 @@ class HolonomicRobot(_PointRobot):
 
 
 class UnicycleRobot(_PointRobot):
-    """The benchmark's unicycle: an action (v, r) turns it by r rad at once, then it drives at v m/s.
+    """The benchmark's unicycle: an action (v, r) turns it by r rad at once, then drives at v m/s.
 
     Args:
         max_speed_mps: Largest speed in m/s, stated by `bounds` and not enforced.

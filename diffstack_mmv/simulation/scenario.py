@@ -125,8 +125,12 @@ class Scenario(ABC):
         humans = CrowdState(
             *(torch.stack(field) for field in zip(*(s.humans for s in scenes), strict=True))
         )
-        robot = (torch.stack(field) for field in zip(*(s[:3] for s in scenes), strict=True))
-        return Scene(*robot, humans)
+        return Scene(
+            robot_position=torch.stack([scene.robot_position for scene in scenes]),
+            robot_heading=torch.stack([scene.robot_heading for scene in scenes]),
+            robot_goal=torch.stack([scene.robot_goal for scene in scenes]),
+            humans=humans,
+        )
 
     def sample(self, random: np.random.RandomState) -> Scene:
         """Draw a scene.
@@ -179,17 +183,11 @@ class Scenario(ABC):
             (np.sqrt(x * x + y * y) < self.human_radius_m + radii + self.clearance_m).any()
         )
 
-    def _too_crowded(self, human: int) -> ValueError:
+    def _too_crowded(self, human: int) -> str:
         """Explain that the scenario has no room for one more human."""
-        return ValueError(
-            message(
-                "humans",
-                "fit into the scenario",
-                self.humans,
-                f"with no free place for human {human} in {MAX_TRIES} draws",
-                f"Take at most {max(human - 1, 1)}, or a larger scenario.",
-            )
-        )
+        wanted = f"fit into the scenario, which has no place for human {human} in {MAX_TRIES} draws"
+        remedy = f"Take at most {max(human - 1, 1)}, or a larger scenario."
+        return message("humans", wanted, self.humans, remedy=remedy)
 
 
 @dataclass(frozen=True)
@@ -216,7 +214,7 @@ class CircleCrossing(Scenario):
             )
             if self._is_free(start, placed.position) and self._is_free(start, placed.goal):
                 return start, -start
-        raise self._too_crowded(len(placed.position))
+        raise ValueError(f"{self._too_crowded(len(placed.position))}")
 
 
 @dataclass(frozen=True)
@@ -255,7 +253,7 @@ class SquareCrossing(Scenario):
             place = np.array((x, (random.random_sample() - 0.5) * width))
             if self._is_free(place, others):
                 return place
-        raise self._too_crowded(len(others))
+        raise ValueError(f"{self._too_crowded(len(others))}")
 
 
 SCENARIOS: dict[str, type[Scenario]] = {

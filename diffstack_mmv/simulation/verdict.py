@@ -220,7 +220,7 @@ class ExactVerdict(Verdict):
         require_at_least("limit_s", self.limit_s, ROUNDING_S)
 
     def _clearance(self, step: Encounter) -> Float[Tensor, "*b h"]:
-        """Smallest over the pieces of the path, in each of which the relative motion is straight."""
+        """Smallest over the pieces of the path, each a straight relative motion, in m."""
         points = step.path.position.shape[-2]
         time = torch.linspace(0, step.dt_s, points, dtype=step.time.dtype, device=step.time.device)
         travelled = step.human_velocity[..., None, :] * time[:, None]

@@ -38,7 +38,7 @@ class Observation(NamedTuple):
 
 
 class WorldStep(NamedTuple):
-    """Result of one step; an episode that has ended may be stepped on, its verdict then says nothing."""
+    """Result of one step; the verdict means nothing for an episode that had ended before."""
 
     state: WorldState
     judgement: Judgement

@@ -35,7 +35,7 @@ class Optimum(NamedTuple):
 def safest_velocity(
     planes: HalfPlanes, max_speed: Float[Tensor, "*b"], preferred: Float[Tensor, "*b 2"]
 ) -> Float[Tensor, "*b 2"]:
-    """Permitted velocity nearest to the preferred one, or the least unsafe one if none is permitted.
+    """Permitted velocity nearest to the preferred one; if none is permitted, the least unsafe one.
 
     Args:
         planes: Half-planes, `*b k`, in order of importance.

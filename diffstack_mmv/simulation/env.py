@@ -1,0 +1,282 @@
+"""The crowd as a gymnasium environment, `diffstack_mmv/CrowdNav-v0`."""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium import spaces
+from torch import Tensor
+
+from diffstack_mmv.checks import (
+    require,
+    require_finite,
+    require_one_of,
+    require_positive,
+)
+from diffstack_mmv.dynamics.catalogue import model_of
+from diffstack_mmv.simulation.collision import DiscFootprint, Footprint
+from diffstack_mmv.simulation.pedestrians import OrcaCrowd
+from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
+from diffstack_mmv.simulation.scenario import PHASES, SCENARIOS, Scenario, Scene
+from diffstack_mmv.simulation.vehicle_robot import FINEST_NEEDED_S, VehicleRobot
+from diffstack_mmv.simulation.verdict import CrowdNavVerdict, ExactVerdict, Verdict
+from diffstack_mmv.simulation.world import World, WorldState
+from diffstack_mmv.types import Outcome
+
+ENV_ID = "diffstack_mmv/CrowdNav-v0"
+FAR = 1e4
+"""Bound of all observed numbers, which no vehicle reaches within a time limit."""
+POINT_ROBOTS: dict[str, Callable[[], Robot]] = {
+    "holonomic": HolonomicRobot,
+    "unicycle": UnicycleRobot,
+}
+VERDICTS: dict[str, Callable[[Footprint, float], Verdict]] = {
+    "crowdnav": CrowdNavVerdict,
+    "exact": ExactVerdict,
+}
+
+
+def robot_named(name: str, dynamics: str, dt_s: float) -> Robot:
+    """Build a robot from the names that an environment takes.
+
+    Args:
+        name: "holonomic", "unicycle", or the name or YAML file of a vehicle.
+        dynamics: Short name of a vehicle's dynamics model.
+        dt_s: Step of the environment in s, which the vehicle's fine step divides.
+
+    Returns:
+        The robot.
+
+    Raises:
+        ValueError: There is no such robot or dynamics, or the step is not positive.
+    """
+    require_positive("dt_s", dt_s)
+    if name in POINT_ROBOTS:
+        return POINT_ROBOTS[name]()
+    pieces = math.ceil(dt_s / FINEST_NEEDED_S - 1e-9)
+    return VehicleRobot(model_of(name, dynamics, dt_s / pieces))
+
+
+class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
+    """One robot crosses a crowd: the CrowdNav benchmark with exact cases, and its mended version.
+
+    An action holds for one step, in the units of the robot: (v_x, v_y) in m/s for "holonomic",
+    (v in m/s, turn in rad) for "unicycle", the controls of the dynamics model for a vehicle.
+    An observation has `robot` (x, y, heading, world velocity v_x, v_y, yaw rate, radius, goal x, y)
+    and `humans` (one row per human: x, y, v_x, v_y, radius), SI units, world frame.
+    `reset(options={"phase": "test", "case": 7})` starts a case of the benchmark; without options
+    the environment's generator draws a case of the training phase.
+
+    Args:
+        scenario: "circle_crossing", "square_crossing", or a scenario with settings of one's own.
+        humans: Number of humans; that of the scenario where one is given.
+        dt_s: Length of a step.
+        limit_s: Time limit, a multiple of the step.
+        robot: "holonomic", "unicycle", the name or YAML file of a vehicle, or a robot.
+        verdict: "crowdnav" (the original rules with their faults) or "exact".
+        dynamics: Dynamics of a vehicle that is given by its name.
+        robot_visible: Whether the humans avoid the robot.
+        render_mode: "rgb_array" or None.
+
+    Raises:
+        ValueError: A name is unknown, or a number out of range.
+
+    Source:
+        Chen et al., Crowd-Robot Interaction (ICRA 2019).
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 4}
+
+    def __init__(
+        self,
+        scenario: str | Scenario = "circle_crossing",
+        humans: int = 5,
+        dt_s: float = 0.25,
+        limit_s: float = 25.0,
+        robot: str | Robot = "holonomic",
+        verdict: str = "crowdnav",
+        dynamics: str = "kbm",
+        robot_visible: bool = False,
+        render_mode: str | None = None,
+    ) -> None:
+        self._scenario = _scenario_named(scenario, humans)
+        require_positive("limit_s", limit_s)
+        require_one_of("verdict", verdict, tuple(VERDICTS))
+        if render_mode is not None:
+            require_one_of("render_mode", render_mode, self.metadata["render_modes"])
+        self._use(
+            World(
+                robot=robot_named(robot, dynamics, dt_s) if isinstance(robot, str) else robot,
+                crowd=OrcaCrowd(),
+                verdict=VERDICTS[verdict](DiscFootprint(), limit_s),
+                dt_s=dt_s,
+                robot_visible=robot_visible,
+            ),
+            render_mode,
+        )
+
+    @classmethod
+    def from_world(
+        cls, world: World, scenario: Scenario, render_mode: str | None = None
+    ) -> "CrowdNavEnv":
+        """Environment around any world: other pedestrians, footprints, robots or rewards.
+
+        Args:
+            world: The world.
+            scenario: Where its episodes start, m.
+            render_mode: "rgb_array" or None.
+
+        Returns:
+            The environment.
+        """
+        env = cls.__new__(cls)
+        env._scenario = scenario
+        env._use(world, render_mode)
+        return env
+
+    def _use(self, world: World, render_mode: str | None) -> None:
+        """Set up the spaces for a world."""
+        self.world = world
+        self.render_mode = render_mode
+        self.metadata = {**type(self).metadata, "render_fps": round(1 / world.dt_s)}
+        lower, upper = (bound.double().numpy() for bound in world.robot.bounds)
+        self.action_space = spaces.Box(lower, upper, dtype=np.float64)
+        self.observation_space = spaces.Dict(
+            {
+                "robot": spaces.Box(-FAR, FAR, (9,), dtype=np.float64),
+                "humans": spaces.Box(-FAR, FAR, (self._scenario.humans, 5), dtype=np.float64),
+            }
+        )
+        self._state: WorldState | None = None
+        self._ended = False
+
+    @property
+    def state(self) -> WorldState:
+        """State of the world, without leading dimensions, SI units.
+
+        Raises:
+            RuntimeError: `reset` has not been called.
+        """
+        if self._state is None:
+            raise RuntimeError(f"`state` must exist, but got {self._state}. Call `reset` first.")
+        return self._state
+
+    @property
+    def human_positions(self) -> np.ndarray:
+        """Positions of the humans, (humans, 2) m."""
+        return self.state.humans.position.numpy().copy()
+
+    @property
+    def robot_position(self) -> np.ndarray:
+        """Position of the robot's centre, (2,) m."""
+        return self.world.robot.motion(self.state.robot).position.numpy().copy()
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Start an episode.
+
+        Args:
+            seed: Seeds the generator that draws cases.
+            options: "phase" ("train" by default) and "case"; without "case" one is drawn. Or
+                "scene": a scene of one's own, in m and rad.
+
+        Returns:
+            Observation, and phase and case.
+
+        Raises:
+            ValueError: An option, phase or case does not exist, or the start is impossible.
+        """
+        super().reset(seed=seed)
+        chosen = dict(options or {})
+        for name in chosen:
+            require_one_of("options", name, ("phase", "case", "scene"))
+        phase = str(chosen.get("phase", "train"))
+        require_one_of("phase", phase, tuple(PHASES))
+        if "scene" in chosen:
+            described, scene = {"phase": "own", "case": -1}, chosen["scene"]
+            require(isinstance(scene, Scene), "scene", "be a Scene", type(scene).__name__)
+        else:
+            case = int(chosen.get("case", self.np_random.integers(PHASES[phase].cases)))
+            described, scene = {"phase": phase, "case": case}, self._scenario.case(phase, case)
+        self._state = self.world.start(scene)
+        self._ended = False
+        return self._observation(), described
+
+    def step(
+        self, action: np.ndarray
+    ) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """Advance by one step.
+
+        Args:
+            action: Action in the units of the robot.
+
+        Returns:
+            Observation, reward, whether the goal or a human was hit, whether the time is up, and
+            outcome, clearance (m) and time (s).
+
+        Raises:
+            ValueError: The action is not finite or has the wrong shape.
+            RuntimeError: The episode has ended, or has not begun.
+        """
+        if self._ended:
+            raise RuntimeError(
+                f"`step` must come within an episode, but got {action}. Call `reset`."
+            )
+        control = torch.as_tensor(np.asarray(action, dtype=np.float64))
+        require_finite("action", control)
+        self._state, judgement = self.world.step(self.state, control)
+        outcome = Outcome(int(judgement.outcome))
+        self._ended = outcome.ends_episode
+        told = {
+            "outcome": outcome.label,
+            "clearance_m": float(judgement.clearance),
+            "time_s": float(self._state.time),
+        }
+        terminated = outcome in (Outcome.COLLISION, Outcome.SUCCESS)
+        late = outcome is Outcome.TIMEOUT
+        return self._observation(), float(judgement.reward), terminated, late, told
+
+    def render(self) -> np.ndarray | None:
+        """Picture of the present state, (height, width, 3) uint8, or None without a render mode."""
+        if self.render_mode is None:
+            return None
+        from diffstack_mmv.simulation.drawing import picture
+
+        return picture(self.world, self.state)
+
+    def _observation(self) -> dict[str, np.ndarray]:
+        """What a policy may know, SI units."""
+        seen = self.world.observe(self.state)
+        robot = (
+            seen.motion.position,
+            seen.motion.heading[..., None],
+            seen.velocity,
+            seen.motion.yaw_rate[..., None],
+            seen.radius[..., None],
+            seen.goal,
+        )
+        humans = (seen.human_position, seen.human_velocity, seen.human_radius[..., None])
+        return {"robot": _joined(robot), "humans": _joined(humans)}
+
+
+def _joined(columns: tuple[Tensor, ...]) -> np.ndarray:
+    """Columns side by side."""
+    return torch.cat(columns, dim=-1).double().numpy()
+
+
+def _scenario_named(scenario: str | Scenario, humans: int) -> Scenario:
+    """The scenario itself, or the one of that name with so many humans."""
+    if isinstance(scenario, Scenario):
+        return scenario
+    require_one_of("scenario", scenario, tuple(SCENARIOS))
+    return SCENARIOS[scenario](humans=humans)
+
+
+def register() -> None:
+    """Make the environment known to gymnasium, once."""
+    if ENV_ID not in gymnasium.registry:
+        gymnasium.register(ENV_ID, entry_point="diffstack_mmv.simulation.env:CrowdNavEnv")

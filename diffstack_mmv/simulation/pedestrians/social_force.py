@@ -1,0 +1,124 @@
+"""Pedestrians that push each other away: the extended social force model of PySocialForce."""
+
+import importlib
+import logging
+from dataclasses import dataclass
+from types import ModuleType
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.simulation.pedestrians.base import Bystander, CrowdState
+
+PACKAGE = "pysocialforce"
+
+
+class _Agents(NamedTuple):
+    """All agents of one episode as the library wants them, the bystander last."""
+
+    state: np.ndarray  # (a, 6): position, velocity, goal
+    speed: np.ndarray  # (a,) preferred speed, m/s
+
+
+@dataclass(frozen=True)
+class SocialForceCrowd:
+    """The social forces of the library `pysocialforce`, integrated over the step.
+
+    The library handles one scene at a time, hence the episodes are looped over here. Its agents
+    have no radius of their own and are points with the library's range of repulsion.
+
+    Attributes:
+        max_step_s: A step is cut into pieces no longer than this.
+        speed_margin: Agents never walk faster than this times their preferred speed.
+
+    Raises:
+        ValueError: The piece is not positive or the margin below 1.
+        ModuleNotFoundError: The library is not installed.
+
+    Source:
+        Moussaïd et al., Experimental study of the behavioural mechanisms underlying
+        self-organization in human crowds (2009); forces and constants are those of the library.
+    """
+
+    max_step_s: float = 0.1
+    speed_margin: float = 1.3
+
+    def __post_init__(self) -> None:
+        """Check the settings and the presence of the library once, at the border."""
+        require_positive("max_step_s", self.max_step_s)
+        require_at_least("speed_margin", self.speed_margin, 1.0)
+        _library()
+
+    def __call__(
+        self, crowd: CrowdState, dt_s: float, bystander: Bystander | None = None
+    ) -> Float[Tensor, "*b h 2"]:
+        """Mean velocities of all humans over the next step.
+
+        Args:
+            crowd: The humans of all episodes.
+            dt_s: Length of the step in s.
+            bystander: The robot, where the humans see it.
+
+        Returns:
+            Velocities in m/s in the precision of the positions.
+        """
+        humans = crowd.radius.shape[-1]
+        state = torch.cat((crowd.position, crowd.velocity, crowd.goal), dim=-1)
+        speed = crowd.preferred_speed
+        if bystander is not None:
+            ahead = bystander.position + bystander.velocity
+            robot = torch.cat((bystander.position, bystander.velocity, ahead), dim=-1)
+            state = torch.cat((state, robot[..., None, :]), dim=-2)
+            pace = bystander.velocity.norm(dim=-1, keepdim=True)
+            speed = torch.cat((speed, pace), dim=-1)
+        states = state.detach().cpu().double().reshape(-1, *state.shape[-2:]).numpy()
+        speeds = speed.detach().cpu().double().reshape(-1, speed.shape[-1]).numpy()
+        means = [
+            self._mean_velocity(_Agents(*agents), humans, dt_s)
+            for agents in zip(states, speeds, strict=True)
+        ]
+        return torch.from_numpy(np.stack(means)).reshape(crowd.velocity.shape).to(crowd.velocity)
+
+    def _mean_velocity(self, agents: _Agents, humans: int, dt_s: float) -> np.ndarray:
+        """Move the agents of one episode for `dt_s`; the mean velocity of its humans in m/s."""
+        pieces = int(np.ceil(dt_s / self.max_step_s - 1e-9))
+        step_s = dt_s / pieces
+        state = agents.state.copy()
+        for _ in range(pieces):
+            force = self._force(_Agents(state, agents.speed))[:humans]
+            wanted = state[:humans, 2:4] + step_s * force
+            pace = np.linalg.norm(wanted, axis=-1)
+            limit = self.speed_margin * agents.speed[:humans]
+            slower = limit / np.maximum(pace, limit)
+            state[:humans, 2:4] = wanted * slower[:, None]
+            state[:, :2] += step_s * state[:, 2:4]
+        return (state[:humans, :2] - agents.state[:humans, :2]) / dt_s
+
+    def _force(self, agents: _Agents) -> np.ndarray:
+        """Force per mass in m/s² on every agent."""
+        simulator = _library().Simulator(agents.state.copy())
+        # the library takes the speed at the start for the preferred one: nobody at rest would move
+        simulator.peds.max_speeds = agents.speed
+        return simulator.compute_forces()
+
+
+def _library() -> ModuleType:
+    """Import the optional library; it sets up logging of its own, which is undone."""
+    root = logging.getLogger()
+    level, handlers, disabled = root.level, list(root.handlers), root.manager.disable
+    logging.disable(logging.INFO)
+    try:
+        return importlib.import_module(PACKAGE)
+    except ModuleNotFoundError as missing:
+        raise ModuleNotFoundError(
+            f"The social force crowd needs the package `{PACKAGE}`, but got none. "
+            "Install it with: pip install 'diffstack_mmv[crowd]'"
+        ) from missing
+    finally:
+        logging.disable(disabled)
+        root.setLevel(level)
+        root.handlers[:] = handlers
