@@ -1,0 +1,88 @@
+"""Crowds against every recorded trajectory, and properties that need no recording."""
+
+import numpy as np
+import pytest
+import torch
+
+from diffstack_mmv.simulation import CircleCrossing, OrcaCrowd
+from diffstack_mmv.simulation.pedestrians import Bystander, CrowdState
+
+RECORDINGS = [
+    f"{scenario}_crossing_{size}"
+    for scenario in ("circle", "square")
+    for size in (
+        "h5_dt025_cases000-099",
+        "h5_dt010_cases000-099",
+        "h10_dt025_cases000-049",
+        "h20_dt025_cases000-049",
+    )
+] + ["circle_crossing_h20_r6_dt025_cases000-049"]
+
+
+@pytest.fixture
+def crowd():
+    return CircleCrossing(humans=6).cases("test", range(4)).humans
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_every_trajectory_is_reproduced_bit_for_bit(recording, name):
+    recorded = recording(name)
+    columns = ("start", "goals", "radii", "v_pref")
+    start, goal, radius, speed = (torch.from_numpy(recorded[column]) for column in columns)
+    crowd, dt_s = CrowdState(start, torch.zeros_like(start), goal, radius, speed), float(recorded["dt"])
+    for step in range(1, recorded["positions"].shape[1]):
+        crowd = crowd.moved(OrcaCrowd()(crowd, dt_s), dt_s)
+        assert np.array_equal(crowd.velocity.numpy(), recorded["velocities"][:, step])
+        assert np.array_equal(crowd.position.numpy(), recorded["positions"][:, step])
+
+
+def test_a_batch_of_episodes_equals_its_episodes_one_by_one(crowd):
+    together = OrcaCrowd()(crowd, 0.25)
+    alone = [OrcaCrowd()(CrowdState(*(f[episode] for f in crowd)), 0.25) for episode in range(4)]
+    assert torch.equal(together, torch.stack(alone))
+
+
+def test_any_leading_dimensions_are_taken(crowd):
+    folded = CrowdState(*(field.unflatten(0, (2, 2)) for field in crowd))
+    assert torch.equal(OrcaCrowd()(folded, 0.25).flatten(0, 1), OrcaCrowd()(crowd, 0.25))
+
+
+def test_a_human_alone_walks_straight_to_its_goal():
+    crowd = CircleCrossing(humans=1).case("test", 3).humans
+    velocity = OrcaCrowd()(crowd, 0.25)
+    way = crowd.goal - crowd.position
+    assert torch.allclose(velocity, way / way.norm(dim=-1, keepdim=True), atol=1e-6)
+
+
+def test_humans_give_way_to_a_robot_that_they_see(crowd):
+    place = crowd.position[:, 0] + 0.7
+    robot = Bystander(place, torch.zeros_like(place), torch.full((4,), 0.3, dtype=torch.float64))
+    assert not torch.equal(OrcaCrowd()(crowd, 0.25, robot), OrcaCrowd()(crowd, 0.25))
+
+
+def test_a_robot_far_away_changes_nothing(crowd):
+    place = torch.full((4, 2), 50.0, dtype=torch.float64)
+    robot = Bystander(place, torch.zeros_like(place), torch.full((4,), 0.3, dtype=torch.float64))
+    assert torch.equal(OrcaCrowd()(crowd, 0.25, robot), OrcaCrowd()(crowd, 0.25))
+
+
+def test_nobody_is_faster_than_preferred(crowd):
+    for _ in range(30):
+        crowd = crowd.moved(OrcaCrowd()(crowd, 0.25), 0.25)
+        assert (crowd.velocity.norm(dim=-1) <= 1 + 1e-6).all()
+
+
+def test_humans_keep_clear_of_each_other(crowd):
+    apart = torch.eye(6) * 9
+    for _ in range(40):
+        crowd = crowd.moved(OrcaCrowd()(crowd, 0.25), 0.25)
+        assert (torch.cdist(crowd.position, crowd.position) + apart > 0.6).all()
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [("neighbour_distance_m", 0.0), ("max_neighbours", 0), ("time_horizon_s", -1), ("margin_m", -1)],
+)
+def test_impossible_settings_are_refused_by_name(setting, value):
+    with pytest.raises(ValueError, match=f"`{setting}` must"):
+        OrcaCrowd(**{setting: value})

@@ -1,0 +1,63 @@
+"""The optional second pedestrian model."""
+
+import importlib
+import logging
+
+import pytest
+import torch
+
+from diffstack_mmv.simulation import CircleCrossing, SocialForceCrowd
+from diffstack_mmv.simulation.pedestrians import Bystander
+
+
+@pytest.fixture
+def crowd():
+    return CircleCrossing(humans=3).cases("test", range(2)).humans
+
+
+def test_a_missing_library_is_named_with_its_remedy(monkeypatch):
+    def refuse(name):
+        raise ModuleNotFoundError(f"No module named {name!r}")
+
+    monkeypatch.setattr(importlib, "import_module", refuse)
+    with pytest.raises(ModuleNotFoundError, match=r"pysocialforce.*diffstack_mmv\[crowd\]"):
+        SocialForceCrowd()
+
+
+@pytest.mark.slow
+def test_humans_reach_their_goals_without_a_robot(crowd):
+    pytest.importorskip("pysocialforce")
+    model = SocialForceCrowd()
+    for _ in range(60):
+        crowd = crowd.moved(model(crowd, 0.25), 0.25)
+    assert ((crowd.position - crowd.goal).norm(dim=-1) < 0.5).all()
+
+
+@pytest.mark.slow
+def test_humans_are_pushed_by_a_robot_that_they_see(crowd):
+    pytest.importorskip("pysocialforce")
+    place = crowd.position[:, 0] * 0.8
+    robot = Bystander(place, torch.zeros_like(place), torch.full((2,), 0.3, dtype=torch.float64))
+    change = SocialForceCrowd()(crowd, 0.25, robot) - SocialForceCrowd()(crowd, 0.25)
+    assert (change[:, 0].norm(dim=-1) > 0.01).all()
+
+
+@pytest.mark.slow
+def test_a_scene_alone_equals_the_scene_in_a_batch(crowd):
+    pytest.importorskip("pysocialforce")
+    alone = SocialForceCrowd()(type(crowd)(*(field[1] for field in crowd)), 0.25)
+    assert torch.equal(alone, SocialForceCrowd()(crowd, 0.25)[1])
+
+
+@pytest.mark.slow
+def test_loading_the_library_leaves_logging_alone():
+    pytest.importorskip("pysocialforce")
+    before = logging.getLogger().level
+    SocialForceCrowd()
+    assert logging.getLogger().level == before
+
+
+@pytest.mark.parametrize(("setting", "value"), [("max_step_s", 0.0), ("speed_margin", 0.5)])
+def test_impossible_settings_are_refused_by_name(setting, value):
+    with pytest.raises(ValueError, match=f"`{setting}` must"):
+        SocialForceCrowd(**{setting: value})

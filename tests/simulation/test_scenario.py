@@ -1,0 +1,89 @@
+"""Scenarios against the recorded starts, and their refusals."""
+
+import numpy as np
+import pytest
+
+from diffstack_mmv.simulation import CircleCrossing, SquareCrossing
+from diffstack_mmv.simulation import scenario as scenario_module
+from diffstack_mmv.simulation.scenario import generator
+
+RECORDINGS = [
+    f"{scenario}_crossing_{size}"
+    for scenario in ("circle", "square")
+    for size in ("h5_dt025_cases000-099", "h10_dt025_cases000-049", "h20_dt025_cases000-049")
+] + ["circle_crossing_h20_r6_dt025_cases000-049"]
+BOTH = pytest.mark.parametrize("scenario", [CircleCrossing(), SquareCrossing()], ids=["circle", "square"])
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_cases_start_as_recorded_after_as_many_draws(recording, scenario_of, name):
+    recorded = recording(name)
+    radius = float(recorded["circle_radius"])
+    scenario = scenario_of(name, humans=recorded["start"].shape[1], circle_radius_m=radius)
+    for row, case in enumerate(recorded["cases"]):
+        random = generator("test", int(case))
+        humans = scenario.sample(random).humans
+        assert np.allclose(humans.position.numpy(), recorded["start"][row], rtol=0, atol=1e-12)
+        assert np.allclose(humans.goal.numpy(), recorded["goals"][row], rtol=0, atol=1e-12)
+        assert random.random_sample() == recorded["rng_next"][row]
+
+
+@BOTH
+def test_drawing_a_case_leaves_the_global_generator_alone(scenario):
+    np.random.seed(5)
+    expected = np.random.random()
+    np.random.seed(5)
+    scenario.case("test", 3)
+    assert np.random.random() == expected
+
+
+@BOTH
+def test_cases_of_a_batch_equal_the_single_ones(scenario):
+    batch = scenario.cases("val", (4, 9))
+    assert (batch.humans.position[1] == scenario.case("val", 9).humans.position).all()
+    assert batch.robot_heading.shape == (2,)
+
+
+@BOTH
+def test_nobody_touches_anybody_at_the_start(scenario):
+    scene = scenario.cases("train", range(20))
+    offset = scene.humans.position[:, :, None] - scene.humans.position[:, None]
+    distance = offset.norm(dim=-1) + 9 * np.eye(5)
+    assert (distance >= 0.8 - 1e-12).all()
+
+
+def test_phases_do_not_share_seeds():
+    states = [generator(phase, 0).get_state()[1][0] for phase in ("train", "val", "test")]
+    assert len(set(states)) == 3
+
+
+@pytest.mark.parametrize("case", [-1, 1000])
+def test_a_case_out_of_range_is_refused(case):
+    with pytest.raises(ValueError, match=rf"`case` must lie in \[0, 999\], but got {case}"):
+        CircleCrossing().case("test", case)
+
+
+def test_an_unknown_phase_is_refused_with_the_known_ones():
+    with pytest.raises(ValueError, match="`phase` must be one of test, train, val"):
+        CircleCrossing().case("exam", 0)
+
+
+@pytest.mark.parametrize("family", [CircleCrossing, SquareCrossing])
+def test_too_many_humans_are_refused_after_a_bounded_search(monkeypatch, family):
+    monkeypatch.setattr(scenario_module, "MAX_TRIES", 300)
+    with pytest.raises(ValueError, match="`humans` must fit into the scenario.*got 400"):
+        family(humans=400).case("test", 0)
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [("humans", 0), ("circle_radius_m", -4.0), ("human_speed_mps", 0.0), ("clearance_m", -0.1)],
+)
+def test_impossible_sizes_are_refused_by_name(setting, value):
+    with pytest.raises(ValueError, match=f"`{setting}` must"):
+        SquareCrossing(**{setting: value})
+
+
+def test_a_square_without_width_is_refused():
+    with pytest.raises(ValueError, match="`square_width_m` must be positive"):
+        SquareCrossing(square_width_m=0)
