@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import hydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException, HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -34,6 +35,8 @@ def command(
         @functools.wraps(task)
         def guarded(config: DictConfig) -> None:
             try:
+                config.out = HydraConfig.get().runtime.output_dir
+                _require_complete(config)
                 OmegaConf.resolve(config)
                 save_config(config, Path(config.out))
                 task(config)
@@ -53,6 +56,13 @@ def save_config(config: DictConfig, folder: Path) -> None:
     unfinished = folder / "config.yaml.part"
     OmegaConf.save(config, unfinished)
     unfinished.replace(folder / "config.yaml")
+
+
+def _require_complete(config: DictConfig) -> None:
+    missing = sorted(OmegaConf.missing_keys(config))
+    if missing:
+        given = " ".join(f"{key}=VALUE" for key in missing)
+        raise ValueError(f"`{missing[0]}` must be given. Add {given}, or see --help.")
 
 
 def _told(error: BaseException) -> str:

@@ -57,12 +57,13 @@ def reference_to_goal(
 ) -> Float[Tensor, "*b T1 2"]:
     """Bend a predicted path in m so that it ends at the goal.
 
-    p_ref(t) = p(t) + (t / T)² (g - p(T)): the correction of a constant acceleration, so that a constant-velocity
-    prediction becomes the constant acceleration to the goal. Row 0 is the present position.
+    p_ref(s) = p(s) + ½ (3 s² - s³) (g - p(1)), s = t / T: the correction with the least squared acceleration, free at its
+    end. A constant-velocity prediction becomes the cubic Hermite spline to the goal. Row 0 is the present position.
     """
     steps = path.shape[-2]
-    share = torch.arange(1, steps + 1, device=path.device, dtype=path.dtype).div(steps).square()
-    bent = path + share.unsqueeze(-1) * (goal - path[..., -1, :]).unsqueeze(-2)
+    share = torch.arange(1, steps + 1, device=path.device, dtype=path.dtype).div(steps).unsqueeze(-1)
+    bend = 0.5 * share.square() * (3 - share)
+    bent = path + bend * (goal - path[..., -1, :]).unsqueeze(-2)
     return torch.cat([position.unsqueeze(-2), bent], -2)
 
 

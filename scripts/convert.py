@@ -1,0 +1,36 @@
+"""Convert recordings to a trajdata cache."""
+
+import json
+import logging
+from pathlib import Path
+
+from data_converters import ConversionSettings, ResampleSettings, convert
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+
+from diffstack_mmv.checks import require
+from diffstack_mmv.cli import command
+from diffstack_mmv.vehicles import config_folder
+
+logger = logging.getLogger(__name__)
+
+
+@command(config_folder(), "convert")
+def main(config: DictConfig) -> None:
+    """Convert, and tell what was kept and what was rejected."""
+    named = "recordings" in config.data
+    require(named, "data", "be a data set that has a converter", config.data.name)
+    require(bool(config.data.root), "data.root", "be given", None, "", "Add data.root=RECORDINGS.")
+    settings = ConversionSettings(
+        dataset=instantiate(config.data.recordings),
+        cache=Path(config.data.cache),
+        resample=ResampleSettings(dt_s=config.dt_s, smoother=instantiate(config.smoother)),
+        workers=config.workers,
+        strict=config.strict,
+    )
+    report = convert(settings)
+    logger.info("%s", json.dumps(report.totals(), indent=2))
+
+
+if __name__ == "__main__":
+    main()

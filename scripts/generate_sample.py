@@ -1,0 +1,23 @@
+"""Generate synthetic recordings in IMPTC's layout."""
+
+import logging
+from pathlib import Path
+
+from data_converters import generate_sample
+from omegaconf import DictConfig
+
+from diffstack_mmv.cli import command
+from diffstack_mmv.vehicles import config_folder
+
+logger = logging.getLogger(__name__)
+
+
+@command(config_folder(), "generate_sample")
+def main(config: DictConfig) -> None:
+    """Write the sample."""
+    folders = generate_sample(Path(config.out), config.seed)
+    logger.info("Wrote %d sequences to %s", len(folders), config.out)
+
+
+if __name__ == "__main__":
+    main()

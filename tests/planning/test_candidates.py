@@ -1,0 +1,77 @@
+"""The fan of candidates is feasible, covers its lattice, and reaches the goal."""
+
+import pytest
+import torch
+
+from diffstack_mmv.dynamics import DiffKBM, ExtendedUnicycle, rollout
+from diffstack_mmv.planning import CandidateFan, closest_candidate, cross_entropy
+from diffstack_mmv.planning.problem import build_problem, observed_obstacles
+from diffstack_mmv.types import Motion
+from diffstack_mmv.vehicles import load_vehicle
+from tests.planning.test_problem import tracks
+
+SPEC = load_vehicle("bicycle")
+each_model = pytest.mark.parametrize("model", [ExtendedUnicycle(SPEC), DiffKBM(SPEC)], ids=["unicycle", "kbm"])
+
+
+def problem(speed=4.0, goal=(11.0, 2.0)):
+    none = observed_obstacles(tracks(1, 0, rows=2), tracks(1, 0, rows=30))
+    made = build_problem(tracks(1, rows=2), torch.zeros(1, 30, 2), torch.tensor([goal]), none, 0.1)
+    velocity = torch.tensor([[speed, 0.0]])
+    return made._replace(motion=Motion(torch.zeros(1, 2), torch.zeros(1), velocity, torch.zeros(1)))
+
+
+@each_model
+def test_every_candidate_is_the_motion_of_the_model_within_its_bounds(model):
+    fan = CandidateFan()(model, problem(), 30)
+    again = rollout(model, fan.states[..., 0, :], fan.controls)
+    lower, upper = model.bounds
+    assert fan.controls.shape[-3:] == (64, 30, 2)
+    assert torch.allclose(again, fan.states, atol=1e-5)
+    assert (fan.controls >= lower).all()
+    assert (fan.controls <= upper).all()
+
+
+@each_model
+def test_straight_ahead_at_constant_speed_is_among_the_candidates(model):
+    ends = CandidateFan()(model, problem(), 30).motion.position[0, :, -1]
+    assert (ends - torch.tensor([12.0, 0.0])).norm(dim=-1).min() < 1e-3
+
+
+@each_model
+@pytest.mark.parametrize("goal", [(11.0, 2.0), (12.0, -4.0), (14.0, 0.0)])
+def test_one_candidate_ends_near_the_goal(model, goal):
+    ends = CandidateFan()(model, problem(goal=goal), 30).motion.position[0, -1, -1]
+    assert (ends - torch.tensor(goal)).norm() < 0.3
+
+
+@each_model
+@pytest.mark.parametrize("goal", [(0.0, 0.0), (-3.0, 0.0), (0.0, 2.0)])
+def test_fan_is_finite_at_standstill_and_with_the_goal_anywhere(model, goal):
+    fan = CandidateFan()(model, problem(speed=0.0, goal=goal), 30)
+    assert torch.isfinite(fan.states).all()
+
+
+def test_closest_candidate_is_judged_at_valid_times_only():
+    positions = torch.zeros(1, 2, 3, 2)
+    positions[0, 0, 2] = 100.0
+    positions[0, 1] = 1.0
+    human = torch.zeros(1, 3, 2)
+    valid = torch.tensor([[True, True, False]])
+    assert closest_candidate(positions, human, valid).item() == 0
+    assert closest_candidate(positions, human, torch.ones_like(valid)).item() == 1
+
+
+def test_cross_entropy_is_that_of_torch():
+    logits, target = torch.randn(5, 7), torch.randint(7, (5,))
+    expected = torch.nn.functional.cross_entropy(logits, target, reduction="none")
+    assert torch.allclose(cross_entropy(logits, target), expected)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [{"speeds": 0}, {"offsets": 0}, {"speed_change_mps": 0.0}, {"offset_share": -1.0}, {"speed_max_mps": 0.0}],
+)
+def test_impossible_fans_are_refused(arguments):
+    with pytest.raises(ValueError, match=next(iter(arguments))):
+        CandidateFan(**arguments)

@@ -1,0 +1,75 @@
+"""Planning problems from observations."""
+
+import pytest
+import torch
+
+from diffstack_mmv.planning.problem import (
+    build_problem,
+    disc_radius,
+    observed_obstacles,
+    predicted_obstacles,
+    reference_to_goal,
+)
+from diffstack_mmv.prediction.goal_baselines import hermite_spline
+from diffstack_mmv.types import Forecast, Motion, Tracks
+
+
+def tracks(*shape, rows):
+    motion = Motion(
+        torch.randn(*shape, rows, 2),
+        torch.randn(*shape, rows),
+        torch.randn(*shape, rows, 2),
+        torch.randn(*shape, rows),
+    )
+    valid = torch.ones(*shape, rows, dtype=torch.bool)
+    return Tracks(motion, torch.rand(*shape, 2) + 0.5, torch.zeros(*shape, dtype=torch.long), valid)
+
+
+def test_reference_ends_at_the_goal_and_starts_where_the_ego_is():
+    position, path, goal = torch.randn(3, 2), torch.randn(3, 30, 2), torch.randn(3, 2)
+    reference = reference_to_goal(position, path, goal)
+    assert reference.shape == (3, 31, 2)
+    assert torch.allclose(reference[:, 0], position)
+    assert torch.allclose(reference[:, -1], goal, atol=1e-6)
+
+
+def test_reference_of_constant_velocity_is_the_hermite_spline():
+    velocity, goal = torch.tensor([3.0, 0.0]), torch.tensor([7.0, 1.0])
+    path = velocity * 0.1 * torch.arange(1, 31).unsqueeze(-1)
+    motion = Motion(torch.zeros(2), torch.tensor(0.0), velocity, torch.tensor(0.0))
+    expected = hermite_spline(motion, goal, 30, 0.1)
+    assert torch.allclose(reference_to_goal(torch.zeros(2), path, goal)[1:], expected, atol=1e-5)
+
+
+def test_true_obstacles_hold_the_last_seen_position():
+    past, future = tracks(2, 3, rows=5), tracks(2, 3, rows=4)
+    future.valid[0, 0, 2:] = False
+    future.valid[0, 1, :] = False
+    position = observed_obstacles(past, future).position
+    assert position.shape == (2, 3, 1, 5, 2)
+    assert torch.equal(position[0, 0, 0, 3], future.motion.position[0, 0, 1])
+    assert torch.equal(position[0, 1, 0, 4], past.motion.position[0, 1, -1])
+    assert torch.equal(position[1, 2, 0, 1:], future.motion.position[1, 2])
+
+
+def test_predicted_obstacles_begin_at_the_present_position():
+    others = tracks(2, 3, rows=5)
+    forecast = Forecast(
+        torch.zeros(2, 3, 4).log_softmax(-1), torch.randn(2, 3, 4, 6, 2), torch.zeros(2, 3, 4, 6, 2, 2)
+    )
+    obstacles = predicted_obstacles(others, forecast)
+    assert torch.equal(obstacles.position[:, :, 1, 0], others.motion.position[..., -1, :])
+    assert torch.allclose(obstacles.weight.sum(-1), torch.ones(2, 3))
+
+
+def test_disc_has_the_area_of_the_box():
+    radius = disc_radius(torch.tensor([4.0, 2.0]))
+    assert torch.pi * radius.square() == pytest.approx(8.0)
+
+
+def test_problem_without_neighbours_is_a_problem():
+    ego = tracks(2, rows=5)
+    none = observed_obstacles(tracks(2, 0, rows=5), tracks(2, 0, rows=6))
+    problem = build_problem(ego, torch.randn(2, 6, 2), torch.randn(2, 2), none, 0.1)
+    assert problem.obstacles.position.shape == (2, 0, 1, 7, 2)
+    assert torch.isfinite(problem.reference_speed).all()
