@@ -1,0 +1,246 @@
+"""The vehicle under its tyres: from velocity, lean and command to forces, and to v' = A v + b."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.dynamics.gm3.body import LinearEquation, outer_sum
+from diffstack_mmv.dynamics.gm3.drive import (
+    AccelerationDrive,
+    Command,
+    DifferentialYawDrive,
+    Drive,
+    Traction,
+)
+from diffstack_mmv.dynamics.gm3.lean import camber_spin
+from diffstack_mmv.dynamics.gm3.load import GRAVITY, AccelerationLimits, LoadTransfer
+from diffstack_mmv.dynamics.gm3.slip import (
+    WheelVelocity,
+    hub_velocity,
+    inverse_speed,
+    slip_angle_ratio,
+    wheel_axes,
+)
+from diffstack_mmv.dynamics.gm3.steering import Directions, build_steering
+from diffstack_mmv.dynamics.gm3.tire import (
+    Tire,
+    TireProperties,
+    TireSecants,
+    TireSlip,
+    loaded_tire,
+)
+from diffstack_mmv.smooth import limiter_gain
+from diffstack_mmv.vehicles import DifferentialDrive, ExactBuffers, VehicleSpec
+
+
+class Physics(NamedTuple):
+    """Physical parameters of one call, and what follows from them alone."""
+
+    friction: Float[Tensor, " all"]  # μ, of all wheels
+    rolling_friction: Float[Tensor, " wheels"]  # μ, of the wheels that are no casters
+    cornering: Float[Tensor, " wheels"]  # C / 3 in N
+    contact_half_length: Float[Tensor, " wheels"]  # ℓ in m
+    inverse_inertia: Float[Tensor, "3"]  # 1/m, 1/m, 1/I_z
+    yaw_inertia: Float[Tensor, ""]
+    roll_inertia: Float[Tensor, ""]
+    roll_damping: Float[Tensor, ""]
+    aligning_gain: Float[Tensor, ""]
+    damping_rate: Float[Tensor, ""]  # d_yaw
+    damping: Float[Tensor, "3 3"]  # -d_yaw in its place
+    rolling_resistance: Float[Tensor, ""]
+    drag: Float[Tensor, ""]
+    length_scale: Float[Tensor, ""]
+    limits: AccelerationLimits
+
+
+class Contact(NamedTuple):
+    """Everything at the contacts of the rolling wheels."""
+
+    hub: WheelVelocity
+    normal_load: Float[Tensor, "*b all"]  # N, of all wheels
+    tire: TireProperties
+    traction: Traction
+    slip: TireSlip
+    inverse_speed: Float[Tensor, "*b wheels"]  # V_x / (V_x² + v_ε²) in s/m
+    camber: Float[Tensor, "*b wheels"] | None  # part of the spin that does not turn with r, 1/m
+    angle_ratio: Float[Tensor, "*b wheels"] | None  # α / (-V_y) in s/m
+    secants: TireSecants
+    trail_sign: Float[Tensor, "*b wheels"]  # V_x / sqrt(V_x² + v_ε²)
+
+
+class Chassis(ExactBuffers):
+    """Wheels, loads, steering and drive of a vehicle, joined.
+
+    Args:
+        spec: The vehicle.
+        tire: The tyre law of all wheels.
+        drive: How commands become slips, None for the vehicle's own way from accelerations.
+    """
+
+    def __init__(self, spec: VehicleSpec, tire: Tire, drive: type[Drive] | None = None) -> None:
+        super().__init__()
+        self.spec = spec
+        self.tire = tire
+        self.rolling = [i for i, wheel in enumerate(spec.wheels) if not wheel.caster]
+        self.has_casters = len(self.rolling) < len(spec.wheels)
+        wheels = [spec.wheels[index] for index in self.rolling]
+        self.loads = LoadTransfer(spec)
+        self.steering = build_steering(spec.steering, wheels, spec.limits.steer_max_rad)
+        self.drive = drive(spec, self.rolling) if drive else _default_drive(spec, self.rolling)
+        self.register_buffer("rolling_index", torch.tensor(self.rolling), persistent=False)
+        per_wheel = {
+            "x": [wheel.x_m for wheel in wheels],
+            "y": [wheel.y_m for wheel in wheels],
+            "radius": [wheel.radius_m for wheel in wheels],
+            "camber_gain": [(1 - wheel.camber_reduction) / wheel.radius_m for wheel in wheels],
+        }
+        for name, values in per_wheel.items():
+            self.register_exact(name, values)
+        self.register_exact("axis_x", [1.0, 0.0, 0.0])
+        self.register_exact("axis_yaw", [0.0, 0.0, 1.0])
+        self.register_exact("steer_gain", self.steering.gains)
+        self.register_exact("inverse_mass", [1 / spec.mass_kg, 1 / spec.mass_kg, 0.0])
+        self.register_exact("yaw_only", [[0.0] * 3, [0.0] * 3, [0.0, 0.0, 1.0]])
+        self.register_exact("turning", [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+        resistance = [spec.parameters[name] for name in ("rolling_resistance", "drag")]
+        self._resists = any(high > 0 for entry in resistance for _, _, high in entry.entries())
+
+    def rolling_wheels(self, values: Float[Tensor, "*b all"]) -> Float[Tensor, "*b wheels"]:
+        """Pick the wheels that are no casters."""
+        if not self.has_casters:
+            return values
+        return values.index_select(-1, self.get_buffer("rolling_index"))
+
+    def physics(self, values: Mapping[str, Tensor]) -> Physics:
+        """Gather physical parameters in their units, by the names of `vehicles`."""
+        friction, length = values["friction"], self.rolling_wheels(values["contact_half_length"])
+        stiffness = self.rolling_wheels(values["tread_stiffness"])
+        yaw_inertia, damping = values["yaw_inertia"], values["yaw_damping"]
+        inverse = self.get_buffer("inverse_mass") + self.get_buffer("axis_yaw") / yaw_inertia
+        return Physics(
+            friction=friction,
+            rolling_friction=self.rolling_wheels(friction),
+            cornering=2 / 3 * stiffness * length.square(),
+            contact_half_length=length,
+            inverse_inertia=inverse,
+            yaw_inertia=yaw_inertia,
+            roll_inertia=values["roll_inertia"],
+            roll_damping=values["roll_damping"],
+            aligning_gain=values["aligning_gain"],
+            damping_rate=damping,
+            damping=-damping * self.get_buffer("yaw_only"),
+            rolling_resistance=values["rolling_resistance"],
+            drag=values["drag"],
+            length_scale=values["length_scale"],
+            limits=self.loads.limits(friction, values["length_scale"]),
+        )
+
+    def axes(
+        self, directions: Directions, length_scale: Float[Tensor, ""]
+    ) -> Float[Tensor, "*b 2 3 wheels"]:
+        """Generalised directions of the wheels' axes."""
+        x = self.get_buffer("x") * length_scale
+        return wheel_axes(x, self.get_buffer("y"), directions.sine, directions.cosine)
+
+    def normal_loads(
+        self, velocity: Float[Tensor, "*b 3"], command: Command, physics: Physics
+    ) -> Float[Tensor, "*b all"]:
+        """Loads in N: a_x = A S(a_eff / A) within friction and lift, a_y = v_x r."""
+        forward, yaw_rate = velocity[..., :1], velocity[..., 2:]
+        limits = physics.limits
+        wanted = self.drive.acceleration(command, forward, physics.cornering)
+        limit = torch.where(wanted > 0, limits.drive, limits.brake)
+        acceleration = wanted * limiter_gain(wanted / limit)
+        return self.loads(acceleration, forward * yaw_rate, limits, physics.length_scale)
+
+    def contact(
+        self,
+        velocity: Float[Tensor, "*b 3"],
+        lean: Float[Tensor, "*b 1"],
+        axes: Float[Tensor, "*b 2 3 wheels"],
+        command: Command,
+        physics: Physics,
+    ) -> Contact:
+        """Slips and tyre secants of all rolling wheels."""
+        slip_speed = self.spec.smoothing.slip_speed_mps
+        hub = hub_velocity(axes, velocity)
+        loads = self.normal_loads(velocity, command, physics)
+        tire = loaded_tire(
+            self.rolling_wheels(loads),
+            physics.rolling_friction,
+            physics.cornering,
+            physics.contact_half_length,
+        )
+        traction = self.drive(command, velocity, hub, tire, physics.yaw_inertia, axes)
+        inverse = inverse_speed(hub.forward, slip_speed)
+        camber = None
+        turn = -velocity[..., 2:]
+        if self.spec.leans:
+            limit = self.spec.limits.lean_max_rad
+            camber = hub.forward * camber_spin(lean, limit, self.get_buffer("camber_gain"))
+            turn = turn + camber
+        across = -hub.left / traction.reference
+        ratio = slip_angle_ratio(hub, slip_speed) if self.tire.uses_slip_angle else None
+        angle = None if ratio is None else -hub.left * ratio
+        slip = TireSlip(traction.slip, across, inverse * turn, angle)
+        secants = self.tire.secants_in_vehicle(slip, tire)
+        trail_sign = hub.forward * (hub.forward.square() + slip_speed**2).rsqrt()
+        return Contact(
+            hub, loads, tire, traction, slip, inverse, camber, ratio, secants, trail_sign
+        )
+
+    def velocity_equation(
+        self,
+        velocity: Float[Tensor, "*b 3"],
+        lean: Float[Tensor, "*b 1"],
+        axes: Float[Tensor, "*b 2 3 wheels"],
+        command: Command,
+        physics: Physics,
+    ) -> LinearEquation:
+        """A and b of v' = A v + b, with the secants at this velocity, lean and command."""
+        contact = self.contact(velocity, lean, axes, command, physics)
+        along, across = axes[..., 0, :, :], axes[..., 1, :, :]
+        secants, traction = contact.secants, contact.traction
+        stiffness = secants.across / traction.reference
+        if secants.per_angle is not None and contact.angle_ratio is not None:
+            stiffness = stiffness + secants.per_angle * contact.angle_ratio
+        push = secants.along * traction.gain
+        lateral = stiffness.unsqueeze(-2) * across
+        matrix = outer_sum(along, push.unsqueeze(-2) * traction.row)
+        offset = (along * (push * traction.constant).unsqueeze(-2)).sum(-1)
+        if secants.per_spin is not None:
+            turn = secants.per_spin * contact.inverse_speed
+            lateral = torch.addcmul(
+                lateral, turn.unsqueeze(-2), self.get_buffer("axis_yaw").unsqueeze(-1)
+            )
+            if contact.camber is not None:
+                offset = offset + (across * (turn * contact.camber).unsqueeze(-2)).sum(-1)
+        aligning = secants.aligning * contact.trail_sign / traction.reference
+        moment = physics.aligning_gain * (across * aligning.unsqueeze(-2)).sum(-1)
+        matrix = matrix - outer_sum(across, lateral)
+        matrix = matrix + moment.unsqueeze(-2) * self.get_buffer("axis_yaw").unsqueeze(-1)
+        matrix = matrix * physics.inverse_inertia.unsqueeze(-1) + physics.damping
+        matrix = torch.addcmul(matrix, velocity[..., 2:].unsqueeze(-1), self.get_buffer("turning"))
+        if self._resists:
+            matrix = matrix - self._resistance(velocity, physics)
+        return LinearEquation(matrix, offset * physics.inverse_inertia)
+
+    def _resistance(
+        self, velocity: Float[Tensor, "*b 3"], physics: Physics
+    ) -> Float[Tensor, "*b 3 3"]:
+        """Rolling resistance c_r g and drag c_d |v_x| v_x / m, per v_x in 1/s."""
+        smoothing = self.spec.smoothing
+        size = (velocity[..., :1].square() + smoothing.stop_speed_mps**2).sqrt()
+        per_speed = GRAVITY * physics.rolling_resistance / size
+        per_speed = per_speed + physics.drag / self.spec.mass_kg * size
+        axis = self.get_buffer("axis_x")
+        return per_speed.unsqueeze(-1) * (axis.unsqueeze(-1) * axis)
+
+
+def _default_drive(spec: VehicleSpec, rolling: list[int]) -> Drive:
+    if isinstance(spec.steering, DifferentialDrive):
+        return DifferentialYawDrive(spec, rolling, spec.steering)
+    return AccelerationDrive(spec, rolling)

@@ -1,0 +1,272 @@
+"""Drive and brake: from an acceleration command, or a wheel speed, to the slip of every wheel.
+
+An acceleration becomes a force demand per wheel, and the demand becomes a slip by the inverse of
+the brush law, so that in straight running the force is the demand: gain 1 at every speed, no
+memory. Source: AUDIT of the GM3 equations; GM3 itself takes wheel speeds (`SpeedDrive`).
+"""
+
+from abc import abstractmethod
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import message
+from diffstack_mmv.dynamics.gm3.slip import WheelVelocity, reference_speed, rolling_speed
+from diffstack_mmv.dynamics.gm3.tire import TireProperties
+from diffstack_mmv.smooth import limiter_gain
+from diffstack_mmv.vehicles import DifferentialDrive, ExactBuffers, VehicleSpec
+
+SLIP_LIMIT = 0.9  # of the commanded slip
+
+
+class DriveSplit(NamedTuple):
+    """An acceleration command in m/s², split into its driving and its braking part."""
+
+    drive: Float[Tensor, "*b"]
+    brake: Float[Tensor, "*b"]
+
+
+class Command(NamedTuple):
+    """What the rider asks for, held over a step: kept apart from what depends on the state."""
+
+    split: DriveSplit
+    steer: Float[Tensor, "*b 1"]  # steering angle after the soft clamp, rad
+    wheel_speed: Float[Tensor, "*b wheels"] | None  # R Ω in m/s, for a `SpeedDrive`
+
+
+class Traction(NamedTuple):
+    """Longitudinal state of the wheels, with the force as k · gain · (constant + row · v)."""
+
+    slip: Float[Tensor, "*b wheels"]  # σ_x
+    rolling: Float[Tensor, "*b wheels"]  # V_r in m/s
+    reference: Float[Tensor, "*b wheels"]  # D in m/s
+    gain: Float[Tensor, "*b wheels"]
+    constant: Float[Tensor, "*b wheels"]
+    row: Float[Tensor, "*b 3 wheels"]
+
+
+def split_acceleration(acceleration: Float[Tensor, "*b"], width: float) -> DriveSplit:
+    """Split a in m/s² smoothly: a_drive + a_brake = a, slope 1/2 each at zero, width a_ε."""
+    size = (acceleration.square() + width**2).sqrt() - width
+    return DriveSplit(0.5 * (acceleration + size), 0.5 * (acceleration - size))
+
+
+def slip_per_share(share: Float[Tensor, "*b"], friction_share: float) -> Float[Tensor, "*b"]:
+    """Return ψσ / q of the inverse brush law for a share q = F / (μ F_z) of the friction.
+
+    q_b = q_max S(q / q_max),  ψσ = sgn(q_b) (1 - c),  c = (1 - |q_b|)^(1/3);  hence ψσ / q_b = 1 /
+    (1 + c + c²), finite at q = 0.
+    """
+    gain = limiter_gain(share / friction_share)
+    root = (1 - (share * gain).abs()).pow(1 / 3)
+    return gain / (1 + root + root.square())
+
+
+class Drive(ExactBuffers):
+    """How commands become slips.
+
+    Args:
+        spec: The vehicle.
+        rolling: Indices of the wheels that are no casters.
+    """
+
+    def __init__(self, spec: VehicleSpec, rolling: list[int]) -> None:
+        super().__init__()
+        self.spec = spec
+        wheels = [spec.wheels[index] for index in rolling]
+        self.register_exact("driven", [float(wheel.driven) for wheel in wheels])
+        self.register_exact("braked", [float(wheel.braked) for wheel in wheels])
+        self.register_exact("axis_x", [[1.0], [0.0], [0.0]])
+        self.register_exact("axis_yaw", [[0.0], [0.0], [1.0]])
+
+    @abstractmethod
+    def acceleration(
+        self,
+        command: Command,
+        forward: Float[Tensor, "*b 1"],
+        cornering: Float[Tensor, " wheels"],
+    ) -> Float[Tensor, "*b 1"]:
+        """Acceleration in m/s² that is asked for, before any limit of friction.
+
+        `forward` is v_x in m/s, `cornering` C / 3 of the wheels in N.
+        """
+
+    @abstractmethod
+    def forward(
+        self,
+        command: Command,
+        velocity: Float[Tensor, "*b 3"],
+        hub: WheelVelocity,
+        tire: TireProperties,
+        yaw_inertia: Float[Tensor, ""],
+        axes: Float[Tensor, "*b 2 3 wheels"],
+    ) -> Traction:
+        """Slips and force demands of the wheels."""
+
+
+class AccelerationDrive(Drive):
+    """Force demand m a μF_z / Σ μF_z on the driven wheels, or on the braked ones if a < 0.
+
+    Brakes fade out at standstill, a_eff = a_drive + a_brake v_x / sqrt(v_x² + v_stop²), and never
+    push backwards. A vehicle that can reverse takes a as it is, and drives wherever a and v_x have
+    the same sign.
+    """
+
+    def _fade(
+        self, command: Command, forward: Float[Tensor, "*b 1"]
+    ) -> tuple[Float[Tensor, "*b 1"], Float[Tensor, "*b 1"]]:
+        """Constant part of a_eff in m/s² and its part per v_x in 1/s."""
+        if self.spec.reverse:
+            whole = command.split.drive + command.split.brake
+            return whole, torch.zeros_like(forward)
+        stop = self.spec.smoothing.stop_speed_mps
+        return command.split.drive, command.split.brake * (forward.square() + stop**2).rsqrt()
+
+    def acceleration(
+        self,
+        command: Command,
+        forward: Float[Tensor, "*b 1"],
+        cornering: Float[Tensor, " wheels"],
+    ) -> Float[Tensor, "*b 1"]:
+        """a_eff in m/s²."""
+        constant, per_speed = self._fade(command, forward)
+        return torch.addcmul(constant, per_speed, forward)
+
+    def _shares(
+        self,
+        command: Command,
+        forward: Float[Tensor, "*b 1"],
+        tire: TireProperties,
+    ) -> tuple[Float[Tensor, "*b wheels"], Float[Tensor, "*b wheels"], Float[Tensor, "*b 1"]]:
+        """Demand per wheel in N: constant, per v_x, and q of the wheels of the set."""
+        constant, per_speed = self._fade(command, forward)
+        wanted = torch.addcmul(constant, per_speed, forward)
+        driving = wanted * forward >= 0 if self.spec.reverse else wanted > 0
+        members = torch.where(driving, self.get_buffer("driven"), self.get_buffer("braked"))
+        grip = members * tire.grip
+        per_grip = self.spec.mass_kg / grip.sum(-1, keepdim=True)
+        shares = grip * per_grip
+        return shares * constant, shares * per_speed, per_grip * wanted * members
+
+    def forward(
+        self,
+        command: Command,
+        velocity: Float[Tensor, "*b 3"],
+        hub: WheelVelocity,
+        tire: TireProperties,
+        yaw_inertia: Float[Tensor, ""],
+        axes: Float[Tensor, "*b 2 3 wheels"],
+    ) -> Traction:
+        """Slips and force demands of the wheels."""
+        constant, per_speed, share = self._shares(command, velocity[..., :1], tire)
+        row = per_speed.unsqueeze(-2) * self.get_buffer("axis_x")
+        return self._traction(share, constant, row, hub, tire)
+
+    def _traction(
+        self,
+        share: Float[Tensor, "*b wheels"],
+        constant: Float[Tensor, "*b wheels"],
+        row: Float[Tensor, "*b 3 wheels"],
+        hub: WheelVelocity,
+        tire: TireProperties,
+    ) -> Traction:
+        smoothing = self.spec.smoothing
+        inverse = slip_per_share(share, smoothing.friction_share)
+        wanted = share * inverse * tire.onset
+        limit = limiter_gain(wanted / SLIP_LIMIT)
+        slip = wanted * limit
+        rolling = rolling_speed(hub.forward, slip, smoothing.slip_speed_mps)
+        reference = reference_speed(rolling, smoothing.slip_speed_mps)
+        return Traction(slip, rolling, reference, inverse * limit / tire.cornering, constant, row)
+
+
+class DifferentialYawDrive(AccelerationDrive):
+    """Driven wheels on both sides follow a commanded yaw rate by the difference of their forces.
+
+    r_c = v_x tan(δ) / L,  M = I_z (r_c - r) / τ limited to what the weaker wheel's friction
+    allows, and F_i = F_i - M y_i / Σ y².
+    """
+
+    def __init__(self, spec: VehicleSpec, rolling: list[int], drive: DifferentialDrive) -> None:
+        super().__init__(spec, rolling)
+        self.servo = drive
+        sides = [spec.wheels[i].y_m * float(spec.wheels[i].driven) for i in rolling]
+        self.register_exact("lever", [side / sum(y**2 for y in sides) for side in sides])
+        self._reach = drive.yaw_share * sum(abs(side) for side in sides)
+        self._count = sum(spec.wheels[i].driven for i in rolling)
+
+    def _yaw_gain(
+        self, moment: Float[Tensor, "*b 1"], tire: TireProperties
+    ) -> Float[Tensor, "*b 1"]:
+        """Share of a moment in N m that the friction of the driven wheels lets through."""
+        inverse = (self.get_buffer("driven") / tire.grip).sum(-1, keepdim=True)
+        return limiter_gain(moment * inverse / (self._reach * self._count))
+
+    def forward(
+        self,
+        command: Command,
+        velocity: Float[Tensor, "*b 3"],
+        hub: WheelVelocity,
+        tire: TireProperties,
+        yaw_inertia: Float[Tensor, ""],
+        axes: Float[Tensor, "*b 2 3 wheels"],
+    ) -> Traction:
+        """Slips and force demands of the wheels."""
+        forward = velocity[..., :1]
+        constant, per_speed, share = self._shares(command, forward, tire)
+        per_rate = yaw_inertia / self.servo.yaw_time_constant_s
+        curvature = command.steer.tan() / self.servo.virtual_wheelbase_m
+        moment = per_rate * (curvature * forward - velocity[..., 2:])
+        allowed = self._yaw_gain(moment, tire)
+        lever = self.get_buffer("lever")
+        share = share - moment * allowed * lever / tire.grip
+        turning = (per_rate * allowed * lever).unsqueeze(-2)
+        axis_x, axis_yaw = self.get_buffer("axis_x"), self.get_buffer("axis_yaw")
+        row = per_speed.unsqueeze(-2) * axis_x
+        row = row + turning * (axis_yaw - curvature.unsqueeze(-1) * axis_x)
+        return self._traction(share, constant, row, hub, tire)
+
+
+class SpeedDrive(Drive):
+    """Driven wheels turn at given speeds, all others roll freely: the interface of GM3 itself.
+
+    σ_x = (V_r - V_x) / D with V_r = R Ω held, so that F_x = (k / D) (V_r - g · v).
+    """
+
+    @staticmethod
+    def _given(command: Command) -> Float[Tensor, "*b wheels"]:
+        if command.wheel_speed is None:
+            raise ValueError(message("wheel_speed", "be given to this drive", "None"))
+        return command.wheel_speed
+
+    def acceleration(
+        self,
+        command: Command,
+        forward: Float[Tensor, "*b 1"],
+        cornering: Float[Tensor, " wheels"],
+    ) -> Float[Tensor, "*b 1"]:
+        """Acceleration in m/s² of the linear tyre C σ_x / m; `cornering` is C / 3 in N."""
+        given = self._given(command)
+        slip_speed = self.spec.smoothing.slip_speed_mps
+        slip = (given - forward) / reference_speed(given, slip_speed)
+        stiffness = self.get_buffer("driven") * cornering * (3 / self.spec.mass_kg)
+        return (stiffness * slip).sum(-1, keepdim=True)
+
+    def forward(
+        self,
+        command: Command,
+        velocity: Float[Tensor, "*b 3"],
+        hub: WheelVelocity,
+        tire: TireProperties,
+        yaw_inertia: Float[Tensor, ""],
+        axes: Float[Tensor, "*b 2 3 wheels"],
+    ) -> Traction:
+        """Slips of the wheels at their given speeds."""
+        driven, given = self.get_buffer("driven"), self._given(command)
+        rolling = torch.where(driven > 0, given, hub.forward)
+        reference = reference_speed(rolling, self.spec.smoothing.slip_speed_mps)
+        slip = (rolling - hub.forward) / reference
+        row = -axes[..., 0, :, :] * driven
+        return Traction(slip, rolling, reference, 1 / reference, driven * given, row)

@@ -1,0 +1,175 @@
+"""DiffGM3: differentiable brush-tyre dynamics for any layout of wheels."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require
+from diffstack_mmv.dynamics.base import DynamicsModel
+from diffstack_mmv.dynamics.gm3.chassis import Chassis, Physics
+from diffstack_mmv.dynamics.gm3.drive import Command, split_acceleration
+from diffstack_mmv.dynamics.gm3.held import HeldDynamics
+from diffstack_mmv.dynamics.gm3.load import GRAVITY
+from diffstack_mmv.dynamics.gm3.steady import linear_steer
+from diffstack_mmv.dynamics.gm3.steering import turning_axle_m
+from diffstack_mmv.dynamics.gm3.stepper import LIM2, Stepper
+from diffstack_mmv.dynamics.gm3.tire import ConsistentBrush, Tire
+from diffstack_mmv.types import Motion
+from diffstack_mmv.vehicles import BODY_PARAMETERS, WHEEL_PARAMETERS, SoftClamped, VehicleSpec
+
+COMMAND_RANGE = 2.0  # steering commands may go that far beyond the soft limit: tanh(2) = 0.96
+COMMAND_LIMIT = 1e3  # m/s^2, far beyond friction; keeps powers of a wild command finite
+SLOW = 0.2  # m/s, below which a course says little about the heading
+
+
+class DiffGM3(DynamicsModel):
+    """Wheels on brush tyres under a rigid, possibly leaning body; reference point at the centre of
+    gravity.
+
+    Per wheel: hub velocity → slip and spin → tyre law → force in the body's axes. Body: m (v_x' -
+    r v_y) = ΣF_x, m (v_y' + r v_x) = ΣF_y, I_z r' = ΣM - I_z d_yaw r. Loads follow a_x and a_y =
+    v_x r without memory; an acceleration command becomes wheel slips by the inverse brush law; the
+    steering command is softly clamped. All wheels and all elements of a batch are computed at
+    once. Source: Cai et al., GM3 (arXiv 2510.07807), and DMMV, Sec. III and IV-B; every difference
+    from the printed equations is listed in docs/dynamics.md.
+
+    Args:
+        spec: The vehicle: wheels, masses, parameters with ranges.
+        dt_s: Length of one control step in s.
+        tire: Tyre law of all wheels, `ConsistentBrush()` by default.
+        substeps: Steps of the numerical method per control step.
+        stepper: Numerical method, `LIM2()` by default.
+
+    Raises:
+        ValueError: The step or the number of substeps is not positive, or a wheel would carry no
+            load.
+    """
+
+    class State(NamedTuple):
+        """Pose of the centre of gravity (m, rad), velocity in the body's axes (m/s), yaw rate, lean and its rate."""
+
+        position_x: Float[Tensor, "*b"]
+        position_y: Float[Tensor, "*b"]
+        velocity_forward: Float[Tensor, "*b"]
+        velocity_left: Float[Tensor, "*b"]
+        heading: Float[Tensor, "*b"]
+        yaw_rate: Float[Tensor, "*b"]
+        lean: Float[Tensor, "*b"]
+        lean_rate: Float[Tensor, "*b"]
+
+    class Control(NamedTuple):
+        """Acceleration in m/s², steering command in rad (before the soft clamp)."""
+
+        acceleration: Float[Tensor, "*b"]
+        steer: Float[Tensor, "*b"]
+
+    def __init__(
+        self,
+        spec: VehicleSpec,
+        dt_s: float = 0.1,
+        tire: Tire | None = None,
+        substeps: int = 1,
+        stepper: Stepper | None = None,
+    ) -> None:
+        limits = spec.limits
+        steer = COMMAND_RANGE * limits.steer_max_rad
+        super().__init__(
+            dt_s,
+            (limits.acceleration_min_mps2, -steer),
+            (limits.acceleration_max_mps2, steer),
+        )
+        self._build(spec, tire, substeps, stepper)
+
+    def _build(
+        self, spec: VehicleSpec, tire: Tire | None, substeps: int, stepper: Stepper | None
+    ) -> None:
+        require(substeps >= 1, "substeps", "be at least 1", substeps)
+        self.spec = spec
+        self.substeps = substeps
+        self.stepper = stepper or LIM2()
+        self.chassis = Chassis(spec, tire or ConsistentBrush())
+        for name in WHEEL_PARAMETERS:
+            self.add_module(name, SoftClamped(spec.wheel_parameter(name)))
+        for name in BODY_PARAMETERS:
+            self.add_module(name, SoftClamped(spec.parameters[name]))
+        self._turning_axle_m = turning_axle_m(spec.wheels)
+
+    def physics(self) -> Physics:
+        """Physical parameters of this model, ready for use."""
+        names = [*WHEEL_PARAMETERS, *BODY_PARAMETERS]
+        return self.chassis.physics({name: self.get_submodule(name)() for name in names})
+
+    def command(self, control: Float[Tensor, "*b 2"]) -> Command:
+        """What a control asks for."""
+        acceleration = control[..., :1].clamp(-COMMAND_LIMIT, COMMAND_LIMIT)
+        width = self.spec.smoothing.acceleration_mps2
+        steer = self.chassis.steering.clamped(control[..., 1:])
+        return Command(split_acceleration(acceleration, width), steer, None)
+
+    def hold(self, control: Float[Tensor, "*b 2"]) -> HeldDynamics:
+        """Dynamics under one control, with all that depends on it alone computed."""
+        physics, command = self.physics(), self.command(control)
+        directions = self.chassis.steering(command.steer, physics.length_scale)
+        axes = self.chassis.axes(directions, physics.length_scale)
+        return HeldDynamics(self.chassis, physics, command, axes)
+
+    def derivative(
+        self, state: Float[Tensor, "*b 8"], control: Float[Tensor, "*b 2"]
+    ) -> Float[Tensor, "*b 8"]:
+        """Continuous-time right-hand side x' = f(x, u), SI units per second."""
+        return self.hold(control).derivative(state)
+
+    def step(
+        self, state: Float[Tensor, "*b 8"], control: Float[Tensor, "*b 2"]
+    ) -> Float[Tensor, "*b 8"]:
+        """Advance by one control step."""
+        held = self.hold(control)
+        for _ in range(self.substeps):
+            state = self.stepper(held, state, self.dt_s / self.substeps)
+        return state
+
+    def motion(self, states: Float[Tensor, "*b 8"], controls: Float[Tensor, "*b 2"]) -> Motion:
+        """Motion of the centre of gravity; it does not depend on the controls."""
+        return Motion(
+            position=states[..., :2],
+            heading=states[..., 4],
+            velocity=states[..., 2:4],
+            yaw_rate=states[..., 5],
+        )
+
+    def initial_state(self, motion: Motion) -> Float[Tensor, "*b 8"]:
+        """State with this pose, velocity and yaw rate, leaning as in a steady turn: γ = atan(v_x r / g)."""
+        lateral = motion.velocity[..., 0] * motion.yaw_rate
+        lean = torch.atan(lateral / GRAVITY) if self.spec.leans else torch.zeros_like(lateral)
+        rest = torch.stack([motion.heading, motion.yaw_rate, lean, torch.zeros_like(lean)], -1)
+        return torch.cat([motion.position, motion.velocity, rest], -1)
+
+    def state_on_course(self, motion: Motion) -> Float[Tensor, "*b 8"]:
+        """State of a vehicle whose centre of gravity was tracked: `motion.heading` is its course.
+
+        The axle that does not steer, at distance b behind, slips no sideways: sin β = b r / v,
+        heading = course - β. Near standstill, where a course says little, β fades to zero.
+        """
+        speed = motion.velocity[..., 0]
+        ratio = -self._turning_axle_m * motion.yaw_rate * speed / (speed.square() + SLOW**2)
+        beta = torch.atan(ratio)
+        turned = torch.stack([speed * beta.cos(), speed * beta.sin()], -1)
+        return self.initial_state(motion._replace(heading=motion.heading - beta, velocity=turned))
+
+    def control_for(
+        self,
+        state: Float[Tensor, "*b 8"],
+        acceleration: Float[Tensor, "*b"],
+        curvature: Float[Tensor, "*b"],
+    ) -> Float[Tensor, "*b 2"]:
+        """Control that holds an acceleration (m/s²) and a path curvature (1/m), by linear tyres.
+
+        The steering angle is that of a steady turn with understeer, its tangent exact for the
+        kinematics, sent through the inverse of the soft clamp.
+        """
+        tangent = linear_steer(self.chassis, self.physics(), state[..., 2], curvature)
+        steering = self.chassis.steering
+        command = steering.command_for(steering.angle_for(tangent))
+        return self.within_bounds(torch.stack([acceleration.expand_as(command), command], -1))
