@@ -1,7 +1,7 @@
 """Clearance between a moving robot and moving discs, for the footprints a robot can have."""
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
@@ -22,6 +22,7 @@ class Approach(NamedTuple):
     end_heading: Float[Tensor, "*b"]  # rad
 
 
+@runtime_checkable
 class Footprint(Protocol):
     """The outline of a robot."""
 

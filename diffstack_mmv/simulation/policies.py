@@ -1,7 +1,7 @@
 """The simplest controllers: baselines of the benchmark, and the shortest complete examples."""
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -15,6 +15,7 @@ from diffstack_mmv.simulation.rounding import unit_vector
 from diffstack_mmv.simulation.world import Observation
 
 
+@runtime_checkable
 class Controller(Protocol):
     """Chooses the actions of the robots of all episodes at once."""
 

@@ -1,6 +1,6 @@
 """Robots that drive through the crowd: what an action does to them."""
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -23,6 +23,7 @@ class Travel(NamedTuple):
     path: RobotPath
 
 
+@runtime_checkable
 class Robot(Protocol):
     """A robot; its state is a record of its own, `*b`, which only the robot itself reads."""
 

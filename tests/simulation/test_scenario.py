@@ -12,7 +12,9 @@ RECORDINGS = [
     for scenario in ("circle", "square")
     for size in ("h5_dt025_cases000-099", "h10_dt025_cases000-049", "h20_dt025_cases000-049")
 ] + ["circle_crossing_h20_r6_dt025_cases000-049"]
-BOTH = pytest.mark.parametrize("scenario", [CircleCrossing(), SquareCrossing()], ids=["circle", "square"])
+BOTH = pytest.mark.parametrize(
+    "scenario", [CircleCrossing(), SquareCrossing()], ids=["circle", "square"]
+)
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
@@ -86,4 +88,4 @@ def test_impossible_sizes_are_refused_by_name(setting, value):
 
 def test_a_square_without_width_is_refused():
     with pytest.raises(ValueError, match="`square_width_m` must be positive"):
-        SquareCrossing(square_width_m=0)
+        SquareCrossing(square_width_m=0.0)

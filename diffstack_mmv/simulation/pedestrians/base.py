@@ -1,6 +1,6 @@
 """What every pedestrian model gets and gives: the interface behind which models are exchanged."""
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -31,6 +31,7 @@ class Bystander(NamedTuple):
     radius: Float[Tensor, "*b"]
 
 
+@runtime_checkable
 class Crowd(Protocol):
     """A pedestrian model: all humans of all episodes choose their next velocity at once."""
 

@@ -29,7 +29,10 @@ def grid():
 
 @pytest.mark.parametrize("lines", [1, 3, 6])
 def test_feasible_optimum_is_permitted_and_no_grid_point_is_nearer(grid, lines):
-    planes, preferred = planes_of(60, lines), torch.randn(60, 2, dtype=torch.float64).clamp(-0.7, 0.7)
+    planes, preferred = (
+        planes_of(60, lines),
+        torch.randn(60, 2, dtype=torch.float64).clamp(-0.7, 0.7),
+    )
     found = nearest_velocity(planes, torch.ones(60, dtype=torch.float64), preferred)
     solved = found.failed_line == lines
     assert solved.sum() > 5

@@ -1,0 +1,153 @@
+"""Navigation scores against plain loops over hand-made episodes."""
+
+import math
+
+import pytest
+import torch
+
+from diffstack_mmv.metrics.navigation import (
+    CollisionRate,
+    DiscomfortDistance,
+    DiscomfortFrequency,
+    EpisodeMinimumDistance,
+    IncompleteRate,
+    NavigationTime,
+    NavigationTimeOfAll,
+    SuccessRate,
+    uneasy_steps,
+    wilson_interval,
+)
+from diffstack_mmv.types import EpisodeRecord, Motion, Outcome
+
+ENDINGS = torch.tensor([3, 2, 4, 3, 2, 3])
+METRICS = [
+    SuccessRate,
+    CollisionRate,
+    IncompleteRate,
+    NavigationTime,
+    NavigationTimeOfAll,
+    DiscomfortFrequency,
+    DiscomfortDistance,
+    EpisodeMinimumDistance,
+]
+
+
+def record_of(outcome=ENDINGS, steps=None, clearance=None, dt_s=0.25):
+    """Episodes of at most eight steps that end with the given outcomes."""
+    count = len(outcome)
+    generator = torch.Generator().manual_seed(7)
+    steps = torch.randint(3, 9, (count,), generator=generator) if steps is None else steps
+    if clearance is None:
+        clearance = torch.rand(count, 9, generator=generator, dtype=torch.float64) - 0.1
+    rows = torch.zeros(count, 9, dtype=torch.float64)
+    pair = rows[..., None].expand(count, 9, 2)
+    limit = torch.full((count,), 8 * dt_s, dtype=torch.float64)
+    return EpisodeRecord(
+        motion=Motion(pair, rows, pair, rows),
+        pedestrians=pair[:, :, None],
+        controls=pair[:, 1:],
+        reward=rows[:, 1:],
+        clearance=clearance,
+        outcome=outcome,
+        steps=steps,
+        duration=torch.where(outcome == Outcome.TIMEOUT, limit, steps * dt_s),
+        dt_s=dt_s,
+    )
+
+
+def score(metric, *records):
+    instance = metric()
+    for record in records:
+        instance.update(record)
+    return float(instance.compute())
+
+
+@pytest.mark.parametrize(
+    ("metric", "expected"), [(SuccessRate, 3 / 6), (CollisionRate, 2 / 6), (IncompleteRate, 1 / 6)]
+)
+def test_rates_count_the_outcomes(metric, expected):
+    assert score(metric, record_of()) == pytest.approx(expected)
+
+
+def test_times_are_means_of_successes_and_of_all():
+    record = record_of(steps=torch.tensor([4, 5, 8, 6, 7, 8]))
+    assert score(NavigationTime, record) == pytest.approx((4 + 6 + 8) * 0.25 / 3)
+    assert score(NavigationTimeOfAll, record) == pytest.approx((4 + 5 + 8 + 6 + 7 + 8) * 0.25 / 6)
+
+
+def test_discomfort_equals_a_plain_loop():
+    record, distances, steps = record_of(), [], 0.0
+    for episode, clearance in enumerate(record.clearance):
+        end = int(record.steps[episode])
+        distances += [float(d) for d in clearance[1:end] if 0 <= d < 0.2]
+        steps += float(record.duration[episode]) / record.dt_s
+    assert len(distances) > 2
+    assert score(DiscomfortFrequency, record) == pytest.approx(len(distances) / steps)
+    assert score(DiscomfortDistance, record) == pytest.approx(sum(distances) / len(distances))
+
+
+def test_the_smallest_distance_of_an_episode_is_at_least_zero():
+    clearance = torch.full((2, 9), 0.5, dtype=torch.float64)
+    clearance[0, 4] = -0.3
+    record = record_of(torch.tensor([2, 3]), clearance=clearance)
+    assert score(EpisodeMinimumDistance, record) == pytest.approx(0.25)
+
+
+def test_start_and_end_of_an_episode_are_no_uneasy_steps():
+    near = torch.full((1, 9), 0.1, dtype=torch.float64)
+    record = record_of(torch.tensor([3]), steps=torch.tensor([4]), clearance=near)
+    assert uneasy_steps(record)[0].tolist() == [False, True, True, True] + 5 * [False]
+
+
+@pytest.mark.parametrize("metric", METRICS)
+def test_records_in_parts_score_like_the_whole(metric):
+    whole = record_of()
+    parts = [
+        EpisodeRecord(
+            Motion(*(field[rows] for field in whole.motion)),
+            *(field[rows] for field in whole[1:-1]),
+            whole.dt_s,
+        )
+        for rows in (slice(0, 2), slice(2, 6))
+    ]
+    assert score(metric, *parts) == pytest.approx(score(metric, whole))
+
+
+@pytest.mark.parametrize("metric", METRICS)
+def test_every_metric_tells_its_title_unit_and_direction(metric):
+    assert metric.title
+    assert metric.unit in ("1", "s", "m")
+    assert isinstance(metric.higher_is_better, bool)
+
+
+@pytest.mark.parametrize("metric", [NavigationTime, DiscomfortDistance])
+def test_a_mean_over_nothing_is_not_a_number(metric):
+    far = torch.full((1, 9), 3.0, dtype=torch.float64)
+    assert math.isnan(score(metric, record_of(torch.tensor([2]), clearance=far)))
+
+
+def test_episodes_that_still_run_are_refused():
+    with pytest.raises(ValueError, match="`record` must hold ended episodes only, but got 1"):
+        SuccessRate().update(record_of(torch.tensor([3, 0])))
+
+
+@pytest.mark.parametrize(
+    ("hits", "total", "low", "high"),
+    [(5, 10, 0.2366, 0.7634), (0, 100, 0.0, 0.0370), (100, 100, 0.9630, 1.0)],
+)
+def test_wilson_intervals_have_the_known_ends(hits, total, low, high):
+    interval = wilson_interval(torch.tensor(float(hits)), torch.tensor(float(total)))
+    assert float(interval.low) == pytest.approx(low, abs=1e-4)
+    assert float(interval.high) == pytest.approx(high, abs=1e-4)
+
+
+def test_a_rate_comes_with_the_interval_around_it():
+    metric = SuccessRate()
+    metric.update(record_of())
+    interval = metric.interval()
+    assert interval.low < metric.compute() < interval.high
+
+
+def test_a_quantile_that_is_not_positive_is_refused():
+    with pytest.raises(ValueError, match="`quantile` must be positive"):
+        wilson_interval(torch.tensor(1.0), torch.tensor(2.0), quantile=0.0)

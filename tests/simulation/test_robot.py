@@ -1,0 +1,51 @@
+"""The massless robots of the benchmark."""
+
+import math
+
+import pytest
+import torch
+
+from diffstack_mmv.simulation import CircleCrossing, HolonomicRobot, UnicycleRobot
+
+SCENE = CircleCrossing().cases("test", range(3))
+
+
+def action_of(first, second):
+    return torch.tensor((first, second), dtype=torch.float64).expand(3, 2)
+
+
+def test_a_holonomic_robot_moves_by_its_velocity_and_keeps_its_heading():
+    robot = HolonomicRobot()
+    travel = robot.step(robot.start(SCENE), action_of(0.5, -1.0), 0.2)
+    moved = travel.state.position - SCENE.robot_position
+    assert torch.allclose(moved, action_of(0.1, -0.2))
+    assert torch.equal(travel.state.heading, SCENE.robot_heading)
+
+
+def test_a_unicycle_turns_first_and_then_drives():
+    robot = UnicycleRobot()
+    travel = robot.step(robot.start(SCENE), action_of(1.0, math.pi / 2), 0.5)
+    moved = travel.state.position - SCENE.robot_position
+    assert torch.allclose(moved, action_of(-0.5, 0.0))
+    assert torch.allclose(travel.state.heading, torch.tensor(math.pi).double())
+
+
+def test_the_heading_of_a_unicycle_stays_within_a_full_turn():
+    robot = UnicycleRobot()
+    state = robot.step(robot.start(SCENE), action_of(0.0, -3.0), 0.25).state
+    assert ((state.heading >= 0) & (state.heading < 2 * math.pi)).all()
+
+
+@pytest.mark.parametrize("robot", [HolonomicRobot(), UnicycleRobot()])
+def test_path_velocity_and_motion_tell_the_same_step(robot):
+    travel = robot.step(robot.start(SCENE), action_of(0.8, 0.3), 0.25)
+    chord = travel.path.position[..., -1, :] - travel.path.position[..., 0, :]
+    assert torch.allclose(chord, travel.velocity * 0.25)
+    motion = robot.motion(travel.state)
+    assert torch.allclose(motion.velocity.norm(dim=-1), robot.velocity(travel.state).norm(dim=-1))
+
+
+@pytest.mark.parametrize("robot", [HolonomicRobot, UnicycleRobot])
+def test_a_top_speed_that_is_not_positive_is_refused(robot):
+    with pytest.raises(ValueError, match="`max_speed_mps` must be positive"):
+        robot(0.0)

@@ -1,0 +1,83 @@
+"""One step of the world."""
+
+import pytest
+import torch
+
+from diffstack_mmv.simulation import CircleCrossing, RectangleFootprint
+from diffstack_mmv.types import Outcome
+
+STILL = torch.zeros(2, dtype=torch.float64)
+
+
+def test_robot_and_humans_move_at_once_from_the_present_state(world_with):
+    world = world_with()
+    state = world.start(CircleCrossing().case("test", 0))
+    after = world.step(state, STILL + 0.4).state
+    assert torch.allclose(after.robot.position - state.robot.position, STILL + 0.1)
+    expected = world.crowd(state.humans, 0.25)
+    assert torch.equal(after.humans.velocity, expected)
+    assert after.time == 0.25
+
+
+def test_a_step_leaves_the_state_that_it_was_given_alone(world_with):
+    world = world_with()
+    state = world.start(CircleCrossing().case("test", 0))
+    before = state.humans.position.clone()
+    world.step(state, STILL)
+    assert torch.equal(state.humans.position, before)
+
+
+def test_a_batch_of_episodes_equals_its_episodes_one_by_one(world_with):
+    world, scenario = world_with(), CircleCrossing()
+    together = world.step(world.start(scenario.cases("test", range(3))), STILL.expand(3, 2))
+    for case in range(3):
+        alone = world.step(world.start(scenario.case("test", case)), STILL)
+        assert torch.equal(alone.state.humans.position, together.state.humans.position[case])
+        assert torch.equal(alone.judgement.clearance, together.judgement.clearance[case])
+
+
+@pytest.mark.parametrize("visible", [True, False])
+def test_humans_avoid_the_robot_only_if_they_see_it(world_with, scene_with, visible):
+    world = world_with(visible=visible, exact=True)
+    state = world.start(scene_with(human=(3.0, 0.05), goal=(-3.0, 0.05)))
+    outcomes = []
+    for _ in range(40):
+        state, judgement = world.step(state, STILL)
+        outcomes.append(int(judgement.outcome))
+    assert (Outcome.COLLISION in outcomes) is not visible
+
+
+def test_an_observation_tells_no_goal_of_a_human(world_with):
+    world = world_with()
+    seen = world.observe(world.start(CircleCrossing().cases("test", range(2))))
+    assert seen.human_position.shape == (2, 5, 2)
+    assert seen.radius.tolist() == [0.3, 0.3]
+    assert not any("human_goal" in name for name in seen._fields)
+
+
+def test_a_human_inside_the_robot_at_the_start_is_refused(world_with, scene_with):
+    with pytest.raises(ValueError, match="`scene` must start without a collision"):
+        world_with().start(scene_with(human=(0.2, 0.0), goal=(5.0, 0.0)))
+
+
+def test_a_rectangular_robot_has_its_own_clearance(world_with, scene_with):
+    world = world_with(exact=True)
+    state = world.start(scene_with(human=(0.0, 2.0), goal=(0.0, 2.0)))
+    verdict = type(world.verdict)(RectangleFootprint(1.8, 0.6), 25.0)
+    longer = type(world)(world.robot, world.crowd, verdict)
+    assert world.clearance(state) == pytest.approx(1.4)
+    assert longer.clearance(state) == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize(
+    ("settings", "argument"), [({"dt_s": 0.0}, "dt_s"), ({"dt_s": 0.3, "limit_s": 10.0}, "limit_s")]
+)
+def test_times_that_do_not_fit_are_refused(world_with, settings, argument):
+    with pytest.raises(ValueError, match=f"`{argument}` must"):
+        world_with(**settings)
+
+
+def test_an_action_of_the_wrong_size_is_refused(world_with):
+    world = world_with()
+    with pytest.raises(ValueError, match="`action` must have 2 columns"):
+        world.step(world.start(CircleCrossing().case("test", 0)), torch.zeros(3).double())
