@@ -34,6 +34,9 @@ class HeldHeading(DatasetAugmentation):
 class UpwardY(DatasetAugmentation):
     """Turn the y axis of data in picture coordinates (y downwards) up, so that left is left."""
 
+    def __init__(self) -> None:
+        """Nothing to set; the base class refuses to be built."""
+
     def apply(self, scene_data_df: pd.DataFrame) -> None:
         """Change the signs of y, vy, ay and heading of a scene."""
         for column in ("y", "vy", "ay", "heading"):

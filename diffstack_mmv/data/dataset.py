@@ -71,7 +71,7 @@ class ExportedWindows(WindowDataset):
         wanted = (self.content["windows"], *layout.shape)
         try:
             array = np.load(path, mmap_mode="r")
-        except (OSError, ValueError) as error:
+        except (OSError, EOFError, ValueError) as error:
             raise ValueError(_damaged(path, f"be an array of shape {wanted}", error)) from error
         if array.shape != wanted or array.dtype != layout.dtype:
             raise ValueError(_damaged(path, f"have shape {wanted}", array.shape))

@@ -28,39 +28,44 @@ class Situations(NamedTuple):
 
 
 def situations(batch: StackBatch) -> Situations:
-    """Classify windows by the recorded motion of the ego, past and future.
+    """Classify windows by the recorded positions of the ego, past and future.
 
     moving: the path over the window is at least 7 m.
     standing: never more than 1 m from the present.
     starting: slower than 0.5 m/s over the first second of the window, at least 1 m/s over the last;
     stopping: the reverse.
-    turning: moving, and the heading, where the ego is faster than 0.5 m/s, covers a range of at
-    least 20 degrees; straight: moving and not turning.
+    turning: moving, and the course covers a range of at least 20 degrees; straight: moving and not
+    turning.
 
-    Speeds are mean displacements over a second: noise at standstill does not count as motion.
+    Speed and course are those of the displacement over a second, and a course counts at 1 m/s and
+    more: the noise of positions is no motion, and the heading of somebody who starts is no turn.
     """
-    past, future = batch.ego_past.motion, batch.ego_future.motion
-    position = torch.cat([past.position, future.position], -2)
-    heading = torch.cat([past.heading, future.heading], -1)
-    speed = torch.cat([past.velocity, future.velocity], -2).norm(dim=-1)
+    position = torch.cat([batch.ego_past.motion.position, batch.ego_future.motion.position], -2)
     second = min(max(round(1.0 / batch.dt_s), 1), position.shape[-2] - 1)
-    seconds = second * batch.dt_s
-    first = (position[..., second, :] - position[..., 0, :]).norm(dim=-1) / seconds
-    last = (position[..., -1, :] - position[..., -1 - second, :]).norm(dim=-1) / seconds
+    displacement = position[..., second:, :] - position[..., :-second, :]
+    speed = displacement.norm(dim=-1) / (second * batch.dt_s)
+    first, last = speed[..., 0], speed[..., -1]
     moving = position.diff(dim=-2).norm(dim=-1).sum(-1) >= MOVING_PATH
-    turning = moving & (heading_range(heading, speed > SLOW) >= TURN)
-    starting, stopping = (first < SLOW) & (last >= FAST), (last < SLOW) & (first >= FAST)
-    reach = (position - past.position[..., -1:, :]).norm(dim=-1).amax(-1)
-    standing = reach < STANDING_REACH
-    return Situations(moving, standing, starting, stopping, moving & ~turning, turning)
+    course = torch.atan2(displacement[..., 1], displacement[..., 0])
+    turning = moving & (angle_range(course, speed >= FAST) >= TURN)
+    reach = (position - batch.ego_past.motion.position[..., -1:, :]).norm(dim=-1).amax(-1)
+    return Situations(
+        moving=moving,
+        standing=reach < STANDING_REACH,
+        starting=(first < SLOW) & (last >= FAST),
+        stopping=(last < SLOW) & (first >= FAST),
+        straight=moving & ~turning,
+        turning=turning,
+    )
 
 
-def heading_range(
-    heading: Float[Tensor, "*b T"], counted: Bool[Tensor, "*b T"]
-) -> Float[Tensor, "*b"]:
-    """Largest minus smallest heading in rad over the counted rows, whole turns removed."""
-    step = wrap_angle(heading.diff(dim=-1))
-    unwrapped = torch.cat([torch.zeros_like(heading[..., :1]), step.cumsum(-1)], -1)
+def angle_range(angle: Float[Tensor, "*b T"], counted: Bool[Tensor, "*b T"]) -> Float[Tensor, "*b"]:
+    """Largest minus smallest angle in rad over the counted rows, whole turns removed."""
+    # a row that is not counted repeats the last counted one, so that its jumps do not add up
+    latest = torch.where(counted, torch.arange(angle.shape[-1], device=angle.device), 0)
+    held = angle.gather(-1, latest.cummax(-1).values)
+    steps = wrap_angle(held.diff(dim=-1))
+    unwrapped = torch.cat([torch.zeros_like(angle[..., :1]), steps.cumsum(-1)], -1)
     highest = unwrapped.masked_fill(~counted, -torch.inf).amax(-1)
     lowest = unwrapped.masked_fill(~counted, torch.inf).amin(-1)
     return (highest - lowest).clamp(min=0)

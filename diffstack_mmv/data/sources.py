@@ -158,7 +158,10 @@ class NamedDataset:
         require(
             root.is_dir(), "root", "be a folder with recordings", root, "", "Give data.root=FOLDER."
         )
-        environment = env_utils.get_raw_dataset(self.name, str(root))
+        try:
+            environment = env_utils.get_raw_dataset(self.name, str(root))
+        except ValueError as error:
+            raise ValueError(message("name", "be known to trajdata", f"'{self.name}'")) from error
         tags = [str(tag) for tag in environment.scene_tags]
         asked = {self.name, *split.split("-")}
         known = bool(environment.get_matching_scene_tags(asked))

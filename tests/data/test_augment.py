@@ -1,0 +1,114 @@
+"""Augmentations keep a batch physical and repeat with their generator."""
+
+import pytest
+import torch
+from torch.utils._pytree import tree_flatten
+
+from diffstack_mmv.data import (
+    Chain,
+    HistoryDropout,
+    Mirror,
+    PositionNoise,
+    Rotation,
+    SpeedScale,
+    stack_batch,
+)
+from diffstack_mmv.geometry import rotate, wrap_angle
+
+EVERY = [Mirror(0.5), Rotation(0.3), SpeedScale(), PositionNoise(), HistoryDropout(0.5)]
+
+
+@pytest.fixture
+def batch(source, windows):
+    opened = source.open("train", windows)
+    return stack_batch(opened.get_collate_fn()([opened[i] for i in range(0, 120, 4)]), windows)
+
+
+def generator(seed=0):
+    return torch.Generator().manual_seed(seed)
+
+
+def tensors(batch):
+    return [part for part in tree_flatten(batch)[0] if isinstance(part, torch.Tensor)]
+
+
+def joined(batch):
+    """Position, heading, velocity and yaw rate of the ego over past and future."""
+    past, future = batch.ego_past.motion, batch.ego_future.motion
+    return [torch.cat([a, b], 1) for a, b in zip(past, future, strict=True)]
+
+
+@pytest.mark.parametrize("augmentation", EVERY, ids=lambda a: type(a).__name__)
+def test_the_generator_alone_decides(batch, augmentation):
+    first, second = (tensors(augmentation(batch, generator())) for _ in range(2))
+    assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
+    other = tensors(augmentation(batch, generator(1)))
+    assert not all(torch.equal(a, b) for a, b in zip(first, other, strict=True))
+
+
+@pytest.mark.parametrize("augmentation", EVERY, ids=lambda a: type(a).__name__)
+def test_absent_rows_stay_zero_and_the_input_is_untouched(batch, augmentation):
+    before = [part.clone() for part in tensors(batch)]
+    changed = augmentation(batch, generator())
+    assert all(torch.equal(a, b) for a, b in zip(before, tensors(batch), strict=True))
+    for tracks in (changed.ego_past, changed.others_past, changed.others_future):
+        for part in tracks.motion:
+            assert (part[~tracks.valid] == 0).all()
+            assert part.isfinite().all()
+
+
+@pytest.mark.parametrize("augmentation", [Mirror(1.0), Rotation(0.5), SpeedScale(0.5, 2.0)])
+def test_velocity_and_yaw_rate_remain_the_derivatives_of_the_track(batch, augmentation):
+    position, heading, velocity, rate = joined(augmentation(batch, generator()))
+    world = rotate(velocity, heading)[:, 1:-1]
+    torch.testing.assert_close(position[:, 2:] - position[:, :-2], 0.2 * world, atol=2e-3, rtol=0)
+    turned = wrap_angle(heading[:, 2:] - heading[:, :-2])
+    torch.testing.assert_close(turned, 0.2 * rate[:, 1:-1], atol=1e-4, rtol=0)
+
+
+def test_mirroring_twice_changes_nothing(batch):
+    twice = Chain([Mirror(1.0), Mirror(1.0)])(batch, generator())
+    assert all(torch.equal(a, b) for a, b in zip(tensors(batch), tensors(twice), strict=True))
+
+
+def test_a_mirrored_neighbour_changes_sides(batch):
+    mirrored = Mirror(1.0)(batch, generator()).others_past.motion
+    torch.testing.assert_close(
+        mirrored.position[..., 1], -batch.others_past.motion.position[..., 1]
+    )
+    assert torch.equal(mirrored.velocity[..., 0], batch.others_past.motion.velocity[..., 0])
+
+
+def test_the_goal_remains_the_end_of_the_future(batch):
+    changed = Chain([Mirror(1.0), Rotation(0.5), SpeedScale()])(batch, generator())
+    assert torch.equal(changed.goal, changed.ego_future.motion.position[:, -1])
+
+
+def test_noise_moves_the_observed_past_but_neither_the_present_nor_the_future(batch):
+    noisy = PositionNoise(0.1)(batch, generator())
+    moved = noisy.ego_past.motion.position - batch.ego_past.motion.position
+    assert abs(moved[:, :-1].std() - 0.1) < 0.01
+    assert (moved[:, -1] == 0).all()
+    assert torch.equal(noisy.goal, batch.goal)
+
+
+def test_dropout_forgets_the_oldest_rows_only(batch):
+    valid = HistoryDropout(1.0, keep=11)(batch, generator()).ego_past.valid
+    assert valid[:, -11:].all()
+    assert (valid.int().diff(dim=1) >= 0).all()
+    assert 0.2 < valid[:, :-11].float().mean() < 0.8
+
+
+@pytest.mark.parametrize(
+    ("wrong", "complaint"),
+    [
+        (lambda: Mirror(2.0), "`probability` must lie in"),
+        (lambda: Rotation(0.0), "`limit_rad` must be positive"),
+        (lambda: SpeedScale(1.2, 0.9), "`high` must be at least 1.2"),
+        (lambda: PositionNoise(-1.0), "`std_m` must be positive"),
+        (lambda: HistoryDropout(0.1, keep=0), "`keep` must be at least 1"),
+    ],
+)
+def test_impossible_augmentations_are_refused(wrong, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        wrong()

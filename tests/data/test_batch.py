@@ -1,0 +1,95 @@
+"""From trajdata's batch to a `StackBatch`."""
+
+import torch
+
+from diffstack_mmv.data import ConvertedCache, WindowSettings, stack_batch
+from diffstack_mmv.data.batch import yaw_rate
+from diffstack_mmv.types import Mode
+
+from .conftest import ToyAgent, write_cache
+
+
+def read(folder, agent, settings=None):
+    settings = settings or WindowSettings(ego_modes=(agent.mode.label,))
+    write_cache(folder, {"only": ("train", [agent])})
+    opened = ConvertedCache("toy", str(folder)).open("train", settings)
+    return stack_batch(opened.get_collate_fn()([opened[0]]), settings)
+
+
+def test_the_ego_is_the_origin_of_its_own_frame_at_the_present(source, windows):
+    opened = source.open("train", windows)
+    batch = stack_batch(opened.get_collate_fn()([opened[i] for i in range(0, 60, 7)]), windows)
+    assert batch.ego_past.motion.position[:, -1].abs().max() < 1e-5
+    assert batch.ego_past.motion.heading[:, -1].abs().max() < 1e-6
+    torch.testing.assert_close(batch.goal, batch.ego_future.motion.position[:, -1])
+
+
+def test_shapes_are_those_of_the_settings(source, windows):
+    opened = source.open("train", windows)
+    batch = stack_batch(opened.get_collate_fn()([opened[i] for i in (0, 1)]), windows)
+    assert batch.ego_past.motion.position.shape == (2, 41, 2)
+    assert batch.ego_future.motion.yaw_rate.shape == (2, 30)
+    assert batch.others_past.motion.velocity.shape == (2, 3, 41, 2)
+    assert batch.others_future.valid.shape == (2, 3, 30)
+    assert batch.dt_s == 0.1
+
+
+def test_a_circle_has_constant_body_velocity_and_yaw_rate(tmp_path):
+    batch = read(tmp_path, ToyAgent("a", Mode.BICYCLE, 80, start=(9.0, 9.0, 3.0), yaw_rate=0.5))
+    for tracks in (batch.ego_past, batch.ego_future):
+        velocity = torch.tensor([3.0, 0.0]).expand_as(tracks.motion.velocity)
+        torch.testing.assert_close(tracks.motion.velocity, velocity, atol=1e-5, rtol=0)
+        rate = torch.full_like(tracks.motion.yaw_rate, 0.5)
+        torch.testing.assert_close(tracks.motion.yaw_rate, rate, atol=1e-4, rtol=0)
+
+
+def test_the_extent_is_length_and_width(tmp_path):
+    batch = read(tmp_path, ToyAgent("a", Mode.SCOOTER, 80))
+    assert batch.ego_past.extent.tolist() == [[torch.tensor(1.8).item(), torch.tensor(0.6).item()]]
+    assert batch.ego_future.mode.tolist() == [Mode.SCOOTER]
+
+
+def test_somebody_alone_has_no_neighbours(tmp_path):
+    batch = read(tmp_path, ToyAgent("a", Mode.BICYCLE, 80))
+    assert batch.others_past.motion.position.shape == (1, 0, 41, 2)
+    assert batch.others_past.mode.shape == (1, 0)
+    assert batch.others_past.mode.dtype == torch.int64
+
+
+def test_absent_rows_are_zero_and_marked(source, windows):
+    opened = source.open("train", windows)
+    batch = stack_batch(opened.get_collate_fn()([opened[i] for i in range(50)]), windows)
+    for tracks in (batch.others_past, batch.others_future):
+        assert not tracks.valid.all()
+        for part in tracks.motion:
+            assert part.isfinite().all()
+            assert (part[~tracks.valid] == 0).all()
+
+
+def test_the_past_does_not_depend_on_the_future(tmp_path):
+    straight = ToyAgent("a", Mode.BICYCLE, 80, speed=3.0)
+    before = read(tmp_path / "straight", straight)
+
+    class Turning(ToyAgent):
+        def table(self):
+            rows = super().table()
+            rows.loc[41:, "heading"] += 0.3
+            return rows
+
+    after = read(tmp_path / "turning", Turning("a", Mode.BICYCLE, 80, speed=3.0))
+    for old, new in zip(before.ego_past.motion, after.ego_past.motion, strict=True):
+        torch.testing.assert_close(old, new)
+    assert not torch.equal(before.ego_future.motion.yaw_rate, after.ego_future.motion.yaw_rate)
+
+
+def test_a_heading_that_jumps_while_standing_is_no_yaw_rate():
+    heading = torch.tensor([0.0, 0.0, 1.0, 1.1, 1.2])
+    moving = torch.tensor([False, False, True, True, True])
+    expected = torch.tensor([0.0, 0.0, 1.0, 1.0, 1.0])
+    torch.testing.assert_close(yaw_rate(heading, moving, 0.1), expected)
+
+
+def test_the_yaw_rate_passes_through_half_a_turn_without_a_jump():
+    heading = torch.tensor([3.0, 3.1, 3.2 - 2 * torch.pi, 3.3 - 2 * torch.pi])
+    rate = yaw_rate(heading, torch.ones(4, dtype=torch.bool), 0.1)
+    torch.testing.assert_close(rate, torch.ones(4), atol=1e-5, rtol=0)

@@ -1,0 +1,157 @@
+"""The data module inside and outside of Lightning."""
+
+import pytest
+import pytorch_lightning as pl
+import torch
+from torch.utils._pytree import tree_flatten
+
+from diffstack_mmv.data import (
+    EqualModes,
+    LoaderSettings,
+    Mirror,
+    Splits,
+    TrajdataModule,
+)
+from diffstack_mmv.types import StackBatch
+
+
+class Recorder(pl.LightningModule):
+    """Remembers what it is trained on, and saves a checkpoint after some steps."""
+
+    def __init__(self, save_after=None, checkpoint=None):
+        super().__init__()
+        self.weight = torch.nn.Parameter(torch.zeros(()))
+        self.seen, self.save_after, self.checkpoint = [], save_after, checkpoint
+
+    def training_step(self, batch: StackBatch, batch_idx: int):
+        self.seen.append((self.current_epoch, batch.goal.sum().item()))
+        return self.weight * batch.goal.sum()
+
+    def on_train_batch_end(self, *_):
+        if len(self.seen) == self.save_after:
+            self.trainer.save_checkpoint(self.checkpoint)
+
+    def validation_step(self, batch: StackBatch, batch_idx: int):
+        self.log("val", batch.goal.sum(), batch_size=len(batch.goal))
+
+    def configure_optimizers(self):
+        return torch.optim.SGD(self.parameters(), lr=0.0)
+
+
+def trainer(folder, **options):
+    return pl.Trainer(
+        accelerator="cpu",
+        devices=1,
+        logger=False,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        default_root_dir=folder,
+        **options,
+    )
+
+
+@pytest.fixture
+def module(source, windows, exporting):
+    def build(workers=0, batch_size=8, **options):
+        loading = LoaderSettings(batch_size, workers, seed=3)
+        return TrajdataModule(source, windows, loading, exporting, **options)
+
+    return build
+
+
+def batches(loader):
+    return [tree_flatten(batch)[0][:-1] for batch in loader]
+
+
+def equal(first, second):
+    return len(first) == len(second) and all(
+        torch.equal(a, b)
+        for x, y in zip(first, second, strict=True)
+        for a, b in zip(x, y, strict=True)
+    )
+
+
+def test_the_number_of_workers_changes_nothing(module):
+    loaders = []
+    for workers in (0, 2):
+        built = module(workers, augmentation=Mirror(), balance=EqualModes())
+        built.prepare_data()
+        loaders.append(batches(built.train_dataloader()))
+    assert equal(*loaders)
+
+
+def test_reading_trajdata_directly_gives_the_same_batches(module, source, windows):
+    exported = module()
+    exported.prepare_data()
+    direct = TrajdataModule(source, windows, LoaderSettings(8, seed=3), export=None)
+    direct.prepare_data()
+    assert equal(batches(exported.train_dataloader()), batches(direct.train_dataloader()))
+
+
+def test_evaluation_follows_the_table_of_samples(module):
+    built = module()
+    built.prepare_data()
+    built.setup("test")
+    samples = built.samples("test")
+    modes = torch.cat([batch.ego_past.mode for batch in built.test_dataloader()])
+    assert modes.tolist() == samples["mode"].tolist()
+    assert list(samples.columns[:5]) == ["dataset", "scene", "agent", "row", "mode"]
+
+
+def test_only_the_splits_of_the_stage_are_exported(module, tmp_path):
+    built = module(splits=Splits(train="val", val="val", test="val"))
+    built.prepare_data()
+    exports = [path.name for path in (tmp_path / "exports").iterdir() if path.is_dir()]
+    assert len(exports) == 1
+    assert exports[0].startswith("toy_val_")
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+@pytest.mark.parametrize("stop", [5, 21])
+def test_training_resumes_within_an_epoch_where_it_stopped(module, tmp_path, workers, stop):
+    def fit(recorder, **options):
+        built = module(workers, batch_size=2, augmentation=Mirror())
+        trainer(tmp_path, max_epochs=2).fit(recorder, datamodule=built, **options)
+        return recorder.seen
+
+    whole = fit(Recorder(stop, tmp_path / "some.ckpt"))
+    assert 5 < len(whole) // 2 < 21 < len(whole)
+    rest = fit(Recorder(), ckpt_path=tmp_path / "some.ckpt", weights_only=False)
+    assert rest == whole[stop:]
+
+
+def test_a_run_after_a_whole_epoch_goes_on_with_the_next_one(module, tmp_path):
+    whole = Recorder()
+    trainer(tmp_path, max_epochs=2).fit(whole, datamodule=module(2))
+    one = trainer(tmp_path, max_epochs=1)
+    one.fit(Recorder(), datamodule=module(2))
+    one.save_checkpoint(tmp_path / "last.ckpt")
+    second = Recorder()
+    two = trainer(tmp_path, max_epochs=2)
+    two.fit(second, datamodule=module(2), ckpt_path=tmp_path / "last.ckpt", weights_only=False)
+    assert second.seen == whole.seen[len(whole.seen) // 2 :]
+
+
+def test_resuming_with_another_batch_size_is_refused(module):
+    built = module()
+    built.prepare_data()
+    state = built.train_dataloader().state_dict()
+    other = module(batch_size=4).train_dataloader()
+    with pytest.raises(ValueError, match="`batch_size` must be 8 as in the checkpoint, but got 4"):
+        other.load_state_dict(state)
+
+
+def test_batches_move_to_a_device_as_they_are(module):
+    built = module()
+    built.prepare_data()
+    batch = next(iter(built.test_dataloader()))
+    moved = built.transfer_batch_to_device(batch, torch.device("meta"), 0)
+    assert isinstance(moved, StackBatch)
+    assert moved.dt_s == 0.1
+    assert moved.ego_past.motion.position.device.type == "meta"
+
+
+def test_an_export_that_was_not_prepared_is_told(module):
+    with pytest.raises(ValueError, match="`export` must be complete, but got no such file"):
+        module().setup("fit")

@@ -1,0 +1,131 @@
+"""Exports: equal to what trajdata gives, whole or not at all, made once."""
+
+import errno
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch.utils._pytree import tree_flatten
+
+from diffstack_mmv.data import (
+    DirectWindows,
+    Export,
+    ExportedWindows,
+    ExportSettings,
+    WindowSettings,
+    export_windows,
+)
+from diffstack_mmv.data import export as module
+
+
+@pytest.fixture
+def export(source, windows):
+    return Export(source, "train", windows)
+
+
+def same(first, second) -> bool:
+    pairs = zip(tree_flatten(first)[0], tree_flatten(second)[0], strict=True)
+    return all(torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b for a, b in pairs)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_an_export_holds_the_samples_that_trajdata_gives(export, exporting, workers, monkeypatch):
+    monkeypatch.setattr(module, "CHUNK", 10)
+    settings = ExportSettings(exporting.folder, workers, progress=False)
+    exported = ExportedWindows(export_windows(export, settings))
+    direct = DirectWindows(export.source.open("train", export.windows), "toy")
+    assert len(exported) == len(direct) > 20
+    numbers = torch.randperm(len(direct)).tolist()
+    assert same(exported[numbers], direct[numbers])
+    assert exported.samples[direct.samples.columns].equals(direct.samples)
+
+
+def test_an_export_is_made_once(export, exporting, monkeypatch):
+    folder = export_windows(export, exporting)
+    monkeypatch.setattr(module, "_write", lambda *_: pytest.fail("made again"))
+    assert export_windows(export, exporting) == folder
+
+
+def test_other_windows_or_recordings_make_another_export(export, exporting, cache, tmp_path):
+    folder = export_windows(export, exporting)
+    longer = export._replace(windows=WindowSettings(history_s=3.0))
+    assert export_windows(longer, exporting) != folder
+    assert export.folder(tmp_path) == export.folder(tmp_path)
+
+
+def test_an_interrupted_export_goes_on_where_it_stopped(export, exporting, monkeypatch):
+    monkeypatch.setattr(module, "CHUNK", 10)
+    write, written = module._ChunkWriter._write, []
+
+    def failing(self, first, end):
+        written.append(first)
+        if len(written) == 3:
+            raise KeyboardInterrupt
+        write(self, first, end)
+
+    monkeypatch.setattr(module._ChunkWriter, "_write", failing)
+    with pytest.raises(KeyboardInterrupt):
+        export_windows(export, exporting)
+    exported = ExportedWindows(export_windows(export, exporting))
+    assert written[:4] == [0, 10, 20, 20]
+    assert len(written) == len(set(written)) + 1
+    assert exported[range(len(exported))].ego_past.valid.all()
+
+
+def test_a_full_disk_is_one_clear_error_and_leaves_no_export(export, exporting, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(module, "write_rows", full)
+    with pytest.raises(OSError, match="`folder` must have free disk space.*Free space"):
+        export_windows(export, exporting)
+    assert not export.folder(Path(exporting.folder)).exists()
+
+
+def test_a_window_with_nan_is_left_out_and_counted(export, exporting, monkeypatch):
+    stack_batch = module.stack_batch
+
+    def holed(*arguments):
+        batch = stack_batch(*arguments)
+        batch.ego_past.valid[0, 3] = False
+        return batch
+
+    monkeypatch.setattr(module, "stack_batch", holed)
+    exported = ExportedWindows(export_windows(export, exporting))
+    counts = exported.content["rows"]["bicycle"]
+    assert counts["not_finite"] == 1
+    assert exported.content["samples"] == exported.content["windows"] - 1 == len(exported)
+    assert len(exported.samples) == len(exported)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (lambda folder: (folder / "export.json").unlink(), "`export` must be complete"),
+        (lambda folder: (folder / "export.json").write_text("{"), "must have a marker in JSON"),
+        (
+            lambda folder: (folder / "export.json").write_text(json.dumps({"version": 99})),
+            "`version` must be 1, but got 99",
+        ),
+        (lambda folder: np.save(folder / "ego.npy", np.zeros(3)), "must have shape"),
+        (lambda folder: (folder / "others.npy").write_bytes(b""), "must be an array of shape"),
+    ],
+)
+def test_a_damaged_or_foreign_export_names_the_file_and_the_remedy(
+    export, exporting, change, complaint
+):
+    folder = export_windows(export, exporting)
+    change(folder)
+    with pytest.raises(ValueError, match=complaint) as error:
+        ExportedWindows(folder)
+    assert str(folder) in str(error.value)
+    assert "Delete" in str(error.value)
+
+
+def test_batches_are_trimmed_to_their_own_largest_number_of_neighbours(export, exporting):
+    exported = ExportedWindows(export_windows(export, exporting))
+    alone = exported.samples.index[exported.samples["agent"] == "alone"].tolist()
+    assert exported[alone].others_past.valid.shape[1] == 0
+    assert exported[[0, *alone]].others_past.valid.shape[1] == 3

@@ -1,0 +1,45 @@
+"""Settings of windows, and the count of what becomes of each row."""
+
+import pytest
+
+from diffstack_mmv.data import WindowSettings
+from diffstack_mmv.data.tally import WindowTally
+from diffstack_mmv.types import Mode
+
+
+def test_four_seconds_past_and_three_future_are_41_and_30_rows():
+    settings = WindowSettings()
+    assert (settings.past_rows, settings.future_rows, settings.rows) == (41, 30, 71)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "complaint"),
+    [
+        ({"history_s": 4.05}, "`history_s` must be a multiple of 0.1, but got 4.05"),
+        ({"horizon_s": 0.0}, "`horizon_s` must be positive"),
+        ({"ego_modes": ("unicorn",)}, "`mode` must be one of .*'unicorn'"),
+        ({"ego_modes": ()}, "`ego_modes` must name at least one mode"),
+        ({"stride": 0}, "`stride` must be at least 1"),
+        ({"radius_m": -1.0}, "`radius_m` must be positive"),
+        ({"neighbours": -1}, "`neighbours` must be at least 0"),
+        ({"dt_s": 0.0}, "`dt_s` must be positive"),
+    ],
+)
+def test_wrong_settings_are_refused(wrong, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        WindowSettings(**wrong)
+
+
+@pytest.mark.parametrize("rows", [1, 70, 71, 75, 76, 200])
+@pytest.mark.parametrize("mode", [Mode.BICYCLE, Mode.CAR])
+def test_every_row_has_one_fate(rows, mode):
+    tally = WindowTally(WindowSettings())
+    tally.add(mode, rows)
+    assert sum(tally.as_dict()[mode.label].values()) == rows
+
+
+@pytest.mark.parametrize(("rows", "kept"), [(70, 0), (71, 1), (75, 1), (76, 2), (171, 21)])
+def test_windows_are_counted_at_the_stride(rows, kept):
+    tally = WindowTally(WindowSettings())
+    tally.add(Mode.BICYCLE, rows)
+    assert tally.as_dict()["bicycle"].get("window", 0) == kept
