@@ -1,0 +1,16 @@
+"""Differentiable model predictive control: `ILQR`, and the interfaces it works with."""
+
+from diffstack_mmv.control.ilqr import ILQR
+from diffstack_mmv.control.optimizer import Cost, Dynamics, LinearisedDynamics, TrajectoryOptimizer
+from diffstack_mmv.types import Bounds, Solution, SolverStatus
+
+__all__ = [
+    "ILQR",
+    "Bounds",
+    "Cost",
+    "Dynamics",
+    "LinearisedDynamics",
+    "Solution",
+    "SolverStatus",
+    "TrajectoryOptimizer",
+]

@@ -1,0 +1,143 @@
+"""Local models of a problem around trajectories: linear dynamics, quadratic cost, curvature of the dynamics.
+
+All B·T pairs go through one call. The callables always see the leading dimensions `*b` of the problem, whatever the
+solver adds around them (times, step sizes, tangents), because the additions are `vmap` dimensions: closures over
+tensors of shape `*b ...` broadcast as their author meant.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last
+from diffstack_mmv.control.optimizer import Cost, Dynamics, LinearisedDynamics
+from diffstack_mmv.control.riccati import LinearQuadratic, costates
+
+
+class Curvature(NamedTuple):
+    """Hessian of a sum over times whose entry t sees x_t and u_t only."""
+
+    xx: Float[Tensor, "*b T1 n n"]
+    ux: Float[Tensor, "*b T1 m n"]
+    uu: Float[Tensor, "*b T1 m m"]
+
+
+def pad_controls(controls: Float[Tensor, "*b T m"]) -> Float[Tensor, "*b T1 m"]:
+    """Append the zero row that the cost sees at the final state."""
+    return torch.cat([controls, torch.zeros_like(controls[..., :1, :])], -2)
+
+
+def step_all(
+    dynamics: Dynamics, states: Float[Tensor, "*b T n"], controls: Float[Tensor, "*b T m"]
+) -> Float[Tensor, "*b T n"]:
+    """One step from each of the T states; `dynamics` sees `*b n`, without the times."""
+    return torch.vmap(dynamics, (-2, -2))(states, controls).movedim(0, -2)
+
+
+def _seeds(n: int, m: int, like: Tensor) -> tuple[Tensor, Tensor]:
+    """One-hot tangents of (x, u), n + m of them."""
+    seeds = torch.eye(n + m, dtype=like.dtype, device=like.device)
+    return seeds[:, :n], seeds[:, n:]
+
+
+def linearise_dynamics(
+    dynamics: Dynamics, states: Float[Tensor, "*b T n"], controls: Float[Tensor, "*b T m"]
+) -> tuple[Float[Tensor, "*b T n n"], Float[Tensor, "*b T n m"]]:
+    """Jacobians A, B at every pair: the model's own, or n + m forward tangents in one call."""
+    if isinstance(dynamics, LinearisedDynamics):
+        A, B = torch.vmap(dynamics.jacobian, (-2, -2))(states, controls)
+        return A.movedim(0, -3), B.movedim(0, -3)
+    n, m = states.shape[-1], controls.shape[-1]
+
+    def column(seed_x: Tensor, seed_u: Tensor) -> Tensor:
+        tangents = seed_x.expand_as(states), seed_u.expand_as(controls)
+        return torch.func.jvp(lambda x, u: step_all(dynamics, x, u), (states, controls), tangents)[
+            1
+        ]
+
+    columns = torch.vmap(column)(*_seeds(n, m, states)).movedim(0, -1)
+    return columns[..., :n], columns[..., n:]
+
+
+def _curvature(
+    gradient: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]],
+    states: Float[Tensor, "*b T n"],
+    controls: Float[Tensor, "*b T m"],
+) -> Curvature:
+    """Hessian blocks from the gradient of a sum that is separable over times."""
+    n, m = states.shape[-1], controls.shape[-1]
+
+    def column(seed_x: Tensor, seed_u: Tensor) -> tuple[Tensor, Tensor]:
+        tangents = seed_x.expand_as(states), seed_u.expand_as(controls)
+        return torch.func.jvp(gradient, (states, controls), tangents)[1]
+
+    of_x, of_u = (part.movedim(0, -1) for part in torch.vmap(column)(*_seeds(n, m, states)))
+    return Curvature(of_x[..., :n], of_u[..., :n], of_u[..., n:])
+
+
+def expand_cost(
+    cost: Cost, states: Float[Tensor, "*b T1 n"], controls: Float[Tensor, "*b T1 m"]
+) -> tuple[Tensor, Tensor, Curvature]:
+    """Gradient in x, gradient in u and Hessian of the cost at every time; controls are padded."""
+    gradient = torch.func.grad(lambda x, u: cost(x, u).sum(), (0, 1))
+    of_x, of_u = gradient(states, controls)
+    return of_x, of_u, _curvature(gradient, states, controls)
+
+
+def dynamics_curvature(
+    dynamics: Dynamics,
+    states: Float[Tensor, "*b T n"],
+    controls: Float[Tensor, "*b T m"],
+    costates: Float[Tensor, "*b T n"],
+) -> Curvature:
+    """Hessian of λ_{t+1} · f(x_t, u_t) at every pair."""
+
+    def weighted(x: Tensor, u: Tensor) -> Tensor:
+        return (costates * step_all(dynamics, x, u)).sum()
+
+    return _curvature(torch.func.grad(weighted, (0, 1)), states, controls)
+
+
+class Model(NamedTuple):
+    """Local model of the problem around trajectories, the batch last."""
+
+    quadratic: LinearQuadratic  # with the Hessian of the Lagrangian
+    costates: Float[Tensor, "T n N"]  # λ_1 .. λ_T
+    magnitude: Float[Tensor, " N"]  # Σ |c_t|
+    noise: Float[
+        Tensor, " N"
+    ]  # change of the cost that one rounding of each state, control and cost can make
+
+
+def expand(
+    dynamics: Dynamics,
+    cost: Cost,
+    lead: tuple[int, ...],
+    x: Float[Tensor, "T1 n N"],
+    u: Float[Tensor, "T m N"],
+) -> Model:
+    """Linear dynamics, gradient of the cost, and Hessian of the Lagrangian c + λ · f around trajectories.
+
+    The costates are those of the trajectory, λ_t = c_x,t + A_t' λ_{t+1}. The noise is ε (Σ|c| + Σ|x c_x| + Σ|u c_u|), ε
+    being the machine precision: what a cost in this precision cannot resolve.
+    """
+    states, controls = from_batch_last(x, lead), pad_controls(from_batch_last(u, lead))
+    before, acting = states[..., :-1, :], controls[..., :-1, :]
+    jacobians = linearise_dynamics(dynamics, before, acting)
+    A, B = (to_batch_last(jacobian, lead) for jacobian in jacobians)
+    value = to_batch_last(cost(states, controls), lead)
+    of_x, of_u, curvature = expand_cost(cost, states, controls)
+    c_x, c_u = to_batch_last(of_x, lead), to_batch_last(of_u, lead)[:-1]
+    xx, ux, uu = (to_batch_last(block, lead) for block in curvature)
+    multipliers = costates(A, c_x[:-1], c_x[-1])
+    bend = dynamics_curvature(dynamics, before, acting, from_batch_last(multipliers, lead))
+    f_xx, f_ux, f_uu = (to_batch_last(block, lead) for block in bend)
+    quadratic = LinearQuadratic(
+        A, B, c_x[:-1], c_u, xx[:-1] + f_xx, ux[:-1] + f_ux, uu[:-1] + f_uu, c_x[-1], xx[-1]
+    )
+    magnitude = value.abs().sum(0)
+    change = magnitude + (x * c_x).abs().sum((0, 1)) + (u * c_u).abs().sum((0, 1))
+    return Model(quadratic, multipliers, magnitude, torch.finfo(x.dtype).eps * change)

@@ -1,0 +1,111 @@
+"""Derivatives of a solution by the implicit function theorem, exact.
+
+At a solution z* = (x_1 .. x_T, u_0 .. u_{T-1}) with costates λ the residual
+
+    R(z, λ; θ) = (∂L/∂x_t, ∂L/∂u_t on the controls inside of the box, f(x_t, u_t) - x_{t+1}),   L = Σ c_t + Σ λ_{t+1} · f
+
+vanishes, so dz* = -K⁻¹ ∂R/∂θ dθ with the KKT matrix K = ∂R/∂(z, λ), which holds the Hessian of the Lagrangian: that of
+the cost and the curvature λ · ∂²f of the dynamics. The callables hide θ (closures, modules), therefore R is evaluated
+once WITH graph at the constant solution, and a custom function puts K⁻¹ between R and z*: its backward pass is one
+linear-quadratic problem, and autograd goes on from R into whatever θ is. Source: [AMOS], with the full Hessian.
+"""
+
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last
+from diffstack_mmv.control.expansion import Model, pad_controls, step_all
+from diffstack_mmv.control.optimizer import Cost, Dynamics
+from diffstack_mmv.control.riccati import solve_free
+
+
+class Optimum(NamedTuple):
+    """Converged trajectories, constants of the differentiation."""
+
+    x: Float[Tensor, "T1 n N"]
+    u: Float[Tensor, "T m N"]
+    free: Bool[Tensor, "T m N"]  # controls that no bound holds
+    valid: Bool[Tensor, " N"]  # problems that carry a gradient
+    model: Model
+
+
+class Attached(NamedTuple):
+    """The values of an optimum with their derivatives."""
+
+    states: Float[Tensor, "*b T1 n"]
+    controls: Float[Tensor, "*b T m"]
+    cost: Float[Tensor, "*b"]
+
+
+def reduced_gradient(model: Model) -> Float[Tensor, "T m N"]:
+    """Derivative c_u + B'λ of the total cost by the controls."""
+    B, of_u = model.quadratic.B, model.quadratic.u
+    return of_u + (B * model.costates.unsqueeze(2)).sum(1)
+
+
+def free_controls(
+    u: Float[Tensor, "T m N"], gradient: Float[Tensor, "T m N"], box: Float[Tensor, "2 m"]
+) -> Bool[Tensor, "T m N"]:
+    """Which controls are not held by a bound: inside of the box, or at a bound that the gradient does not press on."""
+    lower, upper = box[0].unsqueeze(-1), box[1].unsqueeze(-1)
+    held = ((u <= lower) & (gradient > 0)) | ((u >= upper) & (gradient < 0)) | (lower == upper)
+    return ~held
+
+
+class _Implicit(torch.autograd.Function):
+    """z* as a function of the KKT residual: dz* = -K⁻¹ d(residual), K the KKT matrix with the active controls held."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, of_x: Tensor, of_u: Tensor, following: Tensor, optimum: Optimum
+    ) -> tuple[Tensor, Tensor]:
+        ctx.optimum = optimum
+        return optimum.x[1:].clone(), optimum.u.clone()
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, grad_x: Tensor, grad_u: Tensor) -> tuple[Tensor | None, ...]:
+        optimum: Optimum = ctx.optimum
+        zero = torch.zeros_like(grad_x[:1])
+        lq = optimum.model.quadratic._replace(
+            x=torch.cat([zero, -grad_x[:-1]]), u=-grad_u, final_x=-grad_x[-1]
+        )
+        dual = solve_free(lq, optimum.free.to(grad_u.dtype))
+        # where, not a product: the adjoint of a problem that did not converge may be anything
+        return *(torch.where(optimum.valid, -part, torch.zeros_like(part)) for part in dual), None
+
+
+def attach(
+    dynamics: Dynamics, cost: Cost, state: Float[Tensor, "*b n"], optimum: Optimum
+) -> Attached | None:
+    """Give an optimum its derivatives in the initial state and in all that the two callables depend on.
+
+    The derivative of the cost is that of the Lagrangian at fixed z and λ (envelope theorem). Problems that are not valid
+    get a gradient of exactly zero.
+
+    Returns:
+        The optimum with its graph, or None if nothing here requires a gradient.
+    """
+    lead = tuple(state.shape[:-1])
+    valid = from_batch_last(optimum.valid, lead)
+    state = torch.where(valid.unsqueeze(-1), state, from_batch_last(optimum.x[0], lead))
+    x, u = from_batch_last(optimum.x[1:], lead), from_batch_last(optimum.u, lead)
+    costates = torch.where(optimum.valid, optimum.model.costates, torch.zeros_like(optimum.x[1:]))
+    multipliers = from_batch_last(costates, lead)
+
+    def lagrangian(x: Tensor, u: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor]]:
+        states = torch.cat([state.unsqueeze(-2), x], -2)
+        following = step_all(dynamics, states[..., :-1, :], u)
+        each = cost(states, pad_controls(u)).sum(-1) + (multipliers * (following - x)).sum((-2, -1))
+        return each.sum(), (each, following)
+
+    (of_x, of_u), (each, following) = torch.func.grad(lagrangian, (0, 1), has_aux=True)(x, u)
+    residual = [to_batch_last(part, lead) for part in (of_x, of_u, following)]
+    if not any(part.requires_grad for part in residual):
+        return None
+    x, u = (from_batch_last(part, lead) for part in _Implicit.apply(*residual, optimum))
+    states = torch.cat([state.unsqueeze(-2), x], -2)
+    return Attached(states, u, torch.where(valid, each, each.detach()))

@@ -1,0 +1,71 @@
+"""Rolls out a feedback policy at all step sizes at once and keeps the best trajectory of each problem."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.control.batch_last import apply, from_batch_last, to_batch_last, unpack, walk
+from diffstack_mmv.control.expansion import pad_controls
+from diffstack_mmv.control.optimizer import Cost, Dynamics
+
+
+class Trajectories(NamedTuple):
+    """One trajectory per problem and its cost."""
+
+    x: Float[Tensor, "T1 n N"]
+    u: Float[Tensor, "T m N"]
+    cost: Float[Tensor, " N"]
+    size: Float[Tensor, " N"]  # the step size α that led here
+
+
+def search(
+    dynamics: Dynamics,
+    cost: Cost,
+    lead: tuple[int, ...],
+    x: Float[Tensor, "T1 n N"],
+    u: Float[Tensor, "T m N"],
+    k: Float[Tensor, "T m N"],
+    K: Float[Tensor, "T m n N"],
+    bounds: Float[Tensor, "2 m"],
+    sizes: Float[Tensor, " S"],
+    noise: Float[Tensor, " N"],
+) -> Trajectories:
+    """Roll out u_t = clip(ū_t + α k_t + K_t (x_t - x̄_t)) from x̄_0 for every α and return the cheapest.
+
+    Of step sizes whose costs differ by no more than `noise`, which the precision cannot tell apart, the longest is taken:
+    near the solution the model knows more than the cost. A cost that is not a number counts as infinite.
+    """
+    (n, N), (m, S) = x.shape[1:], (u.shape[1], sizes.shape[0])
+    lower, upper = bounds[0].reshape(m, 1, 1), bounds[1].reshape(m, 1, 1)
+
+    def one_step(state: Tensor, control: Tensor) -> Tensor:
+        following = dynamics(from_batch_last(state, lead), from_batch_last(control, lead))
+        return to_batch_last(following, lead)
+
+    def step(state: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
+        old_x, old_u, k_t, K_t = unpack(row, (n, 1), (m, 1), (m, 1), (m, n, 1))
+        control = old_u + sizes.unsqueeze(-1) * k_t + apply(K_t, state - old_x)
+        control = torch.minimum(torch.maximum(control, lower), upper)
+        following = torch.vmap(one_step, (1, 1), 1)(state, control)
+        return following, torch.cat([control, following])
+
+    def total(states: Tensor, controls: Tensor) -> Tensor:
+        per_time = cost(
+            from_batch_last(states, lead), pad_controls(from_batch_last(controls, lead))
+        )
+        return to_batch_last(per_time, lead).sum(0)
+
+    first = x[0].unsqueeze(1).expand(n, S, N)
+    rows = walk(step, first, torch.cat([x[:-1], u, k, K.flatten(1, 2)], 1))[1]
+    all_u, all_x = rows[:, :m], torch.cat([first.unsqueeze(0), rows[:, m:]])
+    all_costs = torch.vmap(total, (2, 2))(all_x, all_u)
+    all_costs = torch.where(all_costs.isfinite(), all_costs, torch.inf)
+    best = (all_costs <= all_costs.amin(0) + noise).to(torch.uint8).argmax(0, keepdim=True)
+    chosen_x, chosen_u = (
+        paths.take_along_dim(best[None, None], 2).squeeze(2) for paths in (all_x, all_u)
+    )
+    return Trajectories(
+        chosen_x, chosen_u, all_costs.take_along_dim(best, 0).squeeze(0), sizes[best.squeeze(0)]
+    )

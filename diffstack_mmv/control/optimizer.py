@@ -1,0 +1,58 @@
+"""What other folders see of the control layer: the optimiser of a trajectory, and what it is given."""
+
+from typing import Protocol, runtime_checkable
+
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.types import Bounds, Solution
+
+
+class Dynamics(Protocol):
+    """One control step x⁺ = f(x, u)."""
+
+    def __call__(
+        self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
+    ) -> Float[Tensor, "*b n"]:
+        """State after one step."""
+        ...
+
+
+@runtime_checkable
+class LinearisedDynamics(Protocol):
+    """Dynamics that know their own Jacobian, which spares the solver the automatic differentiation."""
+
+    def jacobian(
+        self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
+    ) -> tuple[Float[Tensor, "*b n n"], Float[Tensor, "*b n m"]]:
+        """A = ∂f/∂x and B = ∂f/∂u."""
+        ...
+
+
+class Cost(Protocol):
+    """Cost per time; entry t sees x_t and u_t only, and the last row of the controls is zero."""
+
+    def __call__(
+        self, states: Float[Tensor, "*b T1 n"], controls: Float[Tensor, "*b T1 m"]
+    ) -> Float[Tensor, "*b T1"]:
+        """Cost c_0 .. c_T."""
+        ...
+
+
+class TrajectoryOptimizer(Protocol):
+    """Minimises Σ c_t(x_t, u_t) subject to x_{t+1} = f(x_t, u_t) and a box on the controls, for a batch of problems."""
+
+    def __call__(
+        self,
+        dynamics: Dynamics,
+        cost: Cost,
+        bounds: Bounds,
+        state: Float[Tensor, "*b n"],
+        controls: Float[Tensor, "*b T m"],
+    ) -> Solution:
+        """Solve from the initial state and a guess of the controls.
+
+        Returns:
+            The solution, differentiable in the state and in every tensor that the two callables depend on.
+        """
+        ...
