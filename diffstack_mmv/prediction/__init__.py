@@ -1,0 +1,48 @@
+"""Predictors: where the ego and its neighbours will be."""
+
+from diffstack_mmv.prediction.base import (
+    Predictor,
+    all_agents,
+    ego_forecast,
+    others_forecast,
+    strongest,
+)
+from diffstack_mmv.prediction.baselines import (
+    ConstantTurnRateAcceleration,
+    ConstantVelocity,
+    GroundTruth,
+    NoPrediction,
+    Spread,
+    StandStill,
+    without_dynamics,
+)
+from diffstack_mmv.prediction.goal_baselines import (
+    constant_acceleration,
+    hermite_spline,
+    straight_line,
+)
+from diffstack_mmv.prediction.kalman import KalmanConstantVelocity
+from diffstack_mmv.prediction.trajectron import Annealing, SingleIntegrator, Sizes, Trajectron
+
+__all__ = [
+    "Annealing",
+    "ConstantTurnRateAcceleration",
+    "ConstantVelocity",
+    "GroundTruth",
+    "KalmanConstantVelocity",
+    "NoPrediction",
+    "Predictor",
+    "SingleIntegrator",
+    "Sizes",
+    "Spread",
+    "StandStill",
+    "Trajectron",
+    "all_agents",
+    "constant_acceleration",
+    "ego_forecast",
+    "hermite_spline",
+    "others_forecast",
+    "straight_line",
+    "strongest",
+    "without_dynamics",
+]

@@ -83,13 +83,19 @@ def present_agents(batch: StackBatch) -> Bool[Tensor, "*b agents"]:
 
 def ego_forecast(forecast: Forecast) -> Forecast:
     """Forecast `*b` of the ego alone, from one of ego and neighbours `*b 1+N`."""
-    return Forecast(forecast.log_weight[..., 0, :], forecast.mean[..., 0, :, :, :], forecast.scale_tril[..., 0, :, :, :, :])
+    return Forecast(
+        forecast.log_weight[..., 0, :],
+        forecast.mean[..., 0, :, :, :],
+        forecast.scale_tril[..., 0, :, :, :, :],
+    )
 
 
 def others_forecast(forecast: Forecast) -> Forecast:
     """Forecast `*b N` of the neighbours alone, from one of ego and neighbours `*b 1+N`."""
     return Forecast(
-        forecast.log_weight[..., 1:, :], forecast.mean[..., 1:, :, :, :], forecast.scale_tril[..., 1:, :, :, :, :]
+        forecast.log_weight[..., 1:, :],
+        forecast.mean[..., 1:, :, :, :],
+        forecast.scale_tril[..., 1:, :, :, :, :],
     )
 
 

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
+from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.prediction.base import Predictor, all_agents
 from diffstack_mmv.prediction.current import current_heading, current_position, mean_velocity, trend
@@ -52,14 +53,23 @@ class Spread:
             return (self.position_m**2 + drift.square()).sqrt()
 
         along, across = deviation(self.along_per_s), deviation(self.across_per_s)
-        return scale_from_covariance(covariance_along(course.unsqueeze(-1).expand_as(along), along, across))
+        return scale_from_covariance(
+            covariance_along(course.unsqueeze(-1).expand_as(along), along, across)
+        )
+
+
+def without_dynamics(predictor: Predictor, ego_dynamics: DynamicsModel) -> Predictor:
+    """Return a predictor that has no use for the dynamics of the ego, which every predictor is offered."""
+    return predictor
 
 
 def single_component(
     mean: Float[Tensor, "*b T 2"], scale_tril: Float[Tensor, "*b T 2 2"]
 ) -> Forecast:
     """Forecast with one component of weight one."""
-    return Forecast(mean.new_zeros(mean.shape[:-2]).unsqueeze(-1), mean.unsqueeze(-3), scale_tril.unsqueeze(-4))
+    return Forecast(
+        mean.new_zeros(mean.shape[:-2]).unsqueeze(-1), mean.unsqueeze(-3), scale_tril.unsqueeze(-4)
+    )
 
 
 class Extrapolation(Predictor):
@@ -71,7 +81,9 @@ class Extrapolation(Predictor):
         spread: How the uncertainty grows.
     """
 
-    def __init__(self, horizon_steps: int = 30, dt_s: float = 0.1, spread: Spread | None = None) -> None:
+    def __init__(
+        self, horizon_steps: int = 30, dt_s: float = 0.1, spread: Spread | None = None
+    ) -> None:
         super().__init__(horizon_steps, dt_s)
         self.spread = spread if spread is not None else Spread()
 
@@ -82,7 +94,9 @@ class Extrapolation(Predictor):
         time = time.to(tracks.motion.position.dtype)
         heading = current_heading(tracks)
         speed = safe_norm(mean_velocity(tracks, SPREAD_ROWS, self.dt_s))
-        return single_component(self.positions(tracks, time), self.spread.scale_tril(heading, speed, time))
+        return single_component(
+            self.positions(tracks, time), self.spread.scale_tril(heading, speed, time)
+        )
 
     @abstractmethod
     def positions(self, tracks: Tracks, time: Float[Tensor, " T"]) -> Float[Tensor, "*b T 2"]:
@@ -111,7 +125,11 @@ class ConstantVelocity(Extrapolation):
     """
 
     def __init__(
-        self, horizon_steps: int = 30, dt_s: float = 0.1, spread: Spread | None = None, window_s: float = 0.5
+        self,
+        horizon_steps: int = 30,
+        dt_s: float = 0.1,
+        spread: Spread | None = None,
+        window_s: float = 0.5,
     ) -> None:
         super().__init__(horizon_steps, dt_s, spread)
         require_positive("window_s", window_s)
@@ -177,9 +195,13 @@ class ConstantTurnRateAcceleration(Extrapolation):
         forward = now.velocity / speed.unsqueeze(-1)
         left = torch.stack([-forward[..., 1], forward[..., 0]], -1)
         acceleration = (now.acceleration * forward).sum(-1)
-        yaw_rate = (now.acceleration * left).sum(-1) * speed / (speed.square() + self.walking_mps**2)
+        yaw_rate = (
+            (now.acceleration * left).sum(-1) * speed / (speed.square() + self.walking_mps**2)
+        )
         middle = time - 0.5 * self.dt_s
-        acceleration = acceleration.clamp(-self.acceleration_limit_mps2, self.acceleration_limit_mps2)
+        acceleration = acceleration.clamp(
+            -self.acceleration_limit_mps2, self.acceleration_limit_mps2
+        )
         yaw_rate = yaw_rate.clamp(-self.yaw_rate_limit_radps, self.yaw_rate_limit_radps)
         gained = acceleration.unsqueeze(-1) * faded(middle, self.acceleration_fade_s)
         turned = yaw_rate.unsqueeze(-1) * faded(middle, self.yaw_rate_fade_s)
@@ -200,7 +222,9 @@ class NoPrediction(ConstantVelocity):
         """Forecast all agents, `*b 1+N`, the neighbours out of reach."""
         forecast = super().forward(past, others)
         ego = torch.arange(forecast.mean.shape[-4], device=forecast.mean.device) == 0
-        mean = torch.where(ego[:, None, None, None], forecast.mean, torch.full_like(forecast.mean, FAR_AWAY_M))
+        mean = torch.where(
+            ego[:, None, None, None], forecast.mean, torch.full_like(forecast.mean, FAR_AWAY_M)
+        )
         return forecast._replace(mean=mean)
 
     def loss(self, batch: StackBatch) -> Float[Tensor, "*b"]:
@@ -214,7 +238,10 @@ class GroundTruth(Extrapolation):
 
     def predict(self, batch: StackBatch) -> Forecast:
         """Forecast `B 1+N` from the futures of the batch; an agent that vanishes stays at its last true position."""
-        past, future = all_agents(batch.ego_past, batch.others_past), all_agents(batch.ego_future, batch.others_future)
+        past, future = (
+            all_agents(batch.ego_past, batch.others_past),
+            all_agents(batch.ego_future, batch.others_future),
+        )
         known = torch.cat([current_position(past).unsqueeze(-2), future.motion.position], -2)
         valid = torch.cat([torch.ones_like(future.valid[..., :1]), future.valid], -1)
         row = torch.arange(valid.shape[-1], device=valid.device).expand_as(valid)
@@ -222,7 +249,9 @@ class GroundTruth(Extrapolation):
         mean = known.take_along_dim(latest.unsqueeze(-1), -2)[..., 1:, :]
         time = torch.zeros(mean.shape[-2], dtype=mean.dtype, device=mean.device)
         heading = current_heading(past)
-        return single_component(mean, self.spread.scale_tril(heading, torch.zeros_like(heading), time))
+        return single_component(
+            mean, self.spread.scale_tril(heading, torch.zeros_like(heading), time)
+        )
 
     def positions(self, tracks: Tracks, time: Float[Tensor, " T"]) -> Float[Tensor, "*b T 2"]:
         """Refuse: a past alone does not tell the future.
@@ -230,4 +259,6 @@ class GroundTruth(Extrapolation):
         Raises:
             TypeError: Always.
         """
-        raise TypeError("`GroundTruth` must see the future, but got a past alone. Call `predict` with a whole batch.")
+        raise TypeError(
+            "`GroundTruth` must see the future, but got a past alone. Call `predict` with a whole batch."
+        )

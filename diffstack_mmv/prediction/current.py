@@ -70,6 +70,13 @@ def trend(tracks: Tracks, memory_s: float, dt_s: float) -> Trend:
     powers = torch.stack([torch.ones_like(time), time, 0.5 * time.square()], -1)
     weighted = (valid * torch.exp(time / memory_s)).unsqueeze(-1) * powers
     pull = _PRIOR_WEIGHT * torch.eye(3, device=time.device, dtype=time.dtype)
-    prior = torch.stack([torch.zeros_like(offset[..., 0, :]), current_velocity(tracks), torch.zeros_like(offset[..., 0, :])], -2)
+    prior = torch.stack(
+        [
+            torch.zeros_like(offset[..., 0, :]),
+            current_velocity(tracks),
+            torch.zeros_like(offset[..., 0, :]),
+        ],
+        -2,
+    )
     solution = torch.linalg.solve(weighted.mT @ powers + pull, weighted.mT @ offset + pull @ prior)
     return Trend(solution[..., 1, :], solution[..., 2, :])

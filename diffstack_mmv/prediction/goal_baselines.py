@@ -26,7 +26,9 @@ def constant_acceleration(
     share = _share(motion, steps)
     coast = _coast(motion, steps, dt_s)
     rest = goal - motion.position - coast
-    return motion.position.unsqueeze(-2) + share * coast.unsqueeze(-2) + share**2 * rest.unsqueeze(-2)
+    return (
+        motion.position.unsqueeze(-2) + share * coast.unsqueeze(-2) + share**2 * rest.unsqueeze(-2)
+    )
 
 
 def hermite_spline(
@@ -54,7 +56,9 @@ def hermite_spline(
 
 def _share(motion: Motion, steps: int) -> Float[Tensor, "steps 1"]:
     position = motion.position
-    return (torch.arange(1, steps + 1, device=position.device, dtype=position.dtype) / steps).unsqueeze(-1)
+    return (
+        torch.arange(1, steps + 1, device=position.device, dtype=position.dtype) / steps
+    ).unsqueeze(-1)
 
 
 def _coast(motion: Motion, steps: int, dt_s: float) -> Float[Tensor, "*b 2"]:

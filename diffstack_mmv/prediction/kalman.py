@@ -36,7 +36,7 @@ class KalmanConstantVelocity(Predictor):
         dt_s: float = 0.1,
         along_m: float = 0.08,
         across_m: float = 0.05,
-        acceleration_density: float = 0.5,
+        acceleration_density: float = 0.1,
         speed_mps: float = 3.0,
     ) -> None:
         super().__init__(horizon_steps, dt_s)
@@ -50,14 +50,24 @@ class KalmanConstantVelocity(Predictor):
         """Forecast all agents, `*b 1+N`."""
         tracks = all_agents(past, others)
         state, covariance = self.filtered(tracks)
-        time = self.dt_s * torch.arange(1, self.horizon_steps + 1, device=state.device).to(state.dtype)
+        time = self.dt_s * torch.arange(1, self.horizon_steps + 1, device=state.device).to(
+            state.dtype
+        )
         column = time[:, None, None]
         position, velocity = state[..., None, :2], state[..., None, 2:]
         blocks = covariance.unsqueeze(-3)
-        drift = column * (blocks[..., :2, 2:] + blocks[..., 2:, :2]) + column**2 * blocks[..., 2:, 2:]
-        noise = self.acceleration_density / 3 * column**3 * torch.eye(2, device=time.device, dtype=time.dtype)
+        drift = (
+            column * (blocks[..., :2, 2:] + blocks[..., 2:, :2]) + column**2 * blocks[..., 2:, 2:]
+        )
+        noise = (
+            self.acceleration_density
+            / 3
+            * column**3
+            * torch.eye(2, device=time.device, dtype=time.dtype)
+        )
         return single_component(
-            position + time.unsqueeze(-1) * velocity, scale_from_covariance(blocks[..., :2, :2] + drift + noise)
+            position + time.unsqueeze(-1) * velocity,
+            scale_from_covariance(blocks[..., :2, :2] + drift + noise),
         )
 
     def filtered(self, tracks: Tracks) -> tuple[Float[Tensor, "*b 4"], Float[Tensor, "*b 4 4"]]:
@@ -76,14 +86,20 @@ class KalmanConstantVelocity(Predictor):
             updated = _updated(state, covariance, measured[..., row, :], noise[..., row, :, :])
             state = _choose(valid[..., row] & started, updated[0], state, fresh, started)
             covariance = _choose(
-                valid[..., row] & started, updated[1], covariance, self._start(noise[..., row, :, :]), started
+                valid[..., row] & started,
+                updated[1],
+                covariance,
+                self._start(noise[..., row, :, :]),
+                started,
             )
             started = started | valid[..., row]
         return state, covariance
 
     def _start(self, noise: Float[Tensor, "*b 2 2"]) -> Float[Tensor, "*b 4 4"]:
         """Covariance after the first measurement, of a velocity that is not yet known."""
-        velocity = self.speed_mps**2 * torch.eye(2, device=noise.device, dtype=noise.dtype).expand_as(noise)
+        velocity = self.speed_mps**2 * torch.eye(
+            2, device=noise.device, dtype=noise.dtype
+        ).expand_as(noise)
         none = torch.zeros_like(noise)
         return torch.cat([torch.cat([noise, none], -1), torch.cat([none, velocity], -1)], -2)
 
@@ -93,8 +109,14 @@ class KalmanConstantVelocity(Predictor):
         dt_s = self.dt_s
         identity = torch.eye(2, device=state.device, dtype=state.dtype)
         none = torch.zeros_like(identity)
-        transition = torch.cat([torch.cat([identity, dt_s * identity], -1), torch.cat([none, identity], -1)], -2)
-        growth = torch.tensor([[dt_s**3 / 3, dt_s**2 / 2], [dt_s**2 / 2, dt_s]], device=state.device, dtype=state.dtype)
+        transition = torch.cat(
+            [torch.cat([identity, dt_s * identity], -1), torch.cat([none, identity], -1)], -2
+        )
+        growth = torch.tensor(
+            [[dt_s**3 / 3, dt_s**2 / 2], [dt_s**2 / 2, dt_s]],
+            device=state.device,
+            dtype=state.dtype,
+        )
         noise = self.acceleration_density * torch.kron(growth, identity)
         moved = (transition @ state.unsqueeze(-1)).squeeze(-1)
         return moved, transition @ covariance @ transition.mT + noise
@@ -108,11 +130,16 @@ def _updated(
 ) -> tuple[Float[Tensor, "*b 4"], Float[Tensor, "*b 4 4"]]:
     """State and covariance after a measurement, the covariance in Joseph's form, which stays symmetric positive."""
     innovation = covariance[..., :2, :2] + noise
-    determinant = innovation[..., 0, 0] * innovation[..., 1, 1] - innovation[..., 0, 1] * innovation[..., 1, 0]
+    determinant = (
+        innovation[..., 0, 0] * innovation[..., 1, 1]
+        - innovation[..., 0, 1] * innovation[..., 1, 0]
+    )
     adjugate = innovation.flip((-2, -1)) * torch.tensor([[1.0, -1.0], [-1.0, 1.0]]).to(state)
     gain = covariance[..., :2] @ (adjugate.mT / determinant[..., None, None])
     corrected = state + (gain @ (measured - state[..., :2]).unsqueeze(-1)).squeeze(-1)
-    rest = torch.eye(4, device=state.device, dtype=state.dtype) - torch.cat([gain, torch.zeros_like(gain)], -1)
+    rest = torch.eye(4, device=state.device, dtype=state.dtype) - torch.cat(
+        [gain, torch.zeros_like(gain)], -1
+    )
     return corrected, rest @ covariance @ rest.mT + gain @ noise @ gain.mT
 
 

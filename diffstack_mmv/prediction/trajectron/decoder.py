@@ -1,0 +1,168 @@
+"""The decoder: Gaussian controls for each component, integrated through the dynamics of the agent."""
+
+import math
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from diffstack_mmv.checks import require_at_least
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.prediction.trajectron.mixture import PositionMoments, integrate
+from diffstack_mmv.prediction.trajectron.rows import AgentRows
+from diffstack_mmv.smooth import safe_norm, soft_clamp
+from diffstack_mmv.types import Motion
+
+START_DEVIATION = (0.03, 0.03, 0.05, 0.1)  # m along, m across, rad, m/s before training
+LOG_RANGE = 4.0  # a deviation stays within a factor of e^4 of its value before training
+
+
+class Controls(NamedTuple):
+    """Gaussian controls over time."""
+
+    mean: Float[Tensor, "*b T m"]
+    scale_tril: Float[Tensor, "*b T m m"]
+
+
+class ControlDecoder(nn.Module):
+    """GRU that emits, for each component z, deviations from the controls of a fading CTRA, and their uncertainty.
+
+        u_t = ū_t + w ∘ W h_t,    ū_t = control for the acceleration a₀ exp(-t / τ) and the curvature κ₀ exp(-t / τ)
+
+    with the width w of the box of controls. Its weights W start at zero, so that an untrained decoder is the fading CTRA and
+    what it learns are deviations from it. The input of the GRU is the deviation of the step before; context and component enter
+    through its first state and through a constant part of its input, which is computed once.
+
+    Args:
+        dynamics: Dynamics of the agents.
+        context_size: Size of the encoding of the present scene.
+        components: Number K of components.
+        horizon_steps: Number T of predicted time steps.
+        hidden: Size of the state of the GRU.
+        hold_steps: Steps over which a deviation is held.
+        fade_s: τ, for acceleration and turn alike.
+        dropout: Share of units of the context dropped in training.
+
+    Raises:
+        ValueError: A number of steps is below one, or the state of the dynamics does not begin with a position.
+    """
+
+    def __init__(
+        self,
+        dynamics: DynamicsModel,
+        context_size: int,
+        components: int,
+        horizon_steps: int,
+        hidden: int = 128,
+        hold_steps: int = 1,
+        fade_s: float = 0.3,
+        dropout: float = 0.0,
+    ) -> None:
+        super().__init__()
+        require_at_least("horizon_steps", horizon_steps, 1)
+        require_at_least("hold_steps", hold_steps, 1)
+        self.dynamics = dynamics
+        self.horizon_steps, self.hold_steps, self.fade_s = horizon_steps, hold_steps, fade_s
+        size = dynamics.control_dim
+        self.dropout = nn.Dropout(dropout)
+        self.start_context = nn.Linear(context_size, hidden)
+        self.start_component = nn.Parameter(torch.randn(components, hidden) / math.sqrt(hidden))
+        self.gate_context = nn.Linear(context_size, 3 * hidden)
+        self.gate_component = nn.Parameter(torch.randn(components, 3 * hidden) / math.sqrt(hidden))
+        self.gate_control = nn.Linear(size, 3 * hidden, bias=False)
+        self.gate_hidden = nn.Linear(hidden, 3 * hidden)
+        self.mean_head = nn.Linear(hidden, size)
+        self.scale_head = nn.Linear(hidden, size * (size + 1) // 2)
+        self.start_head = nn.Linear(hidden, len(START_DEVIATION))
+        for head in (self.mean_head, self.scale_head, self.start_head):
+            nn.init.zeros_(head.weight)
+            nn.init.zeros_(head.bias)
+        self.register_buffer("start_deviation", torch.tensor(START_DEVIATION), persistent=False)
+        self.start_deviation: Tensor
+
+    def forward(self, context: Float[Tensor, "R c"], rows: AgentRows) -> PositionMoments:
+        """Mean and covariance of the positions `R K T` of the agents, in their own frames."""
+        motion = present_motion(rows)
+        context = self.dropout(context)
+        hidden = torch.tanh(self.start_context(context).unsqueeze(1) + self.start_component)
+        deviation, states = self._unrolled(context, hidden)
+        low, high = self.dynamics.bounds
+        width = 0.25 * (high - low)
+        base = self._base_controls(motion, rows).unsqueeze(1)
+        controls = Controls(
+            base + width * self._held(deviation),
+            width.unsqueeze(-1) * self._held(self._scale(states)),
+        )
+        spread = self.start_deviation * torch.exp(soft_clamp(self.start_head(hidden), LOG_RANGE))
+        each = Motion(
+            *(field.unsqueeze(1).expand(*spread.shape[:2], *field.shape[1:]) for field in motion)
+        )
+        return integrate(self.dynamics, each, controls.mean, controls.scale_tril, spread)
+
+    def _unrolled(
+        self, context: Float[Tensor, "R c"], hidden: Float[Tensor, "R K h"]
+    ) -> tuple[Float[Tensor, "R K S m"], Float[Tensor, "R K S h"]]:
+        """Deviations of the controls in widths of their box, and states of the GRU."""
+        constant = self.gate_context(context).unsqueeze(1) + self.gate_component
+        deviation = hidden.new_zeros(*hidden.shape[:-1], self.dynamics.control_dim)
+        deviations, states = [], []
+        for _ in range(math.ceil(self.horizon_steps / self.hold_steps)):
+            entering = constant + self.gate_control(deviation)
+            own = self.gate_hidden(hidden)
+            size = hidden.shape[-1]
+            reset, update = torch.sigmoid(entering[..., : 2 * size] + own[..., : 2 * size]).chunk(
+                2, -1
+            )
+            candidate = torch.tanh(entering[..., 2 * size :] + reset * own[..., 2 * size :])
+            hidden = candidate + update * (hidden - candidate)
+            deviation = self.mean_head(hidden)
+            deviations.append(deviation)
+            states.append(hidden)
+        return torch.stack(deviations, -2), torch.stack(states, -2)
+
+    def _scale(self, states: Float[Tensor, "R K S h"]) -> Float[Tensor, "R K S m m"]:
+        """Cholesky factors of the controls' covariance in widths of their box."""
+        raw = soft_clamp(self.scale_head(states), LOG_RANGE)
+        size = self.dynamics.control_dim
+        diagonal = 0.25 * torch.exp(raw[..., :size])
+        factor = torch.diag_embed(diagonal)
+        below = torch.tril_indices(size, size, -1, device=raw.device)
+        factor[..., below[0], below[1]] = diagonal[..., below[0]] * raw[..., size:]
+        return factor
+
+    def _base_controls(self, motion: Motion, rows: AgentRows) -> Float[Tensor, "R T m"]:
+        """Controls of the fading CTRA, which never brakes below standstill."""
+        speed = motion.velocity[:, 0]
+        forward = rows.velocity / safe_norm(rows.velocity).unsqueeze(-1)
+        along = (rows.acceleration * forward).sum(-1)
+        across = forward[:, 0] * rows.acceleration[:, 1] - forward[:, 1] * rows.acceleration[:, 0]
+        slowest = -speed / self.fade_s
+        acceleration = torch.maximum(along.clamp(-3.0, 3.0), slowest)
+        curvature = (across / (speed.square() + 0.25)).clamp(-1.0, 1.0)
+        time = self.dynamics.dt_s * (torch.arange(self.horizon_steps, device=speed.device) + 0.5)
+        fading = torch.exp(-time / self.fade_s).to(speed.dtype)
+        state = self.dynamics.state_on_course(motion).unsqueeze(-2)
+        return self.dynamics.control_for(
+            state.expand(-1, self.horizon_steps, -1),
+            acceleration.unsqueeze(-1) * fading,
+            curvature.unsqueeze(-1) * fading,
+        )
+
+    def _held(self, values: Tensor) -> Tensor:
+        """Repeat the values `R K S ..` over the steps they are held, in dimension 2."""
+        return values.repeat_interleave(self.hold_steps, 2)[:, :, : self.horizon_steps]
+
+
+def present_motion(rows: AgentRows) -> Motion:
+    """Motion of the agents now in their own frames, on the course of the velocity fitted to their tracks.
+
+    At rest the course is not observable; the heading of the track takes over below walking speed.
+    """
+    speed = safe_norm(rows.velocity)
+    forward = rows.velocity + torch.tensor([1.0, 0.0]).to(rows.velocity) * (
+        0.3 * torch.exp(-speed)
+    ).unsqueeze(-1)
+    course = torch.atan2(forward[:, 1], forward[:, 0])
+    zero = torch.zeros_like(speed)
+    return Motion(torch.zeros_like(rows.velocity), course, torch.stack([speed, zero], -1), zero)

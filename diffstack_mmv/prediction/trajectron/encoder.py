@@ -1,0 +1,91 @@
+"""Encoders of what an agent did, and in training of what it will do."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from diffstack_mmv.geometry import direction, rotate
+from diffstack_mmv.types import Tracks
+
+POSITION_SCALE_M = 10.0
+SPEED_SCALE_MPS = 5.0
+TRACK_FEATURES = 8
+
+
+def track_features(tracks: Tracks) -> Float[Tensor, "*b T 8"]:
+    """Position, velocity, direction and yaw rate of an agent in its own frame, scaled to order one, and validity."""
+    motion = tracks.motion
+    features = torch.cat(
+        [
+            motion.position / POSITION_SCALE_M,
+            rotate(motion.velocity, motion.heading) / SPEED_SCALE_MPS,
+            direction(motion.heading),
+            motion.yaw_rate.unsqueeze(-1),
+            torch.ones_like(motion.yaw_rate).unsqueeze(-1),
+        ],
+        -1,
+    )
+    return torch.where(tracks.valid.unsqueeze(-1), features, torch.zeros_like(features))
+
+
+class MaskedLSTM(nn.Module):
+    """LSTM that keeps its state over rows that are not valid, so that they have no influence whatever they hold.
+
+    Args:
+        inputs: Number of features of a row.
+        hidden: Size of the state.
+    """
+
+    def __init__(self, inputs: int, hidden: int) -> None:
+        super().__init__()
+        self.cell = nn.LSTMCell(inputs, hidden)
+
+    def forward(
+        self, features: Float[Tensor, "R T f"], valid: Bool[Tensor, "R T"]
+    ) -> Float[Tensor, "R h"]:
+        """Return the state after the last row, zero where no row is valid."""
+        hidden = features.new_zeros(features.shape[0], self.cell.hidden_size)
+        memory = hidden
+        for row in range(features.shape[1]):
+            new_hidden, new_memory = self.cell(features[:, row], (hidden, memory))
+            keep = valid[:, row].unsqueeze(-1)
+            hidden, memory = (
+                torch.where(keep, new_hidden, hidden),
+                torch.where(keep, new_memory, memory),
+            )
+        return hidden
+
+
+class PerKind(nn.Module):
+    """One network per kind of agent, each applied to the rows of its kind.
+
+    Args:
+        networks: The networks by the number of their kind; all have the same output size.
+        outputs: That size.
+    """
+
+    def __init__(self, networks: dict[int, nn.Module], outputs: int) -> None:
+        super().__init__()
+        self.networks = nn.ModuleDict({str(kind): network for kind, network in networks.items()})
+        self.outputs = outputs
+
+    def forward(self, kind: Int[Tensor, " R"], *inputs: Tensor) -> Float[Tensor, "R o"]:
+        """Apply the network of each row's kind; rows of a kind without a network become zero."""
+        result = inputs[0].new_zeros(len(kind), self.outputs)
+        for name, network in self.networks.items():
+            rows = (kind == int(name)).nonzero().squeeze(-1)
+            if len(rows) > 0:
+                result = result.index_copy(0, rows, network(*(tensor[rows] for tensor in inputs)))
+        return result
+
+
+def perceptron(sizes: Sequence[int], dropout: float = 0.0) -> nn.Sequential:
+    """Linear layers of the given sizes with ELU and dropout between them."""
+    layers: list[nn.Module] = []
+    for number, (inputs, outputs) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+        if number > 0:
+            layers += [nn.ELU(), nn.Dropout(dropout)]
+        layers.append(nn.Linear(inputs, outputs))
+    return nn.Sequential(*layers)

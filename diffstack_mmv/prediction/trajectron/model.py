@@ -1,0 +1,188 @@
+"""Trajectron++ for micro-mobility: one forward pass for the ego and all its neighbours."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from diffstack_mmv.checks import require
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.prediction.base import Predictor, all_agents
+from diffstack_mmv.prediction.gaussian import log_density, scale_from_covariance
+from diffstack_mmv.prediction.trajectron.decoder import ControlDecoder
+from diffstack_mmv.prediction.trajectron.encoder import (
+    TRACK_FEATURES,
+    MaskedLSTM,
+    PerKind,
+    track_features,
+)
+from diffstack_mmv.prediction.trajectron.latent import Annealing, Latent, divergence
+from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
+from diffstack_mmv.prediction.trajectron.output import nobody, placed, scenes
+from diffstack_mmv.prediction.trajectron.rows import (
+    EGO,
+    VEHICLE,
+    WALKER,
+    AgentRows,
+    agent_rows,
+    in_own_frame,
+    select_rows,
+    take_rows,
+)
+from diffstack_mmv.prediction.trajectron.scene import SceneEncoder
+from diffstack_mmv.types import Forecast, StackBatch, Tracks
+
+
+class Sizes(NamedTuple):
+    """Sizes of the networks, those of Trajectron++ by default."""
+
+    history: int = 32
+    edge: int = 32
+    future: int = 32
+    decoder: int = 128
+
+
+class Branch(nn.Module):
+    """Latent variable and decoder of the agents of one role.
+
+    Args:
+        latent: Distribution over the components.
+        decoder: Makes positions of each component.
+    """
+
+    def __init__(self, latent: Latent, decoder: ControlDecoder) -> None:
+        super().__init__()
+        self.latent = latent
+        self.decoder = decoder
+
+
+class Decoded(NamedTuple):
+    """What one branch made of its rows."""
+
+    place: Tensor  # S, positions of the rows among all rows
+    rows: AgentRows  # S
+    context: Float[Tensor, "S c"]
+    log_prior: Float[Tensor, "S K"]
+    moments: PositionMoments  # S K T, in the own frames
+    latent: Latent
+
+
+class Trajectron(Predictor):
+    """CVAE over controls, integrated through the dynamics of each agent.
+
+    History LSTM per kind of agent, attention over the neighbours, discrete latent variable, GRU decoder over controls,
+    first-order propagation of covariances: single integrator for walkers, `vehicle_dynamics` for vehicles, and for the ego
+    the dynamics it is going to be controlled with. Every agent is seen in its own frame, so that a turned scene gives the
+    turned forecast. Source: Salzmann et al., Trajectron++ (ECCV 2020); Karkus et al., DiffStack (CoRL 2022).
+
+    Args:
+        ego_dynamics: Dynamics of the ego.
+        vehicle_dynamics: Dynamics of all other vehicles.
+        walker_dynamics: Dynamics of those who walk.
+        horizon_steps: Number of predicted time steps T.
+        components: Number K of components of the ego.
+        neighbour_components: Number of components of each neighbour.
+        sizes: Sizes of the networks.
+        annealing: Weight of the divergence of the posterior from the prior.
+        hold_steps: Steps over which a decoded control is held.
+        dropout: Share of units dropped in training.
+
+    Raises:
+        ValueError: The models differ in their time step, or a number is out of its range.
+    """
+
+    def __init__(
+        self,
+        ego_dynamics: DynamicsModel,
+        vehicle_dynamics: DynamicsModel,
+        walker_dynamics: DynamicsModel,
+        horizon_steps: int = 30,
+        components: int = 25,
+        neighbour_components: int = 5,
+        sizes: Sizes | None = None,
+        annealing: Annealing | None = None,
+        hold_steps: int = 1,
+        dropout: float = 0.1,
+    ) -> None:
+        super().__init__(horizon_steps, ego_dynamics.dt_s)
+        models = {EGO: ego_dynamics, VEHICLE: vehicle_dynamics, WALKER: walker_dynamics}
+        steps = [model.dt_s for model in models.values()]
+        require(len(set(steps)) == 1, "dt_s", "be the same for all three dynamics", steps)
+        sizes = sizes if sizes is not None else Sizes()
+        self.annealing = (annealing if annealing is not None else Annealing()).checked()
+        self.scene_encoder = SceneEncoder(sizes.history, sizes.edge, dropout)
+        self.future_encoder = PerKind(
+            {kind: MaskedLSTM(TRACK_FEATURES, sizes.future) for kind in (VEHICLE, WALKER)},
+            sizes.future,
+        )
+        self.components = max(components, neighbour_components)
+        context = self.scene_encoder.outputs
+        self.branches = nn.ModuleList()
+        for role, model in models.items():
+            count = components if role == EGO else neighbour_components
+            decoder = ControlDecoder(
+                model, context, count, horizon_steps, sizes.decoder, hold_steps, dropout=dropout
+            )
+            self.branches.append(Branch(Latent(context, sizes.future, count), decoder))
+        self.register_buffer("training_step", torch.zeros((), dtype=torch.long))
+        self.training_step: Tensor
+
+    def forward(self, past: Tracks, others: Tracks) -> Forecast:
+        """Forecast all agents, `*b 1+N`; an agent that is not observed now stays where it is."""
+        agents = all_agents(past, others)
+        leading = agents.mode.shape
+        agents = scenes(agents)
+        forecast = nobody(agents, self.components, self.horizon_steps)
+        for part in self._decoded(agent_rows(agents, self.dt_s), agents.mode.shape[1]):
+            forecast = placed(forecast, part.rows, part.log_prior, part.moments)
+        return Forecast(*(field.reshape(*leading, *field.shape[1:]) for field in forecast))
+
+    def loss(self, batch: StackBatch) -> Float[Tensor, "*b"]:
+        """Negative evidence bound in nats per predicted time step, mean over the present agents of each sample.
+
+            -log Σ_z q(z|x, y) Π_t p(y_t|x, z) + β max(KL(q || p) - free, 0)
+
+        with the components weighted by the posterior inside of the logarithm, as in the code of the sources. Each call in
+        training mode is one step of the annealing of β.
+        """
+        agents = scenes(all_agents(batch.ego_past, batch.others_past))
+        futures = scenes(all_agents(batch.ego_future, batch.others_future))
+        rows = agent_rows(agents, self.dt_s)
+        future = in_own_frame(take_rows(futures, rows.index), rows.origin, rows.heading)
+        loss = rows.origin.new_zeros(agents.mode.numel())
+        for part in self._decoded(rows, agents.mode.shape[1]):
+            loss = loss.index_copy(
+                0, part.rows.index, self._row_loss(part, take_rows(future, part.place))
+            )
+        if self.training:
+            self.training_step += 1
+        judged = agents.valid[..., -1] & futures.valid.any(-1)
+        per_agent = torch.where(judged, loss.reshape(judged.shape), 0.0)
+        return (per_agent.sum(-1) / judged.sum(-1).clamp_min(1)).reshape(batch.ego_past.mode.shape)
+
+    def _decoded(self, rows: AgentRows, agents: int) -> Iterator[Decoded]:
+        """Encode all rows at once, and decode them by their roles."""
+        context = self.scene_encoder(rows, agents)
+        for role, branch in enumerate(self.branches):
+            place = (rows.role == role).nonzero().squeeze(-1)
+            if len(place) > 0 and isinstance(branch, Branch):
+                chosen, seen = select_rows(rows, place), context[place]
+                moments = branch.decoder(seen, chosen)
+                yield Decoded(
+                    place, chosen, seen, branch.latent.log_prior(seen), moments, branch.latent
+                )
+
+    def _row_loss(self, part: Decoded, future: Tracks) -> Float[Tensor, " S"]:
+        """Negative evidence bound of each row in nats per predicted time step."""
+        encoded = self.future_encoder(part.rows.kind, track_features(future), future.valid)
+        log_posterior = part.latent.log_posterior(part.context, encoded)
+        error = future.motion.position.unsqueeze(1) - part.moments.mean
+        log_prob = log_density(error, scale_from_covariance(part.moments.covariance))
+        log_prob = torch.where(future.valid.unsqueeze(1), log_prob, torch.zeros_like(log_prob))
+        likelihood = torch.logsumexp(log_posterior + log_prob.sum(-1), -1)
+        penalty = self.annealing.penalty(
+            divergence(log_posterior, part.log_prior), self.training_step
+        )
+        return (penalty - likelihood) / future.valid.sum(-1).clamp_min(1)

@@ -1,0 +1,55 @@
+"""From rows back to scenes."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.geometry import position_from_frame
+from diffstack_mmv.prediction.current import current_position
+from diffstack_mmv.prediction.gaussian import rotate_covariance, scale_from_covariance
+from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
+from diffstack_mmv.prediction.trajectron.rows import AgentRows
+from diffstack_mmv.types import Forecast, Tracks, map_tensors
+
+ABSENT_LOG_WEIGHT = (
+    -1e4
+)  # of components that an agent does not have; finite, so that 0 · log 0 is 0
+
+
+def scenes(agents: Tracks) -> Tracks:
+    """Agents `*b A` with all leading dimensions but the agent's in one, `B A`."""
+    batch_dims = agents.mode.dim() - 1
+    return map_tensors(lambda field: field.reshape(-1, *field.shape[batch_dims:]), agents)
+
+
+def nobody(agents: Tracks, components: int, steps: int) -> Forecast:
+    """Forecast of standing still, with 1 m of uncertainty, for agents `B A` in one dimension B·A."""
+    position = current_position(agents).flatten(0, 1)
+    mean = position[:, None, None, :].expand(-1, components, steps, 2)
+    scale_tril = torch.eye(2, dtype=mean.dtype, device=mean.device).expand(*mean.shape, 2)
+    return Forecast(padded(mean.new_zeros(len(mean), 1), components), mean, scale_tril)
+
+
+def placed(
+    forecast: Forecast, rows: AgentRows, log_prior: Float[Tensor, "S K"], moments: PositionMoments
+) -> Forecast:
+    """Replace the forecast of some agents by moments in their own frames.
+
+    Agents with fewer components than the forecast get more of weight zero, which repeat the last one.
+    """
+    components = forecast.log_weight.shape[-1]
+    last = torch.arange(components, device=log_prior.device).clamp_max(log_prior.shape[-1] - 1)
+    heading = rows.heading[:, None, None]
+    mean = position_from_frame(moments.mean, rows.origin[:, None, None, :], heading)
+    scale_tril = scale_from_covariance(rotate_covariance(moments.covariance, heading))
+    return Forecast(
+        forecast.log_weight.index_copy(0, rows.index, padded(log_prior, components)),
+        forecast.mean.index_copy(0, rows.index, mean[:, last]),
+        forecast.scale_tril.index_copy(0, rows.index, scale_tril[:, last]),
+    )
+
+
+def padded(log_weight: Float[Tensor, "S k"], components: int) -> Float[Tensor, "S K"]:
+    """Add components of weight zero."""
+    missing = components - log_weight.shape[-1]
+    return torch.nn.functional.pad(log_weight, (0, missing), value=ABSENT_LOG_WEIGHT)

@@ -1,0 +1,50 @@
+"""The encoding of an agent in its scene: its history, those around it, its present motion and its mode."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from diffstack_mmv.checks import require_between
+from diffstack_mmv.prediction.trajectron.encoder import (
+    SPEED_SCALE_MPS,
+    TRACK_FEATURES,
+    MaskedLSTM,
+    PerKind,
+    track_features,
+)
+from diffstack_mmv.prediction.trajectron.interaction import Interaction
+from diffstack_mmv.prediction.trajectron.rows import VEHICLE, WALKER, AgentRows
+from diffstack_mmv.types import Mode
+
+MOTION_FEATURES = 4
+
+
+class SceneEncoder(nn.Module):
+    """Context of every agent: history LSTM of its kind, interaction, velocity and acceleration now, one-hot mode.
+
+    Args:
+        history: Size of the encoding of the history.
+        edge: Size of the encoding of the interaction.
+        dropout: Share of units dropped in training.
+
+    Raises:
+        ValueError: The share is no share.
+    """
+
+    def __init__(self, history: int = 32, edge: int = 32, dropout: float = 0.1) -> None:
+        super().__init__()
+        require_between("dropout", dropout, 0.0, 0.9)
+        self.history = PerKind(
+            {kind: MaskedLSTM(TRACK_FEATURES, history) for kind in (VEHICLE, WALKER)}, history
+        )
+        self.interaction = Interaction(history, edge, dropout=dropout)
+        self.outputs = history + edge + MOTION_FEATURES + len(Mode)
+
+    def forward(self, rows: AgentRows, agents: int) -> Float[Tensor, "R c"]:
+        """Context of each row; `agents` is the number of agents per scene."""
+        node = self.history(rows.kind, track_features(rows.past), rows.past.valid)
+        around = self.interaction(rows, agents, node)
+        mode = nn.functional.one_hot(rows.past.mode, len(Mode)).to(node.dtype)
+        return torch.cat(
+            [node, around, rows.velocity / SPEED_SCALE_MPS, rows.acceleration, mode], -1
+        )
