@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from tqdm import tqdm
 from trajdata.caching.env_cache import EnvCache
@@ -144,10 +144,16 @@ def _run(settings: ConversionSettings, pending: list[SceneSource]) -> Iterator[S
         return
     todo = iter(pending)
     running: set[Future[SceneReport]] = set()
-    with ProcessPoolExecutor(settings.workers, mp_context=get_context("fork")) as pool:
+    pool = ProcessPoolExecutor(
+        settings.workers,
+        mp_context=get_context("fork"),
+        initializer=_WorkerSettings.keep,
+        initargs=(settings,),
+    )
+    with pool:
         try:
             for source in todo:
-                running.add(pool.submit(convert_scene, settings, source))
+                running.add(pool.submit(_WorkerSettings.convert, source))
                 if len(running) >= 2 * settings.workers:
                     finished, running = wait(running, return_when=FIRST_COMPLETED)
                     yield from (future.result() for future in finished)
@@ -156,6 +162,20 @@ def _run(settings: ConversionSettings, pending: list[SceneSource]) -> Iterator[S
                 yield from (future.result() for future in finished)
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+class _WorkerSettings:
+    """The settings of a forked worker, inherited once: a data set may hold all its tracks."""
+
+    settings: ClassVar[ConversionSettings]
+
+    @classmethod
+    def keep(cls, settings: ConversionSettings) -> None:
+        cls.settings = settings
+
+    @classmethod
+    def convert(cls, source: SceneSource) -> SceneReport:
+        return convert_scene(cls.settings, source)
 
 
 def convert_scene(settings: ConversionSettings, source: SceneSource) -> SceneReport:

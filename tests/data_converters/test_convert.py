@@ -1,0 +1,270 @@
+"""Conversion as a whole: resumable, parallel, all or nothing, and its errors."""
+
+import errno
+import json
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from data_converters import (
+    CacheError,
+    CausalSmoother,
+    ConversionError,
+    ConversionSettings,
+    ImptcDataset,
+    ResampleSettings,
+    ThabVruDataset,
+    TrackError,
+    convert,
+    open_cache,
+)
+from data_converters.cache import DataFrameCache, read_state
+
+
+def scene_bytes(folder):
+    """Content of the tables and reports of the scenes of an environment."""
+    paths = [path for path in folder.glob("*/*") if path.suffix in (".feather", ".json")]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
+
+
+def count_scenes(monkeypatch):
+    """Names of the scenes written from now on."""
+    written = []
+    original = DataFrameCache.save_agent_data
+
+    def save(agent_data, cache_path, scene):
+        written.append(scene.name)
+        original(agent_data, cache_path, scene)
+
+    monkeypatch.setattr(DataFrameCache, "save_agent_data", staticmethod(save))
+    return written
+
+
+def fail_after(monkeypatch, scenes, error):
+    """Let the write of a scene fail with `error` after a number of scenes."""
+    original = DataFrameCache.save_agent_data
+    left = [scenes]
+
+    def save(agent_data, cache_path, scene):
+        if left[0] == 0:
+            raise error
+        left[0] -= 1
+        original(agent_data, cache_path, scene)
+
+    monkeypatch.setattr(DataFrameCache, "save_agent_data", staticmethod(save))
+
+
+def test_every_track_is_either_converted_or_rejected_with_a_reason(thab_settings):
+    report = convert(thab_settings())
+    assert sum(report.agents()[split].get("bicycle", 0) for split in report.agents()) == 12
+    assert report.rejected_by_reason == {"contained_in_another_file": 1, "repeated_timestamps": 1}
+    assert report.totals()["tracks_read"] == 14
+
+
+def test_the_report_stands_next_to_the_cache(thab_settings):
+    settings = thab_settings()
+    report = convert(settings)
+    for path in (settings.cache, settings.cache / "thab_vru"):
+        stored = json.loads((path / "conversion_report.json").read_text())
+        assert stored["totals"]["rejected"] == report.rejected_by_reason
+        assert stored["settings_hash"] == settings.digest()
+
+
+def test_workers_change_nothing(thab_settings, tmp_path):
+    serial = convert(thab_settings())
+    parallel = convert(thab_settings(cache=tmp_path / "other", workers=2))
+    assert serial.as_dict() == parallel.as_dict()
+    one, two = (scene_bytes(tmp_path / c / "thab_vru") for c in ("cache", "other"))
+    assert one == two
+
+
+def test_an_interrupted_conversion_goes_on_where_it_stopped(thab_settings, monkeypatch):
+    with monkeypatch.context() as patch:
+        fail_after(patch, 5, KeyboardInterrupt())
+        with pytest.raises(KeyboardInterrupt):
+            convert(thab_settings())
+    with pytest.raises(CacheError, match="unfinished conversion"):
+        read_state(thab_settings().cache, "thab_vru")
+    written = count_scenes(monkeypatch)
+    report = convert(thab_settings())
+    assert len(written) == 12 - 5
+    assert report.totals()["scenes"] == 12
+
+
+def test_a_second_conversion_reuses_every_scene(thab_settings, monkeypatch):
+    first = convert(thab_settings())
+    written = count_scenes(monkeypatch)
+    second = convert(thab_settings())
+    assert written == []
+    assert first.as_dict() == second.as_dict()
+
+
+def test_only_changed_files_are_converted_again(thab_settings, thab, monkeypatch):
+    convert(thab_settings())
+    path = thab / "cyclists" / "moving" / "25.csv"
+    path.write_text(path.read_text().rsplit("\n", 30)[0] + "\n")
+    written = count_scenes(monkeypatch)
+    convert(thab_settings())
+    assert written == ["cyclists_moving_25"]
+
+
+def test_other_settings_convert_everything_again(thab_settings, monkeypatch):
+    convert(thab_settings())
+    written = count_scenes(monkeypatch)
+    convert(thab_settings(resample=ResampleSettings(smoother=CausalSmoother())))
+    assert len(written) == 12
+    assert read_state(thab_settings().cache, "thab_vru")["smoother"]["lookahead_s"] == 0.0
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_full_disk_gives_one_message_and_leaves_the_earlier_cache(
+    thab_settings, monkeypatch, workers
+):
+    settings = thab_settings()
+    convert(settings)
+    before = scene_bytes(settings.cache / "thab_vru")
+    fail_after(monkeypatch, 2, OSError(errno.ENOSPC, "No space left on device"))
+    changed = thab_settings(resample=ResampleSettings(min_duration_s=2.0), workers=workers)
+    with pytest.raises(ConversionError, match="free disk space.*run the same command again"):
+        convert(changed)
+    assert scene_bytes(settings.cache / "thab_vru") == before
+    assert read_state(settings.cache, "thab_vru")["settings_hash"] == settings.digest()
+
+
+def test_another_failure_of_the_disk_is_not_called_full(thab_settings, monkeypatch):
+    fail_after(monkeypatch, 2, OSError(errno.EIO, "Input/output error"))
+    with pytest.raises(OSError, match="Input/output"):
+        convert(thab_settings())
+
+
+@pytest.fixture
+def damaged(sample, tmp_path):
+    """A copy of one sample sequence, and a function that edits its first VRU track."""
+    folder = tmp_path / "raw" / next(sample.glob("0000_*")).name
+    shutil.copytree(next(sample.glob("0000_*")), folder)
+    path = folder / "vrus" / "000" / "track.json"
+
+    def edit(change):
+        content = json.loads(path.read_text())
+        change(content)
+        path.write_text(json.dumps(content))
+        return ConversionSettings(
+            ImptcDataset(tmp_path / "raw"), tmp_path / "cache", progress=False
+        )
+
+    return edit
+
+
+def _without_timestamps(content):
+    for row in content["track_data"].values():
+        del row["ts"]
+
+
+def _not_finite(content):
+    next(iter(content["track_data"].values()))["coordinates"][0] = float("nan")
+
+
+def _seconds(content):
+    for row in content["track_data"].values():
+        row["ts"] = int(row["ts"]) // 1_000_000
+
+
+FAULTS = {
+    "no_timestamps": _without_timestamps,
+    "coordinates_not_finite": _not_finite,
+    "unknown_timestamp_unit": _seconds,
+    "unknown_class_id": lambda content: content["overview"].update(class_id=42),
+    "missing_field": lambda content: content.pop("overview"),
+}
+
+
+@pytest.mark.parametrize(("reason", "change"), FAULTS.items())
+def test_a_bad_track_is_counted_and_the_others_are_converted(damaged, reason, change):
+    report = convert(damaged(change))
+    assert report.rejected_by_reason == {reason: 1}
+    assert report.scenes[0].rejected[0]["source"].endswith("vrus/000/track.json")
+    assert report.totals()["scenes"] == 1
+
+
+@pytest.mark.parametrize(("reason", "change"), FAULTS.items())
+def test_strict_conversion_stops_at_a_bad_track_and_names_the_file(damaged, reason, change):
+    settings = damaged(change)
+    strict = ConversionSettings(settings.dataset, settings.cache, strict=True, progress=False)
+    with pytest.raises(TrackError, match="track.json") as caught:
+        convert(strict)
+    assert caught.value.reason.value == reason
+    assert not (settings.cache / "imptc").exists()
+
+
+def test_a_track_file_cut_off_in_the_middle_is_rejected(damaged, tmp_path):
+    settings = damaged(lambda content: None)
+    path = next((tmp_path / "raw").glob("*/vrus/001/track.json"))
+    path.write_text(path.read_text()[:500])
+    assert convert(settings).rejected_by_reason == {"broken_json": 1}
+
+
+@pytest.mark.parametrize("family", ["vrus", "vehicles", "context"])
+def test_any_folder_of_a_sequence_may_be_absent(damaged, tmp_path, family):
+    settings = damaged(lambda content: None)
+    shutil.rmtree(next((tmp_path / "raw").glob(f"*/{family}")))
+    assert convert(settings).totals()["scenes"] == 1
+
+
+def test_a_data_set_without_a_usable_track_fails(damaged, tmp_path):
+    settings = damaged(_not_finite)
+    for path in (tmp_path / "raw").glob("*/v*/*/track.json"):
+        if path.parent.name != "000":
+            path.unlink()
+    with pytest.raises(ConversionError, match="usable track.*coordinates_not_finite"):
+        convert(settings)
+
+
+@pytest.mark.parametrize("dataset", [ImptcDataset, ThabVruDataset])
+def test_a_missing_data_set_is_named(dataset, tmp_path):
+    with pytest.raises(ConversionError, match="no such folder"):
+        convert(ConversionSettings(dataset(tmp_path / "nowhere"), tmp_path / "cache"))
+
+
+@pytest.mark.parametrize("leftover", ["imptc_set_02.tar.gz.part", ".unpacking_imptc_set_02"])
+def test_a_half_downloaded_data_set_is_refused(damaged, tmp_path, leftover):
+    settings = damaged(lambda content: None)
+    (tmp_path / "raw" / leftover).touch()
+    with pytest.raises(ConversionError, match=f"finished download.*{leftover}"):
+        convert(settings)
+
+
+def test_archives_that_were_not_unpacked_are_pointed_out(tmp_path):
+    (tmp_path / "imptc_set_01.tar.gz").touch()
+    with pytest.raises(ConversionError, match="not unpacked.*imptc_set_01"):
+        convert(ConversionSettings(ImptcDataset(tmp_path), tmp_path / "cache"))
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"format_version": 0}, "format_version.*must be 1, but got 0"),
+        ({"complete": False}, "complete.*but got False"),
+    ],
+)
+def test_a_cache_of_another_version_or_state_is_refused(thab_settings, change, says):
+    settings = thab_settings()
+    convert(settings)
+    path = settings.cache / "thab_vru" / "cache.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(CacheError, match=says):
+        open_cache(settings.cache, {"thab_vru": ["train"]})
+
+
+def test_workers_must_be_positive(thab_settings):
+    with pytest.raises(ConversionError, match="workers"):
+        thab_settings(workers=0)
+
+
+def test_rows_of_an_agent_have_no_gap(converted):
+    for path in converted.glob("imptc/*/agent_data_dt0.10.feather"):
+        table = pd.read_feather(path)
+        steps = table.groupby("agent_id")["scene_ts"].agg(["min", "max", "count"])
+        assert np.all(steps["max"] - steps["min"] + 1 == steps["count"])
+        assert np.isfinite(table.select_dtypes("number")).all().all()

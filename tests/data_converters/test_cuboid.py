@@ -1,0 +1,53 @@
+"""Size and axis of vehicles from their 12 edges."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data_converters import RejectReason, TrackError
+from data_converters.imptc.cuboid import measure_cuboid
+from data_converters.imptc.sample.sensor import cuboid_edges
+
+
+@given(
+    st.floats(-np.pi, np.pi),
+    st.floats(2.5, 12.0),
+    st.floats(0.8, 2.4),
+    st.floats(1.2, 3.5),
+    st.integers(0, 99),
+)
+def test_size_and_axis_come_back_whatever_the_order_of_the_edges(
+    angle, length, width, height, seed
+):
+    edges = cuboid_edges(np.array([3.0, -7.0, 0.2]), angle, (length, width, height))
+    edges = np.random.default_rng(seed).permutation(edges)
+    box = measure_cuboid(edges.tolist(), "here")
+    np.testing.assert_allclose(box[:3], (length, width, height), atol=0.01)
+    turned = (box.axis - angle + np.pi / 2) % np.pi - np.pi / 2
+    assert abs(turned) < 0.01
+
+
+@pytest.mark.parametrize(
+    "edges",
+    [
+        None,
+        [],
+        [[1, 2]],
+        np.zeros((12, 2, 3)).tolist(),
+        np.full((12, 2, 3), np.nan).tolist(),
+        "text",
+        np.random.default_rng(0).normal(size=(12, 2, 3)).tolist(),
+    ],
+)
+def test_what_is_no_cuboid_is_refused_with_its_place(edges):
+    with pytest.raises(TrackError, match="`cuboid`.*in file, ts 5") as caught:
+        measure_cuboid(edges, "file, ts 5")
+    assert caught.value.reason is RejectReason.BROKEN_CUBOID
+
+
+def test_a_flat_base_of_three_corners_is_refused():
+    edges = cuboid_edges(np.zeros(3), 0.3, (4.0, 2.0, 1.5))
+    squeezed = edges * np.array([1.0, 0.0, 1.0])
+    with pytest.raises(TrackError, match="cuboid"):
+        measure_cuboid(squeezed.tolist(), "here")

@@ -1,0 +1,85 @@
+"""Heading: along the motion, held at rest, along the cuboid."""
+
+import numpy as np
+import pytest
+
+from data_converters import ResampleSettings, ZeroPhaseSmoother
+from data_converters.heading import HeadingSource, heading_from_axis, heading_from_motion, wrap
+from data_converters.tracks import resample
+
+STANDSTILL = 0.4
+
+
+def velocity(speeds, angle):
+    return np.asarray(speeds)[:, None] * np.array([np.cos(angle), np.sin(angle)])
+
+
+@pytest.mark.parametrize("angle", [0.0, 1.0, -2.5, 3.1])
+def test_heading_is_held_while_the_agent_stands(angle):
+    moving, still = velocity([2.0, 2.0], angle), velocity([0.1, 0.1], angle + 2.0)
+    heading = heading_from_motion(np.vstack([moving, still]), STANDSTILL, backfill=True)
+    np.testing.assert_allclose(heading.angle, angle)
+    assert heading.source.tolist() == [0, 0, 1, 1]
+
+
+def test_heading_before_the_first_motion_is_that_of_the_motion():
+    track = np.vstack([velocity([0.0, 0.1], 2.0), velocity([1.0], 0.7)])
+    heading = heading_from_motion(track, STANDSTILL, backfill=True)
+    np.testing.assert_allclose(heading.angle, 0.7)
+    assert heading.source.tolist() == [2, 2, 0]
+
+
+def test_without_backfill_nothing_of_the_future_is_used():
+    track = np.vstack([velocity([0.0, 0.1], 2.0), velocity([1.0], 0.7)])
+    heading = heading_from_motion(track, STANDSTILL, backfill=False)
+    np.testing.assert_allclose(heading.angle, [0.0, 0.0, 0.7])
+    assert heading.source.tolist() == [3, 3, 0]
+
+
+def test_an_agent_that_never_moves_has_no_known_heading():
+    heading = heading_from_motion(velocity([0.0, 0.1, 0.2], 1.0), STANDSTILL, backfill=True)
+    assert set(heading.source) == {HeadingSource.UNKNOWN}
+    assert np.all(heading.angle == 0.0)
+
+
+def test_noise_at_standstill_does_not_turn_a_resampled_agent(make_track):
+    rng = np.random.default_rng(0)
+    track = make_track(
+        0.08 * np.arange(200),
+        lambda t: np.where(t < 8.0, 3.0 * t, 24.0) + rng.normal(0, 0.03, len(t)),
+        lambda t: rng.normal(0, 0.03, len(t)),
+    )
+    heading = resample(track, ResampleSettings()).rows.heading.to_numpy()
+    assert np.ptp(heading[95:]) == pytest.approx(0.0, abs=0.05)
+
+
+@pytest.mark.parametrize("course", np.linspace(-3.0, 3.0, 7))
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_cuboid_axis_takes_the_sign_of_the_motion(course, turned):
+    time_s = 0.04 * np.arange(100)
+    axis = np.full(100, course + np.pi * turned) % np.pi
+    at_s = np.arange(0.1, 3.9, 0.1)
+    moved = velocity(np.full(len(at_s), 5.0), course)
+    heading = heading_from_axis(axis, time_s, at_s, moved, ZeroPhaseSmoother(), STANDSTILL)
+    np.testing.assert_allclose(wrap(heading.angle - course), 0.0, atol=1e-9)
+
+
+def test_a_turning_cuboid_is_followed_through_half_turns():
+    time_s = 0.04 * np.arange(250)
+    course = 0.6 * time_s
+    at_s = np.arange(0.5, 9.0, 0.1)
+    moved = 5.0 * np.column_stack([np.cos(0.6 * at_s), np.sin(0.6 * at_s)])
+    heading = heading_from_axis(
+        course % np.pi, time_s, at_s, moved, ZeroPhaseSmoother(), STANDSTILL
+    )
+    np.testing.assert_allclose(wrap(heading.angle - 0.6 * at_s), 0.0, atol=1e-6)
+
+
+def test_a_parked_car_keeps_its_axis_and_says_that_the_sign_is_unknown():
+    time_s = 0.04 * np.arange(100)
+    still = np.zeros((20, 2))
+    heading = heading_from_axis(
+        np.full(100, 1.2), time_s, np.linspace(0.1, 3.0, 20), still, ZeroPhaseSmoother(), STANDSTILL
+    )
+    np.testing.assert_allclose(heading.angle % np.pi, 1.2)
+    assert set(heading.source) == {HeadingSource.UNKNOWN}

@@ -1,0 +1,157 @@
+"""IMPTC sequences and the VRU release: splits, context, and the join of both."""
+
+import json
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+from trajdata.maps.traffic_light_status import TrafficLightStatus
+
+from data_converters import (
+    ConversionError,
+    ConversionSettings,
+    ImptcDataset,
+    ImptcVruDataset,
+    SequenceSplit,
+    convert,
+)
+from data_converters.imptc.context import read_context, read_table, signals_per_step
+from data_converters.imptc.dataset import find_sequences
+
+
+@pytest.mark.parametrize(
+    ("number", "split"),
+    [
+        (0, "train"),
+        (49, "train"),
+        (50, "val"),
+        (99, "val"),
+        (100, "train"),
+        (150, "val"),
+        (199, "val"),
+        (200, "test"),
+        (269, "test"),
+        (270, None),
+    ],
+)
+def test_sets_are_split_as_published(number, split):
+    assert SequenceSplit().of(number) == split
+
+
+def test_the_split_can_be_changed_by_set_and_by_number():
+    split = SequenceSplit(train=("set_05",), val=(), test=("set_01",), exceptions={3: "val"})
+    assert [split.of(number) for number in (200, 0, 3, 60)] == ["train", "test", "val", None]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"train": ("set_09",)},
+        {"train": ("set_01",), "test": ("set_01",)},
+        {"exceptions": {1: "eval"}},
+    ],
+)
+def test_an_impossible_split_is_refused(options):
+    with pytest.raises(ConversionError, match="split|exceptions"):
+        SequenceSplit(**options)
+
+
+@pytest.mark.parametrize("depth", ["", "imptc_set_01", "a/b"])
+def test_sequences_are_found_at_any_depth(tmp_path, depth):
+    (tmp_path / depth / "0007_20230322_081506").mkdir(parents=True)
+    assert list(find_sequences(tmp_path)) == ["0007_20230322_081506"]
+
+
+def test_a_sample_sequence_that_repeats_one_of_the_sets_is_read_once(tmp_path):
+    (tmp_path / "imptc_samples" / "0001_20230523_105516").mkdir(parents=True)
+    (tmp_path / "imptc_set_03" / "0123_20230523_105516").mkdir(parents=True)
+    assert list(find_sequences(tmp_path)) == ["0123_20230523_105516"]
+
+
+def test_read_tracks_lists_all_samples_of_a_sequence(sample):
+    folder = next(sample.glob("0000_*"))
+    table = ImptcDataset(sample).read_tracks(folder)
+    assert len(table["agent_id"].unique()) == len(list(folder.glob("v*/*")))
+    assert table.groupby("agent_id")["timestamp_us"].is_monotonic_increasing.all()
+
+
+def test_lights_and_weather_stand_beside_the_scene(converted):
+    folder = next(converted.glob("imptc/0000_*"))
+    lights = pd.read_parquet(folder / "traffic_lights.parquet")
+    assert set(lights["k1"]) <= {2, 4, 10, 11, 20, 30}
+    assert np.diff(lights["time_s"]).mean() == pytest.approx(1.0, abs=0.01)
+    assert "air_temperature" in pd.read_parquet(folder / "weather.parquet")
+    signals = pd.read_feather(folder / "tls_data_dt0.10.feather")
+    assert set(signals["status"]) <= {status.value for status in TrafficLightStatus}
+
+
+def test_a_step_takes_the_latest_state_and_none_before_the_first():
+    lights = pd.DataFrame({"time_s": [0.25, 0.55], "k1": [10, 4], "f1": [4, 10]})
+    status = signals_per_step(lights, 8, 0.1)["status"]
+    red, green, none = TrafficLightStatus.RED, TrafficLightStatus.GREEN, TrafficLightStatus.NO_DATA
+    assert status["k1"].tolist() == [none] * 3 + [red] * 3 + [green] * 2
+    assert status["f1"].tolist() == [none] * 3 + [green] * 3 + [red] * 2
+
+
+@pytest.mark.parametrize("key", ["1679472906000000", "ts_1679472906000000"])
+def test_a_context_entry_without_inner_time_is_dated_by_its_key(tmp_path, key):
+    path = tmp_path / "lights.json"
+    path.write_text(json.dumps({"status_data": {key: {"k1": 4}}}))
+    table = read_table(path, "status_data", 1_679_472_905_000_000)
+    assert table["time_s"].tolist() == [1.0]
+
+
+@pytest.mark.parametrize("text", ["{", '{"status_data": {"ts_0": {"k1": 4}}}'])
+def test_broken_context_is_counted_and_left_out(tmp_path, text):
+    (tmp_path / "traffic_light_signals.json").write_text(text)
+    assert read_context(tmp_path, 0) == ({}, 1)
+
+
+def test_the_vru_release_keeps_its_published_split(vru_sample, tmp_path):
+    report = convert(ConversionSettings(ImptcVruDataset(vru_sample), tmp_path, progress=False))
+    for folder, split in (("train", "train"), ("eval", "val"), ("test", "test")):
+        count = len(list((vru_sample / folder).iterdir()))
+        assert sum(report.agents()[split].values()) == count
+
+
+def test_the_combined_files_give_the_same_tracks_as_the_folders(vru_sample, tmp_path):
+    combined = tmp_path / "combined"
+    combined.mkdir()
+    for path in vru_sample.glob("*_tracks.json"):
+        shutil.copy(path, combined)
+    reports = [
+        convert(ConversionSettings(ImptcVruDataset(root), tmp_path / root.name, progress=False))
+        for root in (vru_sample, combined)
+    ]
+    assert reports[0].totals() == reports[1].totals()
+
+
+def test_a_track_never_stands_in_different_splits_of_both_releases(vru_sample, sample, tmp_path):
+    sequences = ImptcDataset(sample)
+    joined = ImptcVruDataset(vru_sample, sequences=sequences)
+    conflicts = [o for o in joined.overlaps(sequences) if o.vru_split != o.sequence_split]
+    report = convert(ConversionSettings(joined, tmp_path, strict=True, progress=False))
+    assert report.rejected_by_reason == {"source_sequence_in_another_split": len(conflicts)}
+    assert len(report.dataset_notes["overlaps_in_other_split"]) == len(conflicts) > 0
+    kept = {scene.name: scene.split for scene in report.scenes if scene.usable}
+    for overlap in joined.overlaps(sequences):
+        assert (
+            kept.get(overlap.track.replace("/", "_"), overlap.sequence_split)
+            == overlap.sequence_split
+        )
+
+
+def test_overlaps_name_the_sequence_and_the_vru(vru_sample, sample):
+    overlap = ImptcVruDataset(vru_sample).overlaps(ImptcDataset(sample))[0]
+    stamp, vru = overlap.source.split("/")
+    assert overlap.sequence.endswith(stamp)
+    assert (sample / overlap.sequence / "vrus" / vru / "track.json").is_file()
+
+
+@pytest.mark.parametrize("absent", ["train", "eval", "test"])
+def test_an_incomplete_vru_release_is_refused(vru_sample, tmp_path, absent):
+    for name in {"train", "eval", "test"} - {absent}:
+        (tmp_path / name).symlink_to(vru_sample / name)
+    with pytest.raises(ConversionError, match=f"no.*{absent}"):
+        ImptcVruDataset(tmp_path).scenes()

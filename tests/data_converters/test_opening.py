@@ -1,0 +1,124 @@
+"""The cache as trajdata reads it, in forked workers too."""
+
+import json
+from collections import defaultdict
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader
+from trajdata.data_structures.agent import AgentType
+
+from data_converters import CacheError, ConversionError, Mode, open_cache
+from data_converters.imptc.modes import CLASS_MODES
+from data_converters.imptc.sample.sensor import ACROSS_M, ALONG_M
+
+WINDOW = {"history_sec": (4.0, 4.0), "future_sec": (3.0, 3.0)}
+
+
+@pytest.fixture(scope="module")
+def scooters(converted):
+    """All scooters of all splits, neighbours within 30 m."""
+    return open_cache(
+        converted,
+        {"imptc": ["train", "val", "test"]},
+        only_predict=[Mode.SCOOTER],
+        agent_interaction_distances=defaultdict(lambda: 30.0),
+        max_neighbor_num=16,
+        **WINDOW,
+    )
+
+
+def batches(dataset, workers, **options):
+    context = "fork" if workers else None
+    return DataLoader(
+        dataset,
+        batch_size=64,
+        num_workers=workers,
+        collate_fn=dataset.get_collate_fn(),
+        multiprocessing_context=context,
+        **options,
+    )
+
+
+@pytest.mark.parametrize("member", list(AgentType))
+def test_modes_begin_with_the_agent_types_of_trajdata(member):
+    assert Mode[member.name] == member
+
+
+def test_modes_are_numbered_as_promised():
+    promised = "UNKNOWN VEHICLE PEDESTRIAN BICYCLE MOTORCYCLE SCOOTER SKATEBOARD CART STROLLER"
+    assert [mode.name for mode in Mode] == [*promised.split(), "WHEELCHAIR", "TRUCK"]
+    assert [int(mode) for mode in Mode] == list(range(11))
+
+
+def test_forked_workers_yield_the_same_batches_as_this_process(scooters):
+    for here, there in zip(batches(scooters, 0), batches(scooters, 2), strict=True):
+        assert torch.equal(here.agent_hist, there.agent_hist)
+        assert torch.equal(here.neigh_types, there.neigh_types)
+        assert here.agent_name == there.agent_name
+
+
+def test_the_mode_of_ego_and_neighbours_survives_into_the_batch(scooters):
+    seen = set()
+    for batch in batches(scooters, 0):
+        assert torch.unique(batch.agent_type).tolist() == [Mode.SCOOTER]
+        seen |= set(torch.unique(batch.neigh_types).int().tolist())
+    assert {Mode.BICYCLE, Mode.MOTORCYCLE, Mode.PEDESTRIAN, Mode.VEHICLE} <= seen
+
+
+def test_a_window_has_four_seconds_of_history_and_three_of_future(scooters):
+    batch = next(iter(batches(scooters, 0)))
+    assert batch.agent_hist.shape[1:] == (41, 8)
+    assert batch.agent_fut.shape[1:] == (30, 8)
+    assert torch.isfinite(batch.agent_hist).all()
+    assert batch.dt.unique().tolist() == pytest.approx([0.1])
+
+
+def test_extents_are_those_of_the_mode_or_of_the_cuboid(scooters):
+    batch = next(iter(batches(scooters, 0)))
+    assert batch.agent_hist_extent[0, 0].tolist() == pytest.approx([1.2, 0.6, 1.85])
+    cars = batch.neigh_hist_extents[batch.neigh_types == Mode.VEHICLE][:, -1, 0]
+    assert len(torch.unique(cars)) > 1
+    assert ((cars > 3.5) & (cars < 5.5)).all()
+
+
+def test_positions_in_the_cache_are_the_recorded_ones_within_the_noise(sample, converted):
+    dataset = open_cache(converted, {"imptc": ["train", "val", "test"]}, **WINDOW)
+    for scene in dataset.scenes():
+        folder = sample / scene.name
+        cache = dataset.cache_class(dataset.cache_path, scene)
+        for agent in scene.agents:
+            if agent.name.startswith("vru"):
+                _compare(folder / "vrus" / agent.name[4:] / "track.json", agent, cache, folder)
+
+
+def _compare(path, agent, cache, folder):
+    content = json.loads(path.read_text())
+    assert agent.type is CLASS_MODES[content["overview"]["class_id"]]
+    rows = content["track_data"].values()
+    stamps = np.array([int(row["ts"]) for row in rows])
+    raw = np.array([row["coordinates"] for row in rows])
+    starts = [json.loads(p.read_text()) for p in folder.glob("v*/*/track.json")]
+    origin = min(int(c["overview"]["first_ts"]) for c in starts)
+    steps = np.arange(agent.first_timestep, agent.last_timestep + 1)
+    got = np.array([cache.get_raw_state(agent.name, step).position for step in steps])
+    there = (stamps - origin) / 1e6
+    error = np.column_stack(
+        [np.interp(steps * 0.1, there, raw[:, i]) - got[:, i] for i in range(2)]
+    )
+    assert np.abs(error.mean(axis=0)).max() < 0.03
+    assert np.sqrt((error**2).sum(axis=1).mean()) < np.hypot(ALONG_M, ACROSS_M)
+
+
+@pytest.mark.parametrize(
+    "splits", [{"imptc": ["trian"]}, {"imptc": []}, {"imptc": ["train", "all"]}]
+)
+def test_an_unknown_split_is_refused(converted, splits):
+    with pytest.raises(ConversionError, match="splits"):
+        open_cache(converted, splits)
+
+
+def test_a_data_set_that_was_not_converted_is_named(converted):
+    with pytest.raises(CacheError, match="imptc_vru.*no such file.*convert.py"):
+        open_cache(converted, {"imptc_vru": ["train"]})

@@ -1,0 +1,138 @@
+"""IMPTC track files: order, units and every fault."""
+
+import json
+
+import numpy as np
+import pytest
+
+from data_converters import Mode, RejectReason, TrackError
+from data_converters.imptc.modes import CLASS_MODES
+from data_converters.imptc.reader import (
+    UTM32_OFFSET_M,
+    TrackFilter,
+    load_json,
+    microseconds,
+    parse_track,
+)
+
+KEEP = TrackFilter()
+START = 1_679_472_906_000_000
+
+
+def content(count=5, class_id=2, **changes):
+    samples = {
+        str(i + 1): {
+            "ts": str(START + 40_000 * i),
+            "status": 2,
+            "class_prob": 0.9,
+            "coordinates": [float(i), 2.0, 0.1],
+            "velocity": 36.0,
+        }
+        for i in range(count)
+    }
+    for sample in samples.values():
+        sample.update(changes)
+    return {"overview": {"class_id": class_id, "lenght": count}, "track_data": samples}
+
+
+def test_samples_are_ordered_by_their_inner_timestamp_not_by_key():
+    file = content(12)
+    file["track_data"] = dict(reversed(file["track_data"].items()))
+    track = parse_track(file, "here", KEEP)
+    assert track.position[:, 0].tolist() == list(range(12))
+
+
+@pytest.mark.parametrize("key", ["{}", "ts_{}"])
+@pytest.mark.parametrize("kind", [int, str])
+@pytest.mark.parametrize("scale", [1, 1000], ids=["us", "ms"])
+def test_keys_and_timestamps_are_read_in_every_spelling(key, kind, scale):
+    file = content()
+    file["track_data"] = {
+        key.format(i): {**sample, "ts": kind(int(sample["ts"]) // scale)}
+        for i, sample in enumerate(file["track_data"].values())
+    }
+    track = parse_track(file, "here", KEEP)
+    np.testing.assert_array_equal(track.timestamp, START + 40_000 * np.arange(5))
+
+
+@pytest.mark.parametrize("value", [0, 12, 1_679_472_906, 10**18, -5])
+def test_a_timestamp_of_unknown_magnitude_is_refused(value):
+    with pytest.raises(TrackError, match=f"microseconds.*got {value} in here") as caught:
+        microseconds(value, "here")
+    assert caught.value.reason is RejectReason.TIMESTAMP_UNIT
+
+
+@pytest.mark.parametrize(("class_id", "mode"), CLASS_MODES.items())
+def test_classes_are_mapped_by_id_whatever_their_name(class_id, mode):
+    file = content(class_id=class_id)
+    file["overview"]["class_name"] = "nonsense"
+    assert parse_track(file, "here", KEEP).mode is mode
+
+
+def test_speed_is_read_as_kilometres_per_hour():
+    np.testing.assert_allclose(parse_track(content(), "here", KEEP).speed, 10.0)
+
+
+def test_positions_move_to_utm_only_on_demand():
+    local = parse_track(content(), "here", KEEP).position
+    utm = parse_track(content(), "here", TrackFilter(utm=True)).position
+    np.testing.assert_allclose(utm - local, np.tile(UTM32_OFFSET_M, (5, 1)))
+
+
+def test_samples_below_the_minimum_status_are_dropped():
+    file = content(6)
+    for key in ("1", "2"):
+        file["track_data"][key]["status"] = 1
+    assert len(parse_track(file, "here", KEEP).timestamp) == 6
+    track = parse_track(file, "here", TrackFilter(min_status=2))
+    assert (len(track.timestamp), track.dropped) == (4, 2)
+
+
+def test_repeated_timestamps_keep_their_first_sample():
+    file = content(6)
+    file["track_data"]["3"]["ts"] = file["track_data"]["2"]["ts"]
+    track = parse_track(file, "here", KEEP)
+    assert (len(track.timestamp), track.dropped) == (5, 1)
+
+
+@pytest.mark.parametrize(
+    ("file", "keep", "reason", "says"),
+    [
+        (content(class_id=1), KEEP, RejectReason.UNKNOWN_CLASS, "class_id.*got 1 in here"),
+        (content(class_id="?"), KEEP, RejectReason.UNKNOWN_CLASS, "class_id"),
+        (content(class_id=None), KEEP, RejectReason.UNKNOWN_CLASS, "class_id"),
+        (content(ts=None), KEEP, RejectReason.NO_TIMESTAMPS, "ts"),
+        (content(ts="soon"), KEEP, RejectReason.NO_TIMESTAMPS, "soon"),
+        (content(0), KEEP, RejectReason.NO_TIMESTAMPS, "track_data"),
+        (content(coordinates=[1.0, float("nan"), 0.0]), KEEP, RejectReason.NOT_FINITE, "nan"),
+        (content(coordinates=[1.0, 2.0]), KEEP, RejectReason.NOT_FINITE, "coordinates"),
+        (content(coordinates=["a", 2.0, 0.0]), KEEP, RejectReason.NOT_FINITE, "coordinates"),
+        (content(cuboid=[1]), KEEP, RejectReason.BROKEN_CUBOID, "cuboid"),
+        (content(), TrackFilter(min_status=3), RejectReason.LOW_STATUS, "status"),
+        (content(), TrackFilter(min_class_prob=0.95), RejectReason.LOW_PROBABILITY, "0.9"),
+        ({"track_data": content()["track_data"]}, KEEP, RejectReason.MISSING_FIELD, "overview"),
+        ([], KEEP, RejectReason.NO_TIMESTAMPS, "track_data"),
+    ],
+)
+def test_a_faulty_track_names_field_value_and_file(file, keep, reason, says):
+    with pytest.raises(TrackError, match=says) as caught:
+        parse_track(file, "here", keep)
+    assert caught.value.reason is reason
+    assert "here" in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "{", '{"overview": {}, "track_da'])
+def test_broken_json_names_the_file(tmp_path, text):
+    path = tmp_path / "track.json"
+    path.write_text(text)
+    with pytest.raises(TrackError, match="track.json.*unpack") as caught:
+        load_json(path)
+    assert caught.value.reason is RejectReason.BROKEN_JSON
+
+
+def test_the_size_of_a_vehicle_is_the_median_of_its_cuboids(sample):
+    path = next(sample.glob("*/vehicles/*/track.json"))
+    track = parse_track(json.loads(path.read_text()), "here", KEEP)
+    assert track.mode in (Mode.VEHICLE, Mode.TRUCK)
+    assert 3.5 < track.extent.length < 10.0
+    assert track.axis.shape == track.timestamp.shape

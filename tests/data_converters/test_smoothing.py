@@ -1,0 +1,89 @@
+"""Smoothers: what they reproduce, what they look at, what they refuse."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import savgol_filter
+
+from data_converters import CausalSmoother, ConversionError, ZeroPhaseSmoother
+
+SMOOTHERS = [
+    ZeroPhaseSmoother(),
+    CausalSmoother(),
+    ZeroPhaseSmoother(order=3),
+    CausalSmoother(order=3),
+]
+
+
+def irregular(rng, count=120, step=0.08):
+    return np.cumsum(step * rng.uniform(0.5, 1.5, count))
+
+
+@pytest.mark.parametrize("smoother", SMOOTHERS, ids=repr)
+@given(st.integers(0, 1000), st.floats(-50, 50), st.floats(-15, 15), st.floats(-4, 4))
+def test_constant_acceleration_comes_back_exactly_at_irregular_times(smoother, seed, p, v, a):
+    time_s = irregular(np.random.default_rng(seed))
+    values = (p + v * time_s + 0.5 * a * time_s**2)[:, None]
+    at_s = np.linspace(time_s[0] + smoother.warmup_s, time_s[-1], 40)
+    smooth = smoother(time_s, values, at_s)
+    np.testing.assert_allclose(smooth.value[:, 0], p + v * at_s + 0.5 * a * at_s**2, atol=1e-6)
+    np.testing.assert_allclose(smooth.rate[:, 0], v + a * at_s, atol=1e-5)
+    np.testing.assert_allclose(smooth.curvature[:, 0], a, atol=1e-3)
+
+
+def test_zero_phase_is_the_filter_of_scipy_on_a_uniform_grid():
+    rng = np.random.default_rng(0)
+    time_s = 0.02 * np.arange(300)
+    values = np.cumsum(rng.normal(size=(300, 2)), axis=0)
+    smooth = ZeroPhaseSmoother(window_s=0.9)(time_s, values, time_s)
+    np.testing.assert_allclose(smooth.value, savgol_filter(values, 45, 2, axis=0), atol=1e-9)
+
+
+def test_zero_phase_commutes_with_reversing_time():
+    rng = np.random.default_rng(1)
+    time_s, values = irregular(rng), rng.normal(size=(120, 1))
+    at_s = np.linspace(time_s[0], time_s[-1], 30)
+    forward = ZeroPhaseSmoother()(time_s, values, at_s).value
+    backward = ZeroPhaseSmoother()(-time_s[::-1], values[::-1], -at_s[::-1]).value[::-1]
+    np.testing.assert_allclose(forward, backward, atol=1e-9)
+
+
+@pytest.mark.parametrize("smoother", [CausalSmoother(), CausalSmoother(order=1)], ids=repr)
+def test_causal_values_do_not_change_with_later_samples(smoother):
+    rng = np.random.default_rng(2)
+    time_s, values = irregular(rng), rng.normal(size=(120, 2))
+    at_s = np.array([time_s[60], 0.5 * (time_s[60] + time_s[61])])
+    before = smoother(time_s[:61], values[:61], at_s)
+    disturbed = values.copy()
+    disturbed[61:] += 1e3
+    np.testing.assert_array_equal(before, smoother(time_s, disturbed, at_s))
+
+
+def test_zero_phase_looks_no_further_than_it_says():
+    rng = np.random.default_rng(3)
+    smoother = ZeroPhaseSmoother()
+    time_s, values = 0.04 * np.arange(300), rng.normal(size=(300, 1))
+    disturbed = values.copy()
+    disturbed[time_s > 6.0 + smoother.lookahead_s + 0.5] += 1.0
+    at_s = np.array([6.0])
+    before, after = smoother(time_s, values, at_s), smoother(time_s, disturbed, at_s)
+    np.testing.assert_allclose(before.value, after.value, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("smoother", "left"), [(ZeroPhaseSmoother(), 0.6), (CausalSmoother(), 0.9)]
+)
+def test_smoothing_removes_white_noise(smoother, left):
+    rng = np.random.default_rng(4)
+    time_s = 0.08 * np.arange(400)
+    noise = rng.normal(0.0, 0.08, (400, 1))
+    assert smoother(time_s, noise, time_s[30:-30]).value.std() < left * 0.08
+
+
+@pytest.mark.parametrize(
+    "options", [{"window_s": 0.0}, {"window_s": -1.0}, {"order": 0}, {"order": 4}]
+)
+def test_impossible_settings_are_refused(options):
+    with pytest.raises(ConversionError, match=next(iter(options))):
+        ZeroPhaseSmoother(**options)

@@ -1,0 +1,165 @@
+"""TH-AB tracks: reading, duplicates, split by recording, and the real data."""
+
+import json
+import tarfile
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from data_converters import (
+    CausalSmoother,
+    ConversionError,
+    ConversionSettings,
+    Mode,
+    RejectReason,
+    ResampleSettings,
+    ThabVruDataset,
+    TrackError,
+    convert,
+    open_cache,
+)
+from data_converters.thab.duplicates import find_contained, group_recordings
+from data_converters.thab.reader import ThabFile, parse
+
+
+def walk(seed, count=40):
+    return np.round(np.cumsum(np.random.default_rng(seed).normal(size=(count, 2)), axis=0), 2)
+
+
+def test_archives_and_folders_hold_the_same_tracks(thab, tmp_path):
+    packed = tmp_path / "packed"
+    packed.mkdir()
+    with tarfile.open(packed / "cyclists.tar.gz", "w:gz") as tar:
+        tar.add(thab / "cyclists", arcname="cyclists")
+    assert ThabVruDataset(packed).scenes() == ThabVruDataset(thab).scenes()
+
+
+def test_a_cut_off_archive_is_named(thab, tmp_path):
+    with tarfile.open(tmp_path / "cyclists.tar.gz", "w:gz") as tar:
+        tar.add(thab / "cyclists", arcname="cyclists")
+    path = tmp_path / "cyclists.tar.gz"
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(ConversionError, match="whole.*cyclists.tar.gz"):
+        ThabVruDataset(tmp_path).scenes()
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", RejectReason.MISSING_FIELD),
+        (",x,y\n0,1,2\n", RejectReason.NO_TIMESTAMPS),
+        (",timestamp,x\n0,1,2\n", RejectReason.MISSING_FIELD),
+        (",timestamp,x,y\n0,0.0,nan,2\n1,0.1,1,2\n", RejectReason.NOT_FINITE),
+        (",timestamp,x,y\n0,0.0,one,2\n1,0.1,1,2\n", RejectReason.NOT_FINITE),
+        (",timestamp,x,y\n0,0.0,1,2\n1,0.0,1,2\n", RejectReason.REPEATED_TIMESTAMPS),
+    ],
+)
+def test_a_faulty_file_is_refused_with_its_name(text, reason):
+    with pytest.raises(TrackError, match="cyclists/moving/1.csv") as caught:
+        parse(ThabFile("cyclists", "moving", "1", text.encode()))
+    assert caught.value.reason is reason
+
+
+@pytest.mark.parametrize("piece", [slice(0, 15), slice(10, 25), slice(20, 40), slice(0, 40)])
+def test_a_file_cut_out_of_another_is_contained_in_it(piece):
+    long, other = walk(0), walk(1)
+    assert find_contained({"a": long, "b": long[piece], "c": other}) == {"b": "a"}
+
+
+def test_files_that_only_overlap_are_not_contained_but_one_recording():
+    long = walk(0, 60)
+    tracks = {"a": long[:40], "b": long[25:], "c": walk(1)}
+    assert find_contained(tracks) == {}
+    groups = group_recordings(tracks, {"a": "1", "b": "2", "c": "3"})
+    assert groups == {"a": "1", "b": "1", "c": "3"}
+
+
+def test_no_recording_stands_in_two_splits(thab):
+    dataset = ThabVruDataset(thab)
+    groups = dataset._index.groups
+    splits = {scene.key: scene.split for scene in dataset.scenes()}
+    for group in set(groups.values()):
+        assert len({splits[path] for path in groups if groups[path] == group}) == 1
+
+
+def test_the_split_depends_on_names_and_salt_only(thab):
+    def splits(**options):
+        return [scene.split for scene in ThabVruDataset(thab, **options).scenes()]
+
+    assert splits() == splits()
+    assert splits(salt="other") != splits()
+    assert splits(shares=(0.0, 0.0, 1.0)).count("test") >= 12
+
+
+@pytest.mark.parametrize("shares", [(0.5, 0.5, 0.5), (1.2, -0.1, -0.1)])
+def test_shares_must_add_up(tmp_path, shares):
+    with pytest.raises(ConversionError, match="shares"):
+        ThabVruDataset(tmp_path, shares=shares)
+
+
+@pytest.fixture(scope="module")
+def real(shared, tmp_path_factory):
+    """The real tracks, converted."""
+    cache = tmp_path_factory.mktemp("real")
+    dataset = ThabVruDataset(shared / "data" / "thab_vru")
+    return convert(ConversionSettings(dataset, cache, workers=2, progress=False)), cache
+
+
+def test_the_known_faults_of_the_real_tracks_are_found(real):
+    report, _ = real
+    assert report.rejected_by_reason["contained_in_another_file"] == 79
+    assert report.rejected_by_reason["repeated_timestamps"] == 1
+    assert report.totals()["tracks_read"] == 936
+
+
+def test_the_real_split_has_its_shares(real):
+    agents = real[0].agents()
+    for mode in ("bicycle", "pedestrian"):
+        counts = np.array([agents[split][mode] for split in ("train", "val", "test")])
+        np.testing.assert_allclose(counts / counts.sum(), [0.70, 0.15, 0.15], atol=0.02)
+
+
+def test_the_residual_on_real_cyclists_is_their_known_noise(real):
+    residual = real[0].residual_m["bicycle"]
+    assert residual["along_m"] == pytest.approx(0.08, abs=0.015)
+    assert residual["across_m"] == pytest.approx(0.055, abs=0.015)
+
+
+def test_real_cyclists_ride_at_plausible_speeds_and_accelerations(real):
+    _, cache = real
+    tables = [pd.read_feather(p) for p in cache.glob("thab_vru/cyclists*/agent_data*.feather")]
+    rows = pd.concat(tables)
+    speed, pull = np.hypot(rows.vx, rows.vy), np.hypot(rows.ax, rows.ay)
+    assert speed[speed > 0.5].median() == pytest.approx(2.7, abs=0.3)
+    assert pull[speed > 0.5].quantile(0.95) < 3.5
+
+
+def test_no_real_sample_stands_in_two_splits(real):
+    dataset_notes = real[0].dataset_notes
+    assert dataset_notes["recording_groups"]["bicycle"] > 100
+    stored = json.loads((real[1] / "thab_vru" / "cache.json").read_text())
+    assert len({scene["name"] for scene in stored["scenes"]}) == len(stored["scenes"])
+
+
+def test_real_windows_are_iterated(real):
+    dataset = open_cache(
+        real[1],
+        {"thab_vru": ["test"]},
+        history_sec=(4.0, 4.0),
+        future_sec=(3.0, 3.0),
+        only_predict=[Mode.BICYCLE],
+    )
+    assert len(dataset) == real[0].windows()["test"]["bicycle"]
+    element = dataset[len(dataset) // 2]
+    assert element.agent_history_np.shape == (41, 8)
+    np.testing.assert_allclose(np.asarray(element.agent_history_np)[-1, :2], 0.0, atol=1e-9)
+
+
+def test_the_causal_cache_of_real_tracks_has_no_invalid_row(shared, tmp_path):
+    dataset = ThabVruDataset(shared / "data" / "thab_vru")
+    resample = ResampleSettings(smoother=CausalSmoother())
+    report = convert(ConversionSettings(dataset, tmp_path, resample, workers=2, progress=False))
+    assert report.totals()["scenes"] > 800
+    table = pd.concat(pd.read_feather(p) for p in tmp_path.glob("thab_vru/*/agent_data*.feather"))
+    assert np.isfinite(table[["x", "y", "vx", "vy", "ax", "ay", "heading"]]).all().all()

@@ -1,0 +1,121 @@
+"""Splitting, resampling and the columns of a row."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data_converters import (
+    CausalSmoother,
+    ConversionError,
+    Mode,
+    RejectReason,
+    ResampleSettings,
+    TrackError,
+    default_extent,
+)
+from data_converters.tracks import resample, split_at_gaps
+
+SETTINGS = ResampleSettings()
+
+
+@given(
+    st.sampled_from([0.02, 0.04, 0.08]),
+    st.floats(0.5, 12.0),
+    st.floats(-3.0, 3.0),
+    st.floats(0.0, 0.1),
+    st.integers(0, 99),
+)
+def test_resampled_rows_lie_on_the_true_track(make_track, step, speed, acceleration, start, seed):
+    jitter = np.random.default_rng(seed).uniform(-0.3, 0.3, 200) * step
+    time_s = start + step * np.arange(1, 201) + jitter
+    track = make_track(time_s, lambda t: speed * t + 0.5 * acceleration * t**2, lambda t: 1.0 - t)
+    agent = resample(track, SETTINGS)
+    at_s = (agent.first_step + np.arange(len(agent.rows))) * SETTINGS.dt_s
+    expected = speed * at_s + 0.5 * acceleration * at_s**2
+    np.testing.assert_allclose(agent.rows.x, expected, atol=1e-6)
+    np.testing.assert_allclose(agent.rows.vx, speed + acceleration * at_s, atol=1e-4)
+    np.testing.assert_allclose(agent.rows.ax, acceleration, atol=1e-2)
+    np.testing.assert_allclose(agent.rows.y, 1.0 - at_s, atol=1e-6)
+    assert time_s[0] <= at_s[0] + 1e-9
+    assert at_s[-1] <= time_s[-1] + 1e-9
+
+
+def test_rows_cover_every_step_of_the_track(make_track):
+    agent = resample(make_track(0.08 * np.arange(100), lambda t: t), SETTINGS)
+    assert (agent.first_step, len(agent.rows)) == (0, 80)
+
+
+@pytest.mark.parametrize(("gap", "parts"), [(0.3, 1), (0.5, 1), (0.52, 2), (2.0, 2)])
+def test_only_gaps_longer_than_half_a_second_split_a_track(make_track, gap, parts):
+    time_s = np.concatenate([0.04 * np.arange(100), 0.04 * np.arange(100) + 3.96 + gap])
+    names = [part.name for part in split_at_gaps(make_track(time_s, lambda t: t), 0.5)]
+    assert names == ["agent", "agent_s1"][:parts]
+
+
+def test_rows_inside_a_gap_are_marked_interpolated(make_track):
+    time_s = np.delete(0.04 * np.arange(100), slice(50, 60))
+    rows = resample(make_track(time_s, lambda t: 3.0 * t), SETTINGS).rows
+    marked = np.flatnonzero(rows.interpolated) * SETTINGS.dt_s
+    assert marked.min() > time_s[49]
+    assert marked.max() < time_s[50]
+    assert len(marked) == 4
+
+
+def test_jitter_of_the_clock_marks_nothing(make_track):
+    time_s = 0.04 * np.arange(100) + np.random.default_rng(0).uniform(-0.005, 0.005, 100)
+    assert not resample(make_track(time_s, lambda t: t), SETTINGS).rows.interpolated.any()
+
+
+@pytest.mark.parametrize("count", [1, 3, 20])
+def test_a_stretch_that_is_too_short_is_refused(make_track, count):
+    with pytest.raises(TrackError, match="last at least 1 s") as caught:
+        resample(make_track(0.04 * np.arange(count), lambda t: t), SETTINGS)
+    assert caught.value.reason is RejectReason.TOO_SHORT
+
+
+def test_a_causal_track_starts_after_half_a_window(make_track):
+    settings = ResampleSettings(smoother=CausalSmoother(window_s=1.2))
+    agent = resample(make_track(0.04 * np.arange(100), lambda t: 2.0 * t), settings)
+    assert agent.first_step == 6
+    np.testing.assert_allclose(agent.rows.vx, 2.0, atol=1e-9)
+
+
+def test_samples_too_sparse_for_a_causal_window_are_refused(make_track):
+    settings = ResampleSettings(smoother=CausalSmoother(window_s=0.6))
+    with pytest.raises(TrackError, match="samples per window"):
+        resample(make_track(0.45 * np.arange(20), lambda t: t), settings)
+
+
+def test_the_residual_tells_noise_along_from_noise_across(make_track):
+    rng = np.random.default_rng(0)
+    track = make_track(
+        0.04 * np.arange(2000),
+        lambda t: 4.0 * t + rng.normal(0, 0.08, len(t)),
+        lambda t: rng.normal(0, 0.02, len(t)),
+    )
+    count, along, across = resample(track, SETTINGS).residual
+    assert count == 2000
+    assert (along / count) ** 0.5 == pytest.approx(0.08, rel=0.1)
+    assert (across / count) ** 0.5 == pytest.approx(0.02, rel=0.1)
+
+
+def test_a_stated_speed_is_only_compared(make_track):
+    time_s = 0.04 * np.arange(100)
+    plain = resample(make_track(time_s, lambda t: 3.0 * t), SETTINGS)
+    stated = resample(make_track(time_s, lambda t: 3.0 * t, speed=np.full(100, 5.0)), SETTINGS)
+    assert stated.speed_error == pytest.approx(2.0, abs=1e-6)
+    assert plain.rows.equals(stated.rows)
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_every_mode_has_an_extent_longer_than_zero(mode):
+    extent = default_extent(mode)
+    assert min(extent.length, extent.width, extent.height) > 0.0
+
+
+@pytest.mark.parametrize("name", ["dt_s", "max_gap_s", "min_duration_s", "standstill_mps"])
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
+def test_settings_that_are_not_positive_are_refused(name, value):
+    with pytest.raises(ConversionError, match=name):
+        ResampleSettings(**{name: value})
