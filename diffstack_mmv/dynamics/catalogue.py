@@ -6,11 +6,16 @@ from pathlib import Path
 
 from diffstack_mmv.checks import require_one_of, require_positive
 from diffstack_mmv.dynamics.base import DynamicsModel
+from diffstack_mmv.dynamics.gm3.model import DiffGM3
 from diffstack_mmv.dynamics.kbm import DiffKBM
 from diffstack_mmv.dynamics.unicycle import ExtendedUnicycle
 from diffstack_mmv.vehicles import ParameterSpec, VehicleSpec, load_vehicle
 
-MODELS: dict[str, Callable[..., DynamicsModel]] = {"unicycle": ExtendedUnicycle, "kbm": DiffKBM}
+MODELS: dict[str, Callable[..., DynamicsModel]] = {
+    "unicycle": ExtendedUnicycle,
+    "kbm": DiffKBM,
+    "gm3": DiffGM3,
+}
 INERTIAS = ("yaw_inertia", "roll_inertia")
 
 

@@ -98,7 +98,7 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         limit_s: float = 25.0,
         robot: str | Robot = "holonomic",
         verdict: str = "crowdnav",
-        dynamics: str = "kbm",
+        dynamics: str = "gm3",
         robot_visible: bool = False,
         render_mode: str | None = None,
     ) -> None:

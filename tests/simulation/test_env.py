@@ -38,7 +38,18 @@ def test_the_environment_is_registered_under_its_name():
 @pytest.mark.filterwarnings("ignore:.*symmetric and normalized space.*")
 @pytest.mark.parametrize("verdict", ["crowdnav", "exact"])
 def test_every_robot_passes_the_checks_of_gymnasium(robot, verdict):
-    check_env(CrowdNavEnv(robot=robot, verdict=verdict, render_mode="rgb_array"))
+    env = gymnasium.make(ENV_ID, robot=robot, verdict=verdict, render_mode="rgb_array")
+    check_env(env.unwrapped)
+
+
+@pytest.mark.parametrize("dynamics", ["unicycle", "kbm", "gm3"])
+def test_a_vehicle_drives_with_the_dynamics_it_is_given(dynamics):
+    env = CrowdNavEnv(robot="bicycle", dynamics=dynamics)
+    env.reset(options={"phase": "test", "case": 0})
+    names = env.world.robot.model.Control._fields
+    for _ in range(4):
+        env.step(np.array([1.0 * (name == "acceleration") for name in names]))
+    assert env.robot_position == pytest.approx((0.0, -3.5), abs=0.05)
 
 
 @pytest.mark.parametrize("scenario", ["circle", "square"])
