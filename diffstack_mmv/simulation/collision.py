@@ -9,7 +9,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.geometry import rotate
-from diffstack_mmv.simulation.rounding import length, root
+from diffstack_mmv.simulation.rounding import length, root, unit_vector
 
 
 class Approach(NamedTuple):
@@ -35,6 +35,10 @@ class Footprint(Protocol):
         """Smallest clearance in m during the approach, negative for an overlap."""
         ...
 
+    def outline(self) -> Float[Tensor, "corners 2"]:
+        """Polygon around the centre in m, x forward, y left."""
+        ...
+
 
 @dataclass(frozen=True)
 class DiscFootprint:
@@ -57,6 +61,10 @@ class DiscFootprint:
         """Smallest distance in m of two discs, exact for straight relative motion."""
         distance = distance_to_segment(approach.start, approach.end)
         return distance - approach.radius - self.radius_m
+
+    def outline(self) -> Float[Tensor, "corners 2"]:
+        """Polygon of 48 corners on the circle, m."""
+        return self.radius_m * unit_vector(torch.linspace(0, 2 * torch.pi, 49)[:-1].double())
 
 
 @dataclass(frozen=True)
@@ -94,6 +102,11 @@ class RectangleFootprint:
         end = rotate(approach.end, -approach.end_heading)
         half = start.new_tensor((0.5 * self.length_m, 0.5 * self.width_m))
         return distance_box_to_segment(half, start, end) - approach.radius
+
+    def outline(self) -> Float[Tensor, "corners 2"]:
+        """The four corners in m, counter-clockwise from the front left."""
+        half = torch.tensor((0.5 * self.length_m, 0.5 * self.width_m), dtype=torch.float64)
+        return half * half.new_tensor(((1, 1), (-1, 1), (-1, -1), (1, -1)))
 
 
 def distance_to_segment(

@@ -3,8 +3,9 @@
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Polygon
 
+from diffstack_mmv.geometry import position_from_frame
 from diffstack_mmv.simulation.world import World, WorldState
 
 ROBOT, HUMAN, GOAL = "tab:orange", "tab:blue", "tab:red"
@@ -32,7 +33,10 @@ def picture(world: World, state: WorldState) -> np.ndarray:
         state.humans.position.numpy(), state.humans.radius.numpy(), strict=True
     ):
         axes.add_patch(Circle(tuple(position), float(size), color=HUMAN, alpha=0.7))
-    axes.add_patch(Circle(tuple(place), radius, color=ROBOT))
+    outline = position_from_frame(
+        world.verdict.footprint.outline(), motion.position, motion.heading
+    )
+    axes.add_patch(Polygon(outline.detach().numpy(), color=ROBOT))
     nose = place + radius * np.array((np.cos(heading), np.sin(heading)))
     axes.plot(*zip(place, nose, strict=True), color="black")
     axes.plot(*state.goal.numpy(), marker="*", markersize=12, color=GOAL)

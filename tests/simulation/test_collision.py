@@ -78,6 +78,14 @@ def test_the_disc_around_a_rectangle_never_has_more_clearance():
     assert (around <= rectangle.clearance(approach) + 1e-12).all()
 
 
+@pytest.mark.parametrize("footprint", [DiscFootprint(0.4), RectangleFootprint(1.8, 0.6)])
+def test_the_outline_is_where_the_clearance_of_a_point_vanishes(footprint):
+    corners = footprint.outline()
+    clearance = footprint.clearance(approach_of(corners, corners, radius=0.0))
+    assert torch.allclose(clearance, torch.zeros_like(clearance), atol=1e-7)
+    assert corners.norm(dim=-1).max() == pytest.approx(footprint.radius_m)
+
+
 @pytest.mark.parametrize("size", [0.0, -1.0, math.nan, math.inf])
 def test_a_footprint_without_size_is_refused(size):
     with pytest.raises(ValueError, match="`radius_m` must be positive"):

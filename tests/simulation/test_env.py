@@ -164,7 +164,7 @@ def test_impossible_settings_are_refused_by_name(settings, message):
     [
         ({"phase": "exam"}, "`phase` must be one of"),
         ({"phase": "test", "case": 5000}, "`case` must lie in"),
-        ({"csae": 3}, "`options` must be one of"),
+        ({"number": 3}, "`options` must be one of"),
         ({"scene": "here"}, "`scene` must be a Scene"),
     ],
 )

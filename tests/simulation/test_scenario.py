@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
 
 from diffstack_mmv.simulation import CircleCrossing, SquareCrossing
 from diffstack_mmv.simulation import scenario as scenario_module
@@ -52,6 +54,12 @@ def test_nobody_touches_anybody_at_the_start(scenario):
     offset = scene.humans.position[:, :, None] - scene.humans.position[:, None]
     distance = offset.norm(dim=-1) + 9 * np.eye(5)
     assert (distance >= 0.8 - 1e-12).all()
+
+
+@pytest.mark.parametrize("name", ["circle_crossing", "square_crossing", "dense_circle_crossing"])
+def test_every_scenario_of_the_configuration_builds_and_draws_a_case(root, name):
+    scenario = instantiate(OmegaConf.load(root / "configs" / "scenario" / f"{name}.yaml"))
+    assert scenario.case("test", 1).humans.position.shape == (scenario.humans, 2)
 
 
 def test_phases_do_not_share_seeds():

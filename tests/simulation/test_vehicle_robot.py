@@ -37,6 +37,16 @@ def test_a_step_is_the_rollout_of_its_fine_steps():
     assert torch.allclose(robot.step(start, action, 0.25).state.model, expected[:, -1])
 
 
+@pytest.mark.parametrize("vehicle", ["bicycle", "scooter", "wheelchair", "tricycle"])
+def test_ten_milliseconds_are_fine_enough_for_the_true_motion(vehicle):
+    actions = [command(2.0, 0.2), command(1.0, -0.3), command(-3.0, 0.0)]
+    ends = [
+        drive(VehicleRobot(model_of(vehicle, "gm3", dt_s)), actions)[0].model[..., :2]
+        for dt_s in (0.01, 0.0025)
+    ]
+    assert torch.allclose(*ends, rtol=0, atol=2e-3)
+
+
 def test_the_path_has_one_point_per_fine_step_and_joins_the_next_one():
     _, (first, second) = drive(VehicleRobot(kbm()), [command(2.0, 0.1), command(0.0, -0.2)])
     assert first.shape == (3, 26, 2)

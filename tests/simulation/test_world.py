@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from diffstack_mmv.simulation import CircleCrossing, RectangleFootprint
+from diffstack_mmv.simulation import CircleCrossing, HolonomicRobot, RectangleFootprint, robot_named
 from diffstack_mmv.types import Outcome
 
 STILL = torch.zeros(2, dtype=torch.float64)
@@ -67,6 +67,20 @@ def test_a_rectangular_robot_has_its_own_clearance(world_with, scene_with):
     longer = type(world)(world.robot, world.crowd, verdict)
     assert world.clearance(state) == pytest.approx(1.4)
     assert longer.clearance(state) == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize("visible", [True, False])
+@pytest.mark.parametrize("robot", [HolonomicRobot(), robot_named("bicycle", "gm3", 0.25)])
+def test_clearance_and_path_have_gradients_in_the_actions(world_with, robot, visible):
+    world = world_with(robot=robot, visible=visible, exact=True)
+    state = world.start(CircleCrossing().cases("test", range(3)))
+    actions = torch.full((2, 3, 2), 0.3, dtype=torch.float64, requires_grad=True)
+    for action in actions:
+        state, judgement = world.step(state, action)
+    total = judgement.clearance.sum() + robot.motion(state.robot).position.sum()
+    (gradient,) = torch.autograd.grad(total, actions)
+    assert gradient.isfinite().all()
+    assert (gradient[0].abs() > 0).all()
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,8 @@ from diffstack_mmv.simulation.pedestrians.linear_program import safest_velocity
 class OrcaCrowd:
     """Optimal reciprocal collision avoidance, vectorised over episodes x humans.
 
-    Computes in float32 with the rounding of the RVO2 library and reproduces it bit for bit.
+    Computes in float32 with the rounding of the RVO2 library and reproduces it bit for bit. The
+    velocities carry no gradient.
 
     Attributes:
         neighbour_distance_m: Nobody further away is considered.
@@ -71,6 +72,7 @@ class OrcaCrowd:
         )
         return self.velocity(agents, _everybody_else(crowd, bystander), dt_s)
 
+    @torch.no_grad()
     def velocity(self, agents: Agents, others: Neighbours, dt_s: float) -> Float[Tensor, "*b 2"]:
         """Velocity of any agents among any neighbours: also a robot may drive by ORCA.
 
