@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -37,6 +37,16 @@ VERDICTS: dict[str, Callable[[Footprint, float], Verdict]] = {
     "crowdnav": CrowdNavVerdict,
     "exact": ExactVerdict,
 }
+
+
+class EnvStep(NamedTuple):
+    """What gymnasium expects of a step, in its order and by its names."""
+
+    observation: dict[str, np.ndarray]
+    reward: float
+    terminated: bool
+    truncated: bool
+    info: dict[str, Any]
 
 
 def robot_named(name: str, dynamics: str, dt_s: float) -> Robot:
@@ -206,9 +216,7 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         self._ended = False
         return self._observation(), described
 
-    def step(
-        self, action: np.ndarray
-    ) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.ndarray) -> EnvStep:
         """Advance by one step.
 
         Args:
@@ -238,7 +246,7 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         }
         terminated = outcome in (Outcome.COLLISION, Outcome.SUCCESS)
         late = outcome is Outcome.TIMEOUT
-        return self._observation(), float(judgement.reward), terminated, late, told
+        return EnvStep(self._observation(), float(judgement.reward), terminated, late, told)
 
     def render(self) -> np.ndarray | None:
         """Picture of the present state, (height, width, 3) uint8, or None without a render mode."""
