@@ -72,6 +72,14 @@ def _read_archive(archive: Path, group: str) -> Iterator[ThabFile]:
         raise ConversionError(fault("archive", "be whole", error, archive, remedy)) from error
 
 
+def _read_table(content: bytes) -> pd.DataFrame:
+    """The table of a file; text where a number should be is left for the caller to find."""
+    try:
+        return pd.read_csv(io.BytesIO(content), usecols=list(COLUMNS), dtype=np.float64)
+    except ValueError:
+        return pd.read_csv(io.BytesIO(content))
+
+
 def parse(file: ThabFile) -> NDArray[np.float64]:
     """Columns timestamp (s), x, y (m) of one file, (n, 3).
 
@@ -79,7 +87,7 @@ def parse(file: ThabFile) -> NDArray[np.float64]:
         TrackError: If a column is missing, a value is no finite number, or the clock stands still.
     """
     try:
-        table = pd.read_csv(io.BytesIO(file.content))
+        table = _read_table(file.content)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
         message = fault("file", "be a csv table", error, file.path, "Copy the file again.")
         raise TrackError(message, RejectReason.MISSING_FIELD) from error
@@ -89,7 +97,8 @@ def parse(file: ThabFile) -> NDArray[np.float64]:
         found = list(table.columns)
         message = fault("columns", f"contain {missing}", found, file.path, "Copy the file again.")
         raise TrackError(message, reason)
-    values = table[list(COLUMNS)].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=np.float64)
+    columns = [pd.to_numeric(table[column], errors="coerce") for column in COLUMNS]
+    values = np.column_stack(columns).astype(np.float64)
     if not np.isfinite(values).all():
         row = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
         message = fault("timestamp, x, y", "be finite", values[row], f"{file.path}, row {row}", "")
