@@ -10,6 +10,13 @@ from hydra.errors import CompactHydraException, HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from diffstack_mmv.checks import require_multiple
+
+# `${steps:horizon_s,dt_s}` in a configuration: a horizon in steps, refused if it is no whole number of them
+OmegaConf.register_new_resolver(
+    "steps", lambda horizon_s, dt_s: require_multiple("horizon_s", horizon_s, dt_s), replace=True
+)
+
 EXPECTED = (ValueError, TypeError, LookupError, OSError, HydraException, OmegaConfBaseException)
 
 

@@ -226,7 +226,7 @@ def _masked_mean(values: Float[Tensor, " B"], mask: Tensor) -> Float[Tensor, ""]
 
 def assemble(
     dynamics: nn.Module,
-    predictor: Callable[..., Predictor],
+    predictor: Predictor | Callable[..., Predictor],
     planner: Callable[..., MPCPlanner],
     **parts: Any,
 ) -> DiffStackMMV:
@@ -234,10 +234,9 @@ def assemble(
 
     Args:
         dynamics: Dynamics of the ego.
-        predictor: Makes the predictor from `ego_dynamics`.
+        predictor: A predictor, or what makes one from `ego_dynamics`.
         planner: Makes the planner from `dynamics`.
         parts: The other arguments of `DiffStackMMV`.
     """
-    return DiffStackMMV(
-        predictor=predictor(ego_dynamics=dynamics), planner=planner(dynamics=dynamics), **parts
-    )
+    built = predictor if isinstance(predictor, Predictor) else predictor(ego_dynamics=dynamics)
+    return DiffStackMMV(predictor=built, planner=planner(dynamics=dynamics), **parts)
