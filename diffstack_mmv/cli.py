@@ -1,6 +1,7 @@
 """What all command lines share: Hydra's composition, one message per failure, and an exit status to trust."""
 
 import functools
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from hydra.errors import CompactHydraException, HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from diffstack_mmv.checks import require_multiple
+from diffstack_mmv.checks import require, require_multiple
 
 # `${steps:horizon_s,dt_s}` in a configuration: a horizon in steps, refused if it is no whole number of them
 OmegaConf.register_new_resolver(
@@ -43,6 +44,7 @@ def command(
         def guarded(config: DictConfig) -> None:
             try:
                 config.out = HydraConfig.get().runtime.output_dir
+                _read_vehicle_file(config)
                 _require_complete(config)
                 OmegaConf.resolve(config)
                 save_config(config, Path(config.out))
@@ -50,9 +52,16 @@ def command(
             except EXPECTED as error:
                 raise CommandError(_told(error)) from error
 
-        return hydra.main(
+        entry = hydra.main(
             version_base="1.3", config_path=str(config_folder), config_name=config_name
         )(guarded)
+
+        @functools.wraps(task)
+        def main() -> None:
+            sys.argv[1:] = [_vehicle_from_file(argument) for argument in sys.argv[1:]]
+            entry()
+
+        return main
 
     return decorate
 
@@ -63,6 +72,21 @@ def save_config(config: DictConfig, folder: Path) -> None:
     unfinished = folder / "config.yaml.part"
     OmegaConf.save(config, unfinished)
     unfinished.replace(folder / "config.yaml")
+
+
+def _vehicle_from_file(argument: str) -> str:
+    """`vehicle=NAME` selects an option of a group, as Hydra knows it; `vehicle=FILE.yaml` becomes `vehicle_file=FILE.yaml`."""
+    is_file = argument.startswith("vehicle=") and argument.endswith((".yaml", ".yml"))
+    return argument.replace("vehicle=", "vehicle_file=", 1) if is_file else argument
+
+
+def _read_vehicle_file(config: DictConfig) -> None:
+    file = config.get("vehicle_file")
+    if file is None:
+        return
+    path = Path(file)
+    require(path.is_file(), "vehicle", "be a name or an existing YAML file", repr(file))
+    config.vehicle = OmegaConf.load(path)
 
 
 def _require_complete(config: DictConfig) -> None:

@@ -42,7 +42,7 @@ def main(config: DictConfig) -> None:
     header = {
         "goal": stack.goal.name,
         "dynamics": trained["names"]["dynamics"],
-        "vehicle": trained["vehicle"],
+        "vehicle": trained["vehicle"]["name"],
         "data": config.data.name,
         "split": config.split,
         "seed": trained["seed"],

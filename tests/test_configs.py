@@ -1,0 +1,73 @@
+"""Every configuration file composes, and what it describes can be built."""
+
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+
+import diffstack_mmv.cli  # noqa: F401  registers the resolvers
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.stack import DiffStackMMV
+
+CONFIGS = Path(__file__).resolve().parents[1] / "configs"
+COMMANDS = sorted(path.stem for path in CONFIGS.glob("*.yaml") if path.stem != "command")
+# groups of train.yaml whose options can be exchanged one by one
+GROUPS = ("dynamics", "predictor", "cost", "solver", "planner", "goal", "loss", "optim", "callbacks", "logger")
+OPTIONS = [(group, path.stem) for group in GROUPS for path in sorted((CONFIGS / group).glob("*.yaml"))]
+
+
+def composed(name, *overrides):
+    with initialize_config_dir(str(CONFIGS), version_base="1.3"):
+        config = compose(name, ["data.cache=CACHE", *overrides], return_hydra_config=True)
+        HydraConfig.instance().set_config(config)
+        OmegaConf.set_struct(config, False)
+        config.pop("hydra")
+    OmegaConf.resolve(config)
+    return config
+
+
+@pytest.mark.parametrize("name", [name for name in COMMANDS if (CONFIGS / f"{name}.yaml").read_text().count("data:")])
+def test_commands_on_data_compose(name):
+    assert composed(name).data.name == "thab_vru"
+
+
+@pytest.mark.parametrize(("group", "option"), OPTIONS, ids=lambda value: value)
+def test_every_option_of_training_builds_a_stack(group, option, tmp_path):
+    config = composed("train", f"{group}={option}", f"out={tmp_path}")
+    stack = instantiate(config.stack)
+    assert isinstance(stack, DiffStackMMV)
+    assert isinstance(stack.planner.dynamics, DynamicsModel)
+
+
+@pytest.mark.parametrize("vehicle", sorted(path.stem for path in (CONFIGS / "vehicle").glob("*.yaml")))
+@pytest.mark.parametrize("dynamics", ["unicycle", "kbm"])
+def test_every_vehicle_works_with_every_dynamics(vehicle, dynamics):
+    config = composed("train", f"vehicle={vehicle}", f"dynamics={dynamics}", "predictor=constant_velocity")
+    assert isinstance(instantiate(config.stack.dynamics), DynamicsModel)
+
+
+@pytest.mark.parametrize("data", sorted(path.stem for path in (CONFIGS / "data").glob("*.yaml")))
+def test_every_data_set_builds_its_module(data):
+    if data == "converted":
+        pytest.skip("the part that all data sets share is none itself")
+    config = composed("train", f"data={data}", "data.root=RECORDINGS")
+    assert type(instantiate(config.data.module)).__name__ == "TrajdataModule"
+
+
+def test_predictor_and_planner_share_one_dynamics_model():
+    stack = instantiate(composed("train", "dynamics=kbm").stack)
+    names = [name for name, _ in stack.named_parameters() if "wheelbase" in name]
+    assert len(names) == 1
+
+
+@pytest.mark.parametrize("experiment", sorted(path.stem for path in (CONFIGS / "experiment").glob("*.yaml")))
+def test_experiments_only_override(experiment):
+    assert composed("train", f"experiment={experiment}").epochs > 0
+
+
+def test_horizon_that_is_no_multiple_of_the_step_is_refused():
+    with pytest.raises(Exception, match=r"`horizon_s` must be a multiple of 0\.1"):
+        composed("train", "horizon_s=2.95")
