@@ -1,7 +1,7 @@
 """The interface of a predictor, and views on what it returns.
 
-A predictor answers for the ego and all neighbours in one forecast: the dimension after the batch is the agent, 0 is
-the ego and 1 .. N are the neighbours in the order in which they were given.
+A predictor answers for the ego and all neighbours in one forecast: the dimension after the batch is
+the agent, 0 is the ego and 1 .. N are the neighbours in the order in which they were given.
 """
 
 from abc import ABC, abstractmethod
@@ -15,7 +15,7 @@ from diffstack_mmv.types import Forecast, Motion, StackBatch, Tracks
 
 
 class Predictor(nn.Module, ABC):
-    """Forecasts the positions of the ego and its neighbours, in the frame in which the tracks are given.
+    """Forecasts positions of the ego and its neighbours, in the frame of the given tracks.
 
     Args:
         horizon_steps: Number of predicted time steps T.
@@ -38,10 +38,12 @@ class Predictor(nn.Module, ABC):
 
         Args:
             past: The ego, `*b`, with times `*b H`.
-            others: Its neighbours, `*b N`, with times `*b N H`; N may be 0. A neighbour counts if its last row is valid.
+            others: Its neighbours, `*b N`, with times `*b N H`; N may be 0. A neighbour counts if
+                its last row is valid.
 
         Returns:
-            Forecast with leading dimensions `*b 1+N`, finite for every agent; see `ego_forecast`, `others_forecast`.
+            Forecast with leading dimensions `*b 1+N`, finite for every agent; see `ego_forecast`,
+            `others_forecast`.
         """
 
     def predict(self, batch: StackBatch) -> Forecast:
@@ -100,7 +102,7 @@ def others_forecast(forecast: Forecast) -> Forecast:
 
 
 def strongest(forecast: Forecast, components: int) -> Forecast:
-    """Keep at most that many components, those with the largest weights, and normalise the weights again.
+    """Keep at most that many components, those with the largest weights, and renormalise.
 
     Raises:
         ValueError: `components` is below one.

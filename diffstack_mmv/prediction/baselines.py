@@ -1,4 +1,4 @@
-"""Predictors that learn nothing: the lines a learned one is held against, and its shortest complete examples."""
+"""Predictors that learn nothing: the lines that a learned one is held against."""
 
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -22,7 +22,9 @@ FAR_AWAY_M = 1e4  # out of reach of every cost, and well inside of float32
 
 @dataclass(frozen=True)
 class Spread:
-    """Standard deviation of a prediction: sqrt(position² + (acceleration t² / 2)²) with acceleration = rest + gain · speed.
+    """Standard deviation of a prediction, growing with time and speed.
+
+    sqrt(position² + (acceleration t² / 2)²) with acceleration = rest + gain · speed.
 
     Args:
         position_m: Error of the present position, along and across the course.
@@ -34,10 +36,10 @@ class Spread:
         ValueError: An entry is not positive.
     """
 
-    position_m: float = 0.05
+    position_m: float = 0.11
     rest_mps2: float = 0.1
-    along_per_s: float = 0.1
-    across_per_s: float = 0.1
+    along_per_s: float = 0.3
+    across_per_s: float = 0.15
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -59,7 +61,7 @@ class Spread:
 
 
 def without_dynamics(predictor: Predictor, ego_dynamics: DynamicsModel) -> Predictor:
-    """Return a predictor that has no use for the dynamics of the ego, which every predictor is offered."""
+    """Return a predictor that has no use for the ego's dynamics, which each is offered."""
     return predictor
 
 
@@ -146,8 +148,9 @@ class ConstantTurnRateAcceleration(Extrapolation):
 
         v(t) = max(v₀ + a₀ τ (1 - exp(-t / τ)), 0),    θ(t) = θ₀ + ω₀ τ (1 - exp(-t / τ))
 
-    integrated by the midpoint rule, with the course θ₀. A large τ gives the textbook model, whose errors on measured
-    tracks exceed those of constant velocity: an acceleration of a cyclist rarely lasts for three seconds.
+    integrated by the midpoint rule, with the course θ₀. A large τ gives the textbook model, whose
+    errors on measured tracks exceed those of constant velocity: an acceleration of a cyclist rarely
+    lasts for three seconds.
 
     Args:
         horizon_steps: Number of predicted time steps T.
@@ -158,7 +161,8 @@ class ConstantTurnRateAcceleration(Extrapolation):
         yaw_rate_fade_s: τ of the yaw rate.
         acceleration_limit_mps2: Bound on |a₀|.
         yaw_rate_limit_radps: Bound on |ω₀|.
-        walking_mps: Speed below which the turn counts less, as the course is not observable at rest.
+        walking_mps: Speed below which the turn counts less, as the course is not observable at
+            rest.
 
     Raises:
         ValueError: A time, limit or speed is not positive.
@@ -211,12 +215,12 @@ class ConstantTurnRateAcceleration(Extrapolation):
 
 
 def faded(time: Float[Tensor, " T"], fade_s: float) -> Float[Tensor, " T"]:
-    """Integral τ (1 - exp(-t / τ)) in s of a rate that fades out with the time constant `fade_s`."""
+    """Integral τ (1 - exp(-t / τ)) in s of a rate that fades with the time constant `fade_s`."""
     return -fade_s * torch.expm1(-time / fade_s)
 
 
 class NoPrediction(ConstantVelocity):
-    """The ego keeps its velocity; neighbours are reported far away, so that no plan reacts to them."""
+    """The ego keeps its velocity; neighbours are far away, so that no plan reacts to them."""
 
     def forward(self, past: Tracks, others: Tracks) -> Forecast:
         """Forecast all agents, `*b 1+N`, the neighbours out of reach."""
@@ -237,7 +241,7 @@ class GroundTruth(Extrapolation):
     """Answers with the true future: the bound that no predictor can pass."""
 
     def predict(self, batch: StackBatch) -> Forecast:
-        """Forecast `B 1+N` from the futures of the batch; an agent that vanishes stays at its last true position."""
+        """Forecast `B 1+N` from the futures; who vanishes stays at the last true position."""
         past, future = (
             all_agents(batch.ego_past, batch.others_past),
             all_agents(batch.ego_future, batch.others_future),
@@ -260,5 +264,6 @@ class GroundTruth(Extrapolation):
             TypeError: Always.
         """
         raise TypeError(
-            "`GroundTruth` must see the future, but got a past alone. Call `predict` with a whole batch."
+            "`GroundTruth` must see the future, but got a past alone. "
+            "Call `predict` with a whole batch."
         )

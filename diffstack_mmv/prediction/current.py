@@ -1,7 +1,7 @@
-"""Estimates of an agent's present motion from its track, robust to missing rows and to a poor last velocity.
+"""Estimates of an agent's present motion from its track, robust to missing rows.
 
-Measured velocities at the end of a track are the noisiest of all, since no later sample supports them; the estimates
-here therefore come from positions.
+Measured velocities at the end of a track are the noisiest of all, since no later sample supports
+them; the estimates here therefore come from positions.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,9 @@ from torch import Tensor
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.types import Tracks
 
-_PRIOR_WEIGHT = 0.01  # of one row at the present time; decides only where rows are missing
+# weights of the prior of position, velocity and acceleration in units of one present row; they
+# decide only where rows are missing
+_PRIOR = (0.01, 0.001, 0.0001)
 
 
 class Trend(NamedTuple):
@@ -36,7 +38,7 @@ def current_heading(tracks: Tracks) -> Float[Tensor, "*b"]:
 
 
 def current_velocity(tracks: Tracks) -> Float[Tensor, "*b 2"]:
-    """Measured velocity in m/s at the last row, in the frame of the positions; zero for an agent not observed there."""
+    """Measured velocity in m/s at the last row, in the frame of the positions, else zero."""
     velocity = rotate(tracks.motion.velocity[..., -1, :], tracks.motion.heading[..., -1])
     return torch.where(tracks.valid[..., -1:], velocity, torch.zeros_like(velocity))
 
@@ -57,10 +59,11 @@ def mean_velocity(tracks: Tracks, rows: int, dt_s: float) -> Float[Tensor, "*b 2
 
 
 def trend(tracks: Tracks, memory_s: float, dt_s: float) -> Trend:
-    """Velocity and acceleration at the last row of the parabola through the valid positions, with fading memory.
+    """Velocity and acceleration at the last row, from a parabola with fading memory.
 
-    Least squares with the weights exp(-age / memory), and a slight pull to the measured velocity and to zero
-    acceleration, which decides for an agent with fewer than three rows.
+    Least squares over the valid positions with the weights exp(-age / memory), and a slight pull to
+    the measured velocity and to zero acceleration, which decides for an agent with fewer than three
+    rows.
     """
     valid = tracks.valid & tracks.valid[..., -1:]
     offset = tracks.motion.position - current_position(tracks).unsqueeze(-2)
@@ -69,7 +72,7 @@ def trend(tracks: Tracks, memory_s: float, dt_s: float) -> Trend:
     time = dt_s * torch.arange(1 - rows, 1, device=offset.device, dtype=offset.dtype)
     powers = torch.stack([torch.ones_like(time), time, 0.5 * time.square()], -1)
     weighted = (valid * torch.exp(time / memory_s)).unsqueeze(-1) * powers
-    pull = _PRIOR_WEIGHT * torch.eye(3, device=time.device, dtype=time.dtype)
+    pull = torch.diag(torch.tensor(_PRIOR, device=time.device, dtype=time.dtype))
     prior = torch.stack(
         [
             torch.zeros_like(offset[..., 0, :]),

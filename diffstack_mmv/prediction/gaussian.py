@@ -14,7 +14,7 @@ VARIANCE_FLOOR = 1e-4  # m²: 1 cm, the rounding of recorded positions
 def scale_from_covariance(
     covariance: Float[Tensor, "*b 2 2"], floor: float = VARIANCE_FLOOR
 ) -> Float[Tensor, "*b 2 2"]:
-    """Lower Cholesky factor in m of a covariance in m², after `floor` in m² was added to its diagonal."""
+    """Lower Cholesky factor in m of a covariance in m², with `floor` in m² on its diagonal."""
     first = (covariance[..., 0, 0] + floor).sqrt()
     cross = covariance[..., 1, 0] / first
     # exact arithmetic leaves at least `floor` here; rounding may not

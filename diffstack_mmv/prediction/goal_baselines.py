@@ -1,4 +1,4 @@
-"""Trajectories of a human whose position at the horizon is known: what a plan with a given goal has to beat."""
+"""Trajectories to a known goal: what a plan with a given goal has to beat."""
 
 import torch
 from jaxtyping import Float
@@ -11,7 +11,7 @@ from diffstack_mmv.types import Motion
 def straight_line(
     motion: Motion, goal: Float[Tensor, "*b 2"], steps: int, dt_s: float
 ) -> Float[Tensor, "*b steps 2"]:
-    """Positions in m on the straight line to the goal at constant speed: p(s) = p₀ + s (g - p₀), s = t / T."""
+    """Positions in m on the line to the goal: p(s) = p₀ + s (g - p₀), s = t / T."""
     share = _share(motion, steps)
     return motion.position.unsqueeze(-2) + share * (goal - motion.position).unsqueeze(-2)
 
@@ -19,7 +19,7 @@ def straight_line(
 def constant_acceleration(
     motion: Motion, goal: Float[Tensor, "*b 2"], steps: int, dt_s: float
 ) -> Float[Tensor, "*b steps 2"]:
-    """Positions in m at the one constant acceleration that leads from the present velocity to the goal.
+    """Positions in m at the constant acceleration that leads to the goal.
 
     p(s) = p₀ + s v₀ T + s² (g - p₀ - v₀ T), s = t / T.
     """
@@ -34,10 +34,10 @@ def constant_acceleration(
 def hermite_spline(
     motion: Motion, goal: Float[Tensor, "*b 2"], steps: int, dt_s: float
 ) -> Float[Tensor, "*b steps 2"]:
-    """Positions in m on the cubic Hermite spline from the present position and velocity to the goal.
+    """Positions in m on the cubic Hermite spline to the goal.
 
-    p(s) = h₀₀ p₀ + h₁₀ T v₀ + h₀₁ g + h₁₁ T v₁. The velocity at the goal is not known; the natural end, without
-    acceleration at the goal, gives v₁ = (3 (g - p₀) / T - v₀) / 2.
+    p(s) = h₀₀ p₀ + h₁₀ T v₀ + h₀₁ g + h₁₁ T v₁. The velocity at the goal is not known; the natural
+    end, without acceleration at the goal, gives v₁ = (3 (g - p₀) / T - v₀) / 2.
     """
     share = _share(motion, steps)
     coast = _coast(motion, steps, dt_s)

@@ -15,8 +15,9 @@ from diffstack_mmv.types import Forecast, Tracks
 class KalmanConstantVelocity(Predictor):
     """Filters position and velocity x = (p, v) of every agent and extrapolates mean and covariance.
 
-    Process: p⁺ = p + v dt, v⁺ = v + w with white acceleration of spectral density q per axis. Measurement: the position with
-    errors along and across the heading. The filter starts at the first valid row and skips rows that are not valid.
+    Process: p⁺ = p + v dt, v⁺ = v + w with white acceleration of spectral density q per axis.
+    Measurement: the position with errors along and across the heading. The filter starts at the
+    first valid row and skips rows that are not valid.
 
     Args:
         horizon_steps: Number of predicted time steps T.
@@ -128,7 +129,7 @@ def _updated(
     measured: Float[Tensor, "*b 2"],
     noise: Float[Tensor, "*b 2 2"],
 ) -> tuple[Float[Tensor, "*b 4"], Float[Tensor, "*b 4 4"]]:
-    """State and covariance after a measurement, the covariance in Joseph's form, which stays symmetric positive."""
+    """State and covariance after a measurement, in Joseph's form, which stays positive."""
     innovation = covariance[..., :2, :2] + noise
     determinant = (
         innovation[..., 0, 0] * innovation[..., 1, 1]
@@ -150,7 +151,7 @@ def _choose(
     fresh: Tensor,
     started: Bool[Tensor, "*b"],
 ) -> Tensor:
-    """The update where there is a measurement, the prediction where there is none, a fresh start before the first."""
+    """The update at a measurement, else the prediction, and a fresh start before the first."""
     extra = (None,) * (updated.dim() - measured.dim())
     known = torch.where(measured[(..., *extra)], updated, predicted)
     return torch.where(started[(..., *extra)], known, fresh)

@@ -1,4 +1,4 @@
-"""The decoder: Gaussian controls for each component, integrated through the dynamics of the agent."""
+"""The decoder: Gaussian controls of each component, integrated through the dynamics."""
 
 import math
 from typing import NamedTuple
@@ -26,13 +26,15 @@ class Controls(NamedTuple):
 
 
 class ControlDecoder(nn.Module):
-    """GRU that emits, for each component z, deviations from the controls of a fading CTRA, and their uncertainty.
+    """GRU that emits controls of each component z as deviations from those of a fading CTRA.
 
-        u_t = ū_t + w ∘ W h_t,    ū_t = control for the acceleration a₀ exp(-t / τ) and the curvature κ₀ exp(-t / τ)
+        u_t = ū_t + w ∘ W h_t,    ū_t = control for the acceleration a₀ exp(-t / τ) and the
+        curvature κ₀ exp(-t / τ)
 
-    with the width w of the box of controls. Its weights W start at zero, so that an untrained decoder is the fading CTRA and
-    what it learns are deviations from it. The input of the GRU is the deviation of the step before; context and component enter
-    through its first state and through a constant part of its input, which is computed once.
+    with the width w of the box of controls. Its weights W start at zero, so that an untrained
+    decoder is the fading CTRA and what it learns are deviations from it. The input of the GRU is
+    the deviation of the step before; context and component enter through its first state and
+    through a constant part of its input, which is computed once.
 
     Args:
         dynamics: Dynamics of the agents.
@@ -45,7 +47,8 @@ class ControlDecoder(nn.Module):
         dropout: Share of units of the context dropped in training.
 
     Raises:
-        ValueError: A number of steps is below one, or the state of the dynamics does not begin with a position.
+        ValueError: A number of steps is below one, or the state of the dynamics does not begin with
+            a position.
     """
 
     def __init__(
@@ -155,7 +158,7 @@ class ControlDecoder(nn.Module):
 
 
 def present_motion(rows: AgentRows) -> Motion:
-    """Motion of the agents now in their own frames, on the course of the velocity fitted to their tracks.
+    """Motion of the agents now in their own frames, on the course of their fitted velocity.
 
     At rest the course is not observable; the heading of the track takes over below walking speed.
     """

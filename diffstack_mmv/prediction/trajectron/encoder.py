@@ -15,7 +15,7 @@ TRACK_FEATURES = 8
 
 
 def track_features(tracks: Tracks) -> Float[Tensor, "*b T 8"]:
-    """Position, velocity, direction and yaw rate of an agent in its own frame, scaled to order one, and validity."""
+    """Position, velocity, direction, yaw rate (all of order one) and validity in the own frame."""
     motion = tracks.motion
     features = torch.cat(
         [
@@ -31,7 +31,7 @@ def track_features(tracks: Tracks) -> Float[Tensor, "*b T 8"]:
 
 
 class MaskedLSTM(nn.Module):
-    """LSTM that keeps its state over rows that are not valid, so that they have no influence whatever they hold.
+    """LSTM that keeps its state over rows that are not valid, whatever they hold.
 
     Args:
         inputs: Number of features of a row.

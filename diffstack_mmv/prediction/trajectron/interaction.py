@@ -24,10 +24,11 @@ class Interaction(nn.Module):
         s_ij = w · tanh(W_q h_i + W_k e_ij) + log g(d_ij),    g(d) = 1 / (1 + exp((d - r) / σ))
         out_i = Σ_j exp(s_ij) e_ij / (1 + Σ_j exp(s_ij))
 
-    The one in the denominator is an agent that does not exist: the influence of agents out of reach fades to zero, and an
-    agent that is alone has a zero encoding. An edge encoder per pair of kinds sees the neighbour's history and its motion
-    relative to the agent, in the agent's frame. Source: Salzmann et al., Trajectron++ (ECCV 2020), Sec. 4, which sums the
-    neighbours of a kind before it encodes them, with a radius per pair of kinds; the gate here is smooth.
+    The one in the denominator is an agent that does not exist: the influence of agents out of reach
+    fades to zero, and an agent that is alone has a zero encoding. An edge encoder per pair of kinds
+    sees the neighbour's history and its motion relative to the agent, in the agent's frame. Source:
+    Salzmann et al., Trajectron++ (ECCV 2020), Sec. 4, which sums the neighbours of a kind before it
+    encodes them, with a radius per pair of kinds; the gate here is smooth.
 
     Args:
         node_size: Size of the encodings h of histories.
@@ -59,7 +60,7 @@ class Interaction(nn.Module):
             for other in (VEHICLE, WALKER)
         ]
         self.edge_encoders = PerKind(
-            {pair: perceptron(sizes, dropout) for pair in pairs}, edge_size
+            {int(pair): perceptron(sizes, dropout) for pair in pairs}, edge_size
         )
         self.query = nn.Linear(node_size, edge_size)
         self.key = nn.Linear(edge_size, edge_size, bias=False)
@@ -68,7 +69,7 @@ class Interaction(nn.Module):
     def forward(
         self, rows: AgentRows, agents: int, node: Float[Tensor, "R h"]
     ) -> Float[Tensor, "R e"]:
-        """Encode the influence of the others on each row; `agents` is the number of agents per scene."""
+        """Encode the influence of the others on each row, with so many `agents` per scene."""
         agent, other = neighbouring_rows(rows.index, agents)
         offset = rows.origin[other] - rows.origin[agent]
         distance = safe_norm(offset)
@@ -116,7 +117,7 @@ def pair_of_kinds(
 def edge_features(
     rows: AgentRows, agent: Int[Tensor, " P"], other: Int[Tensor, " P"]
 ) -> Float[Tensor, "P 8"]:
-    """Position, velocity and direction of the others relative to the agents, in the agents' frames, scaled to order one."""
+    """Position, velocity and direction of the others in the agents' frames, of order one."""
     offset = rotate(rows.origin[other] - rows.origin[agent], -rows.heading[agent])
     turned = rows.heading[other] - rows.heading[agent]
     velocity = rotate(rows.velocity[other], turned)

@@ -48,7 +48,9 @@ def divergence(log_q: Float[Tensor, "*b K"], log_p: Float[Tensor, "*b K"]) -> Fl
 
 
 class Annealing(NamedTuple):
-    """Weight of the KL term over the steps of training: weight · sigmoid(4 (step - crossover) / crossover).
+    """Weight of the KL term over the steps of training.
+
+    weight · sigmoid(4 (step - crossover) / crossover)
 
     Attributes:
         weight: Final weight.

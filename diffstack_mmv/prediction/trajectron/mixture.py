@@ -1,5 +1,6 @@
-"""From Gaussian controls to Gaussian positions: rollout of the mean, linearisation, and propagation of the covariance."""
+"""From Gaussian controls to Gaussian positions by linearisation of the dynamics."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -20,7 +21,7 @@ class Linearisation(NamedTuple):
 def linearise(
     dynamics: DynamicsModel, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
 ) -> Linearisation:
-    """Jacobians A = ∂f/∂x and B = ∂f/∂u at all points in one call, by forward mode with one tangent per column."""
+    """Jacobians A = ∂f/∂x and B = ∂f/∂u at all points in one call, by forward mode."""
     n = state.shape[-1]
     tangents = torch.eye(n + control.shape[-1], dtype=state.dtype, device=state.device)
     shape = (len(tangents), *(1,) * (state.dim() - 1), -1)
@@ -33,7 +34,7 @@ def linearise(
 
 
 def start_sensitivity(dynamics: DynamicsModel, motion: Motion) -> Float[Tensor, "*b n 4"]:
-    """Jacobian of the initial state in position (along, across, m), heading (rad) and speed (m/s) of a motion at heading 0."""
+    """Jacobian of the initial state in position x, y (m), heading (rad) and speed (m/s)."""
 
     def state_at(point: Float[Tensor, "*b 4"]) -> Float[Tensor, "*b n"]:
         velocity = torch.stack(
@@ -51,7 +52,9 @@ def start_sensitivity(dynamics: DynamicsModel, motion: Motion) -> Float[Tensor, 
 
 
 def _pushed(
-    function, point: Float[Tensor, "*b p"], tangents: Float[Tensor, "t *b p"]
+    function: Callable[[Tensor], Tensor],
+    point: Float[Tensor, "*b p"],
+    tangents: Float[Tensor, "t *b p"],
 ) -> Float[Tensor, "*b o t"]:
     """Directional derivatives along the tangents, stacked as columns."""
 
@@ -99,15 +102,17 @@ def integrate(
 ) -> PositionMoments:
     """Integrate Gaussian controls through the dynamics of an agent.
 
-    The mean is rolled out exactly; the covariance follows to first order along it. The output is the model's reference
-    point, as far as `motion` reads it linearly from the state's first two columns.
+    The mean is rolled out exactly; the covariance follows to first order along it. The output is
+    the model's reference point, as far as `motion` reads it linearly from the state's first two
+    columns.
 
     Args:
         dynamics: Dynamics of the agents.
         motion: Present motion of the agents, `*b`, at heading 0 of their own frame.
         controls: Mean controls.
         control_scale: Cholesky factors of their covariances.
-        start_deviation: Standard deviations of the present position along and across in m, heading in rad, speed in m/s.
+        start_deviation: Standard deviations of the present position along and across in m, heading
+            in rad, speed in m/s.
     """
     state = dynamics.state_on_course(motion)
     states = rollout(dynamics, state, controls)

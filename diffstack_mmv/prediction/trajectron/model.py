@@ -72,10 +72,11 @@ class Decoded(NamedTuple):
 class Trajectron(Predictor):
     """CVAE over controls, integrated through the dynamics of each agent.
 
-    History LSTM per kind of agent, attention over the neighbours, discrete latent variable, GRU decoder over controls,
-    first-order propagation of covariances: single integrator for walkers, `vehicle_dynamics` for vehicles, and for the ego
-    the dynamics it is going to be controlled with. Every agent is seen in its own frame, so that a turned scene gives the
-    turned forecast. Source: Salzmann et al., Trajectron++ (ECCV 2020); Karkus et al., DiffStack (CoRL 2022).
+    History LSTM per kind of agent, attention over the neighbours, discrete latent variable, GRU
+    decoder over controls, first-order propagation of covariances: single integrator for walkers,
+    `vehicle_dynamics` for vehicles, and for the ego the dynamics it is going to be controlled with.
+    Every agent is seen in its own frame, so that a turned scene gives the turned forecast. Source:
+    Salzmann et al., Trajectron++ (ECCV 2020); Karkus et al., DiffStack (CoRL 2022).
 
     Args:
         ego_dynamics: Dynamics of the ego.
@@ -140,12 +141,12 @@ class Trajectron(Predictor):
         return Forecast(*(field.reshape(*leading, *field.shape[1:]) for field in forecast))
 
     def loss(self, batch: StackBatch) -> Float[Tensor, "*b"]:
-        """Negative evidence bound in nats per predicted time step, mean over the present agents of each sample.
+        """Negative evidence bound in nats per predicted time step, mean over a sample's agents.
 
             -log Σ_z q(z|x, y) Π_t p(y_t|x, z) + β max(KL(q || p) - free, 0)
 
-        with the components weighted by the posterior inside of the logarithm, as in the code of the sources. Each call in
-        training mode is one step of the annealing of β.
+        with the components weighted by the posterior inside of the logarithm, as in the code of the
+        sources. Each call in training mode is one step of the annealing of β.
         """
         agents = scenes(all_agents(batch.ego_past, batch.others_past))
         futures = scenes(all_agents(batch.ego_future, batch.others_future))

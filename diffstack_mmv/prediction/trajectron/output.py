@@ -23,7 +23,7 @@ def scenes(agents: Tracks) -> Tracks:
 
 
 def nobody(agents: Tracks, components: int, steps: int) -> Forecast:
-    """Forecast of standing still, with 1 m of uncertainty, for agents `B A` in one dimension B·A."""
+    """Forecast of standing still, with 1 m of uncertainty, for agents `B A` in one dimension."""
     position = current_position(agents).flatten(0, 1)
     mean = position[:, None, None, :].expand(-1, components, steps, 2)
     scale_tril = torch.eye(2, dtype=mean.dtype, device=mean.device).expand(*mean.shape, 2)
@@ -35,7 +35,8 @@ def placed(
 ) -> Forecast:
     """Replace the forecast of some agents by moments in their own frames.
 
-    Agents with fewer components than the forecast get more of weight zero, which repeat the last one.
+    Agents with fewer components than the forecast get more of weight zero, which repeat the last
+    one.
     """
     components = forecast.log_weight.shape[-1]
     last = torch.arange(components, device=log_prior.device).clamp_max(log_prior.shape[-1] - 1)

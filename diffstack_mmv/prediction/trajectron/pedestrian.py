@@ -14,10 +14,12 @@ from diffstack_mmv.types import Motion
 
 
 class SingleIntegrator(DynamicsModel):
-    """Point whose controls change its velocity, in a frame that does not turn: v⁺ = v + a dt, p⁺ = p + v dt + a dt² / 2.
+    """Point whose controls change its velocity, in a frame that does not turn.
 
-    Written with accelerations as controls and not, as in Trajectron++, with velocities, so that zero control keeps the
-    present velocity for pedestrians as it does for vehicles.
+        v⁺ = v + a dt,    p⁺ = p + v dt + a dt² / 2
+
+    Written with accelerations as controls and not, as in Trajectron++, with velocities, so that
+    zero control keeps the present velocity for pedestrians as it does for vehicles.
 
     Args:
         dt_s: Length of one step in s.

@@ -62,7 +62,6 @@ def agent_kind(mode: Int[Tensor, "*b"]) -> Int[Tensor, "*b"]:
 
 def take_rows(agents: Tracks, index: Int[Tensor, " R"]) -> Tracks:
     """Agents `*b` by their flat index."""
-
     dims = agents.mode.dim()
     return map_tensors(lambda field: field.flatten(0, dims - 1)[index], agents)
 
@@ -75,7 +74,7 @@ def select_rows(rows: AgentRows, place: Int[Tensor, " S"]) -> AgentRows:
 def in_own_frame(
     tracks: Tracks, origin: Float[Tensor, "R 2"], heading: Float[Tensor, " R"]
 ) -> Tracks:
-    """Tracks `R T` in frames with that origin (m) and heading (rad); rows that are not valid become zero."""
+    """Tracks `R T` in frames with that origin (m) and heading (rad), zero where not valid."""
     motion = motion_in_frame(tracks.motion, origin.unsqueeze(-2), heading.unsqueeze(-1))
 
     def cleared(field: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""The encoding of an agent in its scene: its history, those around it, its present motion and its mode."""
+"""The encoding of an agent in its scene: history, neighbours, present motion and mode."""
 
 import torch
 from jaxtyping import Float
@@ -20,7 +20,7 @@ MOTION_FEATURES = 4
 
 
 class SceneEncoder(nn.Module):
-    """Context of every agent: history LSTM of its kind, interaction, velocity and acceleration now, one-hot mode.
+    """Context of every agent: history LSTM, interaction, velocity and acceleration, mode.
 
     Args:
         history: Size of the encoding of the history.

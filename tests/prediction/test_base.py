@@ -1,0 +1,88 @@
+"""The interface of predictors and views on forecasts."""
+
+import pytest
+import torch
+
+from diffstack_mmv.prediction import (
+    ConstantVelocity,
+    NoPrediction,
+    all_agents,
+    ego_forecast,
+    others_forecast,
+    strongest,
+)
+from diffstack_mmv.types import Forecast
+from tests.prediction.samples import DT_S, scene
+
+
+def mixture(components=4):
+    weight = torch.tensor([0.1, 0.5, 0.05, 0.35])[:components].log()
+    mean = torch.arange(components).float()[:, None, None].expand(components, 3, 2)
+    return Forecast(weight, mean, torch.eye(2).expand(components, 3, 2, 2))
+
+
+def test_strongest_keeps_the_heaviest_components_and_normalises():
+    kept = strongest(mixture(), 2)
+    assert torch.allclose(kept.log_weight.exp(), torch.tensor([0.5, 0.35]) / 0.85)
+    assert kept.mean[:, 0, 0].tolist() == [1.0, 3.0]
+    assert kept.scale_tril.shape == (2, 3, 2, 2)
+
+
+def test_strongest_accepts_more_components_than_there_are():
+    assert strongest(mixture(), 9).mean.shape == (4, 3, 2)
+
+
+def test_strongest_needs_a_component():
+    with pytest.raises(ValueError, match="`components` must be at least 1, but got 0"):
+        strongest(mixture(), 0)
+
+
+def test_ego_comes_first():
+    batch = scene(batch=(2,), others=3)
+    agents = all_agents(batch.ego_past, batch.others_past)
+    assert torch.equal(agents.motion.position[:, 0], batch.ego_past.motion.position)
+    assert torch.equal(agents.valid[:, 1:], batch.others_past.valid)
+
+
+def test_ego_and_others_together_are_the_forecast():
+    forecast = ConstantVelocity(10, DT_S).predict(scene(others=2))
+    ego, others = ego_forecast(forecast), others_forecast(forecast)
+    for whole, first, rest in zip(forecast, ego, others, strict=True):
+        assert torch.equal(whole, torch.cat([first.unsqueeze(1), rest], 1))
+
+
+def test_rows_of_ego_and_others_have_to_agree():
+    with pytest.raises(ValueError, match="`others` must have 21 rows as the ego has, but got 15"):
+        all_agents(scene(history=21).ego_past, scene(history=15).others_past)
+
+
+def test_loss_is_the_mean_over_agents_and_times_that_were_seen():
+    batch = scene(others=1)
+    valid = batch.others_future.valid.clone()
+    valid[..., 5:] = False
+    batch = batch._replace(others_future=batch.others_future._replace(valid=valid))
+    predictor = ConstantVelocity(10, DT_S)
+    forecast = predictor.predict(batch)
+    ego = ego_forecast(forecast).log_prob(batch.ego_future.motion.position).sum(-1)
+    other = (
+        others_forecast(forecast)
+        .log_prob(batch.others_future.motion.position)[..., :5]
+        .sum((-2, -1))
+    )
+    assert torch.allclose(predictor.loss(batch), -(ego + other) / 15, rtol=1e-5)
+
+
+def test_loss_without_prediction_judges_the_ego_alone():
+    batch = scene(others=2)
+    alone = scene(others=0)._replace(ego_past=batch.ego_past, ego_future=batch.ego_future)
+    assert torch.allclose(
+        NoPrediction(10, DT_S).loss(batch), ConstantVelocity(10, DT_S).loss(alone)
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "argument"), [((0, 0.1), "horizon_steps"), ((10, 0.0), "dt_s")]
+)
+def test_impossible_horizon_is_refused(options, argument):
+    with pytest.raises(ValueError, match=f"`{argument}` must"):
+        ConstantVelocity(*options)

@@ -1,0 +1,126 @@
+"""Predictors that learn nothing."""
+
+import pytest
+import torch
+
+from diffstack_mmv.prediction import (
+    ConstantTurnRateAcceleration,
+    ConstantVelocity,
+    GroundTruth,
+    KalmanConstantVelocity,
+    NoPrediction,
+    Spread,
+    StandStill,
+    ego_forecast,
+    others_forecast,
+)
+from diffstack_mmv.types import Motion
+from tests.prediction.samples import DT_S, scene
+
+MOVING = [ConstantVelocity, ConstantTurnRateAcceleration, KalmanConstantVelocity]
+
+
+def straight(batch, acceleration=0.0, history=41, horizon=10):
+    """Put the ego of a scene on a straight line along x with a constant acceleration in m/s²."""
+    time = DT_S * torch.arange(1 - history, horizon + 1)
+    speed = (4 + acceleration * time).expand(*batch.goal.shape[:-1], -1)
+    x = (4 * time + 0.5 * acceleration * time**2).expand_as(speed)
+    zero = torch.zeros_like(x)
+    line = Motion(torch.stack([x, zero], -1), zero, torch.stack([speed, zero], -1), zero)
+    past = Motion(*(field[:, :history] for field in line))
+    future = Motion(*(field[:, history:] for field in line))
+    return batch._replace(
+        ego_past=batch.ego_past._replace(motion=past),
+        ego_future=batch.ego_future._replace(motion=future),
+    )
+
+
+@pytest.mark.parametrize("predictor", MOVING)
+def test_uniform_motion_is_continued_exactly(predictor):
+    batch = straight(scene(history=41))
+    mean = ego_forecast(predictor(10, DT_S).predict(batch)).mean[:, 0]
+    assert torch.allclose(mean, batch.ego_future.motion.position, atol=2e-2)
+
+
+def test_stand_still_stays_at_the_last_position():
+    batch = scene()
+    mean = ego_forecast(StandStill(10, DT_S).predict(batch)).mean[:, 0]
+    assert torch.allclose(mean, batch.ego_past.motion.position[:, -1:].expand_as(mean))
+
+
+def test_unfading_ctra_continues_an_acceleration():
+    batch = straight(scene(history=41), acceleration=-0.5)
+    predictor = ConstantTurnRateAcceleration(10, DT_S, acceleration_fade_s=1e4)
+    mean = ego_forecast(predictor.predict(batch)).mean[:, 0]
+    assert torch.allclose(mean, batch.ego_future.motion.position, atol=1e-2)
+
+
+def test_unfading_ctra_continues_a_circle():
+    batch = scene(others=0, history=41)
+    predictor = ConstantTurnRateAcceleration(
+        10, DT_S, memory_s=0.3, yaw_rate_fade_s=1e4, walking_mps=1e-3
+    )
+    mean = ego_forecast(predictor.predict(batch)).mean[:, 0]
+    assert torch.allclose(mean, batch.ego_future.motion.position, atol=0.1)
+
+
+def test_ctra_stops_and_does_not_reverse():
+    batch = straight(scene(history=41, horizon=60), acceleration=-3.0, horizon=60)
+    predictor = ConstantTurnRateAcceleration(60, DT_S, acceleration_fade_s=1e4)
+    x = ego_forecast(predictor.predict(batch)).mean[:, 0, :, 0]
+    assert (x.diff(dim=-1) >= 0).all()
+    assert (x[:, -1] - x[:, -20]).abs().max() == 0
+
+
+def test_constant_velocity_uses_the_rows_there_are():
+    batch = scene(history=41)
+    valid = torch.zeros_like(batch.ego_past.valid)
+    valid[:, -1] = True
+    only_last = batch._replace(ego_past=batch.ego_past._replace(valid=valid))
+    mean = ego_forecast(ConstantVelocity(10, DT_S).predict(only_last)).mean[:, 0]
+    speed = (mean[:, 1] - mean[:, 0]).norm(dim=-1) / DT_S
+    assert torch.allclose(speed, batch.ego_past.motion.velocity[:, -1, 0], atol=1e-4)
+
+
+def test_ground_truth_answers_with_the_future():
+    batch = scene()
+    forecast = GroundTruth(10, DT_S).predict(batch)
+    assert torch.equal(ego_forecast(forecast).mean[:, 0], batch.ego_future.motion.position)
+    assert torch.equal(others_forecast(forecast).mean[:, :, 0], batch.others_future.motion.position)
+
+
+def test_ground_truth_holds_the_last_known_position():
+    batch = scene()
+    valid = batch.ego_future.valid.clone()
+    valid[:, 4:] = False
+    short = batch._replace(ego_future=batch.ego_future._replace(valid=valid))
+    mean = ego_forecast(GroundTruth(10, DT_S).predict(short)).mean[:, 0]
+    assert torch.equal(mean[:, 4:], mean[:, 3:4].expand_as(mean[:, 4:]))
+
+
+def test_ground_truth_refuses_a_past_alone():
+    batch = scene()
+    with pytest.raises(TypeError, match="Call `predict` with a whole batch"):
+        GroundTruth(10, DT_S)(batch.ego_past, batch.others_past)
+
+
+def test_no_prediction_sends_neighbours_away_and_leaves_the_ego():
+    batch = scene()
+    forecast = NoPrediction(10, DT_S).predict(batch)
+    assert others_forecast(forecast).mean.abs().min() > 1e3
+    assert torch.equal(
+        ego_forecast(forecast).mean, ego_forecast(ConstantVelocity(10, DT_S).predict(batch)).mean
+    )
+
+
+def test_spread_grows_with_time_and_speed():
+    time = torch.tensor([0.5, 1.0, 2.0])
+    scale = Spread().scale_tril(torch.zeros(2), torch.tensor([0.0, 5.0]), time)[..., 0, 0]
+    assert (scale.diff(dim=-1) > 0).all()
+    assert (scale[1] > scale[0]).all()
+
+
+@pytest.mark.parametrize("options", [{"window_s": 0.0}, {"window_s": -1.0}])
+def test_impossible_window_is_refused(options):
+    with pytest.raises(ValueError, match="`window_s` must be positive"):
+        ConstantVelocity(10, DT_S, **options)

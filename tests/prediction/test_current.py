@@ -1,0 +1,58 @@
+"""Estimates of the present motion."""
+
+import pytest
+import torch
+
+from diffstack_mmv.prediction.current import current_velocity, mean_velocity, trend
+from tests.prediction.samples import DT_S, scene
+
+
+def parabola(rows=21):
+    """Velocity (2, 1) and acceleration (0.5, -1) at the last row, poor measured velocities."""
+    tracks = scene(batch=(1,), others=0, history=rows, dtype=torch.float64).ego_past
+    time = DT_S * torch.arange(1 - rows, 1, dtype=torch.float64).unsqueeze(-1)
+    way = time * torch.tensor([2.0, 1.0]) + 0.5 * time**2 * torch.tensor([0.5, -1.0])
+    velocity = tracks.motion.velocity * 0
+    motion = tracks.motion._replace(position=5.0 + way.unsqueeze(0), velocity=velocity)
+    return tracks._replace(motion=motion)
+
+
+def test_trend_finds_velocity_and_acceleration_of_a_parabola():
+    now = trend(parabola(), 0.7, DT_S)
+    assert torch.allclose(now.velocity, torch.tensor([[2.0, 1.0]], dtype=torch.float64), atol=0.05)
+    assert torch.allclose(
+        now.acceleration, torch.tensor([[0.5, -1.0]], dtype=torch.float64), atol=0.15
+    )
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_trend_of_a_short_track_relies_on_its_measured_velocity(rows):
+    tracks = scene(history=21).ego_past
+    valid = torch.zeros_like(tracks.valid)
+    valid[:, -rows:] = True
+    now = trend(tracks._replace(valid=valid), 0.7, DT_S)
+    assert torch.allclose(now.velocity, current_velocity(tracks), atol=0.05)
+    assert now.acceleration.abs().max() < 2.0
+
+
+def test_mean_velocity_is_the_way_over_the_window():
+    now = mean_velocity(parabola(), 5, DT_S)
+    assert torch.allclose(now, torch.tensor([[1.875, 1.25]], dtype=torch.float64))
+
+
+def test_mean_velocity_skips_missing_rows():
+    tracks = parabola()
+    valid = tracks.valid.clone()
+    valid[:, :-3] = False
+    assert torch.allclose(
+        mean_velocity(tracks._replace(valid=valid), 5, DT_S),
+        torch.tensor([[1.95, 1.1]], dtype=torch.float64),
+    )
+
+
+def test_nobody_moves_who_is_not_observed():
+    tracks = scene(history=21).ego_past
+    gone = tracks._replace(valid=torch.zeros_like(tracks.valid))
+    now = trend(gone, 0.7, DT_S)
+    assert now.velocity.abs().max() == 0
+    assert now.acceleration.abs().max() == 0

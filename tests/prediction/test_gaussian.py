@@ -1,0 +1,52 @@
+"""Closed forms of Gaussians in the plane."""
+
+import torch
+from torch.autograd import gradcheck
+from torch.distributions import MultivariateNormal
+
+from diffstack_mmv.prediction.gaussian import (
+    covariance_along,
+    log_density,
+    rotate_covariance,
+    scale_from_covariance,
+)
+
+
+def covariances(count=5):
+    factor = torch.randn(count, 2, 2, dtype=torch.float64)
+    return factor @ factor.mT + 0.1 * torch.eye(2, dtype=torch.float64)
+
+
+def test_factor_equals_cholesky():
+    covariance = covariances()
+    floored = covariance + 1e-4 * torch.eye(2, dtype=torch.float64)
+    assert torch.allclose(scale_from_covariance(covariance), torch.linalg.cholesky(floored))
+
+
+def test_factor_of_a_zero_covariance_is_the_floor_with_finite_gradient():
+    covariance = torch.zeros(2, 2, requires_grad=True)
+    scale = scale_from_covariance(covariance)
+    scale.diagonal().log().sum().backward()
+    assert torch.allclose(scale.detach(), 0.01 * torch.eye(2))
+    assert torch.isfinite(covariance.grad).all()
+
+
+def test_density_equals_that_of_torch_distributions():
+    covariance, error = covariances(), torch.randn(5, 2, dtype=torch.float64)
+    expected = MultivariateNormal(torch.zeros(2, dtype=torch.float64), covariance).log_prob(error)
+    assert torch.allclose(log_density(error, torch.linalg.cholesky(covariance)), expected)
+
+
+def test_density_has_the_gradient_of_its_value():
+    covariance, error = (
+        covariances(2).requires_grad_(),
+        torch.randn(2, 2, dtype=torch.float64, requires_grad=True),
+    )
+    assert gradcheck(lambda c, e: log_density(e, scale_from_covariance(c)), (covariance, error))
+
+
+def test_turning_the_axes_equals_turning_the_covariance():
+    along, across = torch.tensor([2.0, 1.0]), torch.tensor([0.5, 3.0])
+    turned = covariance_along(torch.tensor([0.7, 0.7]), along, across)
+    straight = covariance_along(torch.zeros(2), along, across)
+    assert torch.allclose(rotate_covariance(straight, torch.tensor(0.7)), turned, atol=1e-5)

@@ -1,0 +1,144 @@
+"""Trajectron++ as a whole."""
+
+import pytest
+import torch
+
+from diffstack_mmv.prediction import (
+    Annealing,
+    ConstantTurnRateAcceleration,
+    SingleIntegrator,
+    Trajectron,
+    ego_forecast,
+    others_forecast,
+)
+from diffstack_mmv.types import Forecast
+from tests.prediction.samples import DT_S, at_rest, bicycle, scene, trajectron
+
+
+def untrained(ego_dynamics, horizon=10):
+    torch.manual_seed(1)
+    return Trajectron(
+        ego_dynamics,
+        bicycle(),
+        SingleIntegrator(DT_S),
+        horizon_steps=horizon,
+        components=4,
+        neighbour_components=2,
+    ).eval()
+
+
+@pytest.mark.parametrize("kinematic", [False, True])
+def test_untrained_it_is_close_to_the_fading_ctra(kinematic):
+    batch = scene(history=41, others=0)
+    mean = ego_forecast(untrained(bicycle(kinematic)).predict(batch)).mean
+    ctra = ego_forecast(ConstantTurnRateAcceleration(10, DT_S).predict(batch)).mean
+    assert (mean - ctra).norm(dim=-1).max() < 0.12
+
+
+@pytest.mark.parametrize("kinematic", [False, True])
+def test_every_parameter_learns_from_a_scene_with_all_kinds(kinematic):
+    model = trajectron(bicycle(kinematic), annealing=Annealing(free_nats=0.0))
+    batch = scene(batch=(4,), others=4)
+    model.loss(batch._replace(others_past=gathered(batch))).sum().backward()
+    learning = {name: p for name, p in model.named_parameters() if p.requires_grad}
+    silent = [name for name, p in learning.items() if p.grad is None or p.grad.abs().max() == 0]
+    assert silent == []
+
+
+def gathered(batch):
+    """The neighbours, moved to within a few metres of the ego."""
+    motion = batch.others_past.motion
+    centre = batch.ego_past.motion.position[:, -1]
+    shift = centre[:, None, None] - motion.position[:, :, -1:]
+    offset = 3 * torch.randn(*motion.position.shape[:2], 1, 2)
+    return batch.others_past._replace(
+        motion=motion._replace(position=motion.position + shift + offset)
+    )
+
+
+@pytest.mark.parametrize("others", [0, 3])
+@pytest.mark.parametrize("kinematic", [False, True])
+def test_gradients_are_finite_at_rest(kinematic, others):
+    model = trajectron(bicycle(kinematic))
+    model.loss(at_rest(scene(others=others))).sum().backward()
+    assert all(torch.isfinite(p.grad).all() for p in model.parameters() if p.grad is not None)
+
+
+def test_a_near_neighbour_changes_the_forecast_of_the_ego():
+    model, batch = trajectron().eval(), scene(others=2)
+    near = batch._replace(others_past=gathered(batch))
+    gone = near.others_past._replace(valid=torch.zeros_like(near.others_past.valid))
+    with_others, alone = model.predict(near), model.predict(near._replace(others_past=gone))
+    assert (ego_forecast(with_others).mean - ego_forecast(alone).mean).abs().max() > 1e-4
+
+
+def test_components_that_a_neighbour_lacks_have_no_weight():
+    forecast = others_forecast(trajectron().eval().predict(scene(others=2)))
+    assert (forecast.log_weight[..., :3].exp().sum(-1) - 1).abs().max() < 1e-5
+    assert forecast.log_weight[..., 3:].exp().abs().max() == 0
+
+
+def test_loss_in_float64_equals_the_bound_written_out():
+    model = (
+        trajectron(annealing=Annealing(weight=7.0, crossover_steps=1, free_nats=0.0))
+        .double()
+        .eval()
+    )
+    model.training_step.fill_(100)
+    batch = scene(others=0, dtype=torch.float64)
+    forecast = ego_forecast(model.predict(batch))
+    apart = Forecast(*(field.unsqueeze(2) for field in forecast))._replace(
+        log_weight=torch.zeros(3, 4, 1)
+    )
+    log_prob = apart.log_prob(batch.ego_future.motion.position.unsqueeze(1)).sum(-1)
+    with torch.no_grad():
+        for layer in model.branches[0].latent.posterior:
+            for parameter in layer.parameters():
+                parameter.zero_()
+    uniform = torch.full((3, 4), 0.25, dtype=torch.float64)
+    divergence = (uniform * (uniform.log() - forecast.log_weight)).sum(-1)
+    expected = (
+        7.0 * divergence - torch.logsumexp(log_prob - torch.tensor(4.0).double().log(), -1)
+    ) / 10
+    assert torch.allclose(model.loss(batch), expected)
+
+
+def test_annealing_advances_in_training_only_and_survives_a_checkpoint():
+    model, batch = trajectron(), scene()
+    model.eval().loss(batch)
+    assert model.training_step == 0
+    model.train().loss(batch)
+    model.loss(batch)
+    restored = trajectron()
+    restored.load_state_dict(model.state_dict())
+    assert restored.training_step == 2
+
+
+def test_models_of_different_time_steps_are_refused():
+    with pytest.raises(ValueError, match="`dt_s` must be the same for all three dynamics"):
+        Trajectron(bicycle(), bicycle(), SingleIntegrator(0.2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kinematic", [False, True])
+def test_it_can_learn_one_batch_by_heart(kinematic):
+    batch = scene(batch=(16,), others=2, history=41)
+    swerve = 0.05 * torch.arange(1, 11).square().unsqueeze(-1) * torch.randn(16, 1, 2).clamp(-1, 1)
+    future = batch.ego_future.motion
+    batch = batch._replace(
+        ego_future=batch.ego_future._replace(
+            motion=future._replace(position=future.position + swerve)
+        )
+    )
+    model = trajectron(bicycle(kinematic))
+    optimizer = torch.optim.Adam(model.parameters(), lr=1e-2)
+    model.train()
+    for _ in range(250):
+        optimizer.zero_grad()
+        model.loss(batch).mean().backward()
+        torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
+        optimizer.step()
+    error = (
+        ego_forecast(model.eval().predict(batch)).most_likely() - batch.ego_future.motion.position
+    )
+    assert error.norm(dim=-1).mean() < 0.25 * swerve.norm(dim=-1).mean()
