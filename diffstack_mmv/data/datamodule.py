@@ -1,9 +1,9 @@
 """The data module: recordings in, `StackBatch` out."""
 
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
-from pathlib import Path
 
 import pandas as pd
 from pytorch_lightning import LightningDataModule
@@ -80,8 +80,8 @@ class TrajdataModule(LightningDataModule):
         """
         if self.export is None:
             return
-        for split in self._needed(self._stage()):
-            _export_alone(Export(self.source, split, self.windows), self.export)
+        needed = self._needed(self._stage())
+        _export_alone([Export(self.source, split, self.windows) for split in needed], self.export)
 
     def setup(self, stage: str | None = None) -> None:
         """Open the splits of a stage ("fit", "validate", "test"), or all."""
@@ -140,10 +140,9 @@ class TrajdataModule(LightningDataModule):
         return WindowLoader(DrawnWindows(dataset), sampler, self.loading.workers)
 
     def _open(self, split: str) -> WindowDataset:
-        export = Export(self.source, split, self.windows)
         if self.export is None:
             return DirectWindows(self.source.open(split, self.windows), self.source.name)
-        return ExportedWindows(export.folder(Path(self.export.folder).expanduser()))
+        return ExportedWindows(Export(self.source, split, self.windows).folder(self.export))
 
     def _needed(self, stage: str | None) -> list[str]:
         purposes = _NEEDED.get(stage or "", ("train", "val", "test"))
@@ -156,15 +155,15 @@ class TrajdataModule(LightningDataModule):
         return Share(self.trainer.global_rank, self.trainer.world_size) if self.trainer else Share()
 
 
-def _export_alone(export: Export, settings: ExportSettings) -> None:
+def _export_alone(exports: Sequence[Export], settings: ExportSettings) -> None:
     """Export outside of a process group: trajdata waits for all of its members when it opens."""
-    grouped = (
-        distributed.is_available()
-        and distributed.is_initialized()
-        and distributed.get_world_size() > 1
-    )
-    if not grouped:
+    if not (distributed.is_available() and distributed.is_initialized()):
+        _export_all(exports, settings)
+    elif not all(export.exists(settings) for export in exports):
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            pool.submit(_export_all, exports, settings).result()
+
+
+def _export_all(exports: Sequence[Export], settings: ExportSettings) -> None:
+    for export in exports:
         export_windows(export, settings)
-        return
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        pool.submit(export_windows, export, settings).result()

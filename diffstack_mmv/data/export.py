@@ -70,11 +70,15 @@ class Export(NamedTuple):
             "windows": self.windows.content(),
         }
 
-    def folder(self, parent: Path) -> Path:
+    def exists(self, settings: ExportSettings) -> bool:
+        """Whether this export is complete."""
+        return (self.folder(settings) / MARKER).is_file()
+
+    def folder(self, settings: ExportSettings) -> Path:
         """Folder of this export, named by a hash of its key."""
         text = json.dumps(self.key(), sort_keys=True, default=str)
         digest = hashlib.sha256(text.encode()).hexdigest()[:16]
-        return parent / f"{self.source.name}_{self.split}_{digest}"
+        return Path(settings.folder).expanduser() / f"{self.source.name}_{self.split}_{digest}"
 
 
 def export_windows(export: Export, settings: ExportSettings) -> Path:
@@ -90,13 +94,13 @@ def export_windows(export: Export, settings: ExportSettings) -> Path:
         ValueError: The source cannot be opened or holds no window.
         OSError: The disk is full.
     """
-    parent = Path(settings.folder).expanduser()
-    target = export.folder(parent)
-    if (target / MARKER).is_file():
+    target = export.folder(settings)
+    parent = target.parent
+    if export.exists(settings):
         return target
     parent.mkdir(parents=True, exist_ok=True)
     with _locked(parent / f".{target.name}.lock"):
-        if not (target / MARKER).is_file():
+        if not export.exists(settings):
             try:
                 _write(export, settings, target)
             except OSError as error:

@@ -2,7 +2,6 @@
 
 import errno
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -48,11 +47,10 @@ def test_an_export_is_made_once(export, exporting, monkeypatch):
     assert export_windows(export, exporting) == folder
 
 
-def test_other_windows_or_recordings_make_another_export(export, exporting, cache, tmp_path):
+def test_other_windows_make_another_export(export, exporting):
     folder = export_windows(export, exporting)
     longer = export._replace(windows=WindowSettings(history_s=3.0))
     assert export_windows(longer, exporting) != folder
-    assert export.folder(tmp_path) == export.folder(tmp_path)
 
 
 def test_an_interrupted_export_goes_on_where_it_stopped(export, exporting, monkeypatch):
@@ -81,7 +79,7 @@ def test_a_full_disk_is_one_clear_error_and_leaves_no_export(export, exporting, 
     monkeypatch.setattr(module, "write_rows", full)
     with pytest.raises(OSError, match="`folder` must have free disk space.*Free space"):
         export_windows(export, exporting)
-    assert not export.folder(Path(exporting.folder)).exists()
+    assert not export.exists(exporting)
 
 
 def test_a_window_with_nan_is_left_out_and_counted(export, exporting, monkeypatch):
