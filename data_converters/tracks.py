@@ -17,6 +17,8 @@ from data_converters.smoothing import SAMPLES_NEEDED, Smoother, SmoothSeries, Ze
 
 Array = NDArray[np.float64]
 
+STATE_COLUMNS = ("x", "y", "z", "vx", "vy", "ax", "ay", "heading")
+
 
 @dataclass(frozen=True)
 class RawTrack:
@@ -175,7 +177,7 @@ def _rows(
             track.axis, track.time_s, at_s, velocity, settings.smoother, settings.standstill_mps
         )
     columns = np.column_stack([steps.value, velocity, steps.curvature[:, :2], heading.angle])
-    rows = pd.DataFrame(columns, columns=["x", "y", "z", "vx", "vy", "ax", "ay", "heading"])
+    rows = pd.DataFrame(columns, columns=pd.Index(STATE_COLUMNS))
     rows["interpolated"] = _in_gap(track.time_s, at_s)
     rows["heading_source"] = heading.source
     return rows

@@ -168,7 +168,7 @@ class ImptcDataset(RecordingDataset):
                 track = parse_track(load_json(path), str(path), self.keep)
             except TrackError:
                 continue
-            table = pd.DataFrame(track.position, columns=["x", "y", "z"])
+            table = pd.DataFrame(track.position, columns=pd.Index(("x", "y", "z")))
             name = f"{path.parent.parent.name[:-1]}_{path.parent.name}"
             table = table.assign(
                 timestamp_us=track.timestamp, speed=track.speed, mode=int(track.mode)

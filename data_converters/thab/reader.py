@@ -75,7 +75,7 @@ def _read_archive(archive: Path, group: str) -> Iterator[ThabFile]:
 def _read_table(content: bytes) -> pd.DataFrame:
     """The table of a file; text where a number should be is left for the caller to find."""
     try:
-        return pd.read_csv(io.BytesIO(content), usecols=list(COLUMNS), dtype=np.float64)
+        return pd.read_csv(io.BytesIO(content), usecols=COLUMNS.__contains__, dtype=np.float64)
     except ValueError:
         return pd.read_csv(io.BytesIO(content))
 
@@ -97,8 +97,8 @@ def parse(file: ThabFile) -> NDArray[np.float64]:
         found = list(table.columns)
         message = fault("columns", f"contain {missing}", found, file.path, "Copy the file again.")
         raise TrackError(message, reason)
-    columns = [pd.to_numeric(table[column], errors="coerce") for column in COLUMNS]
-    values = np.column_stack(columns).astype(np.float64)
+    numbers = {column: pd.to_numeric(table[column], errors="coerce") for column in COLUMNS}
+    values = pd.DataFrame(numbers).to_numpy(dtype=np.float64)
     if not np.isfinite(values).all():
         row = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
         message = fault("timestamp, x, y", "be finite", values[row], f"{file.path}, row {row}", "")

@@ -39,7 +39,8 @@ class Route:
 
 
 def _arm(number: int) -> Array:
-    return np.round(np.array([np.cos(number * np.pi / 2.0), np.sin(number * np.pi / 2.0)]), 12)
+    directions = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+    return directions[number % 4]
 
 
 def _right(direction: Array) -> Array:
