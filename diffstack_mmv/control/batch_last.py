@@ -6,7 +6,7 @@ an eager CPU runs as a few large operations, where batched matrix products would
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -25,7 +25,7 @@ def transposed_product(P: Float[Tensor, "b a N"], Q: Float[Tensor, "b c N"]) -> 
     return (P.unsqueeze(2) * Q.unsqueeze(1)).sum(0)
 
 
-def apply(P: Float[Tensor, "a b *N"], v: Float[Tensor, "b *N"]) -> Float[Tensor, "a *N"]:
+def apply(P: Float[Tensor, "a b ..."], v: Float[Tensor, "b ..."]) -> Float[Tensor, "a ..."]:
     """P v."""
     return (P * v.unsqueeze(0)).sum(1)
 
@@ -40,14 +40,10 @@ def symmetric(P: Float[Tensor, "a a N"]) -> Tensor:
     return 0.5 * (P + P.transpose(0, 1))
 
 
-def unpack(packed: Float[Tensor, "R N"], *shapes: tuple[int, ...]) -> tuple[Tensor, ...]:
-    """Cut the rows of one time into matrices and vectors of these shapes, views all of them."""
-    parts, first = [], 0
-    for shape in shapes:
-        rows = math.prod(shape)
-        parts.append(packed[first : first + rows].unflatten(0, shape))
-        first += rows
-    return tuple(parts)
+def unpack(packed: Float[Tensor, "*t R N"], *shapes: tuple[int, ...]) -> tuple[Tensor, ...]:
+    """Cut rows into matrices and vectors of these shapes, views all of them."""
+    parts = packed.split([math.prod(shape) for shape in shapes], -2)
+    return tuple(part.unflatten(-2, shape) for part, shape in zip(parts, shapes, strict=True))
 
 
 def pack(*parts: Tensor) -> Tensor:
@@ -82,17 +78,21 @@ def _compiled_walk(
 
     def separate(carry: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
         following, output = step(carry, row)
-        return following.clone(), output.clone()
+        return _fresh(following), _fresh(output)
 
-    return scan(separate, carry.clone(), inputs, reverse=reverse)
-
-
-def to_batch_last(tensor: Tensor, lead: Sequence[int]) -> Tensor:
-    """(*b, rows...) to (rows..., N), N being the product of the leading dimensions."""
-    return tensor.reshape(math.prod(lead), *tensor.shape[len(lead) :]).movedim(0, -1)
+    return scan(separate, _fresh(carry), inputs.contiguous(), reverse=reverse)
 
 
-def from_batch_last(tensor: Tensor, lead: Sequence[int]) -> Tensor:
+def _fresh(tensor: Tensor) -> Tensor:
+    return tensor.clone(memory_format=torch.contiguous_format)
+
+
+def to_batch_last(tensor: Tensor, like: Float[Tensor, "*b"]) -> Tensor:
+    """(*b, rows...) to (rows..., N), N being the product of the leading dimensions, which `like` has the shape of."""
+    return tensor.reshape(like.numel(), *tensor.shape[like.dim() :]).movedim(0, -1)
+
+
+def from_batch_last(tensor: Tensor, like: Float[Tensor, "*b"]) -> Tensor:
     """(rows..., N) back to (*b, rows...)."""
     rows = tensor.movedim(-1, 0)
-    return rows.reshape(*lead, *rows.shape[1:])
+    return rows.reshape(*like.shape, *rows.shape[1:])

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last
+from diffstack_mmv.control.batch_last import from_batch_last, pack, to_batch_last
 from diffstack_mmv.control.optimizer import Cost, Dynamics, LinearisedDynamics
 from diffstack_mmv.control.riccati import LinearQuadratic, costates
 
@@ -106,38 +106,41 @@ class Model(NamedTuple):
 
     quadratic: LinearQuadratic  # with the Hessian of the Lagrangian
     costates: Float[Tensor, "T n N"]  # λ_1 .. λ_T
+    gradient: Float[Tensor, "T m N"]  # c_u + B'λ, derivative of the total cost by the controls
     magnitude: Float[Tensor, " N"]  # Σ |c_t|
-    noise: Float[
-        Tensor, " N"
-    ]  # change of the cost that one rounding of each state, control and cost can make
+    noise: Float[Tensor, " N"]  # what rounding each state, control and cost can do to the total
 
 
 def expand(
     dynamics: Dynamics,
     cost: Cost,
-    lead: tuple[int, ...],
+    like: Float[Tensor, "*b"],
     x: Float[Tensor, "T1 n N"],
     u: Float[Tensor, "T m N"],
 ) -> Model:
-    """Linear dynamics, gradient of the cost, and Hessian of the Lagrangian c + λ · f around trajectories.
+    """Linear dynamics, gradient of the cost, and Hessian of the Lagrangian c + λ · f.
 
-    The costates are those of the trajectory, λ_t = c_x,t + A_t' λ_{t+1}. The noise is ε (Σ|c| + Σ|x c_x| + Σ|u c_u|), ε
-    being the machine precision: what a cost in this precision cannot resolve.
+    The costates are those of the trajectory, λ_t = c_x,t + A_t' λ_{t+1}. The noise is
+    ε (Σ|c| + Σ|x c_x| + Σ|u c_u|), ε being the machine precision: what a cost in this precision
+    cannot resolve.
     """
-    states, controls = from_batch_last(x, lead), pad_controls(from_batch_last(u, lead))
+    states, controls = from_batch_last(x, like), pad_controls(from_batch_last(u, like))
     before, acting = states[..., :-1, :], controls[..., :-1, :]
     jacobians = linearise_dynamics(dynamics, before, acting)
-    A, B = (to_batch_last(jacobian, lead) for jacobian in jacobians)
-    value = to_batch_last(cost(states, controls), lead)
+    A, B = (to_batch_last(jacobian, like) for jacobian in jacobians)
     of_x, of_u, curvature = expand_cost(cost, states, controls)
-    c_x, c_u = to_batch_last(of_x, lead), to_batch_last(of_u, lead)[:-1]
-    xx, ux, uu = (to_batch_last(block, lead) for block in curvature)
+    c_x, c_u = to_batch_last(of_x, like), to_batch_last(of_u, like)[:-1]
+    hessian = [to_batch_last(block, like) for block in curvature]
     multipliers = costates(A, c_x[:-1], c_x[-1])
-    bend = dynamics_curvature(dynamics, before, acting, from_batch_last(multipliers, lead))
-    f_xx, f_ux, f_uu = (to_batch_last(block, lead) for block in bend)
+    bend = dynamics_curvature(dynamics, before, acting, from_batch_last(multipliers, like))
+    blocks = [
+        block[:-1] + to_batch_last(bent, like) for block, bent in zip(hessian, bend, strict=True)
+    ]
+    parts = (A, B, c_x[:-1], c_u, *blocks)
     quadratic = LinearQuadratic(
-        A, B, c_x[:-1], c_u, xx[:-1] + f_xx, ux[:-1] + f_ux, uu[:-1] + f_uu, c_x[-1], xx[-1]
+        torch.cat([part.flatten(1, -2) for part in parts], 1), pack(c_x[-1], hessian[0][-1])
     )
-    magnitude = value.abs().sum(0)
+    gradient = c_u + (B * multipliers.unsqueeze(2)).sum(1)
+    magnitude = to_batch_last(cost(states, controls), like).abs().sum(0)
     change = magnitude + (x * c_x).abs().sum((0, 1)) + (u * c_u).abs().sum((0, 1))
-    return Model(quadratic, multipliers, magnitude, torch.finfo(x.dtype).eps * change)
+    return Model(quadratic, multipliers, gradient, magnitude, torch.finfo(x.dtype).eps * change)

@@ -1,37 +1,19 @@
-"""Box-constrained iLQR with exact second derivatives, for a batch of independent problems."""
+"""Box-constrained trajectory optimisation with exact second derivatives, for a batch of problems."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import message, require, require_at_least, require_positive
 from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last
+from diffstack_mmv.control.compilation import Kernels, compiled_kernels, eager_kernels
 from diffstack_mmv.control.definite import definite_policy
-from diffstack_mmv.control.expansion import Model, expand
-from diffstack_mmv.control.implicit import Optimum, attach, free_controls, reduced_gradient
-from diffstack_mmv.control.line_search import Trajectories, search
+from diffstack_mmv.control.implicit import Optimum, attach, free_controls
+from diffstack_mmv.control.iteration import OPEN, Iterate, Settings
 from diffstack_mmv.control.optimizer import Cost, Dynamics
-from diffstack_mmv.control.riccati import Policy
 from diffstack_mmv.types import Bounds, Solution, SolverStatus
-
-OPEN = -1  # a problem that is still being solved
-NOISE = 8.0  # multiple of the rounding noise of the cost that counts as no decrease
-DAMPING_MAX = 1e8
-DAMPING_GROWTH, DAMPING_DECAY = 8.0, 0.2
-
-
-class Iterate(NamedTuple):
-    """Where each problem stands."""
-
-    x: Float[Tensor, "T1 n N"]
-    u: Float[Tensor, "T m N"]
-    cost: Float[Tensor, " N"]
-    damping: Float[Tensor, " N"]
-    status: Int[Tensor, " N"]
-    iterations: Int[Tensor, " N"]
 
 
 @dataclass(frozen=True)
@@ -58,6 +40,8 @@ class ILQR:
         tolerance: Predicted relative decrease of the cost at which a problem has converged.
         line_search_steps: Number of step sizes 1, ½, ¼, ...
         regularisation: First damping after a refused step, relative to the largest entry of Q_uu.
+        compile: Compile the kernels, once per code of the callables (not per closure). Where there is no
+            compiler, or the callables do not compile, a warning is logged and they run eagerly.
 
     Raises:
         ValueError: A number is not positive.
@@ -85,6 +69,7 @@ class ILQR:
     tolerance: float = 1e-10
     line_search_steps: int = 8
     regularisation: float = 1e-2
+    compile: bool = False
 
     def __post_init__(self) -> None:
         require_at_least("max_iterations", self.max_iterations, 1)
@@ -100,117 +85,87 @@ class ILQR:
         state: Float[Tensor, "*b n"],
         controls: Float[Tensor, "*b T m"],
     ) -> Solution:
-        """Solve from the initial state and a guess of the controls."""
+        """Solve from the initial state and a guess of the controls.
+
+        Args:
+            dynamics: One step (state, control) -> state of all problems.
+            cost: (states, controls padded by a zero row) -> cost of each time.
+            bounds: Box of the controls; infinite where there is no bound.
+            state: x_0.
+            controls: The guess, clipped to the box.
+
+        Returns:
+            The solution; states and controls of a problem that is not finite are zero where they are NaN.
+
+        Raises:
+            ValueError: Shapes, precision or the order of the bounds do not fit.
+            TypeError: The state is not of a floating-point type.
+        """
         check_problem(bounds, state, controls)
+        settings = self._settings(bounds, state)
+        kernels = self._kernels(dynamics, cost, state, controls)
         with torch.no_grad():
-            iterate = self._minimise(dynamics, cost, bounds, state, controls)
-            solution, optimum = self._conclude(dynamics, cost, bounds, state, iterate)
-        attached = attach(dynamics, cost, state, optimum) if torch.is_grad_enabled() else None
+            iterate = self._minimise(kernels, dynamics, cost, settings, state, controls)
+            solution, optimum = conclude(kernels, dynamics, cost, settings, state, iterate)
+        if not torch.is_grad_enabled():
+            return solution
+        attached = attach(dynamics, cost, state, optimum, kernels.solve_free)
         return solution if attached is None else solution._replace(**attached._asdict())
 
-    def _minimise(
-        self, dynamics: Dynamics, cost: Cost, bounds: Bounds, state: Tensor, controls: Tensor
-    ) -> Iterate:
-        lead = tuple(state.shape[:-1])
-        box = torch.stack([bounds.lower, bounds.upper]).to(state)
-        sizes = 0.5 ** torch.arange(self.line_search_steps, dtype=state.dtype, device=state.device)
-        iterate = self._start(dynamics, cost, lead, box, sizes, state, controls)
-        for _ in range(self.max_iterations):
-            if not bool((iterate.status == OPEN).any()):
-                break
-            model = expand(dynamics, cost, lead, iterate.x, iterate.u)
-            policy = definite_policy(model.quadratic, iterate.u, box, iterate.damping)
-            trial = search(
-                dynamics,
-                cost,
-                lead,
-                iterate.x,
-                iterate.u,
-                policy.k,
-                policy.K,
-                box,
-                sizes,
-                NOISE * model.noise,
-            )
-            iterate = self._advance(iterate, model, policy, trial, box)
-        status = torch.where(iterate.status == OPEN, SolverStatus.ITERATION_LIMIT, iterate.status)
-        return iterate._replace(status=status)
+    def _settings(self, bounds: Bounds, state: Tensor) -> Settings:
+        powers = torch.arange(self.line_search_steps, dtype=state.dtype, device=state.device)
+        return Settings(
+            torch.stack([bounds.lower, bounds.upper]).to(state).detach(),
+            0.5**powers,
+            state.new_tensor(self.tolerance),
+            state.new_tensor(self.regularisation),
+        )
 
-    def _start(
+    def _kernels(self, dynamics: Dynamics, cost: Cost, state: Tensor, controls: Tensor) -> Kernels:
+        if not self.compile or state.numel() == 0:
+            return eager_kernels()
+        static = (state.shape[-1], controls.shape[-1], state.dim(), self.line_search_steps)
+        return compiled_kernels(dynamics, cost, static, state.device.type)
+
+    def _minimise(
         self,
+        kernels: Kernels,
         dynamics: Dynamics,
         cost: Cost,
-        lead: tuple[int, ...],
-        box: Tensor,
-        sizes: Tensor,
+        settings: Settings,
         state: Tensor,
         controls: Tensor,
     ) -> Iterate:
-        """Roll out the guess, clipped to the box."""
-        u = to_batch_last(controls, lead).contiguous()
-        x0 = to_batch_last(state, lead)
-        T, m, N = u.shape
-        x = x0.expand(T + 1, *x0.shape).contiguous()
-        gains = u.new_zeros(T, m, x.shape[1], N)
-        trial = search(
-            dynamics, cost, lead, x, u, torch.zeros_like(u), gains, box, sizes, u.new_zeros(N)
-        )
-        finite = trial.cost.isfinite() & trial.x.isfinite().all(0).all(0)
-        status = torch.where(finite, OPEN, SolverStatus.NOT_FINITE)
-        zero = torch.zeros_like(trial.cost)
-        return Iterate(trial.x, trial.u, trial.cost, zero, status, torch.zeros_like(status))
+        like = state[..., 0]
+        x0, guess = to_batch_last(state, like), to_batch_last(controls, like).contiguous()
+        iterate = kernels.start(dynamics, cost, like, x0.contiguous(), guess, settings)
+        for _ in range(self.max_iterations):
+            if not bool((iterate.status == OPEN).any()):
+                break
+            model = kernels.expand(dynamics, cost, like, iterate.x, iterate.u)
+            room = settings.box.unsqueeze(-1).unsqueeze(1) - iterate.u
+            policy = definite_policy(
+                kernels.box_policy, model.quadratic, (room[0], room[1]), iterate.damping, len(x0)
+            )
+            iterate = kernels.attempt(dynamics, cost, like, iterate, model, policy, settings)
+        limit = torch.where(iterate.status == OPEN, SolverStatus.ITERATION_LIMIT, iterate.status)
+        return iterate._replace(status=limit)
 
-    def _conclude(
-        self, dynamics: Dynamics, cost: Cost, bounds: Bounds, state: Tensor, iterate: Iterate
-    ) -> tuple[Solution, Optimum]:
-        """Residual and active bounds at the end; a problem that is not finite gives numbers all the same."""
-        lead = tuple(state.shape[:-1])
-        box = torch.stack([bounds.lower, bounds.upper]).to(state)
-        x, u = iterate.x.nan_to_num(), iterate.u
-        model = expand(dynamics, cost, lead, x, u)
-        gradient = reduced_gradient(model)
-        lower, upper = box[0].unsqueeze(-1), box[1].unsqueeze(-1)
-        moved = torch.minimum(torch.maximum(u - gradient, lower), upper)
-        residual = (u - moved).abs().amax((0, 1)).nan_to_num(nan=torch.inf)
-        optimum = Optimum(
-            x, u, free_controls(u, gradient, box), iterate.status == SolverStatus.CONVERGED, model
-        )
-        rows = (x, u, iterate.cost, residual, iterate.iterations, iterate.status)
-        return Solution(*(from_batch_last(row, lead) for row in rows)), optimum
 
-    def _advance(
-        self, iterate: Iterate, model: Model, policy: Policy, trial: Trajectories, box: Tensor
-    ) -> Iterate:
-        """Accept or refuse the step of each open problem, adapt its damping and judge whether it is finished."""
-        is_open = iterate.status == OPEN
-        noise = NOISE * model.noise
-        enough = torch.maximum(self.tolerance * model.magnitude, noise)
-        settled = (policy.decrease <= enough) & (iterate.damping < 1)
-        better = is_open & (trial.cost < iterate.cost)
-        settled = settled | (is_open & ~better & (policy.decrease <= NOISE * noise))
-        # the cost is flat at its minimum: a last Newton step is good to more digits than the cost can show
-        better = better | (is_open & settled & (trial.cost <= iterate.cost + noise))
-        damping = self._next_damping(iterate.damping, better, trial.size)
-        status = torch.where(is_open & settled, SolverStatus.CONVERGED, iterate.status)
-        status = torch.where(
-            is_open & ~settled & (damping > DAMPING_MAX), SolverStatus.STALLED, status
-        )
-        status = torch.where(is_open & ~policy.decrease.isfinite(), SolverStatus.NOT_FINITE, status)
-        return Iterate(
-            torch.where(better, trial.x, iterate.x),
-            torch.where(better, trial.u, iterate.u),
-            torch.where(better, trial.cost, iterate.cost),
-            torch.where(is_open, damping, iterate.damping),
-            status,
-            iterate.iterations + is_open.to(iterate.iterations.dtype),
-        )
-
-    def _next_damping(self, damping: Tensor, better: Bool[Tensor, " N"], size: Tensor) -> Tensor:
-        """Less after a long step, none once it is small, more after a refused one."""
-        less = torch.where(size >= 0.5, damping * DAMPING_DECAY, damping)
-        less = torch.where(less < 0.1 * self.regularisation, torch.zeros_like(less), less)
-        more = (damping * DAMPING_GROWTH).clamp_min(self.regularisation)
-        return torch.where(better, less, more)
+def conclude(
+    kernels: Kernels, dynamics: Dynamics, cost: Cost, settings: Settings, state: Tensor, iterate: Iterate
+) -> tuple[Solution, Optimum]:
+    """Residual and active bounds at the end; a problem that is not finite gives numbers all the same."""
+    like = state[..., 0]
+    x, u = iterate.x.nan_to_num(0.0), iterate.u.nan_to_num(0.0)
+    model = kernels.expand(dynamics, cost, like, x, u)
+    lower, upper = settings.box.unsqueeze(-1)
+    moved = torch.minimum(torch.maximum(u - model.gradient, lower), upper)
+    residual = (u - moved).abs().amax((0, 1)).nan_to_num(torch.inf)
+    free = free_controls(u, model.gradient, settings.box)
+    optimum = Optimum(x, u, free, iterate.status == SolverStatus.CONVERGED, model)
+    rows = (x, u, iterate.cost, residual, iterate.iterations, iterate.status)
+    return Solution(*(from_batch_last(row, like) for row in rows)), optimum
 
 
 def check_problem(

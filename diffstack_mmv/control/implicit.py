@@ -10,6 +10,7 @@ once WITH graph at the constant solution, and a custom function puts K⁻¹ betw
 linear-quadratic problem, and autograd goes on from R into whatever θ is. Source: [AMOS], with the full Hessian.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -19,7 +20,10 @@ from torch import Tensor
 from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last
 from diffstack_mmv.control.expansion import Model, pad_controls, step_all
 from diffstack_mmv.control.optimizer import Cost, Dynamics
-from diffstack_mmv.control.riccati import solve_free
+from diffstack_mmv.control.riccati import LinearQuadratic, Stationary, solve_free
+
+
+Solve = Callable[[LinearQuadratic, Tensor, int], Stationary]
 
 
 class Optimum(NamedTuple):
@@ -40,12 +44,6 @@ class Attached(NamedTuple):
     cost: Float[Tensor, "*b"]
 
 
-def reduced_gradient(model: Model) -> Float[Tensor, "T m N"]:
-    """Derivative c_u + B'λ of the total cost by the controls."""
-    B, of_u = model.quadratic.B, model.quadratic.u
-    return of_u + (B * model.costates.unsqueeze(2)).sum(1)
-
-
 def free_controls(
     u: Float[Tensor, "T m N"], gradient: Float[Tensor, "T m N"], box: Float[Tensor, "2 m"]
 ) -> Bool[Tensor, "T m N"]:
@@ -60,26 +58,34 @@ class _Implicit(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, of_x: Tensor, of_u: Tensor, following: Tensor, optimum: Optimum
+        ctx: Any, of_x: Tensor, of_u: Tensor, following: Tensor, optimum: Optimum, solve: Solve
     ) -> tuple[Tensor, Tensor]:
-        ctx.optimum = optimum
+        ctx.optimum, ctx.solve = optimum, solve
         return optimum.x[1:].clone(), optimum.u.clone()
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, grad_x: Tensor, grad_u: Tensor) -> tuple[Tensor | None, ...]:
         optimum: Optimum = ctx.optimum
-        zero = torch.zeros_like(grad_x[:1])
-        lq = optimum.model.quadratic._replace(
-            x=torch.cat([zero, -grad_x[:-1]]), u=-grad_u, final_x=-grad_x[-1]
+        lq, n = optimum.model.quadratic, grad_x.shape[1]
+        m = grad_u.shape[1]
+        jacobians, _, hessian = lq.stages.split([n * (n + m), n + m, n * n + m * n + m * m], 1)
+        of_x = torch.cat([torch.zeros_like(grad_x[:1]), -grad_x[:-1]])
+        adjoint = LinearQuadratic(
+            torch.cat([jacobians, of_x, -grad_u, hessian], 1), torch.cat([-grad_x[-1], lq.final[n:]])
         )
-        dual = solve_free(lq, optimum.free.to(grad_u.dtype))
+        dual = ctx.solve(adjoint, optimum.free.to(grad_u.dtype), n)
         # where, not a product: the adjoint of a problem that did not converge may be anything
-        return *(torch.where(optimum.valid, -part, torch.zeros_like(part)) for part in dual), None
+        parts = (torch.where(optimum.valid, -part, torch.zeros_like(part)) for part in dual)
+        return *parts, None, None
 
 
 def attach(
-    dynamics: Dynamics, cost: Cost, state: Float[Tensor, "*b n"], optimum: Optimum
+    dynamics: Dynamics,
+    cost: Cost,
+    state: Float[Tensor, "*b n"],
+    optimum: Optimum,
+    solve: Solve = solve_free,
 ) -> Attached | None:
     """Give an optimum its derivatives in the initial state and in all that the two callables depend on.
 
@@ -89,12 +95,12 @@ def attach(
     Returns:
         The optimum with its graph, or None if nothing here requires a gradient.
     """
-    lead = tuple(state.shape[:-1])
-    valid = from_batch_last(optimum.valid, lead)
-    state = torch.where(valid.unsqueeze(-1), state, from_batch_last(optimum.x[0], lead))
-    x, u = from_batch_last(optimum.x[1:], lead), from_batch_last(optimum.u, lead)
+    like = state.detach()[..., 0]
+    valid = from_batch_last(optimum.valid, like)
+    state = torch.where(valid.unsqueeze(-1), state, from_batch_last(optimum.x[0], like))
+    x, u = from_batch_last(optimum.x[1:], like), from_batch_last(optimum.u, like)
     costates = torch.where(optimum.valid, optimum.model.costates, torch.zeros_like(optimum.x[1:]))
-    multipliers = from_batch_last(costates, lead)
+    multipliers = from_batch_last(costates, like)
 
     def lagrangian(x: Tensor, u: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor]]:
         states = torch.cat([state.unsqueeze(-2), x], -2)
@@ -103,9 +109,9 @@ def attach(
         return each.sum(), (each, following)
 
     (of_x, of_u), (each, following) = torch.func.grad(lagrangian, (0, 1), has_aux=True)(x, u)
-    residual = [to_batch_last(part, lead) for part in (of_x, of_u, following)]
+    residual = [to_batch_last(part, like) for part in (of_x, of_u, following)]
     if not any(part.requires_grad for part in residual):
         return None
-    x, u = (from_batch_last(part, lead) for part in _Implicit.apply(*residual, optimum))
+    x, u = (from_batch_last(part, like) for part in _Implicit.apply(*residual, optimum, solve))
     states = torch.cat([state.unsqueeze(-2), x], -2)
     return Attached(states, u, torch.where(valid, each, each.detach()))

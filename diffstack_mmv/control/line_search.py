@@ -23,42 +23,40 @@ class Trajectories(NamedTuple):
 def search(
     dynamics: Dynamics,
     cost: Cost,
-    lead: tuple[int, ...],
+    like: Float[Tensor, "*b"],
     x: Float[Tensor, "T1 n N"],
     u: Float[Tensor, "T m N"],
-    k: Float[Tensor, "T m N"],
-    K: Float[Tensor, "T m n N"],
+    gains: Float[Tensor, "T m+mn N"],
     bounds: Float[Tensor, "2 m"],
     sizes: Float[Tensor, " S"],
     noise: Float[Tensor, " N"],
 ) -> Trajectories:
-    """Roll out u_t = clip(ū_t + α k_t + K_t (x_t - x̄_t)) from x̄_0 for every α and return the cheapest.
+    """Roll out u_t = clip(ū_t + α k_t + K_t (x_t - x̄_t)) from x̄_0 for every α; keep the cheapest.
 
-    Of step sizes whose costs differ by no more than `noise`, which the precision cannot tell apart, the longest is taken:
-    near the solution the model knows more than the cost. A cost that is not a number counts as infinite.
+    Of step sizes whose costs differ by no more than `noise`, which the precision cannot tell apart,
+    the longest is taken: near the solution the model knows more than the cost. A cost that is not a
+    number counts as infinite.
     """
-    (n, N), (m, S) = x.shape[1:], (u.shape[1], sizes.shape[0])
-    lower, upper = bounds[0].reshape(m, 1, 1), bounds[1].reshape(m, 1, 1)
+    n, m, S = x.shape[1], u.shape[1], sizes.shape[0]
+    box = bounds.reshape(2, m, 1, 1)
 
     def one_step(state: Tensor, control: Tensor) -> Tensor:
-        following = dynamics(from_batch_last(state, lead), from_batch_last(control, lead))
-        return to_batch_last(following, lead)
+        following = dynamics(from_batch_last(state, like), from_batch_last(control, like))
+        return to_batch_last(following, like)
 
     def step(state: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
-        old_x, old_u, k_t, K_t = unpack(row, (n, 1), (m, 1), (m, 1), (m, n, 1))
-        control = old_u + sizes.unsqueeze(-1) * k_t + apply(K_t, state - old_x)
-        control = torch.minimum(torch.maximum(control, lower), upper)
+        old_x, old_u, k, K = unpack(row, (n, 1), (m, 1), (m, 1), (m, n, 1))
+        control = old_u + sizes.unsqueeze(-1) * k + apply(K, state - old_x)
+        control = torch.minimum(torch.maximum(control, box[0]), box[1])
         following = torch.vmap(one_step, (1, 1), 1)(state, control)
         return following, torch.cat([control, following])
 
     def total(states: Tensor, controls: Tensor) -> Tensor:
-        per_time = cost(
-            from_batch_last(states, lead), pad_controls(from_batch_last(controls, lead))
-        )
-        return to_batch_last(per_time, lead).sum(0)
+        padded = pad_controls(from_batch_last(controls, like))
+        return to_batch_last(cost(from_batch_last(states, like), padded), like).sum(0)
 
-    first = x[0].unsqueeze(1).expand(n, S, N)
-    rows = walk(step, first, torch.cat([x[:-1], u, k, K.flatten(1, 2)], 1))[1]
+    first = x[0].unsqueeze(1).expand(-1, S, -1)
+    rows = walk(step, first, torch.cat([x[:-1], u, gains], 1))[1]
     all_u, all_x = rows[:, :m], torch.cat([first.unsqueeze(0), rows[:, m:]])
     all_costs = torch.vmap(total, (2, 2))(all_x, all_u)
     all_costs = torch.where(all_costs.isfinite(), all_costs, torch.inf)
@@ -66,6 +64,5 @@ def search(
     chosen_x, chosen_u = (
         paths.take_along_dim(best[None, None], 2).squeeze(2) for paths in (all_x, all_u)
     )
-    return Trajectories(
-        chosen_x, chosen_u, all_costs.take_along_dim(best, 0).squeeze(0), sizes[best.squeeze(0)]
-    )
+    lowest = all_costs.take_along_dim(best, 0).squeeze(0)
+    return Trajectories(chosen_x, chosen_u, lowest, sizes[best.squeeze(0)])

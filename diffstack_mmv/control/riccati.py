@@ -22,29 +22,29 @@ DEFINITE = 1e-6  # smallest eigenvalue of Q_uu relative to its largest entry, be
 
 
 class LinearQuadratic(NamedTuple):
-    """min Σ ½ z'Hz + h'z over z_t = (δx_t, δu_t), subject to δx_{t+1} = A δx_t + B δu_t."""
+    """min Σ ½ z'Hz + h'z over z_t = (δx_t, δu_t), subject to δx_{t+1} = A δx_t + B δu_t.
 
-    A: Float[Tensor, "T n n N"]
-    B: Float[Tensor, "T n m N"]
-    x: Float[Tensor, "T n N"]  # gradient of c_0 .. c_{T-1}
-    u: Float[Tensor, "T m N"]
-    xx: Float[Tensor, "T n n N"]
-    ux: Float[Tensor, "T m n N"]
-    uu: Float[Tensor, "T m m N"]
-    final_x: Float[Tensor, "n N"]  # of c_T
-    final_xx: Float[Tensor, "n n N"]
+    What a step of a recursion reads is one row of one tensor, see `stage_shapes`.
+    """
 
-    def packed(self, *more: Float[Tensor, "T r N"]) -> Float[Tensor, "T R N"]:
-        """All that a step of a recursion reads, in one tensor."""
-        stages = (self.A, self.B, self.x, self.u, self.xx, self.ux, self.uu, *more)
-        return torch.cat([stage.flatten(1, -2) for stage in stages], 1)
+    stages: Float[Tensor, "T R N"]  # A, B, gradient in x and u, Hessian xx, ux and uu
+    final: Float[Tensor, "F N"]  # gradient and Hessian in x_T
+
+
+def stage_shapes(n: int, m: int) -> tuple[tuple[int, ...], ...]:
+    """Shapes of the parts of a stage, in order: A, B, c_x, c_u, H_xx, H_ux, H_uu."""
+    return (n, n), (n, m), (n,), (m,), (n, n), (m, n), (m, m)
+
+
+def final_shapes(n: int) -> tuple[tuple[int, ...], ...]:
+    """Shapes of the parts of the final row: c_x, H_xx."""
+    return (n,), (n, n)
 
 
 class Policy(NamedTuple):
     """Feedback δu_t = α k_t + K_t δx_t, and what the model promises for it."""
 
-    k: Float[Tensor, "T m N"]
-    K: Float[Tensor, "T m n N"]
+    gains: Float[Tensor, "T m+mn N"]  # k and K of each time
     decrease: Float[Tensor, " N"]  # predicted decrease of the cost for α = 1
     shifted: Bool[Tensor, " N"]  # whether any Q_uu had to be made positive definite
 
@@ -80,10 +80,10 @@ def costates(
     return walk(step, final_x, torch.cat([A.flatten(1, 2), x], 1), reverse=True)[1]
 
 
-def _action(value: Tensor, row: Tensor, n: int, m: int) -> _Action:
+def _action(value: Tensor, parts: tuple[Tensor, ...]) -> _Action:
     """Q_x = c_x + A'V_x and so on."""
-    A, B, x, u, xx, ux, uu = unpack(row, (n, n), (n, m), (n,), (m,), (n, n), (m, n), (m, m))
-    V_x, V_xx = unpack(value, (n,), (n, n))
+    A, B, x, u, xx, ux, uu = parts
+    V_x, V_xx = unpack(value, *final_shapes(len(A)))
     VA, VB = product(V_xx, A), product(V_xx, B)
     return _Action(
         x + transposed_apply(A, V_x),
@@ -99,30 +99,35 @@ def box_policy(
     lower: Float[Tensor, "T m N"],
     upper: Float[Tensor, "T m N"],
     damping: Float[Tensor, " N"],
+    n: int,
 ) -> Policy:
     """Backward pass of control-limited DDP.
 
-        Q_x = c_x + A'V_x,  Q_u = c_u + B'V_x,  Q_xx = c_xx + A'V_xx A,  Q_ux = c_ux + B'V_xx A,  Q_uu = c_uu + B'V_xx B
-        k = argmin ½ k'Q_uu k + Q_u'k in the box,   K = -Q_uu⁻¹ Q_ux on the free controls, 0 on the others
-        V_x = Q_x + K'(Q_uu k + Q_u) + Q_ux'k,  V_xx = Q_xx + K'Q_uu K + K'Q_ux + Q_ux'K
+        Q_x = c_x + A'V_x,          Q_u = c_u + B'V_x
+        Q_xx = c_xx + A'V_xx A,     Q_ux = c_ux + B'V_xx A,     Q_uu = c_uu + B'V_xx B
+        k = argmin ½ k'Q_uu k + Q_u'k in the box,   K = -Q_uu⁻¹ Q_ux on the free controls, else 0
+        V_x = Q_x + K'(Q_uu k + Q_u) + Q_ux'k,   V_xx = Q_xx + K'Q_uu K + K'Q_ux + Q_ux'K
 
-    with Q_uu + μ max|Q_uu| I, shifted further where it is not positive definite. The damping counts as a part of the
-    cost of δu, so that the policy minimises one convex model and is a direction of descent. Source: [TASSA].
+    with Q_uu + μ max|Q_uu| I, shifted further where it is not positive definite. The damping counts
+    as a part of the cost of δu, so that the policy minimises one convex model and is a direction of
+    descent. Source: [TASSA].
 
     Args:
         lq: The model around the present trajectory.
         lower: Lower bound minus present control.
         upper: Upper bound minus present control.
         damping: μ of each problem, dimensionless.
+        n: Number of state columns.
     """
-    (_, n, m, N) = lq.B.shape
-    eye = torch.eye(m, dtype=lq.B.dtype, device=lq.B.device).unsqueeze(-1)
+    m = lower.shape[1]
+    eye = torch.eye(m, dtype=lower.dtype, device=lower.device).unsqueeze(-1)
 
     def step(value: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
-        Q = _action(value, row[: -2 * m], n, m)
+        *parts, low, high = unpack(row, *stage_shapes(n, m), (m,), (m,))
+        Q = _action(value, tuple(parts))
         shift = positive_shift(Q.uu, DEFINITE)
         Q_uu = Q.uu + (shift + damping * Q.uu.abs().amax((0, 1))) * eye
-        k, free = solve_box_qp(Q_uu, Q.u, row[-2 * m : -m], row[-m:])
+        k, free = solve_box_qp(Q_uu, Q.u, low, high)
         K = -product(free_inverse(Q_uu, free), Q.ux)
         Qk = apply(Q_uu, k)
         cross = transposed_product(K, Q.ux)
@@ -131,32 +136,34 @@ def box_policy(
         decrease = -(k * (0.5 * Qk + Q.u)).sum(0, keepdim=True)
         return pack(V_x, symmetric(V_xx)), pack(k, K, decrease, shift.unsqueeze(0))
 
-    rows = walk(step, pack(lq.final_x, lq.final_xx), lq.packed(lower, upper), reverse=True)[1]
-    k, K, decrease, shift = rows.split([m, m * n, 1, 1], 1)
-    return Policy(k, K.unflatten(1, (m, n)), decrease.sum((0, 1)), (shift > 0).any(0).squeeze(0))
+    rows = walk(step, lq.final, torch.cat([lq.stages, lower, upper], 1), reverse=True)[1]
+    gains, decrease, shift = rows.split([m + m * n, 1, 1], 1)
+    return Policy(gains, decrease.sum((0, 1)), (shift > 0).any(0).squeeze(0))
 
 
-def solve_free(lq: LinearQuadratic, free: Float[Tensor, "T m N"]) -> Stationary:
+def solve_free(lq: LinearQuadratic, free: Float[Tensor, "T m N"], n: int) -> Stationary:
     """Stationary point with δx_0 = 0 and the controls that are not free (0 in `free`) held at zero.
 
     The Hessian has to be invertible on the free controls, not definite: nothing is shifted or damped.
     """
-    (_, n, m, N) = lq.B.shape
+    m = free.shape[1]
 
     def backward(value: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
-        Q = _action(value, row[:-m], n, m)
-        inverse = free_inverse(Q.uu, row[-m:] > 0.5)
+        *parts, mask = unpack(row, *stage_shapes(n, m), (m,))
+        Q = _action(value, tuple(parts))
+        inverse = free_inverse(Q.uu, mask > 0.5)
         k, K = -apply(inverse, Q.u), -product(inverse, Q.ux)
         V_x = Q.x + transposed_apply(Q.ux, k)
         V_xx = symmetric(Q.xx + transposed_product(Q.ux, K))
         return pack(V_x, V_xx), pack(k, K, value)
 
     def forward(x: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
-        k, K, V_x, V_xx, A, B = unpack(row, (m,), (m, n), (n,), (n, n), (n, n), (n, m))
+        k, K, V_x, V_xx, A, B = unpack(row, (m,), (m, n), *final_shapes(n), (n, n), (n, m))
         u = k + apply(K, x)
         following = apply(A, x) + apply(B, u)
         return following, pack(following, u, V_x + apply(V_xx, following))
 
-    gains = walk(backward, pack(lq.final_x, lq.final_xx), lq.packed(free), reverse=True)[1]
-    rows = torch.cat([gains, lq.A.flatten(1, 2), lq.B.flatten(1, 2)], 1)
-    return Stationary(*walk(forward, torch.zeros_like(lq.final_x), rows)[1].split([n, m, n], 1))
+    gains = walk(backward, lq.final, torch.cat([lq.stages, free], 1), reverse=True)[1]
+    rows = torch.cat([gains, lq.stages[:, : n * (n + m)]], 1)
+    start = torch.zeros_like(lq.final[:n])
+    return Stationary(*walk(forward, start, rows)[1].split([n, m, n], 1))

@@ -1,0 +1,130 @@
+"""Compiles the kernels of the solver, and falls back to eager execution where that is not possible."""
+
+import functools
+import logging
+import types
+from collections.abc import Callable, Hashable
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+from torch._dynamo.decorators import maybe_mark_dynamic
+from torch._dynamo.exc import TorchDynamoException
+from torch._inductor.exc import InductorError
+
+from diffstack_mmv.control.expansion import Model, expand
+from diffstack_mmv.control.iteration import Iterate, attempt, start
+from diffstack_mmv.control.optimizer import Cost, Dynamics
+from diffstack_mmv.control.riccati import Policy, Stationary, box_policy, solve_free
+from diffstack_mmv.types import map_tensors
+
+LOGGER = logging.getLogger(__name__)
+FAILURES = (TorchDynamoException, InductorError)
+
+
+def kind(function: Any) -> Hashable:
+    """What two callables that share a compiled kernel have in common: the code, not the tensors it closes over."""
+    if isinstance(function, functools.partial):
+        return kind(function.func)
+    if isinstance(function, types.MethodType):
+        return kind(function.__func__), type(function.__self__)
+    return getattr(function, "__code__", type(function))
+
+
+class Kernel:
+    """A function of module level that runs compiled, or eagerly after the first failure to compile.
+
+    It works on a copy of the code object, because the compiler keeps its graphs, and the short list
+    of checks that select one, per code object. New closures of the same code reuse the graph: their
+    tensors are inputs of it.
+
+    Args:
+        function: What to compile.
+        options: Options of the compiler.
+    """
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        self.function = function
+        self.compiled: Callable[..., Any] | None = None
+        self.options = options
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run compiled, or eagerly where the compiler failed before."""
+        if self.compiled is None:
+            for argument in arguments:
+                map_tensors(_mark_batch, argument)
+            self.compiled = torch.compile(_copy(self.function), fullgraph=True, options=self.options)
+        try:
+            return self.compiled(*arguments)
+        except FAILURES as failure:
+            reason = next(iter(str(failure).strip().splitlines()), type(failure).__name__)
+            LOGGER.warning(
+                "`%s` could not be compiled (%s) and runs eagerly. Install a C++ compiler, or set `compile=False`.",
+                self.function.__name__,
+                reason,
+            )
+            self.compiled = self.function
+            return self.function(*arguments)
+
+
+class Kernels(NamedTuple):
+    """The parts of an iteration and of the adjoint, eager or compiled."""
+
+    start: Callable[..., Iterate]
+    expand: Callable[..., Model]
+    box_policy: Callable[..., Policy]
+    attempt: Callable[..., Iterate]
+    solve_free: Callable[..., Stationary]
+
+
+def eager_kernels() -> Kernels:
+    """The functions as they are."""
+    return Kernels(start, expand, box_policy, attempt, solve_free)
+
+
+@functools.cache
+def _recursions(n: int, m: int, device: str) -> tuple[Kernel, Kernel]:
+    """The kernels that depend on no callable, shared by all problems of one size."""
+    options = _options(device)
+    return Kernel(box_policy, options), Kernel(solve_free, options)
+
+
+@functools.cache
+def _models(key: Hashable, device: str) -> tuple[Kernel, Kernel, Kernel]:
+    """The kernels of one kind of dynamics and cost."""
+    options = _options(device)
+    return Kernel(start, options), Kernel(expand, options), Kernel(attempt, options)
+
+
+def compiled_kernels(dynamics: Dynamics, cost: Cost, static: tuple[int, ...], device: str) -> Kernels:
+    """Kernels for problems of this kind, compiled at their first use.
+
+    Args:
+        dynamics: The step.
+        cost: The cost.
+        static: Numbers a kernel is compiled for: n, m, leading dimensions, step sizes.
+        device: Type of the device.
+    """
+    policy, free = _recursions(*static[:2], device)
+    first, model, step = _models((kind(dynamics), kind(cost), static), device)
+    return Kernels(first, model, policy, step, free)
+
+
+def _options(device: str) -> dict[str, Any]:
+    """On a CPU the loop over time runs in C++, where a step costs microseconds less."""
+    return {"cpp_wrapper": True} if device == "cpu" else {}
+
+
+def _mark_batch(tensor: Tensor) -> Tensor:
+    """Tell the compiler that the batch varies, so that it compiles no second time for the second size."""
+    if tensor.dim() and tensor.shape[-1] > 1:
+        maybe_mark_dynamic(tensor, tensor.dim() - 1)
+    return tensor
+
+
+def _copy(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The same function with a code object of its own."""
+    code = function.__code__.replace()
+    copy = types.FunctionType(code, function.__globals__, function.__name__, function.__defaults__)
+    copy.__kwdefaults__ = function.__kwdefaults__
+    return copy

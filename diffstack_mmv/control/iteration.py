@@ -1,0 +1,111 @@
+"""One iteration of the solver as functions of tensors: where each problem stands, and the next step."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from diffstack_mmv.control.expansion import Model
+from diffstack_mmv.control.line_search import search
+from diffstack_mmv.control.optimizer import Cost, Dynamics
+from diffstack_mmv.control.riccati import Policy
+from diffstack_mmv.types import SolverStatus
+
+OPEN = -1  # status of a problem that is still being solved
+NOISE = 8.0  # multiple of the rounding noise of the cost that counts as no decrease
+DAMPING_MAX = 1e8
+DAMPING_GROWTH, DAMPING_DECAY = 8.0, 0.2
+
+
+class Iterate(NamedTuple):
+    """Where each problem stands."""
+
+    x: Float[Tensor, "T1 n N"]
+    u: Float[Tensor, "T m N"]
+    cost: Float[Tensor, " N"]
+    damping: Float[Tensor, " N"]
+    status: Int[Tensor, " N"]
+    iterations: Int[Tensor, " N"]
+
+
+class Settings(NamedTuple):
+    """The numbers of a solver, as tensors: a change of value compiles nothing anew."""
+
+    box: Float[Tensor, "2 m"]
+    sizes: Float[Tensor, " S"]  # step sizes, falling from 1
+    tolerance: Float[Tensor, ""]
+    regularisation: Float[Tensor, ""]
+
+
+def start(
+    dynamics: Dynamics,
+    cost: Cost,
+    like: Float[Tensor, "*b"],
+    state: Float[Tensor, "n N"],
+    controls: Float[Tensor, "T m N"],
+    settings: Settings,
+) -> Iterate:
+    """Roll out the guess, clipped to the box."""
+    T, m, N = controls.shape
+    n = state.shape[0]
+    x, gains = state.expand(T + 1, n, N), controls.new_zeros(T, m + m * n, N)
+    noise = torch.zeros_like(state[0])
+    guess = search(dynamics, cost, like, x, controls, gains, settings.box, settings.sizes, noise)
+    finite = guess.cost.isfinite() & guess.x.isfinite().all(0).all(0)
+    status = torch.where(finite, OPEN, SolverStatus.NOT_FINITE)
+    zero = torch.zeros_like(guess.cost)
+    return Iterate(guess.x, guess.u, guess.cost, zero, status, torch.zeros_like(status))
+
+
+def attempt(
+    dynamics: Dynamics,
+    cost: Cost,
+    like: Float[Tensor, "*b"],
+    iterate: Iterate,
+    model: Model,
+    policy: Policy,
+    settings: Settings,
+) -> Iterate:
+    """Roll the policy out, accept or refuse it for each open problem, and judge whether that one is finished.
+
+    Finished is a problem whose model promises a decrease of the cost below the tolerance times Σ|c_t|, or below the
+    noise; the promise of a strongly damped model counts for nothing. If no step size lowers the cost, a promise of a
+    few times the noise is enough.
+    """
+    noise = NOISE * model.noise
+    trial = search(
+        dynamics, cost, like, iterate.x, iterate.u, policy.gains, settings.box, settings.sizes, noise
+    )
+    is_open = iterate.status == OPEN
+    enough = torch.maximum(settings.tolerance * model.magnitude, noise)
+    lower = trial.cost < iterate.cost
+    settled = (policy.decrease <= enough) & (iterate.damping < 1)
+    settled = settled | (~lower & (policy.decrease <= NOISE * noise))
+    # the cost is flat at its minimum: a last Newton step is good to more digits than the cost can show
+    accepted = is_open & (lower | (settled & (trial.cost <= iterate.cost + noise)))
+    damping = next_damping(iterate.damping, accepted, trial.size, settings.regularisation)
+    status = torch.where(damping > DAMPING_MAX, SolverStatus.STALLED, iterate.status)
+    status = torch.where(settled, SolverStatus.CONVERGED, status)
+    status = torch.where(policy.decrease.isfinite(), status, SolverStatus.NOT_FINITE)
+    return Iterate(
+        torch.where(accepted, trial.x, iterate.x),
+        torch.where(accepted, trial.u, iterate.u),
+        torch.where(accepted, trial.cost, iterate.cost),
+        torch.where(is_open, damping, iterate.damping),
+        torch.where(is_open, status, iterate.status),
+        iterate.iterations + is_open.to(iterate.iterations.dtype),
+    )
+
+
+def next_damping(
+    damping: Float[Tensor, " N"],
+    accepted: Bool[Tensor, " N"],
+    size: Float[Tensor, " N"],
+    regularisation: Float[Tensor, ""],
+) -> Float[Tensor, " N"]:
+    """Less after a long step, none once it is small, more after a refused one."""
+    less = torch.where(size >= 0.5, damping * DAMPING_DECAY, damping)
+    less = torch.where(less < 0.1 * regularisation, torch.zeros_like(less), less)
+    more = torch.maximum(damping * DAMPING_GROWTH, regularisation)
+    return torch.where(accepted, less, more)
