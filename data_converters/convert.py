@@ -28,7 +28,7 @@ from data_converters.cache import (
     write_json,
     write_scene,
 )
-from data_converters.errors import ConversionError, TrackError, fault
+from data_converters.errors import ConversionError, TrackError, fault, refuse
 from data_converters.recordings import RawScene, RecordingDataset, SceneSource
 from data_converters.report import ConversionReport, SceneReport, report_scene
 from data_converters.tracks import AgentRows, ResampleSettings, resample, split_at_gaps
@@ -60,8 +60,7 @@ class ConversionSettings:
     progress: bool = True
 
     def __post_init__(self) -> None:
-        if self.workers < 1:
-            raise ConversionError(fault("workers", "be at least 1", self.workers, "", "Give 1."))
+        refuse(self.workers < 1, "workers", "be at least 1", self.workers, "", "Give 1.")
 
     def content(self) -> dict[str, Any]:
         """The settings that change the cache, as plain values."""
@@ -254,12 +253,9 @@ def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> Convers
         dataset_notes=dict(settings.dataset.notes()),
     )
     usable = [scene for scene in reports if scene.usable]
-    if not usable:
-        found = f"0 of {sum(s.tracks_read for s in reports)} ({report.rejected_by_reason})"
-        remedy = "See the reasons; `strict` shows the first fault."
-        raise ConversionError(
-            fault("root", "hold a usable track", found, settings.dataset.root, remedy)
-        )
+    found = f"0 of {sum(s.tracks_read for s in reports)} ({report.rejected_by_reason})"
+    remedy = "See the reasons; `strict` shows the first fault."
+    refuse(not usable, "root", "hold a usable track", found, settings.dataset.root, remedy)
     location = settings.dataset.location
     listed = [(s.name, location, s.split, s.steps, i) for i, s in enumerate(usable)]
     EnvCache(settings.staging).save_env_scenes_list(".", listed)  # type: ignore[arg-type]

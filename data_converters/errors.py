@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import NoReturn
 
 
 class RejectReason(StrEnum):
@@ -43,6 +44,29 @@ class TrackError(ConversionError):
 
     def __reduce__(self) -> tuple[type[TrackError], tuple[str, RejectReason]]:
         return type(self), (str(self), self.reason)
+
+
+def refuse(
+    condition: bool, field: str, requirement: str, value: object, where: object, remedy: str
+) -> None:
+    """Refuse a setting or a data set; the arguments are those of `fault`.
+
+    Raises:
+        ConversionError: `condition` is true.
+    """
+    if condition:
+        raise ConversionError(f"{fault(field, requirement, value, where, remedy)}")
+
+
+def refuse_track(
+    reason: RejectReason, field: str, requirement: str, value: object, where: object, remedy: str
+) -> NoReturn:
+    """Refuse a track for a reason; the other arguments are those of `fault`.
+
+    Raises:
+        TrackError: Always.
+    """
+    raise TrackError(f"{fault(field, requirement, value, where, remedy)}", reason)
 
 
 def fault(field: str, requirement: str, value: object, where: object, remedy: str) -> str:

@@ -14,7 +14,7 @@ from trajdata.data_structures.scene_tag import SceneTag
 from trajdata.dataset_specific.raw_dataset import RawDataset
 
 from data_converters.cache import environment, read_state
-from data_converters.errors import ConversionError, fault
+from data_converters.errors import refuse
 from data_converters.recordings import SPLITS
 
 
@@ -80,9 +80,8 @@ def open_cache(cache: Path, splits: Mapping[str, Sequence[str]], **options: Any)
     """
     for name, wanted in splits.items():
         unknown = set(wanted) - set(SPLITS)
-        if unknown or not wanted:
-            remedy = "Give a list of splits."
-            raise ConversionError(fault("splits", f"be of {SPLITS}", wanted, f"'{name}'", remedy))
+        wrong, remedy = bool(unknown) or not wanted, "Give a list of splits."
+        refuse(wrong, "splits", f"be of {SPLITS}", wanted, f"'{name}'", remedy)
     desired = [f"{name}-{split}" for name, wanted in splits.items() for split in wanted]
     environments = [CachedDataset(cache, name) for name in splits]
     return CachedUnifiedDataset(

@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from trajdata.data_structures.agent import FixedExtent
 
-from data_converters.errors import ConversionError, RejectReason, TrackError, fault
+from data_converters.errors import RejectReason, refuse, refuse_track
 from data_converters.heading import heading_from_axis, heading_from_motion
 from data_converters.modes import Mode, default_extent
 from data_converters.smoothing import SAMPLES_NEEDED, Smoother, SmoothSeries, ZeroPhaseSmoother
@@ -71,9 +71,8 @@ class ResampleSettings:
 
     def __post_init__(self) -> None:
         for name in ("dt_s", "max_gap_s", "min_duration_s", "standstill_mps"):
-            if not getattr(self, name) > 0.0:
-                value = getattr(self, name)
-                raise ConversionError(fault(name, "be positive", value, "", "Give SI units."))
+            value = getattr(self, name)
+            refuse(not value > 0.0, name, "be positive", value, "", "Give SI units.")
 
 
 class Residual(NamedTuple):
@@ -144,7 +143,7 @@ def resample(track: RawTrack, settings: ResampleSettings) -> AgentRows:
         lasts = f"{track.time_s[-1] - track.time_s[0]:.2f} s with {len(track.time_s)} samples"
         needs = f"last at least {settings.min_duration_s + smoother.warmup_s:g} s without a gap"
         remedy = "Lower `min_duration_s` to keep it."
-        raise TrackError(fault("track", needs, lasts, track.source, remedy), RejectReason.TOO_SHORT)
+        refuse_track(RejectReason.TOO_SHORT, "track", needs, lasts, track.source, remedy)
     at_s = np.clip(np.arange(first, last + 1) * settings.dt_s, track.time_s[0], end)
     smooth = smoother(track.time_s, track.position, np.concatenate([at_s, track.time_s]))
     steps = SmoothSeries(*(part[: len(at_s)] for part in smooth))
@@ -152,8 +151,8 @@ def resample(track: RawTrack, settings: ResampleSettings) -> AgentRows:
     if not np.isfinite(steps.value).all():
         found = f"{len(track.time_s)} samples in {end - track.time_s[0]:.2f} s"
         needs = f"have more than {smoother.order} samples per window of {smoother.window_s:g} s"
-        message = fault("track", needs, found, track.source, "Use a longer window.")
-        raise TrackError(message, RejectReason.TOO_SHORT)
+        remedy = "Use a longer window."
+        refuse_track(RejectReason.TOO_SHORT, "track", needs, found, track.source, remedy)
     return AgentRows(
         name=track.name,
         mode=track.mode,

@@ -1,82 +1,75 @@
-"""Size and axis of a vehicle from the 12 edges of its cuboid."""
+"""Sizes and axes of a vehicle from the 12 edges of its cuboids."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
-from data_converters.errors import RejectReason, TrackError, fault
+from data_converters.errors import RejectReason, refuse_track
 
 Array = NDArray[np.float64]
 
-
-class Cuboid(NamedTuple):
-    """Length, width, height in m and the direction of the longer side in rad, modulo pi."""
-
-    length: float
-    width: float
-    height: float
-    axis: float
+TOLERANCE_M = 0.1
+"""How far a corner may lie from the rectangle that the others form."""
 
 
-def measure_cuboid(edges: object, where: str) -> Cuboid:
-    """Size and axis of a cuboid given by its edges.
+class Cuboids(NamedTuple):
+    """Per sample (n,): length, width, height in m; direction of the longer side in rad, in [0, pi)."""
 
-    The 8 unique corners are found, the 4 lowest in z form the base (the ground slopes by 4-5 %, far
-    less than a vehicle is high), its convex hull has four sides: opposite ones are averaged, the
-    longer pair gives length and axis.
+    length: Array
+    width: Array
+    height: Array
+    axis: Array
+
+
+def measure_cuboids(edges: list[object], where: str) -> Cuboids:
+    """Sizes and axes of cuboids given by their edges.
+
+    Every corner ends three edges, so that the 12 lowest of the 24 end points are the base (the
+    ground slopes by 4-5 %, far less than a vehicle is high). The convex hull of a base is a
+    rectangle of length L and width W; the second moments of its corners are (L/2)² along the longer
+    side and (W/2)² along the shorter one, which gives both and the axis for all samples at once.
 
     Args:
-        edges: 12 edges of two 3-D points in m.
-        where: File and sample, for the message.
+        edges: n cuboids of 12 edges of two 3-D points in m.
+        where: The file, for the message.
 
     Returns:
-        Size in m and axis in rad, in [0, pi).
+        Sizes in m and axes in rad.
 
     Raises:
-        TrackError: If the edges do not form a cuboid.
+        TrackError: If the edges of a sample do not form a cuboid.
     """
-    corners = _corners(edges, where)
-    order = np.argsort(corners[:, 2], kind="stable")
-    base, top = corners[order[:4]], corners[order[4:]]
-    try:
-        hull = ConvexHull(base[:, :2]).vertices
-    except QhullError as error:
-        raise TrackError(
-            _message(f"a degenerate base {base[:, :2].tolist()}", where), RejectReason.BROKEN_CUBOID
-        ) from error
-    if len(hull) != 4:
-        raise TrackError(
-            _message(f"a base with {len(hull)} corners", where), RejectReason.BROKEN_CUBOID
-        )
-    ring = base[hull, :2]
-    sides = np.roll(ring, -1, axis=0) - ring
-    first, second = (sides[0] - sides[2]) / 2.0, (sides[1] - sides[3]) / 2.0
-    longer, shorter = sorted((first, second), key=lambda side: -float(np.hypot(*side)))
-    return Cuboid(
-        length=float(np.hypot(*longer)),
-        width=float(np.hypot(*shorter)),
-        height=float(top[:, 2].mean() - base[:, 2].mean()),
-        axis=float(np.arctan2(longer[1], longer[0]) % np.pi),
-    )
+    points = _end_points(edges, where)
+    order = np.argsort(points[..., 2], axis=1, kind="stable")[..., None]
+    points = np.take_along_axis(points, order, axis=1)
+    base, top = points[:, :12], points[:, 12:]
+    corners = base[..., :2] - base[..., :2].mean(axis=1, keepdims=True)
+    moments, axes = np.linalg.eigh(np.einsum("npi,npj->nij", corners, corners) / 12.0)
+    width, length = 2.0 * np.sqrt(np.maximum(moments, 0.0)).T
+    height = top[..., 2].mean(axis=1) - base[..., 2].mean(axis=1)
+    half_diagonal = 0.5 * np.hypot(length, width)
+    astray = np.abs(np.linalg.norm(corners, axis=-1) - half_diagonal[:, None]).max(axis=1)
+    wrong = (astray > TOLERANCE_M) | (width < TOLERANCE_M) | (height < TOLERANCE_M)
+    if wrong.any():
+        _refuse(f"edges {np.round(points[wrong][0], 2).tolist()}", where)
+    longer = axes[:, :, 1]
+    return Cuboids(length, width, height, np.arctan2(longer[:, 1], longer[:, 0]) % np.pi)
 
 
-def _corners(edges: object, where: str) -> Array:
+def _end_points(edges: list[object], where: str) -> Array:
     try:
         points = np.asarray(edges, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise TrackError(_message("no numbers", where), RejectReason.BROKEN_CUBOID) from error
-    if points.shape != (12, 2, 3) or not np.isfinite(points).all():
-        raise TrackError(_message(f"shape {points.shape}", where), RejectReason.BROKEN_CUBOID)
-    corners = np.unique(np.round(points.reshape(-1, 3), 3), axis=0)
-    if len(corners) != 8:
-        raise TrackError(_message(f"{len(corners)} corners", where), RejectReason.BROKEN_CUBOID)
-    return corners
+    except (TypeError, ValueError):
+        _refuse("no list of numbers", where)
+    if points.shape[1:] != (12, 2, 3) or not np.isfinite(points).all():
+        _refuse(f"shape {points.shape[1:]} or no finite numbers", where)
+    return points.reshape(-1, 24, 3)
 
 
-def _message(found: str, where: str) -> str:
+def _refuse(found: str, where: str) -> NoReturn:
     requirement = "be 12 edges of two 3-D points that meet in 8 corners"
-    return fault("cuboid", requirement, found, where, "Unpack the archive again.")
+    remedy = "Unpack the archive again."
+    refuse_track(RejectReason.BROKEN_CUBOID, "cuboid", requirement, found, where, remedy)

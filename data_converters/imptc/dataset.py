@@ -12,14 +12,14 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from data_converters.errors import ConversionError, TrackError, fault
+from data_converters.errors import TrackError, refuse
 from data_converters.imptc.context import read_context, signals_per_step
 from data_converters.imptc.reader import (
     TrackFile,
     TrackFilter,
     load_json,
-    missing,
     parse_track,
+    refuse_missing,
     refuse_unfinished,
 )
 from data_converters.recordings import SPLITS, RawScene, RecordingDataset, SceneSource
@@ -67,12 +67,11 @@ class SequenceSplit:
 
     def __post_init__(self) -> None:
         named = [name for split in SPLITS for name in getattr(self, split)]
-        if len(set(named)) != len(named) or not set(named) <= set(PUBLISHED_SETS):
-            known = f"name each of {sorted(PUBLISHED_SETS)} at most once"
-            raise ConversionError(fault("split", known, named, "", "Correct the lists."))
-        if not set(self.exceptions.values()) <= set(SPLITS):
-            found = dict(self.exceptions)
-            raise ConversionError(fault("exceptions", f"name {SPLITS}", found, "", "Correct it."))
+        wrong = len(set(named)) != len(named) or not set(named) <= set(PUBLISHED_SETS)
+        known = f"name each of {sorted(PUBLISHED_SETS)} at most once"
+        refuse(wrong, "split", known, named, "", "Correct the lists.")
+        unknown = not set(self.exceptions.values()) <= set(SPLITS)
+        refuse(unknown, "exceptions", f"name {SPLITS}", self.exceptions, "", "Correct them.")
 
     def of(self, number: int) -> str | None:
         """Split of a sequence number, None if its set is not used."""
@@ -122,7 +121,7 @@ class ImptcDataset(RecordingDataset):
         refuse_unfinished(self.root)
         folders = find_sequences(self.root)
         if not folders:
-            raise missing("sequence folders NNNN_YYYYMMDD_HHMMSS", "none", self.root)
+            refuse_missing("sequence folders NNNN_YYYYMMDD_HHMMSS", "none", self.root)
         scenes = []
         for name, folder in folders.items():
             split = self.split.of(int(name[:4]))

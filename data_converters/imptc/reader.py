@@ -6,14 +6,14 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 from trajdata.data_structures.agent import FixedExtent
 
-from data_converters.errors import ConversionError, RejectReason, TrackError, fault
-from data_converters.imptc.cuboid import measure_cuboid
+from data_converters.errors import ConversionError, RejectReason, fault, refuse, refuse_track
+from data_converters.imptc.cuboid import measure_cuboids
 from data_converters.imptc.modes import CLASS_MODES
 from data_converters.modes import Mode
 
@@ -66,9 +66,7 @@ def load_json(path: Path) -> Any:
         return json.loads(path.read_text(encoding="utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         remedy = "The file is damaged or half unpacked: unpack the archive again."
-        raise TrackError(
-            fault("file", "be JSON", error, path, remedy), RejectReason.BROKEN_JSON
-        ) from error
+        refuse_track(RejectReason.BROKEN_JSON, "file", "be JSON", error, path, remedy)
 
 
 def microseconds(value: object, where: str) -> int:
@@ -81,9 +79,15 @@ def microseconds(value: object, where: str) -> int:
     """
     try:
         number = int(str(value))
-    except ValueError as error:
-        message = fault("ts", "be a whole number", value, where, "Unpack the archive again.")
-        raise TrackError(message, RejectReason.NO_TIMESTAMPS) from error
+    except ValueError:
+        refuse_track(
+            RejectReason.NO_TIMESTAMPS,
+            "ts",
+            "be a whole number",
+            value,
+            where,
+            "Unpack the archive again.",
+        )
     if 10**14 <= number < 10**17:
         return number
     if 10**11 <= number < 10**14:
@@ -91,8 +95,14 @@ def microseconds(value: object, where: str) -> int:
     remedy = (
         "Milliseconds are converted; other units are refused, because they cannot be told apart."
     )
-    message = fault("ts", "be microseconds since 1970 (about 1.7e15)", number, where, remedy)
-    raise TrackError(message, RejectReason.TIMESTAMP_UNIT)
+    refuse_track(
+        RejectReason.TIMESTAMP_UNIT,
+        "ts",
+        "be microseconds since 1970 (about 1.7e15)",
+        number,
+        where,
+        remedy,
+    )
 
 
 def parse_track(content: Any, where: str, keep: TrackFilter) -> TrackFile:
@@ -110,12 +120,18 @@ def parse_track(content: Any, where: str, keep: TrackFilter) -> TrackFile:
         TrackError: If class, timestamps, coordinates or cuboids are missing or wrong, or the filter
             leaves nothing.
     """
-    samples = _section(content, "track_data", where)
-    mode = _mode(_section(content, "overview", where), where)
+    samples = _section(content, "track_data", where, RejectReason.NO_TIMESTAMPS)
+    mode = _mode(_section(content, "overview", where, RejectReason.MISSING_FIELD), where)
     rows = [sample for sample in samples.values() if _status(sample, keep)]
     if not rows:
-        message = fault("status", f"reach {keep.min_status}", "no such sample", where, "Lower it.")
-        raise TrackError(message, RejectReason.LOW_STATUS)
+        refuse_track(
+            RejectReason.LOW_STATUS,
+            "status",
+            f"reach {keep.min_status}",
+            "no such sample",
+            where,
+            "Lower it.",
+        )
     _check_probability(rows, keep, where)
     stamps = np.array([_timestamp(row, where) for row in rows], dtype=np.int64)
     stamps, order = np.unique(stamps, return_index=True)
@@ -133,14 +149,10 @@ def parse_track(content: Any, where: str, keep: TrackFilter) -> TrackFile:
     )
 
 
-def _section(content: Any, name: str, where: str) -> Mapping[str, Any]:
+def _section(content: Any, name: str, where: str, reason: RejectReason) -> Mapping[str, Any]:
     section = content.get(name) if isinstance(content, dict) else None
     if not isinstance(section, dict) or not section:
-        message = fault(name, "be a filled object", section, where, "Unpack the archive again.")
-        missing_clock = (
-            RejectReason.NO_TIMESTAMPS if name == "track_data" else RejectReason.MISSING_FIELD
-        )
-        raise TrackError(message, missing_clock)
+        refuse_track(reason, name, "be a filled object", section, where, "Unpack it again.")
     return section
 
 
@@ -148,11 +160,12 @@ def _mode(overview: Mapping[str, Any], where: str) -> Mode:
     known = sorted(CLASS_MODES)
     try:
         return CLASS_MODES[int(overview["class_id"])]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError):
         found = overview.get("class_id")
         remedy = "Add it to data_converters/imptc/modes.py if the data set has a new class."
-        message = fault("class_id", f"be one of {known}", found, where, remedy)
-        raise TrackError(message, RejectReason.UNKNOWN_CLASS) from error
+        refuse_track(
+            RejectReason.UNKNOWN_CLASS, "class_id", f"be one of {known}", found, where, remedy
+        )
 
 
 def _status(sample: Any, keep: TrackFilter) -> bool:
@@ -165,14 +178,26 @@ def _check_probability(rows: list[dict[str, Any]], keep: TrackFilter, where: str
     stated = [_number(row.get("class_prob", 1.0)) for row in rows]
     median = float(np.nanmedian(stated)) if np.isfinite(stated).any() else 1.0
     if median < keep.min_class_prob:
-        message = fault("class_prob", f"reach {keep.min_class_prob}", median, where, "Lower it.")
-        raise TrackError(message, RejectReason.LOW_PROBABILITY)
+        refuse_track(
+            RejectReason.LOW_PROBABILITY,
+            "class_prob",
+            f"reach {keep.min_class_prob}",
+            median,
+            where,
+            "Lower it.",
+        )
 
 
 def _timestamp(row: Mapping[str, Any], where: str) -> int:
     if row.get("ts") is None:
-        message = fault("ts", "stand in every sample", "none", where, "Unpack the archive again.")
-        raise TrackError(message, RejectReason.NO_TIMESTAMPS)
+        refuse_track(
+            RejectReason.NO_TIMESTAMPS,
+            "ts",
+            "stand in every sample",
+            "none",
+            where,
+            "Unpack the archive again.",
+        )
     return microseconds(row["ts"], where)
 
 
@@ -190,8 +215,14 @@ def _positions(rows: list[dict[str, Any]], where: str) -> Array:
         row = rows[int(np.argmax(bad))]
         place = f"{where}, ts {row['ts']}"
         found = row.get("coordinates")
-        message = fault("coordinates", "be three finite numbers", found, place, "Remove the track.")
-        raise TrackError(message, RejectReason.NOT_FINITE)
+        refuse_track(
+            RejectReason.NOT_FINITE,
+            "coordinates",
+            "be three finite numbers",
+            found,
+            place,
+            "Remove the track.",
+        )
     return position
 
 
@@ -205,22 +236,26 @@ def _body(rows: list[dict[str, Any]], where: str) -> tuple[Array | None, FixedEx
     """Axis per sample and median size, from the cuboids; None unless every sample has one."""
     if not all("cuboid" in row for row in rows):
         return None, None
-    boxes = [measure_cuboid(row["cuboid"], f"{where}, ts {row['ts']}") for row in rows]
-    length, width, height = np.median([box[:3] for box in boxes], axis=0).tolist()
-    return np.array([box.axis for box in boxes]), FixedExtent(length, width, height)
+    boxes = measure_cuboids([row["cuboid"] for row in rows], where)
+    size = [float(np.median(side)) for side in (boxes.length, boxes.width, boxes.height)]
+    return boxes.axis, FixedExtent(*size)
 
 
-def missing(what: str, found: str, root: Path) -> ConversionError:
-    """Error for a data set that is not in `root`; `what` tells what is expected."""
+def refuse_missing(what: str, found: str, root: Path) -> NoReturn:
+    """Refuse a `root` that does not hold a data set; `what` tells what is expected.
+
+    Raises:
+        ConversionError: Always.
+    """
     remedy = (
         "Run scripts/download_imptc.py (it resumes), or scripts/generate_sample.py for a sample."
     )
+    archives = [path.name for path in root.glob("*.tar.gz")]
     if not root.is_dir():
         found = "no such folder"
-    archives = [path.name for path in root.glob("*.tar.gz")]
-    if archives:
+    elif archives:
         found = f"archives that are not unpacked {archives}"
-    return ConversionError(fault("root", f"hold {what}", found, root, remedy))
+    raise ConversionError(fault("root", f"hold {what}", found, root, remedy))
 
 
 def refuse_unfinished(root: Path) -> None:
@@ -230,6 +265,5 @@ def refuse_unfinished(root: Path) -> None:
         ConversionError: If it holds an unfinished download or a half unpacked archive.
     """
     leftovers = sorted(path.name for mark in ("*.part", ".unpacking_*") for path in root.glob(mark))
-    if leftovers:
-        remedy = "Run scripts/download_imptc.py again (it resumes), or remove them."
-        raise ConversionError(fault("root", "be a finished download", leftovers, root, remedy))
+    remedy = "Run scripts/download_imptc.py again (it resumes), or remove them."
+    refuse(bool(leftovers), "root", "be a finished download", leftovers, root, remedy)

@@ -14,8 +14,8 @@ from data_converters.imptc.dataset import ImptcDataset, find_sequences, to_raw_t
 from data_converters.imptc.reader import (
     TrackFilter,
     load_json,
-    missing,
     parse_track,
+    refuse_missing,
     refuse_unfinished,
 )
 from data_converters.recordings import RawScene, RecordingDataset, SceneSource
@@ -81,7 +81,7 @@ class ImptcVruDataset(RecordingDataset):
         refuse_unfinished(self.root)
         absent = [name for name in RELEASE_SPLITS if not _present(self._base, name)]
         if absent:
-            raise missing("train, eval and test of the VRU release", f"no {absent}", self.root)
+            refuse_missing("train, eval and test of the VRU release", f"no {absent}", self.root)
         scenes = []
         for name, split in RELEASE_SPLITS.items():
             for track, fingerprint in self._tracks(name):

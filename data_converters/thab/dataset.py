@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from data_converters.errors import ConversionError, RejectReason, TrackError, fault
+from data_converters.errors import RejectReason, TrackError, refuse
 from data_converters.modes import Mode
 from data_converters.recordings import SPLITS, RawScene, RecordingDataset, SceneSource
 from data_converters.thab.duplicates import find_contained, group_recordings
@@ -53,11 +53,9 @@ class ThabVruDataset(RecordingDataset):
     salt: str = ""
 
     def __post_init__(self) -> None:
-        if min(self.shares) < 0.0 or abs(sum(self.shares) - 1.0) > 1e-9:
-            remedy = "Give for instance (0.7, 0.15, 0.15)."
-            raise ConversionError(
-                fault("shares", "be >= 0 and add up to 1", self.shares, "", remedy)
-            )
+        wrong = min(self.shares) < 0.0 or abs(sum(self.shares) - 1.0) > 1e-9
+        remedy = "Give for instance (0.7, 0.15, 0.15)."
+        refuse(wrong, "shares", "be >= 0 and add up to 1", self.shares, "", remedy)
 
     @property
     def name(self) -> str:

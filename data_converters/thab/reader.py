@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from data_converters.errors import ConversionError, RejectReason, TrackError, fault
+from data_converters.errors import RejectReason, refuse, refuse_track
 from data_converters.thab.modes import FOLDER_MODES, PHASES
 
 COLUMNS = ("timestamp", "x", "y")
@@ -43,9 +43,8 @@ def read_files(root: Path) -> list[ThabFile]:
     if not files:
         names = ", ".join(f"{group}/ or {group}.tar.gz" for group in FOLDER_MODES)
         found = "no such folder" if not root.is_dir() else "none of them"
-        raise ConversionError(
-            fault("root", f"hold {names}", found, root, "Give the folder of the TH-AB VRU tracks.")
-        )
+        remedy = "Give the folder of the TH-AB VRU tracks."
+        refuse(True, "root", f"hold {names}", found, root, remedy)
     return sorted(files, key=lambda file: file.path)
 
 
@@ -69,7 +68,7 @@ def _read_archive(archive: Path, group: str) -> Iterator[ThabFile]:
                     yield ThabFile(group, path.parent.name, path.stem, stream.read())
     except (tarfile.TarError, EOFError, OSError) as error:
         remedy = "Copy the archive again."
-        raise ConversionError(fault("archive", "be whole", error, archive, remedy)) from error
+        refuse(True, "archive", "be whole", error, archive, remedy)
 
 
 def _read_table(content: bytes) -> pd.DataFrame:
@@ -89,21 +88,41 @@ def parse(file: ThabFile) -> NDArray[np.float64]:
     try:
         table = _read_table(file.content)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        message = fault("file", "be a csv table", error, file.path, "Copy the file again.")
-        raise TrackError(message, RejectReason.MISSING_FIELD) from error
+        refuse_track(
+            RejectReason.MISSING_FIELD,
+            "file",
+            "be a csv table",
+            error,
+            file.path,
+            "Copy the file again.",
+        )
     missing = [column for column in COLUMNS if column not in table.columns]
     if missing:
         reason = RejectReason.NO_TIMESTAMPS if COLUMNS[0] in missing else RejectReason.MISSING_FIELD
         found = list(table.columns)
-        message = fault("columns", f"contain {missing}", found, file.path, "Copy the file again.")
-        raise TrackError(message, reason)
+        refuse_track(
+            reason, "columns", f"contain {missing}", found, file.path, "Copy the file again."
+        )
     numbers = {column: pd.to_numeric(table[column], errors="coerce") for column in COLUMNS}
     values = pd.DataFrame(numbers).to_numpy(dtype=np.float64)
     if not np.isfinite(values).all():
         row = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
-        message = fault("timestamp, x, y", "be finite", values[row], f"{file.path}, row {row}", "")
-        raise TrackError(message + "Correct or remove the file.", RejectReason.NOT_FINITE)
+        place = f"{file.path}, row {row}"
+        refuse_track(
+            RejectReason.NOT_FINITE,
+            "timestamp, x, y",
+            "be finite",
+            values[row],
+            place,
+            "Remove the file.",
+        )
     if len(values) > 1 and not np.any(np.diff(values[:, 0]) > 0.0):
-        message = fault("timestamp", "increase", values[:2, 0], file.path, "The file has no clock.")
-        raise TrackError(message, RejectReason.REPEATED_TIMESTAMPS)
+        refuse_track(
+            RejectReason.REPEATED_TIMESTAMPS,
+            "timestamp",
+            "increase",
+            values[:2, 0],
+            file.path,
+            "The file has no clock.",
+        )
     return values

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data_converters import RejectReason, TrackError
-from data_converters.imptc.cuboid import measure_cuboid
+from data_converters.imptc.cuboid import measure_cuboids
 from data_converters.imptc.sample.sensor import cuboid_edges
 
 
@@ -22,9 +22,9 @@ def test_size_and_axis_come_back_whatever_the_order_of_the_edges(
 ):
     edges = cuboid_edges(np.array([3.0, -7.0, 0.2]), angle, (length, width, height))
     edges = np.random.default_rng(seed).permutation(edges)
-    box = measure_cuboid(edges.tolist(), "here")
-    np.testing.assert_allclose(box[:3], (length, width, height), atol=0.01)
-    turned = (box.axis - angle + np.pi / 2) % np.pi - np.pi / 2
+    box = measure_cuboids([edges.tolist()], "here")
+    np.testing.assert_allclose(np.ravel(box[:3]), (length, width, height), atol=0.01)
+    turned = (box.axis[0] - angle + np.pi / 2) % np.pi - np.pi / 2
     assert abs(turned) < 0.01
 
 
@@ -40,9 +40,9 @@ def test_size_and_axis_come_back_whatever_the_order_of_the_edges(
         np.random.default_rng(0).normal(size=(12, 2, 3)).tolist(),
     ],
 )
-def test_what_is_no_cuboid_is_refused_with_its_place(edges):
-    with pytest.raises(TrackError, match="`cuboid`.*in file, ts 5") as caught:
-        measure_cuboid(edges, "file, ts 5")
+def test_what_is_no_cuboid_is_refused_with_its_file(edges):
+    with pytest.raises(TrackError, match="`cuboid`.*in file") as caught:
+        measure_cuboids([edges], "file")
     assert caught.value.reason is RejectReason.BROKEN_CUBOID
 
 
@@ -50,4 +50,4 @@ def test_a_flat_base_of_three_corners_is_refused():
     edges = cuboid_edges(np.zeros(3), 0.3, (4.0, 2.0, 1.5))
     squeezed = edges * np.array([1.0, 0.0, 1.0])
     with pytest.raises(TrackError, match="cuboid"):
-        measure_cuboid(squeezed.tolist(), "here")
+        measure_cuboids([squeezed.tolist()], "here")
