@@ -8,6 +8,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from diffstack_mmv.callbacks import Provenance, resume_point
 from diffstack_mmv.cli import command
+from diffstack_mmv.stack import load_weights
 from diffstack_mmv.vehicles import config_folder
 
 
@@ -18,6 +19,8 @@ def main(config: DictConfig) -> None:
     content = OmegaConf.to_container(config)
     resume = resume_point(Path(config.out) / "checkpoints" / "last.ckpt", content)
     stack, data = instantiate(config.stack), instantiate(config.data.module)
+    if config.start is not None and resume is None:
+        load_weights(stack, Path(config.start))
     callbacks = [instantiate(each) for each in config.callbacks.values() if each is not None]
     loggers = [instantiate(each) for each in config.logger.values() if each is not None]
     trainer = instantiate(

@@ -1,6 +1,6 @@
 """The stack of prediction, planning and control, its training losses and its evaluation."""
 
-from diffstack_mmv.stack.checkpoint import TrainedStack, load_stack, read_checkpoint
+from diffstack_mmv.stack.checkpoint import TrainedStack, load_stack, load_weights, read_checkpoint
 from diffstack_mmv.stack.evaluation import (
     Baseline,
     Evaluation,
@@ -27,6 +27,7 @@ __all__ = [
     "assemble",
     "evaluate_windows",
     "load_stack",
+    "load_weights",
     "outputs_of",
     "read_checkpoint",
     "representative",

@@ -121,29 +121,29 @@ class DiffStackMMV(pl.LightningModule):
         }
 
     def training_step(self, batch: StackBatch, batch_idx: int) -> Tensor:
-        """Weighted sum of the losses; a plan that did not converge contributes no planning loss."""
-        output = self(batch)
+        """Weighted sum of the losses; nothing is planned where the weights of planning and control are zero."""
         weights = self.loss_weights
+        means = {"prediction": self.predictor.loss(batch).mean()}
+        loss = weights.prediction * means["prediction"]
+        if weights.planning > 0 or weights.control > 0:
+            means |= self._planning_means(batch)
+            planning = means["planning_ce"] + weights.hindsight * means["planning_cost"]
+            loss = loss + weights.planning * planning + weights.control * means["control"]
+        logged = {f"train/{name}": value.detach() for name, value in means.items()}
+        self.log_dict(logged | {"train/loss": loss.detach()}, batch_size=len(batch.goal))
+        return loss
+
+    def _planning_means(self, batch: StackBatch) -> dict[str, Tensor]:
+        """Means of the planning losses; a plan that did not converge contributes to the cross entropy only."""
+        output = self(batch)
         losses = self.planning_losses(batch, output)
         converged = output.plan.solution.converged
-        means = {
+        return {
             "planning_ce": losses["planning_ce"].mean(),
             "planning_cost": _masked_mean(losses["planning_cost"], converged),
             "control": _masked_mean(losses["control"], converged),
-            "prediction": self.predictor.loss(batch).mean(),
+            "solved": converged.float().mean(),
         }
-        planning = means["planning_ce"] + weights.hindsight * means["planning_cost"]
-        loss = (
-            weights.prediction * means["prediction"]
-            + weights.planning * planning
-            + weights.control * means["control"]
-        )
-        logged = {**means, "loss": loss, "solved": converged.float().mean()}
-        self.log_dict(
-            {f"train/{name}": value.detach() for name, value in logged.items()},
-            batch_size=len(converged),
-        )
-        return loss
 
     def validation_step(self, batch: StackBatch, batch_idx: int) -> None:
         """Add the scores of a batch to the means by mode."""
@@ -152,7 +152,7 @@ class DiffStackMMV(pl.LightningModule):
     def on_validation_epoch_end(self) -> None:
         """Log the means, reduced over all processes."""
         for name, value in self.scores.compute().items():
-            self.log(f"val/{name}", value, sync_dist=False, rank_zero_only=False)
+            self.log(f"val/{name}", value)
         self.scores.reset()
 
     def predict_step(self, batch: StackBatch, batch_idx: int) -> dict[str, Tensor]:
