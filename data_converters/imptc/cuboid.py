@@ -16,7 +16,7 @@ TOLERANCE_M = 0.1
 
 
 class Cuboids(NamedTuple):
-    """Per sample (n,): length, width, height in m; direction of the longer side in rad, in [0, pi)."""
+    """Per sample (n,): length, width, height in m; axis of the longer side in rad, in [0, pi)."""
 
     length: Array
     width: Array

@@ -80,29 +80,13 @@ def microseconds(value: object, where: str) -> int:
     try:
         number = int(str(value))
     except ValueError:
-        refuse_track(
-            RejectReason.NO_TIMESTAMPS,
-            "ts",
-            "be a whole number",
-            value,
-            where,
-            "Unpack the archive again.",
-        )
-    if 10**14 <= number < 10**17:
-        return number
-    if 10**11 <= number < 10**14:
-        return number * 1000
-    remedy = (
-        "Milliseconds are converted; other units are refused, because they cannot be told apart."
-    )
-    refuse_track(
-        RejectReason.TIMESTAMP_UNIT,
-        "ts",
-        "be microseconds since 1970 (about 1.7e15)",
-        number,
-        where,
-        remedy,
-    )
+        needs, remedy = "be a whole number", "Unpack the archive again."
+        refuse_track(RejectReason.NO_TIMESTAMPS, "ts", needs, value, where, remedy)
+    if not 10**11 <= number < 10**17:
+        needs = "be microseconds since 1970 (about 1.7e15)"
+        remedy = "Milliseconds are converted; other units cannot be told apart."
+        refuse_track(RejectReason.TIMESTAMP_UNIT, "ts", needs, number, where, remedy)
+    return number if number >= 10**14 else number * 1000
 
 
 def parse_track(content: Any, where: str, keep: TrackFilter) -> TrackFile:
