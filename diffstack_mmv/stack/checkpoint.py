@@ -24,26 +24,36 @@ def load_stack(path: Path, device: torch.device | str = "cpu") -> TrainedStack:
     """Build the stack that a checkpoint describes, and load its weights.
 
     Raises:
-        ValueError: The file is missing, broken, of another program, or of another architecture than this version builds.
+        ValueError: The file is missing, broken, of another program, or of another architecture
+            than this version builds.
+    """
+    config = read_checkpoint(path)["provenance"]["config"]
+    stack = instantiate(config["stack"])
+    load_weights(stack, path)
+    return TrainedStack(stack.eval().to(device), config)
+
+
+def load_weights(stack: DiffStackMMV, path: Path) -> None:
+    """Start a stack from the weights of a checkpoint.
+
+    Raises:
+        ValueError: The file is missing, broken, of another program, or of a stack of another
+            architecture.
     """
     content = read_checkpoint(path)
-    config = content["provenance"]["config"]
-    stack = instantiate(config["stack"])
     try:
         stack.load_state_dict(content["state_dict"])
     except RuntimeError as mismatch:
         told = "; ".join(line.strip() for line in str(mismatch).splitlines()[1:4])
-        remedy = "Use the version of this package that trained it, or train again."
         raise ValueError(
             message(
                 "checkpoint",
-                "fit the architecture in its configuration",
+                "fit the architecture of the stack",
                 told,
                 f"in {path}",
-                remedy,
+                "Build the stack with the configuration it was trained with, or train again.",
             )
         ) from mismatch
-    return TrainedStack(stack.eval().to(device), config)
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
