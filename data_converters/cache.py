@@ -15,7 +15,7 @@ from trajdata.data_structures.agent import AgentMetadata
 from trajdata.data_structures.environment import EnvMetadata
 from trajdata.data_structures.scene_metadata import Scene
 
-from data_converters.errors import CacheError, fault
+from data_converters.errors import CacheError, fault, refuse
 from data_converters.recordings import SPLITS, RawScene
 from data_converters.tracks import AgentRows
 
@@ -117,18 +117,15 @@ def read_state(cache: Path, name: str) -> dict[str, Any]:
     """
     path = cache / name / STATE_FILE
     remedy = f"Convert the data again: scripts/convert.py data={name} data.cache={cache}"
-    if not path.is_file():
-        unfinished = any(cache.glob(f".converting_{name}_*"))
-        found = "an unfinished conversion" if unfinished else "no such file"
-        requirement = f"hold a finished conversion of '{name}' ({STATE_FILE})"
-        raise CacheError(fault("cache", requirement, found, path, remedy))
+    unfinished = any(cache.glob(f".converting_{name}_*"))
+    found = "an unfinished conversion" if unfinished else "no such file"
+    needs = f"hold a finished conversion of '{name}' ({STATE_FILE})"
+    refuse(not path.is_file(), "cache", needs, found, path, remedy, CacheError)
     try:
         state = json.loads(path.read_text(encoding="utf-8"))
     except json.JSONDecodeError as error:
-        raise CacheError(fault(STATE_FILE, "be JSON", error, path, remedy)) from error
-    if state.get("format_version") != FORMAT_VERSION:
-        found = state.get("format_version")
-        raise CacheError(fault("format_version", f"be {FORMAT_VERSION}", found, path, remedy))
-    if state.get("complete") is not True:
-        raise CacheError(fault("complete", "be true", state.get("complete"), path, remedy))
+        raise CacheError(f"{fault(STATE_FILE, 'be JSON', error, path, remedy)}") from error
+    for field, wanted in (("format_version", FORMAT_VERSION), ("complete", True)):
+        found = state.get(field)
+        refuse(found != wanted, field, f"be {wanted}", found, path, remedy, CacheError)
     return state

@@ -85,7 +85,7 @@ def convert(settings: ConversionSettings) -> ConversionReport:
     """Convert a data set; the environment appears in the cache only when it is complete.
 
     Scenes grow in a hidden folder next to it. A later call with equal settings goes on where an
-    earlier one stopped, and re-uses scenes of a finished cache whose files and settings are equal.
+    earlier one stopped, and reuses scenes of a finished cache whose files and settings are equal.
     An earlier environment stays as it is until the new one takes its place.
 
     Returns:

@@ -47,15 +47,21 @@ class TrackError(ConversionError):
 
 
 def refuse(
-    condition: bool, field: str, requirement: str, value: object, where: object, remedy: str
+    condition: bool,
+    field: str,
+    requirement: str,
+    value: object,
+    where: object,
+    remedy: str,
+    kind: type[ConversionError] = ConversionError,
 ) -> None:
-    """Refuse a setting or a data set; the arguments are those of `fault`.
+    """Refuse a setting, a data set or a cache; the other arguments are those of `fault`.
 
     Raises:
-        ConversionError: `condition` is true.
+        ConversionError: `condition` is true; of class `kind`.
     """
     if condition:
-        raise ConversionError(f"{fault(field, requirement, value, where, remedy)}")
+        raise kind(f"{fault(field, requirement, value, where, remedy)}")
 
 
 def refuse_track(

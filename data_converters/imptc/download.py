@@ -20,7 +20,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from data_converters.errors import ConversionError, fault
+from data_converters.errors import ConversionError, fault, refuse
 
 logger = logging.getLogger(__name__)
 
@@ -134,10 +134,9 @@ def _wanted(files: list[RemoteFile], parts: Sequence[Part], url: str) -> list[Re
     wanted = []
     for part in parts:
         matching = [file for file in files if PART_FILES[part].fullmatch(file.name)]
-        if not matching:
-            found = [file.name for file in files]
-            remedy = "The record has changed; see `PART_FILES`."
-            raise DownloadError(fault("parts", f"be in the record ('{part}')", found, url, remedy))
+        needs, found = f"be in the record ('{part}')", [file.name for file in files]
+        remedy = "The record has changed; see `PART_FILES`."
+        refuse(not matching, "parts", needs, found, url, remedy, DownloadError)
         wanted += matching
     return wanted
 
@@ -165,17 +164,14 @@ def fetch(file: RemoteFile, folder: Path, *, attempts: int, progress: bool) -> P
         ) as error:
             problem = error
             logger.warning("%s broke off at %d bytes: %s", file.name, _size(partial), error)
-    if _size(partial) < file.size:
-        found = f"{_size(partial)} after {attempts} attempts ({problem})"
-        remedy = "Run it again: it goes on where it stopped."
-        raise DownloadError(fault(file.name, f"have {file.size} bytes", found, file.url, remedy))
+    found = f"{_size(partial)} after {attempts} attempts ({problem})"
+    needs, remedy = f"have {file.size} bytes", "Run it again: it goes on where it stopped."
+    refuse(_size(partial) < file.size, file.name, needs, found, file.url, remedy, DownloadError)
     found = _md5(partial)
     if found != file.md5:
         partial.unlink()
-        remedy = "The damaged file was removed; run it again."
-        raise DownloadError(
-            fault(file.name, f"have the MD5 sum {file.md5}", found, file.url, remedy)
-        )
+    needs, remedy = f"have the MD5 sum {file.md5}", "The damaged file was removed; run it again."
+    refuse(found != file.md5, file.name, needs, found, file.url, remedy, DownloadError)
     os.replace(partial, target)
     return target
 

@@ -117,7 +117,7 @@ def read_raw(folder):
 
 
 @pytest.mark.parametrize(
-    "splits", [{"imptc": ["trian"]}, {"imptc": []}, {"imptc": ["train", "all"]}]
+    "splits", [{"imptc": ["training"]}, {"imptc": []}, {"imptc": ["train", "all"]}]
 )
 def test_an_unknown_split_is_refused(converted, splits):
     with pytest.raises(ConversionError, match="splits"):
