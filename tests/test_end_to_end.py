@@ -1,0 +1,178 @@
+"""The command lines, from recordings to a table, as a user runs them."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import torch
+from data_converters import generate_sample
+
+ROOT = Path(__file__).resolve().parents[1]
+# small enough for seconds: everything is there, nothing is trained to any purpose
+SMALL = (
+    "modes=[bicycle,scooter,motorcycle]",
+    "predictor.components=3",
+    "predictor.neighbour_components=1",
+    "trainer.limit_train_batches=2",
+    "trainer.limit_val_batches=1",
+    "batch_size=8",
+    "data.module.export.workers=0",
+)
+
+
+def run(script, *arguments):
+    """Run a command of scripts/ in a process of its own."""
+    command = [sys.executable, str(ROOT / "scripts" / f"{script}.py"), *arguments]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "WANDB_SILENT": "true"}
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment)
+
+
+def succeed(script, *arguments):
+    done = run(script, *arguments)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done
+
+
+def fail(script, *arguments):
+    """Run a command that must fail, with one message and no traceback; return the message."""
+    done = run(script, *arguments)
+    assert done.returncode != 0
+    assert "Traceback" not in done.stderr, done.stderr
+    return done.stderr
+
+
+@pytest.fixture(scope="session")
+def workplace(tmp_path_factory):
+    """Recordings of three sequences (train, val, test), their cache, a trained run and its report."""
+    place = tmp_path_factory.mktemp("end_to_end")
+    generate_sample(place / "recordings", seed=1, sequences=(0, 50, 200), duration_s=16.0)
+    data = ["data=imptc", f"data.cache={place / 'cache'}"]
+    root = f"data.root={place / 'recordings'}"
+    succeed("convert", *data, root, "workers=1", f"out={place / 'conversion'}")
+    succeed("train", *data, *SMALL, "dynamics=kbm", "epochs=1", f"out={place / 'run'}")
+    checkpoint = f"checkpoint={place / 'run' / 'checkpoints' / 'best.ckpt'}"
+    succeed("evaluate", checkpoint, *data, "data.module.export.workers=0", f"out={place / 'report'}")
+    return place
+
+
+def data_of(place):
+    return ["data=imptc", f"data.cache={place / 'cache'}"]
+
+
+def test_run_folder_holds_what_a_repetition_needs(workplace):
+    run_folder = workplace / "run"
+    assert (run_folder / "config.yaml").is_file()
+    assert {"best.ckpt", "last.ckpt"} <= {path.name for path in (run_folder / "checkpoints").iterdir()}
+    assert list((run_folder / "wandb").glob("offline-run-*"))
+    provenance = torch.load(run_folder / "checkpoints" / "last.ckpt", weights_only=True)["provenance"]
+    assert provenance["config"]["seed"] == 0
+    assert provenance["commit"]
+
+
+def test_training_logs_parts_modes_and_learned_parameters(workplace):
+    columns = set(pd.read_csv(workplace / "run" / "csv" / "metrics.csv").columns)
+    expected = {"train/prediction", "train/planning_ce", "train/control", "val/plan_ade", "val/solved"}
+    assert expected <= columns
+    assert {"physical/wheelbase", "cost_weight/final_goal", "gradient/predictor"} <= columns
+    assert "throughput/samples_per_s" in columns
+
+
+def test_report_has_a_row_per_mode_beside_the_baselines(workplace):
+    metrics = json.loads((workplace / "report" / "metrics.json").read_text())
+    assert {"bicycle", "scooter", "motorcycle"} >= set(metrics["modes"])
+    assert metrics["modes"]
+    assert metrics["goal"] == "predicted"
+    for name in ("stand_still", "constant_velocity", "kalman", "ctra"):
+        assert set(metrics["baselines"][name]) == set(metrics["modes"])
+    samples = pd.read_parquet(workplace / "report" / "samples.parquet")
+    assert len(samples) == sum(scores["n"] for scores in metrics["modes"].values())
+    assert (workplace / "report" / "error_over_horizon.png").stat().st_size > 1000
+
+
+def test_evaluation_is_deterministic(workplace, tmp_path):
+    checkpoint = f"checkpoint={workplace / 'run' / 'checkpoints' / 'best.ckpt'}"
+    succeed("evaluate", checkpoint, *data_of(workplace), "plots=false", f"out={tmp_path}")
+    again = json.loads((tmp_path / "metrics.json").read_text())
+    before = json.loads((workplace / "report" / "metrics.json").read_text())
+    assert again["modes"] == before["modes"]
+    assert again["baselines"] == before["baselines"]
+
+
+def test_runs_are_compared_in_one_table(workplace, tmp_path):
+    report = workplace / "report"
+    succeed("compare", f"runs=[{report}]", f"out={tmp_path}")
+    assert "kbm" in (tmp_path / "table.md").read_text()
+    assert (tmp_path / "table.tex").is_file()
+
+
+def test_resumed_run_ends_where_an_uninterrupted_one_does(workplace, tmp_path):
+    options = [*data_of(workplace), *SMALL, "logger=csv", "optim.scheduler.T_max=2"]
+    succeed("train", *options, "epochs=2", f"out={tmp_path / 'whole'}")
+    succeed("train", *options, "epochs=1", f"out={tmp_path / 'parts'}")
+    succeed("train", *options, "epochs=2", f"out={tmp_path / 'parts'}")
+    whole, parts = (
+        torch.load(tmp_path / name / "checkpoints" / "last.ckpt", weights_only=True)
+        for name in ("whole", "parts")
+    )
+    assert whole["global_step"] == parts["global_step"] == 4
+    for name, value in whole["state_dict"].items():
+        assert torch.equal(value, parts["state_dict"][name]), name
+
+
+@pytest.mark.parametrize(
+    ("script", "arguments", "told"),
+    [
+        ("train", ["dynamics=car"], "Could not find 'dynamics/car'"),
+        ("train", ["vehicle=hovercraft"], "Could not find 'vehicle/hovercraft'"),
+        ("train", ["vehicle=none.yaml"], "`vehicle` must be a name or an existing YAML file"),
+        ("train", ["modes=[bike]"], "`mode` must be one of"),
+        ("train", ["horizon_s=2.95"], "`horizon_s` must be a multiple of 0.1"),
+        ("train", ["data.cache=nowhere"], "hold a finished conversion"),
+        ("train", ["cost.weights.final_goal=-1"], "`weights.final_goal` must be positive"),
+        ("evaluate", ["checkpoint=none.ckpt"], "`checkpoint` must be an existing file"),
+        ("evaluate", [], "`checkpoint` must be given"),
+        ("evaluate", ["checkpoint=README.md"], "`checkpoint` must be readable"),
+        ("convert", ["data.root=nowhere"], "nowhere"),
+        ("compare", ["runs=[]"], "`runs` must name at least one folder"),
+    ],
+)
+def test_bad_input_ends_with_one_message(script, arguments, told, workplace, tmp_path):
+    data = [] if script == "compare" else data_of(workplace)
+    assert told in fail(script, *data, *arguments, f"out={tmp_path}")
+
+
+def test_other_run_in_the_same_folder_is_refused_and_left_alone(workplace):
+    last = workplace / "run" / "checkpoints" / "last.ckpt"
+    before = last.read_bytes()
+    message = fail("train", *data_of(workplace), *SMALL, "dynamics=unicycle", f"out={workplace / 'run'}")
+    assert "`out` must be a new folder" in message
+    assert last.read_bytes() == before
+
+
+def test_checkpoint_of_another_architecture_is_refused(workplace, tmp_path):
+    start = f"start={workplace / 'run' / 'checkpoints' / 'last.ckpt'}"
+    message = fail("train", *data_of(workplace), "predictor.components=7", start, f"out={tmp_path}")
+    assert "`checkpoint` must fit the architecture" in message
+
+
+@pytest.mark.parametrize("script", ["train", "evaluate", "convert", "compare", "generate_sample", "download_imptc"])
+def test_help_shows_an_example(script):
+    assert f"python scripts/{script}.py" in succeed(script, "--help").stdout
+
+
+@pytest.mark.slow
+def test_two_processes_score_as_one(workplace, tmp_path):
+    options = [*data_of(workplace), *SMALL, "logger=csv", "epochs=1", "trainer.limit_train_batches=1"]
+    options += ["trainer.limit_val_batches=1.0", "optim.optimizer.lr=0.0", "callbacks.early_stopping=null"]
+    ddp = ["trainer=ddp", "trainer.accelerator=cpu", "trainer.devices=2"]
+    succeed("train", *options, f"out={tmp_path / 'one'}")
+    succeed("train", *ddp, *options, f"out={tmp_path / 'two'}")
+    one, two = (
+        pd.read_csv(tmp_path / name / "csv" / "metrics.csv").filter(like="val/").dropna(how="all").iloc[-1]
+        for name in ("one", "two")
+    )
+    pd.testing.assert_series_equal(one, two, check_names=False, rtol=1e-5)
