@@ -50,6 +50,10 @@ class Predictor(nn.Module, ABC):
         """Forecast the agents of a batch, `B 1+N`; the futures in it are not used."""
         return self(batch.ego_past, batch.others_past)
 
+    def predict_and_judge(self, batch: StackBatch) -> tuple[Forecast, Float[Tensor, "*b"]]:
+        """`predict` and `loss` of a batch, for training steps that need both."""
+        return self.predict(batch), self.loss(batch)
+
     def loss(self, batch: StackBatch) -> Float[Tensor, "*b"]:
         """Mean negative log density in nats of the true positions, over valid times and agents."""
         future = all_agents(batch.ego_future, batch.others_future)

@@ -4,29 +4,26 @@ from pathlib import Path
 
 import pytest
 import torch
+from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
-from omegaconf import OmegaConf
 
 from diffstack_mmv.geometry import motion_in_frame, position_from_frame
 from diffstack_mmv.prediction import Predictor, ego_forecast, others_forecast
 from diffstack_mmv.types import StackBatch, map_tensors
 from tests.prediction.samples import DT_S, at_rest, bicycle, scene
 
-CONFIGS = sorted((Path(__file__).resolve().parents[2] / "configs" / "predictor").glob("*.yaml"))
+FOLDER = Path(__file__).resolve().parents[2] / "configs"
+NAMES = sorted(path.stem for path in (FOLDER / "predictor").glob("*.yaml"))
 HORIZON = 30
 
 
-def build(path, **scene_options):
-    config = OmegaConf.create(
-        {"dt_s": DT_S, "horizon_s": HORIZON * DT_S, "predictor": OmegaConf.load(path)}
-    )
-    return instantiate(config.predictor)(ego_dynamics=bicycle()).eval()
-
-
-@pytest.fixture(params=CONFIGS, ids=lambda path: path.stem, scope="module")
+@pytest.fixture(params=NAMES, scope="module")
 def predictor(request):
     torch.manual_seed(0)
-    return build(request.param)
+    values = [f"+predictor={request.param}", f"+dt_s={DT_S}", f"+horizon_s={HORIZON * DT_S}"]
+    with initialize_config_dir(str(FOLDER), version_base=None):
+        config = compose(overrides=values)
+    return instantiate(config.predictor)(ego_dynamics=bicycle()).eval()
 
 
 def long_scene(**options):
@@ -47,7 +44,7 @@ def turned(batch, origin, angle):
 
 
 def test_there_are_predictors_to_test():
-    assert {"trajectron", "constant_velocity", "kalman", "ctra"} <= {path.stem for path in CONFIGS}
+    assert {"trajectron", "constant_velocity", "kalman", "ctra"} <= set(NAMES)
 
 
 def test_it_is_a_predictor_of_the_asked_horizon(predictor):
@@ -94,6 +91,14 @@ def test_forecast_is_finite_without_any_observation(predictor):
 
 def test_loss_is_one_number_per_sample(predictor):
     assert predictor.loss(long_scene(batch=(2, 3))).shape == (2, 3)
+
+
+def test_forecast_and_loss_from_one_pass_are_those_from_two(predictor):
+    batch = long_scene()
+    forecast, loss = predictor.predict_and_judge(batch)
+    assert torch.allclose(loss, predictor.loss(batch))
+    for field, expected in zip(forecast, predictor.predict(batch), strict=True):
+        assert torch.allclose(field, expected)
 
 
 def test_a_batch_gives_what_its_samples_give_one_by_one(predictor):

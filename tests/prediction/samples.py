@@ -71,8 +71,8 @@ def trajectron(ego_dynamics=None, horizon=10, **options):
         ExtendedUnicycle(load_vehicle("motorcycle"), DT_S),
         SingleIntegrator(DT_S),
         horizon_steps=horizon,
-        sizes=Sizes(8, 8, 8, 16),
-        **{"components": 4, "neighbour_components": 3, "dropout": 0.0} | options,
+        sizes=Sizes(8, 8, 8, 16, dropout=0.0),
+        **{"components": 4, "neighbour_components": 3} | options,
     )
     with torch.no_grad():
         for branch in model.branches:

@@ -1,6 +1,7 @@
 """The decoder: Gaussian controls of each component, integrated through the dynamics."""
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -9,11 +10,17 @@ from torch import Tensor, nn
 
 from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.prediction.trajectron.mixture import PositionMoments, integrate
+from diffstack_mmv.prediction.trajectron.mixture import (
+    Linearisation,
+    PositionMoments,
+    integrate,
+    linearise,
+)
 from diffstack_mmv.prediction.trajectron.rows import AgentRows
 from diffstack_mmv.smooth import safe_norm, soft_clamp
 from diffstack_mmv.types import Motion
 
+Jacobians = Callable[[DynamicsModel, Tensor, Tensor], Linearisation]
 START_DEVIATION = (0.03, 0.03, 0.05, 0.1)  # m along, m across, rad, m/s before training
 LOG_RANGE = 4.0  # a deviation stays within a factor of e^4 of its value before training
 
@@ -45,6 +52,7 @@ class ControlDecoder(nn.Module):
         hold_steps: Steps over which a deviation is held.
         fade_s: τ, for acceleration and turn alike.
         dropout: Share of units of the context dropped in training.
+        jacobians: Linearises the dynamics, see `integrate`.
 
     Raises:
         ValueError: A number of steps is below one, or the state of the dynamics does not begin with
@@ -61,11 +69,12 @@ class ControlDecoder(nn.Module):
         hold_steps: int = 1,
         fade_s: float = 0.3,
         dropout: float = 0.0,
+        jacobians: Jacobians = linearise,
     ) -> None:
         super().__init__()
         require_at_least("horizon_steps", horizon_steps, 1)
         require_at_least("hold_steps", hold_steps, 1)
-        self.dynamics = dynamics
+        self.dynamics, self.jacobians = dynamics, jacobians
         self.horizon_steps, self.hold_steps, self.fade_s = horizon_steps, hold_steps, fade_s
         size = dynamics.control_dim
         self.dropout = nn.Dropout(dropout)
@@ -101,7 +110,9 @@ class ControlDecoder(nn.Module):
         each = Motion(
             *(field.unsqueeze(1).expand(*spread.shape[:2], *field.shape[1:]) for field in motion)
         )
-        return integrate(self.dynamics, each, controls.mean, controls.scale_tril, spread)
+        return integrate(
+            self.dynamics, each, controls.mean, controls.scale_tril, spread, self.jacobians
+        )
 
     def _unrolled(
         self, context: Float[Tensor, "R c"], hidden: Float[Tensor, "R K h"]

@@ -5,9 +5,10 @@ from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from diffstack_mmv.dynamics import DynamicsModel, rollout
+from diffstack_mmv.geometry import direction
 from diffstack_mmv.types import Motion
 
 
@@ -31,6 +32,41 @@ def linearise(
         tangents.reshape(shape),
     )
     return Linearisation(columns[..., :n], columns[..., n:])
+
+
+def linearise_shared(
+    dynamics: DynamicsModel,
+    state: Float[Tensor, "R K T n"],
+    control: Float[Tensor, "R K T m"],
+) -> Linearisation:
+    """Jacobians at the mean over the K components, turned to the heading of each component.
+
+    A model that does not care where it stands and where it points has, with the frame S = (rotation
+    of the position by θ, else identity), A(θ) = S A(0) Sᵀ and B(θ) = S B(0). What is neglected is
+    how speed and control differ between the components; what is gained is a factor K.
+    """
+    fields = dynamics.State._fields
+    pose = torch.tensor([name in ("position_x", "position_y", "heading") for name in fields])
+    centre = torch.where(pose.to(state.device), torch.zeros_like(state), state).mean(1)
+    shared = linearise(dynamics, centre, control.mean(1))
+    if "heading" not in fields:
+        return Linearisation(
+            shared.state.unsqueeze(1).expand(*state.shape, -1),
+            shared.control.unsqueeze(1).expand(*state.shape, -1),
+        )
+    frame = _frames(state[..., fields.index("heading")], state.shape[-1])
+    turned = frame @ shared.state.unsqueeze(1)
+    return Linearisation(turned @ frame.mT, frame @ shared.control.unsqueeze(1))
+
+
+def _frames(heading: Float[Tensor, "*b"], size: int) -> Float[Tensor, "*b n n"]:
+    """Rotate the first two of so many columns by a heading in rad, and keep the others."""
+    forward = direction(heading)
+    left = torch.stack([-forward[..., 1], forward[..., 0]], -1)
+    rotation = nn.functional.pad(torch.stack([forward, left], -1), (0, size - 2, 0, size - 2))
+    rest = torch.ones(size, dtype=heading.dtype, device=heading.device)
+    rest[:2] = 0
+    return rotation + torch.diag(rest)
 
 
 def start_sensitivity(dynamics: DynamicsModel, motion: Motion) -> Float[Tensor, "*b n 4"]:
@@ -99,6 +135,7 @@ def integrate(
     controls: Float[Tensor, "*b T m"],
     control_scale: Float[Tensor, "*b T m m"],
     start_deviation: Float[Tensor, "*b 4"],
+    jacobians: Callable[[DynamicsModel, Tensor, Tensor], Linearisation] = linearise,
 ) -> PositionMoments:
     """Integrate Gaussian controls through the dynamics of an agent.
 
@@ -113,10 +150,11 @@ def integrate(
         control_scale: Cholesky factors of their covariances.
         start_deviation: Standard deviations of the present position along and across in m, heading
             in rad, speed in m/s.
+        jacobians: `linearise` at every point, or `linearise_shared` where that is too slow.
     """
     state = dynamics.state_on_course(motion)
     states = rollout(dynamics, state, controls)
-    linearisation = linearise(dynamics, states[..., :-1, :], controls)
+    linearisation = jacobians(dynamics, states[..., :-1, :], controls)
     start_factor = start_sensitivity(dynamics, motion) * start_deviation.unsqueeze(-2)
     covariance = propagate(linearisation, start_factor, control_scale)
     return PositionMoments(states[..., 1:, :2], covariance[..., :2, :2])

@@ -1,6 +1,6 @@
 """Trajectron++ for micro-mobility: one forward pass for the ego and all its neighbours."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import torch
@@ -11,7 +11,7 @@ from diffstack_mmv.checks import require
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.prediction.base import Predictor, all_agents
 from diffstack_mmv.prediction.gaussian import log_density, scale_from_covariance
-from diffstack_mmv.prediction.trajectron.decoder import ControlDecoder
+from diffstack_mmv.prediction.trajectron.decoder import ControlDecoder, Jacobians
 from diffstack_mmv.prediction.trajectron.encoder import (
     TRACK_FEATURES,
     MaskedLSTM,
@@ -19,7 +19,7 @@ from diffstack_mmv.prediction.trajectron.encoder import (
     track_features,
 )
 from diffstack_mmv.prediction.trajectron.latent import Annealing, Latent, divergence
-from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
+from diffstack_mmv.prediction.trajectron.mixture import PositionMoments, linearise
 from diffstack_mmv.prediction.trajectron.output import nobody, placed, scenes
 from diffstack_mmv.prediction.trajectron.rows import (
     EGO,
@@ -36,12 +36,13 @@ from diffstack_mmv.types import Forecast, StackBatch, Tracks
 
 
 class Sizes(NamedTuple):
-    """Sizes of the networks, those of Trajectron++ by default."""
+    """Sizes of the networks, those of Trajectron++ by default, and the share of units dropped."""
 
     history: int = 32
     edge: int = 32
     future: int = 32
     decoder: int = 128
+    dropout: float = 0.1
 
 
 class Branch(nn.Module):
@@ -88,7 +89,8 @@ class Trajectron(Predictor):
         sizes: Sizes of the networks.
         annealing: Weight of the divergence of the posterior from the prior.
         hold_steps: Steps over which a decoded control is held.
-        dropout: Share of units dropped in training.
+        jacobians: Linearises the dynamics: `linearise` at every point, or `linearise_shared` at the
+            mean of the components, for models whose step is expensive.
 
     Raises:
         ValueError: The models differ in their time step, or a number is out of its range.
@@ -105,7 +107,7 @@ class Trajectron(Predictor):
         sizes: Sizes | None = None,
         annealing: Annealing | None = None,
         hold_steps: int = 1,
-        dropout: float = 0.1,
+        jacobians: Jacobians = linearise,
     ) -> None:
         super().__init__(horizon_steps, ego_dynamics.dt_s)
         models = {EGO: ego_dynamics, VEHICLE: vehicle_dynamics, WALKER: walker_dynamics}
@@ -113,7 +115,7 @@ class Trajectron(Predictor):
         require(len(set(steps)) == 1, "dt_s", "be the same for all three dynamics", steps)
         sizes = sizes if sizes is not None else Sizes()
         self.annealing = (annealing if annealing is not None else Annealing()).checked()
-        self.scene_encoder = SceneEncoder(sizes.history, sizes.edge, dropout)
+        self.scene_encoder = SceneEncoder(sizes.history, sizes.edge, sizes.dropout)
         self.future_encoder = PerKind(
             {kind: MaskedLSTM(TRACK_FEATURES, sizes.future) for kind in (VEHICLE, WALKER)},
             sizes.future,
@@ -124,7 +126,14 @@ class Trajectron(Predictor):
         for role, model in models.items():
             count = components if role == EGO else neighbour_components
             decoder = ControlDecoder(
-                model, context, count, horizon_steps, sizes.decoder, hold_steps, dropout=dropout
+                model,
+                context,
+                count,
+                horizon_steps,
+                sizes.decoder,
+                hold_steps,
+                dropout=sizes.dropout,
+                jacobians=jacobians,
             )
             self.branches.append(Branch(Latent(context, sizes.future, count), decoder))
         self.register_buffer("training_step", torch.zeros((), dtype=torch.long))
@@ -133,12 +142,9 @@ class Trajectron(Predictor):
     def forward(self, past: Tracks, others: Tracks) -> Forecast:
         """Forecast all agents, `*b 1+N`; an agent that is not observed now stays where it is."""
         agents = all_agents(past, others)
-        leading = agents.mode.shape
-        agents = scenes(agents)
-        forecast = nobody(agents, self.components, self.horizon_steps)
-        for part in self._decoded(agent_rows(agents, self.dt_s), agents.mode.shape[1]):
-            forecast = placed(forecast, part.rows, part.log_prior, part.moments)
-        return Forecast(*(field.reshape(*leading, *field.shape[1:]) for field in forecast))
+        flat = scenes(agents)
+        parts = self._decoded(agent_rows(flat, self.dt_s), flat.mode.shape[1])
+        return self._forecast(agents, parts)
 
     def loss(self, batch: StackBatch) -> Float[Tensor, "*b"]:
         """Negative evidence bound in nats per predicted time step, mean over a sample's agents.
@@ -148,20 +154,39 @@ class Trajectron(Predictor):
         with the components weighted by the posterior inside of the logarithm, as in the code of the
         sources. Each call in training mode is one step of the annealing of β.
         """
+        return self._judged(batch)[1]
+
+    def predict_and_judge(self, batch: StackBatch) -> tuple[Forecast, Float[Tensor, "*b"]]:
+        """`predict` and `loss` of a batch, with one pass through encoder and decoder."""
+        parts, loss = self._judged(batch)
+        return self._forecast(all_agents(batch.ego_past, batch.others_past), parts), loss
+
+    def _forecast(self, agents: Tracks, parts: Iterable[Decoded]) -> Forecast:
+        """Forecast of agents `*b A` from what the branches made of those that are present."""
+        forecast = nobody(scenes(agents), self.components, self.horizon_steps)
+        for part in parts:
+            forecast = placed(forecast, part.rows, part.log_prior, part.moments)
+        return Forecast(
+            *(field.reshape(*agents.mode.shape, *field.shape[1:]) for field in forecast)
+        )
+
+    def _judged(self, batch: StackBatch) -> tuple[list[Decoded], Float[Tensor, "*b"]]:
+        """Decode the agents of a batch, and compute the loss of each sample."""
         agents = scenes(all_agents(batch.ego_past, batch.others_past))
         futures = scenes(all_agents(batch.ego_future, batch.others_future))
         rows = agent_rows(agents, self.dt_s)
         future = in_own_frame(take_rows(futures, rows.index), rows.origin, rows.heading)
+        parts = list(self._decoded(rows, agents.mode.shape[1]))
         loss = rows.origin.new_zeros(agents.mode.numel())
-        for part in self._decoded(rows, agents.mode.shape[1]):
-            loss = loss.index_copy(
-                0, part.rows.index, self._row_loss(part, take_rows(future, part.place))
-            )
+        for part in parts:
+            row_loss = self._row_loss(part, take_rows(future, part.place))
+            loss = loss.index_copy(0, part.rows.index, row_loss)
         if self.training:
             self.training_step += 1
         judged = agents.valid[..., -1] & futures.valid.any(-1)
         per_agent = torch.where(judged, loss.reshape(judged.shape), 0.0)
-        return (per_agent.sum(-1) / judged.sum(-1).clamp_min(1)).reshape(batch.ego_past.mode.shape)
+        per_sample = per_agent.sum(-1) / judged.sum(-1).clamp_min(1)
+        return parts, per_sample.reshape(batch.ego_past.mode.shape)
 
     def _decoded(self, rows: AgentRows, agents: int) -> Iterator[Decoded]:
         """Encode all rows at once, and decode them by their roles."""

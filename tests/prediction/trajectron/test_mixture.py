@@ -11,6 +11,7 @@ from diffstack_mmv.prediction.trajectron.mixture import (
     Linearisation,
     integrate,
     linearise,
+    linearise_shared,
     propagate,
 )
 from diffstack_mmv.types import Motion
@@ -88,3 +89,19 @@ def test_covariances_of_a_linear_system_are_exact():
         [a[:, 1] @ a[:, 0] @ start, a[:, 1] @ b[:, 0] @ factor[:, 0], b[:, 1] @ factor[:, 1]], -1
     )
     assert torch.allclose(found[:, 1], whole @ whole.mT)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_shared_linearisation_of_components_that_differ_in_pose_alone_is_exact(model):
+    dynamics = model().double()
+    heading = (
+        dynamics.State._fields.index("heading") if "heading" in dynamics.State._fields else None
+    )
+    state = torch.rand(2, 1, 3, 4, dtype=torch.float64).expand(2, 5, 3, 4).clone()
+    state[..., :2] = torch.randn(2, 5, 3, 2)
+    if heading is not None:
+        state[..., heading] = 3 * torch.randn(2, 5, 3)
+    control = (0.3 * torch.randn(2, 1, 3, 2, dtype=torch.float64)).expand(2, 5, 3, 2)
+    exact, shared = linearise(dynamics, state, control), linearise_shared(dynamics, state, control)
+    assert torch.allclose(shared.state, exact.state)
+    assert torch.allclose(shared.control, exact.control)
