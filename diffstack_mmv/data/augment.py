@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
@@ -15,6 +15,7 @@ from diffstack_mmv.types import Motion, StackBatch, Tracks
 MotionMap = Callable[[Motion], Motion]
 
 
+@runtime_checkable
 class Augmentation(Protocol):
     """Changes a batch at random and keeps it physical."""
 
@@ -231,8 +232,8 @@ def _zeroed(tracks: Tracks) -> Tracks:
     return tracks._replace(motion=motion)
 
 
-def _all_tracks(batch: StackBatch) -> tuple[Tracks, ...]:
-    return batch.ego_past, batch.ego_future, batch.others_past, batch.others_future
+def _all_tracks(batch: StackBatch) -> list[Tracks]:
+    return [batch.ego_past, batch.ego_future, batch.others_past, batch.others_future]
 
 
 def _joined(batch: StackBatch, tracks: Sequence[Tracks]) -> StackBatch:

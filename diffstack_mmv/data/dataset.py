@@ -77,6 +77,10 @@ class ExportedWindows(WindowDataset):
             raise ValueError(_damaged(path, f"have shape {wanted}", array.shape))
         return array
 
+    def __reduce__(self) -> tuple[type["ExportedWindows"], tuple[Path]]:
+        """Send the folder to another process, not what the memory maps hold."""
+        return ExportedWindows, (self.folder,)
+
     def __len__(self) -> int:
         """Number of samples."""
         return len(self._rows)

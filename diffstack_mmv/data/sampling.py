@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import pandas as pd
@@ -30,6 +30,7 @@ class Share(NamedTuple):
     processes: int = 1
 
 
+@runtime_checkable
 class Balance(Protocol):
     """Chooses how often samples are drawn in training."""
 

@@ -1,5 +1,6 @@
 """What a sample is: which agents, how much past and future, which neighbours."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 from diffstack_mmv.checks import require, require_at_least, require_multiple, require_positive
@@ -27,7 +28,7 @@ class WindowSettings:
         ValueError: A mode is unknown, a duration is no multiple of `dt_s`, or a number is negative.
     """
 
-    ego_modes: tuple[str, ...] = ("bicycle",)
+    ego_modes: Sequence[str] = ("bicycle",)
     history_s: float = 4.0
     horizon_s: float = 3.0
     dt_s: float = 0.1

@@ -3,24 +3,26 @@
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from trajdata.augmentation.augmentation import DatasetAugmentation
 from trajdata.utils import env_utils
 
 from diffstack_mmv.checks import message, require
-from diffstack_mmv.data.corrections import HeldHeading
+from diffstack_mmv.data.corrections import HeldHeading, UpwardY
 from diffstack_mmv.data.registration import CachedEnvironment, TrajdataWindows
 from diffstack_mmv.data.settings import WindowSettings
 
 CACHE_VERSION = 1
 STATE_FILE = "cache.json"
 _REPORT_FILE = "conversion_report.json"
+_USUAL_CORRECTIONS: dict[str, tuple[DatasetAugmentation, ...]] = {"sdd": (UpwardY(), HeldHeading())}
 
 
+@runtime_checkable
 class WindowSource(Protocol):
     """A data set with splits, from which windows can be read."""
 
@@ -125,20 +127,26 @@ class NamedDataset:
         name: trajdata's name, e.g. "sdd" or "eupeds_eth".
         root: Folder of the recordings in the layout that trajdata documents.
         folder: Folder of the cache that trajdata writes.
-        corrections: Repairs of each scene; by default the heading is held at standstill.
+        corrections: Repairs of each scene. By default the heading is held at standstill, and the y
+            axis is turned up where the recordings are in picture coordinates ("sdd").
     """
 
     name: str
     root: str
     folder: str
-    corrections: Sequence[DatasetAugmentation] = field(default_factory=lambda: (HeldHeading(),))
+    corrections: Sequence[DatasetAugmentation] | None = None
+
+    def __post_init__(self) -> None:
+        if self.corrections is None:
+            usual = _USUAL_CORRECTIONS.get(self.name, (HeldHeading(),))
+            object.__setattr__(self, "corrections", usual)
 
     def identity(self) -> dict[str, object]:
         """Name, folder of the recordings, version of trajdata and the repairs.
 
         trajdata does not tell when recordings change under an existing cache.
         """
-        repairs = [[type(repair).__name__, vars(repair)] for repair in self.corrections]
+        repairs = [[type(repair).__name__, vars(repair)] for repair in self.corrections or ()]
         root = str(Path(self.root).expanduser().resolve())
         return {
             "dataset": self.name,
@@ -172,7 +180,7 @@ class NamedDataset:
         query = f"{self.name}-{split}"
         folders = {self.name: str(root)}
         cache = Path(self.folder).expanduser()
-        return TrajdataWindows(query, windows, cache, (), folders, self.corrections)
+        return TrajdataWindows(query, windows, cache, (), folders, self.corrections or ())
 
 
 def _require_step(windows: WindowSettings, recorded_s: float, where: str) -> None:

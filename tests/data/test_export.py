@@ -2,6 +2,7 @@
 
 import errno
 import json
+import pickle
 
 import numpy as np
 import pytest
@@ -120,6 +121,13 @@ def test_a_damaged_or_foreign_export_names_the_file_and_the_remedy(
         ExportedWindows(folder)
     assert str(folder) in str(error.value)
     assert "Delete" in str(error.value)
+
+
+def test_a_pickled_export_holds_a_path_and_no_samples(export, exporting):
+    exported = ExportedWindows(export_windows(export, exporting))
+    content = pickle.dumps(exported)
+    assert len(content) < 1000
+    assert same(pickle.loads(content)[[3, 1]], exported[[3, 1]])
 
 
 def test_batches_are_trimmed_to_their_own_largest_number_of_neighbours(export, exporting):

@@ -72,3 +72,11 @@ def test_a_name_that_trajdata_does_not_know_is_refused(tmp_path):
 def test_an_unknown_split_of_a_named_data_set_lists_its_tags(tmp_path):
     with pytest.raises(ValueError, match="`split` must be part of a tag of 'sdd'.*'dev'"):
         NamedDataset("sdd", str(tmp_path), str(tmp_path)).open("dev", WindowSettings())
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"), [("sdd", ["UpwardY", "HeldHeading"]), ("eupeds_eth", ["HeldHeading"])]
+)
+def test_picture_coordinates_are_turned_up(name, expected, tmp_path):
+    repairs = NamedDataset(name, str(tmp_path), str(tmp_path)).corrections
+    assert [type(repair).__name__ for repair in repairs] == expected
