@@ -1,8 +1,9 @@
 """Vehicle dynamics: one class per model behind one interface."""
 
 from diffstack_mmv.dynamics.base import DynamicsModel
+from diffstack_mmv.dynamics.gm3.model import DiffGM3
 from diffstack_mmv.dynamics.kbm import DiffKBM, SoftplusFloor
 from diffstack_mmv.dynamics.rollout import rollout
 from diffstack_mmv.dynamics.unicycle import ExtendedUnicycle
 
-__all__ = ["DiffKBM", "DynamicsModel", "ExtendedUnicycle", "SoftplusFloor", "rollout"]
+__all__ = ["DiffGM3", "DiffKBM", "DynamicsModel", "ExtendedUnicycle", "SoftplusFloor", "rollout"]

@@ -40,11 +40,21 @@ def outer_sum(
     return (left.unsqueeze(-2) * right.unsqueeze(-3)).sum(-1)
 
 
-def solve(matrix: Float[Tensor, "*b 3 3"], vector: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 3"]:
-    """Solve a 3x3 system by its adjugate: the rows of the cofactors are cross products."""
+class Factored(NamedTuple):
+    """A 3x3 matrix, ready to be solved with: its cofactors over its determinant."""
+
+    adjugate: Float[Tensor, "*b 3 3"]  # rows are the columns of the inverse
+
+    def solve(self, vector: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 3"]:
+        """Inverse times vector."""
+        return (self.adjugate * vector.unsqueeze(-1)).sum(-2)
+
+
+def factored(matrix: Float[Tensor, "*b 3 3"]) -> Factored:
+    """Prepare a 3x3 matrix: the rows of its cofactors are cross products of its rows."""
     first, second, third = matrix.unbind(-2)
     cofactors = torch.linalg.cross(
         torch.stack([second, third, first], -2), torch.stack([third, first, second], -2)
     )
     determinant = (first * cofactors[..., 0, :]).sum(-1, keepdim=True)
-    return (cofactors * vector.unsqueeze(-1)).sum(-2) / determinant
+    return Factored(cofactors / determinant.unsqueeze(-1))

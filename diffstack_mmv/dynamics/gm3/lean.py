@@ -64,5 +64,5 @@ def lean_after(
 def camber_spin(
     lean: Float[Tensor, "*b 1"], limit_rad: float, per_radius: Float[Tensor, " wheels"]
 ) -> Float[Tensor, "*b wheels"]:
-    """(1 - ε_γ) sin(γ_c) / R in 1/m, with γ_c the softly clamped lean and `per_radius` (1 - ε_γ) / R."""
+    """(1 - ε_γ) sin(γ_c) / R in 1/m, γ_c the softly clamped lean, `per_radius` (1 - ε_γ) / R."""
     return per_radius * soft_clamp(lean, limit_rad).sin()

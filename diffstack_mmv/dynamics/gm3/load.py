@@ -23,9 +23,7 @@ _NO_LIFT = 1e4  # m/s^2, the acceleration that would lift a wheel of a vehicle w
 
 
 class AccelerationLimits(NamedTuple):
-    """Largest longitudinal accelerations in m/s²: by friction or wheel lift, and by wheel lift
-    alone.
-    """
+    """Largest longitudinal accelerations in m/s²: by friction or lift, and by lift alone."""
 
     drive: Float[Tensor, "..."]
     brake: Float[Tensor, "..."]

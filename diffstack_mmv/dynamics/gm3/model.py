@@ -25,8 +25,7 @@ SLOW = 0.2  # m/s, below which a course says little about the heading
 
 
 class DiffGM3(DynamicsModel):
-    """Wheels on brush tyres under a rigid, possibly leaning body; reference point at the centre of
-    gravity.
+    """Wheels on brush tyres under a rigid, possibly leaning body, seen from its centre of gravity.
 
     Per wheel: hub velocity → slip and spin → tyre law → force in the body's axes. Body: m (v_x' -
     r v_y) = ΣF_x, m (v_y' + r v_x) = ΣF_y, I_z r' = ΣM - I_z d_yaw r. Loads follow a_x and a_y =
@@ -48,7 +47,7 @@ class DiffGM3(DynamicsModel):
     """
 
     class State(NamedTuple):
-        """Pose of the centre of gravity (m, rad), velocity in the body's axes (m/s), yaw rate, lean and its rate."""
+        """Pose of the centre of gravity (m, rad), body velocity (m/s), yaw rate, lean, lean rate."""
 
         position_x: Float[Tensor, "*b"]
         position_y: Float[Tensor, "*b"]
@@ -140,7 +139,7 @@ class DiffGM3(DynamicsModel):
         )
 
     def initial_state(self, motion: Motion) -> Float[Tensor, "*b 8"]:
-        """State with this pose, velocity and yaw rate, leaning as in a steady turn: γ = atan(v_x r / g)."""
+        """State with this pose and velocity, leaning as in a steady turn: γ = atan(v_x r / g)."""
         lateral = motion.velocity[..., 0] * motion.yaw_rate
         lean = torch.atan(lateral / GRAVITY) if self.spec.leans else torch.zeros_like(lateral)
         rest = torch.stack([motion.heading, motion.yaw_rate, lean, torch.zeros_like(lean)], -1)

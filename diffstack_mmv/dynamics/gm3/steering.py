@@ -122,7 +122,7 @@ class Ackermann(WheelSteering):
 
 
 class Trucks(WheelSteering):
-    """δ_i = ±gain · lean · sin(pivot): the lean of the rider turns the trucks against each other."""
+    """δ_i = ±gain · lean · sin(pivot): the rider's lean turns the trucks against each other."""
 
     def __init__(
         self, wheels: Sequence[WheelSpec], limit_rad: float, trucks: TruckSteering

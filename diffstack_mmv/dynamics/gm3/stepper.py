@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.dynamics.gm3.body import LinearEquation, solve, times
+from diffstack_mmv.dynamics.gm3.body import LinearEquation, factored, times
 from diffstack_mmv.dynamics.gm3.held import HeldDynamics, unpack
 from diffstack_mmv.dynamics.gm3.lean import Lean, lean_after
 
@@ -57,30 +57,33 @@ class VelocityStep(NamedTuple):
 
 
 def pade_step(
-    equation: LinearEquation, velocity: Float[Tensor, "*b 3"], step_s: float
+    equation: LinearEquation, velocity: Float[Tensor, "*b 3"], step_s: float, parts: int = 1
 ) -> VelocityStep:
     """L-stable step of second order (Padé 0,2) of v' = A v + b with A and b constant.
 
-    With W = I - hA + (hA)²/2 and f = A v + b the change is h W⁻¹ (f - (h/2) A f), the mean v +
-    (h/2) W⁻¹ (f - h A f); written as changes, which single precision needs at standstill, where hA
-    is large.
+    With W = I - hA + (hA)²/2 and f = A v + b the change is h W⁻¹ (f - (h/2) A f), the mean
+    v + (h/2) W⁻¹ (f - h A f); written as changes, which single precision needs at standstill,
+    where hA is large. `parts` of the step are taken one after the other with the same W.
     """
-    scaled = step_s * equation.matrix
+    part_s = step_s / parts
+    scaled = part_s * equation.matrix
     square = (scaled.unsqueeze(-1) * scaled.unsqueeze(-3)).sum(-2)
     identity = torch.eye(3, dtype=scaled.dtype, device=scaled.device)
-    system = identity - scaled + 0.5 * square
-    half = 0.5 * step_s * solve(system, equation.rate(velocity))
-    turned = times(scaled, half)
-    mean = velocity + (half - turned)
-    return VelocityStep(mean + half, mean)
+    system = factored(identity - scaled + 0.5 * square)
+    end, means = velocity, []
+    for _ in range(parts):
+        half = 0.5 * part_s * system.solve(equation.rate(end))
+        means.append(end + (half - times(scaled, half)))
+        end = means[-1] + half
+    return VelocityStep(end, means[0] if parts == 1 else sum(means[1:], means[0]) / parts)
 
 
 class LIM2:
     """Linearly implicit midpoint rule with frozen secant coefficients.
 
     A and b of the velocity equation are frozen at a predicted midpoint (half a step with A and b
-    at the start), the pose uses the mean velocity of the step, the lean a trapezoid. L-stable,
-    second order, two tyre evaluations.
+    at the start). With them the velocity takes two half steps; the pose uses its mean, the lean a
+    trapezoid. L-stable, second order, two tyre evaluations.
     """
 
     def __call__(
@@ -92,7 +95,7 @@ class LIM2:
         half = pade_step(start, velocity, 0.5 * step_s)
         midway = self._lean(dynamics, lean, lean.angle, half.mean, 0.5 * step_s)
         middle = dynamics.velocity_equation(half.end, midway.angle)
-        full = pade_step(middle, velocity, step_s)
+        full = pade_step(middle, velocity, step_s, parts=2)
         end = self._lean(dynamics, lean, midway.angle, full.mean, step_s)
         forward, left, yaw_rate = full.mean.split(1, -1)
         mean_heading = heading + 0.5 * step_s * yaw_rate
