@@ -79,17 +79,27 @@ def free_inverse(H: Float[Tensor, "m m N"], free: Bool[Tensor, "m N"]) -> Float[
     return torch.where(mask, inverse, torch.zeros_like(inverse))
 
 
-def positive_shift(Q: Float[Tensor, "m m N"], definite: float) -> Float[Tensor, " N"]:
-    """Multiple of the identity that lifts the smallest eigenvalue to `definite` times the largest entry; else zero."""
-    if Q.shape[0] == 1:
-        smallest = Q[0, 0]
-    elif Q.shape[0] == 2:
-        middle, half = 0.5 * (Q[0, 0] + Q[1, 1]), 0.5 * (Q[0, 0] - Q[1, 1])
-        smallest = middle - (half.square() + Q[0, 1].square()).sqrt()
-    else:
+def positive_lift(Q: Float[Tensor, "m m N"], definite: float) -> Float[Tensor, "m N"]:
+    """What to add to the diagonal of a symmetric Q to make it positive definite; zero where it is.
+
+    One and two variables: the modified Cholesky factorisation with pivoting, which leaves the larger
+    diagonal entry alone if it can, so that a curvature in one direction does not spoil the other.
+    More: the same lift for all. The smallest pivot is `definite` times the largest entry.
+    """
+    scale = Q.abs().amax((0, 1))
+    floor = definite * scale + torch.finfo(Q.dtype).tiny
+    m = Q.shape[0]
+    if m == 1:
+        return (floor - Q[0]).clamp_min(0)
+    if m > 2:
         smallest = torch.linalg.eigvalsh(Q.movedim(-1, 0))[..., 0]
-    floor = definite * Q.abs().amax((0, 1)) + torch.finfo(Q.dtype).tiny
-    return torch.where(smallest < floor, floor - smallest, torch.zeros_like(smallest))
+        return (floor - smallest).clamp_min(0).expand(m, -1)
+    pivot, other = torch.maximum(Q[0, 0], Q[1, 1]), torch.minimum(Q[0, 0], Q[1, 1])
+    square = Q[0, 1].square()
+    raised = torch.maximum(pivot, torch.maximum(floor, square / (scale + torch.finfo(Q.dtype).tiny)))
+    lifts = raised - pivot, (floor + square / raised - other).clamp_min(0)
+    is_first = Q[0, 0] >= Q[1, 1]
+    return torch.stack([torch.where(is_first, *lifts), torch.where(is_first, lifts[1], lifts[0])])
 
 
 def _projected_newton(H: Tensor, g: Tensor, lower: Tensor, upper: Tensor) -> Tensor:

@@ -37,29 +37,19 @@ def step_all(
     return torch.vmap(dynamics, (-2, -2))(states, controls).movedim(0, -2)
 
 
-def _seeds(n: int, m: int, like: Tensor) -> tuple[Tensor, Tensor]:
-    """One-hot tangents of (x, u), n + m of them."""
-    seeds = torch.eye(n + m, dtype=like.dtype, device=like.device)
-    return seeds[:, :n], seeds[:, n:]
-
-
 def linearise_dynamics(
     dynamics: Dynamics, states: Float[Tensor, "*b T n"], controls: Float[Tensor, "*b T m"]
 ) -> tuple[Float[Tensor, "*b T n n"], Float[Tensor, "*b T n m"]]:
-    """Jacobians A, B at every pair: the model's own, or n + m forward tangents in one call."""
+    """Jacobians A, B at every pair: the model's own, or n cotangents pulled back in one call."""
     if isinstance(dynamics, LinearisedDynamics):
         A, B = torch.vmap(dynamics.jacobian, (-2, -2))(states, controls)
         return A.movedim(0, -3), B.movedim(0, -3)
-    n, m = states.shape[-1], controls.shape[-1]
-
-    def column(seed_x: Tensor, seed_u: Tensor) -> Tensor:
-        tangents = seed_x.expand_as(states), seed_u.expand_as(controls)
-        return torch.func.jvp(lambda x, u: step_all(dynamics, x, u), (states, controls), tangents)[
-            1
-        ]
-
-    columns = torch.vmap(column)(*_seeds(n, m, states)).movedim(0, -1)
-    return columns[..., :n], columns[..., n:]
+    n = states.shape[-1]
+    _, pull = torch.func.vjp(lambda x, u: step_all(dynamics, x, u), states, controls)
+    seeds = torch.eye(n, dtype=states.dtype, device=states.device)
+    rows = torch.vmap(lambda seed: pull(seed.expand_as(states)))(seeds)
+    A, B = (row.movedim(0, -2) for row in rows)
+    return A, B
 
 
 def _curvature(
@@ -69,13 +59,14 @@ def _curvature(
 ) -> Curvature:
     """Hessian blocks from the gradient of a sum that is separable over times."""
     n, m = states.shape[-1], controls.shape[-1]
+    _, pull = torch.func.vjp(gradient, states, controls)
 
-    def column(seed_x: Tensor, seed_u: Tensor) -> tuple[Tensor, Tensor]:
-        tangents = seed_x.expand_as(states), seed_u.expand_as(controls)
-        return torch.func.jvp(gradient, (states, controls), tangents)[1]
+    def row(seed_x: Tensor, seed_u: Tensor) -> tuple[Tensor, Tensor]:
+        return pull((seed_x.expand_as(states), seed_u.expand_as(controls)))
 
-    of_x, of_u = (part.movedim(0, -1) for part in torch.vmap(column)(*_seeds(n, m, states)))
-    return Curvature(of_x[..., :n], of_u[..., :n], of_u[..., n:])
+    seeds = torch.eye(n + m, dtype=states.dtype, device=states.device)
+    of_x, of_u = (part.movedim(0, -2) for part in torch.vmap(row)(seeds[:, :n], seeds[:, n:]))
+    return Curvature(of_x[..., :n, :], of_x[..., n:, :], of_u[..., n:, :])
 
 
 def expand_cost(

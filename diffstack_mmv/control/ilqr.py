@@ -9,10 +9,10 @@ from torch import Tensor
 from diffstack_mmv.checks import message, require, require_at_least, require_positive
 from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last
 from diffstack_mmv.control.compilation import Kernels, compiled_kernels, eager_kernels
-from diffstack_mmv.control.definite import definite_policy
 from diffstack_mmv.control.implicit import Optimum, attach, free_controls
 from diffstack_mmv.control.iteration import OPEN, Iterate, Settings
 from diffstack_mmv.control.optimizer import Cost, Dynamics
+from diffstack_mmv.control.riccati import definite_policy
 from diffstack_mmv.types import Bounds, Solution, SolverStatus
 
 
@@ -145,7 +145,12 @@ class ILQR:
             model = kernels.expand(dynamics, cost, like, iterate.x, iterate.u)
             room = settings.box.unsqueeze(-1).unsqueeze(1) - iterate.u
             policy = definite_policy(
-                kernels.box_policy, model.quadratic, (room[0], room[1]), iterate.damping, len(x0)
+                kernels.box_policy,
+                model.quadratic,
+                (room[0], room[1]),
+                iterate.damping,
+                model.magnitude,
+                len(x0),
             )
             iterate = kernels.attempt(dynamics, cost, like, iterate, model, policy, settings)
         limit = torch.where(iterate.status == OPEN, SolverStatus.ITERATION_LIMIT, iterate.status)

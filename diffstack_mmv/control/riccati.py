@@ -1,5 +1,6 @@
 """Riccati recursions over a batch of linear-quadratic problems, the batch in the last dimension."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -16,8 +17,9 @@ from diffstack_mmv.control.batch_last import (
     unpack,
     walk,
 )
-from diffstack_mmv.control.box_qp import free_inverse, positive_shift, solve_box_qp
+from diffstack_mmv.control.box_qp import free_inverse, positive_lift, solve_box_qp
 
+FAR = 3e-2  # predicted decrease relative to the cost above which a problem is far from its solution
 DEFINITE = 1e-6  # smallest eigenvalue of Q_uu relative to its largest entry, before it is shifted
 
 
@@ -46,7 +48,8 @@ class Policy(NamedTuple):
 
     gains: Float[Tensor, "T m+mn N"]  # k and K of each time
     decrease: Float[Tensor, " N"]  # predicted decrease of the cost for α = 1
-    shifted: Bool[Tensor, " N"]  # whether any Q_uu had to be made positive definite
+    lifted: Bool[Tensor, " N"]  # whether Q_uu was indefinite anywhere
+    lifted_free: Bool[Tensor, " N"]  # whether it was on controls that no bound holds
 
 
 class Stationary(NamedTuple):
@@ -94,11 +97,61 @@ def _action(value: Tensor, parts: tuple[Tensor, ...]) -> _Action:
     )
 
 
+def dominance(
+    H: Float[Tensor, "k k N"], outside: Float[Tensor, "k N"]
+) -> Float[Tensor, "k N"]:
+    """What the diagonal of H lacks to dominate its rows, `outside` being the rest of each row.
+
+    A symmetric matrix whose diagonal dominates is positive semidefinite (Gershgorin).
+    """
+    diagonal = H.diagonal(dim1=0, dim2=1).movedim(-1, 0)
+    return (H.abs().sum(1) - diagonal.abs() + outside - diagonal).clamp_min(0)
+
+
+def definite_policy(
+    solve: Callable[..., Policy],
+    lq: LinearQuadratic,
+    room: tuple[Float[Tensor, "T m N"], Float[Tensor, "T m N"]],
+    damping: Float[Tensor, " N"],
+    magnitude: Float[Tensor, " N"],
+    n: int,
+) -> Policy:
+    """Policy of the exact model where that is convex along the recursion, else of a convex one.
+
+    Exact means the Hessian of the Lagrangian: Newton's method with its quadratic convergence. A
+    problem in which any Q_uu is indefinite on controls that no bound holds is solved a second time with the Hessian over (x_t, u_t)
+    of every stage lifted.
+
+    Args:
+        solve: `box_policy`, or a compiled form of it.
+        lq: The exact model.
+        room: Lower and upper bound minus present control.
+        damping: μ of each problem, dimensionless.
+        magnitude: Σ |c_t|.
+        n: Number of state columns.
+    """
+    lower, upper = room
+    policy = solve(lq, lower, upper, damping, torch.zeros_like(damping), n)
+    far = policy.decrease > FAR * magnitude
+    index = (policy.lifted_free | (policy.lifted & far)).nonzero().squeeze(-1)
+    if len(index) == 0:
+        return policy
+    if len(index) == 1 < len(damping):
+        index = index.repeat(2)  # a batch of one would be compiled separately
+    part = LinearQuadratic(*(rows[..., index] for rows in lq))
+    weak = damping[index]
+    convex = solve(part, lower[..., index], upper[..., index], weak, torch.ones_like(weak), n)
+    return Policy(
+        *(whole.index_copy(-1, index, fixed) for whole, fixed in zip(policy, convex, strict=True))
+    )
+
+
 def box_policy(
     lq: LinearQuadratic,
     lower: Float[Tensor, "T m N"],
     upper: Float[Tensor, "T m N"],
     damping: Float[Tensor, " N"],
+    lifted: Float[Tensor, " N"],
     n: int,
 ) -> Policy:
     """Backward pass of control-limited DDP.
@@ -108,7 +161,7 @@ def box_policy(
         k = argmin ½ k'Q_uu k + Q_u'k in the box,   K = -Q_uu⁻¹ Q_ux on the free controls, else 0
         V_x = Q_x + K'(Q_uu k + Q_u) + Q_ux'k,   V_xx = Q_xx + K'Q_uu K + K'Q_ux + Q_ux'K
 
-    with Q_uu + μ max|Q_uu| I, shifted further where it is not positive definite. The damping counts
+    with Q_uu + μ max|Q_uu| I, its diagonal lifted where it is not positive definite. All this counts
     as a part of the cost of δu, so that the policy minimises one convex model and is a direction of
     descent. Source: [TASSA].
 
@@ -117,16 +170,21 @@ def box_policy(
         lower: Lower bound minus present control.
         upper: Upper bound minus present control.
         damping: μ of each problem, dimensionless.
+        lifted: 1 where the Hessian of every stage is lifted until it is diagonally dominant, else 0.
         n: Number of state columns.
     """
     m = lower.shape[1]
-    eye = torch.eye(m, dtype=lower.dtype, device=lower.device).unsqueeze(-1)
+    eye = torch.eye(n, dtype=lower.dtype, device=lower.device).unsqueeze(-1)
+    eye_u = torch.eye(m, dtype=lower.dtype, device=lower.device).unsqueeze(-1)
 
     def step(value: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
-        *parts, low, high = unpack(row, *stage_shapes(n, m), (m,), (m,))
-        Q = _action(value, tuple(parts))
-        shift = positive_shift(Q.uu, DEFINITE)
-        Q_uu = Q.uu + (shift + damping * Q.uu.abs().amax((0, 1))) * eye
+        *first, xx, ux, uu, low, high = unpack(row, *stage_shapes(n, m), (m,), (m,))
+        cross = ux.abs()
+        xx = xx + eye * lifted * dominance(xx, cross.sum(0))
+        uu = uu + eye_u * lifted * dominance(uu, cross.sum(1))
+        Q = _action(value, (*first, xx, ux, uu))
+        lift = positive_lift(Q.uu, DEFINITE)
+        Q_uu = Q.uu + (lift + damping * Q.uu.abs().amax((0, 1))) * eye_u
         k, free = solve_box_qp(Q_uu, Q.u, low, high)
         K = -product(free_inverse(Q_uu, free), Q.ux)
         Qk = apply(Q_uu, k)
@@ -134,11 +192,14 @@ def box_policy(
         V_x = Q.x + transposed_apply(K, Qk + Q.u) + transposed_apply(Q.ux, k)
         V_xx = Q.xx + transposed_product(K, product(Q_uu, K)) + cross + cross.transpose(0, 1)
         decrease = -(k * (0.5 * Qk + Q.u)).sum(0, keepdim=True)
-        return pack(V_x, symmetric(V_xx)), pack(k, K, decrease, shift.unsqueeze(0))
+        return pack(V_x, symmetric(V_xx)), pack(k, K, decrease, lift.sum(0, keepdim=True), (lift * free).sum(0, keepdim=True))
 
-    rows = walk(step, lq.final, torch.cat([lq.stages, lower, upper], 1), reverse=True)[1]
-    gains, decrease, shift = rows.split([m + m * n, 1, 1], 1)
-    return Policy(gains, decrease.sum((0, 1)), (shift > 0).any(0).squeeze(0))
+    final_x, final_xx = unpack(lq.final, *final_shapes(n))
+    final_xx = final_xx + eye * lifted * dominance(final_xx, torch.zeros_like(final_x))
+    rows = walk(step, pack(final_x, final_xx), torch.cat([lq.stages, lower, upper], 1), reverse=True)[1]
+    gains, decrease, lift, lift_free = rows.split([m + m * n, 1, 1, 1], 1)
+    flags = ((rows > 0).any(0).squeeze(0) for rows in (lift, lift_free))
+    return Policy(gains, decrease.sum((0, 1)), *flags)
 
 
 def solve_free(lq: LinearQuadratic, free: Float[Tensor, "T m N"], n: int) -> Stationary:
