@@ -30,9 +30,11 @@ def main(config: DictConfig) -> None:
         "Add checkpoint=PATH.",
     )
     stack, trained = load_stack(Path(config.checkpoint), _device(config.device))
-    if config.goal is not None:
+    if "goal" in config:
         stack.goal = instantiate(config.goal)
-    windows = instantiate(config.data.module).dataset(config.split)
+    data = instantiate(config.data.module)
+    data.prepare_splits([config.split])
+    windows = data.dataset(config.split)
     evaluation = evaluate_windows(stack, instantiate(config.baselines), windows, config.batch_size)
     metrics = summarise_modes(evaluation.samples, config.situations)
     for mode in set(config.modes) - set(metrics["modes"]):

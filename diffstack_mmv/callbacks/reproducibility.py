@@ -32,7 +32,7 @@ class Provenance(Callback):
         checkpoint["provenance"] = {
             "config": self.config,
             "commit": current_commit(),
-            "torch": torch.__version__,
+            "torch": str(torch.__version__),
             "diffstack_mmv": _installed_version(),
         }
 

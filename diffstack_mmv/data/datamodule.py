@@ -78,10 +78,17 @@ class TrajdataModule(LightningDataModule):
             ValueError: The source cannot be opened or a split holds no window.
             OSError: The disk is full.
         """
-        if self.export is None:
-            return
-        needed = self._needed(self._stage())
-        _export_alone([Export(self.source, split, self.windows) for split in needed], self.export)
+        self.prepare_splits(self._needed(self._stage()))
+
+    def prepare_splits(self, splits: Sequence[str]) -> None:
+        """Export these splits, unless they are there or nothing is exported at all.
+
+        Raises:
+            ValueError: The source cannot be opened or a split holds no window.
+            OSError: The disk is full.
+        """
+        if self.export is not None:
+            _export_alone([Export(self.source, split, self.windows) for split in splits], self.export)
 
     def setup(self, stage: str | None = None) -> None:
         """Open the splits of a stage ("fit", "validate", "test"), or all."""
