@@ -17,7 +17,7 @@ from data_converters.imptc.sample.lights import SignalPlan
 from data_converters.imptc.sample.sensor import detect, master_clock
 from data_converters.imptc.sample.traffic import STEP_S, simulate
 
-SAMPLE_SEQUENCES = (0, 1, 2, 100, 50, 150, 200, 201)
+SAMPLE_SEQUENCES = (0, 1, 2, 100, 50, 150, 200, 203)
 """Numbers that fall into set_01, set_03 (train), set_02, set_04 (val) and set_05 (test)."""
 
 FIRST_START = datetime(2023, 3, 22, 8, 15, 6, tzinfo=UTC)
