@@ -35,7 +35,10 @@ def main(config: DictConfig) -> None:
     data = instantiate(config.data.module)
     data.prepare_splits([config.split])
     windows = data.dataset(config.split)
-    evaluation = evaluate_windows(stack, instantiate(config.baselines), windows, config.batch_size)
+    baselines = dict(instantiate(config.baselines.simple))
+    if stack.goal.uses_future:
+        baselines |= instantiate(config.baselines.to_goal)
+    evaluation = evaluate_windows(stack, baselines, windows, config.batch_size)
     metrics = summarise_modes(evaluation.samples, config.situations)
     for mode in set(config.modes) - set(metrics["modes"]):
         logger.warning(
@@ -48,6 +51,7 @@ def main(config: DictConfig) -> None:
         "data": config.data.name,
         "split": config.split,
         "seed": trained["seed"],
+        "smoother": data.source.smoother,
         "checkpoint": str(config.checkpoint),
     }
     out = Path(config.out)

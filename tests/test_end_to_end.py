@@ -55,7 +55,9 @@ def workplace(tmp_path_factory):
     succeed("convert", *data, root, "workers=1", f"out={place / 'conversion'}")
     succeed("train", *data, *SMALL, "dynamics=kbm", "epochs=1", f"out={place / 'run'}")
     checkpoint = f"checkpoint={place / 'run' / 'checkpoints' / 'best.ckpt'}"
-    succeed("evaluate", checkpoint, *data, "data.module.export.workers=0", f"out={place / 'report'}")
+    succeed(
+        "evaluate", checkpoint, *data, "data.module.export.workers=0", f"out={place / 'report'}"
+    )
     return place
 
 
@@ -66,16 +68,26 @@ def data_of(place):
 def test_run_folder_holds_what_a_repetition_needs(workplace):
     run_folder = workplace / "run"
     assert (run_folder / "config.yaml").is_file()
-    assert {"best.ckpt", "last.ckpt"} <= {path.name for path in (run_folder / "checkpoints").iterdir()}
+    assert {"best.ckpt", "last.ckpt"} <= {
+        path.name for path in (run_folder / "checkpoints").iterdir()
+    }
     assert list((run_folder / "wandb").glob("offline-run-*"))
-    provenance = torch.load(run_folder / "checkpoints" / "last.ckpt", weights_only=True)["provenance"]
+    provenance = torch.load(run_folder / "checkpoints" / "last.ckpt", weights_only=True)[
+        "provenance"
+    ]
     assert provenance["config"]["seed"] == 0
     assert provenance["commit"]
 
 
 def test_training_logs_parts_modes_and_learned_parameters(workplace):
     columns = set(pd.read_csv(workplace / "run" / "csv" / "metrics.csv").columns)
-    expected = {"train/prediction", "train/planning_ce", "train/control", "val/plan_ade", "val/solved"}
+    expected = {
+        "train/prediction",
+        "train/planning_ce",
+        "train/control",
+        "val/plan_ade",
+        "val/solved",
+    }
     assert expected <= columns
     assert {"physical/wheelbase", "cost_weight/final_goal", "gradient/predictor"} <= columns
     assert "throughput/samples_per_s" in columns
@@ -148,7 +160,9 @@ def test_bad_input_ends_with_one_message(script, arguments, told, workplace, tmp
 def test_other_run_in_the_same_folder_is_refused_and_left_alone(workplace):
     last = workplace / "run" / "checkpoints" / "last.ckpt"
     before = last.read_bytes()
-    message = fail("train", *data_of(workplace), *SMALL, "dynamics=unicycle", f"out={workplace / 'run'}")
+    message = fail(
+        "train", *data_of(workplace), *SMALL, "dynamics=unicycle", f"out={workplace / 'run'}"
+    )
     assert "`out` must be a new folder" in message
     assert last.read_bytes() == before
 
@@ -159,20 +173,35 @@ def test_checkpoint_of_another_architecture_is_refused(workplace, tmp_path):
     assert "`checkpoint` must fit the architecture" in message
 
 
-@pytest.mark.parametrize("script", ["train", "evaluate", "convert", "compare", "generate_sample", "download_imptc"])
+@pytest.mark.parametrize(
+    "script", ["train", "evaluate", "convert", "compare", "generate_sample", "download_imptc"]
+)
 def test_help_shows_an_example(script):
     assert f"python scripts/{script}.py" in succeed(script, "--help").stdout
 
 
 @pytest.mark.slow
 def test_two_processes_score_as_one(workplace, tmp_path):
-    options = [*data_of(workplace), *SMALL, "logger=csv", "epochs=1", "trainer.limit_train_batches=1"]
-    options += ["trainer.limit_val_batches=1.0", "optim.optimizer.lr=0.0", "callbacks.early_stopping=null"]
+    options = [
+        *data_of(workplace),
+        *SMALL,
+        "logger=csv",
+        "epochs=1",
+        "trainer.limit_train_batches=1",
+    ]
+    options += [
+        "trainer.limit_val_batches=1.0",
+        "optim.optimizer.lr=0.0",
+        "callbacks.early_stopping=null",
+    ]
     ddp = ["trainer=ddp", "trainer.accelerator=cpu", "trainer.devices=2"]
     succeed("train", *options, f"out={tmp_path / 'one'}")
     succeed("train", *ddp, *options, f"out={tmp_path / 'two'}")
     one, two = (
-        pd.read_csv(tmp_path / name / "csv" / "metrics.csv").filter(like="val/").dropna(how="all").iloc[-1]
+        pd.read_csv(tmp_path / name / "csv" / "metrics.csv")
+        .filter(like="val/")
+        .dropna(how="all")
+        .iloc[-1]
         for name in ("one", "two")
     )
     pd.testing.assert_series_equal(one, two, check_names=False, rtol=1e-5)

@@ -88,7 +88,9 @@ class TrajdataModule(LightningDataModule):
             OSError: The disk is full.
         """
         if self.export is not None:
-            _export_alone([Export(self.source, split, self.windows) for split in splits], self.export)
+            _export_alone(
+                [Export(self.source, split, self.windows) for split in splits], self.export
+            )
 
     def setup(self, stage: str | None = None) -> None:
         """Open the splits of a stage ("fit", "validate", "test"), or all."""

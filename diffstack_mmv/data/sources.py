@@ -35,6 +35,11 @@ class WindowSource(Protocol):
         """Plain values that change whenever the recordings or their conversion do."""
         ...
 
+    @property
+    def smoother(self) -> str:
+        """How the tracks were smoothed, and how far it looked ahead."""
+        ...
+
     def open(self, split: str, windows: WindowSettings) -> TrajdataWindows:
         """Open the windows of one split."""
         ...
@@ -64,6 +69,16 @@ class ConvertedCache:
             path = self._path / file
             digest.update(path.read_bytes() if path.is_file() else b"")
         return {"dataset": self.name, "content": digest.hexdigest()}
+
+    @property
+    def smoother(self) -> str:
+        """Name and look-ahead in s of the smoother, as the cache tells them.
+
+        Raises:
+            ValueError: The cache is absent, unfinished or of another version.
+        """
+        used = self._state()["smoother"]
+        return f"{used['name']}, looks {used['lookahead_s']:g} s ahead"
 
     def open(self, split: str, windows: WindowSettings) -> TrajdataWindows:
         """Open the windows of one split.
@@ -140,6 +155,11 @@ class NamedDataset:
         if self.corrections is None:
             usual = _USUAL_CORRECTIONS.get(self.name, (HeldHeading(),))
             object.__setattr__(self, "corrections", usual)
+
+    @property
+    def smoother(self) -> str:
+        """None of ours: trajdata takes the tracks as they are."""
+        return "none, tracks as trajdata reads them"
 
     def identity(self) -> dict[str, object]:
         """Name, folder of the recordings, version of trajdata and the repairs.

@@ -12,6 +12,7 @@ class GoalSource(Protocol):
     """Chooses the goal of each sample; every table names the source it was made with."""
 
     name: str
+    uses_future: bool
 
     def __call__(self, batch: StackBatch, forecast: Forecast) -> Float[Tensor, "B 2"]:
         """Goal in m in the frame of the sample, given the forecast of the ego (B K T)."""
@@ -22,6 +23,7 @@ class FutureGoal:
     """The human's position at the horizon: the route is known, as in DMMV."""
 
     name = "future"
+    uses_future = True
 
     def __call__(self, batch: StackBatch, forecast: Forecast) -> Float[Tensor, "B 2"]:
         """Goal in m from the recording."""
@@ -32,6 +34,7 @@ class PredictedGoal:
     """The end of the ego's most likely predicted trajectory: no future is used at all."""
 
     name = "predicted"
+    uses_future = False
 
     def __call__(self, batch: StackBatch, forecast: Forecast) -> Float[Tensor, "B 2"]:
         """Goal in m from the forecast."""

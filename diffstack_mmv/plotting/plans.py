@@ -45,7 +45,7 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
     axes.plot(*scene.plan.T, color=PALETTE[1], linewidth=1.8, label="plan", zorder=6)
     axes.plot(*scene.goal, "*", color=PALETTE[2], markersize=10, label="goal", zorder=7)
     axes.set_title(scene.title, fontsize=8)
-    axes.set_aspect("equal", "datalim")
+    axes.set_aspect("equal", "box")
     _frame(axes, scene)
     axes.grid(alpha=0.3)
     axes.tick_params(labelsize=7)
@@ -53,9 +53,10 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
 
 def _frame(axes: Axes, scene: Scene) -> None:
     seen = np.concatenate([scene.past, scene.human, scene.plan])
-    low, high = seen.min(0) - 2.0, seen.max(0) + 2.0
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
+    centre = 0.5 * (seen.min(0) + seen.max(0))
+    half = 0.5 * np.ptp(seen, axis=0).max() + 1.0
+    axes.set_xlim(centre[0] - half, centre[0] + half)
+    axes.set_ylim(centre[1] - 0.75 * half, centre[1] + 0.75 * half)
 
 
 def draw_scenes(scenes: Sequence[Scene], columns: int = 3) -> Figure:

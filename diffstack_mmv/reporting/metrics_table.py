@@ -69,7 +69,7 @@ def mode_table(metrics: Mapping[str, Any]) -> pd.DataFrame:
     """One row per mode with all scores."""
     frame = pd.DataFrame.from_dict(metrics["modes"], orient="index")
     frame.index.name = "mode"
-    return frame.rename(columns=MODE_SCORES)
+    return frame.astype({"n": int}).astype({"n": str}).rename(columns=MODE_SCORES)
 
 
 def baseline_table(metrics: Mapping[str, Any]) -> pd.DataFrame:

@@ -84,7 +84,10 @@ class DiffStackMMV(pl.LightningModule):
 
     def forward(self, batch: StackBatch) -> StackOutput:
         """Predict all agents, choose the goal, and plan."""
-        forecast = self.predictor.predict(batch)
+        return self.plan(batch, self.predictor.predict(batch))
+
+    def plan(self, batch: StackBatch, forecast: Forecast) -> StackOutput:
+        """Choose the goal and plan, given a forecast of all agents."""
         ego = ego_forecast(forecast)
         goal = self.goal(batch, ego)
         others = strongest(others_forecast(forecast), self.obstacle_components)
@@ -121,21 +124,24 @@ class DiffStackMMV(pl.LightningModule):
         }
 
     def training_step(self, batch: StackBatch, batch_idx: int) -> Tensor:
-        """Weighted sum of the losses; nothing is planned where the weights of planning and control are zero."""
+        """Weighted sum of the losses; nothing is planned where planning and control weigh nothing."""
         weights = self.loss_weights
-        means = {"prediction": self.predictor.loss(batch).mean()}
-        loss = weights.prediction * means["prediction"]
         if weights.planning > 0 or weights.control > 0:
-            means |= self._planning_means(batch)
+            forecast, judged = self.predictor.predict_and_judge(batch)
+            means = self._planning_means(batch, self.plan(batch, forecast))
             planning = means["planning_ce"] + weights.hindsight * means["planning_cost"]
-            loss = loss + weights.planning * planning + weights.control * means["control"]
+            loss = weights.planning * planning + weights.control * means["control"]
+        else:
+            judged, means = self.predictor.loss(batch), {}
+            loss = judged.new_zeros(())
+        means["prediction"] = judged.mean()
+        loss = loss + weights.prediction * means["prediction"]
         logged = {f"train/{name}": value.detach() for name, value in means.items()}
         self.log_dict(logged | {"train/loss": loss.detach()}, batch_size=len(batch.goal))
         return loss
 
-    def _planning_means(self, batch: StackBatch) -> dict[str, Tensor]:
-        """Means of the planning losses; a plan that did not converge contributes to the cross entropy only."""
-        output = self(batch)
+    def _planning_means(self, batch: StackBatch, output: StackOutput) -> dict[str, Tensor]:
+        """Means of the planning losses; a plan without solution only counts in the cross entropy."""
         losses = self.planning_losses(batch, output)
         converged = output.plan.solution.converged
         return {

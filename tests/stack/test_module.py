@@ -4,7 +4,13 @@ import pytest
 import torch
 
 from diffstack_mmv.control import ILQR
-from diffstack_mmv.costs import ControlEffort, ExpectedCollision, FinalGoal, ReferenceTracking, WeightedCost
+from diffstack_mmv.costs import (
+    ControlEffort,
+    ExpectedCollision,
+    FinalGoal,
+    ReferenceTracking,
+    WeightedCost,
+)
 from diffstack_mmv.dynamics import DiffKBM
 from diffstack_mmv.planning import CandidateFan, FutureGoal, MPCPlanner, PredictedGoal
 from diffstack_mmv.prediction import ConstantVelocity, StandStill
@@ -20,7 +26,9 @@ def straight_tracks(start, velocity, rows, first):
     """Agents `*b` that keep their velocity; row `first` is the present."""
     time = 0.1 * (torch.arange(rows) + 1 - first)
     position = start.unsqueeze(-2) + velocity.unsqueeze(-2) * time.unsqueeze(-1)
-    heading = torch.atan2(velocity[..., 1], velocity[..., 0]).unsqueeze(-1).expand(position.shape[:-1])
+    heading = (
+        torch.atan2(velocity[..., 1], velocity[..., 0]).unsqueeze(-1).expand(position.shape[:-1])
+    )
     forward = velocity.norm(dim=-1, keepdim=True).expand(position.shape[:-1])
     body = torch.stack([forward, torch.zeros_like(forward)], -1)
     motion = Motion(position, heading, body, torch.zeros_like(heading))
