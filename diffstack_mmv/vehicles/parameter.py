@@ -133,9 +133,7 @@ class ExactBuffers(nn.Module):
         super().__init__()
         self._exact: dict[str, Any] = {}
 
-    def register_exact(
-        self, name: str, values: float | Sequence[float] | Sequence[Sequence[float]]
-    ) -> None:
+    def register_exact(self, name: str, values: float | Sequence[Any]) -> None:
         """Register a constant under `self.name`, outside of the state dictionary."""
         self._exact[name] = values
         self.register_buffer(

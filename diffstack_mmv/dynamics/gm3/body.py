@@ -12,7 +12,6 @@ Coriolis terms are not printed there, but steady cornering needs them.
 
 from typing import NamedTuple
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -20,41 +19,39 @@ from torch import Tensor
 class LinearEquation(NamedTuple):
     """v' = A v + b."""
 
-    matrix: Float[Tensor, "*b 3 3"]  # A
-    offset: Float[Tensor, "*b 3"]  # b
+    matrix: Float[Tensor, "3 3 n"]  # A
+    offset: Float[Tensor, "3 n"]  # b
 
-    def rate(self, velocity: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 3"]:
+    def rate(self, velocity: Float[Tensor, "3 n"]) -> Float[Tensor, "3 n"]:
         """A v + b, in m/s² and rad/s²."""
         return times(self.matrix, velocity) + self.offset
 
 
-def times(matrix: Float[Tensor, "*b 3 3"], vector: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 3"]:
-    """Matrix times vector; elementwise, which small matrices of a large batch prefer."""
-    return (matrix * vector.unsqueeze(-2)).sum(-1)
+def times(matrix: Float[Tensor, "3 3 n"], vector: Float[Tensor, "3 n"]) -> Float[Tensor, "3 n"]:
+    """Matrix times vector, elementwise over the batch."""
+    return (matrix * vector).sum(1)
 
 
 def outer_sum(
-    left: Float[Tensor, "*b 3 wheels"], right: Float[Tensor, "*b 3 wheels"]
-) -> Float[Tensor, "*b 3 3"]:
+    left: Float[Tensor, "3 wheels n"], right: Float[Tensor, "3 wheels n"]
+) -> Float[Tensor, "3 3 n"]:
     """Σ over the wheels of left ⊗ right."""
-    return (left.unsqueeze(-2) * right.unsqueeze(-3)).sum(-1)
+    return (left.unsqueeze(1) * right).sum(2)
 
 
 class Factored(NamedTuple):
-    """A 3x3 matrix, ready to be solved with: its cofactors over its determinant."""
+    """A 3x3 matrix, ready to be solved with."""
 
-    adjugate: Float[Tensor, "*b 3 3"]  # rows are the columns of the inverse
+    inverse_rows: Float[Tensor, "3 3 n"]  # cofactors over determinant: the inverse, transposed
 
-    def solve(self, vector: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 3"]:
+    def solve(self, vector: Float[Tensor, "3 n"]) -> Float[Tensor, "3 n"]:
         """Inverse times vector."""
-        return (self.adjugate * vector.unsqueeze(-1)).sum(-2)
+        return (self.inverse_rows * vector.unsqueeze(1)).sum(0)
 
 
-def factored(matrix: Float[Tensor, "*b 3 3"]) -> Factored:
+def factored(matrix: Float[Tensor, "3 3 n"]) -> Factored:
     """Prepare a 3x3 matrix: the rows of its cofactors are cross products of its rows."""
-    first, second, third = matrix.unbind(-2)
-    cofactors = torch.linalg.cross(
-        torch.stack([second, third, first], -2), torch.stack([third, first, second], -2)
-    )
-    determinant = (first * cofactors[..., 0, :]).sum(-1, keepdim=True)
-    return Factored(cofactors / determinant.unsqueeze(-1))
+    upper, lower = matrix.roll((-1, -1), (0, 1)), matrix.roll((-2, -2), (0, 1))
+    left, right = matrix.roll((-1, -2), (0, 1)), matrix.roll((-2, -1), (0, 1))
+    cofactors = upper * lower - left * right
+    return Factored(cofactors / (matrix[0] * cofactors[0]).sum(0))

@@ -18,6 +18,7 @@ from diffstack_mmv.dynamics.gm3.drive import (
 from diffstack_mmv.dynamics.gm3.lean import camber_spin
 from diffstack_mmv.dynamics.gm3.load import GRAVITY, AccelerationLimits, LoadTransfer
 from diffstack_mmv.dynamics.gm3.slip import (
+    WheelAxes,
     WheelVelocity,
     hub_velocity,
     inverse_speed,
@@ -39,17 +40,17 @@ from diffstack_mmv.vehicles import DifferentialDrive, ExactBuffers, VehicleSpec
 class Physics(NamedTuple):
     """Physical parameters of one call, and what follows from them alone."""
 
-    friction: Float[Tensor, " all"]  # μ, of all wheels
-    rolling_friction: Float[Tensor, " wheels"]  # μ, of the wheels that are no casters
-    cornering: Float[Tensor, " wheels"]  # C / 3 in N
-    contact_half_length: Float[Tensor, " wheels"]  # ℓ in m
-    inverse_inertia: Float[Tensor, "3"]  # 1/m, 1/m, 1/I_z
+    friction: Float[Tensor, "all 1"]  # μ, of all wheels
+    rolling_friction: Float[Tensor, "wheels 1"]  # μ, of the wheels that are no casters
+    cornering: Float[Tensor, "wheels 1"]  # C / 3 in N
+    contact_half_length: Float[Tensor, "wheels 1"]  # ℓ in m
+    inverse_inertia: Float[Tensor, "3 1"]  # 1/m, 1/m, 1/I_z
     yaw_inertia: Float[Tensor, ""]
     roll_inertia: Float[Tensor, ""]
     roll_damping: Float[Tensor, ""]
     aligning_gain: Float[Tensor, ""]
     damping_rate: Float[Tensor, ""]  # d_yaw
-    damping: Float[Tensor, "3 3"]  # -d_yaw in its place
+    damping: Float[Tensor, "3 3 1"]  # -d_yaw in its place
     rolling_resistance: Float[Tensor, ""]
     drag: Float[Tensor, ""]
     length_scale: Float[Tensor, ""]
@@ -60,15 +61,15 @@ class Contact(NamedTuple):
     """Everything at the contacts of the rolling wheels."""
 
     hub: WheelVelocity
-    normal_load: Float[Tensor, "*b all"]  # N, of all wheels
+    normal_load: Float[Tensor, "all n"]  # N, of all wheels
     tire: TireProperties
     traction: Traction
     slip: TireSlip
-    inverse_speed: Float[Tensor, "*b wheels"]  # V_x / (V_x² + v_ε²) in s/m
-    camber: Float[Tensor, "*b wheels"] | None  # part of the spin that does not turn with r, 1/m
-    angle_ratio: Float[Tensor, "*b wheels"] | None  # α / (-V_y) in s/m
+    inverse_speed: Float[Tensor, "wheels n"]  # V_x / (V_x² + v_ε²) in s/m
+    camber: Float[Tensor, "wheels n"] | None  # part of the spin that does not turn with r, 1/m
+    angle_ratio: Float[Tensor, "wheels n"] | None  # α / (-V_y) in s/m
     secants: TireSecants
-    trail_sign: Float[Tensor, "*b wheels"]  # V_x / sqrt(V_x² + v_ε²)
+    trail_sign: Float[Tensor, "wheels n"]  # V_x / sqrt(V_x² + v_ε²)
 
 
 class Chassis(ExactBuffers):
@@ -98,26 +99,27 @@ class Chassis(ExactBuffers):
             "camber_gain": [(1 - wheel.camber_reduction) / wheel.radius_m for wheel in wheels],
         }
         for name, values in per_wheel.items():
-            self.register_exact(name, values)
-        self.register_exact("axis_x", [1.0, 0.0, 0.0])
-        self.register_exact("axis_yaw", [0.0, 0.0, 1.0])
-        self.register_exact("steer_gain", self.steering.gains)
-        self.register_exact("inverse_mass", [1 / spec.mass_kg, 1 / spec.mass_kg, 0.0])
-        self.register_exact("yaw_only", [[0.0] * 3, [0.0] * 3, [0.0, 0.0, 1.0]])
-        self.register_exact("turning", [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+            self.register_exact(name, [[value] for value in values])
+        self.register_exact("axis_x", [[1.0], [0.0], [0.0]])
+        self.register_exact("axis_yaw", [[0.0], [0.0], [1.0]])
+        self.register_exact("steer_gain", [[gain] for gain in self.steering.gains])
+        self.register_exact("inverse_mass", [[1 / spec.mass_kg], [1 / spec.mass_kg], [0.0]])
+        self.register_exact("yaw_only", _matrix((2, 2, 1.0)))
+        self.register_exact("turning", _matrix((0, 1, 1.0), (1, 0, -1.0)))
         resistance = [spec.parameters[name] for name in ("rolling_resistance", "drag")]
         self._resists = any(high > 0 for entry in resistance for _, _, high in entry.entries())
 
-    def rolling_wheels(self, values: Float[Tensor, "*b all"]) -> Float[Tensor, "*b wheels"]:
+    def rolling_wheels(self, values: Float[Tensor, "all n"]) -> Float[Tensor, "wheels n"]:
         """Pick the wheels that are no casters."""
         if not self.has_casters:
             return values
-        return values.index_select(-1, self.get_buffer("rolling_index"))
+        return values.index_select(0, self.get_buffer("rolling_index"))
 
     def physics(self, values: Mapping[str, Tensor]) -> Physics:
         """Gather physical parameters in their units, by the names of `vehicles`."""
-        friction, length = values["friction"], self.rolling_wheels(values["contact_half_length"])
-        stiffness = self.rolling_wheels(values["tread_stiffness"])
+        friction = values["friction"].unsqueeze(-1)
+        length = self.rolling_wheels(values["contact_half_length"].unsqueeze(-1))
+        stiffness = self.rolling_wheels(values["tread_stiffness"].unsqueeze(-1))
         yaw_inertia, damping = values["yaw_inertia"], values["yaw_damping"]
         inverse = self.get_buffer("inverse_mass") + self.get_buffer("axis_yaw") / yaw_inertia
         return Physics(
@@ -138,18 +140,16 @@ class Chassis(ExactBuffers):
             limits=self.loads.limits(friction, values["length_scale"]),
         )
 
-    def axes(
-        self, directions: Directions, length_scale: Float[Tensor, ""]
-    ) -> Float[Tensor, "*b 2 3 wheels"]:
+    def axes(self, directions: Directions, length_scale: Float[Tensor, ""]) -> WheelAxes:
         """Generalised directions of the wheels' axes."""
         x = self.get_buffer("x") * length_scale
         return wheel_axes(x, self.get_buffer("y"), directions.sine, directions.cosine)
 
     def normal_loads(
-        self, velocity: Float[Tensor, "*b 3"], command: Command, physics: Physics
-    ) -> Float[Tensor, "*b all"]:
+        self, velocity: Float[Tensor, "3 n"], command: Command, physics: Physics
+    ) -> Float[Tensor, "all n"]:
         """Loads in N: a_x = A S(a_eff / A) within friction and lift, a_y = v_x r."""
-        forward, yaw_rate = velocity[..., :1], velocity[..., 2:]
+        forward, yaw_rate = velocity[0], velocity[2]
         limits = physics.limits
         wanted = self.drive.acceleration(command, forward, physics.cornering)
         limit = torch.where(wanted > 0, limits.drive, limits.brake)
@@ -158,9 +158,9 @@ class Chassis(ExactBuffers):
 
     def contact(
         self,
-        velocity: Float[Tensor, "*b 3"],
-        lean: Float[Tensor, "*b 1"],
-        axes: Float[Tensor, "*b 2 3 wheels"],
+        velocity: Float[Tensor, "3 n"],
+        lean: Float[Tensor, " n"],
+        axes: WheelAxes,
         command: Command,
         physics: Physics,
     ) -> Contact:
@@ -177,7 +177,7 @@ class Chassis(ExactBuffers):
         traction = self.drive(command, velocity, hub, tire, physics.yaw_inertia, axes)
         inverse = inverse_speed(hub.forward, slip_speed)
         camber = None
-        turn = -velocity[..., 2:]
+        turn = -velocity[2]
         if self.spec.leans:
             limit = self.spec.limits.lean_max_rad
             camber = hub.forward * camber_spin(lean, limit, self.get_buffer("camber_gain"))
@@ -194,50 +194,55 @@ class Chassis(ExactBuffers):
 
     def velocity_equation(
         self,
-        velocity: Float[Tensor, "*b 3"],
-        lean: Float[Tensor, "*b 1"],
-        axes: Float[Tensor, "*b 2 3 wheels"],
+        velocity: Float[Tensor, "3 n"],
+        lean: Float[Tensor, " n"],
+        axes: WheelAxes,
         command: Command,
         physics: Physics,
     ) -> LinearEquation:
         """A and b of v' = A v + b, with the secants at this velocity, lean and command."""
         contact = self.contact(velocity, lean, axes, command, physics)
-        along, across = axes[..., 0, :, :], axes[..., 1, :, :]
         secants, traction = contact.secants, contact.traction
+        push = secants.along * traction.gain
         stiffness = secants.across / traction.reference
         if secants.per_angle is not None and contact.angle_ratio is not None:
             stiffness = stiffness + secants.per_angle * contact.angle_ratio
-        push = secants.along * traction.gain
-        lateral = stiffness.unsqueeze(-2) * across
-        matrix = outer_sum(along, push.unsqueeze(-2) * traction.row)
-        offset = (along * (push * traction.constant).unsqueeze(-2)).sum(-1)
+        lateral = stiffness * axes.across
+        axis_yaw = self.get_buffer("axis_yaw")
+        offset = (axes.along * (push * traction.constant)).sum(1)
         if secants.per_spin is not None:
             turn = secants.per_spin * contact.inverse_speed
-            lateral = torch.addcmul(
-                lateral, turn.unsqueeze(-2), self.get_buffer("axis_yaw").unsqueeze(-1)
-            )
+            lateral = torch.addcmul(lateral, turn, axis_yaw.unsqueeze(-1))
             if contact.camber is not None:
-                offset = offset + (across * (turn * contact.camber).unsqueeze(-2)).sum(-1)
+                offset = offset + (axes.across * (turn * contact.camber)).sum(1)
         aligning = secants.aligning * contact.trail_sign / traction.reference
-        moment = physics.aligning_gain * (across * aligning.unsqueeze(-2)).sum(-1)
-        matrix = matrix - outer_sum(across, lateral)
-        matrix = matrix + moment.unsqueeze(-2) * self.get_buffer("axis_yaw").unsqueeze(-1)
-        matrix = matrix * physics.inverse_inertia.unsqueeze(-1) + physics.damping
-        matrix = torch.addcmul(matrix, velocity[..., 2:].unsqueeze(-1), self.get_buffer("turning"))
+        moment = physics.aligning_gain * (axes.across * aligning).sum(1)
+        matrix = outer_sum(axes.along, push * traction.row) - outer_sum(axes.across, lateral)
+        matrix = torch.addcmul(matrix, moment, axis_yaw.unsqueeze(-1))
+        matrix = torch.addcmul(physics.damping, matrix, physics.inverse_inertia.unsqueeze(1))
+        matrix = torch.addcmul(matrix, velocity[2], self.get_buffer("turning"))
         if self._resists:
             matrix = matrix - self._resistance(velocity, physics)
         return LinearEquation(matrix, offset * physics.inverse_inertia)
 
     def _resistance(
-        self, velocity: Float[Tensor, "*b 3"], physics: Physics
-    ) -> Float[Tensor, "*b 3 3"]:
+        self, velocity: Float[Tensor, "3 n"], physics: Physics
+    ) -> Float[Tensor, "3 3 n"]:
         """Rolling resistance c_r g and drag c_d |v_x| v_x / m, per v_x in 1/s."""
         smoothing = self.spec.smoothing
-        size = (velocity[..., :1].square() + smoothing.stop_speed_mps**2).sqrt()
+        size = (velocity[0].square() + smoothing.stop_speed_mps**2).sqrt()
         per_speed = GRAVITY * physics.rolling_resistance / size
         per_speed = per_speed + physics.drag / self.spec.mass_kg * size
         axis = self.get_buffer("axis_x")
-        return per_speed.unsqueeze(-1) * (axis.unsqueeze(-1) * axis)
+        return per_speed * (axis.unsqueeze(1) * axis)
+
+
+def _matrix(*entries: tuple[int, int, float]) -> list[list[list[float]]]:
+    """A constant 3x3 matrix, zero but for some entries, with a last dimension for the batch."""
+    matrix = [[[0.0] for _ in range(3)] for _ in range(3)]
+    for row, column, value in entries:
+        matrix[row][column][0] = value
+    return matrix
 
 
 def _default_drive(spec: VehicleSpec, rolling: list[int]) -> Drive:

@@ -13,7 +13,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import message
-from diffstack_mmv.dynamics.gm3.slip import WheelVelocity, reference_speed, rolling_speed
+from diffstack_mmv.dynamics.gm3.slip import (
+    WheelAxes,
+    WheelVelocity,
+    reference_speed,
+    rolling_speed,
+)
 from diffstack_mmv.dynamics.gm3.tire import TireProperties
 from diffstack_mmv.smooth import limiter_gain
 from diffstack_mmv.vehicles import DifferentialDrive, ExactBuffers, VehicleSpec
@@ -32,19 +37,19 @@ class Command(NamedTuple):
     """What the rider asks for, held over a step: kept apart from what depends on the state."""
 
     split: DriveSplit
-    steer: Float[Tensor, "*b 1"]  # steering angle after the soft clamp, rad
-    wheel_speed: Float[Tensor, "*b wheels"] | None  # R Ω in m/s, for a `SpeedDrive`
+    steer: Float[Tensor, " n"]  # steering angle after the soft clamp, rad
+    wheel_speed: Float[Tensor, "wheels n"] | None  # R Ω in m/s, for a `SpeedDrive`
 
 
 class Traction(NamedTuple):
     """Longitudinal state of the wheels, with the force as k · gain · (constant + row · v)."""
 
-    slip: Float[Tensor, "*b wheels"]  # σ_x
-    rolling: Float[Tensor, "*b wheels"]  # V_r in m/s
-    reference: Float[Tensor, "*b wheels"]  # D in m/s
-    gain: Float[Tensor, "*b wheels"]
-    constant: Float[Tensor, "*b wheels"]
-    row: Float[Tensor, "*b 3 wheels"]
+    slip: Float[Tensor, "wheels n"]  # σ_x
+    rolling: Float[Tensor, "wheels n"]  # V_r in m/s
+    reference: Float[Tensor, "wheels n"]  # D in m/s
+    gain: Float[Tensor, "wheels n"]
+    constant: Float[Tensor, "wheels n"]
+    row: Float[Tensor, "3 wheels n"]
 
 
 def split_acceleration(acceleration: Float[Tensor, "*b"], width: float) -> DriveSplit:
@@ -76,18 +81,18 @@ class Drive(ExactBuffers):
         super().__init__()
         self.spec = spec
         wheels = [spec.wheels[index] for index in rolling]
-        self.register_exact("driven", [float(wheel.driven) for wheel in wheels])
-        self.register_exact("braked", [float(wheel.braked) for wheel in wheels])
-        self.register_exact("axis_x", [[1.0], [0.0], [0.0]])
-        self.register_exact("axis_yaw", [[0.0], [0.0], [1.0]])
+        self.register_exact("driven", [[float(wheel.driven)] for wheel in wheels])
+        self.register_exact("braked", [[float(wheel.braked)] for wheel in wheels])
+        self.register_exact("axis_x", [[[1.0]], [[0.0]], [[0.0]]])
+        self.register_exact("axis_yaw", [[[0.0]], [[0.0]], [[1.0]]])
 
     @abstractmethod
     def acceleration(
         self,
         command: Command,
-        forward: Float[Tensor, "*b 1"],
-        cornering: Float[Tensor, " wheels"],
-    ) -> Float[Tensor, "*b 1"]:
+        forward: Float[Tensor, " n"],
+        cornering: Float[Tensor, "wheels 1"],
+    ) -> Float[Tensor, " n"]:
         """Acceleration in m/s² that is asked for, before any limit of friction.
 
         `forward` is v_x in m/s, `cornering` C / 3 of the wheels in N.
@@ -97,11 +102,11 @@ class Drive(ExactBuffers):
     def forward(
         self,
         command: Command,
-        velocity: Float[Tensor, "*b 3"],
+        velocity: Float[Tensor, "3 n"],
         hub: WheelVelocity,
         tire: TireProperties,
         yaw_inertia: Float[Tensor, ""],
-        axes: Float[Tensor, "*b 2 3 wheels"],
+        axes: WheelAxes,
     ) -> Traction:
         """Slips and force demands of the wheels."""
 
@@ -115,8 +120,8 @@ class AccelerationDrive(Drive):
     """
 
     def _fade(
-        self, command: Command, forward: Float[Tensor, "*b 1"]
-    ) -> tuple[Float[Tensor, "*b 1"], Float[Tensor, "*b 1"]]:
+        self, command: Command, forward: Float[Tensor, " n"]
+    ) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
         """Constant part of a_eff in m/s² and its part per v_x in 1/s."""
         if self.spec.reverse:
             whole = command.split.drive + command.split.brake
@@ -127,9 +132,9 @@ class AccelerationDrive(Drive):
     def acceleration(
         self,
         command: Command,
-        forward: Float[Tensor, "*b 1"],
-        cornering: Float[Tensor, " wheels"],
-    ) -> Float[Tensor, "*b 1"]:
+        forward: Float[Tensor, " n"],
+        cornering: Float[Tensor, "wheels 1"],
+    ) -> Float[Tensor, " n"]:
         """a_eff in m/s²."""
         constant, per_speed = self._fade(command, forward)
         return torch.addcmul(constant, per_speed, forward)
@@ -137,38 +142,38 @@ class AccelerationDrive(Drive):
     def _shares(
         self,
         command: Command,
-        forward: Float[Tensor, "*b 1"],
+        forward: Float[Tensor, " n"],
         tire: TireProperties,
-    ) -> tuple[Float[Tensor, "*b wheels"], Float[Tensor, "*b wheels"], Float[Tensor, "*b 1"]]:
+    ) -> tuple[Float[Tensor, "wheels n"], Float[Tensor, "wheels n"], Float[Tensor, " n"]]:
         """Demand per wheel in N: constant, per v_x, and q of the wheels of the set."""
         constant, per_speed = self._fade(command, forward)
         wanted = torch.addcmul(constant, per_speed, forward)
         driving = wanted * forward >= 0 if self.spec.reverse else wanted > 0
         members = torch.where(driving, self.get_buffer("driven"), self.get_buffer("braked"))
         grip = members * tire.grip
-        per_grip = self.spec.mass_kg / grip.sum(-1, keepdim=True)
+        per_grip = self.spec.mass_kg / grip.sum(0)
         shares = grip * per_grip
         return shares * constant, shares * per_speed, per_grip * wanted * members
 
     def forward(
         self,
         command: Command,
-        velocity: Float[Tensor, "*b 3"],
+        velocity: Float[Tensor, "3 n"],
         hub: WheelVelocity,
         tire: TireProperties,
         yaw_inertia: Float[Tensor, ""],
-        axes: Float[Tensor, "*b 2 3 wheels"],
+        axes: WheelAxes,
     ) -> Traction:
         """Slips and force demands of the wheels."""
-        constant, per_speed, share = self._shares(command, velocity[..., :1], tire)
-        row = per_speed.unsqueeze(-2) * self.get_buffer("axis_x")
+        constant, per_speed, share = self._shares(command, velocity[0], tire)
+        row = per_speed * self.get_buffer("axis_x")
         return self._traction(share, constant, row, hub, tire)
 
     def _traction(
         self,
-        share: Float[Tensor, "*b wheels"],
-        constant: Float[Tensor, "*b wheels"],
-        row: Float[Tensor, "*b 3 wheels"],
+        share: Float[Tensor, "wheels n"],
+        constant: Float[Tensor, "wheels n"],
+        row: Float[Tensor, "3 wheels n"],
         hub: WheelVelocity,
         tire: TireProperties,
     ) -> Traction:
@@ -193,39 +198,37 @@ class DifferentialYawDrive(AccelerationDrive):
         super().__init__(spec, rolling)
         self.servo = drive
         sides = [spec.wheels[i].y_m * float(spec.wheels[i].driven) for i in rolling]
-        self.register_exact("lever", [side / sum(y**2 for y in sides) for side in sides])
+        self.register_exact("lever", [[side / sum(y**2 for y in sides)] for side in sides])
         self._reach = drive.yaw_share * sum(abs(side) for side in sides)
         self._count = sum(spec.wheels[i].driven for i in rolling)
 
-    def _yaw_gain(
-        self, moment: Float[Tensor, "*b 1"], tire: TireProperties
-    ) -> Float[Tensor, "*b 1"]:
+    def _yaw_gain(self, moment: Float[Tensor, " n"], tire: TireProperties) -> Float[Tensor, " n"]:
         """Share of a moment in N m that the friction of the driven wheels lets through."""
-        inverse = (self.get_buffer("driven") / tire.grip).sum(-1, keepdim=True)
+        inverse = (self.get_buffer("driven") / tire.grip).sum(0)
         return limiter_gain(moment * inverse / (self._reach * self._count))
 
     def forward(
         self,
         command: Command,
-        velocity: Float[Tensor, "*b 3"],
+        velocity: Float[Tensor, "3 n"],
         hub: WheelVelocity,
         tire: TireProperties,
         yaw_inertia: Float[Tensor, ""],
-        axes: Float[Tensor, "*b 2 3 wheels"],
+        axes: WheelAxes,
     ) -> Traction:
         """Slips and force demands of the wheels."""
-        forward = velocity[..., :1]
+        forward = velocity[0]
         constant, per_speed, share = self._shares(command, forward, tire)
         per_rate = yaw_inertia / self.servo.yaw_time_constant_s
         curvature = command.steer.tan() / self.servo.virtual_wheelbase_m
-        moment = per_rate * (curvature * forward - velocity[..., 2:])
+        moment = per_rate * (curvature * forward - velocity[2])
         allowed = self._yaw_gain(moment, tire)
         lever = self.get_buffer("lever")
         share = share - moment * allowed * lever / tire.grip
-        turning = (per_rate * allowed * lever).unsqueeze(-2)
+        turning = per_rate * allowed * lever
         axis_x, axis_yaw = self.get_buffer("axis_x"), self.get_buffer("axis_yaw")
-        row = per_speed.unsqueeze(-2) * axis_x
-        row = row + turning * (axis_yaw - curvature.unsqueeze(-1) * axis_x)
+        row = per_speed * axis_x
+        row = row + turning * (axis_yaw - curvature * axis_x)
         return self._traction(share, constant, row, hub, tire)
 
 
@@ -236,7 +239,7 @@ class SpeedDrive(Drive):
     """
 
     @staticmethod
-    def _given(command: Command) -> Float[Tensor, "*b wheels"]:
+    def _given(command: Command) -> Float[Tensor, "wheels n"]:
         if command.wheel_speed is None:
             raise ValueError(message("wheel_speed", "be given to this drive", "None"))
         return command.wheel_speed
@@ -244,29 +247,29 @@ class SpeedDrive(Drive):
     def acceleration(
         self,
         command: Command,
-        forward: Float[Tensor, "*b 1"],
-        cornering: Float[Tensor, " wheels"],
-    ) -> Float[Tensor, "*b 1"]:
+        forward: Float[Tensor, " n"],
+        cornering: Float[Tensor, "wheels 1"],
+    ) -> Float[Tensor, " n"]:
         """Acceleration in m/s² of the linear tyre C σ_x / m; `cornering` is C / 3 in N."""
         given = self._given(command)
         slip_speed = self.spec.smoothing.slip_speed_mps
         slip = (given - forward) / reference_speed(given, slip_speed)
         stiffness = self.get_buffer("driven") * cornering * (3 / self.spec.mass_kg)
-        return (stiffness * slip).sum(-1, keepdim=True)
+        return (stiffness * slip).sum(0)
 
     def forward(
         self,
         command: Command,
-        velocity: Float[Tensor, "*b 3"],
+        velocity: Float[Tensor, "3 n"],
         hub: WheelVelocity,
         tire: TireProperties,
         yaw_inertia: Float[Tensor, ""],
-        axes: Float[Tensor, "*b 2 3 wheels"],
+        axes: WheelAxes,
     ) -> Traction:
         """Slips of the wheels at their given speeds."""
         driven, given = self.get_buffer("driven"), self._given(command)
         rolling = torch.where(driven > 0, given, hub.forward)
         reference = reference_speed(rolling, self.spec.smoothing.slip_speed_mps)
         slip = (rolling - hub.forward) / reference
-        row = -axes[..., 0, :, :] * driven
+        row = -axes.along * driven
         return Traction(slip, rolling, reference, 1 / reference, driven * given, row)

@@ -1,6 +1,7 @@
 """The dynamics under one held command: what depends on it alone is computed once per step."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -15,6 +16,7 @@ from diffstack_mmv.dynamics.gm3.lean import (
     lean_acceleration,
     lean_coefficients,
 )
+from diffstack_mmv.dynamics.gm3.slip import WheelAxes
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class HeldDynamics:
     chassis: Chassis
     physics: Physics
     command: Command
-    axes: Float[Tensor, "*b 2 3 wheels"]
+    axes: WheelAxes
 
     @property
     def leans(self) -> bool:
@@ -39,16 +41,16 @@ class HeldDynamics:
         return self.chassis.spec.leans
 
     def velocity_equation(
-        self, velocity: Float[Tensor, "*b 3"], lean: Float[Tensor, "*b 1"]
+        self, velocity: Float[Tensor, "3 n"], lean: Float[Tensor, " n"]
     ) -> LinearEquation:
         """V' = A v + b with the secants at this velocity (v_x, v_y, r) and lean."""
         return self.chassis.velocity_equation(velocity, lean, self.axes, self.command, self.physics)
 
-    def contact(self, velocity: Float[Tensor, "*b 3"], lean: Float[Tensor, "*b 1"]) -> Contact:
+    def contact(self, velocity: Float[Tensor, "3 n"], lean: Float[Tensor, " n"]) -> Contact:
         """Slips, loads and secants of the wheels."""
         return self.chassis.contact(velocity, lean, self.axes, self.command, self.physics)
 
-    def lean_coefficients(self, lean: Float[Tensor, "*b 1"]) -> LeanCoefficients:
+    def lean_coefficients(self, lean: Float[Tensor, " n"]) -> LeanCoefficients:
         """Secant coefficients of the lean equation."""
         spec = self.chassis.spec
         return lean_coefficients(
@@ -58,25 +60,32 @@ class HeldDynamics:
             self.physics.roll_damping,
         )
 
-    def derivative(self, state: Float[Tensor, "*b 8"]) -> Float[Tensor, "*b 8"]:
+    def derivative(self, state: Float[Tensor, "8 n"]) -> Float[Tensor, "8 n"]:
         """Right-hand side, in the order of the state."""
         _, velocity, heading, lean = unpack(state)
         rate = self.velocity_equation(velocity, lean.angle).rate(velocity)
-        cosine, sine = heading.cos(), heading.sin()
-        forward, left, yaw_rate = velocity.split(1, -1)
-        zero = torch.zeros_like(heading)
-        roll = Lean(zero, zero)
+        forward, left, yaw_rate = velocity.unbind(0)
+        roll = Lean(torch.zeros_like(heading), torch.zeros_like(heading))
         if self.leans:
             coefficients = self.lean_coefficients(lean.angle)
             acceleration = lean_acceleration(lean, forward * yaw_rate, coefficients)
             roll = Lean(lean.rate, acceleration)
+        cosine, sine = heading.cos(), heading.sin()
         east, north = cosine * forward - sine * left, sine * forward + cosine * left
-        return torch.cat([east, north, rate[..., :2], yaw_rate, rate[..., 2:], *roll], -1)
+        return torch.stack([east, north, rate[0], rate[1], yaw_rate, rate[2], *roll])
 
 
-def unpack(
-    state: Float[Tensor, "*b 8"],
-) -> tuple[Float[Tensor, "*b 2"], Float[Tensor, "*b 3"], Float[Tensor, "*b 1"], Lean]:
-    """Position (m), velocity (v_x, v_y, r), heading (rad) and lean of a state."""
-    position, linear, heading, yaw_rate, lean, lean_rate = state.split([2, 2, 1, 1, 1, 1], -1)
-    return position, torch.cat([linear, yaw_rate], -1), heading, Lean(lean, lean_rate)
+class Columns(NamedTuple):
+    """The parts of a state: position (m), velocity (v_x, v_y, r), heading (rad), lean."""
+
+    position: Float[Tensor, "2 n"]
+    velocity: Float[Tensor, "3 n"]
+    heading: Float[Tensor, " n"]
+    lean: Lean
+
+
+def unpack(state: Float[Tensor, "8 n"]) -> Columns:
+    """Take a state apart."""
+    forward, left, heading, yaw_rate, lean, lean_rate = state[2:].unbind(0)
+    velocity = torch.stack([forward, left, yaw_rate])
+    return Columns(state[:2], velocity, heading, Lean(lean, lean_rate))

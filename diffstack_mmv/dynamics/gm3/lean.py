@@ -17,20 +17,20 @@ from diffstack_mmv.smooth import sinc, soft_clamp
 class Lean(NamedTuple):
     """Lean γ in rad, positive to the left, and its rate in rad/s."""
 
-    angle: Float[Tensor, "*b 1"]
-    rate: Float[Tensor, "*b 1"]
+    angle: Float[Tensor, " n"]
+    rate: Float[Tensor, " n"]
 
 
 class LeanCoefficients(NamedTuple):
     """γ'' = push · a_y - restore · γ - damp · γ', frozen at some lean."""
 
-    push: Float[Tensor, "*b 1"]  # 1/m
-    restore: Float[Tensor, "*b 1"]  # 1/s^2
+    push: Float[Tensor, " n"]  # 1/m
+    restore: Float[Tensor, " n"]  # 1/s^2
     damp: Float[Tensor, "..."]  # 1/s
 
 
 def lean_coefficients(
-    lean: Float[Tensor, "*b 1"],
+    lean: Float[Tensor, " n"],
     mass_height: float,
     roll_inertia: Float[Tensor, ""],
     roll_damping: Float[Tensor, ""],
@@ -43,15 +43,15 @@ def lean_coefficients(
 
 
 def lean_acceleration(
-    lean: Lean, lateral: Float[Tensor, "*b 1"], coefficients: LeanCoefficients
-) -> Float[Tensor, "*b 1"]:
+    lean: Lean, lateral: Float[Tensor, " n"], coefficients: LeanCoefficients
+) -> Float[Tensor, " n"]:
     """γ'' in rad/s² for a lateral acceleration in m/s²."""
     push, restore, damp = coefficients
     return push * lateral - restore * lean.angle - damp * lean.rate
 
 
 def lean_after(
-    lean: Lean, lateral: Float[Tensor, "*b 1"], coefficients: LeanCoefficients, step_s: float
+    lean: Lean, lateral: Float[Tensor, " n"], coefficients: LeanCoefficients, step_s: float
 ) -> Lean:
     """Trapezoidal step of the frozen equation over `step_s`."""
     push, restore, damp = coefficients
@@ -62,7 +62,7 @@ def lean_after(
 
 
 def camber_spin(
-    lean: Float[Tensor, "*b 1"], limit_rad: float, per_radius: Float[Tensor, " wheels"]
-) -> Float[Tensor, "*b wheels"]:
+    lean: Float[Tensor, " n"], limit_rad: float, per_radius: Float[Tensor, "wheels 1"]
+) -> Float[Tensor, "wheels n"]:
     """(1 - ε_γ) sin(γ_c) / R in 1/m, γ_c the softly clamped lean, `per_radius` (1 - ε_γ) / R."""
     return per_radius * soft_clamp(lean, limit_rad).sin()

@@ -103,18 +103,18 @@ class LoadTransfer(ExactBuffers):
             "roll": mass_height * inverse_lever,
         }
         for name, values in constants.items():
-            self.register_exact(name, values.tolist())
+            self.register_exact(name, [[value] for value in values.tolist()])
         self._paired_load = float(static[paired].sum())
         self._paired_gain = float(mass_height * pitch[paired].sum())
         self._lift = [_lift(static, mass_height * pitch, sign) for sign in (1.0, -1.0)]
         self._sets = []
         for name in ("driven", "braked"):
             members = np.array(spec.per_wheel(name))
-            self.register_exact(name, (members / members.sum()).tolist())
+            self.register_exact(name, [[value] for value in (members / members.sum()).tolist()])
             self._sets.append(_wheel_set(static, spec.height_m * pitch, members, name))
 
     def limits(
-        self, friction: Float[Tensor, " wheels"], length_scale: Float[Tensor, ""]
+        self, friction: Float[Tensor, "all 1"], length_scale: Float[Tensor, ""]
     ) -> AccelerationLimits:
         """Largest accelerations of the driven and the braked wheels.
 
@@ -125,7 +125,7 @@ class LoadTransfer(ExactBuffers):
         lifts = [lift * length_scale for lift in self._lift]
         found = []
         for sign, lift, (name, share, gain) in zip((1.0, -1.0), lifts, self._sets, strict=True):
-            grip = (friction * self.get_buffer(name)).sum(-1)
+            grip = (friction * self.get_buffer(name)).sum(0)
             rest = 1 - sign * grip * gain / length_scale
             slide = GRAVITY * share * grip / torch.where(rest > 0, rest, torch.ones_like(rest))
             found.append(torch.where((rest > 0) & (slide < lift), slide, lift))
@@ -133,11 +133,11 @@ class LoadTransfer(ExactBuffers):
 
     def forward(
         self,
-        acceleration: Float[Tensor, "*b 1"],
-        lateral: Float[Tensor, "*b 1"],
+        acceleration: Float[Tensor, " n"],
+        lateral: Float[Tensor, " n"],
         limits: AccelerationLimits,
         length_scale: Float[Tensor, ""],
-    ) -> Float[Tensor, "*b wheels"]:
+    ) -> Float[Tensor, "all n"]:
         """Loads in N.
 
         Args:

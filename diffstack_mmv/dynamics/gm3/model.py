@@ -47,7 +47,7 @@ class DiffGM3(DynamicsModel):
     """
 
     class State(NamedTuple):
-        """Pose of the centre of gravity (m, rad), body velocity (m/s), yaw rate, lean, lean rate."""
+        """Pose of the centre of gravity (m, rad), body velocity (m/s), yaw rate, lean, its rate."""
 
         position_x: Float[Tensor, "*b"]
         position_y: Float[Tensor, "*b"]
@@ -100,14 +100,14 @@ class DiffGM3(DynamicsModel):
         names = [*WHEEL_PARAMETERS, *BODY_PARAMETERS]
         return self.chassis.physics({name: self.get_submodule(name)() for name in names})
 
-    def command(self, control: Float[Tensor, "*b 2"]) -> Command:
+    def command(self, control: Float[Tensor, "2 n"]) -> Command:
         """What a control asks for."""
-        acceleration = control[..., :1].clamp(-COMMAND_LIMIT, COMMAND_LIMIT)
+        acceleration = control[0].clamp(-COMMAND_LIMIT, COMMAND_LIMIT)
         width = self.spec.smoothing.acceleration_mps2
-        steer = self.chassis.steering.clamped(control[..., 1:])
+        steer = self.chassis.steering.clamped(control[1])
         return Command(split_acceleration(acceleration, width), steer, None)
 
-    def hold(self, control: Float[Tensor, "*b 2"]) -> HeldDynamics:
+    def hold(self, control: Float[Tensor, "m n"]) -> HeldDynamics:
         """Dynamics under one control, with all that depends on it alone computed."""
         physics, command = self.physics(), self.command(control)
         directions = self.chassis.steering(command.steer, physics.length_scale)
@@ -115,19 +115,22 @@ class DiffGM3(DynamicsModel):
         return HeldDynamics(self.chassis, physics, command, axes)
 
     def derivative(
-        self, state: Float[Tensor, "*b 8"], control: Float[Tensor, "*b 2"]
+        self, state: Float[Tensor, "*b 8"], control: Float[Tensor, "*b m"]
     ) -> Float[Tensor, "*b 8"]:
         """Continuous-time right-hand side x' = f(x, u), SI units per second."""
-        return self.hold(control).derivative(state)
+        shape = torch.broadcast_shapes(state.shape[:-1], control.shape[:-1])
+        held = self.hold(_columns(control, shape))
+        return _rows(held.derivative(_columns(state, shape)), shape)
 
     def step(
-        self, state: Float[Tensor, "*b 8"], control: Float[Tensor, "*b 2"]
+        self, state: Float[Tensor, "*b 8"], control: Float[Tensor, "*b m"]
     ) -> Float[Tensor, "*b 8"]:
         """Advance by one control step."""
-        held = self.hold(control)
+        shape = torch.broadcast_shapes(state.shape[:-1], control.shape[:-1])
+        columns, held = _columns(state, shape), self.hold(_columns(control, shape))
         for _ in range(self.substeps):
-            state = self.stepper(held, state, self.dt_s / self.substeps)
-        return state
+            columns = self.stepper(held, columns, self.dt_s / self.substeps)
+        return _rows(columns, shape)
 
     def motion(self, states: Float[Tensor, "*b 8"], controls: Float[Tensor, "*b 2"]) -> Motion:
         """Motion of the centre of gravity; it does not depend on the controls."""
@@ -168,7 +171,19 @@ class DiffGM3(DynamicsModel):
         The steering angle is that of a steady turn with understeer, its tangent exact for the
         kinematics, sent through the inverse of the soft clamp.
         """
-        tangent = linear_steer(self.chassis, self.physics(), state[..., 2], curvature)
+        speed, curvature = torch.broadcast_tensors(state[..., 2], curvature)
+        flat = (speed.reshape(-1), curvature.reshape(-1))
+        tangent = linear_steer(self.chassis, self.physics(), *flat).reshape(speed.shape)
         steering = self.chassis.steering
         command = steering.command_for(steering.angle_for(tangent))
         return self.within_bounds(torch.stack([acceleration.expand_as(command), command], -1))
+
+
+def _columns(rows: Float[Tensor, "*b c"], shape: torch.Size) -> Float[Tensor, "c n"]:
+    """Flatten the leading dimensions and put them last, where elementwise operations are fast."""
+    return rows.expand(*shape, rows.shape[-1]).reshape(-1, rows.shape[-1]).mT.contiguous()
+
+
+def _rows(columns: Float[Tensor, "c n"], shape: torch.Size) -> Float[Tensor, "*b c"]:
+    """Undo `_columns`."""
+    return columns.mT.reshape(*shape, columns.shape[0])

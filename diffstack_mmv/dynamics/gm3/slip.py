@@ -1,7 +1,9 @@
 """Slip and spin of the wheels, finite at standstill and in reverse.
 
 Source: GM3, Eq. 8-9 with the missing -r y_i restored; DMMV, Sec. III. Slip is taken over |V_r|, so
-    that forces brake in reverse as well, and regularised by v_ε.
+    that forces brake in reverse as well, and regularised by v_ε. Inside of this folder the batch
+    is flattened and stands
+LAST, after wheels and components: small inner dimensions would make every operation slow.
 """
 
 from typing import NamedTuple
@@ -16,39 +18,44 @@ from diffstack_mmv.smooth import arctan_ratio
 class WheelVelocity(NamedTuple):
     """Velocity of the wheel hubs in the wheels' own axes, m/s."""
 
-    forward: Float[Tensor, "*b wheels"]
-    left: Float[Tensor, "*b wheels"]
+    forward: Float[Tensor, "wheels n"]
+    left: Float[Tensor, "wheels n"]
 
 
-def wheel_axes(
-    x: Float[Tensor, " wheels"],
-    y: Float[Tensor, " wheels"],
-    sine: Float[Tensor, "*b wheels"],
-    cosine: Float[Tensor, "*b wheels"],
-) -> Float[Tensor, "*b 2 3 wheels"]:
-    """Generalised directions (in v_x, v_y, r) of the forward and the leftward axis of each wheel.
+class WheelAxes(NamedTuple):
+    """Generalised directions, in (v_x, v_y, r), of the forward and the leftward axis of each wheel.
 
         g = (cos δ, sin δ, x sin δ - y cos δ),   d = (-sin δ, cos δ, x cos δ + y sin δ)
 
     They map velocities to the wheels, V_x = g · v and V_y = d · v, and forces back to the body, so
     that power is conserved.
     """
-    along = torch.stack([cosine, sine, x * sine - y * cosine], -2)
-    across = torch.stack([-sine, cosine, x * cosine + y * sine], -2)
-    return torch.stack([along, across], -3)
+
+    along: Float[Tensor, "3 wheels n"]  # g
+    across: Float[Tensor, "3 wheels n"]  # d
 
 
-def hub_velocity(
-    axes: Float[Tensor, "*b 2 3 wheels"], velocity: Float[Tensor, "*b 3"]
-) -> WheelVelocity:
+def wheel_axes(
+    x: Float[Tensor, "wheels 1"],
+    y: Float[Tensor, "wheels 1"],
+    sine: Float[Tensor, "wheels n"],
+    cosine: Float[Tensor, "wheels n"],
+) -> WheelAxes:
+    """Directions of the wheels' axes from positions in m and steering angles."""
+    along = torch.stack([cosine, sine, x * sine - y * cosine])
+    across = torch.stack([-sine, cosine, x * cosine + y * sine])
+    return WheelAxes(along, across)
+
+
+def hub_velocity(axes: WheelAxes, velocity: Float[Tensor, "3 n"]) -> WheelVelocity:
     """Velocity of every hub from the body's (v_x, v_y, r)."""
-    forward, left = (axes * velocity[..., None, :, None]).sum(-2).unbind(-2)
-    return WheelVelocity(forward, left)
+    body = velocity.unsqueeze(1)
+    return WheelVelocity((axes.along * body).sum(0), (axes.across * body).sum(0))
 
 
 def rolling_speed(
-    forward: Float[Tensor, "*b wheels"], slip: Float[Tensor, "*b wheels"], slip_speed: float
-) -> Float[Tensor, "*b wheels"]:
+    forward: Float[Tensor, "wheels n"], slip: Float[Tensor, "wheels n"], slip_speed: float
+) -> Float[Tensor, "wheels n"]:
     """Circumferential speed V_r in m/s that gives a slip σ_x exactly.
 
     V_r = [V_x + σ sqrt(V_x² + (1 - σ²) v_ε²)] / (1 - σ²) solves σ = (V_r - V_x) / sqrt(V_r² +
@@ -60,20 +67,20 @@ def rolling_speed(
 
 
 def reference_speed(
-    rolling: Float[Tensor, "*b wheels"], slip_speed: float
-) -> Float[Tensor, "*b wheels"]:
+    rolling: Float[Tensor, "wheels n"], slip_speed: float
+) -> Float[Tensor, "wheels n"]:
     """Denominator of the slips, D = sqrt(V_r² + v_ε²) in m/s."""
     return (rolling.square() + slip_speed**2).sqrt()
 
 
 def inverse_speed(
-    forward: Float[Tensor, "*b wheels"], slip_speed: float
-) -> Float[Tensor, "*b wheels"]:
+    forward: Float[Tensor, "wheels n"], slip_speed: float
+) -> Float[Tensor, "wheels n"]:
     """Return V_x / (V_x² + v_ε²) in s/m, which is 1 / V_x away from standstill."""
     return forward / (forward.square() + slip_speed**2)
 
 
-def slip_angle_ratio(hub: WheelVelocity, slip_speed: float) -> Float[Tensor, "*b wheels"]:
+def slip_angle_ratio(hub: WheelVelocity, slip_speed: float) -> Float[Tensor, "wheels n"]:
     """Return α / (-V_y) in s/m, with α = atan2(-V_y, sqrt(V_x² + v_ε²)); finite without slip."""
     inverse = (hub.forward.square() + slip_speed**2).rsqrt()
     return inverse * arctan_ratio(hub.left * inverse)

@@ -25,12 +25,12 @@ _SLOWEST = 0.3  # m/s; a differential drive at rest cannot turn on a curvature a
 def linear_steer(
     chassis: Chassis,
     physics: Physics,
-    speed: Float[Tensor, "*b"],
-    curvature: Float[Tensor, "*b"],
-) -> Float[Tensor, "*b"]:
+    speed: Float[Tensor, " n"],
+    curvature: Float[Tensor, " n"],
+) -> Float[Tensor, " n"]:
     """Steering angle of the linear theory for a speed in m/s and a curvature in 1/m."""
     spec = chassis.spec
-    pace = (speed.square() + _SLOWEST**2).sqrt().unsqueeze(-1)
+    pace = (speed.square() + _SLOWEST**2).sqrt()
     lateral = pace.square()
     stiffness = 3 * physics.cornering
     lead = physics.contact_half_length / 3
@@ -41,17 +41,17 @@ def linear_steer(
     spin = torch.ones_like(pace)
     if spec.leans:
         spin = spin - chassis.get_buffer("camber_gain") * lateral / GRAVITY
-    needed = spec.mass_kg * lateral + (stiffness * (x + lead * spin)).sum(-1, keepdim=True)
+    needed = spec.mass_kg * lateral + (stiffness * (x + lead * spin)).sum(0)
     moment = physics.yaw_inertia * physics.damping_rate * pace
-    moment = moment + (stiffness * (arm * x + x * lead * spin)).sum(-1, keepdim=True)
-    per_steer = (stiffness * gains).sum(-1)
-    turn_per_steer = (stiffness * arm * gains).sum(-1)
+    moment = moment + (stiffness * (arm * x + x * lead * spin)).sum(0)
+    per_steer = (stiffness * gains).sum(0)
+    turn_per_steer = (stiffness * arm * gains).sum(0)
     if isinstance(spec.steering, DifferentialDrive):
         servo = physics.yaw_inertia / spec.steering.yaw_time_constant_s * pace
         moment = moment + servo
         turn_per_steer = turn_per_steer + servo / spec.steering.virtual_wheelbase_m
-    per_slip, turn_per_slip = stiffness.sum(-1), (stiffness * arm).sum(-1)
+    per_slip, turn_per_slip = stiffness.sum(0), (stiffness * arm).sum(0)
     # eliminate the side slip from  a t - c β = needed κ  and  b t - e β = moment κ
     numerator = needed * turn_per_slip - moment * per_slip
     denominator = per_steer * turn_per_slip - turn_per_steer * per_slip
-    return (numerator / denominator).squeeze(-1) * curvature
+    return numerator / denominator * curvature

@@ -30,8 +30,8 @@ COMMAND_SHARE = 0.98  # of the limit, the largest angle that the soft clamp is i
 class Directions(NamedTuple):
     """Sine and cosine of the steering angle of each wheel."""
 
-    sine: Float[Tensor, "*b wheels"]
-    cosine: Float[Tensor, "*b wheels"]
+    sine: Float[Tensor, "wheels n"]
+    cosine: Float[Tensor, "wheels n"]
 
 
 def turning_axle_m(wheels: Sequence[WheelSpec]) -> float:
@@ -75,7 +75,7 @@ class WheelSteering(ExactBuffers):
         """Steering angle in rad for a value of the linear theory, exact for the kinematics."""
 
     @abstractmethod
-    def forward(self, steer: Float[Tensor, "*b 1"], length_scale: Float[Tensor, ""]) -> Directions:
+    def forward(self, steer: Float[Tensor, " n"], length_scale: Float[Tensor, ""]) -> Directions:
         """Directions of all wheels for a clamped angle in rad and a factor on all lengths."""
 
 
@@ -94,10 +94,10 @@ class Ackermann(WheelSteering):
         self._gains = [distance / length for distance in ahead]
         steered = [float(w.steered) for w in wheels]
         side = [w.y_m / length if w.steered else 0.0 for w in wheels]
-        self.register_exact("fixed", [1 - flag for flag in steered])
-        self.register_exact("steered", steered)
-        self.register_exact("side", side)
-        self.register_exact("gain", self._gains)
+        self.register_exact("fixed", [[1 - flag] for flag in steered])
+        self.register_exact("steered", [[flag] for flag in steered])
+        self.register_exact("side", [[value] for value in side])
+        self.register_exact("gain", [[gain] for gain in self._gains])
         self._single_track = not any(side) and set(self._gains) <= {0.0, 1.0}
 
     @property
@@ -109,7 +109,7 @@ class Ackermann(WheelSteering):
         """Return atan of the linear angle: tan δ = L κ."""
         return torch.atan(tangent)
 
-    def forward(self, steer: Float[Tensor, "*b 1"], length_scale: Float[Tensor, ""]) -> Directions:
+    def forward(self, steer: Float[Tensor, " n"], length_scale: Float[Tensor, ""]) -> Directions:
         """Directions of all wheels."""
         sine, cosine = steer.sin(), steer.cos()
         across = self.get_buffer("gain") * sine
@@ -130,7 +130,7 @@ class Trucks(WheelSteering):
         super().__init__(limit_rad)
         self._gain = trucks.gain * math.sin(trucks.pivot_rad)
         self._gains = [self._gain * w.truck for w in wheels]
-        self.register_exact("gain", self._gains)
+        self.register_exact("gain", [[gain] for gain in self._gains])
 
     @property
     def gains(self) -> list[float]:
@@ -141,7 +141,7 @@ class Trucks(WheelSteering):
         """Lean whose trucks turn by the atan of the linear angle."""
         return torch.atan(self._gain * tangent) / self._gain
 
-    def forward(self, steer: Float[Tensor, "*b 1"], length_scale: Float[Tensor, ""]) -> Directions:
+    def forward(self, steer: Float[Tensor, " n"], length_scale: Float[Tensor, ""]) -> Directions:
         """Directions of all wheels."""
         angle = self.get_buffer("gain") * steer
         return Directions(angle.sin(), angle.cos())
@@ -153,8 +153,8 @@ class Straight(WheelSteering):
     def __init__(self, wheels: Sequence[WheelSpec], limit_rad: float) -> None:
         super().__init__(limit_rad)
         self._count = len(wheels)
-        self.register_exact("ahead", [1.0] * self._count)
-        self.register_exact("aside", [0.0] * self._count)
+        self.register_exact("ahead", [[1.0]] * self._count)
+        self.register_exact("aside", [[0.0]] * self._count)
 
     @property
     def gains(self) -> list[float]:
@@ -165,7 +165,7 @@ class Straight(WheelSteering):
         """Return atan of the linear angle."""
         return torch.atan(tangent)
 
-    def forward(self, steer: Float[Tensor, "*b 1"], length_scale: Float[Tensor, ""]) -> Directions:
+    def forward(self, steer: Float[Tensor, " n"], length_scale: Float[Tensor, ""]) -> Directions:
         """Directions of all wheels: straight ahead."""
         return Directions(self.get_buffer("aside"), self.get_buffer("ahead"))
 

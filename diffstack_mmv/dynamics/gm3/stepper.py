@@ -19,8 +19,8 @@ class Stepper(Protocol):
     """One step of a numerical method."""
 
     def __call__(
-        self, dynamics: HeldDynamics, state: Float[Tensor, "*b 8"], step_s: float
-    ) -> Float[Tensor, "*b 8"]:
+        self, dynamics: HeldDynamics, state: Float[Tensor, "8 n"], step_s: float
+    ) -> Float[Tensor, "8 n"]:
         """State after `step_s` seconds."""
         ...
 
@@ -29,8 +29,8 @@ class ExplicitEuler:
     """x⁺ = x + h f(x), as printed in DMMV; for comparison only."""
 
     def __call__(
-        self, dynamics: HeldDynamics, state: Float[Tensor, "*b 8"], step_s: float
-    ) -> Float[Tensor, "*b 8"]:
+        self, dynamics: HeldDynamics, state: Float[Tensor, "8 n"], step_s: float
+    ) -> Float[Tensor, "8 n"]:
         """State after one step."""
         return state + step_s * dynamics.derivative(state)
 
@@ -39,8 +39,8 @@ class RungeKutta4:
     """The classical method of fourth order; needs substeps of 1 to 5 ms."""
 
     def __call__(
-        self, dynamics: HeldDynamics, state: Float[Tensor, "*b 8"], step_s: float
-    ) -> Float[Tensor, "*b 8"]:
+        self, dynamics: HeldDynamics, state: Float[Tensor, "8 n"], step_s: float
+    ) -> Float[Tensor, "8 n"]:
         """State after one step."""
         first = dynamics.derivative(state)
         second = dynamics.derivative(state + 0.5 * step_s * first)
@@ -52,12 +52,12 @@ class RungeKutta4:
 class VelocityStep(NamedTuple):
     """Velocity (v_x, v_y, r) after a step, and its mean over the step."""
 
-    end: Float[Tensor, "*b 3"]
-    mean: Float[Tensor, "*b 3"]
+    end: Float[Tensor, "3 n"]
+    mean: Float[Tensor, "3 n"]
 
 
 def pade_step(
-    equation: LinearEquation, velocity: Float[Tensor, "*b 3"], step_s: float, parts: int = 1
+    equation: LinearEquation, velocity: Float[Tensor, "3 n"], step_s: float, parts: int = 1
 ) -> VelocityStep:
     """L-stable step of second order (Padé 0,2) of v' = A v + b with A and b constant.
 
@@ -67,8 +67,8 @@ def pade_step(
     """
     part_s = step_s / parts
     scaled = part_s * equation.matrix
-    square = (scaled.unsqueeze(-1) * scaled.unsqueeze(-3)).sum(-2)
-    identity = torch.eye(3, dtype=scaled.dtype, device=scaled.device)
+    square = (scaled.unsqueeze(2) * scaled.unsqueeze(0)).sum(1)
+    identity = torch.eye(3, dtype=scaled.dtype, device=scaled.device).unsqueeze(-1)
     system = factored(identity - scaled + 0.5 * square)
     end, means = velocity, []
     for _ in range(parts):
@@ -87,8 +87,8 @@ class LIM2:
     """
 
     def __call__(
-        self, dynamics: HeldDynamics, state: Float[Tensor, "*b 8"], step_s: float
-    ) -> Float[Tensor, "*b 8"]:
+        self, dynamics: HeldDynamics, state: Float[Tensor, "8 n"], step_s: float
+    ) -> Float[Tensor, "8 n"]:
         """State after one step."""
         position, velocity, heading, lean = unpack(state)
         start = dynamics.velocity_equation(velocity, lean.angle)
@@ -97,32 +97,26 @@ class LIM2:
         middle = dynamics.velocity_equation(half.end, midway.angle)
         full = pade_step(middle, velocity, step_s, parts=2)
         end = self._lean(dynamics, lean, midway.angle, full.mean, step_s)
-        forward, left, yaw_rate = full.mean.split(1, -1)
+        forward, left, yaw_rate = full.mean.unbind(0)
         mean_heading = heading + 0.5 * step_s * yaw_rate
         cosine, sine = mean_heading.cos(), mean_heading.sin()
-        moved = torch.cat([cosine * forward - sine * left, sine * forward + cosine * left], -1)
-        return torch.cat(
-            [
-                position + step_s * moved,
-                full.end[..., :2],
-                heading + step_s * yaw_rate,
-                full.end[..., 2:],
-                *end,
-            ],
-            -1,
-        )
+        moved = torch.stack([cosine * forward - sine * left, sine * forward + cosine * left])
+        position = position + step_s * moved
+        turned = heading + step_s * yaw_rate
+        rates = full.end.unbind(0)
+        return torch.stack([*position.unbind(0), *rates[:2], turned, rates[2], *end])
 
     @staticmethod
     def _lean(
         dynamics: HeldDynamics,
         lean: Lean,
-        frozen: Float[Tensor, "*b 1"],
-        velocity: Float[Tensor, "*b 3"],
+        frozen: Float[Tensor, " n"],
+        velocity: Float[Tensor, "3 n"],
         step_s: float,
     ) -> Lean:
         """Lean after a step, with its coefficients frozen at some angle."""
         if not dynamics.leans:
             return lean
         coefficients = dynamics.lean_coefficients(frozen)
-        lateral = velocity[..., :1] * velocity[..., 2:]
+        lateral = velocity[0] * velocity[2]
         return lean_after(lean, lateral, coefficients, step_s)
