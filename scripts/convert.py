@@ -24,7 +24,11 @@ def main(config: DictConfig) -> None:
     settings = ConversionSettings(
         dataset=instantiate(config.data.recordings),
         cache=Path(config.data.cache),
-        resample=ResampleSettings(dt_s=config.dt_s, smoother=instantiate(config.smoother)),
+        resample=ResampleSettings(
+            dt_s=config.dt_s,
+            smoother=instantiate(config.smoother),
+            backfill_heading=config.backfill_heading,
+        ),
         workers=config.workers,
         strict=config.strict,
     )

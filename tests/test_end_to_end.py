@@ -19,6 +19,7 @@ SMALL = (
     "predictor.neighbour_components=1",
     "trainer.limit_train_batches=2",
     "trainer.limit_val_batches=1",
+    "trainer.log_every_n_steps=1",
     "batch_size=8",
     "data.module.export.workers=0",
 )

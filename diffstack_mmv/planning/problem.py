@@ -6,6 +6,9 @@ from torch import Tensor
 
 from diffstack_mmv.types import Forecast, Motion, Obstacles, PlanningProblem, Tracks
 
+SLOW_MPS = 0.3
+NEAR_M = 1.0
+
 
 def present(tracks: Tracks) -> Tracks:
     """The last row of observed tracks."""
@@ -61,10 +64,22 @@ def reference_to_goal(
     end. A constant-velocity prediction becomes the cubic Hermite spline to the goal. Row 0 is the present position.
     """
     steps = path.shape[-2]
-    share = torch.arange(1, steps + 1, device=path.device, dtype=path.dtype).div(steps).unsqueeze(-1)
+    share = (
+        torch.arange(1, steps + 1, device=path.device, dtype=path.dtype).div(steps).unsqueeze(-1)
+    )
     bend = 0.5 * share.square() * (3 - share)
     bent = path + bend * (goal - path[..., -1, :]).unsqueeze(-2)
     return torch.cat([position.unsqueeze(-2), bent], -2)
+
+
+def facing_the_goal(motion: Motion, goal: Float[Tensor, "*b 2"]) -> Motion:
+    """Turn whoever is slower than 0.3 m/s towards a goal (m) that is further than 1 m away."""
+    offset = goal - motion.position
+    unknown = (motion.velocity.norm(dim=-1) < SLOW_MPS) & (offset.norm(dim=-1) > NEAR_M)
+    # atan2 has no derivative at zero offset, where its value is not used
+    safe = torch.where(unknown.unsqueeze(-1), offset, torch.ones_like(offset))
+    towards = torch.atan2(safe[..., 1], safe[..., 0])
+    return motion._replace(heading=torch.where(unknown, towards, motion.heading))
 
 
 def build_problem(
@@ -76,9 +91,10 @@ def build_problem(
 ) -> PlanningProblem:
     """Planning problem of an observed ego (*b H) with a predicted path (m), a goal (m) and obstacles.
 
-    The reference speed is the mean speed along the reference path in m/s.
+    The reference speed is the mean speed along the reference path in m/s. The heading of a rider at rest is not observed: the
+    plan then faces the goal.
     """
-    motion = present(ego).motion
+    motion = facing_the_goal(present(ego).motion, goal)
     reference = reference_to_goal(motion.position, path, goal)
     steps = reference[..., 1:, :] - reference[..., :-1, :]
     speed = steps.square().sum(-1).clamp_min(1e-8).sqrt().mean(-1) / dt_s

@@ -11,7 +11,9 @@ from diffstack_mmv.vehicles import load_vehicle
 from tests.planning.test_problem import tracks
 
 SPEC = load_vehicle("bicycle")
-each_model = pytest.mark.parametrize("model", [ExtendedUnicycle(SPEC), DiffKBM(SPEC)], ids=["unicycle", "kbm"])
+each_model = pytest.mark.parametrize(
+    "model", [ExtendedUnicycle(SPEC), DiffKBM(SPEC)], ids=["unicycle", "kbm"]
+)
 
 
 def problem(speed=4.0, goal=(11.0, 2.0)):
@@ -70,7 +72,13 @@ def test_cross_entropy_is_that_of_torch():
 
 @pytest.mark.parametrize(
     "arguments",
-    [{"speeds": 0}, {"offsets": 0}, {"speed_change_mps": 0.0}, {"offset_share": -1.0}, {"speed_max_mps": 0.0}],
+    [
+        {"speeds": 0},
+        {"offsets": 0},
+        {"speed_change_mps": 0.0},
+        {"offset_share": -1.0},
+        {"speed_max_mps": 0.0},
+    ],
 )
 def test_impossible_fans_are_refused(arguments):
     with pytest.raises(ValueError, match=next(iter(arguments))):

@@ -6,6 +6,7 @@ import torch
 from diffstack_mmv.planning.problem import (
     build_problem,
     disc_radius,
+    facing_the_goal,
     observed_obstacles,
     predicted_obstacles,
     reference_to_goal,
@@ -55,7 +56,9 @@ def test_true_obstacles_hold_the_last_seen_position():
 def test_predicted_obstacles_begin_at_the_present_position():
     others = tracks(2, 3, rows=5)
     forecast = Forecast(
-        torch.zeros(2, 3, 4).log_softmax(-1), torch.randn(2, 3, 4, 6, 2), torch.zeros(2, 3, 4, 6, 2, 2)
+        torch.zeros(2, 3, 4).log_softmax(-1),
+        torch.randn(2, 3, 4, 6, 2),
+        torch.zeros(2, 3, 4, 6, 2, 2),
     )
     obstacles = predicted_obstacles(others, forecast)
     assert torch.equal(obstacles.position[:, :, 1, 0], others.motion.position[..., -1, :])
@@ -73,3 +76,21 @@ def test_problem_without_neighbours_is_a_problem():
     problem = build_problem(ego, torch.randn(2, 6, 2), torch.randn(2, 2), none, 0.1)
     assert problem.obstacles.position.shape == (2, 0, 1, 7, 2)
     assert torch.isfinite(problem.reference_speed).all()
+
+
+@pytest.mark.parametrize(
+    ("speed", "goal", "heading"),
+    [(0.0, (0.0, 5.0), torch.pi / 2), (3.0, (0.0, 5.0), 0.0), (0.0, (0.0, 0.5), 0.0)],
+)
+def test_only_who_stands_and_has_somewhere_to_go_faces_the_goal(speed, goal, heading):
+    motion = Motion(
+        torch.zeros(2), torch.tensor(0.0), torch.tensor([speed, 0.0]), torch.tensor(0.0)
+    )
+    assert facing_the_goal(motion, torch.tensor(goal)).heading.item() == pytest.approx(heading)
+
+
+def test_goal_on_the_spot_leaves_gradients_finite():
+    goal = torch.zeros(2, requires_grad=True)
+    motion = Motion(torch.zeros(2), torch.tensor(0.0), torch.zeros(2), torch.tensor(0.0))
+    facing_the_goal(motion, goal).heading.backward()
+    assert torch.isfinite(goal.grad).all()
