@@ -39,44 +39,66 @@ def _value(H: Tensor, g: Tensor, k: Tensor) -> Tensor:
 
 
 def _minimum_of_active_sets(H: Tensor, g: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
-    """The unconstrained minimiser if it lies inside, else the best of the four edges."""
+    """The unconstrained minimiser if it lies inside, else the best of the four edges.
+
+    Written on components: reductions over two entries would cost a compiled loop its vectors.
+    """
     a, b, c = H[0, 0], H[0, 1], H[1, 1]
-    inside = torch.stack([b * g[1] - c * g[0], b * g[0] - a * g[1]]) / (a * c - b * b)
-    feasible = ((inside >= lower) & (inside <= upper)).all(0)
-    best = best_value = None
-    for bound in (lower, upper):
-        on_first = torch.stack(
-            [bound[0], torch.clamp(-(g[1] + b * bound[0]) / c, lower[1], upper[1])]
-        )
-        on_second = torch.stack(
-            [torch.clamp(-(g[0] + b * bound[1]) / a, lower[0], upper[0]), bound[1]]
-        )
-        for edge in (on_first, on_second):
-            value = _value(H, g, edge)
-            if best is None or best_value is None:
-                best, best_value = edge, value
-            better = value < best_value
-            best, best_value = (
-                torch.where(better, edge, best),
-                torch.where(better, value, best_value),
-            )
-    return torch.where(feasible, inside, best if best is not None else inside)
+    g0, g1 = g[0], g[1]
+    low0, low1, high0, high1 = lower[0], lower[1], upper[0], upper[1]
+    determinant = a * c - b * b
+    k0, k1 = (b * g1 - c * g0) / determinant, (b * g0 - a * g1) / determinant
+    feasible = (k0 >= low0) & (k0 <= high0) & (k1 >= low1) & (k1 <= high1)
+
+    def along_second(k0: Tensor) -> tuple[Tensor, Tensor]:
+        return k0, torch.minimum(torch.maximum(-(g1 + b * k0) / c, low1), high1)
+
+    def along_first(k1: Tensor) -> tuple[Tensor, Tensor]:
+        return torch.minimum(torch.maximum(-(g0 + b * k1) / a, low0), high0), k1
+
+    def value(k0: Tensor, k1: Tensor) -> Tensor:
+        return k0 * (0.5 * a * k0 + b * k1 + g0) + k1 * (0.5 * c * k1 + g1)
+
+    best = along_second(low0)
+    best_value = value(*best)
+    for edge in (along_second(high0), along_first(low1), along_first(high1)):
+        edge_value = value(*edge)
+        better = edge_value < best_value
+        best_value = torch.where(better, edge_value, best_value)
+        best = torch.where(better, edge[0], best[0]), torch.where(better, edge[1], best[1])
+    return torch.stack([torch.where(feasible, k0, best[0]), torch.where(feasible, k1, best[1])])
 
 
-def free_inverse(H: Float[Tensor, "m m N"], free: Bool[Tensor, "m N"]) -> Float[Tensor, "m m N"]:
-    """Inverse of the free rows and columns of H, zero elsewhere; H is symmetric, not necessarily definite."""
+def free_inverse(
+    H: Float[Tensor, "m m N"], free: Bool[Tensor, "m N"]
+) -> Float[Tensor, "m m N"]:
+    """Inverse of the free rows and columns of a symmetric H, definite or not; zero elsewhere."""
     m = H.shape[0]
+    if m == 2:
+        return _free_inverse_of_pair(H, free)
     eye = torch.eye(m, dtype=torch.bool, device=H.device).unsqueeze(-1)
     mask = free.unsqueeze(0) & free.unsqueeze(1)
     block = torch.where(mask, H, eye.to(H.dtype))
-    if m == 1:
-        inverse = 1 / block
-    elif m == 2:
-        a, b, c = block[0, 0], block[0, 1], block[1, 1]
-        inverse = torch.stack([torch.stack([c, -b]), torch.stack([-b, a])]) / (a * c - b * b)
-    else:
-        inverse = torch.linalg.inv_ex(block.movedim(-1, 0))[0].movedim(0, -1)
+    inverse = 1 / block if m == 1 else torch.linalg.inv_ex(block.movedim(-1, 0))[0].movedim(0, -1)
     return torch.where(mask, inverse, torch.zeros_like(inverse))
+
+
+def _free_inverse_of_pair(H: Tensor, free: Tensor) -> Tensor:
+    a, b, c = H[0, 0], H[0, 1], H[1, 1]
+    both, zero = free[0] & free[1], torch.zeros_like(a)
+    determinant = a * c - b * b
+    first = torch.where(both, c / determinant, torch.where(free[0], 1 / a, zero))
+    second = torch.where(both, a / determinant, torch.where(free[1], 1 / c, zero))
+    cross = torch.where(both, -b / determinant, zero)
+    return torch.stack([torch.stack([first, cross]), torch.stack([cross, second])])
+
+
+def largest(Q: Float[Tensor, "m m N"]) -> Float[Tensor, " N"]:
+    """Largest entry of a symmetric matrix in absolute value."""
+    if Q.shape[0] > 2:
+        return Q.abs().amax((0, 1))
+    diagonal = torch.maximum(Q[0, 0].abs(), Q[-1, -1].abs())
+    return torch.maximum(diagonal, Q[0, -1].abs())
 
 
 def positive_lift(Q: Float[Tensor, "m m N"], definite: float) -> Float[Tensor, "m N"]:
@@ -86,7 +108,7 @@ def positive_lift(Q: Float[Tensor, "m m N"], definite: float) -> Float[Tensor, "
     diagonal entry alone if it can, so that a curvature in one direction does not spoil the other.
     More: the same lift for all. The smallest pivot is `definite` times the largest entry.
     """
-    scale = Q.abs().amax((0, 1))
+    scale = largest(Q)
     floor = definite * scale + torch.finfo(Q.dtype).tiny
     m = Q.shape[0]
     if m == 1:

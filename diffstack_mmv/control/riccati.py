@@ -17,7 +17,7 @@ from diffstack_mmv.control.batch_last import (
     unpack,
     walk,
 )
-from diffstack_mmv.control.box_qp import free_inverse, positive_lift, solve_box_qp
+from diffstack_mmv.control.box_qp import free_inverse, largest, positive_lift, solve_box_qp
 
 FAR = 3e-2  # predicted decrease relative to the cost above which a problem is far from its solution
 DEFINITE = 1e-6  # smallest eigenvalue of Q_uu relative to its largest entry, before it is shifted
@@ -184,7 +184,7 @@ def box_policy(
         uu = uu + eye_u * lifted * dominance(uu, cross.sum(1))
         Q = _action(value, (*first, xx, ux, uu))
         lift = positive_lift(Q.uu, DEFINITE)
-        Q_uu = Q.uu + (lift + damping * Q.uu.abs().amax((0, 1))) * eye_u
+        Q_uu = Q.uu + (lift + damping * largest(Q.uu)) * eye_u
         k, free = solve_box_qp(Q_uu, Q.u, low, high)
         K = -product(free_inverse(Q_uu, free), Q.ux)
         Qk = apply(Q_uu, k)
