@@ -16,7 +16,7 @@ from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.types import Forecast, Tracks
 
 
-def time_mean(values: Float[Tensor, "*b T"], valid: Bool[Tensor, "*b T"]) -> Float[Tensor, "*b"]:
+def time_mean(values: Float[Tensor, "*b T"], valid: Bool[Tensor, "*#b T"]) -> Float[Tensor, "*b"]:
     """Mean over the valid times, in the unit of the values; NaN where no time is valid."""
     return torch.where(valid, values, torch.zeros_like(values)).sum(-1) / valid.sum(-1)
 

@@ -24,12 +24,8 @@ def linearise(
 ) -> Linearisation:
     """Jacobians A = ∂f/∂x and B = ∂f/∂u at all points in one call, by forward mode."""
     n = state.shape[-1]
-    tangents = torch.eye(n + control.shape[-1], dtype=state.dtype, device=state.device)
-    shape = (len(tangents), *(1,) * (state.dim() - 1), -1)
-    columns = _pushed(
-        lambda point: dynamics(point[..., :n], point[..., n:]),
-        torch.cat([state, control], -1),
-        tangents.reshape(shape),
+    columns = _jacobian(
+        lambda point: dynamics(point[..., :n], point[..., n:]), torch.cat([state, control], -1)
     )
     return Linearisation(columns[..., :n], columns[..., n:])
 
@@ -83,20 +79,18 @@ def start_sensitivity(dynamics: DynamicsModel, motion: Motion) -> Float[Tensor, 
         )
 
     point = torch.cat([motion.position, motion.heading.unsqueeze(-1), motion.velocity[..., :1]], -1)
-    tangents = torch.eye(4, dtype=point.dtype, device=point.device)
-    return _pushed(state_at, point, tangents.reshape(4, *(1,) * (point.dim() - 1), 4))
+    return _jacobian(state_at, point)
 
 
-def _pushed(
-    function: Callable[[Tensor], Tensor],
-    point: Float[Tensor, "*b p"],
-    tangents: Float[Tensor, "t *b p"],
-) -> Float[Tensor, "*b o t"]:
-    """Directional derivatives along the tangents, stacked as columns."""
+def _jacobian(
+    function: Callable[[Tensor], Tensor], point: Float[Tensor, "*b p"]
+) -> Float[Tensor, "*b o p"]:
+    """Derivatives of a function of single points, one tangent per column."""
 
-    def push(tangent: Tensor) -> Tensor:
+    def push(tangent: Float[Tensor, " p"]) -> Tensor:
         return torch.func.jvp(function, (point,), (tangent.expand_as(point),))[1]
 
+    tangents = torch.eye(point.shape[-1], dtype=point.dtype, device=point.device)
     return torch.func.vmap(push, out_dims=-1)(tangents)
 
 

