@@ -6,10 +6,12 @@ from diffstack_mmv.costs.effort import ControlEffort, LateralAcceleration, YawRa
 from diffstack_mmv.costs.goal import (
     BrakingProfile,
     FinalGoal,
+    GoalOutsideTurn,
     HeadingToGoal,
     ReferenceSpeed,
     RunningGoal,
 )
+from diffstack_mmv.costs.limits import SpeedLimit
 from diffstack_mmv.costs.tracking import ReferenceTracking
 from diffstack_mmv.costs.weighted import WeightedCost
 
@@ -19,11 +21,13 @@ __all__ = [
     "CostTerm",
     "ExpectedCollision",
     "FinalGoal",
+    "GoalOutsideTurn",
     "HeadingToGoal",
     "LateralAcceleration",
     "ReferenceSpeed",
     "ReferenceTracking",
     "RunningGoal",
+    "SpeedLimit",
     "TurningCircleBarrier",
     "WeightedCost",
     "YawRate",

@@ -9,11 +9,12 @@ from diffstack_mmv.types import Motion, PlanningProblem
 
 
 class CostTerm(nn.Module, ABC):
-    """One summand of a plan's cost: not negative, and entry t depends on the motion and the control at t alone.
+    """One summand of a plan's cost, not negative; entry t depends on motion and control at t alone.
 
-    `controls` are relative to the limits of the vehicle (1 is the limit), so that terms know no vehicle; their last
-    row, at the horizon, is zero. The leading dimensions of `problem` are those of the motion without time, or broadcast
-    to them from the right, so that many candidates are scored against one problem.
+    `controls` are relative to the limits of the vehicle (1 is the limit), so that terms know no
+    vehicle; their last row, at the horizon, is zero. The leading dimensions of `problem` are those
+    of the motion without time, or broadcast to them from the right, so that many candidates are
+    scored against one problem.
     """
 
     @abstractmethod

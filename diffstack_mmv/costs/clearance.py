@@ -13,7 +13,7 @@ GRAVITY = 9.81  # m/s²
 
 
 class ExpectedCollision(CostTerm):
-    """Radial basis function of the expected distance to each agent's predicted mixture, summed over agents.
+    """Radial basis function of the expected distance to each agent, summed over agents.
 
         C_t = Σ_i exp(-½ (d̄_i / s)²),   d̄_i = Σ_k w_ik ‖p_t - μ_ikt‖
 
@@ -45,12 +45,14 @@ class ExpectedCollision(CostTerm):
 class TurningCircleBarrier(CostTerm):
     """Turning-circle control barrier ReLU(-h)² in m²: active only where both turns are obstructed.
 
-    With the smallest turning radius ρ = max(ρ_min, v² / (μ g)) and the circle centres c_L, c_R = p ± ρ n(θ),
+    With the smallest turning radius ρ = max(ρ_min, v² / (μ g)) and the circle centres c_L, c_R = p
+    ± ρ n(θ),
 
-        h_L = ‖o - c_L‖ - (ρ + r_ego + r_o + margin),  h_R likewise,  h = smooth max(h_L, h_R) per agent
+        h_L = ‖o - c_L‖ - (ρ + r_ego + r_o + margin),  h_R likewise,  h = smooth max(h_L, h_R) per
+        agent
 
-    evaluated at the position of the agent at time t and averaged over the components of its mixture. Source: Lee et al.,
-    TC-CBF (arXiv 2503.20280), as in DMMV, Sec. IV-B.
+    evaluated at the position of the agent at time t and averaged over the components of its
+    mixture. Source: Lee et al., TC-CBF (arXiv 2503.20280), as in DMMV, Sec. IV-B.
 
     Args:
         radius_min_m: ρ_min, the wheelbase over the tangent of the largest steering angle, in m.
@@ -79,7 +81,10 @@ class TurningCircleBarrier(CostTerm):
         self.lead_m = lead_m
 
     def barrier(self, motion: Motion, problem: PlanningProblem) -> Float[Tensor, "*b N K t"]:
-        """Barrier h in m for each agent and component at each time: negative where both circles are obstructed."""
+        """Barrier h in m for each agent and component at each time.
+
+        Negative where both circles are obstructed.
+        """
         speed = motion.velocity[..., 0]
         grip = speed.square() / (self.friction * GRAVITY)
         radius = smooth_maximum(grip, torch.full_like(grip, self.radius_min_m), 0.05)

@@ -44,8 +44,8 @@ class FinalGoal(CostTerm):
 class HeadingToGoal(CostTerm):
     """Misalignment 1 - cos(θ - θ_des), with θ_des the direction to the goal.
 
-    Near the goal that direction is meaningless: the term fades as d / sqrt(d² + d₀²), written with the offset itself so
-    that nothing is divided by zero.
+    Near the goal that direction is meaningless: the term fades as d / sqrt(d² + d₀²), written with
+    the offset itself so that nothing is divided by zero.
 
     Args:
         fade_m: d₀ in m.
@@ -80,10 +80,11 @@ class ReferenceSpeed(CostTerm):
 
 
 class BrakingProfile(CostTerm):
-    """Squared deviation from the speed v_ref = min(v_max, sqrt(2 a d)) that still stops at the goal, in (m/s)².
+    """Squared deviation in (m/s)² from v_ref = min(v_max, sqrt(2 a d)), which stops at the goal.
 
-    d is the distance to the goal; the root is smoothed to sqrt(2 a d + w²) - w and the minimum over a width, so that both have
-    slopes at the goal. Source: design of the closed-loop cost of DMMV, Sec. IV-B.
+    d is the distance to the goal; the root is smoothed to sqrt(2 a d + w²) - w and the minimum over
+    a width, so that both have slopes at the goal. Source: design of the closed-loop cost of DMMV,
+    Sec. IV-B.
 
     Args:
         braking_mps2: a in m/s².
@@ -107,3 +108,32 @@ class BrakingProfile(CostTerm):
         cruise = problem.reference_speed.unsqueeze(-1)
         reference = 0.5 * (stopping + cruise - ((stopping - cruise).square() + width**2).sqrt())
         return (motion.velocity[..., 0] - reference).square()
+
+
+class GoalOutsideTurn(CostTerm):
+    """Depth in m² to which the goal lies inside the smallest turning circles: ReLU(ρ - ‖g - c_i‖)², summed over both sides.
+
+    A vehicle that only drives forward cannot reach a point inside of the circles that touch it on the left and on the right,
+    c_L, c_R = p ± ρ n(θ); around such a goal it would circle for ever.
+
+    Args:
+        radius_min_m: ρ, the wheelbase over the tangent of the largest steering angle, in m.
+
+    Raises:
+        ValueError: The radius is not positive.
+    """
+
+    def __init__(self, radius_min_m: float = 1.0) -> None:
+        super().__init__()
+        require_positive("radius_min_m", radius_min_m)
+        self.radius_min_m = radius_min_m
+
+    def forward(
+        self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
+    ) -> Float[Tensor, "*b t"]:
+        """Value in m² at each time."""
+        offset = _offset_to_goal(motion, problem)
+        left = torch.stack([-motion.heading.sin(), motion.heading.cos()], -1)
+        centre = self.radius_min_m * left
+        distance = torch.stack([safe_norm(offset - centre, 1e-6), safe_norm(offset + centre, 1e-6)])
+        return torch.relu(self.radius_min_m - distance).square().sum(0)

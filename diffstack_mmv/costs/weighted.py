@@ -15,9 +15,10 @@ from diffstack_mmv.types import Motion, PlanningProblem
 class WeightedCost(nn.Module):
     """Σ_i w_i C_i with positive weights.
 
-    The learned weights are W softmax(log w), W being the sum of their initial values: a scale on which the plan does not
-    depend is not learned, and no weight leaves the positive numbers. Weights can be frozen one by one. Source: Karkus et
-    al., DiffStack (CoRL 2022), normalised log parametrisation.
+    The learned weights are W softmax(log w), W being the sum of their initial values: a scale on
+    which the plan does not depend is not learned, and no weight leaves the positive numbers.
+    Weights can be frozen one by one. Source: Karkus et al., DiffStack (CoRL 2022), normalised log
+    parametrisation.
 
     Args:
         terms: The terms by name.
@@ -25,7 +26,8 @@ class WeightedCost(nn.Module):
         frozen: Names of the weights that are not learned.
 
     Raises:
-        ValueError: Terms and weights have different names, a weight is not positive, or a frozen name is unknown.
+        ValueError: Terms and weights have different names, a weight is not positive, or a frozen
+        name is unknown.
     """
 
     def __init__(
@@ -66,7 +68,10 @@ class WeightedCost(nn.Module):
         problem: PlanningProblem,
         weights: Mapping[str, Tensor | float] | None = None,
     ) -> dict[str, Float[Tensor, "*b t"]]:
-        """Weighted value of every term at each time, under the present weights unless others are given."""
+        """Weighted value of every term at each time.
+
+        The present weights unless others are given.
+        """
         used = self.weights() if weights is None else weights
         return {
             name: used[name] * term(motion, controls, problem) for name, term in self.terms.items()

@@ -39,7 +39,7 @@ def drive(world: World, scene: Scene, controller: Controller) -> EpisodeRecord:
     states, rows = [state], []
     running = torch.ones_like(state.time, dtype=torch.bool)
     for _ in range(world.max_steps):
-        action = controller(world.observe(state))
+        action = controller(world.observe(state)._replace(running=running))
         state, judgement = world.step(state, action)
         states.append(state)
         rows.append(_Row(action, judgement, running))

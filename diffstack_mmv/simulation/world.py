@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import message, require_columns, require_multiple, require_positive
@@ -35,6 +35,7 @@ class Observation(NamedTuple):
     human_velocity: Float[Tensor, "*b h 2"]  # m/s
     human_radius: Float[Tensor, "*b h"]  # m
     time: Float[Tensor, "*b"]  # s
+    running: Bool[Tensor, "*b"]  # false where the episode has ended and its action counts no more
 
 
 class WorldStep(NamedTuple):
@@ -147,6 +148,7 @@ class World:
             human_velocity=state.humans.velocity,
             human_radius=state.humans.radius,
             time=state.time,
+            running=torch.ones_like(state.time, dtype=torch.bool),
         )
 
     def clearance(self, state: WorldState) -> Float[Tensor, "*b"]:

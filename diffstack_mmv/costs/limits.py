@@ -1,0 +1,19 @@
+"""Terms that keep the motion within the limits of the vehicle."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.costs.base import CostTerm
+from diffstack_mmv.types import Motion, PlanningProblem
+
+
+class SpeedLimit(CostTerm):
+    """Squared excess ReLU(v - v_ref)² of the forward speed over the reference speed, in (m/s)²."""
+
+    def forward(
+        self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
+    ) -> Float[Tensor, "*b t"]:
+        """Value in (m/s)² at each time."""
+        excess = motion.velocity[..., 0] - problem.reference_speed.unsqueeze(-1)
+        return torch.relu(excess).square()

@@ -1,0 +1,63 @@
+"""Ways around people: on which side of each human a plan passes."""
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+NEAR_M = 2.0
+"""A human further away than this at the closest approach does not tell ways apart."""
+
+
+def ways_around(
+    position: Float[Tensor, "*b C T1 2"], people: Float[Tensor, "*b h T1 2"]
+) -> Int[Tensor, "*b C"]:
+    """Number of the way of each plan: equal for plans that pass the same humans on the same sides.
+
+    At the closest approach the human lies left or right of the relative motion; each human adds a
+    ternary digit (far, left, right).
+
+    Args:
+        position: Positions of the plans in m.
+        people: Positions of the humans in m at the same times.
+
+    Returns:
+        A number per plan, modulo 2⁶³, in no particular order.
+    """
+    relative = people.unsqueeze(-4) - position.unsqueeze(-3)
+    squared = relative.square().sum(-1)
+    nearest = squared[..., :-1].argmin(-1, keepdim=True)
+    velocity = relative.diff(dim=-2).take_along_dim(nearest.unsqueeze(-1), -2).squeeze(-2)
+    offset = relative.take_along_dim(nearest.unsqueeze(-1), -2).squeeze(-2)
+    cross = velocity[..., 0] * offset[..., 1] - velocity[..., 1] * offset[..., 0]
+    near = squared.amin(-1) < NEAR_M**2
+    digit = torch.where(near, 1 + (cross > 0).long(), 0)
+    weight = 3 ** (torch.arange(digit.shape[-1], device=digit.device) % 39)
+    return (digit * weight).sum(-1)
+
+
+def best_of_each(
+    price: Float[Tensor, "*b C"], ways: Int[Tensor, "*b C"], count: int
+) -> Int[Tensor, "*b k"]:
+    """Cheapest plan of each of the `count` cheapest ways, cheapest first.
+
+    Where there are fewer ways, the cheapest remaining plans of any way follow.
+
+    Args:
+        price: Price of each plan.
+        ways: Way of each plan.
+        count: How many to choose, at most the number of plans.
+
+    Returns:
+        Indices of different plans.
+    """
+    taken = torch.zeros_like(price, dtype=torch.bool)
+    seen = torch.zeros_like(taken)
+    chosen = []
+    for _ in range(count):
+        # plans of ways already seen come after all others, plans already taken never
+        order = torch.where(seen, price + 1e8, price).masked_fill(taken, torch.inf)
+        index = order.argmin(-1, keepdim=True)
+        chosen.append(index)
+        taken = taken.scatter(-1, index, True)
+        seen = seen | (ways == ways.take_along_dim(index, -1))
+    return torch.cat(chosen, -1)

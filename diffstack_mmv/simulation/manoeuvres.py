@@ -1,0 +1,128 @@
+"""Candidate plans among people: pass left or right of somebody, wait, or go."""
+
+import math
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_at_least, require_between, require_positive
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.geometry import wrap_angle
+from diffstack_mmv.planning import Candidates, with_final_row
+from diffstack_mmv.types import PlanningProblem
+
+
+class Course(NamedTuple):
+    """First phase of each manoeuvre; afterwards it makes for the goal at full speed."""
+
+    offset: Float[Tensor, " C"]  # rad, course relative to the direction of the goal
+    speed_share: Float[Tensor, " C"]  # of the cruising speed
+    duration: Float[Tensor, " C"]  # s
+
+
+class DetourFan:
+    """Every manoeuvre holds a course and a speed for a while and then makes for the goal.
+
+    Courses to the left and right of the goal at several speeds, zero among them, span the ways
+    around the people: before or behind each of them, left or right, wait or go. All are driven
+    through the dynamics by pure pursuit, so each is feasible for the vehicle. The last candidate
+    is maximal braking with the steering that keeps the path straight.
+
+    Args:
+        offsets_deg: Courses to one side of the goal; the other side mirrors them, zero is added.
+        speed_shares: Speeds of the first phase as shares of the cruising speed.
+        durations_s: Lengths of the first phase.
+        turn_time_s: Time in which an error of the course is steered out.
+        lateral_mps2: Largest lateral acceleration of a turn.
+        braking_mps2: Deceleration towards the goal.
+
+    Raises:
+        ValueError: A list is empty or a number out of range.
+    """
+
+    def __init__(
+        self,
+        offsets_deg: tuple[float, ...] = (15.0, 30.0, 50.0, 80.0),
+        speed_shares: tuple[float, ...] = (0.0, 0.33, 0.67, 1.0),
+        durations_s: tuple[float, ...] = (0.5, 1.0, 1.75),
+        turn_time_s: float = 0.3,
+        lateral_mps2: float = 4.0,
+        braking_mps2: float = 2.5,
+    ) -> None:
+        for name, values in (
+            ("offsets_deg", offsets_deg),
+            ("speed_shares", speed_shares),
+            ("durations_s", durations_s),
+        ):
+            require_at_least(f"len({name})", len(values), 1)
+        for offset in offsets_deg:
+            require_between("offsets_deg", offset, 0, 180)
+        for share in speed_shares:
+            require_between("speed_shares", share, 0, 1)
+        require_positive("turn_time_s", turn_time_s)
+        require_positive("lateral_mps2", lateral_mps2)
+        require_positive("braking_mps2", braking_mps2)
+        one_side = [math.radians(offset) for offset in offsets_deg]
+        both = torch.tensor([-offset for offset in reversed(one_side)] + [0.0] + one_side)
+        grid = torch.cartesian_prod(both, torch.tensor(speed_shares), torch.tensor(durations_s))
+        self.course = Course(*grid.unbind(-1))
+        self.turn_time_s = turn_time_s
+        self.lateral_mps2 = lateral_mps2
+        self.braking_mps2 = braking_mps2
+
+    def __call__(self, dynamics: DynamicsModel, problem: PlanningProblem, steps: int) -> Candidates:
+        """Roll out the fan of every problem over a number of steps.
+
+        Args:
+            dynamics: The vehicle.
+            problem: Problems, `*b`; the heading of the motion is that of the body.
+            steps: Length of the horizon in steps of the dynamics.
+
+        Returns:
+            The candidates `*b C`, maximal braking last.
+        """
+        course = Course(*(field.to(problem.goal) for field in self.course))
+        start = dynamics.initial_state(problem.motion)
+        count = course.offset.shape[0] + 1
+        state = start.unsqueeze(-2).expand(*start.shape[:-1], count, start.shape[-1])
+        braking = dynamics.bounds.lower[0].to(start).expand(state[..., -1:, 0].shape)
+        states, controls = [state], []
+        for step in range(steps):
+            acceleration, curvature = self._pursued(dynamics, states[-1], course, problem, step)
+            acceleration = torch.cat([acceleration, braking], -1)
+            curvature = torch.cat([curvature, torch.zeros_like(braking)], -1)
+            controls.append(dynamics.control_for(states[-1], acceleration, curvature))
+            states.append(dynamics(states[-1], controls[-1]))
+        all_states, all_controls = torch.stack(states, -2), torch.stack(controls, -2)
+        motion = dynamics.motion(all_states, with_final_row(all_controls))
+        return Candidates(all_states, all_controls, motion)
+
+    def _pursued(
+        self,
+        dynamics: DynamicsModel,
+        state: Float[Tensor, "*b C1 n"],
+        course: Course,
+        problem: PlanningProblem,
+        step: int,
+    ) -> tuple[Float[Tensor, "*b C"], Float[Tensor, "*b C"]]:
+        """Acceleration (m/s²) and curvature (1/m) of all manoeuvres but the braking."""
+        courses, none = state[..., :-1, :], torch.zeros_like(dynamics.bounds.lower).to(state)
+        motion = dynamics.motion(courses, none.expand(*courses.shape[:-1], len(none)))
+        way = problem.goal.unsqueeze(-2) - motion.position
+        distance = way.square().sum(-1).sqrt()
+        first = step * dynamics.dt_s < course.duration - 1e-6
+        bearing = torch.atan2(way[..., 1], way[..., 0]) + torch.where(first, course.offset, 0.0)
+        error = wrap_angle(bearing - motion.heading)
+        speed = motion.velocity[..., 0]
+        cruise = problem.reference_speed.unsqueeze(-1)
+        share = torch.where(first, course.speed_share, 1.0)
+        stopping = (2 * self.braking_mps2 * distance).sqrt()
+        # at the start of the step the target must be one that the step can still brake for
+        target = torch.minimum(cruise * share, stopping)
+        moving = speed.clamp_min(0.5)
+        sharpest = self.lateral_mps2 / moving.square()
+        curvature = error / (self.turn_time_s * moving)
+        curvature = torch.minimum(torch.maximum(curvature, -sharpest), sharpest)
+        return (target - speed) / dynamics.dt_s, curvature
