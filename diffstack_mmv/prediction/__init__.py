@@ -8,7 +8,6 @@ from diffstack_mmv.prediction.base import (
     strongest,
 )
 from diffstack_mmv.prediction.baselines import (
-    ConstantTurnRateAcceleration,
     ConstantVelocity,
     GroundTruth,
     NoPrediction,
@@ -16,6 +15,7 @@ from diffstack_mmv.prediction.baselines import (
     StandStill,
     without_dynamics,
 )
+from diffstack_mmv.prediction.ctra import ConstantTurnRateAcceleration
 from diffstack_mmv.prediction.goal_baselines import (
     constant_acceleration,
     hermite_spline,
