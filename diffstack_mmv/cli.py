@@ -1,4 +1,7 @@
-"""What all command lines share: Hydra's composition, one message per failure, and an exit status to trust."""
+"""What all command lines share.
+
+Hydra's composition, one message per failure, and an exit status to trust.
+"""
 
 import functools
 import sys
@@ -13,7 +16,8 @@ from omegaconf.errors import OmegaConfBaseException
 
 from diffstack_mmv.checks import require, require_multiple
 
-# `${steps:horizon_s,dt_s}` in a configuration: a horizon in steps, refused if it is no whole number of them
+# `${steps:horizon_s,dt_s}` in a configuration: a horizon in steps, refused if it is no whole number
+# of them
 OmegaConf.register_new_resolver(
     "steps", lambda horizon_s, dt_s: require_multiple("horizon_s", horizon_s, dt_s), replace=True
 )
@@ -22,7 +26,10 @@ EXPECTED = (ValueError, TypeError, LookupError, OSError, HydraException, OmegaCo
 
 
 class CommandError(CompactHydraException):
-    """A failure told in one message; Hydra prints it without a traceback and exits with status 1."""
+    """A failure told in one message.
+
+    Hydra prints it without a traceback and exits with status 1.
+    """
 
 
 def command(
@@ -30,9 +37,9 @@ def command(
 ) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
     """Make a function of a composed configuration a command line.
 
-    The resolved configuration goes into the run folder (`out=DIR`) as `config.yaml` before the work begins, so that every
-    run can be repeated. A bad input ends with one message and exit status 1; `HYDRA_FULL_ERROR=1` shows where it
-    came from.
+    The resolved configuration goes into the run folder (`out=DIR`) as `config.yaml` before the work
+    begins, so that every run can be repeated. A bad input ends with one message and exit status 1;
+    `HYDRA_FULL_ERROR=1` shows where it came from.
 
     Args:
         config_folder: The folder of the configuration groups.
@@ -75,7 +82,10 @@ def save_config(config: DictConfig, folder: Path) -> None:
 
 
 def _vehicle_from_file(argument: str) -> str:
-    """`vehicle=NAME` selects an option of a group, as Hydra knows it; `vehicle=FILE.yaml` becomes `vehicle_file=FILE.yaml`."""
+    """`vehicle=NAME` selects an option of a group, as Hydra knows it.
+
+    `vehicle=FILE.yaml` becomes `vehicle_file=FILE.yaml`.
+    """
     is_file = argument.startswith("vehicle=") and argument.endswith((".yaml", ".yml"))
     return argument.replace("vehicle=", "vehicle_file=", 1) if is_file else argument
 
@@ -97,7 +107,10 @@ def _require_complete(config: DictConfig) -> None:
 
 
 def _told(error: BaseException) -> str:
-    """The message of the first cause: what a constructor refused, not that Hydra could not call it."""
+    """The message of the first cause.
+
+    What a constructor refused, not that Hydra could not call it.
+    """
     while isinstance(error, HydraException) and error.__cause__ is not None:
         error = error.__cause__
     return f"{type(error).__name__}: {error}"

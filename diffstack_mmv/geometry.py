@@ -1,4 +1,4 @@
-"""Angles, rotations and frames in the plane (x forward or east, y left or north, counter-clockwise angles)."""
+"""Angles, rotations and frames in the plane: y to the left of x, angles counter-clockwise."""
 
 import math
 
@@ -36,7 +36,7 @@ def position_in_frame(
 def position_from_frame(
     position: Float[Tensor, "*b 2"], origin: Float[Tensor, "*#b 2"], heading: Float[Tensor, "*#b"]
 ) -> Float[Tensor, "*b 2"]:
-    """Express positions in m of a frame with the given origin (m) and heading (rad) in the world."""
+    """Express positions in m of a frame with this origin (m) and heading (rad) in the world."""
     return rotate(position, heading) + origin
 
 

@@ -11,7 +11,10 @@ SERIES_BELOW = 0.3  # rad; the truncated series are exact to double precision th
 
 
 def limiter(ratio: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """Odd limiter S(x) = x (1 + x⁴)^(-1/4): slope 1 at zero, always inside (-1, 1), dimensionless."""
+    """Odd limiter S(x) = x (1 + x⁴)^(-1/4).
+
+    Slope 1 at zero, always inside (-1, 1), dimensionless.
+    """
     # x^4 overflows for large arguments; 1e6 is already saturated to the last digit of float64
     bounded = ratio.clamp(-1e6, 1e6)
     return bounded * (1 + bounded**4) ** -0.25
@@ -30,8 +33,8 @@ def saturate(
 ) -> Float[Tensor, "*b m"]:
     """Pass values inside [low, high] unchanged and saturate smoothly outside.
 
-    Beyond a bound the excess e becomes w tanh(e / w) with w = margin · (high - low): twice continuously
-    differentiable, and never dead just outside of the bound.
+    Beyond a bound the excess e becomes w tanh(e / w) with w = margin · (high - low): twice
+    continuously differentiable, and never dead just outside of the bound.
     """
     width = margin * (high - low)
     inside = torch.minimum(torch.maximum(value, low), high)
@@ -39,7 +42,7 @@ def saturate(
 
 
 def floor_at_zero(value: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """ReLU with its right-hand derivative (1) at zero, so that a vehicle at rest can learn to start."""
+    """ReLU with its right-hand derivative (1) at zero: a vehicle at rest can learn to start."""
     return torch.where(value >= 0, value, torch.zeros_like(value))
 
 
@@ -56,7 +59,7 @@ def smooth_maximum(
 
 
 def sinc(angle: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """Return sin(x) / x for x in rad, by its series near zero where the quotient loses its derivatives."""
+    """Return sin(x) / x for x in rad, by its series near zero, where the quotient fails."""
     small = angle.abs() < SERIES_BELOW
     square = torch.where(small, angle, torch.zeros_like(angle)).square()
     series = 1 - square / 6 * (
@@ -89,7 +92,9 @@ def arctan_ratio(tangent: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
     """Return atan(x) / x, by its series near zero where the quotient loses its derivatives."""
     small = tangent.abs() < 0.03
     square = torch.where(small, tangent, torch.zeros_like(tangent)).square()
-    series = 1 - square * (1 / 3 - square * (1 / 5 - square * (1 / 7 - square * (1 / 9 - square / 11))))
+    series = 1 - square * (
+        1 / 3 - square * (1 / 5 - square * (1 / 7 - square * (1 / 9 - square / 11)))
+    )
     far = torch.where(small, torch.ones_like(tangent), tangent)
     return torch.where(small, series, far.atan() / far)
 

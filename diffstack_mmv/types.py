@@ -1,4 +1,7 @@
-"""The named records that travel between the stages: SI units, oldest time first, masks true where valid."""
+"""The named records that travel between the stages.
+
+SI units, oldest time first, masks true where valid.
+"""
 
 from collections.abc import Callable
 from enum import IntEnum
@@ -58,14 +61,17 @@ class SolverStatus(IntEnum):
 
 _ADVICE = {
     SolverStatus.CONVERGED: "Converged: the projected gradient is within the tolerance.",
-    SolverStatus.ITERATION_LIMIT: "The iteration limit was reached: raise `max_iterations` or start closer.",
+    SolverStatus.ITERATION_LIMIT: "The iteration limit was hit: raise `max_iterations` or start closer.",
     SolverStatus.STALLED: "No step lowers the cost: loosen `tolerance`, or solve in float64.",
-    SolverStatus.NOT_FINITE: "State, cost or dynamics are NaN or infinite: check the inputs of this problem.",
+    SolverStatus.NOT_FINITE: "State, cost or dynamics are NaN or infinite: check the inputs.",
 }
 
 
 class Motion(NamedTuple):
-    """Planar motion of a point and its body; time, where there is one, is the last leading dimension."""
+    """Planar motion of a point and its body.
+
+    Time, where there is one, is the last leading dimension.
+    """
 
     position: Float[Tensor, "*b 2"]  # m
     heading: Float[Tensor, "*b"]  # rad, counter-clockwise from +x
@@ -209,7 +215,10 @@ class EpisodeRecord(NamedTuple):
 
 
 def map_tensors(function: Callable[[Tensor], Tensor], record: Any) -> Any:
-    """Apply a function to every tensor of a (nested) record and keep all else, e.g. `dt_s`, as it is."""
+    """Apply a function to every tensor of a (nested) record and keep all else, e.g.
+
+    `dt_s`, as it is.
+    """
     if isinstance(record, Tensor):
         return function(record)
     if isinstance(record, tuple) and hasattr(record, "_fields"):

@@ -32,7 +32,7 @@ def root() -> Path:
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """Reference vectors and real recordings, which lie beside the project and are not part of it."""
+    """Reference vectors and real recordings, which lie beside the project, not in it."""
     folder = ROOT.parent / "shared"
     if not folder.is_dir():
         pytest.skip("needs the reference data in ../shared, which this machine does not have")

@@ -15,8 +15,21 @@ from diffstack_mmv.stack import DiffStackMMV
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 COMMANDS = sorted(path.stem for path in CONFIGS.glob("*.yaml") if path.stem != "command")
 # groups of train.yaml whose options can be exchanged one by one
-GROUPS = ("dynamics", "predictor", "cost", "solver", "planner", "goal", "loss", "optim", "callbacks", "logger")
-OPTIONS = [(group, path.stem) for group in GROUPS for path in sorted((CONFIGS / group).glob("*.yaml"))]
+GROUPS = (
+    "dynamics",
+    "predictor",
+    "cost",
+    "solver",
+    "planner",
+    "goal",
+    "loss",
+    "optim",
+    "callbacks",
+    "logger",
+)
+OPTIONS = [
+    (group, path.stem) for group in GROUPS for path in sorted((CONFIGS / group).glob("*.yaml"))
+]
 
 
 def composed(name, *overrides):
@@ -29,7 +42,9 @@ def composed(name, *overrides):
     return config
 
 
-@pytest.mark.parametrize("name", [name for name in COMMANDS if (CONFIGS / f"{name}.yaml").read_text().count("data:")])
+@pytest.mark.parametrize(
+    "name", [name for name in COMMANDS if (CONFIGS / f"{name}.yaml").read_text().count("data:")]
+)
 def test_commands_on_data_compose(name):
     assert composed(name).data.name == "thab_vru"
 
@@ -42,10 +57,14 @@ def test_every_option_of_training_builds_a_stack(group, option, tmp_path):
     assert isinstance(stack.planner.dynamics, DynamicsModel)
 
 
-@pytest.mark.parametrize("vehicle", sorted(path.stem for path in (CONFIGS / "vehicle").glob("*.yaml")))
+@pytest.mark.parametrize(
+    "vehicle", sorted(path.stem for path in (CONFIGS / "vehicle").glob("*.yaml"))
+)
 @pytest.mark.parametrize("dynamics", ["unicycle", "kbm"])
 def test_every_vehicle_works_with_every_dynamics(vehicle, dynamics):
-    config = composed("train", f"vehicle={vehicle}", f"dynamics={dynamics}", "predictor=constant_velocity")
+    config = composed(
+        "train", f"vehicle={vehicle}", f"dynamics={dynamics}", "predictor=constant_velocity"
+    )
     assert isinstance(instantiate(config.stack.dynamics), DynamicsModel)
 
 
@@ -63,7 +82,9 @@ def test_predictor_and_planner_share_one_dynamics_model():
     assert len(names) == 1
 
 
-@pytest.mark.parametrize("experiment", sorted(path.stem for path in (CONFIGS / "experiment").glob("*.yaml")))
+@pytest.mark.parametrize(
+    "experiment", sorted(path.stem for path in (CONFIGS / "experiment").glob("*.yaml"))
+)
 def test_experiments_only_override(experiment):
     assert composed("train", f"experiment={experiment}").epochs > 0
 

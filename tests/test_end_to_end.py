@@ -9,6 +9,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import torch
+
 from data_converters import generate_sample
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -48,7 +49,7 @@ def fail(script, *arguments):
 
 @pytest.fixture(scope="session")
 def workplace(tmp_path_factory):
-    """Recordings of three sequences (train, val, test), their cache, a trained run and its report."""
+    """Recordings of three sequences, their cache, a trained run and its report."""
     place = tmp_path_factory.mktemp("end_to_end")
     generate_sample(place / "recordings", seed=1, sequences=(0, 50, 200), duration_s=16.0)
     data = ["data=imptc", f"data.cache={place / 'cache'}"]

@@ -38,7 +38,9 @@ def test_leaving_a_frame_undoes_entering_it(x, y, ox, oy, heading):
 
 def test_rotation_by_a_quarter_turns_forward_to_left():
     quarter = torch.tensor(math.pi / 2)
-    assert torch.allclose(rotate(torch.tensor([1.0, 0.0]), quarter), torch.tensor([0.0, 1.0]), atol=1e-6)
+    assert torch.allclose(
+        rotate(torch.tensor([1.0, 0.0]), quarter), torch.tensor([0.0, 1.0]), atol=1e-6
+    )
     assert torch.allclose(direction(quarter), torch.tensor([0.0, 1.0]), atol=1e-6)
 
 

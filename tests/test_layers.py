@@ -1,4 +1,7 @@
-"""The direction of imports never turns back: each part imports what its layer allows and nothing else."""
+"""The direction of imports never turns back.
+
+Each part imports what its layer allows and nothing else.
+"""
 
 import ast
 from pathlib import Path

@@ -33,7 +33,9 @@ def test_forecast_density_agrees_with_torch_distributions():
     for t in range(5):
         mixture = MixtureSameFamily(
             Categorical(logits=forecast.log_weight),
-            MultivariateNormal(forecast.mean[..., t, :], scale_tril=forecast.scale_tril[..., t, :, :]),
+            MultivariateNormal(
+                forecast.mean[..., t, :], scale_tril=forecast.scale_tril[..., t, :, :]
+            ),
         )
         expected = mixture.log_prob(position[:, t])
         assert torch.allclose(forecast.log_prob(position)[:, t], expected, atol=1e-4)

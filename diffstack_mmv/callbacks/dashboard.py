@@ -26,7 +26,7 @@ MODE_SCORES = ("ade", "nll", "plan_ade", "planning_loss")
 
 
 def build_dashboard(entity: str, project: str, modes: Sequence[str]) -> str:
-    """Create the dashboard of a project: losses by part, scores by mode, solver, gradients, throughput.
+    """Create the dashboard of a project: losses, scores by mode, solver, gradients, throughput.
 
     Needs an account, a network and the extra `dashboard`; runs are logged without any of these.
 
@@ -46,7 +46,8 @@ def build_dashboard(entity: str, project: str, modes: Sequence[str]) -> str:
         import wandb_workspaces.workspaces as workspaces
     except ImportError as missing:
         raise ImportError(
-            "`wandb-workspaces` must be installed to build a dashboard. Run: pip install 'diffstack_mmv[dashboard]'"
+            "`wandb-workspaces` must be installed to build a dashboard. "
+            "Run: pip install 'diffstack_mmv[dashboard]'"
         ) from missing
     layout = dict(PANELS)
     for mode in modes:

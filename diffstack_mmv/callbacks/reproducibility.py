@@ -1,4 +1,7 @@
-"""What a checkpoint needs beyond weights: where it came from, and the state of all random generators."""
+"""What a checkpoint needs beyond weights.
+
+Where it came from, and the state of all random generators.
+"""
 
 import random
 import subprocess
@@ -60,7 +63,7 @@ def _installed_version() -> str:
 
 
 class RandomState(Callback):
-    """Saves and restores all random generators, so that a resumed run continues as if it had not stopped."""
+    """Saves and restores all random generators: a resumed run goes on as if never stopped."""
 
     def __init__(self) -> None:
         self._restored: dict[str, Any] | None = None

@@ -16,13 +16,15 @@ from diffstack_mmv.vehicles import SoftClamped
 class DynamicsModel(nn.Module, ABC):
     """A vehicle as x⁺ = f(x, u; ρ) with the control held over `dt_s` seconds.
 
-    A model names its columns by two named tuples and writes `step`, `motion`, `initial_state` and `control_for`;
-    checks, bounds and the view on the physical parameters ρ live here. All methods take any leading dimensions,
-    work under `torch.func` transforms and `torch.compile`, and are differentiable in state, control and parameters.
+    A model names its columns by two named tuples and writes `step`, `motion`, `initial_state` and
+    `control_for`; checks, bounds and the view on the physical parameters ρ live here. All methods
+    take any leading dimensions, work under `torch.func` transforms and `torch.compile`, and are
+    differentiable in state, control and parameters.
 
     Args:
         dt_s: Length of one step in s.
-        control_lower: Lower end of the box of admissible controls, one number per control, SI units.
+        control_lower: Lower end of the box of admissible controls, one number per control, SI
+            units.
         control_upper: Upper end of the box.
 
     Raises:
@@ -32,7 +34,9 @@ class DynamicsModel(nn.Module, ABC):
     State: ClassVar[Any]
     Control: ClassVar[Any]
 
-    def __init__(self, dt_s: float, control_lower: Sequence[float], control_upper: Sequence[float]) -> None:
+    def __init__(
+        self, dt_s: float, control_lower: Sequence[float], control_upper: Sequence[float]
+    ) -> None:
         super().__init__()
         require_positive("dt_s", dt_s)
         for name, low, high in zip(self.Control._fields, control_lower, control_upper, strict=True):
@@ -56,7 +60,9 @@ class DynamicsModel(nn.Module, ABC):
         """Box of admissible controls (m,), SI units."""
         return Bounds(self.get_buffer("_lower"), self.get_buffer("_upper"))
 
-    def forward(self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]) -> Float[Tensor, "*b n"]:
+    def forward(
+        self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
+    ) -> Float[Tensor, "*b n"]:
         """Advance by one control step.
 
         Raises:
@@ -67,12 +73,14 @@ class DynamicsModel(nn.Module, ABC):
         return self.step(state, control)
 
     @abstractmethod
-    def step(self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]) -> Float[Tensor, "*b n"]:
+    def step(
+        self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
+    ) -> Float[Tensor, "*b n"]:
         """Advance by one control step, arguments already checked."""
 
     @abstractmethod
     def motion(self, states: Float[Tensor, "*b n"], controls: Float[Tensor, "*b m"]) -> Motion:
-        """Position (m), heading (rad), body velocity (m/s) and yaw rate (rad/s) of the model's reference point."""
+        """Motion of the model's reference point, in m, rad, m/s and rad/s."""
 
     @abstractmethod
     def initial_state(self, motion: Motion) -> Float[Tensor, "*b n"]:
@@ -80,12 +88,15 @@ class DynamicsModel(nn.Module, ABC):
 
     @abstractmethod
     def control_for(
-        self, state: Float[Tensor, "*b n"], acceleration: Float[Tensor, "*b"], curvature: Float[Tensor, "*b"]
+        self,
+        state: Float[Tensor, "*b n"],
+        acceleration: Float[Tensor, "*b"],
+        curvature: Float[Tensor, "*b"],
     ) -> Float[Tensor, "*b m"]:
-        """Control that holds an acceleration (m/s²) and a path curvature (1/m) in steady motion, within the bounds."""
+        """Control within the bounds that holds an acceleration (m/s²) and a curvature (1/m)."""
 
     def state_on_course(self, motion: Motion) -> Float[Tensor, "*b n"]:
-        """State of a vehicle whose reference point was tracked: the heading of `motion` is its course.
+        """State of a vehicle whose reference point was tracked: its heading is its course.
 
         A point that slips no sideways, as here by default, has heading and course equal.
         """

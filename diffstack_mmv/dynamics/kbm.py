@@ -41,14 +41,14 @@ class DiffKBM(DynamicsModel):
         θ⁺ = θ + (v⁺ / L) tan δ dt
         p⁺ = p + v (cos θ, sin θ) dt
 
-    with the OLD speed and heading in the position. Commands inside the limits act unchanged, beyond them they saturate
-    smoothly. Source: Cai et al., DMMV, Sec. IV-A. The wheelbase L is learnable.
+    with the OLD speed and heading in the position. Commands inside the limits act unchanged, beyond
+    them they saturate smoothly. Source: Cai et al., DMMV, Sec. IV-A. The wheelbase L is learnable.
 
     Args:
         spec: The vehicle: wheelbase and limits.
         dt_s: Length of one step in s.
-        floor: How the speed is kept from going negative: the ReLU with its right-hand derivative at zero, or a
-            `SoftplusFloor`, whose gradient never vanishes.
+        floor: How the speed is kept from going negative: the ReLU with its right-hand derivative at
+            zero, or a `SoftplusFloor`, whose gradient never vanishes.
     """
 
     class State(NamedTuple):
@@ -80,7 +80,9 @@ class DiffKBM(DynamicsModel):
         self.wheelbase = SoftClamped(spec.wheelbase)
         self.floor = floor
 
-    def step(self, state: Float[Tensor, "*b 4"], control: Float[Tensor, "*b 2"]) -> Float[Tensor, "*b 4"]:
+    def step(
+        self, state: Float[Tensor, "*b 4"], control: Float[Tensor, "*b 2"]
+    ) -> Float[Tensor, "*b 4"]:
         """Advance by one control step."""
         acceleration, steer = saturate(control, *self.bounds).unbind(-1)
         heading, speed = state[..., 2], state[..., 3]
@@ -106,7 +108,10 @@ class DiffKBM(DynamicsModel):
         return torch.cat([motion.position, motion.heading.unsqueeze(-1), speed], -1)
 
     def control_for(
-        self, state: Float[Tensor, "*b 4"], acceleration: Float[Tensor, "*b"], curvature: Float[Tensor, "*b"]
+        self,
+        state: Float[Tensor, "*b 4"],
+        acceleration: Float[Tensor, "*b"],
+        curvature: Float[Tensor, "*b"],
     ) -> Float[Tensor, "*b 2"]:
         """Steering angle atan(L κ) in rad, acceleration (m/s²) as it is."""
         steer = torch.atan(self.wheelbase() * curvature)

@@ -21,8 +21,9 @@ class ExtendedUnicycle(DynamicsModel):
         p⁺ = p + R(θ_m) (v_m dt sin φ / φ,  ½ a dt² (sin φ - φ cos φ) / φ²)
         θ⁺ = θ + ω dt,   v⁺ = v + a dt
 
-    written by sin φ / φ and its slope, which are smooth through ω = 0. Commands beyond the limits of the vehicle saturate
-    smoothly; inside they act unchanged. Source: Karkus et al., DiffStack (CoRL 2022), with the integral in closed form.
+    written by sin φ / φ and its slope, which are smooth through ω = 0. Commands beyond the limits
+    of the vehicle saturate smoothly; inside they act unchanged. Source: Karkus et al., DiffStack
+    (CoRL 2022), with the integral in closed form.
 
     Args:
         spec: The vehicle, of which only the limits are used.
@@ -47,10 +48,14 @@ class ExtendedUnicycle(DynamicsModel):
         limits = spec.limits
         yaw_rate = limits.yaw_rate_max_radps
         super().__init__(
-            dt_s, (-yaw_rate, limits.acceleration_min_mps2), (yaw_rate, limits.acceleration_max_mps2)
+            dt_s,
+            (-yaw_rate, limits.acceleration_min_mps2),
+            (yaw_rate, limits.acceleration_max_mps2),
         )
 
-    def step(self, state: Float[Tensor, "*b 4"], control: Float[Tensor, "*b 2"]) -> Float[Tensor, "*b 4"]:
+    def step(
+        self, state: Float[Tensor, "*b 4"], control: Float[Tensor, "*b 2"]
+    ) -> Float[Tensor, "*b 4"]:
         """Advance by one control step."""
         dt_s = self.dt_s
         yaw_rate, acceleration = saturate(control, *self.bounds).unbind(-1)
@@ -79,10 +84,15 @@ class ExtendedUnicycle(DynamicsModel):
 
     def initial_state(self, motion: Motion) -> Float[Tensor, "*b 4"]:
         """Take pose and forward speed; the yaw rate is a control, not a state."""
-        return torch.cat([motion.position, motion.heading.unsqueeze(-1), motion.velocity[..., :1]], -1)
+        return torch.cat(
+            [motion.position, motion.heading.unsqueeze(-1), motion.velocity[..., :1]], -1
+        )
 
     def control_for(
-        self, state: Float[Tensor, "*b 4"], acceleration: Float[Tensor, "*b"], curvature: Float[Tensor, "*b"]
+        self,
+        state: Float[Tensor, "*b 4"],
+        acceleration: Float[Tensor, "*b"],
+        curvature: Float[Tensor, "*b"],
     ) -> Float[Tensor, "*b 2"]:
         """Yaw rate v κ at the middle of the step, acceleration (m/s²) as it is."""
         speed = state[..., 3] + 0.5 * self.dt_s * acceleration

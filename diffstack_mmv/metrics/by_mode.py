@@ -14,8 +14,8 @@ from diffstack_mmv.types import Mode
 class MeanByMode(Metric):
     """Mean of each score over the samples of each mode, and over all samples.
 
-    The states are sums and counts, so the result does not depend on how samples are spread over batches and processes. A score
-    that is NaN for a sample leaves that sample out of its mean.
+    The states are sums and counts, so the result does not depend on how samples are spread over
+    batches and processes. A score that is NaN for a sample leaves that sample out of its mean.
 
     Args:
         names: The scores.
@@ -44,7 +44,10 @@ class MeanByMode(Metric):
         self.count.index_add_(1, mode, known.to(self.count))
 
     def compute(self) -> dict[str, Tensor]:
-        """Means as `score` over all samples and `mode/score` over those of a mode; absent where there was no sample."""
+        """Means as `score` over all samples and `mode/score` over those of a mode.
+
+        Absent where there was no sample.
+        """
         means: dict[str, Tensor] = {}
         overall = self.total.sum(1) / self.count.sum(1)
         for row, name in enumerate(self.names):
@@ -52,5 +55,7 @@ class MeanByMode(Metric):
                 means[name] = overall[row].float()
             for mode in Mode:
                 if self.count[row, mode] > 0:
-                    means[f"{mode.label}/{name}"] = (self.total[row, mode] / self.count[row, mode]).float()
+                    means[f"{mode.label}/{name}"] = (
+                        self.total[row, mode] / self.count[row, mode]
+                    ).float()
         return means

@@ -28,11 +28,12 @@ class Manoeuvre(NamedTuple):
 
 
 class CandidateFan:
-    """Lattice of terminal speeds and lateral offsets, each rolled out through the selected dynamics.
+    """Lattice of terminal speeds and lateral offsets, rolled out through the selected dynamics.
 
-    A terminal speed fixes a constant acceleration, a lateral offset y at the end of the path of length s an arc of
-    curvature 2 y / s²; one more candidate is the arc with constant acceleration that ends at the goal. Since each is the
-    motion of the model under admissible controls, all are feasible for the vehicle.
+    A terminal speed fixes a constant acceleration, a lateral offset y at the end of the path of
+    length s an arc of curvature 2 y / s²; one more candidate is the arc with constant acceleration
+    that ends at the goal. Since each is the motion of the model under admissible controls, all are
+    feasible for the vehicle.
 
     Args:
         speeds: Number of terminal speeds, evenly spread within reach.

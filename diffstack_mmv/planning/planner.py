@@ -29,9 +29,11 @@ class MPCPlanner(Planner):
     Training and simulation use this same planner; they differ only in who builds the problem.
 
     Args:
-        dynamics: The model that the plan obeys; shared with the predictor, so its parameters are learned once.
+        dynamics: The model that the plan obeys; shared with the predictor, so its parameters are
+            learned once.
         cost: The learnable cost.
-        solver: Trajectory optimiser; its implicit gradient reaches whatever dynamics, cost and problem depend on.
+        solver: Trajectory optimiser; its implicit gradient reaches whatever dynamics, cost and
+            problem depend on.
         candidates: The fan.
         steps: Length of the horizon in steps of the model.
 
@@ -64,7 +66,7 @@ class MPCPlanner(Planner):
     def hindsight_cost(
         self, plan: Plan, problem: PlanningProblem
     ) -> dict[str, Float[Tensor, "*b"]]:
-        """Cost of a plan in another problem, e.g. under the true futures, by term and summed over time.
+        """Cost of a plan in another problem, e.g. under the true futures, by term, over all times.
 
         The weights are constants here: a cost must not be lowered by weighing its terms anew.
         """
@@ -78,8 +80,8 @@ class MPCPlanner(Planner):
     def forward(self, problem: PlanningProblem) -> Plan:
         """Plan for every problem.
 
-        The candidates are constants to the gradient; their logits carry it to the cost weights and to the problem, the solution to
-        these and to the dynamics as well.
+        The candidates are constants to the gradient; their logits carry it to the cost weights and
+        to the problem, the solution to these and to the dynamics as well.
         """
         with torch.no_grad():
             fan = self.candidates(self.dynamics, problem, self.steps)
@@ -97,7 +99,10 @@ class MPCPlanner(Planner):
         return Plan(solution, motion, fan.motion, logits)
 
     def objective(self, problem: PlanningProblem) -> Callable[[Tensor, Tensor], Tensor]:
-        """The cost of this problem as the solver wants it: (states, controls) -> cost at each time."""
+        """The cost of this problem as the solver wants it.
+
+        (states, controls) -> cost at each time.
+        """
 
         def cost(states: Tensor, controls: Tensor) -> Tensor:
             return self.cost_of(self.dynamics.motion(states, controls), controls, problem)

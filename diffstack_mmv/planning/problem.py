@@ -17,7 +17,10 @@ def present(tracks: Tracks) -> Tracks:
 
 
 def disc_radius(extent: Float[Tensor, "*b 2"]) -> Float[Tensor, "*b"]:
-    """Radius in m of the disc with the area of a (length, width) box in m: between its half width and half length."""
+    """Radius in m of the disc with the area of a (length, width) box in m.
+
+    Between its half width and half length.
+    """
     return (extent.prod(-1) / torch.pi).sqrt()
 
 
@@ -26,7 +29,8 @@ def predicted_obstacles(others: Tracks, forecast: Forecast) -> Obstacles:
 
     Args:
         others: Observed agents, *b N H.
-        forecast: Their forecast, *b N K T; thin it out beforehand, the cost of planning grows with K.
+        forecast: Their forecast, *b N K T; thin it out beforehand, the cost of planning grows with
+            K.
     """
     now = present(others)
     start = now.motion.position[..., None, None, :].expand_as(forecast.mean[..., :1, :])
@@ -39,7 +43,10 @@ def predicted_obstacles(others: Tracks, forecast: Forecast) -> Obstacles:
 
 
 def observed_obstacles(past: Tracks, future: Tracks) -> Obstacles:
-    """Obstacles whose future is known, for costs in hindsight: one component, held where the track ends."""
+    """Obstacles whose future is known, for costs in hindsight.
+
+    One component, held where the track ends.
+    """
     now = present(past)
     start = now.motion.position.unsqueeze(-2)
     steps = torch.arange(future.valid.shape[-1], device=future.valid.device)
@@ -60,8 +67,9 @@ def reference_to_goal(
 ) -> Float[Tensor, "*b T1 2"]:
     """Bend a predicted path in m so that it ends at the goal.
 
-    p_ref(s) = p(s) + ½ (3 s² - s³) (g - p(1)), s = t / T: the correction with the least squared acceleration, free at its
-    end. A constant-velocity prediction becomes the cubic Hermite spline to the goal. Row 0 is the present position.
+    p_ref(s) = p(s) + ½ (3 s² - s³) (g - p(1)), s = t / T: the correction with the least squared
+    acceleration, free at its end. A constant-velocity prediction becomes the cubic Hermite spline
+    to the goal. Row 0 is the present position.
     """
     steps = path.shape[-2]
     share = (
@@ -89,10 +97,10 @@ def build_problem(
     obstacles: Obstacles,
     dt_s: float,
 ) -> PlanningProblem:
-    """Planning problem of an observed ego (*b H) with a predicted path (m), a goal (m) and obstacles.
+    """Planning problem of an observed ego (*b H) with a predicted path, a goal and obstacles.
 
-    The reference speed is the mean speed along the reference path in m/s. The heading of a rider at rest is not observed: the
-    plan then faces the goal.
+    The reference speed is the mean speed along the reference path in m/s. The heading of a rider at
+    rest is not observed: the plan then faces the goal.
     """
     motion = facing_the_goal(present(ego).motion, goal)
     reference = reference_to_goal(motion.position, path, goal)

@@ -10,7 +10,7 @@ def closest_candidate(
     human: Float[Tensor, "*b T 2"],
     valid: Bool[Tensor, "*b T"],
 ) -> Int[Tensor, "*b"]:
-    """Index of the candidate with the smallest mean squared displacement from the human's future (m)."""
+    """Index of the candidate with the smallest mean squared distance (m²) from the human."""
     error = (positions - human.unsqueeze(-3)).square().sum(-1)
     return (error * valid.unsqueeze(-2)).sum(-1).argmin(-1)
 

@@ -9,7 +9,7 @@ from diffstack_mmv.plotting.figures import PALETTE, new_figure
 
 
 def draw_error_over_horizon(errors: Mapping[str, Mapping[str, np.ndarray]], dt_s: float) -> Figure:
-    """Draw the mean distance to the human over the horizon, one panel per mode and one line per method.
+    """Draw the mean distance to the human over the horizon: a panel per mode, a line per method.
 
     Args:
         errors: Mode -> method -> mean error (T,) in m.

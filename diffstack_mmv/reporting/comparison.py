@@ -1,4 +1,7 @@
-"""Comparison of evaluated runs: dynamics x mode, mean and deviation over seeds, and a paired test."""
+"""Comparison of evaluated runs.
+
+Dynamics x mode, mean and deviation over seeds, and a paired test.
+"""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -22,7 +25,7 @@ GROUP = ["data", "split", "goal", "mode", "dynamics"]
 
 
 def read_runs(folders: Sequence[Path]) -> pd.DataFrame:
-    """Per-mode scores of all runs, one row per run and mode; the baselines stand as methods of their own.
+    """Per-mode scores of all runs, one row per run and mode; baselines count as dynamics.
 
     Raises:
         ValueError: No folder is given, or one has no readable `metrics.json`.
@@ -69,7 +72,8 @@ def _spread(values: pd.Series) -> str:
 def paired_tests(folders: Sequence[Path], score: str = "plan_ade") -> pd.DataFrame:
     """Wilcoxon signed-rank test between the dynamics, paired by scene.
 
-    Windows of one scene resemble each other, so a score (m) is averaged over them, and over seeds, before the test.
+    Windows of one scene resemble each other, so a score (m) is averaged over them, and over seeds,
+    before the test.
     """
     samples = []
     for folder in folders:

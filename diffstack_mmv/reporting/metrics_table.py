@@ -42,11 +42,11 @@ def summarise_baselines(samples: pd.DataFrame) -> dict[str, dict[str, float]]:
 
 
 def summarise_modes(samples: pd.DataFrame, situations: Sequence[str]) -> dict[str, Any]:
-    """The parts `modes`, `baselines` and `situations` of `metrics.json`; groups without a sample are absent.
+    """The parts `modes`, `baselines` and `situations` of `metrics.json`, without empty groups.
 
     Args:
-        samples: One row per sample: `mode`, the scores, `BASELINE/ade`, `BASELINE/fde`, and one column of truth values
-            per situation.
+        samples: One row per sample: `mode`, the scores, `BASELINE/ade`, `BASELINE/fde`, and one
+            column of truth values per situation.
         situations: Names of those columns.
     """
     modes: dict[str, Any] = {}

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 from tqdm import tqdm
 
+from diffstack_mmv.checks import require
 from diffstack_mmv.planning import present
 from diffstack_mmv.prediction import Predictor, ego_forecast
 from diffstack_mmv.stack.module import DiffStackMMV, StackOutput, displacements
@@ -87,10 +88,8 @@ def evaluate_windows(
     Raises:
         ValueError: There is no sample.
     """
-    if len(windows) == 0:
-        raise ValueError(
-            "`windows` must hold at least one sample, but got 0. Choose other modes or another split."
-        )
+    remedy = "Choose other modes or another split."
+    require(len(windows) > 0, "windows", "hold at least one sample", 0, "", remedy)
     stack.eval()
     scores: list[pd.DataFrame] = []
     errors: list[dict[str, np.ndarray]] = []

@@ -103,7 +103,7 @@ class DiffStackMMV(pl.LightningModule):
     def planning_losses(
         self, batch: StackBatch, output: StackOutput
     ) -> dict[str, Float[Tensor, " B"]]:
-        """`planning_ce` (nats), `planning_cost` (1) and the squared error of the plan `control` (m²) of each sample.
+        """Losses of each sample: `planning_ce` in nats, `planning_cost` (1), `control` in m².
 
         The hindsight cost is that of the plan under the true futures of the other agents.
         """
@@ -124,7 +124,10 @@ class DiffStackMMV(pl.LightningModule):
         }
 
     def training_step(self, batch: StackBatch, batch_idx: int) -> Tensor:
-        """Weighted sum of the losses; nothing is planned where planning and control weigh nothing."""
+        """Weighted sum of the losses.
+
+        Nothing is planned where planning and control weigh nothing.
+        """
         weights = self.loss_weights
         if weights.planning > 0 or weights.control > 0:
             forecast, judged = self.predictor.predict_and_judge(batch)
@@ -141,7 +144,10 @@ class DiffStackMMV(pl.LightningModule):
         return loss
 
     def _planning_means(self, batch: StackBatch, output: StackOutput) -> dict[str, Tensor]:
-        """Means of the planning losses; a plan without solution only counts in the cross entropy."""
+        """Means of the planning losses.
+
+        A plan without solution only counts in the cross entropy.
+        """
         losses = self.planning_losses(batch, output)
         converged = output.plan.solution.converged
         return {
@@ -236,7 +242,7 @@ def assemble(
     planner: Callable[..., MPCPlanner],
     **parts: Any,
 ) -> DiffStackMMV:
-    """Build a stack whose predictor and planner share one dynamics model, so that its parameters are learned once.
+    """Build a stack whose predictor and planner share one dynamics model.
 
     Args:
         dynamics: Dynamics of the ego.

@@ -90,7 +90,9 @@ def test_entry_sees_its_own_time_only(term, double):
 def test_derivatives_are_finite_on_top_of_goal_and_obstacle(term, double):
     motion, controls, problem = random_case()
     position = problem.goal.unsqueeze(-2).expand(3, 6, 2).clone().requires_grad_()
-    on_top = problem.obstacles._replace(position=position.detach()[:, None, None].expand(3, 4, 2, 6, 2))
+    on_top = problem.obstacles._replace(
+        position=position.detach()[:, None, None].expand(3, 4, 2, 6, 2)
+    )
     value = term(motion._replace(position=position), controls, problem._replace(obstacles=on_top))
     (gradient,) = torch.autograd.grad(value.sum() + 0 * position.sum(), position, create_graph=True)
     (second,) = torch.autograd.grad(gradient.sum() + 0 * position.sum(), position)
@@ -116,7 +118,9 @@ def test_barrier_is_active_only_where_both_turns_are_obstructed(double):
             torch.full((1, 1), 0.3),
             torch.ones(1, 1, dtype=torch.bool),
         )
-        return term(still, controls, problem._replace(obstacles=obstacles, radius=torch.tensor([0.3])))
+        return term(
+            still, controls, problem._replace(obstacles=obstacles, radius=torch.tensor([0.3]))
+        )
 
     assert value(0.5, 0.0).item() > 0
     assert value(0.0, 1.0).item() == 0

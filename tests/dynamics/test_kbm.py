@@ -67,7 +67,9 @@ def test_derivatives_hold_in_state_control_and_wheelbase(point):
 
 
 def test_state_from_motion_gives_the_motion_back():
-    motion = Motion(tensor(1.0, 2.0), tensor(0.5).squeeze(), tensor(3.0, 0.0), tensor(0.4).squeeze())
+    motion = Motion(
+        tensor(1.0, 2.0), tensor(0.5).squeeze(), tensor(3.0, 0.0), tensor(0.4).squeeze()
+    )
     steer = torch.atan(MODEL.wheelbase() * 0.4 / 3.0)
     control = torch.stack([torch.zeros_like(steer), steer])
     again = MODEL.motion(MODEL.initial_state(motion), control)

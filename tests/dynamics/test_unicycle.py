@@ -50,4 +50,6 @@ def test_curvature_command_drives_that_circle():
     control = MODEL.control_for(state, torch.tensor(0.0), torch.tensor(0.2, dtype=torch.float64))
     states = rollout(MODEL, state, control.expand(40, 2))
     centre = torch.tensor([0.0, 5.0], dtype=torch.float64)
-    assert torch.allclose((states[:, :2] - centre).norm(dim=-1), torch.tensor(5.0, dtype=torch.float64))
+    assert torch.allclose(
+        (states[:, :2] - centre).norm(dim=-1), torch.tensor(5.0, dtype=torch.float64)
+    )

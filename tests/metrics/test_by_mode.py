@@ -42,7 +42,9 @@ def test_states_of_two_processes_add_up():
     whole.update(scores, mode)
     for metric, rows in ((one, slice(0, 20)), (two, slice(20, 50))):
         metric.update({name: value[rows] for name, value in scores.items()}, mode[rows])
-    assert all(reduction is torch.sum or "sum" in str(reduction) for reduction in one._reductions.values())
+    assert all(
+        reduction is torch.sum or "sum" in str(reduction) for reduction in one._reductions.values()
+    )
     one.total += two.total
     one.count += two.count
     assert one.compute() == whole.compute()

@@ -22,7 +22,12 @@ def straight_plan():
 
 @pytest.mark.parametrize(
     ("x", "y", "valid", "expected"),
-    [(5.0, 0.5, True, True), (5.0, 0.7, True, False), (5.0, 0.0, False, False), (20.0, 0.0, True, False)],
+    [
+        (5.0, 0.5, True, True),
+        (5.0, 0.7, True, False),
+        (5.0, 0.0, False, False),
+        (20.0, 0.0, True, False),
+    ],
 )
 def test_plan_collides_where_discs_overlap(x, y, valid, expected):
     hit = collides(straight_plan(), torch.tensor([0.3]), standing_agent(x, y, valid))
@@ -32,11 +37,16 @@ def test_plan_collides_where_discs_overlap(x, y, valid, expected):
 def test_overlap_at_the_start_is_no_fault_of_the_plan():
     agent = standing_agent(-0.2, 0.0)
     assert overlap_now(torch.zeros(1, 2), torch.tensor([0.3]), agent).item()
-    assert not collides(straight_plan() + torch.tensor([1.0, 0.0]), torch.tensor([0.3]), agent).item()
+    assert not collides(
+        straight_plan() + torch.tensor([1.0, 0.0]), torch.tensor([0.3]), agent
+    ).item()
 
 
 def test_no_agents_no_collision():
     none = Obstacles(
-        torch.zeros(1, 0, 1, 31, 2), torch.zeros(1, 0, 1), torch.zeros(1, 0), torch.zeros(1, 0, dtype=torch.bool)
+        torch.zeros(1, 0, 1, 31, 2),
+        torch.zeros(1, 0, 1),
+        torch.zeros(1, 0),
+        torch.zeros(1, 0, dtype=torch.bool),
     )
     assert not collides(straight_plan(), torch.tensor([0.3]), none).item()
