@@ -63,16 +63,22 @@ def pade_step(
 
     With W = I - hA + (hA)²/2 and f = A v + b the change is h W⁻¹ (f - (h/2) A f), the mean
     v + (h/2) W⁻¹ (f - h A f); written as changes, which single precision needs at standstill,
-    where hA is large. `parts` of the step are taken one after the other with the same W.
+    where hA is large. `parts` of the step are taken one after the other with the same W. Rates
+    beyond what the precision resolves, which only the printed tyre law reaches, with a wheel in the
+    air, are slowed down to it; their equilibrium stays.
     """
     part_s = step_s / parts
-    scaled = part_s * equation.matrix
+    matrix = equation.matrix
+    fastest = torch.finfo(matrix.dtype).eps ** -0.4 / part_s
+    excess = (matrix.square().sum((0, 1)) / fastest**2).clamp_min(1)
+    pace = part_s * excess.rsqrt()
+    scaled = pace * matrix
     square = (scaled.unsqueeze(2) * scaled.unsqueeze(0)).sum(1)
-    identity = torch.eye(3, dtype=scaled.dtype, device=scaled.device).unsqueeze(-1)
+    identity = torch.eye(3, dtype=matrix.dtype, device=matrix.device).unsqueeze(-1)
     system = factored(identity - scaled + 0.5 * square)
     end, means = velocity, []
     for _ in range(parts):
-        half = 0.5 * part_s * system.solve(equation.rate(end))
+        half = 0.5 * pace * system.solve(equation.rate(end))
         means.append(end + (half - times(scaled, half)))
         end = means[-1] + half
     return VelocityStep(end, means[0] if parts == 1 else sum(means[1:], means[0]) / parts)

@@ -199,7 +199,7 @@ class PaperBrush(Tire):
         ValueError: A number is not positive.
     """
 
-    SLIDE_SHARE: ClassVar[float] = 100.0
+    SLIDE_SHARE: ClassVar[float] = 40.0
 
     def __init__(self, steepness: float = 100.0, epsilon: float = 1e-8) -> None:
         require_positive("steepness", steepness)
