@@ -3,13 +3,18 @@
 from diffstack_mmv.dynamics.gm3.model import DiffGM3
 from diffstack_mmv.dynamics.gm3.stepper import LIM2, ExplicitEuler, RungeKutta4
 from diffstack_mmv.dynamics.gm3.tire import ConsistentBrush, PaperBrush, SharpBrush
+from diffstack_mmv.dynamics.gm3.wheel_forces import WheelForces, wheel_forces
+from diffstack_mmv.dynamics.gm3.wheel_speed import DiffGM3WheelSpeed
 
 __all__ = [
     "LIM2",
     "ConsistentBrush",
     "DiffGM3",
+    "DiffGM3WheelSpeed",
     "ExplicitEuler",
     "PaperBrush",
     "RungeKutta4",
     "SharpBrush",
+    "WheelForces",
+    "wheel_forces",
 ]

@@ -100,6 +100,9 @@ class Chassis(ExactBuffers):
         }
         for name, values in per_wheel.items():
             self.register_exact(name, [[value] for value in values])
+        driven = [index for index, wheel in enumerate(wheels) if wheel.driven]
+        chosen = [[float(row == column) for column in driven] for row in range(len(wheels))]
+        self.register_exact("driven_wheels", chosen)
         self.register_exact("axis_x", [[1.0], [0.0], [0.0]])
         self.register_exact("axis_yaw", [[0.0], [0.0], [1.0]])
         self.register_exact("steer_gain", [[gain] for gain in self.steering.gains])

@@ -1,6 +1,6 @@
 """DiffGM3: differentiable brush-tyre dynamics for any layout of wheels."""
 
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -9,7 +9,7 @@ from torch import Tensor
 from diffstack_mmv.checks import require
 from diffstack_mmv.dynamics.base import DynamicsModel
 from diffstack_mmv.dynamics.gm3.chassis import Chassis, Physics
-from diffstack_mmv.dynamics.gm3.drive import Command, split_acceleration
+from diffstack_mmv.dynamics.gm3.drive import Command, Drive, split_acceleration
 from diffstack_mmv.dynamics.gm3.held import HeldDynamics
 from diffstack_mmv.dynamics.gm3.load import GRAVITY
 from diffstack_mmv.dynamics.gm3.steady import linear_steer
@@ -22,6 +22,13 @@ from diffstack_mmv.vehicles import BODY_PARAMETERS, WHEEL_PARAMETERS, SoftClampe
 COMMAND_RANGE = 2.0  # steering commands may go that far beyond the soft limit: tanh(2) = 0.96
 COMMAND_LIMIT = 1e3  # m/s^2, far beyond friction; keeps powers of a wild command finite
 SLOW = 0.2  # m/s, below which a course says little about the heading
+
+
+class ControlRange(NamedTuple):
+    """Lower and upper ends of the box of admissible controls, SI units."""
+
+    lower: list[float]
+    upper: list[float]
 
 
 class DiffGM3(DynamicsModel):
@@ -45,6 +52,8 @@ class DiffGM3(DynamicsModel):
         ValueError: The step or the number of substeps is not positive, or a wheel would carry no
             load.
     """
+
+    drive: ClassVar[type[Drive] | None] = None  # the vehicle's own way from accelerations
 
     class State(NamedTuple):
         """Pose of the centre of gravity (m, rad), body velocity (m/s), yaw rate, lean, its rate."""
@@ -72,28 +81,32 @@ class DiffGM3(DynamicsModel):
         substeps: int = 1,
         stepper: Stepper | None = None,
     ) -> None:
-        limits = spec.limits
-        steer = COMMAND_RANGE * limits.steer_max_rad
-        super().__init__(
-            dt_s,
-            (limits.acceleration_min_mps2, -steer),
-            (limits.acceleration_max_mps2, steer),
-        )
-        self._build(spec, tire, substeps, stepper)
-
-    def _build(
-        self, spec: VehicleSpec, tire: Tire | None, substeps: int, stepper: Stepper | None
-    ) -> None:
         require(substeps >= 1, "substeps", "be at least 1", substeps)
+        self.Control = self.control_record(spec)
+        super().__init__(dt_s, *self.control_range(spec))
         self.spec = spec
         self.substeps = substeps
         self.stepper = stepper or LIM2()
-        self.chassis = Chassis(spec, tire or ConsistentBrush())
+        self.chassis = Chassis(spec, tire or ConsistentBrush(), self.drive)
         for name in WHEEL_PARAMETERS:
             self.add_module(name, SoftClamped(spec.wheel_parameter(name)))
         for name in BODY_PARAMETERS:
             self.add_module(name, SoftClamped(spec.parameters[name]))
         self._turning_axle_m = turning_axle_m(spec.wheels)
+
+    @classmethod
+    def control_record(cls, spec: VehicleSpec) -> Any:
+        """Named tuple of the controls of a vehicle."""
+        return cls.Control
+
+    @classmethod
+    def control_range(cls, spec: VehicleSpec) -> ControlRange:
+        """Box of admissible controls of a vehicle."""
+        limits = spec.limits
+        steer = COMMAND_RANGE * limits.steer_max_rad
+        return ControlRange(
+            [limits.acceleration_min_mps2, -steer], [limits.acceleration_max_mps2, steer]
+        )
 
     def physics(self) -> Physics:
         """Physical parameters of this model, ready for use."""
@@ -119,15 +132,15 @@ class DiffGM3(DynamicsModel):
     ) -> Float[Tensor, "*b 8"]:
         """Continuous-time right-hand side x' = f(x, u), SI units per second."""
         shape = torch.broadcast_shapes(state.shape[:-1], control.shape[:-1])
-        held = self.hold(_columns(control, shape))
-        return _rows(held.derivative(_columns(state, shape)), shape)
+        held = self.hold(as_columns(control, shape))
+        return _rows(held.derivative(as_columns(state, shape)), shape)
 
     def step(
         self, state: Float[Tensor, "*b 8"], control: Float[Tensor, "*b m"]
     ) -> Float[Tensor, "*b 8"]:
         """Advance by one control step."""
         shape = torch.broadcast_shapes(state.shape[:-1], control.shape[:-1])
-        columns, held = _columns(state, shape), self.hold(_columns(control, shape))
+        columns, held = as_columns(state, shape), self.hold(as_columns(control, shape))
         for _ in range(self.substeps):
             columns = self.stepper(held, columns, self.dt_s / self.substeps)
         return _rows(columns, shape)
@@ -171,15 +184,21 @@ class DiffGM3(DynamicsModel):
         The steering angle is that of a steady turn with understeer, its tangent exact for the
         kinematics, sent through the inverse of the soft clamp.
         """
+        command = self.steer_for(state, curvature)
+        return self.within_bounds(torch.stack([acceleration.expand_as(command), command], -1))
+
+    def steer_for(
+        self, state: Float[Tensor, "*b 8"], curvature: Float[Tensor, "*b"]
+    ) -> Float[Tensor, "*b"]:
+        """Steering command in rad that holds a curvature in 1/m at the speed of a state."""
         speed, curvature = torch.broadcast_tensors(state[..., 2], curvature)
         flat = (speed.reshape(-1), curvature.reshape(-1))
         tangent = linear_steer(self.chassis, self.physics(), *flat).reshape(speed.shape)
         steering = self.chassis.steering
-        command = steering.command_for(steering.angle_for(tangent))
-        return self.within_bounds(torch.stack([acceleration.expand_as(command), command], -1))
+        return steering.command_for(steering.angle_for(tangent))
 
 
-def _columns(rows: Float[Tensor, "*b c"], shape: torch.Size) -> Float[Tensor, "c n"]:
+def as_columns(rows: Float[Tensor, "*b c"], shape: torch.Size) -> Float[Tensor, "c n"]:
     """Flatten the leading dimensions and put them last, where elementwise operations are fast."""
     return rows.expand(*shape, rows.shape[-1]).reshape(-1, rows.shape[-1]).mT.contiguous()
 
