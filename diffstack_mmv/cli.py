@@ -4,6 +4,7 @@ Hydra's composition, one message per failure, and an exit status to trust.
 """
 
 import functools
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +21,14 @@ from diffstack_mmv.checks import require, require_multiple
 # of them
 OmegaConf.register_new_resolver(
     "steps", lambda horizon_s, dt_s: require_multiple("horizon_s", horizon_s, dt_s), replace=True
+)
+
+# `${smaller:a,b}`, and the smallest turning radius of a vehicle
+OmegaConf.register_new_resolver("smaller", min, replace=True)
+OmegaConf.register_new_resolver(
+    "turning_radius_m",
+    lambda wheelbase_m, steer_max_rad: wheelbase_m / math.tan(steer_max_rad),
+    replace=True,
 )
 
 EXPECTED = (ValueError, TypeError, LookupError, OSError, HydraException, OmegaConfBaseException)

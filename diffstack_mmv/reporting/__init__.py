@@ -1,5 +1,6 @@
 """Tables from saved results; nothing here runs a model."""
 
+from diffstack_mmv.reporting.closed_loop import closed_loop_table, write_closed_loop
 from diffstack_mmv.reporting.comparison import compare, paired_tests, read_runs, write_comparison
 from diffstack_mmv.reporting.files import (
     read_json,
@@ -11,12 +12,14 @@ from diffstack_mmv.reporting.files import (
 from diffstack_mmv.reporting.metrics_table import summarise_modes, write_metrics
 
 __all__ = [
+    "closed_loop_table",
     "compare",
     "paired_tests",
     "read_json",
     "read_parquet",
     "read_runs",
     "summarise_modes",
+    "write_closed_loop",
     "write_comparison",
     "write_json",
     "write_metrics",

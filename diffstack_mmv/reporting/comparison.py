@@ -8,6 +8,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from scipy.stats import wilcoxon
 
@@ -52,21 +53,20 @@ def read_runs(folders: Sequence[Path]) -> pd.DataFrame:
 
 def compare(runs: pd.DataFrame) -> pd.DataFrame:
     """Mean ± standard deviation over seeds of each score, by data, goal, mode and dynamics."""
-    table = runs.groupby(GROUP, sort=False).agg(
-        seeds=("seed", "nunique"), n=("n", "max"), **{key: (key, _spread) for key in COMPARED}
-    )
-    return (
-        table.rename(columns=COMPARED)
-        .reset_index()
-        .sort_values(["data", "goal", "mode"], kind="stable")
-    )
+    rows = []
+    for key, group in runs.groupby(GROUP, sort=False):
+        row = dict(zip(GROUP, key, strict=True))
+        row |= {"seeds": group["seed"].nunique(), "n": int(group["n"].max())}
+        rows.append(row | {title: _spread(group[name]) for name, title in COMPARED.items()})
+    return pd.DataFrame(rows).sort_values(["data", "goal", "mode"], kind="stable")
 
 
 def _spread(values: pd.Series) -> str:
-    known = values.dropna()
-    if known.empty:
+    numbers = values.to_numpy(np.float64)
+    known = numbers[~np.isnan(numbers)]
+    if len(known) == 0:
         return "-"
-    return f"{known.mean():.3f}" + (f" ± {known.std():.3f}" if len(known) > 1 else "")
+    return f"{known.mean():.3f}" + (f" ± {known.std(ddof=1):.3f}" if len(known) > 1 else "")
 
 
 def paired_tests(folders: Sequence[Path], score: str = "plan_ade") -> pd.DataFrame:
@@ -89,28 +89,29 @@ def paired_tests(folders: Sequence[Path], score: str = "plan_ade") -> pd.DataFra
     rows = []
     for (data, goal, mode), group in scenes.groupby(level=[0, 1, 2]):
         for first, second in combinations(group.columns, 2):
-            pairs = group[[first, second]].dropna()
-            difference = pairs[first] - pairs[second]
-            row = {
-                "data": data,
-                "goal": goal,
-                "mode": mode,
-                "pair": f"{first} - {second}",
-                "scenes": len(pairs),
-            }
-            p_value = wilcoxon(difference).pvalue if (difference != 0).sum() > 5 else float("nan")
-            rows.append(row | {f"mean {score}": difference.mean(), "p": p_value})
+            difference = group[first].to_numpy() - group[second].to_numpy()
+            difference = difference[~np.isnan(difference)]
+            row = {"data": data, "goal": goal, "mode": mode, "pair": f"{first} - {second}"}
+            row |= {"scenes": len(difference), f"mean {score}": difference.mean()}
+            rows.append(row | {"p": _signed_rank(difference)})
     return pd.DataFrame(rows)
+
+
+def _signed_rank(difference: np.ndarray) -> float:
+    """Two-sided p value of the Wilcoxon signed-rank test; NaN below six unequal pairs."""
+    if (difference != 0).sum() < 6:
+        return float("nan")
+    _, p_value = wilcoxon(difference)
+    return float(p_value)
 
 
 def write_comparison(folder: Path, table: pd.DataFrame, tests: pd.DataFrame) -> None:
     """Write `table.md`, `table.tex` and `table.csv`, and the tests beside them as `tests.csv`."""
-    markdown = table.to_markdown(index=False)
+    sections = [str(table.to_markdown(index=False))]
     if not tests.empty:
-        markdown += "\n\nPaired by scene, Wilcoxon signed-rank:\n\n" + tests.to_markdown(
-            index=False, floatfmt=".4g"
-        )
-    write_text(folder / "table.md", markdown + "\n")
-    write_text(folder / "table.tex", table.to_latex(index=False, escape=True))
-    write_text(folder / "table.csv", table.to_csv(index=False))
-    write_text(folder / "tests.csv", tests.to_csv(index=False))
+        told = "Paired by scene, Wilcoxon signed-rank:"
+        sections += [told, str(tests.to_markdown(index=False, floatfmt=".4g"))]
+    write_text(folder / "table.md", "\n\n".join(sections) + "\n")
+    write_text(folder / "table.tex", str(table.to_latex(index=False, escape=True)))
+    write_text(folder / "table.csv", str(table.to_csv(index=False)))
+    write_text(folder / "tests.csv", str(tests.to_csv(index=False)))

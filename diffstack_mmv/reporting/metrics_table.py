@@ -57,8 +57,8 @@ def summarise_modes(samples: pd.DataFrame, situations: Sequence[str]) -> dict[st
         for name, scores in summarise_baselines(group).items():
             baselines[name][str(mode)] = scores
         by_situation[str(mode)] = {
-            situation: summarise(group[group[situation]])
-            | {"baselines": summarise_baselines(group[group[situation]])}
+            situation: summarise(group.loc[group[situation]])
+            | {"baselines": summarise_baselines(group.loc[group[situation]])}
             for situation in situations
             if group[situation].any()
         }

@@ -1,33 +1,61 @@
 """Closed-loop simulation: scenarios, pedestrians, robots, verdicts and the environment."""
 
+from diffstack_mmv.simulation.assembly import (
+    Driven,
+    actuation,
+    controller_model,
+    require_stoppable,
+    vehicle_robot,
+)
+from diffstack_mmv.simulation.benchmark import Chunk, Method, read_chunk, run
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint, RectangleFootprint
-from diffstack_mmv.simulation.env import ENV_ID, CrowdNavEnv, register, robot_named
+from diffstack_mmv.simulation.controller import Choice, DiffMPCController
+from diffstack_mmv.simulation.env import ENV_ID, VERDICTS, CrowdNavEnv, register, robot_named
 from diffstack_mmv.simulation.episode import drive
+from diffstack_mmv.simulation.held import HeldControl
+from diffstack_mmv.simulation.manoeuvres import DetourFan
+from diffstack_mmv.simulation.mppi import MPPIController
 from diffstack_mmv.simulation.pedestrians import OrcaCrowd, SocialForceCrowd
+from diffstack_mmv.simulation.people import ConstantVelocityPeople, OrcaPeople, PeopleForecast
 from diffstack_mmv.simulation.policies import Controller, OrcaPolicy, StraightLine
 from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
+from diffstack_mmv.simulation.safety import SafetyMargin
 from diffstack_mmv.simulation.scenario import CircleCrossing, Scenario, Scene, SquareCrossing
+from diffstack_mmv.simulation.summary import summarise
 from diffstack_mmv.simulation.vehicle_robot import Actuation, VehicleRobot
 from diffstack_mmv.simulation.verdict import CrowdNavVerdict, ExactVerdict, Rewards, Verdict
 from diffstack_mmv.simulation.world import Observation, World, WorldState
 
 __all__ = [
     "ENV_ID",
+    "VERDICTS",
     "Actuation",
+    "Choice",
+    "Chunk",
     "CircleCrossing",
+    "ConstantVelocityPeople",
     "Controller",
     "CrowdNavEnv",
     "CrowdNavVerdict",
+    "DetourFan",
+    "DiffMPCController",
     "DiscFootprint",
+    "Driven",
     "ExactVerdict",
     "Footprint",
+    "HeldControl",
     "HolonomicRobot",
+    "MPPIController",
+    "Method",
     "Observation",
     "OrcaCrowd",
+    "OrcaPeople",
     "OrcaPolicy",
+    "PeopleForecast",
     "RectangleFootprint",
     "Rewards",
     "Robot",
+    "SafetyMargin",
     "Scenario",
     "Scene",
     "SocialForceCrowd",
@@ -38,9 +66,16 @@ __all__ = [
     "Verdict",
     "World",
     "WorldState",
+    "actuation",
+    "controller_model",
     "drive",
+    "read_chunk",
     "register",
+    "require_stoppable",
     "robot_named",
+    "run",
+    "summarise",
+    "vehicle_robot",
 ]
 
 register()

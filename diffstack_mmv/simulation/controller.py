@@ -19,6 +19,7 @@ from diffstack_mmv.types import (
     Obstacles,
     PlanningProblem,
     Solution,
+    SolverStatus,
     map_tensors,
 )
 
@@ -41,7 +42,7 @@ class Decision(NamedTuple):
 
     choice: Int[Tensor, "*b"]  # a Choice
     status: Int[Tensor, "*b k"]  # a SolverStatus per start
-    iterations: Int[Tensor, "*b k"]
+    rows: Int[Tensor, "*b"]  # index of the episode
 
 
 class _Scored(NamedTuple):
@@ -137,7 +138,7 @@ class DiffMPCController:
             standing = problem.motion.velocity[:, 0] < STANDING_MPS
             self._waited = torch.where(standing, self._waited + self.dt_s, 0.0)
             self._comfort = self.comfort_weight * 0.5 ** (self._waited[rows] / self.patience_s)
-            self._plan[rows] = self._decided(running, self._candidates(running, rows))
+            self._plan[rows] = self._decided(running, self._candidates(running, rows), rows)
         action = self._plan[:, 0]
         return action if self.actuate is None else self.actuate(action)
 
@@ -145,6 +146,20 @@ class DiffMPCController:
         """Whether these are the episodes of the step before."""
         same = self._plan.shape[0] == observation.time.shape[0]
         return same and not bool((observation.time == 0).any())
+
+    def diagnosis(self) -> dict[str, Float[Tensor, " E"]]:
+        """Per episode: share of its decisions by origin, and of its solves that converged."""
+        rows = torch.cat([decision.rows for decision in self.decisions])
+        choice = torch.cat([decision.choice for decision in self.decisions])
+        status = torch.cat([decision.status for decision in self.decisions])
+        solved = (status == SolverStatus.CONVERGED).float().mean(-1) if self.starts else None
+        total = torch.zeros(len(self._plan)).index_add(0, rows, torch.ones(len(rows)))
+
+        def share(values: Tensor) -> Tensor:
+            return torch.zeros(len(self._plan)).index_add(0, rows, values.float()) / total
+
+        shares = {f"{each.name.lower()}_share": share(choice == each) for each in Choice}
+        return shares if solved is None else shares | {"solved_share": share(solved)}
 
     def problem(self, observation: Observation) -> PlanningProblem:
         """The planning problem of an observation, `*b`, in the precision of the dynamics."""
@@ -226,7 +241,9 @@ class DiffMPCController:
         arrived = way.square().sum(-1) < self.goal_tolerance_m**2
         return (arrived.long().cumsum(-1) - arrived.long()) == 0
 
-    def _decided(self, problem: PlanningProblem, plans: _Scored) -> Float[Tensor, "*b T m"]:
+    def _decided(
+        self, problem: PlanningProblem, plans: _Scored, rows: Int[Tensor, " r"]
+    ) -> Float[Tensor, "*b T m"]:
         """The plan to drive."""
         fan_size = plans.cost.shape[-1] - 1
         solved = None
@@ -240,7 +257,8 @@ class DiffMPCController:
         hopeless = ~plans.safe.any(-1)
         least = plans.shortfall + 1e-6 * plans.cost.clamp(max=1e4)
         best = torch.where(hopeless, least.argmin(-1), best)
-        self.decisions.append(_decision(best, hopeless, fan_size, plans.cost.shape[-1], solved))
+        ends = (fan_size, plans.cost.shape[-1])
+        self.decisions.append(_decision(best, hopeless, ends, solved, rows))
         return plans.controls.take_along_dim(best[..., None, None, None], -3).squeeze(-3)
 
     def _solve(self, problem: PlanningProblem, plans: _Scored) -> Solution:
@@ -272,19 +290,17 @@ def _joined(first: _Scored, second: _Scored) -> _Scored:
 
 
 def _decision(
-    best: Int[Tensor, "*b"],
-    hopeless: Bool[Tensor, "*b"],
-    fan_size: int,
-    plans: int,
+    best: Int[Tensor, " r"],
+    hopeless: Bool[Tensor, " r"],
+    ends: tuple[int, int],
     solved: Solution | None,
+    rows: Int[Tensor, " r"],
 ) -> Decision:
     """Record where the chosen plans come from; plans are the fan, the previous plan, solutions."""
-    count = 0 if solved is None else solved.cost.shape[-1]
+    fan_size, plans = ends
+    status = best.new_zeros(len(best), 0) if solved is None else solved.status
     choice = torch.full_like(best, Choice.PREVIOUS)
     choice = torch.where(best < fan_size, Choice.CANDIDATE, choice)
-    choice = torch.where(best >= plans - count, Choice.OPTIMISED, choice)
+    choice = torch.where(best >= plans - status.shape[-1], Choice.OPTIMISED, choice)
     choice = torch.where(hopeless, Choice.FALLBACK, choice)
-    none = choice.new_zeros(*choice.shape, 0)
-    if solved is None:
-        return Decision(choice, none, none)
-    return Decision(choice, solved.status, solved.iterations)
+    return Decision(choice, status, rows)

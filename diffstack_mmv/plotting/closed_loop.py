@@ -1,0 +1,124 @@
+"""Pictures and animations of closed-loop episodes."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from matplotlib.animation import FuncAnimation, PillowWriter
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from diffstack_mmv.plotting.figures import PALETTE, new_figure, save_figure
+from diffstack_mmv.types import EpisodeRecord, Outcome, map_tensors
+
+ROBOT, PEOPLE = PALETTE[1], PALETTE[0]
+MARGIN_M = 1.0
+
+
+class Episode(NamedTuple):
+    """One case of a benchmark."""
+
+    case: int
+    record: EpisodeRecord  # without leading dimensions
+    human_radius_m: float
+    robot_radius_m: float = 0.3
+
+
+def episode_of(record: EpisodeRecord, row: int, case: int, human_radius_m: float) -> Episode:
+    """One episode of a batch, cut at its end; the radius of the humans in m."""
+    single = map_tensors(lambda field: field[row], record)
+    end = int(single.steps) + 1
+    motion = type(single.motion)(*(field[:end] for field in single.motion))
+    cut = single._replace(
+        motion=motion, pedestrians=single.pedestrians[:end], clearance=single.clearance[:end]
+    )
+    return Episode(case, cut, human_radius_m)
+
+
+def draw_episode(episode: Episode) -> Figure:
+    """Paths of the robot and of the people with discs once per second."""
+    figure = new_figure(5.0, 5.0)
+    axes = _axes(figure, episode)
+    record = episode.record
+    axes.plot(*record.motion.position.T.numpy(), color=ROBOT)
+    for human in record.pedestrians.unbind(1):
+        axes.plot(*human.T.numpy(), color=PEOPLE, linewidth=0.8)
+    every = max(round(1 / record.dt_s), 1)
+    for step in range(0, len(record.clearance), every):
+        _discs(axes, episode, step, 0.25 + 0.5 * step / len(record.clearance))
+    outcome = Outcome(int(record.outcome)).label
+    axes.set_title(f"case {episode.case}: {outcome} after {float(record.duration):.2f} s")
+    return figure
+
+
+def save_animation(episode: Episode, path: Path) -> None:
+    """Write an animated GIF of an episode in real time, atomically."""
+    figure = new_figure(4.5, 4.5)
+    axes = _axes(figure, episode)
+    record = episode.record
+
+    def show(step: int) -> list[Any]:
+        for patch in list(axes.patches):
+            patch.remove()
+        _discs(axes, episode, step, 0.8)
+        clearance = float(record.clearance[step])
+        axes.set_title(f"{step * record.dt_s:.2f} s, clearance {clearance:.2f} m")
+        return list(axes.patches)
+
+    animation = FuncAnimation(figure, show, frames=len(record.clearance))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(path.stem + ".part" + path.suffix)
+    animation.save(unfinished, writer=PillowWriter(fps=round(1 / record.dt_s)), dpi=90)
+    unfinished.replace(path)
+
+
+def save_stories(
+    folder: Path,
+    cases: Sequence[int],
+    records: Sequence[EpisodeRecord],
+    radius_m: float,
+    count: int,
+) -> None:
+    """Draw and animate some episodes, failures first.
+
+    Args:
+        folder: Receives plots/case_N.png and plots/case_N.gif.
+        cases: Numbers of the cases in the order of the records.
+        records: Records, one after the other.
+        radius_m: Radius of the humans.
+        count: Number of episodes to show.
+    """
+    places = [(record, row) for record in records for row in range(len(record.outcome))]
+    outcomes = [int(record.outcome[row]) for record, row in places]
+    order = sorted(range(len(cases)), key=lambda index: outcomes[index] == Outcome.SUCCESS)
+    for index in order[:count]:
+        record, row = places[index]
+        episode = episode_of(record, row, cases[index], radius_m)
+        save_figure(draw_episode(episode), folder / "plots" / f"case_{episode.case}.png")
+        save_animation(episode, folder / "plots" / f"case_{episode.case}.gif")
+
+
+def _axes(figure: Figure, episode: Episode) -> Axes:
+    """Axes in m that hold everybody."""
+    axes = figure.add_subplot()
+    reach = float(episode.record.pedestrians.abs().max())
+    reach = max(reach, float(episode.record.motion.position.abs().max())) + MARGIN_M
+    axes.set_xlim(-reach, reach)
+    axes.set_ylim(-reach, reach)
+    axes.set_aspect("equal")
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    return axes
+
+
+def _discs(axes: Axes, episode: Episode, step: int, alpha: float) -> None:
+    """Discs of everybody at one step."""
+    for place in episode.record.pedestrians[step].tolist():
+        axes.add_patch(Circle(tuple(place), episode.human_radius_m, color=PEOPLE, alpha=alpha))
+    motion = episode.record.motion
+    centre = motion.position[step].tolist()
+    axes.add_patch(Circle(tuple(centre), episode.robot_radius_m, color=ROBOT, alpha=alpha))
+    nose = motion.heading[step]
+    tip = [centre[0] + float(nose.cos()) * 0.3, centre[1] + float(nose.sin()) * 0.3]
+    axes.add_patch(Circle(tuple(tip), 0.06, color="black", alpha=alpha))

@@ -1,0 +1,105 @@
+"""`closed_loop.json` and `closed_loop.md` from the numbers of a benchmark."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from diffstack_mmv.reporting.files import write_json, write_text
+
+COLUMNS = {
+    "success_rate": "success",
+    "collision_rate": "collision",
+    "incomplete_rate": "incomplete",
+    "nav_time_s": "time [s]",
+    "nav_time_all_s": "time of all [s]",
+    "discomfort_frequency": "discomfort",
+    "avg_min_dist_m": "distance in discomfort [m]",
+    "mean_episode_min_dist_m": "mean smallest distance [m]",
+}
+WITH_INTERVAL = ("success_rate", "collision_rate")
+
+
+def write_closed_loop(
+    folder: Path,
+    result: Mapping[str, Any],
+    baselines: Mapping[str, Mapping[str, Any]],
+    published: Sequence[Mapping[str, Any]] = (),
+) -> None:
+    """Write `closed_loop.json` and `closed_loop.md` into a folder.
+
+    Args:
+        folder: The folder.
+        result: Header and numbers of the controller; the keys are those of the file.
+        baselines: Numbers of each baseline; its cases go into the file as well.
+        published: Rows of published methods, each with its source.
+
+    Raises:
+        ValueError: A number is NaN or infinite.
+    """
+    write_json(folder / "closed_loop.json", {**result, "baselines": dict(baselines)})
+    write_text(folder / "closed_loop.md", _markdown(result, baselines, published))
+
+
+def closed_loop_table(
+    result: Mapping[str, Any], baselines: Mapping[str, Mapping[str, Any]]
+) -> pd.DataFrame:
+    """One row per method: shares with intervals of 95 %, times in s, distances in m."""
+    own = f"{result['controller']} ({result['dynamics']} {result['vehicle']})"
+    rows = {own: _row(result)} | {name: _row(each) for name, each in baselines.items()}
+    frame = pd.DataFrame.from_dict(rows, orient="index")
+    frame.index.name = "method"
+    return frame
+
+
+def _row(numbers: Mapping[str, Any]) -> dict[str, str]:
+    """The cells of one method."""
+    cells = {"n": str(numbers["n"])}
+    for name, title in COLUMNS.items():
+        cells[title] = _cell(numbers[name])
+        if name in WITH_INTERVAL:
+            low, high = numbers[f"{name}_ci95"]
+            cells[title] += f" [{low:.3f}, {high:.3f}]"
+    control = numbers["control_time_ms"]
+    cells["decision median / p99 [ms]"] = f"{control['median']:.1f} / {control['p99']:.1f}"
+    return cells
+
+
+def _cell(value: float | None) -> str:
+    """A number with three digits, or a dash."""
+    return "–" if value is None else f"{value:.3f}"
+
+
+def _markdown(
+    result: Mapping[str, Any],
+    baselines: Mapping[str, Mapping[str, Any]],
+    published: Sequence[Mapping[str, Any]],
+) -> str:
+    """The report."""
+    last = result["first_case"] + result["n"] - 1
+    title = f"# Closed loop: {result['vehicle']} · {result['dynamics']} · {result['scenario']}\n\n"
+    limits = ", ".join(f"{name} {value:g}" for name, value in result["limits"].items())
+    setting = (
+        f"{result['humans']} humans, {result['phase']} cases {result['first_case']}–{last}, limit "
+        f"{result['limit_s']:g} s, step {result['dt_s']:g} s, verdict `{result['verdict']}`. "
+        f"Limits: {limits} (or the tighter ones of the vehicle). The controller believes in "
+        f"{result['believed_dynamics']}. Brackets: Wilson intervals of 95 %.\n\n"
+    )
+    table = closed_loop_table(result, baselines).to_markdown()
+    failed = [case for case in result["cases"] if case["outcome"] != "success"]
+    parts = [title, setting, table, "\n\n## Cases without success\n\n", _failures(failed)]
+    if published:
+        parts += [
+            "\n\n## Published methods\n\nOther robots, limits and rules: see each source.\n\n"
+        ]
+        parts += [pd.DataFrame(published).fillna("–").to_markdown(index=False)]
+    return "".join(parts) + "\n"
+
+
+def _failures(cases: Sequence[Mapping[str, Any]]) -> str:
+    """Table of the cases that failed."""
+    if not cases:
+        return "None."
+    columns = ["case", "outcome", "time_s", "min_clearance_m"]
+    return pd.DataFrame(cases)[columns].to_markdown(index=False, floatfmt=".2f")

@@ -1,0 +1,181 @@
+"""Benchmarks: many cases in chunks, each finished chunk kept on disk, so that a run can resume."""
+
+import hashlib
+import logging
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import message, require, require_at_least
+from diffstack_mmv.simulation.episode import drive
+from diffstack_mmv.simulation.policies import Controller
+from diffstack_mmv.simulation.scenario import Scenario
+from diffstack_mmv.simulation.world import Observation, World
+from diffstack_mmv.types import EpisodeRecord, Motion
+
+LOGGER = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Method:
+    """A robot with its controller, as one row of a table.
+
+    Attributes:
+        name: Name of the row, also of the folder of its episodes.
+        world: Where it drives.
+        controller: Makes a fresh controller.
+        settings: Everything that decides the result, as text; a chunk made under other settings is
+            made anew.
+    """
+
+    name: str
+    world: World
+    controller: Callable[[], Controller]
+    settings: str = ""
+
+
+class Chunk(NamedTuple):
+    """Some finished cases."""
+
+    cases: list[int]
+    record: EpisodeRecord
+    step_s: Float[np.ndarray, " steps"]  # time of each decision per running episode
+    diagnosis: dict[str, Float[np.ndarray, " E"]]  # per case, what the controller tells of itself
+
+
+@dataclass
+class Timed:
+    """A controller under a stop-watch.
+
+    Attributes:
+        controller: The controller.
+        seconds: Time per decision and running episode in s, in the order of the calls.
+    """
+
+    controller: Controller
+    seconds: list[float] = field(default_factory=list)
+
+    def __call__(self, observation: Observation) -> Float[Tensor, "*b m"]:
+        """The action of the controller."""
+        start = time.perf_counter()
+        action = self.controller(observation)
+        running = max(int(observation.running.sum()), 1)
+        self.seconds.append((time.perf_counter() - start) / running)
+        return action
+
+
+def run(
+    method: Method,
+    scenario: Scenario,
+    cases: Sequence[int],
+    folder: Path,
+    chunk_size: int = 50,
+    phase: str = "test",
+) -> Iterator[Chunk]:
+    """Drive cases chunk by chunk, or read the chunks that an earlier run has finished.
+
+    Args:
+        method: Robot and controller.
+        scenario: Where the cases come from.
+        cases: Their numbers.
+        folder: Where finished chunks are kept, one file each.
+        chunk_size: Episodes per batch.
+        phase: "train", "val" or "test".
+
+    Yields:
+        The chunks in order.
+
+    Raises:
+        ValueError: There is no case, a case does not exist, or its start is impossible.
+    """
+    require(len(cases) > 0, "cases", "name at least one case", "none")
+    require_at_least("chunk_size", chunk_size, 1)
+    told = f"{method.settings}|{scenario!r}|{phase}"
+    for first in range(0, len(cases), chunk_size):
+        numbers = list(cases[first : first + chunk_size])
+        stamp = hashlib.sha256(f"{told}|{numbers}".encode()).hexdigest()
+        file = folder / f"{phase}_{numbers[0]:05d}-{numbers[-1]:05d}.npz"
+        chunk = _read(file, stamp)
+        if chunk is None:
+            chunk = _driven(method, scenario, numbers, phase)
+            _write(file, stamp, chunk)
+        LOGGER.info("%s: cases %d to %d are done.", method.name, numbers[0], numbers[-1])
+        yield chunk
+
+
+def _driven(method: Method, scenario: Scenario, numbers: list[int], phase: str) -> Chunk:
+    """Drive the cases as one batch."""
+    controller = method.controller()
+    timed = Timed(controller)
+    record = drive(method.world, scenario.cases(phase, numbers), timed)
+    diagnose = getattr(controller, "diagnosis", None)
+    told = {} if diagnose is None else {k: v.double().numpy() for k, v in diagnose().items()}
+    return Chunk(numbers, record, np.array(timed.seconds), told)
+
+
+def _write(file: Path, stamp: str, chunk: Chunk) -> None:
+    """Keep a chunk, all or nothing."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    record = chunk.record
+    arrays: dict[str, Any] = {"stamp": stamp, "cases": chunk.cases, "step_s": chunk.step_s}
+    arrays |= {f"motion.{k}": v.detach().numpy() for k, v in record.motion._asdict().items()}
+    for name, value in record._asdict().items():
+        if isinstance(value, Tensor):
+            arrays[name] = value.detach().numpy()
+    arrays["dt_s"] = record.dt_s
+    arrays |= {f"diagnosis.{name}": value for name, value in chunk.diagnosis.items()}
+    unfinished = file.with_name(file.name + ".part")
+    with unfinished.open("wb") as stream:
+        np.savez_compressed(stream, **arrays)
+    unfinished.replace(file)
+
+
+def read_chunk(file: Path) -> Chunk:
+    """Read the episodes of a finished chunk.
+
+    Raises:
+        ValueError: The file is missing or none of a benchmark.
+    """
+    chunk = _read(file, None)
+    if chunk is None:
+        raise ValueError(message("file", "hold episodes of a benchmark", file))
+    return chunk
+
+
+def _read(file: Path, stamp: str | None) -> Chunk | None:
+    """A chunk with this stamp, if the file holds one; any stamp if none is given."""
+    if not file.is_file():
+        return None
+    try:
+        with np.load(file) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        if stamp is not None and str(arrays["stamp"]) != stamp:
+            return None
+        record = _record(arrays)
+    except (OSError, ValueError, KeyError) as broken:
+        LOGGER.warning("`%s` is not readable (%s) and is made anew.", file, broken)
+        return None
+    told = {
+        name.removeprefix("diagnosis."): value
+        for name, value in arrays.items()
+        if name.startswith("diagnosis.")
+    }
+    return Chunk(arrays["cases"].tolist(), record, arrays["step_s"], told)
+
+
+def _record(arrays: dict[str, np.ndarray]) -> EpisodeRecord:
+    """The record in stored arrays."""
+    motion = Motion(*(torch.from_numpy(arrays[f"motion.{name}"]) for name in Motion._fields))
+    rest = {
+        name: torch.from_numpy(arrays[name])
+        for name in EpisodeRecord._fields
+        if name not in ("motion", "dt_s")
+    }
+    return EpisodeRecord(motion=motion, dt_s=float(arrays["dt_s"]), **rest)

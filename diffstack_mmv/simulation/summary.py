@@ -1,0 +1,82 @@
+"""The numbers of a closed-loop benchmark, as a file tells them."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+
+from diffstack_mmv.metrics import navigation
+from diffstack_mmv.simulation.benchmark import Chunk
+from diffstack_mmv.types import Outcome
+
+SCORES = {
+    "success_rate": navigation.SuccessRate,
+    "collision_rate": navigation.CollisionRate,
+    "incomplete_rate": navigation.IncompleteRate,
+    "nav_time_s": navigation.NavigationTime,
+    "nav_time_all_s": navigation.NavigationTimeOfAll,
+    "discomfort_frequency": navigation.DiscomfortFrequency,
+    "avg_min_dist_m": navigation.DiscomfortDistance,
+    "mean_episode_min_dist_m": navigation.EpisodeMinimumDistance,
+}
+
+
+def summarise(chunks: Sequence[Chunk]) -> dict[str, Any]:
+    """Scores, intervals of 95 %, time per decision and the cases one by one.
+
+    Args:
+        chunks: All chunks of one method.
+
+    Returns:
+        A dictionary for JSON; a score without any case that counts is None.
+    """
+    metrics = {name: score() for name, score in SCORES.items()}
+    for chunk in chunks:
+        for metric in metrics.values():
+            metric.update(chunk.record)
+    scores = {name: _number(metric.compute()) for name, metric in metrics.items()}
+    intervals = {
+        f"{name}_ci95": [_number(end) for end in metric.interval()]
+        for name, metric in metrics.items()
+        if isinstance(metric, navigation.OutcomeRate)
+    }
+    seconds = np.concatenate([chunk.step_s for chunk in chunks])
+    cases = [case for chunk in chunks for case in _cases(chunk)]
+    return {
+        "n": len(cases),
+        **scores,
+        **intervals,
+        "control_time_ms": {
+            "median": 1e3 * float(np.median(seconds)),
+            "p99": 1e3 * float(np.quantile(seconds, 0.99)),
+            "per": "decision and episode, in a batch",
+        },
+        "cases": cases,
+    }
+
+
+def _number(value: torch.Tensor) -> float | None:
+    """A number for JSON, which knows no NaN."""
+    number = float(value)
+    return number if math.isfinite(number) else None
+
+
+def _cases(chunk: Chunk) -> list[dict[str, Any]]:
+    """One entry per case."""
+    record = chunk.record
+    nearest = record.clearance.amin(dim=1)
+    uneasy = navigation.uneasy_steps(record).sum(dim=1)
+    return [
+        {
+            "case": number,
+            "outcome": Outcome(int(record.outcome[row])).label,
+            "time_s": float(record.duration[row]),
+            "steps": int(record.steps[row]),
+            "min_clearance_m": float(nearest[row]),
+            "discomfort_steps": int(uneasy[row]),
+        }
+        | {name: _number(torch.tensor(value[row])) for name, value in chunk.diagnosis.items()}
+        for row, number in enumerate(chunk.cases)
+    ]

@@ -1,0 +1,88 @@
+"""Drive a vehicle through a crowd, case by case, beside its baselines."""
+
+import logging
+from functools import partial
+from pathlib import Path
+
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from diffstack_mmv.checks import require_at_least, require_one_of
+from diffstack_mmv.cli import command
+from diffstack_mmv.plotting import save_stories
+from diffstack_mmv.reporting import write_closed_loop
+from diffstack_mmv.simulation import (
+    VERDICTS,
+    Chunk,
+    DiscFootprint,
+    HolonomicRobot,
+    Method,
+    OrcaCrowd,
+    World,
+    require_stoppable,
+    run,
+    summarise,
+)
+from diffstack_mmv.vehicles import config_folder
+
+logger = logging.getLogger(__name__)
+
+
+@command(config_folder(), "navigate")
+def main(config: DictConfig) -> None:
+    """Run the benchmark of the controller and of its baselines; write tables, plots, animations."""
+    torch.manual_seed(config.seed)
+    require_at_least("cases", config.cases, 1)
+    require_one_of("verdict", config.verdict, tuple(VERDICTS))
+    scenario = instantiate(config.scenario)
+    require_stoppable(instantiate(config.actual), 2 * scenario.circle_radius_m)
+    numbers = range(config.first_case, config.first_case + config.cases)
+    out = Path(config.out)
+
+    def driven(name: str, controller: DictConfig) -> list[Chunk]:
+        method = _method(name, controller, config)
+        folder = out / "episodes" / name
+        return list(run(method, scenario, numbers, folder, config.chunk, config.phase))
+
+    baselines = {name: driven(name, each) for name, each in config.baselines.items() if each}
+    chunks = driven(config.names.controller, config.controller)
+    header = {
+        "vehicle": config.vehicle.name,
+        "dynamics": config.names.dynamics,
+        "scenario": config.names.scenario,
+        "controller": config.names.controller,
+        "limit_s": config.limit_s,
+        "dt_s": config.dt_s,
+        "verdict": config.verdict,
+        "humans": config.scenario.humans,
+        "phase": config.phase,
+        "first_case": config.first_case,
+        "seed": config.seed,
+        "limits": OmegaConf.to_container(config.limits),
+        "believed_dynamics": config.believed.dynamics,
+    }
+    rows = {name: summarise(each) for name, each in baselines.items()}
+    published = OmegaConf.to_container(config.published) if config.published else []
+    write_closed_loop(out, header | summarise(chunks), rows, published)
+    records = [chunk.record for chunk in chunks]
+    save_stories(out, numbers, records, scenario.human_radius_m, config.animate)
+    logger.info("Report: %s", out / "closed_loop.md")
+
+
+def _method(name: str, controller: DictConfig, config: DictConfig) -> Method:
+    """A row of the table: massless robots for the baselines of the original benchmark."""
+    massless = controller._target_.endswith(("StraightLine", "OrcaPolicy"))
+    world = World(
+        robot=HolonomicRobot() if massless else instantiate(config.robot),
+        crowd=OrcaCrowd(),
+        verdict=VERDICTS[config.verdict](DiscFootprint(), config.limit_s),
+        dt_s=config.dt_s,
+    )
+    settings = OmegaConf.to_yaml(OmegaConf.create([controller, config.robot, config.verdict]))
+    told = f"{settings}{config.limit_s} {config.dt_s}"
+    return Method(name, world, partial(instantiate, controller), told)
+
+
+if __name__ == "__main__":
+    main()
