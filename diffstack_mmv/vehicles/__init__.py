@@ -9,6 +9,8 @@ from diffstack_mmv.vehicles.catalogue import (
 from diffstack_mmv.vehicles.layout import axles
 from diffstack_mmv.vehicles.parameter import ExactBuffers, ParameterSpec, SoftClamped
 from diffstack_mmv.vehicles.parts import (
+    BODY_PARAMETERS,
+    WHEEL_PARAMETERS,
     AckermannSteering,
     DifferentialDrive,
     Footprint,
@@ -18,7 +20,7 @@ from diffstack_mmv.vehicles.parts import (
     TruckSteering,
     WheelSpec,
 )
-from diffstack_mmv.vehicles.spec import BODY_PARAMETERS, WHEEL_PARAMETERS, VehicleSpec
+from diffstack_mmv.vehicles.spec import VehicleSpec
 
 __all__ = [
     "BODY_PARAMETERS",

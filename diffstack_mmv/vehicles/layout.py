@@ -47,6 +47,14 @@ def _require_support(wheels: Sequence[WheelSpec], upright: bool, where: str) -> 
         f"y_m from {right:g} to {left:g}",
         where,
     )
+    single_track = len(wheels) == len(axles(wheels))
+    require(
+        left == right or not single_track,
+        "wheels",
+        "stand in one line, y_m: 0, where no two are side by side",
+        f"y_m from {right:g} to {left:g}",
+        where,
+    )
     stands = any(len({wheels[index].y_m for index in axle}) > 1 for axle in axles(wheels))
     require(
         upright or stands,

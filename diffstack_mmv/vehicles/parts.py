@@ -5,6 +5,18 @@ from dataclasses import dataclass
 
 from diffstack_mmv.checks import require, require_at_least, require_between, require_positive
 
+WHEEL_PARAMETERS = {"friction": "1", "tread_stiffness": "N/m^2", "contact_half_length": "m"}
+BODY_PARAMETERS = {
+    "yaw_inertia": "kg m^2",
+    "roll_inertia": "kg m^2",
+    "aligning_gain": "1",
+    "yaw_damping": "1/s",
+    "roll_damping": "N m s",
+    "length_scale": "1",
+    "rolling_resistance": "1",
+    "drag": "N s^2/m^2",
+}
+
 
 @dataclass(frozen=True)
 class WheelSpec:

@@ -8,6 +8,8 @@ from typing import Any
 from diffstack_mmv.checks import message, require
 from diffstack_mmv.vehicles.parameter import ParameterSpec, as_numbers
 from diffstack_mmv.vehicles.parts import (
+    BODY_PARAMETERS,
+    WHEEL_PARAMETERS,
     AckermannSteering,
     DifferentialDrive,
     Footprint,
@@ -30,6 +32,11 @@ _REQUIRED = (
     "parameters",
 )
 _OPTIONAL = ("steering", "leans", "balanced", "reverse", "smoothing", "sources", "provenance")
+_NEUTRAL = {
+    "length_scale": ParameterSpec(1.0, 1.0, 1.0, "1", False, "wheel positions as given"),
+    "rolling_resistance": ParameterSpec(0.0, 0.0, 0.0, "1", False, "neglected"),
+    "drag": ParameterSpec(0.0, 0.0, 0.0, "N s^2/m^2", False, "neglected"),
+}
 _STEERING = {
     "ackermann": AckermannSteering,
     "trucks": TruckSteering,
@@ -162,6 +169,9 @@ def fields_from_config(mapping: Mapping[str, Any]) -> dict[str, Any]:
             repr(mapping[group]),
             where,
         )
+    known = [*WHEEL_PARAMETERS, *BODY_PARAMETERS]
+    required = [name for name in known if name not in _NEUTRAL]
+    _require_keys(mapping["parameters"], required, tuple(_NEUTRAL), "parameters.", where)
     wheels = mapping["wheels"].items()
     parameters = mapping["parameters"].items()
     return {
@@ -176,9 +186,8 @@ def fields_from_config(mapping: Mapping[str, Any]) -> dict[str, Any]:
             _wheel(str(name), entry, f"wheels.{name}.", where) for name, entry in wheels
         ),
         "steering": _steering(mapping.get("steering", {"ackermann": {}}), where),
-        "parameters": {
-            name: _parameter(entry, f"parameters.{name}.", where) for name, entry in parameters
-        },
+        "parameters": _NEUTRAL
+        | {name: _parameter(entry, f"parameters.{name}.", where) for name, entry in parameters},
         "smoothing": _record(Smoothing, mapping.get("smoothing", {}), "smoothing.", where),
         **{
             key: _flag(mapping.get(key, False), key, where)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from diffstack_mmv.checks import require
+from diffstack_mmv.checks import require, require_positive
 from diffstack_mmv.vehicles.parameter import ParameterSpec, as_numbers
 from diffstack_mmv.vehicles.parts import (
     AckermannSteering,
@@ -127,6 +127,8 @@ def _parameters(entry: Mapping[str, Any]) -> dict[str, ParameterSpec]:
 def _require_complete(entry: Mapping[str, Any], where: str) -> None:
     for key in (*_SCALARS, "control", "leans", "balanced", "wheels"):
         require(key in entry, key, "be given", "nothing", where)
+    for key, name in {"m": "mass_kg", "h": "height_m", "Iz": "yaw_inertia"}.items():
+        require_positive(name, entry[key], where)
     columns = entry["wheels"]
     for key in _WHEEL_COLUMNS:
         require(key in columns, f"wheels.{key}", "be given", "nothing", where)

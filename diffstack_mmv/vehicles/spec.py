@@ -7,21 +7,18 @@ from typing import Any
 from diffstack_mmv.checks import require, require_at_least, require_positive
 from diffstack_mmv.vehicles.layout import require_possible_layout
 from diffstack_mmv.vehicles.parameter import ParameterSpec
-from diffstack_mmv.vehicles.parts import Footprint, Limits, Smoothing, Steering, WheelSpec
+from diffstack_mmv.vehicles.parts import (
+    BODY_PARAMETERS,
+    WHEEL_PARAMETERS,
+    Footprint,
+    Limits,
+    Smoothing,
+    Steering,
+    WheelSpec,
+)
 from diffstack_mmv.vehicles.reading import fields_from_config
 from diffstack_mmv.vehicles.reference import fields_from_reference
 
-WHEEL_PARAMETERS = {"friction": "1", "tread_stiffness": "N/m^2", "contact_half_length": "m"}
-BODY_PARAMETERS = {
-    "yaw_inertia": "kg m^2",
-    "roll_inertia": "kg m^2",
-    "aligning_gain": "1",
-    "yaw_damping": "1/s",
-    "roll_damping": "N m s",
-    "length_scale": "1",
-    "rolling_resistance": "1",
-    "drag": "N s^2/m^2",
-}
 _POSITIVE = (
     "friction",
     "tread_stiffness",
@@ -80,7 +77,6 @@ class VehicleSpec:
         where = f"for vehicle '{self.name}'"
         require_positive("mass_kg", self.mass_kg, where, "Give the mass with the rider.")
         require_positive("height_m", self.height_m, where)
-        self._require_parameters(where)
         if self.leans:
             require_positive(
                 "limits.lean_max_rad",

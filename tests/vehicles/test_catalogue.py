@@ -1,0 +1,126 @@
+"""The vehicles that come with the package."""
+
+import json
+from dataclasses import replace
+
+import pytest
+from omegaconf import OmegaConf
+
+from diffstack_mmv.types import Mode
+from diffstack_mmv.vehicles import (
+    VehicleSpec,
+    axles,
+    config_folder,
+    load_vehicle,
+    save_vehicle,
+    vehicle_names,
+)
+
+NAMES = vehicle_names()
+
+
+def test_nine_vehicles_are_shipped():
+    assert set(NAMES) == set(
+        ["bicycle", "scooter", "motorcycle", "wheelchair", "tricycle", "tadpole", "skateboard", "cart", "hoverboard"]
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_shipped_numbers_are_those_of_the_reference(name, shared):
+    entries = json.loads((shared / "reference/gm3/vehicles.json").read_text())
+    ours, theirs = load_vehicle(name), VehicleSpec.from_reference(entries[name])
+    for key in ("mass_kg", "height_m", "front_m", "rear_m", "steering", "leans", "balanced"):
+        assert getattr(ours, key) == pytest.approx(getattr(theirs, key)), key
+    for key in ("x_m", "y_m", "radius_m", "steered", "truck", "driven", "braked", "caster"):
+        assert ours.per_wheel(key) == pytest.approx(theirs.per_wheel(key)), key
+    for key, parameter in theirs.parameters.items():
+        assert ours.parameters[key].initial == pytest.approx(parameter.initial, rel=1e-9), key
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_vehicle_survives_saving(name, tmp_path):
+    spec = load_vehicle(name)
+    save_vehicle(spec, tmp_path / "new" / "copy.yaml", {"data": "none", "seed": 0})
+    copy = load_vehicle(tmp_path / "new" / "copy.yaml")
+    assert copy.provenance == {"data": "none", "seed": 0}
+    assert replace(copy, provenance={}) == spec
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["copy.yaml"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_mode_is_one_that_data_know(name):
+    assert Mode.named(load_vehicle(name).mode) is not Mode.UNKNOWN
+
+
+def leaves(content, path=()):
+    for key, value in content.items():
+        if isinstance(value, dict):
+            yield from leaves(value, (*path, key))
+        elif isinstance(value, int | float) and not isinstance(value, bool) and value != 0:
+            yield (*path, key)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_number_has_a_source(name):
+    content = OmegaConf.to_container(OmegaConf.load(config_folder() / "vehicle" / f"{name}.yaml"))
+    sources = content.pop("sources")
+    for path in leaves(content):
+        if path[0] in ("parameters", "wheelbase"):
+            place = content[path[0]] if path[0] == "wheelbase" else content[path[0]][path[1]]
+            assert place["source"], path
+        elif path[0] == "wheels":
+            assert path[-1] == "truck" or sources["wheels"][path[-1]], path
+        else:
+            assert sources[path[0]], path
+
+
+def test_calibrated_values_replace_the_priors():
+    spec = load_vehicle("bicycle").with_values({"friction": [0.6, 0.7], "wheelbase": 1.1}, "fit")
+    assert spec.parameters["friction"].initial == (0.6, 0.7)
+    assert spec.wheelbase.initial == 1.1
+    assert spec.wheelbase.source == "fit"
+
+
+def test_unknown_calibrated_name_is_refused():
+    with pytest.raises(ValueError, match="`colour` must be one of"):
+        load_vehicle("bicycle").with_values({"colour": 1.0})
+
+
+@pytest.mark.parametrize("name", ["bicylce", "/nowhere/bicycle.yaml"])
+def test_unknown_vehicle_lists_the_known_ones(name):
+    with pytest.raises(ValueError, match="bicycle, cart, hoverboard"):
+        load_vehicle(name)
+
+
+@pytest.mark.parametrize("text", ["- a\n- b", "a: [1,", ""])
+def test_file_that_is_no_vehicle_is_named(tmp_path, text):
+    (tmp_path / "odd.yaml").write_text(text)
+    with pytest.raises(ValueError, match="odd.yaml"):
+        load_vehicle(tmp_path / "odd.yaml")
+
+
+def test_axles_are_found_front_first():
+    wheels = load_vehicle("tricycle").wheels
+    assert [[wheels[index].name for index in axle] for axle in axles(wheels)] == [
+        ["front"],
+        ["rear_left", "rear_right"],
+    ]
+
+
+def test_example_of_a_new_layout_loads(root):
+    spec = load_vehicle(root / "docs" / "examples" / "five_wheeled.yaml")
+    assert len(spec.wheels) == 5
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"m": -1.0}, "`mass_kg` must be positive"),
+        ({"lf": 0.0, "lr": 0.0}, "wheelbase"),
+        ({"control": "joystick"}, "`control` must be one of"),
+    ],
+)
+def test_impossible_parameter_set_is_refused(shared, change, told):
+    entry = json.loads((shared / "reference/gm3/vehicles.json").read_text())["bicycle"]
+    with pytest.raises(ValueError, match=told):
+        VehicleSpec.from_reference(entry | change)

@@ -1,0 +1,87 @@
+"""Vehicle files: every mistake gets one message that names vehicle, field and value."""
+
+import copy
+
+import pytest
+from omegaconf import OmegaConf
+
+from diffstack_mmv.vehicles import VehicleSpec, config_folder
+
+
+@pytest.fixture
+def content():
+    path = config_folder() / "vehicle" / "bicycle.yaml"
+    return copy.deepcopy(OmegaConf.to_container(OmegaConf.load(path)))
+
+
+def changed(content, path, value):
+    """Set (or with None remove) a nested key."""
+    *parents, last = path.split("/")
+    place = content
+    for parent in parents:
+        place = place[parent]
+    if value is None:
+        del place[last]
+    else:
+        place[last] = value
+    return content
+
+
+MISTAKES = [
+    ("mass_kg", -90.0, "`mass_kg` must be positive, but got -90.0 for vehicle 'bicycle'"),
+    ("mass_kg", "90 kg", "`mass_kg` must be a number, but got '90 kg'"),
+    ("mass", 90.0, "Did you mean `mass_kg`"),
+    ("height_m", None, "`height_m` must be given"),
+    ("parameters/friction/unit", None, "`parameters.friction.unit` must be given"),
+    ("parameters/friction/unit", "N", "`parameters.friction.unit` must be '1', but got 'N'"),
+    ("parameters/friction/initial", 1.5, "parameters.friction"),
+    ("parameters/friction/initial", [0.8, 0.8, 0.8], "3 entries"),
+    ("parameters/friction/learn", "yes", "must be true or false"),
+    ("parameters/friction/source", "", "`source` must be given"),
+    ("parameters/yaw_inertia", None, "`parameters.yaw_inertia` must be given"),
+    ("parameters/frictoin", {}, "Did you mean `friction`"),
+    ("wheels/rear/x_m", 0.6, "zero wheelbase"),
+    ("wheels/rear/x_m", 0.1, "between the front and the rear axle"),
+    ("wheels/rear/radius_m", 0.0, "`radius_m` must be positive"),
+    ("wheels/rear/driven", False, "must have a driven one"),
+    ("wheels/rear/caster", True, "neither steered, driven nor braked"),
+    ("wheels/front/steered", False, "at least one steered wheel"),
+    ("wheels/front/y_m", 0.2, "stand in one line"),
+    ("wheels/rear", None, "must be at least two"),
+    ("limits/steer_max_rad", 45.0, "Give radians"),
+    ("limits/acceleration_min_mps2", 5.0, "must be negative"),
+    ("leans", False, "Nothing else keeps it upright"),
+    ("wheelbase", {"initial": 0.0, "low": 0.0, "high": 0.0}, "wheelbase.unit"),
+    ("steering", {"ackerman": {}}, "Did you mean `ackermann`"),
+    ("steering", {"ackermann": {}, "trucks": {}}, "exactly one of"),
+    ("steering", {"trucks": {"gain": 1.0, "pivot_rad": 0.7}}, "wheels on trucks"),
+    ("smoothing", {"friction_share": 1.2}, "must lie in (0, 1)"),
+    ("wheels", [1, 2], "mapping from names"),
+]
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "told"), MISTAKES, ids=[m[0] + "=" + str(m[1])[:12] for m in MISTAKES]
+)
+def test_mistake_in_a_file_is_named(content, path, value, told):
+    with pytest.raises(ValueError) as caught:  # noqa: PT011
+        VehicleSpec.from_config(changed(content, path, value))
+    assert told in str(caught.value)
+    assert "bicycle" in str(caught.value)
+
+
+def test_two_axles_need_a_wheelbase(content):
+    content["wheelbase"].update(initial=0.0, low=0.0, high=0.0)
+    with pytest.raises(ValueError, match="`wheelbase.low` must be positive"):
+        VehicleSpec.from_config(content)
+
+
+def test_plain_numbers_apply_to_all_wheels(content):
+    content["parameters"]["friction"]["initial"] = 0.7
+    assert VehicleSpec.from_config(content).wheel_parameter("friction").initial == (0.7, 0.7)
+
+
+def test_optional_parameters_are_neutral(content):
+    parameters = VehicleSpec.from_config(content).parameters
+    assert parameters["length_scale"].initial == 1.0
+    assert parameters["drag"].initial == 0.0
