@@ -85,6 +85,7 @@ class VehicleSpec:
                 "A leaning vehicle needs it.",
             )
         require_possible_layout(self.wheels, self.steering, self.leans or self.balanced, where)
+        self._require_parameters(where)
         for _, low, _ in self.wheelbase.entries():
             require_positive(
                 "wheelbase.low", low, where, "A vehicle with one axle takes a virtual wheelbase."
