@@ -38,7 +38,7 @@ bench: install ## Benchmarks, results in benchmarks/results
 lint: install ## ruff, pyright, codespell
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/pyright
+	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/codespell
 
 lock: ## Write requirements.lock anew from the ranges of pyproject.toml

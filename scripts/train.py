@@ -1,6 +1,7 @@
 """Train the stack end to end by imitation."""
 
 from pathlib import Path
+from typing import Any
 
 import pytorch_lightning as pl
 from hydra.utils import instantiate
@@ -16,7 +17,7 @@ from diffstack_mmv.vehicles import config_folder
 def main(config: DictConfig) -> None:
     """Fit, and continue where an interrupted run of the same configuration stopped."""
     pl.seed_everything(config.seed, workers=True)
-    content = OmegaConf.to_container(config)
+    content: Any = OmegaConf.to_container(config)
     resume = resume_point(Path(config.out) / "checkpoints" / "last.ckpt", content)
     stack, data = instantiate(config.stack), instantiate(config.data.module)
     if config.start is not None and resume is None:

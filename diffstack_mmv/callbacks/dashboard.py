@@ -42,8 +42,8 @@ def build_dashboard(entity: str, project: str, modes: Sequence[str]) -> str:
         ImportError: The extra `dashboard` is not installed.
     """
     try:
-        import wandb_workspaces.reports.v2 as panels
-        import wandb_workspaces.workspaces as workspaces
+        import wandb_workspaces.reports.v2 as panels  # pyright: ignore[reportMissingImports]
+        import wandb_workspaces.workspaces as workspaces  # pyright: ignore[reportMissingImports]
     except ImportError as missing:
         raise ImportError(
             "`wandb-workspaces` must be installed to build a dashboard. "

@@ -34,9 +34,10 @@ def scenes_of(
         output.goal,
         output.plan.candidates.position,
     )
-    arrays = [column.detach().cpu().numpy() for column in columns]
+    arrays: list[np.ndarray] = [column.detach().cpu().numpy() for column in columns]
+    seen = present.cpu().numpy()
     return [
-        Scene(title, *(array[i] for array in arrays), others[i][present[i].cpu().numpy()])
+        Scene._make([title, *(array[i] for array in arrays), others[i][seen[i]]])
         for i, title in enumerate(titles)
     ]
 

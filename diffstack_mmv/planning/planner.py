@@ -1,14 +1,13 @@
 """The planner: a fan of candidates, the cheapest of which starts the differentiable MPC."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from diffstack_mmv.checks import require_at_least
-from diffstack_mmv.control import TrajectoryOptimizer
+from diffstack_mmv.control import Cost, TrajectoryOptimizer
 from diffstack_mmv.costs import WeightedCost
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.planning.candidates import CandidateFan, Candidates, with_final_row
@@ -98,7 +97,7 @@ class MPCPlanner(Planner):
         motion = self.dynamics.motion(solution.states, with_final_row(solution.controls))
         return Plan(solution, motion, fan.motion, logits)
 
-    def objective(self, problem: PlanningProblem) -> Callable[[Tensor, Tensor], Tensor]:
+    def objective(self, problem: PlanningProblem) -> Cost:
         """The cost of this problem as the solver wants it.
 
         (states, controls) -> cost at each time.

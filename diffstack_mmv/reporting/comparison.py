@@ -101,8 +101,8 @@ def _signed_rank(difference: np.ndarray) -> float:
     """Two-sided p value of the Wilcoxon signed-rank test; NaN below six unequal pairs."""
     if (difference != 0).sum() < 6:
         return float("nan")
-    _, p_value = wilcoxon(difference)
-    return float(p_value)
+    result: Any = wilcoxon(difference)
+    return float(result.pvalue)
 
 
 def write_comparison(folder: Path, table: pd.DataFrame, tests: pd.DataFrame) -> None:

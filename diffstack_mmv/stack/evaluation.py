@@ -112,9 +112,11 @@ def evaluate_windows(
 def representative(samples: pd.DataFrame, score: str = "plan_ade") -> dict[str, dict[str, int]]:
     """Numbers of the best, the median and the worst sample of each mode by a score (m)."""
     chosen = {}
-    for mode, group in samples.groupby("mode", sort=True):
-        order = group[score].sort_values(kind="stable").index
-        chosen[str(mode)] = {
+    numbers, values = np.arange(len(samples)), samples[score].to_numpy()
+    for mode in sorted(set(samples["mode"])):
+        own = numbers[(samples["mode"] == mode).to_numpy()]
+        order = own[np.argsort(values[own], kind="stable")]
+        chosen[mode] = {
             "best": int(order[0]),
             "median": int(order[len(order) // 2]),
             "worst": int(order[-1]),
