@@ -156,7 +156,7 @@ def test_stiff_tires_give_the_kinematic_bicycle(name):
         end = held(model, state, 0.5, command, 20)[0, -1]
         rear = end[:2] - spec.rear_m * torch.stack([end[4].cos(), end[4].sin()])
         distances.append((rear - kinematic[0, :2]).norm().item())
-    assert distances[0] > 1.5 * distances[1] > 2.0 * distances[2]
+    assert distances[0] > 1.5 * distances[1] > 1.5 * distances[2]
     assert distances[2] < 0.1  # of 9 m; the tyres still slip until the lean has settled
 
 
