@@ -2,14 +2,17 @@
 
 from diffstack_mmv.control.ilqr import ILQR
 from diffstack_mmv.control.optimizer import Cost, Dynamics, LinearisedDynamics, TrajectoryOptimizer
+from diffstack_mmv.control.selection import Batched, Selectable
 from diffstack_mmv.types import Bounds, Solution, SolverStatus
 
 __all__ = [
     "ILQR",
+    "Batched",
     "Bounds",
     "Cost",
     "Dynamics",
     "LinearisedDynamics",
+    "Selectable",
     "Solution",
     "SolverStatus",
     "TrajectoryOptimizer",

@@ -16,9 +16,11 @@ from diffstack_mmv.control.expansion import Model, expand
 from diffstack_mmv.control.iteration import Iterate, attempt, start
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.riccati import Policy, Stationary, box_policy, solve_free
+from diffstack_mmv.control.selection import Batched
 from diffstack_mmv.types import map_tensors
 
 LOGGER = logging.getLogger(__name__)
+LARGEST_ROW = 8  # a last dimension beyond it is a batch, not a row of controls or step sizes
 FAILURES = (TorchDynamoException, InductorError)
 
 
@@ -26,6 +28,8 @@ def kind(function: Any) -> Hashable:
     """What two callables that share a compiled kernel have in common: the code, not the tensors it closes over."""
     if isinstance(function, functools.partial):
         return kind(function.func)
+    if isinstance(function, Batched):
+        return kind(function.function), len(function.tensors)
     if isinstance(function, types.MethodType):
         return kind(function.__func__), type(function.__self__)
     return getattr(function, "__code__", type(function))
@@ -117,7 +121,7 @@ def _options(device: str) -> dict[str, Any]:
 
 def _mark_batch(tensor: Tensor) -> Tensor:
     """Tell the compiler that the batch varies, so that it compiles no second time for the second size."""
-    if tensor.dim() and tensor.shape[-1] > 1:
+    if tensor.dim() and tensor.shape[-1] > LARGEST_ROW:
         maybe_mark_dynamic(tensor, tensor.dim() - 1)
     return tensor
 

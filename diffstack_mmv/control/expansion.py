@@ -34,7 +34,11 @@ def step_all(
     dynamics: Dynamics, states: Float[Tensor, "*b T n"], controls: Float[Tensor, "*b T m"]
 ) -> Float[Tensor, "*b T n"]:
     """One step from each of the T states; `dynamics` sees `*b n`, without the times."""
-    return torch.vmap(dynamics, (-2, -2))(states, controls).movedim(0, -2)
+
+    def one_time(state: Tensor, control: Tensor) -> Tensor:
+        return dynamics(state, control)  # a bare module would be printed by vmap, which no compiler likes
+
+    return torch.vmap(one_time, (-2, -2))(states, controls).movedim(0, -2)
 
 
 def linearise_dynamics(
@@ -127,7 +131,7 @@ def expand(
     blocks = [
         block[:-1] + to_batch_last(bent, like) for block, bent in zip(hessian, bend, strict=True)
     ]
-    parts = (A, B, c_x[:-1], c_u, *blocks)
+    parts = (A, B, c_x[:-1], c_u, *blocks, u)
     quadratic = LinearQuadratic(
         torch.cat([part.flatten(1, -2) for part in parts], 1), pack(c_x[-1], hessian[0][-1])
     )

@@ -13,6 +13,7 @@ from diffstack_mmv.control.implicit import Optimum, attach, free_controls
 from diffstack_mmv.control.iteration import OPEN, Iterate, Settings
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.riccati import definite_policy
+from diffstack_mmv.control.selection import Workload
 from diffstack_mmv.types import Bounds, Solution, SolverStatus
 
 
@@ -138,23 +139,29 @@ class ILQR:
     ) -> Iterate:
         like = state[..., 0]
         x0, guess = to_batch_last(state, like), to_batch_last(controls, like).contiguous()
-        iterate = kernels.start(dynamics, cost, like, x0.contiguous(), guess, settings)
+        first = kernels.start(dynamics, cost, like, x0.contiguous(), guess, settings)
+        work = Workload(dynamics, cost, like, first, None, first)
         for _ in range(self.max_iterations):
-            if not bool((iterate.status == OPEN).any()):
+            if not bool((work.iterate.status == OPEN).any()):
                 break
-            model = kernels.expand(dynamics, cost, like, iterate.x, iterate.u)
-            room = settings.box.unsqueeze(-1).unsqueeze(1) - iterate.u
-            policy = definite_policy(
-                kernels.box_policy,
-                model.quadratic,
-                (room[0], room[1]),
-                iterate.damping,
-                model.magnitude,
-                len(x0),
-            )
-            iterate = kernels.attempt(dynamics, cost, like, iterate, model, policy, settings)
+            work = work.narrowed()
+            work = work._replace(iterate=self._improve(kernels, settings, work, len(x0)))
+        iterate = work.merged()
         limit = torch.where(iterate.status == OPEN, SolverStatus.ITERATION_LIMIT, iterate.status)
         return iterate._replace(status=limit)
+
+    def _improve(self, kernels: Kernels, settings: Settings, work: Workload, n: int) -> Iterate:
+        dynamics, cost, like, iterate = work[:4]
+        model = kernels.expand(dynamics, cost, like, iterate.x, iterate.u)
+        policy = definite_policy(
+            kernels.box_policy,
+            model.quadratic,
+            settings.box,
+            iterate.damping,
+            model.magnitude,
+            n,
+        )
+        return kernels.attempt(dynamics, cost, like, iterate, model, policy, settings)
 
 
 def conclude(

@@ -69,10 +69,10 @@ class _Implicit(torch.autograd.Function):
         optimum: Optimum = ctx.optimum
         lq, n = optimum.model.quadratic, grad_x.shape[1]
         m = grad_u.shape[1]
-        jacobians, _, hessian = lq.stages.split([n * (n + m), n + m, n * n + m * n + m * m], 1)
+        jacobians, _, rest = lq.stages.split([n * (n + m), n + m, n * n + m * n + m * m + m], 1)
         of_x = torch.cat([torch.zeros_like(grad_x[:1]), -grad_x[:-1]])
         adjoint = LinearQuadratic(
-            torch.cat([jacobians, of_x, -grad_u, hessian], 1), torch.cat([-grad_x[-1], lq.final[n:]])
+            torch.cat([jacobians, of_x, -grad_u, rest], 1), torch.cat([-grad_x[-1], lq.final[n:]])
         )
         dual = ctx.solve(adjoint, optimum.free.to(grad_u.dtype), n)
         # where, not a product: the adjoint of a problem that did not converge may be anything

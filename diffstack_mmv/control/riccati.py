@@ -29,13 +29,13 @@ class LinearQuadratic(NamedTuple):
     What a step of a recursion reads is one row of one tensor, see `stage_shapes`.
     """
 
-    stages: Float[Tensor, "T R N"]  # A, B, gradient in x and u, Hessian xx, ux and uu
+    stages: Float[Tensor, "T R N"]
     final: Float[Tensor, "F N"]  # gradient and Hessian in x_T
 
 
 def stage_shapes(n: int, m: int) -> tuple[tuple[int, ...], ...]:
-    """Shapes of the parts of a stage, in order: A, B, c_x, c_u, H_xx, H_ux, H_uu."""
-    return (n, n), (n, m), (n,), (m,), (n, n), (m, n), (m, m)
+    """Shapes of the parts of a stage, in order: A, B, c_x, c_u, H_xx, H_ux, H_uu, present control."""
+    return (n, n), (n, m), (n,), (m,), (n, n), (m, n), (m, m), (m,)
 
 
 def final_shapes(n: int) -> tuple[tuple[int, ...], ...]:
@@ -111,7 +111,7 @@ def dominance(
 def definite_policy(
     solve: Callable[..., Policy],
     lq: LinearQuadratic,
-    room: tuple[Float[Tensor, "T m N"], Float[Tensor, "T m N"]],
+    box: Float[Tensor, "2 m"],
     damping: Float[Tensor, " N"],
     magnitude: Float[Tensor, " N"],
     n: int,
@@ -119,28 +119,31 @@ def definite_policy(
     """Policy of the exact model where that is convex along the recursion, else of a convex one.
 
     Exact means the Hessian of the Lagrangian: Newton's method with its quadratic convergence. A
-    problem in which any Q_uu is indefinite on controls that no bound holds is solved a second time with the Hessian over (x_t, u_t)
-    of every stage lifted.
+    problem in which any Q_uu is indefinite on controls that no bound holds (or on any control, far
+    from the solution) is solved a second time with the Hessian over (x_t, u_t) of every stage lifted.
 
     Args:
         solve: `box_policy`, or a compiled form of it.
         lq: The exact model.
-        room: Lower and upper bound minus present control.
+        box: Bounds of the controls.
         damping: μ of each problem, dimensionless.
         magnitude: Σ |c_t|.
         n: Number of state columns.
     """
-    lower, upper = room
-    policy = solve(lq, lower, upper, damping, torch.zeros_like(damping), n)
+    policy = solve(lq, box, damping, torch.zeros_like(damping), n)
     far = policy.decrease > FAR * magnitude
-    index = (policy.lifted_free | (policy.lifted & far)).nonzero().squeeze(-1)
+    indefinite = policy.lifted_free | (policy.lifted & far)
+    if indefinite.device.type != "cpu":
+        # to ask for the number would make the device wait, and a whole second pass is cheap there
+        return solve(lq, box, damping, indefinite.to(damping.dtype), n)
+    index = indefinite.nonzero().squeeze(-1)
     if len(index) == 0:
         return policy
     if len(index) == 1 < len(damping):
         index = index.repeat(2)  # a batch of one would be compiled separately
-    part = LinearQuadratic(*(rows[..., index] for rows in lq))
+    part = LinearQuadratic(*(rows.index_select(-1, index) for rows in lq))
     weak = damping[index]
-    convex = solve(part, lower[..., index], upper[..., index], weak, torch.ones_like(weak), n)
+    convex = solve(part, box, weak, torch.ones_like(weak), n)
     return Policy(
         *(whole.index_copy(-1, index, fixed) for whole, fixed in zip(policy, convex, strict=True))
     )
@@ -148,8 +151,7 @@ def definite_policy(
 
 def box_policy(
     lq: LinearQuadratic,
-    lower: Float[Tensor, "T m N"],
-    upper: Float[Tensor, "T m N"],
+    box: Float[Tensor, "2 m"],
     damping: Float[Tensor, " N"],
     lifted: Float[Tensor, " N"],
     n: int,
@@ -167,25 +169,26 @@ def box_policy(
 
     Args:
         lq: The model around the present trajectory.
-        lower: Lower bound minus present control.
-        upper: Upper bound minus present control.
+        box: Bounds of the controls.
         damping: μ of each problem, dimensionless.
         lifted: 1 where the Hessian of every stage is lifted until it is diagonally dominant, else 0.
         n: Number of state columns.
     """
-    m = lower.shape[1]
-    eye = torch.eye(n, dtype=lower.dtype, device=lower.device).unsqueeze(-1)
-    eye_u = torch.eye(m, dtype=lower.dtype, device=lower.device).unsqueeze(-1)
+    m = box.shape[1]
+    eye = torch.eye(n, dtype=box.dtype, device=box.device).unsqueeze(-1)
+    eye_u = torch.eye(m, dtype=box.dtype, device=box.device).unsqueeze(-1)
 
     def step(value: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
-        *first, xx, ux, uu, low, high = unpack(row, *stage_shapes(n, m), (m,), (m,))
+        *first, xx, ux, uu, control = unpack(row, *stage_shapes(n, m))
         cross = ux.abs()
         xx = xx + eye * lifted * dominance(xx, cross.sum(0))
         uu = uu + eye_u * lifted * dominance(uu, cross.sum(1))
         Q = _action(value, (*first, xx, ux, uu))
         lift = positive_lift(Q.uu, DEFINITE)
         Q_uu = Q.uu + (lift + damping * largest(Q.uu)) * eye_u
-        k, free = solve_box_qp(Q_uu, Q.u, low, high)
+        k, free = solve_box_qp(
+            Q_uu, Q.u, box[0].unsqueeze(-1) - control, box[1].unsqueeze(-1) - control
+        )
         K = -product(free_inverse(Q_uu, free), Q.ux)
         Qk = apply(Q_uu, k)
         cross = transposed_product(K, Q.ux)
@@ -196,7 +199,7 @@ def box_policy(
 
     final_x, final_xx = unpack(lq.final, *final_shapes(n))
     final_xx = final_xx + eye * lifted * dominance(final_xx, torch.zeros_like(final_x))
-    rows = walk(step, pack(final_x, final_xx), torch.cat([lq.stages, lower, upper], 1), reverse=True)[1]
+    rows = walk(step, pack(final_x, final_xx), lq.stages, reverse=True)[1]
     gains, decrease, lift, lift_free = rows.split([m + m * n, 1, 1, 1], 1)
     flags = ((rows > 0).any(0).squeeze(0) for rows in (lift, lift_free))
     return Policy(gains, decrease.sum((0, 1)), *flags)
@@ -210,7 +213,7 @@ def solve_free(lq: LinearQuadratic, free: Float[Tensor, "T m N"], n: int) -> Sta
     m = free.shape[1]
 
     def backward(value: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
-        *parts, mask = unpack(row, *stage_shapes(n, m), (m,))
+        *parts, _, mask = unpack(row, *stage_shapes(n, m), (m,))
         Q = _action(value, tuple(parts))
         inverse = free_inverse(Q.uu, mask > 0.5)
         k, K = -apply(inverse, Q.u), -product(inverse, Q.ux)

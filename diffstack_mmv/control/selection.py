@@ -1,0 +1,78 @@
+"""Leaves finished problems behind, so that the last hard ones do not cost as much as the whole batch."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from diffstack_mmv.control.iteration import OPEN, Iterate
+
+SMALLEST = 8  # problems; below, there is nothing to win
+WORTH = 0.6  # share of open problems below which the others are left behind
+
+
+@runtime_checkable
+class Selectable(Protocol):
+    """A callable that can be narrowed to some of its problems; closures cannot, see `Batched`."""
+
+    def select(self, index: Int[Tensor, " k"]) -> Self:
+        """The same callable for the problems `index` of a batch with one leading dimension."""
+        ...
+
+
+class Batched:
+    """A dynamics or cost function with its tensors named, which makes it selectable.
+
+    Args:
+        function: Called with the usual arguments and then the tensors.
+        tensors: Tensors with one row per problem, shape (B, ...). Whatever is shared by all problems
+            stays in the closure of `function`.
+    """
+
+    def __init__(self, function: Callable[..., Tensor], *tensors: Float[Tensor, "B ..."]) -> None:
+        self.function = function
+        self.tensors = tensors
+
+    def __call__(self, *arguments: Any) -> Tensor:
+        """Call the function with its tensors."""
+        return self.function(*arguments, *self.tensors)
+
+    def select(self, index: Int[Tensor, " k"]) -> "Batched":
+        """The same function with the rows `index` of its tensors."""
+        return Batched(self.function, *(tensor[index] for tensor in self.tensors))
+
+
+class Workload(NamedTuple):
+    """The problems that are iterated, and where the finished ones wait."""
+
+    dynamics: Any
+    cost: Any
+    like: Float[Tensor, "*b"]
+    iterate: Iterate
+    index: Int[Tensor, " k"] | None  # positions of the iterated problems among all; None: all
+    whole: Iterate  # all problems as of the last narrowing
+
+    def merged(self) -> Iterate:
+        """All problems, the iterated ones as they stand now."""
+        index = self.index
+        if index is None:
+            return self.iterate
+        pairs = zip(self.whole, self.iterate, strict=True)
+        return Iterate(*(old.index_copy(-1, index, new) for old, new in pairs))
+
+    def narrowed(self) -> "Workload":
+        """Only the problems that are still open, if both callables can follow and it is worth it."""
+        able = isinstance(self.dynamics, Selectable) and isinstance(self.cost, Selectable)
+        if not able or self.like.dim() != 1 or len(self.like) <= SMALLEST or self.like.is_cuda:
+            return self
+        keep = (self.iterate.status == OPEN).nonzero().squeeze(-1)
+        if len(keep) > WORTH * len(self.like):
+            return self
+        if len(keep) == 1:
+            keep = keep.repeat(2)  # a batch of one would be compiled separately
+        index = keep if self.index is None else self.index[keep]
+        part = Iterate(*(rows.index_select(-1, keep) for rows in self.iterate))
+        narrow = self.dynamics.select(keep), self.cost.select(keep)
+        return Workload(*narrow, self.like[keep], part, index, self.merged())
