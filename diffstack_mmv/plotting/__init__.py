@@ -9,6 +9,7 @@ from diffstack_mmv.plotting.closed_loop import (
 )
 from diffstack_mmv.plotting.figures import save_figure
 from diffstack_mmv.plotting.horizon import draw_error_over_horizon
+from diffstack_mmv.plotting.open_loop import draw_runs, draw_wheels
 from diffstack_mmv.plotting.plans import Scene, draw_scene, draw_scenes
 
 __all__ = [
@@ -16,8 +17,10 @@ __all__ = [
     "Scene",
     "draw_episode",
     "draw_error_over_horizon",
+    "draw_runs",
     "draw_scene",
     "draw_scenes",
+    "draw_wheels",
     "episode_of",
     "save_animation",
     "save_figure",

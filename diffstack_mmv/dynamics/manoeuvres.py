@@ -1,0 +1,162 @@
+"""Scripted manoeuvres and recorded controls: accelerations and steering angles over time."""
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import message, require_positive
+
+
+class Steps(NamedTuple):
+    """What the rider does, one row per control step."""
+
+    acceleration: Float[Tensor, " T"]  # m/s²
+    steer: Float[Tensor, " T"]  # angle of the front wheel in rad
+
+
+class Manoeuvre(Protocol):
+    """A sequence of steps that starts at some speed."""
+
+    speed_mps: float
+
+    def __call__(self, wheelbase_m: float, dt_s: float) -> Steps:
+        """Steps for a vehicle of this wheelbase."""
+        ...
+
+
+def _times(duration_s: float, dt_s: float) -> Float[Tensor, " T"]:
+    return dt_s * torch.arange(max(1, round(duration_s / dt_s)), dtype=torch.float64)
+
+
+@dataclass(frozen=True)
+class Slalom:
+    """Curvature κ sin(2π t / period) at constant acceleration; one period is an S-curve.
+
+    Args:
+        speed_mps: Speed at the start.
+        curvature: Largest curvature in 1/m, positive to start to the left.
+        period_s: Length of one left and one right turn.
+        periods: How many of them.
+        acceleration_mps2: Acceleration throughout.
+
+    Raises:
+        ValueError: The period is not positive.
+    """
+
+    speed_mps: float
+    curvature: float
+    period_s: float
+    periods: int = 1
+    acceleration_mps2: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_positive("period_s", self.period_s)
+
+    def __call__(self, wheelbase_m: float, dt_s: float) -> Steps:
+        """Steps for a vehicle of this wheelbase."""
+        times = _times(self.period_s * self.periods, dt_s)
+        curvature = self.curvature * (2 * math.pi * times / self.period_s).sin()
+        return Steps(
+            torch.full_like(times, self.acceleration_mps2), (wheelbase_m * curvature).atan()
+        )
+
+
+@dataclass(frozen=True)
+class Turn:
+    """Turn by an angle on a radius, eased in and out over `ramp_s`, then go straight.
+
+    Args:
+        speed_mps: Speed at the start.
+        angle_rad: Change of heading, positive to the left.
+        radius_m: Radius of the turn.
+        ramp_s: Time to steer in, and to steer out.
+        straight_s: Straight driving before and after.
+        acceleration_mps2: Acceleration throughout.
+
+    Raises:
+        ValueError: Speed, radius or ramp is not positive.
+    """
+
+    speed_mps: float
+    angle_rad: float
+    radius_m: float
+    ramp_s: float = 1.0
+    straight_s: float = 1.0
+    acceleration_mps2: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("speed_mps", "radius_m", "ramp_s"):
+            require_positive(name, getattr(self, name))
+
+    def __call__(self, wheelbase_m: float, dt_s: float) -> Steps:
+        """Steps for a vehicle of this wheelbase; the hold lasts until the angle is reached."""
+        # a ramp up and one down turn as far as one of them at full curvature
+        turning_s = abs(self.angle_rad) * self.radius_m / self.speed_mps + self.ramp_s
+        times = _times(turning_s + 2 * self.straight_s, dt_s) - self.straight_s
+        edge = torch.minimum(times, turning_s - times) / self.ramp_s
+        share = 0.5 - 0.5 * (math.pi * edge.clamp(0, 1)).cos()
+        curvature = math.copysign(1 / self.radius_m, self.angle_rad) * share
+        return Steps(
+            torch.full_like(times, self.acceleration_mps2), (wheelbase_m * curvature).atan()
+        )
+
+
+@dataclass(frozen=True)
+class Braking:
+    """Straight ahead: roll, then brake until well after the halt.
+
+    Args:
+        speed_mps: Speed at the start.
+        acceleration_mps2: Braking, negative.
+        roll_s: Rolling before.
+        hold_s: Braking after the halt.
+    """
+
+    speed_mps: float
+    acceleration_mps2: float = -3.0
+    roll_s: float = 1.0
+    hold_s: float = 1.0
+
+    def __call__(self, wheelbase_m: float, dt_s: float) -> Steps:
+        """Steps; straight for any wheelbase."""
+        braking_s = self.speed_mps / abs(self.acceleration_mps2)
+        times = _times(self.roll_s + braking_s + self.hold_s, dt_s)
+        acceleration = torch.where(times < self.roll_s, 0.0, self.acceleration_mps2).double()
+        return Steps(acceleration, torch.zeros_like(times))
+
+
+@dataclass(frozen=True)
+class RecordedControls:
+    """Controls from a CSV file with the columns `acceleration_mps2` and `steer_rad`.
+
+    Args:
+        path: The file, one row per control step.
+        speed_mps: Speed at the start.
+    """
+
+    path: str | Path
+    speed_mps: float = 0.0
+
+    def __call__(self, wheelbase_m: float, dt_s: float) -> Steps:
+        """Steps as recorded.
+
+        Raises:
+            ValueError: The file is missing, lacks a column, is empty, or holds something else.
+        """
+        columns = ("acceleration_mps2", "steer_rad")
+        try:
+            with Path(self.path).open(newline="") as stream:
+                rows = [[float(row[name]) for name in columns] for row in csv.DictReader(stream)]
+        except (OSError, KeyError, TypeError, ValueError) as problem:
+            wanted = f"be a CSV file of numbers with the columns {', '.join(columns)}"
+            raise ValueError(message("controls", wanted, f"{self.path} ({problem})")) from problem
+        values = torch.tensor(rows, dtype=torch.float64)
+        if values.numel() == 0 or not bool(torch.isfinite(values).all()):
+            raise ValueError(message("controls", "hold finite numbers", f"{self.path}"))
+        return Steps(values[:, 0], values[:, 1])

@@ -1,0 +1,43 @@
+"""Drive one vehicle open loop, beside other models under the same commands."""
+
+import logging
+from pathlib import Path
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from diffstack_mmv.cli import command
+from diffstack_mmv.dynamics.open_loop import drive, save_run, wheel_history
+from diffstack_mmv.plotting import draw_runs, draw_wheels, save_figure
+from diffstack_mmv.vehicles import VehicleSpec, config_folder
+
+logger = logging.getLogger(__name__)
+
+
+@command(config_folder(), "simulate")
+def main(config: DictConfig) -> None:
+    """Run the models, write trajectories and figures."""
+    spec = VehicleSpec.from_config(OmegaConf.to_container(config.vehicle))
+    manoeuvre = instantiate(config.recorded if config.controls else config.manoeuvre)
+    wheelbase_m = spec.wheelbase.entries()[0][0]
+    steps = manoeuvre(wheelbase_m, config.dt_s)
+    chosen = {config.names.dynamics: config.dynamics}
+    others = {name: each for name, each in config.others.items() if each and name not in chosen}
+    names = [wheel.name for wheel in spec.wheels]
+    runs, out = {}, Path(config.out)
+    for name, each in (chosen | others).items():
+        model = instantiate(each).double()
+        runs[name] = drive(model, steps, manoeuvre.speed_mps, wheelbase_m, spec.rear_m)
+        save_run(out / f"trajectory_{name}.csv", model, runs[name])
+        history = wheel_history(model, runs[name])
+        if history is not None:
+            save_figure(draw_wheels(history, names, config.dt_s), out / f"wheels_{name}.png")
+    lean = runs[config.names.dynamics].states
+    leaning = lean[:, 6].numpy() if spec.leans and lean.shape[-1] > 6 else None
+    motions = {name: run.motion for name, run in runs.items()}
+    save_figure(draw_runs(motions, config.dt_s, leaning), out / "runs.png")
+    logger.info("Trajectories and figures: %s", out)
+
+
+if __name__ == "__main__":
+    main()
