@@ -111,10 +111,10 @@ class BrakingProfile(CostTerm):
 
 
 class GoalOutsideTurn(CostTerm):
-    """Depth in m² to which the goal lies inside the smallest turning circles: ReLU(ρ - ‖g - c_i‖)², summed over both sides.
+    """Squared depth of the goal inside the smallest turning circles, Σ_i ReLU(ρ - ‖g - c_i‖)².
 
-    A vehicle that only drives forward cannot reach a point inside of the circles that touch it on the left and on the right,
-    c_L, c_R = p ± ρ n(θ); around such a goal it would circle for ever.
+    A vehicle that only drives forward cannot turn into a point inside the circles that touch it on
+    the left and right, c_L, c_R = p ± ρ n(θ); it would circle around such a goal for ever.
 
     Args:
         radius_min_m: ρ, the wheelbase over the tangent of the largest steering angle, in m.

@@ -18,6 +18,7 @@ from diffstack_mmv.simulation.mppi import MPPIController
 from diffstack_mmv.simulation.pedestrians import OrcaCrowd, SocialForceCrowd
 from diffstack_mmv.simulation.people import ConstantVelocityPeople, OrcaPeople, PeopleForecast
 from diffstack_mmv.simulation.policies import Controller, OrcaPolicy, StraightLine
+from diffstack_mmv.simulation.pricing import PlanPrice
 from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
 from diffstack_mmv.simulation.safety import SafetyMargin
 from diffstack_mmv.simulation.scenario import CircleCrossing, Scenario, Scene, SquareCrossing
@@ -52,6 +53,7 @@ __all__ = [
     "OrcaPeople",
     "OrcaPolicy",
     "PeopleForecast",
+    "PlanPrice",
     "RectangleFootprint",
     "Rewards",
     "Robot",

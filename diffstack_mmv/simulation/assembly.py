@@ -1,4 +1,4 @@
-"""Vehicles for a benchmark from configurations: the one that drives, and the one its controller believes in."""
+"""Vehicles of a benchmark: the one that drives, and the one its controller believes in."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +16,8 @@ from diffstack_mmv.dynamics.gm3.steering import turning_axle_m
 from diffstack_mmv.simulation.held import HeldControl
 from diffstack_mmv.simulation.vehicle_robot import Actuation, VehicleRobot
 
+EULER_STEP_S = 0.05
+"""Step of a kinematic bicycle within a plan."""
 Actuate = Callable[[Float[Tensor, "*b m"]], Float[Tensor, "*b m"]]
 
 
@@ -91,7 +93,7 @@ def vehicle_robot(
 
 
 def controller_model(
-    believed: Driven, actual: Driven, dt_s: float = 0.25, step_s: float = 0.05
+    believed: Driven, actual: Driven, dt_s: float = 0.25, step_s: float | None = None
 ) -> HeldControl:
     """What a controller believes of the robot, seen from the robot's centre.
 
@@ -99,7 +101,9 @@ def controller_model(
         believed: Vehicle and dynamics that the controller believes in.
         actual: The vehicle that drives, for its reference point.
         dt_s: Time for which a control is held.
-        step_s: Step of the model, which divides it.
+        step_s: Step of the model, which divides it. Where it is None, a kinematic bicycle with its
+            Euler steps takes 0.05 s, any other model one step per control: the error of DiffGM3
+            after 1 s in steps of 0.25 s is at most about 1 cm.
 
     Returns:
         The model, in float32.
@@ -107,6 +111,8 @@ def controller_model(
     Raises:
         ValueError: The steps do not fit.
     """
+    if step_s is None:
+        step_s = EULER_STEP_S if isinstance(believed.model(dt_s), DiffKBM) else dt_s
     repeats = require_multiple("dt_s", dt_s, step_s, "for the model's step `step_s`")
     ahead = actual.reference_m() - believed.reference_m()
     return HeldControl(believed.model(step_s), repeats, ahead).to(torch.float32)

@@ -1,6 +1,5 @@
 """Where the people will be: forecasts that a controller plans against."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -12,9 +11,6 @@ from diffstack_mmv.checks import require_positive
 from diffstack_mmv.simulation.pedestrians import CrowdState, OrcaCrowd
 from diffstack_mmv.simulation.rounding import length
 from diffstack_mmv.simulation.world import Observation
-
-Memory = Callable[[Tensor], Tensor]
-"""Applied to every tensor that is remembered, e.g. to keep the rows of some episodes only."""
 
 
 @runtime_checkable
@@ -115,7 +111,7 @@ class OrcaPeople:
     def _guessed(
         self, position: Float[Tensor, "*b h 2"], velocity: Float[Tensor, "*b h 2"]
     ) -> Float[Tensor, "*b h 2"]:
-        """Goal in m that the velocity alone suggests; that of somebody at rest is where they are."""
+        """Goal in m that the velocity alone suggests; somebody at rest is there already."""
         speed = length(velocity)[..., None]
         full = speed > 0.95 * self.preferred_speed_mps
         ahead = torch.where(full, self.far_m / speed.clamp(min=0.1), torch.full_like(speed, 1.0))

@@ -1,4 +1,4 @@
-"""Whether a plan keeps clear of people: exact clearance between its points, and margins that grow with time."""
+"""Whether a plan keeps clear of people: clearance within its steps, and the margins asked."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
