@@ -1,0 +1,83 @@
+"""Scripted manoeuvres, recorded controls and open-loop runs."""
+
+import math
+
+import pytest
+import torch
+
+from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle
+from diffstack_mmv.dynamics.lagged_truth import VARIANTS, LaggedTruth, courses, score
+from diffstack_mmv.dynamics.manoeuvres import Braking, RecordedControls, Slalom, Turn
+from diffstack_mmv.dynamics.open_loop import drive, save_run, wheel_history
+from diffstack_mmv.vehicles import load_vehicle
+
+SPEC = load_vehicle("bicycle")
+
+
+def run(model, manoeuvre):
+    model = model(SPEC).double()
+    steps = manoeuvre(1.05, 0.1)
+    return drive(model, steps, manoeuvre.speed_mps, 1.05, SPEC.rear_m)
+
+
+@pytest.mark.parametrize("angle", [math.pi / 2, -math.pi])
+def test_turn_ends_at_its_angle(angle):
+    motion = run(ExtendedUnicycle, Turn(4.0, angle, 6.0)).motion
+    assert motion.heading[-1].item() == pytest.approx(angle, abs=0.1)
+
+
+def test_slalom_comes_back_to_its_heading():
+    motion = run(ExtendedUnicycle, Slalom(4.0, 0.1, 6.0, 3)).motion
+    assert motion.heading[-1].abs() < 0.05
+
+
+@pytest.mark.parametrize("model", [DiffGM3, DiffKBM, ExtendedUnicycle])
+def test_models_agree_on_gentle_commands(model):
+    gentle = Slalom(3.0, 0.02, 6.0)
+    paths = [run(each, gentle).motion.position for each in (model, DiffKBM)]
+    assert (paths[0] - paths[1]).norm(dim=-1).max() < 0.15
+
+
+def test_braking_stops_the_vehicle():
+    motion = run(DiffGM3, Braking(4.0)).motion
+    assert motion.velocity[-1].norm() < 0.05
+
+
+def test_recorded_controls_are_driven_and_saved(tmp_path):
+    (tmp_path / "controls.csv").write_text("acceleration_mps2,steer_rad\n0.5,0.0\n0.5,0.1\n")
+    recorded = RecordedControls(tmp_path / "controls.csv", 2.0)
+    found = run(DiffGM3, recorded)
+    save_run(tmp_path / "out.csv", DiffGM3(SPEC), found)
+    lines = (tmp_path / "out.csv").read_text().splitlines()
+    assert lines[0].startswith("time_s,position_x") and lines[0].endswith("acceleration,steer")
+    assert len(lines) == 4
+    assert wheel_history(DiffGM3(SPEC).double(), found).normal_load.shape == (2, 2)
+
+
+@pytest.mark.parametrize(
+    "text", ["a,b\n1,2\n", "acceleration_mps2,steer_rad\n", "acceleration_mps2,steer_rad\n1,nan\n"]
+)
+def test_file_without_controls_is_refused(tmp_path, text):
+    (tmp_path / "controls.csv").write_text(text)
+    with pytest.raises(ValueError, match="`controls` must"):
+        RecordedControls(tmp_path / "controls.csv")(1.0, 0.1)
+
+
+def test_truth_follows_its_commands_with_a_lag():
+    command = torch.tensor([1.0, 0.05]).double().expand(30, 2)
+    signals = LaggedTruth(drag=0.0)(command, 3.0, 0.1)
+    assert signals.realised[0, 0] < 0.3
+    assert signals.realised[-1].tolist() == pytest.approx([1.0, 0.05], rel=1e-3)
+
+
+def test_kinematic_model_is_near_the_truth_when_handed_its_signals():
+    course = courses()["S-curve"]
+    raw, realised = (score(SPEC, course, VARIANTS[letter]) for letter in ("B", "C"))
+    assert realised.kbm_m < 0.2 < raw.kbm_m
+    assert raw.gm3_m == pytest.approx(realised.gm3_m)
+
+
+def test_left_and_right_score_alike():
+    chosen = courses()
+    left, right = (score(SPEC, chosen[f"{side} turn"], VARIANTS["E"]) for side in ("left", "right"))
+    assert left == pytest.approx(right, rel=1e-6)
