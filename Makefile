@@ -19,7 +19,7 @@ $(BIN)/.installed: requirements.lock pyproject.toml
 install: $(BIN)/.installed ## Create .venv with the locked dependencies
 
 quickstart: install ## Sample, conversion, training, per-mode table: about five minutes
-	$(BIN)/python scripts/generate_sample.py out=$(OUT)/recordings seed=0
+	test -d $(OUT)/recordings || $(BIN)/python scripts/generate_sample.py out=$(OUT)/recordings seed=0
 	$(BIN)/python scripts/convert.py data=imptc data.root=$(OUT)/recordings data.cache=$(OUT)/cache
 	$(BIN)/python scripts/train.py experiment=quickstart data=imptc data.cache=$(OUT)/cache out=$(OUT)/run
 	$(BIN)/python scripts/evaluate.py checkpoint=$(OUT)/run/checkpoints/best.ckpt data=imptc data.cache=$(OUT)/cache out=$(OUT)/report
