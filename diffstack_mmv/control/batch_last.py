@@ -48,7 +48,7 @@ def unpack(packed: Float[Tensor, "*t R N"], *shapes: tuple[int, ...]) -> tuple[T
 
 def pack(*parts: Tensor) -> Tensor:
     """Inverse of `unpack`: one column of rows from matrices and vectors with the batch last."""
-    return torch.cat([part.reshape(-1, part.shape[-1]) for part in parts], 0)
+    return torch.cat([part.flatten(0, -2) for part in parts])
 
 
 def walk(
@@ -89,10 +89,10 @@ def _fresh(tensor: Tensor) -> Tensor:
 
 def to_batch_last(tensor: Tensor, like: Float[Tensor, "*b"]) -> Tensor:
     """(*b, rows...) to (rows..., N), N being the product of the leading dimensions, which `like` has the shape of."""
-    return tensor.reshape(like.numel(), *tensor.shape[like.dim() :]).movedim(0, -1)
+    return tensor.reshape((like.numel(), *tensor.shape[like.dim() :])).movedim(0, -1)
 
 
 def from_batch_last(tensor: Tensor, like: Float[Tensor, "*b"]) -> Tensor:
     """(rows..., N) back to (*b, rows...)."""
     rows = tensor.movedim(-1, 0)
-    return rows.reshape(*like.shape, *rows.shape[1:])
+    return rows.reshape((*like.shape, *rows.shape[1:]))

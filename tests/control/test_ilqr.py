@@ -1,0 +1,176 @@
+"""The solver finds constrained optima, whatever it is given."""
+
+import pytest
+import torch
+from scipy.optimize import minimize
+
+from diffstack_mmv.control import ILQR, Batched, Bounds, SolverStatus
+from tests.control.problems import driving, goal_cost, rate_model, solve
+
+SOLVER = ILQR()
+
+
+def double_integrator(state, control):
+    return torch.stack([state[..., 0] + 0.1 * state[..., 1], state[..., 1] + 0.1 * control[..., 0]], -1)
+
+
+def quadratic(states, controls):
+    return (states - 1).square().sum(-1) + 0.1 * controls.square().sum(-1)
+
+
+def box(limit, m=1):
+    return Bounds(-limit * torch.ones(m), limit * torch.ones(m))
+
+
+@pytest.mark.usefixtures("double")
+@pytest.mark.parametrize("limit", [torch.inf, 2.0])
+def test_linear_quadratic_problem_equals_a_dense_solver(limit):
+    state = torch.tensor([0.3, -0.2])
+    solution = SOLVER(double_integrator, quadratic, box(limit), state, torch.zeros(15, 1))
+
+    def total(flat):
+        u = torch.tensor(flat).reshape(15, 1).requires_grad_()
+        states = [state]
+        for control in u:
+            states.append(double_integrator(states[-1], control))
+        value = quadratic(torch.stack(states), torch.cat([u, torch.zeros(1, 1)])).sum()
+        value.backward()
+        return value.item(), u.grad.flatten().numpy()
+
+    limits = [(-limit, limit)] * 15
+    dense = minimize(total, torch.zeros(15).numpy(), jac=True, method="L-BFGS-B", bounds=limits, tol=1e-15)
+    assert solution.converged
+    assert solution.cost.item() == pytest.approx(dense.fun, rel=1e-9)
+    torch.testing.assert_close(solution.controls.flatten(), torch.tensor(dense.x), rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("limit", [50.0, 3.0, 0.5])
+def test_controls_keep_the_box_exactly(limit):
+    hidden, bounds, controls = driving(batch=(32,), limit=limit)
+    solution = solve(SOLVER, hidden, bounds, controls)
+    assert solution.converged.all()
+    assert (solution.controls >= bounds.lower).all()
+    assert (solution.controls <= bounds.upper).all()
+
+
+def test_states_follow_the_dynamics():
+    hidden, bounds, controls = driving()
+    solution = solve(SOLVER, hidden, bounds, controls)
+    step = rate_model(hidden["wheelbase"])
+    following = step(solution.states[..., :-1, :], solution.controls)
+    torch.testing.assert_close(solution.states[..., 1:, :], following, rtol=1e-5, atol=1e-5)
+
+
+def test_more_iterations_never_raise_the_cost():
+    hidden, bounds, controls = driving(batch=(16,))
+    costs = [solve(ILQR(max_iterations=k), hidden, bounds, controls).cost for k in range(1, 8)]
+    assert (torch.stack(costs).diff(dim=0) <= 1e-5).all()
+
+
+@pytest.mark.usefixtures("double")
+def test_answer_is_free_of_the_batch_mates():
+    hidden, bounds, controls = driving(batch=(5,))
+    together = solve(SOLVER, hidden, bounds, controls)
+    for i in range(5):
+        alone = hidden | {name: hidden[name][i] for name in ("goal", "state")}
+        single = solve(SOLVER, alone, bounds, controls[i])
+        torch.testing.assert_close(single.controls, together.controls[i], rtol=1e-6, atol=1e-8)
+        assert single.iterations == together.iterations[i]
+
+
+@pytest.mark.parametrize("batch", [(), (1,), (2, 3), (0,)])
+def test_any_leading_dimensions(batch):
+    hidden, bounds, controls = driving(batch=batch)
+    solution = solve(SOLVER, hidden, bounds, controls)
+    assert solution.states.shape == (*batch, 13, 4)
+    assert solution.cost.shape == solution.status.shape == batch
+    assert solution.converged.all()
+
+
+def test_horizon_of_one_step():
+    hidden, bounds, controls = driving(steps=1)
+    assert solve(SOLVER, hidden, bounds, controls).converged.all()
+
+
+def test_box_of_zero_width_holds_the_control():
+    hidden, _, controls = driving()
+    held = Bounds(torch.tensor([0.5, -1.0]), torch.tensor([0.5, 1.0]))
+    solution = solve(SOLVER, hidden, held, controls)
+    assert solution.converged.all()
+    assert (solution.controls[..., 0] == 0.5).all()
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_scale_of_the_cost_does_not_change_the_plan(scale):
+    hidden, bounds, controls = driving()
+    dynamics, cost = rate_model(hidden["wheelbase"]), goal_cost(hidden["goal"], hidden["weight"])
+    plain = SOLVER(dynamics, cost, bounds, hidden["state"], controls)
+    scaled = SOLVER(dynamics, lambda x, u: scale * cost(x, u), bounds, hidden["state"], controls)
+    assert scaled.converged.all()
+    torch.testing.assert_close(scaled.controls, plain.controls, rtol=0, atol=2e-2)
+
+
+@pytest.mark.parametrize("controls_per_step", [1, 2, 3])
+def test_any_number_of_controls(controls_per_step):
+    m = controls_per_step
+
+    def step(state, control):
+        return state + 0.2 * control.tanh()
+
+    solution = SOLVER(step, lambda x, u: (x - 2).square().sum(-1), box(0.8, m), torch.zeros(4, m), torch.zeros(4, 6, m))
+    assert solution.converged.all()
+    assert (solution.controls == 0.8).all()
+
+
+def test_nan_in_one_problem_is_a_status_and_leaves_the_others_alone():
+    hidden, bounds, controls = driving()
+    clean = solve(SOLVER, hidden, bounds, controls)
+    hidden["state"][2, 0] = torch.nan
+    solution = solve(SOLVER, hidden, bounds, controls)
+    assert solution.status[2] == SolverStatus.NOT_FINITE
+    assert all(part.isnan().sum() == 0 for part in solution)
+    others = torch.arange(6) != 2
+    torch.testing.assert_close(solution.controls[others], clean.controls[others])
+
+
+def test_too_few_iterations_are_a_status():
+    hidden, bounds, controls = driving()
+    solution = solve(ILQR(max_iterations=1), hidden, bounds, controls)
+    assert (solution.status == SolverStatus.ITERATION_LIMIT).all()
+
+
+def test_a_batched_cost_gives_the_same_answers_with_fewer_problems_at_work():
+    hidden, bounds, controls = driving(batch=(40,))
+    plain = solve(SOLVER, hidden, bounds, controls)
+    sizes = []
+
+    def cost(states, padded, goal):
+        sizes.append(len(goal))
+        return goal_cost(goal, hidden["weight"])(states, padded)
+
+    dynamics = Batched(rate_model(hidden["wheelbase"]))
+    narrowed = SOLVER(dynamics, Batched(cost, hidden["goal"]), bounds, hidden["state"], controls)
+    assert min(sizes) < 40
+    torch.testing.assert_close(narrowed.controls, plain.controls, rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"controls": torch.zeros(2, 5, 2)}, "leading dimensions"),
+        ({"controls": torch.zeros(3, 0, 2)}, "at least one step"),
+        ({"controls": torch.zeros(3, 5, 1)}, "shape"),
+        ({"controls": torch.zeros(3, 5, 2, dtype=torch.float64)}, "float32"),
+        ({"bounds": Bounds(torch.ones(2), -torch.ones(2))}, "in order"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused(change, told):
+    arguments = {"bounds": box(1.0, 2), "state": torch.zeros(3, 4), "controls": torch.zeros(3, 5, 2)} | change
+    with pytest.raises(ValueError, match=told):
+        SOLVER(rate_model(1.0), lambda x, u: x.sum(-1), **arguments)
+
+
+@pytest.mark.parametrize("field", ["max_iterations", "tolerance", "line_search_steps", "regularisation"])
+def test_settings_must_be_positive(field):
+    with pytest.raises(ValueError, match=field):
+        ILQR(**{field: 0})
