@@ -10,7 +10,6 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import OmegaConf, open_dict
 
-import diffstack_mmv.cli  # noqa: F401  registers the resolvers
 from diffstack_mmv.types import StackBatch
 from diffstack_mmv.vehicles import config_folder
 from tests.stack.test_module import straight_tracks

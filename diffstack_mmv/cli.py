@@ -15,14 +15,6 @@ from hydra.errors import CompactHydraException, HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from diffstack_mmv.checks import require, require_multiple
-
-# `${steps:horizon_s,dt_s}` in a configuration: a horizon in steps, refused if it is no whole number
-# of them
-OmegaConf.register_new_resolver(
-    "steps", lambda horizon_s, dt_s: require_multiple("horizon_s", horizon_s, dt_s), replace=True
-)
-
 # `${smaller:a,b}`, and the smallest turning radius of a vehicle
 OmegaConf.register_new_resolver("smaller", min, replace=True)
 OmegaConf.register_new_resolver(
@@ -104,7 +96,8 @@ def _read_vehicle_file(config: DictConfig) -> None:
     if file is None:
         return
     path = Path(file)
-    require(path.is_file(), "vehicle", "be a name or an existing YAML file", repr(file))
+    if not path.is_file():
+        raise ValueError(f"`vehicle` must be a name or an existing YAML file, but got {file!r}.")
     config.vehicle = OmegaConf.load(path)
 
 

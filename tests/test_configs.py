@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
+from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
@@ -90,5 +91,6 @@ def test_experiments_only_override(experiment):
 
 
 def test_horizon_that_is_no_multiple_of_the_step_is_refused():
-    with pytest.raises(Exception, match=r"`horizon_s` must be a multiple of 0\.1"):
-        composed("train", "horizon_s=2.95")
+    config = composed("train", "horizon_s=2.95")
+    with pytest.raises(InstantiationException, match=r"`horizon_s` must be a multiple of 0\.1"):
+        instantiate(config.stack)
