@@ -63,7 +63,7 @@ def main(config: DictConfig) -> None:
         "believed_dynamics": config.believed.dynamics,
     }
     rows = {name: summarise(each) for name, each in baselines.items()}
-    published = OmegaConf.to_container(config.published) if config.published else []
+    published = [dict(each) for each in config.published or ()]
     write_closed_loop(out, header | summarise(chunks), rows, published)
     records = [chunk.record for chunk in chunks]
     save_stories(out, numbers, records, scenario.human_radius_m, config.animate)

@@ -17,7 +17,7 @@ from diffstack_mmv.simulation.manoeuvres import DetourFan
 from diffstack_mmv.simulation.mppi import MPPIController
 from diffstack_mmv.simulation.pedestrians import OrcaCrowd, SocialForceCrowd
 from diffstack_mmv.simulation.people import ConstantVelocityPeople, OrcaPeople, PeopleForecast
-from diffstack_mmv.simulation.policies import Controller, OrcaPolicy, StraightLine
+from diffstack_mmv.simulation.policies import BlindDriver, Controller, OrcaPolicy, StraightLine
 from diffstack_mmv.simulation.pricing import PlanPrice
 from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
 from diffstack_mmv.simulation.safety import SafetyMargin
@@ -31,6 +31,7 @@ __all__ = [
     "ENV_ID",
     "VERDICTS",
     "Actuation",
+    "BlindDriver",
     "Choice",
     "Chunk",
     "CircleCrossing",

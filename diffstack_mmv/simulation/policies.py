@@ -8,11 +8,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
+from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.simulation.pedestrians import OrcaCrowd
 from diffstack_mmv.simulation.pedestrians.base import towards
 from diffstack_mmv.simulation.pedestrians.half_planes import Agents, Neighbours
 from diffstack_mmv.simulation.rounding import unit_vector
 from diffstack_mmv.simulation.world import Observation
+from diffstack_mmv.types import Motion
 
 
 @runtime_checkable
@@ -88,3 +90,36 @@ class OrcaPolicy:
             valid=torch.ones_like(radius, dtype=torch.bool),
         )
         return self.orca.velocity(robot, humans, self.dt_s)
+
+
+class BlindDriver:
+    """Drive a vehicle straight to the goal and stop there, blind to the humans.
+
+    Args:
+        dynamics: Model of the vehicle, whose step is the time between two decisions.
+        cruise_mps: Cruising speed.
+        braking_mps2: Deceleration towards the goal.
+
+    Raises:
+        ValueError: A number is not positive.
+    """
+
+    def __init__(
+        self, dynamics: DynamicsModel, cruise_mps: float = 3.0, braking_mps2: float = 2.8
+    ) -> None:
+        require_positive("cruise_mps", cruise_mps)
+        require_positive("braking_mps2", braking_mps2)
+        self.dynamics = dynamics
+        self.cruise_mps = cruise_mps
+        self.braking_mps2 = braking_mps2
+
+    @torch.no_grad()
+    def __call__(self, observation: Observation) -> Float[Tensor, "*b m"]:
+        """Control in SI units."""
+        like = self.dynamics.bounds.lower
+        motion = Motion(*(field.to(like) for field in observation.motion))
+        way = (observation.goal.to(like) - motion.position).square().sum(-1).sqrt()
+        target = (2 * self.braking_mps2 * way).sqrt().clamp(max=self.cruise_mps)
+        acceleration = (target - motion.velocity[..., 0]) / self.dynamics.dt_s
+        state = self.dynamics.initial_state(motion)
+        return self.dynamics.control_for(state, acceleration, torch.zeros_like(acceleration))
