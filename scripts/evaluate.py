@@ -32,6 +32,8 @@ def main(config: DictConfig) -> None:
     stack, trained = load_stack(Path(config.checkpoint), _device(config.device))
     if "goal" in config:
         stack.goal = instantiate(config.goal)
+    if "solver" in config:
+        stack.planner.solver = instantiate(config.solver)
     data = instantiate(config.data.module)
     data.prepare_splits([config.split])
     windows = data.dataset(config.split)
