@@ -49,7 +49,8 @@ def test_recorded_controls_are_driven_and_saved(tmp_path):
     found = run(DiffGM3, recorded)
     save_run(tmp_path / "out.csv", DiffGM3(SPEC), found)
     lines = (tmp_path / "out.csv").read_text().splitlines()
-    assert lines[0].startswith("time_s,position_x") and lines[0].endswith("acceleration,steer")
+    assert lines[0].startswith("time_s,position_x")
+    assert lines[0].endswith("acceleration,steer")
     assert len(lines) == 4
     assert wheel_history(DiffGM3(SPEC).double(), found).normal_load.shape == (2, 2)
 
