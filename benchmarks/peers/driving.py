@@ -1,0 +1,72 @@
+"""The benchmark problem of all solvers: a kinematic bicycle that drives to a goal around an obstacle.
+
+State (x, y, heading, speed), control (acceleration, steer), 0.1 s steps, box bounds; goal, heading, speed, effort and one
+Gaussian bump, which makes it non-convex. Every formula is written once, on components and any array namespace.
+"""
+
+import numpy as np
+
+DT, WHEELBASE = 0.1, 1.05
+WEIGHTS = (0.005, 0.05, 0.20, 0.02, 0.10, 2.0, 0.5)
+LOWER, UPPER = (-5.0, -0.785), (4.0, 0.785)
+
+
+def step(xp, state, control, wheelbase=WHEELBASE):
+    """One Euler step; the speed stays at zero or above."""
+    x, y, heading, speed = state
+    acceleration, steer = control
+    after = xp.maximum(speed + DT * acceleration, 0)
+    return (
+        x + DT * speed * xp.cos(heading),
+        y + DT * speed * xp.sin(heading),
+        heading + DT * after / wheelbase * xp.tan(steer),
+        after,
+    )
+
+
+def stage_cost(xp, state, control, p):
+    """Running cost; p = goal x, y, heading, speed, obstacle x, y, radius."""
+    x, y, heading, speed = state
+    away = (x - p[4]) ** 2 + (y - p[5]) ** 2
+    return (
+        WEIGHTS[0] * ((x - p[0]) ** 2 + (y - p[1]) ** 2)
+        + WEIGHTS[1] * (heading - p[2]) ** 2
+        + WEIGHTS[2] * (speed - p[3]) ** 2
+        + WEIGHTS[3] * control[0] ** 2
+        + WEIGHTS[4] * control[1] ** 2
+        + WEIGHTS[5] * xp.exp(-0.5 * away / p[6] ** 2)
+    )
+
+
+def final_cost(state, p):
+    """Squared distance of the last position to the goal."""
+    return WEIGHTS[6] * ((state[0] - p[0]) ** 2 + (state[1] - p[1]) ** 2)
+
+
+def instances(count, steps, seed=2024):
+    """Random problems: states (count, 4) and parameters (count, 7), float64; the goal is as far as the horizon lets it."""
+    rng = np.random.default_rng([seed, 2])
+    speed, heading = rng.uniform(1, 6, count), rng.uniform(-np.pi, np.pi, count)
+    position = rng.uniform(-1, 1, (count, 2))
+    distance = rng.uniform(3, 15, count) * steps / 30
+    bearing = heading + rng.uniform(-1, 1, count)
+    ahead = np.stack([np.cos(bearing), np.sin(bearing)], 1)
+    goal = position + distance[:, None] * ahead
+    side = rng.uniform(0.05, 0.8, count) * rng.choice([-1, 1], count)
+    between = rng.uniform(0.3, 0.7, count) * distance
+    left = np.stack([-ahead[:, 1], ahead[:, 0]], 1)
+    obstacle = position + between[:, None] * ahead + side[:, None] * left
+    wanted = np.clip(distance / (DT * steps), 0.8, 5)
+    radius = rng.uniform(0.5, 1, count)
+    states = np.column_stack([position, heading, speed])
+    return states, np.column_stack([goal, bearing, wanted, obstacle, radius])
+
+
+def true_cost(states, parameters, controls):
+    """Cost (count,) of controls (count, T, 2) in float64, clipped to the box first."""
+    controls = np.clip(np.asarray(controls, float), LOWER, UPPER)
+    state, p, total = tuple(states.T), parameters.T, 0.0
+    for control in controls.transpose(1, 2, 0):
+        total = total + stage_cost(np, state, control, p)
+        state = step(np, state, control)
+    return total + final_cost(state, p)
