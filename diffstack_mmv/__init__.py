@@ -1,3 +1,3 @@
-"""Differentiable dynamics for autonomous micro-mobility navigation: prediction, planning and control in PyTorch."""
+"""Differentiable prediction, planning and control for micro-mobility, in PyTorch."""
 
 __version__ = "0.1.0"

@@ -4,10 +4,10 @@ import json
 import logging
 from pathlib import Path
 
-from data_converters import ConversionSettings, ResampleSettings, convert
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from data_converters import ConversionSettings, ResampleSettings, convert
 from diffstack_mmv.checks import require
 from diffstack_mmv.cli import command
 from diffstack_mmv.vehicles import config_folder

@@ -3,9 +3,9 @@
 import logging
 from pathlib import Path
 
-from data_converters.imptc.download import Part, download_imptc
 from omegaconf import DictConfig
 
+from data_converters.imptc.download import Part, download_imptc
 from diffstack_mmv.checks import require_one_of
 from diffstack_mmv.cli import command
 from diffstack_mmv.vehicles import config_folder

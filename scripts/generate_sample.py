@@ -3,9 +3,9 @@
 import logging
 from pathlib import Path
 
-from data_converters import generate_sample
 from omegaconf import DictConfig
 
+from data_converters import generate_sample
 from diffstack_mmv.cli import command
 from diffstack_mmv.vehicles import config_folder
 
