@@ -61,7 +61,7 @@ class SolverStatus(IntEnum):
 
 _ADVICE = {
     SolverStatus.CONVERGED: "Converged: the projected gradient is within the tolerance.",
-    SolverStatus.ITERATION_LIMIT: "The iteration limit was hit: raise `max_iterations` or start closer.",
+    SolverStatus.ITERATION_LIMIT: "The limit was reached: raise `max_iterations` or start closer.",
     SolverStatus.STALLED: "No step lowers the cost: loosen `tolerance`, or solve in float64.",
     SolverStatus.NOT_FINITE: "State, cost or dynamics are NaN or infinite: check the inputs.",
 }
