@@ -4,12 +4,12 @@ import logging
 from pathlib import Path
 
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from diffstack_mmv.cli import command
 from diffstack_mmv.dynamics.open_loop import drive, save_run, wheel_history
 from diffstack_mmv.plotting import draw_runs, draw_wheels, save_figure
-from diffstack_mmv.vehicles import VehicleSpec, config_folder
+from diffstack_mmv.vehicles import config_folder
 
 logger = logging.getLogger(__name__)
 
@@ -17,7 +17,7 @@ logger = logging.getLogger(__name__)
 @command(config_folder(), "simulate")
 def main(config: DictConfig) -> None:
     """Run the models, write trajectories and figures."""
-    spec = VehicleSpec.from_config(OmegaConf.to_container(config.vehicle))
+    spec = instantiate(config.spec)
     manoeuvre = instantiate(config.recorded if config.controls else config.manoeuvre)
     wheelbase_m = spec.wheelbase.entries()[0][0]
     steps = manoeuvre(wheelbase_m, config.dt_s)
