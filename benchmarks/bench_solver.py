@@ -1,10 +1,11 @@
-"""Time, quality, gradient time and memory of trajectory optimisers on the same problems, one thread.
+"""Time, quality, gradient time and memory of trajectory optimisers on the same problems.
 
     python benchmarks/bench_solver.py run ours-compiled --out benchmarks/results/solver.jsonl
     python benchmarks/bench_solver.py table --out benchmarks/results/solver.jsonl
 
-Peers are optional and run in an environment of their own: `mpc` (mpc.pytorch) and `casadi`. Times are processor seconds
-of the process, the smallest of the repetitions, so that other work on the machine disturbs them little.
+Peers are optional and run in an environment of their own: `mpc` (mpc.pytorch) and `casadi`. Times
+are processor seconds of the process, the smallest of the repetitions, so that other work on the
+machine disturbs them little.
 """
 
 import argparse
@@ -48,7 +49,10 @@ def measure_ours(states, parameters, steps, repetitions, compile):
         backward.append(time.process_time() - start)
     converged = float(solution.converged.double().mean())
     return ours.controls_of(solution), dict(
-        first_s=first, forward_s=forward, backward_s=min(backward), converged=converged,
+        first_s=first,
+        forward_s=forward,
+        backward_s=min(backward),
+        converged=converged,
         iterations=float(solution.iterations.double().mean()),
     )
 
@@ -76,12 +80,17 @@ def run(name, out, batches, horizons, repetitions):
         for batch in batches:
             states, parameters = driving.instances(batch, steps)
             if name.startswith("ours"):
-                controls, row = measure_ours(states, parameters, steps, repetitions, name.endswith("compiled"))
+                controls, row = measure_ours(
+                    states, parameters, steps, repetitions, name.endswith("compiled")
+                )
             else:
                 controls, row = measure_peer(name, states, parameters, steps, repetitions)
             costs = driving.true_cost(states, parameters, controls)
             row |= dict(
-                solver=name, batch=batch, steps=steps, ms_per_problem=1e3 * row["forward_s"] / batch,
+                solver=name,
+                batch=batch,
+                steps=steps,
+                ms_per_problem=1e3 * row["forward_s"] / batch,
                 memory_mib=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
                 costs=np.round(costs, 7).tolist(),
             )
@@ -91,7 +100,7 @@ def run(name, out, batches, horizons, repetitions):
 
 
 def table(out):
-    """Markdown table and plot beside the raw rows; quality is measured against the best cost of any solver."""
+    """Markdown table and plot beside the raw rows; quality is against the best cost of any solver."""
     rows = [json.loads(line) for line in out.read_text().splitlines()]
     rows = list({(r["solver"], r["batch"], r["steps"]): r for r in rows}.values())
     best = {}
@@ -100,11 +109,13 @@ def table(out):
         costs = np.array(row["costs"])
         best[key] = np.fmin(best.get(key, costs), costs)
     lines = [
-        f"Kinematic bicycle around an obstacle, one thread, {platform.machine()}, torch {torch.__version__}, float32 "
-        "(IPOPT: float64). Processor time, smallest of the repetitions; start from zero controls; tolerance 1e-4. "
-        "`best` is the share of problems within 1e-4 of the cheapest solution that any solver here found.",
+        f"Kinematic bicycle around an obstacle, one thread, {platform.machine()}, torch "
+        f"{torch.__version__}, float32 (IPOPT: float64). Processor time, smallest of the repetitions; "
+        "start from zero controls; tolerance 1e-4. `best` is the share of problems within 1e-4 of the "
+        "cheapest solution that any solver here found.",
         "",
-        "| T | batch | solver | ms per problem | problems/s | backward / forward | best | converged | first call s | peak MiB |",
+        "| T | batch | solver | ms per problem | problems/s | backward / forward | best | converged "
+        "| first call s | peak MiB |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in sorted(rows, key=lambda r: (r["steps"], r["batch"], r["ms_per_problem"])):
@@ -129,10 +140,16 @@ def plot(rows, path):
 
     figure, axes = pyplot.subplots(figsize=(6, 4), constrained_layout=True)
     for name in SOLVERS:
-        chosen = sorted((r["batch"], r["ms_per_problem"]) for r in rows if r["solver"] == name and r["steps"] == 30)
+        chosen = sorted(
+            (r["batch"], r["ms_per_problem"])
+            for r in rows
+            if r["solver"] == name and r["steps"] == 30
+        )
         if chosen:
             axes.loglog(*zip(*chosen, strict=True), marker="o", label=name)
-    axes.set(xlabel="batch", ylabel="processor time per problem, ms", title="Kinematic bicycle, T = 30")
+    axes.set(
+        xlabel="batch", ylabel="processor time per problem, ms", title="Kinematic bicycle, T = 30"
+    )
     axes.legend()
     figure.savefig(path, dpi=150)
 
@@ -149,7 +166,13 @@ def main():
     if arguments.action == "table":
         table(arguments.out)
     else:
-        run(arguments.solver, arguments.out, arguments.batches, arguments.horizons, arguments.repetitions)
+        run(
+            arguments.solver,
+            arguments.out,
+            arguments.batches,
+            arguments.horizons,
+            arguments.repetitions,
+        )
 
 
 if __name__ == "__main__":

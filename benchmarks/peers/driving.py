@@ -1,7 +1,8 @@
-"""The benchmark problem of all solvers: a kinematic bicycle that drives to a goal around an obstacle.
+"""The problem of all solvers: a kinematic bicycle that drives to a goal around an obstacle.
 
-State (x, y, heading, speed), control (acceleration, steer), 0.1 s steps, box bounds; goal, heading, speed, effort and one
-Gaussian bump, which makes it non-convex. Every formula is written once, on components and any array namespace.
+State (x, y, heading, speed), control (acceleration, steer), 0.1 s steps, box bounds; goal, heading,
+speed, effort and one Gaussian bump, which makes it non-convex. Every formula is written once, on
+components and any array namespace.
 """
 
 import numpy as np
@@ -44,7 +45,7 @@ def final_cost(state, p):
 
 
 def instances(count, steps, seed=2024):
-    """Random problems: states (count, 4) and parameters (count, 7), float64; the goal is as far as the horizon lets it."""
+    """Random states (count, 4) and parameters (count, 7); goals within reach of the horizon."""
     rng = np.random.default_rng([seed, 2])
     speed, heading = rng.uniform(1, 6, count), rng.uniform(-np.pi, np.pi, count)
     position = rng.uniform(-1, 1, (count, 2))

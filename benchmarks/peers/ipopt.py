@@ -2,6 +2,7 @@
 
 import casadi
 import numpy as np
+
 from peers import driving
 
 
@@ -12,7 +13,7 @@ class Space:
 
 
 def build(steps, plugin="ipopt"):
-    """The nonlinear programme over controls and states, with initial state and parameters as parameters."""
+    """The nonlinear programme over controls and states; what varies is its parameter."""
     U, X = casadi.SX.sym("U", 2, steps), casadi.SX.sym("X", 4, steps)
     given = casadi.SX.sym("given", 11)
     p = [given[4 + i] for i in range(7)]

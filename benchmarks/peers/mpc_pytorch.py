@@ -3,6 +3,7 @@
 import numpy as np
 import torch
 from mpc import mpc
+
 from peers import driving
 
 
@@ -45,9 +46,19 @@ def solve_all(states, parameters, steps, iterations=30):
         for bound in (driving.LOWER, driving.UPPER)
     )
     solver = mpc.MPC(
-        5, 2, steps + 1, u_lower=low, u_upper=high, lqr_iter=iterations, eps=1e-4, verbose=-1,
-        grad_method=mpc.GradMethods.AUTO_DIFF, exit_unconverged=False, detach_unconverged=False,
-        backprop=False, n_batch=len(state),
+        5,
+        2,
+        steps + 1,
+        u_lower=low,
+        u_upper=high,
+        lqr_iter=iterations,
+        eps=1e-4,
+        verbose=-1,
+        grad_method=mpc.GradMethods.AUTO_DIFF,
+        exit_unconverged=False,
+        detach_unconverged=False,
+        backprop=False,
+        n_batch=len(state),
     )
     with torch.enable_grad():
         controls = solver(start, Cost(p, steps), Dynamics())[1]

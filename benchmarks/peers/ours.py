@@ -2,9 +2,9 @@
 
 import numpy as np
 import torch
-from peers import driving
 
 from diffstack_mmv.control import ILQR, Batched, Bounds
+from peers import driving
 
 
 class Space:
@@ -30,7 +30,7 @@ def callables(parameters, wheelbase):
 
 
 def solver(states, parameters, steps, compile):
-    """A function that solves the problems and returns the solution, and one that also differentiates it."""
+    """A function that solves the problems, differentiable in parameters and wheelbase."""
     box = Bounds(torch.tensor(driving.LOWER), torch.tensor(driving.UPPER))
     state, p = (torch.tensor(part, dtype=torch.float32) for part in (states, parameters))
     p.requires_grad_()

@@ -3,6 +3,7 @@
 from diffstack_mmv.control.ilqr import ILQR
 from diffstack_mmv.control.optimizer import Cost, Dynamics, LinearisedDynamics, TrajectoryOptimizer
 from diffstack_mmv.control.selection import Batched, Selectable
+from diffstack_mmv.control.unrolled import UnrolledILQR
 from diffstack_mmv.types import Bounds, Solution, SolverStatus
 
 __all__ = [
@@ -16,4 +17,5 @@ __all__ = [
     "Solution",
     "SolverStatus",
     "TrajectoryOptimizer",
+    "UnrolledILQR",
 ]

@@ -1,8 +1,9 @@
 """Products of small matrices with the batch in the last dimension, and the walk over time.
 
-Inside of the solver the batch N is the contiguous dimension: (time, rows, N) and (rows, columns, N). A matrix of a
-handful of rows is then a sum of a few long vectors, which a compiler turns into vector instructions over the batch and
-an eager CPU runs as a few large operations, where batched matrix products would call one tiny product per problem.
+Inside of the solver the batch N is the contiguous dimension: (time, rows, N) and (rows, columns,
+N). A matrix of a handful of rows is then a sum of a few long vectors, which a compiler turns into
+vector instructions over the batch and an eager CPU runs as a few large operations, where batched
+matrix products would call one tiny product per problem.
 """
 
 import math
@@ -57,10 +58,10 @@ def walk(
     inputs: Float[Tensor, "T R N"],
     reverse: bool = False,
 ) -> tuple[Tensor, Tensor]:
-    """Carry a value through time, forward or backward, and stack what each step puts out, oldest time first.
+    """Carry a value through time, forward or backward, and stack the outputs, oldest time first.
 
-    One tensor each is carried, read and written, so that a compiled step costs one slice. Compiled, the step becomes
-    one loop body (a graph as long as one step); eagerly it is a Python loop.
+    One tensor each is carried, read and written, so that a compiled step costs one slice. Compiled,
+    the step becomes one loop body (a graph as long as one step); eagerly it is a Python loop.
     """
     if torch.compiler.is_compiling():
         return _compiled_walk(step, carry, inputs, reverse)
@@ -88,7 +89,7 @@ def _fresh(tensor: Tensor) -> Tensor:
 
 
 def to_batch_last(tensor: Tensor, like: Float[Tensor, "*b"]) -> Tensor:
-    """(*b, rows...) to (rows..., N), N being the product of the leading dimensions, which `like` has the shape of."""
+    """(*b, rows...) to (rows..., N), N the product of *b, the shape of `like`."""
     return tensor.reshape((like.numel(), *tensor.shape[like.dim() :])).movedim(0, -1)
 
 

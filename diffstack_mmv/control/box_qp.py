@@ -1,4 +1,4 @@
-"""Small convex quadratic programs in a box, one per problem, solved exactly; the batch is the last dimension."""
+"""Small convex quadratic programs in a box, solved exactly; the batch is the last dimension."""
 
 import torch
 from jaxtyping import Bool, Float
@@ -18,11 +18,12 @@ def solve_box_qp(
 ) -> tuple[Float[Tensor, "m N"], Bool[Tensor, "m N"]]:
     """Minimise ½ k'Hk + g'k in lower ≤ k ≤ upper, for positive definite H.
 
-    One and two variables: the minimum over all active sets in closed form. More: projected Newton [TASSA], which ends
-    after finitely many steps for a quadratic; twelve are enough at the sizes of a control vector.
+     One and two variables: the minimum over all active sets in closed form. More: projected Newton
+    , which ends after finitely many steps for a quadratic; twelve are enough at the sizes of
+     a control vector.
 
     Returns:
-        The minimiser, and which of its entries are free (strictly inside of their interval).
+         The minimiser, and which of its entries are free (strictly inside of their interval).
     """
     m = g.shape[0]
     if m == 1:
@@ -69,9 +70,7 @@ def _minimum_of_active_sets(H: Tensor, g: Tensor, lower: Tensor, upper: Tensor) 
     return torch.stack([torch.where(feasible, k0, best[0]), torch.where(feasible, k1, best[1])])
 
 
-def free_inverse(
-    H: Float[Tensor, "m m N"], free: Bool[Tensor, "m N"]
-) -> Float[Tensor, "m m N"]:
+def free_inverse(H: Float[Tensor, "m m N"], free: Bool[Tensor, "m N"]) -> Float[Tensor, "m m N"]:
     """Inverse of the free rows and columns of a symmetric H, definite or not; zero elsewhere."""
     m = H.shape[0]
     if m == 2:
@@ -104,8 +103,9 @@ def largest(Q: Float[Tensor, "m m N"]) -> Float[Tensor, " N"]:
 def positive_lift(Q: Float[Tensor, "m m N"], definite: float) -> Float[Tensor, "m N"]:
     """What to add to the diagonal of a symmetric Q to make it positive definite; zero where it is.
 
-    One and two variables: the modified Cholesky factorisation with pivoting, which leaves the larger
-    diagonal entry alone if it can, so that a curvature in one direction does not spoil the other.
+    One and two variables: the modified Cholesky factorisation with pivoting, which leaves the
+    larger diagonal entry alone if it can, so that a curvature in one direction does not spoil the
+    other.
     More: the same lift for all. The smallest pivot is `definite` times the largest entry.
     """
     scale = largest(Q)
@@ -118,7 +118,9 @@ def positive_lift(Q: Float[Tensor, "m m N"], definite: float) -> Float[Tensor, "
         return (floor - smallest).clamp_min(0).expand(m, -1)
     pivot, other = torch.maximum(Q[0, 0], Q[1, 1]), torch.minimum(Q[0, 0], Q[1, 1])
     square = Q[0, 1].square()
-    raised = torch.maximum(pivot, torch.maximum(floor, square / (scale + torch.finfo(Q.dtype).tiny)))
+    raised = torch.maximum(
+        pivot, torch.maximum(floor, square / (scale + torch.finfo(Q.dtype).tiny))
+    )
     lifts = raised - pivot, (floor + square / raised - other).clamp_min(0)
     is_first = Q[0, 0] >= Q[1, 1]
     return torch.stack([torch.where(is_first, *lifts), torch.where(is_first, lifts[1], lifts[0])])

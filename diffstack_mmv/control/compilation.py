@@ -1,4 +1,4 @@
-"""Compiles the kernels of the solver, and falls back to eager execution where that is not possible."""
+"""Compiles the kernels of the solver, and runs them eagerly where that is not possible."""
 
 import functools
 import logging
@@ -25,7 +25,7 @@ FAILURES = (TorchDynamoException, InductorError)
 
 
 def kind(function: Any) -> Hashable:
-    """What two callables that share a compiled kernel have in common: the code, not the tensors it closes over."""
+    """What callables that share a kernel have in common: their code, not what they close over."""
     if isinstance(function, functools.partial):
         return kind(function.func)
     if isinstance(function, Batched):
@@ -57,13 +57,16 @@ class Kernel:
         if self.compiled is None:
             for argument in arguments:
                 map_tensors(_mark_batch, argument)
-            self.compiled = torch.compile(_copy(self.function), fullgraph=True, options=self.options)
+            self.compiled = torch.compile(
+                _copy(self.function), fullgraph=True, options=self.options
+            )
         try:
             return self.compiled(*arguments)
         except FAILURES as failure:
             reason = next(iter(str(failure).strip().splitlines()), type(failure).__name__)
             LOGGER.warning(
-                "`%s` could not be compiled (%s) and runs eagerly. Install a C++ compiler, or set `compile=False`.",
+                "`%s` could not be compiled (%s) and runs eagerly. "
+                "Install a C++ compiler, or set `compile=False`.",
                 self.function.__name__,
                 reason,
             )
@@ -100,7 +103,9 @@ def _models(key: Hashable, device: str) -> tuple[Kernel, Kernel, Kernel]:
     return Kernel(start, options), Kernel(expand, options), Kernel(attempt, options)
 
 
-def compiled_kernels(dynamics: Dynamics, cost: Cost, static: tuple[int, ...], device: str) -> Kernels:
+def compiled_kernels(
+    dynamics: Dynamics, cost: Cost, static: tuple[int, ...], device: str
+) -> Kernels:
     """Kernels for problems of this kind, compiled at their first use.
 
     Args:
@@ -120,7 +125,7 @@ def _options(device: str) -> dict[str, Any]:
 
 
 def _mark_batch(tensor: Tensor) -> Tensor:
-    """Tell the compiler that the batch varies, so that it compiles no second time for the second size."""
+    """Tell the compiler that the batch varies, which spares it a second compilation."""
     if tensor.dim() and tensor.shape[-1] > LARGEST_ROW:
         maybe_mark_dynamic(tensor, tensor.dim() - 1)
     return tensor

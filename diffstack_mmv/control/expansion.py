@@ -1,8 +1,8 @@
-"""Local models of a problem around trajectories: linear dynamics, quadratic cost, curvature of the dynamics.
+"""Local models around trajectories: linear dynamics, quadratic cost, curvature of the dynamics.
 
-All B·T pairs go through one call. The callables always see the leading dimensions `*b` of the problem, whatever the
-solver adds around them (times, step sizes, tangents), because the additions are `vmap` dimensions: closures over
-tensors of shape `*b ...` broadcast as their author meant.
+All B·T pairs go through one call. The callables always see the leading dimensions `*b` of the
+problem, whatever the solver adds around them (times, step sizes, tangents), because the additions
+are `vmap` dimensions: closures over tensors of shape `*b ...` broadcast as their author meant.
 """
 
 from collections.abc import Callable
@@ -36,7 +36,9 @@ def step_all(
     """One step from each of the T states; `dynamics` sees `*b n`, without the times."""
 
     def one_time(state: Tensor, control: Tensor) -> Tensor:
-        return dynamics(state, control)  # a bare module would be printed by vmap, which no compiler likes
+        return dynamics(
+            state, control
+        )  # a bare module would be printed by vmap, which no compiler likes
 
     return torch.vmap(one_time, (-2, -2))(states, controls).movedim(0, -2)
 

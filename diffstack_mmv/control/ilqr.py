@@ -1,4 +1,4 @@
-"""Box-constrained trajectory optimisation with exact second derivatives, for a batch of problems."""
+"""Box-constrained trajectory optimisation with exact second derivatives, batched."""
 
 from dataclasses import dataclass
 
@@ -19,33 +19,44 @@ from diffstack_mmv.types import Bounds, Solution, SolverStatus
 
 @dataclass(frozen=True)
 class ILQR:
-    """Differentiable, batched, box-constrained trajectory optimisation: control-limited DDP [TASSA].
+    """Differentiable, batched trajectory optimisation in a box: control-limited DDP.
 
-        min Σ_t c_t(x_t, u_t)   subject to   x_{t+1} = f(x_t, u_t),   lower ≤ u_t ≤ upper,   x_0 given
+        min Σ_t c_t(x_t, u_t)  subject to  x_{t+1} = f(x_t, u_t),  lower ≤ u_t ≤ upper,  x_0 given
 
-    Each iteration expands all B·T pairs in one call (f to first order, c + λ · f to second), walks a Riccati recursion with
-    an exact box QP at each time, and rolls out all step sizes in one batch, keeping the cheapest. Where the exact Hessian
-    of the Lagrangian gives an indefinite Q_uu, that problem takes the step of the model whose Hessians are projected to the
-    nearest positive semidefinite ones. Damping of Q_uu grows after a refused step and decays after a long one. Problems
-    converge one by one; a finished one is frozen, and its answer does not depend on its batch mates.
+    Each iteration expands all B·T pairs in one call (f to first order, c + λ · f to second), walks
+    a Riccati recursion with an exact box QP at each time, and rolls out all step sizes in one
+    batch, keeping the cheapest. Where the exact Hessian of the Lagrangian gives an indefinite Q_uu,
+    that problem takes the step of a convex model instead: the diagonal of the Hessian over
+    (x_t, u_t) is raised at every time until it dominates its rows. Damping of Q_uu grows after a
+    refused step and decays after a long one. Problems converge one by one; a finished one is
+    frozen, and its answer does not depend on its batch mates.
 
-    A problem has converged when its model promises a relative decrease of the cost below `tolerance`, or below what the
-    precision resolves: 8 ε (Σ|c| + Σ|x c_x| + Σ|u c_u|), and 8 times that if no step size lowers the cost any more.
-    The last step is still taken, so the error after convergence is that of one more Newton step.
+    A problem has converged when its model promises a relative decrease of the cost below
+    `tolerance`, or below what the precision resolves: 8 ε (Σ|c| + Σ|x c_x| + Σ|u c_u|), and 8 times
+    that if no step size lowers the cost any more. The last step is still taken, so the error after
+    convergence is that of one more Newton step.
 
-    The solution is differentiable, exactly, in the initial state and in every tensor that the callables depend on (see
-    `implicit`); a problem that did not converge contributes a gradient of exactly zero.
+    The solution is differentiable, exactly, in the initial state and in every tensor that the
+    callables depend on (see `implicit`); a problem that did not converge contributes a gradient of
+    exactly zero.
 
     Args:
         max_iterations: Limit of iterations.
         tolerance: Predicted relative decrease of the cost at which a problem has converged.
         line_search_steps: Number of step sizes 1, ½, ¼, ...
         regularisation: First damping after a refused step, relative to the largest entry of Q_uu.
-        compile: Compile the kernels, once per code of the callables (not per closure). Where there is no
-            compiler, or the callables do not compile, a warning is logged and they run eagerly.
+        compile: Compile the kernels, once per code of the callables (not per closure). Where there
+            is no compiler, or the callables do not compile, a warning is logged and they run
+            eagerly.
 
     Raises:
         ValueError: A number is not positive.
+
+    Source:
+        Tassa et al., Control-Limited Differential Dynamic Programming, ICRA 2014; differs in the
+        second-order terms of the dynamics, the convex model and the choice of the step size. Amos
+        et al., Differentiable MPC for End-to-end Planning and Control, NeurIPS 2018; differs in
+        the full Hessian.
 
     Example:
         Swing up a pendulum, and differentiate the effort by its length.
@@ -58,7 +69,9 @@ class ILQR:
         ...     rate = rate + 0.1 * (torque[..., 0] - 9.81 / length * angle.sin())
         ...     return torch.stack([angle + 0.1 * rate, rate], -1)
         >>> def cost(states, torques):
-        ...     return (states[..., 0] - torch.pi).square() + 0.1 * states[..., 1].square() + 0.01 * torques[..., 0].square()
+        ...     angle, rate = states.unbind(-1)
+        ...     effort = 0.01 * torques[..., 0].square()
+        ...     return (angle - torch.pi).square() + 0.1 * rate.square() + effort
         >>> box = Bounds(torch.tensor([-5.0]), torch.tensor([5.0]))
         >>> solution = ILQR()(pendulum, cost, box, torch.zeros(8, 2), 0.1 * torch.randn(8, 40, 1))
         >>> solution.controls.square().sum().backward()
@@ -96,24 +109,26 @@ class ILQR:
             controls: The guess, clipped to the box.
 
         Returns:
-            The solution; states and controls of a problem that is not finite are zero where they are NaN.
+            The solution; states and controls of a problem that is not finite are zero where they
+            are NaN.
 
         Raises:
             ValueError: Shapes, precision or the order of the bounds do not fit.
             TypeError: The state is not of a floating-point type.
         """
         check_problem(bounds, state, controls)
-        settings = self._settings(bounds, state)
+        settings = self.settings(bounds, state)
         kernels = self._kernels(dynamics, cost, state, controls)
         with torch.no_grad():
-            iterate = self._minimise(kernels, dynamics, cost, settings, state, controls)
+            iterate = self.minimise(kernels, dynamics, cost, settings, state, controls)
             solution, optimum = conclude(kernels, dynamics, cost, settings, state, iterate)
         if not torch.is_grad_enabled():
             return solution
         attached = attach(dynamics, cost, state, optimum, kernels.solve_free)
         return solution if attached is None else solution._replace(**attached._asdict())
 
-    def _settings(self, bounds: Bounds, state: Tensor) -> Settings:
+    def settings(self, bounds: Bounds, state: Float[Tensor, "*b n"]) -> Settings:
+        """The numbers of this solver and the box, in the precision of the state."""
         powers = torch.arange(self.line_search_steps, dtype=state.dtype, device=state.device)
         return Settings(
             torch.stack([bounds.lower, bounds.upper]).to(state).detach(),
@@ -128,7 +143,7 @@ class ILQR:
         static = (state.shape[-1], controls.shape[-1], state.dim(), self.line_search_steps)
         return compiled_kernels(dynamics, cost, static, state.device.type)
 
-    def _minimise(
+    def minimise(
         self,
         kernels: Kernels,
         dynamics: Dynamics,
@@ -137,6 +152,7 @@ class ILQR:
         state: Tensor,
         controls: Tensor,
     ) -> Iterate:
+        """Iterate until every problem is finished; the arguments are checked already."""
         like = state[..., 0]
         x0, guess = to_batch_last(state, like), to_batch_last(controls, like).contiguous()
         first = kernels.start(dynamics, cost, like, x0.contiguous(), guess, settings)
@@ -165,9 +181,14 @@ class ILQR:
 
 
 def conclude(
-    kernels: Kernels, dynamics: Dynamics, cost: Cost, settings: Settings, state: Tensor, iterate: Iterate
+    kernels: Kernels,
+    dynamics: Dynamics,
+    cost: Cost,
+    settings: Settings,
+    state: Tensor,
+    iterate: Iterate,
 ) -> tuple[Solution, Optimum]:
-    """Residual and active bounds at the end; a problem that is not finite gives numbers all the same."""
+    """Residual and active bounds at the end; no problem gives NaN."""
     like = state[..., 0]
     x, u = iterate.x.nan_to_num(0.0), iterate.u.nan_to_num(0.0)
     model = kernels.expand(dynamics, cost, like, x, u)
@@ -186,7 +207,8 @@ def check_problem(
     """Refuse arguments that do not fit together.
 
     Raises:
-        ValueError: Leading dimensions, precision or number of controls differ, there is no control, or a bound is
+        ValueError: Leading dimensions, precision or number of controls differ, there is no control,
+            or a bound is
             missing or above its partner.
         TypeError: The state is not of a floating-point type.
     """

@@ -2,12 +2,17 @@
 
 At a solution z* = (x_1 .. x_T, u_0 .. u_{T-1}) with costates λ the residual
 
-    R(z, λ; θ) = (∂L/∂x_t, ∂L/∂u_t on the controls inside of the box, f(x_t, u_t) - x_{t+1}),   L = Σ c_t + Σ λ_{t+1} · f
+    R(z, λ; θ) = (∂L/∂x_t, ∂L/∂u_t on the controls inside of the box, f(x_t, u_t) - x_{t+1}),   L =
+    Σ c_t + Σ λ_{t+1} · f
 
-vanishes, so dz* = -K⁻¹ ∂R/∂θ dθ with the KKT matrix K = ∂R/∂(z, λ), which holds the Hessian of the Lagrangian: that of
-the cost and the curvature λ · ∂²f of the dynamics. The callables hide θ (closures, modules), therefore R is evaluated
-once WITH graph at the constant solution, and a custom function puts K⁻¹ between R and z*: its backward pass is one
-linear-quadratic problem, and autograd goes on from R into whatever θ is. Source: [AMOS], with the full Hessian.
+vanishes, so dz* = -K⁻¹ ∂R/∂θ dθ with the KKT matrix K = ∂R/∂(z, λ), which holds the Hessian of the
+Lagrangian: that of the cost and the curvature λ · ∂²f of the dynamics. The callables hide θ
+(closures, modules), therefore R is evaluated once WITH graph at the constant solution, and a custom
+function puts K⁻¹ between R and z*: its backward pass is one linear-quadratic problem, and autograd
+goes on from R into whatever θ is.
+
+Source: Amos et al., Differentiable MPC for End-to-end Planning and Control, NeurIPS 2018, with the
+full Hessian.
 """
 
 from collections.abc import Callable
@@ -21,7 +26,6 @@ from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last
 from diffstack_mmv.control.expansion import Model, pad_controls, step_all
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.riccati import LinearQuadratic, Stationary, solve_free
-
 
 Solve = Callable[[LinearQuadratic, Tensor, int], Stationary]
 
@@ -47,14 +51,14 @@ class Attached(NamedTuple):
 def free_controls(
     u: Float[Tensor, "T m N"], gradient: Float[Tensor, "T m N"], box: Float[Tensor, "2 m"]
 ) -> Bool[Tensor, "T m N"]:
-    """Which controls are not held by a bound: inside of the box, or at a bound that the gradient does not press on."""
+    """Which controls no bound holds: inside of the box, or at a bound without pressure on it."""
     lower, upper = box[0].unsqueeze(-1), box[1].unsqueeze(-1)
     held = ((u <= lower) & (gradient > 0)) | ((u >= upper) & (gradient < 0)) | (lower == upper)
     return ~held
 
 
 class _Implicit(torch.autograd.Function):
-    """z* as a function of the KKT residual: dz* = -K⁻¹ d(residual), K the KKT matrix with the active controls held."""
+    """z* as a function of the KKT residual: dz* = -K⁻¹ dR with the active controls held."""
 
     @staticmethod
     def forward(
@@ -87,10 +91,10 @@ def attach(
     optimum: Optimum,
     solve: Solve = solve_free,
 ) -> Attached | None:
-    """Give an optimum its derivatives in the initial state and in all that the two callables depend on.
+    """Give an optimum its derivatives in the state and in all that the callables depend on.
 
-    The derivative of the cost is that of the Lagrangian at fixed z and λ (envelope theorem). Problems that are not valid
-    get a gradient of exactly zero.
+    The derivative of the cost is that of the Lagrangian at fixed z and λ (envelope theorem).
+    Problems that are not valid get a gradient of exactly zero.
 
     Returns:
         The optimum with its graph, or None if nothing here requires a gradient.

@@ -1,4 +1,4 @@
-"""One iteration of the solver as functions of tensors: where each problem stands, and the next step."""
+"""One iteration of the solver: where each problem stands, and its next step."""
 
 from typing import NamedTuple
 
@@ -67,22 +67,30 @@ def attempt(
     policy: Policy,
     settings: Settings,
 ) -> Iterate:
-    """Roll the policy out, accept or refuse it for each open problem, and judge whether that one is finished.
+    """Roll the policy out, accept or refuse it problem by problem, and judge which are finished.
 
-    Finished is a problem whose model promises a decrease of the cost below the tolerance times Σ|c_t|, or below the
-    noise; the promise of a strongly damped model counts for nothing. If no step size lowers the cost, a promise of a
-    few times the noise is enough.
+    Finished is a problem whose model promises a decrease of the cost below the tolerance times
+    Σ|c_t|, or below the noise; the promise of a strongly damped model counts for nothing. If no
+    step size lowers the cost, a promise of a few times the noise is enough.
     """
     noise = NOISE * model.noise
     trial = search(
-        dynamics, cost, like, iterate.x, iterate.u, policy.gains, settings.box, settings.sizes, noise
+        dynamics,
+        cost,
+        like,
+        iterate.x,
+        iterate.u,
+        policy.gains,
+        settings.box,
+        settings.sizes,
+        noise,
     )
     is_open = iterate.status == OPEN
     enough = torch.maximum(settings.tolerance * model.magnitude, noise)
     lower = trial.cost < iterate.cost
     settled = (policy.decrease <= enough) & (iterate.damping < 1)
     settled = settled | (~lower & (policy.decrease <= NOISE * noise))
-    # the cost is flat at its minimum: a last Newton step is good to more digits than the cost can show
+    # the cost is flat at its minimum: a last Newton step is good to more digits than it shows
     accepted = is_open & (lower | (settled & (trial.cost <= iterate.cost + noise)))
     damping = next_damping(iterate.damping, accepted, trial.size, settings.regularisation)
     status = torch.where(damping > DAMPING_MAX, SolverStatus.STALLED, iterate.status)

@@ -1,4 +1,4 @@
-"""Rolls out a feedback policy at all step sizes at once and keeps the best trajectory of each problem."""
+"""Rolls out a feedback policy at all step sizes at once and keeps the best of each problem."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""What other folders see of the control layer: the optimiser of a trajectory, and what it is given."""
+"""What other folders see of the control layer: the optimiser, and what it is given."""
 
 from typing import Protocol, runtime_checkable
 
@@ -20,7 +20,7 @@ class Dynamics(Protocol):
 
 @runtime_checkable
 class LinearisedDynamics(Protocol):
-    """Dynamics that know their own Jacobian, which spares the solver the automatic differentiation."""
+    """Dynamics that know their own Jacobian, which spares automatic differentiation."""
 
     def jacobian(
         self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
@@ -40,7 +40,7 @@ class Cost(Protocol):
 
 
 class TrajectoryOptimizer(Protocol):
-    """Minimises Σ c_t(x_t, u_t) subject to x_{t+1} = f(x_t, u_t) and a box on the controls, for a batch of problems."""
+    """Minimises Σ c_t(x_t, u_t) over controls in a box, x_{t+1} = f(x_t, u_t), for a batch."""
 
     def __call__(
         self,
@@ -53,6 +53,7 @@ class TrajectoryOptimizer(Protocol):
         """Solve from the initial state and a guess of the controls.
 
         Returns:
-            The solution, differentiable in the state and in every tensor that the two callables depend on.
+            The solution, differentiable in the state and in every tensor that the two callables
+            depend on.
         """
         ...

@@ -24,7 +24,7 @@ DEFINITE = 1e-6  # smallest eigenvalue of Q_uu relative to its largest entry, be
 
 
 class LinearQuadratic(NamedTuple):
-    """min Σ ½ z'Hz + h'z over z_t = (δx_t, δu_t), subject to δx_{t+1} = A δx_t + B δu_t.
+    """min Σ ½ z'Hz + h'z over z_t = (δx_t, δu_t), with δx_{t+1} = A δx_t + B δu_t.
 
     What a step of a recursion reads is one row of one tensor, see `stage_shapes`.
     """
@@ -34,7 +34,7 @@ class LinearQuadratic(NamedTuple):
 
 
 def stage_shapes(n: int, m: int) -> tuple[tuple[int, ...], ...]:
-    """Shapes of the parts of a stage, in order: A, B, c_x, c_u, H_xx, H_ux, H_uu, present control."""
+    """Shapes of the parts of a stage, in order: A, B, c_x, c_u, H_xx, H_ux, H_uu, control."""
     return (n, n), (n, m), (n,), (m,), (n, n), (m, n), (m, m), (m,)
 
 
@@ -97,9 +97,7 @@ def _action(value: Tensor, parts: tuple[Tensor, ...]) -> _Action:
     )
 
 
-def dominance(
-    H: Float[Tensor, "k k N"], outside: Float[Tensor, "k N"]
-) -> Float[Tensor, "k N"]:
+def dominance(H: Float[Tensor, "k k N"], outside: Float[Tensor, "k N"]) -> Float[Tensor, "k N"]:
     """What the diagonal of H lacks to dominate its rows, `outside` being the rest of each row.
 
     A symmetric matrix whose diagonal dominates is positive semidefinite (Gershgorin).
@@ -120,7 +118,8 @@ def definite_policy(
 
     Exact means the Hessian of the Lagrangian: Newton's method with its quadratic convergence. A
     problem in which any Q_uu is indefinite on controls that no bound holds (or on any control, far
-    from the solution) is solved a second time with the Hessian over (x_t, u_t) of every stage lifted.
+    from the solution) is solved a second time with the Hessian over (x_t, u_t) of every stage
+    lifted.
 
     Args:
         solve: `box_policy`, or a compiled form of it.
@@ -163,15 +162,16 @@ def box_policy(
         k = argmin ½ k'Q_uu k + Q_u'k in the box,   K = -Q_uu⁻¹ Q_ux on the free controls, else 0
         V_x = Q_x + K'(Q_uu k + Q_u) + Q_ux'k,   V_xx = Q_xx + K'Q_uu K + K'Q_ux + Q_ux'K
 
-    with Q_uu + μ max|Q_uu| I, its diagonal lifted where it is not positive definite. All this counts
-    as a part of the cost of δu, so that the policy minimises one convex model and is a direction of
-    descent. Source: [TASSA].
+    with Q_uu + μ max|Q_uu| I, its diagonal lifted where it is not positive definite. All this
+    counts as a part of the cost of δu, so that the policy minimises one convex model and is a
+    direction of descent.
 
     Args:
         lq: The model around the present trajectory.
         box: Bounds of the controls.
         damping: μ of each problem, dimensionless.
-        lifted: 1 where the Hessian of every stage is lifted until it is diagonally dominant, else 0.
+        lifted: 1 where the Hessian of every stage is lifted until it is diagonally dominant, else
+            0.
         n: Number of state columns.
     """
     m = box.shape[1]
@@ -195,7 +195,9 @@ def box_policy(
         V_x = Q.x + transposed_apply(K, Qk + Q.u) + transposed_apply(Q.ux, k)
         V_xx = Q.xx + transposed_product(K, product(Q_uu, K)) + cross + cross.transpose(0, 1)
         decrease = -(k * (0.5 * Qk + Q.u)).sum(0, keepdim=True)
-        return pack(V_x, symmetric(V_xx)), pack(k, K, decrease, lift.sum(0, keepdim=True), (lift * free).sum(0, keepdim=True))
+        return pack(V_x, symmetric(V_xx)), pack(
+            k, K, decrease, lift.sum(0, keepdim=True), (lift * free).sum(0, keepdim=True)
+        )
 
     final_x, final_xx = unpack(lq.final, *final_shapes(n))
     final_xx = final_xx + eye * lifted * dominance(final_xx, torch.zeros_like(final_x))
@@ -208,7 +210,8 @@ def box_policy(
 def solve_free(lq: LinearQuadratic, free: Float[Tensor, "T m N"], n: int) -> Stationary:
     """Stationary point with δx_0 = 0 and the controls that are not free (0 in `free`) held at zero.
 
-    The Hessian has to be invertible on the free controls, not definite: nothing is shifted or damped.
+    The Hessian has to be invertible on the free controls, not definite: nothing is shifted or
+    damped.
     """
     m = free.shape[1]
 

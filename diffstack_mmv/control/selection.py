@@ -1,9 +1,8 @@
-"""Leaves finished problems behind, so that the last hard ones do not cost as much as the whole batch."""
+"""Leaves finished problems behind, so that the last hard ones cost less than the batch."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
-import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
@@ -27,7 +26,8 @@ class Batched:
 
     Args:
         function: Called with the usual arguments and then the tensors.
-        tensors: Tensors with one row per problem, shape (B, ...). Whatever is shared by all problems
+        tensors: Tensors with one row per problem, shape (B, ...). Whatever is shared by all
+            problems
             stays in the closure of `function`.
     """
 
@@ -63,7 +63,7 @@ class Workload(NamedTuple):
         return Iterate(*(old.index_copy(-1, index, new) for old, new in pairs))
 
     def narrowed(self) -> "Workload":
-        """Only the problems that are still open, if both callables can follow and it is worth it."""
+        """Only the problems that are still open, if the callables can follow and it is worth it."""
         able = isinstance(self.dynamics, Selectable) and isinstance(self.cost, Selectable)
         if not able or self.like.dim() != 1 or len(self.like) <= SMALLEST or self.like.is_cuda:
             return self

@@ -8,7 +8,7 @@ DT = 0.1
 
 
 def rate_model(wheelbase):
-    """Kinematic bicycle, smooth in speed: state (x, y, heading, speed), control (acceleration, steer)."""
+    """Kinematic bicycle: state (x, y, heading, speed), control (acceleration, steer)."""
 
     def step(state, control):
         x, y, heading, speed = state.unbind(-1)
@@ -27,7 +27,7 @@ def rate_model(wheelbase):
 
 
 def goal_cost(goal, weight):
-    """Distance to a goal, effort, and a bump in the way: not convex. `goal` is (*b, 2), `weight` is (3,)."""
+    """Distance to a goal, effort, and a bump in the way; `goal` is (*b, 2), `weight` is (3,)."""
 
     def cost(states, controls):
         offset = states[..., :2] - goal.unsqueeze(-2)
@@ -43,7 +43,7 @@ def goal_cost(goal, weight):
 
 
 def driving(batch=(6,), steps=12, limit=3.0, seed=0):
-    """A batch of driving problems: hidden tensors, callables, box and start; `limit` sets how tight the box is."""
+    """Hidden tensors, box and start of a batch of problems; `limit` sets how tight the box is."""
     generator = torch.Generator().manual_seed(seed)
     draw = torch.rand(*batch, 4, generator=generator)
     hidden = {

@@ -11,7 +11,9 @@ SOLVER = ILQR()
 
 
 def double_integrator(state, control):
-    return torch.stack([state[..., 0] + 0.1 * state[..., 1], state[..., 1] + 0.1 * control[..., 0]], -1)
+    return torch.stack(
+        [state[..., 0] + 0.1 * state[..., 1], state[..., 1] + 0.1 * control[..., 0]], -1
+    )
 
 
 def quadratic(states, controls):
@@ -38,10 +40,14 @@ def test_linear_quadratic_problem_equals_a_dense_solver(limit):
         return value.item(), u.grad.flatten().numpy()
 
     limits = [(-limit, limit)] * 15
-    dense = minimize(total, torch.zeros(15).numpy(), jac=True, method="L-BFGS-B", bounds=limits, tol=1e-15)
+    dense = minimize(
+        total, torch.zeros(15).numpy(), jac=True, method="L-BFGS-B", bounds=limits, tol=1e-15
+    )
     assert solution.converged
     assert solution.cost.item() == pytest.approx(dense.fun, rel=1e-9)
-    torch.testing.assert_close(solution.controls.flatten(), torch.tensor(dense.x), rtol=0, atol=1e-4)
+    torch.testing.assert_close(
+        solution.controls.flatten(), torch.tensor(dense.x), rtol=0, atol=1e-4
+    )
 
 
 @pytest.mark.parametrize("limit", [50.0, 3.0, 0.5])
@@ -117,7 +123,13 @@ def test_any_number_of_controls(controls_per_step):
     def step(state, control):
         return state + 0.2 * control.tanh()
 
-    solution = SOLVER(step, lambda x, u: (x - 2).square().sum(-1), box(0.8, m), torch.zeros(4, m), torch.zeros(4, 6, m))
+    solution = SOLVER(
+        step,
+        lambda x, u: (x - 2).square().sum(-1),
+        box(0.8, m),
+        torch.zeros(4, m),
+        torch.zeros(4, 6, m),
+    )
     assert solution.converged.all()
     assert (solution.controls == 0.8).all()
 
@@ -165,12 +177,18 @@ def test_a_batched_cost_gives_the_same_answers_with_fewer_problems_at_work():
     ],
 )
 def test_arguments_that_do_not_fit_are_refused(change, told):
-    arguments = {"bounds": box(1.0, 2), "state": torch.zeros(3, 4), "controls": torch.zeros(3, 5, 2)} | change
+    arguments = {
+        "bounds": box(1.0, 2),
+        "state": torch.zeros(3, 4),
+        "controls": torch.zeros(3, 5, 2),
+    } | change
     with pytest.raises(ValueError, match=told):
         SOLVER(rate_model(1.0), lambda x, u: x.sum(-1), **arguments)
 
 
-@pytest.mark.parametrize("field", ["max_iterations", "tolerance", "line_search_steps", "regularisation"])
+@pytest.mark.parametrize(
+    "field", ["max_iterations", "tolerance", "line_search_steps", "regularisation"]
+)
 def test_settings_must_be_positive(field):
     with pytest.raises(ValueError, match=field):
         ILQR(**{field: 0})

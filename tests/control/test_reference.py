@@ -1,4 +1,4 @@
-"""Against reference solutions of two benchmark problems: optima, gradients and what an approximation loses."""
+"""Against reference solutions of two problems: optima, gradients, what approximations lose."""
 
 import importlib.util
 
@@ -23,18 +23,26 @@ def reference(shared):
 
 
 def posed(module, name, instances, wheelbase=None, weights=None, parameters=None):
-    """Callables, box and states of a benchmark problem; hidden tensors can be given with one row per instance."""
+    """Callables, box and states of a problem; tensors have one row per instance."""
     space = module.torch_ns()
     states, given = (torch.tensor(instances[key]) for key in ("x0", "p"))
     parameters = given if parameters is None else parameters
-    weights = torch.tensor(module.W_DEFAULT[name]).expand(len(states), 7) if weights is None else weights
-    wheelbase = torch.tensor(module.WHEELBASE).expand(len(states)) if wheelbase is None else wheelbase
+    weights = (
+        torch.tensor(module.W_DEFAULT[name]).expand(len(states), 7) if weights is None else weights
+    )
+    wheelbase = (
+        torch.tensor(module.WHEELBASE).expand(len(states)) if wheelbase is None else wheelbase
+    )
 
     def dynamics(state, control, wheelbase):
-        return torch.stack(module.step(space, name, state.unbind(-1), control.unbind(-1), wheelbase), -1)
+        return torch.stack(
+            module.step(space, name, state.unbind(-1), control.unbind(-1), wheelbase), -1
+        )
 
     def cost(states, controls, parameters, weights):
-        p, w = ([column.unsqueeze(-1) for column in rows.unbind(-1)] for rows in (parameters, weights))
+        p, w = (
+            [column.unsqueeze(-1) for column in rows.unbind(-1)] for rows in (parameters, weights)
+        )
         stage = module.stage_cost(space, name, states.unbind(-1), controls.unbind(-1), p, w)
         final = module.terminal_cost(space, name, states.unbind(-1), p, w)
         return torch.cat([stage[..., :-1], final[..., -1:]], -1)
@@ -48,7 +56,9 @@ def test_optima_from_zero_controls_match_the_interior_point_solver(reference, na
     module, load = reference
     instances = {key: value[:64] for key, value in module.instances(name).items()}
     solution = ILQR()(*posed(module, name, instances), torch.zeros(64, 30, 2))
-    costs, violation = module.true_cost(name, instances["x0"], instances["p"], solution.controls.numpy())
+    costs, violation = module.true_cost(
+        name, instances["x0"], instances["p"], solution.controls.numpy()
+    )
     assert solution.converged.all()
     assert violation.max() == 0
     assert (costs <= load(f"reference_{name}")["J_start0"][:64] * (1 + 1e-4)).mean() >= 0.95
@@ -56,14 +66,16 @@ def test_optima_from_zero_controls_match_the_interior_point_solver(reference, na
 
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_gradient_equals_the_reference_jacobian(reference, name):
-    error = np.linalg.norm(jacobian(reference, name) - reference[1](f"gradient_{name}")["Jimp"], axis=(1, 2))
+    error = np.linalg.norm(
+        jacobian(reference, name) - reference[1](f"gradient_{name}")["Jimp"], axis=(1, 2)
+    )
     scale = np.linalg.norm(reference[1](f"gradient_{name}")["Jimp"], axis=(1, 2))
     assert (error / scale).max() < 1e-9
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_gauss_newton_gradient_is_wrong_by_percents(reference, name, monkeypatch):
-    """What solvers do that differentiate their last linear-quadratic approximation: no curvature of the dynamics."""
+    """What differentiating the last linear-quadratic approximation gives: no curvature of f."""
     drop_dynamics_curvature(monkeypatch)
     exact = reference[1](f"gradient_{name}")["Jimp"]
     error = np.abs(jacobian(reference, name) - exact)
@@ -83,7 +95,7 @@ def drop_dynamics_curvature(monkeypatch):
 
 
 def jacobian(reference, name, count=64):
-    """Derivatives of first control and final position by weights, wheelbase and goal, as in the reference files."""
+    """Derivatives of first control and final position by weights, wheelbase and goal."""
     module, load = reference
     instances = {key: value[:count] for key, value in module.instances(name).items()}
     weights = torch.tensor(module.W_DEFAULT[name]).repeat(count, 1).requires_grad_()
@@ -97,7 +109,11 @@ def jacobian(reference, name, count=64):
     for i in range(4):
         inputs = (weights, wheelbase, parameters)
         w, length, p = torch.autograd.grad(
-            outputs[:, i].sum(), inputs, retain_graph=True, allow_unused=True, materialize_grads=True
+            outputs[:, i].sum(),
+            inputs,
+            retain_graph=True,
+            allow_unused=True,
+            materialize_grads=True,
         )
         rows.append(torch.cat([w, length.unsqueeze(-1), p[:, :2]], -1))
     return torch.stack(rows, 1).numpy()
@@ -110,7 +126,10 @@ def test_a_thousand_problems_converge(reference, name, dtype):
     module, _ = reference
     instances = module.instances(name, 1000, seed=7)
     dynamics, cost, box, states = posed(module, name, instances)
-    narrow = [Batched(part.function, *(tensor.to(dtype) for tensor in part.tensors)) for part in (dynamics, cost)]
+    narrow = [
+        Batched(part.function, *(tensor.to(dtype) for tensor in part.tensors))
+        for part in (dynamics, cost)
+    ]
     box = Bounds(*(bound.to(dtype) for bound in box))
     solution = ILQR()(*narrow, box, states.to(dtype), torch.zeros(1000, 30, 2, dtype=dtype))
     assert solution.converged.double().mean() >= 0.995
@@ -128,7 +147,9 @@ def test_a_few_starts_reach_the_best_known_optimum(reference, name):
     for level in start_levels(lower, upper):
         controls = level.expand(256, 30, 2)
         solution = ILQR(tolerance=1e-8)(*problem, controls)
-        costs, _ = module.true_cost(name, instances["x0"], instances["p"], solution.controls.numpy())
+        costs, _ = module.true_cost(
+            name, instances["x0"], instances["p"], solution.controls.numpy()
+        )
         best = np.minimum(best, costs)
     assert (best <= load(f"reference_{name}")["J"] * (1 + 1e-4)).mean() >= 0.97
 

@@ -1,0 +1,67 @@
+"""Compiled and eager solves agree; a kernel is compiled once per code; failure falls back."""
+
+import logging
+
+import pytest
+import torch
+from torch._dynamo.utils import counters
+
+from diffstack_mmv.control import ILQR, Bounds
+from diffstack_mmv.control.compilation import Kernel, kind
+from tests.control.problems import driving, goal_cost, rate_model, solve
+
+
+def test_new_closures_of_the_same_code_are_of_one_kind():
+    assert kind(rate_model(1.0)) == kind(rate_model(2.0))
+    assert kind(rate_model(1.0)) != kind(goal_cost(torch.zeros(2), torch.ones(3)))
+    assert kind(torch.nn.ReLU()) == kind(torch.nn.ReLU())
+
+
+def test_a_kernel_that_does_not_compile_runs_eagerly_with_one_warning(caplog):
+    def unsupported(value):
+        torch._dynamo.graph_break()
+        return value + 1
+
+    kernel = Kernel(unsupported, {})
+    with caplog.at_level(logging.WARNING):
+        assert [int(kernel(torch.tensor(i))) for i in range(3)] == [1, 2, 3]
+    assert len(caplog.records) == 1
+    assert "runs eagerly" in caplog.text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limit", [50.0, 1.0])
+def test_compiled_solution_and_gradient_equal_the_eager_ones(limit):
+    results = []
+    for compile in (False, True):
+        hidden, box, controls = driving(batch=(16,), limit=limit)
+        hidden["weight"].requires_grad_()
+        solution = solve(ILQR(compile=compile), hidden, box, controls)
+        solution.controls.square().sum().backward()
+        results.append((solution.controls.detach(), hidden["weight"].grad))
+    torch.testing.assert_close(results[0], results[1], rtol=1e-2, atol=2e-3)
+
+
+@pytest.mark.slow
+def test_new_closures_and_batch_sizes_are_not_compiled_again():
+    def once(batch, wheelbase):
+        hidden, box, controls = driving(batch=(batch,))
+        hidden["wheelbase"] = torch.tensor(wheelbase)
+        assert solve(ILQR(compile=True), hidden, box, controls).converged.all()
+
+    once(16, 1.0)
+    once(24, 1.1)
+    before = counters["stats"]["unique_graphs"]
+    once(40, 1.2)
+    once(16, 1.3)
+    assert counters["stats"]["unique_graphs"] == before
+
+
+@pytest.mark.gpu
+def test_solves_on_a_gpu():
+    hidden, box, controls = driving(batch=(64,))
+    there = {name: value.cuda() for name, value in hidden.items()}
+    box_there = Bounds(box.lower.cuda(), box.upper.cuda())
+    solution = solve(ILQR(), there, box_there, controls.cuda())
+    expected = solve(ILQR(), hidden, box, controls)
+    torch.testing.assert_close(solution.controls.cpu(), expected.controls, rtol=0, atol=1e-2)
