@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -159,7 +160,7 @@ def _read(file: Path, stamp: str | None) -> Chunk | None:
         if stamp is not None and str(arrays["stamp"]) != stamp:
             return None
         record = _record(arrays)
-    except (OSError, ValueError, KeyError) as broken:
+    except (OSError, ValueError, KeyError, BadZipFile) as broken:
         LOGGER.warning("`%s` is not readable (%s) and is made anew.", file, broken)
         return None
     told = {

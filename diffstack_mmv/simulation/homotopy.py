@@ -4,6 +4,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+LATER = 1e5
+"""Added to the price of plans of ways already seen; small enough for single precision."""
 NEAR_M = 2.0
 """A human further away than this at the closest approach does not tell ways apart."""
 
@@ -55,7 +57,7 @@ def best_of_each(
     chosen = []
     for _ in range(count):
         # plans of ways already seen come after all others, plans already taken never
-        order = torch.where(seen, price + 1e8, price).masked_fill(taken, torch.inf)
+        order = torch.where(seen, price + LATER, price).masked_fill(taken, torch.inf)
         index = order.argmin(-1, keepdim=True)
         chosen.append(index)
         taken = taken.scatter(-1, index, True)

@@ -19,6 +19,8 @@ TERMS = [
     costs.LateralAcceleration(),
     costs.ExpectedCollision(),
     costs.TurningCircleBarrier(),
+    costs.SpeedLimit(),
+    costs.GoalOutsideTurn(),
 ]
 each_term = pytest.mark.parametrize("term", TERMS, ids=lambda term: type(term).__name__)
 

@@ -1,15 +1,23 @@
 """Recordings of the original simulators, and worlds to compare with them."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+import yaml
+from hydra import compose, initialize_config_dir
+from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
 
+import diffstack_mmv.cli  # noqa: F401  registers the resolvers
 from diffstack_mmv.simulation import (
     CircleCrossing,
     CrowdNavVerdict,
     DiscFootprint,
+    Driven,
     ExactVerdict,
     HolonomicRobot,
     OrcaCrowd,
@@ -64,3 +72,43 @@ def scene_with():
         )
 
     return build
+
+
+LIMITS = {"speed_max_mps": 3.0, "acceleration_min_mps2": -3.0, "acceleration_max_mps2": 2.0}
+
+
+@pytest.fixture
+def driven(root):
+    """A vehicle of the catalogue under the limits of the benchmark."""
+
+    def build(vehicle="bicycle", dynamics="kbm", **altered):
+        mapping = yaml.safe_load((root / "configs" / "vehicle" / f"{vehicle}.yaml").read_text())
+        return Driven(mapping, dynamics, LIMITS, **altered)
+
+    return build
+
+
+@pytest.fixture
+def controller_for(driven):
+    """The controller of the benchmark for a vehicle, with the settings of the configuration."""
+
+    def build(vehicle="bicycle", dynamics="kbm", starts=1, **settings):
+        overrides = [f"vehicle={vehicle}", f"dynamics={dynamics}", f"controller.starts={starts}"]
+        controller = instantiate(composed_navigate(*overrides).controller)
+        for name, value in settings.items():
+            setattr(controller, name, value)
+        return controller
+
+    return build
+
+
+def composed_navigate(*overrides):
+    """The configuration of the benchmark."""
+    folder = Path(__file__).resolve().parents[2] / "configs"
+    with initialize_config_dir(str(folder), version_base="1.3"):
+        config = compose("navigate", list(overrides), return_hydra_config=True)
+        HydraConfig.instance().set_config(config)
+        OmegaConf.set_struct(config, False)
+        config.pop("hydra")
+    OmegaConf.resolve(config)
+    return config

@@ -1,0 +1,34 @@
+"""Pictures of episodes."""
+
+import pytest
+import torch
+
+from diffstack_mmv.plotting import episode_of, save_stories
+from diffstack_mmv.types import EpisodeRecord, Motion, Outcome
+
+
+@pytest.fixture
+def record():
+    motion = Motion(torch.rand(2, 4, 2), torch.zeros(2, 4), torch.zeros(2, 4, 2), torch.zeros(2, 4))
+    outcome = torch.tensor([int(Outcome.SUCCESS), int(Outcome.COLLISION)])
+    return EpisodeRecord(
+        motion=motion,
+        pedestrians=torch.rand(2, 4, 3, 2),
+        controls=torch.zeros(2, 3, 2),
+        reward=torch.zeros(2, 3),
+        clearance=torch.ones(2, 4),
+        outcome=outcome,
+        steps=torch.tensor([3, 2]),
+        duration=torch.tensor([0.75, 0.5]),
+        dt_s=0.25,
+    )
+
+
+def test_an_episode_is_cut_at_its_end(record):
+    assert episode_of(record, 1, 7, 0.3).record.pedestrians.shape == (3, 3, 2)
+
+
+def test_failures_are_shown_first(record, tmp_path):
+    save_stories(tmp_path, [4, 7], [record], 0.3, 1)
+    names = sorted(path.name for path in (tmp_path / "plots").iterdir())
+    assert names == ["case_7.gif", "case_7.png"]

@@ -1,0 +1,51 @@
+"""The report of a closed-loop benchmark."""
+
+import json
+
+import pytest
+
+from diffstack_mmv.reporting import closed_loop_table, write_closed_loop
+
+
+@pytest.fixture
+def numbers():
+    rates = {"success_rate": 0.5, "collision_rate": 0.5, "incomplete_rate": 0.0}
+    others = {
+        "nav_time_s": 3.5, "nav_time_all_s": 3.0, "discomfort_frequency": 0.1,
+        "avg_min_dist_m": None, "mean_episode_min_dist_m": 0.3,
+    }  # fmt: skip
+    cases = [
+        {"case": 0, "outcome": "success", "time_s": 3.5, "min_clearance_m": 0.4},
+        {"case": 1, "outcome": "collision", "time_s": 2.5, "min_clearance_m": -0.01},
+    ]
+    return rates | others | {
+        "n": 2, "success_rate_ci95": [0.1, 0.9], "collision_rate_ci95": [0.1, 0.9],
+        "control_time_ms": {"median": 1.0, "p99": 2.0}, "cases": cases,
+    }  # fmt: skip
+
+
+@pytest.fixture
+def result(numbers):
+    return numbers | {
+        "vehicle": "bicycle", "dynamics": "kbm", "scenario": "circle_crossing",
+        "controller": "diffmpc", "limit_s": 10.0, "dt_s": 0.25, "verdict": "exact", "humans": 5,
+        "phase": "test", "first_case": 0, "limits": {"speed_max_mps": 3.0},
+        "believed_dynamics": "kbm",
+    }  # fmt: skip
+
+
+def test_every_method_is_a_row_with_its_interval(result, numbers):
+    table = closed_loop_table(result, {"orca": numbers})
+    assert list(table.index) == ["diffmpc (kbm bicycle)", "orca"]
+    assert table.loc["orca", "success"] == "0.500 [0.100, 0.900]"
+    assert table.loc["orca", "distance in discomfort [m]"] == "–"
+
+
+def test_files_hold_numbers_failures_and_sources(result, numbers, tmp_path):
+    source = {"method": "SARL", "success": 0.9, "source": "Chen et al."}
+    write_closed_loop(tmp_path, result, {"orca": numbers}, [source])
+    stored = json.loads((tmp_path / "closed_loop.json").read_text())
+    assert stored["baselines"]["orca"]["n"] == 2
+    report = (tmp_path / "closed_loop.md").read_text()
+    assert "| collision |" in report.replace("  ", " ")
+    assert "Chen et al." in report

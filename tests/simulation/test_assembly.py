@@ -1,0 +1,70 @@
+"""The vehicle that drives and the one its controller believes in."""
+
+import pytest
+import torch
+
+from diffstack_mmv.simulation import (
+    MPPIController,
+    actuation,
+    controller_model,
+    drive,
+    require_stoppable,
+    vehicle_robot,
+)
+from diffstack_mmv.simulation.people import ConstantVelocityPeople
+from diffstack_mmv.types import Outcome
+
+
+@pytest.mark.parametrize(("vehicle", "braking"), [("bicycle", -3.0), ("wheelchair", -2.2)])
+def test_the_tighter_limit_holds(driven, vehicle, braking):
+    assert driven(vehicle).spec().limits.acceleration_min_mps2 == braking
+
+
+def test_altered_vehicles_have_another_mass_and_friction(driven):
+    spec = driven("bicycle", mass_factor=1.5, friction=0.3).spec()
+    assert spec.mass_kg == pytest.approx(135.0)
+    assert spec.parameters["friction"].entries()[0][0] == pytest.approx(0.3)
+
+
+def test_equal_models_share_controls_and_reference_point(driven):
+    control = torch.tensor([[1.0, 0.3]])
+    assert torch.equal(actuation(driven(), driven())(control), control)
+    assert controller_model(driven(), driven()).ahead_m == 0
+
+
+def test_a_kinematic_controller_steers_gm3_to_the_same_angle(driven):
+    kinematic, true = driven(dynamics="kbm"), driven(dynamics="gm3")
+    command = actuation(kinematic, true)(torch.tensor([[1.0, 0.3]]))
+    angle = true.model(0.01).chassis.steering.clamped(command[:, 1])
+    assert angle.item() == pytest.approx(0.3, abs=1e-6)
+    back = actuation(true, kinematic)(command)
+    assert torch.allclose(back, torch.tensor([[1.0, 0.3]]))
+
+
+def test_reference_points_differ_by_the_rear_axle(driven):
+    model = controller_model(driven(dynamics="kbm"), driven(dynamics="gm3"))
+    assert model.ahead_m == pytest.approx(0.45)
+    assert model.dt_s == pytest.approx(0.25)
+
+
+def test_models_without_common_controls_are_refused(driven):
+    with pytest.raises(ValueError, match="share its controls"):
+        actuation(driven(dynamics="unicycle"), driven(dynamics="gm3"))
+
+
+def test_a_vehicle_that_cannot_stop_is_refused(driven):
+    require_stoppable(driven(), 8.0)
+    with pytest.raises(ValueError, match="braking distance of 1.50 m"):
+        require_stoppable(driven(), 1.0)
+
+
+def test_mppi_drives_to_the_goal_and_repeats_itself(driven, world_with, scenario_of):
+    world = world_with(vehicle_robot(driven()), exact=True, limit_s=10.0)
+    scene = scenario_of("circle").cases("train", [3])
+    model = controller_model(driven(), driven(), step_s=0.125)
+    records = [
+        drive(world, scene, MPPIController(model, ConstantVelocityPeople(), samples=128))
+        for _ in range(2)
+    ]
+    assert records[0].outcome.tolist() == [Outcome.SUCCESS]
+    assert torch.equal(records[0].controls, records[1].controls)

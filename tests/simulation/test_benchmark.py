@@ -1,0 +1,83 @@
+"""Benchmarks resume, and tell what the contract asks."""
+
+import numpy as np
+import pytest
+
+from diffstack_mmv.simulation import Method, StraightLine, read_chunk, run, summarise
+
+KEYS = {
+    "n", "success_rate", "collision_rate", "incomplete_rate", "nav_time_s", "nav_time_all_s",
+    "discomfort_frequency", "avg_min_dist_m", "mean_episode_min_dist_m", "cases",
+}  # fmt: skip
+
+
+class Counting:
+    """Makes straight drivers and counts them."""
+
+    def __init__(self):
+        self.made = 0
+
+    def __call__(self):
+        self.made += 1
+        return StraightLine(2.5)
+
+
+@pytest.fixture
+def straight(world_with):
+    return Method("straight", world_with(exact=True, limit_s=10.0), Counting(), "v=2.5")
+
+
+def chunks(method, scenario, folder, cases=range(6)):
+    return list(run(method, scenario, cases, folder, chunk_size=3))
+
+
+def test_an_interrupted_run_drives_only_what_is_missing(straight, scenario_of, tmp_path):
+    next(run(straight, scenario_of("circle"), range(6), tmp_path, chunk_size=3))
+    assert straight.controller.made == 1
+    chunks(straight, scenario_of("circle"), tmp_path)
+    assert straight.controller.made == 2
+
+
+def test_resumed_results_equal_fresh_ones(straight, scenario_of, tmp_path):
+    fresh = summarise(chunks(straight, scenario_of("circle"), tmp_path))
+    assert summarise(chunks(straight, scenario_of("circle"), tmp_path)) == fresh
+
+
+def test_other_settings_are_driven_anew(straight, scenario_of, tmp_path):
+    chunks(straight, scenario_of("circle"), tmp_path)
+    other = Method("straight", straight.world, straight.controller, "v=3")
+    chunks(other, scenario_of("circle"), tmp_path)
+    chunks(other, scenario_of("circle", humans=3), tmp_path)
+    assert straight.controller.made == 6
+
+
+def test_a_broken_file_is_made_anew(straight, scenario_of, tmp_path):
+    chunks(straight, scenario_of("circle"), tmp_path)
+    file = sorted(tmp_path.iterdir())[0]
+    file.write_bytes(file.read_bytes()[:100])
+    chunks(straight, scenario_of("circle"), tmp_path)
+    assert straight.controller.made == 3
+    assert read_chunk(file).cases == [0, 1, 2]
+
+
+def test_the_summary_has_the_keys_of_the_contract(straight, scenario_of, tmp_path):
+    told = summarise(chunks(straight, scenario_of("circle"), tmp_path))
+    assert set(told) >= KEYS
+    assert [case["case"] for case in told["cases"]] == list(range(6))
+    rates = told["success_rate"] + told["collision_rate"] + told["incomplete_rate"]
+    assert rates == pytest.approx(1.0)
+
+
+def test_scores_without_a_case_are_none(straight, scenario_of, tmp_path):
+    told = summarise(chunks(straight, scenario_of("circle"), tmp_path, cases=[4]))
+    assert told["nav_time_s"] is None or np.isfinite(told["nav_time_s"])
+
+
+def test_no_case_is_refused(straight, scenario_of, tmp_path):
+    with pytest.raises(ValueError, match="`cases` must name at least one case"):
+        chunks(straight, scenario_of("circle"), tmp_path, cases=[])
+
+
+def test_a_missing_file_is_told(tmp_path):
+    with pytest.raises(ValueError, match="`file` must hold episodes"):
+        read_chunk(tmp_path / "absent.npz")
