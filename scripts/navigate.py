@@ -45,7 +45,9 @@ def main(config: DictConfig) -> None:
         folder = out / "episodes" / name
         return list(run(method, scenario, numbers, folder, config.chunk, config.phase))
 
-    baselines = {name: driven(name, each) for name, each in config.baselines.items() if each}
+    baselines = {
+        name: driven(name, each) for name, each in (config.get("baselines") or {}).items() if each
+    }
     chunks = driven(config.names.controller, config.controller)
     header = {
         "vehicle": config.vehicle.name,
