@@ -4,6 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from diffstack_mmv.geometry import rotate
 from diffstack_mmv.types import Forecast, Motion, Obstacles, PlanningProblem, Tracks
 
 SLOW_MPS = 0.3
@@ -63,21 +64,29 @@ def observed_obstacles(past: Tracks, future: Tracks) -> Obstacles:
 
 
 def reference_to_goal(
-    position: Float[Tensor, "*b 2"], path: Float[Tensor, "*b T 2"], goal: Float[Tensor, "*b 2"]
+    motion: Motion, path: Float[Tensor, "*b T 2"], goal: Float[Tensor, "*b 2"], dt_s: float
 ) -> Float[Tensor, "*b T1 2"]:
-    """Bend a predicted path in m so that it ends at the goal.
+    """Where an undisturbed rider would go, in m: row 0 is the present position, the last row the goal.
 
-    p_ref(s) = p(s) + ½ (3 s² - s³) (g - p(1)), s = t / T: the correction with the least squared
-    acceleration, free at its end. A constant-velocity prediction becomes the cubic Hermite spline
-    to the goal. Row 0 is the present position.
+    The present velocity is trusted at first, the predicted path p later: with s = t / T,
+
+        p_ref(s) = (1 - s/2) bent(p₀ + v₀ t) + s/2 bent(p),   bent(q) = q + ½ (3 s² - s³) (g - q(1))
+
+    where bending adds the least squared acceleration that leads to the goal g, free at its end. The bent
+    constant velocity is the cubic Hermite spline to the goal.
     """
     steps = path.shape[-2]
-    share = (
-        torch.arange(1, steps + 1, device=path.device, dtype=path.dtype).div(steps).unsqueeze(-1)
-    )
-    bend = 0.5 * share.square() * (3 - share)
-    bent = path + bend * (goal - path[..., -1, :]).unsqueeze(-2)
-    return torch.cat([position.unsqueeze(-2), bent], -2)
+    count = torch.arange(1, steps + 1, device=path.device, dtype=path.dtype).unsqueeze(-1)
+    share = count / steps
+    velocity = rotate(motion.velocity, motion.heading)
+    coast = motion.position.unsqueeze(-2) + dt_s * count * velocity.unsqueeze(-2)
+    shape = 0.5 * share.square() * (3 - share)
+
+    def bent(line: Tensor) -> Tensor:
+        return line + shape * (goal - line[..., -1, :]).unsqueeze(-2)
+
+    reference = torch.lerp(bent(coast), bent(path), 0.5 * share)
+    return torch.cat([motion.position.unsqueeze(-2), reference], -2)
 
 
 def facing_the_goal(motion: Motion, goal: Float[Tensor, "*b 2"]) -> Motion:
@@ -102,8 +111,9 @@ def build_problem(
     The reference speed is the mean speed along the reference path in m/s. The heading of a rider at
     rest is not observed: the plan then faces the goal.
     """
-    motion = facing_the_goal(present(ego).motion, goal)
-    reference = reference_to_goal(motion.position, path, goal)
+    observed = present(ego).motion
+    motion = facing_the_goal(observed, goal)
+    reference = reference_to_goal(observed, path, goal, dt_s)
     steps = reference[..., 1:, :] - reference[..., :-1, :]
     speed = steps.square().sum(-1).clamp_min(1e-8).sqrt().mean(-1) / dt_s
     return PlanningProblem(

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from diffstack_mmv.geometry import rotate
 from diffstack_mmv.planning.problem import (
     build_problem,
     disc_radius,
@@ -27,11 +28,12 @@ def tracks(*shape, rows):
 
 
 def test_reference_ends_at_the_goal_and_starts_where_the_ego_is():
-    position, path, goal = torch.randn(3, 2), torch.randn(3, 30, 2), torch.randn(3, 2)
-    reference = reference_to_goal(position, path, goal)
+    motion = Motion(*(field[:, 0] for field in tracks(3, rows=1).motion))
+    goal = torch.randn(3, 2)
+    reference = reference_to_goal(motion, torch.randn(3, 30, 2), goal, 0.1)
     assert reference.shape == (3, 31, 2)
-    assert torch.allclose(reference[:, 0], position)
-    assert torch.allclose(reference[:, -1], goal, atol=1e-6)
+    assert torch.allclose(reference[:, 0], motion.position)
+    assert torch.allclose(reference[:, -1], goal, atol=1e-5)
 
 
 def test_reference_of_constant_velocity_is_the_hermite_spline():
@@ -39,7 +41,16 @@ def test_reference_of_constant_velocity_is_the_hermite_spline():
     path = velocity * 0.1 * torch.arange(1, 31).unsqueeze(-1)
     motion = Motion(torch.zeros(2), torch.tensor(0.0), velocity, torch.tensor(0.0))
     expected = hermite_spline(motion, goal, 30, 0.1)
-    assert torch.allclose(reference_to_goal(torch.zeros(2), path, goal)[1:], expected, atol=1e-5)
+    assert torch.allclose(reference_to_goal(motion, path, goal, 0.1)[1:], expected, atol=1e-5)
+
+
+def test_reference_turns_with_the_scene():
+    motion = Motion(torch.zeros(2), torch.tensor(0.0), torch.tensor([3.0, 0.2]), torch.tensor(0.0))
+    path, goal, angle = torch.randn(30, 2), torch.randn(2), torch.tensor(0.7)
+    turned = motion._replace(heading=angle)
+    again = reference_to_goal(turned, rotate(path, angle.expand(30)), rotate(goal, angle), 0.1)
+    expected = rotate(reference_to_goal(motion, path, goal, 0.1), angle.expand(31))
+    assert torch.allclose(again, expected, atol=1e-5)
 
 
 def test_true_obstacles_hold_the_last_seen_position():
