@@ -27,7 +27,7 @@ class Curvature(NamedTuple):
 
 def pad_controls(controls: Float[Tensor, "*b T m"]) -> Float[Tensor, "*b T1 m"]:
     """Append the zero row that the cost sees at the final state."""
-    return torch.cat([controls, torch.zeros_like(controls[..., :1, :])], -2)
+    return torch.nn.functional.pad(controls, (0, 0, 0, 1))
 
 
 def step_all(
@@ -51,7 +51,7 @@ def linearise_dynamics(
         A, B = torch.vmap(dynamics.jacobian, (-2, -2))(states, controls)
         return A.movedim(0, -3), B.movedim(0, -3)
     n = states.shape[-1]
-    _, pull = torch.func.vjp(lambda x, u: step_all(dynamics, x, u), states, controls)
+    pull = torch.func.vjp(lambda x, u: step_all(dynamics, x, u), states, controls)[1]
     seeds = torch.eye(n, dtype=states.dtype, device=states.device)
     rows = torch.vmap(lambda seed: pull(seed.expand_as(states)))(seeds)
     A, B = (row.movedim(0, -2) for row in rows)
@@ -65,7 +65,7 @@ def _curvature(
 ) -> Curvature:
     """Hessian blocks from the gradient of a sum that is separable over times."""
     n, m = states.shape[-1], controls.shape[-1]
-    _, pull = torch.func.vjp(gradient, states, controls)
+    pull = torch.func.vjp(gradient, states, controls)[1]
 
     def row(seed_x: Tensor, seed_u: Tensor) -> tuple[Tensor, Tensor]:
         return pull((seed_x.expand_as(states), seed_u.expand_as(controls)))

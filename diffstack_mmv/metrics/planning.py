@@ -29,5 +29,3 @@ def overlap_now(
     offset = position[..., None, :] - obstacles.position[..., 0, 0, :]
     reach = radius.unsqueeze(-1) + obstacles.radius
     return ((offset.square().sum(-1) < reach.square()) & obstacles.valid).any(-1)
-
-

@@ -66,14 +66,14 @@ def observed_obstacles(past: Tracks, future: Tracks) -> Obstacles:
 def reference_to_goal(
     motion: Motion, path: Float[Tensor, "*b T 2"], goal: Float[Tensor, "*b 2"], dt_s: float
 ) -> Float[Tensor, "*b T1 2"]:
-    """Where an undisturbed rider would go, in m: row 0 is the present position, the last row the goal.
+    """Where an undisturbed rider would go, in m, from the present position to the goal.
 
     The present velocity is trusted at first, the predicted path p later: with s = t / T,
 
         p_ref(s) = (1 - s/2) bent(p₀ + v₀ t) + s/2 bent(p),   bent(q) = q + ½ (3 s² - s³) (g - q(1))
 
-    where bending adds the least squared acceleration that leads to the goal g, free at its end. The bent
-    constant velocity is the cubic Hermite spline to the goal.
+    where bending adds the least squared acceleration that leads to the goal g, free at its end. The
+    bent constant velocity is the cubic Hermite spline to the goal.
     """
     steps = path.shape[-2]
     count = torch.arange(1, steps + 1, device=path.device, dtype=path.dtype).unsqueeze(-1)

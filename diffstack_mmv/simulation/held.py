@@ -28,7 +28,8 @@ class HeldControl(DynamicsModel):
 
     def __init__(self, model: DynamicsModel, repeats: int, ahead_m: float = 0.0) -> None:
         require_at_least("repeats", repeats, 1)
-        self.__dict__.update(State=model.State, Control=model.Control)
+        for record in ("State", "Control"):
+            setattr(self, record, getattr(model, record))
         lower, upper = (bound.tolist() for bound in model.bounds)
         super().__init__(model.dt_s * repeats, lower, upper)
         self.model = model
