@@ -48,7 +48,8 @@ def read_runs(folders: Sequence[Path]) -> pd.DataFrame:
             for mode, scores in modes.items():
                 row = {"mode": mode, "dynamics": name, "n": metrics["modes"][mode]["n"]}
                 rows.append(common | row | {"ade": scores["ade"]})
-    return pd.DataFrame(rows)
+    # runs of one seed share their baselines
+    return pd.DataFrame(rows).drop_duplicates([*GROUP, "seed", "ade"])
 
 
 def compare(runs: pd.DataFrame) -> pd.DataFrame:
