@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 from torch._dynamo.decorators import maybe_mark_dynamic
-from torch._dynamo.exc import TorchDynamoException
+from torch._dynamo.exc import FailOnRecompileLimitHit, TorchDynamoException
 from torch._inductor.exc import InductorError
 
 from diffstack_mmv.control.expansion import Model, expand
@@ -62,6 +62,10 @@ class Kernel:
             )
         try:
             return self.compiled(*arguments)
+        except FailOnRecompileLimitHit:
+            # many shapes in one process: begin with an empty list of graphs
+            self.compiled = None
+            return self(*arguments)
         except FAILURES as failure:
             reason = next(iter(str(failure).strip().splitlines()), type(failure).__name__)
             LOGGER.warning(

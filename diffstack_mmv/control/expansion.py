@@ -43,6 +43,11 @@ def step_all(
     return torch.vmap(one_time, (-2, -2))(states, controls).movedim(0, -2)
 
 
+def _spread(seed: Float[Tensor, " k"], like: Float[Tensor, "*b k"]) -> Float[Tensor, "*b k"]:
+    """The seed at every entry, laid out in full: strides of zero would tie a graph to one batch."""
+    return seed + torch.zeros(like.shape, dtype=like.dtype, device=like.device)
+
+
 def linearise_dynamics(
     dynamics: Dynamics, states: Float[Tensor, "*b T n"], controls: Float[Tensor, "*b T m"]
 ) -> tuple[Float[Tensor, "*b T n n"], Float[Tensor, "*b T n m"]]:
@@ -53,7 +58,7 @@ def linearise_dynamics(
     n = states.shape[-1]
     pull = torch.func.vjp(lambda x, u: step_all(dynamics, x, u), states, controls)[1]
     seeds = torch.eye(n, dtype=states.dtype, device=states.device)
-    rows = torch.vmap(lambda seed: pull(seed.expand_as(states)))(seeds)
+    rows = torch.vmap(lambda seed: pull(_spread(seed, states)))(seeds)
     A, B = (row.movedim(0, -2) for row in rows)
     return A, B
 
@@ -68,7 +73,7 @@ def _curvature(
     pull = torch.func.vjp(gradient, states, controls)[1]
 
     def row(seed_x: Tensor, seed_u: Tensor) -> tuple[Tensor, Tensor]:
-        return pull((seed_x.expand_as(states), seed_u.expand_as(controls)))
+        return pull((_spread(seed_x, states), _spread(seed_u, controls)))
 
     seeds = torch.eye(n + m, dtype=states.dtype, device=states.device)
     of_x, of_u = (part.movedim(0, -2) for part in torch.vmap(row)(seeds[:, :n], seeds[:, n:]))

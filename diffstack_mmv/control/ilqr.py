@@ -153,7 +153,7 @@ class ILQR:
         controls: Tensor,
     ) -> Iterate:
         """Iterate until every problem is finished; the arguments are checked already."""
-        like = state[..., 0]
+        like = state.new_zeros(state.shape[:-1])
         x0, guess = to_batch_last(state, like), to_batch_last(controls, like).contiguous()
         first = kernels.start(dynamics, cost, like, x0.contiguous(), guess, settings)
         work = Workload(dynamics, cost, like, first, None, first)
@@ -189,7 +189,7 @@ def conclude(
     iterate: Iterate,
 ) -> tuple[Solution, Optimum]:
     """Residual and active bounds at the end; no problem gives NaN."""
-    like = state[..., 0]
+    like = state.new_zeros(state.shape[:-1])
     x, u = iterate.x.nan_to_num(0.0), iterate.u.nan_to_num(0.0)
     model = kernels.expand(dynamics, cost, like, x, u)
     lower, upper = settings.box.unsqueeze(-1)

@@ -61,8 +61,10 @@ def search(
     all_costs = torch.vmap(total, (2, 2))(all_x, all_u)
     all_costs = torch.where(all_costs.isfinite(), all_costs, torch.inf)
     best = (all_costs <= all_costs.amin(0) + noise).to(torch.uint8).argmax(0, keepdim=True)
-    chosen_x, chosen_u = (
-        paths.take_along_dim(best[None, None], 2).squeeze(2) for paths in (all_x, all_u)
-    )
-    lowest = all_costs.take_along_dim(best, 0).squeeze(0)
-    return Trajectories(chosen_x, chosen_u, lowest, sizes[best.squeeze(0)])
+
+    def chosen(paths: Float[Tensor, "t r S N"]) -> Float[Tensor, "t r N"]:
+        index = best.expand(*paths.shape[:2], 1, -1)
+        return paths.gather(2, index).squeeze(2)
+
+    lowest = all_costs.gather(0, best).squeeze(0)
+    return Trajectories(chosen(all_x), chosen(all_u), lowest, sizes[best.squeeze(0)])

@@ -3,13 +3,13 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from diffstack_mmv.control.iteration import OPEN, Iterate
 
 SMALLEST = 8  # problems; below, there is nothing to win
-WORTH = 0.6  # share of open problems below which the others are left behind
 
 
 @runtime_checkable
@@ -68,10 +68,13 @@ class Workload(NamedTuple):
         if not able or self.like.dim() != 1 or len(self.like) <= SMALLEST or self.like.is_cuda:
             return self
         keep = (self.iterate.status == OPEN).nonzero().squeeze(-1)
-        if len(keep) > WORTH * len(self.like):
+        size = len(self.like)
+        while size >= 2 * max(len(keep), SMALLEST // 2):
+            size = (size + 1) // 2
+        if size == len(self.like):
             return self
-        if len(keep) == 1:
-            keep = keep.repeat(2)  # a batch of one would be compiled separately
+        # halves only, filled up with copies: few sizes, each of which may have to be compiled
+        keep = torch.cat([keep, keep[:1].expand(size - len(keep))])
         index = keep if self.index is None else self.index[keep]
         part = Iterate(*(rows.index_select(-1, keep) for rows in self.iterate))
         narrow = self.dynamics.select(keep), self.cost.select(keep)
