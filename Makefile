@@ -21,8 +21,8 @@ install: $(BIN)/.installed ## Create .venv with the locked dependencies
 quickstart: install ## Sample, conversion, training, per-mode table: about five minutes
 	test -d $(OUT)/recordings || $(BIN)/python scripts/generate_sample.py out=$(OUT)/recordings seed=0
 	$(BIN)/python scripts/convert.py data=imptc data.root=$(OUT)/recordings data.cache=$(OUT)/cache
-	$(BIN)/python scripts/train.py experiment=quickstart data=imptc data.cache=$(OUT)/cache out=$(OUT)/run
-	$(BIN)/python scripts/evaluate.py checkpoint=$(OUT)/run/checkpoints/best.ckpt data=imptc data.cache=$(OUT)/cache out=$(OUT)/report
+	$(LIMIT) $(BIN)/python scripts/train.py experiment=quickstart data=imptc data.cache=$(OUT)/cache out=$(OUT)/run
+	$(LIMIT) $(BIN)/python scripts/evaluate.py checkpoint=$(OUT)/run/checkpoints/best.ckpt data=imptc data.cache=$(OUT)/cache out=$(OUT)/report
 	@cat $(OUT)/report/metrics.md
 	@echo "Report: $(OUT)/report/metrics.md and the plots beside it."
 
