@@ -110,11 +110,16 @@ def evaluate_windows(
 
 
 def representative(samples: pd.DataFrame, score: str = "plan_ade") -> dict[str, dict[str, int]]:
-    """Numbers of the best, the median and the worst sample of each mode by a score (m)."""
+    """Numbers of the best, the median and the worst sample of each mode by a score (m).
+
+    Standstill tells little: where a mode has samples in motion (`moving`), they are taken from these.
+    """
     chosen = {}
     numbers, values = np.arange(len(samples)), samples[score].to_numpy()
     for mode in sorted(set(samples["mode"])):
-        own = numbers[(samples["mode"] == mode).to_numpy()]
+        of_mode = (samples["mode"] == mode).to_numpy()
+        in_motion = of_mode & samples["moving"].to_numpy(bool)
+        own = numbers[in_motion if in_motion.any() else of_mode]
         order = own[np.argsort(values[own], kind="stable")]
         chosen[mode] = {
             "best": int(order[0]),

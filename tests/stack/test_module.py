@@ -1,5 +1,6 @@
 """The stack: losses, scores and gradients of whole batches."""
 
+import pandas as pd
 import pytest
 import torch
 
@@ -15,7 +16,14 @@ from diffstack_mmv.dynamics import DiffKBM
 from diffstack_mmv.planning import CandidateFan, FutureGoal, MPCPlanner, PredictedGoal
 from diffstack_mmv.prediction import ConstantVelocity, StandStill
 from diffstack_mmv.prediction.goal_baselines import hermite_spline
-from diffstack_mmv.stack import SCORES, DiffStackMMV, LossWeights, PathToGoal, PredictedPath
+from diffstack_mmv.stack import (
+    SCORES,
+    DiffStackMMV,
+    LossWeights,
+    PathToGoal,
+    PredictedPath,
+    representative,
+)
 from diffstack_mmv.types import Mode, Motion, StackBatch, Tracks
 from diffstack_mmv.vehicles import load_vehicle
 
@@ -135,3 +143,16 @@ def test_baselines_answer_with_paths(baseline, error):
     distance = (path - batch.ego_future.motion.position).norm(dim=-1)
     assert path.shape == (3, STEPS, 2)
     assert distance.max() < 0.01 if error is not None else distance.max() > 2.0
+
+
+def test_representative_samples_are_in_motion_where_there_are_such():
+    frame = pd.DataFrame(
+        {
+            "mode": ["bicycle"] * 4 + ["scooter"],
+            "moving": [False, True, True, True, False],
+            "plan_ade": [0.0, 3.0, 1.0, 2.0, 0.5],
+        }
+    )
+    chosen = representative(frame)
+    assert chosen["bicycle"] == {"best": 2, "median": 3, "worst": 1}
+    assert set(chosen["scooter"].values()) == {4}
