@@ -112,7 +112,7 @@ def evaluate_windows(
 def representative(samples: pd.DataFrame, score: str = "plan_ade") -> dict[str, dict[str, int]]:
     """Numbers of the best, the median and the worst sample of each mode by a score (m).
 
-    Standstill tells little: where a mode has samples in motion (`moving`), they are taken from these.
+    Where a mode has samples in motion (`moving`), only these are looked at.
     """
     chosen = {}
     numbers, values = np.arange(len(samples)), samples[score].to_numpy()
