@@ -13,6 +13,7 @@ from data_converters.report import ConversionReport
 from data_converters.smoothing import CausalSmoother, ZeroPhaseSmoother
 from data_converters.thab import ThabVruDataset
 from data_converters.tracks import ResampleSettings
+from data_converters.two_wheeler import TwoWheelerDataset
 
 __all__ = [
     "CacheError",
@@ -29,6 +30,7 @@ __all__ = [
     "ThabVruDataset",
     "TrackError",
     "TrackFilter",
+    "TwoWheelerDataset",
     "ZeroPhaseSmoother",
     "convert",
     "default_extent",

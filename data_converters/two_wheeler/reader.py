@@ -1,0 +1,88 @@
+"""Reading of the two-wheeler csv files: where the wheels touch the ground, and the lean."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from data_converters.errors import RejectReason, refuse_track
+
+Array = NDArray[np.float64]
+
+RIDER = 0
+"""`obj_id` of the box of the rider; other boxes of a frame are parts of the vehicle."""
+
+CENTRE, QUATERNION, SIZE = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("sx", "sy", "sz")
+COLUMNS = ("time_s", "obj_id", *CENTRE, *QUATERNION, *SIZE)
+
+
+class Boxes(NamedTuple):
+    """Boxes of one vehicle over time, in a frame x east, y north, z up.
+
+    Attributes:
+        time_s: (n,) s, increasing.
+        ground: (n, 3) m, where the upright axis of the box meets its lower side: the contact line.
+        upright: (n, 3) unit vector of the upright axis, which leans with the vehicle.
+    """
+
+    time_s: Array
+    ground: Array
+    upright: Array
+
+
+def read_boxes(path: Path) -> Boxes:
+    """Boxes of the vehicle in one file.
+
+    The files are in the frame of the sensor with y up; z, x and y become east, north and up, which
+    keeps left turns left. The upright axis is the one of the box that is steepest over the file.
+
+    Raises:
+        TrackError: If the file is no table, lacks a column, or a number is missing.
+    """
+    table = _read_table(path)
+    table = table[table["obj_id"] == RIDER].sort_values("time_s").drop_duplicates("time_s")
+    values = table[list(COLUMNS)].to_numpy(dtype=np.float64)
+    broken = ~np.isfinite(values).all(axis=1)
+    if broken.any() or len(values) == 0:
+        found = "no row" if len(values) == 0 else values[int(broken.argmax())]
+        needs = f"hold finite numbers with obj_id {RIDER}"
+        refuse_track(RejectReason.NOT_FINITE, "rows", needs, found, path, "Copy the file again.")
+    axes = Rotation.from_quat(table[list(QUATERNION)].to_numpy()).as_matrix()
+    steepest = int(np.abs(axes[:, 1, :]).mean(axis=0).argmax())
+    upright = axes[:, :, steepest] * np.sign(axes[:, 1, steepest])[:, None]
+    height = table[SIZE[steepest]].to_numpy()
+    ground = table[list(CENTRE)].to_numpy() - 0.5 * height[:, None] * upright
+    to_world = [2, 0, 1]
+    return Boxes(table["time_s"].to_numpy(), ground[:, to_world], upright[:, to_world])
+
+
+def lean_to_the_left(upright: Array, velocity: Array) -> Array:
+    """Lean (n,) in rad about the direction of travel, positive to the left.
+
+    Args:
+        upright: (n, 3) axis that leans with the vehicle.
+        velocity: (n, 2) m/s; its direction is that of the wheels.
+    """
+    left = np.stack([-velocity[:, 1], velocity[:, 0]], axis=1)
+    left /= np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-9)
+    return np.arctan2((upright[:, :2] * left).sum(axis=1), upright[:, 2])
+
+
+def _read_table(path: Path) -> pd.DataFrame:
+    try:
+        table = pd.read_csv(path)
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+        reason = RejectReason.MISSING_FIELD
+        refuse_track(reason, "file", "be a csv table", error, path, "Copy the file again.")
+    missing = [column for column in COLUMNS if column not in table.columns]
+    if missing:
+        reason = RejectReason.MISSING_FIELD
+        found = list(table.columns)
+        refuse_track(reason, "columns", f"contain {missing}", found, path, "Copy the file again.")
+    numbers = {column: pd.to_numeric(table[column], errors="coerce") for column in COLUMNS}
+    return pd.DataFrame(numbers)
