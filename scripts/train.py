@@ -9,7 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from diffstack_mmv.callbacks import Provenance, resume_point
 from diffstack_mmv.cli import command
-from diffstack_mmv.stack import load_weights
+from diffstack_mmv.stack import start_from
 from diffstack_mmv.vehicles import config_folder
 
 
@@ -21,7 +21,7 @@ def main(config: DictConfig) -> None:
     resume = resume_point(Path(config.out) / "checkpoints" / "last.ckpt", content)
     stack, data = instantiate(config.stack), instantiate(config.data.module)
     if config.start is not None and resume is None:
-        load_weights(stack, Path(config.start))
+        start_from(stack, Path(config.start))
     callbacks = [instantiate(each) for each in config.callbacks.values() if each is not None]
     loggers = [instantiate(each) for each in config.logger.values() if each is not None]
     trainer = instantiate(

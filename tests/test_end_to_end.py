@@ -169,6 +169,13 @@ def test_other_run_in_the_same_folder_is_refused_and_left_alone(workplace):
     assert last.read_bytes() == before
 
 
+def test_training_starts_from_the_predictor_of_other_dynamics(workplace, tmp_path):
+    start = workplace / "run" / "checkpoints" / "last.ckpt"
+    options = [*SMALL, "dynamics=unicycle", "loss=prediction", "trainer.limit_train_batches=1"]
+    succeed("train", *data_of(workplace), *options, f"start={start}", f"out={tmp_path}")
+    assert "keep their initial values" in (tmp_path / "train.log").read_text()
+
+
 def test_checkpoint_of_another_architecture_is_refused(workplace, tmp_path):
     start = f"start={workplace / 'run' / 'checkpoints' / 'last.ckpt'}"
     message = fail("train", *data_of(workplace), "predictor.components=7", start, f"out={tmp_path}")

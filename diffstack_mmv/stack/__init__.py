@@ -1,6 +1,12 @@
 """The stack of prediction, planning and control, its training losses and its evaluation."""
 
-from diffstack_mmv.stack.checkpoint import TrainedStack, load_stack, load_weights, read_checkpoint
+from diffstack_mmv.stack.checkpoint import (
+    TrainedStack,
+    load_stack,
+    load_weights,
+    read_checkpoint,
+    start_from,
+)
 from diffstack_mmv.stack.evaluation import (
     Baseline,
     Evaluation,
@@ -31,4 +37,5 @@ __all__ = [
     "outputs_of",
     "read_checkpoint",
     "representative",
+    "start_from",
 ]

@@ -1,14 +1,19 @@
 """A trained stack from its checkpoint alone."""
 
+import logging
 import pickle
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
 from hydra.utils import instantiate
+from torch import Tensor
 
 from diffstack_mmv.checks import message
 from diffstack_mmv.stack.module import DiffStackMMV
+
+_logger = logging.getLogger(__name__)
 
 _REMEDY = "Give the path of a checkpoint that scripts/train.py wrote."
 
@@ -34,15 +39,43 @@ def load_stack(path: Path, device: torch.device | str = "cpu") -> TrainedStack:
 
 
 def load_weights(stack: DiffStackMMV, path: Path) -> None:
-    """Start a stack from the weights of a checkpoint.
+    """Give a stack the weights of a checkpoint.
 
     Raises:
         ValueError: The file is missing, broken, of another program, or of a stack of another
             architecture.
     """
-    content = read_checkpoint(path)
+    _load(stack, read_checkpoint(path)["state_dict"], path)
+
+
+def start_from(stack: DiffStackMMV, path: Path) -> None:
+    """Give a stack the weights of a checkpoint, also of one with other dynamics of the ego.
+
+    Physical parameters are taken over only from the same dynamics; a stack with other dynamics
+    keeps its own, so that one trained predictor can start the training with every vehicle.
+
+    Raises:
+        ValueError: The file is missing, broken, of another program, or of a stack of another
+            architecture.
+    """
+    given = read_checkpoint(path)["state_dict"]
+    places = tuple(
+        f"{name}."
+        for name, module in stack.named_modules(remove_duplicate=False)
+        if module is stack.planner.dynamics
+    )
+    own = {key: value for key, value in stack.state_dict().items() if key.startswith(places)}
+    if own.keys() != {key for key in given if key.startswith(places)}:
+        learned = {key: value for key, value in given.items() if not key.startswith(places)}
+        given = learned | own
+        _logger.info("%s has other dynamics: physical parameters keep their initial values", path)
+    _load(stack, given, path)
+
+
+def _load(stack: DiffStackMMV, weights: Mapping[str, Tensor], path: Path) -> None:
+    """Load weights that have to fit the stack completely."""
     try:
-        stack.load_state_dict(content["state_dict"])
+        stack.load_state_dict(weights)
     except RuntimeError as mismatch:
         told = "; ".join(line.strip() for line in str(mismatch).splitlines()[1:4])
         raise ValueError(
