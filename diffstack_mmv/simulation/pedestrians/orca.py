@@ -10,6 +10,7 @@ from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.simulation.pedestrians.base import Bystander, CrowdState, towards
 from diffstack_mmv.simulation.pedestrians.half_planes import (
     Agents,
+    HalfPlanes,
     Neighbours,
     half_planes,
     nearest,
@@ -63,14 +64,34 @@ class OrcaCrowd:
         Returns:
             Velocities in m/s in the precision of the positions; every value is a float32 number.
         """
-        agents = Agents(
-            position=crowd.position,
-            velocity=crowd.velocity,
-            preferred_velocity=towards(crowd.position, crowd.goal),
-            radius=crowd.radius,
-            max_speed=crowd.preferred_speed,
-        )
+        agents = _as_agents(crowd, towards(crowd.position, crowd.goal))
         return self.velocity(agents, _everybody_else(crowd, bystander), dt_s)
+
+    @torch.no_grad()
+    def responses(
+        self, crowd: CrowdState, goals: Float[Tensor, "*b h k 2"], dt_s: float
+    ) -> Float[Tensor, "*b h k 2"]:
+        """What each human would do if it had another goal and all else were as it is.
+
+        Args:
+            crowd: The humans of all episodes, whose own goals do not matter.
+            goals: Goals in m to try for each human.
+            dt_s: Length of the step in s.
+
+        Returns:
+            Velocities in m/s, one per goal.
+        """
+        agents = _as_agents(crowd, towards(crowd.position.unsqueeze(-2), goals))
+        preferred = agents.preferred_velocity.float()
+        planes = self._planes(agents, _everybody_else(crowd, None), dt_s)
+        shape = (*goals.shape[:-1], planes.valid.shape[-1])
+        many = HalfPlanes(
+            planes.point.unsqueeze(-3).expand(*shape, 2),
+            planes.direction.unsqueeze(-3).expand(*shape, 2),
+            planes.valid.unsqueeze(-2).expand(shape),
+        )
+        speed = agents.max_speed.float().unsqueeze(-1).expand(goals.shape[:-1])
+        return safest_velocity(many, speed, preferred).to(goals.dtype)
 
     @torch.no_grad()
     def velocity(self, agents: Agents, others: Neighbours, dt_s: float) -> Float[Tensor, "*b 2"]:
@@ -84,6 +105,14 @@ class OrcaCrowd:
         Returns:
             Velocities in m/s in the precision of the positions.
         """
+        planes = self._planes(agents, others, dt_s)
+        chosen = safest_velocity(
+            planes, agents.max_speed.float(), agents.preferred_velocity.float()
+        )
+        return chosen.to(agents.position.dtype)
+
+    def _planes(self, agents: Agents, others: Neighbours, dt_s: float) -> HalfPlanes:
+        """Half-planes of the nearest neighbours, in float32."""
         wide = agents._replace(radius=agents.radius + self.margin_m)
         wide = Agents(*(field.float() for field in wide))
         seen = Neighbours(
@@ -95,9 +124,18 @@ class OrcaCrowd:
         constant = wide.radius.new_tensor
         count = torch.tensor(self.max_neighbours, device=wide.radius.device)
         seen = nearest(wide, seen, constant(self.neighbour_distance_m), count).neighbours
-        planes = half_planes(wide, seen, constant(dt_s), constant(self.time_horizon_s))
-        chosen = safest_velocity(planes, wide.max_speed, wide.preferred_velocity)
-        return chosen.to(agents.position.dtype)
+        return half_planes(wide, seen, constant(dt_s), constant(self.time_horizon_s))
+
+
+def _as_agents(crowd: CrowdState, preferred: Float[Tensor, "..."]) -> Agents:
+    """The humans with these preferred velocities (m/s)."""
+    return Agents(
+        position=crowd.position,
+        velocity=crowd.velocity,
+        preferred_velocity=preferred,
+        radius=crowd.radius,
+        max_speed=crowd.preferred_speed,
+    )
 
 
 def _everybody_else(crowd: CrowdState, bystander: Bystander | None) -> Neighbours:
