@@ -11,7 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from diffstack_mmv.checks import require_at_least, require_one_of
 from diffstack_mmv.cli import command
 from diffstack_mmv.plotting import save_stories
-from diffstack_mmv.reporting import write_closed_loop
+from diffstack_mmv.reporting import paired_cases, paired_with_run, write_closed_loop
 from diffstack_mmv.simulation import (
     VERDICTS,
     Chunk,
@@ -66,7 +66,10 @@ def main(config: DictConfig) -> None:
     }
     rows = {name: summarise(each) for name, each in baselines.items()}
     published = [dict(each) for each in config.published or ()]
-    write_closed_loop(out, header | summarise(chunks), rows, published)
+    result = header | summarise(chunks)
+    pairs = [{"other": name} | paired_cases(result["cases"], rows[name]["cases"]) for name in rows]
+    pairs += [paired_with_run(result, Path(folder)) for folder in config.against]
+    write_closed_loop(out, result, rows, published, pairs)
     records = [chunk.record for chunk in chunks]
     save_stories(out, numbers, records, scenario.human_radius_m, config.animate)
     logger.info("Report: %s", out / "closed_loop.md")

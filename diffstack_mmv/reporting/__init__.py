@@ -10,11 +10,15 @@ from diffstack_mmv.reporting.files import (
     write_text,
 )
 from diffstack_mmv.reporting.metrics_table import summarise_modes, write_metrics
+from diffstack_mmv.reporting.paired import paired_cases, paired_table, paired_with_run
 
 __all__ = [
     "closed_loop_table",
     "compare",
+    "paired_cases",
+    "paired_table",
     "paired_tests",
+    "paired_with_run",
     "read_json",
     "read_parquet",
     "read_runs",

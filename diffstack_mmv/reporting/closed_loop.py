@@ -7,6 +7,7 @@ from typing import Any
 import pandas as pd
 
 from diffstack_mmv.reporting.files import write_json, write_text
+from diffstack_mmv.reporting.paired import paired_table
 
 COLUMNS = {
     "success_rate": "success",
@@ -26,6 +27,7 @@ def write_closed_loop(
     result: Mapping[str, Any],
     baselines: Mapping[str, Mapping[str, Any]],
     published: Sequence[Mapping[str, Any]] = (),
+    pairs: Sequence[Mapping[str, Any]] = (),
 ) -> None:
     """Write `closed_loop.json` and `closed_loop.md` into a folder.
 
@@ -34,12 +36,14 @@ def write_closed_loop(
         result: Header and numbers of the controller; the keys are those of the file.
         baselines: Numbers of each baseline; its cases go into the file as well.
         published: Rows of published methods, each with its source.
+        pairs: Paired tests against other methods and runs, see `paired_cases`.
 
     Raises:
         ValueError: A number is NaN or infinite.
     """
-    write_json(folder / "closed_loop.json", {**result, "baselines": dict(baselines)})
-    write_text(folder / "closed_loop.md", _markdown(result, baselines, published))
+    write_json(folder / "closed_loop.json", _content(result, baselines, pairs))
+    told = [_summary(result, baselines), _paired(pairs), _published(published)]
+    write_text(folder / "closed_loop.md", "\n\n".join(part for part in told if part) + "\n")
 
 
 def closed_loop_table(
@@ -71,12 +75,17 @@ def _cell(value: float | None) -> str:
     return "–" if value is None else f"{value:.3f}"
 
 
-def _markdown(
+def _content(
     result: Mapping[str, Any],
     baselines: Mapping[str, Mapping[str, Any]],
-    published: Sequence[Mapping[str, Any]],
-) -> str:
-    """The report."""
+    pairs: Sequence[Mapping[str, Any]],
+) -> dict[str, Any]:
+    """What the JSON file holds."""
+    return {**result, "baselines": dict(baselines), "paired": list(pairs)}
+
+
+def _summary(result: Mapping[str, Any], baselines: Mapping[str, Mapping[str, Any]]) -> str:
+    """Setting, scores and failures."""
     last = result["first_case"] + result["n"] - 1
     title = f"# Closed loop: {result['vehicle']} · {result['dynamics']} · {result['scenario']}\n\n"
     limits = ", ".join(f"{name} {value:g}" for name, value in result["limits"].items())
@@ -88,13 +97,27 @@ def _markdown(
     )
     table = closed_loop_table(result, baselines).to_markdown()
     failed = [case for case in result["cases"] if case["outcome"] != "success"]
-    parts = [title, setting, table, "\n\n## Cases without success\n\n", _failures(failed)]
-    if published:
-        parts += [
-            "\n\n## Published methods\n\nOther robots, limits and rules: see each source.\n\n"
-        ]
-        parts += [pd.DataFrame(published).fillna("–").to_markdown(index=False)]
-    return "".join(parts) + "\n"
+    return f"{title}{setting}{table}\n\n## Cases without success\n\n{_failures(failed)}"
+
+
+def _paired(pairs: Sequence[Mapping[str, Any]]) -> str:
+    """The paired tests, if there are any."""
+    if not pairs:
+        return ""
+    told = (
+        "Case by case; differences are this run minus the other. Success and collision: McNemar's "
+        "exact test; time (where both succeed) and discomfort: Wilcoxon's signed-rank test."
+    )
+    return f"## Paired tests\n\n{told}\n\n{paired_table(pairs).to_markdown(index=False)}"
+
+
+def _published(published: Sequence[Mapping[str, Any]]) -> str:
+    """The published methods, if there are any."""
+    if not published:
+        return ""
+    frame = pd.DataFrame(published).astype(object)
+    table = frame.where(frame.notna(), "–").to_markdown(index=False)
+    return f"## Published methods\n\nOther robots, limits and rules: see each source.\n\n{table}"
 
 
 def _failures(cases: Sequence[Mapping[str, Any]]) -> str:

@@ -94,11 +94,11 @@ def paired_tests(folders: Sequence[Path], score: str = "plan_ade") -> pd.DataFra
             difference = difference[~np.isnan(difference)]
             row = {"data": data, "goal": goal, "mode": mode, "pair": f"{first} - {second}"}
             row |= {"scenes": len(difference), f"mean {score}": difference.mean()}
-            rows.append(row | {"p": _signed_rank(difference)})
+            rows.append(row | {"p": signed_rank(difference)})
     return pd.DataFrame(rows)
 
 
-def _signed_rank(difference: np.ndarray) -> float:
+def signed_rank(difference: np.ndarray) -> float:
     """Two-sided p value of the Wilcoxon signed-rank test; NaN below six unequal pairs."""
     if (difference != 0).sum() < 6:
         return float("nan")

@@ -1,0 +1,121 @@
+"""Paired tests between closed-loop runs over the same cases."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import binomtest
+
+from diffstack_mmv.reporting.comparison import signed_rank
+from diffstack_mmv.reporting.files import read_json
+
+SETTINGS = ("scenario", "humans", "phase", "limit_s", "dt_s", "verdict")
+"""What two runs have to share to be compared case by case."""
+
+
+def paired_with_run(result: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Compare a run case by case with an earlier one.
+
+    Args:
+        result: Header and cases of the run.
+        folder: Folder with the `closed_loop.json` of the earlier one.
+
+    Returns:
+        See `paired_cases`; `other` names the earlier run.
+
+    Raises:
+        ValueError: The file is missing, has no case in common with the run, or was made under
+            other settings.
+    """
+    other = read_json(folder / "closed_loop.json")
+    for name in SETTINGS:
+        if other[name] != result[name]:
+            raise ValueError(
+                f"`against` must name runs with {name} {result[name]}, but got {other[name]} in "
+                f"{folder}. Compare runs of one setting."
+            )
+    name = f"{other['controller']} ({other['dynamics']} {other['vehicle']})"
+    if other["believed_dynamics"] != other["dynamics"]:
+        name += f", believes in {other['believed_dynamics']}"
+    return {"other": name} | paired_cases(result["cases"], other["cases"])
+
+
+def paired_cases(
+    own: Sequence[Mapping[str, Any]], other: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Tests on the cases that both runs hold.
+
+    Success and collision: McNemar's exact test on the cases where one of both has it. Time in s:
+    Wilcoxon's signed-rank test on the cases where both succeed. Discomfort, the share of uneasy
+    steps: the same test on all cases. All tests are two-sided; differences are own minus other.
+
+    Args:
+        own: Cases of a run, as in its file.
+        other: Cases of another one.
+
+    Returns:
+        A dictionary for JSON; p is None where too few pairs differ (below six for Wilcoxon).
+
+    Raises:
+        ValueError: The runs have no case in common.
+
+    Source:
+        McNemar, Note on the sampling error of the difference between correlated proportions (1947);
+        Wilcoxon, Individual comparisons by ranking methods (1945).
+    """
+    pairs = pd.DataFrame(own).merge(pd.DataFrame(other), on="case", suffixes=("", "_other"))
+    if pairs.empty:
+        raise ValueError("`other` must share cases with the run, but got none. Drive the same.")
+    both = pairs[(pairs["outcome"] == "success") & (pairs["outcome_other"] == "success")]
+    share = pairs["discomfort_steps"] / pairs["steps"]
+    share_other = pairs["discomfort_steps_other"] / pairs["steps_other"]
+    return {
+        "n": len(pairs),
+        "success": _discordant(pairs, "success"),
+        "collision": _discordant(pairs, "collision"),
+        "time_s": _shift(both["time_s"] - both["time_s_other"]),
+        "discomfort": _shift(share - share_other),
+    }
+
+
+def paired_table(pairs: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """One row per comparison: counts of discordant cases, mean differences and p values."""
+    rows = []
+    for pair in pairs:
+        row = {"against": pair["other"], "n": pair["n"]}
+        for name in ("success", "collision"):
+            test = pair[name]
+            row[f"{name} only here / there"] = f"{test['only_own']} / {test['only_other']}"
+            row[f"p ({name})"] = _told(test["p"], ".3g")
+        for name, title in (("time_s", "time [s]"), ("discomfort", "discomfort")):
+            row[f"Δ {title}"] = _told(pair[name]["mean"], "+.4f")
+            row[f"p ({title})"] = _told(pair[name]["p"], ".3g")
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _discordant(pairs: pd.DataFrame, outcome: str) -> dict[str, Any]:
+    """McNemar's exact test of one outcome."""
+    own, other = pairs["outcome"] == outcome, pairs["outcome_other"] == outcome
+    only_own, only_other = int((own & ~other).sum()), int((other & ~own).sum())
+    total = only_own + only_other
+    p = float(binomtest(only_own, total).pvalue) if total else None
+    return {"only_own": only_own, "only_other": only_other, "p": p}
+
+
+def _shift(difference: pd.Series) -> dict[str, Any]:
+    """Mean difference and the p value of the signed-rank test."""
+    values = difference.to_numpy(np.float64)
+    p = signed_rank(values)
+    return {
+        "pairs": len(values),
+        "mean": float(values.mean()) if len(values) else None,
+        "p": None if np.isnan(p) else p,
+    }
+
+
+def _told(value: float | None, form: str) -> str:
+    """A number in this form, or a dash."""
+    return "–" if value is None else format(value, form)
