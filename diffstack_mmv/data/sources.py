@@ -80,6 +80,19 @@ class ConvertedCache:
         used = self._state()["smoother"]
         return f"{used['name']}, looks {used['lookahead_s']:g} s ahead"
 
+    def scenes(self) -> list[dict[str, Any]]:
+        """Name, split, steps and agents per mode of every scene.
+
+        Raises:
+            ValueError: The cache is absent, unfinished or of another version.
+        """
+        return self._state()["scenes"]
+
+    def report(self) -> dict[str, Any]:
+        """The report of the conversion, empty if there is none."""
+        path = self._path / _REPORT_FILE
+        return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+
     def open(self, split: str, windows: WindowSettings) -> TrajdataWindows:
         """Open the windows of one split.
 

@@ -9,20 +9,40 @@ from diffstack_mmv.plotting.closed_loop import (
 )
 from diffstack_mmv.plotting.figures import save_figure
 from diffstack_mmv.plotting.horizon import draw_error_over_horizon
+from diffstack_mmv.plotting.identification import (
+    Estimate,
+    FittedTrack,
+    draw_controls,
+    draw_estimates,
+    draw_lean,
+    draw_profiles,
+    draw_spectrum,
+    draw_tracks,
+    save_identification,
+)
 from diffstack_mmv.plotting.open_loop import draw_runs, draw_wheels
 from diffstack_mmv.plotting.plans import Scene, draw_scene, draw_scenes
 
 __all__ = [
     "Episode",
+    "Estimate",
+    "FittedTrack",
     "Scene",
+    "draw_controls",
     "draw_episode",
     "draw_error_over_horizon",
+    "draw_estimates",
+    "draw_lean",
+    "draw_profiles",
     "draw_runs",
     "draw_scene",
     "draw_scenes",
+    "draw_spectrum",
+    "draw_tracks",
     "draw_wheels",
     "episode_of",
     "save_animation",
     "save_figure",
+    "save_identification",
     "save_stories",
 ]

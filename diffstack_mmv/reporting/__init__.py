@@ -9,12 +9,14 @@ from diffstack_mmv.reporting.files import (
     write_parquet,
     write_text,
 )
+from diffstack_mmv.reporting.identification import models_table, write_identification
 from diffstack_mmv.reporting.metrics_table import summarise_modes, write_metrics
 from diffstack_mmv.reporting.paired import paired_cases, paired_table, paired_with_run
 
 __all__ = [
     "closed_loop_table",
     "compare",
+    "models_table",
     "paired_cases",
     "paired_table",
     "paired_tests",
@@ -25,6 +27,7 @@ __all__ = [
     "summarise_modes",
     "write_closed_loop",
     "write_comparison",
+    "write_identification",
     "write_json",
     "write_metrics",
     "write_parquet",

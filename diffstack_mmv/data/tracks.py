@@ -1,0 +1,84 @@
+"""Whole recorded tracks of one mode, as motions, for system identification."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import pandas as pd
+import torch
+from trajdata.caching.env_cache import EnvCache
+
+from diffstack_mmv.checks import message, require
+from diffstack_mmv.data.batch import STANDSTILL_MPS, yaw_rate
+from diffstack_mmv.data.sources import ConvertedCache, WindowSource
+from diffstack_mmv.geometry import rotate
+from diffstack_mmv.types import Mode, Motion
+
+
+class PositionNoise(NamedTuple):
+    """Standard deviation of recorded positions, along and across the motion."""
+
+    along_m: float
+    across_m: float
+
+
+def read_tracks(source: WindowSource, splits: Sequence[str], mode: str) -> dict[str, Motion]:
+    """Read all tracks of a mode, without cutting windows out of them.
+
+    Args:
+        source: A cache that scripts/convert.py wrote.
+        splits: Splits to read.
+        mode: Mode of transport.
+
+    Returns:
+        Motion (T) of each track in the world by "recording/agent", float64, steps of the cache.
+
+    Raises:
+        ValueError: The source is no converted cache, or holds no track of that mode.
+    """
+    cache = _converted(source)
+    wanted, found = Mode.named(mode), {}
+    for scene in cache.scenes():
+        if scene["split"] in splits and scene.get("agents", {wanted.label: 1}).get(wanted.label):
+            found |= _scene_tracks(cache, scene["name"], wanted)
+    remedy = "Choose another data set or another vehicle."
+    where = f"in the splits {', '.join(splits)} of '{cache.name}'"
+    require(len(found) > 0, "mode", "have tracks", f"none of mode '{mode}'", where, remedy)
+    return found
+
+
+def recorded_noise(source: WindowSource, mode: str) -> PositionNoise | None:
+    """Noise of the recorded positions of a mode: the smoother's residual, as the report tells it.
+
+    Raises:
+        ValueError: The source is no converted cache.
+    """
+    report = _converted(source).report()
+    residual = report.get("totals", {}).get("smoother_residual", {}).get(mode)
+    return None if residual is None else PositionNoise(residual["along_m"], residual["across_m"])
+
+
+def _converted(source: WindowSource) -> ConvertedCache:
+    if not isinstance(source, ConvertedCache):
+        wanted = "be a cache written by scripts/convert.py"
+        raise ValueError(message("data", wanted, type(source).__name__, "", "Convert it first."))
+    return source
+
+
+def _scene_tracks(cache: ConvertedCache, name: str, mode: Mode) -> dict[str, Motion]:
+    folder = Path(cache.folder) / cache.name / name
+    scene = EnvCache.load(next(folder.glob("scene_metadata_dt*.dill")))
+    chosen = [agent.name for agent in scene.agents if int(agent.type) == mode]
+    table = pd.read_feather(next(folder.glob("agent_data_dt*.feather")))
+    return {
+        f"{name}/{agent}": _motion(table[table["agent_id"] == agent], scene.dt) for agent in chosen
+    }
+
+
+def _motion(rows: pd.DataFrame, dt_s: float) -> Motion:
+    """Motion from rows x, y, vx, vy, heading of the smoothed track."""
+    columns = rows.sort_values("scene_ts")[["x", "y", "vx", "vy", "heading"]].to_numpy("float64")
+    state = torch.tensor(columns)
+    position, velocity, heading = state[:, :2], state[:, 2:4], state[:, 4]
+    moving = velocity.norm(dim=-1) >= STANDSTILL_MPS
+    return Motion(position, heading, rotate(velocity, -heading), yaw_rate(heading, moving, dt_s))

@@ -1,0 +1,53 @@
+"""System identification: physical parameters from tracks, with or without recorded controls."""
+
+from diffstack_mmv.identification.case import Case, Explained, lean_agreement
+from diffstack_mmv.identification.fit import Data, EarlyStopping, Fit, Shooting
+from diffstack_mmv.identification.identify import Identification, Identifier
+from diffstack_mmv.identification.linearisation import Tracker
+from diffstack_mmv.identification.parameters import LearnedParameters
+from diffstack_mmv.identification.problem import TrackedVehicle, TrackingSettings
+from diffstack_mmv.identification.profile import profiles
+from diffstack_mmv.identification.sensitivity import Thresholds, Verdict
+from diffstack_mmv.identification.stretches import (
+    ExcitingChoice,
+    LongestChoice,
+    RandomChoice,
+    Stretch,
+    StretchSettings,
+    batch,
+    cut,
+    divide,
+)
+from diffstack_mmv.identification.summary import losses, summarise
+from diffstack_mmv.identification.tracking import LevenbergMarquardt, track
+
+__all__ = [
+    "Case",
+    "Data",
+    "EarlyStopping",
+    "ExcitingChoice",
+    "Explained",
+    "Fit",
+    "Identification",
+    "Identifier",
+    "LearnedParameters",
+    "LevenbergMarquardt",
+    "LongestChoice",
+    "RandomChoice",
+    "Shooting",
+    "Stretch",
+    "StretchSettings",
+    "Thresholds",
+    "TrackedVehicle",
+    "Tracker",
+    "TrackingSettings",
+    "Verdict",
+    "batch",
+    "cut",
+    "divide",
+    "lean_agreement",
+    "losses",
+    "profiles",
+    "summarise",
+    "track",
+]

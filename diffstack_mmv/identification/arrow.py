@@ -1,0 +1,72 @@
+"""Normal equations with a block per track and a border for what the tracks share.
+
+    [ H_1           C_1 ] [ z_1 ]     [ g_1 ]
+    [      ...          ] [ ... ] = - [ ... ]
+    [ C_1ᵀ  ...     P   ] [  θ  ]     [  q  ]
+
+Eliminating the tracks leaves the Schur complement S = P - Σ C_iᵀ H_i⁻¹ C_i: the information about
+θ with the unknowns of all tracks marginalised.
+"""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+class Arrow(NamedTuple):
+    """Gauss-Newton Hessian and gradient."""
+
+    own: Float[Tensor, "N z z"]  # H_i, positive definite
+    cross: Float[Tensor, "N z p"]  # C_i
+    shared: Float[Tensor, "p p"]  # P
+    own_gradient: Float[Tensor, "N z"]
+    shared_gradient: Float[Tensor, " p"]
+
+    def damped(self, own: Float[Tensor, " N"], shared: Float[Tensor, ""]) -> "Arrow":
+        """Raise the diagonals by these shares (Levenberg and Marquardt)."""
+        block = self.own + torch.diag_embed(own.unsqueeze(-1) * self.own.diagonal(dim1=-2, dim2=-1))
+        border = self.shared + torch.diag_embed(shared * self.shared.diagonal())
+        return self._replace(own=block, shared=border)
+
+
+class Reduced(NamedTuple):
+    """What is left for θ when the tracks are eliminated."""
+
+    information: Float[Tensor, "p p"]  # S
+    gradient: Float[Tensor, " p"]
+
+
+class ArrowStep(NamedTuple):
+    """Solution of the normal equations."""
+
+    own: Float[Tensor, "N z"]
+    shared: Float[Tensor, " p"]
+
+
+def reduce(arrow: Arrow) -> Reduced:
+    """Eliminate the tracks."""
+    factor = torch.linalg.cholesky(arrow.own)
+    half = torch.linalg.solve_triangular(factor, arrow.cross, upper=False)
+    right = torch.linalg.solve_triangular(factor, arrow.own_gradient.unsqueeze(-1), upper=False)
+    information = arrow.shared - (half.mT @ half).sum(0)
+    gradient = arrow.shared_gradient - (half.mT @ right).sum(0).squeeze(-1)
+    return Reduced(0.5 * (information + information.mT), gradient)
+
+
+def solve(arrow: Arrow, regularisation: Float[Tensor, "p p"] | None = None) -> ArrowStep:
+    """Newton step: θ from the Schur complement, then each track for itself.
+
+    Args:
+        arrow: The equations.
+        regularisation: Added to the Schur complement, e.g. to make it invertible.
+    """
+    reduced = reduce(arrow)
+    matrix = (
+        reduced.information if regularisation is None else (reduced.information + regularisation)
+    )
+    shared = -torch.linalg.solve(matrix, reduced.gradient)
+    right = arrow.own_gradient + arrow.cross @ shared
+    own = -torch.cholesky_solve(right.unsqueeze(-1), torch.linalg.cholesky(arrow.own))
+    return ArrowStep(own.squeeze(-1), shared)

@@ -1,0 +1,220 @@
+"""Controls and physical parameters fitted together, with early stopping on held-out tracks."""
+
+import logging
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_at_least
+from diffstack_mmv.identification.arrow import Arrow, solve
+from diffstack_mmv.identification.linearisation import (
+    Tracker,
+    flat,
+    normal_equations,
+    unflat,
+)
+from diffstack_mmv.identification.problem import Problem
+from diffstack_mmv.identification.tracking import (
+    FIRST_DAMPING,
+    LEAST_DAMPING,
+    MOST_DAMPING,
+    LevenbergMarquardt,
+    Tracked,
+    track,
+)
+
+logger = logging.getLogger(__name__)
+
+RIDGE = 1e-8  # keeps θ at rest where the soft clamp and the data both say nothing
+
+
+class Progress(NamedTuple):
+    """One iteration of a fit."""
+
+    iteration: int
+    cost: float  # of the fitted tracks and the prior
+    heldout_cost: float  # of the held-out tracks
+
+
+class Fit(NamedTuple):
+    """A fit of physical parameters."""
+
+    theta: Float[Tensor, " p"]
+    fitted: Tracked
+    heldout: Tracked
+    history: tuple[Progress, ...]
+
+
+class Data(NamedTuple):
+    """Tracks to fit, and tracks to judge the fit by."""
+
+    fitted: Problem
+    heldout: Problem
+
+
+class Method(Protocol):
+    """How θ is found."""
+
+    def __call__(
+        self,
+        tracker: Tracker,
+        data: Data,
+        before: Fit,
+        active: Bool[Tensor, " p"],
+    ) -> Fit:
+        """Fit the active entries of θ, beginning at `before`."""
+        ...
+
+
+@dataclass(frozen=True)
+class EarlyStopping:
+    """Ends a fit when held-out tracks are not explained better any more.
+
+    Args:
+        patience: Iterations without improvement.
+        improvement: Relative decrease of the held-out cost that counts.
+
+    Raises:
+        ValueError: The patience is below one.
+    """
+
+    patience: int = 4
+    improvement: float = 1e-5
+
+    def __post_init__(self) -> None:
+        require_at_least("patience", self.patience, 1)
+
+
+@dataclass
+class Watch:
+    """The best iterate on held-out tracks so far."""
+
+    stopping: EarlyStopping
+    best: Fit
+    history: list[Progress] = field(default_factory=list)
+    waited: int = 0
+
+    def see(self, fit: Fit, cost: float) -> bool:
+        """Take note of an iterate; tell whether to go on."""
+        heldout, least = heldout_cost(fit), heldout_cost(self.best)
+        self.history.append(Progress(len(self.history), cost, heldout))
+        logger.info(
+            "Iteration %d: cost %.3f, held-out tracks %.3f", len(self.history) - 1, cost, heldout
+        )
+        if heldout < least * (1 - self.stopping.improvement):
+            self.waited = 0
+        else:
+            self.waited += 1
+        if heldout <= least:
+            self.best = fit
+        return self.waited < self.stopping.patience
+
+
+def heldout_cost(fit: Fit) -> float:
+    """Tracking cost of the held-out tracks."""
+    return float(fit.heldout.simulated.cost.sum())
+
+
+def with_prior(arrow: Arrow, tracker: Tracker, theta: Float[Tensor, " p"]) -> Arrow:
+    """Add the priors of the parameters to the border."""
+    parameters = tracker.parameters
+    row = parameters.slope(theta) / parameters.prior.std
+    return arrow._replace(
+        shared=arrow.shared + row.square().diag(),
+        shared_gradient=arrow.shared_gradient + row * parameters.penalty(theta),
+    )
+
+
+def restricted(arrow: Arrow, active: Bool[Tensor, " p"]) -> Arrow:
+    """The equations with the other entries of θ held."""
+    return arrow._replace(
+        cross=arrow.cross[..., active],
+        shared=arrow.shared[active][:, active],
+        shared_gradient=arrow.shared_gradient[active],
+    )
+
+
+@dataclass(frozen=True)
+class Shooting:
+    """Levenberg-Marquardt on controls, placements and θ at once, tracks eliminated per step.
+
+    Args:
+        max_iterations: Limit of iterations.
+        tolerance: Relative decrease of the cost below which the fit has converged.
+        stopping: When to stop early.
+        heldout_iterations: Iterations per step for the controls of the held-out tracks.
+
+    Raises:
+        ValueError: The limit is below one.
+    """
+
+    max_iterations: int = 25
+    tolerance: float = 1e-6
+    stopping: EarlyStopping = EarlyStopping()
+    heldout_iterations: int = 2
+
+    def __post_init__(self) -> None:
+        require_at_least("max_iterations", self.max_iterations, 1)
+
+    def __call__(
+        self, tracker: Tracker, data: Data, before: Fit, active: Bool[Tensor, " p"]
+    ) -> Fit:
+        """Fit the active entries of θ, beginning at `before`."""
+        watch = Watch(self.stopping, before)
+        now, cost = before, total_cost(tracker, before)
+        watch.see(now, cost)
+        damping = FIRST_DAMPING
+        for _ in range(self.max_iterations):
+            trial = self._step(tracker, data, now, active, damping)
+            lower = total_cost(tracker, trial)
+            if not lower < cost:
+                damping *= 10
+                if damping > MOST_DAMPING:
+                    break
+                continue
+            decrease, damping = (cost - lower) / cost, max(damping / 10, LEAST_DAMPING)
+            now, cost = self._judged(tracker, data, trial), lower
+            if not watch.see(now, cost) or decrease < self.tolerance:
+                break
+        return watch.best._replace(history=tuple(watch.history))
+
+    def _step(
+        self,
+        tracker: Tracker,
+        data: Data,
+        now: Fit,
+        active: Bool[Tensor, " p"],
+        damping: float,
+    ) -> Fit:
+        unknowns, simulated, _ = now.fitted
+        jacobian = tracker.jacobian(now.theta, data.fitted, unknowns, simulated)
+        whole = with_prior(
+            normal_equations(jacobian, simulated.residual, unknowns), tracker, now.theta
+        )
+        arrow = restricted(whole, active)
+        share = simulated.cost.new_tensor(damping)
+        ridge = RIDGE * torch.eye(int(active.sum()), dtype=share.dtype)
+        step = solve(arrow.damped(share.expand(len(unknowns.rates)), share), ridge)
+        theta = now.theta.clone()
+        theta[active] += step.shared
+        theta = tracker.parameters.inside(theta)
+        moved = unflat(flat(unknowns) + step.own)
+        trial = tracker.simulate(theta, data.fitted, moved)
+        return now._replace(
+            theta=theta, fitted=now.fitted._replace(unknowns=moved, simulated=trial)
+        )
+
+    def _judged(self, tracker: Tracker, data: Data, fit: Fit) -> Fit:
+        few = LevenbergMarquardt(self.heldout_iterations)
+        heldout = track(tracker, fit.theta, data.heldout, fit.heldout.unknowns, few)
+        return fit._replace(heldout=heldout)
+
+
+def total_cost(tracker: Tracker, fit: Fit) -> float:
+    """Cost of the fitted tracks and of the prior; infinite if it is none."""
+    penalty = 0.5 * tracker.parameters.penalty(fit.theta).square().sum()
+    cost = float(fit.fitted.simulated.cost.sum() + penalty)
+    return cost if cost == cost else float("inf")

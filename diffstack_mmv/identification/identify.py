@@ -1,0 +1,112 @@
+"""From tracks to calibrated parameters: track, see what is informed, fit, judge."""
+
+import logging
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from diffstack_mmv.identification.fit import Data, Fit, Method, Shooting
+from diffstack_mmv.identification.linearisation import Tracker, normal_equations
+from diffstack_mmv.identification.problem import Problem
+from diffstack_mmv.identification.sensitivity import (
+    Sensitivity,
+    Thresholds,
+    Verdict,
+    sensitivity,
+)
+from diffstack_mmv.identification.tracking import LevenbergMarquardt, Tracked, track
+
+logger = logging.getLogger(__name__)
+
+
+class Identification(NamedTuple):
+    """What an identification found."""
+
+    before: Fit
+    after: Fit
+    active: Bool[Tensor, " p"]  # which entries of θ were fitted
+    prior_sensitivity: Sensitivity
+    sensitivity: Sensitivity
+    verdicts: tuple[Verdict, ...]
+    noise_factor: float  # deviation of the residuals over the assumed one
+
+
+@dataclass(frozen=True)
+class Identifier:
+    """Identifies the parameters of a vehicle from tracks.
+
+    Args:
+        method: How θ is found once the controls are.
+        tracking: Solver that infers controls for a known vehicle.
+        thresholds: When a parameter counts as informed.
+    """
+
+    method: Method = field(default_factory=Shooting)
+    tracking: LevenbergMarquardt = LevenbergMarquardt(60)
+    thresholds: Thresholds = Thresholds()
+
+    @torch.no_grad()
+    def __call__(self, tracker: Tracker, data: Data) -> Identification:
+        """Track with the prior, fit what the tracks inform, track again, and tell how sure it is.
+
+        Args:
+            tracker: Model, residuals and learned numbers.
+            data: Tracks to fit and tracks to judge by.
+        """
+        theta = tracker.parameters.start()
+        before = self.tracked(tracker, data, theta, None)
+        logger.info("Tracked with the prior: cost %.3f", float(before.fitted.simulated.cost.sum()))
+        prior = information(tracker, data.fitted, before.theta, before.fitted)
+        active = prior.conditional_ratio <= self.thresholds.informed
+        after = before
+        if bool(active.any()):
+            found = self.method(tracker, data, before, active)
+            after = self.tracked(tracker, data, found.theta, found)
+        factor = noise_factor(data.fitted, after.fitted, int(active.sum()))
+        posterior = information(tracker, data.fitted, after.theta, after.fitted, max(factor, 1.0))
+        verdicts = [
+            verdict if fitted else Verdict.NOT_IDENTIFIABLE
+            for verdict, fitted in zip(
+                posterior.verdicts(self.thresholds), active.tolist(), strict=True
+            )
+        ]
+        return Identification(before, after, active, prior, posterior, tuple(verdicts), factor)
+
+    def tracked(
+        self, tracker: Tracker, data: Data, theta: Float[Tensor, " p"], start: Fit | None
+    ) -> Fit:
+        """Controls of all tracks at θ."""
+        guess = data.fitted.guess if start is None else start.fitted.unknowns
+        fitted = track(tracker, theta, data.fitted, guess, self.tracking)
+        guess = data.heldout.guess if start is None else start.heldout.unknowns
+        heldout = track(tracker, theta, data.heldout, guess, self.tracking)
+        return Fit(theta, fitted, heldout, () if start is None else start.history)
+
+
+def noise_factor(problem: Problem, tracked: Tracked, fitted: int) -> float:
+    """Root of the mean square residual per degree of freedom, in assumed standard deviations.
+
+    Each unknown of a track has a residual of its own (its prior), so that the recorded numbers and
+    the fitted parameters are what counts.
+    """
+    weight = problem.targets.weight.sum() * 2 + (problem.targets.control_weight > 0).sum()
+    freedom = max(float(weight) - fitted, 1.0)
+    return math.sqrt(2 * float(tracked.simulated.cost.sum()) / freedom)
+
+
+def information(
+    tracker: Tracker,
+    problem: Problem,
+    theta: Float[Tensor, " p"],
+    tracked: Tracked,
+    factor: float = 1.0,
+) -> Sensitivity:
+    """What the tracks say about the parameters at θ."""
+    unknowns, simulated, _ = tracked
+    jacobian = tracker.jacobian(theta, problem, unknowns, simulated)
+    arrow = normal_equations(jacobian, simulated.residual, unknowns)
+    return sensitivity(arrow, tracker.parameters, theta, factor)

@@ -1,0 +1,142 @@
+"""The learnable physical parameters of a model as one vector, with their priors."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from diffstack_mmv.checks import require_one_of
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.vehicles import SoftClamped, VehicleSpec
+
+RANGE_IN_DEVIATIONS = 4.0  # a prior range is read as plus and minus two standard deviations
+FURTHEST = 3.5  # largest argument of the soft clamp: within 0.2 % of the range of its ends
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Prior of the physical values: one entry per learned number.
+
+    Args:
+        mean: Prior value in its unit.
+        std: Standard deviation in its unit: a quarter of the range.
+        low: Lower end of the range.
+        high: Upper end.
+    """
+
+    mean: Float[Tensor, " p"]
+    std: Float[Tensor, " p"]
+    low: Float[Tensor, " p"]
+    high: Float[Tensor, " p"]
+
+
+class LearnedParameters:
+    """All numbers that may move, v = middle + half · tanh(raw + θ) with one θ for each.
+
+    Parameters of wheels that are tied share a θ; their first wheel stands for all of them.
+
+    Args:
+        model: The dynamics, in its working precision.
+        spec: The vehicle it was built from, for the names of the wheels.
+        chosen: Names of the parameters that may move; all learnable ones by default.
+
+    Raises:
+        ValueError: A chosen name is not one of the learnable parameters of the model.
+    """
+
+    def __init__(
+        self, model: DynamicsModel, spec: VehicleSpec, chosen: Sequence[str] | None = None
+    ) -> None:
+        clamped = {n: m for n, m in model.named_modules() if isinstance(m, SoftClamped)}
+        free = {
+            name: module
+            for name, module in clamped.items()
+            if module.spec.learn and bool((module.get_buffer("half_range") > 0).all())
+        }
+        for name in chosen or ():
+            require_one_of("parameters", name, tuple(free), f"for vehicle '{spec.name}'")
+        self.modules = {n: m for n, m in free.items() if chosen is None or n in chosen}
+        self.names: list[str] = []
+        self.units: list[str] = []
+        wheels = [wheel.name for wheel in spec.wheels]
+        columns: dict[str, list[Tensor]] = {"middle": [], "half_range": [], "raw": []}
+        for name, module in self.modules.items():
+            count = module.offset.numel()
+            self.names += [name] if module.offset.dim() == 0 else [f"{name}.{w}" for w in wheels]
+            self.units += [module.unit] * count
+            for column, parts in columns.items():
+                parts.append(module.get_buffer(column).reshape(-1)[:count].detach())
+        like = model.bounds.lower
+        empty = like.new_zeros(0)
+        self.middle, self.half, self.raw = (
+            torch.cat([empty, *parts]) for parts in columns.values()
+        )
+        self.prior = Prior(
+            self.values(torch.zeros_like(self.raw)),
+            2 * self.half / RANGE_IN_DEVIATIONS,
+            self.middle - self.half,
+            self.middle + self.half,
+        )
+
+    def __len__(self) -> int:
+        """How many numbers may move."""
+        return len(self.names)
+
+    def start(self) -> Float[Tensor, " p"]:
+        """θ of the present offsets of the model."""
+        offsets = [module.offset.detach().reshape(-1) for module in self.modules.values()]
+        return torch.cat([self.raw.new_zeros(0), *offsets])
+
+    def values(self, theta: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
+        """Physical values."""
+        return self.middle + self.half * torch.tanh(self.raw + theta)
+
+    def slope(self, theta: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
+        """Derivative dv/dθ."""
+        return self.half * (1 - torch.tanh(self.raw + theta).square())
+
+    def theta_for(self, values: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
+        """θ of physical values inside of their ranges."""
+        return self.inside(torch.atanh((values - self.middle) / self.half) - self.raw)
+
+    def inside(self, theta: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
+        """θ kept where the soft clamp still answers."""
+        return (self.raw + theta).clamp(-FURTHEST, FURTHEST) - self.raw
+
+    def tensors(self, theta: Float[Tensor, " p"], prefix: str = "") -> dict[str, Tensor]:
+        """Offsets by their names in the model, for a functional call."""
+        parts = theta.split([module.offset.numel() for module in self.modules.values()])
+        return {
+            f"{prefix}{name}.offset": part.reshape(module.offset.shape)
+            for (name, module), part in zip(self.modules.items(), parts, strict=True)
+        }
+
+    def store(self, theta: Float[Tensor, " p"]) -> None:
+        """Write θ into the offsets of the model."""
+        with torch.no_grad():
+            for (_, module), part in zip(
+                self.modules.items(), self.tensors(theta).values(), strict=True
+            ):
+                module.offset.copy_(part)
+
+    def calibrated(self, theta: Float[Tensor, " p"]) -> dict[str, float | list[float]]:
+        """Values by parameter name, as `VehicleSpec.with_values` takes them; θ is stored."""
+        self.store(theta)
+        with torch.no_grad():
+            return {name: module().tolist() for name, module in self.modules.items()}
+
+    def penalty(self, theta: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
+        """Residual of the prior, (v - mean) / std."""
+        return (self.values(theta) - self.prior.mean) / self.prior.std
+
+    def indices(self, names: Sequence[str]) -> Int[Tensor, " k"]:
+        """Positions of numbers by name.
+
+        Raises:
+            ValueError: A name is unknown.
+        """
+        for name in names:
+            require_one_of("profile", name, self.names)
+        return torch.tensor([self.names.index(name) for name in names], dtype=torch.long)

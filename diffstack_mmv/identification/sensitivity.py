@@ -1,0 +1,123 @@
+"""What tracks say about physical parameters, with the unknowns of the tracks marginalised.
+
+All in physical units: with S_v the Schur complement of the Gauss-Newton Hessian (the Fisher
+information of the positions about the values v) and P the precision of the priors, the posterior
+covariance is (S_v + P)⁻¹. A parameter is judged by two ratios of its posterior to its prior
+standard deviation: marginal (all others unknown) and conditional (all others known).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_between
+from diffstack_mmv.identification.arrow import Arrow, reduce
+from diffstack_mmv.identification.parameters import LearnedParameters
+
+
+class Verdict(StrEnum):
+    """What the data say about one parameter."""
+
+    IDENTIFIABLE = "identifiable"
+    COMBINED = "only in combination"
+    NOT_IDENTIFIABLE = "not identifiable"
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """When a parameter counts as informed by the data.
+
+    Args:
+        identifiable: Largest ratio of marginal posterior to prior standard deviation.
+        informed: Largest ratio of conditional posterior to prior standard deviation; a parameter
+            above it stays at its prior.
+
+    Raises:
+        ValueError: A ratio is not between 0 and 1.
+    """
+
+    identifiable: float = 0.4
+    informed: float = 0.8
+
+    def __post_init__(self) -> None:
+        require_between("identifiable", self.identifiable, 0.0, 1.0)
+        require_between("informed", self.informed, self.identifiable, 1.0)
+
+
+class Direction(NamedTuple):
+    """A direction in the space of the values, each in units of its prior standard deviation."""
+
+    eigenvalue: float  # information, in units of that of the prior
+    weights: tuple[float, ...]
+
+
+class Sensitivity(NamedTuple):
+    """Information of tracks about the learned numbers."""
+
+    information: Float[Tensor, "p p"]  # S_v, of the data alone
+    covariance: Float[Tensor, "p p"]  # posterior
+    std: Float[Tensor, " p"]
+    marginal_ratio: Float[Tensor, " p"]
+    conditional_ratio: Float[Tensor, " p"]
+    directions: tuple[Direction, ...]  # from the best to the least informed one
+
+    def verdicts(self, thresholds: Thresholds) -> list[Verdict]:
+        """One verdict per parameter."""
+        found = []
+        for marginal, conditional in zip(
+            self.marginal_ratio.tolist(), self.conditional_ratio.tolist(), strict=True
+        ):
+            if conditional > thresholds.informed:
+                found.append(Verdict.NOT_IDENTIFIABLE)
+            elif marginal > thresholds.identifiable:
+                found.append(Verdict.COMBINED)
+            else:
+                found.append(Verdict.IDENTIFIABLE)
+        return found
+
+
+def sensitivity(
+    arrow: Arrow,
+    parameters: LearnedParameters,
+    theta: Float[Tensor, " p"],
+    noise_factor: float = 1.0,
+) -> Sensitivity:
+    """Information about the values at θ.
+
+    Args:
+        arrow: Normal equations of the tracks at the solution, without priors.
+        parameters: The learned numbers.
+        theta: θ.
+        noise_factor: True standard deviation of the residuals over the assumed one.
+    """
+    slope = parameters.slope(theta)
+    information = reduce(arrow).information / (slope * slope.unsqueeze(-1)) / noise_factor**2
+    precision = parameters.prior.std**-2
+    covariance = torch.linalg.inv(information + precision.diag())
+    std = covariance.diagonal().sqrt()
+    conditional = (information.diagonal().clamp_min(0) + precision).rsqrt()
+    scale = parameters.prior.std
+    values, vectors = torch.linalg.eigh(information * scale * scale.unsqueeze(-1))
+    directions = tuple(
+        Direction(max(float(value), 0.0), tuple(vector.tolist()))
+        for value, vector in zip(values.flip(0), vectors.mT.flip(0), strict=True)
+    )
+    return Sensitivity(information, covariance, std, std / scale, conditional / scale, directions)
+
+
+def describe(direction: Direction, names: Sequence[str], share: float = 0.2) -> str:
+    """A direction in words: the parameters that matter in it, with their weights."""
+    order = sorted(range(len(names)), key=lambda index: -abs(direction.weights[index]))
+    largest = abs(direction.weights[order[0]]) if order else 0.0
+    sign = 1.0 if not order or direction.weights[order[0]] >= 0 else -1.0
+    told = [
+        f"{sign * direction.weights[index]:+.2f} {names[index]}"
+        for index in order
+        if abs(direction.weights[index]) >= share * largest
+    ]
+    return ", ".join(told)

@@ -1,0 +1,123 @@
+"""Controls that explain recorded tracks, for a vehicle that is known."""
+
+import logging
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require, require_at_least, require_positive
+from diffstack_mmv.identification.arrow import solve
+from diffstack_mmv.identification.linearisation import (
+    Simulated,
+    Tracker,
+    flat,
+    normal_equations,
+    unflat,
+)
+from diffstack_mmv.identification.problem import Problem, Targets, Unknowns
+
+logger = logging.getLogger(__name__)
+
+FIRST_DAMPING = 1e-3
+LEAST_DAMPING = 1e-9
+MOST_DAMPING = 1e9
+
+
+class Tracked(NamedTuple):
+    """Unknowns that explain tracks, and what follows from them."""
+
+    unknowns: Unknowns
+    simulated: Simulated
+    converged: Bool[Tensor, " N"]
+
+
+@dataclass(frozen=True)
+class LevenbergMarquardt:
+    """Settings of the least-squares solver.
+
+    Args:
+        max_iterations: Limit of iterations.
+        tolerance: Relative decrease of the cost below which a track has converged.
+
+    Raises:
+        ValueError: A number is not positive.
+    """
+
+    max_iterations: int = 30
+    tolerance: float = 1e-6
+
+    def __post_init__(self) -> None:
+        require_at_least("max_iterations", self.max_iterations, 1)
+        require_positive("tolerance", self.tolerance)
+
+
+def track(
+    tracker: Tracker,
+    theta: Float[Tensor, " p"],
+    problem: Problem,
+    start: Unknowns,
+    settings: LevenbergMarquardt | None = None,
+) -> Tracked:
+    """Infer placement and rates of each track with θ held, each track damped for itself.
+
+    Args:
+        tracker: Model and residuals.
+        theta: θ.
+        problem: The tracks.
+        start: First guess, e.g. `problem.guess`.
+        settings: Of the solver.
+
+    Returns:
+        The unknowns of least cost.
+
+    Raises:
+        ValueError: The guess gives no finite cost.
+    """
+    settings = settings or LevenbergMarquardt()
+    unknowns, now = start, tracker.simulate(theta, problem, start)
+    bad = int((~now.cost.isfinite()).sum())
+    require(bad == 0, "tracks", "give a finite cost", f"{bad} that do not")
+    damping = torch.full_like(now.cost, FIRST_DAMPING)
+    done = torch.zeros_like(now.cost, dtype=torch.bool)
+    for _ in range(settings.max_iterations):
+        jacobian = tracker.jacobian(theta, problem, unknowns, now, shared=False)
+        arrow = normal_equations(jacobian, now.residual, unknowns)
+        step = solve(arrow.damped(damping, damping.new_zeros(()))).own
+        moved = unflat(flat(unknowns) + torch.where(done.unsqueeze(-1), 0.0, step))
+        trial = tracker.simulate(theta, problem, moved)
+        better = trial.cost < now.cost
+        small = (now.cost - trial.cost) <= settings.tolerance * now.cost
+        done = done | (small & better) | (damping > MOST_DAMPING)
+        unknowns, now = keep(better, moved, unknowns), keep(better, trial, now)
+        damping = torch.where(better, damping / 10, damping * 10).clamp_min(LEAST_DAMPING)
+        if bool(done.all()):
+            break
+    return Tracked(unknowns, now, done)
+
+
+def keep(better: Bool[Tensor, " N"], new: Any, old: Any) -> Any:
+    """Per track, the new record where it is better, else the old one."""
+    pairs = zip(new, old, strict=True)
+    return type(new)(
+        *(torch.where(better.reshape(-1, *[1] * (n.dim() - 1)), n, o) for n, o in pairs)
+    )
+
+
+def position_error(
+    tracker: Tracker, states: Float[Tensor, "N T1 s"], targets: Targets
+) -> Float[Tensor, "N T1"]:
+    """Distance in m between the reference point and the track, zero in the padding."""
+    plain, _, control = tracker.vehicle.split(states)
+    position = tracker.vehicle.model.motion(plain, control).position
+    return (position - targets.position).norm(dim=-1) * targets.weight
+
+
+def tracking_rmse(
+    tracker: Tracker, states: Float[Tensor, "N T1 s"], targets: Targets
+) -> Float[Tensor, " N"]:
+    """Root mean square distance of each track in m."""
+    squares = position_error(tracker, states, targets).square().sum(-1)
+    return (squares / targets.weight.sum(-1)).sqrt()
