@@ -68,7 +68,7 @@ def _converted(source: WindowSource) -> ConvertedCache:
 def _scene_tracks(cache: ConvertedCache, name: str, mode: Mode) -> dict[str, Motion]:
     folder = Path(cache.folder) / cache.name / name
     scene = EnvCache.load(next(folder.glob("scene_metadata_dt*.dill")))
-    chosen = [agent.name for agent in scene.agents if int(agent.type) == mode]
+    chosen = [agent.name for agent in scene.agents or () if int(agent.type) == mode]
     table = pd.read_feather(next(folder.glob("agent_data_dt*.feather")))
     return {
         f"{name}/{agent}": _motion(table[table["agent_id"] == agent], scene.dt) for agent in chosen

@@ -4,6 +4,7 @@ from diffstack_mmv.identification.case import Case, Explained, lean_agreement
 from diffstack_mmv.identification.fit import Data, EarlyStopping, Fit, Shooting
 from diffstack_mmv.identification.identify import Identification, Identifier
 from diffstack_mmv.identification.linearisation import Tracker
+from diffstack_mmv.identification.nested import Nested
 from diffstack_mmv.identification.parameters import LearnedParameters
 from diffstack_mmv.identification.problem import TrackedVehicle, TrackingSettings
 from diffstack_mmv.identification.profile import profiles
@@ -33,6 +34,7 @@ __all__ = [
     "LearnedParameters",
     "LevenbergMarquardt",
     "LongestChoice",
+    "Nested",
     "RandomChoice",
     "Shooting",
     "Stretch",

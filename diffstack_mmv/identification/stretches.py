@@ -107,7 +107,8 @@ class LongestChoice:
 class ExcitingChoice:
     """The stretches with the highest lateral acceleration and yaw rate.
 
-    The score is the root mean square of v r / a_0 plus that of r / r_0.
+    The score is the root mean square of v r / a_0 plus that of r / r_0, with the yaw rate r taken
+    over a second: from step to step it is mostly noise.
 
     Args:
         lateral_mps2: a_0, a lively lateral acceleration.
@@ -125,8 +126,9 @@ class ExcitingChoice:
         """Excitation of each stretch, dimensionless."""
         scores = []
         for each in stretches:
-            yaw_rate = each.course.diff() / self.dt_s
-            lateral = yaw_rate * each.speed[1:] / self.lateral_mps2
+            lag = min(round(1.0 / self.dt_s), len(each.course) - 1)
+            yaw_rate = (each.course[lag:] - each.course[:-lag]) / (lag * self.dt_s)
+            lateral = yaw_rate * each.speed[lag:] / self.lateral_mps2
             turning = yaw_rate / self.yaw_rate_radps
             scores.append(lateral.square().mean().sqrt() + turning.square().mean().sqrt())
         return torch.stack(scores)
