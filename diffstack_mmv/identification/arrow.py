@@ -11,7 +11,7 @@ Eliminating the tracks leaves the Schur complement S = P - Σ C_iᵀ H_i⁻¹ C_
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 
@@ -23,6 +23,22 @@ class Arrow(NamedTuple):
     shared: Float[Tensor, "p p"]  # P
     own_gradient: Float[Tensor, "N z"]
     shared_gradient: Float[Tensor, " p"]
+
+    def scaled(self, factor: Float[Tensor, " p"]) -> "Arrow":
+        """The equations for θ / factor instead of θ."""
+        return self._replace(
+            cross=self.cross * factor,
+            shared=self.shared * factor * factor.unsqueeze(-1),
+            shared_gradient=self.shared_gradient * factor,
+        )
+
+    def restricted(self, active: Bool[Tensor, " p"]) -> "Arrow":
+        """The equations with the other entries of θ held."""
+        return self._replace(
+            cross=self.cross[..., active],
+            shared=self.shared[active][:, active],
+            shared_gradient=self.shared_gradient[active],
+        )
 
     def damped(self, own: Float[Tensor, " N"], shared: Float[Tensor, ""]) -> "Arrow":
         """Raise the diagonals by these shares (Levenberg and Marquardt)."""
@@ -55,18 +71,46 @@ def reduce(arrow: Arrow) -> Reduced:
     return Reduced(0.5 * (information + information.mT), gradient)
 
 
-def solve(arrow: Arrow, regularisation: Float[Tensor, "p p"] | None = None) -> ArrowStep:
+class Box(NamedTuple):
+    """How far θ may move in one step."""
+
+    lower: Float[Tensor, " p"]
+    upper: Float[Tensor, " p"]
+
+
+def solve(arrow: Arrow, box: Box | None = None) -> ArrowStep:
     """Newton step: θ from the Schur complement, then each track for itself.
 
     Args:
         arrow: The equations.
-        regularisation: Added to the Schur complement, e.g. to make it invertible.
+        box: Bounds of the step of θ.
     """
     reduced = reduce(arrow)
-    matrix = (
-        reduced.information if regularisation is None else (reduced.information + regularisation)
-    )
-    shared = -torch.linalg.solve(matrix, reduced.gradient)
+    shared = newton(reduced) if box is None else bounded(reduced, box)
     right = arrow.own_gradient + arrow.cross @ shared
     own = -torch.cholesky_solve(right.unsqueeze(-1), torch.linalg.cholesky(arrow.own))
     return ArrowStep(own.squeeze(-1), shared)
+
+
+def newton(reduced: Reduced) -> Float[Tensor, " p"]:
+    """Step to the minimum, -S⁻¹ g."""
+    return -torch.linalg.solve(reduced.information, reduced.gradient)
+
+
+def bounded(reduced: Reduced, box: Box) -> Float[Tensor, " p"]:
+    """Step to the minimum inside a box: entries that leave it stop at its wall, one set at a time.
+
+    An entry that was stopped is not released again within this step; the next one looks anew.
+    """
+    step = torch.zeros_like(reduced.gradient)
+    free = torch.ones_like(step, dtype=torch.bool)
+    for _ in range(len(step) + 1):
+        gradient = reduced.gradient + reduced.information @ torch.where(free, 0.0, step)
+        part = Reduced(reduced.information[free][:, free], gradient[free])
+        step[free] = newton(part)
+        outside = free & ((step < box.lower) | (step > box.upper))
+        step = torch.minimum(torch.maximum(step, box.lower), box.upper)
+        if not bool(outside.any()):
+            break
+        free &= ~outside
+    return step

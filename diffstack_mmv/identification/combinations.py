@@ -1,5 +1,6 @@
 """Combinations of parameters that tracks inform where they do not inform the single ones."""
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -109,20 +110,21 @@ def combinations(
     """
     quantities = _Quantities(model)
 
-    def value(theta: Tensor) -> Tensor:
+    def quantities_of(theta: Tensor) -> Tensor:
         return functional_call(quantities, parameters.tensors(theta, "model."), ())
 
     start = torch.zeros_like(theta)
-    estimate, initial = value(theta), value(start)
-    rows = jacfwd(value)(theta) / parameters.slope(theta)
-    prior_rows = jacfwd(value)(start) / parameters.slope(start)
+    estimate, initial = quantities_of(theta), quantities_of(start)
+    rows = jacfwd(quantities_of)(theta) / parameters.slope(theta)
+    prior_rows = jacfwd(quantities_of)(start) / parameters.slope(start)
     variance = (rows @ found.covariance * rows).sum(-1)
     prior_variance = (prior_rows * parameters.prior.std).square().sum(-1)
     found_rows = []
     for index, (name, unit) in enumerate(_labels(model)):
         std, prior_std = float(variance[index].sqrt()), float(prior_variance[index].sqrt())
-        informed = std <= thresholds.identifiable * prior_std
-        verdict = Verdict.IDENTIFIABLE if informed else Verdict.NOT_IDENTIFIABLE
-        numbers = (float(initial[index]), float(estimate[index]), std, prior_std)
+        value = float(estimate[index])
+        ratio = std / prior_std if prior_std > 0 else 1.0
+        verdict = thresholds.verdict(ratio, std / abs(value) if value else math.inf)
+        numbers = (float(initial[index]), value, std, prior_std)
         found_rows.append(Combination(name, unit, *numbers, verdict))
     return found_rows

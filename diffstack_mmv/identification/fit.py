@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least
-from diffstack_mmv.identification.arrow import Arrow, solve
+from diffstack_mmv.identification.arrow import Arrow, Box, solve
 from diffstack_mmv.identification.linearisation import (
     Tracker,
     flat,
@@ -27,8 +27,6 @@ from diffstack_mmv.identification.tracking import (
 )
 
 logger = logging.getLogger(__name__)
-
-RIDGE = 1e-8  # keeps θ at rest where the soft clamp and the data both say nothing
 
 
 class Progress(NamedTuple):
@@ -118,22 +116,16 @@ def heldout_cost(fit: Fit) -> float:
     return float(fit.heldout.simulated.cost.sum())
 
 
-def with_prior(arrow: Arrow, tracker: Tracker, theta: Float[Tensor, " p"]) -> Arrow:
-    """Add the priors of the parameters to the border."""
+def in_deviations(arrow: Arrow, tracker: Tracker, theta: Float[Tensor, " p"]) -> Arrow:
+    """The equations for the values in prior standard deviations, with the priors added.
+
+    In these units the priors are exactly quadratic, and a saturated soft clamp bends nothing.
+    """
     parameters = tracker.parameters
-    row = parameters.slope(theta) / parameters.prior.std
-    return arrow._replace(
-        shared=arrow.shared + row.square().diag(),
-        shared_gradient=arrow.shared_gradient + row * parameters.penalty(theta),
-    )
-
-
-def restricted(arrow: Arrow, active: Bool[Tensor, " p"]) -> Arrow:
-    """The equations with the other entries of θ held."""
-    return arrow._replace(
-        cross=arrow.cross[..., active],
-        shared=arrow.shared[active][:, active],
-        shared_gradient=arrow.shared_gradient[active],
+    scaled = arrow.scaled(parameters.prior.std / parameters.slope(theta))
+    return scaled._replace(
+        shared=scaled.shared + torch.eye(len(theta), dtype=theta.dtype),
+        shared_gradient=scaled.shared_gradient + parameters.penalty(theta),
     )
 
 
@@ -154,7 +146,7 @@ class Shooting:
     max_iterations: int = 25
     tolerance: float = 1e-6
     stopping: EarlyStopping = EarlyStopping()
-    heldout_iterations: int = 2
+    heldout_iterations: int = 1
 
     def __post_init__(self) -> None:
         require_at_least("max_iterations", self.max_iterations, 1)
@@ -190,17 +182,17 @@ class Shooting:
         damping: float,
     ) -> Fit:
         unknowns, simulated, _ = now.fitted
+        parameters = tracker.parameters
         jacobian = tracker.jacobian(now.theta, data.fitted, unknowns, simulated)
-        whole = with_prior(
-            normal_equations(jacobian, simulated.residual, unknowns), tracker, now.theta
-        )
-        arrow = restricted(whole, active)
+        plain = normal_equations(jacobian, simulated.residual, unknowns)
+        arrow = in_deviations(plain, tracker, now.theta).restricted(active)
         share = simulated.cost.new_tensor(damping)
-        ridge = RIDGE * torch.eye(int(active.sum()), dtype=share.dtype)
-        step = solve(arrow.damped(share.expand(len(unknowns.rates)), share), ridge)
-        theta = now.theta.clone()
-        theta[active] += step.shared
-        theta = tracker.parameters.inside(theta)
+        room = parameters.room(now.theta)
+        box = Box(room.lower[active], room.upper[active])
+        step = solve(arrow.damped(share.expand(len(unknowns.rates)), share), box)
+        values = parameters.values(now.theta)
+        values[active] += parameters.prior.std[active] * step.shared
+        theta = torch.where(active, parameters.theta_for(values), now.theta)
         moved = unflat(flat(unknowns) + step.own)
         trial = tracker.simulate(theta, data.fitted, moved)
         return now._replace(

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from diffstack_mmv.identification.arrow import Arrow
 from diffstack_mmv.identification.fit import Data, Fit, Method, Shooting
 from diffstack_mmv.identification.linearisation import Tracker, normal_equations
 from diffstack_mmv.identification.problem import Problem
@@ -60,18 +61,18 @@ class Identifier:
         theta = tracker.parameters.start()
         before = self.tracked(tracker, data, theta, None)
         logger.info("Tracked with the prior: cost %.3f", float(before.fitted.simulated.cost.sum()))
-        prior = information(tracker, data.fitted, before.theta, before.fitted)
+        prior, _ = information(tracker, data.fitted, before.theta, before.fitted)
         active = prior.conditional_ratio <= self.thresholds.informed
         after = before
         if bool(active.any()):
             found = self.method(tracker, data, before, active)
             after = self.tracked(tracker, data, found.theta, found)
-        factor = noise_factor(data.fitted, after.fitted, int(active.sum()))
-        posterior = information(tracker, data.fitted, after.theta, after.fitted, max(factor, 1.0))
+        posterior, factor = information(tracker, data.fitted, after.theta, after.fitted)
+        values = tracker.parameters.values(after.theta)
         verdicts = [
             verdict if fitted else Verdict.NOT_IDENTIFIABLE
             for verdict, fitted in zip(
-                posterior.verdicts(self.thresholds), active.tolist(), strict=True
+                posterior.verdicts(values, self.thresholds), active.tolist(), strict=True
             )
         ]
         return Identification(before, after, active, prior, posterior, tuple(verdicts), factor)
@@ -87,26 +88,33 @@ class Identifier:
         return Fit(theta, fitted, heldout, () if start is None else start.history)
 
 
-def noise_factor(problem: Problem, tracked: Tracked, fitted: int) -> float:
-    """Root of the mean square residual per degree of freedom, in assumed standard deviations.
+class Informed(NamedTuple):
+    """What tracks say, and how well the assumed noise fits them."""
 
-    Each unknown of a track has a residual of its own (its prior), so that the recorded numbers and
-    the fitted parameters are what counts.
-    """
-    weight = problem.targets.weight.sum() * 2 + (problem.targets.control_weight > 0).sum()
-    freedom = max(float(weight) - fitted, 1.0)
-    return math.sqrt(2 * float(tracked.simulated.cost.sum()) / freedom)
+    sensitivity: Sensitivity
+    noise_factor: float
 
 
 def information(
-    tracker: Tracker,
-    problem: Problem,
-    theta: Float[Tensor, " p"],
-    tracked: Tracked,
-    factor: float = 1.0,
-) -> Sensitivity:
-    """What the tracks say about the parameters at θ."""
+    tracker: Tracker, problem: Problem, theta: Float[Tensor, " p"], tracked: Tracked
+) -> Informed:
+    """What the tracks say about the parameters at θ; noise above the assumed one lessens it."""
     unknowns, simulated, _ = tracked
     jacobian = tracker.jacobian(theta, problem, unknowns, simulated)
     arrow = normal_equations(jacobian, simulated.residual, unknowns)
-    return sensitivity(arrow, tracker.parameters, theta, factor)
+    factor = noise_factor(problem, tracked, arrow)
+    return Informed(sensitivity(arrow, tracker.parameters, theta, max(factor, 1.0)), factor)
+
+
+def noise_factor(problem: Problem, tracked: Tracked, arrow: Arrow) -> float:
+    """Root mean square residual of the recorded numbers over the assumed standard deviation.
+
+    Fitted unknowns take degrees of freedom as far as the tracks, not their priors, determine them:
+    tr H⁻¹ (H - 1) of each track.
+    """
+    targets = problem.targets
+    recorded = 2 * targets.weight.sum() + (targets.control_weight > 0).sum()
+    inverse = torch.cholesky_inverse(torch.linalg.cholesky(arrow.own))
+    taken = arrow.own.shape[-1] - inverse.diagonal(dim1=-2, dim2=-1).sum(-1)
+    freedom = max(float(recorded - taken.sum()), 1.0)
+    return math.sqrt(float(tracked.simulated.residual.square().sum()) / freedom)

@@ -4,7 +4,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.identification.arrow import solve
-from diffstack_mmv.identification.fit import Fit, restricted, with_prior
+from diffstack_mmv.identification.fit import Fit, in_deviations
 from diffstack_mmv.identification.linearisation import Tracker, flat, normal_equations
 from diffstack_mmv.identification.problem import INTENTION, PLACEMENT, Problem, Unknowns
 
@@ -31,7 +31,7 @@ def regularisation_influence(
     unknowns, simulated, _ = fit.fitted
     jacobian = tracker.jacobian(fit.theta, problem, unknowns, simulated)
     plain = normal_equations(jacobian, simulated.residual, unknowns)
-    arrow = restricted(with_prior(plain, tracker, fit.theta), active)
+    arrow = in_deviations(plain, tracker, fit.theta).restricted(active)
     own = {}
     for index, name in enumerate(("jerk_mps3", "curvature_rate")):
         rates = unknowns.rates.new_zeros(unknowns.rates.shape)
@@ -47,13 +47,15 @@ def regularisation_influence(
         rows = only.flatten(1).unsqueeze(-1)
         shared = (jacobian.shared.mT @ rows).sum((0, 2))[active]
         own["steer_rate_radps"] = ((jacobian.own.mT @ rows).squeeze(-1), shared)
-    scale = tracker.parameters.slope(fit.theta) / tracker.parameters.prior.std
+    unit = tracker.parameters.prior.std / tracker.parameters.slope(fit.theta)
     found = {}
     for name, (track_part, shared_part) in own.items():
         step = solve(
-            arrow._replace(own_gradient=-2 * track_part, shared_gradient=-2 * shared_part)
+            arrow._replace(
+                own_gradient=-2 * track_part, shared_gradient=-2 * (shared_part * unit[active])
+            )
         ).shared
         change = fit.theta.new_zeros(len(fit.theta))
         change[active] = step
-        found[name] = LN_2 * scale * change
+        found[name] = LN_2 * change
     return found

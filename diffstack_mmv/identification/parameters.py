@@ -9,10 +9,11 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_one_of
 from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.identification.arrow import Box
 from diffstack_mmv.vehicles import SoftClamped, VehicleSpec
 
 RANGE_IN_DEVIATIONS = 4.0  # a prior range is read as plus and minus two standard deviations
-FURTHEST = 3.5  # largest argument of the soft clamp: within 0.2 % of the range of its ends
+EDGE = 0.998  # of the half range: beyond, the soft clamp hardly answers
 
 
 @dataclass(frozen=True)
@@ -98,12 +99,15 @@ class LearnedParameters:
         return self.half * (1 - torch.tanh(self.raw + theta).square())
 
     def theta_for(self, values: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
-        """θ of physical values inside of their ranges."""
-        return self.inside(torch.atanh((values - self.middle) / self.half) - self.raw)
+        """θ of physical values, which are kept where the soft clamp still answers."""
+        ratio = ((values - self.middle) / self.half).clamp(-EDGE, EDGE)
+        return torch.atanh(ratio) - self.raw
 
-    def inside(self, theta: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
-        """θ kept where the soft clamp still answers."""
-        return (self.raw + theta).clamp(-FURTHEST, FURTHEST) - self.raw
+    def room(self, theta: Float[Tensor, " p"]) -> Box:
+        """How far each value may still move, in its prior standard deviations."""
+        values, reach = self.values(theta), EDGE * self.half
+        lower = (self.middle - reach - values) / self.prior.std
+        return Box(lower, (self.middle + reach - values) / self.prior.std)
 
     def tensors(self, theta: Float[Tensor, " p"], prefix: str = "") -> dict[str, Tensor]:
         """Offsets by their names in the model, for a functional call."""

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require_between
+from diffstack_mmv.checks import require_between, require_positive
 from diffstack_mmv.identification.arrow import Arrow, reduce
 from diffstack_mmv.identification.parameters import LearnedParameters
 
@@ -24,6 +24,7 @@ class Verdict(StrEnum):
     """What the data say about one parameter."""
 
     IDENTIFIABLE = "identifiable"
+    WEAK = "weakly identifiable"
     COMBINED = "only in combination"
     NOT_IDENTIFIABLE = "not identifiable"
 
@@ -36,6 +37,8 @@ class Thresholds:
         identifiable: Largest ratio of marginal posterior to prior standard deviation.
         informed: Largest ratio of conditional posterior to prior standard deviation; a parameter
             above it stays at its prior.
+        precise: Largest standard deviation relative to the value of an identifiable quantity; one
+            that the tracks inform less precisely is weakly identifiable.
 
     Raises:
         ValueError: A ratio is not between 0 and 1.
@@ -43,10 +46,18 @@ class Thresholds:
 
     identifiable: float = 0.4
     informed: float = 0.8
+    precise: float = 0.015
 
     def __post_init__(self) -> None:
         require_between("identifiable", self.identifiable, 0.0, 1.0)
         require_between("informed", self.informed, self.identifiable, 1.0)
+        require_positive("precise", self.precise)
+
+    def verdict(self, marginal: float, relative_std: float) -> Verdict:
+        """Verdict on a quantity by its ratio of deviations and its relative deviation."""
+        if marginal > self.identifiable:
+            return Verdict.NOT_IDENTIFIABLE
+        return Verdict.IDENTIFIABLE if relative_std <= self.precise else Verdict.WEAK
 
 
 class Direction(NamedTuple):
@@ -66,18 +77,16 @@ class Sensitivity(NamedTuple):
     conditional_ratio: Float[Tensor, " p"]
     directions: tuple[Direction, ...]  # from the best to the least informed one
 
-    def verdicts(self, thresholds: Thresholds) -> list[Verdict]:
-        """One verdict per parameter."""
+    def verdicts(self, values: Float[Tensor, " p"], thresholds: Thresholds) -> list[Verdict]:
+        """One verdict per parameter, given the estimates."""
+        relative = (self.std / values.abs()).tolist()
         found = []
-        for marginal, conditional in zip(
-            self.marginal_ratio.tolist(), self.conditional_ratio.tolist(), strict=True
-        ):
-            if conditional > thresholds.informed:
-                found.append(Verdict.NOT_IDENTIFIABLE)
-            elif marginal > thresholds.identifiable:
-                found.append(Verdict.COMBINED)
-            else:
-                found.append(Verdict.IDENTIFIABLE)
+        for index, marginal in enumerate(self.marginal_ratio.tolist()):
+            verdict = thresholds.verdict(marginal, relative[index])
+            informed = float(self.conditional_ratio[index]) <= thresholds.informed
+            if verdict is Verdict.NOT_IDENTIFIABLE and informed:
+                verdict = Verdict.COMBINED
+            found.append(verdict)
         return found
 
 

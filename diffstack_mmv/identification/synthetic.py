@@ -1,0 +1,117 @@
+"""Tracks of a known vehicle, to plan recordings and to prove that an identification is right."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Generator, Tensor
+
+from diffstack_mmv.checks import require, require_positive
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.dynamics.manoeuvres import Manoeuvre, Slalom, Turn
+from diffstack_mmv.dynamics.open_loop import Run, drive
+from diffstack_mmv.identification.parameters import LearnedParameters
+from diffstack_mmv.identification.stretches import Stretch
+from diffstack_mmv.vehicles import VehicleSpec
+
+RICH: tuple[Manoeuvre, ...] = (
+    Slalom(3.0, 0.30, 1.6, 3),
+    Slalom(4.0, 0.22, 1.2, 4),
+    Slalom(5.0, 0.17, 2.0, 2),
+    Slalom(6.0, 0.12, 0.8, 6),
+    Slalom(7.0, 0.09, 1.5, 3),
+    Slalom(8.0, 0.07, 1.0, 5),
+    Slalom(3.0, 0.12, 1.5, 2, 1.2),
+    Slalom(9.0, 0.05, 1.5, 2, -2.5),
+    Slalom(10.0, 0.03, 1.0, 2, -4.5),
+    Turn(5.0, 2.0, 5.5, 0.4, 0.5),
+    Turn(7.0, -1.6, 10.0, 0.5, 0.5),
+    Turn(8.0, 1.6, 12.5, 0.6, 0.5),
+    Turn(9.0, -1.2, 16.0, 0.4, 0.5),
+    Turn(6.0, 1.8, 7.5, 0.3, 0.5, -0.8),
+)
+POOR: tuple[Manoeuvre, ...] = (
+    Slalom(2.0, 0.002, 4.0, 1),
+    Slalom(2.5, 0.001, 2.0, 2),
+    Slalom(3.0, 0.002, 4.0, 1),
+)
+
+
+@dataclass(frozen=True)
+class Recorder:
+    """A measuring system.
+
+    Args:
+        position_m: Standard deviation of each coordinate of a position.
+        controls: Standard deviation of each measured control, None if controls are not recorded.
+
+    Raises:
+        ValueError: A number is not positive.
+    """
+
+    position_m: float = 0.02
+    controls: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        for name, number in (("position_m", self.position_m), *enumerate(self.controls or ())):
+            require_positive(str(name), number)
+
+    def record(self, name: str, model: DynamicsModel, run: Run, generator: Generator) -> Stretch:
+        """What is recorded of a run; course and speed, which only start the fit, are exact."""
+        motion = model.motion(run.states, torch.cat([run.controls, run.controls[-1:]]))
+        noise = self.position_m * _normal(motion.position, generator)
+        left, forward = motion.velocity[:, 1], motion.velocity[:, 0]
+        measured = None
+        if self.controls is not None:
+            controls = torch.cat([run.controls, run.controls[-1:]])
+            scale = controls.new_tensor(self.controls)
+            require(len(scale) == controls.shape[-1], "controls", "fit the model", len(scale))
+            measured = controls + scale * _normal(controls, generator)
+        return Stretch(
+            name,
+            motion.position + noise,
+            motion.heading + torch.atan2(left, forward),
+            motion.velocity.norm(dim=-1),
+            measured,
+        )
+
+
+def record_manoeuvres(
+    model: DynamicsModel,
+    spec: VehicleSpec,
+    manoeuvres: Sequence[Manoeuvre],
+    recorder: Recorder,
+    generator: Generator,
+) -> list[Stretch]:
+    """Drive manoeuvres and record them.
+
+    Args:
+        model: The vehicle as it is, in float64.
+        spec: Its description.
+        manoeuvres: What the rider does.
+        recorder: How it is measured.
+        generator: Of the noise.
+    """
+    wheelbase_m = spec.wheelbase.entries()[0][0]
+    rows = []
+    for index, manoeuvre in enumerate(manoeuvres):
+        steps = manoeuvre(wheelbase_m, model.dt_s)
+        run = drive(model, steps, manoeuvre.speed_mps, wheelbase_m, spec.rear_m)
+        rows.append(recorder.record(f"manoeuvre_{index}@0.0s", model, run, generator))
+    return rows
+
+
+def draw_truth(
+    parameters: LearnedParameters, generator: Generator, spread: float = 1.0
+) -> Float[Tensor, " p"]:
+    """Values drawn evenly from the prior mean ± `spread` standard deviations, inside the range."""
+    prior = parameters.prior
+    share = 2 * torch.rand(len(parameters), generator=generator, dtype=prior.mean.dtype) - 1
+    margin = 0.02 * (prior.high - prior.low)
+    drawn = prior.mean + spread * share * prior.std
+    return torch.minimum(torch.maximum(drawn, prior.low + margin), prior.high - margin)
+
+
+def _normal(like: Tensor, generator: Generator) -> Tensor:
+    return torch.randn(like.shape, generator=generator, dtype=like.dtype)
