@@ -13,6 +13,7 @@ from diffstack_mmv.simulation.controller import Choice, DiffMPCController
 from diffstack_mmv.simulation.env import ENV_ID, VERDICTS, CrowdNavEnv, register, robot_named
 from diffstack_mmv.simulation.episode import drive
 from diffstack_mmv.simulation.held import HeldControl
+from diffstack_mmv.simulation.learned_people import PredictorPeople
 from diffstack_mmv.simulation.manoeuvres import DetourFan
 from diffstack_mmv.simulation.mppi import MPPIController
 from diffstack_mmv.simulation.pedestrians import OrcaCrowd, SocialForceCrowd
@@ -55,6 +56,7 @@ __all__ = [
     "OrcaPolicy",
     "PeopleForecast",
     "PlanPrice",
+    "PredictorPeople",
     "RectangleFootprint",
     "Rewards",
     "Robot",

@@ -2,6 +2,7 @@
 
 from diffstack_mmv.stack.checkpoint import (
     TrainedStack,
+    load_predictor,
     load_stack,
     load_weights,
     read_checkpoint,
@@ -32,6 +33,7 @@ __all__ = [
     "Windows",
     "assemble",
     "evaluate_windows",
+    "load_predictor",
     "load_stack",
     "load_weights",
     "outputs_of",

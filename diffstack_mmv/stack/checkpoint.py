@@ -11,6 +11,7 @@ from hydra.utils import instantiate
 from torch import Tensor
 
 from diffstack_mmv.checks import message
+from diffstack_mmv.prediction import Predictor
 from diffstack_mmv.stack.module import DiffStackMMV
 
 _logger = logging.getLogger(__name__)
@@ -36,6 +37,17 @@ def load_stack(path: Path, device: torch.device | str = "cpu") -> TrainedStack:
     stack = instantiate(config["stack"])
     load_weights(stack, path)
     return TrainedStack(stack.eval().to(device), config)
+
+
+def load_predictor(path: Path | str | None) -> Predictor:
+    """Return the predictor of a trained stack, in evaluation mode.
+
+    Raises:
+        ValueError: No path is given, or there is no usable checkpoint, see `load_stack`.
+    """
+    if path is None:
+        raise ValueError(message("checkpoint", "be given for the predictor", path, "", _REMEDY))
+    return load_stack(Path(path)).stack.predictor
 
 
 def load_weights(stack: DiffStackMMV, path: Path) -> None:

@@ -74,6 +74,22 @@ def scene_with():
     return build
 
 
+@pytest.fixture
+def observed(world_with):
+    """What is seen of a crowd as it walks on its own, step by step."""
+
+    def walk(scene, steps, dt_s=0.25):
+        world = world_with(dt_s=dt_s)
+        state = world.start(scene)
+        seen = [world.observe(state)]
+        for _ in range(steps):
+            state = world.step(state, torch.zeros_like(scene.robot_position)).state
+            seen.append(world.observe(state))
+        return seen
+
+    return walk
+
+
 LIMITS = {"speed_max_mps": 3.0, "acceleration_min_mps2": -3.0, "acceleration_max_mps2": 2.0}
 
 

@@ -6,22 +6,6 @@ import torch
 from diffstack_mmv.simulation import ConstantVelocityPeople, OrcaCrowd, OrcaPeople
 
 
-@pytest.fixture
-def observed(world_with):
-    """What is seen of a crowd as it walks on its own, step by step."""
-
-    def walk(scene, steps, dt_s=0.25):
-        world = world_with(dt_s=dt_s)
-        state = world.start(scene)
-        seen = [world.observe(state)]
-        for _ in range(steps):
-            state = world.step(state, torch.zeros_like(scene.robot_position)).state
-            seen.append(world.observe(state))
-        return seen
-
-    return walk
-
-
 def test_constant_velocity_is_a_straight_line(observed, scene_with):
     seen = observed(scene_with((3.0, 0.0), (-6.0, 0.0)), 2)[-1]
     path = ConstantVelocityPeople()(seen, 0.25, 4)
