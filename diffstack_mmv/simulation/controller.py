@@ -24,8 +24,8 @@ from diffstack_mmv.types import (
     map_tensors,
 )
 
-STANDING_MPS = 0.1
-"""Below this speed a vehicle counts as waiting."""
+PROGRESS_M = 0.05
+"""A vehicle that comes closer to its goal than ever by less than this per decision is waiting."""
 UNSAFE = 1e4
 """Added to the price of an unsafe plan where starts of the optimiser are chosen."""
 
@@ -92,6 +92,7 @@ class DiffMPCController:
         self.actuate = actuate
         self.decisions: list[Decision] = []
         self._waited = torch.zeros(0)
+        self._nearest = torch.zeros(0)
         self._plan = torch.zeros(0, planner.steps, planner.dynamics.control_dim)
 
     def __call__(self, observation: Observation) -> Float[Tensor, "*b m"]:
@@ -140,14 +141,17 @@ class DiffMPCController:
         return control if self.actuate is None else self.actuate(control)
 
     def _remember(self, observation: Observation, problem: PlanningProblem) -> None:
-        """Begin anew at the start of episodes; count how long each vehicle has been waiting."""
+        """Begin anew at the start of episodes; count how long each came no closer to its goal."""
         count, goal = len(observation.time), problem.goal
         if len(self._plan) != count or bool((observation.time == 0).any()):
             size = (count, self.planner.steps, self.planner.dynamics.control_dim)
             self._plan, self._waited = goal.new_zeros(size), goal.new_zeros(count)
+            self._nearest = goal.new_full((count,), torch.inf)
             self.decisions = []
-        standing = problem.motion.velocity[:, 0] < STANDING_MPS
-        more = torch.where(standing, self.dt_s, -0.5 * self.dt_s)
+        way = (problem.goal - problem.motion.position).norm(dim=-1)
+        advances = way < self._nearest - PROGRESS_M
+        self._nearest = torch.where(advances, way, self._nearest)
+        more = torch.where(advances, -0.5 * self.dt_s, self.dt_s)
         self._waited = (self._waited + more).clamp_min(0)
 
     def diagnosis(self) -> dict[str, Float[Tensor, " E"]]:

@@ -13,6 +13,9 @@ from diffstack_mmv.geometry import wrap_angle
 from diffstack_mmv.planning import Candidates, with_final_row
 from diffstack_mmv.types import PlanningProblem
 
+CREEP_MPS = 1.0
+"""A turn to the goal slows down no further than to this."""
+
 
 class Course(NamedTuple):
     """First phase of each manoeuvre; afterwards it makes for the goal at full speed."""
@@ -117,12 +120,25 @@ class DetourFan:
         error = wrap_angle(bearing - motion.heading)
         speed = motion.velocity[..., 0]
         cruise = problem.reference_speed.unsqueeze(-1)
-        share = torch.where(first, course.speed_share, 1.0)
+        # on the way to the goal no faster than its arc allows, or a fast vehicle would circle it
+        turning = self._arc_speed(distance, error)
+        target = torch.where(first, cruise * course.speed_share, torch.minimum(cruise, turning))
         stopping = (2 * self.braking_mps2 * distance).sqrt()
         # at the start of the step the target must be one that the step can still brake for
-        target = torch.minimum(cruise * share, stopping)
+        target = torch.minimum(target, stopping)
         moving = speed.clamp_min(0.5)
         sharpest = self.lateral_mps2 / moving.square()
         curvature = error / (self.turn_time_s * moving)
         curvature = torch.minimum(torch.maximum(curvature, -sharpest), sharpest)
         return (target - speed) / dynamics.dt_s, curvature
+
+    def _arc_speed(
+        self, distance: Float[Tensor, "*b C"], error: Float[Tensor, "*b C"]
+    ) -> Float[Tensor, "*b C"]:
+        """Speed in m/s on the arc to the goal, of radius d / (2 sin β), or d / 2 to a goal behind.
+
+        Not below `CREEP_MPS`: in tighter turns the steering is the limit.
+        """
+        sine = torch.where(error.abs() < 0.5 * math.pi, error.abs().sin(), 1.0)
+        radius = 0.5 * distance / sine.clamp_min(1e-3)
+        return (self.lateral_mps2 * radius).sqrt().clamp_min(CREEP_MPS)

@@ -40,15 +40,15 @@ class PlanPrice:
 
         S = Σ_t [t ≤ arrival] (c_t + w_time dt) + q w_comfort P + (1 - q) w_left ‖p_T - g‖
 
-    with P of `SafetyMargin` and the patience q in (0, 1] of somebody who stands: comfort then
-    counts less and getting ahead counts more. The safe clearance is asked for ever.
+    with P of `SafetyMargin` and the patience q in (0, 1] of a vehicle that gets no closer to its
+    goal: comfort then counts less and getting ahead more. The safe clearance is asked for ever.
 
     Attributes:
         margin: Clearance asked of a plan.
         comfort_weight: Price of the lack of comfortable clearance in 1/(m² s).
         time_weight: Price of a second before the arrival in 1/s.
         left_weight: Price of a metre left to the goal at the horizon, without patience, in 1/m.
-        patience_s: Time of standing in which patience halves.
+        patience_s: Time without progress in which patience halves.
         goal_tolerance_m: A plan has arrived where it is closer than this to the goal.
 
     Raises:
@@ -84,7 +84,7 @@ class PlanPrice:
             problem: The problems, `b`.
             controls: Controls of the plans, SI units.
             motion: Their motions, `b C T1`.
-            waited: How long each vehicle has been standing, s.
+            waited: How long each vehicle has come no closer to its goal, s.
 
         Returns:
             The plans with their price.
@@ -96,7 +96,7 @@ class PlanPrice:
         way = (motion.position - per_plan.goal.unsqueeze(-2)).square().sum(-1).sqrt()
         arrived = (way < self.goal_tolerance_m).long()
         under_way = (arrived.cumsum(-1) - arrived) == 0
-        safety = self._safety(problem, motion, dt_s)
+        safety = self._safety(problem, motion, under_way, dt_s)
         patience = 0.5 ** (waited[:, None] / self.patience_s)
         total = (running * under_way).sum(-1) + patience * self.comfort_weight * safety.penalty
         total = total + (1 - patience) * self.left_weight * way[..., -1]
@@ -109,10 +109,17 @@ class PlanPrice:
             shortfall=torch.where(usable, safety.shortfall, torch.inf),
         )
 
-    def _safety(self, problem: PlanningProblem, motion: Motion, dt_s: float) -> Safety:
-        """Judge the clearance to the predicted people."""
+    def _safety(
+        self,
+        problem: PlanningProblem,
+        motion: Motion,
+        under_way: Bool[Tensor, "b C T1"],
+        dt_s: float,
+    ) -> Safety:
+        """Judge the clearance to the predicted people in the steps before the arrival."""
         reach = problem.radius[..., None] + problem.obstacles.radius
         people = problem.obstacles.position.squeeze(-3)
         clearance = clearance_of(motion.position, people, reach)
+        clearance = torch.where(under_way[..., None, :-1], clearance, torch.inf)
         walked = people.diff(dim=-2).square().sum(-1).sqrt().cumsum(-1)
         return self.margin(clearance, walked.unsqueeze(-3), dt_s)
