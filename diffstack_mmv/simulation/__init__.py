@@ -14,6 +14,7 @@ from diffstack_mmv.simulation.env import ENV_ID, VERDICTS, CrowdNavEnv, register
 from diffstack_mmv.simulation.episode import drive
 from diffstack_mmv.simulation.held import HeldControl
 from diffstack_mmv.simulation.learned_people import PredictorPeople
+from diffstack_mmv.simulation.learning import imitation_loss, way_left_loss
 from diffstack_mmv.simulation.manoeuvres import DetourFan
 from diffstack_mmv.simulation.mppi import MPPIController
 from diffstack_mmv.simulation.pedestrians import OrcaCrowd, SocialForceCrowd
@@ -74,6 +75,7 @@ __all__ = [
     "actuation",
     "controller_model",
     "drive",
+    "imitation_loss",
     "read_chunk",
     "register",
     "require_stoppable",
@@ -81,6 +83,7 @@ __all__ = [
     "run",
     "summarise",
     "vehicle_robot",
+    "way_left_loss",
 ]
 
 register()

@@ -1,0 +1,85 @@
+"""Losses on closed-loop episodes whose gradient reaches the cost weights of a controller."""
+
+from typing import Protocol
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_at_least
+from diffstack_mmv.simulation.policies import Controller
+from diffstack_mmv.simulation.scenario import Scene
+from diffstack_mmv.simulation.world import Observation, World
+
+
+class Learner(Protocol):
+    """A controller whose action carries a gradient, as `DiffMPCController` does."""
+
+    def optimised(self, observation: Observation) -> Float[Tensor, "b m"]:
+        """Action in the units of the robot."""
+        ...
+
+
+def imitation_loss(
+    world: World, scene: Scene, learner: Learner, teacher: Controller, steps: int
+) -> Float[Tensor, ""]:
+    """How far the learner's actions are from the teacher's, on the way that the learner takes.
+
+        L = mean over episodes, steps, controls of ((u - u*) / largest control)²
+
+    The teacher is asked where the learner has come to, so that the learner sees its own mistakes.
+    The gradient runs through the solutions of the optimiser and through the motion of the robot.
+
+    Args:
+        world: Where both drive; its robot must be differentiable, as a `VehicleRobot` is.
+        scene: Starts of the episodes, one leading dimension.
+        learner: Learns.
+        teacher: Acts as the learner should.
+        steps: Number of decisions.
+
+    Returns:
+        The loss, dimensionless.
+
+    Raises:
+        ValueError: There is no step, or a human stands in the robot at the start.
+
+    Source:
+        Amos et al., Differentiable MPC for end-to-end planning and control (NeurIPS 2018), for the
+        imitation; Ross et al., A reduction of imitation learning to no-regret online learning
+        (2011), for the learner's own way.
+    """
+    require_at_least("steps", steps, 1)
+    state, errors = world.start(scene), []
+    bounds = world.robot.bounds
+    largest = torch.maximum(bounds.upper, -bounds.lower)
+    for _ in range(steps):
+        seen = world.observe(state)
+        action = learner.optimised(seen)
+        with torch.no_grad():
+            wanted = teacher(seen)
+        errors.append(((action - wanted) / largest.to(action)).square().mean())
+        state = world.step(state, action).state
+    return torch.stack(errors).mean()
+
+
+def way_left_loss(world: World, scene: Scene, learner: Learner, steps: int) -> Float[Tensor, ""]:
+    """Mean distance to the goal in m that the learner has left after some decisions.
+
+    Args:
+        world: Where it drives; its robot must be differentiable, as a `VehicleRobot` is.
+        scene: Starts of the episodes, one leading dimension.
+        learner: Learns.
+        steps: Number of decisions.
+
+    Returns:
+        The loss in m.
+
+    Raises:
+        ValueError: There is no step, or a human stands in the robot at the start.
+    """
+    require_at_least("steps", steps, 1)
+    state = world.start(scene)
+    for _ in range(steps):
+        state = world.step(state, learner.optimised(world.observe(state))).state
+    way = world.observe(state).motion.position - state.goal
+    return way.square().sum(-1).sqrt().mean()

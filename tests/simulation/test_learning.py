@@ -1,0 +1,71 @@
+"""Cost weights learn from closed-loop episodes."""
+
+import pytest
+import torch
+
+from diffstack_mmv.control import ILQR
+from diffstack_mmv.simulation import imitation_loss, vehicle_robot, way_left_loss
+from diffstack_mmv.types import map_tensors
+
+
+@pytest.fixture
+def setting(world_with, driven, scenario_of):
+    world = world_with(vehicle_robot(driven()), exact=True, limit_s=10.0)
+    return world, scenario_of("circle").cases("train", range(2))
+
+
+@pytest.fixture
+def converging(controller_for):
+    """A controller whose solves converge, with altered logarithms of its weights."""
+
+    def build(**shifts):
+        controller = controller_for(starts=1)
+        controller.planner.solver = ILQR(max_iterations=60, tolerance=1e-5)
+        cost = controller.planner.cost
+        with torch.no_grad():
+            for name, shift in shifts.items():
+                cost.log_weight[cost.learned.index(name)] += shift
+        return controller
+
+    return build
+
+
+def test_who_acts_like_the_teacher_has_no_loss(setting, converging):
+    loss = imitation_loss(*setting, converging(), converging().optimised, 1)
+    assert float(loss.detach()) < 1e-9
+
+
+@pytest.mark.slow
+def test_imitation_moves_the_weights_towards_the_teacher(setting, converging):
+    teacher, learner = converging(), converging(effort=1.8)
+    weight = learner.planner.cost.log_weight
+    mask = torch.zeros_like(weight)
+    mask[learner.planner.cost.learned.index("effort")] = 1
+    losses = []
+    for _ in range(4):
+        loss = imitation_loss(*setting, learner, teacher.optimised, 3)
+        (gradient,) = torch.autograd.grad(loss, weight)
+        losses.append(float(loss.detach()))
+        with torch.no_grad():
+            weight -= 0.4 * mask * gradient.sign()
+    assert losses[-1] < 0.3 * losses[0]
+
+
+@pytest.mark.slow
+def test_the_way_left_falls_along_its_gradient(setting, converging):
+    learner = converging(effort=3.0)
+    weight = learner.planner.cost.log_weight
+    loss = way_left_loss(*setting, learner, 3)
+    (gradient,) = torch.autograd.grad(loss, weight)
+    assert bool(gradient.isfinite().all())
+    with torch.no_grad():
+        weight -= 0.5 * gradient / gradient.abs().max()
+    assert float(way_left_loss(*setting, learner, 3).detach()) < float(loss.detach())
+
+
+@pytest.mark.parametrize("loss", [imitation_loss, way_left_loss])
+def test_no_step_is_refused(loss, setting, converging):
+    world, scene = setting
+    actors = [converging(), converging()] if loss is imitation_loss else [converging()]
+    with pytest.raises(ValueError, match="steps"):
+        loss(world, map_tensors(lambda entry: entry[:1], scene), *actors, 0)
