@@ -18,7 +18,6 @@ from diffstack_mmv.simulation import (
     DiscFootprint,
     HolonomicRobot,
     Method,
-    OrcaCrowd,
     World,
     require_stoppable,
     run,
@@ -58,6 +57,7 @@ def main(config: DictConfig) -> None:
         "dt_s": config.dt_s,
         "verdict": config.verdict,
         "humans": config.scenario.humans,
+        "robot_visible": config.robot_visible,
         "phase": config.phase,
         "first_case": config.first_case,
         "seed": config.seed,
@@ -80,12 +80,13 @@ def _method(name: str, controller: DictConfig, config: DictConfig) -> Method:
     massless = controller._target_.endswith(("StraightLine", "OrcaPolicy"))
     world = World(
         robot=HolonomicRobot() if massless else instantiate(config.robot),
-        crowd=OrcaCrowd(),
+        crowd=instantiate(config.crowd),
         verdict=VERDICTS[config.verdict](DiscFootprint(), config.limit_s),
         dt_s=config.dt_s,
+        robot_visible=config.robot_visible,
     )
-    settings = OmegaConf.to_yaml(OmegaConf.create([controller, config.robot, config.verdict]))
-    told = f"{settings}{config.limit_s} {config.dt_s}"
+    deciding = [controller, config.robot, config.verdict, config.crowd, config.robot_visible]
+    told = f"{OmegaConf.to_yaml(OmegaConf.create(deciding))}{config.limit_s} {config.dt_s}"
     return Method(name, world, partial(instantiate, controller), told)
 
 

@@ -1,0 +1,61 @@
+"""The command line of the benchmark: it writes what it promises, and refuses with one message."""
+
+import json
+import runpy
+import sys
+
+import pytest
+from hydra.core.global_hydra import GlobalHydra
+
+QUICK = [
+    "cases=2", "chunk=1", "controller.starts=0", "animate=0", "~controller@baselines.mppi",
+    "~controller@baselines.blind", "~controller@baselines.orca",
+]  # fmt: skip
+
+
+@pytest.fixture
+def navigate(root, monkeypatch, tmp_path):
+    """Run the script in this process; the exit status."""
+
+    def run(*arguments, out=tmp_path):
+        GlobalHydra.instance().clear()
+        monkeypatch.setattr(sys, "argv", ["navigate.py", *arguments, f"out={out}"])
+        try:
+            runpy.run_path(str(root / "scripts" / "navigate.py"), run_name="__main__")
+        except SystemExit as end:
+            return end.code
+        finally:
+            GlobalHydra.instance().clear()
+        return 0
+
+    return run
+
+
+def test_it_writes_results_baselines_and_paired_tests_and_resumes(navigate, tmp_path):
+    assert navigate(*QUICK) == 0
+    first = json.loads((tmp_path / "closed_loop.json").read_text())
+    assert (first["n"], set(first["baselines"])) == (2, {"straight"})
+    assert first["paired"][0]["other"] == "straight"
+    kept = {file: file.stat().st_mtime_ns for file in (tmp_path / "episodes").rglob("*.npz")}
+    assert navigate(*QUICK, f"against=[{tmp_path}]") == 0
+    assert {file: file.stat().st_mtime_ns for file in kept} == kept
+    again = json.loads((tmp_path / "closed_loop.json").read_text())
+    assert again["cases"] == first["cases"]
+    assert again["paired"][1]["success"] == {"only_own": 0, "only_other": 0, "p": None}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["scenario=moon"], "circle_crossing"),
+        (["verdict=kind"], "`verdict` must be"),
+        (["limits.acceleration_min_mps2=-0.3"], "stop within the way"),
+        (["scenario.clearance_m=0.0", "scenario.robot_radius_m=0.01"], "start without a collision"),
+        (["people=predictor"], "be given for the predictor"),
+    ],
+)
+def test_bad_input_ends_with_one_clear_message(navigate, capfd, arguments, message):
+    assert navigate(*QUICK, "cases=20", *arguments) == 1
+    told = capfd.readouterr().err
+    assert message in told
+    assert "Traceback" not in told
