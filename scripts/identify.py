@@ -9,7 +9,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from diffstack_mmv.cli import command
-from diffstack_mmv.data import read_tracks, recorded_noise
+from diffstack_mmv.data import read_leans, read_tracks, recorded_noise
 from diffstack_mmv.identification import (
     Case,
     Explained,
@@ -35,7 +35,8 @@ def main(config: DictConfig) -> None:
     """Choose stretches, fit, and write the calibrated vehicle, its table and its figures."""
     spec, source, out = instantiate(config.spec), instantiate(config.source), Path(config.out)
     tracks = read_tracks(source, config.splits, spec.mode)
-    stretches = cut(tracks, instantiate(config.stretch))
+    leans = read_leans(source, config.splits, spec.mode)
+    stretches = cut(tracks, instantiate(config.stretch), leans)
     numbers = (config.tracks, config.heldout, config.seed)
     division = divide(stretches, instantiate(config.choice), *numbers)
     measured = recorded_noise(source, spec.mode)

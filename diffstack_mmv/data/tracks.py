@@ -4,8 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pandas as pd
 import torch
+from torch import Tensor
 from trajdata.caching.env_cache import EnvCache
 
 from diffstack_mmv.checks import message, require
@@ -47,6 +49,23 @@ def read_tracks(source: WindowSource, splits: Sequence[str], mode: str) -> dict[
     return found
 
 
+def read_leans(source: WindowSource, splits: Sequence[str], mode: str) -> dict[str, Tensor]:
+    """Measured lean of the tracks that have one, beside `read_tracks`.
+
+    Returns:
+        Lean (T) in rad, positive to the left, by "recording/agent"; NaN where it was not measured.
+
+    Raises:
+        ValueError: The source is no converted cache.
+    """
+    cache, found = _converted(source), {}
+    for scene in cache.scenes():
+        table = _folder(cache, scene["name"]) / "lean.parquet"
+        if scene["split"] in splits and table.is_file():
+            found |= _scene_leans(cache, scene["name"], table, Mode.named(mode))
+    return found
+
+
 def recorded_noise(source: WindowSource, mode: str) -> PositionNoise | None:
     """Noise of the recorded positions of a mode: the smoother's residual, as the report tells it.
 
@@ -66,13 +85,32 @@ def _converted(source: WindowSource) -> ConvertedCache:
 
 
 def _scene_tracks(cache: ConvertedCache, name: str, mode: Mode) -> dict[str, Motion]:
-    folder = Path(cache.folder) / cache.name / name
+    folder = _folder(cache, name)
     scene = EnvCache.load(next(folder.glob("scene_metadata_dt*.dill")))
     chosen = [agent.name for agent in scene.agents or () if int(agent.type) == mode]
     table = pd.read_feather(next(folder.glob("agent_data_dt*.feather")))
     return {
         f"{name}/{agent}": _motion(table[table["agent_id"] == agent], scene.dt) for agent in chosen
     }
+
+
+def _scene_leans(cache: ConvertedCache, name: str, table: Path, mode: Mode) -> dict[str, Tensor]:
+    """Lean at the steps of each track, between the times of measurement by straight lines."""
+    folder, measured = _folder(cache, name), pd.read_parquet(table)
+    scene = EnvCache.load(next(folder.glob("scene_metadata_dt*.dill")))
+    found = {}
+    for agent in scene.agents or ():
+        rows = measured[measured["agent_id"] == agent.name].sort_values("time_s")
+        if int(agent.type) == mode and len(rows):
+            time_s = np.arange(agent.first_timestep, agent.last_timestep + 1) * scene.dt
+            known = (rows["time_s"].to_numpy(), rows["lean"].to_numpy())
+            lean = np.interp(time_s, *known, left=np.nan, right=np.nan)
+            found[f"{name}/{agent.name}"] = torch.from_numpy(lean)
+    return found
+
+
+def _folder(cache: ConvertedCache, scene: str) -> Path:
+    return Path(cache.folder) / cache.name / scene
 
 
 def _motion(rows: pd.DataFrame, dt_s: float) -> Motion:

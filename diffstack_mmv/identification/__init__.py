@@ -10,6 +10,7 @@ from diffstack_mmv.identification.problem import TrackedVehicle, TrackingSetting
 from diffstack_mmv.identification.profile import profiles
 from diffstack_mmv.identification.sensitivity import Thresholds, Verdict
 from diffstack_mmv.identification.stretches import (
+    Division,
     ExcitingChoice,
     LongestChoice,
     RandomChoice,
@@ -25,6 +26,7 @@ from diffstack_mmv.identification.tracking import LevenbergMarquardt, track
 __all__ = [
     "Case",
     "Data",
+    "Division",
     "EarlyStopping",
     "ExcitingChoice",
     "Explained",

@@ -69,6 +69,12 @@ class _Quantities(nn.Module):
         return [front / front_load, rear / rear_load, gradient]
 
 
+def quantities(model: DynamicsModel) -> Float[Tensor, " q"]:
+    """The combinations at the present parameters of a model."""
+    with torch.no_grad():
+        return _Quantities(model)()
+
+
 def two_axles(model: DiffGM3) -> bool:
     """Whether front and rear tyres both carry lateral force."""
     wheels = model.spec.wheels
@@ -108,10 +114,10 @@ def combinations(
         found: Information about the parameters.
         thresholds: When a quantity counts as informed.
     """
-    quantities = _Quantities(model)
+    combined = _Quantities(model)
 
     def quantities_of(theta: Tensor) -> Tensor:
-        return functional_call(quantities, parameters.tensors(theta, "model."), ())
+        return functional_call(combined, parameters.tensors(theta, "model."), ())
 
     start = torch.zeros_like(theta)
     estimate, initial = quantities_of(theta), quantities_of(start)

@@ -61,13 +61,15 @@ class Identifier:
         theta = tracker.parameters.start()
         before = self.tracked(tracker, data, theta, None)
         logger.info("Tracked with the prior: cost %.3f", float(before.fitted.simulated.cost.sum()))
-        prior, _ = information(tracker, data.fitted, before.theta, before.fitted)
-        active = prior.conditional_ratio <= self.thresholds.informed
-        after = before
-        if bool(active.any()):
-            found = self.method(tracker, data, before, active)
-            after = self.tracked(tracker, data, found.theta, found)
-        posterior, factor = information(tracker, data.fitted, after.theta, after.fitted)
+        prior, factor = information(tracker, data.fitted, before.theta, before.fitted)
+        informed = prior.conditional_ratio <= self.thresholds.informed
+        active, after, posterior = torch.zeros_like(informed), before, prior
+        while not torch.equal(active, informed):
+            # what the tracks turn out not to inform goes back to its prior; the rest is refitted
+            active = informed
+            after = self._fitted(tracker, data, before, active)
+            posterior, factor = information(tracker, data.fitted, after.theta, after.fitted)
+            informed = active & (posterior.conditional_ratio <= self.thresholds.informed)
         values = tracker.parameters.values(after.theta)
         verdicts = [
             verdict if fitted else Verdict.NOT_IDENTIFIABLE
@@ -76,6 +78,13 @@ class Identifier:
             )
         ]
         return Identification(before, after, active, prior, posterior, tuple(verdicts), factor)
+
+    def _fitted(self, tracker: Tracker, data: Data, before: Fit, active: Bool[Tensor, " p"]) -> Fit:
+        """Fit the active entries of θ, if any, and track again with the result."""
+        if not bool(active.any()):
+            return before
+        found = self.method(tracker, data, before, active)
+        return self.tracked(tracker, data, found.theta, found)
 
     def tracked(
         self, tracker: Tracker, data: Data, theta: Float[Tensor, " p"], start: Fit | None

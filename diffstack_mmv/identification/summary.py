@@ -3,6 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from jaxtyping import Float
+from torch import Tensor
+
 from diffstack_mmv.identification.combinations import Combination, combinations
 from diffstack_mmv.identification.excitation import Excitation, excitation
 from diffstack_mmv.identification.fit import Data
@@ -13,6 +16,9 @@ from diffstack_mmv.identification.problem import Problem
 from diffstack_mmv.identification.sensitivity import Thresholds, Verdict, describe
 from diffstack_mmv.identification.tracking import Tracked, tracking_rmse
 
+NEAR_THE_LIMIT = 0.6  # of the adhesion limit: above, friction shapes the path
+SUSPICIOUS = 0.5  # prior deviations
+AT_THE_EDGE = 0.01  # of the range
 WEAKEST = 3  # directions that are told in words
 
 
@@ -60,7 +66,7 @@ def summarise(
             {"information": each.eigenvalue, "direction": describe(each, names)}
             for each in found.sensitivity.directions
         ],
-        "remarks": remarks(tracker, found, demands),
+        "remarks": [*remarks(tracker, found, demands), *suspicions(tracker, found, influence)],
         "excitation": demands._asdict(),
         "regularisation_influence": {
             name: dict(zip(names, change.tolist(), strict=True))
@@ -130,7 +136,9 @@ def remarks(tracker: Tracker, found: Identification, demands: Excitation) -> lis
     }
     reasons: Mapping[str, str] = {
         "friction": "the tyres are never asked for more than "
-        f"{100 * demands.adhesion:.0f} % of the adhesion limit",
+        f"{100 * demands.adhesion:.0f} % of the adhesion limit"
+        if demands.adhesion < NEAR_THE_LIMIT
+        else "a rider whose controls are unknown may simply have asked for less",
         "wheelbase": "steering was not recorded and is free, so every wheelbase gives the same path"
         if settings.steer_rate_radps is None and settings.control_noise is None
         else "the steering prior is too wide for it",
@@ -151,4 +159,26 @@ def remarks(tracker: Tracker, found: Identification, demands: Excitation) -> lis
         f"Best informed direction ({best.eigenvalue:.3g} times the prior's information): "
         f"{describe(best, names)}."
     )
+    return told
+
+
+def suspicions(
+    tracker: Tracker, found: Identification, influence: Mapping[str, Float[Tensor, " p"]]
+) -> list[str]:
+    """Estimates that owe more to assumptions than to tracks, and estimates at their bounds."""
+    parameters, told = tracker.parameters, []
+    for setting, changes in influence.items():
+        for name, change in zip(parameters.names, changes.tolist(), strict=True):
+            if abs(change) > SUSPICIOUS:
+                told.append(
+                    f"The estimate of {name} hangs on the assumed `{setting}`: twice of it would "
+                    f"move it by {change:+.1f} prior deviations. Do not trust it."
+                )
+    values, prior = parameters.values(found.after.theta), parameters.prior
+    margin = AT_THE_EDGE * (prior.high - prior.low)
+    for name, value, low, high in zip(
+        parameters.names, values, prior.low + margin, prior.high - margin, strict=True
+    ):
+        if not low <= value <= high:
+            told.append(f"The estimate of {name} lies at the edge of its range: widen the range.")
     return told

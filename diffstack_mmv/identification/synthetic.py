@@ -9,13 +9,15 @@ from torch import Generator, Tensor
 
 from diffstack_mmv.checks import require, require_positive
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.dynamics.manoeuvres import Manoeuvre, Slalom, Turn
+from diffstack_mmv.dynamics.manoeuvres import Braking, Slalom, Turn
 from diffstack_mmv.dynamics.open_loop import Run, drive
 from diffstack_mmv.identification.parameters import LearnedParameters
 from diffstack_mmv.identification.stretches import Stretch
 from diffstack_mmv.vehicles import VehicleSpec
 
-RICH: tuple[Manoeuvre, ...] = (
+Exercise = Slalom | Turn | Braking
+
+RICH: tuple[Exercise, ...] = (
     Slalom(3.0, 0.30, 1.6, 3),
     Slalom(4.0, 0.22, 1.2, 4),
     Slalom(5.0, 0.17, 2.0, 2),
@@ -31,7 +33,7 @@ RICH: tuple[Manoeuvre, ...] = (
     Turn(9.0, -1.2, 16.0, 0.4, 0.5),
     Turn(6.0, 1.8, 7.5, 0.3, 0.5, -0.8),
 )
-POOR: tuple[Manoeuvre, ...] = (
+POOR: tuple[Exercise, ...] = (
     Slalom(2.0, 0.002, 4.0, 1),
     Slalom(2.5, 0.001, 2.0, 2),
     Slalom(3.0, 0.002, 4.0, 1),
@@ -80,7 +82,7 @@ class Recorder:
 def record_manoeuvres(
     model: DynamicsModel,
     spec: VehicleSpec,
-    manoeuvres: Sequence[Manoeuvre],
+    manoeuvres: Sequence[Exercise],
     recorder: Recorder,
     generator: Generator,
 ) -> list[Stretch]:
