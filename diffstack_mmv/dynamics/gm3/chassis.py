@@ -8,31 +8,24 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.dynamics.gm3.body import LinearEquation, outer_sum
+from diffstack_mmv.dynamics.gm3.contact import Contact, Grip
 from diffstack_mmv.dynamics.gm3.drive import (
     AccelerationDrive,
     Command,
     DifferentialYawDrive,
     Drive,
-    Traction,
 )
 from diffstack_mmv.dynamics.gm3.lean import camber_spin
 from diffstack_mmv.dynamics.gm3.load import GRAVITY, AccelerationLimits, LoadTransfer
 from diffstack_mmv.dynamics.gm3.slip import (
     WheelAxes,
-    WheelVelocity,
     hub_velocity,
     inverse_speed,
     slip_angle_ratio,
     wheel_axes,
 )
 from diffstack_mmv.dynamics.gm3.steering import Directions, build_steering
-from diffstack_mmv.dynamics.gm3.tire import (
-    Tire,
-    TireProperties,
-    TireSecants,
-    TireSlip,
-    loaded_tire,
-)
+from diffstack_mmv.dynamics.gm3.tire import Tire, TireSlip, loaded_tire
 from diffstack_mmv.smooth import limiter_gain
 from diffstack_mmv.vehicles import DifferentialDrive, ExactBuffers, VehicleSpec
 
@@ -55,21 +48,6 @@ class Physics(NamedTuple):
     drag: Float[Tensor, ""]
     length_scale: Float[Tensor, ""]
     limits: AccelerationLimits
-
-
-class Contact(NamedTuple):
-    """Everything at the contacts of the rolling wheels."""
-
-    hub: WheelVelocity
-    normal_load: Float[Tensor, "all n"]  # N, of all wheels
-    tire: TireProperties
-    traction: Traction
-    slip: TireSlip
-    inverse_speed: Float[Tensor, "wheels n"]  # V_x / (V_x² + v_ε²) in s/m
-    camber: Float[Tensor, "wheels n"] | None  # part of the spin that does not turn with r, 1/m
-    angle_ratio: Float[Tensor, "wheels n"] | None  # α / (-V_y) in s/m
-    secants: TireSecants
-    trail_sign: Float[Tensor, "wheels n"]  # V_x / sqrt(V_x² + v_ε²)
 
 
 class Chassis(ExactBuffers):
@@ -159,15 +137,15 @@ class Chassis(ExactBuffers):
         acceleration = wanted * limiter_gain(wanted / limit)
         return self.loads(acceleration, forward * yaw_rate, limits, physics.length_scale)
 
-    def contact(
+    def grip(
         self,
         velocity: Float[Tensor, "3 n"],
         lean: Float[Tensor, " n"],
         axes: WheelAxes,
         command: Command,
         physics: Physics,
-    ) -> Contact:
-        """Slips and tyre secants of all rolling wheels."""
+    ) -> Grip:
+        """Loads, traction and camber of the rolling wheels."""
         slip_speed = self.spec.smoothing.slip_speed_mps
         hub = hub_velocity(axes, velocity)
         loads = self.normal_loads(velocity, command, physics)
@@ -178,34 +156,35 @@ class Chassis(ExactBuffers):
             physics.contact_half_length,
         )
         traction = self.drive(command, velocity, hub, tire, physics.yaw_inertia, axes)
-        inverse = inverse_speed(hub.forward, slip_speed)
         camber = None
-        turn = -velocity[2]
         if self.spec.leans:
             limit = self.spec.limits.lean_max_rad
             camber = hub.forward * camber_spin(lean, limit, self.get_buffer("camber_gain"))
-            turn = turn + camber
-        across = -hub.left / traction.reference
-        ratio = slip_angle_ratio(hub, slip_speed) if self.tire.uses_slip_angle else None
-        angle = None if ratio is None else -hub.left * ratio
-        slip = TireSlip(traction.slip, across, inverse * turn, angle)
-        secants = self.tire.secants_in_vehicle(slip, tire)
         trail_sign = hub.forward * (hub.forward.square() + slip_speed**2).rsqrt()
-        return Contact(
-            hub, loads, tire, traction, slip, inverse, camber, ratio, secants, trail_sign
-        )
+        inverse = inverse_speed(hub.forward, slip_speed)
+        return Grip(loads, tire, traction, inverse, camber, trail_sign)
+
+    def contact(self, velocity: Float[Tensor, "3 n"], grip: Grip, axes: WheelAxes) -> Contact:
+        """Slips and tyre secants of the rolling wheels at a velocity, under a given grip."""
+        hub = hub_velocity(axes, velocity)
+        turn = -velocity[2] if grip.camber is None else grip.camber - velocity[2]
+        across = -hub.left / grip.traction.reference
+        ratio = None
+        if self.tire.uses_slip_angle:
+            ratio = slip_angle_ratio(hub, self.spec.smoothing.slip_speed_mps)
+        angle = None if ratio is None else -hub.left * ratio
+        slip = TireSlip(grip.traction.slip, across, grip.inverse_speed * turn, angle)
+        return Contact(grip, slip, ratio, self.tire.secants_in_vehicle(slip, grip.tire))
 
     def velocity_equation(
         self,
         velocity: Float[Tensor, "3 n"],
-        lean: Float[Tensor, " n"],
+        contact: Contact,
         axes: WheelAxes,
-        command: Command,
         physics: Physics,
     ) -> LinearEquation:
-        """A and b of v' = A v + b, with the secants at this velocity, lean and command."""
-        contact = self.contact(velocity, lean, axes, command, physics)
-        secants, traction = contact.secants, contact.traction
+        """A and b of v' = A v + b, with the secants of a contact."""
+        secants, grip, traction = contact.secants, contact.grip, contact.grip.traction
         push = secants.along * traction.gain
         stiffness = secants.across / traction.reference
         if secants.per_angle is not None and contact.angle_ratio is not None:
@@ -214,11 +193,11 @@ class Chassis(ExactBuffers):
         axis_yaw = self.get_buffer("axis_yaw")
         offset = (axes.along * (push * traction.constant)).sum(1)
         if secants.per_spin is not None:
-            turn = secants.per_spin * contact.inverse_speed
+            turn = secants.per_spin * grip.inverse_speed
             lateral = torch.addcmul(lateral, turn, axis_yaw.unsqueeze(-1))
-            if contact.camber is not None:
-                offset = offset + (axes.across * (turn * contact.camber)).sum(1)
-        aligning = secants.aligning * contact.trail_sign / traction.reference
+            if grip.camber is not None:
+                offset = offset + (axes.across * (turn * grip.camber)).sum(1)
+        aligning = secants.aligning * grip.trail_sign / traction.reference
         moment = physics.aligning_gain * (axes.across * aligning).sum(1)
         matrix = outer_sum(axes.along, push * traction.row) - outer_sum(axes.across, lateral)
         matrix = torch.addcmul(matrix, moment, axis_yaw.unsqueeze(-1))

@@ -8,7 +8,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.dynamics.gm3.body import LinearEquation
-from diffstack_mmv.dynamics.gm3.chassis import Chassis, Contact, Physics
+from diffstack_mmv.dynamics.gm3.chassis import Chassis, Physics
+from diffstack_mmv.dynamics.gm3.contact import Contact, Grip
 from diffstack_mmv.dynamics.gm3.drive import Command
 from diffstack_mmv.dynamics.gm3.lean import (
     Lean,
@@ -40,15 +41,19 @@ class HeldDynamics:
         """Whether the lean moves."""
         return self.chassis.spec.leans
 
-    def velocity_equation(
-        self, velocity: Float[Tensor, "3 n"], lean: Float[Tensor, " n"]
-    ) -> LinearEquation:
-        """V' = A v + b with the secants at this velocity (v_x, v_y, r) and lean."""
-        return self.chassis.velocity_equation(velocity, lean, self.axes, self.command, self.physics)
-
     def contact(self, velocity: Float[Tensor, "3 n"], lean: Float[Tensor, " n"]) -> Contact:
-        """Slips, loads and secants of the wheels."""
-        return self.chassis.contact(velocity, lean, self.axes, self.command, self.physics)
+        """Loads, slips and secants of the wheels at this velocity (v_x, v_y, r) and lean."""
+        chassis, axes = self.chassis, self.axes
+        grip = chassis.grip(velocity, lean, axes, self.command, self.physics)
+        return chassis.contact(velocity, grip, axes)
+
+    def slipping(self, velocity: Float[Tensor, "3 n"], grip: Grip) -> Contact:
+        """Slips and secants at this velocity under loads and traction that are known."""
+        return self.chassis.contact(velocity, grip, self.axes)
+
+    def equation(self, velocity: Float[Tensor, "3 n"], contact: Contact) -> LinearEquation:
+        """V' = A v + b with the secants of a contact at this velocity."""
+        return self.chassis.velocity_equation(velocity, contact, self.axes, self.physics)
 
     def lean_coefficients(self, lean: Float[Tensor, " n"]) -> LeanCoefficients:
         """Secant coefficients of the lean equation."""
@@ -63,7 +68,7 @@ class HeldDynamics:
     def derivative(self, state: Float[Tensor, "8 n"]) -> Float[Tensor, "8 n"]:
         """Right-hand side, in the order of the state."""
         _, velocity, heading, lean = unpack(state)
-        rate = self.velocity_equation(velocity, lean.angle).rate(velocity)
+        rate = self.equation(velocity, self.contact(velocity, lean.angle)).rate(velocity)
         forward, left, yaw_rate = velocity.unbind(0)
         roll = Lean(torch.zeros_like(heading), torch.zeros_like(heading))
         if self.leans:

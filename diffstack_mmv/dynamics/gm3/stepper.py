@@ -87,9 +87,13 @@ def pade_step(
 class LIM2:
     """Linearly implicit midpoint rule with frozen secant coefficients.
 
-    A and b of the velocity equation are frozen at a predicted midpoint (half a step with A and b
-    at the start). With them the velocity takes two half steps; the pose uses its mean, the lean a
-    trapezoid. L-stable, second order, two tyre evaluations.
+    A and b of the velocity equation are frozen at the middle of the step, which is found in two
+    rounds: half a step with A and b at the start, then the mean of a whole step with those found
+    there. The second round looks at the slips only, under the loads of the first: a jump of the
+    steering saturates the tyres for a moment, and the coefficients of that moment point the
+    gradient elsewhere. The first round is read halfway between its mean and its end, which gave
+    the best errors over 1, 2 and 4 substeps. The velocity then takes two half steps; the pose
+    uses its mean, the lean a trapezoid. L-stable, second order.
     """
 
     def __call__(
@@ -97,11 +101,14 @@ class LIM2:
     ) -> Float[Tensor, "8 n"]:
         """State after one step."""
         position, velocity, heading, lean = unpack(state)
-        start = dynamics.velocity_equation(velocity, lean.angle)
+        start = dynamics.equation(velocity, dynamics.contact(velocity, lean.angle))
         half = pade_step(start, velocity, 0.5 * step_s)
         midway = self._lean(dynamics, lean, lean.angle, half.mean, 0.5 * step_s)
-        middle = dynamics.velocity_equation(half.end, midway.angle)
-        full = pade_step(middle, velocity, step_s, parts=2)
+        early = 0.5 * (half.mean + half.end)
+        first = dynamics.contact(early, midway.angle)
+        middle = pade_step(dynamics.equation(early, first), velocity, step_s, parts=2).mean
+        second = dynamics.equation(middle, dynamics.slipping(middle, first.grip))
+        full = pade_step(second, velocity, step_s, parts=2)
         end = self._lean(dynamics, lean, midway.angle, full.mean, step_s)
         forward, left, yaw_rate = full.mean.unbind(0)
         mean_heading = heading + 0.5 * step_s * yaw_rate

@@ -39,16 +39,16 @@ def wheel_forces(
     rolling = {
         "force_x": force.force_x,
         "force_y": force.force_y,
-        "moment_z": force.moment_z * contact.trail_sign,
+        "moment_z": force.moment_z * contact.grip.trail_sign,
         "steer": torch.atan2(sine, cosine),
         "slip_x": contact.slip.along,
         "slip_y": contact.slip.across,
         "spin": contact.slip.spin,
-        "wheel_speed": contact.traction.rolling / model.chassis.get_buffer("radius"),
+        "wheel_speed": contact.grip.traction.rolling / model.chassis.get_buffer("radius"),
     }
     count = len(model.spec.wheels)
     index = model.chassis.get_buffer("rolling_index")
-    load = contact.normal_load
+    load = contact.grip.normal_load
 
     def spread(values: Float[Tensor, "rolling n"]) -> Float[Tensor, "*b wheels"]:
         wide = torch.zeros_like(load).index_copy(0, index, values.expand(-1, load.shape[-1]))

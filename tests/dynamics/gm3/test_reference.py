@@ -121,5 +121,4 @@ def test_gradient_over_three_seconds_is_that_of_the_converged_motion(vehicle, re
     cosine = torch.nn.functional.cosine_similarity(found, converged, dim=1)
     assert ratio.max() < 1.2
     assert cosine.quantile(0.1) > 0.98
-    # one brisk scooter run saturates its front tyre by jumps of 0.3 rad: 0.88
-    assert cosine.min() > 0.85
+    assert cosine.min() > 0.9
