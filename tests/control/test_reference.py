@@ -138,6 +138,17 @@ def test_a_thousand_problems_converge(reference, name, dtype):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PROBLEMS)
+def test_zero_controls_reach_what_the_interior_point_solver_reaches_from_them(reference, name):
+    module, load = reference
+    instances = module.instances(name)
+    solution = ILQR()(*posed(module, name, instances), torch.zeros(256, 30, 2))
+    controls = solution.controls.numpy()
+    costs, _ = module.true_cost(name, instances["x0"], instances["p"], controls)
+    assert (costs <= load(f"reference_{name}")["J_start0"] * (1 + 1e-4)).mean() >= 0.97
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PROBLEMS)
 def test_a_few_starts_reach_the_best_known_optimum(reference, name):
     module, load = reference
     instances = module.instances(name)

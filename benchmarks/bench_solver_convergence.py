@@ -1,0 +1,84 @@
+"""Convergence table: status of 1,000 random problems, and costs beside IPOPT's and the best known.
+
+    python benchmarks/bench_solver_convergence.py > benchmarks/results/convergence.md
+
+Needs the reference solutions in ../shared, see tests/control/test_reference.py, which holds the numbers.
+"""
+
+import numpy as np
+import torch
+from bench_solver_gradients import reference
+
+from diffstack_mmv.control import ILQR, Batched, Bounds
+from tests.control import test_reference
+
+CLOSE = 1 + 1e-4
+
+
+def in_precision(problem, dtype):
+    """The problem of `test_reference.posed` in another precision."""
+    *callables, box, states = problem
+    narrow = [Batched(part.function, *(t.to(dtype) for t in part.tensors)) for part in callables]
+    return *narrow, Bounds(*(bound.to(dtype) for bound in box)), states.to(dtype)
+
+
+def statuses(given, name, dtype):
+    """Share converged of 1,000 problems from zero controls, NaNs, and iterations."""
+    module, _ = given
+    problem = in_precision(
+        test_reference.posed(module, name, module.instances(name, 1000, seed=7)), dtype
+    )
+    solution = ILQR()(*problem, torch.zeros(1000, 30, 2, dtype=dtype))
+    numbers = sum(int(part.isnan().sum()) for part in solution)
+    steps = solution.iterations.double()
+    return solution.converged.double().mean(), numbers, steps.median(), steps.quantile(0.99)
+
+
+def costs(given, name, dtype, levels):
+    """Cheapest true cost of each of the 256 reference problems from constant controls."""
+    module, _ = given
+    instances = module.instances(name)
+    problem = in_precision(test_reference.posed(module, name, instances), dtype)
+    found = []
+    for level in levels(*problem[2]):
+        solution = ILQR()(*problem, level.expand(256, 30, 2).to(dtype))
+        controls = solution.controls.double().numpy()
+        found.append(module.true_cost(name, instances["x0"], instances["p"], controls)[0])
+    return np.stack(found)
+
+
+def main():
+    given = reference()
+    print("1,000 random problems (seed 7), T = 30, from zero controls.\n")
+    print("| problem | precision | converged | NaN | iterations: median | iterations: 99 % |")
+    print("|---|---|---|---|---|---|")
+    for name in test_reference.PROBLEMS:
+        for dtype in (torch.float32, torch.float64):
+            share, numbers, middle, high = statuses(given, name, dtype)
+            kind = str(dtype).removeprefix("torch.")
+            print(
+                f"| {name} | {kind} | {share:.1%} | {numbers} | {middle:.0f} | {high:.0f} |",
+                flush=True,
+            )
+    print("\n256 reference problems: share within 1e-4 relative cost of the other, or cheaper.\n")
+    print(
+        "| problem | precision | zero start against IPOPT from the same start "
+        "| zero start against the best known | IPOPT's zero start against the best known "
+        "| ten starts against the best known |"
+    )
+    print("|---|---|---|---|---|---|")
+    for name in test_reference.PROBLEMS:
+        file = given[1](f"reference_{name}")
+        best, start = file["J"] * CLOSE, file["J_start0"]
+        for dtype in (torch.float32, torch.float64):
+            found = costs(given, name, dtype, test_reference.start_levels)
+            zero, many = found[0], found.min(0)
+            shares = (zero <= start * CLOSE, zero <= best, start <= best, many <= best)
+            cells = " | ".join(f"{share.mean():.1%}" for share in shares)
+            print(f"| {name} | {str(dtype).removeprefix('torch.')} | {cells} |", flush=True)
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    torch.set_default_dtype(torch.float64)
+    main()
