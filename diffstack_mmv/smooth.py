@@ -88,6 +88,18 @@ def limiter_gain(ratio: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
     return (1 + square.square()).sqrt().rsqrt()
 
 
+def limiter_rest(ratio: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """Return 1 - S(x) of the odd limiter, without cancellation where S comes close to 1.
+
+    1 - S = (1 - S⁴) / ((1 + S)(1 + S²)) and 1 - S⁴ = 1 / (1 + x⁴) = (S / x)⁴.
+    """
+    gain = limiter_gain(ratio)
+    limited = ratio * gain
+    positive = limited.clamp_min(0)
+    rest = gain.square().square() / ((1 + positive) * (1 + positive.square()))
+    return torch.where(ratio > 0, rest, 1 - limited)
+
+
 def arctan_ratio(tangent: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
     """Return atan(x) / x, by its series near zero where the quotient loses its derivatives."""
     small = tangent.abs() < 0.03

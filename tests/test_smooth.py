@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from diffstack_mmv.smooth import (
     floor_at_zero,
     limiter,
+    limiter_rest,
     safe_norm,
     saturate,
     sinc,
@@ -92,3 +93,20 @@ def test_norm_is_differentiable_at_zero():
 def test_smooth_maximum_lies_above_the_maximum_by_at_most_half_the_width(a, b):
     value = smooth_maximum(torch.tensor(a), torch.tensor(b), 0.1).item()
     assert max(a, b) - 1e-5 <= value <= max(a, b) + 0.05 + 1e-5
+
+
+@given(st.floats(0, 1e4))
+def test_limiter_and_its_rest_add_up_to_one(ratio):
+    ratio = torch.tensor(ratio, dtype=torch.float64)
+    assert math.isclose((limiter(ratio) + limiter_rest(ratio)).item(), 1, rel_tol=1e-15)
+
+
+def test_rest_of_the_limiter_keeps_its_digits_in_single_precision():
+    ratio = torch.logspace(-3, 3, 50, dtype=torch.float64)
+    exact = -torch.expm1(-0.25 * torch.log1p(ratio**-4))
+    assert ((limiter_rest(ratio.float()) - exact).abs() < 1e-5 * exact).all()
+
+
+def test_rest_of_the_limiter_has_exact_derivatives_on_both_sides():
+    ratio = torch.linspace(-5, 5, 21, dtype=torch.float64, requires_grad=True)
+    torch.autograd.gradcheck(limiter_rest, ratio)

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require
-from diffstack_mmv.smooth import limiter_gain
+from diffstack_mmv.smooth import limiter_gain, limiter_rest
 from diffstack_mmv.vehicles import ExactBuffers, VehicleSpec, axles
 
 GRAVITY = 9.81  # m/s^2
@@ -98,9 +98,9 @@ class LoadTransfer(ExactBuffers):
         constants = {
             "axle_load": axle_load,
             "axle_gain": mass_height * (member @ pitch),
-            "share": share,
-            "loss": loss,
-            "roll": mass_height * inverse_lever,
+            "share": share - np.abs(loss) if self.rolls else share,
+            "loss": np.abs(loss),
+            "roll": mass_height * inverse_lever * np.sign(loss),
         }
         for name, values in constants.items():
             self.register_exact(name, [[value] for value in values.tolist()])
@@ -153,7 +153,7 @@ class LoadTransfer(ExactBuffers):
         if self.rolls:
             paired = self._paired_load + self._paired_gain * pitch
             ratio = self.get_buffer("roll") * (lateral / paired)
-            share = share - self.get_buffer("loss") * (ratio * limiter_gain(ratio))
+            share = torch.addcmul(share, self.get_buffer("loss"), limiter_rest(ratio))
         return axle * share
 
 
