@@ -1,144 +1,110 @@
 """Time, quality, gradient time and memory of trajectory optimisers on the same problems.
 
-    python benchmarks/bench_solver.py run ours-compiled --out benchmarks/results/solver.jsonl
-    python benchmarks/bench_solver.py table --out benchmarks/results/solver.jsonl
+    python benchmarks/bench_solver.py                      # all, with this interpreter
+    python benchmarks/bench_solver.py --python PATH        # peers from another environment
+    python benchmarks/bench_solver.py --rows FILE --solvers ours-eager    # again, the others from FILE
 
-Peers are optional and run in an environment of their own: `mpc` (mpc.pytorch) and `casadi`. Times
-are processor seconds of the process, the smallest of the repetitions, so that other work on the
-machine disturbs them little.
+Each optimiser runs in a process of its own, on one thread; one that is not installed is skipped and
+said to be. Times are processor seconds, the smallest of the repetitions, so that other work on the
+machine disturbs them little. Writes solver.md and solver.png to results/.
 """
 
 import argparse
 import json
+import os
 import platform
-import resource
+import subprocess
 import sys
-import time
+import tempfile
 from pathlib import Path
 
 import numpy as np
-import torch
 
 sys.path.insert(0, str(Path(__file__).parent))
-from peers import driving  # noqa: E402
+from bench_solver_worker import MISSING, MODULES  # noqa: E402
 
-SOLVERS = ("ours-compiled", "ours-eager", "mpc.pytorch", "ipopt")
-
-
-def seconds(work, repetitions):
-    """First call, then the smallest of the others, in processor seconds; and the last result."""
-    times = []
-    for _ in range(repetitions + 1):
-        start = time.process_time()
-        result = work()
-        times.append(time.process_time() - start)
-    return times[0], min(times[1:]) if repetitions else times[0], result
+RESULTS = Path(__file__).parent / "results"
+SOLVERS = ("ours-compiled", "ours-eager", *MODULES)
+SIZES = ("256:30", "64:30", "16:30", "64:10", "64:100", "1:30")
+ONE_THREAD = {
+    "OMP_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+}
 
 
-def measure_ours(states, parameters, steps, repetitions, compile):
-    from peers import ours
-
-    solve = ours.solver(states, parameters, steps, compile)
-    with torch.no_grad():
-        first, forward, solution = seconds(solve, repetitions)
-    backward = []
-    for _ in range(repetitions + 1):
-        graph = solve()
-        start = time.process_time()
-        (graph.controls.square().sum() + graph.states.sum()).backward()
-        backward.append(time.process_time() - start)
-    converged = float(solution.converged.double().mean())
-    return ours.controls_of(solution), dict(
-        first_s=first,
-        forward_s=forward,
-        backward_s=min(backward),
-        converged=converged,
-        iterations=float(solution.iterations.double().mean()),
-    )
-
-
-def measure_peer(name, states, parameters, steps, repetitions):
-    if name == "mpc.pytorch":
-        from peers import mpc_pytorch
-
-        first, forward, controls = seconds(
-            lambda: mpc_pytorch.solve_all(states, parameters, steps), repetitions
-        )
-    else:
-        from peers import ipopt
-
-        nlp = ipopt.build(steps)
-        first, forward, controls = seconds(
-            lambda: ipopt.solve_all(nlp, states, parameters, steps), repetitions
-        )
-    return controls, dict(first_s=first, forward_s=forward)
+def rows_of(name, arguments):
+    """Rows of one optimiser, and a note if there is something to tell."""
+    worker = str(Path(__file__).with_name("bench_solver_worker.py"))
+    python = sys.executable if name.startswith("ours") else arguments.python
+    command = [python, worker, name, "--limit", str(arguments.limit), "--sizes", *arguments.sizes]
+    with tempfile.TemporaryDirectory() as cache:
+        cold = {"TORCHINDUCTOR_CACHE_DIR": cache} if arguments.cold else {}
+        environment = os.environ | ONE_THREAD | cold
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True)
+        try:
+            output, note = process.communicate(timeout=arguments.timeout)[0], None
+        except subprocess.TimeoutExpired:
+            process.kill()
+            output = process.communicate()[0]
+            note = f"{name}: stopped after {arguments.timeout} s"
+    if process.returncode == MISSING:
+        note = f"{name}: skipped, not installed"
+    elif process.returncode > 0:
+        note = f"{name}: failed with status {process.returncode}"
+    rows = [json.loads(line) for line in output.splitlines() if line.startswith("{")]
+    print(note or f"{name}: {len(rows)} sizes", flush=True)
+    return rows, note
 
 
-def run(name, out, batches, horizons, repetitions):
-    torch.set_num_threads(1)
-    for steps in horizons:
-        for batch in batches:
-            states, parameters = driving.instances(batch, steps)
-            if name.startswith("ours"):
-                controls, row = measure_ours(
-                    states, parameters, steps, repetitions, name.endswith("compiled")
-                )
-            else:
-                controls, row = measure_peer(name, states, parameters, steps, repetitions)
-            costs = driving.true_cost(states, parameters, controls)
-            row |= dict(
-                solver=name,
-                batch=batch,
-                steps=steps,
-                ms_per_problem=1e3 * row["forward_s"] / batch,
-                memory_mib=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-                costs=np.round(costs, 7).tolist(),
-            )
-            with out.open("a") as file:
-                file.write(json.dumps(row) + "\n")
-            print(name, batch, steps, round(row["ms_per_problem"], 4), "ms per problem", flush=True)
-
-
-def table(out):
-    """Markdown table and plot beside the raw rows; quality is against the best cost of any solver."""
-    rows = [json.loads(line) for line in out.read_text().splitlines()]
-    rows = list({(r["solver"], r["batch"], r["steps"]): r for r in rows}.values())
+def judge(rows):
+    """Replace the costs of each row by the share within 1e-4 of the cheapest of any optimiser."""
     best = {}
     for row in rows:
         key = row["batch"], row["steps"]
-        costs = np.array(row["costs"])
-        best[key] = np.fmin(best.get(key, costs), costs)
+        best[key] = np.fmin(best.get(key, np.inf), np.array(row["costs"]))
+    for row in rows:
+        floor = best[row["batch"], row["steps"]]
+        row["best"] = float(np.mean(np.array(row.pop("costs")) <= floor + 1e-4 * np.abs(floor)))
+        row["ms_per_problem"] = 1e3 * row["forward_s"] / row["batch"]
+
+
+def table(rows, notes):
+    """Markdown lines."""
+    load = os.getloadavg()[2]
     lines = [
-        f"Kinematic bicycle around an obstacle, one thread, {platform.machine()}, torch "
-        f"{torch.__version__}, float32 (IPOPT: float64). Processor time, smallest of the repetitions; "
-        "start from zero controls; tolerance 1e-4. `best` is the share of problems within 1e-4 of the "
-        "cheapest solution that any solver here found.",
+        "Kinematic bicycle around an obstacle, from zero controls, tolerance 1e-4, one thread, "
+        f"{platform.machine()}; processor time, smallest of the repetitions (mean load of the machine "
+        f"meanwhile: {load:.1f} on {os.cpu_count()} cores). Ours, mpc.pytorch and trajax in float32, the "
+        "others in float64. `best`: share of problems within 1e-4 relative cost of the cheapest "
+        "solution that any of these found. `first call`: with compilation where there is any, sizes "
+        "in the order 256, 64, 16, T = 10, T = 100, 1. `peak`: of the process up to that size. The box of "
+        "trajax is a penalty; crocoddyl is called with a model in Python, which dominates its time.",
         "",
-        "| T | batch | solver | ms per problem | problems/s | backward / forward | best | converged "
-        "| first call s | peak MiB |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        "| T | batch | solver | ms per problem | problems/s | backward ms | backward / forward "
+        "| best | converged | first call s | peak MiB |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in sorted(rows, key=lambda r: (r["steps"], r["batch"], r["ms_per_problem"])):
-        costs, floor = np.array(row["costs"]), best[row["batch"], row["steps"]]
-        share = np.mean(costs <= floor + 1e-4 * np.abs(floor))
-        back = f"{row['backward_s'] / row['forward_s']:.2f}" if "backward_s" in row else "-"
+        back = row.get("backward_s")
+        backward = f"{1e3 * back:.2f} | {back / row['forward_s']:.2f}" if back else "- | -"
         converged = f"{row['converged']:.3f}" if "converged" in row else "-"
         lines.append(
             f"| {row['steps']} | {row['batch']} | {row['solver']} | {row['ms_per_problem']:.3f} "
-            f"| {1e3 / row['ms_per_problem']:.0f} | {back} | {share:.3f} | {converged} "
+            f"| {1e3 / row['ms_per_problem']:.0f} | {backward} | {row['best']:.3f} | {converged} "
             f"| {row['first_s']:.1f} | {row['memory_mib']:.0f} |"
         )
-    out.with_suffix(".md").write_text("\n".join(lines) + "\n")
-    plot(rows, out.with_suffix(".png"))
+    return [*lines, "", *(f"- {note}" for note in notes)]
 
 
 def plot(rows, path):
+    """Time per problem over the batch."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    figure, axes = pyplot.subplots(figsize=(6, 4), constrained_layout=True)
+    figure, axes = pyplot.subplots(figsize=(6.5, 4), constrained_layout=True)
     for name in SOLVERS:
         chosen = sorted(
             (r["batch"], r["ms_per_problem"])
@@ -147,32 +113,39 @@ def plot(rows, path):
         )
         if chosen:
             axes.loglog(*zip(*chosen, strict=True), marker="o", label=name)
+    axes.set_xticks([1, 16, 64, 256], ["1", "16", "64", "256"])
+    axes.minorticks_off()
     axes.set(
-        xlabel="batch", ylabel="processor time per problem, ms", title="Kinematic bicycle, T = 30"
+        xlabel="batch", ylabel="processor time per problem in ms", title="Kinematic bicycle, T = 30"
     )
-    axes.legend()
-    figure.savefig(path, dpi=150)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize="small")
+    figure.savefig(path, dpi=120)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("action", choices=("run", "table"))
-    parser.add_argument("solver", nargs="?", choices=SOLVERS)
-    parser.add_argument("--out", type=Path, default=Path("benchmarks/results/solver.jsonl"))
-    parser.add_argument("--batches", type=int, nargs="+", default=[1, 16, 64, 256])
-    parser.add_argument("--horizons", type=int, nargs="+", default=[30])
-    parser.add_argument("--repetitions", type=int, default=5)
+    parser.add_argument("--solvers", nargs="+", choices=SOLVERS, default=SOLVERS)
+    parser.add_argument("--sizes", nargs="+", default=SIZES, help="batch:steps")
+    parser.add_argument("--python", default=sys.executable, help="interpreter of the peers")
+    parser.add_argument("--limit", type=float, default=20.0, help="seconds of repetitions per size")
+    parser.add_argument("--timeout", type=float, default=900.0, help="seconds per optimiser")
+    parser.add_argument("--cold", action="store_true", help="compile with an empty cache")
+    parser.add_argument("--rows", type=Path, help="rows with all costs, read and written")
     arguments = parser.parse_args()
-    if arguments.action == "table":
-        table(arguments.out)
-    else:
-        run(
-            arguments.solver,
-            arguments.out,
-            arguments.batches,
-            arguments.horizons,
-            arguments.repetitions,
-        )
+    kept = (
+        json.loads(arguments.rows.read_text()) if arguments.rows and arguments.rows.exists() else []
+    )
+    rows, notes = [row for row in kept if row["solver"] not in arguments.solvers], []
+    for name in arguments.solvers:
+        found, note = rows_of(name, arguments)
+        rows += found
+        notes += [note] if note else []
+    if arguments.rows:
+        arguments.rows.write_text(json.dumps(rows))
+    judge(rows)
+    (RESULTS / "solver.md").write_text("\n".join(table(rows, notes)).rstrip() + "\n")
+    plot(rows, RESULTS / "solver.png")
 
 
 if __name__ == "__main__":

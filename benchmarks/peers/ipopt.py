@@ -44,3 +44,9 @@ def solve_all(nlp, states, parameters, steps):
         result = nlp(x0=start, p=np.concatenate([state, p]), lbx=low, ubx=high, lbg=0, ubg=0)
         answers.append(np.array(result["x"]).ravel()[: 2 * steps].reshape(steps, 2))
     return np.stack(answers)
+
+
+def prepare(states, parameters, steps):
+    """A function that returns the controls (count, T, 2)."""
+    nlp = build(steps)
+    return lambda: solve_all(nlp, states, parameters, steps)

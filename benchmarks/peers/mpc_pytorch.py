@@ -63,3 +63,8 @@ def solve_all(states, parameters, steps, iterations=30):
     with torch.enable_grad():
         controls = solver(start, Cost(p, steps), Dynamics())[1]
     return controls[:steps].transpose(0, 1).detach().double().numpy().astype(np.float64)
+
+
+def prepare(states, parameters, steps):
+    """A function that returns the controls (count, T, 2)."""
+    return lambda: solve_all(states, parameters, steps)

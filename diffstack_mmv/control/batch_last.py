@@ -49,7 +49,7 @@ def unpack(packed: Float[Tensor, "*t R N"], *shapes: tuple[int, ...]) -> tuple[T
 
 def pack(*parts: Tensor) -> Tensor:
     """Inverse of `unpack`: one column of rows from matrices and vectors with the batch last."""
-    return torch.cat([part.flatten(0, -2) for part in parts])
+    return torch.concatenate([part.flatten(0, -2) for part in parts])
 
 
 def walk(

@@ -3,7 +3,8 @@
 import functools
 import logging
 import types
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, NamedTuple
 
 import torch
@@ -13,15 +14,15 @@ from torch._dynamo.decorators import maybe_mark_dynamic
 from torch._dynamo.exc import FailOnRecompileLimitHit, TorchDynamoException
 from torch._inductor.exc import InductorError
 
+from diffstack_mmv.control.concatenation import PaddedConcatenation
 from diffstack_mmv.control.expansion import Model, expand
-from diffstack_mmv.control.iteration import Iterate, attempt, start
+from diffstack_mmv.control.iteration import Iterate, attempt
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.riccati import Policy, Stationary, box_policy, solve_free
 from diffstack_mmv.control.selection import Batched
-from diffstack_mmv.types import map_tensors
 
 LOGGER = logging.getLogger(__name__)
-LARGEST_ROW = 8  # a last dimension beyond it is a batch, not a row of controls or step sizes
+LARGEST_ROW = 8  # a size beyond it may be a batch or a horizon, not a row of controls or step sizes
 FAILURES = (TorchDynamoException, InductorError)
 
 
@@ -46,23 +47,30 @@ class Kernel:
     Args:
         function: What to compile.
         options: Options of the compiler.
+        context: What it is traced in.
     """
 
-    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        options: dict[str, Any],
+        context: Callable[[], AbstractContextManager[Any]] = nullcontext,
+    ) -> None:
         self.function = function
         self.compiled: Callable[..., Any] | None = None
         self.options = options
+        self.context = context
 
     def __call__(self, *arguments: Any) -> Any:
         """Run compiled, or eagerly where the compiler failed before."""
         if self.compiled is None:
-            for argument in arguments:
-                map_tensors(_mark_batch, argument)
+            _mark_varying(arguments)
             self.compiled = torch.compile(
                 _copy(self.function), fullgraph=True, options=self.options
             )
         try:
-            return self.compiled(*arguments)
+            with self.context():
+                return self.compiled(*arguments)
         except FailOnRecompileLimitHit:
             # many shapes in one process: begin with an empty list of graphs
             self.compiled = None
@@ -82,7 +90,6 @@ class Kernel:
 class Kernels(NamedTuple):
     """The parts of an iteration and of the adjoint, eager or compiled."""
 
-    start: Callable[..., Iterate]
     expand: Callable[..., Model]
     box_policy: Callable[..., Policy]
     attempt: Callable[..., Iterate]
@@ -91,7 +98,7 @@ class Kernels(NamedTuple):
 
 def eager_kernels() -> Kernels:
     """The functions as they are."""
-    return Kernels(start, expand, box_policy, attempt, solve_free)
+    return Kernels(expand, box_policy, attempt, solve_free)
 
 
 @functools.cache
@@ -102,10 +109,11 @@ def _recursions(n: int, m: int, device: str) -> tuple[Kernel, Kernel]:
 
 
 @functools.cache
-def _models(key: Hashable, device: str) -> tuple[Kernel, Kernel, Kernel]:
+def _models(key: Hashable, device: str) -> tuple[Kernel, Kernel]:
     """The kernels of one kind of dynamics and cost."""
     options = _options(device)
-    return Kernel(start, options), Kernel(expand, options), Kernel(attempt, options)
+    model, step = (Kernel(function, options, PaddedConcatenation) for function in (expand, attempt))
+    return model, step
 
 
 def compiled_kernels(
@@ -120,8 +128,8 @@ def compiled_kernels(
         device: Type of the device.
     """
     policy, free = _recursions(*static[:2], device)
-    first, model, step = _models((kind(dynamics), kind(cost), static), device)
-    return Kernels(first, model, policy, step, free)
+    model, step = _models((kind(dynamics), kind(cost), static), device)
+    return Kernels(model, policy, step, free)
 
 
 def _options(device: str) -> dict[str, Any]:
@@ -130,18 +138,62 @@ def _options(device: str) -> dict[str, Any]:
     The compiler does not keep graphs with loops unless told that the loop is safe to keep, which it
     is: its body is a part of the graph that is hashed.
     """
-    options: dict[str, Any] = {"cpp_wrapper": True} if device == "cpu" else {}
+    options: dict[str, Any] = {"loop_ordering_after_fusion": False}  # slow, and finds nothing here
+    if device == "cpu":
+        options["cpp_wrapper"] = True
     if hasattr(torch._inductor.config, "unsafe_marked_cacheable_functions"):
         loops = {f"torch.ops.higher_order.{name}": "body hashed" for name in ("scan", "while_loop")}
         options["unsafe_marked_cacheable_functions"] = loops
     return options
 
 
-def _mark_batch(tensor: Tensor) -> Tensor:
-    """Tell the compiler that the batch varies, which spares it a second compilation."""
-    if tensor.dim() and tensor.shape[-1] > LARGEST_ROW:
-        maybe_mark_dynamic(tensor, tensor.dim() - 1)
-    return tensor
+def _mark_varying(arguments: tuple[Any, ...]) -> None:
+    """Tell the compiler which sizes vary, batch and horizon, so that others need no new graph.
+
+    The tensors that the callables hide have to be told as well: one of a fixed size that meets a
+    batch in an operation would fix the batch.
+    """
+    tensors = [tensor for argument in arguments for tensor in hidden_tensors(argument)]
+    sizes = {
+        size
+        for argument in arguments
+        if not callable(argument)
+        for tensor in hidden_tensors(argument)
+        for size in _outer(tensor)
+    }
+    for tensor in tensors:
+        for dimension, size in enumerate(tensor.shape):
+            if size in sizes:
+                maybe_mark_dynamic(tensor, dimension)
+
+
+def _outer(tensor: Tensor) -> list[int]:
+    """Sizes of the first and last dimension that may be a horizon and a batch."""
+    outer = (tensor.shape[0], tensor.shape[-1]) if tensor.dim() else ()
+    return [size for size in outer if size > LARGEST_ROW]
+
+
+def hidden_tensors(value: Any, depth: int = 4) -> Iterator[Tensor]:
+    """Tensors in a record, or that a callable closes over; those of modules are left out.
+
+    A parameter of a module is shared by all problems, so its sizes do not vary.
+    """
+    if isinstance(value, Tensor):
+        yield value
+    elif depth > 0 and not isinstance(value, torch.nn.Module):
+        for part in _parts(value):
+            yield from hidden_tensors(part, depth - 1)
+
+
+def _parts(value: Any) -> Iterable[Any]:
+    if isinstance(value, tuple | list):
+        return value
+    if isinstance(value, Batched):
+        return (value.function, *value.tensors)
+    if isinstance(value, functools.partial):
+        return (value.func, *value.args, *value.keywords.values())
+    cells = getattr(value, "__closure__", None) or ()
+    return [cell.cell_contents for cell in cells]
 
 
 def _copy(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -140,7 +140,7 @@ def expand(
     ]
     parts = (A, B, c_x[:-1], c_u, *blocks, u)
     quadratic = LinearQuadratic(
-        torch.cat([part.flatten(1, -2) for part in parts], 1), pack(c_x[-1], hessian[0][-1])
+        torch.concatenate([part.flatten(1, -2) for part in parts], 1), pack(c_x[-1], hessian[0][-1])
     )
     gradient = c_u + (B * multipliers.unsqueeze(2)).sum(1)
     magnitude = to_batch_last(cost(states, controls), like).abs().sum(0)

@@ -10,11 +10,14 @@ from diffstack_mmv.checks import message, require, require_at_least, require_pos
 from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last
 from diffstack_mmv.control.compilation import Kernels, compiled_kernels, eager_kernels
 from diffstack_mmv.control.implicit import Optimum, attach, free_controls
-from diffstack_mmv.control.iteration import OPEN, Iterate, Settings
+from diffstack_mmv.control.iteration import OPEN, Iterate, Settings, start
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.riccati import definite_policy
-from diffstack_mmv.control.selection import Workload
+from diffstack_mmv.control.selection import Workload, constant
 from diffstack_mmv.types import Bounds, Solution, SolverStatus
+
+CHECK_EVERY = {"cpu": 1}
+"""Iterations between two questions whether all are finished; another device would wait for each."""
 
 
 @dataclass(frozen=True)
@@ -120,8 +123,9 @@ class ILQR:
         settings = self.settings(bounds, state)
         kernels = self._kernels(dynamics, cost, state, controls)
         with torch.no_grad():
-            iterate = self.minimise(kernels, dynamics, cost, settings, state, controls)
-            solution, optimum = conclude(kernels, dynamics, cost, settings, state, iterate)
+            fixed = constant(dynamics), constant(cost)
+            iterate = self.minimise(kernels, *fixed, settings, state, controls)
+            solution, optimum = conclude(kernels, *fixed, settings, state, iterate)
         if not torch.is_grad_enabled():
             return solution
         attached = attach(dynamics, cost, state, optimum, kernels.solve_free)
@@ -155,10 +159,11 @@ class ILQR:
         """Iterate until every problem is finished; the arguments are checked already."""
         like = state.new_zeros(state.shape[:-1])
         x0, guess = to_batch_last(state, like), to_batch_last(controls, like).contiguous()
-        first = kernels.start(dynamics, cost, like, x0.contiguous(), guess, settings)
+        first = start(kernels.attempt, dynamics, cost, like, x0.contiguous(), guess, settings)
         work = Workload(dynamics, cost, like, first, None, first)
-        for _ in range(self.max_iterations):
-            if not bool((work.iterate.status == OPEN).any()):
+        every = CHECK_EVERY.get(state.device.type, 4)
+        for iteration in range(self.max_iterations):
+            if iteration % every == 0 and not bool((work.iterate.status == OPEN).any()):
                 break
             work = work.narrowed()
             work = work._replace(iterate=self._improve(kernels, settings, work, len(x0)))
@@ -177,7 +182,8 @@ class ILQR:
             model.magnitude,
             n,
         )
-        return kernels.attempt(dynamics, cost, like, iterate, model, policy, settings)
+        scale = model.magnitude, model.noise
+        return kernels.attempt(dynamics, cost, like, iterate, *scale, policy, settings)
 
 
 def conclude(

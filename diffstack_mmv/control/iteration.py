@@ -1,12 +1,12 @@
 """One iteration of the solver: where each problem stands, and its next step."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from diffstack_mmv.control.expansion import Model
 from diffstack_mmv.control.line_search import search
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.riccati import Policy
@@ -38,32 +38,13 @@ class Settings(NamedTuple):
     regularisation: Float[Tensor, ""]
 
 
-def start(
-    dynamics: Dynamics,
-    cost: Cost,
-    like: Float[Tensor, "*b"],
-    state: Float[Tensor, "n N"],
-    controls: Float[Tensor, "T m N"],
-    settings: Settings,
-) -> Iterate:
-    """Roll out the guess, clipped to the box."""
-    T, m, N = controls.shape
-    n = state.shape[0]
-    x, gains = state.expand(T + 1, n, N), controls.new_zeros(T, m + m * n, N)
-    noise = torch.zeros_like(state[0])
-    guess = search(dynamics, cost, like, x, controls, gains, settings.box, settings.sizes, noise)
-    finite = guess.cost.isfinite() & guess.x.isfinite().all(0).all(0)
-    status = torch.where(finite, OPEN, SolverStatus.NOT_FINITE)
-    zero = torch.zeros_like(guess.cost)
-    return Iterate(guess.x, guess.u, guess.cost, zero, status, torch.zeros_like(status))
-
-
 def attempt(
     dynamics: Dynamics,
     cost: Cost,
     like: Float[Tensor, "*b"],
     iterate: Iterate,
-    model: Model,
+    magnitude: Float[Tensor, " N"],
+    noise: Float[Tensor, " N"],
     policy: Policy,
     settings: Settings,
 ) -> Iterate:
@@ -73,7 +54,7 @@ def attempt(
     Σ|c_t|, or below the noise; the promise of a strongly damped model counts for nothing. If no
     step size lowers the cost, a promise of a few times the noise is enough.
     """
-    noise = NOISE * model.noise
+    noise = NOISE * noise
     trial = search(
         dynamics,
         cost,
@@ -86,7 +67,7 @@ def attempt(
         noise,
     )
     is_open = iterate.status == OPEN
-    enough = torch.maximum(settings.tolerance * model.magnitude, noise)
+    enough = torch.maximum(settings.tolerance * magnitude, noise)
     lower = trial.cost < iterate.cost
     settled = (policy.decrease <= enough) & (iterate.damping < 1)
     settled = settled | (~lower & (policy.decrease <= NOISE * noise))
@@ -104,6 +85,33 @@ def attempt(
         torch.where(is_open, status, iterate.status),
         iterate.iterations + is_open.to(iterate.iterations.dtype),
     )
+
+
+def start(
+    attempt: Callable[..., Iterate],
+    dynamics: Dynamics,
+    cost: Cost,
+    like: Float[Tensor, "*b"],
+    state: Float[Tensor, "n N"],
+    controls: Float[Tensor, "T m N"],
+    settings: Settings,
+) -> Iterate:
+    """Roll out the guess, clipped to the box.
+
+    This is an attempt from an infinite cost with a policy that changes nothing, so that it needs no
+    kernel of its own.
+    """
+    T, m, N = controls.shape
+    n = state.shape[0]
+    zero, none = torch.zeros_like(state[0]), torch.zeros_like(state[0], dtype=torch.bool)
+    status = torch.full_like(zero, OPEN, dtype=torch.long)
+    x = state.expand(T + 1, n, N).contiguous()
+    nowhere = Iterate(x, controls, zero + torch.inf, zero, status, torch.zeros_like(status))
+    idle = Policy(controls.new_zeros(T, m + m * n, N), zero + 1, none, none)
+    guess = attempt(dynamics, cost, like, nowhere, zero.clone(), zero.clone(), idle, settings)
+    finite = guess.cost.isfinite() & guess.x.isfinite().all(0).all(0)
+    status = torch.where(finite, status, SolverStatus.NOT_FINITE)
+    return guess._replace(damping=zero, status=status, iterations=torch.zeros_like(status))
 
 
 def next_damping(

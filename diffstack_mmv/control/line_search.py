@@ -49,15 +49,15 @@ def search(
         control = old_u + sizes.unsqueeze(-1) * k + apply(K, state - old_x)
         control = torch.minimum(torch.maximum(control, box[0]), box[1])
         following = torch.vmap(one_step, (1, 1), 1)(state, control)
-        return following, torch.cat([control, following])
+        return following, torch.concatenate([control, following])
 
     def total(states: Tensor, controls: Tensor) -> Tensor:
         padded = pad_controls(from_batch_last(controls, like))
         return to_batch_last(cost(from_batch_last(states, like), padded), like).sum(0)
 
     first = x[0].unsqueeze(1).expand(-1, S, -1)
-    rows = walk(step, first, torch.cat([x[:-1], u, gains], 1))[1]
-    all_u, all_x = rows[:, :m], torch.cat([first.unsqueeze(0), rows[:, m:]])
+    rows = walk(step, first, torch.concatenate([x[:-1], u, gains], 1))[1]
+    all_u, all_x = rows[:, :m], torch.concatenate([first.unsqueeze(0), rows[:, m:]])
     all_costs = torch.vmap(total, (2, 2))(all_x, all_u)
     all_costs = torch.where(all_costs.isfinite(), all_costs, torch.inf)
     best = (all_costs <= all_costs.amin(0) + noise).to(torch.uint8).argmax(0, keepdim=True)

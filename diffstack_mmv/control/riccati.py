@@ -80,7 +80,7 @@ def costates(
         A_t, x_t = unpack(row, (n, n), (n,))
         return x_t + transposed_apply(A_t, value), value
 
-    return walk(step, final_x, torch.cat([A.flatten(1, 2), x], 1), reverse=True)[1]
+    return walk(step, final_x, torch.concatenate([A.flatten(1, 2), x], 1), reverse=True)[1]
 
 
 def _action(value: Tensor, parts: tuple[Tensor, ...]) -> _Action:
@@ -204,7 +204,7 @@ def box_policy(
     rows = walk(step, pack(final_x, final_xx), lq.stages, reverse=True)[1]
     gains, decrease, lift, lift_free = rows.split([m + m * n, 1, 1, 1], 1)
     flags = ((rows > 0).any(0).squeeze(0) for rows in (lift, lift_free))
-    return Policy(gains, decrease.sum((0, 1)), *flags)
+    return Policy(gains.contiguous(), decrease.sum((0, 1)), *flags)
 
 
 def solve_free(lq: LinearQuadratic, free: Float[Tensor, "T m N"], n: int) -> Stationary:
@@ -230,7 +230,7 @@ def solve_free(lq: LinearQuadratic, free: Float[Tensor, "T m N"], n: int) -> Sta
         following = apply(A, x) + apply(B, u)
         return following, pack(following, u, V_x + apply(V_xx, following))
 
-    gains = walk(backward, lq.final, torch.cat([lq.stages, free], 1), reverse=True)[1]
-    rows = torch.cat([gains, lq.stages[:, : n * (n + m)]], 1)
+    gains = walk(backward, lq.final, torch.concatenate([lq.stages, free], 1), reverse=True)[1]
+    rows = torch.concatenate([gains, lq.stages[:, : n * (n + m)]], 1)
     start = torch.zeros_like(lq.final[:n])
     return Stationary(*walk(forward, start, rows)[1].split([n, m, n], 1))

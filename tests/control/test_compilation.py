@@ -6,8 +6,9 @@ import pytest
 import torch
 from torch._dynamo.utils import counters
 
-from diffstack_mmv.control import ILQR, Bounds
-from diffstack_mmv.control.compilation import Kernel, kind
+from diffstack_mmv.control import ILQR, Batched, Bounds
+from diffstack_mmv.control.compilation import Kernel, hidden_tensors, kind
+from diffstack_mmv.control.concatenation import PaddedConcatenation
 from tests.control.problems import driving, goal_cost, rate_model, solve
 
 
@@ -42,19 +43,54 @@ def test_compiled_solution_and_gradient_equal_the_eager_ones(limit):
     torch.testing.assert_close(results[0], results[1], rtol=1e-2, atol=2e-3)
 
 
-@pytest.mark.slow
-def test_new_closures_and_batch_sizes_are_not_compiled_again():
-    def once(batch, wheelbase):
-        hidden, box, controls = driving(batch=(batch,))
-        hidden["wheelbase"] = torch.tensor(wheelbase)
-        assert solve(ILQR(compile=True), hidden, box, controls).converged.all()
+def closures(hidden):
+    """Callables that hide their tensors."""
+    return rate_model(hidden["wheelbase"]), goal_cost(hidden["goal"], hidden["weight"])
 
-    once(16, 1.0)
-    once(24, 1.1)
+
+def named(hidden):
+    """Callables whose tensors are named, so that finished problems are left behind."""
+    weight = hidden["weight"]
+
+    def cost(states, controls, goal):
+        return goal_cost(goal, weight)(states, controls)
+
+    return Batched(rate_model(hidden["wheelbase"])), Batched(cost, hidden["goal"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("callables", [closures, named])
+def test_one_graph_serves_all_closures_batches_and_horizons(callables):
+    def once(batch, steps, wheelbase):
+        hidden, box, controls = driving(batch=(batch,), steps=steps)
+        hidden["wheelbase"] = torch.tensor(wheelbase)
+        solver = ILQR(compile=True)
+        assert solver(*callables(hidden), box, hidden["state"], controls).converged.all()
+
+    once(16, 12, 1.0)
     before = counters["stats"]["unique_graphs"]
-    once(40, 1.2)
-    once(16, 1.3)
+    once(40, 12, 1.2)
+    once(24, 20, 1.1)
+    once(16, 10, 1.3)
     assert counters["stats"]["unique_graphs"] == before
+
+
+def test_concatenation_by_padding_equals_concatenation():
+    parts = torch.rand(3, 2), torch.rand(3, 1), torch.rand(3, 4)
+    with PaddedConcatenation():
+        joined = torch.cat(parts, -1)
+    assert joined.equal(torch.cat(parts, -1))
+
+
+def test_tensors_of_the_problems_are_found_in_closures_and_those_of_modules_are_not():
+    goal, weight, module = torch.ones(5, 2), torch.ones(3), torch.nn.Linear(2, 2)
+
+    def outer(states):
+        return goal_cost(goal, weight)(states, module(states))
+
+    found = list(hidden_tensors(outer))
+    assert [any(tensor is each for each in found) for tensor in (goal, weight)] == [True, True]
+    assert all(tensor is not module.weight for tensor in found)
 
 
 @pytest.mark.gpu

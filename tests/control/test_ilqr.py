@@ -166,6 +166,14 @@ def test_a_batched_cost_gives_the_same_answers_with_fewer_problems_at_work():
     torch.testing.assert_close(narrowed.controls, plain.controls, rtol=0, atol=1e-3)
 
 
+def test_iterations_after_all_have_finished_change_nothing(monkeypatch):
+    hidden, bounds, controls = driving()
+    expected = solve(SOLVER, hidden, bounds, controls)
+    monkeypatch.setattr("diffstack_mmv.control.ilqr.CHECK_EVERY", {"cpu": 7})
+    found = solve(SOLVER, hidden, bounds, controls)
+    assert all(one.equal(other) for one, other in zip(found, expected, strict=True))
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [

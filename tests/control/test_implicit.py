@@ -88,20 +88,23 @@ def test_nothing_requires_a_gradient_then_neither_does_the_solution():
     assert not solve(ILQR(), hidden, box, controls).controls.requires_grad
 
 
-def test_graph_does_not_grow_with_the_iterations():
-    def nodes(iterations):
-        hidden, box, controls = driving()
-        hidden["weight"].requires_grad_()
-        solver = ILQR(max_iterations=iterations, tolerance=1.0)
-        todo, seen = [functional(solve(solver, hidden, box, controls)).grad_fn], set()
-        while todo:
-            node = todo.pop()
-            if node is not None and node not in seen:
-                seen.add(node)
-                todo.extend(following for following, _ in node.next_functions)
-        return len(seen)
+def graph_nodes(solver):
+    """Number of nodes of the graph behind a solution."""
+    hidden, box, controls = driving()
+    hidden["weight"].requires_grad_()
+    todo, seen = [functional(solve(solver, hidden, box, controls)).grad_fn], set()
+    while todo:
+        node = todo.pop()
+        if node is not None and node not in seen:
+            seen.add(node)
+            todo.extend(following for following, _ in node.next_functions)
+    return len(seen)
 
-    assert nodes(5) == nodes(50)
+
+def test_graph_does_not_grow_with_the_iterations_while_the_unrolled_one_does():
+    few, many = ILQR(max_iterations=2), ILQR(max_iterations=50)
+    assert graph_nodes(few) == graph_nodes(many)
+    assert graph_nodes(UnrolledILQR(many)) > 2 * graph_nodes(UnrolledILQR(few))
 
 
 class Pendulum(torch.nn.Module):
