@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import message, require_positive
+from diffstack_mmv.checks import message, require, require_positive
 
 
 class Steps(NamedTuple):
@@ -157,6 +157,9 @@ class RecordedControls:
             wanted = f"be a CSV file of numbers with the columns {', '.join(columns)}"
             raise ValueError(message("controls", wanted, f"{self.path} ({problem})")) from problem
         values = torch.tensor(rows, dtype=torch.float64)
-        if values.numel() == 0 or not bool(torch.isfinite(values).all()):
-            raise ValueError(message("controls", "hold finite numbers", f"{self.path}"))
+        where, remedy = f"in {self.path}", "Write one row per control step."
+        require(len(rows) > 0, "controls", "hold at least one row", 0, where, remedy)
+        bad = (~torch.isfinite(values).all(1)).nonzero().flatten().tolist()
+        told = f"{rows[bad[0]]} in row {bad[0] + 1}" if bad else ""
+        require(not bad, "controls", "hold finite numbers", told, where, remedy)
         return Steps(values[:, 0], values[:, 1])
