@@ -4,6 +4,9 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= outputs/quickstart
 JOBS   ?= 2
+PEERS  ?= $(BIN)/python
+RESULTS := benchmarks/results
+REFERENCE := ../shared/reference/mpc
 LIMIT  := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
 
 .PHONY: help install quickstart test test-all bench lint lock clean
@@ -32,8 +35,14 @@ test: install ## Fast tests
 test-all: install ## All tests that need no GPU, slow ones included
 	$(LIMIT) $(BIN)/python -m pytest -n $(JOBS) -m "not gpu"
 
-bench: install ## Benchmarks, results in benchmarks/results
-	$(BIN)/python -m pytest benchmarks --benchmark-only -m "slow or not slow"
+bench: install ## Benchmarks, results in benchmarks/results; PEERS=<python> of an environment with more peers
+	$(LIMIT) $(BIN)/python -m pytest benchmarks --benchmark-only -m "slow or not slow"
+	$(LIMIT) $(BIN)/python benchmarks/bench_solver.py --python $(PEERS)
+	for name in models memory profile; do \
+		$(LIMIT) $(BIN)/python benchmarks/bench_solver_$$name.py > $(RESULTS)/solver_$$name.md || exit 1; done
+	if test -d $(REFERENCE); then for name in gradients convergence; do \
+		$(LIMIT) $(BIN)/python benchmarks/bench_solver_$$name.py > $(RESULTS)/$$name.md || exit 1; done; \
+	else echo "Skipped gradients and convergence: no reference solutions in $(REFERENCE)."; fi
 
 lint: install ## ruff, pyright, codespell
 	$(BIN)/ruff check .

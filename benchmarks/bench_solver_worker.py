@@ -26,14 +26,14 @@ MISSING = 3
 def fastest(work, limit_s, repetitions=7):
     """First call, the smallest of the others in processor seconds, the last result.
 
-    Repeats until the time limit is spent; a single slow call counts for both.
+    Repeats at least once, then until the time limit is spent.
     """
     times, began = [], time.monotonic()
-    while len(times) <= repetitions and (not times or time.monotonic() - began < limit_s):
+    while len(times) < 2 or (len(times) <= repetitions and time.monotonic() - began < limit_s):
         start = time.process_time()
         result = work()
         times.append(time.process_time() - start)
-    return times[0], min(times[1:] or times), result
+    return times[0], min(times[1:]), result
 
 
 def measure_ours(states, parameters, steps, limit_s, compiled):
