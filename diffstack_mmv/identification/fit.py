@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require_at_least
+from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.identification.arrow import Arrow, Box, solve
 from diffstack_mmv.identification.linearisation import (
     Tracker,
@@ -69,45 +69,51 @@ class Method(Protocol):
 
 @dataclass(frozen=True)
 class EarlyStopping:
-    """Ends a fit when held-out tracks are not explained better any more.
+    """Ends a fit when it explains held-out tracks worse, beyond what chance does.
+
+    With d_i the increase of the cost of held-out track i, it is worse if Σ d_i exceeds
+    `significance` times (Σ d_i²)^½: a few tracks that speak against each other decide nothing.
 
     Args:
-        patience: Iterations without improvement.
-        improvement: Relative decrease of the held-out cost that counts.
+        patience: Iterations that may be worse before the fit ends.
+        significance: As above, in standard deviations.
 
     Raises:
-        ValueError: The patience is below one.
+        ValueError: The patience is below one, or the significance is not positive.
     """
 
     patience: int = 4
-    improvement: float = 1e-5
+    significance: float = 2.0
 
     def __post_init__(self) -> None:
         require_at_least("patience", self.patience, 1)
+        require_positive("significance", self.significance)
 
 
 @dataclass
 class Watch:
-    """The best iterate on held-out tracks so far."""
+    """The iterate to return: the latest that is not worse on held-out tracks than any before."""
 
     stopping: EarlyStopping
     best: Fit
+    reference: Fit | None = None  # the one that explains held-out tracks best
     history: list[Progress] = field(default_factory=list)
     waited: int = 0
 
     def see(self, fit: Fit, cost: float) -> bool:
         """Take note of an iterate; tell whether to go on."""
-        heldout, least = heldout_cost(fit), heldout_cost(self.best)
+        reference = self.reference or fit
+        heldout = heldout_cost(fit)
         self.history.append(Progress(len(self.history), cost, heldout))
         logger.info(
             "Iteration %d: cost %.3f, held-out tracks %.3f", len(self.history) - 1, cost, heldout
         )
-        if heldout < least * (1 - self.stopping.improvement):
-            self.waited = 0
-        else:
+        increase = fit.heldout.simulated.cost - reference.heldout.simulated.cost
+        if float(increase.sum()) > self.stopping.significance * float(increase.norm()):
             self.waited += 1
-        if heldout <= least:
-            self.best = fit
+        else:
+            self.waited, self.best = 0, fit
+        self.reference = fit if heldout <= heldout_cost(reference) else reference
         return self.waited < self.stopping.patience
 
 

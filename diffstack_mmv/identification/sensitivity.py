@@ -21,7 +21,11 @@ from diffstack_mmv.identification.parameters import LearnedParameters
 
 
 class Verdict(StrEnum):
-    """What the data say about one parameter."""
+    """What the data say about one parameter.
+
+    Identifiable: known well and precisely. Weakly identifiable: known better than before. Only in
+    combination: it would be identifiable if the others were known.
+    """
 
     IDENTIFIABLE = "identifiable"
     WEAK = "weakly identifiable"
@@ -83,9 +87,10 @@ class Sensitivity(NamedTuple):
         found = []
         for index, marginal in enumerate(self.marginal_ratio.tolist()):
             verdict = thresholds.verdict(marginal, relative[index])
-            informed = float(self.conditional_ratio[index]) <= thresholds.informed
-            if verdict is Verdict.NOT_IDENTIFIABLE and informed:
-                verdict = Verdict.COMBINED
+            conditional = float(self.conditional_ratio[index])
+            if verdict is Verdict.NOT_IDENTIFIABLE and conditional <= thresholds.informed:
+                alone = conditional <= thresholds.identifiable
+                verdict = Verdict.COMBINED if alone else Verdict.WEAK
             found.append(verdict)
         return found
 

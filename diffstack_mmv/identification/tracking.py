@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require, require_at_least, require_positive
-from diffstack_mmv.identification.arrow import solve
+from diffstack_mmv.identification.arrow import Arrow, solve
 from diffstack_mmv.identification.linearisation import (
     Simulated,
     Tracker,
@@ -24,6 +24,7 @@ logger = logging.getLogger(__name__)
 FIRST_DAMPING = 1e-3
 LEAST_DAMPING = 1e-9
 MOST_DAMPING = 1e9
+TRUSTED, DOUBTED = 0.75, 0.2  # shares of the promised decrease
 
 
 class Tracked(NamedTuple):
@@ -40,14 +41,14 @@ class LevenbergMarquardt:
 
     Args:
         max_iterations: Limit of iterations.
-        tolerance: Relative decrease of the cost below which a track has converged.
+        tolerance: Promised relative decrease of the cost at which a track has converged.
 
     Raises:
         ValueError: A number is not positive.
     """
 
     max_iterations: int = 30
-    tolerance: float = 1e-6
+    tolerance: float = 1e-5
 
     def __post_init__(self) -> None:
         require_at_least("max_iterations", self.max_iterations, 1)
@@ -89,13 +90,31 @@ def track(
         moved = unflat(flat(unknowns) + torch.where(done.unsqueeze(-1), 0.0, step))
         trial = tracker.simulate(theta, problem, moved)
         better = trial.cost < now.cost
-        small = (now.cost - trial.cost) <= settings.tolerance * now.cost
-        done = done | (small & better) | (damping > MOST_DAMPING)
+        decrease, promised = now.cost - trial.cost, promise(arrow, step)
+        small = promised <= settings.tolerance * now.cost
+        done = done | small | (damping > MOST_DAMPING)
         unknowns, now = keep(better, moved, unknowns), keep(better, trial, now)
-        damping = torch.where(better, damping / 10, damping * 10).clamp_min(LEAST_DAMPING)
+        damping = damping * damping_factor(decrease / promised)
+        damping = damping.clamp_min(LEAST_DAMPING)
         if bool(done.all()):
             break
     return Tracked(unknowns, now, done)
+
+
+def promise(arrow: Arrow, step: Float[Tensor, "N z"]) -> Float[Tensor, " N"]:
+    """Decrease of the cost of each track that the linearised residuals promise for a step."""
+    curved = (arrow.own @ step.unsqueeze(-1)).squeeze(-1)
+    return -((arrow.own_gradient + 0.5 * curved) * step).sum(-1)
+
+
+def damping_factor(ratio: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """Change of the damping by how much of the promised decrease came true.
+
+    A step that kept about half of its promise keeps its damping: where residuals have kinks (a
+    vehicle drives by one wheel and brakes by two), less damping would only overshoot.
+    """
+    kept = torch.where(ratio > TRUSTED, 0.1, torch.ones_like(ratio))
+    return torch.where(ratio > DOUBTED, kept, 10.0)
 
 
 def keep(better: Bool[Tensor, " N"], new: Any, old: Any) -> Any:

@@ -1,0 +1,73 @@
+"""Jacobians of whole tracks against differences of the simulation."""
+
+import pytest
+import torch
+
+from diffstack_mmv.identification.linearisation import flat, normal_equations, unflat
+from tests.identification.conftest import LIVELY, synthetic_case
+
+STEP = 1e-6
+
+
+def perturbed(case, known):
+    theta = case.tracker.parameters.start() + 0.05
+    problem = case.data.fitted
+    guess = flat(problem.guess)
+    return theta, problem, unflat(guess + 0.1 * torch.randn(guess.shape))
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["controls measured", "controls unknown"])
+@pytest.mark.parametrize("dynamics", ["unicycle", "kbm", "gm3"])
+def test_jacobians_agree_with_differences(dynamics, known):
+    if dynamics == "unicycle" and known:
+        pytest.skip("the recorder measures steering")
+    extra = {} if dynamics == "unicycle" else {"steer_rate_radps": 1.0}
+    case = synthetic_case(dynamics, {}, known, LIVELY[:1], **extra)
+    theta, problem, unknowns = perturbed(case, known)
+    tracker = case.tracker
+    now = tracker.simulate(theta, problem, unknowns)
+    jacobian = tracker.jacobian(theta, problem, unknowns, now)
+    begin = flat(unknowns)
+    for column in range(0, begin.shape[1], 5):
+        moved = begin.clone()
+        moved[:, column] += STEP
+        there = tracker.simulate(theta, problem, unflat(moved)).residual
+        moved[:, column] -= 2 * STEP
+        back = tracker.simulate(theta, problem, unflat(moved)).residual
+        slope = ((there - back) / (2 * STEP)).flatten(1)
+        torch.testing.assert_close(jacobian.own[..., column], slope, rtol=1e-4, atol=1e-4)
+    for column in range(len(theta)):
+        step = STEP * torch.eye(len(theta))[column]
+        there, back = (
+            tracker.simulate(each, problem, unknowns).residual
+            for each in (theta + step, theta - step)
+        )
+        slope = ((there - back) / (2 * STEP)).flatten(1)
+        torch.testing.assert_close(jacobian.shared[..., column], slope, rtol=1e-4, atol=1e-4)
+
+
+def test_gradient_is_that_of_the_cost():
+    case = synthetic_case("kbm", {})
+    theta, problem, unknowns = perturbed(case, True)
+    tracker = case.tracker
+    now = tracker.simulate(theta, problem, unknowns)
+    arrow = normal_equations(
+        tracker.jacobian(theta, problem, unknowns, now), now.residual, unknowns
+    )
+
+    def cost(vector, theta):
+        return tracker.simulate(theta, problem, unflat(vector)).cost.sum()
+
+    own, shared = torch.autograd.functional.jacobian(cost, (flat(unknowns), theta))
+    torch.testing.assert_close(arrow.own_gradient, own)
+    torch.testing.assert_close(arrow.shared_gradient, shared)
+
+
+def test_without_parameters_only_their_columns_are_left_out():
+    case = synthetic_case("kbm", {})
+    theta, problem, unknowns = perturbed(case, True)
+    now = case.tracker.simulate(theta, problem, unknowns)
+    whole = case.tracker.jacobian(theta, problem, unknowns, now)
+    alone = case.tracker.jacobian(theta, problem, unknowns, now, shared=False)
+    torch.testing.assert_close(alone.own, whole.own)
+    assert alone.shared.shape[-1] == 0
