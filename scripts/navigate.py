@@ -71,7 +71,9 @@ def main(config: DictConfig) -> None:
     pairs += [paired_with_run(result, Path(folder)) for folder in config.against]
     write_closed_loop(out, result, rows, published, pairs)
     records = [chunk.record for chunk in chunks]
-    save_stories(out, numbers, records, scenario.human_radius_m, config.animate)
+    goal_m = (0.0, scenario.circle_radius_m)
+    radius_m = scenario.human_radius_m
+    save_stories(out, numbers, records, radius_m, config.animate, goal_m, config.show)
     logger.info("Report: %s", out / "closed_loop.md")
 
 

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Patch
 
 from diffstack_mmv.plotting.figures import PALETTE, new_figure, save_figure
 from diffstack_mmv.types import EpisodeRecord, Outcome, map_tensors
 
-ROBOT, PEOPLE = PALETTE[1], PALETTE[0]
+ROBOT, PEOPLE, GOAL = PALETTE[1], PALETTE[0], PALETTE[2]
 MARGIN_M = 1.0
 
 
@@ -22,31 +22,45 @@ class Episode(NamedTuple):
     case: int
     record: EpisodeRecord  # without leading dimensions
     human_radius_m: float
+    goal_m: tuple[float, float] | None = None  # of the robot
     robot_radius_m: float = 0.3
 
 
-def episode_of(record: EpisodeRecord, row: int, case: int, human_radius_m: float) -> Episode:
-    """One episode of a batch, cut at its end; the radius of the humans in m."""
+def episode_of(
+    record: EpisodeRecord,
+    row: int,
+    case: int,
+    human_radius_m: float,
+    goal_m: tuple[float, float] | None = None,
+) -> Episode:
+    """One episode of a batch, cut at its end; radius of the humans and goal of the robot in m."""
     single = map_tensors(lambda field: field[row], record)
     end = int(single.steps) + 1
     motion = type(single.motion)(*(field[:end] for field in single.motion))
     cut = single._replace(
         motion=motion, pedestrians=single.pedestrians[:end], clearance=single.clearance[:end]
     )
-    return Episode(case, cut, human_radius_m)
+    return Episode(case, cut, human_radius_m, goal_m)
 
 
 def draw_episode(episode: Episode) -> Figure:
-    """Paths of the robot and of the people with discs once per second."""
+    """Paths of the robot and of the people with discs once per second, darkest at the end."""
     figure = new_figure(5.0, 5.0)
     axes = _axes(figure, episode)
     record = episode.record
     axes.plot(*record.motion.position.T.numpy(), color=ROBOT)
     for human in record.pedestrians.unbind(1):
         axes.plot(*human.T.numpy(), color=PEOPLE, linewidth=0.8)
-    every = max(round(1 / record.dt_s), 1)
-    for step in range(0, len(record.clearance), every):
-        _discs(axes, episode, step, 0.25 + 0.5 * step / len(record.clearance))
+    last = len(record.clearance) - 1
+    for step in range(0, last, max(round(1 / record.dt_s), 1)):
+        _discs(axes, episode, step, 0.15 + 0.4 * step / last)
+    _discs(axes, episode, last, 0.8)
+    handles = [
+        Patch(color=ROBOT, label="robot, each second"),
+        Patch(color=PEOPLE, label="people"),
+        Patch(color=GOAL, label="goal"),
+    ]
+    axes.legend(handles=handles, loc="lower right", fontsize="small")
     outcome = Outcome(int(record.outcome)).label
     axes.set_title(f"case {episode.case}: {outcome} after {float(record.duration):.2f} s")
     return figure
@@ -79,22 +93,35 @@ def save_stories(
     records: Sequence[EpisodeRecord],
     radius_m: float,
     count: int,
+    goal_m: tuple[float, float] | None = None,
+    chosen: Sequence[int] = (),
 ) -> None:
-    """Draw and animate some episodes, failures first.
+    """Draw and animate some episodes: those asked for, then failures, then the others.
 
     Args:
         folder: Receives plots/case_N.png and plots/case_N.gif.
         cases: Numbers of the cases in the order of the records.
         records: Records, one after the other.
         radius_m: Radius of the humans.
-        count: Number of episodes to show.
+        count: Number of episodes to show besides those asked for.
+        goal_m: Goal of the robot in m.
+        chosen: Cases asked for.
+
+    Raises:
+        ValueError: A case asked for is none of these.
     """
+    unknown = sorted(set(chosen) - set(cases))
+    if unknown:
+        told = f"{cases[0]} to {cases[-1]}"
+        raise ValueError(f"`chosen` must name cases among {told}, but got {unknown}. Drive them.")
     places = [(record, row) for record in records for row in range(len(record.outcome))]
     outcomes = [int(record.outcome[row]) for record, row in places]
-    order = sorted(range(len(cases)), key=lambda index: outcomes[index] == Outcome.SUCCESS)
-    for index in order[:count]:
+    asked = [index for index, case in enumerate(cases) if case in chosen]
+    rest = [index for index in range(len(cases)) if index not in asked]
+    rest.sort(key=lambda index: outcomes[index] == Outcome.SUCCESS)
+    for index in [*asked, *rest[:count]]:
         record, row = places[index]
-        episode = episode_of(record, row, cases[index], radius_m)
+        episode = episode_of(record, row, cases[index], radius_m, goal_m)
         save_figure(draw_episode(episode), folder / "plots" / f"case_{episode.case}.png")
         save_animation(episode, folder / "plots" / f"case_{episode.case}.gif")
 
@@ -103,12 +130,17 @@ def _axes(figure: Figure, episode: Episode) -> Axes:
     """Axes in m that hold everybody."""
     axes = figure.add_subplot()
     reach = float(episode.record.pedestrians.abs().max())
-    reach = max(reach, float(episode.record.motion.position.abs().max())) + MARGIN_M
+    reach = max(reach, float(episode.record.motion.position.abs().max()))
+    if episode.goal_m is not None:
+        reach = max(reach, *(abs(entry) for entry in episode.goal_m))
+    reach += MARGIN_M
     axes.set_xlim(-reach, reach)
     axes.set_ylim(-reach, reach)
     axes.set_aspect("equal")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
+    if episode.goal_m is not None:
+        axes.plot(*episode.goal_m, marker="*", markersize=12, color=GOAL, linestyle="none")
     return axes
 
 

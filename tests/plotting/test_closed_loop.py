@@ -32,3 +32,14 @@ def test_failures_are_shown_first(record, tmp_path):
     save_stories(tmp_path, [4, 7], [record], 0.3, 1)
     names = sorted(path.name for path in (tmp_path / "plots").iterdir())
     assert names == ["case_7.gif", "case_7.png"]
+
+
+def test_cases_asked_for_are_shown_besides(record, tmp_path):
+    save_stories(tmp_path, [4, 7], [record], 0.3, 0, goal_m=(0.0, 4.0), chosen=[4])
+    names = sorted(path.name for path in (tmp_path / "plots").iterdir())
+    assert names == ["case_4.gif", "case_4.png"]
+
+
+def test_a_case_that_was_not_driven_cannot_be_shown(record, tmp_path):
+    with pytest.raises(ValueError, match=r"but got \[5\]"):
+        save_stories(tmp_path, [4, 7], [record], 0.3, 0, chosen=[5])
