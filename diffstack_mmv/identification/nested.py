@@ -32,6 +32,8 @@ from diffstack_mmv.identification.tracking import Tracked
 
 logger = logging.getLogger(__name__)
 
+EVALUATIONS = 20  # of the cost per line search, at most
+
 
 class Inner(torch.nn.Module):
     """Dynamics and cost of the inner problem; the last column of the state says "placed".
@@ -114,7 +116,9 @@ class Nested:
         theta = before.theta.clone().requires_grad_()
         guess = {"fitted": before.fitted.unknowns, "heldout": before.heldout.unknowns}
         watch = Watch(self.stopping, before)
-        search = torch.optim.LBFGS([theta], max_iter=1, line_search_fn="strong_wolfe")
+        search = torch.optim.LBFGS(
+            [theta], max_iter=1, max_eval=EVALUATIONS, line_search_fn="strong_wolfe"
+        )
         last = float("inf")
 
         def objective() -> Tensor:

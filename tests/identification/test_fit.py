@@ -44,7 +44,7 @@ def test_wheelbase_is_recovered_when_controls_were_measured():
 
 
 def test_differentiable_mpc_and_shooting_find_the_same_wheelbase():
-    case = synthetic_case("kbm", {"wheelbase": 0.95}, manoeuvres=LIVELY[:2])
+    case = synthetic_case("kbm", {"wheelbase": 0.95}, manoeuvres=LIVELY[2:])
     one = identified(case, Shooting(stopping=PATIENT))
     two = identified(case, Nested(stopping=PATIENT, solver=ILQR(max_iterations=30)))
     apart = (estimate(case, one) - estimate(case, two)).abs() / one.sensitivity.std

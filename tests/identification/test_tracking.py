@@ -14,7 +14,7 @@ from diffstack_mmv.identification import (
 )
 from diffstack_mmv.identification.linearisation import flat, unflat
 from diffstack_mmv.identification.tracking import tracking_rmse
-from tests.identification.conftest import synthetic_case
+from tests.identification.conftest import LIVELY, synthetic_case
 
 
 def tracked(case):
@@ -24,7 +24,7 @@ def tracked(case):
 
 @pytest.mark.parametrize("dynamics", ["unicycle", "kbm", "gm3"])
 def test_every_model_follows_its_own_tracks_within_the_noise(dynamics):
-    case = synthetic_case(dynamics, {}, known=False)
+    case = synthetic_case(dynamics, {}, False, LIVELY[:2])
     found = tracked(case)
     rmse = tracking_rmse(case.tracker, found.simulated.states, case.data.fitted.targets)
     assert bool(found.converged.all())
