@@ -77,7 +77,7 @@ def table(rows, notes):
         f"{platform.machine()}; processor time, smallest of the repetitions (mean load of the machine "
         f"meanwhile: {load:.1f} on {os.cpu_count()} cores). Ours, mpc.pytorch and trajax in float32, the "
         "others in float64. `best`: share of problems within 1e-4 relative cost of the cheapest "
-        "solution that any of these found. `first call`: with compilation where there is any, sizes "
+        "solution that any of these found. `first call`: with tracing and generating code, without the C++ compiler's own time, sizes "
         "in the order 256, 64, 16, T = 10, T = 100, 1. `peak`: of the process up to that size. The box of "
         "trajax is a penalty; crocoddyl is called with a model in Python, which dominates its time.",
         "",
@@ -104,7 +104,7 @@ def plot(rows, path):
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    figure, axes = pyplot.subplots(figsize=(6.5, 4), constrained_layout=True)
+    figure, axes = pyplot.subplots(figsize=(8.5, 4), constrained_layout=True)
     for name in SOLVERS:
         chosen = sorted(
             (r["batch"], r["ms_per_problem"])
@@ -119,7 +119,7 @@ def plot(rows, path):
         xlabel="batch", ylabel="processor time per problem in ms", title="Kinematic bicycle, T = 30"
     )
     axes.grid(alpha=0.3)
-    axes.legend(fontsize="small")
+    axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1, 1))
     figure.savefig(path, dpi=120)
 
 
