@@ -73,10 +73,8 @@ def main(config: DictConfig) -> None:
         "smoother": source.smoother,
     }
     write_identification(out, header | summary)
-    provenance = header | {
-        key: summary[key]
-        for key in ("tracks", "heldout_tracks", "smoother", *models[header["dynamics"]])
-    }
+    kept = ("tracks", "heldout_tracks", "smoother", "fitted", *models[header["dynamics"]])
+    provenance = header | {key: summary[key] for key in kept}
     told = f"identified from {summary['tracks']} tracks of {config.data.name}"
     save_vehicle(case.calibrated(spec, found, told), out / "vehicle.yaml", provenance)
     controls = case.tracker.vehicle.model.Control._fields

@@ -59,6 +59,9 @@ def summarise(
         "heldout_cost_after": float(after.heldout.simulated.cost.sum()),
         "converged": float(after.fitted.converged.double().mean()),
         "noise_factor": found.noise_factor,
+        "fitted": [
+            name for name, active in zip(names, found.active.tolist(), strict=True) if active
+        ],
         "parameters": _parameters(tracker, found),
         "combinations": _combinations(tracker, found, thresholds),
         "eigenvalues": [direction.eigenvalue for direction in found.sensitivity.directions],

@@ -40,7 +40,7 @@ def vehicle_names() -> list[str]:
 
 
 def load_vehicle(name_or_path: str | Path) -> VehicleSpec:
-    """Load a vehicle by its name, or from a YAML file of one's own.
+    """Load a vehicle by its name ("bicycle", "calibrated/bicycle"), or from a YAML file.
 
     Raises:
         ValueError: The name is unknown, the file is missing or no YAML, or its content is no
@@ -48,7 +48,8 @@ def load_vehicle(name_or_path: str | Path) -> VehicleSpec:
     """
     text = str(name_or_path)
     is_name = "/" not in text and os.sep not in text and not text.endswith((".yaml", ".yml"))
-    path = config_folder() / "vehicle" / f"{text}.yaml" if is_name else Path(name_or_path)
+    shipped = config_folder() / "vehicle" / f"{text}.yaml"
+    path = shipped if is_name or shipped.is_file() else Path(name_or_path)
     if not path.is_file():
         wanted = f"be one of {', '.join(vehicle_names())}, or the path of a YAML file"
         raise ValueError(message("vehicle", wanted, repr(text)))
