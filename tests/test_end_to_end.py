@@ -123,6 +123,20 @@ def test_runs_are_compared_in_one_table(workplace, tmp_path):
     assert (tmp_path / "table.tex").is_file()
 
 
+def test_identification_calibrates_a_vehicle_that_other_commands_accept(workplace, tmp_path):
+    options = ["dynamics=kbm", "tracks=3", "heldout=2", "stretch.max_s=4.0", "others.unicycle=null"]
+    succeed("identify", *data_of(workplace), *options, "profile=[wheelbase]", f"out={tmp_path}")
+    result = json.loads((tmp_path / "identification.json").read_text())
+    assert result["tracks"] == 3
+    assert {"loss_before", "loss_after", "heldout_before", "heldout_after"} <= set(result)
+    assert result["parameters"]["wheelbase"]["verdict"] == "not identifiable"
+    assert {"tracks.png", "controls.png", "parameters.png", "spectrum.png", "profiles.png"} <= {
+        path.name for path in tmp_path.iterdir()
+    }
+    calibrated = f"vehicle={tmp_path / 'vehicle.yaml'}"
+    succeed("simulate", calibrated, "dynamics=kbm", "others.unicycle=null", f"out={tmp_path / 's'}")
+
+
 def test_resumed_run_ends_where_an_uninterrupted_one_does(workplace, tmp_path):
     options = [*data_of(workplace), *SMALL, "logger=csv", "optim.scheduler.T_max=2"]
     succeed("train", *options, "epochs=2", f"out={tmp_path / 'whole'}")
@@ -152,6 +166,9 @@ def test_resumed_run_ends_where_an_uninterrupted_one_does(workplace, tmp_path):
         ("evaluate", ["checkpoint=README.md"], "`checkpoint` must be readable"),
         ("convert", ["data.root=nowhere"], "nowhere"),
         ("compare", ["runs=[]"], "`runs` must name at least one folder"),
+        ("identify", ["vehicle=skateboard"], "`mode` must have tracks"),
+        ("identify", ["dynamics=kbm", "parameters=[grip]"], "`parameters` must be one of wheelbase"),
+        ("identify", ["stretch.min_s=90", "stretch.max_s=90"], "`tracks` must hold a stretch"),
     ],
 )
 def test_bad_input_ends_with_one_message(script, arguments, told, workplace, tmp_path):
@@ -183,7 +200,8 @@ def test_checkpoint_of_another_architecture_is_refused(workplace, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "script", ["train", "evaluate", "convert", "compare", "generate_sample", "download_imptc"]
+    "script",
+    ["train", "evaluate", "convert", "compare", "identify", "generate_sample", "download_imptc"],
 )
 def test_help_shows_an_example(script):
     assert f"python scripts/{script}.py" in succeed(script, "--help").stdout
