@@ -167,7 +167,7 @@ def test_resumed_run_ends_where_an_uninterrupted_one_does(workplace, tmp_path):
         ("convert", ["data.root=nowhere"], "nowhere"),
         ("compare", ["runs=[]"], "`runs` must name at least one folder"),
         ("identify", ["vehicle=skateboard"], "`mode` must have tracks"),
-        ("identify", ["dynamics=kbm", "parameters=[grip]"], "`parameters` must be one of wheelbase"),
+        ("identify", ["dynamics=kbm", "parameters=[grip]"], "must be one of wheelbase, but got"),
         ("identify", ["stretch.min_s=90", "stretch.max_s=90"], "`tracks` must hold a stretch"),
     ],
 )
