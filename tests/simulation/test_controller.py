@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from diffstack_mmv.simulation import Choice, drive, vehicle_robot
-from diffstack_mmv.types import Outcome, map_tensors
+from diffstack_mmv.types import Motion, Outcome, map_tensors
 
 
 def batched(scene):
@@ -62,6 +62,31 @@ def test_hopeless_situations_are_recorded_as_fallback(crossing_world, scene_with
     state = crossing_world.start(batched(scene_with((0.0, 0.65), (0.0, 0.65))))
     controller(crossing_world.observe(state))
     assert controller.diagnosis()["fallback_share"].tolist() == [1.0]
+
+
+def test_who_gets_no_closer_loses_patience(crossing_world, scene_with, controller_for):
+    controller = controller_for(starts=0)
+    seen = crossing_world.observe(crossing_world.start(batched(scene_with((9.0, 0.0), (9.0, 1.0)))))
+    for decision in range(4):
+        controller(seen._replace(time=seen.time + 0.25 * decision))
+    assert controller._waited.tolist() == [pytest.approx(0.75)]
+
+
+@pytest.mark.parametrize(("goal", "safe"), [(1.0, True), (8.0, False)])
+def test_a_plan_is_refused_for_people_before_its_arrival_alone(
+    goal, safe, crossing_world, scene_with, controller_for
+):
+    controller = controller_for(starts=0)
+    scene = batched(scene_with((0.0, 2.0), (0.0, 2.0), robot_goal=(0.0, goal)))
+    problem = controller.problem(crossing_world.observe(crossing_world.start(scene)))
+    along = torch.linspace(0, 3, controller.planner.steps + 1)
+    flat = torch.zeros_like(along)
+    ahead = torch.stack([flat + 1, flat], -1)
+    motion = Motion(torch.stack([flat, along], -1), flat + torch.pi / 2, ahead, flat)
+    plan = map_tensors(lambda entry: entry[None, None], motion)
+    controls = torch.zeros(1, 1, controller.planner.steps, 2)
+    priced = controller.price(controller.planner, problem, controls, plan, torch.zeros(1))
+    assert priced.safe.tolist() == [[safe]]
 
 
 def test_the_optimiser_improves_on_its_start(crossing_world, scenario_of, controller_for):

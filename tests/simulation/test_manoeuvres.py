@@ -50,6 +50,16 @@ def test_courses_are_mirrored(fan):
     assert torch.allclose(lateral, -lateral.flip(0), atol=1e-3)
 
 
+@pytest.mark.parametrize("dynamics", ["kbm", "gm3"])
+def test_a_goal_beside_a_fast_vehicle_is_not_circled(dynamics, driven):
+    vehicle = driven(dynamics=dynamics)
+    model = controller_model(vehicle, vehicle)
+    with torch.no_grad():
+        fan = DetourFan()(model, problem(speed=2.9, goal=(0.5, 2.0)), 20)
+    distance = (fan.motion.position - torch.tensor([0.5, 2.0])).norm(dim=-1)
+    assert float(distance.min()) < 0.3
+
+
 @pytest.mark.parametrize(
     ("name", "value"), [("offsets_deg", ()), ("speed_shares", (1.5,)), ("turn_time_s", 0.0)]
 )

@@ -64,6 +64,14 @@ def test_a_batch_of_episodes_equals_its_episodes_one_by_one(crowd):
     assert torch.equal(together, torch.stack(alone))
 
 
+def test_the_response_to_the_own_goal_is_what_the_human_does(crowd):
+    goals = torch.stack((crowd.goal, -crowd.goal, crowd.position), dim=-2)
+    responses = OrcaCrowd().responses(crowd, goals, 0.25)
+    assert torch.equal(responses[..., 0, :], OrcaCrowd()(crowd, 0.25))
+    other = OrcaCrowd()(crowd._replace(goal=-crowd.goal), 0.25)
+    assert torch.equal(responses[..., 1, :], other)
+
+
 def test_any_leading_dimensions_are_taken(crowd):
     folded = CrowdState(*(field.unflatten(0, (2, 2)) for field in crowd))
     assert torch.equal(OrcaCrowd()(folded, 0.25).flatten(0, 1), OrcaCrowd()(crowd, 0.25))
