@@ -130,7 +130,9 @@ def combinations(
         std, prior_std = float(variance[index].sqrt()), float(prior_variance[index].sqrt())
         value = float(estimate[index])
         ratio = std / prior_std if prior_std > 0 else 1.0
-        verdict = thresholds.verdict(ratio, std / abs(value) if value else math.inf)
+        verdict = thresholds.verdict(
+            ratio, std / abs(value) if value else math.inf, found.noise_factor
+        )
         numbers = (float(initial[index]), value, std, prior_std)
         found_rows.append(Combination(name, unit, *numbers, verdict))
     return found_rows

@@ -23,6 +23,7 @@ from diffstack_mmv.identification.tracking import (
     MOST_DAMPING,
     LevenbergMarquardt,
     Tracked,
+    damping_factor,
     track,
 )
 
@@ -135,13 +136,20 @@ def in_deviations(arrow: Arrow, tracker: Tracker, theta: Float[Tensor, " p"]) ->
     )
 
 
+class Attempt(NamedTuple):
+    """A step, and the decrease of the cost that the linearised residuals promise for it."""
+
+    fit: Fit
+    promised: float
+
+
 @dataclass(frozen=True)
 class Shooting:
     """Levenberg-Marquardt on controls, placements and θ at once, tracks eliminated per step.
 
     Args:
         max_iterations: Limit of iterations.
-        tolerance: Relative decrease of the cost below which the fit has converged.
+        tolerance: Promised relative decrease of the cost at which the fit has converged.
         stopping: When to stop early.
         heldout_iterations: Iterations per step for the controls of the held-out tracks.
 
@@ -149,7 +157,7 @@ class Shooting:
         ValueError: The limit is below one.
     """
 
-    max_iterations: int = 25
+    max_iterations: int = 40
     tolerance: float = 1e-6
     stopping: EarlyStopping = EarlyStopping()
     heldout_iterations: int = 1
@@ -166,16 +174,15 @@ class Shooting:
         watch.see(now, cost)
         damping = FIRST_DAMPING
         for _ in range(self.max_iterations):
-            trial = self._step(tracker, data, now, active, damping)
+            trial, promised = self._step(tracker, data, now, active, damping)
             lower = total_cost(tracker, trial)
-            if not lower < cost:
-                damping *= 10
-                if damping > MOST_DAMPING:
+            ratio = torch.tensor((cost - lower) / promised)
+            damping = max(damping * float(damping_factor(ratio)), LEAST_DAMPING)
+            if lower < cost:
+                now, cost = self._judged(tracker, data, trial), lower
+                if not watch.see(now, cost):
                     break
-                continue
-            decrease, damping = (cost - lower) / cost, max(damping / 10, LEAST_DAMPING)
-            now, cost = self._judged(tracker, data, trial), lower
-            if not watch.see(now, cost) or decrease < self.tolerance:
+            if promised < self.tolerance * cost or damping > MOST_DAMPING:
                 break
         return watch.best._replace(history=tuple(watch.history))
 
@@ -186,7 +193,7 @@ class Shooting:
         now: Fit,
         active: Bool[Tensor, " p"],
         damping: float,
-    ) -> Fit:
+    ) -> Attempt:
         unknowns, simulated, _ = now.fitted
         parameters = tracker.parameters
         jacobian = tracker.jacobian(now.theta, data.fitted, unknowns, simulated)
@@ -201,9 +208,8 @@ class Shooting:
         theta = torch.where(active, parameters.theta_for(values), now.theta)
         moved = unflat(flat(unknowns) + step.own)
         trial = tracker.simulate(theta, data.fitted, moved)
-        return now._replace(
-            theta=theta, fitted=now.fitted._replace(unknowns=moved, simulated=trial)
-        )
+        fitted = now.fitted._replace(unknowns=moved, simulated=trial)
+        return Attempt(now._replace(theta=theta, fitted=fitted), arrow.promise(step))
 
     def _judged(self, tracker: Tracker, data: Data, fit: Fit) -> Fit:
         few = LevenbergMarquardt(self.heldout_iterations)

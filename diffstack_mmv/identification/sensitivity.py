@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require_between, require_positive
+from diffstack_mmv.checks import require_at_least, require_between, require_positive
 from diffstack_mmv.identification.arrow import Arrow, reduce
 from diffstack_mmv.identification.parameters import LearnedParameters
 
@@ -43,6 +43,8 @@ class Thresholds:
             above it stays at its prior.
         precise: Largest standard deviation relative to the value of an identifiable quantity; one
             that the tracks inform less precisely is weakly identifiable.
+        misfit: Largest ratio of residuals to assumed noise of a fit that is believed; above it
+            nothing is called identifiable.
 
     Raises:
         ValueError: A ratio is not between 0 and 1.
@@ -51,17 +53,26 @@ class Thresholds:
     identifiable: float = 0.4
     informed: float = 0.8
     precise: float = 0.015
+    misfit: float = 1.25
 
     def __post_init__(self) -> None:
         require_between("identifiable", self.identifiable, 0.0, 1.0)
         require_between("informed", self.informed, self.identifiable, 1.0)
         require_positive("precise", self.precise)
+        require_at_least("misfit", self.misfit, 1.0)
 
-    def verdict(self, marginal: float, relative_std: float) -> Verdict:
-        """Verdict on a quantity by its ratio of deviations and its relative deviation."""
+    def verdict(self, marginal: float, relative_std: float, noise_factor: float = 1.0) -> Verdict:
+        """Verdict on a quantity.
+
+        Args:
+            marginal: Posterior over prior standard deviation.
+            relative_std: Posterior standard deviation over value.
+            noise_factor: Residuals over assumed noise.
+        """
         if marginal > self.identifiable:
             return Verdict.NOT_IDENTIFIABLE
-        return Verdict.IDENTIFIABLE if relative_std <= self.precise else Verdict.WEAK
+        sure = relative_std <= self.precise and noise_factor <= self.misfit
+        return Verdict.IDENTIFIABLE if sure else Verdict.WEAK
 
 
 class Direction(NamedTuple):
@@ -80,13 +91,14 @@ class Sensitivity(NamedTuple):
     marginal_ratio: Float[Tensor, " p"]
     conditional_ratio: Float[Tensor, " p"]
     directions: tuple[Direction, ...]  # from the best to the least informed one
+    noise_factor: float  # residuals over assumed noise, at least 1
 
     def verdicts(self, values: Float[Tensor, " p"], thresholds: Thresholds) -> list[Verdict]:
         """One verdict per parameter, given the estimates."""
         relative = (self.std / values.abs()).tolist()
         found = []
         for index, marginal in enumerate(self.marginal_ratio.tolist()):
-            verdict = thresholds.verdict(marginal, relative[index])
+            verdict = thresholds.verdict(marginal, relative[index], self.noise_factor)
             conditional = float(self.conditional_ratio[index])
             if verdict is Verdict.NOT_IDENTIFIABLE and conditional <= thresholds.informed:
                 alone = conditional <= thresholds.identifiable
@@ -121,7 +133,9 @@ def sensitivity(
         Direction(max(float(value), 0.0), tuple(vector.tolist()))
         for value, vector in zip(values.flip(0), vectors.mT.flip(0), strict=True)
     )
-    return Sensitivity(information, covariance, std, std / scale, conditional / scale, directions)
+    return Sensitivity(
+        information, covariance, std, std / scale, conditional / scale, directions, noise_factor
+    )
 
 
 def describe(direction: Direction, names: Sequence[str], share: float = 0.2) -> str:

@@ -17,6 +17,7 @@ from diffstack_mmv.identification.sensitivity import Thresholds, Verdict, descri
 from diffstack_mmv.identification.tracking import Tracked, tracking_rmse
 
 NEAR_THE_LIMIT = 0.6  # of the adhesion limit: above, friction shapes the path
+MISFIT = 1.25  # residuals over assumed noise
 SUSPICIOUS = 0.5  # prior deviations
 AT_THE_EDGE = 0.01  # of the range
 WEAKEST = 3  # directions that are told in words
@@ -177,6 +178,11 @@ def suspicions(
                     f"The estimate of {name} hangs on the assumed `{setting}`: twice of it would "
                     f"move it by {change:+.1f} prior deviations. Do not trust it."
                 )
+    if len(parameters) and found.noise_factor > MISFIT:
+        told.append(
+            f"The residuals are {found.noise_factor:.2f} times the assumed noise: the model does "
+            "not explain the tracks, or the fit ended in a poor optimum. Do not trust it."
+        )
     values, prior = parameters.values(found.after.theta), parameters.prior
     margin = AT_THE_EDGE * (prior.high - prior.low)
     for name, value, low, high in zip(

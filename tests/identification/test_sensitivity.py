@@ -53,6 +53,10 @@ def test_verdict_needs_a_ratio_and_a_precision():
     assert thresholds.verdict(0.9, 0.01) is Verdict.NOT_IDENTIFIABLE
 
 
+def test_fit_that_does_not_explain_the_tracks_identifies_nothing():
+    assert Thresholds().verdict(0.1, 0.01, noise_factor=1.5) is Verdict.WEAK
+
+
 def test_direction_is_told_by_its_largest_parts():
     told = describe(Direction(1.0, (-0.9, 0.05, 0.4)), ["mass", "drag", "friction"])
     assert told == "+0.90 mass, -0.40 friction"
