@@ -114,7 +114,10 @@ def positive_lift(Q: Float[Tensor, "m m N"], definite: float) -> Float[Tensor, "
     if m == 1:
         return (floor - Q[0]).clamp_min(0)
     if m > 2:
-        smallest = torch.linalg.eigvalsh(Q.movedim(-1, 0))[..., 0]
+        # the decomposition refuses a batch in which one matrix is not finite
+        finite = Q.isfinite().all(0).all(0)
+        known = torch.where(finite, Q, torch.ones_like(Q))
+        smallest = torch.linalg.eigvalsh(known.movedim(-1, 0))[..., 0]
         return (floor - smallest).clamp_min(0).expand(m, -1)
     pivot, other = torch.maximum(Q[0, 0], Q[1, 1]), torch.minimum(Q[0, 0], Q[1, 1])
     square = Q[0, 1].square()

@@ -145,6 +145,21 @@ def test_nan_in_one_problem_is_a_status_and_leaves_the_others_alone():
     torch.testing.assert_close(solution.controls[others], clean.controls[others])
 
 
+def test_three_controls_that_run_away_are_a_status():
+    def step(state, control):
+        return state + 0.2 * control.exp()
+
+    start = torch.zeros(4, 3)
+    start[1] = torch.nan
+    start[2] = 1e38
+    solution = SOLVER(
+        step, lambda x, u: (x**4 - 2).square().sum(-1), box(0.8, 3), start, torch.zeros(4, 6, 3)
+    )
+    bad = [SolverStatus.NOT_FINITE] * 2
+    assert solution.status[1:3].tolist() == bad
+    assert solution.converged[[0, 3]].all()
+
+
 def test_too_few_iterations_are_a_status():
     hidden, bounds, controls = driving()
     solution = solve(ILQR(max_iterations=1), hidden, bounds, controls)
