@@ -16,11 +16,12 @@ def perturbed(case, known):
     return theta, problem, unflat(guess + 0.1 * torch.randn(guess.shape))
 
 
-@pytest.mark.parametrize("known", [True, False], ids=["controls measured", "controls unknown"])
-@pytest.mark.parametrize("dynamics", ["unicycle", "kbm", "gm3"])
+# the synthetic recorder measures steering, which the unicycle does not have
+@pytest.mark.parametrize(
+    ("dynamics", "known"),
+    [("unicycle", False), ("kbm", False), ("kbm", True), ("gm3", False), ("gm3", True)],
+)
 def test_jacobians_agree_with_differences(dynamics, known):
-    if dynamics == "unicycle" and known:
-        pytest.skip("the recorder measures steering")
     extra = {} if dynamics == "unicycle" else {"steer_rate_radps": 1.0}
     case = synthetic_case(dynamics, {}, known, LIVELY[:1], **extra)
     theta, problem, unknowns = perturbed(case, known)

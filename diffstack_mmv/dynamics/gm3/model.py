@@ -204,5 +204,5 @@ def as_columns(rows: Float[Tensor, "*b c"], shape: torch.Size) -> Float[Tensor, 
 
 
 def _rows(columns: Float[Tensor, "c n"], shape: torch.Size) -> Float[Tensor, "*b c"]:
-    """Undo `_columns`."""
-    return columns.mT.reshape(*shape, columns.shape[0])
+    """Undo `as_columns`; laid out like any state, so that a compiled step has one graph."""
+    return columns.mT.reshape(*shape, columns.shape[0]).contiguous()

@@ -159,3 +159,19 @@ def test_step_compiles_whole(name):
     state[:, 2] = state[:, 2].abs().clamp(max=10)
     expected = model(state, control)
     assert torch.allclose(compiled(state, control), expected, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.slow
+def test_a_rollout_compiles_once():
+    model = DiffGM3(load_vehicle("bicycle")).requires_grad_(False)
+    graphs = []
+
+    def count(graph, inputs):
+        graphs.append(graph)
+        return graph.forward
+
+    compiled = torch.compile(model, fullgraph=True, backend=count)
+    state, controls = torch.randn(16, 8), 0.1 * torch.randn(16, 30, 2)
+    for control in controls.unbind(1):
+        state = compiled(state, control)
+    assert len(graphs) == 1
