@@ -40,14 +40,6 @@ class Arrow(NamedTuple):
             shared_gradient=self.shared_gradient[active],
         )
 
-    def promise(self, step: "ArrowStep") -> float:
-        """Decrease of the cost that the linearised residuals promise for a step."""
-        curved = (self.own @ step.own.unsqueeze(-1)).squeeze(-1)
-        coupled = self.cross @ step.shared
-        own = -((self.own_gradient + 0.5 * curved + coupled) * step.own).sum()
-        shared = -(self.shared_gradient + 0.5 * self.shared @ step.shared) @ step.shared
-        return float(own + shared)
-
     def damped(self, own: Float[Tensor, " N"], shared: Float[Tensor, ""]) -> "Arrow":
         """Raise the diagonals by these shares (Levenberg and Marquardt)."""
         block = self.own + torch.diag_embed(own.unsqueeze(-1) * self.own.diagonal(dim1=-2, dim2=-1))

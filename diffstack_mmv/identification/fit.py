@@ -10,11 +10,13 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.identification.arrow import Arrow, Box, solve
-from diffstack_mmv.identification.linearisation import (
-    Tracker,
-    flat,
-    normal_equations,
-    unflat,
+from diffstack_mmv.identification.linearisation import Tracker, normal_equations
+from diffstack_mmv.identification.outlook import (
+    Step,
+    closing_share,
+    foresee,
+    merit,
+    penalty_weights,
 )
 from diffstack_mmv.identification.problem import Problem
 from diffstack_mmv.identification.tracking import (
@@ -137,15 +139,20 @@ def in_deviations(arrow: Arrow, tracker: Tracker, theta: Float[Tensor, " p"]) ->
 
 
 class Attempt(NamedTuple):
-    """A step, and the decrease of the cost that the linearised residuals promise for it."""
+    """A step, the weights of its merit, and how far it kept what it promised."""
 
     fit: Fit
+    weights: Float[Tensor, "N m s"]
+    decrease: float  # of the merit
     promised: float
 
 
 @dataclass(frozen=True)
 class Shooting:
-    """Levenberg-Marquardt on controls, placements and θ at once, tracks eliminated per step.
+    """Multiple shooting: controls, placements, nodes and θ at once, by Levenberg-Marquardt.
+
+    Per step the nodes are eliminated by continuity and each track by its Schur complement. How
+    tracks are cut is told by `TrackingSettings.segment_steps`.
 
     Args:
         max_iterations: Limit of iterations.
@@ -170,21 +177,26 @@ class Shooting:
     ) -> Fit:
         """Fit the active entries of θ, beginning at `before`."""
         watch = Watch(self.stopping, before)
-        now, cost = before, total_cost(tracker, before)
-        watch.see(now, cost)
-        damping = FIRST_DAMPING
+        now = before
+        watch.see(now, total_cost(tracker, now))
+        damping, weights = FIRST_DAMPING, torch.zeros_like(now.fitted.simulated.gap)
         for _ in range(self.max_iterations):
-            trial, promised = self._step(tracker, data, now, active, damping)
-            lower = total_cost(tracker, trial)
-            ratio = torch.tensor((cost - lower) / promised)
+            trial, weights, decrease, promised = self._step(
+                tracker, data, now, active, weights, damping
+            )
+            ratio = torch.tensor(decrease / promised)
             damping = max(damping * float(damping_factor(ratio)), LEAST_DAMPING)
-            if lower < cost:
-                now, cost = self._judged(tracker, data, trial), lower
-                if not watch.see(now, cost):
+            if decrease > 0:
+                now = self._judged(tracker, data, trial)
+                if not watch.see(now, total_cost(tracker, now)):
                     break
-            if promised < self.tolerance * cost or damping > MOST_DAMPING:
+            small = promised < self.tolerance * total_cost(tracker, now)
+            if small or damping > MOST_DAMPING:
                 break
-        return watch.best._replace(history=tuple(watch.history))
+        best = watch.best
+        driven = tracker.drive(best.theta, data.fitted, best.fitted.unknowns)
+        fitted = best.fitted._replace(**driven._asdict())
+        return best._replace(fitted=fitted, history=tuple(watch.history))
 
     def _step(
         self,
@@ -192,24 +204,36 @@ class Shooting:
         data: Data,
         now: Fit,
         active: Bool[Tensor, " p"],
+        weights: Float[Tensor, "N m s"],
         damping: float,
     ) -> Attempt:
         unknowns, simulated, _ = now.fitted
         parameters = tracker.parameters
+        share = simulated.cost.new_tensor([damping])
+        closing = closing_share(share)
         jacobian = tracker.jacobian(now.theta, data.fitted, unknowns, simulated)
-        plain = normal_equations(jacobian, simulated.residual, unknowns)
+        plain = normal_equations(jacobian, simulated.residual, unknowns, closing)
         arrow = in_deviations(plain, tracker, now.theta).restricted(active)
-        share = simulated.cost.new_tensor(damping)
         room = parameters.room(now.theta)
         box = Box(room.lower[active], room.upper[active])
-        step = solve(arrow.damped(share.expand(len(unknowns.rates)), share), box)
-        values = parameters.values(now.theta)
-        values[active] += parameters.prior.std[active] * step.shared
-        theta = torch.where(active, parameters.theta_for(values), now.theta)
-        moved = unflat(flat(unknowns) + step.own)
-        trial = tracker.simulate(theta, data.fitted, moved)
-        fitted = now.fitted._replace(unknowns=moved, simulated=trial)
-        return Attempt(now._replace(theta=theta, fitted=fitted), arrow.promise(step))
+        found = solve(arrow.damped(share.expand(len(unknowns.rates)), share), box)
+        deviations = torch.zeros_like(now.theta)
+        deviations[active] = found.shared
+        moved = parameters.prior.std * deviations
+        step = Step(found.own, moved / parameters.slope(now.theta), closing)
+        outlook = foresee(jacobian, simulated, unknowns, step)
+        weights = penalty_weights(weights, outlook.multipliers)
+        theta = parameters.theta_for(parameters.values(now.theta) + moved)
+        theta = torch.where(active, theta, now.theta)
+        trial = tracker.simulate(theta, data.fitted, outlook.unknowns)
+        left = simulated._replace(cost=outlook.cost, gap=(1 - closing) * simulated.gap)
+        prior = parameters.penalty(now.theta)
+        foreseen = merit(left, weights).sum() + 0.5 * (prior + deviations).square().sum()
+        fitted = now.fitted._replace(unknowns=outlook.unknowns, simulated=trial)
+        attempt = now._replace(theta=theta, fitted=fitted)
+        begun = total_merit(tracker, now, weights)
+        decrease = begun - total_merit(tracker, attempt, weights)
+        return Attempt(attempt, weights, decrease, begun - float(foreseen))
 
     def _judged(self, tracker: Tracker, data: Data, fit: Fit) -> Fit:
         few = LevenbergMarquardt(self.heldout_iterations)
@@ -219,6 +243,11 @@ class Shooting:
 
 def total_cost(tracker: Tracker, fit: Fit) -> float:
     """Cost of the fitted tracks and of the prior; infinite if it is none."""
+    return total_merit(tracker, fit, torch.zeros_like(fit.fitted.simulated.gap))
+
+
+def total_merit(tracker: Tracker, fit: Fit, weights: Float[Tensor, "N m s"]) -> float:
+    """Merit of the fitted tracks and the cost of the prior; infinite if it is none."""
     penalty = 0.5 * tracker.parameters.penalty(fit.theta).square().sum()
-    cost = float(fit.fitted.simulated.cost.sum() + penalty)
+    cost = float(merit(fit.fitted.simulated, weights).sum() + penalty)
     return cost if cost == cost else float("inf")

@@ -40,7 +40,10 @@ def regularisation_influence(
         start[:, PLACEMENT - INTENTION + index] = unknowns.placement[
             :, PLACEMENT - INTENTION + index
         ]
-        own[name] = (flat(Unknowns(start, rates)), fit.theta.new_zeros(int(active.sum())))
+        own[name] = (
+            flat(Unknowns(start, rates, unknowns.nodes)),
+            fit.theta.new_zeros(int(active.sum())),
+        )
     if tracker.vehicle.settings.steer_rate_radps is not None and tracker.vehicle.steer is not None:
         only = simulated.residual.new_zeros(simulated.residual.shape)
         only[..., 2] = simulated.residual[..., 2]

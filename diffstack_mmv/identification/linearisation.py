@@ -1,7 +1,13 @@
 """Residuals of whole tracks and their Jacobians, condensed from those of single steps.
 
-The states are simulated once; then all steps of all tracks are linearised in one batched call of
-forward-mode derivatives, and the chain rule is accumulated over time.
+All segments of all tracks are simulated side by side; then all their steps are linearised in one
+batched call of forward-mode derivatives, and the chain rule is accumulated over time. Where a
+segment ends beside the node that the next one begins at, the gap enters the chain as a column of
+its own. So the nodes are eliminated exactly by the linearised equations of continuity, and what is
+left are the unknowns of single shooting (condensing).
+
+Source: Bock and Plitt, A multiple shooting algorithm for direct solution of optimal control
+problems, IFAC World Congress 1984.
 """
 
 from typing import NamedTuple
@@ -22,6 +28,7 @@ from diffstack_mmv.identification.problem import (
     TrackedVehicle,
     Unknowns,
 )
+from diffstack_mmv.identification.segments import connected, node_times, segmented
 
 
 class Simulated(NamedTuple):
@@ -30,13 +37,14 @@ class Simulated(NamedTuple):
     states: Float[Tensor, "N T1 s"]
     residual: Float[Tensor, "N T1 k"]
     cost: Float[Tensor, " N"]  # ½ of all squares of a track, regularisation included
+    gap: Float[Tensor, "N m s"]  # end of a segment minus the node after it; zero in the padding
 
 
-class Jacobian(NamedTuple):
-    """Derivatives of the residuals of each track by its unknowns and by θ."""
+class Driven(NamedTuple):
+    """Tracks in one piece, with unknowns whose nodes lie on them."""
 
-    own: Float[Tensor, "N r z"]
-    shared: Float[Tensor, "N r p"]
+    unknowns: Unknowns
+    simulated: Simulated
 
 
 class StepJacobian(NamedTuple):
@@ -47,6 +55,16 @@ class StepJacobian(NamedTuple):
     shared: Float[Tensor, "N T1 s p"]
     residual_state: Float[Tensor, "N T1 k s"]
     residual_shared: Float[Tensor, "N T1 k p"]
+
+
+class Jacobian(NamedTuple):
+    """Derivatives of the residuals of each track by its unknowns and by θ, gaps closed."""
+
+    own: Float[Tensor, "N r z"]
+    shared: Float[Tensor, "N r p"]
+    offset: Float[Tensor, "N r"]  # what closing all gaps adds to the residuals
+    nodes: Float[Tensor, "N m s c"]  # of the nodes by θ, the unknowns, and the share closed
+    steps: StepJacobian
 
 
 class Tracker:
@@ -74,19 +92,32 @@ class Tracker:
     def simulate(
         self, theta: Float[Tensor, " p"], problem: Problem, unknowns: Unknowns
     ) -> Simulated:
-        """States, residuals and cost of each track."""
-        padded = pad(unknowns.rates, (0, 0, 0, 1))
-        state = self._place(theta, unknowns.placement, problem.start)
+        """States, residuals, cost and gaps of each track, all segments side by side."""
+        stages, nodes = unknowns.rates.shape[1] + 1, unknowns.nodes.shape[1]
+        rates = segmented(pad(unknowns.rates, (0, 0, 0, 1)), nodes + 1)
+        targets = Targets(*(segmented(part, nodes + 1) for part in problem.targets))
+        begun = self._place(theta, unknowns.placement, problem.start)
+        state = torch.cat([begun.unsqueeze(1), unknowns.nodes], 1)
         states, residuals = [], []
-        for time in range(padded.shape[1]):
-            target = at_time(problem.targets, time)
+        for step in range(rates.shape[2]):
+            target = Targets(*(part[:, :, step] for part in targets))
             states.append(state)
-            state, residual = self._stage(theta, state, padded[:, time], target)
+            state, residual = self._stage(theta, state, rates[:, :, step], target)
             residuals.append(residual)
-        residual = torch.stack(residuals, 1)
+        residual = connected(torch.stack(residuals, 2), stages)
         squares = residual.square().sum((1, 2)) + unknowns.rates.square().sum((1, 2))
         cost = 0.5 * (squares + unknowns.placement.square().sum(-1))
-        return Simulated(torch.stack(states, 1), residual, cost)
+        gap = (state[:, :-1] - unknowns.nodes) * live(problem, nodes).unsqueeze(-1)
+        return Simulated(connected(torch.stack(states, 2), stages), residual, cost, gap)
+
+    def drive(self, theta: Float[Tensor, " p"], problem: Problem, unknowns: Unknowns) -> Driven:
+        """Go through each track in one piece, and put the nodes on the way: no gap is left."""
+        alone = unknowns._replace(nodes=unknowns.nodes[:, :0])
+        simulated = self.simulate(theta, problem, alone)
+        stages, nodes = simulated.states.shape[1], unknowns.nodes.shape[1]
+        met = simulated.states[:, node_times(stages, nodes)]
+        whole = simulated._replace(gap=torch.zeros_like(met))
+        return Driven(unknowns._replace(nodes=met), whole)
 
     def step_jacobian(
         self, theta: Tensor, problem: Problem, unknowns: Unknowns, states: Tensor, shared: bool
@@ -143,22 +174,31 @@ class Tracker:
         """
         steps = self.step_jacobian(theta, problem, unknowns, simulated.states, shared)
         begun = self._placement_jacobian(theta, problem, unknowns, shared)
-        tracks, times, size = simulated.states.shape
-        horizon, count = times - 1, steps.shared.shape[-1]
-        free = simulated.states.new_zeros(tracks, size, INTENTION * horizon)
-        sensitivity = torch.cat([begun, free], -1)
-        rows = []
-        for time in range(times):
-            row = steps.residual_state[:, time] @ sensitivity
+        stages, count = simulated.states.shape[1], steps.shared.shape[-1]
+        # columns: θ, placement, rates, gaps
+        chain = pad(begun, (0, INTENTION * (stages - 1) + 1))
+        nodes = unknowns.nodes.shape[1]
+        alive = live(problem, nodes)
+        met = list(range(stages)[node_times(stages, nodes)])
+        rows, at_nodes = [], [chain.new_zeros(*chain.shape[:1], 0, *chain.shape[1:])]
+        for time in range(stages):
+            if time in met:
+                node = met.index(time)
+                chain[..., -1] += simulated.gap[:, node]
+                # a node in the padding stays where it is
+                chain = chain * alive[:, node, None, None]
+                at_nodes.append(chain.unsqueeze(1))
+            row = steps.residual_state[:, time] @ chain
             row[..., :count] += steps.residual_shared[:, time]
             rows.append(row)
-            if time < horizon:
-                sensitivity = steps.state[:, time] @ sensitivity
-                sensitivity[..., :count] += steps.shared[:, time]
+            if time < stages - 1:
+                chain = steps.state[:, time] @ chain
+                chain[..., :count] += steps.shared[:, time]
                 first = count + PLACEMENT + INTENTION * time
-                sensitivity[..., first : first + INTENTION] += steps.rates[:, time]
+                chain[..., first : first + INTENTION] += steps.rates[:, time]
         whole = torch.cat(rows, 1)
-        return Jacobian(whole[..., count:], whole[..., :count])
+        own, shared_part, offset = whole[..., count:-1], whole[..., :count], whole[..., -1]
+        return Jacobian(own, shared_part, offset, torch.cat(at_nodes, 1), steps)
 
 
 def _seeds(theta: Tensor, widths: list[int]) -> list[Tensor]:
@@ -181,9 +221,10 @@ class _Placement(torch.nn.Module):
         return self.vehicle.place(placement, start)
 
 
-def at_time(targets: Targets, time: int) -> Targets:
-    """The targets of one time."""
-    return Targets(*(part[:, time] for part in targets))
+def live(problem: Problem, nodes: int) -> Float[Tensor, "N m"]:
+    """One for nodes on a track, zero for those in the padding behind its end."""
+    weight = problem.targets.weight
+    return (weight[:, node_times(weight.shape[1], nodes)] > 0).to(weight)
 
 
 def flat(unknowns: Unknowns) -> Float[Tensor, "N z"]:
@@ -191,18 +232,29 @@ def flat(unknowns: Unknowns) -> Float[Tensor, "N z"]:
     return torch.cat([unknowns.placement, unknowns.rates.flatten(1)], -1)
 
 
-def unflat(vector: Float[Tensor, "N z"]) -> Unknowns:
-    """Undo `flat`."""
+def unflat(vector: Float[Tensor, "N z"], nodes: Float[Tensor, "N m s"]) -> Unknowns:
+    """Undo `flat`, with these nodes."""
     placement, rates = vector[:, :PLACEMENT], vector[:, PLACEMENT:]
-    return Unknowns(placement, rates.unflatten(-1, (-1, INTENTION)))
+    return Unknowns(placement, rates.unflatten(-1, (-1, INTENTION)), nodes)
 
 
 def normal_equations(
-    jacobian: Jacobian, residual: Float[Tensor, "N T1 k"], unknowns: Unknowns
+    jacobian: Jacobian,
+    residual: Float[Tensor, "N T1 k"],
+    unknowns: Unknowns,
+    closing: Float[Tensor, "#N"] | None = None,
 ) -> Arrow:
-    """Gauss-Newton equations of ½ |r|² + ½ |c|² + ½ |d|²; the prior of θ is not part of them."""
-    own, shared = jacobian
-    rows = residual.flatten(1).unsqueeze(-1)
+    """Gauss-Newton equations of ½ |r|² + ½ |c|² + ½ |d|²; the prior of θ is not part of them.
+
+    Args:
+        jacobian: Of the residuals.
+        residual: Residuals of the segments as they are.
+        unknowns: Where it was linearised.
+        closing: Share of the gaps that the step closes; all by default.
+    """
+    own, shared = jacobian.own, jacobian.shared
+    share = residual.new_ones(1) if closing is None else closing
+    rows = (residual.flatten(1) + share.unsqueeze(-1) * jacobian.offset).unsqueeze(-1)
     identity = torch.eye(own.shape[-1], dtype=own.dtype)
     return Arrow(
         own=own.mT @ own + identity,

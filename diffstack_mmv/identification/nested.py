@@ -158,7 +158,8 @@ class Nested:
         rates = pad(guess.rates, (0, PLACEMENT - INTENTION))
         controls = torch.cat([guess.placement.unsqueeze(1), rates], 1)
         solution = self.solver(dynamics, cost, Bounds(-free, free), inner.outset(), controls)
-        found = Unknowns(solution.controls[:, 0], solution.controls[:, 1:, :INTENTION])
+        placement, rates = solution.controls[:, 0], solution.controls[:, 1:, :INTENTION]
+        found = Unknowns(placement, rates, guess.nodes)
         return Solved(solution, found)
 
     def _fit(
@@ -174,9 +175,9 @@ class Nested:
             parts = {}
             for name, problem in data._asdict().items():
                 solved = self.solve(tracker, problem, theta, guess[name])
-                guess[name] = solved.unknowns
-                simulated = tracker.simulate(theta, problem, solved.unknowns)
-                parts[name] = Tracked(solved.unknowns, simulated, solved.solution.converged)
+                driven = tracker.drive(theta, problem, solved.unknowns)
+                guess[name] = driven.unknowns
+                parts[name] = Tracked(*driven, solved.solution.converged)
             fit = before._replace(theta=theta, **parts)
             penalty = 0.5 * tracker.parameters.penalty(theta).square().sum()
             return fit, float(fit.fitted.simulated.cost.sum() + penalty)

@@ -24,6 +24,7 @@ from torch import Tensor, nn
 from diffstack_mmv.checks import require, require_positive
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import rotate
+from diffstack_mmv.identification.segments import node_times, segment_count
 from diffstack_mmv.identification.stretches import StretchBatch
 from diffstack_mmv.types import Motion
 
@@ -47,6 +48,8 @@ class TrackingSettings:
         start_position_m: How far the start may lie from the recorded one.
         start_course_rad: Likewise, the course.
         start_speed_mps: Likewise, the speed.
+        segment_steps: Largest number of steps between the nodes of multiple shooting; None for
+            single shooting.
 
     Raises:
         ValueError: A number is not positive.
@@ -61,6 +64,7 @@ class TrackingSettings:
     start_position_m: float = 0.5
     start_course_rad: float = 0.5
     start_speed_mps: float = 1.0
+    segment_steps: int | None = 5
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -85,6 +89,7 @@ class Unknowns(NamedTuple):
 
     placement: Float[Tensor, "N 6"]
     rates: Float[Tensor, "N T 2"]
+    nodes: Float[Tensor, "N m s"]  # states where segments begin, in their own units
 
 
 class Problem(NamedTuple):
@@ -190,18 +195,15 @@ class TrackedVehicle(nn.Module):
         """
         targets = self._targets(stretches)
         intention = self._intention(stretches)
-        start = torch.cat(
-            [
-                stretches.position[:, 0],
-                stretches.course[:, :1],
-                stretches.speed[:, :1],
-                intention[:, 0],
-            ],
-            -1,
-        )
+        along = torch.stack([stretches.course, stretches.speed], -1)
+        way = torch.cat([stretches.position, along, intention], -1)
+        stages = way.shape[1]
+        nodes = segment_count(stages, self.settings.segment_steps) - 1
+        met = way[:, node_times(stages, nodes)]
+        placed = self.place(torch.zeros_like(met), met).detach()
         rates = intention.diff(dim=1) / self.get_buffer("pace")
-        guess = Unknowns(torch.zeros_like(start), rates)
-        return Problem(targets, start, guess)
+        guess = Unknowns(torch.zeros_like(way[:, 0]), rates, placed)
+        return Problem(targets, way[:, 0], guess)
 
     def _targets(self, stretches: StretchBatch) -> Targets:
         weight = stretches.valid.to(stretches.position)

@@ -9,13 +9,18 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require, require_at_least, require_positive
-from diffstack_mmv.identification.arrow import Arrow, solve
+from diffstack_mmv.identification.arrow import solve
 from diffstack_mmv.identification.linearisation import (
     Simulated,
     Tracker,
-    flat,
     normal_equations,
-    unflat,
+)
+from diffstack_mmv.identification.outlook import (
+    Step,
+    closing_share,
+    foresee,
+    merit,
+    penalty_weights,
 )
 from diffstack_mmv.identification.problem import Problem, Targets, Unknowns
 
@@ -83,28 +88,28 @@ def track(
     require(bad == 0, "tracks", "give a finite cost", f"{bad} that do not")
     damping = torch.full_like(now.cost, FIRST_DAMPING)
     done = torch.zeros_like(now.cost, dtype=torch.bool)
+    weights = torch.zeros_like(now.gap)
     for _ in range(settings.max_iterations):
         jacobian = tracker.jacobian(theta, problem, unknowns, now, shared=False)
-        arrow = normal_equations(jacobian, now.residual, unknowns)
-        step = solve(arrow.damped(damping, damping.new_zeros(()))).own
-        moved = unflat(flat(unknowns) + torch.where(done.unsqueeze(-1), 0.0, step))
-        trial = tracker.simulate(theta, problem, moved)
-        better = trial.cost < now.cost
-        decrease, promised = now.cost - trial.cost, promise(arrow, step)
-        small = promised <= settings.tolerance * now.cost
-        done = done | small | (damping > MOST_DAMPING)
-        unknowns, now = keep(better, moved, unknowns), keep(better, trial, now)
-        damping = damping * damping_factor(decrease / promised)
+        closing = torch.where(done, 0.0, closing_share(damping))
+        arrow = normal_equations(jacobian, now.residual, unknowns, closing)
+        own = solve(arrow.damped(damping, damping.new_zeros(()))).own
+        step = Step(torch.where(done.unsqueeze(-1), 0.0, own), theta[:0], closing)
+        outlook = foresee(jacobian, now, unknowns, step)
+        weights = penalty_weights(weights, outlook.multipliers)
+        trial = tracker.simulate(theta, problem, outlook.unknowns)
+        before, after = merit(now, weights), merit(trial, weights)
+        left = now._replace(cost=outlook.cost, gap=(1 - closing)[:, None, None] * now.gap)
+        promised = before - merit(left, weights)
+        better = after < before
+        done = done | (promised <= settings.tolerance * now.cost) | (damping > MOST_DAMPING)
+        unknowns, now = keep(better, outlook.unknowns, unknowns), keep(better, trial, now)
+        damping = damping * damping_factor((before - after) / promised)
         damping = damping.clamp_min(LEAST_DAMPING)
         if bool(done.all()):
             break
-    return Tracked(unknowns, now, done)
-
-
-def promise(arrow: Arrow, step: Float[Tensor, "N z"]) -> Float[Tensor, " N"]:
-    """Decrease of the cost of each track that the linearised residuals promise for a step."""
-    curved = (arrow.own @ step.unsqueeze(-1)).squeeze(-1)
-    return -((arrow.own_gradient + 0.5 * curved) * step).sum(-1)
+    driven = tracker.drive(theta, problem, unknowns)
+    return Tracked(driven.unknowns, driven.simulated, done)
 
 
 def damping_factor(ratio: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:

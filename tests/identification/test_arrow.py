@@ -78,12 +78,6 @@ def test_bounds_that_do_not_bind_change_nothing(arrow):
     torch.testing.assert_close(solve(arrow, wide).shared, solve(arrow).shared)
 
 
-def test_promise_of_the_newton_step_is_half_its_slope(arrow):
-    step = solve(arrow)
-    slope = (arrow.own_gradient * step.own).sum() + arrow.shared_gradient @ step.shared
-    assert arrow.promise(step) == pytest.approx(-0.5 * float(slope))
-
-
 def test_damping_shortens_the_step(arrow):
     damped = solve(arrow.damped(torch.full((TRACKS,), 10.0), torch.tensor(10.0)))
     assert float(damped.own.norm()) < float(solve(arrow).own.norm())

@@ -9,11 +9,19 @@ from tests.identification.conftest import LIVELY, synthetic_case
 STEP = 1e-6
 
 
-def perturbed(case, known):
+def perturbed(case):
+    """Somewhere off the solution: θ, problem, and unknowns with their simulation, gaps closed."""
     theta = case.tracker.parameters.start() + 0.05
     problem = case.data.fitted
     guess = flat(problem.guess)
-    return theta, problem, unflat(guess + 0.1 * torch.randn(guess.shape))
+    moved = unflat(guess + 0.1 * torch.randn(guess.shape), problem.guess.nodes)
+    return theta, problem, *case.tracker.drive(theta, problem, moved)
+
+
+def in_one_piece(case, theta, vector):
+    problem = case.data.fitted
+    whole = unflat(vector, problem.guess.nodes[:, :0])
+    return case.tracker.simulate(theta, problem, whole)
 
 
 # the synthetic recorder measures steering, which the unicycle does not have
@@ -24,24 +32,21 @@ def perturbed(case, known):
 def test_jacobians_agree_with_differences(dynamics, known):
     extra = {} if dynamics == "unicycle" else {"steer_rate_radps": 1.0}
     case = synthetic_case(dynamics, {}, known, LIVELY[:1], **extra)
-    theta, problem, unknowns = perturbed(case, known)
-    tracker = case.tracker
-    now = tracker.simulate(theta, problem, unknowns)
-    jacobian = tracker.jacobian(theta, problem, unknowns, now)
+    theta, problem, unknowns, now = perturbed(case)
+    jacobian = case.tracker.jacobian(theta, problem, unknowns, now)
     begin = flat(unknowns)
     for column in range(0, begin.shape[1], 5):
-        moved = begin.clone()
-        moved[:, column] += STEP
-        there = tracker.simulate(theta, problem, unflat(moved)).residual
-        moved[:, column] -= 2 * STEP
-        back = tracker.simulate(theta, problem, unflat(moved)).residual
+        step = torch.zeros_like(begin)
+        step[:, column] = STEP
+        there, back = (
+            in_one_piece(case, theta, each).residual for each in (begin + step, begin - step)
+        )
         slope = ((there - back) / (2 * STEP)).flatten(1)
         torch.testing.assert_close(jacobian.own[..., column], slope, rtol=1e-4, atol=1e-4)
     for column in range(len(theta)):
         step = STEP * torch.eye(len(theta))[column]
         there, back = (
-            tracker.simulate(each, problem, unknowns).residual
-            for each in (theta + step, theta - step)
+            in_one_piece(case, each, begin).residual for each in (theta + step, theta - step)
         )
         slope = ((there - back) / (2 * STEP)).flatten(1)
         torch.testing.assert_close(jacobian.shared[..., column], slope, rtol=1e-4, atol=1e-4)
@@ -49,15 +54,13 @@ def test_jacobians_agree_with_differences(dynamics, known):
 
 def test_gradient_is_that_of_the_cost():
     case = synthetic_case("kbm", {})
-    theta, problem, unknowns = perturbed(case, True)
-    tracker = case.tracker
-    now = tracker.simulate(theta, problem, unknowns)
+    theta, problem, unknowns, now = perturbed(case)
     arrow = normal_equations(
-        tracker.jacobian(theta, problem, unknowns, now), now.residual, unknowns
+        case.tracker.jacobian(theta, problem, unknowns, now), now.residual, unknowns
     )
 
     def cost(vector, theta):
-        return tracker.simulate(theta, problem, unflat(vector)).cost.sum()
+        return in_one_piece(case, theta, vector).cost.sum()
 
     own, shared = torch.autograd.functional.jacobian(cost, (flat(unknowns), theta))
     torch.testing.assert_close(arrow.own_gradient, own)
@@ -66,8 +69,7 @@ def test_gradient_is_that_of_the_cost():
 
 def test_without_parameters_only_their_columns_are_left_out():
     case = synthetic_case("kbm", {})
-    theta, problem, unknowns = perturbed(case, True)
-    now = case.tracker.simulate(theta, problem, unknowns)
+    theta, problem, unknowns, now = perturbed(case)
     whole = case.tracker.jacobian(theta, problem, unknowns, now)
     alone = case.tracker.jacobian(theta, problem, unknowns, now, shared=False)
     torch.testing.assert_close(alone.own, whole.own)
