@@ -12,11 +12,10 @@ from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.identification.arrow import Arrow, Box, solve
 from diffstack_mmv.identification.linearisation import Tracker, normal_equations
 from diffstack_mmv.identification.outlook import (
+    Linearised,
     Step,
+    attempt,
     closing_share,
-    foresee,
-    merit,
-    penalty_weights,
 )
 from diffstack_mmv.identification.problem import Problem
 from diffstack_mmv.identification.tracking import (
@@ -26,10 +25,13 @@ from diffstack_mmv.identification.tracking import (
     LevenbergMarquardt,
     Tracked,
     damping_factor,
-    track,
+    follow,
+    in_one_piece,
 )
 
 logger = logging.getLogger(__name__)
+
+REACH = 1.0  # prior deviations that one step may move a value
 
 
 class Progress(NamedTuple):
@@ -138,8 +140,8 @@ def in_deviations(arrow: Arrow, tracker: Tracker, theta: Float[Tensor, " p"]) ->
     )
 
 
-class Attempt(NamedTuple):
-    """A step, the weights of its merit, and how far it kept what it promised."""
+class Move(NamedTuple):
+    """A fit after a step, and how far the step kept what it promised."""
 
     fit: Fit
     weights: Float[Tensor, "N m s"]
@@ -159,6 +161,7 @@ class Shooting:
         tolerance: Promised relative decrease of the cost at which the fit has converged.
         stopping: When to stop early.
         heldout_iterations: Iterations per step for the controls of the held-out tracks.
+        anew: Whether the fitted tracks begin at their nodes as recorded, not as tracked before.
 
     Raises:
         ValueError: The limit is below one.
@@ -168,6 +171,7 @@ class Shooting:
     tolerance: float = 1e-6
     stopping: EarlyStopping = EarlyStopping()
     heldout_iterations: int = 1
+    anew: bool = True
 
     def __post_init__(self) -> None:
         require_at_least("max_iterations", self.max_iterations, 1)
@@ -179,75 +183,81 @@ class Shooting:
         watch = Watch(self.stopping, before)
         now = before
         watch.see(now, total_cost(tracker, now))
+        if self.anew:
+            guess = data.fitted.guess
+            simulated = tracker.simulate(now.theta, data.fitted, guess)
+            now = now._replace(fitted=Tracked(guess, simulated, now.fitted.converged))
         damping, weights = FIRST_DAMPING, torch.zeros_like(now.fitted.simulated.gap)
         for _ in range(self.max_iterations):
-            trial, weights, decrease, promised = self._step(
-                tracker, data, now, active, weights, damping
-            )
-            ratio = torch.tensor(decrease / promised)
-            damping = max(damping * float(damping_factor(ratio)), LEAST_DAMPING)
-            if decrease > 0:
-                now = self._judged(tracker, data, trial)
+            unknowns, simulated, _ = now.fitted
+            jacobian = tracker.jacobian(now.theta, data.fitted, unknowns, simulated)
+            here = Linearised(unknowns, simulated, jacobian)
+            while True:
+                move = self._move(tracker, data, now, active, here, weights, damping)
+                weights = move.weights
+                ratio = torch.tensor(move.decrease / move.promised)
+                damping = max(damping * float(damping_factor(ratio)), LEAST_DAMPING)
+                small = move.promised < self.tolerance * total_cost(tracker, now)
+                ended = small or damping > MOST_DAMPING
+                if move.decrease > 0 or ended:
+                    break
+            if move.decrease > 0:
+                now = self._judged(tracker, data, move.fit)
                 if not watch.see(now, total_cost(tracker, now)):
                     break
-            small = promised < self.tolerance * total_cost(tracker, now)
-            if small or damping > MOST_DAMPING:
+            if ended:
                 break
         best = watch.best
-        driven = tracker.drive(best.theta, data.fitted, best.fitted.unknowns)
-        fitted = best.fitted._replace(**driven._asdict())
-        return best._replace(fitted=fitted, history=tuple(watch.history))
+        fitted = in_one_piece(tracker, best.theta, data.fitted, best.fitted)
+        heldout = in_one_piece(tracker, best.theta, data.heldout, best.heldout)
+        return best._replace(fitted=fitted, heldout=heldout, history=tuple(watch.history))
 
-    def _step(
+    def _move(
         self,
         tracker: Tracker,
         data: Data,
         now: Fit,
         active: Bool[Tensor, " p"],
+        here: Linearised,
         weights: Float[Tensor, "N m s"],
         damping: float,
-    ) -> Attempt:
-        unknowns, simulated, _ = now.fitted
+    ) -> Move:
+        unknowns, simulated, jacobian = here
         parameters = tracker.parameters
         share = simulated.cost.new_tensor([damping])
         closing = closing_share(share)
-        jacobian = tracker.jacobian(now.theta, data.fitted, unknowns, simulated)
         plain = normal_equations(jacobian, simulated.residual, unknowns, closing)
         arrow = in_deviations(plain, tracker, now.theta).restricted(active)
         room = parameters.room(now.theta)
-        box = Box(room.lower[active], room.upper[active])
+        box = Box(room.lower[active].clamp_min(-REACH), room.upper[active].clamp_max(REACH))
         found = solve(arrow.damped(share.expand(len(unknowns.rates)), share), box)
         deviations = torch.zeros_like(now.theta)
         deviations[active] = found.shared
-        moved = parameters.prior.std * deviations
-        step = Step(found.own, moved / parameters.slope(now.theta), closing)
-        outlook = foresee(jacobian, simulated, unknowns, step)
-        weights = penalty_weights(weights, outlook.multipliers)
-        theta = parameters.theta_for(parameters.values(now.theta) + moved)
+        change = parameters.prior.std * deviations
+        step = Step(found.own, change / parameters.slope(now.theta), closing)
+        theta = parameters.theta_for(parameters.values(now.theta) + change)
         theta = torch.where(active, theta, now.theta)
-        trial = tracker.simulate(theta, data.fitted, outlook.unknowns)
-        left = simulated._replace(cost=outlook.cost, gap=(1 - closing) * simulated.gap)
+        trial = attempt(tracker, theta, data.fitted, here, step, weights)
         prior = parameters.penalty(now.theta)
-        foreseen = merit(left, weights).sum() + 0.5 * (prior + deviations).square().sum()
-        fitted = now.fitted._replace(unknowns=outlook.unknowns, simulated=trial)
-        attempt = now._replace(theta=theta, fitted=fitted)
-        begun = total_merit(tracker, now, weights)
-        decrease = begun - total_merit(tracker, attempt, weights)
-        return Attempt(attempt, weights, decrease, begun - float(foreseen))
+        penalty = 0.5 * prior.square().sum()
+        foreseen = penalty - 0.5 * (prior + deviations).square().sum()
+        came = penalty - 0.5 * parameters.penalty(theta).square().sum()
+        fitted = now.fitted._replace(unknowns=trial.unknowns, simulated=trial.simulated)
+        return Move(
+            now._replace(theta=theta, fitted=fitted),
+            trial.weights,
+            float(trial.decrease.sum() + came),
+            float(trial.promised.sum() + foreseen),
+        )
 
     def _judged(self, tracker: Tracker, data: Data, fit: Fit) -> Fit:
         few = LevenbergMarquardt(self.heldout_iterations)
-        heldout = track(tracker, fit.theta, data.heldout, fit.heldout.unknowns, few)
+        heldout = follow(tracker, fit.theta, data.heldout, fit.heldout.unknowns, few)
         return fit._replace(heldout=heldout)
 
 
 def total_cost(tracker: Tracker, fit: Fit) -> float:
     """Cost of the fitted tracks and of the prior; infinite if it is none."""
-    return total_merit(tracker, fit, torch.zeros_like(fit.fitted.simulated.gap))
-
-
-def total_merit(tracker: Tracker, fit: Fit, weights: Float[Tensor, "N m s"]) -> float:
-    """Merit of the fitted tracks and the cost of the prior; infinite if it is none."""
     penalty = 0.5 * tracker.parameters.penalty(fit.theta).square().sum()
-    cost = float(merit(fit.fitted.simulated, weights).sum() + penalty)
+    cost = float(fit.fitted.simulated.cost.sum() + penalty)
     return cost if cost == cost else float("inf")

@@ -64,6 +64,7 @@ class Jacobian(NamedTuple):
     shared: Float[Tensor, "N r p"]
     offset: Float[Tensor, "N r"]  # what closing all gaps adds to the residuals
     nodes: Float[Tensor, "N m s c"]  # of the nodes by θ, the unknowns, and the share closed
+    live: Float[Tensor, "N m"]  # one for nodes on a track, zero for those in the padding
     steps: StepJacobian
 
 
@@ -198,7 +199,7 @@ class Tracker:
                 chain[..., first : first + INTENTION] += steps.rates[:, time]
         whole = torch.cat(rows, 1)
         own, shared_part, offset = whole[..., count:-1], whole[..., :count], whole[..., -1]
-        return Jacobian(own, shared_part, offset, torch.cat(at_nodes, 1), steps)
+        return Jacobian(own, shared_part, offset, torch.cat(at_nodes, 1), alive, steps)
 
 
 def _seeds(theta: Tensor, widths: list[int]) -> list[Tensor]:

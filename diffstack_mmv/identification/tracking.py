@@ -2,7 +2,7 @@
 
 import logging
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
@@ -16,11 +16,11 @@ from diffstack_mmv.identification.linearisation import (
     normal_equations,
 )
 from diffstack_mmv.identification.outlook import (
+    Linearised,
     Step,
+    attempt,
     closing_share,
-    foresee,
-    merit,
-    penalty_weights,
+    keep,
 )
 from diffstack_mmv.identification.problem import Problem, Targets, Unknowns
 
@@ -67,7 +67,7 @@ def track(
     start: Unknowns,
     settings: LevenbergMarquardt | None = None,
 ) -> Tracked:
-    """Infer placement and rates of each track with θ held, each track damped for itself.
+    """Infer placement and rates of each track with θ held.
 
     Args:
         tracker: Model and residuals.
@@ -77,7 +77,30 @@ def track(
         settings: Of the solver.
 
     Returns:
-        The unknowns of least cost.
+        The unknowns of least cost, in one piece.
+
+    Raises:
+        ValueError: The guess gives no finite cost.
+    """
+    return in_one_piece(tracker, theta, problem, follow(tracker, theta, problem, start, settings))
+
+
+def in_one_piece(
+    tracker: Tracker, theta: Float[Tensor, " p"], problem: Problem, tracked: Tracked
+) -> Tracked:
+    """The same controls without gaps between segments."""
+    driven = tracker.drive(theta, problem, tracked.unknowns)
+    return tracked._replace(**driven._asdict())
+
+
+def follow(
+    tracker: Tracker,
+    theta: Float[Tensor, " p"],
+    problem: Problem,
+    start: Unknowns,
+    settings: LevenbergMarquardt | None = None,
+) -> Tracked:
+    """As `track`, each track damped for itself, but segments are left as far apart as they are.
 
     Raises:
         ValueError: The guess gives no finite cost.
@@ -95,21 +118,17 @@ def track(
         arrow = normal_equations(jacobian, now.residual, unknowns, closing)
         own = solve(arrow.damped(damping, damping.new_zeros(()))).own
         step = Step(torch.where(done.unsqueeze(-1), 0.0, own), theta[:0], closing)
-        outlook = foresee(jacobian, now, unknowns, step)
-        weights = penalty_weights(weights, outlook.multipliers)
-        trial = tracker.simulate(theta, problem, outlook.unknowns)
-        before, after = merit(now, weights), merit(trial, weights)
-        left = now._replace(cost=outlook.cost, gap=(1 - closing)[:, None, None] * now.gap)
-        promised = before - merit(left, weights)
-        better = after < before
-        done = done | (promised <= settings.tolerance * now.cost) | (damping > MOST_DAMPING)
-        unknowns, now = keep(better, outlook.unknowns, unknowns), keep(better, trial, now)
-        damping = damping * damping_factor((before - after) / promised)
+        here = Linearised(unknowns, now, jacobian)
+        trial = attempt(tracker, theta, problem, here, step, weights)
+        weights, better = trial.weights, trial.decrease > 0
+        unknowns, now = keep(better, trial.unknowns, unknowns), keep(better, trial.simulated, now)
+        small = trial.promised <= settings.tolerance * now.cost
+        done = done | small | (damping > MOST_DAMPING)
+        damping = damping * damping_factor(trial.decrease / trial.promised)
         damping = damping.clamp_min(LEAST_DAMPING)
         if bool(done.all()):
             break
-    driven = tracker.drive(theta, problem, unknowns)
-    return Tracked(driven.unknowns, driven.simulated, done)
+    return Tracked(unknowns, now, done)
 
 
 def damping_factor(ratio: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
@@ -120,14 +139,6 @@ def damping_factor(ratio: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
     """
     kept = torch.where(ratio > TRUSTED, 0.1, torch.ones_like(ratio))
     return torch.where(ratio > DOUBTED, kept, 10.0)
-
-
-def keep(better: Bool[Tensor, " N"], new: Any, old: Any) -> Any:
-    """Per track, the new record where it is better, else the old one."""
-    pairs = zip(new, old, strict=True)
-    return type(new)(
-        *(torch.where(better.reshape(-1, *[1] * (n.dim() - 1)), n, o) for n, o in pairs)
-    )
 
 
 def position_error(

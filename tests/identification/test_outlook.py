@@ -6,7 +6,7 @@ from torch.func import jacrev
 
 from diffstack_mmv.identification.arrow import solve
 from diffstack_mmv.identification.linearisation import flat, normal_equations, unflat
-from diffstack_mmv.identification.outlook import Step, foresee, merit, penalty_weights
+from diffstack_mmv.identification.outlook import Linearised, Step, foresee, merit, penalty_weights
 from tests.identification.conftest import LIVELY, synthetic_case
 
 
@@ -34,7 +34,7 @@ def test_condensed_step_solves_the_least_squares_constrained_by_continuity():
     case, theta, unknowns, now = scattered()
     problem, shape = case.data.fitted, unknowns.nodes.shape
     jacobian, step = newton(case, theta, unknowns, now)
-    outlook = foresee(jacobian, now, unknowns, step)
+    outlook = foresee(Linearised(unknowns, now, jacobian), step)
     sizes = [flat(unknowns).numel(), unknowns.nodes.numel(), len(theta)]
 
     def whole(vector):
@@ -70,7 +70,7 @@ def test_small_step_leads_where_it_was_foreseen(dynamics):
     errors = []
     for share in (1e-2, 1e-3):
         part = Step(*(share * each for each in step))
-        outlook = foresee(jacobian, now, unknowns, part)
+        outlook = foresee(Linearised(unknowns, now, jacobian), part)
         there = case.tracker.simulate(theta + part.shared, case.data.fitted, outlook.unknowns)
         expected = (1 - share) * now.gap
         errors.append(
@@ -85,7 +85,7 @@ def test_multipliers_are_the_slope_of_what_follows_by_the_node():
     unknowns, now = case.tracker.drive(theta, problem, unknowns)
     jacobian = case.tracker.jacobian(theta, problem, unknowns, now)
     still = Step(torch.zeros_like(flat(unknowns)), torch.zeros_like(theta), torch.zeros(1))
-    found = foresee(jacobian, now, unknowns, still).multipliers
+    found = foresee(Linearised(unknowns, now, jacobian), still).multipliers
     last = found.shape[1] - 1
 
     def following(node):
@@ -99,7 +99,7 @@ def test_multipliers_are_the_slope_of_what_follows_by_the_node():
 def test_step_is_a_descent_of_the_merit():
     case, theta, unknowns, now = scattered()
     jacobian, step = newton(case, theta, unknowns, now)
-    outlook = foresee(jacobian, now, unknowns, step)
+    outlook = foresee(Linearised(unknowns, now, jacobian), step)
     weights = penalty_weights(torch.zeros_like(now.gap), outlook.multipliers)
     left = now._replace(cost=outlook.cost, gap=0 * now.gap)
     assert bool((merit(left, weights) < merit(now, weights)).all())
