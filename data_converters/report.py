@@ -20,9 +20,8 @@ WINDOW_STEPS_S = (4.0, 3.0)
 class SceneReport:
     """Counts of one scene; plain values, so that it survives a trip through JSON.
 
-    `residual` holds per mode the number of moving samples and the sums of the squared residual
-    along and across the motion in m². `windows` counts per mode the time steps with 4 s of history
-    and 3 s of future.
+    `residual` holds the sums of `Residual` per mode; older reports lack the last two. `windows`
+    counts per mode the time steps with 4 s of history and 3 s of future.
     """
 
     name: str
@@ -100,8 +99,25 @@ def _add(counts: dict[str, int], name: str, count: int) -> None:
 
 
 def _add_residual(sums: dict[str, list[float]], mode: str, residual: Residual) -> None:
-    before = sums.get(mode, [0.0, 0.0, 0.0])
+    before = sums.get(mode, [0.0] * len(residual))
     sums[mode] = [a + b for a, b in zip(before, residual, strict=True)]
+
+
+def _whole(values: Sequence[float]) -> Residual:
+    """The sums of a scene; NaN for what an older report lacks."""
+    known = [*values, *[float("nan")] * (len(Residual._fields) - len(values))]
+    return Residual(int(known[0]), *known[1:])
+
+
+def _noise(sums: Residual) -> dict[str, float]:
+    """Standard deviations of one recorded position in m and the usual step in s, where known."""
+    if not sums.white > 0.0:
+        return {}
+    return {
+        "noise_along_m": (sums.along / sums.white) ** 0.5,
+        "noise_across_m": (sums.across / sums.white) ** 0.5,
+        "step_s": sums.seconds / sums.count,
+    }
 
 
 @dataclass
@@ -123,15 +139,25 @@ class ConversionReport:
 
     @property
     def residual_m(self) -> dict[str, dict[str, float]]:
-        """Per mode: root mean square residual of the smoother along and across the motion in m."""
+        """Per mode: root mean square residual of the smoother, and the noise that it tells of.
+
+        Number of moving samples; residual along and across the motion in m; standard deviation of
+        one recorded position in m, corrected for the share that the smoother takes up; usual step
+        in s.
+        """
         sums: dict[str, list[float]] = {}
         for scene in self.scenes:
             for mode, values in scene.residual.items():
-                _add_residual(sums, mode, Residual(int(values[0]), values[1], values[2]))
+                _add_residual(sums, mode, _whole(values))
         return {
-            mode: {"samples": n, "along_m": (along / n) ** 0.5, "across_m": (across / n) ** 0.5}
-            for mode, (n, along, across) in sorted(sums.items())
-            if n > 0
+            mode: {
+                "samples": values[0],
+                "along_m": (values[1] / values[0]) ** 0.5,
+                "across_m": (values[2] / values[0]) ** 0.5,
+                **_noise(_whole(values)),
+            }
+            for mode, values in sorted(sums.items())
+            if values[0] > 0
         }
 
     def windows(self) -> dict[str, dict[str, int]]:

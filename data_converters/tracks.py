@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -16,6 +17,9 @@ from data_converters.modes import Mode, default_extent
 from data_converters.smoothing import SAMPLES_NEEDED, Smoother, SmoothSeries, ZeroPhaseSmoother
 
 Array = NDArray[np.float64]
+
+PROBES = 8
+"""Series of white noise that are smoothed beside a track; more tell its noise more precisely."""
 
 STATE_COLUMNS = ("x", "y", "z", "vx", "vy", "ax", "ay", "heading")
 
@@ -76,11 +80,22 @@ class ResampleSettings:
 
 
 class Residual(NamedTuple):
-    """Sums over moving raw samples: count, squared residual along and across the motion in m²."""
+    """Sums over moving raw samples.
+
+    Attributes:
+        count: Number of samples.
+        along: Squared residual of the smoother along the motion in m².
+        across: The same across the motion.
+        white: Squared residual that white noise of variance 1 leaves at these samples: what the
+            smoother cannot follow. Noise has the variance `along / white`, or `across / white`.
+        seconds: Time they cover in s, `count` usual steps.
+    """
 
     count: int
     along: float
     across: float
+    white: float
+    seconds: float
 
 
 class AgentRows(NamedTuple):
@@ -145,9 +160,12 @@ def resample(track: RawTrack, settings: ResampleSettings) -> AgentRows:
         remedy = "Lower `min_duration_s` to keep it."
         refuse_track(RejectReason.TOO_SHORT, "track", needs, lasts, track.source, remedy)
     at_s = np.clip(np.arange(first, last + 1) * settings.dt_s, track.time_s[0], end)
-    smooth = smoother(track.time_s, track.position, np.concatenate([at_s, track.time_s]))
-    steps = SmoothSeries(*(part[: len(at_s)] for part in smooth))
-    raw = SmoothSeries(*(part[len(at_s) :] for part in smooth))
+    probes = _probes(track)
+    values = np.column_stack([track.position, probes])
+    smooth = smoother(track.time_s, values, np.concatenate([at_s, track.time_s]))
+    steps = SmoothSeries(*(part[: len(at_s), :3] for part in smooth))
+    raw = SmoothSeries(*(part[len(at_s) :, :3] for part in smooth))
+    left = probes - smooth.value[len(at_s) :, 3:]
     if not np.isfinite(steps.value).all():
         found = f"{len(track.time_s)} samples in {end - track.time_s[0]:.2f} s"
         needs = f"have more than {smoother.order} samples per window of {smoother.window_s:g} s"
@@ -159,7 +177,7 @@ def resample(track: RawTrack, settings: ResampleSettings) -> AgentRows:
         extent=track.extent or default_extent(track.mode),
         first_step=first,
         rows=_rows(track, steps, at_s, settings),
-        residual=_residual(track, raw, settings.standstill_mps),
+        residual=_residual(track, raw, left, settings.standstill_mps),
         speed_error=_speed_error(track, raw),
     )
 
@@ -190,14 +208,33 @@ def _in_gap(time_s: Array, at_s: Array) -> NDArray[np.bool_]:
     return (steps[after - 1] > 1.5 * np.median(steps)) & ~exact
 
 
-def _residual(track: RawTrack, raw: SmoothSeries, standstill_mps: float) -> Residual:
+def _probes(track: RawTrack) -> Array:
+    """White noise (n, PROBES) of variance 1, other noise for another track."""
+    seed = zlib.crc32(np.ascontiguousarray(track.position).tobytes())
+    return np.random.default_rng(seed).choice([-1.0, 1.0], (len(track.time_s), PROBES))
+
+
+def _residual(track: RawTrack, raw: SmoothSeries, left: Array, standstill_mps: float) -> Residual:
+    """Residual of a track, with what the smoother has `left` (n, PROBES) of white noise.
+
+    A smoother takes up a share of the noise, nearly all of it where samples are sparse: at 2 Hz a
+    residual of 1 cm is left of noise of 9 cm. Source: the unbiased variance Σ e² / tr (1-S)ᵀ(1-S)
+    of a linear smoother S (Wahba 1978; Hastie & Tibshirani 1990, sec. 3.5), the trace estimated
+    by Hutchinson's probes.
+    """
     speed = np.hypot(raw.rate[:, 0], raw.rate[:, 1])
     moving = speed >= standstill_mps
     direction = raw.rate[moving, :2] / speed[moving, None]
     error = (track.position - raw.value)[moving, :2]
     along = (error * direction).sum(axis=1)
     across = direction[:, 0] * error[:, 1] - direction[:, 1] * error[:, 0]
-    return Residual(int(moving.sum()), float((along**2).sum()), float((across**2).sum()))
+    return Residual(
+        int(moving.sum()),
+        float((along**2).sum()),
+        float((across**2).sum()),
+        float((left[moving] ** 2).mean(axis=1).sum()),
+        float(moving.sum() * np.median(np.diff(track.time_s))),
+    )
 
 
 def _speed_error(track: RawTrack, raw: SmoothSeries) -> float:

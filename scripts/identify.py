@@ -39,7 +39,7 @@ def main(config: DictConfig) -> None:
     stretches = cut(tracks, instantiate(config.stretch), leans)
     numbers = (config.tracks, config.heldout, config.seed)
     division = divide(stretches, instantiate(config.choice), *numbers)
-    measured = recorded_noise(source, spec.mode)
+    measured = recorded_noise(source, spec.mode, config.dt_s)
     noise = measured._asdict() if measured else {}
     noise |= {name: value for name, value in config.noise.items() if value is not None}
     settings = TrackingSettings(**noise, **config.tracking)

@@ -1,5 +1,7 @@
 """Whole recorded tracks of one mode, as motions, for system identification."""
 
+import logging
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -16,9 +18,11 @@ from diffstack_mmv.data.sources import ConvertedCache, WindowSource
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.types import Mode, Motion
 
+logger = logging.getLogger(__name__)
+
 
 class PositionNoise(NamedTuple):
-    """Standard deviation of recorded positions, along and across the motion."""
+    """Standard deviation of the position of one step, along and across the motion."""
 
     along_m: float
     across_m: float
@@ -66,15 +70,34 @@ def read_leans(source: WindowSource, splits: Sequence[str], mode: str) -> dict[s
     return found
 
 
-def recorded_noise(source: WindowSource, mode: str) -> PositionNoise | None:
-    """Noise of the recorded positions of a mode: the smoother's residual, as the report tells it.
+def recorded_noise(source: WindowSource, mode: str, dt_s: float) -> PositionNoise | None:
+    """Noise of the positions of a mode, as the conversion report tells it.
+
+    The report knows the noise σ of a recorded position from what the smoother left over and from
+    the share of white noise that it takes up. The tracks have other steps than the recording: with
+    σ (recorded step / dt)^½ for each of them they say as much about a path as the recording did.
+
+    Args:
+        source: A cache that scripts/convert.py wrote.
+        mode: Mode of transport.
+        dt_s: Step of the tracks in s.
 
     Raises:
         ValueError: The source is no converted cache.
     """
-    report = _converted(source).report()
-    residual = report.get("totals", {}).get("smoother_residual", {}).get(mode)
-    return None if residual is None else PositionNoise(residual["along_m"], residual["across_m"])
+    cache = _converted(source)
+    told = cache.report().get("totals", {}).get("smoother_residual", {}).get(mode)
+    if told is None:
+        return None
+    if "step_s" not in told:
+        logger.warning(
+            "The report of '%s' tells no noise, only what the smoother left over, which is less "
+            "where samples are sparse. Convert again, or set `noise`.",
+            cache.name,
+        )
+        return PositionNoise(told["along_m"], told["across_m"])
+    share = math.sqrt(told["step_s"] / dt_s)
+    return PositionNoise(share * told["noise_along_m"], share * told["noise_across_m"])
 
 
 def _converted(source: WindowSource) -> ConvertedCache:

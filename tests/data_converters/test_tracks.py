@@ -12,6 +12,7 @@ from data_converters import (
     RejectReason,
     ResampleSettings,
     TrackError,
+    ZeroPhaseSmoother,
     default_extent,
 )
 from data_converters.tracks import resample, split_at_gaps
@@ -94,10 +95,41 @@ def test_the_residual_tells_noise_along_from_noise_across(make_track):
         lambda t: 4.0 * t + rng.normal(0, 0.08, len(t)),
         lambda t: rng.normal(0, 0.02, len(t)),
     )
-    count, along, across = resample(track, SETTINGS).residual
-    assert count == 2000
-    assert (along / count) ** 0.5 == pytest.approx(0.08, rel=0.1)
-    assert (across / count) ** 0.5 == pytest.approx(0.02, rel=0.1)
+    residual = resample(track, SETTINGS).residual
+    assert residual.count == 2000
+    assert (residual.along / residual.count) ** 0.5 == pytest.approx(0.08, rel=0.1)
+    assert (residual.across / residual.count) ** 0.5 == pytest.approx(0.02, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "share", "smoother"),
+    [
+        (2, 0.35, ZeroPhaseSmoother()),
+        (5, 0.15, ZeroPhaseSmoother()),
+        (10, 0.08, ZeroPhaseSmoother()),
+        (25, 0.05, ZeroPhaseSmoother()),
+        (10, 0.08, CausalSmoother()),
+    ],
+)
+def test_the_noise_is_told_at_any_rate(make_track, rate_hz, share, smoother):
+    rng, time_s = np.random.default_rng(1), np.arange(2.0, 142.0, 1.0 / rate_hz)
+    noise = rng.normal(0.0, 0.06, (2, len(time_s)))
+    track = make_track(
+        time_s,
+        lambda t: 8.0 * t + np.sin(0.5 * t) + noise[0],
+        lambda t: 6.0 * np.sin(0.4 * t) + noise[1],
+    )
+    found = resample(track, ResampleSettings(smoother=smoother)).residual
+    assert (found.along / found.white) ** 0.5 == pytest.approx(0.06, rel=share)
+    assert (found.across / found.white) ** 0.5 == pytest.approx(0.06, rel=share)
+    assert found.seconds == pytest.approx(found.count / rate_hz)
+
+
+def test_hardly_any_residual_is_left_where_samples_are_sparse(make_track):
+    rng = np.random.default_rng(0)
+    track = make_track(0.5 * np.arange(200), lambda t: 4.0 * t + rng.normal(0, 0.06, len(t)))
+    residual = resample(track, SETTINGS).residual
+    assert (residual.along / residual.count) ** 0.5 < 0.01
 
 
 def test_a_stated_speed_is_only_compared(make_track):
