@@ -79,9 +79,7 @@ def recover(options, seed):
     values = case.tracker.parameters.values(found.after.theta)
     names, std = case.tracker.parameters.names, found.sensitivity.std
     rows = [(name, truth[i], values[i], std[i], found.verdicts[i]) for i, name in enumerate(names)]
-    both = combinations(
-        model, case.tracker.parameters, found.after.theta, found.sensitivity, Thresholds()
-    )
+    both = combinations(model, case.tracker.parameters, found.optima, Thresholds())
     exact = quantities(truth_model)
     rows += [(c.name, exact[i], c.estimate, c.std, c.verdict) for i, c in enumerate(both)]
     setting = {key: getattr(options, key) for key in SETTING} | {"seed": seed, "seconds": seconds}
@@ -89,7 +87,7 @@ def recover(options, seed):
     return [
         setting
         | dict(zip(keys, (name, float(true), float(value), float(deviation)), strict=True))
-        | {"verdict": str(verdict), "noise_factor": found.noise_factor}
+        | {"verdict": str(verdict), "noise_factor": found.noise_factor, "optima": len(found.optima)}
         for name, true, value, deviation, verdict in rows
     ]
 

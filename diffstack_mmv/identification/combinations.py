@@ -1,6 +1,7 @@
 """Combinations of parameters that tracks inform where they do not inform the single ones."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -10,8 +11,9 @@ from torch.func import functional_call, jacfwd
 
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM, DynamicsModel
 from diffstack_mmv.dynamics.gm3.load import GRAVITY
+from diffstack_mmv.identification.optima import Optimum, spread
 from diffstack_mmv.identification.parameters import LearnedParameters
-from diffstack_mmv.identification.sensitivity import Sensitivity, Thresholds, Verdict
+from diffstack_mmv.identification.sensitivity import Thresholds, Verdict
 
 PACE_MPS = 5.0  # speed at which the steering per curvature is told
 
@@ -98,20 +100,19 @@ def _labels(model: DynamicsModel) -> list[tuple[str, str]]:
 def combinations(
     model: DynamicsModel,
     parameters: LearnedParameters,
-    theta: Float[Tensor, " p"],
-    found: Sensitivity,
+    optima: Sequence[Optimum],
     thresholds: Thresholds,
 ) -> list[Combination]:
     """Steering per curvature, normalised cornering stiffnesses C / F_z, understeer gradient.
 
-    Standard deviations by the delta method. The steering angle per curvature at 5 m/s holds all
-    that acts as understeer in one number: tyres, yaw damping and aligning moment.
+    Standard deviations by the delta method, widened by what other optima say. The steering angle
+    per curvature at 5 m/s holds all that acts as understeer in one number: tyres, yaw damping and
+    aligning moment.
 
     Args:
         model: The dynamics.
         parameters: Its learned numbers.
-        theta: θ of the estimate.
-        found: Information about the parameters.
+        optima: The estimate, then others that explain the tracks.
         thresholds: When a quantity counts as informed.
     """
     combined = _Quantities(model)
@@ -119,12 +120,19 @@ def combinations(
     def quantities_of(theta: Tensor) -> Tensor:
         return functional_call(combined, parameters.tensors(theta, "model."), ())
 
-    start = torch.zeros_like(theta)
-    estimate, initial = quantities_of(theta), quantities_of(start)
-    rows = jacfwd(quantities_of)(theta) / parameters.slope(theta)
-    prior_rows = jacfwd(quantities_of)(start) / parameters.slope(start)
-    variance = (rows @ found.covariance * rows).sum(-1)
-    prior_variance = (prior_rows * parameters.prior.std).square().sum(-1)
+    def variance_of(theta: Tensor, covariance: Tensor) -> Tensor:
+        rows = jacfwd(quantities_of)(theta) / parameters.slope(theta)
+        return (rows @ covariance * rows).sum(-1)
+
+    start = torch.zeros_like(optima[0].fit.theta)
+    prior_variance = variance_of(start, parameters.prior.std.square().diag())
+    found = optima[0].sensitivity
+    all_values = torch.stack([quantities_of(each.fit.theta) for each in optima])
+    variances = torch.stack(
+        [variance_of(each.fit.theta, each.sensitivity.covariance) for each in optima]
+    )
+    estimate, initial = all_values[0], quantities_of(start)
+    variance = torch.maximum(spread(optima, all_values, variances), variances[0])
     found_rows = []
     for index, (name, unit) in enumerate(_labels(model)):
         std, prior_std = float(variance[index].sqrt()), float(prior_variance[index].sqrt())

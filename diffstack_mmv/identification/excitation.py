@@ -1,5 +1,6 @@
 """How hard the tracks work the vehicle: what the tyres are asked for."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -9,7 +10,10 @@ from torch import Tensor
 from diffstack_mmv.dynamics.gm3.load import GRAVITY
 from diffstack_mmv.identification.linearisation import Simulated, Tracker
 from diffstack_mmv.identification.problem import Problem
+from diffstack_mmv.identification.stretches import Stretch
+from diffstack_mmv.vehicles import Limits
 
+OVER_S = 0.4  # accelerations of recorded tracks are means over that long
 TOP = 0.995  # quantile that stands for the largest value: a single sample may be noise
 
 
@@ -49,6 +53,20 @@ def excitation(
         _top((speed * curvature).abs()),
         _top(demand),
     )
+
+
+def beyond_limits(stretches: Sequence[Stretch], limits: Limits, dt_s: float) -> float:
+    """Share of the recorded samples whose acceleration along the track no command can give.
+
+    Args:
+        stretches: The tracks.
+        limits: Of the vehicle.
+        dt_s: Step of the tracks.
+    """
+    lag = max(round(OVER_S / dt_s), 1)
+    along = torch.cat([(each.speed[lag:] - each.speed[:-lag]) / (lag * dt_s) for each in stretches])
+    low, high = limits.acceleration_min_mps2, limits.acceleration_max_mps2
+    return float(((along < low) | (along > high)).double().mean())
 
 
 def _top(values: Float[Tensor, " n"]) -> float:

@@ -31,6 +31,7 @@ from diffstack_mmv.identification.tracking import (
 
 logger = logging.getLogger(__name__)
 
+SIGNIFICANCE = 2.0  # standard deviations of a difference that is not chance
 REACH = 1.0  # prior deviations that one step may move a value
 
 
@@ -76,19 +77,16 @@ class Method(Protocol):
 class EarlyStopping:
     """Ends a fit when it explains held-out tracks worse, beyond what chance does.
 
-    With d_i the increase of the cost of held-out track i, it is worse if Σ d_i exceeds
-    `significance` times (Σ d_i²)^½: a few tracks that speak against each other decide nothing.
-
     Args:
         patience: Iterations that may be worse before the fit ends.
-        significance: As above, in standard deviations.
+        significance: Of an increase of the cost, in standard deviations.
 
     Raises:
         ValueError: The patience is below one, or the significance is not positive.
     """
 
     patience: int = 4
-    significance: float = 2.0
+    significance: float = SIGNIFICANCE
 
     def __post_init__(self) -> None:
         require_at_least("patience", self.patience, 1)
@@ -113,13 +111,22 @@ class Watch:
         logger.info(
             "Iteration %d: cost %.3f, held-out tracks %.3f", len(self.history) - 1, cost, heldout
         )
-        increase = fit.heldout.simulated.cost - reference.heldout.simulated.cost
-        if float(increase.sum()) > self.stopping.significance * float(increase.norm()):
+        if worse(fit, reference, self.stopping.significance):
             self.waited += 1
         else:
             self.waited, self.best = 0, fit
         self.reference = fit if heldout <= heldout_cost(reference) else reference
         return self.waited < self.stopping.patience
+
+
+def worse(fit: Fit, reference: Fit, significance: float = SIGNIFICANCE) -> bool:
+    """Whether a fit explains held-out tracks worse than another, beyond what chance does.
+
+    With d_i the increase of the cost of track i, it is worse if Σ d_i exceeds `significance` times
+    (Σ d_i²)^½: a few tracks that speak against each other decide nothing.
+    """
+    increase = fit.heldout.simulated.cost - reference.heldout.simulated.cost
+    return float(increase.sum()) > significance * float(increase.norm())
 
 
 def heldout_cost(fit: Fit) -> float:
@@ -254,6 +261,13 @@ class Shooting:
         few = LevenbergMarquardt(self.heldout_iterations)
         heldout = follow(tracker, fit.theta, data.heldout, fit.heldout.unknowns, few)
         return fit._replace(heldout=heldout)
+
+
+def moved_to(tracker: Tracker, data: Data, fit: Fit, theta: Float[Tensor, " p"]) -> Fit:
+    """The fit with another θ, unknowns of the fitted tracks as they were."""
+    unknowns = fit.fitted.unknowns
+    simulated = tracker.simulate(theta, data.fitted, unknowns)
+    return fit._replace(theta=theta, fitted=fit.fitted._replace(simulated=simulated))
 
 
 def total_cost(tracker: Tracker, fit: Fit) -> float:

@@ -1,7 +1,6 @@
-"""From tracks to calibrated parameters: track, see what is informed, fit, judge."""
+"""From tracks to calibrated parameters: track, see what is informed, fit, look around, judge."""
 
 import logging
-import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -9,17 +8,20 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.identification.arrow import Arrow
-from diffstack_mmv.identification.fit import Data, Fit, Method, Shooting
-from diffstack_mmv.identification.linearisation import Tracker, normal_equations
-from diffstack_mmv.identification.problem import Problem
-from diffstack_mmv.identification.sensitivity import (
-    Sensitivity,
-    Thresholds,
-    Verdict,
-    sensitivity,
+from diffstack_mmv.checks import require_at_least
+from diffstack_mmv.identification.fit import (
+    Data,
+    Fit,
+    Method,
+    Shooting,
+    moved_to,
+    total_cost,
+    worse,
 )
-from diffstack_mmv.identification.tracking import LevenbergMarquardt, Tracked, track
+from diffstack_mmv.identification.linearisation import Tracker
+from diffstack_mmv.identification.optima import Optimum, alike, optimum, scattered, shares, together
+from diffstack_mmv.identification.sensitivity import Sensitivity, Thresholds, Verdict
+from diffstack_mmv.identification.tracking import LevenbergMarquardt, track
 
 logger = logging.getLogger(__name__)
 
@@ -34,6 +36,7 @@ class Identification(NamedTuple):
     sensitivity: Sensitivity
     verdicts: tuple[Verdict, ...]
     noise_factor: float  # deviation of the residuals over the assumed one
+    optima: tuple[Optimum, ...]  # the estimate, then others that explain the tracks
 
 
 @dataclass(frozen=True)
@@ -44,15 +47,27 @@ class Identifier:
         method: How θ is found once the controls are.
         tracking: Solver that infers controls for a known vehicle.
         thresholds: When a parameter counts as informed.
+        starts: How many other starts, spread over the prior, look for other optima.
+        search: Fits from them.
+
+    Raises:
+        ValueError: The number of starts is negative.
     """
 
     method: Method = field(default_factory=Shooting)
     tracking: LevenbergMarquardt = LevenbergMarquardt(60)
     thresholds: Thresholds = Thresholds()
+    starts: int = 8
+    search: Method = field(default_factory=Shooting)
+
+    def __post_init__(self) -> None:
+        require_at_least("starts", self.starts, 0)
 
     @torch.no_grad()
     def __call__(self, tracker: Tracker, data: Data) -> Identification:
-        """Track with the prior, fit what the tracks inform, track again, and tell how sure it is.
+        """Track with the prior, fit what the tracks inform, and tell how sure it is.
+
+        What a fit says is what its optimum says; others that explain the tracks as well widen it.
 
         Args:
             tracker: Model, residuals and learned numbers.
@@ -61,29 +76,69 @@ class Identifier:
         theta = tracker.parameters.start()
         before = self.tracked(tracker, data, theta, None)
         logger.info("Tracked with the prior: cost %.3f", float(before.fitted.simulated.cost.sum()))
-        prior, factor = information(tracker, data.fitted, before.theta, before.fitted)
+        prior = optimum(tracker, data.fitted, before).sensitivity
         informed = prior.conditional_ratio <= self.thresholds.informed
-        active, after, posterior = torch.zeros_like(informed), before, prior
+        active, best = torch.zeros_like(informed), optimum(tracker, data.fitted, before)
         while not torch.equal(active, informed):
             # what the tracks turn out not to inform goes back to its prior; the rest is refitted
             active = informed
-            after = self._fitted(tracker, data, before, active)
-            posterior, factor = information(tracker, data.fitted, after.theta, after.fitted)
-            informed = active & (posterior.conditional_ratio <= self.thresholds.informed)
+            fit = self._fitted(self.method, tracker, data, before, active)
+            best = optimum(tracker, data.fitted, fit)
+            ratio = best.sensitivity.conditional_ratio
+            informed = active & (ratio <= self.thresholds.informed)
+        optima = self._optima(tracker, data, best, active)
+        after, posterior = optima[0].fit, together(optima, tracker.parameters)
         values = tracker.parameters.values(after.theta)
-        verdicts = [
+        verdicts = tuple(
             verdict if fitted else Verdict.NOT_IDENTIFIABLE
             for verdict, fitted in zip(
                 posterior.verdicts(values, self.thresholds), active.tolist(), strict=True
             )
-        ]
-        return Identification(before, after, active, prior, posterior, tuple(verdicts), factor)
+        )
+        factor = optima[0].noise_factor
+        return Identification(before, after, active, prior, posterior, verdicts, factor, optima)
 
-    def _fitted(self, tracker: Tracker, data: Data, before: Fit, active: Bool[Tensor, " p"]) -> Fit:
+    def _optima(
+        self, tracker: Tracker, data: Data, first: Optimum, active: Bool[Tensor, " p"]
+    ) -> tuple[Optimum, ...]:
+        """All optima that are found, that of the largest mass first."""
+        found = [first]
+        if not bool(active.any()):
+            return (first,)
+        for theta in scattered(tracker.parameters, self.starts):
+            start = torch.where(active, theta, first.fit.theta)
+            begun = self._begun(tracker, data, first.fit, start)
+            fit = self._fitted(self.search, tracker, data, begun, active)
+            other = optimum(tracker, data.fitted, fit)
+            known = any(alike(each, other, tracker.parameters) for each in found)
+            if not known and not worse(fit, first.fit):
+                found.append(other)
+                logger.info("Another optimum: cost %.3f", total_cost(tracker, fit))
+        best = found[int(shares(found).argmax())]
+        if best is first:
+            return tuple(found)
+        fit = self._fitted(self.method, tracker, data, best.fit, active)
+        others = [each for each in found if each is not best]
+        return (optimum(tracker, data.fitted, fit), *others)
+
+    def _begun(self, tracker: Tracker, data: Data, fit: Fit, theta: Float[Tensor, " p"]) -> Fit:
+        """A fit that begins at another θ."""
+        moved = moved_to(tracker, data, fit, theta)
+        heldout = track(tracker, theta, data.heldout, fit.heldout.unknowns, self.tracking)
+        return moved._replace(heldout=heldout)
+
+    def _fitted(
+        self,
+        method: Method,
+        tracker: Tracker,
+        data: Data,
+        before: Fit,
+        active: Bool[Tensor, " p"],
+    ) -> Fit:
         """Fit the active entries of θ, if any, and track again with the result."""
         if not bool(active.any()):
             return before
-        found = self.method(tracker, data, before, active)
+        found = method(tracker, data, before, active)
         return self.tracked(tracker, data, found.theta, found)
 
     def tracked(
@@ -95,35 +150,3 @@ class Identifier:
         guess = data.heldout.guess if start is None else start.heldout.unknowns
         heldout = track(tracker, theta, data.heldout, guess, self.tracking)
         return Fit(theta, fitted, heldout, () if start is None else start.history)
-
-
-class Informed(NamedTuple):
-    """What tracks say, and how well the assumed noise fits them."""
-
-    sensitivity: Sensitivity
-    noise_factor: float
-
-
-def information(
-    tracker: Tracker, problem: Problem, theta: Float[Tensor, " p"], tracked: Tracked
-) -> Informed:
-    """What the tracks say about the parameters at θ; noise above the assumed one lessens it."""
-    unknowns, simulated, _ = tracked
-    jacobian = tracker.jacobian(theta, problem, unknowns, simulated)
-    arrow = normal_equations(jacobian, simulated.residual, unknowns)
-    factor = noise_factor(problem, tracked, arrow)
-    return Informed(sensitivity(arrow, tracker.parameters, theta, max(factor, 1.0)), factor)
-
-
-def noise_factor(problem: Problem, tracked: Tracked, arrow: Arrow) -> float:
-    """Root mean square residual of the recorded numbers over the assumed standard deviation.
-
-    Fitted unknowns take degrees of freedom as far as the tracks, not their priors, determine them:
-    tr H⁻¹ (H - 1) of each track.
-    """
-    targets = problem.targets
-    recorded = 2 * targets.weight.sum() + (targets.control_weight > 0).sum()
-    inverse = torch.cholesky_inverse(torch.linalg.cholesky(arrow.own))
-    taken = arrow.own.shape[-1] - inverse.diagonal(dim1=-2, dim2=-1).sum(-1)
-    freedom = max(float(recorded - taken.sum()), 1.0)
-    return math.sqrt(float(tracked.simulated.residual.square().sum()) / freedom)

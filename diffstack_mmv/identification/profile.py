@@ -6,7 +6,7 @@ from typing import NamedTuple
 import torch
 
 from diffstack_mmv.checks import require_one_of
-from diffstack_mmv.identification.fit import Data, Fit, Method, total_cost
+from diffstack_mmv.identification.fit import Data, Fit, Method, moved_to, total_cost
 from diffstack_mmv.identification.identify import Identification
 from diffstack_mmv.identification.linearisation import Tracker
 
@@ -78,6 +78,4 @@ def _at(tracker: Tracker, data: Data, fit: Fit, index: int, value: float) -> Fit
     values[index] = value
     theta = fit.theta.clone()
     theta[index] = parameters.theta_for(values)[index]
-    unknowns = fit.fitted.unknowns
-    moved = fit.fitted._replace(simulated=tracker.simulate(theta, data.fitted, unknowns))
-    return fit._replace(theta=theta, fitted=moved)
+    return moved_to(tracker, data, fit, theta)

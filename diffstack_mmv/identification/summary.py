@@ -108,8 +108,7 @@ def _combinations(
     rows: Sequence[Combination] = combinations(
         tracker.vehicle.model,
         tracker.parameters,
-        found.after.theta,
-        found.sensitivity,
+        found.optima,
         thresholds,
     )
     return {
