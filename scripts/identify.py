@@ -1,31 +1,34 @@
 """Identify the physical parameters of a vehicle from tracks without recorded controls."""
 
 import logging
+from dataclasses import asdict, replace
 from datetime import date
 from pathlib import Path
-from typing import Any
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from diffstack_mmv.cli import command
-from diffstack_mmv.data import read_leans, read_tracks, recorded_noise
+from diffstack_mmv.data import WindowSource, read_leans, read_tracks, recorded_noise
 from diffstack_mmv.identification import (
-    Case,
+    Division,
     Explained,
-    Identification,
     Identifier,
+    Study,
     TrackingSettings,
+    beyond_limits,
     cut,
     divide,
+    folds,
     lean_agreement,
     losses,
     profiles,
+    ridden,
     summarise,
 )
 from diffstack_mmv.plotting import FittedTrack, save_identification
 from diffstack_mmv.reporting import write_identification
-from diffstack_mmv.vehicles import config_folder, save_vehicle
+from diffstack_mmv.vehicles import VehicleSpec, config_folder, save_vehicle
 
 logger = logging.getLogger(__name__)
 
@@ -39,47 +42,70 @@ def main(config: DictConfig) -> None:
     stretches = cut(tracks, instantiate(config.stretch), leans)
     numbers = (config.tracks, config.heldout, config.seed)
     division = divide(stretches, instantiate(config.choice), *numbers)
-    measured = recorded_noise(source, spec.mode, config.dt_s)
-    noise = measured._asdict() if measured else {}
-    noise |= {name: value for name, value in config.noise.items() if value is not None}
-    settings = TrackingSettings(**noise, **config.tracking)
+    settings = assumptions(config, spec, source, division)
     identifier = Identifier(instantiate(config.mode), thresholds=instantiate(config.thresholds))
-
-    def identified(dynamics: DictConfig, parameters: Any) -> tuple[Case, Identification]:
-        case = Case.of(instantiate(dynamics), spec, division, settings, parameters)
-        return case, identifier(case.tracker, case.data)
-
-    case, found = identified(config.dynamics, config.parameters)
+    steps = round(config.foresee_s / config.dt_s)
+    parts = folds(division, config.folds, config.seed) if config.folds else ()
+    study = Study(spec, division, settings, identifier, steps, parts)
+    name = config.names.dynamics
+    studied = {name: study(lambda: instantiate(config.dynamics), config.parameters)}
+    for other, model in config.others.items():
+        if model and other not in studied:
+            studied[other] = study(lambda model=model: instantiate(model))
+    case, found, heldout = studied[name]
+    models = {key: losses(each.case.tracker, each.case.data, each.found)
+              for key, each in studied.items()}  # fmt: skip
     header = {
         "data": config.data.name,
         "vehicle": spec.name,
-        "dynamics": config.names.dynamics,
+        "dynamics": name,
         "mode": config.names.mode,
         "seed": config.seed,
         "date": date.today().isoformat(),
     }
-    models = {config.names.dynamics: losses(case.tracker, case.data, found)}
-    for name, each in config.others.items():
-        if each and name not in models:
-            other, result = identified(each, None)
-            models[name] = losses(other.tracker, other.data, result)
     profiled = profiles(case.tracker, case.data, found, identifier.method, config.profile)
     summary = summarise(case.tracker, case.data, found, identifier.thresholds)
     rows = case.explained(found)
+    used = [*division.fitted, *division.heldout]
     summary |= {
         "models": models,
-        "profiles": {name: each._asdict() for name, each in profiled.items()},
-        "lean": lean_agreement(rows),
+        "validation": {
+            "folds": config.folds,
+            "stretches": len(heldout.names),
+            "foresee_s": config.foresee_s,
+            "models": {
+                key: each.heldout.pooled() | each.heldout.change_from(heldout)
+                for key, each in studied.items()
+            },
+        },
+        "assumed": asdict(settings),
+        "beyond_limits": beyond_limits(used, spec.limits, config.dt_s),
+        "profiles": {key: each._asdict() for key, each in profiled.items()},
+        "lean": lean_agreement(rows, config.dt_s),
         "smoother": source.smoother,
     }
     write_identification(out, header | summary)
-    kept = ("tracks", "heldout_tracks", "smoother", "fitted", *models[header["dynamics"]])
+    kept = ("tracks", "heldout_tracks", "smoother", "assumed", "fitted", *models[name])
     provenance = header | {key: summary[key] for key in kept}
     told = f"identified from {summary['tracks']} tracks of {config.data.name}"
     save_vehicle(case.calibrated(spec, found, told), out / "vehicle.yaml", provenance)
     controls = case.tracker.vehicle.model.Control._fields
     save_identification(out, summary, [drawn(row) for row in rows], controls, config.dt_s)
     logger.info("Report: %s", out / "identification.md")
+
+
+def assumptions(
+    config: DictConfig, spec: VehicleSpec, source: WindowSource, division: Division
+) -> TrackingSettings:
+    """Noise and regularisation: as configured, where null as the recordings tell."""
+    measured = recorded_noise(source, spec.mode, config.dt_s)
+    noise = measured._asdict() if measured else {}
+    noise |= {name: value for name, value in config.noise.items() if value is not None}
+    given = {name: value for name, value in config.tracking.items() if value is not None}
+    settings = TrackingSettings(**noise, **given)
+    if {"jerk_mps3", "curvature_rate"} <= set(given):
+        return settings
+    return replace(ridden(settings, spec, division.fitted, config.dt_s), **given)
 
 
 def drawn(row: Explained) -> FittedTrack:

@@ -123,7 +123,9 @@ def _scene_leans(cache: ConvertedCache, name: str, table: Path, mode: Mode) -> d
     scene = EnvCache.load(next(folder.glob("scene_metadata_dt*.dill")))
     found = {}
     for agent in scene.agents or ():
-        rows = measured[measured["agent_id"] == agent.name].sort_values("time_s")
+        # a track that was split at gaps has one lean for all its parts
+        names = measured["agent_id"].isin([agent.name, agent.name.rpartition("_s")[0]])
+        rows = measured[names].sort_values("time_s")
         if int(agent.type) == mode and len(rows):
             time_s = np.arange(agent.first_timestep, agent.last_timestep + 1) * scene.dt
             known = (rows["time_s"].to_numpy(), rows["lean"].to_numpy())

@@ -1,6 +1,7 @@
 """System identification: physical parameters from tracks, with or without recorded controls."""
 
 from diffstack_mmv.identification.case import Case, Explained, lean_agreement
+from diffstack_mmv.identification.excitation import beyond_limits
 from diffstack_mmv.identification.fit import Data, EarlyStopping, Fit, Shooting
 from diffstack_mmv.identification.identify import Identification, Identifier
 from diffstack_mmv.identification.linearisation import Tracker
@@ -8,6 +9,7 @@ from diffstack_mmv.identification.nested import Nested
 from diffstack_mmv.identification.parameters import LearnedParameters
 from diffstack_mmv.identification.problem import TrackedVehicle, TrackingSettings
 from diffstack_mmv.identification.profile import profiles
+from diffstack_mmv.identification.rider import ridden
 from diffstack_mmv.identification.sensitivity import Thresholds, Verdict
 from diffstack_mmv.identification.stretches import (
     Division,
@@ -22,6 +24,7 @@ from diffstack_mmv.identification.stretches import (
 )
 from diffstack_mmv.identification.summary import losses, summarise
 from diffstack_mmv.identification.tracking import LevenbergMarquardt, track
+from diffstack_mmv.identification.validation import HeldOut, Study, folds, held_out
 
 __all__ = [
     "Case",
@@ -31,6 +34,7 @@ __all__ = [
     "ExcitingChoice",
     "Explained",
     "Fit",
+    "HeldOut",
     "Identification",
     "Identifier",
     "LearnedParameters",
@@ -40,6 +44,7 @@ __all__ = [
     "RandomChoice",
     "Shooting",
     "Stretch",
+    "Study",
     "StretchSettings",
     "Thresholds",
     "TrackedVehicle",
@@ -47,11 +52,15 @@ __all__ = [
     "TrackingSettings",
     "Verdict",
     "batch",
+    "beyond_limits",
     "cut",
     "divide",
+    "folds",
+    "held_out",
     "lean_agreement",
     "losses",
     "profiles",
+    "ridden",
     "summarise",
     "track",
 ]

@@ -6,7 +6,7 @@ inferred from the first part of a track only, and the rider's intention is held 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
@@ -171,8 +171,10 @@ class Study:
         Raises:
             ValueError: A held-out stretch is too short, or the case cannot be set up.
         """
-        case, found = self._identified(model, parameters, self.division)
-        rows = [self._identified(model, parameters, fold) for fold in self.folds]
+        case, found = self._identified(model, parameters, self.division, self.identifier)
+        # other optima are looked for once: they widen what is claimed, and hardly move errors
+        once = replace(self.identifier, starts=0)
+        rows = [self._identified(model, parameters, fold, once) for fold in self.folds]
         judged = [
             held_out(*row, self.identifier, self.foreseen_steps) for row in rows or [(case, found)]
         ]
@@ -183,9 +185,10 @@ class Study:
         model: Callable[[], DynamicsModel],
         parameters: Sequence[str] | None,
         division: Division,
+        identifier: Identifier,
     ) -> tuple[Case, Identification]:
         case = Case.of(model(), self.spec, division, self.settings, parameters)
-        return case, self.identifier(case.tracker, case.data)
+        return case, identifier(case.tracker, case.data)
 
 
 def joined(parts: Sequence[HeldOut]) -> HeldOut:

@@ -8,6 +8,8 @@ import pandas as pd
 
 from diffstack_mmv.reporting.files import write_json, write_text
 
+BEYOND = 0.01  # share of the samples beyond the limits of the vehicle that is told
+
 
 def write_identification(folder: Path, result: Mapping[str, Any]) -> None:
     """Write `identification.json` and `identification.md` into a folder.
@@ -49,6 +51,62 @@ def models_table(models: Mapping[str, Mapping[str, float]]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def validation_table(models: Mapping[str, Mapping[str, float]]) -> pd.DataFrame:
+    """Errors in m of each model on stretches held out, with the difference to the first one."""
+    rows = []
+    for name, errors in models.items():
+        row: dict[str, object] = {"model": name}
+        for kind in ("followed", "foreseen"):
+            change, spread = errors[f"{kind}_change"], errors[f"{kind}_change_std"]
+            row[kind] = f"{errors[kind]:.4f}"
+            row[f"{kind}: mean change"] = f"{change:+.4f} ± {spread:.4f}"
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _validation(result: Mapping[str, Any]) -> str:
+    """What the models do on stretches that they were not fitted to."""
+    told = result["validation"]
+    how = f"each held out once in {told['folds']} folds" if told["folds"] else "held out"
+    text = (
+        f"{told['stretches']} stretches, {how}. Followed: distance between the track and the fit, "
+        "which is mostly noise. Foreseen: distance over the last "
+        f"{told['foresee_s']:g} s of a stretch, whose controls were inferred from what came before "
+        f"and held. Changes are means over the stretches, against {result['dynamics']}, with "
+        "standard errors.\n\n"
+    )
+    return text + _text(validation_table(told["models"])) + "\n"
+
+
+def _assumed(result: Mapping[str, Any]) -> str:
+    """Noise and rider of the tracking problem, in words."""
+    assumed, beyond = result["assumed"], result["beyond_limits"]
+    text = (
+        f"\n\nAssumed of every model: noise of {assumed['along_m']:.3f} m along and "
+        f"{assumed['across_m']:.3f} m across the motion per step; a rider who changes acceleration "
+        f"by {assumed['jerk_mps3']:.2f} m/s³ and curvature by {assumed['curvature_rate']:.3f} "
+        "1/(m s)."
+    )
+    if beyond > BEYOND:
+        text += (
+            f" In {100 * beyond:.0f} % of the samples the recording accelerates or brakes harder "
+            "than the limits of the vehicle allow: there no model follows it."
+        )
+    return text
+
+
+def _lean(result: Mapping[str, Any]) -> str:
+    """Lean of the model against the measured one, in words."""
+    lean = result["lean"]
+    return (
+        f"\n## Lean\n\nThe model's lean differs from the measured one, which no fit has seen, by "
+        f"{lean['rms_difference_rad']:.3f} rad (root mean square; measured "
+        f"{lean['rms_measured_rad']:.3f}), correlation {lean['correlation']:.2f}. It comes "
+        f"{lean['late_s']:.1f} s late: moved back by that, the correlation is "
+        f"{lean['correlation_late']:.2f}.\n"
+    )
+
+
 def _markdown(result: Mapping[str, Any]) -> str:
     title = f"# Identification: {result['vehicle']} · {result['dynamics']} · {result['data']}\n\n"
     setting = (
@@ -61,11 +119,17 @@ def _markdown(result: Mapping[str, Any]) -> str:
         setting,
         models_table(result["models"]).to_markdown(index=False, floatfmt=".4f"),
     ]
+    if "assumed" in result:
+        parts.append(_assumed(result))
+    if "validation" in result:
+        parts += ["\n\n## Models on stretches held out\n\n", _validation(result)]
     if result["parameters"]:
         parts += ["\n\n## Parameters\n\n", _text(_rows(result["parameters"], True))]
     if result["combinations"]:
         parts += ["\n\n## Combinations\n\n", _text(_rows(result["combinations"], False))]
     parts += ["\n\n## What the tracks say\n\n", *[f"- {each}\n" for each in result["remarks"]]]
+    if result.get("lean"):
+        parts.append(_lean(result))
     if result["regularisation_influence"]:
         parts += ["\n## Influence of the regularisation\n\n", _influence(result)]
     return "".join(parts).rstrip() + "\n"
