@@ -14,12 +14,12 @@ from torch._dynamo.decorators import maybe_mark_dynamic
 from torch._dynamo.exc import FailOnRecompileLimitHit, TorchDynamoException
 from torch._inductor.exc import InductorError
 
-from diffstack_mmv.control.concatenation import PaddedConcatenation
 from diffstack_mmv.control.expansion import Model, expand
 from diffstack_mmv.control.iteration import Iterate, attempt
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.riccati import Policy, Stationary, box_policy, solve_free
 from diffstack_mmv.control.selection import Batched
+from diffstack_mmv.control.size_free import SizeFree
 
 LOGGER = logging.getLogger(__name__)
 LARGEST_ROW = 8  # a size beyond it may be a batch or a horizon, not a row of controls or step sizes
@@ -109,10 +109,10 @@ def _recursions(n: int, m: int, device: str) -> tuple[Kernel, Kernel]:
 
 
 @functools.cache
-def _models(key: Hashable, device: str) -> tuple[Kernel, Kernel]:
+def _models(key: Hashable, longest_row: int, device: str) -> tuple[Kernel, Kernel]:
     """The kernels of one kind of dynamics and cost."""
-    options = _options(device)
-    model, step = (Kernel(function, options, PaddedConcatenation) for function in (expand, attempt))
+    options, context = _options(device), functools.partial(SizeFree, longest_row)
+    model, step = (Kernel(function, options, context) for function in (expand, attempt))
     return model, step
 
 
@@ -128,7 +128,8 @@ def compiled_kernels(
         device: Type of the device.
     """
     policy, free = _recursions(*static[:2], device)
-    model, step = _models((kind(dynamics), kind(cost), static), device)
+    key = kind(dynamics), kind(cost), static
+    model, step = _models(key, max(*static[:2], LARGEST_ROW), device)
     return Kernels(model, policy, step, free)
 
 
