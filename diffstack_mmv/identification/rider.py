@@ -26,15 +26,16 @@ logger = logging.getLogger(__name__)
 
 ROUNDS = 12
 SETTLED = 0.02  # relative change of a scale that ends the rounds
-EAGER = 1.5  # exponent of the change per round: plain rounds approach from one side, slowly
-FARTHEST = 10.0  # from where it began, either way
+FARTHEST = 30.0  # from where it began, either way
+LEAST = 1e-6  # number of rates that the tracks determine
 
 
 def rate_scales(tracker: Tracker, problem: Problem, tracked: Tracked) -> Float[Tensor, "2"]:
-    """Root mean square rates of acceleration and curvature over the assumed ones.
+    """Scales of the rates of acceleration and curvature over the assumed ones.
 
-    The expectation of |c|² counts what the tracks leave open, too: ĉ² plus its posterior variance.
-    One if the assumed scales fit the tracks.
+    Σ ĉ² / Σ (1 - v), where v is the posterior variance of a rate in units of its prior's: the rates
+    that were inferred, over the number of those that the tracks determine. One if the assumed
+    scales fit the tracks.
 
     Args:
         tracker: Model and residuals.
@@ -46,10 +47,9 @@ def rate_scales(tracker: Tracker, problem: Problem, tracked: Tracked) -> Float[T
     jacobian = tracker.jacobian(theta, problem, unknowns, simulated, shared=False)
     own = normal_equations(jacobian, simulated.residual, unknowns).own
     variance = torch.cholesky_inverse(torch.linalg.cholesky(own)).diagonal(dim1=-2, dim2=-1)
-    open_rates = variance[:, PLACEMENT:].unflatten(-1, (-1, INTENTION))
-    driven = problem.targets.weight[:, 1:].unsqueeze(-1)
-    expected = (unknowns.rates.square() + open_rates) * driven
-    return (expected.sum((0, 1)) / driven.sum()).sqrt()
+    determined = 1 - variance[:, PLACEMENT:].unflatten(-1, (-1, INTENTION))
+    squares = unknowns.rates.square()
+    return (squares.sum((0, 1)) / determined.sum((0, 1)).clamp_min(LEAST)).sqrt()
 
 
 @torch.no_grad()
@@ -58,7 +58,7 @@ def ridden(
 ) -> TrackingSettings:
     """Scales of the rider's rates that make the tracks most likely, for every model the same.
 
-    Expectation maximisation on an extended unicycle, which has no physical parameter that could
+    The evidence is maximised on an extended unicycle, which has no physical parameter that could
     take the rider's part.
 
     Args:
@@ -70,8 +70,8 @@ def ridden(
     Returns:
         The settings with `jerk_mps3` and `curvature_rate` changed.
 
-    Source: Dempster, Laird and Rubin, Maximum likelihood from incomplete data via the EM
-        algorithm, 1977.
+    Source: MacKay, Bayesian interpolation, Neural Computation 4, 1992 (fixed point of the
+        evidence).
     """
     first, few = settings, LevenbergMarquardt(20)
     for _ in range(ROUNDS):
@@ -81,7 +81,7 @@ def ridden(
         problem = vehicle.problem(batch(stretches))
         tracked = track(tracker, tracker.parameters.start(), problem, problem.guess, few)
         scales = rate_scales(tracker, problem, tracked)
-        jerk, turning = scales.pow(EAGER).tolist()
+        jerk, turning = scales.tolist()
         settings = replace(
             settings,
             jerk_mps3=_near(first.jerk_mps3, settings.jerk_mps3 * jerk),

@@ -39,17 +39,21 @@ class HeldOut(NamedTuple):
             "foreseen": float(self.foreseen.square().mean().sqrt()),
         }
 
-    def change_from(self, other: "HeldOut") -> dict[str, float]:
+    def change_from(self, other: "HeldOut") -> dict[str, float | None]:
         """Mean difference to the errors of another model on the same stretches, in m.
 
         Returns:
-            For both errors the mean difference and its standard error over the stretches.
+            For both errors the mean difference and its standard error over the stretches, None for
+            a single stretch.
         """
-        told = {}
+        told: dict[str, float | None] = {}
         for name in ("followed", "foreseen"):
             change = getattr(self, name) - getattr(other, name)
             told[f"{name}_change"] = float(change.mean())
-            told[f"{name}_change_std"] = float(change.std() / len(change) ** 0.5)
+            several = len(change) > 1
+            told[f"{name}_change_std"] = (
+                float(change.std() / len(change) ** 0.5) if several else None
+            )
         return told
 
 

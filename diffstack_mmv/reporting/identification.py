@@ -51,7 +51,7 @@ def models_table(models: Mapping[str, Mapping[str, float]]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def validation_table(models: Mapping[str, Mapping[str, float]]) -> pd.DataFrame:
+def validation_table(models: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
     """Errors in m of each model on stretches held out, with the difference to the first one."""
     rows = []
     for name, errors in models.items():
@@ -59,7 +59,8 @@ def validation_table(models: Mapping[str, Mapping[str, float]]) -> pd.DataFrame:
         for kind in ("followed", "foreseen"):
             change, spread = errors[f"{kind}_change"], errors[f"{kind}_change_std"]
             row[kind] = f"{errors[kind]:.4f}"
-            row[f"{kind}: mean change"] = f"{change:+.4f} ± {spread:.4f}"
+            told = f"{change:+.4f}" + ("" if spread is None else f" ± {spread:.4f}")
+            row[f"{kind}: mean change"] = told
         rows.append(row)
     return pd.DataFrame(rows)
 

@@ -1,6 +1,7 @@
 """What is written about an identification."""
 
 import json
+from dataclasses import asdict
 
 import pytest
 import torch
@@ -10,6 +11,9 @@ from diffstack_mmv.identification import (
     Identifier,
     Stretch,
     Thresholds,
+    TrackingSettings,
+    beyond_limits,
+    held_out,
     lean_agreement,
     losses,
     summarise,
@@ -97,11 +101,46 @@ def leaning(model, measured):
 def test_lean_agreement_leaves_out_what_was_not_measured():
     model = torch.tensor([0.1, 0.2, 0.3, 0.4])
     measured = torch.tensor([torch.nan, 0.1, 0.2, 0.3])
-    told = lean_agreement([leaning(model, measured)])
+    told = lean_agreement([leaning(model, measured)], 0.1, 0.1)
     assert told["samples"] == 3
     assert told["rms_difference_rad"] == pytest.approx(0.1)
     assert told["correlation"] == pytest.approx(1.0)
-    assert lean_agreement([leaning(None, measured)]) is None
+    assert lean_agreement([leaning(None, measured)], 0.1) is None
+
+
+@pytest.mark.parametrize("late", [0, 3, 7])
+def test_a_late_lean_is_told_by_how_much(late):
+    time_s = 0.1 * torch.arange(80).double()
+    wave = torch.sin(2.0 * time_s) + torch.sin(0.7 * time_s)
+    told = lean_agreement([leaning(wave.roll(late), wave)] * 2, 0.1)
+    assert told["late_s"] == pytest.approx(0.1 * late)
+    assert told["correlation_late"] > 0.99
+
+
+def test_harder_riding_than_the_limits_allow_is_counted(bicycle):
+    time_s = 0.1 * torch.arange(41).double()
+    speed = 2.0 + torch.cat([torch.zeros(21), 8.0 * time_s[:20]]).double()
+    hard = leaning(None, time_s).stretch._replace(speed=speed)
+    assert 0.4 < beyond_limits([hard], bicycle.limits, 0.1) < 0.55
+    assert beyond_limits([hard._replace(speed=time_s)], bicycle.limits, 0.1) == 0.0
+
+
+def test_report_tells_what_was_assumed_and_what_was_held_out(result, tmp_path):
+    case, found, summary = result
+    models = {"kbm": losses(case.tracker, case.data, found)}
+    heldout = held_out(case, found, Identifier(), 5)
+    judged = {"kbm": heldout.pooled() | heldout.change_from(heldout)}
+    extra = {
+        "models": models,
+        "assumed": asdict(TrackingSettings()),
+        "beyond_limits": 0.07,
+        "validation": {"folds": 4, "stretches": 1, "foresee_s": 0.5, "models": judged},
+        "lean": lean_agreement([leaning(torch.rand(30), torch.rand(30))], 0.1),
+    }
+    write_identification(tmp_path, HEADER | summary | extra)
+    text = (tmp_path / "identification.md").read_text()
+    for part in ("In 7 % of the samples", "each held out once in 4 folds", "3.00 m/s³", "s late"):
+        assert part in text
 
 
 def test_free_steering_is_named_as_the_reason():
