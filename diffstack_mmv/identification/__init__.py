@@ -2,7 +2,7 @@
 
 from diffstack_mmv.identification.case import Case, Explained, lean_agreement
 from diffstack_mmv.identification.excitation import beyond_limits
-from diffstack_mmv.identification.fit import Data, EarlyStopping, Fit, Shooting
+from diffstack_mmv.identification.fit import Data, EarlyStopping, Fit
 from diffstack_mmv.identification.identify import Identification, Identifier
 from diffstack_mmv.identification.linearisation import Tracker
 from diffstack_mmv.identification.nested import Nested
@@ -11,6 +11,7 @@ from diffstack_mmv.identification.problem import TrackedVehicle, TrackingSetting
 from diffstack_mmv.identification.profile import profiles
 from diffstack_mmv.identification.rider import ridden
 from diffstack_mmv.identification.sensitivity import Thresholds, Verdict
+from diffstack_mmv.identification.shooting import Shooting
 from diffstack_mmv.identification.stretches import (
     Division,
     ExcitingChoice,
@@ -24,7 +25,7 @@ from diffstack_mmv.identification.stretches import (
 )
 from diffstack_mmv.identification.summary import losses, summarise
 from diffstack_mmv.identification.tracking import LevenbergMarquardt, track
-from diffstack_mmv.identification.validation import HeldOut, Study, folds, held_out
+from diffstack_mmv.identification.validation import HeldOut, Studied, Study, folds, held_out
 
 __all__ = [
     "Case",
@@ -44,6 +45,7 @@ __all__ = [
     "RandomChoice",
     "Shooting",
     "Stretch",
+    "Studied",
     "Study",
     "StretchSettings",
     "Thresholds",

@@ -13,7 +13,6 @@ from diffstack_mmv.identification.fit import (
     Data,
     Fit,
     Method,
-    Shooting,
     moved_to,
     total_cost,
     worse,
@@ -21,6 +20,7 @@ from diffstack_mmv.identification.fit import (
 from diffstack_mmv.identification.linearisation import Tracker
 from diffstack_mmv.identification.optima import Optimum, alike, optimum, scattered, shares, together
 from diffstack_mmv.identification.sensitivity import Sensitivity, Thresholds, Verdict
+from diffstack_mmv.identification.shooting import Shooting
 from diffstack_mmv.identification.tracking import LevenbergMarquardt, track
 
 logger = logging.getLogger(__name__)

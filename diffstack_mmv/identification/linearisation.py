@@ -1,13 +1,7 @@
-"""Residuals of whole tracks and their Jacobians, condensed from those of single steps.
+"""Residuals of tracks and their Jacobians.
 
 All segments of all tracks are simulated side by side; then all their steps are linearised in one
-batched call of forward-mode derivatives, and the chain rule is accumulated over time. Where a
-segment ends beside the node that the next one begins at, the gap enters the chain as a column of
-its own. So the nodes are eliminated exactly by the linearised equations of continuity, and what is
-left are the unknowns of single shooting (condensing).
-
-Source: Bock and Plitt, A multiple shooting algorithm for direct solution of optimal control
-problems, IFAC World Congress 1984.
+batched call of forward-mode derivatives, which `condensing` chains to those of whole tracks.
 """
 
 from typing import NamedTuple
@@ -19,6 +13,7 @@ from torch.func import functional_call, jvp, vmap
 from torch.nn.functional import pad
 
 from diffstack_mmv.identification.arrow import Arrow
+from diffstack_mmv.identification.condensing import Jacobian, StepJacobian, condensed
 from diffstack_mmv.identification.parameters import LearnedParameters
 from diffstack_mmv.identification.problem import (
     INTENTION,
@@ -45,27 +40,6 @@ class Driven(NamedTuple):
 
     unknowns: Unknowns
     simulated: Simulated
-
-
-class StepJacobian(NamedTuple):
-    """Derivatives of single steps."""
-
-    state: Float[Tensor, "N T1 s s"]
-    rates: Float[Tensor, "N T1 s 2"]
-    shared: Float[Tensor, "N T1 s p"]
-    residual_state: Float[Tensor, "N T1 k s"]
-    residual_shared: Float[Tensor, "N T1 k p"]
-
-
-class Jacobian(NamedTuple):
-    """Derivatives of the residuals of each track by its unknowns and by θ, gaps closed."""
-
-    own: Float[Tensor, "N r z"]
-    shared: Float[Tensor, "N r p"]
-    offset: Float[Tensor, "N r"]  # what closing all gaps adds to the residuals
-    nodes: Float[Tensor, "N m s c"]  # of the nodes by θ, the unknowns, and the share closed
-    live: Float[Tensor, "N m"]  # one for nodes on a track, zero for those in the padding
-    steps: StepJacobian
 
 
 class Tracker:
@@ -175,31 +149,7 @@ class Tracker:
         """
         steps = self.step_jacobian(theta, problem, unknowns, simulated.states, shared)
         begun = self._placement_jacobian(theta, problem, unknowns, shared)
-        stages, count = simulated.states.shape[1], steps.shared.shape[-1]
-        # columns: θ, placement, rates, gaps
-        chain = pad(begun, (0, INTENTION * (stages - 1) + 1))
-        nodes = unknowns.nodes.shape[1]
-        alive = live(problem, nodes)
-        met = list(range(stages)[node_times(stages, nodes)])
-        rows, at_nodes = [], [chain.new_zeros(*chain.shape[:1], 0, *chain.shape[1:])]
-        for time in range(stages):
-            if time in met:
-                node = met.index(time)
-                chain[..., -1] += simulated.gap[:, node]
-                # a node in the padding stays where it is
-                chain = chain * alive[:, node, None, None]
-                at_nodes.append(chain.unsqueeze(1))
-            row = steps.residual_state[:, time] @ chain
-            row[..., :count] += steps.residual_shared[:, time]
-            rows.append(row)
-            if time < stages - 1:
-                chain = steps.state[:, time] @ chain
-                chain[..., :count] += steps.shared[:, time]
-                first = count + PLACEMENT + INTENTION * time
-                chain[..., first : first + INTENTION] += steps.rates[:, time]
-        whole = torch.cat(rows, 1)
-        own, shared_part, offset = whole[..., count:-1], whole[..., :count], whole[..., -1]
-        return Jacobian(own, shared_part, offset, torch.cat(at_nodes, 1), alive, steps)
+        return condensed(steps, begun, simulated.gap, live(problem, unknowns.nodes.shape[1]))
 
 
 def _seeds(theta: Tensor, widths: list[int]) -> list[Tensor]:

@@ -16,15 +16,14 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from diffstack_mmv.identification.condensing import Jacobian, closing_moves, multipliers
 from diffstack_mmv.identification.linearisation import (
-    Jacobian,
     Simulated,
     Tracker,
     flat,
     unflat,
 )
 from diffstack_mmv.identification.problem import Problem, Unknowns
-from diffstack_mmv.identification.segments import node_times
 
 
 class Step(NamedTuple):
@@ -120,34 +119,6 @@ def foresee(here: Linearised, step: Step) -> Outlook:
     nodes = unknowns.nodes + (jacobian.nodes @ columns[:, None, :, None]).squeeze(-1)
     cost = 0.5 * (residual.square().sum((1, 2)) + vector.square().sum(-1))
     return Outlook(unflat(vector, nodes), cost, multipliers(jacobian, residual, nodes.shape[1]))
-
-
-def closing_moves(jacobian: Jacobian, gap: Float[Tensor, "N m s"]) -> Float[Tensor, "N m s"]:
-    """Moves of the nodes that close gaps: e_{t+1} = A_t e_t, plus the gap at each node."""
-    steps, (stages, count) = jacobian.steps, (jacobian.steps.state.shape[1], gap.shape[1])
-    met = range(stages)[node_times(stages, count)]
-    moves = [torch.zeros_like(gap[:, :0])]
-    carried = gap.new_zeros(len(gap), gap.shape[-1])
-    for node in range(count):
-        for time in range(met[node] - met.step, met[node]):
-            carried = (steps.state[:, time] @ carried.unsqueeze(-1)).squeeze(-1)
-        carried = (carried + gap[:, node]) * jacobian.live[:, node, None]
-        moves.append(carried.unsqueeze(1))
-    return torch.cat(moves, 1)
-
-
-def multipliers(
-    jacobian: Jacobian, residual: Float[Tensor, "N T1 k"], nodes: int
-) -> Float[Tensor, "N m s"]:
-    """Gradient of what follows a node by its state: λ_t = R_tᵀ r_t + A_tᵀ λ_{t+1}, A dynamics."""
-    steps, stages = jacobian.steps, residual.shape[1]
-    pulled = (steps.residual_state.mT @ residual.unsqueeze(-1)).squeeze(-1)
-    found = [pulled[:, -1]]
-    for time in range(stages - 2, 0, -1):
-        earlier = (steps.state[:, time].mT @ found[-1].unsqueeze(-1)).squeeze(-1)
-        found.append(pulled[:, time] + earlier)
-    first = torch.zeros_like(found[-1])
-    return torch.stack([first, *reversed(found)], 1)[:, node_times(stages, nodes)]
 
 
 def penalty_weights(
