@@ -44,11 +44,11 @@ def problem(model, batch, steps):
     return Batched(cost, parameters), model.initial_state(start).detach()
 
 
-def measure(name, vehicle, batch, steps, compiled, limit_s):
+def measure(name, vehicle, batch, steps, compiled, exact, limit_s):
     """One row."""
     model = MODELS[name](load_vehicle(vehicle))
     cost, state = problem(model, batch, steps)
-    solver = ILQR(compile=compiled, tolerance=1e-4)
+    solver = ILQR(compile=compiled, tolerance=1e-4, exact_curvature=exact)
     guess = torch.zeros(batch, steps, model.control_dim)
 
     def solve():
@@ -61,6 +61,7 @@ def measure(name, vehicle, batch, steps, compiled, limit_s):
     share = float(solution.converged.double().mean())
     mean = float(solution.iterations.double().mean())
     kind = "compiled" if compiled else "eager"
+    kind += "" if exact else ", curvature by differences"
     print(
         f"| {MODELS[name].__name__} {vehicle}, {kind} | {batch} | {1e3 * forward / batch:.3f} "
         f"| {1e3 * backward:.1f} | {backward / forward:.2f} | {share:.3f} | {mean:.1f} | {first:.0f} "
@@ -77,6 +78,7 @@ def main():
     parser.add_argument("--steps", type=int, default=30)
     parser.add_argument("--limit", type=float, default=20.0, help="seconds of repetitions per row")
     parser.add_argument("--eager", action="store_true")
+    parser.add_argument("--differences", action="store_true", help="exact_curvature=False")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     print(f"T = {arguments.steps}, float32, tolerance 1e-4, one thread, processor time.\n")
@@ -91,6 +93,7 @@ def main():
                 batch,
                 arguments.steps,
                 not arguments.eager,
+                not arguments.differences,
                 arguments.limit,
             )
 

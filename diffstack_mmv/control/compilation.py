@@ -14,7 +14,7 @@ from torch._dynamo.decorators import maybe_mark_dynamic
 from torch._dynamo.exc import FailOnRecompileLimitHit, TorchDynamoException
 from torch._inductor.exc import InductorError
 
-from diffstack_mmv.control.expansion import Model, expand
+from diffstack_mmv.control.expansion import Model
 from diffstack_mmv.control.iteration import Iterate, attempt
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.riccati import Policy, Stationary, box_policy, solve_free
@@ -96,8 +96,8 @@ class Kernels(NamedTuple):
     solve_free: Callable[..., Stationary]
 
 
-def eager_kernels() -> Kernels:
-    """The functions as they are."""
+def eager_kernels(expand: Callable[..., Model]) -> Kernels:
+    """The functions as they are, with one of the forms of `expand`."""
     return Kernels(expand, box_policy, attempt, solve_free)
 
 
@@ -109,7 +109,9 @@ def _recursions(n: int, m: int, device: str) -> tuple[Kernel, Kernel]:
 
 
 @functools.cache
-def _models(key: Hashable, longest_row: int, device: str) -> tuple[Kernel, Kernel]:
+def _models(
+    key: Hashable, expand: Callable[..., Model], longest_row: int, device: str
+) -> tuple[Kernel, Kernel]:
     """The kernels of one kind of dynamics and cost."""
     options, context = _options(device), functools.partial(SizeFree, longest_row)
     model, step = (Kernel(function, options, context) for function in (expand, attempt))
@@ -117,11 +119,16 @@ def _models(key: Hashable, longest_row: int, device: str) -> tuple[Kernel, Kerne
 
 
 def compiled_kernels(
-    dynamics: Dynamics, cost: Cost, static: tuple[int, ...], device: str
+    expand: Callable[..., Model],
+    dynamics: Dynamics,
+    cost: Cost,
+    static: tuple[int, ...],
+    device: str,
 ) -> Kernels:
     """Kernels for problems of this kind, compiled at their first use.
 
     Args:
+        expand: One of its forms.
         dynamics: The step.
         cost: The cost.
         static: Numbers a kernel is compiled for: n, m, leading dimensions, step sizes.
@@ -129,7 +136,7 @@ def compiled_kernels(
     """
     policy, free = _recursions(*static[:2], device)
     key = kind(dynamics), kind(cost), static
-    model, step = _models(key, max(*static[:2], LARGEST_ROW), device)
+    model, step = _models(key, expand, max(*static[:2], LARGEST_ROW), device)
     return Kernels(model, policy, step, free)
 
 

@@ -9,6 +9,7 @@ from torch import Tensor
 from diffstack_mmv.checks import message, require, require_at_least, require_positive
 from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last
 from diffstack_mmv.control.compilation import Kernels, compiled_kernels, eager_kernels
+from diffstack_mmv.control.expansion import expand, expand_by_differences
 from diffstack_mmv.control.implicit import Optimum, attach, free_controls
 from diffstack_mmv.control.iteration import OPEN, Iterate, Settings, start
 from diffstack_mmv.control.optimizer import Cost, Dynamics
@@ -48,6 +49,9 @@ class ILQR:
         tolerance: Predicted relative decrease of the cost at which a problem has converged.
         line_search_steps: Number of step sizes 1, ½, ¼, ...
         regularisation: First damping after a refused step, relative to the largest entry of Q_uu.
+        exact_curvature: Whether the iterations differentiate the dynamics twice, or difference
+            their exact gradient: a smaller graph, for large models such as DiffGM3. Derivatives of
+            the solution are exact in either case.
         compile: Compile the kernels, once per code of the callables (not per closure). Where there
             is no compiler, or the callables do not compile, a warning is logged and they run
             eagerly.
@@ -86,6 +90,7 @@ class ILQR:
     tolerance: float = 1e-10
     line_search_steps: int = 8
     regularisation: float = 1e-2
+    exact_curvature: bool = True
     compile: bool = False
 
     def __post_init__(self) -> None:
@@ -125,9 +130,12 @@ class ILQR:
         with torch.no_grad():
             fixed = constant(dynamics), constant(cost)
             iterate = self.minimise(kernels, *fixed, settings, state, controls)
-            solution, optimum = conclude(kernels, *fixed, settings, state, iterate)
+            solution, optimum = conclude(
+                kernels, *fixed, settings, state, iterate, self.exact_curvature
+            )
         if not torch.is_grad_enabled():
             return solution
+
         attached = attach(dynamics, cost, state, optimum, kernels.solve_free)
         return solution if attached is None else solution._replace(**attached._asdict())
 
@@ -142,10 +150,11 @@ class ILQR:
         )
 
     def _kernels(self, dynamics: Dynamics, cost: Cost, state: Tensor, controls: Tensor) -> Kernels:
+        form = expand if self.exact_curvature else expand_by_differences
         if not self.compile or state.numel() == 0:
-            return eager_kernels()
+            return eager_kernels(form)
         static = (state.shape[-1], controls.shape[-1], state.dim(), self.line_search_steps)
-        return compiled_kernels(dynamics, cost, static, state.device.type)
+        return compiled_kernels(form, dynamics, cost, static, state.device.type)
 
     def minimise(
         self,
@@ -193,6 +202,7 @@ def conclude(
     settings: Settings,
     state: Tensor,
     iterate: Iterate,
+    exact: bool,
 ) -> tuple[Solution, Optimum]:
     """Residual and active bounds at the end; no problem gives NaN."""
     like = state.new_zeros(state.shape[:-1])
@@ -202,7 +212,8 @@ def conclude(
     moved = torch.minimum(torch.maximum(u - model.gradient, lower), upper)
     residual = (u - moved).abs().amax((0, 1)).nan_to_num(torch.inf)
     free = free_controls(u, model.gradient, settings.box)
-    optimum = Optimum(x, u, free, iterate.status == SolverStatus.CONVERGED, model)
+    converged = iterate.status == SolverStatus.CONVERGED
+    optimum = Optimum(x, u, free, converged, model, exact)
     rows = (x, u, iterate.cost, residual, iterate.iterations, iterate.status)
     return Solution(*(from_batch_last(row, like) for row in rows)), optimum
 

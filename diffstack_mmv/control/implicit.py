@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last
-from diffstack_mmv.control.expansion import Model, pad_controls, step_all
+from diffstack_mmv.control.expansion import Model, expand, pad_controls, step_all
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.riccati import LinearQuadratic, Stationary, solve_free
 
@@ -38,6 +38,7 @@ class Optimum(NamedTuple):
     free: Bool[Tensor, "T m N"]  # controls that no bound holds
     valid: Bool[Tensor, " N"]  # problems that carry a gradient
     model: Model
+    exact: bool  # whether the model holds the exact Hessian, which only a derivative asks for
 
 
 class Attached(NamedTuple):
@@ -116,6 +117,10 @@ def attach(
     residual = [to_batch_last(part, like) for part in (of_x, of_u, following)]
     if not any(part.requires_grad for part in residual):
         return None
+    if not optimum.exact:
+        with torch.no_grad():
+            model = expand(dynamics, cost, like, optimum.x, optimum.u)
+        optimum = optimum._replace(model=model, exact=True)
     x, u = (from_batch_last(part, like) for part in _Implicit.apply(*residual, optimum, solve))
     states = torch.cat([state.unsqueeze(-2), x], -2)
     return Attached(states, u, torch.where(valid, each, each.detach()))

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from diffstack_mmv.control.batch_last import from_batch_last
 from diffstack_mmv.control.compilation import eager_kernels
+from diffstack_mmv.control.expansion import expand
 from diffstack_mmv.control.ilqr import ILQR, check_problem
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.types import Bounds, Solution
@@ -42,7 +43,8 @@ class UnrolledILQR:
         """
         check_problem(bounds, state, controls)
         settings = self.solver.settings(bounds, state)
-        iterate = self.solver.minimise(eager_kernels(), dynamics, cost, settings, state, controls)
+        kernels = eager_kernels(expand)
+        iterate = self.solver.minimise(kernels, dynamics, cost, settings, state, controls)
         like = state[..., 0]
         unknown = torch.full_like(iterate.cost, torch.nan).detach()
         rows = (iterate.x, iterate.u, iterate.cost, unknown, iterate.iterations, iterate.status)

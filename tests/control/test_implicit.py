@@ -148,3 +148,15 @@ def test_a_models_own_jacobian_gives_the_same_solution_and_gradient():
         results.append((solution.controls.detach(), model.length.grad))
     assert model.asked > 0
     torch.testing.assert_close(results[0], results[1])
+
+
+@pytest.mark.usefixtures("double")
+@pytest.mark.parametrize("limit", [50.0, 1.0], ids=["free", "at the bounds"])
+def test_gradient_is_exact_where_the_iterations_difference_the_curvature(limit):
+    gradients = []
+    for solver in (EXACT, ILQR(tolerance=1e-16, exact_curvature=False)):
+        hidden, box, controls = driving(limit=limit)
+        hidden["wheelbase"].requires_grad_()
+        functional(solve(solver, hidden, box, controls)).backward()
+        gradients.append(hidden["wheelbase"].grad)
+    torch.testing.assert_close(*gradients, rtol=1e-7, atol=1e-9)

@@ -1,0 +1,36 @@
+"""Local models: the curvature of the dynamics, exact and by differences of the exact gradient."""
+
+import pytest
+import torch
+
+from diffstack_mmv.control.expansion import differenced_curvature, dynamics_curvature
+from tests.control.problems import rate_model
+
+
+def pairs(dtype):
+    """States, controls and costates of two problems and five times."""
+    generator = torch.Generator().manual_seed(0)
+    shapes = (2, 5, 4), (2, 5, 2), (2, 5, 4)
+    return [torch.randn(shape, generator=generator, dtype=dtype) for shape in shapes]
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 1e-2), (torch.float64, 1e-6)])
+def test_differenced_curvature_has_half_of_the_digits_of_the_exact_one(dtype, tolerance):
+    arguments = rate_model(1.2), *pairs(dtype)
+    exact, differenced = dynamics_curvature(*arguments), differenced_curvature(*arguments)
+    for one, other in zip(exact, differenced, strict=True):
+        assert (one - other).abs().max() <= tolerance * one.abs().max().clamp_min(1)
+
+
+def test_curvature_is_the_hessian_of_the_weighted_step():
+    states, controls, costates = pairs(torch.float64)
+    model = rate_model(1.2)
+
+    def weighted(both):
+        return (costates[0, 0] * model(both[:4], both[4:])).sum()
+
+    expected = torch.func.hessian(weighted)(torch.cat([states[0, 0], controls[0, 0]]))
+    found = dynamics_curvature(model, states, controls, costates)
+    torch.testing.assert_close(found.xx[0, 0], expected[:4, :4])
+    torch.testing.assert_close(found.ux[0, 0], expected[4:, :4])
+    torch.testing.assert_close(found.uu[0, 0], expected[4:, 4:])
