@@ -4,16 +4,20 @@ import logging
 from dataclasses import asdict, replace
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from diffstack_mmv.checks import require
 from diffstack_mmv.cli import command
-from diffstack_mmv.data import WindowSource, read_leans, read_tracks, recorded_noise
+from diffstack_mmv.data import WindowSource, read_controls, read_leans, read_tracks, recorded_noise
+from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.identification import (
     Division,
     Explained,
     Identifier,
+    Studied,
     Study,
     TrackingSettings,
     beyond_limits,
@@ -37,24 +41,17 @@ logger = logging.getLogger(__name__)
 def main(config: DictConfig) -> None:
     """Choose stretches, fit, and write the calibrated vehicle, its table and its figures."""
     spec, source, out = instantiate(config.spec), instantiate(config.source), Path(config.out)
-    tracks = read_tracks(source, config.splits, spec.mode)
-    leans = read_leans(source, config.splits, spec.mode)
-    stretches = cut(tracks, instantiate(config.stretch), leans)
-    numbers = (config.tracks, config.heldout, config.seed)
-    division = divide(stretches, instantiate(config.choice), *numbers)
+    name, division = config.names.dynamics, choose(config, spec, source)
     settings = assumptions(config, spec, source, division)
     identifier = Identifier(instantiate(config.mode), thresholds=instantiate(config.thresholds))
-    steps = round(config.foresee_s / config.dt_s)
     parts = folds(division, config.folds, config.seed) if config.folds else ()
+    steps = round(config.foresee_s / config.dt_s)
     study = Study(spec, division, settings, identifier, steps, parts)
-    name = config.names.dynamics
     studied = {name: study(lambda: instantiate(config.dynamics), config.parameters)}
     for other, model in config.others.items():
-        if model and other not in studied:
+        if model and other not in studied and drives(instantiate(model), config):
             studied[other] = study(lambda model=model: instantiate(model))
-    case, found, heldout = studied[name]
-    models = {key: losses(each.case.tracker, each.case.data, each.found)
-              for key, each in studied.items()}  # fmt: skip
+    case, found, _ = studied[name]
     header = {
         "data": config.data.name,
         "vehicle": spec.name,
@@ -64,20 +61,10 @@ def main(config: DictConfig) -> None:
         "date": date.today().isoformat(),
     }
     profiled = profiles(case.tracker, case.data, found, identifier.method, config.profile)
-    summary = summarise(case.tracker, case.data, found, identifier.thresholds)
     rows = case.explained(found)
     used = [*division.fitted, *division.heldout]
-    summary |= {
-        "models": models,
-        "validation": {
-            "folds": config.folds,
-            "stretches": len(heldout.names),
-            "foresee_s": config.foresee_s,
-            "models": {
-                key: each.heldout.pooled() | each.heldout.change_from(heldout)
-                for key, each in studied.items()
-            },
-        },
+    summary = summarise(case.tracker, case.data, found, identifier.thresholds) | {
+        **compared(config, studied),
         "assumed": asdict(settings),
         "beyond_limits": beyond_limits(used, spec.limits, config.dt_s),
         "profiles": {key: each._asdict() for key, each in profiled.items()},
@@ -85,13 +72,48 @@ def main(config: DictConfig) -> None:
         "smoother": source.smoother,
     }
     write_identification(out, header | summary)
-    kept = ("tracks", "heldout_tracks", "smoother", "assumed", "fitted", *models[name])
+    kept = ("tracks", "heldout_tracks", "smoother", "assumed", "fitted", *summary["models"][name])
     provenance = header | {key: summary[key] for key in kept}
     told = f"identified from {summary['tracks']} tracks of {config.data.name}"
     save_vehicle(case.calibrated(spec, found, told), out / "vehicle.yaml", provenance)
     controls = case.tracker.vehicle.model.Control._fields
     save_identification(out, summary, [drawn(row) for row in rows], controls, config.dt_s)
     logger.info("Report: %s", out / "identification.md")
+
+
+def choose(config: DictConfig, spec: VehicleSpec, source: WindowSource) -> Division:
+    """Stretches to fit and to hold out, with what was measured beside them."""
+    recorded = None
+    if config.controls:
+        own = instantiate(config.dynamics).Control._fields
+        known = tuple(config.controls)
+        require(own == known, "controls", f"name {', '.join(own)} in this order", ", ".join(known))
+        recorded = read_controls(source, config.splits, spec.mode, own)
+    tracks = read_tracks(source, config.splits, spec.mode)
+    leans = read_leans(source, config.splits, spec.mode)
+    stretches = cut(tracks, instantiate(config.stretch), leans, recorded)
+    numbers = (config.tracks, config.heldout, config.seed)
+    return divide(stretches, instantiate(config.choice), *numbers)
+
+
+def compared(config: DictConfig, studied: dict[str, Studied]) -> dict[str, Any]:
+    """Errors of all models, the identified one first."""
+    first = next(iter(studied.values())).heldout
+    return {
+        "models": {
+            name: losses(each.case.tracker, each.case.data, each.found)
+            for name, each in studied.items()
+        },
+        "validation": {
+            "folds": config.folds,
+            "stretches": len(first.names),
+            "foresee_s": config.foresee_s,
+            "models": {
+                name: each.heldout.pooled() | each.heldout.change_from(first)
+                for name, each in studied.items()
+            },
+        },
+    }
 
 
 def assumptions(
@@ -102,10 +124,20 @@ def assumptions(
     noise = measured._asdict() if measured else {}
     noise |= {name: value for name, value in config.noise.items() if value is not None}
     given = {name: value for name, value in config.tracking.items() if value is not None}
-    settings = TrackingSettings(**noise, **given)
+    controls = tuple(config.controls.values()) if config.controls else None
+    settings = TrackingSettings(**noise, **given, control_noise=controls)
     if {"jerk_mps3", "curvature_rate"} <= set(given):
         return settings
     return replace(ridden(settings, spec, division.fitted, config.dt_s), **given)
+
+
+def drives(model: DynamicsModel, config: DictConfig) -> bool:
+    """Whether the recorded controls, if there are any, are those of a model."""
+    own = model.Control._fields
+    if not config.controls or own == tuple(config.controls):
+        return True
+    logger.warning("%s is not compared: its controls %s were not recorded", type(model), own)
+    return False
 
 
 def drawn(row: Explained) -> FittedTrack:

@@ -1,6 +1,7 @@
 """The command lines, from recordings to a table, as a user runs them."""
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -11,6 +12,8 @@ import pytest
 import torch
 
 from data_converters import generate_sample
+from diffstack_mmv.types import Mode
+from tests.data.conftest import ToyAgent, write_cache
 
 ROOT = Path(__file__).resolve().parents[1]
 # small enough for seconds: everything is there, nothing is trained to any purpose
@@ -135,6 +138,46 @@ def test_identification_calibrates_a_vehicle_that_other_commands_accept(workplac
     }
     calibrated = f"vehicle={tmp_path / 'vehicle.yaml'}"
     succeed("simulate", calibrated, "dynamics=kbm", "others.unicycle=null", f"out={tmp_path / 's'}")
+
+
+@pytest.fixture
+def circles(tmp_path):
+    """A cache of circles at steady speed, with the steering of a wheelbase of 1.1 m beside them."""
+    turns = (0.3, -0.4, 0.5, -0.6, 0.45, -0.35)
+    agents = [
+        ToyAgent(f"rider_{number}", Mode.BICYCLE, 60, yaw_rate=turn)
+        for number, turn in enumerate(turns)
+    ]
+    scenes = {agent.name: ("train", [agent]) for agent in agents}
+    write_cache(tmp_path, scenes, "thab_vru")
+    state = tmp_path / "thab_vru" / "cache.json"
+    smoother = {"smoother": {"name": "none", "lookahead_s": 0.0}}
+    state.write_text(json.dumps(json.loads(state.read_text()) | smoother))
+    for agent in agents:
+        steer = math.atan(1.1 * agent.yaw_rate / agent.speed)
+        rows = {"agent_id": agent.name, "time_s": [0.0, 6.0], "acceleration": 0.0, "steer": steer}
+        pd.DataFrame(rows).to_parquet(tmp_path / "thab_vru" / agent.name / "controls.parquet")
+    return [f"data.cache={tmp_path}", "data=thab_vru", "noise={along_m: 0.02, across_m: 0.02}"]
+
+
+def test_recorded_controls_tell_the_wheelbase(circles, tmp_path):
+    options = [
+        "dynamics=kbm",
+        "tracks=4",
+        "heldout=2",
+        "controls={acceleration: 0.1, steer: 0.002}",
+    ]
+    succeed("identify", *circles, *options, f"out={tmp_path / 'out'}")
+    result = json.loads((tmp_path / "out" / "identification.json").read_text())
+    wheelbase = result["parameters"]["wheelbase"]
+    assert wheelbase["estimate"] == pytest.approx(1.1, rel=0.01)
+    assert wheelbase["verdict"] == "identifiable"
+    assert set(result["models"]) == {"kbm"}
+
+
+def test_controls_of_another_model_are_refused(circles, tmp_path):
+    told = fail("identify", *circles, "dynamics=kbm", "controls={steer: 0.1}", f"out={tmp_path}")
+    assert "`controls` must name acceleration, steer in this order, but got steer" in told
 
 
 def test_resumed_run_ends_where_an_uninterrupted_one_does(workplace, tmp_path):

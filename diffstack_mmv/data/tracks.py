@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -70,6 +70,46 @@ def read_leans(source: WindowSource, splits: Sequence[str], mode: str) -> dict[s
     return found
 
 
+def read_controls(
+    source: WindowSource, splits: Sequence[str], mode: str, names: Sequence[str]
+) -> dict[str, Tensor]:
+    """Recorded controls of the tracks that have them, beside `read_tracks`.
+
+    They stand in `controls.parquet` of a scene with the columns `agent_id`, `time_s` (s, on the
+    clock of the scene) and one column per control.
+
+    Args:
+        source: A cache that scripts/convert.py wrote.
+        splits: Splits to read.
+        mode: Mode of transport.
+        names: Columns to read, in this order.
+
+    Returns:
+        By "recording/agent" the controls (T, m): the mean of what was recorded within each step,
+        else a value between its neighbours; NaN before the first and after the last record.
+
+    Raises:
+        ValueError: The source is no converted cache, no scene has such a table, or one lacks a
+            column.
+    """
+    cache, found, tables = _converted(source), {}, 0
+    for scene in cache.scenes():
+        path = _folder(cache, scene["name"]) / "controls.parquet"
+        if scene["split"] not in splits or not path.is_file():
+            continue
+        tables, measured = tables + 1, pd.read_parquet(path)
+        for name in ("agent_id", "time_s", *names):
+            known = tuple(measured.columns)
+            require(name in known, "controls", f"be columns of {', '.join(known)}", name,
+                    f" in {path}")  # fmt: skip
+        found |= _scene_controls(cache, scene["name"], measured, Mode.named(mode), names)
+    where, remedy = f" in '{cache.name}'", "Write one beside the scenes, or drop `controls`."
+    require(
+        tables > 0, "controls", "be recorded in controls.parquet", "no such file", where, remedy
+    )
+    return found
+
+
 def recorded_noise(source: WindowSource, mode: str, dt_s: float) -> PositionNoise | None:
     """Noise of the positions of a mode, as the conversion report tells it.
 
@@ -119,19 +159,55 @@ def _scene_tracks(cache: ConvertedCache, name: str, mode: Mode) -> dict[str, Mot
 
 def _scene_leans(cache: ConvertedCache, name: str, table: Path, mode: Mode) -> dict[str, Tensor]:
     """Lean at the steps of each track, between the times of measurement by straight lines."""
-    folder, measured = _folder(cache, name), pd.read_parquet(table)
-    scene = EnvCache.load(next(folder.glob("scene_metadata_dt*.dill")))
     found = {}
+    for track in _measured(cache, name, pd.read_parquet(table), mode):
+        known = (track.rows["time_s"].to_numpy(), track.rows["lean"].to_numpy())
+        lean = np.interp(track.time_s, *known, left=np.nan, right=np.nan)
+        found[track.name] = torch.from_numpy(lean)
+    return found
+
+
+def _scene_controls(
+    cache: ConvertedCache, name: str, measured: pd.DataFrame, mode: Mode, names: Sequence[str]
+) -> dict[str, Tensor]:
+    """Controls over the steps of each track."""
+    found = {}
+    for track in _measured(cache, name, measured, mode):
+        time_s, values = (
+            track.rows["time_s"].to_numpy(),
+            track.rows[list(names)].to_numpy("float64"),
+        )
+        dt_s = track.time_s[1] - track.time_s[0]
+        middle = track.time_s + 0.5 * dt_s
+        within = np.floor((time_s - track.time_s[0]) / dt_s + 1e-6).astype(int)
+        means = pd.DataFrame(values).groupby(within).mean().reindex(range(len(middle))).to_numpy()
+        between = np.stack(
+            [np.interp(middle, time_s, column, left=np.nan, right=np.nan) for column in values.T], 1
+        )
+        found[track.name] = torch.from_numpy(np.where(np.isnan(means), between, means))
+    return found
+
+
+class _Measured(NamedTuple):
+    """What was measured of one track."""
+
+    name: str
+    time_s: np.ndarray  # (T,) of its steps
+    rows: pd.DataFrame  # in the order of time
+
+
+def _measured(
+    cache: ConvertedCache, name: str, table: pd.DataFrame, mode: Mode
+) -> Iterator[_Measured]:
+    """Rows of a table that stands beside a scene, by the tracks of a mode."""
+    scene = EnvCache.load(next(_folder(cache, name).glob("scene_metadata_dt*.dill")))
     for agent in scene.agents or ():
-        # a track that was split at gaps has one lean for all its parts
-        names = measured["agent_id"].isin([agent.name, agent.name.rpartition("_s")[0]])
-        rows = measured[names].sort_values("time_s")
+        # a track that was split at gaps has one measurement for all its parts
+        whose = table["agent_id"].isin([agent.name, agent.name.rpartition("_s")[0]])
+        rows = table[whose].sort_values("time_s")
         if int(agent.type) == mode and len(rows):
             time_s = np.arange(agent.first_timestep, agent.last_timestep + 1) * scene.dt
-            known = (rows["time_s"].to_numpy(), rows["lean"].to_numpy())
-            lean = np.interp(time_s, *known, left=np.nan, right=np.nan)
-            found[f"{name}/{agent.name}"] = torch.from_numpy(lean)
-    return found
+            yield _Measured(f"{name}/{agent.name}", time_s, rows)
 
 
 def _folder(cache: ConvertedCache, scene: str) -> Path:

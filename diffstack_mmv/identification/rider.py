@@ -73,7 +73,8 @@ def ridden(
     Source: MacKay, Bayesian interpolation, Neural Computation 4, 1992 (fixed point of the
         evidence).
     """
-    first, few = settings, LevenbergMarquardt(20)
+    given, few = settings, LevenbergMarquardt(20)
+    first = settings = replace(given, control_noise=None, steer_rate_radps=None)
     for _ in range(ROUNDS):
         model = ExtendedUnicycle(spec, dt_s).double()
         vehicle = TrackedVehicle(model, settings).double()
@@ -94,7 +95,7 @@ def ridden(
         settings.jerk_mps3,
         settings.curvature_rate,
     )
-    return settings
+    return replace(given, jerk_mps3=settings.jerk_mps3, curvature_rate=settings.curvature_rate)
 
 
 def _near(first: float, value: float) -> float:

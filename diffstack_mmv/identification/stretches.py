@@ -138,6 +138,7 @@ def cut(
     tracks: Mapping[str, Motion],
     settings: StretchSettings,
     leans: Mapping[str, Tensor] | None = None,
+    controls: Mapping[str, Tensor] | None = None,
 ) -> list[Stretch]:
     """Cut tracks into stretches of steady motion, one after the other without overlap.
 
@@ -145,6 +146,8 @@ def cut(
         tracks: Motion (T) by name.
         settings: What a stretch must be.
         leans: Measured lean (T) in rad of some tracks.
+        controls: Recorded controls (T, m), NaN where there are none. Where they are given,
+            stretches have controls all along.
 
     Raises:
         ValueError: No track holds a stretch of the shortest length.
@@ -157,17 +160,20 @@ def cut(
         usable = motion.velocity.norm(dim=-1) >= settings.speed_min_mps
         usable[:trim] = False
         usable[max(len(usable) - trim, 0) :] = False
-        lean = (leans or {}).get(name)
+        extras = _Extras((leans or {}).get(name), (controls or {}).get(name))
+        if controls is not None:
+            usable &= _recorded(extras.controls, usable)
         for first, last in _runs(usable):
             for start in range(first, last - fewest + 1, rows):
                 part = slice(start, min(start + rows, last))
                 if part.stop - start >= fewest:
-                    found.append(_stretch(name, motion, lean, part, settings.dt_s))
+                    found.append(_stretch(name, motion, extras, part, settings.dt_s))
     longest = max(len(motion.heading) for motion in tracks.values()) * settings.dt_s
+    known = "" if controls is None else " with recorded controls"
     require(
         len(found) > 0,
         "tracks",
-        f"hold a stretch of {settings.min_s:g} s above {settings.speed_min_mps:g} m/s",
+        f"hold a stretch of {settings.min_s:g} s above {settings.speed_min_mps:g} m/s{known}",
         f"{len(tracks)} tracks, the longest of {longest:g} s, without one",
         remedy="Lower `stretch.min_s` or `stretch.speed_min_mps`.",
     )
@@ -261,8 +267,23 @@ def _runs(moving: Bool[Tensor, " T"]) -> list[tuple[int, int]]:
     return list(zip(edges[::2], edges[1::2], strict=True))
 
 
-def _stretch(name: str, motion: Motion, lean: Tensor | None, part: slice, dt_s: float) -> Stretch:
-    velocity = motion.velocity[part]
+class _Extras(NamedTuple):
+    """What was measured of a track beside its motion."""
+
+    lean: Float[Tensor, " T"] | None
+    controls: Float[Tensor, "T m"] | None
+
+    def part(self, rows: slice) -> "_Extras":
+        return _Extras(*(None if each is None else each[rows] for each in self))
+
+
+def _recorded(controls: Tensor | None, like: Bool[Tensor, " T"]) -> Bool[Tensor, " T"]:
+    """Where all controls are known."""
+    return torch.zeros_like(like) if controls is None else controls.isfinite().all(-1)
+
+
+def _stretch(name: str, motion: Motion, extras: _Extras, part: slice, dt_s: float) -> Stretch:
+    velocity, own = motion.velocity[part], extras.part(part)
     course = motion.heading[part] + torch.atan2(velocity[:, 1], velocity[:, 0])
     turned = wrap_angle(course.diff()).cumsum(0)
     course = torch.cat([course[:1], course[0] + turned])
@@ -271,6 +292,6 @@ def _stretch(name: str, motion: Motion, lean: Tensor | None, part: slice, dt_s: 
         motion.position[part],
         course,
         velocity.norm(dim=-1),
-        None,
-        None if lean is None else lean[part],
+        own.controls,
+        own.lean,
     )

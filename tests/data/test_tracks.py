@@ -1,10 +1,14 @@
-"""Noise of whole tracks, as the conversion report tells it."""
+"""What stands beside whole tracks: their noise, their controls, their lean."""
 
 import json
 
+import numpy as np
+import pandas as pd
 import pytest
 
-from diffstack_mmv.data import ConvertedCache, recorded_noise
+from diffstack_mmv.data import ConvertedCache, read_controls, read_leans, recorded_noise
+from diffstack_mmv.types import Mode
+from tests.data.conftest import ToyAgent, write_cache
 
 
 @pytest.fixture
@@ -38,3 +42,56 @@ def test_a_report_without_noise_is_warned_of(told, caplog):
 
 def test_a_mode_that_was_not_recorded_has_no_noise(told):
     assert recorded_noise(told(along_m=0.08, across_m=0.06), "scooter", 0.1) is None
+
+
+@pytest.fixture
+def ride(tmp_path):
+    """A cache with one ride in two parts, and a writer of tables beside it."""
+    parts = [ToyAgent("track", Mode.BICYCLE, 40), ToyAgent("track_s1", Mode.BICYCLE, 30, 50)]
+    write_cache(tmp_path, {"scene": ("train", parts)})
+
+    def beside(stem, **columns) -> ConvertedCache:
+        table = pd.DataFrame({"agent_id": "track", **columns})
+        table.to_parquet(tmp_path / "toy" / "scene" / f"{stem}.parquet")
+        return ConvertedCache("toy", str(tmp_path))
+
+    return beside
+
+
+NAMES = ("acceleration", "steer")
+
+
+def test_controls_are_those_of_the_steps_they_were_recorded_in(ride):
+    time_s = 0.02 * np.arange(400)
+    source = ride(
+        "controls", time_s=time_s, steer=time_s, acceleration=np.floor(10 * time_s + 1e-9)
+    )
+    found = read_controls(source, ["train"], "bicycle", NAMES)
+    assert set(found) == {"scene/track", "scene/track_s1"}
+    assert found["scene/track"][:, 0].numpy() == pytest.approx(np.arange(40))
+    assert found["scene/track_s1"][0].tolist() == pytest.approx([50.0, 5.04])
+
+
+def test_controls_recorded_rarely_are_interpolated_and_unknown_outside(ride):
+    source = ride("controls", time_s=[1.0, 2.0], steer=[0.0, 1.0], acceleration=[0.0, 0.0])
+    steer = read_controls(source, ["train"], "bicycle", NAMES)["scene/track"][:, 1].numpy()
+    assert steer[14] == pytest.approx(0.45)
+    assert np.isfinite(steer).nonzero()[0].tolist() == list(range(10, 21))
+
+
+def test_a_control_without_a_column_is_named(ride):
+    source = ride("controls", time_s=[0.0], steer=[0.0])
+    with pytest.raises(ValueError, match="be columns of agent_id, time_s, steer, but got accel"):
+        read_controls(source, ["train"], "bicycle", NAMES)
+
+
+def test_tracks_without_any_recorded_control_are_told(ride):
+    source = ride("lean", time_s=[0.0], lean=[0.0])
+    with pytest.raises(ValueError, match=r"be recorded in controls\.parquet"):
+        read_controls(source, ["train"], "bicycle", NAMES)
+
+
+def test_all_parts_of_a_track_have_its_lean(ride):
+    source = ride("lean", time_s=[0.0, 10.0], lean=[0.0, 1.0])
+    found = read_leans(source, ["train"], "bicycle")
+    assert float(found["scene/track_s1"][0]) == pytest.approx(0.5)

@@ -112,3 +112,19 @@ def test_same_seed_divides_alike_and_another_does_not():
 def test_one_stretch_cannot_be_divided():
     with pytest.raises(ValueError, match="`stretches` must be at least 2"):
         divide(cut({"a": circling(5.0)}, SETTINGS), RandomChoice(), 1, 1, seed=0)
+
+
+def test_where_controls_are_asked_for_stretches_have_them_all_along():
+    controls = torch.zeros(len(circling(12.0).heading), 2)
+    controls[:30] = torch.nan
+    tracks = {"a": circling(12.0), "b": circling(12.0)}
+    stretches = cut(tracks, SETTINGS, controls={"a": controls})
+    assert {each.recording for each in stretches} == {"a"}
+    whole = batch(stretches).controls
+    assert whole is not None
+    assert bool(whole.isfinite().all())
+
+
+def test_tracks_without_controls_where_they_are_asked_for_are_refused():
+    with pytest.raises(ValueError, match="`tracks` must hold a stretch .* with recorded controls"):
+        cut({"a": circling(12.0)}, SETTINGS, controls={})
