@@ -110,6 +110,7 @@ def alike(one: Optimum, other: Optimum, parameters: LearnedParameters) -> bool:
 def scattered(parameters: LearnedParameters, count: int) -> Float[Tensor, "count p"]:
     """θ spread over the prior by a Sobol sequence, the same in every call."""
     engine = torch.quasirandom.SobolEngine(max(len(parameters), 1), scramble=True, seed=0)
-    even = engine.draw(count, dtype=parameters.middle.dtype)[:, : len(parameters)]
+    # an engine refuses to draw nothing
+    even = engine.draw(max(count, 1), dtype=parameters.middle.dtype)[:count, : len(parameters)]
     deviations = torch.special.ndtri(even).clamp(-SCATTER, SCATTER)
     return parameters.theta_for(parameters.prior.mean + deviations * parameters.prior.std)

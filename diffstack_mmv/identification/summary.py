@@ -12,6 +12,7 @@ from diffstack_mmv.identification.fit import Data
 from diffstack_mmv.identification.identify import Identification
 from diffstack_mmv.identification.influence import regularisation_influence
 from diffstack_mmv.identification.linearisation import Tracker
+from diffstack_mmv.identification.optima import Optimum, shares
 from diffstack_mmv.identification.problem import Problem
 from diffstack_mmv.identification.sensitivity import Thresholds, Verdict, describe
 from diffstack_mmv.identification.tracking import Tracked, tracking_rmse
@@ -20,6 +21,7 @@ NEAR_THE_LIMIT = 0.6  # of the adhesion limit: above, friction shapes the path
 MISFIT = 1.25  # residuals over assumed noise
 SUSPICIOUS = 0.5  # prior deviations
 AT_THE_EDGE = 0.01  # of the range
+NOTEWORTHY = 0.05  # share of the posterior of an optimum that is told in words
 WEAKEST = 3  # directions that are told in words
 
 
@@ -70,7 +72,15 @@ def summarise(
             {"information": each.eigenvalue, "direction": describe(each, names)}
             for each in found.sensitivity.directions
         ],
-        "remarks": [*remarks(tracker, found, demands), *suspicions(tracker, found, influence)],
+        "optima": [
+            {"share": share, "cost": each.cost, "values": dict(zip(names, values, strict=True))}
+            for share, each, values in _shared(tracker, found)
+        ],
+        "remarks": [
+            *remarks(tracker, found, demands),
+            *ambiguities(tracker, found),
+            *suspicions(tracker, found, influence),
+        ],
         "excitation": demands._asdict(),
         "regularisation_influence": {
             name: dict(zip(names, change.tolist(), strict=True))
@@ -162,6 +172,36 @@ def remarks(tracker: Tracker, found: Identification, demands: Excitation) -> lis
         f"Best informed direction ({best.eigenvalue:.3g} times the prior's information): "
         f"{describe(best, names)}."
     )
+    return told
+
+
+def _shared(tracker: Tracker, found: Identification) -> list[tuple[float, Optimum, list[float]]]:
+    """Share of the posterior, optimum and values, the estimate first."""
+    rows = shares(found.optima).tolist()
+    return [
+        (share, each, tracker.parameters.values(each.fit.theta).tolist())
+        for share, each in zip(rows, found.optima, strict=True)
+    ]
+
+
+def ambiguities(tracker: Tracker, found: Identification) -> list[str]:
+    """Other values that explain the tracks about as well, in words."""
+    first, *others = _shared(tracker, found)
+    std = first[1].sensitivity.std.tolist()
+    told = []
+    for share, _, values in others:
+        differing = [
+            f"{name} {value:.3g}"
+            for name, value, best, each in zip(
+                tracker.parameters.names, values, first[2], std, strict=True
+            )
+            if abs(value - best) > each
+        ]
+        if share >= NOTEWORTHY:
+            told.append(
+                f"Another optimum holds {100 * share:.0f} % of the posterior: "
+                f"{', '.join(differing)}. The deviations include it."
+            )
     return told
 
 

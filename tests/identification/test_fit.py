@@ -27,7 +27,7 @@ PATIENT = EarlyStopping(patience=100)
 
 
 def identified(case, method=None):
-    return Identifier(method or Shooting())(case.tracker, case.data)
+    return Identifier(method or Shooting(), starts=0)(case.tracker, case.data)
 
 
 def estimate(case, found):

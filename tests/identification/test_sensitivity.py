@@ -14,7 +14,7 @@ EVERYTHING = Thresholds(identifiable=0.4, informed=1.0)
 
 
 def identified(case, thresholds=EVERYTHING):
-    return Identifier(Shooting(), thresholds=thresholds)(case.tracker, case.data)
+    return Identifier(thresholds=thresholds, starts=0)(case.tracker, case.data)
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,7 @@ def tyres():
     before = torch.get_default_dtype()
     torch.set_default_dtype(torch.float64)
     case = synthetic_case("gm3", {}, manoeuvres=LIVELY[1:2])
-    found = Identifier(Shooting(max_iterations=2))(case.tracker, case.data)
+    found = Identifier(Shooting(max_iterations=2), starts=0)(case.tracker, case.data)
     torch.set_default_dtype(before)
     return case, found
 

@@ -35,7 +35,7 @@ def result():
     before = torch.get_default_dtype()
     torch.set_default_dtype(torch.float64)
     case = synthetic_case("kbm", {"wheelbase": 1.15})
-    found = Identifier()(case.tracker, case.data)
+    found = Identifier(starts=0)(case.tracker, case.data)
     torch.set_default_dtype(before)
     return case, found, summarise(case.tracker, case.data, found, Thresholds())
 
@@ -145,14 +145,14 @@ def test_report_tells_what_was_assumed_and_what_was_held_out(result, tmp_path):
 
 def test_free_steering_is_named_as_the_reason():
     case = synthetic_case("kbm", {}, known=False, manoeuvres=LIVELY[:1])
-    found = Identifier()(case.tracker, case.data)
+    found = Identifier(starts=0)(case.tracker, case.data)
     remarks = summarise(case.tracker, case.data, found, Thresholds())["remarks"]
     assert any("wheelbase is not observable" in each and "free" in each for each in remarks)
 
 
 def test_estimate_that_hangs_on_the_steering_prior_is_not_to_be_trusted():
     case = synthetic_case("kbm", {}, False, LIVELY * 3, steer_rate_radps=0.1)
-    found = Identifier(thresholds=Thresholds(informed=1.0))(case.tracker, case.data)
+    found = Identifier(thresholds=Thresholds(informed=1.0), starts=0)(case.tracker, case.data)
     remarks = summarise(case.tracker, case.data, found, Thresholds())["remarks"]
     assert any("`steer_rate_radps`" in each and "Do not trust it" in each for each in remarks)
     assert any("edge of its range" in each for each in remarks)
