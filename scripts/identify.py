@@ -43,7 +43,8 @@ def main(config: DictConfig) -> None:
     spec, source, out = instantiate(config.spec), instantiate(config.source), Path(config.out)
     name, division = config.names.dynamics, choose(config, spec, source)
     settings = assumptions(config, spec, source, division)
-    identifier = Identifier(instantiate(config.mode), thresholds=instantiate(config.thresholds))
+    thresholds = instantiate(config.thresholds)
+    identifier = Identifier(instantiate(config.mode), thresholds=thresholds, starts=config.starts)
     parts = folds(division, config.folds, config.seed) if config.folds else ()
     steps = round(config.foresee_s / config.dt_s)
     study = Study(spec, division, settings, identifier, steps, parts)
@@ -63,7 +64,7 @@ def main(config: DictConfig) -> None:
     profiled = profiles(case.tracker, case.data, found, identifier.method, config.profile)
     rows = case.explained(found)
     used = [*division.fitted, *division.heldout]
-    summary = summarise(case.tracker, case.data, found, identifier.thresholds) | {
+    summary = summarise(case.tracker, case.data, found, thresholds) | {
         **compared(config, studied),
         "assumed": asdict(settings),
         "beyond_limits": beyond_limits(used, spec.limits, config.dt_s),
