@@ -139,6 +139,7 @@ def draw_lean(tracks: Sequence[FittedTrack], dt_s: float) -> Figure:
         axes.set_title(each.name, fontsize=6)
         axes.grid(alpha=0.3)
         axes.legend(fontsize=6)
+    figure.supxlabel("time [s]", fontsize=8)
     return figure
 
 
