@@ -102,8 +102,12 @@ def eager_kernels(expand: Callable[..., Model]) -> Kernels:
 
 
 @functools.cache
-def _recursions(n: int, m: int, device: str) -> tuple[Kernel, Kernel]:
-    """The kernels that depend on no callable, shared by all problems of one size."""
+def _recursions(n: int, m: int, single: bool, device: str) -> tuple[Kernel, Kernel]:
+    """The kernels that depend on no callable, shared by all problems of one size.
+
+    A batch of one has a graph of its own in any case; in a kernel of its own no call has to pass
+    the checks of two.
+    """
     options = _options(device)
     return Kernel(box_policy, options), Kernel(solve_free, options)
 
@@ -122,7 +126,7 @@ def compiled_kernels(
     expand: Callable[..., Model],
     dynamics: Dynamics,
     cost: Cost,
-    static: tuple[int, ...],
+    static: tuple[int, int, bool, int, int],
     device: str,
 ) -> Kernels:
     """Kernels for problems of this kind, compiled at their first use.
@@ -131,10 +135,11 @@ def compiled_kernels(
         expand: One of its forms.
         dynamics: The step.
         cost: The cost.
-        static: Numbers a kernel is compiled for: n, m, leading dimensions, step sizes.
+        static: Numbers a kernel is compiled for: n, m, whether the batch is one problem, leading
+            dimensions, step sizes.
         device: Type of the device.
     """
-    policy, free = _recursions(*static[:2], device)
+    policy, free = _recursions(*static[:3], device)
     key = kind(dynamics), kind(cost), static
     model, step = _models(key, expand, max(*static[:2], LARGEST_ROW), device)
     return Kernels(model, policy, step, free)

@@ -153,7 +153,8 @@ class ILQR:
         form = expand if self.exact_curvature else expand_by_differences
         if not self.compile or state.numel() == 0:
             return eager_kernels(form)
-        static = (state.shape[-1], controls.shape[-1], state.dim(), self.line_search_steps)
+        n, m = state.shape[-1], controls.shape[-1]
+        static = (n, m, state.numel() == n, state.dim(), self.line_search_steps)
         return compiled_kernels(form, dynamics, cost, static, state.device.type)
 
     def minimise(

@@ -20,6 +20,7 @@ from diffstack_mmv.control.batch_last import (
 from diffstack_mmv.control.box_qp import free_inverse, largest, positive_lift, solve_box_qp
 
 FAR = 3e-2  # predicted decrease relative to the cost above which a problem is far from its solution
+WHOLE = 256  # problems up to which a pass over all takes no longer than to pick some out
 DEFINITE = 1e-6  # smallest eigenvalue of Q_uu relative to its largest entry, before it is shifted
 
 
@@ -132,12 +133,12 @@ def definite_policy(
     policy = solve(lq, box, damping, torch.zeros_like(damping), n)
     far = policy.decrease > FAR * magnitude
     indefinite = policy.lifted_free | (policy.lifted & far)
-    if indefinite.device.type != "cpu":
-        # to ask for the number would make the device wait, and a whole second pass is cheap there
-        return solve(lq, box, damping, indefinite.to(damping.dtype), n)
-    index = indefinite.nonzero().squeeze(-1)
-    if len(index) == 0:
+    # to ask a device for the number would make it wait, and a whole second pass is cheap there
+    index = indefinite.nonzero().squeeze(-1) if indefinite.device.type == "cpu" else None
+    if index is not None and len(index) == 0:
         return policy
+    if index is None or len(damping) <= WHOLE or 2 * len(index) > len(damping):
+        return solve(lq, box, damping, indefinite.to(damping.dtype), n)
     if len(index) == 1 < len(damping):
         index = index.repeat(2)  # a batch of one would be compiled separately
     part = LinearQuadratic(*(rows.index_select(-1, index) for rows in lq))
