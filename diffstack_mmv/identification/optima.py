@@ -90,15 +90,16 @@ def spread(
 
 
 def together(optima: Sequence[Optimum], parameters: LearnedParameters) -> Sensitivity:
-    """What the first optimum says, with deviations that all the others widen.
+    """What the first optimum says, with deviations that the others widen, to the prior's at most.
 
     Information, covariance and directions remain those of the first: they belong to a point.
     """
     first = optima[0].sensitivity
     values = torch.stack([parameters.values(each.fit.theta) for each in optima])
     variances = torch.stack([each.sensitivity.std.square() for each in optima])
-    std = torch.maximum(spread(optima, values, variances).sqrt(), first.std)
-    return first._replace(std=std, marginal_ratio=std / parameters.prior.std)
+    prior = parameters.prior.std
+    std = spread(optima, values, variances).sqrt().clamp(first.std, prior)
+    return first._replace(std=std, marginal_ratio=std / prior)
 
 
 def alike(one: Optimum, other: Optimum, parameters: LearnedParameters) -> bool:

@@ -55,6 +55,13 @@ def test_second_optimum_widens_the_deviation_to_its_distance(known):
     torch.testing.assert_close(told.marginal_ratio, expected / parameters.prior.std)
 
 
+def test_far_optimum_leaves_the_deviation_of_the_prior(known):
+    case, found = known
+    parameters, best = case.tracker.parameters, found.optima[0]
+    told = together([best, another(best, -3.0, 0.0)], parameters)
+    torch.testing.assert_close(told.std, parameters.prior.std)
+
+
 def test_quantity_on_which_optima_agree_keeps_its_variance(known):
     best = known[1].optima[0]
     both = [best, another(best, 0.5, 0.0)]
