@@ -1,6 +1,7 @@
 """How fast a rider changes acceleration and curvature, as the tracks themselves tell it."""
 
 import logging
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -25,6 +26,7 @@ from diffstack_mmv.vehicles import VehicleSpec
 logger = logging.getLogger(__name__)
 
 ROUNDS = 12
+INDEPENDENT_S = 0.5
 SETTLED = 0.02  # relative change of a scale that ends the rounds
 FARTHEST = 30.0  # from where it began, either way
 LEAST = 1e-6  # number of rates that the tracks determine
@@ -59,7 +61,9 @@ def ridden(
     """Scales of the rider's rates that make the tracks most likely, for every model the same.
 
     The evidence is maximised on an extended unicycle, which has no physical parameter that could
-    take the rider's part.
+    take the rider's part. Positions that are closer than a smoother's window or a recorded step are
+    not independent, and would make riders look slow: one every half a second counts, with the
+    noise that all of them together have.
 
     Args:
         settings: Noise, and scales to begin with.
@@ -74,13 +78,23 @@ def ridden(
         evidence).
     """
     given, few = settings, LevenbergMarquardt(20)
-    first = settings = replace(given, control_noise=None, steer_rate_radps=None)
+    every = max(round(INDEPENDENT_S / dt_s), 1)
+    first = settings = replace(
+        given,
+        along_m=given.along_m / math.sqrt(every),
+        across_m=given.across_m / math.sqrt(every),
+        control_noise=None,
+        steer_rate_radps=None,
+        segment_steps=None,
+    )
+    start = None
     for _ in range(ROUNDS):
         model = ExtendedUnicycle(spec, dt_s).double()
         vehicle = TrackedVehicle(model, settings).double()
         tracker = Tracker(vehicle, LearnedParameters(model, spec))
-        problem = vehicle.problem(batch(stretches))
-        tracked = track(tracker, tracker.parameters.start(), problem, problem.guess, few)
+        problem = thinned(vehicle.problem(batch(stretches)), every)
+        theta = tracker.parameters.start()
+        tracked = track(tracker, theta, problem, start or problem.guess, few)
         scales = rate_scales(tracker, problem, tracked)
         jerk, turning = scales.tolist()
         settings = replace(
@@ -88,6 +102,7 @@ def ridden(
             jerk_mps3=_near(first.jerk_mps3, settings.jerk_mps3 * jerk),
             curvature_rate=_near(first.curvature_rate, settings.curvature_rate * turning),
         )
+        start = tracked.unknowns._replace(rates=tracked.unknowns.rates / scales)
         if bool((scales.log().abs() < SETTLED).all()):
             break
     logger.info(
@@ -96,6 +111,13 @@ def ridden(
         settings.curvature_rate,
     )
     return replace(given, jerk_mps3=settings.jerk_mps3, curvature_rate=settings.curvature_rate)
+
+
+def thinned(problem: Problem, every: int) -> Problem:
+    """The problem in which one sample of so many weighs; for single shooting."""
+    weight = torch.zeros_like(problem.targets.weight)
+    weight[:, ::every] = problem.targets.weight[:, ::every]
+    return problem._replace(targets=problem.targets._replace(weight=weight))
 
 
 def _near(first: float, value: float) -> float:
