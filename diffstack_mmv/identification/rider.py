@@ -44,14 +44,15 @@ def rate_scales(tracker: Tracker, problem: Problem, tracked: Tracked) -> Float[T
         problem: The tracks.
         tracked: Their controls.
     """
-    unknowns, simulated, _ = tracked
+    unknowns, simulated = tracked.unknowns, tracked.simulated
     theta = tracker.parameters.start()
     jacobian = tracker.jacobian(theta, problem, unknowns, simulated, shared=False)
     own = normal_equations(jacobian, simulated.residual, unknowns).own
     variance = torch.cholesky_inverse(torch.linalg.cholesky(own)).diagonal(dim1=-2, dim2=-1)
     determined = 1 - variance[:, PLACEMENT:].unflatten(-1, (-1, INTENTION))
-    squares = unknowns.rates.square()
-    return (squares.sum((0, 1)) / determined.sum((0, 1)).clamp_min(LEAST)).sqrt()
+    found = tracked.converged.to(own)[:, None, None]
+    squares = (unknowns.rates.square() * found).sum((0, 1))
+    return (squares / (determined * found).sum((0, 1)).clamp_min(LEAST)).sqrt()
 
 
 @torch.no_grad()
@@ -77,7 +78,7 @@ def ridden(
     Source: MacKay, Bayesian interpolation, Neural Computation 4, 1992 (fixed point of the
         evidence).
     """
-    given, few = settings, LevenbergMarquardt(20)
+    given, few = settings, LevenbergMarquardt(30)
     every = max(round(INDEPENDENT_S / dt_s), 1)
     first = settings = replace(
         given,
@@ -87,14 +88,13 @@ def ridden(
         steer_rate_radps=None,
         segment_steps=None,
     )
-    start = None
     for _ in range(ROUNDS):
         model = ExtendedUnicycle(spec, dt_s).double()
         vehicle = TrackedVehicle(model, settings).double()
         tracker = Tracker(vehicle, LearnedParameters(model, spec))
         problem = thinned(vehicle.problem(batch(stretches)), every)
         theta = tracker.parameters.start()
-        tracked = track(tracker, theta, problem, start or problem.guess, few)
+        tracked = track(tracker, theta, problem, problem.guess, few)
         scales = rate_scales(tracker, problem, tracked)
         jerk, turning = scales.tolist()
         settings = replace(
@@ -102,7 +102,6 @@ def ridden(
             jerk_mps3=_near(first.jerk_mps3, settings.jerk_mps3 * jerk),
             curvature_rate=_near(first.curvature_rate, settings.curvature_rate * turning),
         )
-        start = tracked.unknowns._replace(rates=tracked.unknowns.rates / scales)
         if bool((scales.log().abs() < SETTLED).all()):
             break
     logger.info(
