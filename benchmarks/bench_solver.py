@@ -21,10 +21,17 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-from bench_solver_worker import MISSING, MODULES  # noqa: E402
+from bench_solver_worker import MISSING  # noqa: E402
 
 RESULTS = Path(__file__).parent / "results"
-SOLVERS = ("ours-compiled", "ours-eager", *MODULES)
+SOLVERS = (
+    "ours-compiled",
+    "ours-eager",
+    "mpc.pytorch",
+    "casadi-ipopt",
+    "crocoddyl-python-model",
+    "trajax-penalty",
+)
 SIZES = ("256:30", "64:30", "16:30", "64:10", "64:100", "1:30")
 ONE_THREAD = {
     "OMP_NUM_THREADS": "1",
@@ -33,11 +40,12 @@ ONE_THREAD = {
 }
 
 
-def rows_of(name, arguments):
+def rows_of(name, arguments, variant):
     """Rows of one optimiser, and a note if there is something to tell."""
     worker = str(Path(__file__).with_name("bench_solver_worker.py"))
     python = sys.executable if name.startswith("ours") else arguments.python
-    command = [python, worker, name, "--limit", str(arguments.limit), "--sizes", *arguments.sizes]
+    command = [python, worker, name, "--variant", variant, "--limit", str(arguments.limit)]
+    command += ["--sizes", *arguments.sizes]
     with tempfile.TemporaryDirectory() as cache:
         cold = {"TORCHINDUCTOR_CACHE_DIR": cache} if arguments.cold else {}
         environment = os.environ | ONE_THREAD | cold
@@ -69,32 +77,34 @@ def judge(rows):
         row["ms_per_problem"] = 1e3 * row["forward_s"] / row["batch"]
 
 
-def table(rows, notes):
-    """Markdown lines."""
+def surroundings():
+    """What the times depend on besides the solvers."""
     load = os.getloadavg()[2]
-    lines = [
-        "Kinematic bicycle around an obstacle, from zero controls, tolerance 1e-4, one thread, "
-        f"{platform.machine()}; processor time, smallest of the repetitions (mean load of the machine "
-        f"meanwhile: {load:.1f} on {os.cpu_count()} cores). Ours, mpc.pytorch and trajax in float32, the "
-        "others in float64. `best`: share of problems within 1e-4 relative cost of the cheapest "
-        "solution that any of these found. `first call`: with tracing and generating code, without the C++ compiler's own time, sizes "
-        "in the order 256, 64, 16, T = 10, T = 100, 1. `peak`: of the process up to that size. The box of "
-        "trajax is a penalty; crocoddyl is called with a model in Python, which dominates its time.",
-        "",
-        "| T | batch | solver | ms per problem | problems/s | backward ms | backward / forward "
-        "| best | converged | first call s | peak MiB |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
+    return (
+        f"one thread, {platform.machine()}; processor time, smallest of the repetitions (mean load of "
+        f"the machine meanwhile: {load:.1f} on {os.cpu_count()} cores)"
+    )
+
+
+def table(rows, notes, introduction, last_columns):
+    """Markdown lines; the last columns are (heading, format, key), a dash where a row lacks them."""
+    headings = ["T", "batch", "solver", "ms per problem", "problems/s", "backward ms"]
+    headings += ["backward / forward", "best", *(heading for heading, _, _ in last_columns)]
+    lines = [introduction, "", f"| {' | '.join(headings)} |", "|---" * len(headings) + "|"]
     for row in sorted(rows, key=lambda r: (r["steps"], r["batch"], r["ms_per_problem"])):
         back = row.get("backward_s")
-        backward = f"{1e3 * back:.2f} | {back / row['forward_s']:.2f}" if back else "- | -"
-        converged = f"{row['converged']:.3f}" if "converged" in row else "-"
-        lines.append(
-            f"| {row['steps']} | {row['batch']} | {row['solver']} | {row['ms_per_problem']:.3f} "
-            f"| {1e3 / row['ms_per_problem']:.0f} | {backward} | {row['best']:.3f} | {converged} "
-            f"| {row['first_s']:.1f} | {row['memory_mib']:.0f} |"
-        )
+        cells = [str(row["steps"]), str(row["batch"]), row["solver"]]
+        cells += [f"{row['ms_per_problem']:.3f}", f"{1e3 / row['ms_per_problem']:.0f}"]
+        cells += [f"{1e3 * back:.2f}", f"{back / row['forward_s']:.2f}"] if back else ["-", "-"]
+        cells += [f"{row['best']:.3f}"]
+        cells += [format(row[key], form) if key in row else "-" for _, form, key in last_columns]
+        lines.append(f"| {' | '.join(cells)} |")
     return [*lines, "", *(f"- {note}" for note in notes)]
+
+
+def write(path, lines):
+    """A Markdown file."""
+    path.write_text("\n".join(lines).rstrip() + "\n")
 
 
 def plot(rows, path):
@@ -123,28 +133,52 @@ def plot(rows, path):
     figure.savefig(path, dpi=120)
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--solvers", nargs="+", choices=SOLVERS, default=SOLVERS)
-    parser.add_argument("--sizes", nargs="+", default=SIZES, help="batch:steps")
+def arguments_of(description, solvers, sizes):
+    """The command line."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--solvers", nargs="+", choices=solvers, default=solvers)
+    parser.add_argument("--sizes", nargs="+", default=sizes, help="batch:steps")
     parser.add_argument("--python", default=sys.executable, help="interpreter of the peers")
     parser.add_argument("--limit", type=float, default=20.0, help="seconds of repetitions per size")
     parser.add_argument("--timeout", type=float, default=900.0, help="seconds per optimiser")
     parser.add_argument("--cold", action="store_true", help="compile with an empty cache")
     parser.add_argument("--rows", type=Path, help="rows with all costs, read and written")
-    arguments = parser.parse_args()
+    return parser.parse_args()
+
+
+def collect(arguments, variant):
+    """Rows of all optimisers, with their costs, and notes."""
     kept = (
         json.loads(arguments.rows.read_text()) if arguments.rows and arguments.rows.exists() else []
     )
     rows, notes = [row for row in kept if row["solver"] not in arguments.solvers], []
     for name in arguments.solvers:
-        found, note = rows_of(name, arguments)
+        found, note = rows_of(name, arguments, variant)
         rows += found
         notes += [note] if note else []
     if arguments.rows:
         arguments.rows.write_text(json.dumps(rows))
+    return rows, notes
+
+
+def main():
+    arguments = arguments_of(__doc__.splitlines()[0], SOLVERS, SIZES)
+    rows, notes = collect(arguments, "obstacle")
     judge(rows)
-    (RESULTS / "solver.md").write_text("\n".join(table(rows, notes)).rstrip() + "\n")
+    introduction = (
+        f"Kinematic bicycle around an obstacle, from zero controls, tolerance 1e-4, {surroundings()}. "
+        "Ours, mpc.pytorch and trajax in float32, the others in float64. `best`: share of problems "
+        "within 1e-4 relative cost of the cheapest solution that any of these found. `first call`: "
+        "with tracing and generating code, without the C++ compiler's own time, sizes in the order "
+        "256, 64, 16, T = 10, T = 100, 1. `peak`: of the process up to that size. The box of trajax "
+        "is a penalty; crocoddyl is called with a model in Python, which dominates its time."
+    )
+    columns = [
+        ("converged", ".3f", "converged"),
+        ("first call s", ".1f", "first_s"),
+        ("peak MiB", ".0f", "memory_mib"),
+    ]
+    write(RESULTS / "solver.md", table(rows, notes, introduction, columns))
     plot(rows, RESULTS / "solver.png")
 
 

@@ -79,7 +79,8 @@ def main():
         problems[name] += problems_of(arguments)
         return result
 
-    solve = ours.solver(*driving.instances(BATCH, STEPS), STEPS, True)
+    states, parameters = driving.instances(BATCH, STEPS)
+    solve = ours.solver(states, ours.leaves_of(parameters), STEPS, True)
     with torch.no_grad():
         solve()
         whole = smallest(solve)

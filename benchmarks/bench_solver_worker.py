@@ -1,4 +1,4 @@
-"""Times one optimiser on all sizes, in a process of its own; started by bench_solver.py."""
+"""Times one optimiser on all sizes, in a process of its own; started by bench_solver.py and _free.py."""
 
 import argparse
 import importlib
@@ -18,7 +18,12 @@ MODULES = {
     "casadi-ipopt": "ipopt",
     "crocoddyl-python-model": "crocoddyl_box",
     "trajax-penalty": "trajax_penalty",
+    "trajax": "trajax_penalty",
+    "pypose": "pypose_lqr",
+    "diffmpc": "diffmpc_sqp",
 }
+EXACT = "ours-exact"
+"""This package's solver in float64 to the last digit: its gradient is the measure of the others."""
 MISSING = 3
 """Exit status where the package of a peer is not installed."""
 
@@ -36,58 +41,67 @@ def fastest(work, limit_s, repetitions=7):
     return times[0], min(times[1:]), result
 
 
-def measure_ours(states, parameters, steps, limit_s, compiled):
+def measure_ours(name, states, parameters, steps, limit_s, variant):
     """Forward and backward of this package's solver."""
     import torch
-    from peers import ours
+    from peers import in_torch, ours
 
     torch.set_num_threads(1)
-    solve = ours.solver(states, parameters, steps, compiled)
+    exact = dict(dtype=torch.float64) if name == EXACT else {}
+    leaves = ours.leaves_of(parameters, **exact)
+    tolerance = 1e-16 if exact else 1e-4
+    solve = ours.solver(states, leaves, steps, name == "ours-compiled", variant, tolerance)
     with torch.no_grad():
         first, forward, solution = fastest(solve, limit_s)
     graphs = [solve() for _ in range(4)]
 
     def backward():
         graph = graphs.pop()
-        (graph.controls.square().sum() + graph.states.sum()).backward()
+        return torch.autograd.grad(in_torch.loss(graph.states, graph.controls), leaves)[0]
 
-    _, back, _ = fastest(backward, limit_s, 3)
+    _, back, gradient = fastest(backward, limit_s, 3)
     converged = float(solution.converged.double().mean())
     row = dict(first_s=first, forward_s=forward, backward_s=back, converged=converged)
-    return ours.controls_of(solution), row
+    return ours.controls_of(solution), row | dict(gradient=gradient[:, :4].tolist())
 
 
-def measure_peer(name, states, parameters, steps, limit_s):
-    """Forward of a peer."""
-    solve = importlib.import_module("peers." + MODULES[name]).prepare(states, parameters, steps)
+def measure_peer(name, states, parameters, steps, limit_s, variant):
+    """Forward of a peer, and backward where the variant and the peer allow it."""
+    peer = importlib.import_module("peers." + MODULES[name])
+    solve = peer.prepare(states, parameters, steps, variant)
     first, forward, controls = fastest(solve, limit_s)
-    return controls, dict(first_s=first, forward_s=forward)
+    row = dict(first_s=first, forward_s=forward)
+    if not variant.bump and hasattr(peer, "prepare_gradient"):
+        record = peer.prepare_gradient(states, parameters, steps)
+        graphs = [record() for _ in range(4)]
+        _, back, gradient = fastest(lambda: graphs.pop()(), limit_s, 3)
+        row |= dict(backward_s=back, gradient=gradient.tolist())
+    return controls, row
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("solver")
+    parser.add_argument("--variant", choices=driving.VARIANTS, default="obstacle")
     parser.add_argument("--sizes", nargs="+", required=True, help="batch:steps")
     parser.add_argument("--limit", type=float, default=20.0, help="seconds of repetitions per size")
     arguments = parser.parse_args()
+    variant = driving.VARIANTS[arguments.variant]
+    measure = measure_ours if arguments.solver.startswith("ours") else measure_peer
     for size in arguments.sizes:
         batch, steps = map(int, size.split(":"))
         problem = driving.instances(batch, steps)
-        if arguments.solver.startswith("ours"):
-            compiled = arguments.solver == "ours-compiled"
-            controls, row = measure_ours(*problem, steps, arguments.limit, compiled)
-        else:
-            try:
-                controls, row = measure_peer(arguments.solver, *problem, steps, arguments.limit)
-            except ModuleNotFoundError as missing:
-                print(missing, file=sys.stderr)
-                raise SystemExit(MISSING) from missing
+        try:
+            controls, row = measure(arguments.solver, *problem, steps, arguments.limit, variant)
+        except ModuleNotFoundError as missing:
+            print(missing, file=sys.stderr)
+            raise SystemExit(MISSING) from missing
         row |= dict(
             solver=arguments.solver,
             batch=batch,
             steps=steps,
             memory_mib=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-            costs=np.round(driving.true_cost(*problem, controls), 7).tolist(),
+            costs=np.round(driving.true_cost(*problem, controls, variant), 7).tolist(),
         )
         print(json.dumps(row), flush=True)
 

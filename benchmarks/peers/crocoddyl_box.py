@@ -49,8 +49,8 @@ class Stage(crocoddyl.ActionModelAbstract):
         data.Luu[:] = curvature[4:, 4:]
 
 
-def prepare(states, parameters, steps):
-    """A function that returns the controls (count, T, 2), from zero controls."""
+def prepare(states, parameters, steps, variant):
+    """A function that returns the controls (count, T, 2), from zero controls; with obstacle and box."""
     running, final = compiled_functions()
 
     def solve_one(state, p):

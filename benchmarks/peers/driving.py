@@ -2,14 +2,32 @@
 
 State (x, y, heading, speed), control (acceleration, steer), 0.1 s steps, box bounds; goal, heading,
 speed, effort and one Gaussian bump, which makes it non-convex. Every formula is written once, on
-components and any array namespace.
+components and any array namespace. A free variant without bump and box is what solvers of quadratic
+costs and of problems without bounds can express, too.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
 DT, WHEELBASE = 0.1, 1.05
 WEIGHTS = (0.005, 0.05, 0.20, 0.02, 0.10, 2.0, 0.5)
 LOWER, UPPER = (-5.0, -0.785), (4.0, 0.785)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Weights of acceleration and steer, weight of the bump, box of the controls."""
+
+    effort: tuple[float, float] = WEIGHTS[3:5]
+    bump: float = WEIGHTS[5]
+    lower: tuple[float, float] = LOWER
+    upper: tuple[float, float] = UPPER
+
+
+OBSTACLE = Variant()
+FREE = Variant((0.1, 2.0), 0.0, (-np.inf, -np.inf), (np.inf, np.inf))
+VARIANTS = {"obstacle": OBSTACLE, "free": FREE}
 
 
 def step(xp, state, control, wheelbase=WHEELBASE):
@@ -25,23 +43,34 @@ def step(xp, state, control, wheelbase=WHEELBASE):
     )
 
 
-def stage_cost(xp, state, control, p):
-    """Running cost; p = goal x, y, heading, speed, obstacle x, y, radius."""
+def stage_cost(xp, state, control, p, variant=OBSTACLE):
+    """Running cost; p = goal x, y, heading, speed, and with a bump obstacle x, y, radius."""
     x, y, heading, speed = state
-    away = (x - p[4]) ** 2 + (y - p[5]) ** 2
-    return (
+    smooth = (
         WEIGHTS[0] * ((x - p[0]) ** 2 + (y - p[1]) ** 2)
         + WEIGHTS[1] * (heading - p[2]) ** 2
         + WEIGHTS[2] * (speed - p[3]) ** 2
-        + WEIGHTS[3] * control[0] ** 2
-        + WEIGHTS[4] * control[1] ** 2
-        + WEIGHTS[5] * xp.exp(-0.5 * away / p[6] ** 2)
+        + variant.effort[0] * control[0] ** 2
+        + variant.effort[1] * control[1] ** 2
     )
+    if not variant.bump:
+        return smooth
+    away = (x - p[4]) ** 2 + (y - p[5]) ** 2
+    return smooth + variant.bump * xp.exp(-0.5 * away / p[6] ** 2)
 
 
 def final_cost(state, p):
     """Squared distance of the last position to the goal."""
     return WEIGHTS[6] * ((state[0] - p[0]) ** 2 + (state[1] - p[1]) ** 2)
+
+
+def squares(steps):
+    """Weights (T + 1, 6) of the squared differences of state and control from (goal, 0), free.
+
+    A control after the end, which some solvers have, keeps its weight: its optimum is zero.
+    """
+    running = [WEIGHTS[0], *WEIGHTS[:3], *FREE.effort]
+    return np.array([running] * steps + [[WEIGHTS[6], WEIGHTS[6], 0, 0, *FREE.effort]])
 
 
 def instances(count, steps, seed=2024):
@@ -63,11 +92,11 @@ def instances(count, steps, seed=2024):
     return states, np.column_stack([goal, bearing, wanted, obstacle, radius])
 
 
-def true_cost(states, parameters, controls):
+def true_cost(states, parameters, controls, variant=OBSTACLE):
     """Cost (count,) of controls (count, T, 2) in float64, clipped to the box first."""
-    controls = np.clip(np.asarray(controls, float), LOWER, UPPER)
+    controls = np.clip(np.asarray(controls, float), variant.lower, variant.upper)
     state, p, total = tuple(states.T), parameters.T, 0.0
     for control in controls.transpose(1, 2, 0):
-        total = total + stage_cost(np, state, control, p)
+        total = total + stage_cost(np, state, control, p, variant)
         state = step(np, state, control)
     return total + final_cost(state, p)

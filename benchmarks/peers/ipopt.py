@@ -12,7 +12,7 @@ class Space:
     cos, sin, tan, exp, maximum = casadi.cos, casadi.sin, casadi.tan, casadi.exp, casadi.fmax
 
 
-def build(steps, plugin="ipopt"):
+def build(steps, variant=driving.OBSTACLE, plugin="ipopt"):
     """The nonlinear programme over controls and states; what varies is its parameter."""
     U, X = casadi.SX.sym("U", 2, steps), casadi.SX.sym("X", 4, steps)
     given = casadi.SX.sym("given", 11)
@@ -20,7 +20,7 @@ def build(steps, plugin="ipopt"):
     state, total, gaps = [given[i] for i in range(4)], 0, []
     for t in range(steps):
         control = [U[0, t], U[1, t]]
-        total += driving.stage_cost(Space, state, control, p)
+        total += driving.stage_cost(Space, state, control, p, variant)
         gaps.append(casadi.vertcat(*driving.step(Space, state, control)) - X[:, t])
         state = [X[i, t] for i in range(4)]
     total += driving.final_cost(state, p)
@@ -30,10 +30,10 @@ def build(steps, plugin="ipopt"):
     return casadi.nlpsol("solver", plugin, problem, quiet)
 
 
-def solve_all(nlp, states, parameters, steps):
+def solve_all(nlp, states, parameters, steps, variant):
     """Controls (count, T, 2)."""
-    low = np.concatenate([np.tile(driving.LOWER, steps), np.full(4 * steps, -np.inf)])
-    high = np.concatenate([np.tile(driving.UPPER, steps), np.full(4 * steps, np.inf)])
+    low = np.concatenate([np.tile(variant.lower, steps), np.full(4 * steps, -np.inf)])
+    high = np.concatenate([np.tile(variant.upper, steps), np.full(4 * steps, np.inf)])
     answers = []
     for state, p in zip(states, parameters, strict=True):
         current, path = tuple(state), []
@@ -46,7 +46,7 @@ def solve_all(nlp, states, parameters, steps):
     return np.stack(answers)
 
 
-def prepare(states, parameters, steps):
+def prepare(states, parameters, steps, variant):
     """A function that returns the controls (count, T, 2)."""
-    nlp = build(steps)
-    return lambda: solve_all(nlp, states, parameters, steps)
+    nlp = build(steps, variant)
+    return lambda: solve_all(nlp, states, parameters, steps, variant)

@@ -5,16 +5,10 @@ import torch
 
 from diffstack_mmv.control import ILQR, Batched, Bounds
 from peers import driving
+from peers.in_torch import Space
 
 
-class Space:
-    """Functions of torch under the names of numpy."""
-
-    cos, sin, tan, exp = torch.cos, torch.sin, torch.tan, torch.exp
-    maximum = staticmethod(torch.clamp_min)
-
-
-def callables(parameters, wheelbase):
+def callables(parameters, wheelbase, variant=driving.OBSTACLE):
     """Dynamics and cost with one row of parameters per problem; the wheelbase is shared."""
 
     def dynamics(state, control):
@@ -22,24 +16,28 @@ def callables(parameters, wheelbase):
 
     def cost(states, controls, parameters):
         p = parameters.unsqueeze(-2).unbind(-1)
-        running = driving.stage_cost(Space, states.unbind(-1), controls.unbind(-1), p)
+        running = driving.stage_cost(Space, states.unbind(-1), controls.unbind(-1), p, variant)
         final = driving.final_cost(states.unbind(-1), p)
         return torch.cat([running[..., :-1], final[..., -1:]], -1)
 
     return Batched(dynamics), Batched(cost, parameters)
 
 
-def solver(states, parameters, steps, compile):
-    """A function that solves the problems, differentiable in parameters and wheelbase."""
-    box = Bounds(torch.tensor(driving.LOWER), torch.tensor(driving.UPPER))
-    state, p = (torch.tensor(part, dtype=torch.float32) for part in (states, parameters))
-    p.requires_grad_()
-    wheelbase = torch.tensor(driving.WHEELBASE, requires_grad=True)
-    ilqr = ILQR(compile=compile, tolerance=1e-4)
-    controls = torch.zeros(len(state), steps, 2)
+def leaves_of(parameters, dtype=torch.float32):
+    """What the solution is differentiated by: parameters of the costs and wheelbase."""
+    p = torch.tensor(parameters, dtype=dtype, requires_grad=True)
+    return p, torch.tensor(driving.WHEELBASE, dtype=dtype, requires_grad=True)
+
+
+def solver(states, leaves, steps, compile, variant=driving.OBSTACLE, tolerance=1e-4):
+    """A function that solves the problems, differentiable in the leaves and in their precision."""
+    box = Bounds(torch.tensor(variant.lower), torch.tensor(variant.upper))
+    state = torch.tensor(states, dtype=leaves[0].dtype)
+    ilqr = ILQR(compile=compile, tolerance=tolerance)
+    controls = state.new_zeros(len(state), steps, 2)
 
     def solve():
-        return ilqr(*callables(p, wheelbase), box, state, controls)
+        return ilqr(*callables(*leaves, variant), box, state, controls)
 
     return solve
 
