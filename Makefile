@@ -37,7 +37,8 @@ test-all: install ## All tests that need no GPU, slow ones included
 
 bench: install ## Benchmarks, results in benchmarks/results; PEERS=<python> of an environment with more peers
 	$(LIMIT) $(BIN)/python -m pytest benchmarks --benchmark-only -m "slow or not slow"
-	$(LIMIT) $(BIN)/python benchmarks/bench_solver.py --python $(PEERS)
+	for name in solver solver_free; do \
+		$(LIMIT) $(BIN)/python benchmarks/bench_$$name.py --python $(PEERS) || exit 1; done
 	for name in models memory profile; do \
 		$(LIMIT) $(BIN)/python benchmarks/bench_solver_$$name.py > $(RESULTS)/solver_$$name.md || exit 1; done
 	if test -d $(REFERENCE); then for name in gradients convergence; do \

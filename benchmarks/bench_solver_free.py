@@ -58,7 +58,7 @@ def main():
         "wheelbase as well. `gradient error`: median relative error of it against this package's "
         "solver in float64 at a tolerance of 1e-16, over the problems that ended at the same cost. "
         "`first call`: with tracing and generating code, without the C++ compiler's own time, sizes "
-        f"in the order {', '.join(SIZES)} (batch:T). `peak`: of the process up to that size."
+        f"in the order {', '.join(arguments.sizes)} (batch:T). `peak`: of the process up to that size."
     )
     columns = [
         ("gradient error", ".1e", "error"),
