@@ -14,9 +14,15 @@ from torch._dynamo.decorators import maybe_mark_dynamic
 from torch._dynamo.exc import FailOnRecompileLimitHit, TorchDynamoException
 from torch._inductor.exc import InductorError
 
-from diffstack_mmv.control.expansion import Model
+from diffstack_mmv.control.expansion import (
+    Model,
+    assemble,
+    expand_by_differences,
+    value_along,
+)
 from diffstack_mmv.control.iteration import Iterate, attempt
 from diffstack_mmv.control.optimizer import Cost, Dynamics
+from diffstack_mmv.control.pieces import Pieces, pull
 from diffstack_mmv.control.riccati import Policy, Stationary, box_policy, solve_free
 from diffstack_mmv.control.selection import Batched
 from diffstack_mmv.control.size_free import SizeFree
@@ -50,6 +56,7 @@ class Kernel:
         function: What to compile.
         options: Options of the compiler.
         context: What it is traced in.
+        varying: Whether batch and horizon vary; otherwise every shape has a graph.
     """
 
     def __init__(
@@ -57,16 +64,19 @@ class Kernel:
         function: Callable[..., Any],
         options: dict[str, Any],
         context: Callable[[], AbstractContextManager[Any]] = nullcontext,
+        varying: bool = True,
     ) -> None:
         self.function = function
         self.compiled: Callable[..., Any] | None = None
         self.options = options
         self.context = context
+        self.varying = varying
 
     def __call__(self, *arguments: Any) -> Any:
         """Run compiled, or eagerly where the compiler failed before."""
         if self.compiled is None:
-            _mark_varying(arguments)
+            if self.varying:
+                _mark_varying(arguments)
             self.compiled = torch.compile(
                 _copy(self.function), fullgraph=True, options=self.options
             )
@@ -126,6 +136,17 @@ def _models(
     return model, step
 
 
+@functools.cache
+def _pieces(key: Hashable, longest_row: int, device: str) -> Pieces:
+    """The kernels of a local model in pieces, for one kind of dynamics and cost."""
+    options, context = _options(device), functools.partial(SizeFree, longest_row)
+    return Pieces(
+        Kernel(pull, options, varying=False),
+        Kernel(value_along, options, context),
+        Kernel(assemble, options),
+    )
+
+
 def compiled_kernels(
     expand: Callable[..., Model],
     dynamics: Dynamics,
@@ -145,7 +166,11 @@ def compiled_kernels(
     """
     policy, free = _recursions(*static[:3], device)
     key = kind(dynamics), kind(cost), static
-    model, step = _models(key, expand, max(*static[:2], LARGEST_ROW), device)
+    longest = max(*static[:2], LARGEST_ROW)
+    model, step = _models(key, expand, longest, device)
+    shared = isinstance(dynamics, Batched) and not dynamics.tensors
+    if shared and expand is expand_by_differences:
+        return Kernels(_pieces(key, longest, device), policy, step, free)
     return Kernels(model, policy, step, free)
 
 

@@ -181,23 +181,55 @@ def _expand(
     u: Float[Tensor, "T m N"],
     curvature_of: Callable[..., Curvature],
 ) -> Model:
-    states, controls = from_batch_last(x, like), pad_controls(from_batch_last(u, like))
-    before, acting = states[..., :-1, :], controls[..., :-1, :]
+    before, acting = from_batch_last(x[:-1], like), from_batch_last(u, like)
     jacobians = linearise_dynamics(dynamics, before, acting)
     A, B = (to_batch_last(jacobian, like) for jacobian in jacobians)
+    value = value_along(cost, like, x, u, A)
+    bend = curvature_of(dynamics, before, acting, from_batch_last(value.costates, like))
+    return assemble(x, u, A, B, value, Curvature(*(to_batch_last(bent, like) for bent in bend)))
+
+
+class Value(NamedTuple):
+    """Cost along trajectories to second order, and the costates, the batch last."""
+
+    x: Float[Tensor, "T1 n N"]
+    u: Float[Tensor, "T m N"]
+    hessian: Curvature  # blocks (T1, rows, columns, N)
+    costates: Float[Tensor, "T n N"]
+    magnitude: Float[Tensor, " N"]
+
+
+def value_along(
+    cost: Cost,
+    like: Float[Tensor, "*b"],
+    x: Float[Tensor, "T1 n N"],
+    u: Float[Tensor, "T m N"],
+    A: Float[Tensor, "T n n N"],
+) -> Value:
+    """Gradient and Hessian of the cost, and λ_t = c_x,t + A_t' λ_{t+1}."""
+    states, controls = from_batch_last(x, like), pad_controls(from_batch_last(u, like))
     of_x, of_u, curvature = expand_cost(cost, states, controls)
     c_x, c_u = to_batch_last(of_x, like), to_batch_last(of_u, like)[:-1]
-    hessian = [to_batch_last(block, like) for block in curvature]
-    multipliers = costates(A, c_x[:-1], c_x[-1])
-    bend = curvature_of(dynamics, before, acting, from_batch_last(multipliers, like))
-    blocks = [
-        block[:-1] + to_batch_last(bent, like) for block, bent in zip(hessian, bend, strict=True)
-    ]
+    hessian = Curvature(*(to_batch_last(block, like) for block in curvature))
+    magnitude = to_batch_last(cost(states, controls), like).abs().sum(0)
+    return Value(c_x, c_u, hessian, costates(A, c_x[:-1], c_x[-1]), magnitude)
+
+
+def assemble(
+    x: Float[Tensor, "T1 n N"],
+    u: Float[Tensor, "T m N"],
+    A: Float[Tensor, "T n n N"],
+    B: Float[Tensor, "T n m N"],
+    value: Value,
+    bend: Curvature,
+) -> Model:
+    """One row per time of all that the recursions read; `bend` is the curvature of the dynamics."""
+    c_x, c_u, hessian, multipliers, magnitude = value
+    blocks = [block[:-1] + bent for block, bent in zip(hessian, bend, strict=True)]
     parts = (A, B, c_x[:-1], c_u, *blocks, u)
     quadratic = LinearQuadratic(
-        torch.concatenate([part.flatten(1, -2) for part in parts], 1), pack(c_x[-1], hessian[0][-1])
+        torch.concatenate([part.flatten(1, -2) for part in parts], 1), pack(c_x[-1], hessian.xx[-1])
     )
     gradient = c_u + (B * multipliers.unsqueeze(2)).sum(1)
-    magnitude = to_batch_last(cost(states, controls), like).abs().sum(0)
     change = magnitude + (x * c_x).abs().sum((0, 1)) + (u * c_u).abs().sum((0, 1))
     return Model(quadratic, multipliers, gradient, magnitude, torch.finfo(x.dtype).eps * change)

@@ -3,8 +3,15 @@
 import pytest
 import torch
 
-from diffstack_mmv.control.expansion import differenced_curvature, dynamics_curvature
-from tests.control.problems import rate_model
+from diffstack_mmv.control.expansion import (
+    assemble,
+    differenced_curvature,
+    dynamics_curvature,
+    expand_by_differences,
+    value_along,
+)
+from diffstack_mmv.control.pieces import PAIRS, Pieces, pull
+from tests.control.problems import goal_cost, rate_model
 
 
 def pairs(dtype):
@@ -34,3 +41,18 @@ def test_curvature_is_the_hessian_of_the_weighted_step():
     torch.testing.assert_close(found.xx[0, 0], expected[:4, :4])
     torch.testing.assert_close(found.ux[0, 0], expected[4:, :4])
     torch.testing.assert_close(found.uu[0, 0], expected[4:, 4:])
+
+
+def test_a_local_model_in_pieces_equals_the_one_in_one_call():
+    generator = torch.Generator().manual_seed(0)
+    x, u = (
+        torch.randn(shape, generator=generator, dtype=torch.float64)
+        for shape in ((6, 4, 300), (5, 2, 300))
+    )
+    dynamics, like = rate_model(1.2), torch.zeros(300, dtype=torch.float64)
+    goal, weight = torch.ones(300, 2, dtype=torch.float64), torch.tensor([0.2, 0.05, 0.5])
+    arguments = dynamics, goal_cost(goal, weight), like, x, u
+    whole = expand_by_differences(*arguments)
+    in_pieces = Pieces(pull, value_along, assemble)(*arguments)
+    assert x[:-1].numel() > 4 * PAIRS
+    torch.testing.assert_close(in_pieces, whole, rtol=1e-6, atol=1e-6)
