@@ -78,12 +78,13 @@ class Identifier:
         logger.info("Tracked with the prior: cost %.3f", float(before.fitted.simulated.cost.sum()))
         prior = optimum(tracker, data.fitted, before).sensitivity
         informed = prior.conditional_ratio <= self.thresholds.informed
-        active, best = torch.zeros_like(informed), optimum(tracker, data.fitted, before)
+        active = torch.zeros_like(informed)
+        best = optimum(tracker, data.fitted, before, active)
         while not torch.equal(active, informed):
             # what the tracks turn out not to inform goes back to its prior; the rest is refitted
             active = informed
             fit = self._fitted(self.method, tracker, data, before, active)
-            best = optimum(tracker, data.fitted, fit)
+            best = optimum(tracker, data.fitted, fit, active)
             ratio = best.sensitivity.conditional_ratio
             informed = active & (ratio <= self.thresholds.informed)
         optima = self._optima(tracker, data, best, active)
@@ -109,7 +110,7 @@ class Identifier:
             start = torch.where(active, theta, first.fit.theta)
             begun = self._begun(tracker, data, first.fit, start)
             fit = self._fitted(self.search, tracker, data, begun, active)
-            other = optimum(tracker, data.fitted, fit)
+            other = optimum(tracker, data.fitted, fit, active)
             known = any(alike(each, other, tracker.parameters) for each in found)
             if not known and not worse(fit, first.fit):
                 found.append(other)
@@ -119,7 +120,7 @@ class Identifier:
             return tuple(found)
         fit = self._fitted(self.method, tracker, data, best.fit, active)
         others = [each for each in found if each is not best]
-        return (optimum(tracker, data.fitted, fit), *others)
+        return (optimum(tracker, data.fitted, fit, active), *others)
 
     def _begun(self, tracker: Tracker, data: Data, fit: Fit, theta: Float[Tensor, " p"]) -> Fit:
         """A fit that begins at another θ."""

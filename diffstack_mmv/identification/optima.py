@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.identification.fit import Fit, total_cost
@@ -38,20 +38,23 @@ class Optimum(NamedTuple):
     log_volume: float  # of the summit, up to a constant
 
 
-def optimum(tracker: Tracker, problem: Problem, fit: Fit) -> Optimum:
+def optimum(
+    tracker: Tracker, problem: Problem, fit: Fit, active: Bool[Tensor, " p"] | None = None
+) -> Optimum:
     """What the tracks say at a fit; noise above the assumed one lessens it.
 
     Args:
         tracker: Model and residuals.
         problem: The fitted tracks.
         fit: The fit, tracks in one piece.
+        active: Which values were fitted, all by default.
     """
     unknowns, simulated, _ = fit.fitted
     jacobian = tracker.jacobian(fit.theta, problem, unknowns, simulated)
     arrow = normal_equations(jacobian, simulated.residual, unknowns)
     factor = torch.linalg.cholesky(arrow.own)
     noise = _noise_factor(problem, simulated.residual, factor)
-    found = sensitivity(arrow, tracker.parameters, fit.theta, max(noise, 1.0))
+    found = sensitivity(arrow, tracker.parameters, fit.theta, max(noise, 1.0), active)
     scale = tracker.parameters.prior.std
     spread = found.covariance / (scale * scale.unsqueeze(-1))
     volume = 0.5 * torch.logdet(spread) - factor.diagonal(dim1=-2, dim2=-1).log().sum()

@@ -12,7 +12,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_between, require_positive
@@ -112,6 +112,7 @@ def sensitivity(
     parameters: LearnedParameters,
     theta: Float[Tensor, " p"],
     noise_factor: float = 1.0,
+    active: Bool[Tensor, " p"] | None = None,
 ) -> Sensitivity:
     """Information about the values at θ.
 
@@ -120,11 +121,14 @@ def sensitivity(
         parameters: The learned numbers.
         theta: θ.
         noise_factor: True standard deviation of the residuals over the assumed one.
+        active: Which values were fitted, all by default. The others keep the error of their prior,
+            and hand it on to those that were fitted beside them.
     """
     slope = parameters.slope(theta)
     information = reduce(arrow).information / (slope * slope.unsqueeze(-1)) / noise_factor**2
     precision = parameters.prior.std**-2
-    covariance = torch.linalg.inv(information + precision.diag())
+    fitted = torch.ones_like(precision) > 0 if active is None else active
+    covariance = _covariance(information, precision, fitted)
     std = covariance.diagonal().sqrt()
     conditional = (information.diagonal().clamp_min(0) + precision).rsqrt()
     scale = parameters.prior.std
@@ -136,6 +140,25 @@ def sensitivity(
     return Sensitivity(
         information, covariance, std, std / scale, conditional / scale, directions, noise_factor
     )
+
+
+def _covariance(
+    information: Float[Tensor, "p p"],
+    precision: Float[Tensor, " p"],
+    active: Bool[Tensor, " p"],
+) -> Float[Tensor, "p p"]:
+    """Covariance of the errors when only the active values are estimated, the others assumed.
+
+    With A = (S_aa + P_a)⁻¹ and the gain G = [-A S_ab; 1] on the errors of the assumed values b, it
+    is A on the active block plus G P_b⁻¹ Gᵀ (Schmidt's consider covariance).
+    """
+    covariance = torch.zeros_like(information)
+    block = information[active][:, active] + precision[active].diag()
+    inverse = torch.linalg.inv(block)
+    gain = torch.eye(len(precision), dtype=information.dtype)[:, ~active]
+    gain[active] = -inverse @ information[active][:, ~active]
+    covariance[active.unsqueeze(-1) & active] = inverse.flatten()
+    return covariance + (gain / precision[~active]) @ gain.mT
 
 
 def describe(direction: Direction, names: Sequence[str], share: float = 0.2) -> str:

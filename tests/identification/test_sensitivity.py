@@ -7,6 +7,7 @@ from diffstack_mmv.dynamics import DiffGM3
 from diffstack_mmv.identification import Identifier, Shooting, Thresholds, Verdict, profiles
 from diffstack_mmv.identification.combinations import quantities
 from diffstack_mmv.identification.influence import regularisation_influence
+from diffstack_mmv.identification.optima import optimum
 from diffstack_mmv.identification.sensitivity import Direction, describe
 from tests.identification.conftest import LIVELY, synthetic_case
 
@@ -44,6 +45,18 @@ def test_quick_ride_informs_combinations_of_tyre_parameters_rather_than_each(tyr
     ratio = found.sensitivity.conditional_ratio / found.sensitivity.marginal_ratio
     assert float(ratio.min()) < 0.9
     assert Verdict.NOT_IDENTIFIABLE in found.verdicts
+
+
+def test_value_that_was_not_fitted_keeps_its_prior_and_hands_its_error_on(tyres):
+    case, found = tyres
+    parameters, theta = case.tracker.parameters, found.after.theta
+    held = torch.arange(len(theta)) > 2
+    fitted = optimum(case.tracker, case.data.fitted, found.after, ~held).sensitivity
+    whole = optimum(case.tracker, case.data.fitted, found.after).sensitivity
+    none = optimum(case.tracker, case.data.fitted, found.after, torch.zeros_like(held)).sensitivity
+    torch.testing.assert_close(fitted.std[held], parameters.prior.std[held])
+    assert bool((fitted.std >= whole.std * (1 - 1e-9)).all())
+    torch.testing.assert_close(none.std, parameters.prior.std)
 
 
 def test_verdict_needs_a_ratio_and_a_precision():
