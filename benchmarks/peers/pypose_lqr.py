@@ -47,7 +47,7 @@ def solve_free(states, steps):
         lowest, best = state.new_full((len(state),), torch.inf), controls
         with torch.no_grad():
             lqr = LQR(Bicycle(), weights.detach(), slopes.detach(), steps + 1)
-            stepper = ReduceToBason(50, patience=1, decreasing=1e-4)
+            stepper = ReduceToBason(50, decreasing=1e-4)
             while stepper.continual():
                 _, controls, cost = lqr(state, u_traj=controls)
                 stepper.step(cost)
