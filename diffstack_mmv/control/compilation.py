@@ -169,7 +169,7 @@ def compiled_kernels(
     longest = max(*static[:2], LARGEST_ROW)
     model, step = _models(key, expand, longest, device)
     shared = isinstance(dynamics, Batched) and not dynamics.tensors
-    if shared and expand is expand_by_differences:
+    if shared and expand is expand_by_differences and device == "cpu":
         return Kernels(_pieces(key, longest, device), policy, step, free)
     return Kernels(model, policy, step, free)
 

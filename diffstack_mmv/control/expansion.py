@@ -6,10 +6,10 @@ are `vmap` dimensions: closures over tensors of shape `*b ...` broadcast as thei
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.control.batch_last import from_batch_last, pack, to_batch_last
@@ -168,9 +168,20 @@ def expand_by_differences(
     like: Float[Tensor, "*b"],
     x: Float[Tensor, "T1 n N"],
     u: Float[Tensor, "T m N"],
+    near: Bool[Tensor, " N"],
 ) -> Model:
-    """The same with the curvature of the dynamics by differences, all else exact."""
-    return _expand(dynamics, cost, like, x, u, differenced_curvature)
+    """The same with the curvature of the dynamics by differences, all else exact.
+
+    Problems that are not near their solution go without that curvature: it would not bring them
+    there sooner.
+    """
+
+    def curvature_of(*arguments: Any) -> Curvature:
+        kept = from_batch_last(near, like)[..., None, None, None]
+        bend = differenced_curvature(*arguments)
+        return Curvature(*(torch.where(kept, bent, torch.zeros_like(bent)) for bent in bend))
+
+    return _expand(dynamics, cost, like, x, u, curvature_of)
 
 
 def _expand(

@@ -50,8 +50,9 @@ class ILQR:
         line_search_steps: Number of step sizes 1, ½, ¼, ...
         regularisation: First damping after a refused step, relative to the largest entry of Q_uu.
         exact_curvature: Whether the iterations differentiate the dynamics twice, or difference
-            their exact gradient: a smaller graph, for large models such as DiffGM3. Derivatives of
-            the solution are exact in either case.
+            their exact gradient, and not before a problem is near its solution: less work and
+            smaller graphs for large models such as DiffGM3. Derivatives of the solution are exact
+            in either case.
         compile: Compile the kernels, once per code of the callables (not per closure). Where there
             is no compiler, or the callables do not compile, a warning is logged and they run
             eagerly.
@@ -183,7 +184,8 @@ class ILQR:
 
     def _improve(self, kernels: Kernels, settings: Settings, work: Workload, n: int) -> Iterate:
         dynamics, cost, like, iterate = work[:4]
-        model = kernels.expand(dynamics, cost, like, iterate.x, iterate.u)
+        near = () if self.exact_curvature else (iterate.near,)
+        model = kernels.expand(dynamics, cost, like, iterate.x, iterate.u, *near)
         policy = definite_policy(
             kernels.box_policy,
             model.quadratic,
@@ -208,7 +210,9 @@ def conclude(
     """Residual and active bounds at the end; no problem gives NaN."""
     like = state.new_zeros(state.shape[:-1])
     x, u = iterate.x.nan_to_num(0.0), iterate.u.nan_to_num(0.0)
-    model = kernels.expand(dynamics, cost, like, x, u)
+    # the gradient is all that is asked for here, if not the exact Hessian
+    near = () if exact else (torch.zeros_like(iterate.near),)
+    model = kernels.expand(dynamics, cost, like, x, u, *near)
     lower, upper = settings.box.unsqueeze(-1)
     moved = torch.minimum(torch.maximum(u - model.gradient, lower), upper)
     residual = (u - moved).abs().amax((0, 1)).nan_to_num(torch.inf)

@@ -13,6 +13,7 @@ from diffstack_mmv.control.riccati import Policy
 from diffstack_mmv.types import SolverStatus
 
 OPEN = -1  # status of a problem that is still being solved
+NEAR = 0.3  # predicted decrease relative to the cost below which a problem is near its solution
 NOISE = 8.0  # multiple of the rounding noise of the cost that counts as no decrease
 DAMPING_MAX = 1e8
 DAMPING_GROWTH, DAMPING_DECAY = 8.0, 0.2
@@ -27,6 +28,7 @@ class Iterate(NamedTuple):
     damping: Float[Tensor, " N"]
     status: Int[Tensor, " N"]
     iterations: Int[Tensor, " N"]
+    near: Bool[Tensor, " N"]  # whether the last model promised a small decrease only
 
 
 class Settings(NamedTuple):
@@ -84,6 +86,7 @@ def attempt(
         torch.where(is_open, damping, iterate.damping),
         torch.where(is_open, status, iterate.status),
         iterate.iterations + is_open.to(iterate.iterations.dtype),
+        policy.decrease <= NEAR * magnitude,
     )
 
 
@@ -106,12 +109,13 @@ def start(
     zero, none = torch.zeros_like(state[0]), torch.zeros_like(state[0], dtype=torch.bool)
     status = torch.full_like(zero, OPEN, dtype=torch.long)
     x = state.expand(T + 1, n, N).contiguous()
-    nowhere = Iterate(x, controls, zero + torch.inf, zero, status, torch.zeros_like(status))
+    count = torch.zeros_like(status)
+    nowhere = Iterate(x, controls, zero + torch.inf, zero, status, count, none)
     idle = Policy(controls.new_zeros(T, m + m * n, N), zero + 1, none, none)
     guess = attempt(dynamics, cost, like, nowhere, zero.clone(), zero.clone(), idle, settings)
     finite = guess.cost.isfinite() & guess.x.isfinite().all(0).all(0)
     status = torch.where(finite, status, SolverStatus.NOT_FINITE)
-    return guess._replace(damping=zero, status=status, iterations=torch.zeros_like(status))
+    return guess._replace(damping=zero, status=status, iterations=count)
 
 
 def next_damping(

@@ -9,13 +9,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.control.expansion import Curvature, Model, Value
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 
-PAIRS = 1024
+PAIRS = 2048
 
 
 class Pieces(NamedTuple):
@@ -32,34 +32,44 @@ class Pieces(NamedTuple):
         like: Float[Tensor, "*b"],
         x: Float[Tensor, "T1 n N"],
         u: Float[Tensor, "T m N"],
+        near: Bool[Tensor, " N"],
     ) -> Model:
         """As `expand_by_differences`, for dynamics that all problems share."""
+        n = x.shape[1]
         points = torch.concatenate([x[:-1], u], 1).movedim(1, 0)
-        A, B = self._linearise(dynamics, points, x.shape[1])
+        eye = torch.eye(n, dtype=x.dtype, device=x.device)
+        jacobian = self._pull_all(dynamics, points.unsqueeze(1), eye[..., None, None])
+        by_time = jacobian.permute(2, 1, 0, 3)
+        A, B = by_time[:, :, :n].contiguous(), by_time[:, :, n:].contiguous()
         value = self.value_along(cost, like, x, u, A)
-        bend = self._curvature(dynamics, points, value.costates.movedim(1, 0))
-        return self.assemble(x, u, A, B, value, bend)
-
-    def _linearise(
-        self, dynamics: Dynamics, points: Float[Tensor, "k T N"], n: int
-    ) -> tuple[Float[Tensor, "T n n N"], Float[Tensor, "T n m N"]]:
-        eye = torch.eye(n, dtype=points.dtype, device=points.device)
-        rows = self._pull_all(dynamics, points.unsqueeze(1), eye[..., None, None])
-        by_time = rows.permute(2, 1, 0, 3)
-        return by_time[:, :, :n].contiguous(), by_time[:, :, n:].contiguous()
+        index = near.nonzero().squeeze(-1)
+        parts = points, value.costates.movedim(1, 0), jacobian
+        some = self._curvature(dynamics, *(part.index_select(-1, index) for part in parts))
+        bend = some.new_zeros(*some.shape[:-1], len(near)).index_copy_(-1, index, some)
+        blocks = bend[:, :n, :n], bend[:, n:, :n], bend[:, n:, n:]
+        return self.assemble(x, u, A, B, value, Curvature(*(part.contiguous() for part in blocks)))
 
     def _curvature(
-        self, dynamics: Dynamics, points: Float[Tensor, "k T N"], costates: Float[Tensor, "n T N"]
-    ) -> Curvature:
-        (k, *_), n = points.shape, len(costates)
+        self,
+        dynamics: Dynamics,
+        points: Float[Tensor, "k T N"],
+        costates: Float[Tensor, "n T N"],
+        jacobian: Float[Tensor, "k n T N"],
+    ) -> Float[Tensor, "T k k N"]:
+        """Hessian of λ · f; entries that are only carried on, as a position is, are not shifted."""
+        k, n = jacobian.shape[:2]
         step = torch.finfo(points.dtype).eps ** 0.5
-        shifts = step * torch.eye(k, k + 1, dtype=points.dtype, device=points.device)
-        shifted = points.unsqueeze(1) + shifts[..., None, None]
-        rows = self._pull_all(dynamics, shifted, costates.unsqueeze(1))
-        hessian = ((rows[:, :-1] - rows[:, -1:]) / step).permute(2, 0, 1, 3)
-        hessian = 0.5 * (hessian + hessian.transpose(1, 2))
-        parts = hessian[:, :n, :n], hessian[:, n:, :n], hessian[:, n:, n:]
-        return Curvature(*(part.contiguous() for part in parts))
+        eye = torch.eye(k, dtype=points.dtype, device=points.device)
+        curved = (jacobian != eye[:, :n, None, None]).flatten(1).any(1)
+        entries = curved.nonzero().squeeze(-1)
+        shifted = points.unsqueeze(1) + step * eye[:, entries, None, None]
+        gradients = self._pull_all(dynamics, shifted, costates.unsqueeze(1))
+        unshifted = (jacobian * costates).sum(1, keepdim=True)
+        hessian = jacobian.new_zeros(k, k, *points.shape[1:])
+        hessian[:, entries] = (gradients - unshifted) / step
+        known = curved.unsqueeze(1).to(eye) + curved  # how often each entry is there
+        hessian = (hessian + hessian.transpose(0, 1)) / known.clamp_min(1)[..., None, None]
+        return hessian.movedim(2, 0)
 
     def _pull_all(
         self,
@@ -69,14 +79,15 @@ class Pieces(NamedTuple):
     ) -> Float[Tensor, "k r T N"]:
         """Gradients at all columns; the points and the weights broadcast against one another."""
         shape = torch.broadcast_shapes(points.shape[1:], weights.shape[1:])
-        columns = torch.concatenate(
-            [part.expand(len(part), *shape).flatten(1) for part in (points, weights)]
-        )
-        count, k = columns.shape[1], len(points)
-        padded = torch.nn.functional.pad(columns, (0, -count % PAIRS))
-        pieces = padded.unflatten(1, (-1, PAIRS)).movedim(1, 0).contiguous()
-        pulled = torch.stack([self.pull(dynamics, piece[:k], piece[k:]) for piece in pieces], 1)
-        return pulled.flatten(1)[:, :count].unflatten(1, shape)
+        count, k = shape.numel(), len(points)
+        columns = points.new_zeros(k + len(weights), count + -count % PAIRS)
+        columns[:k, :count].view(k, *shape).copy_(points)
+        columns[k:, :count].view(len(weights), *shape).copy_(weights)
+        pieces = columns.unflatten(1, (-1, PAIRS)).movedim(1, 0).contiguous()
+        pulled = columns.new_empty(k, *pieces.shape[::2])
+        for i, piece in enumerate(pieces):
+            pulled[:, i] = self.pull(dynamics, piece[:k], piece[k:])
+        return pulled.flatten(1)[:, :count].reshape(k, *shape)
 
 
 def pull(

@@ -43,7 +43,8 @@ def test_curvature_is_the_hessian_of_the_weighted_step():
     torch.testing.assert_close(found.uu[0, 0], expected[4:, 4:])
 
 
-def test_a_local_model_in_pieces_equals_the_one_in_one_call():
+@pytest.mark.parametrize("share", [0.0, 0.7, 1.0])
+def test_a_local_model_in_pieces_equals_the_one_in_one_call(share):
     generator = torch.Generator().manual_seed(0)
     x, u = (
         torch.randn(shape, generator=generator, dtype=torch.float64)
@@ -51,8 +52,9 @@ def test_a_local_model_in_pieces_equals_the_one_in_one_call():
     )
     dynamics, like = rate_model(1.2), torch.zeros(300, dtype=torch.float64)
     goal, weight = torch.ones(300, 2, dtype=torch.float64), torch.tensor([0.2, 0.05, 0.5])
-    arguments = dynamics, goal_cost(goal, weight), like, x, u
+    near = torch.rand(300, generator=generator) < share
+    arguments = dynamics, goal_cost(goal, weight), like, x, u, near
     whole = expand_by_differences(*arguments)
     in_pieces = Pieces(pull, value_along, assemble)(*arguments)
-    assert x[:-1].numel() > 4 * PAIRS
+    assert x[:-1].numel() > 2 * PAIRS
     torch.testing.assert_close(in_pieces, whole, rtol=1e-6, atol=1e-6)
