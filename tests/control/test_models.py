@@ -69,10 +69,11 @@ def is_touching(controls, box):
     return bool(((controls == box.lower) | (controls == box.upper)).any())
 
 
-def error_along_a_direction(model, box, hidden, guess, tensors, step=1e-5):
+def error_along_a_direction(model, box, hidden, guess, tensors, step=3e-6):
     """Relative error of the derivative along a direction against a central difference.
 
-    Both sides of the difference are re-converged solutions.
+    Both sides of the difference are re-converged solutions. Its error is of second order in the
+    step; for the weights of the skateboard at its bounds 2e-5 at a step of 1e-5.
     """
     directions = [torch.linspace(0.5, 1, t.numel()).reshape(t.shape) for t in tensors]
     results = []
