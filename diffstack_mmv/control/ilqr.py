@@ -1,5 +1,6 @@
 """Box-constrained trajectory optimisation with exact second derivatives, batched."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -9,7 +10,7 @@ from torch import Tensor
 from diffstack_mmv.checks import message, require, require_at_least, require_positive
 from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last
 from diffstack_mmv.control.compilation import Kernels, compiled_kernels, eager_kernels
-from diffstack_mmv.control.expansion import expand, expand_by_differences
+from diffstack_mmv.control.expansion import Model, expand, expand_by_differences
 from diffstack_mmv.control.implicit import Optimum, attach, free_controls
 from diffstack_mmv.control.iteration import OPEN, Iterate, Settings, start
 from diffstack_mmv.control.optimizer import Cost, Dynamics
@@ -136,7 +137,6 @@ class ILQR:
             )
         if not torch.is_grad_enabled():
             return solution
-
         attached = attach(dynamics, cost, state, optimum, kernels.solve_free)
         return solution if attached is None else solution._replace(**attached._asdict())
 
@@ -150,13 +150,19 @@ class ILQR:
             state.new_tensor(self.regularisation),
         )
 
+    def eager_kernels(self) -> Kernels:
+        """The parts of an iteration of this solver, not compiled."""
+        return eager_kernels(self._expansion())
+
+    def _expansion(self) -> Callable[..., Model]:
+        return expand if self.exact_curvature else expand_by_differences
+
     def _kernels(self, dynamics: Dynamics, cost: Cost, state: Tensor, controls: Tensor) -> Kernels:
-        form = expand if self.exact_curvature else expand_by_differences
         if not self.compile or state.numel() == 0:
-            return eager_kernels(form)
+            return self.eager_kernels()
         n, m = state.shape[-1], controls.shape[-1]
         static = (n, m, state.numel() == n, state.dim(), self.line_search_steps)
-        return compiled_kernels(form, dynamics, cost, static, state.device.type)
+        return compiled_kernels(self._expansion(), dynamics, cost, static, state.device.type)
 
     def minimise(
         self,

@@ -7,8 +7,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.control.batch_last import from_batch_last
-from diffstack_mmv.control.compilation import eager_kernels
-from diffstack_mmv.control.expansion import expand
 from diffstack_mmv.control.ilqr import ILQR, check_problem
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.types import Bounds, Solution
@@ -43,7 +41,7 @@ class UnrolledILQR:
         """
         check_problem(bounds, state, controls)
         settings = self.solver.settings(bounds, state)
-        kernels = eager_kernels(expand)
+        kernels = self.solver.eager_kernels()
         iterate = self.solver.minimise(kernels, dynamics, cost, settings, state, controls)
         like = state[..., 0]
         unknown = torch.full_like(iterate.cost, torch.nan).detach()

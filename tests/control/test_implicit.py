@@ -44,12 +44,14 @@ def test_gradient_equals_finite_differences(limit, name):
 
 
 @pytest.mark.usefixtures("double")
+@pytest.mark.parametrize("exact_curvature", [True, False])
 @pytest.mark.parametrize("limit", [50.0, 1.0], ids=["free", "at the bounds"])
-def test_unrolled_gradient_approaches_the_implicit_one(limit):
+def test_unrolled_gradient_approaches_the_implicit_one(limit, exact_curvature):
     hidden, box, controls = driving(limit=limit)
     weight = hidden["weight"].requires_grad_()
     exact = torch.autograd.grad(functional(solve(EXACT, hidden, box, controls)), weight)[0]
-    unrolled = solve(UnrolledILQR(EXACT), hidden, box, controls)
+    solver = ILQR(tolerance=1e-16, exact_curvature=exact_curvature)
+    unrolled = solve(UnrolledILQR(solver), hidden, box, controls)
     gradient = torch.autograd.grad(functional(unrolled), weight)[0]
     torch.testing.assert_close(gradient, exact, rtol=1e-4, atol=1e-7)
 
