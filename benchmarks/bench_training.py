@@ -28,12 +28,12 @@ def stack(dynamics):
     return instantiate(config.stack)
 
 
-def batch(neighbours):
+def batch(neighbors):
     torch.manual_seed(0)
     velocity = torch.randn(SAMPLES, 2) * 0.3 + torch.tensor([4.0, 0.0])
     origin = torch.zeros(SAMPLES, 2)
-    around = torch.randn(SAMPLES, neighbours, 2) * 8
-    walking = torch.randn(SAMPLES, neighbours, 2)
+    around = torch.randn(SAMPLES, neighbors, 2) * 8
+    walking = torch.randn(SAMPLES, neighbors, 2)
     future = straight_tracks(origin, velocity, FUTURE, 0)
     return StackBatch(
         straight_tracks(origin, velocity, PAST, PAST),
@@ -51,7 +51,7 @@ def made(request):
     return stack(request.param)
 
 
-@pytest.fixture(params=[0, 8], ids=["alone", "8 neighbours"])
+@pytest.fixture(params=[0, 8], ids=["alone", "8 neighbors"])
 def samples(request):
     return batch(request.param)
 

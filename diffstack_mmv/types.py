@@ -93,8 +93,8 @@ class StackBatch(NamedTuple):
 
     ego_past: Tracks  # B H
     ego_future: Tracks  # B T
-    others_past: Tracks  # B N H
-    others_future: Tracks  # B N T
+    neighbors_past: Tracks  # B N H
+    neighbors_future: Tracks  # B N T
     goal: Float[Tensor, "B 2"]  # m, the position of the human at the horizon
     dt_s: float
 

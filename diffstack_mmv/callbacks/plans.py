@@ -23,8 +23,8 @@ def scenes_of(
     order = forecast.log_weight[:, 0].argsort(-1, descending=True)[:, :shown_components]
     mean = forecast.mean[:, 0].take_along_dim(order[:, :, None, None], 1)
     weight = forecast.log_weight[:, 0].take_along_dim(order, 1).exp()
-    others = _paths(batch.others_future)
-    present = batch.others_past.valid[..., -1]
+    neighbors = _paths(batch.neighbors_future)
+    present = batch.neighbors_past.valid[..., -1]
     columns = (
         batch.ego_past.motion.position,
         batch.ego_future.motion.position,
@@ -37,7 +37,7 @@ def scenes_of(
     arrays: list[np.ndarray] = [column.detach().cpu().numpy() for column in columns]
     seen = present.cpu().numpy()
     return [
-        Scene._make([title, *(array[i] for array in arrays), others[i][seen[i]]])
+        Scene._make([title, *(array[i] for array in arrays), neighbors[i][seen[i]]])
         for i, title in enumerate(titles)
     ]
 

@@ -1,4 +1,4 @@
-"""From recordings to batches of an ego agent and its neighbours, in the frame of the ego."""
+"""From recordings to batches of an ego agent and its neighbors, in the frame of the ego."""
 
 from diffstack_mmv.data.augment import (
     Augmentation,

@@ -136,7 +136,7 @@ class SpeedScale:
 
 @dataclass(frozen=True)
 class PositionNoise:
-    """Noise on the observed past of the ego and its neighbours, not on the future.
+    """Noise on the observed past of the ego and its neighbors, not on the future.
 
     The present of the ego stays the origin of the frame.
 
@@ -158,7 +158,9 @@ class PositionNoise:
         position = ego.motion.position.clone()
         position[..., -1, :] = batch.ego_past.motion.position[..., -1, :]
         ego = ego._replace(motion=ego.motion._replace(position=position))
-        return batch._replace(ego_past=ego, others_past=self._moved(batch.others_past, generator))
+        return batch._replace(
+            ego_past=ego, neighbors_past=self._moved(batch.neighbors_past, generator)
+        )
 
     def _moved(self, tracks: Tracks, generator: Generator) -> Tracks:
         position = tracks.motion.position
@@ -189,8 +191,8 @@ class HistoryDropout:
     def __call__(self, batch: StackBatch, generator: Generator) -> StackBatch:
         """Mark the oldest rows as invalid, and set them to zero."""
         past = self._shortened(batch.ego_past, generator)
-        others = self._shortened(batch.others_past, generator)
-        return _keep_absent_zero(batch._replace(ego_past=past, others_past=others))
+        neighbors = self._shortened(batch.neighbors_past, generator)
+        return _keep_absent_zero(batch._replace(ego_past=past, neighbors_past=neighbors))
 
     def _shortened(self, tracks: Tracks, generator: Generator) -> Tracks:
         rows = tracks.valid.shape[-1]
@@ -233,10 +235,10 @@ def _zeroed(tracks: Tracks) -> Tracks:
 
 
 def _all_tracks(batch: StackBatch) -> list[Tracks]:
-    return [batch.ego_past, batch.ego_future, batch.others_past, batch.others_future]
+    return [batch.ego_past, batch.ego_future, batch.neighbors_past, batch.neighbors_future]
 
 
 def _joined(batch: StackBatch, tracks: Sequence[Tracks]) -> StackBatch:
-    ego_past, ego_future, others_past, others_future = tracks
+    ego_past, ego_future, neighbors_past, neighbors_future = tracks
     goal = ego_future.motion.position[..., -1, :]
-    return StackBatch(ego_past, ego_future, others_past, others_future, goal, batch.dt_s)
+    return StackBatch(ego_past, ego_future, neighbors_past, neighbors_future, goal, batch.dt_s)

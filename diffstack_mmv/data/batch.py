@@ -20,7 +20,7 @@ def stack_batch(batch: AgentBatch, windows: WindowSettings) -> StackBatch:
     """Convert a batch whose elements are in the frame of their agent (x, y, vx, vy, heading).
 
     Body velocities come from the velocities of the smoothed track, yaw rates from differences of
-    its heading. Neighbours are as many as in the fullest element; absent rows and agents are zero.
+    its heading. Neighbors are as many as in the fullest element; absent rows and agents are zero.
 
     Args:
         batch: Collated with padding outside (past on the left, future on the right).
@@ -31,15 +31,15 @@ def stack_batch(batch: AgentBatch, windows: WindowSettings) -> StackBatch:
     """
     past, future = windows.past_rows, windows.future_rows
     ego = _states(batch.agent_hist, batch.agent_fut, past, future)
-    others = _states(batch.neigh_hist, batch.neigh_fut, past, future)
+    neighbors = _states(batch.neigh_hist, batch.neigh_fut, past, future)
     ego_tracks = _tracks(ego, batch.agent_hist_extent[:, -1], batch.agent_type, windows)
     extent = batch.neigh_hist_extents
     extent = extent[:, :, -1] if extent.shape[-2] else extent.new_zeros(*extent.shape[:2], 3)
-    other_tracks = _tracks(others, extent, batch.neigh_types, windows)
+    other_tracks = _tracks(neighbors, extent, batch.neigh_types, windows)
     ego_past, ego_future = _split(ego_tracks, past)
-    others_past, others_future = _split(other_tracks, past)
+    neighbors_past, neighbors_future = _split(other_tracks, past)
     goal = ego_future.motion.position[..., -1, :]
-    return StackBatch(ego_past, ego_future, others_past, others_future, goal, windows.dt_s)
+    return StackBatch(ego_past, ego_future, neighbors_past, neighbors_future, goal, windows.dt_s)
 
 
 def _states(

@@ -17,7 +17,7 @@ from torch.utils.data import Dataset
 
 from diffstack_mmv.checks import message, require
 from diffstack_mmv.data.batch import stack_batch
-from diffstack_mmv.data.layout import PER_NEIGHBOUR, FieldLayout, fields, unpack
+from diffstack_mmv.data.layout import PER_NEIGHBOR, FieldLayout, fields, unpack
 from diffstack_mmv.data.registration import TrajdataWindows, WindowLocation
 from diffstack_mmv.data.settings import WindowSettings
 from diffstack_mmv.types import StackBatch
@@ -86,11 +86,11 @@ class ExportedWindows(WindowDataset):
         return len(self._rows)
 
     def __getitem__(self, index: Sequence[int]) -> StackBatch:
-        """Return the samples of these numbers; neighbours are as many as in the fullest of them."""
+        """Return the samples of these numbers; neighbors are as many as in the fullest of them."""
         rows = self._rows[np.asarray(index, dtype=np.int64)]
         widest = int(self._fields["others_count"][rows].max(initial=0))
         read = {
-            name: array[rows, :widest] if name in PER_NEIGHBOUR else array[rows]
+            name: array[rows, :widest] if name in PER_NEIGHBOR else array[rows]
             for name, array in self._fields.items()
         }
         return unpack({name: torch.from_numpy(array) for name, array in read.items()}, self.windows)
@@ -118,7 +118,7 @@ class DirectWindows(WindowDataset):
         return len(self._locations.element)
 
     def __getitem__(self, index: Sequence[int]) -> StackBatch:
-        """Return the samples of these numbers; neighbours are as many as in the fullest of them."""
+        """Return the samples of these numbers; neighbors are as many as in the fullest of them."""
         numbers = self._locations.element[np.asarray(index, dtype=np.int64)]
         elements = [self._source[int(number)] for number in numbers]
         return stack_batch(self._collate(elements), self.windows)

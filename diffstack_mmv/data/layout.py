@@ -13,7 +13,7 @@ from diffstack_mmv.data.settings import WindowSettings
 from diffstack_mmv.types import Motion, StackBatch, Tracks
 
 MOTION_COLUMNS = 6  # x, y, heading, forward and left velocity, yaw rate
-PER_NEIGHBOUR = ("others", "others_valid", "others_extent", "others_mode")
+PER_NEIGHBOR = ("neighbors", "neighbors_valid", "neighbors_extent", "neighbors_mode")
 
 
 class FieldLayout(NamedTuple):
@@ -24,16 +24,16 @@ class FieldLayout(NamedTuple):
 
 
 def fields(windows: WindowSettings) -> dict[str, FieldLayout]:
-    """Fields of an export; neighbours are padded to their largest number."""
-    rows, others = windows.rows, windows.neighbours
+    """Fields of an export; neighbors are padded to their largest number."""
+    rows, neighbors = windows.rows, windows.neighbors
     return {
         "ego": FieldLayout((rows, MOTION_COLUMNS), np.float32),
         "ego_extent": FieldLayout((2,), np.float32),
         "ego_mode": FieldLayout((), np.int16),
-        "others": FieldLayout((others, rows, MOTION_COLUMNS), np.float32),
-        "others_valid": FieldLayout((others, rows), np.bool_),
-        "others_extent": FieldLayout((others, 2), np.float32),
-        "others_mode": FieldLayout((others,), np.int16),
+        "neighbors": FieldLayout((neighbors, rows, MOTION_COLUMNS), np.float32),
+        "neighbors_valid": FieldLayout((neighbors, rows), np.bool_),
+        "neighbors_extent": FieldLayout((neighbors, 2), np.float32),
+        "neighbors_mode": FieldLayout((neighbors,), np.int16),
         "others_count": FieldLayout((), np.int16),
     }
 
@@ -65,17 +65,17 @@ def write_rows(path: Path, first: int, rows: NDArray[np.generic]) -> None:
 
 
 def pack(batch: StackBatch) -> dict[str, NDArray[np.generic]]:
-    """Lay a batch out as fields; neighbours beyond those of the batch are left out."""
-    ego, others = batch.ego_past, batch.others_past
-    valid = torch.cat([others.valid, batch.others_future.valid], -1)
+    """Lay a batch out as fields; neighbors beyond those of the batch are left out."""
+    ego, neighbors = batch.ego_past, batch.neighbors_past
+    valid = torch.cat([neighbors.valid, batch.neighbors_future.valid], -1)
     packed = {
         "ego": _pack_motion(ego.motion, batch.ego_future.motion),
         "ego_extent": ego.extent,
         "ego_mode": ego.mode,
-        "others": _pack_motion(others.motion, batch.others_future.motion),
-        "others_valid": valid,
-        "others_extent": others.extent,
-        "others_mode": others.mode,
+        "neighbors": _pack_motion(neighbors.motion, batch.neighbors_future.motion),
+        "neighbors_valid": valid,
+        "neighbors_extent": neighbors.extent,
+        "neighbors_mode": neighbors.mode,
         "others_count": (valid.any(-1).flip(-1).cumsum(-1) > 0).sum(-1),
     }
     return {name: tensor.numpy() for name, tensor in packed.items()}
@@ -87,15 +87,15 @@ def unpack(rows: dict[str, Tensor], windows: WindowSettings) -> StackBatch:
     ego = _unpack_tracks(
         rows["ego"], rows["ego_extent"], rows["ego_mode"], present, windows.past_rows
     )
-    others = _unpack_tracks(
-        rows["others"],
-        rows["others_extent"],
-        rows["others_mode"],
-        rows["others_valid"],
+    neighbors = _unpack_tracks(
+        rows["neighbors"],
+        rows["neighbors_extent"],
+        rows["neighbors_mode"],
+        rows["neighbors_valid"],
         windows.past_rows,
     )
     goal = ego[1].motion.position[..., -1, :].clone()
-    return StackBatch(*ego, *others, goal, windows.dt_s)
+    return StackBatch(*ego, *neighbors, goal, windows.dt_s)
 
 
 def _pack_motion(past: Motion, future: Motion) -> Float[Tensor, "*b T 6"]:

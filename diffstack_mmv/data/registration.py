@@ -87,7 +87,7 @@ class SceneTable(DataFrameCache):
         agents: list[AgentMetadata],
         history_sec: tuple[float | None, float | None],
     ) -> tuple[list[Any], list[NDArray[np.float64]], NDArray[np.int64]]:
-        """Futures of the neighbours; none for one that ends now: trajdata repeats its present."""
+        """Futures of the neighbors; none for one that ends now: trajdata repeats its present."""
         futures, extents, lengths = super().get_agents_future(scene_ts, agents, history_sec)
         ongoing = np.array([agent.last_timestep > scene_ts for agent in agents], dtype=bool)
         kept = [
@@ -167,7 +167,7 @@ class TrajdataWindows(UnifiedDataset):
             state_format=STATE_FORMAT_STR,
             obs_format=OBSERVED,
             augmentations=list(corrections),  # type: ignore[arg-type]
-            max_neighbor_num=windows.neighbours,
+            max_neighbor_num=windows.neighbors,
             data_dirs=dict(raw_folders or {}),
             cache_location=str(cache),
             require_map_cache=False,

@@ -1,4 +1,4 @@
-"""What a sample is: which agents, how much past and future, which neighbours."""
+"""What a sample is: which agents, how much past and future, which neighbors."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -9,7 +9,7 @@ from diffstack_mmv.types import Mode
 
 @dataclass(frozen=True)
 class WindowSettings:
-    """Windows of one ego agent and its neighbours.
+    """Windows of one ego agent and its neighbors.
 
     A window exists at every `stride`-th row of an agent of the ego modes that has its full past and
     its full future. Training and evaluation use the same stride unless told otherwise: consecutive
@@ -20,7 +20,7 @@ class WindowSettings:
         history_s: Past in s; the row of the present is counted on top of it.
         horizon_s: Future in s.
         dt_s: Step in s.
-        neighbours: At most so many of the nearest agents.
+        neighbors: At most so many of the nearest agents.
         radius_m: Agents further away than this in m at the present are left out.
         stride: Steps between the presents of consecutive windows.
 
@@ -32,7 +32,7 @@ class WindowSettings:
     history_s: float = 4.0
     horizon_s: float = 3.0
     dt_s: float = 0.1
-    neighbours: int = 16
+    neighbors: int = 16
     radius_m: float = 30.0
     stride: int = 5
 
@@ -42,7 +42,7 @@ class WindowSettings:
         require_positive("dt_s", self.dt_s)
         require_multiple("history_s", self.history_s, self.dt_s)
         require_multiple("horizon_s", self.horizon_s, self.dt_s)
-        require_at_least("neighbours", self.neighbours, 0)
+        require_at_least("neighbors", self.neighbors, 0)
         require_positive("radius_m", self.radius_m)
         require_at_least("stride", self.stride, 1)
         require(len(self.modes) > 0, "ego_modes", "be known", self.ego_modes)

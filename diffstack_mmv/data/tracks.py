@@ -86,7 +86,7 @@ def read_controls(
 
     Returns:
         By "recording/agent" the controls (T, m): the mean of what was recorded within each step,
-        else a value between its neighbours; NaN before the first and after the last record.
+        else a value between its neighbors; NaN before the first and after the last record.
 
     Raises:
         ValueError: The source is no converted cache, no scene has such a table, or one lacks a

@@ -31,7 +31,7 @@ def profiles(
 ) -> dict[str, Profile]:
     """Profile the cost, tracks and priors of the others together, over the range of parameters.
 
-    Each value starts from its neighbour's solution, outwards from the estimate.
+    Each value starts from its neighbor's solution, outwards from the estimate.
 
     Args:
         tracker: Model and residuals.

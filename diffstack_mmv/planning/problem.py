@@ -25,20 +25,20 @@ def disc_radius(extent: Float[Tensor, "*b 2"]) -> Float[Tensor, "*b"]:
     return (extent.prod(-1) / torch.pi).sqrt()
 
 
-def predicted_obstacles(others: Tracks, forecast: Forecast) -> Obstacles:
+def predicted_obstacles(neighbors: Tracks, forecast: Forecast) -> Obstacles:
     """Obstacles from the predictions of the other agents.
 
     Args:
-        others: Observed agents, *b N H.
+        neighbors: Observed agents, *b N H.
         forecast: Their forecast, *b N K T; thin it out beforehand, the cost of planning grows with
             K.
     """
-    now = present(others)
+    now = present(neighbors)
     start = now.motion.position[..., None, None, :].expand_as(forecast.mean[..., :1, :])
     return Obstacles(
         position=torch.cat([start, forecast.mean], -2),
         weight=forecast.log_weight.exp(),
-        radius=disc_radius(others.extent),
+        radius=disc_radius(neighbors.extent),
         valid=now.valid,
     )
 

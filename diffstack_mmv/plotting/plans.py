@@ -21,7 +21,7 @@ class Scene(NamedTuple):
     weights: np.ndarray  # K
     goal: np.ndarray  # 2
     candidates: np.ndarray  # C T 2
-    others: np.ndarray  # N T 2, NaN where unknown
+    neighbors: np.ndarray  # N T 2, NaN where unknown
 
 
 def draw_scene(axes: Axes, scene: Scene) -> None:
@@ -36,7 +36,7 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
             alpha=float(np.clip(weight, 0.15, 1.0)),
             zorder=2,
         )
-    for path in scene.others:
+    for path in scene.neighbors:
         axes.plot(*path.T, color=PALETTE[3], linewidth=1.0, zorder=2)
         axes.plot(*path[0], "s", color=PALETTE[3], markersize=3)
     axes.plot(*scene.past.T, color="0.4", linewidth=1.2, label="past", zorder=3)

@@ -1,10 +1,10 @@
-"""Predictors: where the ego and its neighbours will be."""
+"""Predictors: where the ego and its neighbors will be."""
 
 from diffstack_mmv.prediction.base import (
     Predictor,
     all_agents,
     ego_forecast,
-    others_forecast,
+    neighbors_forecast,
     strongest,
 )
 from diffstack_mmv.prediction.baselines import (
@@ -41,7 +41,7 @@ __all__ = [
     "constant_acceleration",
     "ego_forecast",
     "hermite_spline",
-    "others_forecast",
+    "neighbors_forecast",
     "straight_line",
     "strongest",
     "without_dynamics",

@@ -1,7 +1,7 @@
 """The interface of a predictor, and views on what it returns.
 
-A predictor answers for the ego and all neighbours in one forecast: the dimension after the batch is
-the agent, 0 is the ego and 1 .. N are the neighbours in the order in which they were given.
+A predictor answers for the ego and all neighbors in one forecast: the dimension after the batch is
+the agent, 0 is the ego and 1 .. N are the neighbors in the order in which they were given.
 """
 
 from abc import ABC, abstractmethod
@@ -15,7 +15,7 @@ from diffstack_mmv.types import Forecast, Motion, StackBatch, Tracks
 
 
 class Predictor(nn.Module, ABC):
-    """Forecasts positions of the ego and its neighbours, in the frame of the given tracks.
+    """Forecasts positions of the ego and its neighbors, in the frame of the given tracks.
 
     Args:
         horizon_steps: Number of predicted time steps T.
@@ -33,22 +33,22 @@ class Predictor(nn.Module, ABC):
         self.dt_s = dt_s
 
     @abstractmethod
-    def forward(self, past: Tracks, others: Tracks) -> Forecast:
+    def forward(self, past: Tracks, neighbors: Tracks) -> Forecast:
         """Forecast all agents.
 
         Args:
             past: The ego, `*b`, with times `*b H`.
-            others: Its neighbours, `*b N`, with times `*b N H`; N may be 0. A neighbour counts if
+            neighbors: Its neighbors, `*b N`, with times `*b N H`; N may be 0. A neighbor counts if
                 its last row is valid.
 
         Returns:
             Forecast with leading dimensions `*b 1+N`, finite for every agent; see `ego_forecast`,
-            `others_forecast`.
+            `neighbors_forecast`.
         """
 
     def predict(self, batch: StackBatch) -> Forecast:
         """Forecast the agents of a batch, `B 1+N`; the futures in it are not used."""
-        return self(batch.ego_past, batch.others_past)
+        return self(batch.ego_past, batch.neighbors_past)
 
     def predict_and_judge(self, batch: StackBatch) -> tuple[Forecast, Float[Tensor, "*b"]]:
         """`predict` and `loss` of a batch, for training steps that need both."""
@@ -56,39 +56,39 @@ class Predictor(nn.Module, ABC):
 
     def loss(self, batch: StackBatch) -> Float[Tensor, "*b"]:
         """Mean negative log density in nats of the true positions, over valid times and agents."""
-        future = all_agents(batch.ego_future, batch.others_future)
+        future = all_agents(batch.ego_future, batch.neighbors_future)
         seen = present_agents(batch).unsqueeze(-1) & future.valid
         log_prob = self.predict(batch).log_prob(future.motion.position)
         total = torch.where(seen, log_prob, torch.zeros_like(log_prob)).sum((-2, -1))
         return -total / seen.sum((-2, -1)).clamp_min(1)
 
 
-def all_agents(ego: Tracks, others: Tracks) -> Tracks:
-    """Join the ego (`*b H`) and its neighbours (`*b N H`) to agents `*b 1+N H`, the ego first.
+def all_agents(ego: Tracks, neighbors: Tracks) -> Tracks:
+    """Join the ego (`*b H`) and its neighbors (`*b N H`) to agents `*b 1+N H`, the ego first.
 
     Raises:
         ValueError: The two differ in their number of rows.
     """
-    rows, expected = others.valid.shape[-1], ego.valid.shape[-1]
-    require(rows == expected, "others", f"have {expected} rows as the ego has", rows)
+    rows, expected = neighbors.valid.shape[-1], ego.valid.shape[-1]
+    require(rows == expected, "neighbors", f"have {expected} rows as the ego has", rows)
     agent_dim = ego.mode.dim()
 
     def join(first: Tensor, rest: Tensor) -> Tensor:
         return torch.cat([first.unsqueeze(agent_dim), rest], agent_dim)
 
     return Tracks(
-        Motion(*(join(*fields) for fields in zip(ego.motion, others.motion, strict=True))),
-        *(join(*fields) for fields in zip(ego[1:], others[1:], strict=True)),
+        Motion(*(join(*fields) for fields in zip(ego.motion, neighbors.motion, strict=True))),
+        *(join(*fields) for fields in zip(ego[1:], neighbors[1:], strict=True)),
     )
 
 
 def present_agents(batch: StackBatch) -> Bool[Tensor, "*b agents"]:
     """Which of the agents are observed now, the ego first."""
-    return all_agents(batch.ego_past, batch.others_past).valid[..., -1]
+    return all_agents(batch.ego_past, batch.neighbors_past).valid[..., -1]
 
 
 def ego_forecast(forecast: Forecast) -> Forecast:
-    """Forecast `*b` of the ego alone, from one of ego and neighbours `*b 1+N`."""
+    """Forecast `*b` of the ego alone, from one of ego and neighbors `*b 1+N`."""
     return Forecast(
         forecast.log_weight[..., 0, :],
         forecast.mean[..., 0, :, :, :],
@@ -96,8 +96,8 @@ def ego_forecast(forecast: Forecast) -> Forecast:
     )
 
 
-def others_forecast(forecast: Forecast) -> Forecast:
-    """Forecast `*b N` of the neighbours alone, from one of ego and neighbours `*b 1+N`."""
+def neighbors_forecast(forecast: Forecast) -> Forecast:
+    """Forecast `*b N` of the neighbors alone, from one of ego and neighbors `*b 1+N`."""
     return Forecast(
         forecast.log_weight[..., 1:, :],
         forecast.mean[..., 1:, :, :, :],

@@ -88,9 +88,9 @@ class Extrapolation(Predictor):
         super().__init__(horizon_steps, dt_s)
         self.spread = spread if spread is not None else Spread()
 
-    def forward(self, past: Tracks, others: Tracks) -> Forecast:
+    def forward(self, past: Tracks, neighbors: Tracks) -> Forecast:
         """Forecast all agents, `*b 1+N`."""
-        tracks = all_agents(past, others)
+        tracks = all_agents(past, neighbors)
         time = self.dt_s * torch.arange(1, self.horizon_steps + 1, device=tracks.valid.device)
         time = time.to(tracks.motion.position.dtype)
         heading = current_heading(tracks)
@@ -143,11 +143,11 @@ class ConstantVelocity(Extrapolation):
 
 
 class NoPrediction(ConstantVelocity):
-    """The ego keeps its velocity; neighbours are far away, so that no plan reacts to them."""
+    """The ego keeps its velocity; neighbors are far away, so that no plan reacts to them."""
 
-    def forward(self, past: Tracks, others: Tracks) -> Forecast:
-        """Forecast all agents, `*b 1+N`, the neighbours out of reach."""
-        forecast = super().forward(past, others)
+    def forward(self, past: Tracks, neighbors: Tracks) -> Forecast:
+        """Forecast all agents, `*b 1+N`, the neighbors out of reach."""
+        forecast = super().forward(past, neighbors)
         ego = torch.arange(forecast.mean.shape[-4], device=forecast.mean.device) == 0
         mean = torch.where(
             ego[:, None, None, None], forecast.mean, torch.full_like(forecast.mean, FAR_AWAY_M)
@@ -156,8 +156,8 @@ class NoPrediction(ConstantVelocity):
 
     def loss(self, batch: StackBatch) -> Float[Tensor, "*b"]:
         """Mean negative log density in nats of the ego's true positions."""
-        nobody = batch.others_past._replace(valid=torch.zeros_like(batch.others_past.valid))
-        return super().loss(batch._replace(others_past=nobody))
+        nobody = batch.neighbors_past._replace(valid=torch.zeros_like(batch.neighbors_past.valid))
+        return super().loss(batch._replace(neighbors_past=nobody))
 
 
 class GroundTruth(Extrapolation):
@@ -166,8 +166,8 @@ class GroundTruth(Extrapolation):
     def predict(self, batch: StackBatch) -> Forecast:
         """Forecast `B 1+N` from the futures; who vanishes stays at the last true position."""
         past, future = (
-            all_agents(batch.ego_past, batch.others_past),
-            all_agents(batch.ego_future, batch.others_future),
+            all_agents(batch.ego_past, batch.neighbors_past),
+            all_agents(batch.ego_future, batch.neighbors_future),
         )
         known = torch.cat([current_position(past).unsqueeze(-2), future.motion.position], -2)
         valid = torch.cat([torch.ones_like(future.valid[..., :1]), future.valid], -1)

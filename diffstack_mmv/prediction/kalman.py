@@ -47,9 +47,9 @@ class KalmanConstantVelocity(Predictor):
         self.along_m, self.across_m = along_m, across_m
         self.acceleration_density, self.speed_mps = acceleration_density, speed_mps
 
-    def forward(self, past: Tracks, others: Tracks) -> Forecast:
+    def forward(self, past: Tracks, neighbors: Tracks) -> Forecast:
         """Forecast all agents, `*b 1+N`."""
-        tracks = all_agents(past, others)
+        tracks = all_agents(past, neighbors)
         state, covariance = self.filtered(tracks)
         time = self.dt_s * torch.arange(1, self.horizon_steps + 1, device=state.device).to(
             state.dtype

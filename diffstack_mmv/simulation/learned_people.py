@@ -9,7 +9,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_multiple, require_positive
 from diffstack_mmv.geometry import rotate, wrap_angle
-from diffstack_mmv.prediction import Predictor, others_forecast
+from diffstack_mmv.prediction import Predictor, neighbors_forecast
 from diffstack_mmv.simulation.rounding import length
 from diffstack_mmv.simulation.world import Observation
 from diffstack_mmv.types import Mode, Motion, Tracks, map_tensors
@@ -58,8 +58,8 @@ class PredictorPeople:
     ) -> Float[Tensor, "*b h T1 2"]:
         """Positions in m of the most likely trajectories."""
         self._remember(observation)
-        others = self._tracks(observation)
-        forecast = others_forecast(self.predictor(_nobody(others), others)).most_likely()
+        neighbors = self._tracks(observation)
+        forecast = neighbors_forecast(self.predictor(_nobody(neighbors), neighbors)).most_likely()
         now = observation.human_position
         path = torch.cat((now.unsqueeze(-2).to(forecast), forecast), -2)
         place = dt_s / self.predictor.dt_s * torch.arange(steps + 1, dtype=path.dtype)
@@ -140,7 +140,7 @@ def _at(rows: Float[Tensor, "*b n 2"], place: Float[Tensor, " k"]) -> Float[Tens
     return rows[..., lower, :] + share * (rows[..., lower + 1, :] - rows[..., lower, :])
 
 
-def _nobody(others: Tracks) -> Tracks:
-    """An ego that is not there, beside others `*b h T`."""
-    agent_dim = others.mode.dim() - 1
-    return map_tensors(lambda entry: torch.zeros_like(entry.select(agent_dim, 0)), others)
+def _nobody(neighbors: Tracks) -> Tracks:
+    """An ego that is not there, beside neighbors `*b h T`."""
+    agent_dim = neighbors.mode.dim() - 1
+    return map_tensors(lambda entry: torch.zeros_like(entry.select(agent_dim, 0)), neighbors)

@@ -81,7 +81,7 @@ class OrcaPeople:
         preferred_speed_mps: Preferred speed of everybody.
         tolerance_mps: Largest error of the velocity under which a goal explains it.
         courses: Number of courses in the fan; the best of them is refined once by as many within
-            its neighbours.
+            its neighbors.
 
     Raises:
         ValueError: A number is not positive.

@@ -11,7 +11,7 @@ from diffstack_mmv.checks import require_positive
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.simulation.pedestrians import OrcaCrowd
 from diffstack_mmv.simulation.pedestrians.base import towards
-from diffstack_mmv.simulation.pedestrians.half_planes import Agents, Neighbours
+from diffstack_mmv.simulation.pedestrians.half_planes import Agents, Neighbors
 from diffstack_mmv.simulation.rounding import unit_vector
 from diffstack_mmv.simulation.world import Observation
 from diffstack_mmv.types import Motion
@@ -83,7 +83,7 @@ class OrcaPolicy:
             max_speed=torch.full_like(observation.radius, self.speed_mps),
         )
         radius = observation.human_radius
-        humans = Neighbours(
+        humans = Neighbors(
             position=observation.human_position,
             velocity=observation.human_velocity,
             radius=radius,

@@ -19,7 +19,7 @@ from diffstack_mmv.planning import (
     observed_obstacles,
     predicted_obstacles,
 )
-from diffstack_mmv.prediction import Predictor, ego_forecast, others_forecast, strongest
+from diffstack_mmv.prediction import Predictor, ego_forecast, neighbors_forecast, strongest
 from diffstack_mmv.types import Forecast, Plan, PlanningProblem, StackBatch
 
 LOG_PROB_FLOOR = -20.0  # nats, as in Trajectron++ and DiffStack
@@ -52,13 +52,13 @@ class DiffStackMMV(pl.LightningModule):
     Source: Cai et al., DMMV, Sec. III, and Karkus et al., DiffStack (CoRL 2022).
 
     Args:
-        predictor: Forecasts ego and neighbours.
+        predictor: Forecasts ego and neighbors.
         planner: Plans with the dynamics of the ego.
         goal: Where the goal of a plan comes from.
         loss: Weights of the parts of the loss.
         optimizer: Makes the optimizer from the parameters.
         scheduler: Makes the learning-rate schedule from the optimizer, stepped once per epoch.
-        obstacle_components: How many predicted components of each neighbour the plan sees.
+        obstacle_components: How many predicted components of each neighbor the plan sees.
     """
 
     def __init__(
@@ -90,12 +90,12 @@ class DiffStackMMV(pl.LightningModule):
         """Choose the goal and plan, given a forecast of all agents."""
         ego = ego_forecast(forecast)
         goal = self.goal(batch, ego)
-        others = strongest(others_forecast(forecast), self.obstacle_components)
+        others = strongest(neighbors_forecast(forecast), self.obstacle_components)
         problem = build_problem(
             batch.ego_past,
             ego.most_likely(),
             goal,
-            predicted_obstacles(batch.others_past, others),
+            predicted_obstacles(batch.neighbors_past, others),
             batch.dt_s,
         )
         return StackOutput(forecast, goal, problem, self.planner(problem))
@@ -113,7 +113,7 @@ class DiffStackMMV(pl.LightningModule):
             plan.candidates.position[..., 1:, :], future.motion.position, future.valid
         )
         hindsight = output.problem._replace(
-            obstacles=observed_obstacles(batch.others_past, batch.others_future)
+            obstacles=observed_obstacles(batch.neighbors_past, batch.neighbors_future)
         )
         parts = self.planner.hindsight_cost(plan, hindsight)
         squared = (plan.motion.position[..., 1:, :] - future.motion.position).square().sum(-1)
@@ -182,7 +182,7 @@ class DiffStackMMV(pl.LightningModule):
         ego = ego_forecast(output.forecast)
         planned = output.plan.motion.position
         losses = self.planning_losses(batch, output)
-        truth = observed_obstacles(batch.others_past, batch.others_future)
+        truth = observed_obstacles(batch.neighbors_past, batch.neighbors_future)
         log_prob = ego.log_prob(human).clamp_min(LOG_PROB_FLOOR)
         ce, cost = losses["planning_ce"], losses["planning_cost"]
         return {

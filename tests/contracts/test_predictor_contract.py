@@ -8,7 +8,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
 from diffstack_mmv.geometry import motion_in_frame, position_from_frame
-from diffstack_mmv.prediction import Predictor, ego_forecast, others_forecast
+from diffstack_mmv.prediction import Predictor, ego_forecast, neighbors_forecast
 from diffstack_mmv.types import StackBatch, map_tensors
 from tests.prediction.samples import DT_S, at_rest, bicycle, scene
 
@@ -52,15 +52,15 @@ def test_it_is_a_predictor_of_the_asked_horizon(predictor):
     assert (predictor.horizon_steps, predictor.dt_s) == (HORIZON, DT_S)
 
 
-@pytest.mark.parametrize(("batch", "others"), [((2,), 3), ((2,), 0), ((), 2), ((2, 2), 1)])
-def test_forecast_has_one_entry_for_the_ego_and_each_neighbour(predictor, batch, others):
-    forecast = predictor.predict(long_scene(batch=batch, others=others))
+@pytest.mark.parametrize(("batch", "neighbors"), [((2,), 3), ((2,), 0), ((), 2), ((2, 2), 1)])
+def test_forecast_has_one_entry_for_the_ego_and_each_neighbor(predictor, batch, neighbors):
+    forecast = predictor.predict(long_scene(batch=batch, neighbors=neighbors))
     components = forecast.log_weight.shape[-1]
-    assert forecast.log_weight.shape == (*batch, 1 + others, components)
-    assert forecast.mean.shape == (*batch, 1 + others, components, HORIZON, 2)
-    assert forecast.scale_tril.shape == (*batch, 1 + others, components, HORIZON, 2, 2)
+    assert forecast.log_weight.shape == (*batch, 1 + neighbors, components)
+    assert forecast.mean.shape == (*batch, 1 + neighbors, components, HORIZON, 2)
+    assert forecast.scale_tril.shape == (*batch, 1 + neighbors, components, HORIZON, 2, 2)
     assert ego_forecast(forecast).mean.shape == (*batch, components, HORIZON, 2)
-    assert others_forecast(forecast).mean.shape == (*batch, others, components, HORIZON, 2)
+    assert neighbors_forecast(forecast).mean.shape == (*batch, neighbors, components, HORIZON, 2)
 
 
 def test_forecast_is_a_mixture_of_proper_gaussians(predictor):
@@ -70,9 +70,9 @@ def test_forecast_is_a_mixture_of_proper_gaussians(predictor):
     assert (forecast.scale_tril[..., 0, 1] == 0).all()
 
 
-@pytest.mark.parametrize("others", [0, 2])
-def test_forecast_and_loss_are_finite_at_rest(predictor, others):
-    batch = at_rest(long_scene(others=others))
+@pytest.mark.parametrize("neighbors", [0, 2])
+def test_forecast_and_loss_are_finite_at_rest(predictor, neighbors):
+    batch = at_rest(long_scene(neighbors=neighbors))
     assert finite(predictor.predict(batch))
     assert finite([predictor.loss(batch)])
 
@@ -82,7 +82,7 @@ def test_forecast_is_finite_without_any_observation(predictor):
     nothing = batch._replace(
         **{
             name: getattr(batch, name)._replace(valid=torch.zeros_like(getattr(batch, name).valid))
-            for name in ("ego_past", "others_past")
+            for name in ("ego_past", "neighbors_past")
         }
     )
     assert finite(predictor.predict(nothing))
@@ -127,18 +127,18 @@ def test_a_moved_and_turned_scene_gives_the_moved_and_turned_forecast(predictor)
 
 def test_rows_that_are_not_valid_have_no_influence(predictor):
     batch = long_scene()
-    hidden = torch.zeros_like(batch.others_past.valid)
+    hidden = torch.zeros_like(batch.neighbors_past.valid)
     hidden[..., :15] = True
     hidden[:, 1] = True
-    clean = batch.others_past._replace(valid=~hidden)
+    clean = batch.neighbors_past._replace(valid=~hidden)
 
     def spoiled(field):
         mask = hidden[(..., *(None,) * (field.dim() - hidden.dim()))]
         return torch.where(mask, torch.full_like(field, 77.0), field)
 
     dirty = clean._replace(motion=type(clean.motion)(*(spoiled(field) for field in clean.motion)))
-    first = predictor.predict(batch._replace(others_past=clean))
-    second = predictor.predict(batch._replace(others_past=dirty))
+    first = predictor.predict(batch._replace(neighbors_past=clean))
+    second = predictor.predict(batch._replace(neighbors_past=dirty))
     for one, other in zip(first, second, strict=True):
         assert torch.allclose(one, other, atol=1e-5)
 

@@ -25,7 +25,7 @@ TERMS = [
 each_term = pytest.mark.parametrize("term", TERMS, ids=lambda term: type(term).__name__)
 
 
-def random_case(batch=3, times=6, others=4, components=2):
+def random_case(batch=3, times=6, neighbors=4, components=2):
     motion = Motion(
         torch.randn(batch, times, 2),
         torch.randn(batch, times),
@@ -33,10 +33,10 @@ def random_case(batch=3, times=6, others=4, components=2):
         torch.randn(batch, times),
     )
     obstacles = Obstacles(
-        torch.randn(batch, others, components, times, 2),
-        torch.randn(batch, others, components).softmax(-1),
-        torch.rand(batch, others),
-        torch.rand(batch, others) > 0.3,
+        torch.randn(batch, neighbors, components, times, 2),
+        torch.randn(batch, neighbors, components).softmax(-1),
+        torch.rand(batch, neighbors),
+        torch.rand(batch, neighbors) > 0.3,
     )
     now = Motion(*(field[:, 0] for field in motion))
     problem = PlanningProblem(
@@ -104,13 +104,13 @@ def test_derivatives_are_finite_on_top_of_goal_and_obstacle(term, double):
 
 @each_term
 def test_no_agents_is_no_special_case(term, double):
-    motion, controls, problem = random_case(others=0)
+    motion, controls, problem = random_case(neighbors=0)
     assert torch.isfinite(term(motion, controls, problem)).all()
 
 
 def test_barrier_is_active_only_where_both_turns_are_obstructed(double):
     term = costs.TurningCircleBarrier(radius_min_m=1.0, margin_m=0.0)
-    motion, controls, problem = random_case(batch=1, times=1, others=1, components=1)
+    motion, controls, problem = random_case(batch=1, times=1, neighbors=1, components=1)
     still = Motion(torch.zeros(1, 1, 2), torch.zeros(1, 1), torch.zeros(1, 1, 2), torch.zeros(1, 1))
 
     def value(x, y):

@@ -76,7 +76,7 @@ def write_cache(folder: Path, scenes: dict[str, tuple[str, list[ToyAgent]]], nam
 
 
 def crowd() -> list[ToyAgent]:
-    """A cyclist, a scooter rider, and neighbours that come, go and stand."""
+    """A cyclist, a scooter rider, and neighbors that come, go and stand."""
     return [
         ToyAgent("cyclist", Mode.BICYCLE, 90, start=(100.0, -40.0, 2.5), yaw_rate=0.4),
         ToyAgent("rider", Mode.SCOOTER, 85, start=(105.0, -40.0, -1.0), speed=4.0),

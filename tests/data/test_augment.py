@@ -51,7 +51,7 @@ def test_absent_rows_stay_zero_and_the_input_is_untouched(batch, augmentation):
     before = [part.clone() for part in tensors(batch)]
     changed = augmentation(batch, generator())
     assert all(torch.equal(a, b) for a, b in zip(before, tensors(batch), strict=True))
-    for tracks in (changed.ego_past, changed.others_past, changed.others_future):
+    for tracks in (changed.ego_past, changed.neighbors_past, changed.neighbors_future):
         for part in tracks.motion:
             assert (part[~tracks.valid] == 0).all()
             assert part.isfinite().all()
@@ -71,12 +71,12 @@ def test_mirroring_twice_changes_nothing(batch):
     assert all(torch.equal(a, b) for a, b in zip(tensors(batch), tensors(twice), strict=True))
 
 
-def test_a_mirrored_neighbour_changes_sides(batch):
-    mirrored = Mirror(1.0)(batch, generator()).others_past.motion
+def test_a_mirrored_neighbor_changes_sides(batch):
+    mirrored = Mirror(1.0)(batch, generator()).neighbors_past.motion
     torch.testing.assert_close(
-        mirrored.position[..., 1], -batch.others_past.motion.position[..., 1]
+        mirrored.position[..., 1], -batch.neighbors_past.motion.position[..., 1]
     )
-    assert torch.equal(mirrored.velocity[..., 0], batch.others_past.motion.velocity[..., 0])
+    assert torch.equal(mirrored.velocity[..., 0], batch.neighbors_past.motion.velocity[..., 0])
 
 
 def test_the_goal_remains_the_end_of_the_future(batch):

@@ -29,8 +29,8 @@ def test_shapes_are_those_of_the_settings(source, windows):
     batch = stack_batch(opened.get_collate_fn()([opened[i] for i in (0, 1)]), windows)
     assert batch.ego_past.motion.position.shape == (2, 41, 2)
     assert batch.ego_future.motion.yaw_rate.shape == (2, 30)
-    assert batch.others_past.motion.velocity.shape == (2, 3, 41, 2)
-    assert batch.others_future.valid.shape == (2, 3, 30)
+    assert batch.neighbors_past.motion.velocity.shape == (2, 3, 41, 2)
+    assert batch.neighbors_future.valid.shape == (2, 3, 30)
     assert batch.dt_s == 0.1
 
 
@@ -49,17 +49,17 @@ def test_the_extent_is_length_and_width(tmp_path):
     assert batch.ego_future.mode.tolist() == [Mode.SCOOTER]
 
 
-def test_somebody_alone_has_no_neighbours(tmp_path):
+def test_somebody_alone_has_no_neighbors(tmp_path):
     batch = read(tmp_path, ToyAgent("a", Mode.BICYCLE, 80))
-    assert batch.others_past.motion.position.shape == (1, 0, 41, 2)
-    assert batch.others_past.mode.shape == (1, 0)
-    assert batch.others_past.mode.dtype == torch.int64
+    assert batch.neighbors_past.motion.position.shape == (1, 0, 41, 2)
+    assert batch.neighbors_past.mode.shape == (1, 0)
+    assert batch.neighbors_past.mode.dtype == torch.int64
 
 
 def test_absent_rows_are_zero_and_marked(source, windows):
     opened = source.open("train", windows)
     batch = stack_batch(opened.get_collate_fn()([opened[i] for i in range(50)]), windows)
-    for tracks in (batch.others_past, batch.others_future):
+    for tracks in (batch.neighbors_past, batch.neighbors_future):
         assert not tracks.valid.all()
         for part in tracks.motion:
             assert part.isfinite().all()

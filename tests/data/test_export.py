@@ -109,7 +109,7 @@ def test_a_window_with_nan_is_left_out_and_counted(export, exporting, monkeypatc
             "`version` must be 1, but got 99",
         ),
         (lambda folder: np.save(folder / "ego.npy", np.zeros(3)), "must have shape"),
-        (lambda folder: (folder / "others.npy").write_bytes(b""), "must be an array of shape"),
+        (lambda folder: (folder / "neighbors.npy").write_bytes(b""), "must be an array of shape"),
     ],
 )
 def test_a_damaged_or_foreign_export_names_the_file_and_the_remedy(
@@ -130,8 +130,8 @@ def test_a_pickled_export_holds_a_path_and_no_samples(export, exporting):
     assert same(pickle.loads(content)[[3, 1]], exported[[3, 1]])
 
 
-def test_batches_are_trimmed_to_their_own_largest_number_of_neighbours(export, exporting):
+def test_batches_are_trimmed_to_their_own_largest_number_of_neighbors(export, exporting):
     exported = ExportedWindows(export_windows(export, exporting))
     alone = exported.samples.index[exported.samples["agent"] == "alone"].tolist()
-    assert exported[alone].others_past.valid.shape[1] == 0
-    assert exported[[0, *alone]].others_past.valid.shape[1] == 3
+    assert exported[alone].neighbors_past.valid.shape[1] == 0
+    assert exported[[0, *alone]].neighbors_past.valid.shape[1] == 3

@@ -72,7 +72,7 @@ def sdd(shared, tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore::FutureWarning")
-def test_neighbours_are_where_the_annotations_of_the_crowd_put_them(sdd, shared, tmp_path):
+def test_neighbors_are_where_the_annotations_of_the_crowd_put_them(sdd, shared, tmp_path):
     windows = WindowSettings(ego_modes=("bicycle",), stride=20)
     source = NamedDataset("sdd", str(sdd), str(tmp_path / "cache"))
     module = TrajdataModule(source, windows, LoaderSettings(), export=None)
@@ -86,10 +86,10 @@ def test_neighbours_are_where_the_annotations_of_the_crowd_put_them(sdd, shared,
         now = raw.loc[sample["row"] * 3]
         ego = now.loc[int(sample["agent"])].to_numpy()
         distance = np.linalg.norm(now.to_numpy() - ego, axis=1)
-        expected = np.sort(distance)[1 : 1 + batch.others_past.mode.shape[1]]
-        found = batch.others_past.motion.position[0, :, -1].norm(dim=-1).numpy()
+        expected = np.sort(distance)[1 : 1 + batch.neighbors_past.mode.shape[1]]
+        found = batch.neighbors_past.motion.position[0, :, -1].norm(dim=-1).numpy()
         np.testing.assert_allclose(found, expected, atol=0.3)
-        if len(found) < windows.neighbours:
+        if len(found) < windows.neighbors:
             beyond = np.sort(distance)[1 + len(found) :]
             assert (beyond > windows.radius_m - 0.3).all()
     assert len(chosen) > 5

@@ -36,7 +36,7 @@ def test_windows_of_an_agent_are_one_stride_apart(opened):
     assert rows.tolist() == [40, 45, 50, 55]
 
 
-def test_scooters_keep_their_mode_as_ego_and_as_neighbour_through_forked_workers(opened, windows):
+def test_scooters_keep_their_mode_as_ego_and_as_neighbor_through_forked_workers(opened, windows):
     loader = DataLoader(
         opened,
         batch_size=16,
@@ -46,13 +46,13 @@ def test_scooters_keep_their_mode_as_ego_and_as_neighbour_through_forked_workers
     )
     batches = [stack_batch(batch, windows) for batch in loader]
     ego = torch.cat([batch.ego_past.mode for batch in batches])
-    others = torch.cat([batch.others_past.mode.flatten() for batch in batches])
+    neighbors = torch.cat([batch.neighbors_past.mode.flatten() for batch in batches])
     assert set(ego.tolist()) == {Mode.BICYCLE, Mode.SCOOTER}
     present = {Mode.BICYCLE, Mode.SCOOTER, Mode.PEDESTRIAN, Mode.WHEELCHAIR}
-    assert present <= set(others.tolist()) <= {*present, Mode.UNKNOWN}
+    assert present <= set(neighbors.tolist()) <= {*present, Mode.UNKNOWN}
 
 
-def test_neighbours_stand_where_the_world_has_them_seen_from_the_ego(opened, windows):
+def test_neighbors_stand_where_the_world_has_them_seen_from_the_ego(opened, windows):
     where = opened.locations()
     number = next(i for i, agent in enumerate(where.agent) if agent == "cyclist")
     batch = stack_batch(opened.get_collate_fn()([opened[int(where.element[number])]]), windows)
@@ -60,31 +60,31 @@ def test_neighbours_stand_where_the_world_has_them_seen_from_the_ego(opened, win
         a.name: torch.tensor(a.table().to_numpy()[:, [0, 1, 7]].astype(float)) for a in crowd()
     }
     ego = tables["cyclist"][40]
-    for place, mode in enumerate(batch.others_past.mode[0].tolist()):
+    for place, mode in enumerate(batch.neighbors_past.mode[0].tolist()):
         name = {5: "rider", 2: "walker", 9: "waiting"}[mode]
         world = tables[name][40 - next(a.first for a in crowd() if a.name == name)]
         expected = position_in_frame(world[None, :2], ego[:2], ego[2])[0]
-        found = batch.others_past.motion.position[0, place, -1]
+        found = batch.neighbors_past.motion.position[0, place, -1]
         torch.testing.assert_close(found, expected.float(), atol=1e-4, rtol=0)
 
 
-def test_neighbours_are_sorted_by_distance_and_cut_at_the_radius_and_number(source, windows):
-    settings = WindowSettings(ego_modes=("bicycle",), neighbours=2, radius_m=30.0)
+def test_neighbors_are_sorted_by_distance_and_cut_at_the_radius_and_number(source, windows):
+    settings = WindowSettings(ego_modes=("bicycle",), neighbors=2, radius_m=30.0)
     opened = source.open("val", settings)
     batch = stack_batch(opened.get_collate_fn()([opened[0]]), settings)
-    distance = batch.others_past.motion.position[0, :, -1].norm(dim=-1)
+    distance = batch.neighbors_past.motion.position[0, :, -1].norm(dim=-1)
     assert distance.shape == (2,)
     assert (distance.diff() >= 0).all()
 
 
-def test_a_neighbour_that_ends_now_has_no_future(opened, windows):
+def test_a_neighbor_that_ends_now_has_no_future(opened, windows):
     where = opened.locations()
     rows = [where.agent[i] == "cyclist" and where.row[i] == 45 for i in range(len(where.row))]
     element = opened[int(where.element[rows.index(True)])]
     batch = stack_batch(opened.get_collate_fn()([element]), windows)
-    walker = (batch.others_past.mode[0] == Mode.PEDESTRIAN).nonzero().item()
-    assert batch.others_past.valid[0, walker].sum() == 30
-    assert not batch.others_future.valid[0, walker].any()
+    walker = (batch.neighbors_past.mode[0] == Mode.PEDESTRIAN).nonzero().item()
+    assert batch.neighbors_past.valid[0, walker].sum() == 30
+    assert not batch.neighbors_future.valid[0, walker].any()
 
 
 def test_a_split_without_a_window_is_refused_with_the_counts(source):

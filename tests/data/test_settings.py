@@ -21,7 +21,7 @@ def test_four_seconds_past_and_three_future_are_41_and_30_rows():
         ({"ego_modes": ()}, "`ego_modes` must name at least one mode"),
         ({"stride": 0}, "`stride` must be at least 1"),
         ({"radius_m": -1.0}, "`radius_m` must be positive"),
-        ({"neighbours": -1}, "`neighbours` must be at least 0"),
+        ({"neighbors": -1}, "`neighbors` must be at least 0"),
         ({"dt_s": 0.0}, "`dt_s` must be positive"),
     ],
 )

@@ -19,7 +19,7 @@ WINDOW = {"history_sec": (4.0, 4.0), "future_sec": (3.0, 3.0)}
 
 @pytest.fixture(scope="module")
 def scooters(converted):
-    """All scooters of all splits, neighbours within 30 m."""
+    """All scooters of all splits, neighbors within 30 m."""
     return open_cache(
         converted,
         {"imptc": ["train", "val", "test"]},
@@ -60,7 +60,7 @@ def test_forked_workers_yield_the_same_batches_as_this_process(scooters):
         assert here.agent_name == there.agent_name
 
 
-def test_the_mode_of_ego_and_neighbours_survives_into_the_batch(scooters):
+def test_the_mode_of_ego_and_neighbors_survives_into_the_batch(scooters):
     seen = set()
     for batch in batches(scooters, 0, range(0, len(scooters), 12)):
         assert torch.unique(batch.agent_type).tolist() == [Mode.SCOOTER]

@@ -65,14 +65,14 @@ def test_true_obstacles_hold_the_last_seen_position():
 
 
 def test_predicted_obstacles_begin_at_the_present_position():
-    others = tracks(2, 3, rows=5)
+    neighbors = tracks(2, 3, rows=5)
     forecast = Forecast(
         torch.zeros(2, 3, 4).log_softmax(-1),
         torch.randn(2, 3, 4, 6, 2),
         torch.zeros(2, 3, 4, 6, 2, 2),
     )
-    obstacles = predicted_obstacles(others, forecast)
-    assert torch.equal(obstacles.position[:, :, 1, 0], others.motion.position[..., -1, :])
+    obstacles = predicted_obstacles(neighbors, forecast)
+    assert torch.equal(obstacles.position[:, :, 1, 0], neighbors.motion.position[..., -1, :])
     assert torch.allclose(obstacles.weight.sum(-1), torch.ones(2, 3))
 
 
@@ -81,7 +81,7 @@ def test_disc_has_the_area_of_the_box():
     assert torch.pi * radius.square() == pytest.approx(8.0)
 
 
-def test_problem_without_neighbours_is_a_problem():
+def test_problem_without_neighbors_is_a_problem():
     ego = tracks(2, rows=5)
     none = observed_obstacles(tracks(2, 0, rows=5), tracks(2, 0, rows=6))
     problem = build_problem(ego, torch.randn(2, 6, 2), torch.randn(2, 2), none, 0.1)

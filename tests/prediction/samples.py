@@ -37,13 +37,13 @@ def split(motion, at, mode):
     return tracks(slice(None, at)), tracks(slice(at, None))
 
 
-def scene(batch=(3,), others=2, history=21, horizon=10, dtype=torch.float32):
-    """A batch of scenes; neighbours alternate between pedestrians and bicycles."""
+def scene(batch=(3,), neighbors=2, history=21, horizon=10, dtype=torch.float32):
+    """A batch of scenes; neighbors alternate between pedestrians and bicycles."""
     ego_mode = torch.full(batch, int(Mode.BICYCLE))
     modes = torch.tensor([int(Mode.PEDESTRIAN), int(Mode.BICYCLE)])
-    other_mode = modes[torch.arange(others) % 2].expand(*batch, others)
+    other_mode = modes[torch.arange(neighbors) % 2].expand(*batch, neighbors)
     ego = split(curve(batch, history + horizon, dtype), history, ego_mode)
-    rest = split(curve((*batch, others), history + horizon, dtype), history, other_mode)
+    rest = split(curve((*batch, neighbors), history + horizon, dtype), history, other_mode)
     return StackBatch(*ego, *rest, ego[1].motion.position[..., -1, :], DT_S)
 
 
@@ -72,7 +72,7 @@ def trajectron(ego_dynamics=None, horizon=10, **options):
         SingleIntegrator(DT_S),
         horizon_steps=horizon,
         sizes=Sizes(8, 8, 8, 16, dropout=0.0),
-        **{"components": 4, "neighbour_components": 3} | options,
+        **{"components": 4, "neighbor_components": 3} | options,
     )
     with torch.no_grad():
         for branch in model.branches:

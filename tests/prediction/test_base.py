@@ -8,7 +8,7 @@ from diffstack_mmv.prediction import (
     NoPrediction,
     all_agents,
     ego_forecast,
-    others_forecast,
+    neighbors_forecast,
     strongest,
 )
 from diffstack_mmv.types import Forecast
@@ -38,43 +38,45 @@ def test_strongest_needs_a_component():
 
 
 def test_ego_comes_first():
-    batch = scene(batch=(2,), others=3)
-    agents = all_agents(batch.ego_past, batch.others_past)
+    batch = scene(batch=(2,), neighbors=3)
+    agents = all_agents(batch.ego_past, batch.neighbors_past)
     assert torch.equal(agents.motion.position[:, 0], batch.ego_past.motion.position)
-    assert torch.equal(agents.valid[:, 1:], batch.others_past.valid)
+    assert torch.equal(agents.valid[:, 1:], batch.neighbors_past.valid)
 
 
 def test_ego_and_others_together_are_the_forecast():
-    forecast = ConstantVelocity(10, DT_S).predict(scene(others=2))
-    ego, others = ego_forecast(forecast), others_forecast(forecast)
-    for whole, first, rest in zip(forecast, ego, others, strict=True):
+    forecast = ConstantVelocity(10, DT_S).predict(scene(neighbors=2))
+    ego, neighbors = ego_forecast(forecast), neighbors_forecast(forecast)
+    for whole, first, rest in zip(forecast, ego, neighbors, strict=True):
         assert torch.equal(whole, torch.cat([first.unsqueeze(1), rest], 1))
 
 
 def test_rows_of_ego_and_others_have_to_agree():
-    with pytest.raises(ValueError, match="`others` must have 21 rows as the ego has, but got 15"):
-        all_agents(scene(history=21).ego_past, scene(history=15).others_past)
+    with pytest.raises(
+        ValueError, match="`neighbors` must have 21 rows as the ego has, but got 15"
+    ):
+        all_agents(scene(history=21).ego_past, scene(history=15).neighbors_past)
 
 
 def test_loss_is_the_mean_over_agents_and_times_that_were_seen():
-    batch = scene(others=1)
-    valid = batch.others_future.valid.clone()
+    batch = scene(neighbors=1)
+    valid = batch.neighbors_future.valid.clone()
     valid[..., 5:] = False
-    batch = batch._replace(others_future=batch.others_future._replace(valid=valid))
+    batch = batch._replace(neighbors_future=batch.neighbors_future._replace(valid=valid))
     predictor = ConstantVelocity(10, DT_S)
     forecast = predictor.predict(batch)
     ego = ego_forecast(forecast).log_prob(batch.ego_future.motion.position).sum(-1)
     other = (
-        others_forecast(forecast)
-        .log_prob(batch.others_future.motion.position)[..., :5]
+        neighbors_forecast(forecast)
+        .log_prob(batch.neighbors_future.motion.position)[..., :5]
         .sum((-2, -1))
     )
     assert torch.allclose(predictor.loss(batch), -(ego + other) / 15, rtol=1e-5)
 
 
 def test_loss_without_prediction_judges_the_ego_alone():
-    batch = scene(others=2)
-    alone = scene(others=0)._replace(ego_past=batch.ego_past, ego_future=batch.ego_future)
+    batch = scene(neighbors=2)
+    alone = scene(neighbors=0)._replace(ego_past=batch.ego_past, ego_future=batch.ego_future)
     assert torch.allclose(
         NoPrediction(10, DT_S).loss(batch), ConstantVelocity(10, DT_S).loss(alone)
     )

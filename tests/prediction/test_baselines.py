@@ -12,7 +12,7 @@ from diffstack_mmv.prediction import (
     Spread,
     StandStill,
     ego_forecast,
-    others_forecast,
+    neighbors_forecast,
 )
 from diffstack_mmv.types import Motion
 from tests.prediction.samples import DT_S, scene
@@ -56,7 +56,7 @@ def test_unfading_ctra_continues_an_acceleration():
 
 
 def test_unfading_ctra_continues_a_circle():
-    batch = scene(others=0, history=41)
+    batch = scene(neighbors=0, history=41)
     predictor = ConstantTurnRateAcceleration(
         10, DT_S, memory_s=0.3, yaw_rate_fade_s=1e4, walking_mps=1e-3
     )
@@ -86,7 +86,9 @@ def test_ground_truth_answers_with_the_future():
     batch = scene()
     forecast = GroundTruth(10, DT_S).predict(batch)
     assert torch.equal(ego_forecast(forecast).mean[:, 0], batch.ego_future.motion.position)
-    assert torch.equal(others_forecast(forecast).mean[:, :, 0], batch.others_future.motion.position)
+    assert torch.equal(
+        neighbors_forecast(forecast).mean[:, :, 0], batch.neighbors_future.motion.position
+    )
 
 
 def test_ground_truth_holds_the_last_known_position():
@@ -101,13 +103,13 @@ def test_ground_truth_holds_the_last_known_position():
 def test_ground_truth_refuses_a_past_alone():
     batch = scene()
     with pytest.raises(TypeError, match="Call `predict` with a whole batch"):
-        GroundTruth(10, DT_S)(batch.ego_past, batch.others_past)
+        GroundTruth(10, DT_S)(batch.ego_past, batch.neighbors_past)
 
 
-def test_no_prediction_sends_neighbours_away_and_leaves_the_ego():
+def test_no_prediction_sends_neighbors_away_and_leaves_the_ego():
     batch = scene()
     forecast = NoPrediction(10, DT_S).predict(batch)
-    assert others_forecast(forecast).mean.abs().min() > 1e3
+    assert neighbors_forecast(forecast).mean.abs().min() > 1e3
     assert torch.equal(
         ego_forecast(forecast).mean, ego_forecast(ConstantVelocity(10, DT_S).predict(batch)).mean
     )

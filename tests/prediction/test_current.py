@@ -9,7 +9,7 @@ from tests.prediction.samples import DT_S, scene
 
 def parabola(rows=21):
     """Velocity (2, 1) and acceleration (0.5, -1) at the last row, poor measured velocities."""
-    tracks = scene(batch=(1,), others=0, history=rows, dtype=torch.float64).ego_past
+    tracks = scene(batch=(1,), neighbors=0, history=rows, dtype=torch.float64).ego_past
     time = DT_S * torch.arange(1 - rows, 1, dtype=torch.float64).unsqueeze(-1)
     way = time * torch.tensor([2.0, 1.0]) + 0.5 * time**2 * torch.tensor([0.5, -1.0])
     velocity = tracks.motion.velocity * 0

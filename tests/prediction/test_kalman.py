@@ -43,7 +43,7 @@ def test_missing_rows_widen_the_forecast():
 def test_forecast_covers_the_noise_it_was_told():
     """The normalised squared error of simulated straight tracks has its expected value, 2."""
     kalman = KalmanConstantVelocity(10, DT_S, along_m=0.1, across_m=0.1, acceleration_density=0.2)
-    batch = scene(batch=(400,), others=0, history=41)
+    batch = scene(batch=(400,), neighbors=0, history=41)
     kicks = (0.2 * DT_S) ** 0.5 * torch.randn(400, 51, 2)
     velocity = 3 * torch.randn(400, 1, 2) + kicks.cumsum(1)
     position = (DT_S * velocity).cumsum(1)
@@ -51,7 +51,7 @@ def test_forecast_covers_the_noise_it_was_told():
     seen = Motion(
         position[:, :41] + 0.1 * torch.randn(400, 41, 2), zero, torch.zeros(400, 41, 2), zero
     )
-    forecast = kalman(batch.ego_past._replace(motion=seen), batch.others_past)
+    forecast = kalman(batch.ego_past._replace(motion=seen), batch.neighbors_past)
     error = (position[:, 50] - forecast.mean[:, 0, 0, 9]).unsqueeze(-1)
     white = torch.linalg.solve_triangular(forecast.scale_tril[:, 0, 0, 9], error, upper=False)
     assert 1.7 < white.square().sum((-2, -1)).mean() < 2.3

@@ -14,9 +14,9 @@ from diffstack_mmv.vehicles import load_vehicle
 class Recorder(ConstantVelocity):
     """Remembers what it was shown."""
 
-    def forward(self, past, others):
-        self.past, self.others = past, others
-        return super().forward(past, others)
+    def forward(self, past, neighbors):
+        self.past, self.neighbors = past, neighbors
+        return super().forward(past, neighbors)
 
 
 @pytest.fixture
@@ -48,7 +48,7 @@ def test_the_past_is_the_walk_at_the_step_of_the_predictor(observed, scenario_of
     people = PredictorPeople(recorder, 1.0)
     for each in seen:
         people(each, 0.25, 2)
-    shown = recorder.others
+    shown = recorder.neighbors
     assert shown.valid.all()
     assert not recorder.past.valid.any()
     for back, each in ((0, seen[-1]), (5, seen[-3]), (10, seen[-5])):
@@ -62,7 +62,7 @@ def test_rows_before_the_start_are_not_valid(observed, scenario_of):
     people = PredictorPeople(recorder, 1.0)
     for each in seen:
         people(each, 0.25, 2)
-    assert recorder.others.valid[0, 0].tolist() == [False] * 5 + [True] * 6
+    assert recorder.neighbors.valid[0, 0].tolist() == [False] * 5 + [True] * 6
 
 
 def test_new_episodes_forget_the_old_ones(observed, scenario_of, tiny):

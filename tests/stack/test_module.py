@@ -45,12 +45,12 @@ def straight_tracks(start, velocity, rows, first):
     return Tracks(motion, extent, mode, torch.ones(position.shape[:-1], dtype=torch.bool))
 
 
-def batch_of(count=3, neighbours=2):
+def batch_of(count=3, neighbors=2):
     """Egos that ride straight ahead at 3 to 5 m/s, with agents standing to their left."""
     velocity = torch.stack([torch.linspace(3, 5, count), torch.zeros(count)], -1)
     origin = torch.zeros(count, 2)
-    beside = torch.tensor([2.0, 3.0]).expand(count, neighbours, 2)
-    still = torch.zeros(count, neighbours, 2)
+    beside = torch.tensor([2.0, 3.0]).expand(count, neighbors, 2)
+    still = torch.zeros(count, neighbors, 2)
     future = straight_tracks(origin, velocity, STEPS, 0)
     return StackBatch(
         straight_tracks(origin, velocity, 11, 11),
@@ -87,9 +87,9 @@ def test_straight_riding_is_predicted_and_planned_to_the_centimetre(goal):
     assert (scores["collision_rate"] == 0).all()
 
 
-@pytest.mark.parametrize("neighbours", [0, 1, 3])
-def test_any_number_of_neighbours_scores_finitely(neighbours):
-    scores = stack_of(PredictedGoal()).sample_scores(batch_of(neighbours=neighbours))
+@pytest.mark.parametrize("neighbors", [0, 1, 3])
+def test_any_number_of_neighbors_scores_finitely(neighbors):
+    scores = stack_of(PredictedGoal()).sample_scores(batch_of(neighbors=neighbors))
     assert all(torch.isfinite(value).all() for value in scores.values())
 
 

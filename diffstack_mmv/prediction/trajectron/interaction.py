@@ -26,8 +26,8 @@ class Interaction(nn.Module):
 
     The one in the denominator is an agent that does not exist: the influence of agents out of reach
     fades to zero, and an agent that is alone has a zero encoding. An edge encoder per pair of kinds
-    sees the neighbour's history and its motion relative to the agent, in the agent's frame. Source:
-    Salzmann et al., Trajectron++ (ECCV 2020), Sec. 4, which sums the neighbours of a kind before it
+    sees the neighbor's history and its motion relative to the agent, in the agent's frame. Source:
+    Salzmann et al., Trajectron++ (ECCV 2020), Sec. 4, which sums the neighbors of a kind before it
     encodes them, with a radius per pair of kinds; the gate here is smooth.
 
     Args:
@@ -70,7 +70,7 @@ class Interaction(nn.Module):
         self, rows: AgentRows, agents: int, node: Float[Tensor, "R h"]
     ) -> Float[Tensor, "R e"]:
         """Encode the influence of the others on each row, with so many `agents` per scene."""
-        agent, other = neighbouring_rows(rows.index, agents)
+        agent, other = neighboring_rows(rows.index, agents)
         offset = rows.origin[other] - rows.origin[agent]
         distance = safe_norm(offset)
         near = (distance < self.reach_m + 8 * self.fade_m).nonzero().squeeze(-1)
@@ -93,7 +93,7 @@ def gather_by_attention(
     return summed / total.unsqueeze(-1)
 
 
-def neighbouring_rows(
+def neighboring_rows(
     index: Int[Tensor, " R"], agents: int
 ) -> tuple[Int[Tensor, " P"], Int[Tensor, " P"]]:
     """All ordered pairs of different rows of the same scene."""

@@ -1,4 +1,4 @@
-"""Trajectron++ for micro-mobility: one forward pass for the ego and all its neighbours."""
+"""Trajectron++ for micro-mobility: one forward pass for the ego and all its neighbors."""
 
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
@@ -73,7 +73,7 @@ class Decoded(NamedTuple):
 class Trajectron(Predictor):
     """CVAE over controls, integrated through the dynamics of each agent.
 
-    History LSTM per kind of agent, attention over the neighbours, discrete latent variable, GRU
+    History LSTM per kind of agent, attention over the neighbors, discrete latent variable, GRU
     decoder over controls, first-order propagation of covariances: single integrator for walkers,
     `vehicle_dynamics` for vehicles, and for the ego the dynamics it is going to be controlled with.
     Every agent is seen in its own frame, so that a turned scene gives the turned forecast. Source:
@@ -85,7 +85,7 @@ class Trajectron(Predictor):
         walker_dynamics: Dynamics of those who walk.
         horizon_steps: Number of predicted time steps T.
         components: Number K of components of the ego.
-        neighbour_components: Number of components of each neighbour.
+        neighbor_components: Number of components of each neighbor.
         sizes: Sizes of the networks.
         annealing: Weight of the divergence of the posterior from the prior.
         hold_steps: Steps over which a decoded control is held.
@@ -103,7 +103,7 @@ class Trajectron(Predictor):
         walker_dynamics: DynamicsModel,
         horizon_steps: int = 30,
         components: int = 25,
-        neighbour_components: int = 5,
+        neighbor_components: int = 5,
         sizes: Sizes | None = None,
         annealing: Annealing | None = None,
         hold_steps: int = 1,
@@ -120,11 +120,11 @@ class Trajectron(Predictor):
             {kind: MaskedLSTM(TRACK_FEATURES, sizes.future) for kind in (VEHICLE, WALKER)},
             sizes.future,
         )
-        self.components = max(components, neighbour_components)
+        self.components = max(components, neighbor_components)
         context = self.scene_encoder.outputs
         self.branches = nn.ModuleList()
         for role, model in models.items():
-            count = components if role == EGO else neighbour_components
+            count = components if role == EGO else neighbor_components
             decoder = ControlDecoder(
                 model,
                 context,
@@ -139,9 +139,9 @@ class Trajectron(Predictor):
         self.register_buffer("training_step", torch.zeros((), dtype=torch.long))
         self.training_step: Tensor
 
-    def forward(self, past: Tracks, others: Tracks) -> Forecast:
+    def forward(self, past: Tracks, neighbors: Tracks) -> Forecast:
         """Forecast all agents, `*b 1+N`; an agent that is not observed now stays where it is."""
-        agents = all_agents(past, others)
+        agents = all_agents(past, neighbors)
         flat = scenes(agents)
         parts = self._decoded(agent_rows(flat, self.dt_s), flat.mode.shape[1])
         return self._forecast(agents, parts)
@@ -159,7 +159,7 @@ class Trajectron(Predictor):
     def predict_and_judge(self, batch: StackBatch) -> tuple[Forecast, Float[Tensor, "*b"]]:
         """`predict` and `loss` of a batch, with one pass through encoder and decoder."""
         parts, loss = self._judged(batch)
-        return self._forecast(all_agents(batch.ego_past, batch.others_past), parts), loss
+        return self._forecast(all_agents(batch.ego_past, batch.neighbors_past), parts), loss
 
     def _forecast(self, agents: Tracks, parts: Iterable[Decoded]) -> Forecast:
         """Forecast of agents `*b A` from what the branches made of those that are present."""
@@ -172,8 +172,8 @@ class Trajectron(Predictor):
 
     def _judged(self, batch: StackBatch) -> tuple[list[Decoded], Float[Tensor, "*b"]]:
         """Decode the agents of a batch, and compute the loss of each sample."""
-        agents = scenes(all_agents(batch.ego_past, batch.others_past))
-        futures = scenes(all_agents(batch.ego_future, batch.others_future))
+        agents = scenes(all_agents(batch.ego_past, batch.neighbors_past))
+        futures = scenes(all_agents(batch.ego_future, batch.neighbors_future))
         rows = agent_rows(agents, self.dt_s)
         future = in_own_frame(take_rows(futures, rows.index), rows.origin, rows.heading)
         parts = list(self._decoded(rows, agents.mode.shape[1]))

@@ -1,4 +1,4 @@
-"""The encoding of an agent in its scene: history, neighbours, present motion and mode."""
+"""The encoding of an agent in its scene: history, neighbors, present motion and mode."""
 
 import torch
 from jaxtyping import Float

@@ -1,4 +1,4 @@
-"""ORCA half-planes of permitted velocities, one per neighbour, for any batch of agents.
+"""ORCA half-planes of permitted velocities, one per neighbor, for any batch of agents.
 
 The arithmetic is that of the RVO2 library, operation by operation: each product and each sum is
 rounded on its own and a division by a scalar is a product with its reciprocal. In float32 the
@@ -24,8 +24,8 @@ class Agents(NamedTuple):
     max_speed: Float[Tensor, "*b"]
 
 
-class Neighbours(NamedTuple):
-    """What each agent sees of the others; m and m/s, `valid` where there is somebody."""
+class Neighbors(NamedTuple):
+    """What each agent sees of the neighbors; m and m/s, `valid` where there is somebody."""
 
     position: Float[Tensor, "*b k 2"]
     velocity: Float[Tensor, "*b k 2"]
@@ -42,9 +42,9 @@ class HalfPlanes(NamedTuple):
 
 
 class Nearest(NamedTuple):
-    """Neighbours sorted by distance, and the column from which each one came."""
+    """Neighbors sorted by distance, and the column from which each one came."""
 
-    neighbours: Neighbours
+    neighbors: Neighbors
     index: Int[Tensor, "*b k"]
 
 
@@ -65,31 +65,31 @@ def normalise(vector: Float[Tensor, "*b 2"]) -> Float[Tensor, "*b 2"]:
 
 def nearest(
     agents: Agents,
-    others: Neighbours,
+    neighbors: Neighbors,
     distance: Float[Tensor, "*#b"],
     count: Int[Tensor, "*#b"],
 ) -> Nearest:
-    """The `count` nearest neighbours closer than `distance` (m), equal distances in given order.
+    """The `count` nearest neighbors closer than `distance` (m), equal distances in given order.
 
     Args:
         agents: Agents, `*b`.
-        others: All candidates of each agent, `*b k`.
+        neighbors: All candidates of each agent, `*b k`.
         distance: Range of sight in m.
-        count: Largest number of neighbours.
+        count: Largest number of neighbors.
 
     Returns:
-        Neighbours sorted by distance, at most the largest `count` columns.
+        Neighbors sorted by distance, at most the largest `count` columns.
     """
-    offset = agents.position[..., None, :] - others.position
+    offset = agents.position[..., None, :] - neighbors.position
     squared = dot(offset, offset)
-    seen = others.valid & (squared < (distance * distance)[..., None])
+    seen = neighbors.valid & (squared < (distance * distance)[..., None])
     order = torch.sort(torch.where(seen, squared, torch.inf), dim=-1, stable=True).indices
     order = order[..., : int(count.max())]
     rank = torch.arange(order.shape[-1], device=order.device)
-    sorted_others = Neighbours(
-        position=torch.take_along_dim(others.position, order[..., None], dim=-2),
-        velocity=torch.take_along_dim(others.velocity, order[..., None], dim=-2),
-        radius=torch.take_along_dim(others.radius, order, dim=-1),
+    sorted_others = Neighbors(
+        position=torch.take_along_dim(neighbors.position, order[..., None], dim=-2),
+        velocity=torch.take_along_dim(neighbors.velocity, order[..., None], dim=-2),
+        radius=torch.take_along_dim(neighbors.radius, order, dim=-1),
         valid=torch.take_along_dim(seen, order, dim=-1) & (rank < count[..., None]),
     )
     return Nearest(sorted_others, order)
@@ -97,11 +97,11 @@ def nearest(
 
 def half_planes(
     agents: Agents,
-    neighbours: Neighbours,
+    neighbors: Neighbors,
     time_step: Float[Tensor, "*#b"],
     time_horizon: Float[Tensor, "*#b"],
 ) -> HalfPlanes:
-    """The half-plane that each neighbour leaves, if both take half of the avoidance.
+    """The half-plane that each neighbor leaves, if both take half of the avoidance.
 
     The velocity obstacle of a pair at distance p with summed radius R and relative velocity v is
     truncated at p/T; u leads from v to its nearest boundary point and the line passes through
@@ -109,19 +109,19 @@ def half_planes(
 
     Args:
         agents: Agents, `*b`.
-        neighbours: Their neighbours, `*b k`.
+        neighbors: Their neighbors, `*b k`.
         time_step: Time in s within which an overlap is left.
         time_horizon: Time T in s for which the velocity is to be free of collision.
 
     Returns:
-        One half-plane per neighbour, NaN for a degenerate pair.
+        One half-plane per neighbor, NaN for a degenerate pair.
 
     Source:
         van den Berg et al., Reciprocal n-Body Collision Avoidance, Sec. 4-5.
     """
-    offset = neighbours.position - agents.position[..., None, :]
-    relative = agents.velocity[..., None, :] - neighbours.velocity
-    radius = agents.radius[..., None] + neighbours.radius
+    offset = neighbors.position - agents.position[..., None, :]
+    relative = agents.velocity[..., None, :] - neighbors.velocity
+    radius = agents.radius[..., None] + neighbors.radius
     apart = dot(offset, offset) > radius * radius
     rate = torch.where(
         apart, torch.reciprocal(time_horizon)[..., None], torch.reciprocal(time_step)[..., None]
@@ -131,7 +131,7 @@ def half_planes(
     on_circle = ~apart | cut.nearest
     direction = torch.where(on_circle[..., None], cut.direction, leg.direction)
     change = torch.where(on_circle[..., None], cut.change, leg.change)
-    return HalfPlanes(agents.velocity[..., None, :] + 0.5 * change, direction, neighbours.valid)
+    return HalfPlanes(agents.velocity[..., None, :] + 0.5 * change, direction, neighbors.valid)
 
 
 class _Boundary(NamedTuple):

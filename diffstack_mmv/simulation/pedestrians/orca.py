@@ -11,7 +11,7 @@ from diffstack_mmv.simulation.pedestrians.base import Bystander, CrowdState, tow
 from diffstack_mmv.simulation.pedestrians.half_planes import (
     Agents,
     HalfPlanes,
-    Neighbours,
+    Neighbors,
     half_planes,
     nearest,
 )
@@ -26,8 +26,8 @@ class OrcaCrowd:
     velocities carry no gradient.
 
     Attributes:
-        neighbour_distance_m: Nobody further away is considered.
-        max_neighbours: Only the nearest ones are considered.
+        neighbor_distance_m: Nobody further away is considered.
+        max_neighbors: Only the nearest ones are considered.
         time_horizon_s: Time for which the chosen velocities are free of collision.
         margin_m: Added to every radius.
 
@@ -39,15 +39,15 @@ class OrcaCrowd:
         Chen et al., Crowd-Robot Interaction, pass to it.
     """
 
-    neighbour_distance_m: float = 10.0
-    max_neighbours: int = 10
+    neighbor_distance_m: float = 10.0
+    max_neighbors: int = 10
     time_horizon_s: float = 5.0
     margin_m: float = 0.01
 
     def __post_init__(self) -> None:
         """Check the settings once, at the border."""
-        require_positive("neighbour_distance_m", self.neighbour_distance_m)
-        require_at_least("max_neighbours", self.max_neighbours, 1)
+        require_positive("neighbor_distance_m", self.neighbor_distance_m)
+        require_at_least("max_neighbors", self.max_neighbors, 1)
         require_positive("time_horizon_s", self.time_horizon_s)
         require_at_least("margin_m", self.margin_m, 0)
 
@@ -94,36 +94,36 @@ class OrcaCrowd:
         return safest_velocity(many, speed, preferred).to(goals.dtype)
 
     @torch.no_grad()
-    def velocity(self, agents: Agents, others: Neighbours, dt_s: float) -> Float[Tensor, "*b 2"]:
-        """Velocity of any agents among any neighbours: also a robot may drive by ORCA.
+    def velocity(self, agents: Agents, neighbors: Neighbors, dt_s: float) -> Float[Tensor, "*b 2"]:
+        """Velocity of any agents among any neighbors: also a robot may drive by ORCA.
 
         Args:
             agents: Agents, `*b`; radii in m without the margin.
-            others: What each of them sees, `*b k`, radii in m without the margin.
+            neighbors: What each of them sees, `*b k`, radii in m without the margin.
             dt_s: Length of the step in s.
 
         Returns:
             Velocities in m/s in the precision of the positions.
         """
-        planes = self._planes(agents, others, dt_s)
+        planes = self._planes(agents, neighbors, dt_s)
         chosen = safest_velocity(
             planes, agents.max_speed.float(), agents.preferred_velocity.float()
         )
         return chosen.to(agents.position.dtype)
 
-    def _planes(self, agents: Agents, others: Neighbours, dt_s: float) -> HalfPlanes:
-        """Half-planes of the nearest neighbours, in float32."""
+    def _planes(self, agents: Agents, neighbors: Neighbors, dt_s: float) -> HalfPlanes:
+        """Half-planes of the nearest neighbors, in float32."""
         wide = agents._replace(radius=agents.radius + self.margin_m)
         wide = Agents(*(field.float() for field in wide))
-        seen = Neighbours(
-            position=others.position.float(),
-            velocity=others.velocity.float(),
-            radius=(others.radius + self.margin_m).float(),
-            valid=others.valid,
+        seen = Neighbors(
+            position=neighbors.position.float(),
+            velocity=neighbors.velocity.float(),
+            radius=(neighbors.radius + self.margin_m).float(),
+            valid=neighbors.valid,
         )
         constant = wide.radius.new_tensor
-        count = torch.tensor(self.max_neighbours, device=wide.radius.device)
-        seen = nearest(wide, seen, constant(self.neighbour_distance_m), count).neighbours
+        count = torch.tensor(self.max_neighbors, device=wide.radius.device)
+        seen = nearest(wide, seen, constant(self.neighbor_distance_m), count).neighbors
         return half_planes(wide, seen, constant(dt_s), constant(self.time_horizon_s))
 
 
@@ -138,7 +138,7 @@ def _as_agents(crowd: CrowdState, preferred: Float[Tensor, "..."]) -> Agents:
     )
 
 
-def _everybody_else(crowd: CrowdState, bystander: Bystander | None) -> Neighbours:
+def _everybody_else(crowd: CrowdState, bystander: Bystander | None) -> Neighbors:
     """For each human the other ones in order of their index, then the bystander."""
     humans = crowd.radius.shape[-1]
     index = torch.arange(humans - 1, device=crowd.radius.device).expand(humans, humans - 1)
@@ -151,7 +151,7 @@ def _everybody_else(crowd: CrowdState, bystander: Bystander | None) -> Neighbour
         position = torch.cat((position, _for_all(bystander.position, (*shape, 1, 2))), dim=-2)
         velocity = torch.cat((velocity, _for_all(bystander.velocity, (*shape, 1, 2))), dim=-2)
         radius = torch.cat((radius, bystander.radius[..., None, None].expand(*shape, 1)), dim=-1)
-    return Neighbours(position, velocity, radius, torch.ones_like(radius, dtype=torch.bool))
+    return Neighbors(position, velocity, radius, torch.ones_like(radius, dtype=torch.bool))
 
 
 def _for_all(vector: Float[Tensor, "*b 2"], shape: tuple[int, ...]) -> Float[Tensor, "..."]:

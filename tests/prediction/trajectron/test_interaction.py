@@ -7,30 +7,30 @@ from diffstack_mmv.prediction.base import all_agents
 from diffstack_mmv.prediction.trajectron.interaction import (
     Interaction,
     gather_by_attention,
-    neighbouring_rows,
+    neighboring_rows,
 )
 from diffstack_mmv.prediction.trajectron.rows import agent_rows
 from tests.prediction.samples import DT_S, scene
 
 
 def rows_of(batch):
-    return agent_rows(all_agents(batch.ego_past, batch.others_past), DT_S)
+    return agent_rows(all_agents(batch.ego_past, batch.neighbors_past), DT_S)
 
 
 def far(batch, distance):
-    """Put the neighbours at a distance in m from the ego, side by side."""
-    motion = batch.others_past.motion
+    """Put the neighbors at a distance in m from the ego, side by side."""
+    motion = batch.neighbors_past.motion
     shift = batch.ego_past.motion.position[:, -1:].unsqueeze(1) - motion.position[:, :, -1:]
     offset = torch.tensor([distance, 0.0]) * (
         1 + 0.01 * torch.arange(motion.heading.shape[1])[:, None, None]
     )
     moved = motion._replace(position=motion.position + shift + offset)
-    return batch._replace(others_past=batch.others_past._replace(motion=moved))
+    return batch._replace(neighbors_past=batch.neighbors_past._replace(motion=moved))
 
 
 def test_pairs_are_those_within_a_scene():
     index = torch.tensor([0, 2, 3, 4, 5])
-    first, second = neighbouring_rows(index, 3)
+    first, second = neighboring_rows(index, 3)
     pairs = {(int(index[a]), int(index[b])) for a, b in zip(first, second, strict=True)}
     assert pairs == {(0, 2), (2, 0), (3, 4), (4, 3), (3, 5), (5, 3), (4, 5), (5, 4)}
 
@@ -55,15 +55,15 @@ def test_attention_is_stable_for_large_scores():
     ("distance", "smallest", "largest"), [(3.0, 1e-2, 1e2), (28.0, 0.0, 1e-2), (200.0, 0.0, 0.0)]
 )
 def test_influence_fades_with_distance(distance, smallest, largest):
-    batch = far(scene(others=2), distance)
+    batch = far(scene(neighbors=2), distance)
     rows = rows_of(batch)
     encoding = Interaction(8, 8)(rows, 3, torch.randn(len(rows.index), 8))
     ego = encoding[rows.role == 0].abs().max()
     assert smallest <= ego <= largest
 
 
-def test_order_of_the_neighbours_does_not_matter():
-    batch = far(scene(others=2), 5.0)
+def test_order_of_the_neighbors_does_not_matter():
+    batch = far(scene(neighbors=2), 5.0)
     interaction, rows = Interaction(8, 8), rows_of(batch)
     node = torch.randn(len(rows.index), 8)
     order = torch.tensor([0, 2, 1, 3, 5, 4, 6, 8, 7])
@@ -85,5 +85,5 @@ def test_order_of_the_neighbours_does_not_matter():
 
 
 def test_an_agent_alone_has_a_zero_encoding():
-    rows = rows_of(scene(others=0))
+    rows = rows_of(scene(neighbors=0))
     assert Interaction(8, 8)(rows, 1, torch.randn(3, 8)).abs().max() == 0

@@ -9,7 +9,7 @@ from diffstack_mmv.prediction import (
     SingleIntegrator,
     Trajectron,
     ego_forecast,
-    others_forecast,
+    neighbors_forecast,
 )
 from diffstack_mmv.types import Forecast
 from tests.prediction.samples import DT_S, at_rest, bicycle, scene, trajectron
@@ -23,13 +23,13 @@ def untrained(ego_dynamics, horizon=10):
         SingleIntegrator(DT_S),
         horizon_steps=horizon,
         components=4,
-        neighbour_components=2,
+        neighbor_components=2,
     ).eval()
 
 
 @pytest.mark.parametrize("kinematic", [False, True])
 def test_untrained_it_is_close_to_the_fading_ctra(kinematic):
-    batch = scene(history=41, others=0)
+    batch = scene(history=41, neighbors=0)
     mean = ego_forecast(untrained(bicycle(kinematic)).predict(batch)).mean
     ctra = ego_forecast(ConstantTurnRateAcceleration(10, DT_S).predict(batch)).mean
     assert (mean - ctra).norm(dim=-1).max() < 0.12
@@ -38,42 +38,42 @@ def test_untrained_it_is_close_to_the_fading_ctra(kinematic):
 @pytest.mark.parametrize("kinematic", [False, True])
 def test_every_parameter_learns_from_a_scene_with_all_kinds(kinematic):
     model = trajectron(bicycle(kinematic), annealing=Annealing(free_nats=0.0))
-    batch = scene(batch=(4,), others=4)
-    model.loss(batch._replace(others_past=gathered(batch))).sum().backward()
+    batch = scene(batch=(4,), neighbors=4)
+    model.loss(batch._replace(neighbors_past=gathered(batch))).sum().backward()
     learning = {name: p for name, p in model.named_parameters() if p.requires_grad}
     silent = [name for name, p in learning.items() if p.grad is None or p.grad.abs().max() == 0]
     assert silent == []
 
 
 def gathered(batch):
-    """The neighbours, moved to within a few metres of the ego."""
-    motion = batch.others_past.motion
+    """The neighbors, moved to within a few metres of the ego."""
+    motion = batch.neighbors_past.motion
     centre = batch.ego_past.motion.position[:, -1]
     shift = centre[:, None, None] - motion.position[:, :, -1:]
     offset = 3 * torch.randn(*motion.position.shape[:2], 1, 2)
-    return batch.others_past._replace(
+    return batch.neighbors_past._replace(
         motion=motion._replace(position=motion.position + shift + offset)
     )
 
 
-@pytest.mark.parametrize("others", [0, 3])
+@pytest.mark.parametrize("neighbors", [0, 3])
 @pytest.mark.parametrize("kinematic", [False, True])
-def test_gradients_are_finite_at_rest(kinematic, others):
+def test_gradients_are_finite_at_rest(kinematic, neighbors):
     model = trajectron(bicycle(kinematic))
-    model.loss(at_rest(scene(others=others))).sum().backward()
+    model.loss(at_rest(scene(neighbors=neighbors))).sum().backward()
     assert all(torch.isfinite(p.grad).all() for p in model.parameters() if p.grad is not None)
 
 
-def test_a_near_neighbour_changes_the_forecast_of_the_ego():
-    model, batch = trajectron().eval(), scene(others=2)
-    near = batch._replace(others_past=gathered(batch))
-    gone = near.others_past._replace(valid=torch.zeros_like(near.others_past.valid))
-    with_others, alone = model.predict(near), model.predict(near._replace(others_past=gone))
+def test_a_near_neighbor_changes_the_forecast_of_the_ego():
+    model, batch = trajectron().eval(), scene(neighbors=2)
+    near = batch._replace(neighbors_past=gathered(batch))
+    gone = near.neighbors_past._replace(valid=torch.zeros_like(near.neighbors_past.valid))
+    with_others, alone = model.predict(near), model.predict(near._replace(neighbors_past=gone))
     assert (ego_forecast(with_others).mean - ego_forecast(alone).mean).abs().max() > 1e-4
 
 
-def test_components_that_a_neighbour_lacks_have_no_weight():
-    forecast = others_forecast(trajectron().eval().predict(scene(others=2)))
+def test_components_that_a_neighbor_lacks_have_no_weight():
+    forecast = neighbors_forecast(trajectron().eval().predict(scene(neighbors=2)))
     assert (forecast.log_weight[..., :3].exp().sum(-1) - 1).abs().max() < 1e-5
     assert forecast.log_weight[..., 3:].exp().abs().max() == 0
 
@@ -85,7 +85,7 @@ def test_loss_in_float64_equals_the_bound_written_out():
         .eval()
     )
     model.training_step.fill_(100)
-    batch = scene(others=0, dtype=torch.float64)
+    batch = scene(neighbors=0, dtype=torch.float64)
     forecast = ego_forecast(model.predict(batch))
     apart = Forecast(*(field.unsqueeze(2) for field in forecast))._replace(
         log_weight=torch.zeros(3, 4, 1)
@@ -122,7 +122,7 @@ def test_models_of_different_time_steps_are_refused():
 @pytest.mark.slow
 @pytest.mark.parametrize("kinematic", [False, True])
 def test_it_can_learn_one_batch_by_heart(kinematic):
-    batch = scene(batch=(8,), others=1, history=21)
+    batch = scene(batch=(8,), neighbors=1, history=21)
     swerve = 0.01 * torch.arange(1, 11).square().unsqueeze(-1) * torch.randn(8, 1, 2).clamp(-1, 1)
     future = batch.ego_future.motion
     batch = batch._replace(

@@ -6,7 +6,7 @@ import torch
 
 from diffstack_mmv.simulation.pedestrians.half_planes import (
     Agents,
-    Neighbours,
+    Neighbors,
     half_planes,
     nearest,
     normalise,
@@ -37,26 +37,26 @@ def solve(cases):
         agents = Agents(*(single(name) for name in columns))
         present = torch.arange(20) < torch.from_numpy(cases["n_others"][chosen])[:, None]
         columns = ("other_pos", "other_vel", "other_radius")
-        others = Neighbours(*(single(name) for name in columns), present)
+        neighbors = Neighbors(*(single(name) for name in columns), present)
         count = torch.from_numpy(cases["max_neighbors"][chosen])
-        found = nearest(agents, others, single("neighbor_dist"), count)
-        planes = half_planes(agents, found.neighbours, single("dt"), single("time_horizon"))
+        found = nearest(agents, neighbors, single("neighbor_dist"), count)
+        planes = half_planes(agents, found.neighbors, single("dt"), single("time_horizon"))
         return chosen, agents, found, planes
 
     return run
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_neighbours_come_in_the_order_of_the_library(cases, solve, kind):
+def test_neighbors_come_in_the_order_of_the_library(cases, solve, kind):
     chosen, _, found, _ = solve(kind)
-    index = torch.where(found.neighbours.valid, found.index, -1).numpy()
+    index = torch.where(found.neighbors.valid, found.index, -1).numpy()
     assert np.array_equal(index, cases["neighbor_ids"][chosen][:, : index.shape[1]])
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_lines_equal_those_of_the_library_bit_for_bit(cases, solve, kind):
     chosen, _, found, planes = solve(kind)
-    valid = found.neighbours.valid.numpy()
+    valid = found.neighbors.valid.numpy()
     width = valid.shape[1]
     for ours, theirs in ((planes.point, "line_point"), (planes.direction, "line_dir")):
         expected = cases[theirs][chosen][:, :width][valid]

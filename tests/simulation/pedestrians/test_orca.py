@@ -112,8 +112,8 @@ def test_humans_keep_clear_of_each_other(crowd):
 @pytest.mark.parametrize(
     ("setting", "value"),
     [
-        ("neighbour_distance_m", 0.0),
-        ("max_neighbours", 0),
+        ("neighbor_distance_m", 0.0),
+        ("max_neighbors", 0),
         ("time_horizon_s", -1.0),
         ("margin_m", -1.0),
     ],
