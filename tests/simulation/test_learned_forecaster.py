@@ -2,11 +2,11 @@
 
 import pytest
 import torch
+from diffstack_mmv.simulation.learned_people import held_heading
 
 from diffstack_mmv.dynamics import DiffKBM
 from diffstack_mmv.prediction import ConstantVelocity, SingleIntegrator, Sizes, Trajectron
 from diffstack_mmv.simulation import PredictorPeople
-from diffstack_mmv.simulation.learned_people import held_heading
 from diffstack_mmv.types import map_tensors
 from diffstack_mmv.vehicles import load_vehicle
 

@@ -1,7 +1,6 @@
 """Ways around people."""
 
 import torch
-
 from diffstack_mmv.simulation.homotopy import best_of_each, ways_around
 
 

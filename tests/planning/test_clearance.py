@@ -2,9 +2,9 @@
 
 import pytest
 import torch
+from diffstack_mmv.simulation.safety import clearance_of
 
 from diffstack_mmv.simulation import SafetyMargin
-from diffstack_mmv.simulation.safety import clearance_of
 
 
 def crossing(offset):
