@@ -35,6 +35,10 @@ class Footprint(Protocol):
         """Smallest clearance in m during the approach, negative for an overlap."""
         ...
 
+    def discs(self) -> Discs:
+        """Discs that cover the outline, m."""
+        ...
+
     def outline(self) -> Float[Tensor, "corners 2"]:
         """Polygon around the centre in m, x forward, y left."""
         ...

@@ -29,10 +29,13 @@ class Controller(Protocol):
     """Chooses the actions of the robots of all episodes at once.
 
     A controller holds settings only; what it remembers of its episodes is a record of its own that
-    goes in and comes out. `massless` tells that it commands the velocity of a robot without mass.
+    goes in and comes out.
     """
 
-    massless: bool
+    @property
+    def massless(self) -> bool:
+        """Whether it commands the velocity of a robot without mass."""
+        ...
 
     def init(self, observation: Observation) -> Any:
         """State at the start of episodes."""
