@@ -36,7 +36,7 @@ def require(
         raise ValueError(message(argument, requirement, value, where, remedy))
 
 
-def require_positive(argument: str, value: float, where: str = "", remedy: str = "") -> None:
+def require_positive(argument: str, value: float | int, where: str = "", remedy: str = "") -> None:
     """Refuse a number that is not finite and above zero.
 
     Raises:
@@ -46,7 +46,7 @@ def require_positive(argument: str, value: float, where: str = "", remedy: str =
 
 
 def require_at_least(
-    argument: str, value: float, low: float, where: str = "", remedy: str = ""
+    argument: str, value: float | int, low: float | int, where: str = "", remedy: str = ""
 ) -> None:
     """Refuse a number below `low`.
 
@@ -57,7 +57,7 @@ def require_at_least(
 
 
 def require_between(
-    argument: str, value: float, low: float, high: float, where: str = "", remedy: str = ""
+    argument: str, value: float | int, low: float | int, high: float | int, where: str = "", remedy: str = ""
 ) -> None:
     """Refuse a number outside [low, high].
 
@@ -78,7 +78,7 @@ def require_one_of(argument: str, value: str, choices: Sequence[str], where: str
     )
 
 
-def require_multiple(argument: str, value: float, step: float, where: str = "") -> int:
+def require_multiple(argument: str, value: float | int, step: float | int, where: str = "") -> int:
     """Return how many steps make up `value`.
 
     Raises:

@@ -1,7 +1,7 @@
 """Leaves finished problems behind, so that the last hard ones cost less than the batch."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
@@ -16,7 +16,7 @@ SMALLEST = 8  # problems; below, there is nothing to win
 class Selectable(Protocol):
     """A callable that can be narrowed to some of its problems; closures cannot, see `Batched`."""
 
-    def select(self, index: Int[Tensor, " k"]) -> Self:
+    def select(self, index: Int[Tensor, " k"]) -> "Selectable":
         """The same callable for the problems `index` of a batch with one leading dimension."""
         ...
 

@@ -4,7 +4,7 @@ import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -20,6 +20,7 @@ class Steps(NamedTuple):
     steer: Float[Tensor, " T"]  # angle of the front wheel in rad
 
 
+@runtime_checkable
 class Manoeuvre(Protocol):
     """A sequence of steps that starts at some speed."""
 

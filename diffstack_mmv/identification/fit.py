@@ -2,7 +2,7 @@
 
 import logging
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
@@ -43,6 +43,7 @@ class Data(NamedTuple):
     heldout: Problem
 
 
+@runtime_checkable
 class Method(Protocol):
     """How θ is found."""
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
@@ -73,6 +73,7 @@ class StretchSettings:
         require_at_least("trim_s", self.trim_s, 0.0)
 
 
+@runtime_checkable
 class Choice(Protocol):
     """Which stretches to prefer."""
 
