@@ -57,7 +57,12 @@ def require_at_least(
 
 
 def require_between(
-    argument: str, value: float | int, low: float | int, high: float | int, where: str = "", remedy: str = ""
+    argument: str,
+    value: float | int,
+    low: float | int,
+    high: float | int,
+    where: str = "",
+    remedy: str = "",
 ) -> None:
     """Refuse a number outside [low, high].
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
 from diffstack_mmv.control.iteration import OPEN, Iterate
@@ -31,7 +31,7 @@ class Batched:
             stays in the closure of `function`.
     """
 
-    def __init__(self, function: Callable[..., Tensor], *tensors: Float[Tensor, "B ..."]) -> None:
+    def __init__(self, function: Callable[..., Tensor], *tensors: Shaped[Tensor, "B ..."]) -> None:
         self.function = function
         self.tensors = tensors
 
