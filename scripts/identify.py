@@ -70,7 +70,7 @@ def main(config: DictConfig) -> None:
         "beyond_limits": beyond_limits(used, spec.limits, config.dt_s),
         "profiles": {key: each._asdict() for key, each in profiled.items()},
         "lean": lean_agreement(rows, config.dt_s),
-        "smoother": source.smoother,
+        "smoother": source.smoother(),
     }
     write_identification(out, header | summary)
     kept = ("tracks", "heldout_tracks", "smoother", "assumed", "fitted", *summary["models"][name])
