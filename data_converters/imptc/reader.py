@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from trajdata.data_structures.agent import FixedExtent
 
-from data_converters.errors import ConversionError, RejectReason, fault, refuse, refuse_track
+from conventions.modes import Mode
+from data_converters.errors import ConversionError, RejectReason, fault, refuse_track, require
 from data_converters.imptc.cuboid import measure_cuboids
 from data_converters.imptc.modes import CLASS_MODES
-from data_converters.modes import Mode
 
 Array = NDArray[np.float64]
 
@@ -239,7 +239,7 @@ def refuse_missing(what: str, found: str, root: Path) -> NoReturn:
         found = "no such folder"
     elif archives:
         found = f"archives that are not unpacked {archives}"
-    raise ConversionError(fault("root", f"hold {what}", found, root, remedy))
+    raise ConversionError(f"{fault('root', f'hold {what}', found, root, remedy)}")
 
 
 def refuse_unfinished(root: Path) -> None:
@@ -250,4 +250,4 @@ def refuse_unfinished(root: Path) -> None:
     """
     leftovers = sorted(path.name for mark in ("*.part", ".unpacking_*") for path in root.glob(mark))
     remedy = "Run scripts/download_imptc.py again (it resumes), or remove them."
-    refuse(bool(leftovers), "root", "be a finished download", leftovers, root, remedy)
+    require(not leftovers, "root", "be a finished download", leftovers, root, remedy)

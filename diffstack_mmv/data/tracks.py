@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 from trajdata.caching.env_cache import EnvCache
 
+from conventions.cache import CONTROLS_TABLE, LEAN_TABLE, side_table
 from diffstack_mmv.checks import message, require
 from diffstack_mmv.data.batch import STANDSTILL_MPS, yaw_rate
 from diffstack_mmv.data.sources import ConvertedCache, WindowSource
@@ -21,8 +22,8 @@ from diffstack_mmv.types import Mode, Motion
 logger = logging.getLogger(__name__)
 
 
-class PositionNoise(NamedTuple):
-    """Standard deviation of the position of one step, along and across the motion."""
+class RecordedNoise(NamedTuple):
+    """Standard deviation of the recorded position of one step, along and across the motion."""
 
     along_m: float
     across_m: float
@@ -64,7 +65,7 @@ def read_leans(source: WindowSource, splits: Sequence[str], mode: str) -> dict[s
     """
     cache, found = _converted(source), {}
     for scene in cache.scenes():
-        table = _folder(cache, scene["name"]) / "lean.parquet"
+        table = side_table(_folder(cache, scene["name"]), LEAN_TABLE)
         if scene["split"] in splits and table.is_file():
             found |= _scene_leans(cache, scene["name"], table, Mode.named(mode))
     return found
@@ -94,7 +95,7 @@ def read_controls(
     """
     cache, found, tables = _converted(source), {}, 0
     for scene in cache.scenes():
-        path = _folder(cache, scene["name"]) / "controls.parquet"
+        path = side_table(_folder(cache, scene["name"]), CONTROLS_TABLE)
         if scene["split"] not in splits or not path.is_file():
             continue
         tables, measured = tables + 1, pd.read_parquet(path)
@@ -110,7 +111,7 @@ def read_controls(
     return found
 
 
-def recorded_noise(source: WindowSource, mode: str, dt_s: float) -> PositionNoise | None:
+def recorded_noise(source: WindowSource, mode: str, dt_s: float) -> RecordedNoise | None:
     """Noise of the positions of a mode, as the conversion report tells it.
 
     The report knows the noise σ of a recorded position from what the smoother left over and from
@@ -135,9 +136,9 @@ def recorded_noise(source: WindowSource, mode: str, dt_s: float) -> PositionNois
             "where samples are sparse. Convert again, or set `noise`.",
             cache.name,
         )
-        return PositionNoise(told["along_m"], told["across_m"])
+        return RecordedNoise(told["along_m"], told["across_m"])
     share = math.sqrt(told["step_s"] / dt_s)
-    return PositionNoise(share * told["noise_along_m"], share * told["noise_across_m"])
+    return RecordedNoise(share * told["noise_along_m"], share * told["noise_across_m"])
 
 
 def _converted(source: WindowSource) -> ConvertedCache:

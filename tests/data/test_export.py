@@ -77,7 +77,7 @@ def test_a_full_disk_is_one_clear_error_and_leaves_no_export(export, exporting, 
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(module, "write_rows", full)
+    monkeypatch.setattr(module, "write_windows", full)
     with pytest.raises(OSError, match="`folder` must have free disk space.*Free space"):
         export_windows(export, exporting)
     assert not export.exists(exporting)
@@ -106,7 +106,7 @@ def test_a_window_with_nan_is_left_out_and_counted(export, exporting, monkeypatc
         (lambda folder: (folder / "export.json").write_text("{"), "must have a marker in JSON"),
         (
             lambda folder: (folder / "export.json").write_text(json.dumps({"version": 99})),
-            "`version` must be 1, but got 99",
+            "`version` must be 2, but got 99",
         ),
         (lambda folder: np.save(folder / "ego.npy", np.zeros(3)), "must have shape"),
         (lambda folder: (folder / "neighbors.npy").write_bytes(b""), "must be an array of shape"),

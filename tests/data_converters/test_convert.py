@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from conventions.cache import read_state
 from data_converters import (
     CacheError,
     CausalSmoother,
@@ -20,7 +21,7 @@ from data_converters import (
     convert,
     open_cache,
 )
-from data_converters.cache import DataFrameCache, read_state
+from data_converters.cache import DataFrameCache
 
 
 def scene_bytes(folder):
@@ -85,7 +86,7 @@ def test_an_interrupted_conversion_goes_on_where_it_stopped(thab_settings, monke
         fail_after(patch, 5, KeyboardInterrupt())
         with pytest.raises(KeyboardInterrupt):
             convert(thab_settings())
-    with pytest.raises(CacheError, match="unfinished conversion"):
+    with pytest.raises(CacheError, match="interrupted conversion"):
         read_state(thab_settings().cache, "thab_vru")
     written = count_scenes(monkeypatch)
     report = convert(thab_settings())
@@ -245,7 +246,7 @@ def test_archives_that_were_not_unpacked_are_pointed_out(tmp_path):
     ("change", "says"),
     [
         ({"format_version": 0}, "format_version.*must be 1, but got 0"),
-        ({"complete": False}, "complete.*but got False"),
+        ({"complete": False}, "complete.*must be true, but got False"),
     ],
 )
 def test_a_cache_of_another_version_or_state_is_refused(thab_settings, change, says):

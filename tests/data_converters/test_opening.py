@@ -65,7 +65,7 @@ def test_the_mode_of_ego_and_neighbors_survives_into_the_batch(scooters):
     for batch in batches(scooters, 0, range(0, len(scooters), 12)):
         assert torch.unique(batch.agent_type).tolist() == [Mode.SCOOTER]
         seen |= set(torch.unique(batch.neigh_types).int().tolist())
-    assert {Mode.BICYCLE, Mode.MOTORCYCLE, Mode.PEDESTRIAN, Mode.VEHICLE} <= seen
+    assert {Mode.BICYCLE, Mode.MOTORCYCLE, Mode.PEDESTRIAN, Mode.CAR} <= seen
 
 
 def test_a_window_has_four_seconds_of_history_and_three_of_future(scooters):
@@ -79,7 +79,7 @@ def test_a_window_has_four_seconds_of_history_and_three_of_future(scooters):
 def test_extents_are_those_of_the_mode_or_of_the_cuboid(scooters):
     batch = next(iter(batches(scooters, 0, range(0, 64, 2))))
     assert batch.agent_hist_extent[0, 0].tolist() == pytest.approx([1.2, 0.6, 1.85])
-    cars = batch.neigh_hist_extents[batch.neigh_types == Mode.VEHICLE][:, -1, 0]
+    cars = batch.neigh_hist_extents[batch.neigh_types == Mode.CAR][:, -1, 0]
     assert len(torch.unique(cars)) > 1
     assert ((cars > 3.5) & (cars < 5.5)).all()
 
