@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import logging
 import os
@@ -19,6 +18,7 @@ from tqdm import tqdm
 from trajdata.caching.env_cache import EnvCache
 
 from conventions.cache import FORMAT_VERSION, REPORT_FILE, STATE_FILE, staging_folder
+from conventions.disk import disk_is_full
 from conventions.opening import environment
 from data_converters.cache import SCENE_REPORT_FILE, write_json, write_scene
 from data_converters.errors import ConversionError, TrackError, fault, require
@@ -95,7 +95,7 @@ def convert(settings: ConversionSettings) -> ConversionReport:
         reports = _convert_scenes(settings, sources)
         return _finish(settings, reports)
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        if not disk_is_full(error):
             raise
         remedy = "Free space and run the same command again: finished scenes are kept."
         raise ConversionError(

@@ -39,7 +39,7 @@ OURS = {"conventions", "data_converters", "diffstack_mmv", "scripts"}
 CONVENTIONS = {
     "checks": {"conventions.checks"},
     "types": {"conventions.modes"},
-    "data": {"conventions.cache", "conventions.opening"},
+    "data": {"conventions.cache", "conventions.disk", "conventions.opening"},
 }
 
 
@@ -87,7 +87,7 @@ def test_only_base_parts_and_the_data_lie_on_the_conventions(file):
     assert taken <= CONVENTIONS.get(part, set())
 
 
-@pytest.mark.parametrize("module", ["checks", "modes", "cache"])
+@pytest.mark.parametrize("module", ["cache", "checks", "disk", "modes"])
 def test_plain_conventions_need_no_other_package(module):
     names = {name.split(".")[0] for name in imported(ROOT / "conventions" / f"{module}.py")}
     assert names <= {"conventions", *sys.stdlib_module_names}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import http.client
 import json
@@ -20,6 +19,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from conventions.disk import disk_is_full
 from data_converters.errors import ConversionError, fault, require
 
 logger = logging.getLogger(__name__)
@@ -99,7 +99,7 @@ def download_imptc(
                     archive.unlink()
             folders.append(folder)
     except OSError as error:
-        if error.errno != errno.ENOSPC:
+        if not disk_is_full(error):
             raise
         remedy = "Free space and run it again: it goes on where it stopped."
         raise DownloadError(fault("out", "have free disk space", error, out, remedy)) from error

@@ -68,7 +68,8 @@ class ImptcVruDataset(RecordingDataset):
         """One scene per track, named split_NNNN.
 
         Raises:
-            ConversionError: If a split is missing, or a download is not finished.
+            ConversionError: If a split is missing, its combined file is broken, or a download is
+                not finished.
         """
         refuse_unfinished(self.root)
         absent = [name for name in RELEASE_SPLITS if not _present(self._base, name)]

@@ -1,6 +1,5 @@
 """Export: all samples of a split, read from trajdata once and written as arrays for training."""
 
-import errno
 import fcntl
 import hashlib
 import json
@@ -18,10 +17,12 @@ import torch
 from torch.utils.data import DataLoader, Dataset
 from tqdm import tqdm
 
+from conventions.disk import disk_is_full
 from diffstack_mmv.checks import message, require_at_least
 from diffstack_mmv.data.batch import stack_batch
 from diffstack_mmv.data.dataset import EXPORT_VERSION, MARKER, SAMPLES, USABLE, sample_table
 from diffstack_mmv.data.layout import FieldLayout, create, fields, pack, write_windows
+from diffstack_mmv.data.loading import unchanged
 from diffstack_mmv.data.registration import TrajdataWindows, WindowLocation
 from diffstack_mmv.data.settings import WindowSettings
 from diffstack_mmv.data.situations import Situations, situations
@@ -104,7 +105,7 @@ def export_windows(export: Export, settings: ExportSettings) -> Path:
             try:
                 _write(export, settings, target)
             except OSError as error:
-                if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+                if not disk_is_full(error):
                     raise
                 remedy = "Free space and run again: finished parts are kept."
                 text = message(
@@ -128,7 +129,7 @@ def _write(export: Export, settings: ExportSettings, target: Path) -> None:
         sampler=pending,
         num_workers=settings.workers,
         multiprocessing_context="fork" if settings.workers else None,
-        collate_fn=_unchanged,  # type: ignore[arg-type]
+        collate_fn=unchanged,  # type: ignore[arg-type]
     )
     title = f"export {export.source.name} {export.split}"
     with tqdm(total=count, desc=title, unit="window", disable=not settings.progress) as bar:
@@ -217,10 +218,6 @@ def _finish(export: Export, source: TrajdataWindows, where: WindowLocation, part
         json.dumps(content, indent=1, default=str) + "\n", encoding="utf-8"
     )
     shutil.rmtree(partial / "done")
-
-
-def _unchanged(number: int) -> int:
-    return number
 
 
 @contextmanager

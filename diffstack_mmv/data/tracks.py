@@ -41,7 +41,8 @@ def read_tracks(source: WindowSource, splits: Sequence[str], mode: str) -> dict[
         Motion (T) of each track in the world by "recording/agent", float64, steps of the cache.
 
     Raises:
-        ValueError: The source is no converted cache, or holds no track of that mode.
+        ValueError: The mode is unknown, or the source is no finished converted cache or holds no
+            track of that mode.
     """
     cache = _converted(source)
     wanted, found = Mode.named(mode), {}
@@ -61,7 +62,7 @@ def read_leans(source: WindowSource, splits: Sequence[str], mode: str) -> dict[s
         Lean (T) in rad, positive to the left, by "recording/agent"; NaN where it was not measured.
 
     Raises:
-        ValueError: The source is no converted cache.
+        ValueError: The mode is unknown, or the source is no finished converted cache.
     """
     cache, found = _converted(source), {}
     for scene in cache.scenes():
@@ -90,8 +91,8 @@ def read_controls(
         else a value between its neighbors; NaN before the first and after the last record.
 
     Raises:
-        ValueError: The source is no converted cache, no scene has such a table, or one lacks a
-            column.
+        ValueError: The mode is unknown, the source is no finished converted cache, no scene has
+            such a table, or one lacks a column.
     """
     cache, found, tables = _converted(source), {}, 0
     for scene in cache.scenes():

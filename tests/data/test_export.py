@@ -3,6 +3,7 @@
 import errno
 import json
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,6 @@ from diffstack_mmv.data import (
     Export,
     ExportedWindows,
     ExportSettings,
-    WindowSettings,
     export_windows,
 )
 from diffstack_mmv.data import export as module
@@ -48,10 +48,12 @@ def test_an_export_is_made_once(export, exporting, monkeypatch):
     assert export_windows(export, exporting) == folder
 
 
-def test_other_windows_make_another_export(export, exporting):
-    folder = export_windows(export, exporting)
-    longer = export._replace(windows=WindowSettings(history_s=3.0))
-    assert export_windows(longer, exporting) != folder
+@pytest.mark.parametrize(
+    "change", [{"history_s": 3.0}, {"stride": 10}, {"neighbors": 8}, {"ego_modes": ("bicycle",)}]
+)
+def test_other_windows_make_another_export(export, exporting, change):
+    other = export._replace(windows=replace(export.windows, **change))
+    assert other.folder(exporting) != export.folder(exporting)
 
 
 def test_an_interrupted_export_goes_on_where_it_stopped(export, exporting, monkeypatch):
