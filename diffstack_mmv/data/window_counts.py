@@ -20,7 +20,7 @@ class RowFate(StrEnum):
     NOT_FINITE = "not_finite"
 
 
-class WindowTally:
+class WindowCounts:
     """Rows of all agents by mode and fate; the fates of a mode add up to its rows."""
 
     def __init__(self, windows: WindowSettings) -> None:
