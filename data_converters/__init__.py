@@ -3,7 +3,6 @@
 Everything a script needs is here; `README.md` describes the cache on disk.
 """
 
-from conventions.modes import Mode
 from data_converters.convert import ConversionSettings, convert
 from data_converters.errors import CacheError, ConversionError, RejectReason, TrackError
 from data_converters.imptc import ImptcDataset, ImptcVruDataset, SequenceSplit, TrackFilter
@@ -15,6 +14,7 @@ from data_converters.smoothing import CausalSmoother, ZeroPhaseSmoother
 from data_converters.thab import ThabVruDataset
 from data_converters.tracks import ResampleSettings
 from data_converters.two_wheeler import TwoWheelerDataset
+from dmmv_conventions.modes import Mode
 
 __all__ = [
     "CacheError",

@@ -15,9 +15,9 @@ from trajdata.data_structures.agent import AgentMetadata
 from trajdata.data_structures.environment import EnvMetadata
 from trajdata.data_structures.scene_metadata import Scene
 
-from conventions.cache import side_table
 from data_converters.recordings import RawScene
 from data_converters.tracks import AgentRows
+from dmmv_conventions.cache import side_table
 
 SCENE_REPORT_FILE = "conversion.json"
 

@@ -17,14 +17,14 @@ from typing import Any, ClassVar
 from tqdm import tqdm
 from trajdata.caching.env_cache import EnvCache
 
-from conventions.cache import FORMAT_VERSION, REPORT_FILE, STATE_FILE, staging_folder
-from conventions.disk import disk_is_full
-from conventions.opening import environment
 from data_converters.cache import SCENE_REPORT_FILE, write_json, write_scene
 from data_converters.errors import ConversionError, TrackError, fault, require
 from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
 from data_converters.report import ConversionReport, SceneReport, report_scene
 from data_converters.tracks import AgentRows, ResampleSettings, resample, split_at_gaps
+from dmmv_conventions.cache import FORMAT_VERSION, REPORT_FILE, STATE_FILE, staging_folder
+from dmmv_conventions.disk import disk_is_full
+from dmmv_conventions.opening import environment
 
 logger = logging.getLogger(__name__)
 

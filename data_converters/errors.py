@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import NoReturn
 
-from conventions.checks import message
+from dmmv_conventions.checks import message
 
 
 class RejectReason(StrEnum):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from trajdata.data_structures.agent import FixedExtent
 
 # earlier caches name the modes as `data_converters.modes.Mode`
-from conventions.modes import Mode
+from dmmv_conventions.modes import Mode
 
 _DEFAULT_EXTENT_M = {
     Mode.UNKNOWN: (0.8, 0.8, 1.6),

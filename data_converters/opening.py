@@ -8,9 +8,9 @@ from typing import Any
 
 from trajdata import UnifiedDataset
 
-from conventions.cache import SPLITS, read_state
-from conventions.opening import CachedEnvironment, CachedUnifiedDataset
 from data_converters.errors import CacheError, require
+from dmmv_conventions.cache import SPLITS, read_state
+from dmmv_conventions.opening import CachedEnvironment, CachedUnifiedDataset
 
 
 def open_cache(cache: Path, splits: Mapping[str, Sequence[str]], **options: Any) -> UnifiedDataset:

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from conventions.modes import Mode
 from data_converters.heading import HeadingSource
 from data_converters.recordings import RawScene, Rejection
 from data_converters.tracks import AgentRows, Residual
+from dmmv_conventions.modes import Mode
 
 WINDOW_STEPS_S = (4.0, 3.0)
 

@@ -11,11 +11,11 @@ import pandas as pd
 from numpy.typing import NDArray
 from trajdata.data_structures.agent import FixedExtent
 
-from conventions.modes import Mode
 from data_converters.errors import RejectReason, refuse_track, require
 from data_converters.heading import heading_from_axis, heading_from_motion
 from data_converters.modes import default_extent
 from data_converters.smoothing import SAMPLES_NEEDED, Smoother, SmoothSeries, ZeroPhaseSmoother
+from dmmv_conventions.modes import Mode
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from conventions.checks import message, require
+from dmmv_conventions.checks import message, require
 
 
 def require_positive(argument: str, value: float, where: str = "", remedy: str = "") -> None:

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from conventions.modes import Mode as Mode  # a field of the records below, and known from here
+from dmmv_conventions.modes import Mode as Mode  # a field of the records below, and known from here
 
 
 class SolverStatus(IntEnum):

@@ -34,12 +34,12 @@ ALLOWED = {
     "identification": {"checks", "types", "geometry", "vehicles", "dynamics", "costs", "control"},
     "simulation": {"checks", "types", "geometry", "dynamics", "prediction", "planning", "metrics"},
 }
-OURS = {"conventions", "data_converters", "diffstack_mmv", "scripts"}
+OURS = {"dmmv_conventions", "data_converters", "diffstack_mmv", "scripts"}
 # who takes what from the conventions; all others find modes and checks in `types` and `checks`
 CONVENTIONS = {
-    "checks": {"conventions.checks"},
-    "types": {"conventions.modes"},
-    "data": {"conventions.cache", "conventions.disk", "conventions.opening"},
+    "checks": {"dmmv_conventions.checks"},
+    "types": {"dmmv_conventions.modes"},
+    "data": {"dmmv_conventions.cache", "dmmv_conventions.disk", "dmmv_conventions.opening"},
 }
 
 
@@ -72,9 +72,9 @@ def test_a_part_imports_only_what_its_layer_allows(file):
 # the conventions lie below everything: what both sides need, so that neither imports the other
 @pytest.mark.parametrize(
     ("file", "allowed"),
-    [(file, {"conventions"}) for file in files("conventions")]
-    + [(file, {"conventions", "data_converters"}) for file in files("data_converters")]
-    + [(file, {"conventions", "diffstack_mmv"}) for file in files("diffstack_mmv")],
+    [(file, {"dmmv_conventions"}) for file in files("dmmv_conventions")]
+    + [(file, {"dmmv_conventions", "data_converters"}) for file in files("data_converters")]
+    + [(file, {"dmmv_conventions", "diffstack_mmv"}) for file in files("diffstack_mmv")],
 )
 def test_packages_meet_in_the_conventions_only(file, allowed):
     assert {name[0] for name in ours(file)} <= allowed
@@ -83,11 +83,11 @@ def test_packages_meet_in_the_conventions_only(file, allowed):
 @pytest.mark.parametrize("file", files("diffstack_mmv"))
 def test_only_base_parts_and_the_data_lie_on_the_conventions(file):
     part = Path(file).parts[1].removesuffix(".py")
-    taken = {".".join(name) for name in ours(file) if name[0] == "conventions"}
+    taken = {".".join(name) for name in ours(file) if name[0] == "dmmv_conventions"}
     assert taken <= CONVENTIONS.get(part, set())
 
 
 @pytest.mark.parametrize("module", ["cache", "checks", "disk", "modes"])
 def test_plain_conventions_need_no_other_package(module):
-    names = {name.split(".")[0] for name in imported(ROOT / "conventions" / f"{module}.py")}
-    assert names <= {"conventions", *sys.stdlib_module_names}
+    names = {name.split(".")[0] for name in imported(ROOT / "dmmv_conventions" / f"{module}.py")}
+    assert names <= {"dmmv_conventions", *sys.stdlib_module_names}

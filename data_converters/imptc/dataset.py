@@ -11,7 +11,6 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 import pandas as pd
 
-from conventions.cache import SPLITS
 from data_converters.errors import TrackError, require
 from data_converters.imptc.context import read_context, signals_per_step
 from data_converters.imptc.reader import (
@@ -24,6 +23,7 @@ from data_converters.imptc.reader import (
 )
 from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
 from data_converters.tracks import RawTrack
+from dmmv_conventions.cache import SPLITS
 
 SEQUENCE = re.compile(r"(\d{4})_(\d{8}_\d{6})")
 FAMILIES = ("vrus", "vehicles")

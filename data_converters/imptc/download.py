@@ -19,8 +19,8 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from conventions.disk import disk_is_full
 from data_converters.errors import ConversionError, fault, require
+from dmmv_conventions.disk import disk_is_full
 
 logger = logging.getLogger(__name__)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conventions.modes import Mode
+from dmmv_conventions.modes import Mode
 
 CLASS_MODES = {
     0: Mode.PEDESTRIAN,

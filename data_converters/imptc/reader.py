@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from trajdata.data_structures.agent import FixedExtent
 
-from conventions.modes import Mode
 from data_converters.errors import ConversionError, RejectReason, fault, refuse_track, require
 from data_converters.imptc.cuboid import measure_cuboids
 from data_converters.imptc.modes import CLASS_MODES
+from dmmv_conventions.modes import Mode
 
 Array = NDArray[np.float64]
 

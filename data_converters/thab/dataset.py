@@ -12,14 +12,14 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from conventions.cache import SPLITS
-from conventions.modes import Mode
 from data_converters.errors import RejectReason, TrackError, require
 from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
 from data_converters.thab.duplicates import find_contained, group_recordings
 from data_converters.thab.modes import FOLDER_MODES
 from data_converters.thab.reader import ThabFile, parse, read_files
 from data_converters.tracks import RawTrack
+from dmmv_conventions.cache import SPLITS
+from dmmv_conventions.modes import Mode
 
 
 class _Index(NamedTuple):

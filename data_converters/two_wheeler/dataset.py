@@ -12,12 +12,12 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
-from conventions.cache import LEAN_TABLE
-from conventions.modes import Mode
 from data_converters.errors import TrackError, require
 from data_converters.recordings import RawScene, RecordingDataset, SceneSource
 from data_converters.tracks import RawTrack
 from data_converters.two_wheeler.reader import Boxes, lean_to_the_left, read_boxes
+from dmmv_conventions.cache import LEAN_TABLE
+from dmmv_conventions.modes import Mode
 
 FILE_MODES = {
     "bicycle": Mode.BICYCLE,

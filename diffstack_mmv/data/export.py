@@ -17,7 +17,6 @@ import torch
 from torch.utils.data import DataLoader, Dataset
 from tqdm import tqdm
 
-from conventions.disk import disk_is_full
 from diffstack_mmv.checks import message, require_at_least
 from diffstack_mmv.data.batch import stack_batch
 from diffstack_mmv.data.dataset import EXPORT_VERSION, MARKER, SAMPLES, USABLE, sample_table
@@ -27,6 +26,7 @@ from diffstack_mmv.data.registration import TrajdataWindows, WindowLocation
 from diffstack_mmv.data.settings import WindowSettings
 from diffstack_mmv.data.situations import Situations, situations
 from diffstack_mmv.data.sources import WindowSource
+from dmmv_conventions.disk import disk_is_full
 
 logger = logging.getLogger(__name__)
 

@@ -1,4 +1,4 @@
-"""Windows of trajdata 1.4.0: beside `conventions.opening` the one place that knows its inside."""
+"""Windows of trajdata 1.4.0: with `dmmv_conventions.opening` the one place that knows its inside."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,9 +17,9 @@ from trajdata.data_structures.state import StateArray
 from trajdata.dataset_specific.raw_dataset import RawDataset
 from trajdata.utils import scene_utils
 
-from conventions.opening import CachedUnifiedDataset
 from diffstack_mmv.data.settings import WindowSettings
 from diffstack_mmv.data.window_counts import WindowCounts
+from dmmv_conventions.opening import CachedUnifiedDataset
 
 OBSERVED = "x,y,xd,yd,h"
 

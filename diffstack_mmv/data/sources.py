@@ -11,12 +11,12 @@ from typing import Any, Protocol, runtime_checkable
 from trajdata.augmentation.augmentation import DatasetAugmentation
 from trajdata.utils import env_utils
 
-from conventions.cache import REPORT_FILE, STATE_FILE, read_state
-from conventions.opening import CachedEnvironment
 from diffstack_mmv.checks import message, require
 from diffstack_mmv.data.corrections import HeldHeading, UpwardY
 from diffstack_mmv.data.registration import TrajdataWindows
 from diffstack_mmv.data.settings import WindowSettings
+from dmmv_conventions.cache import REPORT_FILE, STATE_FILE, read_state
+from dmmv_conventions.opening import CachedEnvironment
 
 _USUAL_CORRECTIONS: dict[str, tuple[DatasetAugmentation, ...]] = {"sdd": (UpwardY(), HeldHeading())}
 

@@ -12,12 +12,12 @@ import torch
 from torch import Tensor
 from trajdata.caching.env_cache import EnvCache
 
-from conventions.cache import CONTROLS_TABLE, LEAN_TABLE, side_table
 from diffstack_mmv.checks import message, require
 from diffstack_mmv.data.batch import STANDSTILL_MPS, yaw_rate
 from diffstack_mmv.data.sources import ConvertedCache, WindowSource
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.types import Mode, Motion
+from dmmv_conventions.cache import CONTROLS_TABLE, LEAN_TABLE, side_table
 
 logger = logging.getLogger(__name__)
 

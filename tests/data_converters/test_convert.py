@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from conventions.cache import read_state
 from data_converters import (
     CacheError,
     CausalSmoother,
@@ -23,6 +22,7 @@ from data_converters import (
     convert,
 )
 from data_converters.cache import DataFrameCache
+from dmmv_conventions.cache import read_state
 
 
 def scene_bytes(folder):

@@ -4,7 +4,7 @@ import errno
 
 import pytest
 
-from conventions.disk import disk_is_full
+from dmmv_conventions.disk import disk_is_full
 
 
 @pytest.mark.parametrize(

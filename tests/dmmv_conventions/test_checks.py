@@ -2,7 +2,7 @@
 
 import pytest
 
-from conventions.checks import message, require
+from dmmv_conventions.checks import message, require
 
 
 @pytest.mark.parametrize(

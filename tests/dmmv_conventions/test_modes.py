@@ -5,7 +5,7 @@ import pickle
 import pytest
 from trajdata.data_structures.agent import AgentType
 
-from conventions.modes import Mode
+from dmmv_conventions.modes import Mode
 
 NUMBERED = [
     "unknown",
@@ -46,7 +46,7 @@ def test_an_unknown_name_lists_the_known_ones(name):
 
 
 @pytest.mark.parametrize(
-    "module", ["conventions.modes", "diffstack_mmv.types", "data_converters.modes"]
+    "module", ["dmmv_conventions.modes", "diffstack_mmv.types", "data_converters.modes"]
 )
 def test_pickles_find_the_modes_wherever_they_once_stood(module):
     assert pickle.loads(f"c{module}\nMode\n(I5\ntR.".encode()) is Mode.SCOOTER

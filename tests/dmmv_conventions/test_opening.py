@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from conventions.opening import CachedEnvironment, environment
+from dmmv_conventions.opening import CachedEnvironment, environment
 
 SCENES = [
     {"name": "a", "split": "train", "steps": 10},

@@ -2,7 +2,7 @@
 
 from enum import IntEnum
 
-from conventions.checks import require
+from dmmv_conventions.checks import require
 
 
 class Mode(IntEnum):

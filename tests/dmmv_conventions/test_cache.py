@@ -5,8 +5,8 @@ import re
 
 import pytest
 
-from conventions.cache import FORMAT_VERSION, STATE_FILE, read_state, staging_folder
 from data_converters import CacheError
+from dmmv_conventions.cache import FORMAT_VERSION, STATE_FILE, read_state, staging_folder
 
 STATE = {"format_version": FORMAT_VERSION, "complete": True}
 

@@ -16,7 +16,7 @@ from trajdata.data_structures.scene_metadata import Scene
 from trajdata.data_structures.scene_tag import SceneTag
 from trajdata.dataset_specific.raw_dataset import RawDataset
 
-from conventions.cache import SPLITS
+from dmmv_conventions.cache import SPLITS
 
 
 def environment(name: str, dt_s: float, scene_splits: Mapping[str, str]) -> EnvMetadata:

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from conventions.checks import message, require
+from dmmv_conventions.checks import message, require
 
 FORMAT_VERSION = 1
 STATE_FILE = "cache.json"
