@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.metrics.means import where_known
-from diffstack_mmv.types import Obstacles, Solution
+from diffstack_mmv.types import Obstacles, Plan
 
 
 def collided(
@@ -42,6 +42,6 @@ def planning_loss(
     return cross_entropy + hindsight * cost
 
 
-def solved(solution: Solution) -> Float[Tensor, "*b"]:
-    """1 where the solver converged, else 0."""
-    return solution.converged.to(solution.cost)
+def solved(plan: Plan) -> Float[Tensor, "*b"]:
+    """1 where every start of the solver converged, else 0."""
+    return plan.converged.to(plan.motion.position)

@@ -32,8 +32,12 @@ from diffstack_mmv.planning import (
     build_problem,
     closest_candidate,
     cross_entropy,
+    disc_radius,
     observed_obstacles,
     predicted_obstacles,
+    predicted_reference,
+    present,
+    tracked_ego,
 )
 from diffstack_mmv.prediction import (
     Predictor,
@@ -110,14 +114,16 @@ class DiffStackMMV(pl.LightningModule):
         """Choose the goal and plan, given a forecast of all agents."""
         ego = ego_forecast(forecast)
         goal = self.goal(batch, ego)
-        others = strongest(neighbors_forecast(forecast), self.obstacle_components)
-        problem = build_problem(
-            batch.ego_past,
-            ego.most_likely(),
-            goal,
-            predicted_obstacles(batch.neighbors_past, others),
-            batch.dt_s,
+        neighbors = present(batch.neighbors_past)
+        obstacles = predicted_obstacles(
+            neighbors.motion.position,
+            disc_radius(neighbors.extent),
+            neighbors.valid,
+            strongest(neighbors_forecast(forecast), self.obstacle_components),
         )
+        motion = present(batch.ego_past).motion
+        reference = predicted_reference(motion, ego.most_likely(), goal, batch.dt_s)
+        problem = build_problem(tracked_ego(batch.ego_past, goal), goal, reference, obstacles)
         return StackOutput(forecast, goal, problem, self.planner(problem))
 
     def planning_losses(
@@ -182,12 +188,12 @@ class DiffStackMMV(pl.LightningModule):
         """
         losses = self.planning_losses(batch, output)
         judged = self._plan_judged(batch)
-        converged = judged & output.plan.solution.converged
+        converged = judged & output.plan.converged
         return {
             "planning_ce": masked_mean(losses["planning_ce"], judged),
             "planning_cost": masked_mean(losses["planning_cost"], converged),
             "control": masked_mean(losses["control"], converged),
-            "solved": solved(output.plan.solution).mean(),
+            "solved": solved(output.plan).mean(),
         }
 
     def validation_step(self, batch: StackBatch, batch_idx: int) -> None:
@@ -232,6 +238,7 @@ class DiffStackMMV(pl.LightningModule):
         position = output.plan.motion.position
         losses = self.planning_losses(batch, output)
         ce, cost = losses["planning_ce"], losses["planning_cost"]
+        radius = output.problem.ego.discs.radius[..., 0]
         truth = observed_obstacles(batch.neighbors_past, batch.neighbors_future)
         scores = {
             "plan_ade": average_displacement(position[..., 1:, :], future),
@@ -239,8 +246,8 @@ class DiffStackMMV(pl.LightningModule):
             "planning_ce": ce,
             "planning_cost": cost,
             "planning_loss": planning_loss(ce, cost, self.loss_weights.hindsight),
-            "collision_rate": collided(position, output.problem.radius, truth),
-            "solved": solved(output.plan.solution),
+            "collision_rate": collided(position, radius, truth),
+            "solved": solved(output.plan),
         }
         known = self.goal_known(batch)
         return {name: where_known(value, known) for name, value in scores.items()}

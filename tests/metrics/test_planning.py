@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from diffstack_mmv.metrics import collided, planning_loss, solved, total_cost
-from diffstack_mmv.types import Obstacles, Solution, SolverStatus
+from diffstack_mmv.types import Motion, Obstacles, Plan, Solution, SolverStatus
 
 
 def standing_agent(x, y, valid=True):
@@ -85,8 +85,11 @@ def test_losses_add_up_and_stay_unknown_where_a_part_is():
     assert loss.tolist() == pytest.approx([3.15, math.nan], nan_ok=True)
 
 
-def test_only_converged_problems_are_solved():
-    status = torch.tensor([int(each) for each in SolverStatus])
-    number = torch.zeros(len(status))
+def test_only_plans_whose_every_start_converged_are_solved():
+    done, open_ = int(SolverStatus.CONVERGED), int(SolverStatus.ITERATION_LIMIT)
+    status = torch.tensor([[done, done], [done, open_], [open_, open_]])
+    number, rows = torch.zeros(3, 2), torch.zeros(3, 4)
+    motion = Motion(rows.unsqueeze(-1).expand(3, 4, 2), rows, rows, rows)
     solution = Solution(number, number, number, number, number, status)
-    assert solved(solution).tolist() == [1.0, 0.0, 0.0, 0.0]
+    plan = Plan(rows, motion, number[:, 0].long(), solution, motion, number)
+    assert solved(plan).tolist() == [1.0, 0.0, 0.0]
