@@ -10,6 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from diffstack_mmv.checks import require_at_least, require_one_of
 from diffstack_mmv.cli import command
+from diffstack_mmv.metrics import CLOSED_LOOP
 from diffstack_mmv.plotting import save_stories
 from diffstack_mmv.reporting import paired_cases, paired_with_run, write_closed_loop
 from diffstack_mmv.simulation import (
@@ -69,7 +70,7 @@ def main(config: DictConfig) -> None:
     result = header | summarise(chunks)
     pairs = [{"other": name} | paired_cases(result["cases"], rows[name]["cases"]) for name in rows]
     pairs += [paired_with_run(result, Path(folder)) for folder in config.against]
-    write_closed_loop(out, result, rows, published, pairs)
+    write_closed_loop(out, result, rows, CLOSED_LOOP, published, pairs)
     records = [chunk.record for chunk in chunks]
     goal_m = (0.0, scenario.circle_radius_m)
     radius_m = scenario.human_radius_m

@@ -11,8 +11,12 @@ from pytorch_lightning.loggers import WandbLogger
 from pytorch_lightning.utilities import rank_zero_only
 
 from diffstack_mmv.checks import require_at_least
+from diffstack_mmv.metrics import OPEN_LOOP
 from diffstack_mmv.plotting import Scene, draw_scenes
 from diffstack_mmv.types import Mode, StackBatch, Tracks
+
+SHOWN = ("ade", "plan_ade")
+"""Scores beside each image, by name."""
 
 
 def scenes_of(
@@ -83,11 +87,12 @@ class PlanTable(Callback):
             output: Any = pl_module(batch)
             scores: Any = pl_module.score(batch, output)  # pyright: ignore[reportCallIssue]
         labels = [Mode(int(mode)).label for mode in batch.ego_past.mode[: self.samples]]
-        table = wandb.Table(columns=["mode", "ade_m", "plan_ade_m", "plan"])
+        headings = [OPEN_LOOP[name].heading for name in SHOWN]
+        table = wandb.Table(columns=["mode", *headings, "plan"])
         for i, scene in enumerate(scenes_of(batch, output, labels)):
             figure = draw_scenes([scene], columns=1)
             image = wandb.Image(_pixels(figure))
-            table.add_data(labels[i], float(scores["ade"][i]), float(scores["plan_ade"][i]), image)
+            table.add_data(labels[i], *(float(scores[name][i]) for name in SHOWN), image)
         logger.experiment.log({"plans": table, "epoch": trainer.current_epoch})
 
 

@@ -1,4 +1,4 @@
-"""Windows of trajdata 1.4.0: with `dmmv_conventions.opening` the one place that knows its inside."""
+"""Windows of trajdata 1.4.0: this and `dmmv_conventions.opening` alone know its inside."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

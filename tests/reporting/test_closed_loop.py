@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from diffstack_mmv.metrics import CLOSED_LOOP
 from diffstack_mmv.reporting import closed_loop_table, write_closed_loop
 
 
@@ -35,15 +36,17 @@ def result(numbers):
 
 
 def test_every_method_is_a_row_with_its_interval(result, numbers):
-    table = closed_loop_table(result, {"orca": numbers})
+    table = closed_loop_table(result, {"orca": numbers}, CLOSED_LOOP)
     assert list(table.index) == ["diffmpc (kbm bicycle)", "orca"]
     assert table.loc["orca", "success"] == "0.500 [0.100, 0.900]"
     assert table.loc["orca", "distance in discomfort [m]"] == "–"
+    assert table.loc["orca", "decision median / p99 [ms]"] == "1.0 / 2.0"
+    assert list(table.columns) == ["n", *(score.heading for score in CLOSED_LOOP.values())]
 
 
 def test_files_hold_numbers_failures_and_sources(result, numbers, tmp_path):
     source = {"method": "SARL", "success": 0.9, "source": "Chen et al."}
-    write_closed_loop(tmp_path, result, {"orca": numbers}, [source])
+    write_closed_loop(tmp_path, result, {"orca": numbers}, CLOSED_LOOP, [source])
     stored = json.loads((tmp_path / "closed_loop.json").read_text())
     assert stored["baselines"]["orca"]["n"] == 2
     report = (tmp_path / "closed_loop.md").read_text()
