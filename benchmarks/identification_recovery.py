@@ -33,7 +33,6 @@ from diffstack_mmv.identification.tracks.synthetic import (
     POOR_MANOEUVRES,
     RICH_MANOEUVRES,
     MeasurementModel,
-    draw_true_values,
     record_manoeuvres,
 )
 from diffstack_mmv.vehicles import load_vehicle
@@ -60,30 +59,30 @@ def recover(options, seed):
     spec = vehicle(options.vehicle, options.tied)
     truth_model = model_of(spec, options.dynamics, 0.1).double()
     learned = ParameterVector(truth_model, spec)
-    truth = draw_true_values(learned, generator)
+    truth = learned.prior.draw_values(generator)
     learned.store(learned.theta_for(truth))
     noise = CONTROL_NOISE if options.controls == "measured" else None
-    recorder = MeasurementModel(NOISE_M, noise)
+    measurement = MeasurementModel(NOISE_M, noise)
     manoeuvres = MANOEUVRES[options.manoeuvres] * options.repeats
     fitted, heldout = (
-        record_manoeuvres(truth_model, spec, each, recorder, generator)
+        record_manoeuvres(truth_model, spec, each, measurement, generator)
         for each in (manoeuvres, manoeuvres[::7])
     )
     settings = TrackingSettings(NOISE_M, NOISE_M, 20.0, 2.0, control_noise=noise)
     model = model_of(spec, options.dynamics, 0.1)
-    setup = IdentificationProblem.of(model, spec, DataSplit(fitted, heldout), settings)
+    problem = IdentificationProblem.of(model, spec, DataSplit(fitted, heldout), settings)
     identifier = Identifier(tracking=LevenbergMarquardt(30))
     begin = time.perf_counter()
-    found = identifier(setup.simulator, setup.data)
+    found = identifier(problem.simulator, problem.data)
     seconds = time.perf_counter() - begin
-    values = setup.simulator.parameters.values(found.after.theta)
-    names, std = setup.simulator.parameters.names, found.sensitivity.std
+    values = problem.simulator.parameters.values(found.after.theta)
+    names, std = problem.simulator.parameters.names, found.sensitivity.std
     rows = [
         (name, truth[i], values[i], std[i], found.identifiability[i])
         for i, name in enumerate(names)
     ]
     both = combinations(
-        model, setup.simulator.parameters, found.optima, IdentifiabilityThresholds()
+        model, problem.simulator.parameters, found.optima, IdentifiabilityThresholds()
     )
     exact = quantities(truth_model)
     rows += [(c.name, exact[i], c.estimate, c.std, c.verdict) for i, c in enumerate(both)]

@@ -24,6 +24,7 @@ from diffstack_mmv.identification import (
     IdentificationProblem,
     Identifier,
     ModelComparison,
+    Recordings,
     SegmentSettings,
     TrackingSettings,
     TrackSegment,
@@ -57,13 +58,13 @@ def recorded_again(segment, position, noise, generator):
     )
 
 
-def errors(spec, settings, segments, told):
+def errors(spec, settings, segments, origin):
     """One row per model."""
     study = ModelComparison(spec, DataSplit(segments[:2], segments), settings, IDENTIFIER)
     rows = []
     for name in MODELS:
-        heldout = study(lambda name=name: model_of(spec, name, DT_S)).heldout
-        rows.append({"tracks": told, "model": name, **heldout.pooled()})
+        heldout = study(lambda name=name: model_of(spec, name, DT_S)).validation
+        rows.append({"tracks": origin, "model": name, **heldout.pooled()})
     return rows
 
 
@@ -74,12 +75,16 @@ def main():
     parser.add_argument("cache", help="folder of the trajdata cache of thab_vru")
     parser.add_argument("--truth", nargs="+", default=["gm3", "kbm"], choices=MODELS)
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--stretches", type=int, default=40)
+    parser.add_argument("--segments", type=int, default=40)
     options = parser.parse_args()
     source, spec = ConvertedCache("thab_vru", options.cache), load_vehicle("bicycle")
     tracks = read_tracks(source, ("train", "val"), "bicycle")
     chosen = split_segments(
-        cut_tracks(tracks, SegmentSettings()), ExcitationSelection(), options.segments, 1, 0
+        cut_tracks(Recordings(tracks), SegmentSettings()),
+        ExcitationSelection(),
+        options.segments,
+        1,
+        0,
     ).fitted
     step, noise = (recorded_noise(source, "bicycle", step_s) for step_s in (DT_S, STEP_S))
     if step is None or noise is None:
@@ -87,10 +92,10 @@ def main():
     settings = estimate_rider_scales(TrackingSettings(**step._asdict()), spec, chosen, DT_S)
     rows = errors(spec, settings, chosen, "recorded")
     for truth in options.truth:
-        setup = IdentificationProblem.of(
+        problem = IdentificationProblem.of(
             model_of(spec, truth, DT_S), spec, DataSplit(chosen, chosen[:1]), settings
         )
-        rides = setup.fitted_motions(IDENTIFIER(setup.simulator, setup.data))
+        rides = problem.fitted_motions(IDENTIFIER(problem.simulator, problem.data))
         for seed in range(options.seeds):
             generator = np.random.default_rng(seed)
             again = [

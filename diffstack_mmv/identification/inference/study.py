@@ -45,11 +45,6 @@ class StudyResult(NamedTuple):
         """The model to identify."""
         return next(iter(self.models.values()))
 
-    @property
-    def controls(self) -> tuple[str, ...]:
-        """Names of the controls of the identified model."""
-        return self.identified.problem.simulator.vehicle.model.Control._fields
-
     def motions(self) -> list[FittedMotion]:
         """The fitted segments with the motions of the identified model."""
         problem, found, _ = self.identified

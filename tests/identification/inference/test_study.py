@@ -103,7 +103,6 @@ def test_calibrated_vehicle_has_the_estimate_and_its_origin(finished):
 def test_motions_are_given_as_arrays_of_a_figure(finished):
     names = {motion.arrays()["name"] for motion in finished[1].motions()}
     assert names == {segment.name for segment in finished[1].split.fitted}
-    assert finished[1].controls == ("acceleration", "steer")
 
 
 def test_controls_of_another_model_are_refused():
