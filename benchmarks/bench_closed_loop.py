@@ -36,12 +36,17 @@ class Timed:
     def __init__(self, controller):
         self.controller, self.seconds = controller, []
 
-    def __call__(self, observation):
+    massless = False
+
+    def init(self, observation):
+        return self.controller.init(observation)
+
+    def act(self, state, observation):
         start = time.process_time()
-        action = self.controller(observation)
+        decided = self.controller.act(state, observation)
         running = max(int(observation.running.sum()), 1)
         self.seconds.append((time.process_time() - start) / running)
-        return action
+        return decided
 
 
 def measure(dynamics, episodes, repeats):

@@ -133,16 +133,37 @@ class Obstacles(NamedTuple):
     valid: Bool[Tensor, "*b N"]
 
 
+class Heading(IntEnum):
+    """What the heading of an observed motion is the direction of."""
+
+    BODY = 0
+    COURSE = 1
+
+
+class Discs(NamedTuple):
+    """Discs that cover the outline of a vehicle, their centres on the axis of its body."""
+
+    ahead: Float[Tensor, "*b D"]  # m, of the reference point along the heading
+    radius: Float[Tensor, "*b D"]  # m
+
+
+class Ego(NamedTuple):
+    """The vehicle that a plan is for, as it was observed."""
+
+    motion: Motion  # *b, now
+    heading: Heading  # what `motion.heading` is the direction of
+    discs: Discs  # *b D
+
+
 class PlanningProblem(NamedTuple):
     """What a planner needs to know, from a data set's batch or from a simulator's observation."""
 
-    motion: Motion  # *b, the ego now
+    ego: Ego
     goal: Float[Tensor, "*b 2"]  # m
     reference: Float[
         Tensor, "*b T 2"
     ]  # m, row 0 is now; where the plan would go if nothing were in its way
     reference_speed: Float[Tensor, "*b"]  # m/s
-    radius: Float[Tensor, "*b"]  # m, of the disc around the ego
     obstacles: Obstacles
 
 
@@ -169,13 +190,29 @@ class Solution(NamedTuple):
         return self.status == SolverStatus.CONVERGED
 
 
-class Plan(NamedTuple):
-    """A plan with the candidates it was started from."""
+class PlanOrigin(IntEnum):
+    """Where a chosen plan comes from; a fallback is chosen where no plan is safe."""
 
-    solution: Solution
+    CANDIDATE = 0
+    PREVIOUS = 1
+    OPTIMISED = 2
+    FALLBACK = 3
+
+
+class Plan(NamedTuple):
+    """A plan, with the candidates and the solutions it was chosen from."""
+
+    controls: Float[Tensor, "*b T m"]
     motion: Motion  # *b T+1
+    origin: Int[Tensor, "*b"]  # a PlanOrigin
+    solution: Solution  # *b k, one per start of the optimiser
     candidates: Motion  # *b C T+1
-    logits: Float[Tensor, "*b C"]
+    logits: Float[Tensor, "*b C"]  # minus the cost of each candidate
+
+    @property
+    def converged(self) -> Bool[Tensor, "*b"]:
+        """For which problems every start of the optimiser converged."""
+        return self.solution.converged.all(-1)
 
 
 class Outcome(IntEnum):
@@ -221,6 +258,7 @@ def map_tensors(function: Callable[[Tensor], Tensor], record: Any) -> Any:
     """
     if isinstance(record, Tensor):
         return function(record)
-    if isinstance(record, tuple) and hasattr(record, "_fields"):
-        return type(record)(*(map_tensors(function, field) for field in record))
+    if isinstance(record, tuple):
+        parts = [map_tensors(function, field) for field in record]
+        return type(record)(*parts) if hasattr(record, "_fields") else tuple(parts)
     return record

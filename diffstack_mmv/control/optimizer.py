@@ -12,7 +12,7 @@ class Dynamics(Protocol):
     """One control step x⁺ = f(x, u)."""
 
     def __call__(
-        self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
+        self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"], /
     ) -> Float[Tensor, "*b n"]:
         """State after one step."""
         ...
@@ -33,7 +33,7 @@ class Cost(Protocol):
     """Cost per time; entry t sees x_t and u_t only, and the last row of the controls is zero."""
 
     def __call__(
-        self, states: Float[Tensor, "*b T1 n"], controls: Float[Tensor, "*b T1 m"]
+        self, states: Float[Tensor, "*b T1 n"], controls: Float[Tensor, "*b T1 m"], /
     ) -> Float[Tensor, "*b T1"]:
         """Cost c_0 .. c_T."""
         ...

@@ -7,7 +7,7 @@ from torch import Tensor
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.costs.base import CostTerm
 from diffstack_mmv.smooth import safe_norm, smooth_maximum
-from diffstack_mmv.types import Motion, PlanningProblem
+from diffstack_mmv.types import Discs, Motion, PlanningProblem
 
 GRAVITY = 9.81  # m/s²
 
@@ -48,11 +48,13 @@ class TurningCircleBarrier(CostTerm):
     With the smallest turning radius ρ = max(ρ_min, v² / (μ g)) and the circle centres c_L, c_R = p
     ± ρ n(θ),
 
-        h_L = ‖o - c_L‖ - (ρ + r_ego + r_o + margin),  h_R likewise,  h = smooth max(h_L, h_R) per
+        h_L = ‖o - c_L‖ - (ρ_ego + r_o + margin),  h_R likewise,  h = smooth max(h_L, h_R) per
         agent
 
     evaluated at the position of the agent at time t and averaged over the components of its
-    mixture. Source: Lee et al., TC-CBF (arXiv 2503.20280), as in DMMV, Sec. IV-B.
+    mixture. ρ_ego is the circle that the outline of the vehicle sweeps on that turn: ρ + r_ego for
+    a disc around the reference point. Source: Lee et al., TC-CBF (arXiv 2503.20280), as in DMMV,
+    Sec. IV-B.
 
     Args:
         radius_min_m: ρ_min, the wheelbase over the tangent of the largest steering angle, in m.
@@ -91,8 +93,9 @@ class TurningCircleBarrier(CostTerm):
         forward = torch.stack([motion.heading.cos(), motion.heading.sin()], -1)
         left = torch.stack([-forward[..., 1], forward[..., 0]], -1)
         centre = motion.position + self.lead_m * forward
-        keep = problem.radius[..., None] + problem.obstacles.radius + self.margin_m
-        reach = radius[..., None, None, :] + keep[..., None, None]
+        ego = _reach_beyond(problem.ego.discs, radius)[..., None, None, :]
+        keep = ego + problem.obstacles.radius[..., None, None] + self.margin_m
+        reach = radius[..., None, None, :] + keep
 
         def clearance(side: float) -> Tensor:
             circle = centre + side * radius.unsqueeze(-1) * left
@@ -108,3 +111,13 @@ class TurningCircleBarrier(CostTerm):
         violation = torch.relu(-self.barrier(motion, problem)).square()
         expected = (problem.obstacles.weight.unsqueeze(-1) * violation).sum(-2)
         return (expected * problem.obstacles.valid.unsqueeze(-1)).sum(-2)
+
+
+def _reach_beyond(discs: Discs, radius: Float[Tensor, "*b t"]) -> Float[Tensor, "*b t"]:
+    """How far in m the discs reach beyond the circle of this radius that the vehicle turns on.
+
+    max over discs of sqrt(ρ² + a²) - ρ + r, written as a² / (sqrt(ρ² + a²) + ρ) + r.
+    """
+    ahead, turn = discs.ahead.unsqueeze(-1), radius.unsqueeze(-2)
+    beyond = ahead.square() / ((turn.square() + ahead.square()).sqrt() + turn)
+    return (beyond + discs.radius.unsqueeze(-1)).amax(-2)

@@ -1,33 +1,65 @@
 """From a forecast and a goal to a plan."""
 
-from diffstack_mmv.planning.candidates import CandidateFan, Candidates, with_final_row
+from diffstack_mmv.planning.candidates import (
+    CandidateFan,
+    Candidates,
+    CandidateSource,
+    with_final_row,
+)
+from diffstack_mmv.planning.choice import CheapestSafe, PlanChoice, TakeOptimum
+from diffstack_mmv.planning.clearance import ClearanceMargin, clearance_within_steps
+from diffstack_mmv.planning.detours import DetourFan
 from diffstack_mmv.planning.goal import FutureGoal, GoalSource, PredictedGoal
-from diffstack_mmv.planning.planner import MPCPlanner, Planner
+from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
+from diffstack_mmv.planning.planner import MPCPlanner, Planner, PlannerState
+from diffstack_mmv.planning.pricing import CostScore, PlanPrice, PlanScore, ScoredPlans
 from diffstack_mmv.planning.problem import (
+    Reference,
     build_problem,
     disc_radius,
+    initial_state,
     observed_obstacles,
     predicted_obstacles,
+    predicted_reference,
     present,
-    reference_to_goal,
+    straight_reference,
+    tracked_ego,
 )
 from diffstack_mmv.planning.selection import closest_candidate, cross_entropy
 
 __all__ = [
     "CandidateFan",
+    "CandidateSource",
     "Candidates",
+    "CheapestSafe",
+    "ClearanceMargin",
+    "CostScore",
+    "DetourFan",
     "FutureGoal",
     "GoalSource",
     "MPCPlanner",
+    "PlanChoice",
+    "PlanPrice",
+    "PlanScore",
     "Planner",
+    "PlannerState",
     "PredictedGoal",
+    "Reference",
+    "ScoredPlans",
+    "TakeOptimum",
+    "best_of_each",
     "build_problem",
+    "clearance_within_steps",
     "closest_candidate",
     "cross_entropy",
     "disc_radius",
+    "homotopy_class",
+    "initial_state",
     "observed_obstacles",
     "predicted_obstacles",
+    "predicted_reference",
     "present",
-    "reference_to_goal",
+    "straight_reference",
+    "tracked_ego",
     "with_final_row",
 ]

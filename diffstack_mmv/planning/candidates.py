@@ -1,7 +1,8 @@
-"""The fan of feasible candidate trajectories."""
+"""Candidate plans, each the motion of the model under admissible controls."""
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
 
 import torch
 from jaxtyping import Float
@@ -9,6 +10,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.planning.problem import initial_state
 from diffstack_mmv.types import Motion, PlanningProblem
 
 
@@ -20,11 +22,19 @@ class Candidates(NamedTuple):
     motion: Motion  # *b C T+1
 
 
-class Manoeuvre(NamedTuple):
+class Arc(NamedTuple):
     """A constant acceleration along an arc of constant curvature."""
 
     acceleration: Float[Tensor, "*b C"]  # m/s²
     curvature: Float[Tensor, "*b C"]  # 1/m
+
+
+class CandidateSource(Protocol):
+    """Proposes plans; where nothing else is left, a controller drives the last of them."""
+
+    def __call__(self, dynamics: DynamicsModel, problem: PlanningProblem, steps: int) -> Candidates:
+        """Candidates of every problem over a number of steps of the dynamics."""
+        ...
 
 
 class CandidateFan:
@@ -71,13 +81,12 @@ class CandidateFan:
     def __call__(self, dynamics: DynamicsModel, problem: PlanningProblem, steps: int) -> Candidates:
         """Roll out the fan of every problem over a number of steps."""
         horizon_s = steps * dynamics.dt_s
-        start = dynamics.state_on_course(problem.motion)
         lattice, to_goal = self._lattice(problem, horizon_s), self._to_goal(problem, horizon_s)
-        manoeuvre = Manoeuvre(*(torch.cat(pair, -1) for pair in zip(lattice, to_goal, strict=True)))
-        return _follow(dynamics, start, manoeuvre, steps)
+        arc = Arc(*(torch.cat(pair, -1) for pair in zip(lattice, to_goal, strict=True)))
+        return follow(dynamics, problem, lambda state, step: arc, arc.curvature.shape[-1], steps)
 
-    def _lattice(self, problem: PlanningProblem, horizon_s: float) -> Manoeuvre:
-        speed = problem.motion.velocity[..., 0].clamp_min(0).unsqueeze(-1)
+    def _lattice(self, problem: PlanningProblem, horizon_s: float) -> Arc:
+        speed = problem.ego.motion.velocity[..., 0].clamp_min(0).unsqueeze(-1)
         change = torch.linspace(-1, 1, self.speeds, device=speed.device, dtype=speed.dtype)
         final = (speed + self.speed_change_mps * change).clamp(0, self.speed_max_mps)
         acceleration = (final - speed) / horizon_s
@@ -85,12 +94,12 @@ class CandidateFan:
         # A share of offset 0 is 0 exactly, so an odd number of offsets contains the straight line.
         share = torch.linspace(-1, 1, self.offsets, device=speed.device, dtype=speed.dtype)
         curvature = 2 * self.offset_share * share / length.unsqueeze(-1)
-        return Manoeuvre(
+        return Arc(
             acceleration.unsqueeze(-1).expand_as(curvature).flatten(-2), curvature.flatten(-2)
         )
 
-    def _to_goal(self, problem: PlanningProblem, horizon_s: float) -> Manoeuvre:
-        motion = problem.motion
+    def _to_goal(self, problem: PlanningProblem, horizon_s: float) -> Arc:
+        motion = problem.ego.motion
         offset = problem.goal - motion.position
         cosine, sine = motion.heading.cos(), motion.heading.sin()
         left = offset[..., 1] * cosine - offset[..., 0] * sine
@@ -101,19 +110,30 @@ class CandidateFan:
         length = torch.where(half_turn == 0, chord.sqrt(), length)
         acceleration = 2 * (length - motion.velocity[..., 0] * horizon_s) / horizon_s**2
         curvature = 2 * half_turn.sin() / chord.sqrt().clamp_min(0.5)
-        return Manoeuvre(acceleration.unsqueeze(-1), curvature.unsqueeze(-1))
+        return Arc(acceleration.unsqueeze(-1), curvature.unsqueeze(-1))
 
 
-def _follow(
-    dynamics: DynamicsModel, start: Float[Tensor, "*b n"], manoeuvre: Manoeuvre, steps: int
+def follow(
+    dynamics: DynamicsModel,
+    problem: PlanningProblem,
+    arc_at: Callable[[Float[Tensor, "*b C n"], int], Arc],
+    count: int,
+    steps: int,
 ) -> Candidates:
-    count = manoeuvre.acceleration.shape[-1]
+    """Drive `count` candidates of every problem, in each step on the arc asked for at its state.
+
+    Args:
+        dynamics: The vehicle.
+        problem: Problems, `*b`.
+        arc_at: (states, number of the step) -> arcs of that step.
+        count: Number of candidates C.
+        steps: Length of the horizon in steps of the dynamics.
+    """
+    start = initial_state(dynamics, problem.ego)
     state = start.unsqueeze(-2).expand(*start.shape[:-1], count, start.shape[-1])
     states, controls = [state], []
-    for _ in range(steps):
-        controls.append(
-            dynamics.control_for(states[-1], manoeuvre.acceleration, manoeuvre.curvature)
-        )
+    for step in range(steps):
+        controls.append(dynamics.control_for(states[-1], *arc_at(states[-1], step)))
         states.append(dynamics(states[-1], controls[-1]))
     all_states, all_controls = torch.stack(states, -2), torch.stack(controls, -2)
     motion = dynamics.motion(all_states, with_final_row(all_controls))

@@ -1,31 +1,54 @@
-"""The planner: a fan of candidates, the cheapest of which starts the differentiable MPC."""
+"""The planner: propose, score, start the differentiable MPC from the best, score, choose."""
 
 from abc import ABC, abstractmethod
+from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from diffstack_mmv.checks import require_at_least
-from diffstack_mmv.control import Cost, TrajectoryOptimizer
+from diffstack_mmv.control import Batched, TrajectoryOptimizer
 from diffstack_mmv.costs import WeightedCost
-from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.planning.candidates import CandidateFan, Candidates, with_final_row
-from diffstack_mmv.types import Motion, Plan, PlanningProblem, map_tensors
+from diffstack_mmv.dynamics import DynamicsModel, rollout
+from diffstack_mmv.planning.candidates import CandidateSource, with_final_row
+from diffstack_mmv.planning.choice import PlanChoice, TakeOptimum
+from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
+from diffstack_mmv.planning.objective import batched_objective
+from diffstack_mmv.planning.pricing import CostScore, PlanScore, ScoredPlans
+from diffstack_mmv.planning.problem import initial_state
+from diffstack_mmv.types import Motion, Obstacles, Plan, PlanningProblem, Solution, map_tensors
+
+UNSAFE = 1e4
+"""Added to the price of an unsafe plan where starts of the optimiser are chosen."""
+
+
+class PlannerState(NamedTuple):
+    """What a receding horizon knows from its decision before."""
+
+    controls: Float[Tensor, "*b T m"]  # rest of the previous plan, continued to the horizon
+    waited: Float[Tensor, "*b"]  # s in which the vehicle came no closer to its goal
 
 
 class Planner(nn.Module, ABC):
     """Turns a batch of planning problems into plans."""
 
     @abstractmethod
-    def forward(self, problem: PlanningProblem) -> Plan:
-        """Plan for every problem."""
+    def forward(self, problem: PlanningProblem, state: PlannerState | None = None) -> Plan:
+        """Plan for every problem, `*b`.
+
+        Args:
+            problem: The problems.
+            state: What is known from the decision before; None for the first or only one.
+        """
 
 
 class MPCPlanner(Planner):
-    """Candidates, then DiffMPC from the cheapest of them.
+    """Propose → score → start k solves → score → choose.
 
-    Training and simulation use this same planner; they differ only in who builds the problem.
+    Training and closed loop use this same planner. Training scores by the cost, starts one solve
+    and takes the optimum; closed loop scores by price and safety, starts from the best plans of
+    different homotopy classes and takes the cheapest safe plan.
 
     Args:
         dynamics: The model that the plan obeys; shared with the predictor, so its parameters are
@@ -33,11 +56,15 @@ class MPCPlanner(Planner):
         cost: The learnable cost.
         solver: Trajectory optimiser; its implicit gradient reaches whatever dynamics, cost and
             problem depend on.
-        candidates: The fan.
+        candidates: Proposes plans.
         steps: Length of the horizon in steps of the model.
+        score: What plans are worth.
+        starts: Number of starts of the optimiser, each in another homotopy class where there are
+            enough; with 0 the best proposal is chosen.
+        choice: Which plan is driven.
 
     Raises:
-        ValueError: The horizon is shorter than one step.
+        ValueError: The horizon is shorter than one step, or the number of starts negative.
     """
 
     def __init__(
@@ -45,16 +72,49 @@ class MPCPlanner(Planner):
         dynamics: DynamicsModel,
         cost: WeightedCost,
         solver: TrajectoryOptimizer,
-        candidates: CandidateFan,
+        candidates: CandidateSource,
         steps: int = 30,
+        score: PlanScore | None = None,
+        starts: int = 1,
+        choice: PlanChoice | None = None,
     ) -> None:
         super().__init__()
         require_at_least("steps", steps, 1)
+        require_at_least("starts", starts, 0)
         self.dynamics = dynamics
         self.cost = cost
         self.solver = solver
         self.candidates = candidates
         self.steps = steps
+        self.score = score or CostScore()
+        self.starts = starts
+        self.choice = choice or TakeOptimum()
+
+    def forward(self, problem: PlanningProblem, state: PlannerState | None = None) -> Plan:
+        """Plan for every problem, `*b`; see `Planner`.
+
+        The proposals are constants to the gradient; their logits carry it to the cost weights and
+        to the problem where the score is differentiable, the solutions to these and to the dynamics
+        as well.
+        """
+        waited = torch.zeros_like(problem.reference_speed) if state is None else state.waited
+
+        def scored(controls: Tensor, motion: Motion) -> ScoredPlans:
+            return self._scored(problem, controls, motion, waited)
+
+        with torch.no_grad():
+            fan = self.candidates(self.dynamics, problem, self.steps)
+        proposals = scored(fan.controls, fan.motion)
+        if state is not None:
+            proposals = proposals.beside(scored(*self._continued(problem, state)))
+        with torch.no_grad():
+            starts = self._best_starts(proposals, problem.obstacles)
+        guess = proposals.controls.take_along_dim(starts[..., None, None], -3)
+        solution = self._solve(problem, guess)
+        motion = self.dynamics.motion(solution.states, with_final_row(solution.controls))
+        fan_size = fan.controls.shape[-3]
+        chosen = self.choice(proposals, fan_size, solution, motion, scored)
+        return Plan(*chosen, solution, proposals.motion, -proposals.cost)
 
     def cost_of(
         self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
@@ -69,49 +129,66 @@ class MPCPlanner(Planner):
 
         The weights are constants here: a cost must not be lowered by weighing its terms anew.
         """
-        controls = self._relative(with_final_row(plan.solution.controls))
+        controls = self._relative(with_final_row(plan.controls))
         weights = {
             name: torch.as_tensor(weight).detach() for name, weight in self.cost.weights().items()
         }
         parts = self.cost.components(plan.motion, controls, problem, weights)
         return {name: value.sum(-1) for name, value in parts.items()}
 
-    def forward(self, problem: PlanningProblem) -> Plan:
-        """Plan for every problem.
-
-        The candidates are constants to the gradient; their logits carry it to the cost weights and
-        to the problem, the solution to these and to the dynamics as well.
-        """
-        with torch.no_grad():
-            fan = self.candidates(self.dynamics, problem, self.steps)
-        logits = -self._score(fan, problem)
-        best = logits.argmax(-1)[..., None, None, None]
-        guess = fan.controls.take_along_dim(best, -3).squeeze(-3)
-        solution = self.solver(
-            self.dynamics,
-            self.objective(problem),
-            self.dynamics.bounds,
-            self.dynamics.state_on_course(problem.motion),
-            guess,
-        )
-        motion = self.dynamics.motion(solution.states, with_final_row(solution.controls))
-        return Plan(solution, motion, fan.motion, logits)
-
-    def objective(self, problem: PlanningProblem) -> Cost:
-        """The cost of this problem as the solver wants it.
-
-        (states, controls) -> cost at each time.
-        """
-
-        def cost(states: Tensor, controls: Tensor) -> Tensor:
-            return self.cost_of(self.dynamics.motion(states, controls), controls, problem)
-
-        return cost
-
-    def _score(self, fan: Candidates, problem: PlanningProblem) -> Float[Tensor, "*b C"]:
+    def _scored(
+        self,
+        problem: PlanningProblem,
+        controls: Float[Tensor, "*b C T m"],
+        motion: Motion,
+        waited: Float[Tensor, "*b"],
+    ) -> ScoredPlans:
         batch_dims = problem.goal.dim() - 1
-        per_candidate = map_tensors(lambda field: field.unsqueeze(batch_dims), problem)
-        return self.cost_of(fan.motion, with_final_row(fan.controls), per_candidate).sum(-1)
+        per_plan = map_tensors(lambda entry: entry.unsqueeze(batch_dims), problem)
+
+        def cost(motion: Motion, controls: Tensor) -> Tensor:
+            return self.cost_of(motion, with_final_row(controls), per_plan)
+
+        with torch.set_grad_enabled(torch.is_grad_enabled() and self.score.differentiable):
+            return self.score(cost, problem, controls, motion, waited, self.dynamics.dt_s)
+
+    @torch.no_grad()
+    def _continued(
+        self, problem: PlanningProblem, state: PlannerState
+    ) -> tuple[Float[Tensor, "*b one T m"], Motion]:
+        """The rest of the previous plan from the present state, as one more proposal."""
+        controls = state.controls.unsqueeze(-3)
+        start = initial_state(self.dynamics, problem.ego).unsqueeze(-2)
+        states = rollout(self.dynamics, start, controls)
+        return controls, self.dynamics.motion(states, with_final_row(controls))
+
+    def _best_starts(self, plans: ScoredPlans, obstacles: Obstacles) -> Int[Tensor, "*b k"]:
+        """The best plan of each of the best homotopy classes around the likeliest futures."""
+        price = torch.where(plans.safe, plans.cost, plans.cost + UNSAFE * (1 + plans.shortfall))
+        if self.starts <= 1:
+            return price.argmin(-1, keepdim=True)[..., : self.starts]
+        likeliest = obstacles.weight.argmax(-1)[..., None, None, None]
+        agents = obstacles.position.take_along_dim(likeliest, -3).squeeze(-3)
+        classes = homotopy_class(plans.motion.position, agents)
+        return best_of_each(price, classes, self.starts)
+
+    def _solve(self, problem: PlanningProblem, guess: Float[Tensor, "*b k T m"]) -> Solution:
+        """Optimise from every guess; all are one batch, so that finished ones are left behind."""
+        shape, batch_dims = guess.shape[:-2], guess.dim() - 3
+
+        def repeated(entry: Tensor) -> Tensor:
+            wide = entry.unsqueeze(batch_dims).expand(*shape, *entry.shape[batch_dims:])
+            return wide.flatten(0, batch_dims)
+
+        each = map_tensors(repeated, problem)
+        solution = self.solver(
+            Batched(self.dynamics),
+            batched_objective(self, each),
+            self.dynamics.bounds,
+            initial_state(self.dynamics, each.ego),
+            guess.flatten(0, batch_dims),
+        )
+        return map_tensors(lambda entry: entry.unflatten(0, shape), solution)
 
     def _relative(self, controls: Float[Tensor, "*b t m"]) -> Float[Tensor, "*b t m"]:
         lower, upper = self.dynamics.bounds

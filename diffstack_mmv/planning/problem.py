@@ -1,20 +1,76 @@
-"""Planning problems from observed agents and their forecasts."""
+"""Planning problems from observed agents and their forecasts: the one way to build one."""
+
+from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
+from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import rotate
-from diffstack_mmv.types import Forecast, Motion, Obstacles, PlanningProblem, Tracks
+from diffstack_mmv.types import (
+    Discs,
+    Ego,
+    Forecast,
+    Heading,
+    Motion,
+    Obstacles,
+    PlanningProblem,
+    Tracks,
+)
 
 SLOW_MPS = 0.3
 NEAR_M = 1.0
+
+
+class Reference(NamedTuple):
+    """Where and how fast the ego would go if nothing were in its way."""
+
+    path: Float[Tensor, "*b T1 2"]  # m, row 0 is now
+    speed: Float[Tensor, "*b"]  # m/s
+
+
+def build_problem(
+    ego: Ego, goal: Float[Tensor, "*b 2"], reference: Reference, obstacles: Obstacles
+) -> PlanningProblem:
+    """Planning problem of an ego with a goal in m, a reference and predicted agents.
+
+    Training and simulation build their problems here; they differ in where the parts come from.
+    """
+    return PlanningProblem(ego, goal, reference.path, reference.speed, obstacles)
+
+
+def initial_state(dynamics: DynamicsModel, ego: Ego) -> Float[Tensor, "*b n"]:
+    """State of a model in which a plan begins, whatever the observed heading is that of."""
+    if ego.heading is Heading.COURSE:
+        return dynamics.state_on_course(ego.motion)
+    return dynamics.initial_state(ego.motion)
 
 
 def present(tracks: Tracks) -> Tracks:
     """The last row of observed tracks."""
     motion = Motion(*(field.select(tracks.valid.dim() - 1, -1) for field in tracks.motion))
     return tracks._replace(motion=motion, valid=tracks.valid[..., -1])
+
+
+def tracked_ego(past: Tracks, goal: Float[Tensor, "*b 2"]) -> Ego:
+    """The ego at the end of its track, *b H, whose heading is its course.
+
+    The heading of a rider at rest is not observed: it then faces the goal.
+    """
+    radius = disc_radius(past.extent).unsqueeze(-1)
+    discs = Discs(torch.zeros_like(radius), radius)
+    return Ego(facing_the_goal(present(past).motion, goal), Heading.COURSE, discs)
+
+
+def facing_the_goal(motion: Motion, goal: Float[Tensor, "*b 2"]) -> Motion:
+    """Turn whoever is slower than 0.3 m/s towards a goal (m) that is further than 1 m away."""
+    offset = goal - motion.position
+    unknown = (motion.velocity.norm(dim=-1) < SLOW_MPS) & (offset.norm(dim=-1) > NEAR_M)
+    # atan2 has no derivative at zero offset, where its value is not used
+    safe = torch.where(unknown.unsqueeze(-1), offset, torch.ones_like(offset))
+    towards = torch.atan2(safe[..., 1], safe[..., 0])
+    return motion._replace(heading=torch.where(unknown, towards, motion.heading))
 
 
 def disc_radius(extent: Float[Tensor, "*b 2"]) -> Float[Tensor, "*b"]:
@@ -25,36 +81,42 @@ def disc_radius(extent: Float[Tensor, "*b 2"]) -> Float[Tensor, "*b"]:
     return (extent.prod(-1) / torch.pi).sqrt()
 
 
-def predicted_obstacles(neighbors: Tracks, forecast: Forecast) -> Obstacles:
+def predicted_obstacles(
+    position: Float[Tensor, "*b N 2"],
+    radius: Float[Tensor, "*b N"],
+    valid: Bool[Tensor, "*b N"],
+    forecast: Forecast,
+) -> Obstacles:
     """Obstacles from the predictions of the other agents.
 
     Args:
-        neighbors: Observed agents, *b N H.
+        position: Where the agents are now, m.
+        radius: Of the disc around each, m.
+        valid: Which agents are observed now.
         forecast: Their forecast, *b N K T; thin it out beforehand, the cost of planning grows with
             K.
     """
-    now = present(neighbors)
-    start = now.motion.position[..., None, None, :].expand_as(forecast.mean[..., :1, :])
+    now = position[..., None, None, :].expand_as(forecast.mean[..., :1, :])
     return Obstacles(
-        position=torch.cat([start, forecast.mean], -2),
+        position=torch.cat([now, forecast.mean], -2),
         weight=forecast.log_weight.exp(),
-        radius=disc_radius(neighbors.extent),
-        valid=now.valid,
+        radius=radius,
+        valid=valid,
     )
 
 
 def observed_obstacles(past: Tracks, future: Tracks) -> Obstacles:
     """Obstacles whose future is known, for costs in hindsight.
 
-    One component, held where the track ends.
+    One component, which stays at the last position seen where the track ends.
     """
     now = present(past)
     start = now.motion.position.unsqueeze(-2)
     steps = torch.arange(future.valid.shape[-1], device=future.valid.device)
     last_seen = torch.where(future.valid, steps, -1).cummax(-1).values
     position = torch.cat([start, future.motion.position], -2)
-    held = position.take_along_dim((last_seen + 1).unsqueeze(-1), -2)
-    path = torch.cat([start, held], -2).unsqueeze(-3)
+    seen = position.take_along_dim((last_seen + 1).unsqueeze(-1), -2)
+    path = torch.cat([start, seen], -2).unsqueeze(-3)
     return Obstacles(
         position=path,
         weight=torch.ones_like(path[..., 0, 0]),
@@ -63,7 +125,27 @@ def observed_obstacles(past: Tracks, future: Tracks) -> Obstacles:
     )
 
 
-def reference_to_goal(
+def straight_reference(
+    motion: Motion, goal: Float[Tensor, "*b 2"], steps: int, speed_mps: float
+) -> Reference:
+    """Straight to the goal (m) within the horizon of so many steps, at a cruising speed."""
+    share = torch.linspace(0, 1, steps + 1, dtype=goal.dtype, device=goal.device)[:, None]
+    now = motion.position.unsqueeze(-2)
+    path = now + share * (goal.unsqueeze(-2) - now)
+    return Reference(path, torch.full_like(goal[..., 0], speed_mps))
+
+
+def predicted_reference(
+    motion: Motion, path: Float[Tensor, "*b T 2"], goal: Float[Tensor, "*b 2"], dt_s: float
+) -> Reference:
+    """Along a predicted path (m) to the goal, at the mean speed along it; see `bent_to_goal`."""
+    reference = bent_to_goal(motion, path, goal, dt_s)
+    steps = reference[..., 1:, :] - reference[..., :-1, :]
+    speed = steps.square().sum(-1).clamp_min(1e-8).sqrt().mean(-1) / dt_s
+    return Reference(reference, speed)
+
+
+def bent_to_goal(
     motion: Motion, path: Float[Tensor, "*b T 2"], goal: Float[Tensor, "*b 2"], dt_s: float
 ) -> Float[Tensor, "*b T1 2"]:
     """Where an undisturbed rider would go, in m, from the present position to the goal.
@@ -87,40 +169,3 @@ def reference_to_goal(
 
     reference = torch.lerp(bent(coast), bent(path), 0.5 * share)
     return torch.cat([motion.position.unsqueeze(-2), reference], -2)
-
-
-def facing_the_goal(motion: Motion, goal: Float[Tensor, "*b 2"]) -> Motion:
-    """Turn whoever is slower than 0.3 m/s towards a goal (m) that is further than 1 m away."""
-    offset = goal - motion.position
-    unknown = (motion.velocity.norm(dim=-1) < SLOW_MPS) & (offset.norm(dim=-1) > NEAR_M)
-    # atan2 has no derivative at zero offset, where its value is not used
-    safe = torch.where(unknown.unsqueeze(-1), offset, torch.ones_like(offset))
-    towards = torch.atan2(safe[..., 1], safe[..., 0])
-    return motion._replace(heading=torch.where(unknown, towards, motion.heading))
-
-
-def build_problem(
-    ego: Tracks,
-    path: Float[Tensor, "*b T 2"],
-    goal: Float[Tensor, "*b 2"],
-    obstacles: Obstacles,
-    dt_s: float,
-) -> PlanningProblem:
-    """Planning problem of an observed ego (*b H) with a predicted path, a goal and obstacles.
-
-    The reference speed is the mean speed along the reference path in m/s. The heading of a rider at
-    rest is not observed: the plan then faces the goal.
-    """
-    observed = present(ego).motion
-    motion = facing_the_goal(observed, goal)
-    reference = reference_to_goal(observed, path, goal, dt_s)
-    steps = reference[..., 1:, :] - reference[..., :-1, :]
-    speed = steps.square().sum(-1).clamp_min(1e-8).sqrt().mean(-1) / dt_s
-    return PlanningProblem(
-        motion=motion,
-        goal=goal,
-        reference=reference,
-        reference_speed=speed,
-        radius=disc_radius(ego.extent),
-        obstacles=obstacles,
-    )

@@ -13,6 +13,7 @@ from diffstack_mmv.prediction.baselines import (
     NoPrediction,
     Spread,
     StandStill,
+    single_component,
     without_dynamics,
 )
 from diffstack_mmv.prediction.ctra import ConstantTurnRateAcceleration
@@ -42,6 +43,7 @@ __all__ = [
     "ego_forecast",
     "hermite_spline",
     "neighbors_forecast",
+    "single_component",
     "straight_line",
     "strongest",
     "without_dynamics",

@@ -9,20 +9,28 @@ from diffstack_mmv.simulation.assembly import (
 )
 from diffstack_mmv.simulation.benchmark import Chunk, Method, read_chunk, run
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint, RectangleFootprint
-from diffstack_mmv.simulation.controller import Choice, DiffMPCController
+from diffstack_mmv.simulation.controller import DiffMPCController
 from diffstack_mmv.simulation.env import ENV_ID, VERDICTS, CrowdNavEnv, register, robot_named
 from diffstack_mmv.simulation.episode import drive
+from diffstack_mmv.simulation.forecasters import (
+    ConstantVelocityForecaster,
+    OrcaForecaster,
+    PedestrianForecast,
+    PedestrianForecaster,
+)
 from diffstack_mmv.simulation.held import HeldControl
-from diffstack_mmv.simulation.learned_people import PredictorPeople
+from diffstack_mmv.simulation.learned_forecaster import LearnedForecaster
 from diffstack_mmv.simulation.learning import imitation_loss, way_left_loss
-from diffstack_mmv.simulation.manoeuvres import DetourFan
 from diffstack_mmv.simulation.mppi import MPPIController
 from diffstack_mmv.simulation.pedestrians import OrcaCrowd, SocialForceCrowd
-from diffstack_mmv.simulation.people import ConstantVelocityPeople, OrcaPeople, PeopleForecast
-from diffstack_mmv.simulation.policies import BlindDriver, Controller, OrcaPolicy, StraightLine
-from diffstack_mmv.simulation.pricing import PlanPrice
+from diffstack_mmv.simulation.policies import (
+    BlindDriver,
+    Controller,
+    Decided,
+    OrcaPolicy,
+    StraightLine,
+)
 from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
-from diffstack_mmv.simulation.safety import SafetyMargin
 from diffstack_mmv.simulation.scenario import CircleCrossing, Scenario, Scene, SquareCrossing
 from diffstack_mmv.simulation.summary import summarise
 from diffstack_mmv.simulation.vehicle_robot import Actuation, VehicleRobot
@@ -34,14 +42,13 @@ __all__ = [
     "VERDICTS",
     "Actuation",
     "BlindDriver",
-    "Choice",
     "Chunk",
     "CircleCrossing",
-    "ConstantVelocityPeople",
+    "ConstantVelocityForecaster",
     "Controller",
+    "Decided",
     "CrowdNavEnv",
     "CrowdNavVerdict",
-    "DetourFan",
     "DiffMPCController",
     "DiscFootprint",
     "Driven",
@@ -53,15 +60,14 @@ __all__ = [
     "Method",
     "Observation",
     "OrcaCrowd",
-    "OrcaPeople",
+    "OrcaForecaster",
     "OrcaPolicy",
-    "PeopleForecast",
-    "PlanPrice",
-    "PredictorPeople",
+    "PedestrianForecast",
+    "PedestrianForecaster",
+    "LearnedForecaster",
     "RectangleFootprint",
     "Rewards",
     "Robot",
-    "SafetyMargin",
     "Scenario",
     "Scene",
     "SocialForceCrowd",

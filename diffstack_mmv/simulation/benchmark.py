@@ -16,7 +16,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import message, require, require_at_least
 from diffstack_mmv.simulation.episode import drive
-from diffstack_mmv.simulation.policies import Controller
+from diffstack_mmv.simulation.policies import Controller, Decided
 from diffstack_mmv.simulation.scenario import Scenario
 from diffstack_mmv.simulation.world import Observation, World
 from diffstack_mmv.types import EpisodeRecord, Motion
@@ -63,13 +63,22 @@ class Timed:
     controller: Controller
     seconds: list[float] = field(default_factory=list)
 
-    def __call__(self, observation: Observation) -> Float[Tensor, "*b m"]:
-        """The action of the controller."""
+    @property
+    def massless(self) -> bool:
+        """As the controller says."""
+        return self.controller.massless
+
+    def init(self, observation: Observation) -> Any:
+        """As the controller begins."""
+        return self.controller.init(observation)
+
+    def act(self, state: Any, observation: Observation) -> Decided:
+        """What the controller decides."""
         start = time.perf_counter()
-        action = self.controller(observation)
+        decided = self.controller.act(state, observation)
         running = max(int(observation.running.sum()), 1)
         self.seconds.append((time.perf_counter() - start) / running)
-        return action
+        return decided
 
 
 def run(
@@ -115,9 +124,10 @@ def _driven(method: Method, scenario: Scenario, numbers: list[int], phase: str) 
     """Drive the cases as one batch."""
     controller = method.controller()
     timed = Timed(controller)
-    record = drive(method.world, scenario.cases(phase, numbers), timed)
+    record, known = drive(method.world, scenario.cases(phase, numbers), timed)
     diagnose = getattr(controller, "diagnosis", None)
-    told = {} if diagnose is None else {k: v.double().numpy() for k, v in diagnose().items()}
+    shares = {} if diagnose is None else diagnose(known)
+    told = {name: share.double().numpy() for name, share in shares.items()}
     return Chunk(numbers, record, np.array(timed.seconds), told)
 
 

@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
-from diffstack_mmv.geometry import rotate
-from diffstack_mmv.simulation.rounding import length, root, unit_vector
+from diffstack_mmv.geometry import distance_to_segment, length, rotate, unit_vector
+from diffstack_mmv.types import Discs
 
 
 class Approach(NamedTuple):
@@ -33,6 +33,10 @@ class Footprint(Protocol):
 
     def clearance(self, approach: Approach) -> Float[Tensor, "*b"]:
         """Smallest clearance in m during the approach, negative for an overlap."""
+        ...
+
+    def discs(self) -> Discs:
+        """Discs that cover the outline, m."""
         ...
 
     def outline(self) -> Float[Tensor, "corners 2"]:
@@ -61,6 +65,10 @@ class DiscFootprint:
         """Smallest distance in m of two discs, exact for straight relative motion."""
         distance = distance_to_segment(approach.start, approach.end)
         return distance - approach.radius - self.radius_m
+
+    def discs(self) -> Discs:
+        """The disc itself."""
+        return Discs(torch.zeros(1), torch.full((1,), self.radius_m, dtype=torch.float64))
 
     def outline(self) -> Float[Tensor, "corners 2"]:
         """Polygon of 48 corners on the circle, m."""
@@ -107,19 +115,6 @@ class RectangleFootprint:
         """The four corners in m, counter-clockwise from the front left."""
         half = torch.tensor((0.5 * self.length_m, 0.5 * self.width_m), dtype=torch.float64)
         return half * half.new_tensor(((1, 1), (-1, 1), (-1, -1), (1, -1)))
-
-
-def distance_to_segment(
-    start: Float[Tensor, "*b 2"], end: Float[Tensor, "*b 2"]
-) -> Float[Tensor, "*b"]:
-    """Distance in m of the origin to the segment from `start` to `end`, also if it is a point."""
-    x, y = (end - start).unbind(dim=-1)
-    squared = x * x + y * y
-    along = (-start[..., 0] * x + -start[..., 1] * y) / squared
-    # a segment without length gives 0/0; any point of it is the nearest
-    along = torch.where(squared > 0, along, torch.zeros_like(along)).clamp(0, 1)
-    near_x, near_y = start[..., 0] + along * x, start[..., 1] + along * y
-    return root(near_x * near_x + near_y * near_y)
 
 
 def distance_box_to_segment(

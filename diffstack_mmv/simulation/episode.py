@@ -1,6 +1,6 @@
 """Whole episodes, all of them as one batch."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -21,7 +21,15 @@ class _Row(NamedTuple):
     running: Bool[Tensor, " E"]
 
 
-def drive(world: World, scene: Scene, controller: Controller) -> EpisodeRecord:
+class Drive(NamedTuple):
+    """Driven episodes, and what the controller remembers of them at their end."""
+
+    record: EpisodeRecord
+    controller_state: Any
+
+
+@torch.no_grad()
+def drive(world: World, scene: Scene, controller: Controller) -> Drive:
     """Run episodes until each has ended; those that have ended wait for the others.
 
     Args:
@@ -30,7 +38,7 @@ def drive(world: World, scene: Scene, controller: Controller) -> EpisodeRecord:
         controller: Chooses the actions from the observations of all episodes.
 
     Returns:
-        The record of all episodes, as long as the longest of them.
+        The record of all episodes, as long as the longest of them, and the controller's state.
 
     Raises:
         ValueError: A human stands in the robot at the start, or an action has the wrong shape.
@@ -38,15 +46,17 @@ def drive(world: World, scene: Scene, controller: Controller) -> EpisodeRecord:
     state = world.start(scene)
     states, rows = [state], []
     running = torch.ones_like(state.time, dtype=torch.bool)
+    known = controller.init(world.observe(state))
     for _ in range(world.max_steps):
-        action = controller(world.observe(state)._replace(running=running))
+        seen = world.observe(state)._replace(running=running)
+        action, known = controller.act(known, seen)
         state, judgement = world.step(state, action)
         states.append(state)
         rows.append(_Row(action, judgement, running))
         running = running & (judgement.outcome < Outcome.COLLISION)
         if not bool(running.any()):
             break
-    return _record(world, states, rows)
+    return Drive(_record(world, states, rows), known)
 
 
 def _record(world: World, states: list[WorldState], rows: list[_Row]) -> EpisodeRecord:
@@ -64,13 +74,15 @@ def _record(world: World, states: list[WorldState], rows: list[_Row]) -> Episode
     time = torch.stack([state.time for state in states], dim=1).gather(1, steps[:, None])
     limit = torch.full_like(time.squeeze(1), world.verdict.limit_s)
     return EpisodeRecord(
-        motion=Motion(*(_held(torch.stack(f, dim=1), row_of) for f in zip(*motions, strict=True))),
-        pedestrians=_held(torch.stack([s.humans.position for s in states], dim=1), row_of),
-        controls=_held(
+        motion=Motion(
+            *(_extended(torch.stack(f, dim=1), row_of) for f in zip(*motions, strict=True))
+        ),
+        pedestrians=_extended(torch.stack([s.humans.position for s in states], dim=1), row_of),
+        controls=_extended(
             torch.stack([row.action for row in rows], dim=1), row_of[:, :-1].clamp(max=last)
         ),
         reward=torch.where(running, judgement.reward, torch.zeros_like(judgement.reward)),
-        clearance=_held(clearance, row_of),
+        clearance=_extended(clearance, row_of),
         outcome=outcome,
         steps=steps,
         duration=torch.where(outcome == Outcome.TIMEOUT, limit, time.squeeze(1)),
@@ -78,7 +90,7 @@ def _record(world: World, states: list[WorldState], rows: list[_Row]) -> Episode
     )
 
 
-def _held(rows: Float[Tensor, "E T *c"], row_of: Int[Tensor, "E S"]) -> Float[Tensor, "E S *c"]:
+def _extended(rows: Float[Tensor, "E T *c"], row_of: Int[Tensor, "E S"]) -> Float[Tensor, "E S *c"]:
     """Pick rows of time per episode."""
     index = row_of.reshape(*row_of.shape, *(1 for _ in rows.shape[2:]))
     return torch.take_along_dim(rows, index, dim=1)

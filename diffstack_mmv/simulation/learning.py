@@ -1,7 +1,5 @@
 """Losses on closed-loop episodes whose gradient reaches the cost weights of a controller."""
 
-from typing import Protocol
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -9,19 +7,11 @@ from torch import Tensor
 from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.simulation.policies import Controller
 from diffstack_mmv.simulation.scenario import Scene
-from diffstack_mmv.simulation.world import Observation, World
-
-
-class Learner(Protocol):
-    """A controller whose action carries a gradient, as `DiffMPCController` does."""
-
-    def optimised(self, observation: Observation) -> Float[Tensor, "b m"]:
-        """Action in the units of the robot."""
-        ...
+from diffstack_mmv.simulation.world import World
 
 
 def imitation_loss(
-    world: World, scene: Scene, learner: Learner, teacher: Controller, steps: int
+    world: World, scene: Scene, learner: Controller, teacher: Controller, steps: int
 ) -> Float[Tensor, ""]:
     """How far the learner's actions are from the teacher's, on the way that the learner takes.
 
@@ -33,7 +23,7 @@ def imitation_loss(
     Args:
         world: Where both drive; its robot must be differentiable, as a `VehicleRobot` is.
         scene: Starts of the episodes, one leading dimension.
-        learner: Learns.
+        learner: Learns; a `DiffMPCController` whose planner takes the optimum.
         teacher: Acts as the learner should.
         steps: Number of decisions.
 
@@ -50,25 +40,27 @@ def imitation_loss(
     """
     require_at_least("steps", steps, 1)
     state, errors = world.start(scene), []
+    seen = world.observe(state)
+    own, taught = learner.init(seen), teacher.init(seen)
     bounds = world.robot.bounds
     largest = torch.maximum(bounds.upper, -bounds.lower)
     for _ in range(steps):
         seen = world.observe(state)
-        action = learner.optimised(seen)
+        action, own = learner.act(own, seen)
         with torch.no_grad():
-            wanted = teacher(seen)
+            wanted, taught = teacher.act(taught, seen)
         errors.append(((action - wanted) / largest.to(action)).square().mean())
         state = world.step(state, action).state
     return torch.stack(errors).mean()
 
 
-def way_left_loss(world: World, scene: Scene, learner: Learner, steps: int) -> Float[Tensor, ""]:
+def way_left_loss(world: World, scene: Scene, learner: Controller, steps: int) -> Float[Tensor, ""]:
     """Mean distance to the goal in m that the learner has left after some decisions.
 
     Args:
         world: Where it drives; its robot must be differentiable, as a `VehicleRobot` is.
         scene: Starts of the episodes, one leading dimension.
-        learner: Learns.
+        learner: Learns; a `DiffMPCController` whose planner takes the optimum.
         steps: Number of decisions.
 
     Returns:
@@ -79,7 +71,9 @@ def way_left_loss(world: World, scene: Scene, learner: Learner, steps: int) -> F
     """
     require_at_least("steps", steps, 1)
     state = world.start(scene)
+    known = learner.init(world.observe(state))
     for _ in range(steps):
-        state = world.step(state, learner.optimised(world.observe(state))).state
+        action, known = learner.act(known, world.observe(state))
+        state = world.step(state, action).state
     way = world.observe(state).motion.position - state.goal
     return way.square().sum(-1).sqrt().mean()

@@ -1,6 +1,7 @@
 """A plain sampling MPC (MPPI), the baseline that a gradient has to beat."""
 
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -8,15 +9,27 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.dynamics import DynamicsModel, rollout
-from diffstack_mmv.planning import with_final_row
-from diffstack_mmv.simulation.people import PeopleForecast
-from diffstack_mmv.simulation.safety import clearance_of
+from diffstack_mmv.planning import (
+    clearance_within_steps,
+    predicted_obstacles,
+    with_final_row,
+)
+from diffstack_mmv.simulation.forecasters import PedestrianForecaster
+from diffstack_mmv.simulation.policies import Decided, unbatched
 from diffstack_mmv.simulation.world import Observation
-from diffstack_mmv.types import Motion, map_tensors
+from diffstack_mmv.types import Forecast, map_tensors
 
 COLLISION_COST = 1e3
 LACK_COST = 50.0  # per metre of missing clearance and step
 EXCESS_COST = 20.0  # per (m/s)² above the cruising speed
+
+
+class MPPIState(NamedTuple):
+    """What the controller knows from the decisions before, for `b` episodes."""
+
+    forecaster: Any  # the record of the forecaster
+    mean: Float[Tensor, "b T m"]  # the averaged plans, shifted by a step
+    generator: Tensor  # state of the generator of the samples
 
 
 class MPPIController:
@@ -28,7 +41,7 @@ class MPPIController:
 
     Args:
         dynamics: Model of the vehicle, whose step is the time between two decisions.
-        people: Forecast of the humans.
+        forecaster: Predicts the pedestrians.
         cruise_mps: Speed that costs nothing.
         steps: Horizon in steps of the model.
         samples: Number of sampled plans per episode.
@@ -45,10 +58,12 @@ class MPPIController:
         Williams et al., Information theoretic MPC for model-based reinforcement learning (2017).
     """
 
+    massless = False
+
     def __init__(
         self,
         dynamics: DynamicsModel,
-        people: PeopleForecast,
+        forecaster: PedestrianForecaster,
         cruise_mps: float = 3.0,
         steps: int = 12,
         samples: int = 256,
@@ -67,66 +82,63 @@ class MPPIController:
         ):
             require_positive(name, value)
         self.dynamics = dynamics
-        self.people = people
+        self.forecaster = forecaster
         self.cruise_mps, self.steps, self.samples = cruise_mps, steps, samples
         self.temperature, self.deviation, self.margin_m = temperature, deviation, margin_m
         self.seed = seed
         self.actuate = actuate
-        self._mean = torch.zeros(0, steps, dynamics.control_dim)
-        self._generator = torch.Generator()
+
+    def init(self, observation: Observation) -> MPPIState:
+        """State at the start of episodes: zero controls, and the samples from their beginning."""
+        count, like = observation.time.numel(), self.dynamics.bounds.lower
+        generator = torch.Generator().manual_seed(self.seed)
+        mean = torch.zeros(count, self.steps, len(like)).to(like)
+        return MPPIState(self.forecaster.init(observation), mean, generator.get_state())
 
     @torch.no_grad()
-    def __call__(self, observation: Observation) -> Float[Tensor, "*b m"]:
+    def act(self, state: MPPIState, observation: Observation) -> Decided:
         """First control of the averaged plan, SI units."""
         if observation.time.dim() == 0:
-            return self(map_tensors(lambda field: field.unsqueeze(0), observation)).squeeze(0)
-        self._prepare(observation)
+            return unbatched(self, state, observation)
+        told = self.forecaster(state.forecaster, observation, self.dynamics.dt_s, self.steps)
         rows = observation.running.nonzero().squeeze(-1)
-        seen = map_tensors(lambda field: field[rows], observation)
-        lower, upper = self.dynamics.bounds
-        noise = torch.randn(
-            len(rows), self.samples, *self._mean.shape[1:], generator=self._generator
-        ).to(self._mean)
+        mean, generator = state.mean[rows], torch.Generator()
+        generator.set_state(state.generator)
+        noise = torch.randn(len(rows), self.samples, *mean.shape[1:], generator=generator).to(mean)
         noise[:, 0] = 0
-        mean = self._mean[rows]
+        lower, upper = self.dynamics.bounds
         plans = self.dynamics.within_bounds(
             mean.unsqueeze(1) + self.deviation * (upper - lower) * noise
         )
-        people = self.people(observation, self.dynamics.dt_s, self.steps)[rows].to(self._mean)
-        weight = torch.softmax(-self._cost(seen, plans, people) / self.temperature, -1)
-        self._mean[rows] = (weight[..., None, None] * plans).sum(1)
-        action = self._mean[:, 0]
-        return action if self.actuate is None else self.actuate(action)
-
-    def _prepare(self, observation: Observation) -> None:
-        """Shift the mean by one step, or begin anew at the start of episodes."""
-        count = observation.time.shape[0]
-        if bool((observation.time == 0).any()) or len(self._mean) != count:
-            lower = self.dynamics.bounds.lower
-            self._mean = torch.zeros(count, self.steps, len(lower)).to(lower)
-            self._generator.manual_seed(self.seed)
-        else:
-            self._mean = torch.cat([self._mean[:, 1:], self._mean[:, -1:]], 1)
+        seen, forecast = map_tensors(lambda entry: entry[rows], (observation, told.forecast))
+        weight = torch.softmax(-self._cost(seen, plans, forecast) / self.temperature, -1)
+        averaged = state.mean.index_copy(0, rows, (weight[..., None, None] * plans).sum(1))
+        action = averaged[:, 0]
+        shifted = torch.cat([averaged[:, 1:], averaged[:, -1:]], 1)
+        after = MPPIState(told.state, shifted, generator.get_state())
+        return Decided(action if self.actuate is None else self.actuate(action), after)
 
     def _cost(
-        self,
-        seen: Observation,
-        plans: Float[Tensor, "r K T m"],
-        people: Float[Tensor, "r h T1 2"],
+        self, seen: Observation, plans: Float[Tensor, "r K T m"], forecast: Forecast
     ) -> Float[Tensor, "r K"]:
-        """Price of every sampled plan."""
-        start = self.dynamics.initial_state(
-            Motion(*(field.to(self._mean) for field in seen.motion))
-        )
+        """Price of every sampled plan, lack of clearance and collision in expectation."""
+        seen, forecast = map_tensors(lambda entry: entry.to(plans), (seen, forecast))
+        start = self.dynamics.initial_state(seen.motion)
         states = rollout(self.dynamics, start.unsqueeze(1).expand(-1, self.samples, -1), plans)
         motion = self.dynamics.motion(states, with_final_row(plans))
-        reach = (seen.radius[:, None] + seen.human_radius).to(self._mean)
-        clearance = clearance_of(motion.position, people, reach).amin(2)
-        distance = (motion.position - seen.goal[:, None, None].to(self._mean)).norm(dim=-1)
+        everybody = torch.ones_like(seen.human_radius, dtype=torch.bool)
+        obstacles = predicted_obstacles(seen.human_position, seen.human_radius, everybody, forecast)
+        clearance = clearance_within_steps(motion, seen.discs, obstacles)
+        likely = obstacles.weight[:, None, :, :, None]
+
+        def expected(component: Tensor) -> Tensor:
+            return (likely * component).sum(3).amax(2)
+
+        distance = (motion.position - seen.goal[:, None, None]).norm(dim=-1)
         arrived = (distance[..., 1:] < 0.25).long()
         under_way = (arrived.cumsum(-1) - arrived) == 0
         excess = (motion.velocity[..., 1:, 0] - self.cruise_mps).clamp_min(0)
         price = distance[..., 1:] + EXCESS_COST * excess.square()
-        price = price + LACK_COST * (self.margin_m - clearance).clamp_min(0)
-        price = price + COLLISION_COST * (clearance < 0)
+        price = price + LACK_COST * expected((self.margin_m - clearance).clamp_min(0))
+        price = price + COLLISION_COST * expected((clearance < 0).to(clearance))
         return (price * under_way).sum(-1)

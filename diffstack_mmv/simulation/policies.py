@@ -1,7 +1,7 @@
 """The simplest controllers: baselines of the benchmark, and the shortest complete examples."""
 
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -9,25 +9,60 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.geometry import unit_vector
 from diffstack_mmv.simulation.pedestrians import OrcaCrowd
 from diffstack_mmv.simulation.pedestrians.base import towards
 from diffstack_mmv.simulation.pedestrians.half_planes import Agents, Neighbors
-from diffstack_mmv.simulation.rounding import unit_vector
 from diffstack_mmv.simulation.world import Observation
-from diffstack_mmv.types import Motion
+from diffstack_mmv.types import Motion, map_tensors
+
+
+class Decided(NamedTuple):
+    """An action, and what the controller has to remember for its next decision."""
+
+    action: Float[Tensor, "*b m"]
+    state: Any
 
 
 @runtime_checkable
 class Controller(Protocol):
-    """Chooses the actions of the robots of all episodes at once."""
+    """Chooses the actions of the robots of all episodes at once.
 
-    def __call__(self, observation: Observation) -> Float[Tensor, "*b m"]:
-        """Action in the units of the robot."""
+    A controller holds settings only; what it remembers of its episodes is a record of its own that
+    goes in and comes out.
+    """
+
+    @property
+    def massless(self) -> bool:
+        """Whether it commands the velocity of a robot without mass."""
+        ...
+
+    def init(self, observation: Observation) -> Any:
+        """State at the start of episodes."""
+        ...
+
+    def act(self, state: Any, observation: Observation) -> Decided:
+        """Action in the units of the robot, and the state for the next decision."""
         ...
 
 
+def unbatched(controller: Controller, state: Any, observation: Observation) -> Decided:
+    """Decide for a single episode as for a batch of one, whose state has that leading dimension."""
+    one = map_tensors(lambda entry: entry.unsqueeze(0), observation)
+    action, after = controller.act(state, one)
+    return Decided(action.squeeze(0), after)
+
+
+class _Memoryless:
+    """What controllers share that decide by the present observation alone."""
+
+    def init(self, observation: Observation) -> None:
+        """Nothing to remember."""
+        return
+
+
 @dataclass(frozen=True)
-class StraightLine:
+class StraightLine(_Memoryless):
     """Drive a holonomic robot straight to the goal, blind to the humans.
 
     Attributes:
@@ -39,19 +74,21 @@ class StraightLine:
 
     speed_mps: float = 1.0
 
+    massless = True
+
     def __post_init__(self) -> None:
         """Check the speed once, at the border."""
         require_positive("speed_mps", self.speed_mps)
 
-    def __call__(self, observation: Observation) -> Float[Tensor, "*b 2"]:
+    def act(self, state: None, observation: Observation) -> Decided:
         """Velocity in m/s."""
         way = observation.goal - observation.motion.position
         angle = torch.atan2(way[..., 1], way[..., 0])
-        return unit_vector(angle) * self.speed_mps
+        return Decided(unit_vector(angle) * self.speed_mps, None)
 
 
 @dataclass(frozen=True)
-class OrcaPolicy:
+class OrcaPolicy(_Memoryless):
     """Drive a holonomic robot by ORCA, as the original benchmark's ORCA robot does.
 
     Attributes:
@@ -67,12 +104,14 @@ class OrcaPolicy:
     speed_mps: float = 1.0
     orca: OrcaCrowd = field(default_factory=OrcaCrowd)
 
+    massless = True
+
     def __post_init__(self) -> None:
         """Check the numbers once, at the border."""
         require_positive("dt_s", self.dt_s)
         require_positive("speed_mps", self.speed_mps)
 
-    def __call__(self, observation: Observation) -> Float[Tensor, "*b 2"]:
+    def act(self, state: None, observation: Observation) -> Decided:
         """Velocity in m/s."""
         position = observation.motion.position
         robot = Agents(
@@ -89,10 +128,10 @@ class OrcaPolicy:
             radius=radius,
             valid=torch.ones_like(radius, dtype=torch.bool),
         )
-        return self.orca.velocity(robot, humans, self.dt_s)
+        return Decided(self.orca.velocity(robot, humans, self.dt_s), None)
 
 
-class BlindDriver:
+class BlindDriver(_Memoryless):
     """Drive a vehicle straight to the goal and stop there, blind to the humans.
 
     Args:
@@ -104,6 +143,8 @@ class BlindDriver:
         ValueError: A number is not positive.
     """
 
+    massless = False
+
     def __init__(
         self, dynamics: DynamicsModel, cruise_mps: float = 3.0, braking_mps2: float = 2.8
     ) -> None:
@@ -113,13 +154,13 @@ class BlindDriver:
         self.cruise_mps = cruise_mps
         self.braking_mps2 = braking_mps2
 
-    @torch.no_grad()
-    def __call__(self, observation: Observation) -> Float[Tensor, "*b m"]:
+    def act(self, state: None, observation: Observation) -> Decided:
         """Control in SI units."""
         like = self.dynamics.bounds.lower
         motion = Motion(*(field.to(like) for field in observation.motion))
         way = (observation.goal.to(like) - motion.position).square().sum(-1).sqrt()
         target = (2 * self.braking_mps2 * way).sqrt().clamp(max=self.cruise_mps)
         acceleration = (target - motion.velocity[..., 0]) / self.dynamics.dt_s
-        state = self.dynamics.initial_state(motion)
-        return self.dynamics.control_for(state, acceleration, torch.zeros_like(acceleration))
+        vehicle = self.dynamics.initial_state(motion)
+        straight = torch.zeros_like(acceleration)
+        return Decided(self.dynamics.control_for(vehicle, acceleration, straight), None)

@@ -7,9 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
-from diffstack_mmv.geometry import rotate
+from diffstack_mmv.geometry import rotate, unit_vector
 from diffstack_mmv.simulation.pedestrians import Bystander
-from diffstack_mmv.simulation.rounding import unit_vector
 from diffstack_mmv.simulation.scenario import Scene
 from diffstack_mmv.simulation.verdict import RobotPath
 from diffstack_mmv.types import Bounds, Motion

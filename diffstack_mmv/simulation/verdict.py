@@ -9,9 +9,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.geometry import length
 from diffstack_mmv.simulation.collision import Approach, Footprint
 from diffstack_mmv.simulation.pedestrians import CrowdState
-from diffstack_mmv.simulation.rounding import length
 from diffstack_mmv.types import Outcome
 
 EARLY_S = 1.0

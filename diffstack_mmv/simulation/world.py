@@ -12,7 +12,7 @@ from diffstack_mmv.simulation.pedestrians import Crowd, CrowdState
 from diffstack_mmv.simulation.robot import Robot, seen_by_humans
 from diffstack_mmv.simulation.scenario import Scene
 from diffstack_mmv.simulation.verdict import Encounter, Judgement, RobotPath, Verdict
-from diffstack_mmv.types import Motion
+from diffstack_mmv.types import Discs, Motion, map_tensors
 
 
 class WorldState(NamedTuple):
@@ -30,6 +30,7 @@ class Observation(NamedTuple):
     motion: Motion  # *b, of the robot's centre
     velocity: Float[Tensor, "*b 2"]  # m/s, of the robot in world directions
     radius: Float[Tensor, "*b"]  # m, of the robot
+    discs: Discs  # *b D, around the robot
     goal: Float[Tensor, "*b 2"]  # m
     human_position: Float[Tensor, "*b h 2"]  # m
     human_velocity: Float[Tensor, "*b h 2"]  # m/s
@@ -143,6 +144,7 @@ class World:
             motion=self.robot.motion(state.robot),
             velocity=seen.velocity,
             radius=seen.radius,
+            discs=_covering(self.verdict.footprint.discs(), seen.radius),
             goal=state.goal,
             human_position=state.humans.position,
             human_velocity=state.humans.velocity,
@@ -156,3 +158,8 @@ class World:
         motion = self.robot.motion(state.robot)
         path = RobotPath(motion.position[..., None, :], motion.heading[..., None])
         return self.verdict.at_rest(path, state.humans)
+
+
+def _covering(discs: Discs, like: Float[Tensor, "*b"]) -> Discs:
+    """The same discs for every episode."""
+    return map_tensors(lambda entry: entry.to(like).expand(*like.shape, len(entry)), discs)

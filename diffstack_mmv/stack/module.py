@@ -16,8 +16,12 @@ from diffstack_mmv.planning import (
     build_problem,
     closest_candidate,
     cross_entropy,
+    disc_radius,
     observed_obstacles,
     predicted_obstacles,
+    predicted_reference,
+    present,
+    tracked_ego,
 )
 from diffstack_mmv.prediction import Predictor, ego_forecast, neighbors_forecast, strongest
 from diffstack_mmv.types import Forecast, Plan, PlanningProblem, StackBatch
@@ -90,14 +94,16 @@ class DiffStackMMV(pl.LightningModule):
         """Choose the goal and plan, given a forecast of all agents."""
         ego = ego_forecast(forecast)
         goal = self.goal(batch, ego)
-        others = strongest(neighbors_forecast(forecast), self.obstacle_components)
-        problem = build_problem(
-            batch.ego_past,
-            ego.most_likely(),
-            goal,
-            predicted_obstacles(batch.neighbors_past, others),
-            batch.dt_s,
+        neighbors = present(batch.neighbors_past)
+        obstacles = predicted_obstacles(
+            neighbors.motion.position,
+            disc_radius(neighbors.extent),
+            neighbors.valid,
+            strongest(neighbors_forecast(forecast), self.obstacle_components),
         )
+        motion = present(batch.ego_past).motion
+        reference = predicted_reference(motion, ego.most_likely(), goal, batch.dt_s)
+        problem = build_problem(tracked_ego(batch.ego_past, goal), goal, reference, obstacles)
         return StackOutput(forecast, goal, problem, self.planner(problem))
 
     def planning_losses(
@@ -149,7 +155,7 @@ class DiffStackMMV(pl.LightningModule):
         A plan without solution only counts in the cross entropy.
         """
         losses = self.planning_losses(batch, output)
-        converged = output.plan.solution.converged
+        converged = output.plan.converged
         return {
             "planning_ce": losses["planning_ce"].mean(),
             "planning_cost": _masked_mean(losses["planning_cost"], converged),
@@ -192,8 +198,10 @@ class DiffStackMMV(pl.LightningModule):
             "planning_ce": ce,
             "planning_cost": cost,
             "planning_loss": ce + self.loss_weights.hindsight * cost,
-            "collision_rate": collides(planned, output.problem.radius, truth).to(planned),
-            "solved": output.plan.solution.converged.to(planned),
+            "collision_rate": collides(planned, output.problem.ego.discs.radius[..., 0], truth).to(
+                planned
+            ),
+            "solved": output.plan.converged.to(planned),
         }
 
     def configure_optimizers(self) -> Any:

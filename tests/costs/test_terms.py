@@ -5,7 +5,7 @@ import torch
 
 from diffstack_mmv import costs
 from diffstack_mmv.geometry import rotate
-from diffstack_mmv.types import Motion, Obstacles, PlanningProblem
+from diffstack_mmv.types import Discs, Ego, Heading, Motion, Obstacles, PlanningProblem
 
 TERMS = [
     costs.RunningGoal(),
@@ -25,7 +25,7 @@ TERMS = [
 each_term = pytest.mark.parametrize("term", TERMS, ids=lambda term: type(term).__name__)
 
 
-def random_case(batch=3, times=6, neighbors=4, components=2):
+def random_case(batch=3, times=6, neighbors=4, components=2, discs_count=2):
     motion = Motion(
         torch.randn(batch, times, 2),
         torch.randn(batch, times),
@@ -39,11 +39,11 @@ def random_case(batch=3, times=6, neighbors=4, components=2):
         torch.rand(batch, neighbors) > 0.3,
     )
     now = Motion(*(field[:, 0] for field in motion))
+    discs = Discs(torch.randn(batch, discs_count), torch.rand(batch, discs_count))
     problem = PlanningProblem(
-        now,
+        Ego(now, Heading.BODY, discs),
         torch.randn(batch, 2),
         torch.randn(batch, times, 2),
-        torch.rand(batch),
         torch.rand(batch),
         obstacles,
     )
@@ -120,9 +120,9 @@ def test_barrier_is_active_only_where_both_turns_are_obstructed(double):
             torch.full((1, 1), 0.3),
             torch.ones(1, 1, dtype=torch.bool),
         )
-        return term(
-            still, controls, problem._replace(obstacles=obstacles, radius=torch.tensor([0.3]))
-        )
+        discs = Discs(torch.zeros(1, 1), torch.full((1, 1), 0.3))
+        ego = problem.ego._replace(discs=discs)
+        return term(still, controls, problem._replace(obstacles=obstacles, ego=ego))
 
     assert value(0.5, 0.0).item() > 0
     assert value(0.0, 1.0).item() == 0

@@ -5,10 +5,10 @@ import torch
 
 from diffstack_mmv.dynamics import DiffKBM, ExtendedUnicycle, rollout
 from diffstack_mmv.planning import CandidateFan, closest_candidate, cross_entropy
-from diffstack_mmv.planning.problem import build_problem, observed_obstacles
+from diffstack_mmv.planning.problem import observed_obstacles
 from diffstack_mmv.types import Motion
 from diffstack_mmv.vehicles import load_vehicle
-from tests.planning.test_problem import tracks
+from tests.planning.test_problem import problem_of, tracks
 
 SPEC = load_vehicle("bicycle")
 each_model = pytest.mark.parametrize(
@@ -18,9 +18,10 @@ each_model = pytest.mark.parametrize(
 
 def problem(speed=4.0, goal=(11.0, 2.0)):
     none = observed_obstacles(tracks(1, 0, rows=2), tracks(1, 0, rows=30))
-    made = build_problem(tracks(1, rows=2), torch.zeros(1, 30, 2), torch.tensor([goal]), none, 0.1)
+    made = problem_of(tracks(1, rows=2), torch.zeros(1, 30, 2), torch.tensor([goal]), none)
     velocity = torch.tensor([[speed, 0.0]])
-    return made._replace(motion=Motion(torch.zeros(1, 2), torch.zeros(1), velocity, torch.zeros(1)))
+    motion = Motion(torch.zeros(1, 2), torch.zeros(1), velocity, torch.zeros(1))
+    return made._replace(ego=made.ego._replace(motion=motion))
 
 
 @each_model

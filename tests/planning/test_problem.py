@@ -3,17 +3,24 @@
 import pytest
 import torch
 
+from diffstack_mmv.dynamics import DiffGM3
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.planning.problem import (
+    bent_to_goal,
     build_problem,
     disc_radius,
     facing_the_goal,
+    initial_state,
     observed_obstacles,
     predicted_obstacles,
-    reference_to_goal,
+    predicted_reference,
+    present,
+    straight_reference,
+    tracked_ego,
 )
 from diffstack_mmv.prediction.goal_baselines import hermite_spline
-from diffstack_mmv.types import Forecast, Motion, Tracks
+from diffstack_mmv.types import Discs, Ego, Forecast, Heading, Motion, Tracks
+from diffstack_mmv.vehicles import load_vehicle
 
 
 def tracks(*shape, rows):
@@ -27,10 +34,16 @@ def tracks(*shape, rows):
     return Tracks(motion, torch.rand(*shape, 2) + 0.5, torch.zeros(*shape, dtype=torch.long), valid)
 
 
+def problem_of(ego, path, goal, obstacles):
+    """As the stack builds its problems."""
+    reference = predicted_reference(present(ego).motion, path, goal, 0.1)
+    return build_problem(tracked_ego(ego, goal), goal, reference, obstacles)
+
+
 def test_reference_ends_at_the_goal_and_starts_where_the_ego_is():
     motion = Motion(*(field[:, 0] for field in tracks(3, rows=1).motion))
     goal = torch.randn(3, 2)
-    reference = reference_to_goal(motion, torch.randn(3, 30, 2), goal, 0.1)
+    reference = bent_to_goal(motion, torch.randn(3, 30, 2), goal, 0.1)
     assert reference.shape == (3, 31, 2)
     assert torch.allclose(reference[:, 0], motion.position)
     assert torch.allclose(reference[:, -1], goal, atol=1e-5)
@@ -41,15 +54,15 @@ def test_reference_of_constant_velocity_is_the_hermite_spline():
     path = velocity * 0.1 * torch.arange(1, 31).unsqueeze(-1)
     motion = Motion(torch.zeros(2), torch.tensor(0.0), velocity, torch.tensor(0.0))
     expected = hermite_spline(motion, goal, 30, 0.1)
-    assert torch.allclose(reference_to_goal(motion, path, goal, 0.1)[1:], expected, atol=1e-5)
+    assert torch.allclose(bent_to_goal(motion, path, goal, 0.1)[1:], expected, atol=1e-5)
 
 
 def test_reference_turns_with_the_scene():
     motion = Motion(torch.zeros(2), torch.tensor(0.0), torch.tensor([3.0, 0.2]), torch.tensor(0.0))
     path, goal, angle = torch.randn(30, 2), torch.randn(2), torch.tensor(0.7)
     turned = motion._replace(heading=angle)
-    again = reference_to_goal(turned, rotate(path, angle.expand(30)), rotate(goal, angle), 0.1)
-    expected = rotate(reference_to_goal(motion, path, goal, 0.1), angle.expand(31))
+    again = bent_to_goal(turned, rotate(path, angle.expand(30)), rotate(goal, angle), 0.1)
+    expected = rotate(bent_to_goal(motion, path, goal, 0.1), angle.expand(31))
     assert torch.allclose(again, expected, atol=1e-5)
 
 
@@ -71,8 +84,11 @@ def test_predicted_obstacles_begin_at_the_present_position():
         torch.randn(2, 3, 4, 6, 2),
         torch.zeros(2, 3, 4, 6, 2, 2),
     )
-    obstacles = predicted_obstacles(neighbors, forecast)
+    now = present(neighbors)
+    radius = disc_radius(neighbors.extent)
+    obstacles = predicted_obstacles(now.motion.position, radius, now.valid, forecast)
     assert torch.equal(obstacles.position[:, :, 1, 0], neighbors.motion.position[..., -1, :])
+    assert torch.equal(obstacles.position[..., 1:, :], forecast.mean)
     assert torch.allclose(obstacles.weight.sum(-1), torch.ones(2, 3))
 
 
@@ -84,7 +100,7 @@ def test_disc_has_the_area_of_the_box():
 def test_problem_without_neighbors_is_a_problem():
     ego = tracks(2, rows=5)
     none = observed_obstacles(tracks(2, 0, rows=5), tracks(2, 0, rows=6))
-    problem = build_problem(ego, torch.randn(2, 6, 2), torch.randn(2, 2), none, 0.1)
+    problem = problem_of(ego, torch.randn(2, 6, 2), torch.randn(2, 2), none)
     assert problem.obstacles.position.shape == (2, 0, 1, 7, 2)
     assert torch.isfinite(problem.reference_speed).all()
 
@@ -105,3 +121,28 @@ def test_goal_on_the_spot_leaves_gradients_finite():
     motion = Motion(torch.zeros(2), torch.tensor(0.0), torch.zeros(2), torch.tensor(0.0))
     facing_the_goal(motion, goal).heading.backward()
     assert torch.isfinite(goal.grad).all()
+
+
+def test_straight_reference_divides_the_way_to_the_goal_evenly():
+    motion = Motion(*(field[:, 0] for field in tracks(3, rows=1).motion))
+    goal = torch.randn(3, 2)
+    path, speed = straight_reference(motion, goal, 12, 2.5)
+    assert torch.allclose(path[:, -1], goal)
+    assert torch.allclose(path.diff(dim=1), (goal - motion.position).unsqueeze(1) / 12, atol=1e-6)
+    assert speed.tolist() == [2.5] * 3
+
+
+@pytest.mark.parametrize("heading", list(Heading))
+def test_a_plan_begins_in_the_state_that_its_heading_is_that_of(heading):
+    """A model with side slip: its body does not point where it goes."""
+    model = DiffGM3(load_vehicle("bicycle"))
+    forward, turning = torch.tensor([3.0, 0.0]), torch.tensor(0.8)
+    motion = Motion(torch.zeros(2), torch.tensor(0.4), forward, turning)
+    ego = Ego(motion, heading, Discs(torch.zeros(1), torch.ones(1)))
+    expected = {Heading.BODY: model.initial_state, Heading.COURSE: model.state_on_course}
+    assert torch.equal(initial_state(model, ego), expected[heading](motion))
+    assert not torch.equal(model.initial_state(motion), model.state_on_course(motion))
+
+
+def test_the_heading_of_a_track_is_its_course():
+    assert tracked_ego(tracks(2, rows=3), torch.randn(2, 2)).heading is Heading.COURSE

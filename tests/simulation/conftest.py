@@ -108,12 +108,10 @@ def driven(root):
 def controller_for(driven):
     """The controller of the benchmark for a vehicle, with the settings of the configuration."""
 
-    def build(vehicle="bicycle", dynamics="kbm", starts=1, **settings):
-        overrides = [f"vehicle={vehicle}", f"dynamics={dynamics}", f"controller.starts={starts}"]
-        controller = instantiate(composed_navigate(*overrides).controller)
-        for name, value in settings.items():
-            setattr(controller, name, value)
-        return controller
+    def build(vehicle="bicycle", dynamics="kbm", starts=1):
+        overrides = [f"vehicle={vehicle}", f"dynamics={dynamics}"]
+        starts = f"controller.planner.starts={starts}"
+        return instantiate(composed_navigate(*overrides, starts).controller)
 
     return build
 

@@ -11,7 +11,7 @@ from diffstack_mmv.simulation import (
     require_stoppable,
     vehicle_robot,
 )
-from diffstack_mmv.simulation.people import ConstantVelocityPeople
+from diffstack_mmv.simulation.forecasters import ConstantVelocityForecaster
 from diffstack_mmv.types import Outcome
 
 
@@ -63,7 +63,7 @@ def test_mppi_drives_to_the_goal_and_repeats_itself(driven, world_with, scenario
     scene = scenario_of("circle").cases("train", [3])
     model = controller_model(driven(), driven(), step_s=0.125)
     records = [
-        drive(world, scene, MPPIController(model, ConstantVelocityPeople(), samples=128))
+        drive(world, scene, MPPIController(model, ConstantVelocityForecaster(), samples=128)).record
         for _ in range(2)
     ]
     assert records[0].outcome.tolist() == [Outcome.SUCCESS]

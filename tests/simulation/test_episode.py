@@ -6,6 +6,7 @@ import torch
 
 from diffstack_mmv.simulation import (
     CircleCrossing,
+    Decided,
     HolonomicRobot,
     OrcaPolicy,
     SquareCrossing,
@@ -21,13 +22,18 @@ POLICIES = {"linear": StraightLine(), "orca": OrcaPolicy()}
 
 
 class Replay:
-    """Repeat recorded actions."""
+    """Repeat recorded actions; the state is the number of the step."""
+
+    massless = True
 
     def __init__(self, actions):
-        self.actions = iter(np.nan_to_num(actions).swapaxes(0, 1))
+        self.actions = torch.from_numpy(np.nan_to_num(actions))
 
-    def __call__(self, observation):
-        return torch.from_numpy(next(self.actions))
+    def init(self, observation):
+        return 0
+
+    def act(self, state, observation):
+        return Decided(self.actions[:, state], state + 1)
 
 
 def check(record, recorded, slack=0.0):
@@ -63,20 +69,20 @@ def setting(recording, scenario_of, world_with):
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_recorded_actions_give_the_recorded_verdicts_rewards_and_paths(setting, name):
     recorded, world, scene = setting(name)
-    record = drive(world, scene, Replay(recorded["action"]))
+    record, _ = drive(world, scene, Replay(recorded["action"]))
     check(record, recorded, slack=1e-12 if "unicycle" in name else 0.0)
 
 
 @pytest.mark.parametrize("name", [name for name in RECORDINGS if "unicycle" not in name])
 def test_policies_of_the_benchmark_give_the_recorded_episodes(setting, name):
     recorded, world, scene = setting(name)
-    record = drive(world, scene, POLICIES[name.split("_")[2]])
+    record, _ = drive(world, scene, POLICIES[name.split("_")[2]])
     check(record, recorded, slack=1e-12 if "linear" in name else 0.0)
 
 
 def test_the_orca_robot_of_the_benchmark_has_the_published_figures(world_with):
     scene = CircleCrossing().cases("test", range(500))
-    record = drive(world_with(), scene, OrcaPolicy())
+    record, _ = drive(world_with(), scene, OrcaPolicy())
     success = record.outcome == Outcome.SUCCESS
     assert int(success.sum()) == 213
     assert int((record.outcome == Outcome.COLLISION).sum()) == 284
@@ -87,7 +93,7 @@ def test_the_orca_robot_of_the_benchmark_has_the_published_figures(world_with):
 @pytest.mark.parametrize("scenario", [CircleCrossing(), SquareCrossing()], ids=["circle", "square"])
 def test_the_exact_verdict_leaves_no_collision_unseen(world_with, scenario):
     world = world_with(exact=True, limit_s=10.0)
-    record = drive(world, scenario.cases("test", range(50)), StraightLine(2.5))
+    record, _ = drive(world, scenario.cases("test", range(50)), StraightLine(2.5))
     offset = record.motion.position[:, :, None] - record.pedestrians
     overlaps = (offset.norm(dim=-1) < 0.6 - 1e-9).any(dim=-1).any(dim=-1)
     assert overlaps.any()
@@ -95,7 +101,7 @@ def test_the_exact_verdict_leaves_no_collision_unseen(world_with, scenario):
 
 
 def test_an_episode_that_ended_repeats_its_last_row(world_with):
-    record = drive(world_with(), CircleCrossing().cases("test", range(10)), StraightLine())
+    record, _ = drive(world_with(), CircleCrossing().cases("test", range(10)), StraightLine())
     early = int(record.steps.argmin())
     end = int(record.steps[early])
     assert end < record.controls.shape[1]
@@ -109,7 +115,7 @@ def test_a_standing_robot_runs_out_of_time_exactly_at_the_limit(world_with, scen
     scene = type(scene)(
         *(field[None] for field in scene[:3]), type(scene.humans)(*(f[None] for f in scene.humans))
     )
-    record = drive(world, scene, lambda seen: torch.zeros_like(seen.goal))
+    record, _ = drive(world, scene, Replay(np.zeros((1, 12, 2))))
     assert record.steps.tolist() == [12]
     assert record.duration.tolist() == [3.0]
 

@@ -8,7 +8,7 @@ import pytest
 from hydra.core.global_hydra import GlobalHydra
 
 QUICK = [
-    "cases=2", "chunk=1", "controller.starts=0", "animate=0", "~controller@baselines.mppi",
+    "cases=2", "chunk=1", "controller.planner.starts=0", "animate=0", "~controller@baselines.mppi",
     "~controller@baselines.blind", "~controller@baselines.orca",
 ]  # fmt: skip
 

@@ -24,7 +24,7 @@ from diffstack_mmv.stack import (
     PredictedPath,
     representative,
 )
-from diffstack_mmv.types import Mode, Motion, StackBatch, Tracks
+from diffstack_mmv.types import Mode, Motion, StackBatch, Tracks, map_tensors
 from diffstack_mmv.vehicles import load_vehicle
 
 STEPS = 8
@@ -114,10 +114,7 @@ def test_hindsight_cost_does_not_reward_new_weights():
     stack = stack_of(FutureGoal())
     batch = batch_of()
     output = stack(batch)
-    plan = output.plan._replace(motion=Motion(*(field.detach() for field in output.plan.motion)))
-    frozen = plan._replace(
-        solution=plan.solution._replace(controls=plan.solution.controls.detach())
-    )
+    frozen = map_tensors(torch.Tensor.detach, output.plan)
     cost = stack.planner.hindsight_cost(frozen, output.problem)
     assert not torch.stack(list(cost.values())).requires_grad
 

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.simulation.rounding import length
+from diffstack_mmv.geometry import length
 
 
 class CrowdState(NamedTuple):

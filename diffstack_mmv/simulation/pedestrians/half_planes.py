@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from diffstack_mmv.simulation.rounding import root
+from diffstack_mmv.geometry import root
 
 
 class Agents(NamedTuple):

@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from diffstack_mmv.geometry import root
 from diffstack_mmv.simulation.pedestrians.half_planes import HalfPlanes, det, dot, normalise
-from diffstack_mmv.simulation.rounding import root
 
 PARALLEL = 1e-5
 """Lines count as parallel where the determinant of their directions is at most this."""

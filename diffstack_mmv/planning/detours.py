@@ -1,4 +1,4 @@
-"""Candidate plans among people: pass left or right of somebody, wait, or go."""
+"""Candidate plans among agents: pass left or right of somebody, wait, or go."""
 
 import math
 from typing import NamedTuple
@@ -10,15 +10,15 @@ from torch import Tensor
 from diffstack_mmv.checks import require_at_least, require_between, require_positive
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import wrap_angle
-from diffstack_mmv.planning import Candidates, with_final_row
+from diffstack_mmv.planning.candidates import Arc, Candidates, follow
 from diffstack_mmv.types import PlanningProblem
 
 CREEP_MPS = 1.0
 """A turn to the goal slows down no further than to this."""
 
 
-class Course(NamedTuple):
-    """First phase of each manoeuvre; afterwards it makes for the goal at full speed."""
+class Detour(NamedTuple):
+    """First phase of each candidate; afterwards it makes for the goal at full speed."""
 
     offset: Float[Tensor, " C"]  # rad, course relative to the direction of the goal
     speed_share: Float[Tensor, " C"]  # of the cruising speed
@@ -26,10 +26,10 @@ class Course(NamedTuple):
 
 
 class DetourFan:
-    """Every manoeuvre holds a course and a speed for a while and then makes for the goal.
+    """Every candidate holds a course and a speed for a while and then makes for the goal.
 
     Courses to the left and right of the goal at several speeds, zero among them, span the ways
-    around the people: before or behind each of them, left or right, wait or go. All are driven
+    around the agents: before or behind each of them, left or right, wait or go. All are driven
     through the dynamics by pure pursuit, so each is feasible for the vehicle. The last candidate
     is maximal braking with the steering that keeps the path straight.
 
@@ -70,7 +70,7 @@ class DetourFan:
         one_side = [math.radians(offset) for offset in offsets_deg]
         both = torch.tensor([-offset for offset in reversed(one_side)] + [0.0] + one_side)
         grid = torch.cartesian_prod(both, torch.tensor(speed_shares), torch.tensor(durations_s))
-        self.course = Course(*grid.unbind(-1))
+        self.detour = Detour(*grid.unbind(-1))
         self.turn_time_s = turn_time_s
         self.lateral_mps2 = lateral_mps2
         self.braking_mps2 = braking_mps2
@@ -80,49 +80,46 @@ class DetourFan:
 
         Args:
             dynamics: The vehicle.
-            problem: Problems, `*b`; the heading of the motion is that of the body.
+            problem: Problems, `*b`.
             steps: Length of the horizon in steps of the dynamics.
 
         Returns:
             The candidates `*b C`, maximal braking last.
         """
-        course = Course(*(field.to(problem.goal) for field in self.course))
-        start = dynamics.initial_state(problem.motion)
-        count = course.offset.shape[0] + 1
-        state = start.unsqueeze(-2).expand(*start.shape[:-1], count, start.shape[-1])
-        braking = dynamics.bounds.lower[0].to(start).expand(state[..., -1:, 0].shape)
-        states, controls = [state], []
-        for step in range(steps):
-            acceleration, curvature = self._pursued(dynamics, states[-1], course, problem, step)
-            acceleration = torch.cat([acceleration, braking], -1)
-            curvature = torch.cat([curvature, torch.zeros_like(braking)], -1)
-            controls.append(dynamics.control_for(states[-1], acceleration, curvature))
-            states.append(dynamics(states[-1], controls[-1]))
-        all_states, all_controls = torch.stack(states, -2), torch.stack(controls, -2)
-        motion = dynamics.motion(all_states, with_final_row(all_controls))
-        return Candidates(all_states, all_controls, motion)
+        detour = Detour(*(field.to(problem.goal) for field in self.detour))
+        braking = dynamics.bounds.lower[0].to(problem.goal)
+
+        def arc_at(state: Tensor, step: int) -> Arc:
+            pursued = self._pursued(dynamics, state[..., :-1, :], detour, problem, step)
+            hardest = braking.expand(state[..., -1:, 0].shape)
+            straight = torch.zeros_like(hardest)
+            return Arc(
+                *(torch.cat(pair, -1) for pair in zip(pursued, (hardest, straight), strict=True))
+            )
+
+        return follow(dynamics, problem, arc_at, detour.offset.shape[0] + 1, steps)
 
     def _pursued(
         self,
         dynamics: DynamicsModel,
-        state: Float[Tensor, "*b C1 n"],
-        course: Course,
+        state: Float[Tensor, "*b C n"],
+        detour: Detour,
         problem: PlanningProblem,
         step: int,
-    ) -> tuple[Float[Tensor, "*b C"], Float[Tensor, "*b C"]]:
-        """Acceleration (m/s²) and curvature (1/m) of all manoeuvres but the braking."""
-        courses, none = state[..., :-1, :], torch.zeros_like(dynamics.bounds.lower).to(state)
-        motion = dynamics.motion(courses, none.expand(*courses.shape[:-1], len(none)))
+    ) -> Arc:
+        """Arcs of all candidates but the braking in one step."""
+        none = torch.zeros_like(dynamics.bounds.lower).to(state)
+        motion = dynamics.motion(state, none.expand(*state.shape[:-1], len(none)))
         way = problem.goal.unsqueeze(-2) - motion.position
         distance = way.square().sum(-1).sqrt()
-        first = step * dynamics.dt_s < course.duration - 1e-6
-        bearing = torch.atan2(way[..., 1], way[..., 0]) + torch.where(first, course.offset, 0.0)
+        first = step * dynamics.dt_s < detour.duration - 1e-6
+        bearing = torch.atan2(way[..., 1], way[..., 0]) + torch.where(first, detour.offset, 0.0)
         error = wrap_angle(bearing - motion.heading)
         speed = motion.velocity[..., 0]
         cruise = problem.reference_speed.unsqueeze(-1)
         # on the way to the goal no faster than its arc allows, or a fast vehicle would circle it
         turning = self._arc_speed(distance, error)
-        target = torch.where(first, cruise * course.speed_share, torch.minimum(cruise, turning))
+        target = torch.where(first, cruise * detour.speed_share, torch.minimum(cruise, turning))
         stopping = (2 * self.braking_mps2 * distance).sqrt()
         # at the start of the step the target must be one that the step can still brake for
         target = torch.minimum(target, stopping)
@@ -130,7 +127,7 @@ class DetourFan:
         sharpest = self.lateral_mps2 / moving.square()
         curvature = error / (self.turn_time_s * moving)
         curvature = torch.minimum(torch.maximum(curvature, -sharpest), sharpest)
-        return (target - speed) / dynamics.dt_s, curvature
+        return Arc((target - speed) / dynamics.dt_s, curvature)
 
     def _arc_speed(
         self, distance: Float[Tensor, "*b C"], error: Float[Tensor, "*b C"]

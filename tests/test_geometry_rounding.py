@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from diffstack_mmv.simulation.rounding import length, root, unit_vector
+from diffstack_mmv.geometry import length, root, unit_vector
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

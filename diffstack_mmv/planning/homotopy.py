@@ -1,31 +1,31 @@
-"""Ways around people: on which side of each human a plan passes."""
+"""Homotopy classes: on which side of each agent a plan passes."""
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 LATER = 1e5
-"""Added to the price of plans of ways already seen; small enough for single precision."""
+"""Added to the price of plans of classes already seen; small enough for single precision."""
 NEAR_M = 2.0
-"""A human further away than this at the closest approach does not tell ways apart."""
+"""An agent further away than this at the closest approach does not tell classes apart."""
 
 
-def ways_around(
-    position: Float[Tensor, "*b C T1 2"], people: Float[Tensor, "*b h T1 2"]
+def homotopy_class(
+    position: Float[Tensor, "*b C T1 2"], agents: Float[Tensor, "*b N T1 2"]
 ) -> Int[Tensor, "*b C"]:
-    """Number of the way of each plan: equal for plans that pass the same humans on the same sides.
+    """Class of each plan: equal for plans that pass the same agents on the same sides.
 
-    At the closest approach the human lies left or right of the relative motion; each human adds a
+    At the closest approach the agent lies left or right of the relative motion; each agent adds a
     ternary digit (far, left, right).
 
     Args:
         position: Positions of the plans in m.
-        people: Positions of the humans in m at the same times.
+        agents: Positions of the agents in m at the same times.
 
     Returns:
         A number per plan, modulo 2⁶³, in no particular order.
     """
-    relative = people.unsqueeze(-4) - position.unsqueeze(-3)
+    relative = agents.unsqueeze(-4) - position.unsqueeze(-3)
     squared = relative.square().sum(-1)
     nearest = squared[..., :-1].argmin(-1, keepdim=True)
     velocity = relative.diff(dim=-2).take_along_dim(nearest.unsqueeze(-1), -2).squeeze(-2)
@@ -38,15 +38,15 @@ def ways_around(
 
 
 def best_of_each(
-    price: Float[Tensor, "*b C"], ways: Int[Tensor, "*b C"], count: int
+    price: Float[Tensor, "*b C"], classes: Int[Tensor, "*b C"], count: int
 ) -> Int[Tensor, "*b k"]:
-    """Cheapest plan of each of the `count` cheapest ways, cheapest first.
+    """Cheapest plan of each of the `count` cheapest classes, cheapest first.
 
-    Where there are fewer ways, the cheapest remaining plans of any way follow.
+    Where there are fewer classes, the cheapest remaining plans of any of them follow.
 
     Args:
         price: Price of each plan.
-        ways: Way of each plan.
+        classes: Homotopy class of each plan.
         count: How many to choose, at most the number of plans.
 
     Returns:
@@ -56,10 +56,10 @@ def best_of_each(
     seen = torch.zeros_like(taken)
     chosen = []
     for _ in range(count):
-        # plans of ways already seen come after all others, plans already taken never
+        # plans of classes already seen come after all others, plans already taken never
         order = torch.where(seen, price + LATER, price).masked_fill(taken, torch.inf)
         index = order.argmin(-1, keepdim=True)
         chosen.append(index)
         taken = taken.scatter(-1, index, True)
-        seen = seen | (ways == ways.take_along_dim(index, -1))
+        seen = seen | (classes == classes.take_along_dim(index, -1))
     return torch.cat(chosen, -1)

@@ -3,8 +3,10 @@
 import pytest
 import torch
 
-from diffstack_mmv.simulation import DetourFan, controller_model
-from diffstack_mmv.types import Motion, Obstacles, PlanningProblem
+from diffstack_mmv.dynamics import DiffGM3, DiffKBM
+from diffstack_mmv.planning import DetourFan, Reference, build_problem
+from diffstack_mmv.types import Discs, Ego, Heading, Motion, Obstacles
+from diffstack_mmv.vehicles import load_vehicle
 
 
 def problem(speed=2.0, goal=(5.0, 0.0)):
@@ -13,16 +15,17 @@ def problem(speed=2.0, goal=(5.0, 0.0)):
         torch.zeros(1, 0, 1, 13, 2), torch.ones(1, 0, 1), torch.ones(1, 0), torch.ones(1, 0) > 0
     )
     target = torch.tensor([goal])
-    reference = torch.zeros(1, 13, 2)
-    return PlanningProblem(
-        motion, target, reference, torch.tensor([3.0]), torch.tensor([0.3]), nobody
-    )
+    ego = Ego(motion, Heading.BODY, Discs(torch.zeros(1, 1), torch.full((1, 1), 0.3)))
+    return build_problem(ego, target, Reference(torch.zeros(1, 13, 2), torch.tensor([3.0])), nobody)
 
 
-@pytest.fixture(params=["kbm", "gm3"])
-def fan(request, driven):
-    vehicle = driven(dynamics=request.param)
-    model = controller_model(vehicle, vehicle)
+@pytest.fixture(params=[DiffKBM, DiffGM3])
+def model(request):
+    return request.param(load_vehicle("bicycle"), dt_s=0.25)
+
+
+@pytest.fixture
+def fan(model):
     with torch.no_grad():
         return DetourFan()(model, problem(), 12), model
 
@@ -50,10 +53,7 @@ def test_courses_are_mirrored(fan):
     assert torch.allclose(lateral, -lateral.flip(0), atol=1e-3)
 
 
-@pytest.mark.parametrize("dynamics", ["kbm", "gm3"])
-def test_a_goal_beside_a_fast_vehicle_is_not_circled(dynamics, driven):
-    vehicle = driven(dynamics=dynamics)
-    model = controller_model(vehicle, vehicle)
+def test_a_goal_beside_a_fast_vehicle_is_not_circled(model):
     with torch.no_grad():
         fan = DetourFan()(model, problem(speed=2.9, goal=(0.5, 2.0)), 20)
     distance = (fan.motion.position - torch.tensor([0.5, 2.0])).norm(dim=-1)

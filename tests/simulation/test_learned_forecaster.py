@@ -1,14 +1,15 @@
-"""People forecast by a predictor: the right past goes in, and the right future comes out."""
+"""Pedestrians forecast by a predictor: the right past goes in, and the right future comes out."""
 
 import pytest
 import torch
 
 from diffstack_mmv.dynamics import DiffKBM
 from diffstack_mmv.prediction import ConstantVelocity, SingleIntegrator, Sizes, Trajectron
-from diffstack_mmv.simulation import PredictorPeople
-from diffstack_mmv.simulation.learned_people import held_heading
+from diffstack_mmv.simulation import LearnedForecaster
+from diffstack_mmv.simulation.learned_forecaster import last_heading
 from diffstack_mmv.types import map_tensors
 from diffstack_mmv.vehicles import load_vehicle
+from tests.simulation.test_forecasters import paths
 
 
 class Recorder(ConstantVelocity):
@@ -22,32 +23,28 @@ class Recorder(ConstantVelocity):
 @pytest.fixture
 def tiny():
     torch.manual_seed(0)
-    bicycle, walker = DiffKBM(load_vehicle("bicycle"), 0.1), SingleIntegrator(0.1)
+    bicycle, pedestrian = DiffKBM(load_vehicle("bicycle"), 0.1), SingleIntegrator(0.1)
     sizes = Sizes(history=8, edge=8, future=8, decoder=16)
-    return Trajectron(bicycle, bicycle, walker, 30, 3, 2, sizes).eval()
+    return Trajectron(bicycle, bicycle, pedestrian, 30, 3, 2, sizes).eval()
 
 
 def test_straight_walks_are_continued_at_the_step_of_the_plan(observed, scene_with):
     seen = observed(scene_with((3.0, -5.0), (3.0, 5.0)), 8)
-    people = PredictorPeople(ConstantVelocity(30, 0.1), 1.0)
-    for each in seen[:5]:
-        path = people(each, 0.25, 4)
+    path = paths(LearnedForecaster(ConstantVelocity(30, 0.1), 1.0), *seen[:5])
     truth = torch.stack([each.human_position for each in seen[4:9]], -2)
     assert torch.allclose(path, truth, atol=1e-4)
 
 
 def test_beyond_the_horizon_the_last_velocity_holds_on(observed, scene_with):
     seen = observed(scene_with((3.0, -5.0), (3.0, 5.0)), 4)[-1]
-    path = PredictorPeople(ConstantVelocity(10, 0.1), 1.0)(seen, 0.25, 12)
+    path = paths(LearnedForecaster(ConstantVelocity(10, 0.1), 1.0), seen, steps=12)
     assert torch.allclose(path.diff(dim=-2), 0.25 * seen.human_velocity[..., None, :], atol=1e-4)
 
 
 def test_the_past_is_the_walk_at_the_step_of_the_predictor(observed, scenario_of):
     seen = observed(scenario_of("circle").cases("test", [0, 1]), 6)
     recorder = Recorder(30, 0.1)
-    people = PredictorPeople(recorder, 1.0)
-    for each in seen:
-        people(each, 0.25, 2)
+    paths(LearnedForecaster(recorder, 1.0), *seen, steps=2)
     shown = recorder.neighbors
     assert shown.valid.all()
     assert not recorder.past.valid.any()
@@ -59,47 +56,44 @@ def test_the_past_is_the_walk_at_the_step_of_the_predictor(observed, scenario_of
 def test_rows_before_the_start_are_not_valid(observed, scenario_of):
     seen = observed(scenario_of("circle").cases("test", [0]), 2)
     recorder = Recorder(30, 0.1)
-    people = PredictorPeople(recorder, 1.0)
-    for each in seen:
-        people(each, 0.25, 2)
+    paths(LearnedForecaster(recorder, 1.0), *seen, steps=2)
     assert recorder.neighbors.valid[0, 0].tolist() == [False] * 5 + [True] * 6
-
-
-def test_new_episodes_forget_the_old_ones(observed, scenario_of, tiny):
-    first, second = (observed(scenario_of("circle").cases("test", [case]), 3) for case in (0, 1))
-    people, fresh = PredictorPeople(tiny, 1.0), PredictorPeople(tiny, 1.0)
-    for each in (*first, *second):
-        path = people(each, 0.25, 4)
-    for each in second:
-        expected = fresh(each, 0.25, 4)
-    assert torch.equal(path, expected)
 
 
 def test_a_batch_is_forecast_as_its_episodes_one_by_one(observed, scenario_of, tiny):
     seen = observed(scenario_of("circle").cases("test", range(3)), 4)
-    together, alone = PredictorPeople(tiny, 1.0), PredictorPeople(tiny, 1.0)
-    for each in seen:
-        path = together(each, 0.25, 8)
-        single = alone(map_tensors(lambda entry: entry[1:2], each), 0.25, 8)
+    single = [map_tensors(lambda entry: entry[1:2], each) for each in seen]
+    path = paths(LearnedForecaster(tiny, 1.0), *seen, steps=8)
     assert path.shape == (3, 5, 9, 2)
-    assert torch.allclose(path[1:2], single, atol=1e-5)
+    alone = paths(LearnedForecaster(tiny, 1.0), *single, steps=8)
+    assert torch.allclose(path[1:2], alone, atol=1e-5)
+
+
+@pytest.mark.parametrize(("components", "kept"), [(1, 1), (2, 2), (9, 3)])
+def test_the_likeliest_components_are_kept(observed, scenario_of, tiny, components, kept):
+    seen = observed(scenario_of("circle").cases("test", [0, 1]), 2)[-1]
+    forecaster = LearnedForecaster(tiny, 1.0, components)
+    forecast, _ = forecaster(forecaster.init(seen), seen, 0.25, 8)
+    assert forecast.log_weight.shape == (2, 5, kept)
+    assert torch.allclose(forecast.log_weight.exp().sum(-1), torch.ones(2, 5).double())
+    assert (forecast.scale_tril.diagonal(dim1=-2, dim2=-1) > 0).all()
 
 
 def test_a_loss_on_the_forecast_reaches_the_predictor(observed, scenario_of, tiny):
     seen = observed(scenario_of("circle").cases("test", [0]), 2)[-1]
-    PredictorPeople(tiny, 1.0)(seen, 0.25, 8).square().sum().backward()
+    paths(LearnedForecaster(tiny, 1.0), seen, steps=8).square().sum().backward()
     gradients = [each.grad for each in tiny.parameters() if each.grad is not None]
     assert all(bool(each.isfinite().all()) for each in gradients)
     assert max(float(each.abs().max()) for each in gradients) > 0
 
 
-def test_a_heading_is_held_at_rest_and_taken_from_the_first_motion_before():
+def test_a_heading_stays_at_rest_and_taken_from_the_first_motion_before():
     velocity = torch.tensor([[0.0, 0.0], [0.0, 1.0], [0.0, 0.0], [-1.0, 0.0]])
-    heading = held_heading(velocity, torch.ones(4, dtype=torch.bool))
+    heading = last_heading(velocity, torch.ones(4, dtype=torch.bool))
     assert torch.allclose(heading, torch.pi * torch.tensor([0.5, 0.5, 0.5, 1.0]))
 
 
 @pytest.mark.parametrize("history_s", [0.0, 0.25])
 def test_a_past_that_does_not_fit_is_refused(history_s):
     with pytest.raises(ValueError, match="history_s"):
-        PredictorPeople(ConstantVelocity(30, 0.1), history_s)
+        LearnedForecaster(ConstantVelocity(30, 0.1), history_s)

@@ -1,0 +1,51 @@
+"""The cost of planning problems as a solver wants it: able to select some of its problems."""
+
+from typing import Protocol
+
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.control import Batched
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.types import Discs, Ego, Heading, Motion, Obstacles, PlanningProblem
+
+
+class PlanCost(Protocol):
+    """What an objective needs of a planner."""
+
+    dynamics: DynamicsModel
+
+    def cost_of(
+        self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
+    ) -> Float[Tensor, "*b t"]:
+        """Cost at each time of a motion."""
+        ...
+
+
+def batched_objective(planner: PlanCost, problem: PlanningProblem) -> Batched:
+    """The cost (states, controls) -> cost at each time of problems with one leading dimension.
+
+    The tensors of the problem are named to the solver, which leaves finished problems behind by
+    selecting the rows of those that are still open; dynamics and weights are shared by all.
+    """
+    heading = problem.ego.heading
+
+    def cost(states: Tensor, controls: Tensor, *tensors: Tensor) -> Tensor:
+        motion = planner.dynamics.motion(states, controls)
+        return planner.cost_of(motion, controls, _joined(heading, tensors))
+
+    return Batched(cost, *_parted(problem))
+
+
+def _parted(problem: PlanningProblem) -> tuple[Tensor, ...]:
+    """All tensors of a problem, in the order of `_joined`."""
+    ego = problem.ego
+    own = (problem.goal, problem.reference, problem.reference_speed)
+    return (*ego.motion, *ego.discs, *own, *problem.obstacles)
+
+
+def _joined(heading: Heading, tensors: tuple[Tensor, ...]) -> PlanningProblem:
+    """The problem of these tensors."""
+    ego = Ego(Motion(*tensors[:4]), heading, Discs(*tensors[4:6]))
+    goal, reference, speed = tensors[6:9]
+    return PlanningProblem(ego, goal, reference, speed, Obstacles(*tensors[9:]))

@@ -1,0 +1,162 @@
+"""What candidate plans are worth: their cost alone, or their price among agents."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.planning.clearance import ClearanceMargin, clearance_within_steps
+from diffstack_mmv.types import Motion, PlanningProblem
+
+
+class ScoredPlans(NamedTuple):
+    """Plans with what they are worth."""
+
+    controls: Float[Tensor, "*b C T m"]
+    motion: Motion  # *b C T+1
+    cost: Float[Tensor, "*b C"]  # infinite where a plan is not usable
+    safe: Bool[Tensor, "*b C"]
+    shortfall: Float[Tensor, "*b C"]  # m, lack of clearance
+
+    def beside(self, more: "ScoredPlans") -> "ScoredPlans":
+        """These plans, then the others."""
+        plans = self.cost.dim() - 1
+
+        def join(first: Tensor, second: Tensor) -> Tensor:
+            return torch.cat((first, second), plans)
+
+        motion = Motion(*map(join, self.motion, more.motion))
+        controls = join(self.controls, more.controls)
+        return ScoredPlans(controls, motion, *map(join, self[2:], more[2:]))
+
+    def best(self) -> Int[Tensor, "*b"]:
+        """The cheapest safe plan; where none is safe, the one that lacks the least clearance."""
+        cheapest = torch.where(self.safe, self.cost, torch.inf).argmin(-1)
+        least = (self.shortfall + 1e-6 * self.cost.clamp(max=1e4)).argmin(-1)
+        return torch.where(self.safe.any(-1), cheapest, least)
+
+
+class PlanScore(Protocol):
+    """Says what plans are worth, from the planner's cost along them.
+
+    `differentiable` tells whether the score carries gradients to the cost weights.
+    """
+
+    differentiable: bool
+
+    def __call__(
+        self,
+        cost: Callable[[Motion, Tensor], Tensor],
+        problem: PlanningProblem,
+        controls: Float[Tensor, "*b C T m"],
+        motion: Motion,
+        waited: Float[Tensor, "*b"],
+        dt_s: float,
+    ) -> ScoredPlans:
+        """Score plans.
+
+        Args:
+            cost: (motion `*b C T1`, controls `*b C T m`) -> cost at each time, `*b C T1`.
+            problem: The problems, `*b`.
+            controls: Controls of the plans, SI units.
+            motion: Their motions, `*b C T1`.
+            waited: How long each vehicle has come no closer to its goal, s.
+            dt_s: Time between two rows of a plan.
+
+        Returns:
+            The plans with their scores.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class CostScore:
+    """The planner's cost alone, summed over the plan; every plan counts as safe."""
+
+    differentiable = True
+
+    def __call__(
+        self,
+        cost: Callable[[Motion, Tensor], Tensor],
+        problem: PlanningProblem,
+        controls: Float[Tensor, "*b C T m"],
+        motion: Motion,
+        waited: Float[Tensor, "*b"],
+        dt_s: float,
+    ) -> ScoredPlans:
+        """Score plans; see `PlanScore`."""
+        total = cost(motion, controls).sum(-1)
+        safe = torch.ones_like(total, dtype=torch.bool)
+        return ScoredPlans(controls, motion, total, safe, torch.zeros_like(total))
+
+
+@dataclass(frozen=True)
+class PlanPrice:
+    """The planner's cost up to the arrival, time, lack of comfortable clearance, and impatience.
+
+        S = Σ_t [t ≤ arrival] (c_t + w_time dt) + q w_comfort P + (1 - q) w_left ‖p_T - g‖
+
+    with P of `ClearanceMargin` and the patience q in (0, 1] of a vehicle that gets no closer to its
+    goal: comfort then counts less and getting ahead more. The safe clearance is asked for ever. A
+    price ranks plans and carries no gradient.
+
+    Attributes:
+        margin: Clearance asked of a plan.
+        comfort_weight: Price of the lack of comfortable clearance in 1/(m² s).
+        time_weight: Price of a second before the arrival in 1/s.
+        left_weight: Price of a metre left to the goal at the horizon, without patience, in 1/m.
+        patience_s: Time without progress in which patience halves.
+        goal_tolerance_m: A plan has arrived where it is closer than this to the goal.
+
+    Raises:
+        ValueError: A weight is negative, or a time or tolerance not positive.
+    """
+
+    margin: ClearanceMargin = field(default_factory=ClearanceMargin)
+    comfort_weight: float = 300.0
+    time_weight: float = 2.0
+    left_weight: float = 10.0
+    patience_s: float = 1.0
+    goal_tolerance_m: float = 0.25
+
+    differentiable = False
+
+    def __post_init__(self) -> None:
+        """Check the numbers once, at the border."""
+        for name in ("comfort_weight", "time_weight", "left_weight"):
+            require_at_least(name, getattr(self, name), 0)
+        require_positive("patience_s", self.patience_s)
+        require_positive("goal_tolerance_m", self.goal_tolerance_m)
+
+    def __call__(
+        self,
+        cost: Callable[[Motion, Tensor], Tensor],
+        problem: PlanningProblem,
+        controls: Float[Tensor, "*b C T m"],
+        motion: Motion,
+        waited: Float[Tensor, "*b"],
+        dt_s: float,
+    ) -> ScoredPlans:
+        """Price plans; see `PlanScore`."""
+        running = cost(motion, controls) + self.time_weight * dt_s
+        way = (motion.position - problem.goal[..., None, None, :]).square().sum(-1).sqrt()
+        arrived = (way < self.goal_tolerance_m).long()
+        under_way = (arrived.cumsum(-1) - arrived) == 0
+        clearance = clearance_within_steps(motion, problem.ego.discs, problem.obstacles)
+        clearance = torch.where(under_way[..., None, None, :-1], clearance, torch.inf)
+        safety = self.margin(clearance, problem.obstacles, dt_s)
+        patience = 0.5 ** (waited.unsqueeze(-1) / self.patience_s)
+        total = (running * under_way).sum(-1) + patience * self.comfort_weight * safety.penalty
+        total = total + (1 - patience) * self.left_weight * way[..., -1]
+        usable = total.isfinite()
+        return ScoredPlans(
+            controls=controls,
+            motion=motion,
+            cost=torch.where(usable, total, torch.inf),
+            safe=safety.safe & usable,
+            shortfall=torch.where(usable, safety.shortfall, torch.inf),
+        )

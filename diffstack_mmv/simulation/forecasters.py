@@ -1,0 +1,216 @@
+"""Where the pedestrians will be: forecasts that a controller plans against."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.geometry import length, unit_vector
+from diffstack_mmv.prediction import Spread, single_component
+from diffstack_mmv.simulation.pedestrians import CrowdState, OrcaCrowd
+from diffstack_mmv.simulation.world import Observation
+from diffstack_mmv.types import Forecast
+
+
+class PedestrianForecast(NamedTuple):
+    """A forecast, and what its source has to remember for the next one."""
+
+    forecast: Forecast  # *b h K T
+    state: Any
+
+
+@runtime_checkable
+class PedestrianForecaster(Protocol):
+    """Predicts the pedestrians of all episodes from what was observed so far.
+
+    Its state is a record of its own, which only the forecaster itself reads.
+    """
+
+    def init(self, observation: Observation) -> Any:
+        """State at the start of episodes, before anything is forecast."""
+        ...
+
+    def __call__(
+        self, state: Any, observation: Observation, dt_s: float, steps: int
+    ) -> PedestrianForecast:
+        """Forecast after 1 .. `steps` steps of `dt_s`, in the order of time.
+
+        Args:
+            state: What `init` or the call before gave.
+            observation: All episodes, `*b`.
+            dt_s: Step of the forecast.
+            steps: Number of steps T.
+
+        Returns:
+            Weighted components of the positions of all pedestrians, `*b h K T`, and the state.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class ConstantVelocityForecaster:
+    """Everybody walks on at the present velocity; it remembers nothing.
+
+    Attributes:
+        spread: How the uncertainty grows.
+    """
+
+    spread: Spread = field(default_factory=Spread)
+
+    def init(self, observation: Observation) -> None:
+        """Nothing to remember."""
+        return
+
+    def __call__(
+        self, state: None, observation: Observation, dt_s: float, steps: int
+    ) -> PedestrianForecast:
+        """One component along straight lines."""
+        position, velocity = observation.human_position, observation.human_velocity
+        ahead = dt_s * torch.arange(1, steps + 1, dtype=position.dtype, device=position.device)
+        mean = position.unsqueeze(-2) + velocity.unsqueeze(-2) * ahead[:, None]
+        return PedestrianForecast(_with_spread(mean, velocity, self.spread, dt_s), None)
+
+
+class TriedGoals(NamedTuple):
+    """Goals tried for each pedestrian, `*b h k`, and how well each explains what was observed."""
+
+    goal: Float[Tensor, "*b h k 2"]  # m
+    error: Float[Tensor, "*b h k"]  # m/s, of the velocity
+
+    def best(self) -> Float[Tensor, "*b h 2"]:
+        """The goal in m with the smallest error."""
+        index = self.error.argmin(-1)[..., None, None]
+        return self.goal.take_along_dim(index, -2).squeeze(-2)
+
+    def fits(self, tolerance_mps: float) -> Bool[Tensor, "*b h 1"]:
+        """Whether some goal explains the velocity within the tolerance."""
+        return self.error.amin(-1, keepdim=True) < tolerance_mps
+
+
+class BelievedCrowd(NamedTuple):
+    """What is kept of the pedestrians from one observation to the next, `*b h`."""
+
+    crowd: CrowdState  # as it was observed, with the goals believed in
+    dt_s: float
+
+
+@dataclass(frozen=True)
+class OrcaForecaster:
+    """Everybody avoids everybody else by ORCA, towards a goal inferred from the walk so far.
+
+    What is observed of a pedestrian's velocity is explained by a goal: ORCA is asked what the
+    pedestrian would have done with each of many goals in the situation before. The goal believed in
+    so far is kept as long as it explains the velocity; then comes the course of the velocity
+    itself, then the best of a fan of far goals, and only where none of these explains it, the
+    pedestrian is taken to be slowing down before its goal, which `towards` lays at
+    p + v (1 s - dt). Who has not moved yet stays. The robot is no part of it.
+
+    Attributes:
+        crowd: Settings of ORCA.
+        far_m: Distance of the guessed goal of somebody who is not arriving.
+        preferred_speed_mps: Preferred speed of everybody.
+        tolerance_mps: Largest error of the velocity under which a goal explains it.
+        courses: Number of courses in the fan; the best of them is refined once by as many within
+            its neighbors.
+        spread: How the uncertainty grows.
+
+    Raises:
+        ValueError: A number is not positive.
+    """
+
+    crowd: OrcaCrowd = field(default_factory=OrcaCrowd)
+    far_m: float = 8.0
+    preferred_speed_mps: float = 1.0
+    tolerance_mps: float = 0.05
+    courses: int = 16
+    spread: Spread = field(default_factory=Spread)
+
+    def __post_init__(self) -> None:
+        """Check the numbers once, at the border."""
+        require_positive("far_m", self.far_m)
+        require_positive("preferred_speed_mps", self.preferred_speed_mps)
+        require_positive("tolerance_mps", self.tolerance_mps)
+        require_at_least("courses", self.courses, 3)
+
+    def init(self, observation: Observation) -> None:
+        """Nothing has been seen yet."""
+        return
+
+    def __call__(
+        self, state: BelievedCrowd | None, observation: Observation, dt_s: float, steps: int
+    ) -> PedestrianForecast:
+        """One component: the crowd rolled forward."""
+        believed = crowd = self._believed(state, observation)
+        positions = []
+        for _ in range(steps):
+            crowd = crowd.moved(self.crowd(crowd, dt_s), dt_s)
+            positions.append(crowd.position)
+        mean = torch.stack(positions, dim=-2)
+        forecast = _with_spread(mean, believed.velocity, self.spread, dt_s)
+        return PedestrianForecast(forecast, BelievedCrowd(believed, dt_s))
+
+    def _believed(self, state: BelievedCrowd | None, observation: Observation) -> CrowdState:
+        """The observed crowd with the goals believed in after this observation."""
+        position, velocity = observation.human_position, observation.human_velocity
+        preferred = torch.full_like(observation.human_radius, self.preferred_speed_mps)
+        if state is None:
+            goal = self._at_first_sight(position, velocity)
+        else:
+            goal = self._inferred(state, velocity)
+        return CrowdState(position, velocity, goal, observation.human_radius, preferred)
+
+    def _at_first_sight(
+        self, position: Float[Tensor, "*b h 2"], velocity: Float[Tensor, "*b h 2"]
+    ) -> Float[Tensor, "*b h 2"]:
+        """Goal in m that the velocity alone suggests; somebody at rest is there already."""
+        speed = length(velocity)[..., None]
+        full = speed > 0.95 * self.preferred_speed_mps
+        ahead = torch.where(full, self.far_m / speed.clamp(min=0.1), torch.full_like(speed, 1.0))
+        return position + velocity * ahead
+
+    def _inferred(
+        self, state: BelievedCrowd, velocity: Float[Tensor, "*b h 2"]
+    ) -> Float[Tensor, "*b h 2"]:
+        """Goals in m that explain the velocities after the situation before."""
+        before = state.crowd
+        course = torch.atan2(velocity[..., 1], velocity[..., 0])[..., None]
+        spacing = 2 * math.pi / self.courses
+        turns = spacing * torch.arange(self.courses).to(course)
+        fan = self._tried(before, self._far(before, course + turns), velocity, state.dt_s)
+        best = course + turns[fan.error.argmin(-1, keepdim=True)]
+        finer = best + spacing * torch.linspace(-0.5, 0.5, self.courses).to(course)
+        refined = self._tried(before, self._far(before, finer), velocity, state.dt_s)
+        kept = self._tried(before, before.goal.unsqueeze(-2), velocity, state.dt_s)
+        arriving = before.position + velocity
+        goal = torch.where(refined.fits(self.tolerance_mps), refined.best(), arriving)
+        ahead = TriedGoals(fan.goal[..., :1, :], fan.error[..., :1])
+        goal = torch.where(ahead.fits(self.tolerance_mps), ahead.best(), goal)
+        return torch.where(kept.fits(self.tolerance_mps), kept.best(), goal)
+
+    def _tried(
+        self,
+        before: CrowdState,
+        goals: Float[Tensor, "*b h k 2"],
+        velocity: Float[Tensor, "*b h 2"],
+        dt_s: float,
+    ) -> TriedGoals:
+        """Try goals in the situation before."""
+        response = self.crowd.responses(before, goals, dt_s)
+        return TriedGoals(goals, length(response - velocity.unsqueeze(-2)))
+
+    def _far(self, crowd: CrowdState, course: Float[Tensor, "*b h k"]) -> Float[Tensor, "*b h k 2"]:
+        """Far goals on courses (rad)."""
+        return crowd.position.unsqueeze(-2) + self.far_m * unit_vector(course)
+
+
+def _with_spread(
+    mean: Float[Tensor, "*b h T 2"], velocity: Float[Tensor, "*b h 2"], spread: Spread, dt_s: float
+) -> Forecast:
+    """One component of positions in m whose uncertainty grows along and across the course."""
+    time = dt_s * torch.arange(1, mean.shape[-2] + 1, dtype=mean.dtype, device=mean.device)
+    course = torch.atan2(velocity[..., 1], velocity[..., 0])
+    return single_component(mean, spread.scale_tril(course, length(velocity), time))

@@ -1,0 +1,215 @@
+"""The one planner, as training and as closed loop use it."""
+
+import pytest
+import torch
+
+from diffstack_mmv import costs
+from diffstack_mmv.control import ILQR
+from diffstack_mmv.dynamics import DiffKBM
+from diffstack_mmv.planning import (
+    CandidateFan,
+    CheapestSafe,
+    DetourFan,
+    MPCPlanner,
+    PlannerState,
+    PlanPrice,
+    TakeOptimum,
+    build_problem,
+    straight_reference,
+    with_final_row,
+)
+from diffstack_mmv.types import (
+    Discs,
+    Ego,
+    Heading,
+    Motion,
+    Obstacles,
+    PlanOrigin,
+    SolverStatus,
+    map_tensors,
+)
+from diffstack_mmv.vehicles import load_vehicle
+
+STEPS = 10
+
+
+def weighted_cost():
+    terms = {
+        "goal": costs.FinalGoal(),
+        "way": costs.RunningGoal(),
+        "collision": costs.ExpectedCollision(),
+        "effort": costs.ControlEffort(),
+    }
+    return costs.WeightedCost(terms, {"goal": 1.0, "way": 0.1, "collision": 1.0, "effort": 0.1})
+
+
+def problem(batch=4, heading=Heading.BODY, seed=0):
+    """An ego at 2 m/s with a goal ahead and an agent with two futures beside the way."""
+    generator = torch.Generator().manual_seed(seed)
+    zero = torch.zeros(batch)
+    motion = Motion(torch.zeros(batch, 2), zero, torch.stack([zero + 2, zero], -1), zero)
+    goal = torch.tensor([5.0, 0.0]) + torch.randn(batch, 2, generator=generator)
+    way = torch.linspace(0, 1, STEPS + 1)[:, None]
+    left = torch.tensor([3.0, 1.0]) - way * torch.tensor([0.0, 0.5])
+    right = torch.tensor([3.0, -1.0]) + way * torch.tensor([0.0, 0.3])
+    futures = torch.stack([left, right]).expand(batch, 1, 2, STEPS + 1, 2)
+    obstacles = Obstacles(
+        futures.clone(),
+        torch.tensor([0.7, 0.3]).expand(batch, 1, 2).clone(),
+        torch.full((batch, 1), 0.3),
+        torch.ones(batch, 1, dtype=torch.bool),
+    )
+    discs = Discs(torch.zeros(batch, 1), torch.full((batch, 1), 0.3))
+    reference = straight_reference(motion, goal, STEPS, 2.5)
+    return build_problem(Ego(motion, heading, discs), goal, reference, obstacles)
+
+
+def training(**settings):
+    """The planner as the stack builds it."""
+    solver = ILQR(max_iterations=60, tolerance=1e-7)
+    model = DiffKBM(load_vehicle("bicycle"), dt_s=0.25)
+    return MPCPlanner(model, weighted_cost(), solver, CandidateFan(5, 5), STEPS, **settings)
+
+
+def driving(starts=2):
+    """The planner as the closed loop builds it."""
+    planner = training(score=PlanPrice(), starts=starts, choice=CheapestSafe())
+    planner.candidates = DetourFan()
+    return planner
+
+
+def memory(batch=4):
+    return PlannerState(torch.zeros(batch, STEPS, 2), torch.zeros(batch))
+
+
+def test_training_takes_the_optimum_started_from_the_cheapest_candidate():
+    planner, problems = training(), problem()
+    plan = planner(problems)
+    assert plan.solution.status.shape == (4, 1)
+    assert plan.converged.all()
+    assert torch.equal(plan.controls, plan.solution.controls[:, 0])
+    assert (plan.origin == PlanOrigin.OPTIMISED).all()
+    assert (plan.solution.cost[:, 0] <= -plan.logits.amax(-1) + 1e-5).all()
+
+
+def scores(planner, problems, controls, motion):
+    """What the planner thinks of plans, `b C`."""
+    with torch.no_grad():
+        return planner._scored(problems, controls, motion, torch.zeros(len(controls)))
+
+
+def test_the_closed_loop_takes_the_cheapest_safe_plan_of_all():
+    planner, problems = driving(), problem()
+    with torch.no_grad():
+        plan = planner(problems, memory())
+        states = plan.solution.states
+        motion = planner.dynamics.motion(states, with_final_row(plan.solution.controls))
+    one = map_tensors(lambda entry: entry.unsqueeze(1), plan.motion)
+    chosen = scores(planner, problems, plan.controls.unsqueeze(1), one)
+    solved = scores(planner, problems, plan.solution.controls, motion)
+    assert plan.candidates.heading.shape[1] == 109 + 1
+    assert plan.solution.status.shape == (4, 2)
+    assert chosen.safe.all()
+    assert (chosen.cost <= torch.where(solved.safe, solved.cost, torch.inf) + 1e-4).all()
+
+
+@pytest.mark.parametrize("starts", [0, 1, 3])
+def test_any_number_of_starts_gives_a_plan(starts):
+    with torch.no_grad():
+        plan = driving(starts)(problem(), memory())
+    assert plan.controls.shape == (4, STEPS, 2)
+    assert plan.solution.controls.shape == (4, starts, STEPS, 2)
+
+
+def test_the_optimum_of_no_start_is_refused():
+    with pytest.raises(ValueError, match="`starts` must be at least 1"):
+        training(starts=0)(problem())
+
+
+def test_the_rest_of_the_previous_plan_is_a_proposal():
+    planner, problems = driving(starts=0), problem()
+    with torch.no_grad():
+        first = planner(problems, memory())
+        again = planner(problems, PlannerState(first.controls, torch.zeros(4)))
+    one = map_tensors(lambda entry: entry.unsqueeze(1), first.motion)
+    expected = scores(planner, problems, first.controls.unsqueeze(1), one)
+    assert torch.allclose(-again.logits[:, -1:], expected.cost, atol=1e-4)
+
+
+def test_leading_dimensions_are_free():
+    """One by one, as a batch and as a grid: the same plans."""
+    planner, problems = training(), problem(batch=4)
+    whole = planner(problems).controls
+    grid = map_tensors(lambda entry: entry.unflatten(0, (2, 2)), problems)
+    assert torch.allclose(planner(grid).controls.flatten(0, 1), whole, atol=1e-4)
+    single = map_tensors(lambda entry: entry[1], problems)
+    assert torch.allclose(planner(single).controls, whole[1], atol=1e-4)
+
+
+def test_finished_problems_are_left_behind_without_changing_their_answer():
+    """Easy and hard problems in one batch: many are selected away before the last one is done."""
+    planner = training().double()
+    planner.solver = ILQR(max_iterations=60, tolerance=1e-4)
+    problems = map_tensors(
+        lambda entry: entry.double() if entry.is_floating_point() else entry, problem(batch=40)
+    )
+    problems.goal[5:] = torch.tensor([5.0, 0.0])
+    together = planner(problems).solution
+    alone = planner(map_tensors(lambda entry: entry[3:4], problems)).solution
+    assert together.iterations.unique().numel() > 3
+    assert torch.allclose(alone.controls[0], together.controls[3], atol=1e-9)
+    assert int(alone.iterations) == int(together.iterations[3, 0])
+
+
+def test_a_gradient_reaches_weights_dynamics_goal_and_forecast():
+    planner, problems = training(), problem()
+    futures = problems.obstacles.position.requires_grad_()
+    goal = problems.goal.requires_grad_()
+    plan = planner(problems._replace(obstacles=problems.obstacles._replace(position=futures)))
+    plan.motion.position[..., -1, :].square().sum().backward()
+    (wheelbase,) = planner.dynamics.wheelbase.parameters()
+    for reached in (futures, goal, wheelbase, planner.cost.log_weight):
+        assert reached.grad.isfinite().all()
+        assert reached.grad.abs().max() > 0
+
+
+def test_a_heading_of_the_body_or_the_course_is_the_same_for_a_model_without_slip():
+    planner = training()
+    body, course = (planner(problem(heading=heading)).controls for heading in Heading)
+    assert torch.equal(body, course)
+
+
+def test_nobody_around_is_no_special_case():
+    problems = problem()
+    nobody = map_tensors(lambda entry: entry[:, :0], problems.obstacles)
+    with torch.no_grad():
+        for planner, state in ((training(), None), (driving(), memory())):
+            plan = planner(problems._replace(obstacles=nobody), state)
+            assert plan.controls.isfinite().all()
+
+
+def test_where_the_model_diverges_the_last_of_the_fan_is_driven():
+    problems = problem(batch=1)
+    lost = problems._replace(goal=problems.goal * torch.nan)
+    with torch.no_grad():
+        plan = driving(starts=1)(lost, memory(1))
+    assert plan.origin.tolist() == [PlanOrigin.FALLBACK]
+    assert float(plan.controls[0, 0, 0]) == pytest.approx(
+        float(driving().dynamics.bounds.lower[0]), abs=1e-5
+    )
+    assert int(plan.solution.status) == SolverStatus.NOT_FINITE
+
+
+@pytest.mark.parametrize(("name", "value"), [("steps", 0), ("starts", -1)])
+def test_numbers_out_of_range_are_refused(name, value):
+    planner = training()
+    parts = planner.dynamics, planner.cost, planner.solver, planner.candidates
+    with pytest.raises(ValueError, match=name):
+        MPCPlanner(*parts, **{name: value})
+
+
+def test_the_optimum_is_the_best_of_several_starts():
+    plan = training(starts=3, choice=TakeOptimum())(problem())
+    best = plan.solution.cost.argmin(-1)
+    expected = plan.solution.controls[torch.arange(4), best]
+    assert torch.equal(plan.controls, expected)

@@ -1,0 +1,94 @@
+"""What plans are worth."""
+
+import pytest
+import torch
+
+from diffstack_mmv.planning import CostScore, PlanPrice, ScoredPlans
+from diffstack_mmv.types import Discs, Ego, Heading, Motion, Obstacles, PlanningProblem, map_tensors
+
+
+def along_y(goal, agent=2.0, steps=12):
+    """A plan of 3 m along y in 3 s, and an agent that stands on its way."""
+    along = torch.linspace(0, 3, steps + 1)
+    flat = torch.zeros_like(along)
+    velocity = torch.stack([flat + 1, flat], -1)
+    motion = Motion(torch.stack([flat, along], -1), flat + torch.pi / 2, velocity, flat)
+    standing = torch.tensor([0.0, agent]).expand(1, 1, 1, steps + 1, 2)
+    one = torch.ones(1, 1)
+    problem = PlanningProblem(
+        Ego(
+            Motion(*(entry[None, 0] for entry in motion)),
+            Heading.BODY,
+            Discs(torch.zeros(1, 1), 0.3 * one),
+        ),
+        torch.tensor([[0.0, goal]]),
+        torch.zeros(1, steps + 1, 2),
+        torch.ones(1),
+        Obstacles(standing, one[..., None], 0.3 * one, one > 0),
+    )
+    return problem, torch.zeros(1, 1, steps, 2), map_tensors(lambda e: e[None, None], motion)
+
+
+def one_per_step(motion, controls):
+    return torch.ones_like(motion.heading)
+
+
+@pytest.mark.parametrize(("goal", "safe"), [(1.0, True), (8.0, False)])
+def test_a_plan_is_refused_for_agents_before_its_arrival_alone(goal, safe):
+    problem, controls, motion = along_y(goal)
+    priced = PlanPrice()(one_per_step, problem, controls, motion, torch.zeros(1), 0.25)
+    assert priced.safe.tolist() == [[safe]]
+
+
+@pytest.mark.parametrize(("waited", "patience"), [(0.0, 1.0), (1.0, 0.5), (3.0, 0.125)])
+def test_who_waits_cares_less_for_comfort_and_more_for_what_is_left(waited, patience):
+    problem, controls, motion = along_y(goal=8.0, agent=30.0)
+    price = PlanPrice(time_weight=0.0, left_weight=10.0)
+    priced = price(one_per_step, problem, controls, motion, torch.tensor([waited]), 0.25)
+    assert float(priced.cost) == pytest.approx(13 + (1 - patience) * 10.0 * 5.0)
+
+
+def test_a_plan_that_is_not_finite_is_never_chosen():
+    problem, controls, motion = along_y(goal=8.0)
+    lost = motion._replace(position=motion.position * torch.nan)
+    priced = PlanPrice()(one_per_step, problem, controls, lost, torch.zeros(1), 0.25)
+    assert priced.cost.isinf().all()
+    assert not priced.safe.any()
+
+
+def test_the_cost_alone_is_differentiable_and_calls_every_plan_safe():
+    problem, controls, motion = along_y(goal=8.0)
+    weight = torch.ones((), requires_grad=True)
+    scored = CostScore()(
+        lambda *plan: weight * one_per_step(*plan), problem, controls, motion, torch.zeros(1), 0.25
+    )
+    assert scored.safe.all()
+    assert torch.autograd.grad(scored.cost.sum(), weight)[0].item() == 13
+
+
+@pytest.mark.parametrize(
+    ("cost", "safe", "shortfall", "best"),
+    [
+        ([3.0, 1.0, 2.0], [True, True, True], [0.0, 0.0, 0.0], 1),
+        ([3.0, 1.0, 2.0], [True, False, True], [0.0, 0.1, 0.0], 2),
+        ([3.0, 1.0, 2.0], [False, False, False], [0.1, 0.5, 0.3], 0),
+        ([3.0, 1.0, torch.inf], [False, False, False], [0.2, 0.2, torch.inf], 1),
+    ],
+)
+def test_the_best_is_the_cheapest_safe_or_the_least_unsafe(cost, safe, shortfall, best):
+    _, controls, motion = along_y(goal=8.0)
+    plans = ScoredPlans(
+        controls.expand(1, 3, -1, -1),
+        map_tensors(lambda entry: entry.expand(1, 3, *entry.shape[2:]), motion),
+        torch.tensor([cost]),
+        torch.tensor([safe]),
+        torch.tensor([shortfall]),
+    )
+    assert plans.best().tolist() == [best]
+    assert plans.beside(plans).cost.shape == (1, 6)
+
+
+@pytest.mark.parametrize("name", ["comfort_weight", "left_weight", "patience_s"])
+def test_numbers_out_of_range_are_refused(name):
+    with pytest.raises(ValueError, match=name):
+        PlanPrice(**{name: -1.0})

@@ -1,0 +1,87 @@
+"""Forecasts of pedestrians: exact where the model is, and honest about what they cannot know."""
+
+import pytest
+import torch
+
+from diffstack_mmv.simulation import ConstantVelocityForecaster, OrcaCrowd, OrcaForecaster
+from diffstack_mmv.types import map_tensors
+
+
+def paths(forecaster, *observations, dt_s=0.25, steps=4):
+    """Likeliest paths after the last observation, row 0 now."""
+    state = forecaster.init(observations[0])
+    for seen in observations:
+        forecast, state = forecaster(state, seen, dt_s, steps)
+    return torch.cat((seen.human_position.unsqueeze(-2), forecast.most_likely()), -2)
+
+
+def test_constant_velocity_is_a_straight_line(observed, scene_with):
+    seen = observed(scene_with((3.0, 0.0), (-6.0, 0.0)), 2)[-1]
+    path = paths(ConstantVelocityForecaster(), seen)
+    assert torch.allclose(path.diff(dim=-2), 0.25 * seen.human_velocity.unsqueeze(-2))
+
+
+@pytest.mark.parametrize("forecaster", [ConstantVelocityForecaster(), OrcaForecaster()])
+def test_the_forecast_is_one_proper_component_per_pedestrian(observed, scenario_of, forecaster):
+    seen = observed(scenario_of("circle").cases("test", [0, 1]), 3)[-1]
+    forecast, _ = forecaster(forecaster.init(seen), seen, 0.25, 4)
+    assert forecast.log_weight.shape == (2, 5, 1)
+    assert forecast.mean.shape == (2, 5, 1, 4, 2)
+    assert torch.equal(forecast.log_weight.exp().sum(-1), torch.ones(2, 5).double())
+    assert (forecast.scale_tril.diagonal(dim1=-2, dim2=-1) > 0).all()
+    spread = forecast.scale_tril.diagonal(dim1=-2, dim2=-1).prod(-1)
+    assert (spread.diff(dim=-1) > 0).all()
+
+
+def test_a_lone_pedestrian_is_predicted_exactly_until_arrival(observed, scene_with):
+    seen = observed(scene_with((3.0, -5.0), (3.0, 5.0)), 20)
+    path = paths(OrcaForecaster(), seen[2], steps=8)[0]
+    truth = torch.stack([later.human_position[0] for later in seen[2:11]])
+    assert torch.allclose(path, truth, atol=1e-5)
+
+
+def test_somebody_who_walks_slowly_is_expected_to_stop_soon(observed, scene_with):
+    seen = observed(scene_with((3.0, -2.0), (3.0, 0.0)), 40)
+    slow = next(each for each in seen[2:] if each.human_velocity.norm() < 0.9)
+    path = paths(OrcaForecaster(), slow, steps=24)[0]
+    assert (path[-1] - path[0]).norm() < 1.01
+
+
+def test_who_is_turned_aside_is_still_expected_at_its_goal(observed, scene_with):
+    scene = scene_with((-3.0, 0.0), (3.0, 0.0))
+    pair = torch.tensor([[-3.0, 0.0], [3.0, 0.3]], dtype=torch.float64)
+    humans = map_tensors(lambda entry: torch.cat((entry, entry)), scene.humans)
+    humans = humans._replace(position=pair, goal=-pair)
+    seen = observed(scene._replace(humans=humans), 16)
+    truth = torch.stack([later.human_position for later in seen[4:17]], -2)
+    path = paths(OrcaForecaster(), *seen[:5], steps=12)
+    straight = paths(ConstantVelocityForecaster(), seen[4], steps=12)
+    error = (path - truth).norm(dim=-1).max()
+    assert float(error) < 0.5 * float((straight - truth).norm(dim=-1).max())
+
+
+def test_slow_in_a_crowd_is_not_taken_for_arriving(observed, scenario_of):
+    seen = observed(scenario_of("circle", humans=10).cases("test", range(8)), 20)
+    truth = torch.stack([later.human_position for later in seen[8:21]], -2)
+    path = paths(OrcaForecaster(), *seen[:9], steps=12)
+    slow = seen[8].human_velocity.norm(dim=-1) < 0.8
+    walked = (path[..., -1, :] - path[..., 0, :]).norm(dim=-1)[slow]
+    truly = (truth[..., -1, :] - truth[..., 0, :]).norm(dim=-1)[slow]
+    assert int(slow.sum()) > 5
+    assert float(walked.mean()) > 0.8 * float(truly.mean())
+
+
+def test_what_is_remembered_goes_in_and_comes_out(observed, scenario_of):
+    """One forecaster serves two crowds in turn, as if each had its own."""
+    first, second = (observed(scenario_of("circle").cases("test", [case]), 3) for case in (0, 1))
+    forecaster, states = OrcaForecaster(), [None, None]
+    for pair in zip(first, second, strict=True):
+        for number, seen in enumerate(pair):
+            forecast, states[number] = forecaster(states[number], seen, 0.25, 4)
+    assert torch.equal(forecast.most_likely(), paths(OrcaForecaster(), *second)[..., 1:, :])
+
+
+@pytest.mark.parametrize("name", ["far_m", "preferred_speed_mps", "tolerance_mps", "courses"])
+def test_numbers_out_of_range_are_refused(name):
+    with pytest.raises(ValueError, match=name):
+        OrcaForecaster(OrcaCrowd(), **{name: 0.0})
