@@ -22,26 +22,26 @@ logger = logging.getLogger(__name__)
 def main(config: DictConfig) -> None:
     """Identify the model, and write the calibrated vehicle, its table and its figures."""
     study, source, out = instantiate(config.study), instantiate(config.source), Path(config.out)
-    name = config.names.dynamics
+    name, place = config.names.dynamics, (source, config.splits, study.spec.mode)
     others = {other: model for other, model in config.others.items() if model and other != name}
-    described = {name: config.dynamics, **others}
-    models = {each: partial(instantiate, model) for each, model in described.items()}
-    place, controls = (source, config.splits, study.spec.mode), models[name]().Control._fields
-    recordings = Recordings(
+    models = {each: partial(instantiate, model) for each, model in others.items()}
+    models = {name: partial(instantiate, config.dynamics)} | models
+    columns, motions, leans = (
+        models[name]().Control._fields,
         read_tracks(*place),
         read_leans(*place),
-        read_controls(*place, controls) if config.controls else None,
-        recorded_noise(source, study.spec.mode, config.dt_s),
-        source.smoother,
     )
+    controls = read_controls(*place, columns) if config.controls else None
+    noise = recorded_noise(source, study.spec.mode, config.dt_s)
+    recordings = Recordings(motions, leans, controls, noise, source.smoother)
     result = study(recordings, models)
     header = {**config.header, "date": date.today().isoformat()}
     content = identification_result(study, recordings, result)
     write_identification(out, header | content)
     tracks = [FittedTrack(**motion.arrays()) for motion in result.motions()]
-    save_identification(out, content, tracks, controls, config.dt_s)
-    source_of_values = f"identified from {len(tracks)} tracks of {config.data.name}"
-    vehicle = result.calibrated(study.spec, source_of_values)
+    save_identification(out, content, tracks, columns, config.dt_s)
+    origin = f"identified from {len(tracks)} tracks of {config.data.name}"
+    vehicle = result.calibrated(study.spec, origin)
     save_vehicle(vehicle, out / "vehicle.yaml", vehicle_provenance(header, content, name))
     logger.info("Report: %s", out / "identification.md")
 
