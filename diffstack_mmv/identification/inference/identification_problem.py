@@ -110,7 +110,7 @@ class IdentificationProblem(NamedTuple):
         vehicle = self.simulator.vehicle
         states = found.after.fitted.simulated.states
         plain, _, _ = vehicle.split(states)
-        # the control of a step stands in the state after it
+        # the control of a step is stored in the state after it
         control = states[:, 1:, -vehicle.model.control_dim :]
         position = vehicle.model.motion(plain, states[..., -vehicle.model.control_dim :]).position
         columns = vehicle.model.State._fields
