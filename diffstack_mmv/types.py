@@ -124,6 +124,13 @@ class Forecast(NamedTuple):
         return self.mean.take_along_dim(best, -3).squeeze(-3)
 
 
+class Discs(NamedTuple):
+    """Discs that cover an outline and turn with its heading, for planners that reason in discs."""
+
+    ahead: Float[Tensor, "*b D"]  # m, of their centres ahead of the reference point
+    radius: Float[Tensor, "*b D"]  # m
+
+
 class Obstacles(NamedTuple):
     """Predicted agents that a plan has to keep clear of, at the times of the plan."""
 

@@ -1,7 +1,7 @@
 """DiffKBM: the kinematic bicycle with a learnable wheelbase."""
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -9,10 +9,14 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.dynamics.base import DynamicsModel
+from diffstack_mmv.dynamics.records import DerivedQuantity, DriverInput
 from diffstack_mmv.geometry import direction
 from diffstack_mmv.smooth import floor_at_zero, saturate
 from diffstack_mmv.types import Motion
-from diffstack_mmv.vehicles import SoftClamped, VehicleSpec
+from diffstack_mmv.vehicles import SoftClamped, VehicleSpec, turning_axle_m
+
+EULER_STEP_S = 0.05
+"""Longest step of the Euler scheme within a plan."""
 
 
 class SoftplusFloor:
@@ -28,6 +32,9 @@ class SoftplusFloor:
     def __init__(self, width_mps: float = 0.05) -> None:
         require_positive("width_mps", width_mps)
         self.width_mps = width_mps
+
+    def __repr__(self) -> str:
+        return f"SoftplusFloor(width_mps={self.width_mps})"
 
     def __call__(self, speed: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
         """Bound a speed in m/s from below by zero."""
@@ -50,6 +57,8 @@ class DiffKBM(DynamicsModel):
         floor: How the speed is kept from going negative: the ReLU with its right-hand derivative at
             zero, or a `SoftplusFloor`, whose gradient never vanishes.
     """
+
+    driver_input_needs_state: ClassVar[bool] = False
 
     class State(NamedTuple):
         """Position of the rear axle in m, heading in rad, speed in m/s."""
@@ -79,6 +88,17 @@ class DiffKBM(DynamicsModel):
         )
         self.wheelbase = SoftClamped(spec.wheelbase)
         self.floor = floor
+        self._axle_m = turning_axle_m(spec.wheels)
+
+    @property
+    def reference_ahead_m(self) -> float:
+        """Longitudinal position in m of the axle that does not steer, mostly the rear one."""
+        return self._axle_m
+
+    @property
+    def longest_step_s(self) -> float:
+        """Longest step in s of the Euler scheme within a plan."""
+        return EULER_STEP_S
 
     def step(
         self, state: Float[Tensor, "*b 4"], control: Float[Tensor, "*b 2"]
@@ -116,3 +136,24 @@ class DiffKBM(DynamicsModel):
         """Steering angle atan(L κ) in rad, acceleration (m/s²) as it is."""
         steer = torch.atan(self.wheelbase() * curvature)
         return self.within_bounds(torch.stack([acceleration.expand_as(steer), steer], -1))
+
+    def control_for_driver(
+        self, state: Float[Tensor, "*b 4"], driver: DriverInput
+    ) -> Float[Tensor, "*b 2"]:
+        """Acceleration (m/s²) and steering angle (rad) are the control."""
+        return torch.stack(torch.broadcast_tensors(*driver), -1)
+
+    def driver_input(
+        self, state: Float[Tensor, "*b 4"], control: Float[Tensor, "*b 2"]
+    ) -> DriverInput:
+        """The control is acceleration (m/s²) and steering angle (rad)."""
+        return DriverInput(*control.unbind(-1))
+
+    def derived_quantities(self) -> Mapping[str, DerivedQuantity]:
+        """Steering angle per curvature in m, which is the wheelbase."""
+        return {"steer_per_curvature": DerivedQuantity(self.wheelbase(), "m")}
+
+    def description(self) -> dict[str, Any]:
+        """What a results file tells of the model, with the floor of the speed."""
+        name = getattr(self.floor, "__name__", repr(self.floor))
+        return super().description() | {"speed_floor": name}

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require
-from diffstack_mmv.dynamics import DynamicsModel, ExtendedUnicycle
+from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.identification.fit import Data
 from diffstack_mmv.identification.identify import Identification
 from diffstack_mmv.identification.linearisation import Tracker
@@ -58,7 +58,7 @@ class Case(NamedTuple):
         model = model.double()
         learned = LearnedParameters(model, spec, parameters)
         require(
-            len(learned) > 0 or isinstance(model, ExtendedUnicycle),
+            len(learned) > 0 or not model.physical_parameters(),
             "vehicle",
             "have parameters marked `learn: true` with a range",
             f"'{spec.name}' without any",

@@ -1,7 +1,7 @@
 """The simplest controllers: baselines of the benchmark, and the shortest complete examples."""
 
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -19,7 +19,10 @@ from diffstack_mmv.types import Motion
 
 @runtime_checkable
 class Controller(Protocol):
-    """Chooses the actions of the robots of all episodes at once."""
+    """Chooses the actions of the robots of all episodes at once.
+
+    A class with a true attribute `massless` drives the massless robot of the original benchmark.
+    """
 
     def __call__(self, observation: Observation) -> Float[Tensor, "*b m"]:
         """Action in the units of the robot."""
@@ -37,6 +40,7 @@ class StraightLine:
         ValueError: The speed is not positive.
     """
 
+    massless: ClassVar[bool] = True
     speed_mps: float = 1.0
 
     def __post_init__(self) -> None:
@@ -63,6 +67,7 @@ class OrcaPolicy:
         ValueError: The step or the speed is not positive.
     """
 
+    massless: ClassVar[bool] = True
     dt_s: float = 0.25
     speed_mps: float = 1.0
     orca: OrcaCrowd = field(default_factory=OrcaCrowd)

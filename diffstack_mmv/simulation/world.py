@@ -12,7 +12,7 @@ from diffstack_mmv.simulation.pedestrians import Crowd, CrowdState
 from diffstack_mmv.simulation.robot import Robot, seen_by_humans
 from diffstack_mmv.simulation.scenario import Scene
 from diffstack_mmv.simulation.verdict import Encounter, Judgement, RobotPath, Verdict
-from diffstack_mmv.types import Motion
+from diffstack_mmv.types import Discs, Motion, map_tensors
 
 
 class WorldState(NamedTuple):
@@ -29,7 +29,8 @@ class Observation(NamedTuple):
 
     motion: Motion  # *b, of the robot's centre
     velocity: Float[Tensor, "*b 2"]  # m/s, of the robot in world directions
-    radius: Float[Tensor, "*b"]  # m, of the robot
+    radius: Float[Tensor, "*b"]  # m, of the disc around the robot's reference point that holds it
+    discs: Discs  # *b D, that cover the robot
     goal: Float[Tensor, "*b 2"]  # m
     human_position: Float[Tensor, "*b h 2"]  # m
     human_velocity: Float[Tensor, "*b h 2"]  # m/s
@@ -50,9 +51,9 @@ class World:
     """Robot, pedestrian model and verdict; it holds no state and works on any batch of episodes.
 
     Attributes:
-        robot: What an action does.
+        robot: What an action does, and the outline.
         crowd: How the humans choose their velocities.
-        verdict: How a step is judged; it also knows the limit and the footprint.
+        verdict: How a step is judged; it also knows the limit.
         dt_s: Length of a step, in which an action and the velocities of the humans hold.
         robot_visible: Whether the humans avoid the robot; in the benchmark they do not.
 
@@ -114,12 +115,13 @@ class World:
             ValueError: The action has the wrong number of columns.
         """
         require_columns("action", action, len(self.robot.bounds.lower))
-        seen = seen_by_humans(self.robot, state.robot, self.verdict.footprint.radius_m)
+        seen = seen_by_humans(self.robot, state.robot)
         velocity = self.crowd(state.humans, self.dt_s, seen if self.robot_visible else None)
         travel = self.robot.step(state.robot, action, self.dt_s)
         judgement = self.verdict(
             Encounter(
                 path=travel.path,
+                footprint=self.robot.footprint,
                 velocity=travel.velocity,
                 humans=state.humans,
                 human_velocity=velocity,
@@ -138,11 +140,16 @@ class World:
 
     def observe(self, state: WorldState) -> Observation:
         """What a controller may know of the state, m, rad and m/s."""
-        seen = seen_by_humans(self.robot, state.robot, self.verdict.footprint.radius_m)
+        seen = seen_by_humans(self.robot, state.robot)
+        discs = map_tensors(
+            lambda field: field.to(seen.radius).expand(*seen.radius.shape, -1),
+            self.robot.footprint.discs(),
+        )
         return Observation(
             motion=self.robot.motion(state.robot),
             velocity=seen.velocity,
             radius=seen.radius,
+            discs=discs,
             goal=state.goal,
             human_position=state.humans.position,
             human_velocity=state.humans.velocity,
@@ -155,4 +162,4 @@ class World:
         """Clearance in m between the robot and the nearest human at this instant."""
         motion = self.robot.motion(state.robot)
         path = RobotPath(motion.position[..., None, :], motion.heading[..., None])
-        return self.verdict.at_rest(path, state.humans)
+        return self.verdict.at_rest(path, self.robot.footprint, state.humans)

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from diffstack_mmv.simulation import Choice, drive, vehicle_robot
+from diffstack_mmv.simulation import Choice, DiscFootprint, drive, vehicle_robot
 from diffstack_mmv.types import Motion, Outcome, map_tensors
 
 
@@ -13,7 +13,7 @@ def batched(scene):
 
 @pytest.fixture
 def crossing_world(world_with, driven):
-    return world_with(vehicle_robot(driven()), exact=True, limit_s=10.0)
+    return world_with(vehicle_robot(driven(), footprint=DiscFootprint()), exact=True, limit_s=10.0)
 
 
 @pytest.mark.slow

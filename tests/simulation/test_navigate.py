@@ -36,6 +36,8 @@ def test_it_writes_results_baselines_and_paired_tests_and_resumes(navigate, tmp_
     first = json.loads((tmp_path / "closed_loop.json").read_text())
     assert (first["n"], set(first["baselines"])) == (2, {"straight"})
     assert first["paired"][0]["other"] == "straight"
+    assert first["actual_model"]["class"] == first["believed_model"]["class"] == "DiffKBM"
+    assert first["footprint"] == first["actual_model"]["footprint"]["shape"] == "disc"
     kept = {file: file.stat().st_mtime_ns for file in (tmp_path / "episodes").rglob("*.npz")}
     assert navigate(*QUICK, f"against=[{tmp_path}]") == 0
     assert {file: file.stat().st_mtime_ns for file in kept} == kept
@@ -52,6 +54,8 @@ def test_it_writes_results_baselines_and_paired_tests_and_resumes(navigate, tmp_
         (["limits.acceleration_min_mps2=-0.3"], "stop within the way"),
         (["scenario.clearance_m=0.0", "scenario.robot_radius_m=0.01"], "start without a collision"),
         (["people=predictor"], "be given for the predictor"),
+        (["believed.dynamics=magic"], "`dynamics` must be one of gm3, gm3_fine, gm3_paper"),
+        (["dynamics=unicycle", "actual.dynamics=gm3"], "share its controls with the robot's"),
     ],
 )
 def test_bad_input_ends_with_one_clear_message(navigate, capfd, arguments, message):

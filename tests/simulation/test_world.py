@@ -1,5 +1,7 @@
 """One step of the world."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -63,8 +65,9 @@ def test_a_human_inside_the_robot_at_the_start_is_refused(world_with, scene_with
 def test_a_rectangular_robot_has_its_own_clearance(world_with, scene_with):
     world = world_with(exact=True)
     state = world.start(scene_with(human=(0.0, 2.0), goal=(0.0, 2.0)))
-    verdict = type(world.verdict)(RectangleFootprint(1.8, 0.6), 25.0)
-    longer = type(world)(world.robot, world.crowd, verdict)
+    robot = HolonomicRobot()
+    robot.footprint = RectangleFootprint(1.8, 0.6)
+    longer = replace(world, robot=robot)
     assert world.clearance(state) == pytest.approx(1.4)
     assert longer.clearance(state) == pytest.approx(0.8)
 
