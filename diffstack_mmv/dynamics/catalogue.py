@@ -5,8 +5,10 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.utils import JobRuntime
 from hydra.utils import instantiate
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from diffstack_mmv.checks import require_one_of, require_positive
 from diffstack_mmv.dynamics.base import DynamicsModel
@@ -41,11 +43,20 @@ def load_dynamics(name: str) -> ModelFactory:
         ValueError: There is no such file.
     """
     require_one_of("dynamics", name, dynamics_names())
-    with initialize_config_dir(str(config_folder()), version_base="1.3"):
-        node = compose(overrides=[f"+dynamics={name}"]).dynamics
-    content: Any = OmegaConf.to_container(node, resolve=False)
+    content: Any = OmegaConf.to_container(_composed(name), resolve=False)
     settings = {key: value for key, value in content.items() if key not in ("spec", "dt_s")}
     return instantiate(settings, _partial_=True)
+
+
+def _composed(name: str) -> DictConfig:
+    """The node of one dynamics; Hydra, which composes one thing at a time, may run a command."""
+    running, job = GlobalHydra.instance().hydra, JobRuntime.instance().get("name")
+    GlobalHydra.instance().clear()
+    try:
+        with initialize_config_dir(str(config_folder()), job_name=job, version_base="1.3"):
+            return compose(overrides=[f"+dynamics={name}"]).dynamics
+    finally:
+        GlobalHydra.instance().hydra = running
 
 
 def model_of(

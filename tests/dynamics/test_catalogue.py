@@ -3,7 +3,9 @@
 import shutil
 
 import pytest
+from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.utils import JobRuntime
 
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM, catalogue
 from diffstack_mmv.dynamics.catalogue import dynamics_names, load_dynamics, model_of
@@ -36,10 +38,15 @@ def test_an_unknown_name_is_refused_with_all_names():
         load_dynamics("magic")
 
 
-def test_a_composition_in_progress_is_left_alone(root):
+def test_a_command_in_progress_is_left_alone(root):
     GlobalHydra.instance().clear()
     load_dynamics("gm3_fine")
     assert not GlobalHydra.instance().is_initialized()
+    with initialize_config_dir(str(root / "configs"), version_base="1.3", job_name="mine"):
+        running = GlobalHydra.instance().hydra
+        load_dynamics("gm3_fine")
+        assert GlobalHydra.instance().hydra is running
+        assert JobRuntime.instance().get("name") == "mine"
 
 
 def test_installed_files_are_found_as_well(monkeypatch, tmp_path):
