@@ -38,8 +38,6 @@ class DynamicsModel(nn.Module, ABC):
 
     State: ClassVar[Any]
     Control: ClassVar[Any]
-    driver_input_needs_state: ClassVar[bool] = True
-    """Whether what a control means to a driver depends on the state, e.g. a yaw rate does."""
 
     def __init__(
         self, dt_s: float, control_lower: Sequence[float], control_upper: Sequence[float]
@@ -126,6 +124,14 @@ class DynamicsModel(nn.Module, ABC):
         Without limit by default: the scheme is exact or implicit.
         """
         return math.inf
+
+    @property
+    def driver_input_needs_state(self) -> bool:
+        """Whether what a control means to a driver depends on the state; true by default.
+
+        It does for a yaw rate, which is another steering angle at every speed.
+        """
+        return True
 
     def control_for_driver(
         self, state: Float[Tensor, "*b n"], driver: DriverInput

@@ -1,7 +1,7 @@
 """DiffKBM: the kinematic bicycle with a learnable wheelbase."""
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -57,8 +57,6 @@ class DiffKBM(DynamicsModel):
         floor: How the speed is kept from going negative: the ReLU with its right-hand derivative at
             zero, or a `SoftplusFloor`, whose gradient never vanishes.
     """
-
-    driver_input_needs_state: ClassVar[bool] = False
 
     class State(NamedTuple):
         """Position of the rear axle in m, heading in rad, speed in m/s."""
@@ -136,6 +134,11 @@ class DiffKBM(DynamicsModel):
         """Steering angle atan(L κ) in rad, acceleration (m/s²) as it is."""
         steer = torch.atan(self.wheelbase() * curvature)
         return self.within_bounds(torch.stack([acceleration.expand_as(steer), steer], -1))
+
+    @property
+    def driver_input_needs_state(self) -> bool:
+        """An acceleration and an angle mean the same at every state."""
+        return False
 
     def control_for_driver(
         self, state: Float[Tensor, "*b 4"], driver: DriverInput

@@ -35,7 +35,6 @@ class ZeroOrderHold(DynamicsModel):
             setattr(self, record, getattr(model, record))
         lower, upper = (bound.tolist() for bound in model.bounds)
         super().__init__(model.dt_s * repeats, lower, upper)
-        self.driver_input_needs_state = model.driver_input_needs_state
         self.model = model
         self.repeats = repeats
         self.ahead_m = ahead_m
@@ -78,6 +77,11 @@ class ZeroOrderHold(DynamicsModel):
     def longest_step_s(self) -> float:
         """Longest step in s of the model itself, not of the hold."""
         return self.model.longest_step_s
+
+    @property
+    def driver_input_needs_state(self) -> bool:
+        """Whether what a control of the model means depends on the state."""
+        return self.model.driver_input_needs_state
 
     def control_for_driver(
         self, state: Float[Tensor, "*b n"], driver: DriverInput

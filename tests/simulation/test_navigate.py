@@ -46,6 +46,17 @@ def test_it_writes_results_baselines_and_paired_tests_and_resumes(navigate, tmp_
     assert again["paired"][1]["success"] == {"only_own": 0, "only_other": 0, "p": None}
 
 
+def test_a_controller_may_believe_in_dynamics_of_another_name(navigate, tmp_path):
+    given = ["dynamics=gm3_paper", "believed.dynamics=kbm_smooth", "footprint=vehicle"]
+    assert navigate(*QUICK, "cases=1", *given) == 0
+    found = json.loads((tmp_path / "closed_loop.json").read_text())
+    assert (found["dynamics"], found["believed_dynamics"]) == ("gm3_paper", "kbm_smooth")
+    assert found["actual_model"]["tyre_law"].startswith("PaperBrush")
+    assert found["believed_model"]["speed_floor"].startswith("Softplus")
+    assert found["footprint"] == "vehicle"
+    assert found["actual_model"]["footprint"]["shape"] == "box"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -64,7 +64,6 @@ class DiffGM3(DynamicsModel):
     """
 
     drive: ClassVar[type[Drive] | None] = None  # the vehicle's own way from accelerations
-    driver_input_needs_state: ClassVar[bool] = False
 
     class State(NamedTuple):
         """Pose of the centre of gravity (m, rad), body velocity (m/s), yaw rate, lean, its rate."""
@@ -207,6 +206,11 @@ class DiffGM3(DynamicsModel):
         tangent = linear_steer(self.chassis, self.physics(), *flat).reshape(speed.shape)
         steering = self.chassis.steering
         return steering.command_for(steering.angle_for(tangent))
+
+    @property
+    def driver_input_needs_state(self) -> bool:
+        """An acceleration and an angle mean the same at every state."""
+        return False
 
     def control_for_driver(
         self, state: Float[Tensor, "*b 8"], driver: DriverInput

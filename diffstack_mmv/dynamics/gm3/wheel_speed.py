@@ -27,7 +27,6 @@ class DiffGM3WheelSpeed(DiffGM3):
     """
 
     drive: ClassVar[type[Drive] | None] = SpeedDrive
-    driver_input_needs_state: ClassVar[bool] = True
 
     @classmethod
     def control_record(cls, spec: VehicleSpec) -> Any:
@@ -67,6 +66,11 @@ class DiffGM3WheelSpeed(DiffGM3):
         hub = speed.unsqueeze(-1) * (1 - curvature.unsqueeze(-1) * self._of_driven("y"))
         speeds = self._wheel_speeds(hub, acceleration)
         return self.within_bounds(torch.cat([speeds, steer.unsqueeze(-1)], -1))
+
+    @property
+    def driver_input_needs_state(self) -> bool:
+        """A wheel speed means another acceleration at every speed."""
+        return True
 
     def control_for_driver(
         self, state: Float[Tensor, "*b 8"], driver: DriverInput
