@@ -42,7 +42,7 @@ class SoftplusFloor:
 
 
 class DiffKBM(DynamicsModel):
-    """Kinematic bicycle, reference point at the rear axle, one Euler step.
+    """Kinematic bicycle, reference point at the axle that does not steer, one Euler step.
 
         v⁺ = max(v + a dt, 0)
         θ⁺ = θ + (v⁺ / L) tan δ dt
