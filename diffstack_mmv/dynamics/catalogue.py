@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
@@ -17,6 +17,7 @@ from diffstack_mmv.vehicles import ParameterSpec, VehicleSpec, config_folder, lo
 INERTIAS = ("yaw_inertia", "roll_inertia")
 
 
+@runtime_checkable
 class ModelFactory(Protocol):
     """Builds the model of a vehicle, with all settings but vehicle and step made already."""
 

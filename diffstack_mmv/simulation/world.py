@@ -90,13 +90,16 @@ class World:
             time=torch.zeros_like(scene.robot_heading),
         )
         clearance = self.clearance(state)
-        if bool((clearance < 0).any()):
+        bad = int((clearance < 0).sum())
+        if bad:
+            radius = self.robot.footprint.radius_m
             raise ValueError(
                 message(
                     "scene",
                     "start without a collision",
-                    f"a clearance of {clearance.min():.3f} m",
-                    remedy="Give the scenario a larger `clearance_m` or `robot_radius_m`.",
+                    f"a clearance of {clearance.min():.3f} m, {bad} of {clearance.numel()} below 0",
+                    remedy=f"Give the scenario a `robot_radius_m` of {radius:.2f}, which holds the "
+                    "robot, or a larger `clearance_m`.",
                 )
             )
         return state
