@@ -18,7 +18,7 @@ from pathlib import Path
 import pandas as pd
 import torch
 
-from diffstack_mmv.dynamics.catalogue import MODELS, model_of
+from diffstack_mmv.dynamics.catalogue import dynamics_names, model_of
 from diffstack_mmv.identification import (
     DataSplit,
     IdentifiabilityThresholds,
@@ -122,7 +122,7 @@ def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("dynamics", choices=sorted(MODELS))
+    parser.add_argument("dynamics", choices=dynamics_names())
     parser.add_argument("--vehicle", default="bicycle")
     parser.add_argument("--controls", choices=("measured", "free"), default="measured")
     parser.add_argument("--manoeuvres", choices=tuple(MANOEUVRES), default="rich")

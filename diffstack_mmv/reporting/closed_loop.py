@@ -89,12 +89,28 @@ def _summary(
     setting = (
         f"{result['humans']} humans, {result['phase']} cases {result['first_case']}–{last}, limit "
         f"{result['limit_s']:g} s, step {result['dt_s']:g} s, verdict `{result['verdict']}`. "
-        f"Limits: {limits} (or the tighter ones of the vehicle). The controller believes in "
-        f"{result['believed_dynamics']}. Brackets: Wilson intervals of 95 %.\n\n"
+        f"Limits: {limits} (or the tighter ones of the vehicle). Footprint: "
+        f"{_outline(result['actual_model']['footprint'])}; massless baselines always have the disc "
+        f"of 0.3 m. The robot is {_model(result['dynamics'], result['actual_model'])}, the "
+        f"controller believes in {_model(result['believed_dynamics'], result['believed_model'])}. "
+        "Brackets: Wilson intervals of 95 %.\n\n"
     )
     table = closed_loop_table(result, baselines, scores).to_markdown()
     failed = [case for case in result["cases"] if case["outcome"] != "success"]
     return f"{title}{setting}{table}\n\n## Cases without success\n\n{_failures(failed)}"
+
+
+def _model(name: str, model: Mapping[str, Any]) -> str:
+    """A model in words."""
+    parts = [model["class"], model["tyre_law"], f"step {model['step_s']:g} s"]
+    parts.append(f"{model['substeps']} substeps" if model["substeps"] > 1 else None)
+    return f"{name} ({', '.join(part for part in parts if part)})"
+
+
+def _outline(footprint: Mapping[str, Any]) -> str:
+    """A footprint in words."""
+    sizes = [f"{name} {value:g}" for name, value in footprint.items() if name != "shape"]
+    return f"{footprint['shape']} ({', '.join(sizes)})"
 
 
 def _paired(pairs: Sequence[Mapping[str, Any]], scores: Scores) -> str:

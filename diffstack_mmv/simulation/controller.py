@@ -1,7 +1,7 @@
 """DiffMPC in a receding horizon among pedestrians."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -68,7 +68,7 @@ class DiffMPCController:
         ValueError: A number is not positive.
     """
 
-    massless = False
+    massless: ClassVar[bool] = False
 
     def __init__(
         self,

@@ -16,13 +16,14 @@ from diffstack_mmv.checks import (
     require_one_of,
     require_positive,
 )
-from diffstack_mmv.dynamics.catalogue import model_of
-from diffstack_mmv.simulation.collision import DiscFootprint, Footprint
+from diffstack_mmv.dynamics.catalogue import load_vehicle, model_of
+from diffstack_mmv.simulation.assembly import vehicle_box
+from diffstack_mmv.simulation.collision import DiscFootprint
 from diffstack_mmv.simulation.pedestrians import OrcaCrowd
 from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
 from diffstack_mmv.simulation.scenario import PHASES, SCENARIOS, Scenario, Scene
 from diffstack_mmv.simulation.vehicle_robot import FINEST_NEEDED_S, VehicleRobot
-from diffstack_mmv.simulation.verdict import CrowdNavVerdict, ExactVerdict, Verdict
+from diffstack_mmv.simulation.verdict import verdict_named
 from diffstack_mmv.simulation.world import World, WorldState
 from diffstack_mmv.types import Outcome
 
@@ -33,10 +34,7 @@ POINT_ROBOTS: dict[str, Callable[[], Robot]] = {
     "holonomic": HolonomicRobot,
     "unicycle": UnicycleRobot,
 }
-VERDICTS: dict[str, Callable[[Footprint, float], Verdict]] = {
-    "crowdnav": CrowdNavVerdict,
-    "exact": ExactVerdict,
-}
+FOOTPRINTS = ("disc", "vehicle")
 
 
 class EnvStep(NamedTuple):
@@ -49,25 +47,31 @@ class EnvStep(NamedTuple):
     info: dict[str, Any]
 
 
-def robot_named(name: str, dynamics: str, dt_s: float) -> Robot:
+def robot_named(name: str, dynamics: str, dt_s: float, footprint: str = "disc") -> Robot:
     """Build a robot from the names that an environment takes.
 
     Args:
         name: "holonomic", "unicycle", or the name or YAML file of a vehicle.
-        dynamics: Short name of a vehicle's dynamics model.
+        dynamics: Name of a vehicle's dynamics, a file of `configs/dynamics`.
         dt_s: Step of the environment in s, which the vehicle's fine step divides.
+        footprint: "disc", that of the benchmark, or "vehicle", the box of a vehicle.
 
     Returns:
         The robot.
 
     Raises:
-        ValueError: There is no such robot or dynamics, or the step is not positive.
+        ValueError: There is no such robot, dynamics or footprint, or the step is not positive.
     """
     require_positive("dt_s", dt_s)
+    require_one_of("footprint", footprint, FOOTPRINTS)
     if name in POINT_ROBOTS:
+        require(footprint == "disc", "footprint", "be disc", footprint, f"for robot '{name}'")
         return POINT_ROBOTS[name]()
     pieces = math.ceil(dt_s / FINEST_NEEDED_S - 1e-9)
-    return VehicleRobot(model_of(name, dynamics, dt_s / pieces))
+    spec = load_vehicle(name)
+    model = model_of(spec, dynamics, dt_s / pieces)
+    outline = vehicle_box(spec, model) if footprint == "vehicle" else DiscFootprint()
+    return VehicleRobot(model, footprint=outline)
 
 
 class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
@@ -90,6 +94,8 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         dynamics: Dynamics of a vehicle that is given by its name.
         robot_visible: Whether the humans avoid the robot.
         render_mode: "rgb_array" or None.
+        footprint: Outline of a robot that is given by its name: "disc", that of the benchmark, or
+            "vehicle", the box of the vehicle.
 
     Raises:
         ValueError: A name is unknown, or a number out of range.
@@ -111,17 +117,21 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         dynamics: str = "gm3",
         robot_visible: bool = False,
         render_mode: str | None = None,
+        footprint: str = "disc",
     ) -> None:
         self._scenario = _scenario_named(scenario, humans)
         require_positive("limit_s", limit_s)
-        require_one_of("verdict", verdict, tuple(VERDICTS))
         if render_mode is not None:
             require_one_of("render_mode", render_mode, self.metadata["render_modes"])
         self._use(
             World(
-                robot=robot_named(robot, dynamics, dt_s) if isinstance(robot, str) else robot,
+                robot=(
+                    robot_named(robot, dynamics, dt_s, footprint)
+                    if isinstance(robot, str)
+                    else robot
+                ),
                 crowd=OrcaCrowd(),
-                verdict=VERDICTS[verdict](DiscFootprint(), limit_s),
+                verdict=verdict_named(verdict, limit_s),
                 dt_s=dt_s,
                 robot_visible=robot_visible,
             ),

@@ -1,7 +1,7 @@
 """A plain sampling MPC (MPPI), the baseline that a gradient has to beat."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -58,7 +58,7 @@ class MPPIController:
         Williams et al., Information theoretic MPC for model-based reinforcement learning (2017).
     """
 
-    massless = False
+    massless: ClassVar[bool] = False
 
     def __init__(
         self,

@@ -1,7 +1,7 @@
 """The simplest controllers: baselines of the benchmark, and the shortest complete examples."""
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -72,9 +72,8 @@ class StraightLine(_Memoryless):
         ValueError: The speed is not positive.
     """
 
+    massless: ClassVar[bool] = True
     speed_mps: float = 1.0
-
-    massless = True
 
     def __post_init__(self) -> None:
         """Check the speed once, at the border."""
@@ -100,11 +99,10 @@ class OrcaPolicy(_Memoryless):
         ValueError: The step or the speed is not positive.
     """
 
+    massless: ClassVar[bool] = True
     dt_s: float = 0.25
     speed_mps: float = 1.0
     orca: OrcaCrowd = field(default_factory=OrcaCrowd)
-
-    massless = True
 
     def __post_init__(self) -> None:
         """Check the numbers once, at the border."""
@@ -143,7 +141,7 @@ class BlindDriver(_Memoryless):
         ValueError: A number is not positive.
     """
 
-    massless = False
+    massless: ClassVar[bool] = False
 
     def __init__(
         self, dynamics: DynamicsModel, cruise_mps: float = 3.0, braking_mps2: float = 2.8

@@ -1,6 +1,7 @@
 """Who judges a step: collision, success, time-out or discomfort, and the reward for it."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -8,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.checks import require_at_least, require_one_of, require_positive
 from diffstack_mmv.geometry import length
 from diffstack_mmv.simulation.collision import Approach, Footprint
 from diffstack_mmv.simulation.pedestrians import CrowdState
@@ -31,6 +32,7 @@ class Encounter(NamedTuple):
     """One step of robot and humans, with all that a verdict may look at."""
 
     path: RobotPath
+    footprint: Footprint  # of the robot
     velocity: Float[Tensor, "*b 2"]  # m/s, of the robot: constant over the step, to the same end
     humans: CrowdState  # before the step
     human_velocity: Float[Tensor, "*b h 2"]  # m/s, that holds during the step
@@ -85,7 +87,6 @@ class Verdict(ABC):
     """Judges the steps of episodes.
 
     Attributes:
-        footprint: Outline of the robot.
         limit_s: Time limit of an episode.
         goal_tolerance_m: The goal counts as reached where a step ends closer than this to it.
         rewards: What each outcome is worth.
@@ -97,7 +98,6 @@ class Verdict(ABC):
         Chen et al., Crowd-Robot Interaction (ICRA 2019), Eq. 2.
     """
 
-    footprint: Footprint
     limit_s: float
     goal_tolerance_m: float = 0.3
     rewards: Rewards = field(default_factory=Rewards)
@@ -128,13 +128,14 @@ class Verdict(ABC):
         outcome = self._outcome(facts)
         return Judgement(outcome, self.rewards.of(outcome, clearance, step.dt_s), clearance)
 
-    def at_rest(self, path: RobotPath, humans: CrowdState) -> Float[Tensor, "*b"]:
+    @staticmethod
+    def at_rest(path: RobotPath, footprint: Footprint, humans: CrowdState) -> Float[Tensor, "*b"]:
         """Clearance in m to the nearest human at the end of `path`, all standing still."""
         position, heading = path.position[..., -1:, :], path.heading[..., -1:]
         offset = humans.position - position
         heading = heading.expand(humans.radius.shape)
         approach = Approach(offset, offset, humans.radius, heading, heading)
-        return self.footprint.clearance(approach).amin(dim=-1)
+        return footprint.clearance(approach).amin(dim=-1)
 
     @abstractmethod
     def _clearance(self, step: Encounter) -> Float[Tensor, "*b h"]:
@@ -158,7 +159,6 @@ class CrowdNavVerdict(Verdict):
     collision and success. Needed to compare with published numbers.
 
     Attributes:
-        footprint: Outline of the robot.
         limit_s: Time limit of an episode, which ends about one second earlier.
         goal_tolerance_m: The goal counts as reached where a step ends closer than this to it.
         rewards: What each outcome is worth.
@@ -181,7 +181,7 @@ class CrowdNavVerdict(Verdict):
             step.path.heading[..., end, None].expand(start.shape[:-1]) for end in (0, -1)
         )
         end = start + relative * step.dt_s
-        return self.footprint.clearance(Approach(start, end, step.humans.radius, first, last))
+        return step.footprint.clearance(Approach(start, end, step.humans.radius, first, last))
 
     def _is_late(self, step: Encounter) -> Bool[Tensor, "*b"]:
         """The clock before the step stands within a second of the limit."""
@@ -205,7 +205,6 @@ class ExactVerdict(Verdict):
     in this step; the time is up at the limit; collision and success come before time-out.
 
     Attributes:
-        footprint: Outline of the robot.
         limit_s: Time limit of an episode.
         goal_tolerance_m: The goal counts as reached where a step ends closer than this to it.
         rewards: What each outcome is worth.
@@ -235,7 +234,7 @@ class ExactVerdict(Verdict):
             start_heading=heading[..., :-1],
             end_heading=heading[..., 1:],
         )
-        return self.footprint.clearance(approach).amin(dim=-1)
+        return step.footprint.clearance(approach).amin(dim=-1)
 
     def _is_late(self, step: Encounter) -> Bool[Tensor, "*b"]:
         """The clock after the step has reached the limit."""
@@ -256,3 +255,19 @@ def _mark(
 ) -> Int[Tensor, "*b"]:
     """Overwrite the outcome where a fact holds."""
     return torch.where(where, int(mark), outcome)
+
+
+VERDICTS: dict[str, Callable[[float], Verdict]] = {
+    "crowdnav": CrowdNavVerdict,
+    "exact": ExactVerdict,
+}
+
+
+def verdict_named(name: str, limit_s: float) -> Verdict:
+    """The verdict of this name with a time limit in s.
+
+    Raises:
+        ValueError: There is no such verdict, or the limit does not fit it.
+    """
+    require_one_of("verdict", name, tuple(VERDICTS))
+    return VERDICTS[name](limit_s)

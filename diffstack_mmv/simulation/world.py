@@ -29,8 +29,8 @@ class Observation(NamedTuple):
 
     motion: Motion  # *b, of the robot's centre
     velocity: Float[Tensor, "*b 2"]  # m/s, of the robot in world directions
-    radius: Float[Tensor, "*b"]  # m, of the robot
-    discs: Discs  # *b D, around the robot
+    radius: Float[Tensor, "*b"]  # m, of the disc around the robot's reference point that holds it
+    discs: Discs  # *b D, that cover the robot
     goal: Float[Tensor, "*b 2"]  # m
     human_position: Float[Tensor, "*b h 2"]  # m
     human_velocity: Float[Tensor, "*b h 2"]  # m/s
@@ -51,9 +51,9 @@ class World:
     """Robot, pedestrian model and verdict; it holds no state and works on any batch of episodes.
 
     Attributes:
-        robot: What an action does.
+        robot: What an action does, and the outline.
         crowd: How the humans choose their velocities.
-        verdict: How a step is judged; it also knows the limit and the footprint.
+        verdict: How a step is judged; it also knows the limit.
         dt_s: Length of a step, in which an action and the velocities of the humans hold.
         robot_visible: Whether the humans avoid the robot; in the benchmark they do not.
 
@@ -90,13 +90,16 @@ class World:
             time=torch.zeros_like(scene.robot_heading),
         )
         clearance = self.clearance(state)
-        if bool((clearance < 0).any()):
+        bad = int((clearance < 0).sum())
+        if bad:
+            radius = self.robot.footprint.radius_m
             raise ValueError(
                 message(
                     "scene",
                     "start without a collision",
-                    f"a clearance of {clearance.min():.3f} m",
-                    remedy="Give the scenario a larger `clearance_m` or `robot_radius_m`.",
+                    f"a clearance of {clearance.min():.3f} m, {bad} of {clearance.numel()} below 0",
+                    remedy=f"Give the scenario a `robot_radius_m` of {radius:.2f}, which holds the "
+                    "robot, or a larger `clearance_m`.",
                 )
             )
         return state
@@ -115,12 +118,13 @@ class World:
             ValueError: The action has the wrong number of columns.
         """
         require_columns("action", action, len(self.robot.bounds.lower))
-        seen = seen_by_humans(self.robot, state.robot, self.verdict.footprint.radius_m)
+        seen = seen_by_humans(self.robot, state.robot)
         velocity = self.crowd(state.humans, self.dt_s, seen if self.robot_visible else None)
         travel = self.robot.step(state.robot, action, self.dt_s)
         judgement = self.verdict(
             Encounter(
                 path=travel.path,
+                footprint=self.robot.footprint,
                 velocity=travel.velocity,
                 humans=state.humans,
                 human_velocity=velocity,
@@ -139,12 +143,16 @@ class World:
 
     def observe(self, state: WorldState) -> Observation:
         """What a controller may know of the state, m, rad and m/s."""
-        seen = seen_by_humans(self.robot, state.robot, self.verdict.footprint.radius_m)
+        seen = seen_by_humans(self.robot, state.robot)
+        discs = map_tensors(
+            lambda field: field.to(seen.radius).expand(*seen.radius.shape, -1),
+            self.robot.footprint.discs(),
+        )
         return Observation(
             motion=self.robot.motion(state.robot),
             velocity=seen.velocity,
             radius=seen.radius,
-            discs=_covering(self.verdict.footprint.discs(), seen.radius),
+            discs=discs,
             goal=state.goal,
             human_position=state.humans.position,
             human_velocity=state.humans.velocity,
@@ -157,9 +165,4 @@ class World:
         """Clearance in m between the robot and the nearest human at this instant."""
         motion = self.robot.motion(state.robot)
         path = RobotPath(motion.position[..., None, :], motion.heading[..., None])
-        return self.verdict.at_rest(path, state.humans)
-
-
-def _covering(discs: Discs, like: Float[Tensor, "*b"]) -> Discs:
-    """The same discs for every episode."""
-    return map_tensors(lambda entry: entry.to(like).expand(*like.shape, len(entry)), discs)
+        return self.verdict.at_rest(path, self.robot.footprint, state.humans)

@@ -6,7 +6,7 @@ from diffstack_mmv.vehicles.catalogue import (
     save_vehicle,
     vehicle_names,
 )
-from diffstack_mmv.vehicles.layout import axles
+from diffstack_mmv.vehicles.layout import axles, turning_axle_m
 from diffstack_mmv.vehicles.parameter import ExactBuffers, ParameterSpec, SoftClamped
 from diffstack_mmv.vehicles.parts import (
     BODY_PARAMETERS,
@@ -41,5 +41,6 @@ __all__ = [
     "config_folder",
     "load_vehicle",
     "save_vehicle",
+    "turning_axle_m",
     "vehicle_names",
 ]

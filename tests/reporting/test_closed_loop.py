@@ -31,7 +31,15 @@ def result(numbers):
         "vehicle": "bicycle", "dynamics": "kbm", "scenario": "circle_crossing",
         "controller": "diffmpc", "limit_s": 10.0, "dt_s": 0.25, "verdict": "exact", "humans": 5,
         "phase": "test", "first_case": 0, "limits": {"speed_max_mps": 3.0},
-        "believed_dynamics": "kbm",
+        "believed_dynamics": "gm3",
+        "actual_model": {
+            "class": "DiffKBM", "tyre_law": None, "step_s": 0.01, "substeps": 1,
+            "footprint": {"shape": "disc", "radius_m": 0.3},
+        },
+        "believed_model": {
+            "class": "DiffGM3", "tyre_law": "PaperBrush(steepness=100)", "step_s": 0.25,
+            "substeps": 4, "footprint": {"shape": "disc", "radius_m": 0.3},
+        },
     }  # fmt: skip
 
 
@@ -52,3 +60,6 @@ def test_files_hold_numbers_failures_and_sources(result, numbers, tmp_path):
     report = (tmp_path / "closed_loop.md").read_text()
     assert "| collision |" in report.replace("  ", " ")
     assert "Chen et al." in report
+    assert "Footprint: disc (radius_m 0.3)" in report
+    assert "kbm (DiffKBM, step 0.01 s)" in report
+    assert "gm3 (DiffGM3, PaperBrush(steepness=100), step 0.25 s, 4 substeps)" in report

@@ -16,11 +16,10 @@ import diffstack_mmv.cli  # noqa: F401  registers the resolvers
 from diffstack_mmv.simulation import (
     CircleCrossing,
     CrowdNavVerdict,
-    DiscFootprint,
-    Driven,
     ExactVerdict,
     HolonomicRobot,
     OrcaCrowd,
+    SimulatedVehicle,
     SquareCrossing,
     World,
 )
@@ -50,7 +49,7 @@ def world_with():
     """Build a world: the benchmark's, unless told otherwise."""
 
     def build(robot=None, exact=False, limit_s=25.0, dt_s=0.25, visible=False):
-        verdict = (ExactVerdict if exact else CrowdNavVerdict)(DiscFootprint(), limit_s)
+        verdict = (ExactVerdict if exact else CrowdNavVerdict)(limit_s)
         return World(robot or HolonomicRobot(), OrcaCrowd(), verdict, dt_s, visible)
 
     return build
@@ -99,7 +98,7 @@ def driven(root):
 
     def build(vehicle="bicycle", dynamics="kbm", **altered):
         mapping = yaml.safe_load((root / "configs" / "vehicle" / f"{vehicle}.yaml").read_text())
-        return Driven(mapping, dynamics, LIMITS, **altered)
+        return SimulatedVehicle(mapping, dynamics, LIMITS, **altered)
 
     return build
 

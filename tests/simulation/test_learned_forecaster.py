@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from diffstack_mmv.dynamics import DiffKBM
-from diffstack_mmv.prediction import ConstantVelocity, SingleIntegrator, Sizes, Trajectron
+from diffstack_mmv.dynamics import DiffKBM, SingleIntegrator
+from diffstack_mmv.prediction import ConstantVelocity, Sizes, Trajectron
 from diffstack_mmv.simulation import LearnedForecaster
 from diffstack_mmv.simulation.learned_forecaster import last_heading
 from diffstack_mmv.types import map_tensors

@@ -8,7 +8,7 @@ from diffstack_mmv.simulation.pedestrians import CrowdState
 from diffstack_mmv.simulation.verdict import Encounter, RobotPath
 from diffstack_mmv.types import Outcome
 
-VERDICTS = [CrowdNavVerdict(DiscFootprint(), 10.0), ExactVerdict(DiscFootprint(), 10.0)]
+VERDICTS = [CrowdNavVerdict(10.0), ExactVerdict(10.0)]
 BOTH = pytest.mark.parametrize("verdict", VERDICTS, ids=["crowdnav", "exact"])
 CROWDNAV, EXACT = VERDICTS
 
@@ -25,6 +25,7 @@ def encounter(human=(0, 5), old=(0, 0), new=(0, 0), end=(0, 0.25), goal=(0, 8), 
         path=RobotPath(
             torch.stack((torch.zeros_like(end), end)), torch.zeros(2, dtype=torch.float64)
         ),
+        footprint=DiscFootprint(),
         velocity=end / 0.25,
         humans=CrowdState(human, vector(*old)[None], human, 0.3 * one, one),
         human_velocity=vector(*new)[None],
@@ -95,9 +96,9 @@ def test_clearance_is_that_to_the_nearest_human(verdict):
 @pytest.mark.parametrize("limit", [0.0, -5.0, float("nan")])
 def test_a_limit_that_is_not_positive_is_refused(limit):
     with pytest.raises(ValueError, match="`limit_s` must be positive"):
-        ExactVerdict(DiscFootprint(), limit)
+        ExactVerdict(limit)
 
 
 def test_a_limit_that_the_early_timeout_swallows_is_refused():
     with pytest.raises(ValueError, match="take a later limit"):
-        CrowdNavVerdict(DiscFootprint(), 1.0)
+        CrowdNavVerdict(1.0)

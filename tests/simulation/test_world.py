@@ -1,9 +1,17 @@
 """One step of the world."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
-from diffstack_mmv.simulation import CircleCrossing, HolonomicRobot, RectangleFootprint, robot_named
+from diffstack_mmv.simulation import (
+    CircleCrossing,
+    HolonomicRobot,
+    RectangleFootprint,
+    SquareCrossing,
+    robot_named,
+)
 from diffstack_mmv.types import Outcome
 
 STILL = torch.zeros(2, dtype=torch.float64)
@@ -63,10 +71,20 @@ def test_a_human_inside_the_robot_at_the_start_is_refused(world_with, scene_with
 def test_a_rectangular_robot_has_its_own_clearance(world_with, scene_with):
     world = world_with(exact=True)
     state = world.start(scene_with(human=(0.0, 2.0), goal=(0.0, 2.0)))
-    verdict = type(world.verdict)(RectangleFootprint(1.8, 0.6), 25.0)
-    longer = type(world)(world.robot, world.crowd, verdict)
+    robot = HolonomicRobot()
+    robot.footprint = RectangleFootprint(1.8, 0.6)
+    longer = replace(world, robot=robot)
     assert world.clearance(state) == pytest.approx(1.4)
     assert longer.clearance(state) == pytest.approx(0.8)
+
+
+def test_a_scenario_that_keeps_clear_of_the_box_starts_without_a_collision(world_with):
+    robot = robot_named("bicycle", "kbm", 0.25, "vehicle")
+    world = world_with(robot, exact=True)
+    with pytest.raises(ValueError, match=r"21 of 500 below 0.* a `robot_radius_m` of 1\.46"):
+        world.start(SquareCrossing().cases("test", range(500)))
+    clear = SquareCrossing(robot_radius_m=1.46).cases("test", range(500))
+    assert (world.clearance(world.start(clear)) >= 0).all()
 
 
 @pytest.mark.parametrize("visible", [True, False])

@@ -11,15 +11,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.dynamics.gm3.body import LinearEquation, factored, times
-from diffstack_mmv.dynamics.gm3.held import HeldDynamics, unpack
 from diffstack_mmv.dynamics.gm3.lean import Lean, lean_after
+from diffstack_mmv.dynamics.gm3.zero_order_hold import ZeroOrderHoldDynamics, unpack
 
 
 class Stepper(Protocol):
     """One step of a numerical method."""
 
     def __call__(
-        self, dynamics: HeldDynamics, state: Float[Tensor, "8 n"], step_s: float
+        self, dynamics: ZeroOrderHoldDynamics, state: Float[Tensor, "8 n"], step_s: float
     ) -> Float[Tensor, "8 n"]:
         """State after `step_s` seconds."""
         ...
@@ -29,7 +29,7 @@ class ExplicitEuler:
     """x⁺ = x + h f(x), as printed in DMMV; for comparison only."""
 
     def __call__(
-        self, dynamics: HeldDynamics, state: Float[Tensor, "8 n"], step_s: float
+        self, dynamics: ZeroOrderHoldDynamics, state: Float[Tensor, "8 n"], step_s: float
     ) -> Float[Tensor, "8 n"]:
         """State after one step."""
         return state + step_s * dynamics.derivative(state)
@@ -39,7 +39,7 @@ class RungeKutta4:
     """The classical method of fourth order; needs substeps of 1 to 5 ms."""
 
     def __call__(
-        self, dynamics: HeldDynamics, state: Float[Tensor, "8 n"], step_s: float
+        self, dynamics: ZeroOrderHoldDynamics, state: Float[Tensor, "8 n"], step_s: float
     ) -> Float[Tensor, "8 n"]:
         """State after one step."""
         first = dynamics.derivative(state)
@@ -97,7 +97,7 @@ class LIM2:
     """
 
     def __call__(
-        self, dynamics: HeldDynamics, state: Float[Tensor, "8 n"], step_s: float
+        self, dynamics: ZeroOrderHoldDynamics, state: Float[Tensor, "8 n"], step_s: float
     ) -> Float[Tensor, "8 n"]:
         """State after one step."""
         position, velocity, heading, lean = unpack(state)
@@ -121,7 +121,7 @@ class LIM2:
 
     @staticmethod
     def _lean(
-        dynamics: HeldDynamics,
+        dynamics: ZeroOrderHoldDynamics,
         lean: Lean,
         frozen: Float[Tensor, " n"],
         velocity: Float[Tensor, "3 n"],

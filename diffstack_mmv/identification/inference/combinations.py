@@ -9,16 +9,13 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.func import functional_call, jacfwd
 
-from diffstack_mmv.dynamics import DiffGM3, DiffKBM, DynamicsModel
-from diffstack_mmv.dynamics.gm3.load import GRAVITY
+from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.identification.inference.optima import LocalOptimum, mixture_variance
 from diffstack_mmv.identification.inference.sensitivity import (
     Identifiability,
     IdentifiabilityThresholds,
 )
 from diffstack_mmv.identification.shooting.parameters import ParameterVector
-
-PACE_MPS = 5.0  # speed at which the steering per curvature is told
 
 
 class Combination(NamedTuple):
@@ -41,37 +38,8 @@ class _Quantities(nn.Module):
         self.model = model
 
     def forward(self) -> Float[Tensor, " q"]:
-        model = self.model
-        if isinstance(model, DiffKBM):
-            return model.wheelbase().unsqueeze(0)
-        if not isinstance(model, DiffGM3):
-            return model.bounds.lower[:0]
-        rows = [self._steer_per_curvature(model)]
-        if two_axles(model):
-            rows += self._stiffness(model)
-        return torch.stack(rows)
-
-    @staticmethod
-    def _steer_per_curvature(model: DiffGM3) -> Tensor:
-        state = model.bounds.lower.new_zeros(model.state_dim)
-        state = state + PACE_MPS * torch.nn.functional.one_hot(torch.tensor(2), model.state_dim)
-        small = 1e-4
-        return model.steer_for(state, state.new_tensor(small)) / small
-
-    @staticmethod
-    def _stiffness(model: DiffGM3) -> list[Tensor]:
-        spec = model.spec
-        tread = model.get_submodule("tread_stiffness")()
-        length = model.get_submodule("contact_half_length")()
-        each = 2 * tread * length.square()
-        ahead = torch.tensor([wheel.x_m > 0 for wheel in spec.wheels])
-        front, rear = each[ahead].sum(), each[~ahead].sum()
-        wheelbase = spec.front_m + spec.rear_m
-        weight = spec.mass_kg * GRAVITY
-        front_load = weight * spec.rear_m / wheelbase
-        rear_load = weight * spec.front_m / wheelbase
-        gradient = spec.mass_kg / wheelbase * (spec.rear_m / front - spec.front_m / rear)
-        return [front / front_load, rear / rear_load, gradient]
+        values = [each.value for each in self.model.derived_quantities().values()]
+        return torch.stack(values) if values else self.model.bounds.lower[:0]
 
 
 def quantities(model: DynamicsModel) -> Float[Tensor, " q"]:
@@ -80,37 +48,15 @@ def quantities(model: DynamicsModel) -> Float[Tensor, " q"]:
         return _Quantities(model)()
 
 
-def two_axles(model: DiffGM3) -> bool:
-    """Whether front and rear tyres both carry lateral force."""
-    wheels = model.spec.wheels
-    return model.spec.front_m > 0 and not any(wheel.caster for wheel in wheels)
-
-
-def _labels(model: DynamicsModel) -> list[tuple[str, str]]:
-    if isinstance(model, DiffKBM):
-        return [("steer_per_curvature", "m")]
-    if not isinstance(model, DiffGM3):
-        return []
-    steer = [(f"steer_per_curvature_at_{PACE_MPS:g}_mps", "m")]
-    axles = [
-        ("normalised_cornering_stiffness.front", "1/rad"),
-        ("normalised_cornering_stiffness.rear", "1/rad"),
-        ("understeer_gradient", "rad s^2/m"),
-    ]
-    return steer + (axles if two_axles(model) else [])
-
-
 def combinations(
     model: DynamicsModel,
     parameters: ParameterVector,
     optima: Sequence[LocalOptimum],
     thresholds: IdentifiabilityThresholds,
 ) -> list[Combination]:
-    """Steering per curvature, normalised cornering stiffnesses C / F_z, understeer gradient.
+    """The derived quantities of a model with their standard deviations and verdicts.
 
-    Standard deviations by the delta method, widened by what other optima say. The steering angle
-    per curvature at 5 m/s holds all that acts as understeer in one number: tyres, yaw damping and
-    aligning moment.
+    Standard deviations by the delta method, widened by what other optima say.
 
     Args:
         model: The dynamics.
@@ -137,7 +83,8 @@ def combinations(
     estimate, initial = all_values[0], quantities_of(start)
     variance = torch.maximum(mixture_variance(optima, all_values, variances), variances[0])
     found_rows = []
-    for index, (name, unit) in enumerate(_labels(model)):
+    units = {name: each.unit for name, each in model.derived_quantities().items()}
+    for index, (name, unit) in enumerate(units.items()):
         std, prior_std = float(variance[index].sqrt()), float(prior_variance[index].sqrt())
         value = float(estimate[index])
         ratio = std / prior_std if prior_std > 0 else 1.0

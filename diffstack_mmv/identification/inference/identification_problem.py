@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require
-from diffstack_mmv.dynamics import DynamicsModel, ExtendedUnicycle
+from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.identification.inference.identifier import Identification
 from diffstack_mmv.identification.shooting.fit import EstimationData
 from diffstack_mmv.identification.shooting.linearisation import TrackSimulator
@@ -73,7 +73,7 @@ class IdentificationProblem(NamedTuple):
         model = model.double()
         learned = ParameterVector(model, spec, parameters)
         require(
-            len(learned) > 0 or isinstance(model, ExtendedUnicycle),
+            len(learned) > 0 or not model.physical_parameters(),
             "vehicle",
             "have parameters marked `learn: true` with a range",
             f"'{spec.name}' without any",

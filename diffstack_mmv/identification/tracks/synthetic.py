@@ -110,7 +110,7 @@ def record_manoeuvres(
     rows = []
     for index, manoeuvre in enumerate(manoeuvres):
         steps = manoeuvre(wheelbase_m, model.dt_s)
-        run = drive(model, steps, manoeuvre.speed_mps, wheelbase_m, spec.rear_m)
+        run = drive(model, steps, manoeuvre.speed_mps)
         rows.append(measurement.record(f"manoeuvre_{index}@0.0s", model, run, generator))
     return rows
 

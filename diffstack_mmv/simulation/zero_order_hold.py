@@ -1,16 +1,19 @@
-"""A dynamics model as a controller wants it: longer control steps, seen from the robot's centre."""
+"""Zero-order hold: a dynamics model with longer control steps, seen from the robot's centre."""
+
+from collections.abc import Mapping
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least
-from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.dynamics import DerivedQuantity, DriverInput, DynamicsModel, WheelForces
 from diffstack_mmv.geometry import direction
 from diffstack_mmv.types import Motion
 
 
-class HeldControl(DynamicsModel):
+class ZeroOrderHold(DynamicsModel):
     """The same model with a longer control step, x⁺ = f(f(... f(x, u), u), u), and another point.
 
     A plan over 3 s needs few controls, and a kinematic model with one Euler step small steps. The
@@ -64,6 +67,47 @@ class HeldControl(DynamicsModel):
     ) -> Float[Tensor, "*b m"]:
         """Control of the model that holds an acceleration (m/s²) and a curvature (1/m)."""
         return self.model.control_for(state, acceleration, curvature)
+
+    @property
+    def reference_ahead_m(self) -> float:
+        """Distance in m of the point ahead of the centre of gravity."""
+        return self.model.reference_ahead_m + self.ahead_m
+
+    @property
+    def longest_step_s(self) -> float:
+        """Longest step in s of the model itself, not of the hold."""
+        return self.model.longest_step_s
+
+    @property
+    def driver_input_needs_state(self) -> bool:
+        """Whether what a control of the model means depends on the state."""
+        return self.model.driver_input_needs_state
+
+    def control_for_driver(
+        self, state: Float[Tensor, "*b n"], driver: DriverInput
+    ) -> Float[Tensor, "*b m"]:
+        """Control of the model that is an acceleration (m/s²) and a steering angle (rad)."""
+        return self.model.control_for_driver(state, driver)
+
+    def driver_input(
+        self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
+    ) -> DriverInput:
+        """What a control of the model means to a driver, m/s² and rad."""
+        return self.model.driver_input(state, control)
+
+    def wheel_forces(
+        self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
+    ) -> WheelForces | None:
+        """What happens at the wheels of the model, SI units."""
+        return self.model.wheel_forces(state, control)
+
+    def derived_quantities(self) -> Mapping[str, DerivedQuantity]:
+        """Combinations of the model's parameters."""
+        return self.model.derived_quantities()
+
+    def description(self) -> dict[str, Any]:
+        """The model itself, with its own step."""
+        return self.model.description()
 
 
 def _moved(motion: Motion, ahead_m: float) -> Motion:

@@ -1,4 +1,4 @@
-"""The dynamics under one held command: what depends on it alone is computed once per step."""
+"""Zero-order hold: dynamics under one command; what depends on it alone is computed once."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from diffstack_mmv.dynamics.gm3.slip import WheelAxes
 
 
 @dataclass(frozen=True)
-class HeldDynamics:
+class ZeroOrderHoldDynamics:
     """x' = f(x) for a command that does not change.
 
     Args:

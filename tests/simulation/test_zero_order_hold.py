@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from diffstack_mmv.dynamics.catalogue import model_of
-from diffstack_mmv.simulation import HeldControl
+from diffstack_mmv.simulation import ZeroOrderHold
 from diffstack_mmv.types import Motion
 
 
@@ -17,11 +17,11 @@ def test_one_held_step_is_many_steps(inner):
     state = inner.initial_state(turning())
     control = torch.tensor([[1.0, 0.2]])
     expected = inner(inner(inner(state, control), control), control)
-    assert torch.equal(HeldControl(inner, 3)(state, control), expected)
+    assert torch.equal(ZeroOrderHold(inner, 3)(state, control), expected)
 
 
 def test_the_step_and_the_columns_are_told(inner):
-    held = HeldControl(inner, 5)
+    held = ZeroOrderHold(inner, 5)
     assert held.dt_s == pytest.approx(0.25)
     assert held.State is inner.State
     assert held.state_dim == inner.state_dim
@@ -38,7 +38,7 @@ def turning():
 
 
 def test_a_point_ahead_moves_sideways_in_a_turn():
-    held = HeldControl(model_of("bicycle", "gm3", 0.05), 1, ahead_m=-0.45)
+    held = ZeroOrderHold(model_of("bicycle", "gm3", 0.05), 1, ahead_m=-0.45)
     state = held.initial_state(turning())
     back = held.motion(state, torch.zeros(1, 2))
     for found, expected in zip(back, turning(), strict=True):
@@ -51,4 +51,4 @@ def test_a_point_ahead_moves_sideways_in_a_turn():
 
 def test_no_step_is_refused(inner):
     with pytest.raises(ValueError, match="repeats"):
-        HeldControl(inner, 0)
+        ZeroOrderHold(inner, 0)

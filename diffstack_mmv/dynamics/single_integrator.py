@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
-from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.dynamics.base import DynamicsModel
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.smooth import saturate
 from diffstack_mmv.types import Motion
