@@ -36,8 +36,6 @@ class Timed:
     def __init__(self, controller):
         self.controller, self.seconds = controller, []
 
-    massless = False
-
     def init(self, observation):
         return self.controller.init(observation)
 

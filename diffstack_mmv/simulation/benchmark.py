@@ -63,11 +63,6 @@ class Timed:
     controller: Controller
     seconds: list[float] = field(default_factory=list)
 
-    @property
-    def massless(self) -> bool:
-        """As the controller says."""
-        return self.controller.massless
-
     def init(self, observation: Observation) -> Any:
         """As the controller begins."""
         return self.controller.init(observation)

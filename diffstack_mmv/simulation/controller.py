@@ -1,7 +1,7 @@
 """DiffMPC in a receding horizon among pedestrians."""
 
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -67,8 +67,6 @@ class DiffMPCController:
     Raises:
         ValueError: A number is not positive.
     """
-
-    massless: ClassVar[bool] = False
 
     def __init__(
         self,

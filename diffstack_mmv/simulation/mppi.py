@@ -1,7 +1,7 @@
 """A plain sampling MPC (MPPI), the baseline that a gradient has to beat."""
 
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -57,8 +57,6 @@ class MPPIController:
     Source:
         Williams et al., Information theoretic MPC for model-based reinforcement learning (2017).
     """
-
-    massless: ClassVar[bool] = False
 
     def __init__(
         self,

@@ -29,13 +29,9 @@ class Controller(Protocol):
     """Chooses the actions of the robots of all episodes at once.
 
     A controller holds settings only; what it remembers of its episodes is a record of its own that
-    goes in and comes out.
+    goes in and comes out. A class with a true attribute `massless` drives the massless robot of the
+    original benchmark.
     """
-
-    @property
-    def massless(self) -> bool:
-        """Whether it commands the velocity of a robot without mass."""
-        ...
 
     def init(self, observation: Observation) -> Any:
         """State at the start of episodes."""
@@ -140,8 +136,6 @@ class BlindDriver(_Memoryless):
     Raises:
         ValueError: A number is not positive.
     """
-
-    massless: ClassVar[bool] = False
 
     def __init__(
         self, dynamics: DynamicsModel, cruise_mps: float = 3.0, braking_mps2: float = 2.8

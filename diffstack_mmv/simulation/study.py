@@ -7,7 +7,6 @@ from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.simulation.assembly import SimulatedVehicle
 from diffstack_mmv.simulation.collision import Footprint
 from diffstack_mmv.simulation.pedestrians import Crowd
-from diffstack_mmv.simulation.policies import Controller
 from diffstack_mmv.simulation.robot import HolonomicRobot
 from diffstack_mmv.simulation.vehicle_robot import VehicleRobot
 from diffstack_mmv.simulation.verdict import verdict_named
@@ -41,7 +40,7 @@ def study_world(
     return World(robot, crowd, verdict_named(verdict, limit_s), dt_s, robot_visible)
 
 
-def world_for(world: World, controller: type[Controller]) -> World:
+def world_for(world: World, controller: type) -> World:
     """The world in which a controller drives: massless ones drive the original benchmark's robot.
 
     Args:
@@ -51,7 +50,12 @@ def world_for(world: World, controller: type[Controller]) -> World:
     Returns:
         The same world, or the one with the massless robot, which is always a disc.
     """
-    return replace(world, robot=HolonomicRobot()) if controller.massless else world
+    return replace(world, robot=HolonomicRobot()) if is_massless(controller) else world
+
+
+def is_massless(controller: type) -> bool:
+    """Whether controllers of this class drive the massless robot, see `Controller`."""
+    return bool(getattr(controller, "massless", False))
 
 
 def models_told(

@@ -10,13 +10,13 @@ from diffstack_mmv.prediction import ConstantVelocity
 from diffstack_mmv.simulation import (
     CircleCrossing,
     Controller,
-    DiscFootprint,
     ExactVerdict,
     HolonomicRobot,
     OrcaCrowd,
     PedestrianForecaster,
     World,
 )
+from diffstack_mmv.simulation.study import is_massless
 from diffstack_mmv.types import map_tensors
 from diffstack_mmv.vehicles import config_folder
 from tests.simulation.conftest import composed_navigate
@@ -41,8 +41,8 @@ def setting(request):
     """A controller, and the world with the robot that it commands."""
     config = composed_navigate(f"controller={request.param}")
     controller = instantiate(config.controller)
-    robot = HolonomicRobot() if controller.massless else instantiate(config.robot)
-    return controller, World(robot, OrcaCrowd(), ExactVerdict(DiscFootprint(), 10.0))
+    robot = HolonomicRobot() if is_massless(type(controller)) else instantiate(config.robot)
+    return controller, World(robot, OrcaCrowd(), ExactVerdict(10.0))
 
 
 def walk(world, humans=5, cases=(0, 1), steps=2):
@@ -71,7 +71,7 @@ def tensors_of(record):
 
 @pytest.fixture(scope="module")
 def crowd():
-    return walk(World(HolonomicRobot(), OrcaCrowd(), ExactVerdict(DiscFootprint(), 10.0)))
+    return walk(World(HolonomicRobot(), OrcaCrowd(), ExactVerdict(10.0)))
 
 
 @pytest.mark.parametrize(("dt_s", "steps"), [(0.25, 12), (0.1, 1), (0.5, 10)])

@@ -24,8 +24,6 @@ POLICIES = {"linear": StraightLine(), "orca": OrcaPolicy()}
 class Replay:
     """Repeat recorded actions; the state is the number of the step."""
 
-    massless = True
-
     def __init__(self, actions):
         self.actions = torch.from_numpy(np.nan_to_num(actions))
 

@@ -5,7 +5,6 @@ from diffstack_mmv.identification.inference.combinations import (
     Combination,
     combinations,
     quantities,
-    two_axles,
 )
 from diffstack_mmv.identification.inference.comparison import (
     ModelBuilder,
@@ -92,6 +91,5 @@ __all__ = [
     "sensitivity",
     "sobol_starts",
     "thin_samples",
-    "two_axles",
     "validation_errors",
 ]
