@@ -11,10 +11,10 @@ from diffstack_mmv.checks import message, require, require_at_least, require_pos
 from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last
 from diffstack_mmv.control.compilation import Kernels, compiled_kernels, eager_kernels
 from diffstack_mmv.control.expansion import Model, expand, expand_by_differences
-from diffstack_mmv.control.implicit import Optimum, attach, free_controls
+from diffstack_mmv.control.implicit import Optimum, attach
 from diffstack_mmv.control.iteration import OPEN, Iterate, Settings, start
 from diffstack_mmv.control.optimizer import Cost, Dynamics
-from diffstack_mmv.control.riccati import definite_policy
+from diffstack_mmv.control.riccati import definite_policy, is_active
 from diffstack_mmv.control.selection import Workload, constant
 from diffstack_mmv.types import Bounds, Solution, SolverStatus
 
@@ -88,7 +88,7 @@ class ILQR:
         (True, True)
     """
 
-    max_iterations: int = 60
+    max_iterations: int = 100
     tolerance: float = 1e-10
     line_search_steps: int = 8
     regularisation: float = 1e-2
@@ -195,6 +195,7 @@ class ILQR:
         policy = definite_policy(
             kernels.box_policy,
             model.quadratic,
+            model.gradient,
             settings.box,
             iterate.damping,
             model.magnitude,
@@ -222,7 +223,7 @@ def conclude(
     lower, upper = settings.box.unsqueeze(-1)
     moved = torch.minimum(torch.maximum(u - model.gradient, lower), upper)
     residual = (u - moved).abs().amax((0, 1)).nan_to_num(torch.inf)
-    free = free_controls(u, model.gradient, settings.box)
+    free = ~is_active(u, model.gradient, settings.box)
     converged = iterate.status == SolverStatus.CONVERGED
     optimum = Optimum(x, u, free, converged, model, exact)
     rows = (x, u, iterate.cost, residual, iterate.iterations, iterate.status)

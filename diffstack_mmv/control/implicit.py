@@ -49,15 +49,6 @@ class Attached(NamedTuple):
     cost: Float[Tensor, "*b"]
 
 
-def free_controls(
-    u: Float[Tensor, "T m N"], gradient: Float[Tensor, "T m N"], box: Float[Tensor, "2 m"]
-) -> Bool[Tensor, "T m N"]:
-    """Which controls no bound holds: inside of the box, or at a bound without pressure on it."""
-    lower, upper = box[0].unsqueeze(-1), box[1].unsqueeze(-1)
-    held = ((u <= lower) & (gradient > 0)) | ((u >= upper) & (gradient < 0)) | (lower == upper)
-    return ~held
-
-
 class _Implicit(torch.autograd.Function):
     """z* as a function of the KKT residual: dz* = -K⁻¹ dR with the active controls held."""
 
