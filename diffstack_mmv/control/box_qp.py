@@ -10,7 +10,7 @@ from diffstack_mmv.control.batch_last import apply
 
 MOST_EXCHANGES = 200  # far more than any problem of a few variables was seen to need
 EXCHANGES_PER_VARIABLE = 4
-"""Where a loop cannot ask whether it is finished; enough for all but one in ten thousand problems."""
+"""Where a loop cannot ask for its end; enough for all but one in ten thousand problems."""
 
 
 def solve_box_qp(

@@ -54,7 +54,8 @@ def attempt(
 
     Finished is a problem whose model promises a decrease of the cost below the tolerance times
     Σ|c_t|, or below the noise; the promise of a strongly damped model counts for nothing. If no
-    step size lowers the cost, a promise of a few times the noise is enough.
+    step size lowers the cost, a promise of a few times the noise is enough. The projected gradient
+    has to agree, see `ILQR`: it is a coarser measure, but one that no step of the model enters.
     """
     noise = NOISE * noise
     trial = search(

@@ -51,7 +51,7 @@ class Policy(NamedTuple):
     decrease: Float[Tensor, " N"]  # predicted decrease of the cost for α = 1
     slope: Float[Tensor, " N"]  # decrease along the projected gradient, to first order
     lifted: Bool[Tensor, " N"]  # whether Q_uu was indefinite anywhere
-    lifted_free: Bool[Tensor, " N"]  # whether it was on controls that no bound holds
+    lifted_free: Bool[Tensor, " N"]  # whether it was on free controls
 
 
 class Stationary(NamedTuple):
@@ -120,7 +120,7 @@ def definite_policy(
     """Policy of the exact model where that is convex along the recursion, else of a convex one.
 
     Exact means the Hessian of the Lagrangian: Newton's method with its quadratic convergence. A
-    problem in which any Q_uu is indefinite on controls that no bound holds (or on any control, far
+    problem in which any Q_uu is indefinite on free controls (or on any control, far
     from the solution) is solved a second time with the Hessian over (x_t, u_t) of every stage
     lifted.
 
@@ -177,8 +177,8 @@ def box_policy(
         gradient: Derivative of the total cost by the controls.
         box: Bounds of the controls.
         damping: μ of each problem, dimensionless.
-        lifted: 1 where the Hessian of every stage is lifted until it is diagonally dominant, else
-            0.
+        lifted: 1 where the Hessian of every stage is lifted until it is diagonally dominant, 0
+            elsewhere.
         n: Number of state columns.
     """
     m = box.shape[1]
@@ -234,7 +234,7 @@ def is_active(
 
 
 def solve_free(lq: LinearQuadratic, free: Float[Tensor, "T m N"], n: int) -> Stationary:
-    """Stationary point with δx_0 = 0 and the controls that are not free (0 in `free`) held at zero.
+    """Stationary point with δx_0 = 0 and δu = 0 for the controls that are not free (0 in `free`).
 
     The Hessian has to be invertible on the free controls, not definite: nothing is shifted or
     damped.

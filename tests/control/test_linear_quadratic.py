@@ -1,4 +1,4 @@
-"""Convex problems of unstable systems: the one solution, its gradient, and a status that is true."""
+"""Convex problems of unstable systems: one solution, its gradient, and a true status."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,11 @@ EXACT = ILQR(tolerance=1e-16, max_iterations=200)
 
 
 def affine(state, control, A, B, b):
-    return torch.einsum("...ij,...j->...i", A, state) + torch.einsum("...ij,...j->...i", B, control) + b
+    return (
+        torch.einsum("...ij,...j->...i", A, state)
+        + torch.einsum("...ij,...j->...i", B, control)
+        + b
+    )
 
 
 def quadratic(states, controls, H):
