@@ -185,27 +185,23 @@ def box_policy(
     eye = torch.eye(n, dtype=box.dtype, device=box.device).unsqueeze(-1)
     eye_u = torch.eye(m, dtype=box.dtype, device=box.device).unsqueeze(-1)
 
+    control = lq.stages[:, -m:]
     # finite, because a closed form may multiply it by zero
     infinity = torch.finfo(box.dtype).max ** 0.25
-    lower, upper = box.clamp(-infinity, infinity).unsqueeze(-1)
+    below, above = (side - control for side in box.clamp(-infinity, infinity).unsqueeze(-1))
+    holds, zero = is_active(control, gradient, box), torch.zeros_like(control)
+    limits = torch.where(holds, zero, below), torch.where(holds, zero, above)
 
     def step(value: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
-        *first, xx, ux, uu, control, steep = unpack(row, *stage_shapes(n, m), (m,))
+        *first, xx, ux, uu, _, least, most = unpack(row, *stage_shapes(n, m), (m,), (m,))
         cross = ux.abs()
         xx = xx + eye * lifted * dominance(xx, cross.sum(0))
         uu = uu + eye_u * lifted * dominance(uu, cross.sum(1))
         Q = _action(value, (*first, xx, ux, uu))
         lift = positive_lift(Q.uu, DEFINITE)
         Q_uu = Q.uu + (lift + damping * largest(Q.uu)) * eye_u
-        below, above = lower - control, upper - control
         curvature = Q.uu.diagonal(dim1=0, dim2=1).movedim(-1, 0) + lift
-        scaled = torch.minimum(torch.maximum(-steep / curvature, below), above)
-        slope = -(scaled * steep).sum(0, keepdim=True)
-        holds = is_active(control, steep, box)
-        none = torch.zeros_like(control)
-        k, free = solve_box_qp(
-            Q_uu, Q.u, torch.where(holds, none, below), torch.where(holds, none, above)
-        )
+        k, free = solve_box_qp(Q_uu, Q.u, least, most)
         K = -product(free_inverse(Q_uu, free), Q.ux)
         Qk = apply(Q_uu, k)
         cross = transposed_product(K, Q.ux)
@@ -213,16 +209,18 @@ def box_policy(
         V_xx = Q.xx + transposed_product(K, product(Q_uu, K)) + cross + cross.transpose(0, 1)
         decrease = -(k * (0.5 * Qk + Q.u)).sum(0, keepdim=True)
         return pack(V_x, symmetric(V_xx)), pack(
-            k, K, decrease, slope, lift.sum(0, keepdim=True), (lift * free).sum(0, keepdim=True)
+            k, K, curvature, decrease, lift.sum(0, keepdim=True), (lift * free).sum(0, keepdim=True)
         )
 
     final_x, final_xx = unpack(lq.final, *final_shapes(n))
     final_xx = final_xx + eye * lifted * dominance(final_xx, torch.zeros_like(final_x))
-    inputs = torch.concatenate([lq.stages, gradient], 1)
+    inputs = torch.concatenate([lq.stages, *limits], 1)
     outputs = walk(step, pack(final_x, final_xx), inputs, reverse=True)[1]
-    gains, decrease, slope, *lifts = outputs.split([m + m * n, 1, 1, 1, 1], 1)
+    gains, curvature, decrease, *lifts = outputs.split([m + m * n, m, 1, 1, 1], 1)
+    scaled = torch.minimum(torch.maximum(-gradient / curvature, below), above)
     flags = ((lift > 0).any(0).squeeze(0) for lift in lifts)
-    return Policy(gains.contiguous(), decrease.sum((0, 1)), slope.sum((0, 1)), *flags)
+    slope = -(scaled * gradient).sum((0, 1))
+    return Policy(gains.contiguous(), decrease.sum((0, 1)), slope, *flags)
 
 
 def is_active(
