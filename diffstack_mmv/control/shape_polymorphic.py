@@ -1,4 +1,4 @@
-"""Keeps graphs of `torch.vmap` free of the sizes they were traced at."""
+"""Keeps graphs of `torch.vmap` polymorphic in the shapes they were traced at."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
 
-class SizeFree(TorchFunctionMode):
+class ShapePolymorphic(TorchFunctionMode):
     """Inside of it, callables may concatenate and slice without tying a graph to one batch.
 
     The rules of `torch.vmap` for concatenation, and for the derivative of a slice, read sizes as

@@ -1,7 +1,7 @@
 """Local models of dynamics that all problems share, a fixed number of pairs at a time.
 
 Dynamics that hide no tensor of the batch see every pair (x_t, u_t) alone: times, problems,
-cotangents and shifts can be laid out as one row of columns, and cut into pieces of one size. A
+cotangents and shifts can be laid out as one row of columns, and cut into chunks of one size. A
 large model is then compiled once, for one shape, whatever the batch and the horizon.
 """
 
@@ -12,13 +12,13 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.control.expansion import Curvature, Model, Value
+from diffstack_mmv.control.expansion import HessianBlocks, Model, Value
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 
 PAIRS = 2048
 
 
-class Pieces(NamedTuple):
+class Chunked(NamedTuple):
     """What a local model is made of, eager or compiled."""
 
     pull: Callable[..., Tensor]
@@ -47,7 +47,9 @@ class Pieces(NamedTuple):
         some = self._curvature(dynamics, *(part.index_select(-1, index) for part in parts))
         bend = some.new_zeros(*some.shape[:-1], len(near)).index_copy_(-1, index, some)
         blocks = bend[:, :n, :n], bend[:, n:, :n], bend[:, n:, n:]
-        return self.assemble(x, u, A, B, value, Curvature(*(part.contiguous() for part in blocks)))
+        return self.assemble(
+            x, u, A, B, value, HessianBlocks(*(part.contiguous() for part in blocks))
+        )
 
     def _curvature(
         self,
@@ -83,10 +85,10 @@ class Pieces(NamedTuple):
         columns = points.new_zeros(k + len(weights), count + -count % PAIRS)
         columns[:k, :count].view(k, *shape).copy_(points)
         columns[k:, :count].view(len(weights), *shape).copy_(weights)
-        pieces = columns.unflatten(1, (-1, PAIRS)).movedim(1, 0).contiguous()
-        pulled = columns.new_empty(k, *pieces.shape[::2])
-        for i, piece in enumerate(pieces):
-            pulled[:, i] = self.pull(dynamics, piece[:k], piece[k:])
+        chunks = columns.unflatten(1, (-1, PAIRS)).movedim(1, 0).contiguous()
+        pulled = columns.new_empty(k, *chunks.shape[::2])
+        for i, chunk in enumerate(chunks):
+            pulled[:, i] = self.pull(dynamics, chunk[:k], chunk[k:])
         return pulled.flatten(1)[:, :count].reshape(k, *shape)
 
 
