@@ -32,6 +32,14 @@ def solved(problem, limit, solver=EXACT):
     return solver(dynamics, cost, box, state, torch.zeros(len(state), 20, m))
 
 
+def published_problem(file):
+    """Tensors of a file of published problems, each with one entry per problem."""
+    tensors = [torch.tensor(file[key]) for key in ("A", "B", "b", "H", "x0")]
+    count = len(tensors[-1])
+    shared = [tensor.repeat(count, *[1] * tensor.dim()) for tensor in tensors[:-1]]
+    return *shared, tensors[-1]
+
+
 def unstable(n, m, count=6):
     """Random systems that grow by up to a half in every step."""
     A = torch.eye(n) + 0.4 * torch.randn(count, n, n) / n**0.5
@@ -77,10 +85,7 @@ def published(shared):
 @pytest.mark.parametrize("name", ["test_umax1", "second_umax1", "test_umax10000"])
 def test_published_problems_are_solved_with_their_gradients(published, name):
     file = published(name)
-    tensors = [torch.tensor(file[key]) for key in ("A", "B", "b", "H", "x0")]
-    count = len(tensors[-1])
-    shared = [tensor.repeat(count, *[1] * tensor.dim()) for tensor in tensors[:-1]]
-    leaves = [tensor.requires_grad_() for tensor in (*shared, tensors[-1])]
+    leaves = [tensor.requires_grad_() for tensor in published_problem(file)]
     solution = solved(leaves, float(file["u_max"]))
     assert solution.converged.all()
     assert np.abs(solution.controls.detach().numpy() - file["u"]).max() < 1e-7
