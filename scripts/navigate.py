@@ -55,7 +55,7 @@ def main(config: DictConfig) -> None:
     pairs += [paired_with_run(result, Path(folder)) for folder in config.against]
     write_closed_loop(out, result, rows, CLOSED_LOOP, published, pairs)
     records, goal_m = [chunk.record for chunk in chunks], (0.0, scenario.circle_radius_m)
-    radius_m = scenario.human_radius_m
+    radius_m = scenario.pedestrian_radius_m
     outline = world.robot.footprint.outline()
     save_stories(out, numbers, records, radius_m, config.animate, goal_m, config.show, outline)
     logger.info("Report: %s", out / "closed_loop.md")

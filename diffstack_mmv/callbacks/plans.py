@@ -12,7 +12,7 @@ from pytorch_lightning.utilities import rank_zero_only
 
 from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.metrics import OPEN_LOOP
-from diffstack_mmv.plotting import Scene, draw_scenes
+from diffstack_mmv.plotting import PlannedScene, draw_scenes
 from diffstack_mmv.types import Mode, StackBatch, Tracks
 
 SHOWN = ("ade", "plan_ade")
@@ -21,7 +21,7 @@ SHOWN = ("ade", "plan_ade")
 
 def scenes_of(
     batch: StackBatch, output: Any, titles: list[str], shown_components: int = 5
-) -> list[Scene]:
+) -> list[PlannedScene]:
     """What a stack made of a batch, ready to draw; positions in m."""
     forecast = output.forecast
     order = forecast.log_weight[:, 0].argsort(-1, descending=True)[:, :shown_components]
@@ -41,7 +41,7 @@ def scenes_of(
     arrays: list[np.ndarray] = [column.detach().cpu().numpy() for column in columns]
     seen = present.cpu().numpy()
     return [
-        Scene._make([title, *(array[i] for array in arrays), neighbors[i][seen[i]]])
+        PlannedScene._make([title, *(array[i] for array in arrays), neighbors[i][seen[i]]])
         for i, title in enumerate(titles)
     ]
 

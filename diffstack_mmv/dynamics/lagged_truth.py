@@ -167,7 +167,7 @@ def _kbm_path(
     return torch.stack(states[1:])[:, :2]
 
 
-class Score(NamedTuple):
+class FollowingError(NamedTuple):
     """Average displacement from the truth in m."""
 
     gm3_m: float
@@ -176,7 +176,7 @@ class Score(NamedTuple):
 
 def score(
     spec: VehicleSpec, profile: CommandProfile, variant: Variant, truth: LaggedTruth | None = None
-) -> Score:
+) -> FollowingError:
     """Drive both models over one manoeuvre with the signals of one variant.
 
     Each model's own reference point starts at the origin: the truth is a point.
@@ -184,4 +184,4 @@ def score(
     signals = (truth or LaggedTruth())(profile.command, profile.speed_mps, _STEP_S)
     paths = (path(spec, signals, variant, profile.speed_mps) for path in (_gm3_path, _kbm_path))
     gm3, kbm = ((path - signals.position).norm(dim=-1).mean().item() for path in paths)
-    return Score(gm3, kbm)
+    return FollowingError(gm3, kbm)

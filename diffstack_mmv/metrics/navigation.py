@@ -12,7 +12,7 @@ from diffstack_mmv.checks import message, require_positive
 from diffstack_mmv.types import EpisodeRecord, Outcome
 
 DISCOMFORT_M = 0.2
-"""Clearance below which a human feels uncomfortable (Chen et al., Crowd-Robot Interaction)."""
+"""Clearance below which a pedestrian feels uncomfortable (Chen et al., Crowd-Robot Interaction)."""
 NORMAL_QUANTILE = 1.959963984540054
 """Standard normal quantile of a two-sided interval of 95 %."""
 
@@ -55,7 +55,7 @@ def wilson_interval(
 
 
 def uneasy_steps(record: EpisodeRecord) -> Bool[Tensor, "E T1"]:
-    """Steps in which a human feels uncomfortable: clearance in [0, 0.2 m), the last step apart.
+    """Steps in which a pedestrian feels uncomfortable: clearance in [0, 0.2 m).
 
     The step that ends an episode counts as collision, success or time-out instead, as in the
     original benchmark.

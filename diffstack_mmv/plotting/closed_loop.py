@@ -25,7 +25,7 @@ class Episode(NamedTuple):
 
     case: int
     record: EpisodeRecord  # without leading dimensions
-    human_radius_m: float
+    pedestrian_radius_m: float
     goal_m: tuple[float, float] | None = None  # of the robot
     outline: Float[Tensor, "corners 2"] | None = None  # m, of the robot; a disc of 0.3 m if None
 
@@ -34,18 +34,18 @@ def episode_of(
     record: EpisodeRecord,
     row: int,
     case: int,
-    human_radius_m: float,
+    pedestrian_radius_m: float,
     goal_m: tuple[float, float] | None = None,
     outline: Float[Tensor, "corners 2"] | None = None,
 ) -> Episode:
-    """One episode of a batch, cut at its end; radius of the humans, goal and outline in m."""
+    """One episode of a batch, cut at its end; radius of the pedestrians, goal and outline in m."""
     single = map_tensors(lambda field: field[row], record)
     end = int(single.steps) + 1
     motion = type(single.motion)(*(field[:end] for field in single.motion))
     cut = single._replace(
         motion=motion, pedestrians=single.pedestrians[:end], clearance=single.clearance[:end]
     )
-    return Episode(case, cut, human_radius_m, goal_m, outline)
+    return Episode(case, cut, pedestrian_radius_m, goal_m, outline)
 
 
 def draw_episode(episode: Episode) -> Figure:
@@ -54,8 +54,8 @@ def draw_episode(episode: Episode) -> Figure:
     axes = _axes(figure, episode)
     record = episode.record
     axes.plot(*record.motion.position.T.numpy(), color=ROBOT)
-    for human in record.pedestrians.unbind(1):
-        axes.plot(*human.T.numpy(), color=PEOPLE, linewidth=0.8)
+    for pedestrian in record.pedestrians.unbind(1):
+        axes.plot(*pedestrian.T.numpy(), color=PEOPLE, linewidth=0.8)
     last = len(record.clearance) - 1
     for step in range(0, last, max(round(1 / record.dt_s), 1)):
         _outlines(axes, episode, step, 0.15 + 0.4 * step / last)
@@ -108,7 +108,7 @@ def save_stories(
         folder: Receives plots/case_N.png and plots/case_N.gif.
         cases: Numbers of the cases in the order of the records.
         records: Records, one after the other.
-        radius_m: Radius of the humans.
+        radius_m: Radius of the pedestrians.
         count: Number of episodes to show besides those asked for.
         goal_m: Goal of the robot in m.
         chosen: Cases asked for.
@@ -154,7 +154,7 @@ def _axes(figure: Figure, episode: Episode) -> Axes:
 def _outlines(axes: Axes, episode: Episode, step: int, alpha: float) -> None:
     """Outlines of everybody at one step."""
     for place in episode.record.pedestrians[step].tolist():
-        axes.add_patch(Circle(tuple(place), episode.human_radius_m, color=PEOPLE, alpha=alpha))
+        axes.add_patch(Circle(tuple(place), episode.pedestrian_radius_m, color=PEOPLE, alpha=alpha))
     motion = episode.record.motion
     centre = motion.position[step].tolist()
     if episode.outline is None:

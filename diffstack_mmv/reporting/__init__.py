@@ -18,11 +18,11 @@ from diffstack_mmv.reporting.files import (
 from diffstack_mmv.reporting.identification import models_table, write_identification
 from diffstack_mmv.reporting.metrics_table import summarise_modes, write_metrics
 from diffstack_mmv.reporting.paired import paired_cases, paired_table, paired_with_run
-from diffstack_mmv.reporting.scores import Score, Scores
+from diffstack_mmv.reporting.scores import ScoreHeading, Scores
 
 __all__ = [
     "Comparison",
-    "Score",
+    "ScoreHeading",
     "Scores",
     "closed_loop_table",
     "compare",

@@ -13,7 +13,7 @@ import pandas as pd
 from scipy.stats import wilcoxon
 
 from diffstack_mmv.reporting.files import read_json, read_parquet, write_text
-from diffstack_mmv.reporting.scores import Score, Scores
+from diffstack_mmv.reporting.scores import ScoreHeading, Scores
 
 COMPARED = ("ade", "nll", "plan_ade", "planning_loss", "collision_rate", "solved")
 """Scores in the table, by name."""
@@ -105,7 +105,7 @@ def _spread(known: np.ndarray) -> str:
     return f"{known.mean():.3f}" + (f" ± {known.std(ddof=1):.3f}" if len(known) > 1 else "")
 
 
-def paired_tests(folders: Sequence[Path], score: Score) -> pd.DataFrame:
+def paired_tests(folders: Sequence[Path], score: ScoreHeading) -> pd.DataFrame:
     """Wilcoxon signed-rank test between the dynamics, paired by scene.
 
     Windows of one scene resemble each other, so the score is averaged over them, and over seeds,

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 
-class Score(Protocol):
+class ScoreHeading(Protocol):
     """Names, unit and direction of a score, as a registry holds them."""
 
     @property
@@ -33,5 +33,5 @@ class Score(Protocol):
         ...
 
 
-Scores = Mapping[str, Score]
+Scores = Mapping[str, ScoreHeading]
 """Scores by name."""

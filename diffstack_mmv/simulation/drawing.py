@@ -13,7 +13,7 @@ MARGIN_M = 2.0
 
 
 def picture(world: World, state: WorldState) -> np.ndarray:
-    """Robot, humans and goals from above.
+    """Robot, pedestrians and goals from above.
 
     Args:
         world: The world.
@@ -30,7 +30,7 @@ def picture(world: World, state: WorldState) -> np.ndarray:
     heading = float(motion.heading)
     radius = world.robot.footprint.radius_m
     for position, size in zip(
-        state.humans.position.numpy(), state.humans.radius.numpy(), strict=True
+        state.pedestrians.position.numpy(), state.pedestrians.radius.numpy(), strict=True
     ):
         axes.add_patch(Circle(tuple(position), float(size), color=HUMAN, alpha=0.7))
     outline = position_from_frame(world.robot.footprint.outline(), motion.position, motion.heading)

@@ -80,19 +80,19 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
     An action holds for one step, in the units of the robot: (v_x, v_y) in m/s for "holonomic",
     (v in m/s, turn in rad) for "unicycle", the controls of the dynamics model for a vehicle.
     An observation has `robot` (x, y, heading, world velocity v_x, v_y, yaw rate, radius, goal x, y)
-    and `humans` (one row per human: x, y, v_x, v_y, radius), SI units, world frame.
+    and `humans` (one row per pedestrian: x, y, v_x, v_y, radius), SI units, world frame.
     `reset(options={"phase": "test", "case": 7})` starts a case of the benchmark; without options
     the environment's generator draws a case of the training phase.
 
     Args:
         scenario: "circle_crossing", "square_crossing", or a scenario with settings of one's own.
-        humans: Number of humans; that of the scenario where one is given.
+        humans: Number of pedestrians; that of the scenario where one is given.
         dt_s: Length of a step.
         limit_s: Time limit, a multiple of the step.
         robot: "holonomic", "unicycle", the name or YAML file of a vehicle, or a robot.
         verdict: "crowdnav" (the original rules with their faults) or "exact".
         dynamics: Dynamics of a vehicle that is given by its name.
-        robot_visible: Whether the humans avoid the robot.
+        robot_visible: Whether the pedestrians avoid the robot.
         render_mode: "rgb_array" or None.
         footprint: Outline of a robot that is given by its name: "disc", that of the benchmark, or
             "vehicle", the box of the vehicle.
@@ -186,8 +186,8 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
 
     @property
     def human_positions(self) -> np.ndarray:
-        """Positions of the humans, (humans, 2) m."""
-        return self.state.humans.position.numpy().copy()
+        """Positions of the pedestrians, (humans, 2) m."""
+        return self.state.pedestrians.position.numpy().copy()
 
     @property
     def robot_position(self) -> np.ndarray:
@@ -233,8 +233,8 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
             action: Action in the units of the robot.
 
         Returns:
-            Observation, reward, whether the goal or a human was hit, whether the time is up, and
-            outcome, clearance (m) and time (s).
+            Observation, reward, whether the goal or a pedestrian was hit, whether the time is up,
+            and outcome, clearance (m) and time (s).
 
         Raises:
             ValueError: The action is not finite or has the wrong shape.
@@ -277,8 +277,12 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
             seen.radius[..., None],
             seen.goal,
         )
-        humans = (seen.human_position, seen.human_velocity, seen.human_radius[..., None])
-        return {"robot": _joined(robot), "humans": _joined(humans)}
+        pedestrians = (
+            seen.pedestrian_position,
+            seen.pedestrian_velocity,
+            seen.pedestrian_radius[..., None],
+        )
+        return {"robot": _joined(robot), "humans": _joined(pedestrians)}
 
 
 def _joined(columns: tuple[Tensor, ...]) -> np.ndarray:
@@ -287,7 +291,7 @@ def _joined(columns: tuple[Tensor, ...]) -> np.ndarray:
 
 
 def _scenario_named(scenario: str | Scenario, humans: int) -> Scenario:
-    """The scenario itself, or the one of that name with so many humans."""
+    """The scenario itself, or the one of that name with so many pedestrians."""
     if isinstance(scenario, Scenario):
         return scenario
     require_one_of("scenario", scenario, tuple(SCENARIOS))

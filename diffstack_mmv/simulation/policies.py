@@ -59,7 +59,7 @@ class _Memoryless:
 
 @dataclass(frozen=True)
 class StraightLine(_Memoryless):
-    """Drive a holonomic robot straight to the goal, blind to the humans.
+    """DrivenEpisodes a holonomic robot straight to the goal, blind to the pedestrians.
 
     Attributes:
         speed_mps: Constant speed.
@@ -84,7 +84,7 @@ class StraightLine(_Memoryless):
 
 @dataclass(frozen=True)
 class OrcaPolicy(_Memoryless):
-    """Drive a holonomic robot by ORCA, as the original benchmark's ORCA robot does.
+    """DrivenEpisodes a holonomic robot by ORCA, as the original benchmark's ORCA robot does.
 
     Attributes:
         dt_s: Step of the simulation.
@@ -115,18 +115,18 @@ class OrcaPolicy(_Memoryless):
             radius=observation.radius,
             max_speed=torch.full_like(observation.radius, self.speed_mps),
         )
-        radius = observation.human_radius
-        humans = Neighbors(
-            position=observation.human_position,
-            velocity=observation.human_velocity,
+        radius = observation.pedestrian_radius
+        pedestrians = Neighbors(
+            position=observation.pedestrian_position,
+            velocity=observation.pedestrian_velocity,
             radius=radius,
             valid=torch.ones_like(radius, dtype=torch.bool),
         )
-        return Decided(self.orca.velocity(robot, humans, self.dt_s), None)
+        return Decided(self.orca.velocity(robot, pedestrians, self.dt_s), None)
 
 
 class BlindDriver(_Memoryless):
-    """Drive a vehicle straight to the goal and stop there, blind to the humans.
+    """DrivenEpisodes a vehicle straight to the goal and stop there, blind to the pedestrians.
 
     Args:
         dynamics: Model of the vehicle, whose step is the time between two decisions.

@@ -9,7 +9,7 @@ from torch import Tensor
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.geometry import rotate, unit_vector
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint
-from diffstack_mmv.simulation.pedestrians import Bystander
+from diffstack_mmv.simulation.pedestrians import VisibleRobot
 from diffstack_mmv.simulation.scenario import Scene
 from diffstack_mmv.simulation.verdict import RobotPath
 from diffstack_mmv.types import Bounds, Motion
@@ -50,15 +50,15 @@ class Robot(Protocol):
         ...
 
     def velocity(self, state: Any) -> Float[Tensor, "*b 2"]:
-        """Velocity in m/s in world directions, as humans see it."""
+        """Velocity in m/s in world directions, as pedestrians see it."""
         ...
 
 
-def seen_by_humans(robot: Robot, state: Any) -> Bystander:
-    """The robot in the eyes of the humans: the disc around its reference point that holds it."""
+def seen_by_pedestrians(robot: Robot, state: Any) -> VisibleRobot:
+    """The robot in the eyes of pedestrians: the disc around its reference point that holds it."""
     position = robot.motion(state).position
     radius = position.new_tensor(robot.footprint.radius_m).expand(position.shape[:-1])
-    return Bystander(position, robot.velocity(state), radius)
+    return VisibleRobot(position, robot.velocity(state), radius)
 
 
 class PointState(NamedTuple):

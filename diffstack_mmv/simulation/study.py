@@ -25,11 +25,11 @@ def study_world(
 
     Args:
         robot: The vehicle.
-        crowd: How the humans choose their velocities.
+        crowd: How the pedestrians choose their velocities.
         verdict: "crowdnav" or "exact".
         limit_s: Time limit of an episode.
         dt_s: Length of a step.
-        robot_visible: Whether the humans avoid the robot.
+        robot_visible: Whether the pedestrians avoid the robot.
 
     Returns:
         The world.

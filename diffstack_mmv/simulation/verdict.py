@@ -29,13 +29,13 @@ class RobotPath(NamedTuple):
 
 
 class Encounter(NamedTuple):
-    """One step of robot and humans, with all that a verdict may look at."""
+    """One step of robot and pedestrians, with all that a verdict may look at."""
 
     path: RobotPath
     footprint: Footprint  # of the robot
     velocity: Float[Tensor, "*b 2"]  # m/s, of the robot: constant over the step, to the same end
-    humans: CrowdState  # before the step
-    human_velocity: Float[Tensor, "*b h 2"]  # m/s, that holds during the step
+    pedestrians: CrowdState  # before the step
+    pedestrian_velocity: Float[Tensor, "*b h 2"]  # m/s, that holds during the step
     goal: Float[Tensor, "*b 2"]  # m
     time: Float[Tensor, "*b"]  # s, before the step
     dt_s: float
@@ -56,7 +56,7 @@ class Rewards:
     Attributes:
         success: For reaching the goal.
         collision: For a collision.
-        discomfort_m: Clearance below which a human feels uncomfortable.
+        discomfort_m: Clearance below which a pedestrian feels uncomfortable.
         discomfort_factor: Penalty per metre below that clearance and per second.
     """
 
@@ -129,17 +129,19 @@ class Verdict(ABC):
         return Judgement(outcome, self.rewards.of(outcome, clearance, step.dt_s), clearance)
 
     @staticmethod
-    def at_rest(path: RobotPath, footprint: Footprint, humans: CrowdState) -> Float[Tensor, "*b"]:
-        """Clearance in m to the nearest human at the end of `path`, all standing still."""
+    def at_rest(
+        path: RobotPath, footprint: Footprint, pedestrians: CrowdState
+    ) -> Float[Tensor, "*b"]:
+        """Clearance in m to the nearest pedestrian at the end of `path`, all standing still."""
         position, heading = path.position[..., -1:, :], path.heading[..., -1:]
-        offset = humans.position - position
-        heading = heading.expand(humans.radius.shape)
-        approach = Approach(offset, offset, humans.radius, heading, heading)
+        offset = pedestrians.position - position
+        heading = heading.expand(pedestrians.radius.shape)
+        approach = Approach(offset, offset, pedestrians.radius, heading, heading)
         return footprint.clearance(approach).amin(dim=-1)
 
     @abstractmethod
     def _clearance(self, step: Encounter) -> Float[Tensor, "*b h"]:
-        """Smallest clearance in m to each human over the step."""
+        """Smallest clearance in m to each pedestrian over the step."""
 
     @abstractmethod
     def _is_late(self, step: Encounter) -> Bool[Tensor, "*b"]:
@@ -154,9 +156,9 @@ class Verdict(ABC):
 class CrowdNavVerdict(Verdict):
     """The verdict of the original benchmark, with its faults.
 
-    A collision is looked for along the velocities that the humans had before the step. The time is
-    up in the first step that starts one second or less before the limit, and a time-out hides
-    collision and success. Needed to compare with published numbers.
+    A collision is looked for along the velocities that the pedestrians had before the step. The
+    time is up in the first step that starts one second or less before the limit, and a time-out
+    hides collision and success. Needed to compare with published numbers.
 
     Attributes:
         limit_s: Time limit of an episode, which ends about one second earlier.
@@ -174,14 +176,14 @@ class CrowdNavVerdict(Verdict):
         require_positive("limit_s - 1", self.limit_s - EARLY_S, remedy=remedy)
 
     def _clearance(self, step: Encounter) -> Float[Tensor, "*b h"]:
-        """Straight motion at the robot's mean velocity and the humans' old ones."""
-        start = step.humans.position - step.path.position[..., :1, :]
-        relative = step.humans.velocity - step.velocity[..., None, :]
+        """Straight motion at the robot's mean velocity and the pedestrians' old ones."""
+        start = step.pedestrians.position - step.path.position[..., :1, :]
+        relative = step.pedestrians.velocity - step.velocity[..., None, :]
         first, last = (
             step.path.heading[..., end, None].expand(start.shape[:-1]) for end in (0, -1)
         )
         end = start + relative * step.dt_s
-        return step.footprint.clearance(Approach(start, end, step.humans.radius, first, last))
+        return step.footprint.clearance(Approach(start, end, step.pedestrians.radius, first, last))
 
     def _is_late(self, step: Encounter) -> Bool[Tensor, "*b"]:
         """The clock before the step stands within a second of the limit."""
@@ -201,8 +203,8 @@ class CrowdNavVerdict(Verdict):
 class ExactVerdict(Verdict):
     """The same rules with the two faults mended.
 
-    A collision is looked for between the fine path of the robot and the humans as they truly move
-    in this step; the time is up at the limit; collision and success come before time-out.
+    A collision is looked for between the fine path of the robot and the pedestrians as they truly
+    move in this step; the time is up at the limit; collision and success come before time-out.
 
     Attributes:
         limit_s: Time limit of an episode.
@@ -222,11 +224,11 @@ class ExactVerdict(Verdict):
         """Smallest over the pieces of the path, each a straight relative motion, in m."""
         points = step.path.position.shape[-2]
         time = torch.linspace(0, step.dt_s, points, dtype=step.time.dtype, device=step.time.device)
-        travelled = step.human_velocity[..., None, :] * time[:, None]
-        human = step.humans.position[..., None, :] + travelled
-        relative = human - step.path.position[..., None, :, :]
+        travelled = step.pedestrian_velocity[..., None, :] * time[:, None]
+        pedestrian = step.pedestrians.position[..., None, :] + travelled
+        relative = pedestrian - step.path.position[..., None, :, :]
         heading = step.path.heading[..., None, :].expand(relative.shape[:-1])
-        radius = step.humans.radius[..., None].expand(relative.shape[:-1])
+        radius = step.pedestrians.radius[..., None].expand(relative.shape[:-1])
         approach = Approach(
             start=relative[..., :-1, :],
             end=relative[..., 1:, :],

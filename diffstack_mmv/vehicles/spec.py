@@ -10,7 +10,7 @@ from diffstack_mmv.vehicles.parameter import ParameterSpec
 from diffstack_mmv.vehicles.parts import (
     BODY_PARAMETERS,
     WHEEL_PARAMETERS,
-    Footprint,
+    FootprintSpec,
     Limits,
     Smoothing,
     Steering,
@@ -62,7 +62,7 @@ class VehicleSpec:
     height_m: float
     wheelbase: ParameterSpec
     limits: Limits
-    footprint: Footprint
+    footprint: FootprintSpec
     wheels: tuple[WheelSpec, ...]
     steering: Steering
     parameters: Mapping[str, ParameterSpec]

@@ -32,6 +32,14 @@ def solved(problem, limit, solver=EXACT):
     return solver(dynamics, cost, box, state, torch.zeros(len(state), 20, m))
 
 
+def published_problem(file):
+    """Tensors of a file of published problems, each with one entry per problem."""
+    tensors = [torch.tensor(file[key]) for key in ("A", "B", "b", "H", "x0")]
+    count = len(tensors[-1])
+    shared = [tensor.repeat(count, *[1] * tensor.dim()) for tensor in tensors[:-1]]
+    return *shared, tensors[-1]
+
+
 def unstable(n, m, count=6):
     """Random systems that grow by up to a half in every step."""
     A = torch.eye(n) + 0.4 * torch.randn(count, n, n) / n**0.5
@@ -77,10 +85,7 @@ def published(shared):
 @pytest.mark.parametrize("name", ["test_umax1", "second_umax1", "test_umax10000"])
 def test_published_problems_are_solved_with_their_gradients(published, name):
     file = published(name)
-    tensors = [torch.tensor(file[key]) for key in ("A", "B", "b", "H", "x0")]
-    count = len(tensors[-1])
-    shared = [tensor.repeat(count, *[1] * tensor.dim()) for tensor in tensors[:-1]]
-    leaves = [tensor.requires_grad_() for tensor in (*shared, tensors[-1])]
+    leaves = [tensor.requires_grad_() for tensor in published_problem(file)]
     solution = solved(leaves, float(file["u_max"]))
     assert solution.converged.all()
     assert np.abs(solution.controls.detach().numpy() - file["u"]).max() < 1e-7
@@ -93,16 +98,15 @@ def test_published_problems_are_solved_with_their_gradients(published, name):
 
 def test_a_promise_of_nothing_does_not_make_a_point_stationary(monkeypatch):
     """What is said to have converged has no projected gradient, whatever the model promises."""
-    from diffstack_mmv.control import ilqr
-
-    plain = ilqr.definite_policy
+    names = ILQR.minimise.__globals__
+    plain = names["definite_policy"]
 
     def promising_nothing(*arguments):
         policy = plain(*arguments)
         none = torch.zeros_like
         return policy._replace(gains=none(policy.gains), decrease=none(policy.decrease))
 
-    monkeypatch.setattr(ilqr, "definite_policy", promising_nothing)
+    monkeypatch.setitem(names, "definite_policy", promising_nothing)
     solution = solved(unstable(4, 2), 1.0)
     assert (solution.residual > 0.1).all()
     assert (solution.status != SolverStatus.CONVERGED).all()

@@ -57,17 +57,19 @@ def world_with():
 
 @pytest.fixture
 def scene_with():
-    """One human at a given place that wants to go to a given goal, the robot at the origin."""
+    """One pedestrian at a given place that wants to go to a given goal, the robot at the origin."""
 
-    def build(human, goal, robot_goal=(0.0, 8.0)):
+    def build(pedestrian, goal, robot_goal=(0.0, 8.0)):
         scene = CircleCrossing(humans=1).case("test", 0)
-        place = torch.tensor([human], dtype=torch.float64)
+        place = torch.tensor([pedestrian], dtype=torch.float64)
         aim = torch.tensor([goal], dtype=torch.float64)
-        humans = scene.humans._replace(position=place, goal=aim, velocity=torch.zeros_like(place))
+        pedestrians = scene.pedestrians._replace(
+            position=place, goal=aim, velocity=torch.zeros_like(place)
+        )
         return scene._replace(
             robot_position=torch.zeros(2, dtype=torch.float64),
             robot_goal=torch.tensor(robot_goal, dtype=torch.float64),
-            humans=humans,
+            pedestrians=pedestrians,
         )
 
     return build

@@ -95,7 +95,7 @@ def test_a_scene_of_ones_own_can_be_started():
     scene = CircleCrossing(humans=2).case("val", 5)
     env = CrowdNavEnv(humans=2)
     env.reset(options={"scene": scene})
-    assert np.array_equal(env.human_positions, scene.humans.position.numpy())
+    assert np.array_equal(env.human_positions, scene.pedestrians.position.numpy())
 
 
 def test_a_picture_has_height_width_and_three_colours():
@@ -113,7 +113,7 @@ def test_without_a_render_mode_nothing_is_drawn():
     assert env.render() is None
 
 
-def test_a_visible_robot_changes_the_way_of_the_humans():
+def test_a_visible_robot_changes_the_way_of_the_pedestrians():
     places = []
     for visible in (True, False):
         env = CrowdNavEnv(robot_visible=visible)
@@ -155,7 +155,7 @@ def test_social_force_pedestrians_walk_in_the_environment(world_with):
         ({"footprint": "vehicle"}, "`footprint` must be disc.* for robot 'holonomic'"),
         ({"robot": "bicycle", "dynamics": "magic"}, "`dynamics` must be one of"),
         ({"verdict": "mild"}, "`verdict` must be one of crowdnav, exact"),
-        ({"render_mode": "human"}, "`render_mode` must be one of rgb_array"),
+        ({"render_mode": "pedestrian"}, "`render_mode` must be one of rgb_array"),
     ],
 )
 def test_impossible_settings_are_refused_by_name(settings, message):

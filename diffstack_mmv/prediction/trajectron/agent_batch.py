@@ -10,17 +10,21 @@ from diffstack_mmv.geometry import motion_in_frame, rotate
 from diffstack_mmv.prediction.current import current_heading, current_position, trend
 from diffstack_mmv.types import Mode, Motion, Tracks, map_tensors
 
-WALKERS = (Mode.UNKNOWN, Mode.PEDESTRIAN, Mode.STROLLER)
+PEDESTRIANS = (Mode.UNKNOWN, Mode.PEDESTRIAN, Mode.STROLLER)
 MEMORY_S = 0.7  # of the fit to the track, the best one on cyclists
-EGO, VEHICLE, WALKER = 0, 1, 2  # roles; the kinds of the encoders are VEHICLE and WALKER alone
+EGO, VEHICLE, PEDESTRIAN = (
+    0,
+    1,
+    2,
+)  # roles; the kinds of the encoders are VEHICLE and PEDESTRIAN alone
 
 
-class AgentRows(NamedTuple):
+class AgentBatch(NamedTuple):
     """R agents, each seen in the frame of its own last row."""
 
     index: Int[Tensor, " R"]  # scene * agents + agent
-    role: Int[Tensor, " R"]  # EGO, VEHICLE or WALKER
-    kind: Int[Tensor, " R"]  # VEHICLE or WALKER
+    role: Int[Tensor, " R"]  # EGO, VEHICLE or PEDESTRIAN
+    kind: Int[Tensor, " R"]  # VEHICLE or PEDESTRIAN
     origin: Float[Tensor, "R 2"]  # m, of the own frame in the frame of the scene
     heading: Float[Tensor, " R"]  # rad, of the own frame in the frame of the scene
     past: Tracks  # R H, in the own frame
@@ -28,7 +32,7 @@ class AgentRows(NamedTuple):
     acceleration: Float[Tensor, "R 2"]  # m/s² now, in the own frame
 
 
-def agent_rows(agents: Tracks, dt_s: float) -> AgentRows:
+def agent_batch(agents: Tracks, dt_s: float) -> AgentBatch:
     """Gather the present agents of scenes `B A`.
 
     Args:
@@ -41,7 +45,7 @@ def agent_rows(agents: Tracks, dt_s: float) -> AgentRows:
     now = trend(scene_tracks, MEMORY_S, dt_s)
     kind = agent_kind(scene_tracks.mode)
     is_ego = index % agents.mode.shape[1] == 0
-    return AgentRows(
+    return AgentBatch(
         index=index,
         role=torch.where(is_ego, torch.full_like(kind, EGO), kind),
         kind=kind,
@@ -54,10 +58,10 @@ def agent_rows(agents: Tracks, dt_s: float) -> AgentRows:
 
 
 def agent_kind(mode: Int[Tensor, "*b"]) -> Int[Tensor, "*b"]:
-    """WALKER for those who can step sideways, VEHICLE for all others."""
-    walkers = torch.tensor([int(walker) for walker in WALKERS], device=mode.device)
-    walks = (mode.unsqueeze(-1) == walkers).any(-1)
-    return torch.where(walks, torch.full_like(mode, WALKER), torch.full_like(mode, VEHICLE))
+    """PEDESTRIAN for those who can step sideways, VEHICLE for all others."""
+    pedestrians = torch.tensor([int(pedestrian) for pedestrian in PEDESTRIANS], device=mode.device)
+    walks = (mode.unsqueeze(-1) == pedestrians).any(-1)
+    return torch.where(walks, torch.full_like(mode, PEDESTRIAN), torch.full_like(mode, VEHICLE))
 
 
 def take_rows(agents: Tracks, index: Int[Tensor, " R"]) -> Tracks:
@@ -66,7 +70,7 @@ def take_rows(agents: Tracks, index: Int[Tensor, " R"]) -> Tracks:
     return map_tensors(lambda field: field.flatten(0, dims - 1)[index], agents)
 
 
-def select_rows(rows: AgentRows, place: Int[Tensor, " S"]) -> AgentRows:
+def select_agents(rows: AgentBatch, place: Int[Tensor, " S"]) -> AgentBatch:
     """Rows at some places."""
     return map_tensors(lambda field: field[place], rows)
 
