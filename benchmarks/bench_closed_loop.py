@@ -15,7 +15,7 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
 import diffstack_mmv.cli  # noqa: F401  registers the resolvers
-from diffstack_mmv.simulation import DiscFootprint, ExactVerdict, OrcaCrowd, World, drive
+from diffstack_mmv.simulation import ExactVerdict, OrcaCrowd, World, drive
 
 CONFIGS = str(Path(__file__).resolve().parents[1] / "configs")
 
@@ -36,8 +36,6 @@ class Timed:
     def __init__(self, controller):
         self.controller, self.seconds = controller, []
 
-    massless = False
-
     def init(self, observation):
         return self.controller.init(observation)
 
@@ -51,7 +49,7 @@ class Timed:
 
 def measure(dynamics, episodes, repeats):
     config = composed(dynamics)
-    world = World(instantiate(config.robot), OrcaCrowd(), ExactVerdict(DiscFootprint(), 10.0))
+    world = World(instantiate(config.robot), OrcaCrowd(), ExactVerdict(10.0))
     scenario, seconds = instantiate(config.scenario), []
     for repeat in range(repeats):
         timed = Timed(instantiate(config.controller))

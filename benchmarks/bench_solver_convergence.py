@@ -5,12 +5,14 @@
 Needs the reference solutions in ../shared, see tests/control/test_reference.py, which holds the numbers.
 """
 
+import time
+
 import numpy as np
 import torch
-from bench_solver_gradients import reference
+from bench_solver_gradients import ROOT, reference
 
 from diffstack_mmv.control import ILQR, Batched, Bounds
-from tests.control import test_reference
+from tests.control import test_linear_quadratic, test_reference
 
 CLOSE = 1 + 1e-4
 
@@ -45,6 +47,30 @@ def costs(given, name, dtype, levels):
         controls = solution.controls.double().numpy()
         found.append(module.true_cost(name, instances["x0"], instances["p"], controls)[0])
     return np.stack(found)
+
+
+def published():
+    """The 128 bounded LQR problems of acados' differentiable NMPC paper, in float64."""
+    print("\n128 published LQR problems with four controls, T = 20, unstable, tolerance 1e-16.\n")
+    print(
+        "| problems | bounds active | solved to 1e-7 | converged | largest error of the controls "
+        "| largest residual | iterations: mean | most | s, eager |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
+    for name in ("test_umax1", "test_umax10000", "second_umax1", "second_umax10000"):
+        folder = ROOT.parent / "shared" / "reference" / "mpc" / "acados_lqr"
+        file = dict(np.load(folder / f"reference_{name}.npz"))
+        problem = test_linear_quadratic.published_problem(file)
+        start = time.process_time()
+        solution = test_linear_quadratic.solved(problem, float(file["u_max"]))
+        seconds, steps = time.process_time() - start, solution.iterations.double()
+        error = np.abs(solution.controls.numpy() - file["u"]).max((1, 2))
+        print(
+            f"| {name} | {np.mean(file['active'] != 0):.1%} | {np.sum(error < 1e-7)} "
+            f"| {solution.converged.sum()} | {error.max():.1e} | {solution.residual.max():.1e} "
+            f"| {steps.mean():.1f} | {steps.max():.0f} | {seconds:.2f} |",
+            flush=True,
+        )
 
 
 def main():
@@ -82,3 +108,4 @@ if __name__ == "__main__":
     torch.set_num_threads(1)
     torch.set_default_dtype(torch.float64)
     main()
+    published()

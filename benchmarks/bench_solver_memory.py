@@ -26,7 +26,7 @@ def resident_mib():
 
 
 def measure(case):
-    """Held between forward and backward, and the peak above the start, in MiB."""
+    """Kept between forward and backward, and the peak above the start, in MiB."""
     unrolled, limit = case
     torch.set_num_threads(1)
     states, parameters = driving.instances(BATCH, STEPS)
@@ -37,23 +37,23 @@ def measure(case):
     solve = UnrolledILQR(solver) if unrolled else solver
     before = resident_mib()
     solution = solve(*ours.callables(p, wheelbase), box, state, torch.zeros(BATCH, STEPS, 2))
-    held = resident_mib() - before
+    kept = resident_mib() - before
     solution.controls.square().sum().backward()
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 - before
-    return int(solution.iterations.max()), held, peak
+    return int(solution.iterations.max()), kept, peak
 
 
 def main():
     print(f"Batch {BATCH}, T = {STEPS}, float32, eager; every case in a process of its own.\n")
-    print("| gradient | limit | iterations done | held for the backward pass, MiB | peak, MiB |")
+    print("| gradient | limit | iterations done | kept for the backward pass, MiB | peak, MiB |")
     print("|---|---|---|---|---|")
     context = multiprocessing.get_context("spawn")
     for unrolled in (False, True):
         for limit in (5, 50):
             with context.Pool(1) as pool:
-                iterations, held, peak = pool.map(measure, [(unrolled, limit)])[0]
+                iterations, kept, peak = pool.map(measure, [(unrolled, limit)])[0]
             kind = "unrolled" if unrolled else "implicit"
-            print(f"| {kind} | {limit} | {iterations} | {held:.0f} | {peak:.0f} |", flush=True)
+            print(f"| {kind} | {limit} | {iterations} | {kept:.0f} | {peak:.0f} |", flush=True)
 
 
 if __name__ == "__main__":

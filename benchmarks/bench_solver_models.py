@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from bench_solver_worker import fastest  # noqa: E402
 from peers import driving, ours  # noqa: E402
 
-from diffstack_mmv.control import ILQR, Batched  # noqa: E402
+from diffstack_mmv.control import ILQR, Batched, DifferencedCurvature, ExactCurvature  # noqa: E402
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM  # noqa: E402
 from diffstack_mmv.types import Motion  # noqa: E402
 from diffstack_mmv.vehicles import load_vehicle  # noqa: E402
@@ -44,11 +44,11 @@ def problem(model, batch, steps):
     return Batched(cost, parameters), model.initial_state(start).detach()
 
 
-def measure(name, vehicle, batch, steps, compiled, exact, limit_s):
+def measure(name, vehicle, batch, steps, compiled, curvature, limit_s):
     """One row."""
     model = MODELS[name](load_vehicle(vehicle))
     cost, state = problem(model, batch, steps)
-    solver = ILQR(compile=compiled, tolerance=1e-4, exact_curvature=exact)
+    solver = ILQR(compile=compiled, tolerance=1e-4, curvature=curvature)
     guess = torch.zeros(batch, steps, model.control_dim)
 
     def solve():
@@ -65,7 +65,7 @@ def measure(name, vehicle, batch, steps, compiled, exact, limit_s):
     share = float(solution.converged.double().mean())
     mean = float(solution.iterations.double().mean())
     kind = "compiled" if compiled else "eager"
-    kind += "" if exact else ", curvature by differences"
+    kind += ", curvature by differences" if curvature == DifferencedCurvature() else ""
     print(
         f"| {MODELS[name].__name__} {vehicle}, {kind} | {batch} | {1e3 * forward / batch:.3f} "
         f"| {1e3 * backward:.1f} | {backward / forward:.2f} | {share:.3f} | {mean:.1f} | {first:.0f} "
@@ -82,13 +82,14 @@ def main():
     parser.add_argument("--steps", type=int, default=30)
     parser.add_argument("--limit", type=float, default=20.0, help="seconds of repetitions per row")
     parser.add_argument("--eager", action="store_true")
-    parser.add_argument("--differences", action="store_true", help="exact_curvature=False")
+    parser.add_argument("--differences", action="store_true", help="DifferencedCurvature")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     print(f"T = {arguments.steps}, float32, tolerance 1e-4, one thread, processor time.\n")
     print("| model | batch | ms per problem | a gradient adds, ms | share of the solve | converged "
           "| iterations: mean | first call s | load of the machine |")  # fmt: skip
     print("|---|---|---|---|---|---|---|---|---|")
+    curvature = DifferencedCurvature() if arguments.differences else ExactCurvature()
     for name in arguments.models:
         for batch in arguments.batches:
             measure(
@@ -97,7 +98,7 @@ def main():
                 batch,
                 arguments.steps,
                 not arguments.eager,
-                not arguments.differences,
+                curvature,
                 arguments.limit,
             )
 

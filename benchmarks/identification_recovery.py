@@ -18,22 +18,21 @@ from pathlib import Path
 import pandas as pd
 import torch
 
-from diffstack_mmv.dynamics.catalogue import MODELS, model_of
+from diffstack_mmv.dynamics.catalogue import dynamics_names, model_of
 from diffstack_mmv.identification import (
-    Case,
-    Division,
+    DataSplit,
+    IdentifiabilityThresholds,
+    IdentificationProblem,
     Identifier,
-    LearnedParameters,
     LevenbergMarquardt,
-    Thresholds,
+    ParameterVector,
     TrackingSettings,
 )
-from diffstack_mmv.identification.combinations import combinations, quantities
-from diffstack_mmv.identification.synthetic import (
-    POOR,
-    RICH,
-    Recorder,
-    draw_truth,
+from diffstack_mmv.identification.inference.combinations import combinations, quantities
+from diffstack_mmv.identification.tracks.synthetic import (
+    POOR_MANOEUVRES,
+    RICH_MANOEUVRES,
+    MeasurementModel,
     record_manoeuvres,
 )
 from diffstack_mmv.vehicles import load_vehicle
@@ -42,7 +41,7 @@ ROWS = Path(__file__).parent / "results" / "identification.jsonl"
 TABLE = Path(__file__).parent / "results" / "identification.md"
 NOISE_M = 0.02
 CONTROL_NOISE = (0.05, 0.002)  # m/s^2, rad
-MANOEUVRES = {"rich": RICH, "poor": POOR}
+MANOEUVRES = {"rich": RICH_MANOEUVRES, "poor": POOR_MANOEUVRES}
 
 
 def vehicle(name, tied):
@@ -59,27 +58,32 @@ def recover(options, seed):
     generator = torch.Generator().manual_seed(seed)
     spec = vehicle(options.vehicle, options.tied)
     truth_model = model_of(spec, options.dynamics, 0.1).double()
-    learned = LearnedParameters(truth_model, spec)
-    truth = draw_truth(learned, generator)
+    learned = ParameterVector(truth_model, spec)
+    truth = learned.prior.draw_values(generator)
     learned.store(learned.theta_for(truth))
     noise = CONTROL_NOISE if options.controls == "measured" else None
-    recorder = Recorder(NOISE_M, noise)
+    measurement = MeasurementModel(NOISE_M, noise)
     manoeuvres = MANOEUVRES[options.manoeuvres] * options.repeats
     fitted, heldout = (
-        record_manoeuvres(truth_model, spec, each, recorder, generator)
+        record_manoeuvres(truth_model, spec, each, measurement, generator)
         for each in (manoeuvres, manoeuvres[::7])
     )
     settings = TrackingSettings(NOISE_M, NOISE_M, 20.0, 2.0, control_noise=noise)
     model = model_of(spec, options.dynamics, 0.1)
-    case = Case.of(model, spec, Division(fitted, heldout), settings)
+    problem = IdentificationProblem.of(model, spec, DataSplit(fitted, heldout), settings)
     identifier = Identifier(tracking=LevenbergMarquardt(30))
     begin = time.perf_counter()
-    found = identifier(case.tracker, case.data)
+    found = identifier(problem.simulator, problem.data)
     seconds = time.perf_counter() - begin
-    values = case.tracker.parameters.values(found.after.theta)
-    names, std = case.tracker.parameters.names, found.sensitivity.std
-    rows = [(name, truth[i], values[i], std[i], found.verdicts[i]) for i, name in enumerate(names)]
-    both = combinations(model, case.tracker.parameters, found.optima, Thresholds())
+    values = problem.simulator.parameters.values(found.after.theta)
+    names, std = problem.simulator.parameters.names, found.sensitivity.std
+    rows = [
+        (name, truth[i], values[i], std[i], found.identifiability[i])
+        for i, name in enumerate(names)
+    ]
+    both = combinations(
+        model, problem.simulator.parameters, found.optima, IdentifiabilityThresholds()
+    )
     exact = quantities(truth_model)
     rows += [(c.name, exact[i], c.estimate, c.std, c.verdict) for i, c in enumerate(both)]
     setting = {key: getattr(options, key) for key in SETTING} | {"seed": seed, "seconds": seconds}
@@ -118,7 +122,7 @@ def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("dynamics", choices=sorted(MODELS))
+    parser.add_argument("dynamics", choices=dynamics_names())
     parser.add_argument("--vehicle", default="bicycle")
     parser.add_argument("--controls", choices=("measured", "free"), default="measured")
     parser.add_argument("--manoeuvres", choices=tuple(MANOEUVRES), default="rich")

@@ -2,7 +2,7 @@
 
     python benchmarks/identification_resolution.py CACHE --truth gm3 kbm --seeds 3
 
-Rides that explain the most exciting TH-AB cyclists are driven by a model that then is the truth; positions every
+Rides that explain the most exciting TH-AB cyclists are continuous by a model that then is the truth; positions every
 0.08 s get the noise of the recording, are smoothed as a converter does, and followed by all models. The table goes to
 benchmarks/results/identification_resolution.md.
 """
@@ -19,17 +19,18 @@ from data_converters.smoothing import ZeroPhaseSmoother
 from diffstack_mmv.data import ConvertedCache, read_tracks, recorded_noise
 from diffstack_mmv.dynamics.catalogue import model_of
 from diffstack_mmv.identification import (
-    Case,
-    Division,
-    ExcitingChoice,
+    DataSplit,
+    ExcitationSelection,
+    IdentificationProblem,
     Identifier,
-    Stretch,
-    StretchSettings,
-    Study,
+    ModelComparison,
+    Recordings,
+    SegmentSettings,
     TrackingSettings,
-    cut,
-    divide,
-    ridden,
+    TrackSegment,
+    cut_tracks,
+    estimate_rider_scales,
+    split_segments,
 )
 from diffstack_mmv.vehicles import load_vehicle
 
@@ -39,8 +40,8 @@ MODELS = ("gm3", "kbm", "unicycle")
 IDENTIFIER = Identifier(starts=0)
 
 
-def recorded_again(stretch, position, noise, generator):
-    """A stretch of other positions, with noise and smoothed."""
+def recorded_again(segment, position, noise, generator):
+    """A segment of other positions, with noise and smoothed."""
     time_s = DT_S * np.arange(len(position))
     at_s = np.arange(0.0, time_s[-1] + 1e-9, STEP_S)
     way = CubicSpline(time_s, position)
@@ -52,18 +53,18 @@ def recorded_again(stretch, position, noise, generator):
     smooth = ZeroPhaseSmoother()(at_s, way(at_s) + error, time_s[time_s <= at_s[-1]])
     course = np.unwrap(np.arctan2(smooth.rate[:, 1], smooth.rate[:, 0]))
     speed = np.hypot(smooth.rate[:, 0], smooth.rate[:, 1])
-    return Stretch(
-        stretch.name, *(torch.from_numpy(each) for each in (smooth.value, course, speed))
+    return TrackSegment(
+        segment.name, *(torch.from_numpy(each) for each in (smooth.value, course, speed))
     )
 
 
-def errors(spec, settings, stretches, told):
+def errors(spec, settings, segments, origin):
     """One row per model."""
-    study = Study(spec, Division(stretches[:2], stretches), settings, IDENTIFIER)
+    study = ModelComparison(spec, DataSplit(segments[:2], segments), settings, IDENTIFIER)
     rows = []
     for name in MODELS:
-        heldout = study(lambda name=name: model_of(spec, name, DT_S)).heldout
-        rows.append({"tracks": told, "model": name, **heldout.pooled()})
+        heldout = study(lambda name=name: model_of(spec, name, DT_S)).validation
+        rows.append({"tracks": origin, "model": name, **heldout.pooled()})
     return rows
 
 
@@ -74,25 +75,31 @@ def main():
     parser.add_argument("cache", help="folder of the trajdata cache of thab_vru")
     parser.add_argument("--truth", nargs="+", default=["gm3", "kbm"], choices=MODELS)
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--stretches", type=int, default=40)
+    parser.add_argument("--segments", type=int, default=40)
     options = parser.parse_args()
     source, spec = ConvertedCache("thab_vru", options.cache), load_vehicle("bicycle")
     tracks = read_tracks(source, ("train", "val"), "bicycle")
-    chosen = divide(
-        cut(tracks, StretchSettings()), ExcitingChoice(), options.stretches, 1, 0
+    chosen = split_segments(
+        cut_tracks(Recordings(tracks), SegmentSettings()),
+        ExcitationSelection(),
+        options.segments,
+        1,
+        0,
     ).fitted
     step, noise = (recorded_noise(source, "bicycle", step_s) for step_s in (DT_S, STEP_S))
     if step is None or noise is None:
         parser.error("the cache holds no cyclists")
-    settings = ridden(TrackingSettings(**step._asdict()), spec, chosen, DT_S)
+    settings = estimate_rider_scales(TrackingSettings(**step._asdict()), spec, chosen, DT_S)
     rows = errors(spec, settings, chosen, "recorded")
     for truth in options.truth:
-        case = Case.of(model_of(spec, truth, DT_S), spec, Division(chosen, chosen[:1]), settings)
-        rides = case.explained(IDENTIFIER(case.tracker, case.data))
+        problem = IdentificationProblem.of(
+            model_of(spec, truth, DT_S), spec, DataSplit(chosen, chosen[:1]), settings
+        )
+        rides = problem.fitted_motions(IDENTIFIER(problem.simulator, problem.data))
         for seed in range(options.seeds):
             generator = np.random.default_rng(seed)
             again = [
-                recorded_again(ride.stretch, ride.position.numpy(), noise, generator)
+                recorded_again(ride.segment, ride.position.numpy(), noise, generator)
                 for ride in rides
             ]
             rows += errors(spec, settings, again, f"simulated by {truth}")

@@ -7,13 +7,14 @@ from data_converters.convert import ConversionSettings, convert
 from data_converters.errors import CacheError, ConversionError, RejectReason, TrackError
 from data_converters.imptc import ImptcDataset, ImptcVruDataset, SequenceSplit, TrackFilter
 from data_converters.imptc.sample import generate_sample, generate_vru_sample
-from data_converters.modes import Mode, default_extent
+from data_converters.modes import default_extent
 from data_converters.opening import open_cache
 from data_converters.report import ConversionReport
 from data_converters.smoothing import CausalSmoother, ZeroPhaseSmoother
 from data_converters.thab import ThabVruDataset
 from data_converters.tracks import ResampleSettings
 from data_converters.two_wheeler import TwoWheelerDataset
+from dmmv_conventions.modes import Mode
 
 __all__ = [
     "CacheError",

@@ -1,4 +1,4 @@
-"""The cache on disk: trajdata's own files per scene, and one file that says version and state."""
+"""Writing of a cache: trajdata's own files per scene, and tables beside them."""
 
 from __future__ import annotations
 
@@ -15,27 +15,11 @@ from trajdata.data_structures.agent import AgentMetadata
 from trajdata.data_structures.environment import EnvMetadata
 from trajdata.data_structures.scene_metadata import Scene
 
-from data_converters.errors import CacheError, fault, refuse
-from data_converters.recordings import SPLITS, RawScene
+from data_converters.recordings import RawScene
 from data_converters.tracks import AgentRows
+from dmmv_conventions.cache import side_table
 
-FORMAT_VERSION = 1
-STATE_FILE = "cache.json"
 SCENE_REPORT_FILE = "conversion.json"
-REPORT_FILE = "conversion_report.json"
-
-
-def environment(name: str, dt_s: float, scene_splits: Mapping[str, str]) -> EnvMetadata:
-    """Trajdata's description of a data set with the tags `name` x train, val, test; dt_s in s."""
-    metadata = EnvMetadata(
-        name=name,
-        data_dir=name,
-        dt=dt_s,
-        parts=[SPLITS],  # type: ignore[list-item]
-        scene_split_map=dict(scene_splits),
-    )
-    metadata.data_dir = Path(name)
-    return metadata
 
 
 def write_scene(
@@ -72,7 +56,7 @@ def write_scene(
     if raw.signals is not None:
         DataFrameCache.save_traffic_light_data(raw.signals, base, scene)
     for stem, table in raw.side_tables.items():
-        table.to_parquet(base / metadata.name / name / f"{stem}.parquet", index=False)
+        table.to_parquet(side_table(base / metadata.name / name, stem), index=False)
     EnvCache(base).save_scene(scene)
     return scene
 
@@ -100,32 +84,3 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     partial = path.with_name(f".{path.name}.partial")
     partial.write_text(json.dumps(content, indent=1, default=str) + "\n", encoding="utf-8")
     os.replace(partial, path)
-
-
-def read_state(cache: Path, name: str) -> dict[str, Any]:
-    """The state file of a finished environment of this version.
-
-    Args:
-        cache: Folder of the cache.
-        name: Name of the environment.
-
-    Returns:
-        The content of `cache.json`.
-
-    Raises:
-        CacheError: If the environment is absent, unfinished or of another version.
-    """
-    path = cache / name / STATE_FILE
-    remedy = f"Convert the data again: scripts/convert.py data={name} data.cache={cache}"
-    unfinished = any(cache.glob(f".converting_{name}_*"))
-    found = "an unfinished conversion" if unfinished else "no such file"
-    needs = f"hold a finished conversion of '{name}' ({STATE_FILE})"
-    refuse(not path.is_file(), "cache", needs, found, path, remedy, CacheError)
-    try:
-        state = json.loads(path.read_text(encoding="utf-8"))
-    except json.JSONDecodeError as error:
-        raise CacheError(f"{fault(STATE_FILE, 'be JSON', error, path, remedy)}") from error
-    for field, wanted in (("format_version", FORMAT_VERSION), ("complete", True)):
-        found = state.get(field)
-        refuse(found != wanted, field, f"be {wanted}", found, path, remedy, CacheError)
-    return state

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import hashlib
 import json
 import logging
 import os
@@ -19,19 +17,14 @@ from typing import Any, ClassVar
 from tqdm import tqdm
 from trajdata.caching.env_cache import EnvCache
 
-from data_converters.cache import (
-    FORMAT_VERSION,
-    REPORT_FILE,
-    SCENE_REPORT_FILE,
-    STATE_FILE,
-    environment,
-    write_json,
-    write_scene,
-)
-from data_converters.errors import ConversionError, TrackError, fault, refuse
-from data_converters.recordings import RawScene, RecordingDataset, SceneSource
+from data_converters.cache import SCENE_REPORT_FILE, write_json, write_scene
+from data_converters.errors import ConversionError, TrackError, fault, require
+from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
 from data_converters.report import ConversionReport, SceneReport, report_scene
 from data_converters.tracks import AgentRows, ResampleSettings, resample, split_at_gaps
+from dmmv_conventions.cache import FORMAT_VERSION, REPORT_FILE, STATE_FILE, staging_folder
+from dmmv_conventions.disk import disk_is_full
+from dmmv_conventions.opening import environment
 
 logger = logging.getLogger(__name__)
 
@@ -60,7 +53,7 @@ class ConversionSettings:
     progress: bool = True
 
     def __post_init__(self) -> None:
-        refuse(self.workers < 1, "workers", "be at least 1", self.workers, "", "Give 1.")
+        require(self.workers >= 1, "workers", "be at least 1", self.workers, "", "Give 1.")
 
     def content(self) -> dict[str, Any]:
         """The settings that change the cache, as plain values."""
@@ -78,7 +71,7 @@ class ConversionSettings:
     @property
     def staging(self) -> Path:
         """Folder in which the environment grows until it is complete."""
-        return self.cache / f".converting_{self.dataset.name}_{self.digest()}"
+        return staging_folder(self.cache, self.dataset.name, self.digest())
 
 
 def convert(settings: ConversionSettings) -> ConversionReport:
@@ -102,7 +95,7 @@ def convert(settings: ConversionSettings) -> ConversionReport:
         reports = _convert_scenes(settings, sources)
         return _finish(settings, reports)
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        if not disk_is_full(error):
             raise
         remedy = "Free space and run the same command again: finished scenes are kept."
         raise ConversionError(
@@ -226,7 +219,7 @@ def _finished_scene(settings: ConversionSettings, source: SceneSource) -> SceneR
         if not path.is_file():
             continue
         report = SceneReport(**json.loads(path.read_text(encoding="utf-8")))
-        if report.key != key:
+        if report.key != key or not report.current:
             continue
         if folder != staged:
             partial = settings.staging / f".partial_{source.name}"
@@ -255,7 +248,7 @@ def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> Convers
     usable = [scene for scene in reports if scene.usable]
     found = f"0 of {sum(s.tracks_read for s in reports)} ({report.rejected_by_reason})"
     remedy = "See the reasons; `strict` shows the first fault."
-    refuse(not usable, "root", "hold a usable track", found, settings.dataset.root, remedy)
+    require(bool(usable), "root", "hold a usable track", found, settings.dataset.root, remedy)
     location = settings.dataset.location
     listed = [(s.name, location, s.split, s.steps, i) for i, s in enumerate(usable)]
     EnvCache(settings.staging).save_env_scenes_list(".", listed)  # type: ignore[arg-type]
@@ -296,4 +289,4 @@ def _scene_key(settings: ConversionSettings, source: SceneSource) -> str:
 
 def _hash(content: object) -> str:
     text = json.dumps(content, sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    return fingerprint(text.encode())

@@ -5,6 +5,8 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import NoReturn
 
+from dmmv_conventions.checks import message
+
 
 class RejectReason(StrEnum):
     """Why a track, or a stretch of it, is missing from the cache; keys of the report."""
@@ -46,42 +48,42 @@ class TrackError(ConversionError):
         return type(self), (str(self), self.reason)
 
 
-def refuse(
+def require(
     condition: bool,
-    field: str,
+    argument: str,
     requirement: str,
     value: object,
-    where: object,
-    remedy: str,
-    kind: type[ConversionError] = ConversionError,
+    where: object = "",
+    remedy: str = "",
+    error: type[ConversionError] = ConversionError,
 ) -> None:
-    """Refuse a setting, a data set or a cache; the other arguments are those of `fault`.
+    """Refuse a setting, a data set or a cache; the arguments in the middle are those of `fault`.
 
     Raises:
-        ConversionError: `condition` is true; of class `kind`.
+        ConversionError: `condition` is false; of class `error`.
     """
-    if condition:
-        raise kind(f"{fault(field, requirement, value, where, remedy)}")
+    if not condition:
+        raise error(f"{fault(argument, requirement, value, where, remedy)}")
 
 
 def refuse_track(
-    reason: RejectReason, field: str, requirement: str, value: object, where: object, remedy: str
+    reason: RejectReason, argument: str, requirement: str, value: object, where: object, remedy: str
 ) -> NoReturn:
     """Refuse a track for a reason; the other arguments are those of `fault`.
 
     Raises:
         TrackError: Always.
     """
-    raise TrackError(f"{fault(field, requirement, value, where, remedy)}", reason)
+    raise TrackError(f"{fault(argument, requirement, value, where, remedy)}", reason)
 
 
-def fault(field: str, requirement: str, value: object, where: object, remedy: str) -> str:
-    """Wording of an error: "`field` must requirement, but got value in where. Remedy".
+def fault(argument: str, requirement: str, value: object, where: object, remedy: str) -> str:
+    """Wording of an error about recordings, which can hold anything.
 
     Args:
-        field: Name of the argument, the column or the key at fault.
+        argument: Name of the argument, the column or the key at fault.
         requirement: What it must do or be.
-        value: What was found; long values are cut.
+        value: What was found; text is quoted, long values are cut.
         where: File or scene, "" where there is none.
         remedy: One sentence that says what to do.
 
@@ -90,5 +92,4 @@ def fault(field: str, requirement: str, value: object, where: object, remedy: st
     """
     shown = repr(value) if isinstance(value, str) else str(value)
     shown = shown if len(shown) <= 120 else f"{shown[:117]}..."
-    place = f" in {where}" if str(where) else ""
-    return f"`{field}` must {requirement}, but got {shown}{place}. {remedy}"
+    return message(argument, requirement, shown, f"in {where}" if str(where) else "", remedy)

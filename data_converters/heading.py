@@ -1,4 +1,4 @@
-"""Heading of an agent: along its cuboid if it has one, else along its motion, held at rest."""
+"""HeadingTrack of an agent: along its cuboid if it has one, else along its motion, held at rest."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class HeadingSource(IntEnum):
     UNKNOWN = 3
 
 
-class Heading(NamedTuple):
-    """Heading (n,) in rad, counter-clockwise from east, in [-pi, pi), and its source (n,)."""
+class HeadingTrack(NamedTuple):
+    """HeadingTrack (n,) in rad, counter-clockwise from east, in [-pi, pi), and its source (n,)."""
 
     angle: Array
     source: NDArray[np.int8]
@@ -34,7 +34,7 @@ def wrap(angle: Array) -> Array:
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
-def heading_from_motion(velocity: Array, standstill_mps: float, *, backfill: bool) -> Heading:
+def heading_from_motion(velocity: Array, standstill_mps: float, *, backfill: bool) -> HeadingTrack:
     """Direction of the velocity; held while the agent is slower than `standstill_mps`.
 
     Before the first motion the heading of that first motion is used (a cyclist cannot turn on the
@@ -47,12 +47,12 @@ def heading_from_motion(velocity: Array, standstill_mps: float, *, backfill: boo
         backfill: Whether rows before the first motion take its heading.
 
     Returns:
-        Heading in rad and its source per row.
+        HeadingTrack in rad and its source per row.
     """
     moving = np.hypot(velocity[:, 0], velocity[:, 1]) >= standstill_mps
     source = np.where(moving, HeadingSource.MEASURED, HeadingSource.HELD).astype(np.int8)
     if not moving.any():
-        return Heading(
+        return HeadingTrack(
             np.zeros(len(velocity)), np.full(len(velocity), HeadingSource.UNKNOWN, np.int8)
         )
     angle = np.arctan2(velocity[:, 1], velocity[:, 0])
@@ -62,7 +62,7 @@ def heading_from_motion(velocity: Array, standstill_mps: float, *, backfill: boo
     source[:start] = HeadingSource.BACKFILLED if backfill else HeadingSource.UNKNOWN
     if not backfill:
         angle[:start] = 0.0
-    return Heading(wrap(angle), source)
+    return HeadingTrack(wrap(angle), source)
 
 
 def heading_from_axis(
@@ -72,8 +72,8 @@ def heading_from_axis(
     velocity: Array,
     smoother: Smoother,
     standstill_mps: float,
-) -> Heading:
-    """Heading along a measured body axis whose direction is known up to half a turn.
+) -> HeadingTrack:
+    """HeadingTrack along a measured body axis whose direction is known up to half a turn.
 
     The doubled angle is smoothed as a unit vector, which is blind to half turns; the sign follows
     the motion: the one that agrees with most of the distance travelled.
@@ -87,7 +87,8 @@ def heading_from_axis(
         standstill_mps: Speed in m/s from which motion decides the sign.
 
     Returns:
-        Heading in rad at `at_s`; unknown in sign, and marked so, for an agent that never moves.
+        HeadingTrack in rad at `at_s`; unknown in sign, and marked so, for an agent that never
+        moves.
     """
     doubled = np.column_stack([np.cos(2.0 * axis), np.sin(2.0 * axis)])
     smooth = smoother(time_s, doubled, at_s).value
@@ -97,4 +98,4 @@ def heading_from_axis(
     along = velocity[:, 0] * np.cos(angle) + velocity[:, 1] * np.sin(angle)
     flipped = float(along[moving].sum()) < 0.0
     known = HeadingSource.MEASURED if moving.any() else HeadingSource.UNKNOWN
-    return Heading(wrap(angle + np.pi * flipped), np.full(len(angle), known, np.int8))
+    return HeadingTrack(wrap(angle + np.pi * flipped), np.full(len(angle), known, np.int8))

@@ -1,36 +1,15 @@
-"""Modes of travel as they stand in the cache, and sizes for agents that nobody measured."""
+"""Sizes of agents that nobody measured."""
 
 from __future__ import annotations
 
-from enum import IntEnum
-
 from trajdata.data_structures.agent import FixedExtent
 
-
-class Mode(IntEnum):
-    """Agent type stored in the cache.
-
-    The first five values are trajdata's `AgentType`; the rest continue it, because trajdata knows
-    no scooter. Members equal, and hash like, their integer, so they work in trajdata's filters,
-    distance tables and batches. `VEHICLE` is a car.
-    """
-
-    UNKNOWN = 0
-    VEHICLE = 1
-    PEDESTRIAN = 2
-    BICYCLE = 3
-    MOTORCYCLE = 4
-    SCOOTER = 5
-    SKATEBOARD = 6
-    CART = 7
-    STROLLER = 8
-    WHEELCHAIR = 9
-    TRUCK = 10
-
+# earlier caches name the modes as `data_converters.modes.Mode`
+from dmmv_conventions.modes import Mode
 
 _DEFAULT_EXTENT_M = {
     Mode.UNKNOWN: (0.8, 0.8, 1.6),
-    Mode.VEHICLE: (4.5, 1.8, 1.5),
+    Mode.CAR: (4.5, 1.8, 1.5),
     Mode.PEDESTRIAN: (0.5, 0.6, 1.75),
     Mode.BICYCLE: (1.8, 0.6, 1.75),
     Mode.MOTORCYCLE: (2.1, 0.8, 1.6),

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import pandas as pd
 
 from data_converters.errors import RejectReason, TrackError
 from data_converters.tracks import RawTrack
-
-SPLITS = ("train", "val", "test")
 
 
 class SceneSource(NamedTuple):
@@ -63,7 +62,11 @@ class RawScene:
         """
         if strict:
             raise error
-        self.rejected.append(Rejection(track, source, error.reason, str(error)))
+        self.leave_out(track, source, error.reason, str(error))
+
+    def leave_out(self, track: str, source: str, reason: RejectReason, detail: str) -> None:
+        """Count a track that is left out on purpose, which is no error of the recordings."""
+        self.rejected.append(Rejection(track, source, reason, detail))
 
     def note(self, name: str, count: int) -> None:
         """Add `count` to the counter `name`."""
@@ -75,20 +78,15 @@ class RecordingDataset(ABC):
     """A data set on disk.
 
     Attributes:
+        name: Name of the trajdata environment; no "-" in it.
+        location: Name of the place, as trajdata wants it.
         root: Folder of the recordings.
     """
 
+    name: ClassVar[str]
+    location: ClassVar[str]
+
     root: Path
-
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """Name of the trajdata environment; no "-" in it."""
-
-    @property
-    @abstractmethod
-    def location(self) -> str:
-        """Name of the place, as trajdata wants it."""
 
     @abstractmethod
     def scenes(self) -> list[SceneSource]:
@@ -113,3 +111,8 @@ class RecordingDataset(ABC):
     def notes(self) -> Mapping[str, object]:
         """Facts about the whole data set for the report, such as files dropped as duplicates."""
         return {}
+
+
+def fingerprint(content: bytes) -> str:
+    """Hash of what a scene is made from, 16 hexadecimal digits."""
+    return hashlib.sha256(content).hexdigest()[:16]

@@ -12,6 +12,7 @@ import numpy as np
 from data_converters.heading import HeadingSource
 from data_converters.recordings import RawScene, Rejection
 from data_converters.tracks import AgentRows, Residual
+from dmmv_conventions.modes import Mode
 
 WINDOW_STEPS_S = (4.0, 3.0)
 
@@ -44,6 +45,11 @@ class SceneReport:
         """Whether the scene holds an agent."""
         return bool(self.agents)
 
+    @property
+    def current(self) -> bool:
+        """Whether it has the present names of modes; an earlier report calls a car a vehicle."""
+        return set(self.agents) <= {mode.label for mode in Mode}
+
 
 def report_scene(
     name: str, split: str, key: str, raw: RawScene, agents: Sequence[AgentRows], dt_s: float
@@ -66,7 +72,7 @@ def report_scene(
     report.rejected = [_plain(item) for item in raw.rejected]
     window_steps = round(sum(WINDOW_STEPS_S) / dt_s)
     for agent in agents:
-        mode = agent.mode.name.lower()
+        mode = agent.mode.label
         _add(report.agents, mode, 1)
         _add(report.windows, mode, max(0, len(agent.rows) - window_steps))
         _count_rows(report, agent)

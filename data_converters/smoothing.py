@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import savgol_filter
 
-from data_converters.errors import refuse
+from data_converters.errors import require
 
 Array = NDArray[np.float64]
 
@@ -43,8 +43,8 @@ class Smoother(ABC):
     order: int = 2
 
     def __post_init__(self) -> None:
-        refuse(not self.window_s > 0.0, "window_s", "be positive", self.window_s, "", "Try 0.9.")
-        refuse(self.order not in (1, 2, 3), "order", "be 1, 2 or 3", self.order, "", "Use 2.")
+        require(self.window_s > 0.0, "window_s", "be positive", self.window_s, "", "Try 0.9.")
+        require(self.order in (1, 2, 3), "order", "be 1, 2 or 3", self.order, "", "Use 2.")
 
     @property
     @abstractmethod

@@ -11,10 +11,11 @@ import pandas as pd
 from numpy.typing import NDArray
 from trajdata.data_structures.agent import FixedExtent
 
-from data_converters.errors import RejectReason, refuse, refuse_track
+from data_converters.errors import RejectReason, refuse_track, require
 from data_converters.heading import heading_from_axis, heading_from_motion
-from data_converters.modes import Mode, default_extent
+from data_converters.modes import default_extent
 from data_converters.smoothing import SAMPLES_NEEDED, Smoother, SmoothSeries, ZeroPhaseSmoother
+from dmmv_conventions.modes import Mode
 
 Array = NDArray[np.float64]
 
@@ -76,7 +77,7 @@ class ResampleSettings:
     def __post_init__(self) -> None:
         for name in ("dt_s", "max_gap_s", "min_duration_s", "standstill_mps"):
             value = getattr(self, name)
-            refuse(not value > 0.0, name, "be positive", value, "", "Give SI units.")
+            require(value > 0.0, name, "be positive", value, "", "Give SI units.")
 
 
 class Residual(NamedTuple):

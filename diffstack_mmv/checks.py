@@ -1,6 +1,6 @@
 """Checks of arguments at the border: constructors, configuration and files.
 
-Every message reads "`argument` must requirement, but got value where. remedy".
+`message` and `require` tell all of them in one form, which the converters share.
 """
 
 import math
@@ -9,31 +9,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-
-def message(
-    argument: str, requirement: str, value: object, where: str = "", remedy: str = ""
-) -> str:
-    """Compose the one form in which this package complains about an argument."""
-    place = f" {where}" if where else ""
-    advice = f" {remedy}" if remedy else ""
-    return f"`{argument}` must {requirement}, but got {value}{place}.{advice}"
-
-
-def require(
-    condition: bool,
-    argument: str,
-    requirement: str,
-    value: object,
-    where: str = "",
-    remedy: str = "",
-) -> None:
-    """Refuse a value.
-
-    Raises:
-        ValueError: `condition` is false.
-    """
-    if not condition:
-        raise ValueError(message(argument, requirement, value, where, remedy))
+from dmmv_conventions.checks import message, require
 
 
 def require_positive(argument: str, value: float | int, where: str = "", remedy: str = "") -> None:

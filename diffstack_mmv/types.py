@@ -11,38 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from diffstack_mmv.checks import require_one_of
-
-
-class Mode(IntEnum):
-    """Mode of transport of an agent; the first five values are those of trajdata's `AgentType`."""
-
-    UNKNOWN = 0
-    CAR = 1
-    PEDESTRIAN = 2
-    BICYCLE = 3
-    MOTORCYCLE = 4
-    SCOOTER = 5
-    SKATEBOARD = 6
-    CART = 7
-    STROLLER = 8
-    WHEELCHAIR = 9
-    TRUCK = 10
-
-    @classmethod
-    def named(cls, name: str) -> "Mode":
-        """Return the mode of that name, in any case of letters.
-
-        Raises:
-            ValueError: There is no such mode.
-        """
-        require_one_of("mode", name.lower(), [mode.label for mode in cls])
-        return cls[name.upper()]
-
-    @property
-    def label(self) -> str:
-        """The name in lower case, as configurations and tables write it."""
-        return self.name.lower()
+from dmmv_conventions.modes import Mode as Mode  # a field of the records below, and known from here
 
 
 class SolverStatus(IntEnum):

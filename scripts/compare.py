@@ -5,7 +5,9 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
+from diffstack_mmv.checks import require_one_of
 from diffstack_mmv.cli import command
+from diffstack_mmv.metrics import OPEN_LOOP
 from diffstack_mmv.reporting import compare, paired_tests, read_runs, write_comparison
 from diffstack_mmv.vehicles import config_folder
 
@@ -15,10 +17,12 @@ logger = logging.getLogger(__name__)
 @command(config_folder(), "compare")
 def main(config: DictConfig) -> None:
     """Read what evaluate.py wrote and write one table."""
+    require_one_of("score", config.score, tuple(OPEN_LOOP))
     folders = [Path(run) for run in config.runs]
-    table = compare(read_runs(folders))
-    write_comparison(Path(config.out), table, paired_tests(folders, config.score))
-    logger.info("\n%s", table.to_markdown(index=False))
+    comparison = compare(read_runs(folders), OPEN_LOOP)
+    tests = paired_tests(folders, OPEN_LOOP[config.score])
+    write_comparison(Path(config.out), comparison, tests)
+    logger.info("\n%s", comparison.table.to_markdown(index=False))
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from omegaconf import DictConfig
 from diffstack_mmv.callbacks import scenes_of
 from diffstack_mmv.checks import require
 from diffstack_mmv.cli import command
+from diffstack_mmv.metrics import DISPLACEMENT, OPEN_LOOP
 from diffstack_mmv.plotting import draw_error_over_horizon, draw_scenes, save_figure
 from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
 from diffstack_mmv.stack import evaluate_windows, load_stack, outputs_of, representative
@@ -41,7 +42,8 @@ def main(config: DictConfig) -> None:
     if stack.goal.uses_future:
         baselines |= instantiate(config.baselines.to_goal)
     evaluation = evaluate_windows(stack, baselines, windows, config.batch_size)
-    metrics = summarise_modes(evaluation.samples, config.situations)
+    vehicle = trained["vehicle"]["name"]
+    metrics = summarise_modes(evaluation.samples, config.situations, vehicle)
     for mode in set(config.modes) - set(metrics["modes"]):
         logger.warning(
             "No sample of mode '%s' in split '%s'; the tables leave it out.", mode, config.split
@@ -49,7 +51,7 @@ def main(config: DictConfig) -> None:
     header = {
         "goal": stack.goal.name,
         "dynamics": trained["names"]["dynamics"],
-        "vehicle": trained["vehicle"]["name"],
+        "vehicle": vehicle,
         "data": config.data.name,
         "split": config.split,
         "seed": trained["seed"],
@@ -58,11 +60,10 @@ def main(config: DictConfig) -> None:
     }
     out = Path(config.out)
     write_parquet(out / "samples.parquet", evaluation.samples)
-    write_metrics(out, header | metrics)
+    write_metrics(out, header | metrics, OPEN_LOOP)
     if config.plots:
-        save_figure(
-            draw_error_over_horizon(evaluation.errors, config.dt_s), out / "error_over_horizon.png"
-        )
+        figure = draw_error_over_horizon(evaluation.errors, config.dt_s, DISPLACEMENT.heading)
+        save_figure(figure, out / "error_over_horizon.png")
         for mode, chosen in representative(evaluation.samples).items():
             scenes = scenes_of(*outputs_of(stack, windows, list(chosen.values())), list(chosen))
             save_figure(draw_scenes(scenes), out / f"plans_{mode}.png")

@@ -20,20 +20,20 @@ def main(config: DictConfig) -> None:
     spec = instantiate(config.spec)
     manoeuvre = instantiate(config.recorded if config.controls else config.manoeuvre)
     wheelbase_m = spec.wheelbase.entries()[0][0]
-    steps = manoeuvre(wheelbase_m, config.dt_s)
+    inputs = manoeuvre(wheelbase_m, config.dt_s)
     chosen = {config.names.dynamics: config.dynamics}
     others = {name: each for name, each in config.others.items() if each and name not in chosen}
     names = [wheel.name for wheel in spec.wheels]
     runs, out = {}, Path(config.out)
     for name, each in (chosen | others).items():
         model = instantiate(each).double()
-        runs[name] = drive(model, steps, manoeuvre.speed_mps, wheelbase_m, spec.rear_m)
+        runs[name] = drive(model, inputs, manoeuvre.speed_mps)
         save_run(out / f"trajectory_{name}.csv", model, runs[name])
         history = wheel_history(model, runs[name])
         if history is not None:
             save_figure(draw_wheels(history, names, config.dt_s), out / f"wheels_{name}.png")
-    lean = runs[config.names.dynamics].states
-    leaning = lean[:, 6].numpy() if spec.leans and lean.shape[-1] > 6 else None
+    lean = runs[config.names.dynamics].lean
+    leaning = lean.numpy() if spec.leans and lean is not None else None
     motions = {name: run.motion for name, run in runs.items()}
     save_figure(draw_runs(motions, config.dt_s, leaning), out / "runs.png")
     logger.info("Trajectories and figures: %s", out)

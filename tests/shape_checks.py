@@ -8,6 +8,7 @@ would take four times as long instead of one and a half times. What is refused i
 import dataclasses
 import functools
 import inspect
+from typing import Self
 
 import jaxtyping
 import torch
@@ -31,6 +32,8 @@ def checked(function=None, *, typechecker):
         return function
     if "<locals>" in function.__qualname__ or not function.__annotations__:
         return function
+    if function.__annotations__.get("return") is Self:
+        del function.__annotations__["return"]  # beartype knows it in whole classes only
     checking = typechecker(function)
 
     @functools.wraps(function)

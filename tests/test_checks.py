@@ -6,11 +6,6 @@ import torch
 from diffstack_mmv import checks
 
 
-def test_message_names_argument_requirement_value_place_and_remedy():
-    text = checks.message("mass_kg", "be positive", -1, "for vehicle 'x'", "Give kilograms.")
-    assert text == "`mass_kg` must be positive, but got -1 for vehicle 'x'. Give kilograms."
-
-
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
 def test_positive_refuses_zero_negative_and_not_finite(value):
     with pytest.raises(ValueError, match="`dt_s` must be positive"):

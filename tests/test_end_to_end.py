@@ -211,7 +211,7 @@ def test_resumed_run_ends_where_an_uninterrupted_one_does(workplace, tmp_path):
         ("compare", ["runs=[]"], "`runs` must name at least one folder"),
         ("identify", ["vehicle=skateboard"], "`mode` must have tracks"),
         ("identify", ["dynamics=kbm", "parameters=[grip]"], "must be one of wheelbase, but got"),
-        ("identify", ["stretch.min_s=90", "stretch.max_s=90"], "`tracks` must hold a stretch"),
+        ("identify", ["stretch.min_s=90", "stretch.max_s=90"], "`tracks` must hold a segment"),
     ],
 )
 def test_bad_input_ends_with_one_message(script, arguments, told, workplace, tmp_path):

@@ -4,6 +4,7 @@ Each part imports what its layer allows and nothing else.
 """
 
 import ast
+import sys
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,13 @@ ALLOWED = {
     "identification": {"checks", "types", "geometry", "vehicles", "dynamics", "costs", "control"},
     "simulation": {"checks", "types", "geometry", "dynamics", "prediction", "planning", "metrics"},
 }
+OURS = {"dmmv_conventions", "data_converters", "diffstack_mmv", "scripts"}
+# who takes what from the conventions; all others find modes and checks in `types` and `checks`
+CONVENTIONS = {
+    "checks": {"dmmv_conventions.checks"},
+    "types": {"dmmv_conventions.modes"},
+    "data": {"dmmv_conventions.cache", "dmmv_conventions.disk", "dmmv_conventions.opening"},
+}
 
 
 def imported(path):
@@ -44,6 +52,12 @@ def imported(path):
             yield node.module or ""
 
 
+def ours(file):
+    """Names of our own packages that a file imports, split at the dots."""
+    names = [name.split(".") for name in imported(ROOT / file)]
+    return [name for name in names if name[0] in OURS]
+
+
 def files(folder):
     return sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / folder).rglob("*.py"))
 
@@ -51,12 +65,29 @@ def files(folder):
 @pytest.mark.parametrize("file", files("diffstack_mmv"))
 def test_a_part_imports_only_what_its_layer_allows(file):
     part = Path(file).parts[1].removesuffix(".py")
-    names = [name.split(".") for name in imported(ROOT / file)]
-    parts = {name[1] for name in names if name[0] == "diffstack_mmv" and len(name) > 1}
+    parts = {name[1] for name in ours(file) if name[0] == "diffstack_mmv" and len(name) > 1}
     assert parts - {part} <= ALLOWED[part]
-    assert not {"scripts", "data_converters"} & {name[0] for name in names}
 
 
-@pytest.mark.parametrize("file", files("data_converters"))
-def test_converters_know_nothing_of_the_package(file):
-    assert "diffstack_mmv" not in {name.split(".")[0] for name in imported(ROOT / file)}
+# the conventions lie below everything: what both sides need, so that neither imports the other
+@pytest.mark.parametrize(
+    ("file", "allowed"),
+    [(file, {"dmmv_conventions"}) for file in files("dmmv_conventions")]
+    + [(file, {"dmmv_conventions", "data_converters"}) for file in files("data_converters")]
+    + [(file, {"dmmv_conventions", "diffstack_mmv"}) for file in files("diffstack_mmv")],
+)
+def test_packages_meet_in_the_conventions_only(file, allowed):
+    assert {name[0] for name in ours(file)} <= allowed
+
+
+@pytest.mark.parametrize("file", files("diffstack_mmv"))
+def test_only_base_parts_and_the_data_lie_on_the_conventions(file):
+    part = Path(file).parts[1].removesuffix(".py")
+    taken = {".".join(name) for name in ours(file) if name[0] == "dmmv_conventions"}
+    assert taken <= CONVENTIONS.get(part, set())
+
+
+@pytest.mark.parametrize("module", ["cache", "checks", "disk", "modes"])
+def test_plain_conventions_need_no_other_package(module):
+    names = {name.split(".")[0] for name in imported(ROOT / "dmmv_conventions" / f"{module}.py")}
+    assert names <= {"dmmv_conventions", *sys.stdlib_module_names}

@@ -14,7 +14,7 @@ COMMANDS = PROJECT["project"]["scripts"]
 def test_every_package_is_installed():
     found = {
         ".".join(path.parent.relative_to(ROOT).parts)
-        for top in ("diffstack_mmv", "data_converters")
+        for top in ("dmmv_conventions", "diffstack_mmv", "data_converters")
         for path in (ROOT / top).rglob("__init__.py")
     }
     renamed = {"diffstack_mmv_scripts", "diffstack_mmv_configs"}

@@ -1,11 +1,10 @@
-"""Records: modes, forecasts, and mapping over their tensors."""
+"""Records: forecasts, statuses, and mapping over their tensors."""
 
 import pytest
 import torch
 from torch.distributions import Categorical, MixtureSameFamily, MultivariateNormal
-from trajdata.data_structures.agent import AgentType
 
-from diffstack_mmv.types import Bounds, Forecast, Mode, SolverStatus, map_tensors
+from diffstack_mmv.types import Bounds, Forecast, SolverStatus, map_tensors
 
 
 def example_forecast(batch=(3,), components=4, steps=5):
@@ -13,18 +12,6 @@ def example_forecast(batch=(3,), components=4, steps=5):
     scale = factor.tril(-1) + torch.diag_embed(factor.diagonal(dim1=-2, dim2=-1).abs() + 0.1)
     weight = torch.randn(*batch, components).log_softmax(-1)
     return Forecast(weight, torch.randn(*batch, components, steps, 2), scale)
-
-
-@pytest.mark.parametrize("agent_type", list(AgentType))
-def test_modes_begin_with_the_values_of_trajdata(agent_type):
-    names = {"VEHICLE": "CAR"}
-    assert Mode(agent_type.value).name == names.get(agent_type.name, agent_type.name)
-
-
-def test_mode_is_found_by_name_in_any_case():
-    assert Mode.named("Scooter") is Mode.SCOOTER
-    with pytest.raises(ValueError, match="`mode` must be one of bicycle, .* but got 'bike'"):
-        Mode.named("bike")
 
 
 def test_forecast_density_agrees_with_torch_distributions():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 import pandas as pd
 from trajdata.maps.traffic_light_status import TrafficLightStatus
 
-from data_converters.errors import TrackError
+from data_converters.errors import RejectReason, TrackError, refuse_track
 from data_converters.imptc.reader import load_json, microseconds
 
 SIGNAL_GROUPS = ("k1", "k2", "k3", "k4", "k5", "k6", "f1", "f2", "f3")
@@ -44,7 +43,7 @@ def read_table(path: Path, section: str, origin_us: int) -> pd.DataFrame | None:
         Column `time_s` in s and the recorded values; None if the file is absent or empty.
 
     Raises:
-        TrackError: If the file is broken or an entry has no time.
+        TrackError: If the file is broken, or an entry is no object or has no time.
     """
     if not path.is_file():
         return None
@@ -56,7 +55,10 @@ def read_table(path: Path, section: str, origin_us: int) -> pd.DataFrame | None:
     return pd.DataFrame(rows).sort_values("time_s", ignore_index=True)
 
 
-def _row(key: str, entry: Mapping[str, Any], origin_us: int, path: Path) -> dict[str, Any]:
+def _row(key: str, entry: Any, origin_us: int, path: Path) -> dict[str, Any]:
+    if not isinstance(entry, dict):
+        needs, remedy = "be an object", "Unpack the archive again."
+        refuse_track(RejectReason.MISSING_FIELD, key, needs, entry, path, remedy)
     stamp = entry.get("ts", key.removeprefix("ts_").removeprefix("ts:"))
     time_s = (microseconds(stamp, str(path)) - origin_us) / 1e6
     return {"time_s": time_s, **{name: value for name, value in entry.items() if name != "ts"}}

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from data_converters.errors import TrackError, refuse
+from data_converters.errors import TrackError, require
 from data_converters.imptc.context import read_context, signals_per_step
 from data_converters.imptc.reader import (
     TrackFile,
@@ -22,8 +21,9 @@ from data_converters.imptc.reader import (
     refuse_missing,
     refuse_unfinished,
 )
-from data_converters.recordings import SPLITS, RawScene, RecordingDataset, SceneSource
+from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
 from data_converters.tracks import RawTrack
+from dmmv_conventions.cache import SPLITS
 
 SEQUENCE = re.compile(r"(\d{4})_(\d{8}_\d{6})")
 FAMILIES = ("vrus", "vehicles")
@@ -67,11 +67,11 @@ class SequenceSplit:
 
     def __post_init__(self) -> None:
         named = [name for split in SPLITS for name in getattr(self, split)]
-        wrong = len(set(named)) != len(named) or not set(named) <= set(PUBLISHED_SETS)
+        fits = len(set(named)) == len(named) and set(named) <= set(PUBLISHED_SETS)
         known = f"name each of {sorted(PUBLISHED_SETS)} at most once"
-        refuse(wrong, "split", known, named, "", "Correct the lists.")
-        unknown = not set(self.exceptions.values()) <= set(SPLITS)
-        refuse(unknown, "exceptions", f"name {SPLITS}", self.exceptions, "", "Correct them.")
+        require(fits, "split", known, named, "", "Correct the lists.")
+        fits = set(self.exceptions.values()) <= set(SPLITS)
+        require(fits, "exceptions", f"name {SPLITS}", self.exceptions, "", "Correct them.")
 
     def of(self, number: int) -> str | None:
         """Split of a sequence number, None if its set is not used."""
@@ -95,18 +95,11 @@ class ImptcDataset(RecordingDataset):
         keep: Which samples and tracks to keep.
     """
 
+    name: ClassVar[str] = "imptc"
+    location: ClassVar[str] = "aschaffenburg"
+
     split: SequenceSplit = field(default_factory=SequenceSplit)
     keep: TrackFilter = field(default_factory=TrackFilter)
-
-    @property
-    def name(self) -> str:
-        """Environment name."""
-        return "imptc"
-
-    @property
-    def location(self) -> str:
-        """Name of the place."""
-        return "aschaffenburg"
 
     def settings(self) -> Mapping[str, object]:
         """Split and filter."""
@@ -140,12 +133,11 @@ class ImptcDataset(RecordingDataset):
         folder = self.root / scene.key
         files: dict[str, TrackFile] = {}
         for path in track_files(folder):
-            name = f"{path.parent.parent.name[:-1]}_{path.parent.name}"
-            source = str(path.relative_to(self.root))
             try:
-                files[name] = parse_track(load_json(path), str(path), self.keep)
+                files[_agent_name(path)] = parse_track(load_json(path), str(path), self.keep)
             except TrackError as error:
-                raw.reject(name, source, error, strict=strict)
+                source = str(path.relative_to(self.root))
+                raw.reject(_agent_name(path), source, error, strict=strict)
         if not files:
             return raw
         origin = min(int(track.timestamp[0]) for track in files.values())
@@ -168,11 +160,10 @@ class ImptcDataset(RecordingDataset):
             except TrackError:
                 continue
             table = pd.DataFrame(track.position, columns=pd.Index(("x", "y", "z")))
-            name = f"{path.parent.parent.name[:-1]}_{path.parent.name}"
             table = table.assign(
                 timestamp_us=track.timestamp, speed=track.speed, mode=int(track.mode)
             )
-            parts.append(table.assign(agent_id=name))
+            parts.append(table.assign(agent_id=_agent_name(path)))
         return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
 
     def _add_context(self, raw: RawScene, folder: Path, origin: int, dt_s: float) -> None:
@@ -218,8 +209,13 @@ def to_raw_track(track: TrackFile, name: str, source: str, origin_us: int) -> Ra
     )
 
 
+def _agent_name(path: Path) -> str:
+    """Family and number of a track file: "vru_007" for vrus/007/track.json."""
+    return f"{path.parent.parent.name[:-1]}_{path.parent.name}"
+
+
 def _fingerprint(folder: Path) -> str:
     sizes = [(str(path.relative_to(folder)), path.stat().st_size) for path in track_files(folder)]
     context = sorted((folder / "context").glob("*.json"))
     sizes += [(path.name, path.stat().st_size) for path in context]
-    return hashlib.sha256(repr(sizes).encode()).hexdigest()[:16]
+    return fingerprint(repr(sizes).encode())

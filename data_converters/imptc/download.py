@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import http.client
 import json
@@ -20,7 +19,8 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from data_converters.errors import ConversionError, fault, refuse
+from data_converters.errors import ConversionError, fault, require
+from dmmv_conventions.disk import disk_is_full
 
 logger = logging.getLogger(__name__)
 
@@ -99,7 +99,7 @@ def download_imptc(
                     archive.unlink()
             folders.append(folder)
     except OSError as error:
-        if error.errno != errno.ENOSPC:
+        if not disk_is_full(error):
             raise
         remedy = "Free space and run it again: it goes on where it stopped."
         raise DownloadError(fault("out", "have free disk space", error, out, remedy)) from error
@@ -136,7 +136,7 @@ def _wanted(files: list[RemoteFile], parts: Sequence[Part], url: str) -> list[Re
         matching = [file for file in files if PART_FILES[part].fullmatch(file.name)]
         needs, found = f"be in the record ('{part}')", [file.name for file in files]
         remedy = "The record has changed; see `PART_FILES`."
-        refuse(not matching, "parts", needs, found, url, remedy, DownloadError)
+        require(bool(matching), "parts", needs, found, url, remedy, DownloadError)
         wanted += matching
     return wanted
 
@@ -166,12 +166,12 @@ def fetch(file: RemoteFile, folder: Path, *, attempts: int, progress: bool) -> P
             logger.warning("%s broke off at %d bytes: %s", file.name, _size(partial), error)
     found = f"{_size(partial)} after {attempts} attempts ({problem})"
     needs, remedy = f"have {file.size} bytes", "Run it again: it goes on where it stopped."
-    refuse(_size(partial) < file.size, file.name, needs, found, file.url, remedy, DownloadError)
+    require(_size(partial) >= file.size, file.name, needs, found, file.url, remedy, DownloadError)
     found = _md5(partial)
     if found != file.md5:
         partial.unlink()
     needs, remedy = f"have the MD5 sum {file.md5}", "The damaged file was removed; run it again."
-    refuse(found != file.md5, file.name, needs, found, file.url, remedy, DownloadError)
+    require(found == file.md5, file.name, needs, found, file.url, remedy, DownloadError)
     os.replace(partial, target)
     return target
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from data_converters.modes import Mode
+from dmmv_conventions.modes import Mode
 
 CLASS_MODES = {
     0: Mode.PEDESTRIAN,
@@ -11,7 +11,7 @@ CLASS_MODES = {
     4: Mode.SCOOTER,
     5: Mode.STROLLER,
     6: Mode.WHEELCHAIR,
-    7: Mode.VEHICLE,
+    7: Mode.CAR,
     8: Mode.TRUCK,
     10: Mode.UNKNOWN,
 }

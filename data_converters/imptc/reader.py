@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from trajdata.data_structures.agent import FixedExtent
 
-from data_converters.errors import ConversionError, RejectReason, fault, refuse, refuse_track
+from data_converters.errors import ConversionError, RejectReason, fault, refuse_track, require
 from data_converters.imptc.cuboid import measure_cuboids
 from data_converters.imptc.modes import CLASS_MODES
-from data_converters.modes import Mode
+from dmmv_conventions.modes import Mode
 
 Array = NDArray[np.float64]
 
@@ -106,8 +106,8 @@ def parse_track(content: Any, where: str, keep: TrackFilter) -> TrackFile:
     """
     samples = _section(content, "track_data", where, RejectReason.NO_TIMESTAMPS)
     mode = _mode(_section(content, "overview", where, RejectReason.MISSING_FIELD), where)
-    rows = [sample for sample in samples.values() if _status(sample, keep)]
-    if not rows:
+    kept = [sample for sample in samples.values() if _status(sample, keep)]
+    if not kept:
         refuse_track(
             RejectReason.LOW_STATUS,
             "status",
@@ -116,17 +116,17 @@ def parse_track(content: Any, where: str, keep: TrackFilter) -> TrackFile:
             where,
             "Lower it.",
         )
-    _check_probability(rows, keep, where)
-    stamps = np.array([_timestamp(row, where) for row in rows], dtype=np.int64)
+    _check_probability(kept, keep, where)
+    stamps = np.array([_timestamp(sample, where) for sample in kept], dtype=np.int64)
     stamps, order = np.unique(stamps, return_index=True)
-    rows_in_order = [rows[i] for i in order.tolist()]
-    position = _positions(rows_in_order, where)
-    axis, extent = _body(rows_in_order, where)
+    ordered = [kept[i] for i in order.tolist()]
+    position = _positions(ordered, where)
+    axis, extent = _body(ordered, where)
     return TrackFile(
         mode=mode,
         timestamp=stamps,
         position=position + (np.array(UTM32_OFFSET_M) if keep.utm else 0.0),
-        speed=np.array([_number(row.get("velocity")) for row in rows_in_order]) * KMH,
+        speed=np.array([_number(sample.get("velocity")) for sample in ordered]) * KMH,
         axis=axis,
         extent=extent,
         dropped=len(samples) - len(stamps),
@@ -153,13 +153,13 @@ def _mode(overview: Mapping[str, Any], where: str) -> Mode:
 
 
 def _status(sample: Any, keep: TrackFilter) -> bool:
-    return (
-        isinstance(sample, dict) and int(sample.get("status", keep.min_status)) >= keep.min_status
-    )
+    if not isinstance(sample, dict):
+        return False
+    return _number(sample.get("status", keep.min_status)) >= keep.min_status
 
 
-def _check_probability(rows: list[dict[str, Any]], keep: TrackFilter, where: str) -> None:
-    stated = [_number(row.get("class_prob", 1.0)) for row in rows]
+def _check_probability(samples: list[dict[str, Any]], keep: TrackFilter, where: str) -> None:
+    stated = [_number(sample.get("class_prob", 1.0)) for sample in samples]
     median = float(np.nanmedian(stated)) if np.isfinite(stated).any() else 1.0
     if median < keep.min_class_prob:
         refuse_track(
@@ -172,8 +172,8 @@ def _check_probability(rows: list[dict[str, Any]], keep: TrackFilter, where: str
         )
 
 
-def _timestamp(row: Mapping[str, Any], where: str) -> int:
-    if row.get("ts") is None:
+def _timestamp(sample: Mapping[str, Any], where: str) -> int:
+    if sample.get("ts") is None:
         refuse_track(
             RejectReason.NO_TIMESTAMPS,
             "ts",
@@ -182,7 +182,7 @@ def _timestamp(row: Mapping[str, Any], where: str) -> int:
             where,
             "Unpack the archive again.",
         )
-    return microseconds(row["ts"], where)
+    return microseconds(sample["ts"], where)
 
 
 def _number(value: object) -> float:
@@ -192,13 +192,13 @@ def _number(value: object) -> float:
         return float("nan")
 
 
-def _positions(rows: list[dict[str, Any]], where: str) -> Array:
-    position = np.array([_point(row.get("coordinates")) for row in rows])
+def _positions(samples: list[dict[str, Any]], where: str) -> Array:
+    position = np.array([_point(sample.get("coordinates")) for sample in samples])
     bad = ~np.isfinite(position).all(axis=1)
     if bad.any():
-        row = rows[int(np.argmax(bad))]
-        place = f"{where}, ts {row['ts']}"
-        found = row.get("coordinates")
+        sample = samples[int(np.argmax(bad))]
+        place = f"{where}, ts {sample['ts']}"
+        found = sample.get("coordinates")
         refuse_track(
             RejectReason.NOT_FINITE,
             "coordinates",
@@ -216,11 +216,11 @@ def _point(value: object) -> list[float]:
     return [_number(part) for part in value]
 
 
-def _body(rows: list[dict[str, Any]], where: str) -> tuple[Array | None, FixedExtent | None]:
+def _body(samples: list[dict[str, Any]], where: str) -> tuple[Array | None, FixedExtent | None]:
     """Axis per sample and median size, from the cuboids; None unless every sample has one."""
-    if not all("cuboid" in row for row in rows):
+    if not all("cuboid" in sample for sample in samples):
         return None, None
-    boxes = measure_cuboids([row["cuboid"] for row in rows], where)
+    boxes = measure_cuboids([sample["cuboid"] for sample in samples], where)
     size = [float(np.median(side)) for side in (boxes.length, boxes.width, boxes.height)]
     return boxes.axis, FixedExtent(*size)
 
@@ -239,7 +239,7 @@ def refuse_missing(what: str, found: str, root: Path) -> NoReturn:
         found = "no such folder"
     elif archives:
         found = f"archives that are not unpacked {archives}"
-    raise ConversionError(fault("root", f"hold {what}", found, root, remedy))
+    raise ConversionError(f"{fault('root', f'hold {what}', found, root, remedy)}")
 
 
 def refuse_unfinished(root: Path) -> None:
@@ -250,4 +250,4 @@ def refuse_unfinished(root: Path) -> None:
     """
     leftovers = sorted(path.name for mark in ("*.part", ".unpacking_*") for path in root.glob(mark))
     remedy = "Run scripts/download_imptc.py again (it resumes), or remove them."
-    refuse(bool(leftovers), "root", "be a finished download", leftovers, root, remedy)
+    require(not leftovers, "root", "be a finished download", leftovers, root, remedy)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from data_converters.errors import RejectReason, TrackError
 from data_converters.imptc.dataset import ImptcDataset, find_sequences, to_raw_track
@@ -18,7 +17,7 @@ from data_converters.imptc.reader import (
     refuse_missing,
     refuse_unfinished,
 )
-from data_converters.recordings import RawScene, RecordingDataset, SceneSource
+from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
 
 RELEASE_SPLITS = {"train": "train", "eval": "val", "test": "test"}
 """Folder of the release and its split."""
@@ -48,18 +47,11 @@ class ImptcVruDataset(RecordingDataset):
         sequences: The sequence release to agree with, None to take the published split as it is.
     """
 
+    name: ClassVar[str] = "imptc_vru"
+    location: ClassVar[str] = "aschaffenburg"
+
     keep: TrackFilter = field(default_factory=TrackFilter)
     sequences: ImptcDataset | None = None
-
-    @property
-    def name(self) -> str:
-        """Environment name."""
-        return "imptc_vru"
-
-    @property
-    def location(self) -> str:
-        """Name of the place."""
-        return "aschaffenburg"
 
     def settings(self) -> Mapping[str, object]:
         """Filter, and the split of the sequences where they are given."""
@@ -76,7 +68,8 @@ class ImptcVruDataset(RecordingDataset):
         """One scene per track, named split_NNNN.
 
         Raises:
-            ConversionError: If a split is missing, or a download is not finished.
+            ConversionError: If a split is missing, its combined file is broken, or a download is
+                not finished.
         """
         refuse_unfinished(self.root)
         absent = [name for name in RELEASE_SPLITS if not _present(self._base, name)]
@@ -84,10 +77,10 @@ class ImptcVruDataset(RecordingDataset):
             refuse_missing("train, eval and test of the VRU release", f"no {absent}", self.root)
         scenes = []
         for name, split in RELEASE_SPLITS.items():
-            for track, fingerprint in self._tracks(name):
+            for track, mark in self._tracks(name):
                 key = f"{name}/{track}"
                 agrees = "" if key not in self._conflicts else "other_split"
-                scenes.append(SceneSource(f"{name}_{track}", split, key, fingerprint + agrees))
+                scenes.append(SceneSource(f"{name}_{track}", split, key, mark + agrees))
         return scenes
 
     def read(self, scene: SceneSource, dt_s: float, *, strict: bool) -> RawScene:
@@ -101,9 +94,7 @@ class ImptcVruDataset(RecordingDataset):
         conflict = self._conflicts.get(scene.key)
         if conflict is not None:
             message = f"{conflict.source} is in {conflict.sequence_split} of the sequence release"
-            raw.reject(
-                "vru", scene.key, TrackError(message, RejectReason.OTHER_SPLIT), strict=False
-            )
+            raw.leave_out("vru", scene.key, RejectReason.OTHER_SPLIT, message)
             return raw
         path = self._base / scene.key / "track.json"
         try:
@@ -164,4 +155,4 @@ def _present(base: Path, name: str) -> bool:
 
 
 def _digest(content: object) -> str:
-    return hashlib.sha256(repr(content).encode()).hexdigest()[:16]
+    return fingerprint(repr(content).encode())

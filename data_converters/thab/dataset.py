@@ -7,18 +7,19 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data_converters.errors import RejectReason, TrackError, refuse
-from data_converters.modes import Mode
-from data_converters.recordings import SPLITS, RawScene, RecordingDataset, SceneSource
+from data_converters.errors import RejectReason, TrackError, require
+from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
 from data_converters.thab.duplicates import find_contained, group_recordings
 from data_converters.thab.modes import FOLDER_MODES
 from data_converters.thab.reader import ThabFile, parse, read_files
 from data_converters.tracks import RawTrack
+from dmmv_conventions.cache import SPLITS
+from dmmv_conventions.modes import Mode
 
 
 class _Index(NamedTuple):
@@ -49,23 +50,16 @@ class ThabVruDataset(RecordingDataset):
         ConversionError: If the shares are negative or do not add up to 1.
     """
 
+    name: ClassVar[str] = "thab_vru"
+    location: ClassVar[str] = "aschaffenburg"
+
     shares: tuple[float, float, float] = (0.70, 0.15, 0.15)
     salt: str = ""
 
     def __post_init__(self) -> None:
-        wrong = min(self.shares) < 0.0 or abs(sum(self.shares) - 1.0) > 1e-9
+        fits = min(self.shares) >= 0.0 and abs(sum(self.shares) - 1.0) <= 1e-9
         remedy = "Give for instance (0.7, 0.15, 0.15)."
-        refuse(wrong, "shares", "be >= 0 and add up to 1", self.shares, "", remedy)
-
-    @property
-    def name(self) -> str:
-        """Environment name."""
-        return "thab_vru"
-
-    @property
-    def location(self) -> str:
-        """Name of the place."""
-        return "aschaffenburg"
+        require(fits, "shares", "be >= 0 and add up to 1", self.shares, "", remedy)
 
     def settings(self) -> Mapping[str, object]:
         """Shares and salt of the split."""
@@ -76,7 +70,7 @@ class ThabVruDataset(RecordingDataset):
         groups = {(self._index.modes[name], group) for name, group in self._index.groups.items()}
         return {
             "contained": dict(sorted(self._index.contained.items())),
-            "recording_groups": dict(Counter(mode.name.lower() for mode, _ in groups)),
+            "recording_groups": dict(Counter(mode.label for mode, _ in groups)),
         }
 
     def scenes(self) -> list[SceneSource]:
@@ -103,7 +97,7 @@ class ThabVruDataset(RecordingDataset):
             return raw
         if path in index.contained:
             message = f"all samples of {path} are part of {index.contained[path]}"
-            raw.reject("track", path, TrackError(message, RejectReason.CONTAINED), strict=False)
+            raw.leave_out("track", path, RejectReason.CONTAINED, message)
             return raw
         samples = index.samples[path]
         samples = samples[np.argsort(samples[:, 0], kind="stable")]
@@ -156,7 +150,7 @@ class ThabVruDataset(RecordingDataset):
         samples = self._index.samples.get(path)
         content = b"" if samples is None else samples.tobytes()
         holder = self._index.contained.get(path, "")
-        return hashlib.sha256(content + holder.encode()).hexdigest()[:16]
+        return fingerprint(content + holder.encode())
 
 
 def _scene_name(path: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from data_converters.modes import Mode
+from dmmv_conventions.modes import Mode
 
 FOLDER_MODES = {"cyclists": Mode.BICYCLE, "pedestrians": Mode.PEDESTRIAN}
 PHASES = ("moving", "starting", "stopping", "waiting")

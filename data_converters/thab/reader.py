@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
-from data_converters.errors import RejectReason, refuse, refuse_track
+from data_converters.csv_table import read_numbers
+from data_converters.errors import ConversionError, RejectReason, fault, refuse_track, require
 from data_converters.thab.modes import FOLDER_MODES, PHASES
 
 COLUMNS = ("timestamp", "x", "y")
@@ -40,11 +40,10 @@ def read_files(root: Path) -> list[ThabFile]:
             archive is broken.
     """
     files = [file for group in FOLDER_MODES for file in _read_group(root, group)]
-    if not files:
-        names = ", ".join(f"{group}/ or {group}.tar.gz" for group in FOLDER_MODES)
-        found = "no such folder" if not root.is_dir() else "none of them"
-        remedy = "Give the folder of the TH-AB VRU tracks."
-        refuse(True, "root", f"hold {names}", found, root, remedy)
+    names = ", ".join(f"{group}/ or {group}.tar.gz" for group in FOLDER_MODES)
+    found = "no such folder" if not root.is_dir() else "none of them"
+    remedy = "Give the folder of the TH-AB VRU tracks."
+    require(bool(files), "root", f"hold {names}", found, root, remedy)
     return sorted(files, key=lambda file: file.path)
 
 
@@ -67,16 +66,8 @@ def _read_archive(archive: Path, group: str) -> Iterator[ThabFile]:
                 if stream is not None and path.parent.name in PHASES:
                     yield ThabFile(group, path.parent.name, path.stem, stream.read())
     except (tarfile.TarError, EOFError, OSError) as error:
-        remedy = "Copy the archive again."
-        refuse(True, "archive", "be whole", error, archive, remedy)
-
-
-def _read_table(content: bytes) -> pd.DataFrame:
-    """The table of a file; text where a number should be is left for the caller to find."""
-    try:
-        return pd.read_csv(io.BytesIO(content), usecols=COLUMNS.__contains__, dtype=np.float64)
-    except ValueError:
-        return pd.read_csv(io.BytesIO(content))
+        told = fault("archive", "be whole", error, archive, "Copy the archive again.")
+        raise ConversionError(f"{told}") from error
 
 
 def parse(file: ThabFile) -> NDArray[np.float64]:
@@ -85,26 +76,8 @@ def parse(file: ThabFile) -> NDArray[np.float64]:
     Raises:
         TrackError: If a column is missing, a value is no finite number, or the clock stands still.
     """
-    try:
-        table = _read_table(file.content)
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        refuse_track(
-            RejectReason.MISSING_FIELD,
-            "file",
-            "be a csv table",
-            error,
-            file.path,
-            "Copy the file again.",
-        )
-    missing = [column for column in COLUMNS if column not in table.columns]
-    if missing:
-        reason = RejectReason.NO_TIMESTAMPS if COLUMNS[0] in missing else RejectReason.MISSING_FIELD
-        found = list(table.columns)
-        refuse_track(
-            reason, "columns", f"contain {missing}", found, file.path, "Copy the file again."
-        )
-    numbers = {column: pd.to_numeric(table[column], errors="coerce") for column in COLUMNS}
-    values = pd.DataFrame(numbers).to_numpy(dtype=np.float64)
+    table = read_numbers(io.BytesIO(file.content), COLUMNS, file.path)
+    values = table.to_numpy(dtype=np.float64)
     if not np.isfinite(values).all():
         row = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
         place = f"{file.path}, row {row}"

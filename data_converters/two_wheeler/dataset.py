@@ -6,17 +6,18 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
-from data_converters.errors import TrackError, refuse
-from data_converters.modes import Mode
+from data_converters.errors import TrackError, require
 from data_converters.recordings import RawScene, RecordingDataset, SceneSource
 from data_converters.tracks import RawTrack
 from data_converters.two_wheeler.reader import Boxes, lean_to_the_left, read_boxes
+from dmmv_conventions.cache import LEAN_TABLE
+from dmmv_conventions.modes import Mode
 
 FILE_MODES = {
     "bicycle": Mode.BICYCLE,
@@ -25,8 +26,6 @@ FILE_MODES = {
 }
 TURNS = ("train", "test", "train", "val")
 """Splits of successive pieces of a ride."""
-
-LEAN_TABLE = "lean"
 
 
 class _Rides(NamedTuple):
@@ -52,20 +51,13 @@ class TwoWheelerDataset(RecordingDataset):
         ConversionError: If `piece_s` is not positive.
     """
 
+    name: ClassVar[str] = "two_wheeler"
+    location: ClassVar[str] = "karlsruhe"
+
     piece_s: float = 10.0
 
     def __post_init__(self) -> None:
-        refuse(not self.piece_s > 0.0, "piece_s", "be positive", self.piece_s, "", "Try 10.")
-
-    @property
-    def name(self) -> str:
-        """Environment name."""
-        return "two_wheeler"
-
-    @property
-    def location(self) -> str:
-        """Name of the place."""
-        return "karlsruhe"
+        require(self.piece_s > 0.0, "piece_s", "be positive", self.piece_s, "", "Try 10.")
 
     def settings(self) -> Mapping[str, object]:
         """Length of a piece."""
@@ -78,10 +70,10 @@ class TwoWheelerDataset(RecordingDataset):
             ConversionError: If none of the files is there.
         """
         rides = self._rides
-        if not rides.boxes and not rides.faults:
-            names = ", ".join(f"{stem}.csv" for stem in FILE_MODES)
-            remedy = "Give the folder of the two-wheeler recordings."
-            refuse(True, "root", f"hold one of {names}", "none", self.root, remedy)
+        names = ", ".join(f"{stem}.csv" for stem in FILE_MODES)
+        remedy = "Give the folder of the two-wheeler recordings."
+        found = bool(rides.boxes or rides.faults)
+        require(found, "root", f"hold one of {names}", "none", self.root, remedy)
         pieces = [
             SceneSource(f"{stem}_{number}", TURNS[number % len(TURNS)], f"{stem}/{number}", mark)
             for stem, boxes in rides.boxes.items()

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from data_converters.csv_table import read_numbers
 from data_converters.errors import RejectReason, refuse_track
 
 Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ def read_boxes(path: Path) -> Boxes:
     Raises:
         TrackError: If the file is no table, lacks a column, or a number is missing.
     """
-    table = _read_table(path)
+    table = read_numbers(path, COLUMNS, path)
     table = table[table["obj_id"] == RIDER].sort_values("time_s").drop_duplicates("time_s")
     values = table[list(COLUMNS)].to_numpy(dtype=np.float64)
     broken = ~np.isfinite(values).all(axis=1)
@@ -71,18 +71,3 @@ def lean_to_the_left(upright: Array, velocity: Array) -> Array:
     left = np.stack([-velocity[:, 1], velocity[:, 0]], axis=1)
     left /= np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-9)
     return np.arctan2((upright[:, :2] * left).sum(axis=1), upright[:, 2])
-
-
-def _read_table(path: Path) -> pd.DataFrame:
-    try:
-        table = pd.read_csv(path)
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        reason = RejectReason.MISSING_FIELD
-        refuse_track(reason, "file", "be a csv table", error, path, "Copy the file again.")
-    missing = [column for column in COLUMNS if column not in table.columns]
-    if missing:
-        reason = RejectReason.MISSING_FIELD
-        found = list(table.columns)
-        refuse_track(reason, "columns", f"contain {missing}", found, path, "Copy the file again.")
-    numbers = {column: pd.to_numeric(table[column], errors="coerce") for column in COLUMNS}
-    return pd.DataFrame(numbers)

@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+from diffstack_mmv.metrics import OPEN_LOOP
+
 PANELS: dict[str, tuple[str, ...]] = {
     "Losses": (
         "train/loss",
@@ -17,6 +19,9 @@ PANELS: dict[str, tuple[str, ...]] = {
         "val/plan_ade",
         "val/planning_loss",
         "val/collision_rate",
+        "val/min_ade",
+        "val/miss_rate",
+        "val/n_missing",
     ),
     "Solver": ("train/solved", "val/solved"),
     "Gradients": ("gradient/predictor", "gradient/cost", "gradient/dynamics"),
@@ -54,7 +59,9 @@ def build_dashboard(entity: str, project: str, modes: Sequence[str]) -> str:
         layout[f"Mode: {mode}"] = tuple(f"val/{mode}/{score}" for score in MODE_SCORES)
     sections = [
         workspaces.Section(
-            name=name, is_open=True, panels=[panels.LinePlot(title=key, y=[key]) for key in keys]
+            name=name,
+            is_open=True,
+            panels=[panels.LinePlot(title=panel_title(key), y=[key]) for key in keys],
         )
         for name, keys in layout.items()
     ]
@@ -62,3 +69,11 @@ def build_dashboard(entity: str, project: str, modes: Sequence[str]) -> str:
         entity=entity, project=project, name="diffstack_mmv", sections=sections
     )
     return view.save().url
+
+
+def panel_title(key: str) -> str:
+    """Title of what is logged under a key; scores have theirs, with unit and origin."""
+    *origin, name = key.split("/")
+    if name not in OPEN_LOOP:
+        return key
+    return f"{OPEN_LOOP[name].heading} ({', '.join(origin)})"

@@ -11,13 +11,17 @@ from pytorch_lightning.loggers import WandbLogger
 from pytorch_lightning.utilities import rank_zero_only
 
 from diffstack_mmv.checks import require_at_least
-from diffstack_mmv.plotting import Scene, draw_scenes
+from diffstack_mmv.metrics import OPEN_LOOP
+from diffstack_mmv.plotting import PlannedScene, draw_scenes
 from diffstack_mmv.types import Mode, StackBatch, Tracks
+
+SHOWN = ("ade", "plan_ade")
+"""Scores beside each image, by name."""
 
 
 def scenes_of(
     batch: StackBatch, output: Any, titles: list[str], shown_components: int = 5
-) -> list[Scene]:
+) -> list[PlannedScene]:
     """What a stack made of a batch, ready to draw; positions in m."""
     forecast = output.forecast
     order = forecast.log_weight[:, 0].argsort(-1, descending=True)[:, :shown_components]
@@ -37,7 +41,7 @@ def scenes_of(
     arrays: list[np.ndarray] = [column.detach().cpu().numpy() for column in columns]
     seen = present.cpu().numpy()
     return [
-        Scene._make([title, *(array[i] for array in arrays), neighbors[i][seen[i]]])
+        PlannedScene._make([title, *(array[i] for array in arrays), neighbors[i][seen[i]]])
         for i, title in enumerate(titles)
     ]
 
@@ -83,11 +87,12 @@ class PlanTable(Callback):
             output: Any = pl_module(batch)
             scores: Any = pl_module.score(batch, output)  # pyright: ignore[reportCallIssue]
         labels = [Mode(int(mode)).label for mode in batch.ego_past.mode[: self.samples]]
-        table = wandb.Table(columns=["mode", "ade_m", "plan_ade_m", "plan"])
+        headings = [OPEN_LOOP[name].heading for name in SHOWN]
+        table = wandb.Table(columns=["mode", *headings, "plan"])
         for i, scene in enumerate(scenes_of(batch, output, labels)):
             figure = draw_scenes([scene], columns=1)
             image = wandb.Image(_pixels(figure))
-            table.add_data(labels[i], float(scores["ade"][i]), float(scores["plan_ade"][i]), image)
+            table.add_data(labels[i], *(float(scores[name][i]) for name in SHOWN), image)
         logger.experiment.log({"plans": table, "epoch": trainer.current_epoch})
 
 

@@ -1,5 +1,6 @@
 """Differentiable model predictive control: `ILQR`, and the interfaces it works with."""
 
+from diffstack_mmv.control.curvature import CurvatureForm, DifferencedCurvature, ExactCurvature
 from diffstack_mmv.control.ilqr import ILQR
 from diffstack_mmv.control.optimizer import Cost, Dynamics, LinearisedDynamics, TrajectoryOptimizer
 from diffstack_mmv.control.selection import Batched, Selectable
@@ -11,7 +12,10 @@ __all__ = [
     "Batched",
     "Bounds",
     "Cost",
+    "CurvatureForm",
+    "DifferencedCurvature",
     "Dynamics",
+    "ExactCurvature",
     "LinearisedDynamics",
     "Selectable",
     "Solution",

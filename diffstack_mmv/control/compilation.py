@@ -14,18 +14,12 @@ from torch._dynamo.decorators import maybe_mark_dynamic
 from torch._dynamo.exc import FailOnRecompileLimitHit, TorchDynamoException
 from torch._inductor.exc import InductorError
 
-from diffstack_mmv.control.expansion import (
-    Model,
-    assemble,
-    expand_by_differences,
-    value_along,
-)
+from diffstack_mmv.control.curvature import CurvatureForm, LocalModel
 from diffstack_mmv.control.iteration import Iterate, attempt
 from diffstack_mmv.control.optimizer import Cost, Dynamics
-from diffstack_mmv.control.pieces import Pieces, pull
 from diffstack_mmv.control.riccati import Policy, Stationary, box_policy, solve_free
-from diffstack_mmv.control.selection import Batched
-from diffstack_mmv.control.size_free import SizeFree
+from diffstack_mmv.control.selection import Batched, is_shared
+from diffstack_mmv.control.shape_polymorphic import ShapePolymorphic
 
 LOGGER = logging.getLogger(__name__)
 LARGEST_ROW = 8  # a size beyond it may be a batch or a horizon, not a row of controls or step sizes
@@ -102,15 +96,19 @@ class Kernel:
 class Kernels(NamedTuple):
     """The parts of an iteration and of the adjoint, eager or compiled."""
 
-    expand: Callable[..., Model]
+    expand: LocalModel
     box_policy: Callable[..., Policy]
     attempt: Callable[..., Iterate]
     solve_free: Callable[..., Stationary]
 
 
-def eager_kernels(expand: Callable[..., Model]) -> Kernels:
-    """The functions as they are, with one of the forms of `expand`."""
-    return Kernels(expand, box_policy, attempt, solve_free)
+def eager_kernels(curvature: CurvatureForm) -> Kernels:
+    """The functions as they are."""
+
+    def as_it_is(function: Callable[..., Any], fixed_shapes: bool = False) -> Callable[..., Any]:
+        return function
+
+    return Kernels(curvature.local_model(False, as_it_is), box_policy, attempt, solve_free)
 
 
 @functools.cache
@@ -127,28 +125,17 @@ def _recursions(n: int, m: int, single: bool, device: str) -> tuple[Kernel, Kern
 
 
 @functools.cache
-def _models(
-    key: Hashable, expand: Callable[..., Model], longest_row: int, device: str
-) -> tuple[Kernel, Kernel]:
-    """The kernels of one kind of dynamics and cost."""
-    options, context = _options(device), functools.partial(SizeFree, longest_row)
-    model, step = (Kernel(function, options, context) for function in (expand, attempt))
-    return model, step
-
-
-@functools.cache
-def _pieces(key: Hashable, longest_row: int, device: str) -> Pieces:
-    """The kernels of a local model in pieces, for one kind of dynamics and cost."""
-    options, context = _options(device), functools.partial(SizeFree, longest_row)
-    return Pieces(
-        Kernel(pull, options, varying=False),
-        Kernel(value_along, options, context),
-        Kernel(assemble, options),
-    )
+def _kernel(
+    key: Hashable, function: Callable[..., Any], longest_row: int, device: str, fixed_shapes: bool
+) -> Kernel:
+    """The kernel of a function for one kind of dynamics and cost."""
+    if fixed_shapes:
+        return Kernel(function, _options(device), varying=False)
+    return Kernel(function, _options(device), functools.partial(ShapePolymorphic, longest_row))
 
 
 def compiled_kernels(
-    expand: Callable[..., Model],
+    curvature: CurvatureForm,
     dynamics: Dynamics,
     cost: Cost,
     static: tuple[int, int, bool, int, int],
@@ -157,7 +144,7 @@ def compiled_kernels(
     """Kernels for problems of this kind, compiled at their first use.
 
     Args:
-        expand: One of its forms.
+        curvature: How the iterations come by the curvature of the dynamics.
         dynamics: The step.
         cost: The cost.
         static: Numbers a kernel is compiled for: n, m, whether the batch is one problem, leading
@@ -167,11 +154,12 @@ def compiled_kernels(
     policy, free = _recursions(*static[:3], device)
     key = kind(dynamics), kind(cost), static
     longest = max(*static[:2], LARGEST_ROW)
-    model, step = _models(key, expand, longest, device)
-    shared = isinstance(dynamics, Batched) and not dynamics.tensors
-    if shared and expand is expand_by_differences and device == "cpu":
-        return Kernels(_pieces(key, longest, device), policy, step, free)
-    return Kernels(model, policy, step, free)
+
+    def compiled(function: Callable[..., Any], fixed_shapes: bool = False) -> Kernel:
+        return _kernel(key, function, longest, device, fixed_shapes)
+
+    model = curvature.local_model(is_shared(dynamics) and device == "cpu", compiled)
+    return Kernels(model, policy, compiled(attempt), free)
 
 
 def _options(device: str) -> dict[str, Any]:

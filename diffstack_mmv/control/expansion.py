@@ -17,7 +17,7 @@ from diffstack_mmv.control.optimizer import Cost, Dynamics, LinearisedDynamics
 from diffstack_mmv.control.riccati import LinearQuadratic, costates
 
 
-class Curvature(NamedTuple):
+class HessianBlocks(NamedTuple):
     """Hessian of a sum over times whose entry t sees x_t and u_t only."""
 
     xx: Float[Tensor, "*b T1 n n"]
@@ -67,7 +67,7 @@ def _curvature(
     gradient: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]],
     states: Float[Tensor, "*b T n"],
     controls: Float[Tensor, "*b T m"],
-) -> Curvature:
+) -> HessianBlocks:
     """Hessian blocks from the gradient of a sum that is separable over times."""
     n, m = states.shape[-1], controls.shape[-1]
     pull = torch.func.vjp(gradient, states, controls)[1]
@@ -77,12 +77,12 @@ def _curvature(
 
     seeds = torch.eye(n + m, dtype=states.dtype, device=states.device)
     of_x, of_u = (part.movedim(0, -2) for part in torch.vmap(row)(seeds[:, :n], seeds[:, n:]))
-    return Curvature(of_x[..., :n, :], of_x[..., n:, :], of_u[..., n:, :])
+    return HessianBlocks(of_x[..., :n, :], of_x[..., n:, :], of_u[..., n:, :])
 
 
 def expand_cost(
     cost: Cost, states: Float[Tensor, "*b T1 n"], controls: Float[Tensor, "*b T1 m"]
-) -> tuple[Tensor, Tensor, Curvature]:
+) -> tuple[Tensor, Tensor, HessianBlocks]:
     """Gradient in x, gradient in u and Hessian of the cost at every time; controls are padded."""
     gradient = torch.func.grad(lambda x, u: cost(x, u).sum(), (0, 1))
     of_x, of_u = gradient(states, controls)
@@ -94,7 +94,7 @@ def dynamics_curvature(
     states: Float[Tensor, "*b T n"],
     controls: Float[Tensor, "*b T m"],
     costates: Float[Tensor, "*b T n"],
-) -> Curvature:
+) -> HessianBlocks:
     """Hessian of λ_{t+1} · f(x_t, u_t) at every pair."""
 
     def weighted(x: Tensor, u: Tensor) -> Tensor:
@@ -108,7 +108,7 @@ def differenced_curvature(
     states: Float[Tensor, "*b T n"],
     controls: Float[Tensor, "*b T m"],
     costates: Float[Tensor, "*b T n"],
-) -> Curvature:
+) -> HessianBlocks:
     """The same by forward differences of the exact gradient, steps √ε in units of the entries.
 
     Half of the digits, which a step of Newton's method does not miss, and a graph without second
@@ -133,7 +133,7 @@ def differenced_curvature(
     )
     xx, uu = of_x[..., :n, :], of_u[..., n:, :]
     ux = 0.5 * (of_x[..., n:, :] + of_u[..., :n, :].transpose(-2, -1))
-    return Curvature(0.5 * (xx + xx.transpose(-2, -1)), ux, 0.5 * (uu + uu.transpose(-2, -1)))
+    return HessianBlocks(0.5 * (xx + xx.transpose(-2, -1)), ux, 0.5 * (uu + uu.transpose(-2, -1)))
 
 
 class Model(NamedTuple):
@@ -152,6 +152,7 @@ def expand(
     like: Float[Tensor, "*b"],
     x: Float[Tensor, "T1 n N"],
     u: Float[Tensor, "T m N"],
+    near: Bool[Tensor, " N"] | None = None,  # makes no difference here
 ) -> Model:
     """Linear dynamics, gradient of the cost, and Hessian of the Lagrangian c + λ · f.
 
@@ -176,10 +177,10 @@ def expand_by_differences(
     there sooner.
     """
 
-    def curvature_of(*arguments: Any) -> Curvature:
+    def curvature_of(*arguments: Any) -> HessianBlocks:
         kept = from_batch_last(near, like)[..., None, None, None]
         bend = differenced_curvature(*arguments)
-        return Curvature(*(torch.where(kept, bent, torch.zeros_like(bent)) for bent in bend))
+        return HessianBlocks(*(torch.where(kept, bent, torch.zeros_like(bent)) for bent in bend))
 
     return _expand(dynamics, cost, like, x, u, curvature_of)
 
@@ -190,14 +191,14 @@ def _expand(
     like: Float[Tensor, "*b"],
     x: Float[Tensor, "T1 n N"],
     u: Float[Tensor, "T m N"],
-    curvature_of: Callable[..., Curvature],
+    curvature_of: Callable[..., HessianBlocks],
 ) -> Model:
     before, acting = from_batch_last(x[:-1], like), from_batch_last(u, like)
     jacobians = linearise_dynamics(dynamics, before, acting)
     A, B = (to_batch_last(jacobian, like) for jacobian in jacobians)
     value = value_along(cost, like, x, u, A)
     bend = curvature_of(dynamics, before, acting, from_batch_last(value.costates, like))
-    return assemble(x, u, A, B, value, Curvature(*(to_batch_last(bent, like) for bent in bend)))
+    return assemble(x, u, A, B, value, HessianBlocks(*(to_batch_last(bent, like) for bent in bend)))
 
 
 class Value(NamedTuple):
@@ -205,7 +206,7 @@ class Value(NamedTuple):
 
     x: Float[Tensor, "T1 n N"]
     u: Float[Tensor, "T m N"]
-    hessian: Curvature  # blocks (T1, rows, columns, N)
+    hessian: HessianBlocks  # blocks (T1, rows, columns, N)
     costates: Float[Tensor, "T n N"]
     magnitude: Float[Tensor, " N"]
 
@@ -221,7 +222,7 @@ def value_along(
     states, controls = from_batch_last(x, like), pad_controls(from_batch_last(u, like))
     of_x, of_u, curvature = expand_cost(cost, states, controls)
     c_x, c_u = to_batch_last(of_x, like), to_batch_last(of_u, like)[:-1]
-    hessian = Curvature(*(to_batch_last(block, like) for block in curvature))
+    hessian = HessianBlocks(*(to_batch_last(block, like) for block in curvature))
     magnitude = to_batch_last(cost(states, controls), like).abs().sum(0)
     return Value(c_x, c_u, hessian, costates(A, c_x[:-1], c_x[-1]), magnitude)
 
@@ -232,7 +233,7 @@ def assemble(
     A: Float[Tensor, "T n n N"],
     B: Float[Tensor, "T n m N"],
     value: Value,
-    bend: Curvature,
+    bend: HessianBlocks,
 ) -> Model:
     """One row per time of all that the recursions read; `bend` is the curvature of the dynamics."""
     c_x, c_u, hessian, multipliers, magnitude = value

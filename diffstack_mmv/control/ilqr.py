@@ -1,6 +1,5 @@
 """Box-constrained trajectory optimisation with exact second derivatives, batched."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -10,11 +9,11 @@ from torch import Tensor
 from diffstack_mmv.checks import message, require, require_at_least, require_positive
 from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last
 from diffstack_mmv.control.compilation import Kernels, compiled_kernels, eager_kernels
-from diffstack_mmv.control.expansion import Model, expand, expand_by_differences
-from diffstack_mmv.control.implicit import Optimum, attach, free_controls
+from diffstack_mmv.control.curvature import CurvatureForm, ExactCurvature
+from diffstack_mmv.control.implicit import StationaryPoint, attach
 from diffstack_mmv.control.iteration import OPEN, Iterate, Settings, start
 from diffstack_mmv.control.optimizer import Cost, Dynamics
-from diffstack_mmv.control.riccati import definite_policy
+from diffstack_mmv.control.riccati import definite_policy, is_active
 from diffstack_mmv.control.selection import Workload, constant
 from diffstack_mmv.types import Bounds, Solution, SolverStatus
 
@@ -36,10 +35,13 @@ class ILQR:
     refused step and decays after a long one. Problems converge one by one; a finished one is
     frozen, and its answer does not depend on its batch mates.
 
-    A problem has converged when its model promises a relative decrease of the cost below
-    `tolerance`, or below what the precision resolves: 8 ε (Σ|c| + Σ|x c_x| + Σ|u c_u|), and 8 times
-    that if no step size lowers the cost any more. The last step is still taken, so the error after
-    convergence is that of one more Newton step.
+    A problem has converged when two conditions hold. Its model promises a decrease of the cost that
+    is below ζ = `tolerance` · Σ|c|, or below what the precision resolves:
+    8 ε (Σ|c| + Σ|x c_x| + Σ|u c_u|), and 8 times that if no step size lowers the cost any more. And
+    the projected gradient g promises less than √(ζ Σ|c|) to first order, Σ |g_i| |d_i|, where
+    d = clip(u - g / diag Q_uu) - u is the step along it in the scale of each control, ζ not below
+    the precision: neither the unit of the cost nor those of the controls matter. The last step is
+    still taken, so the error after convergence is that of one more Newton step.
 
     The solution is differentiable, exactly, in the initial state and in every tensor that the
     callables depend on (see `implicit`); a problem that did not converge contributes a gradient of
@@ -50,10 +52,9 @@ class ILQR:
         tolerance: Predicted relative decrease of the cost at which a problem has converged.
         line_search_steps: Number of step sizes 1, ½, ¼, ...
         regularisation: First damping after a refused step, relative to the largest entry of Q_uu.
-        exact_curvature: Whether the iterations differentiate the dynamics twice, or difference
-            their exact gradient, and not before a problem is near its solution: less work and
-            smaller graphs for large models such as DiffGM3. Derivatives of the solution are exact
-            in either case.
+        curvature: How the iterations come by the curvature of the dynamics: `ExactCurvature`, or
+            `DifferencedCurvature` for large models such as DiffGM3. Derivatives of the solution
+            are exact in either case.
         compile: Compile the kernels, once per code of the callables (not per closure). Where there
             is no compiler, or the callables do not compile, a warning is logged and they run
             eagerly.
@@ -88,11 +89,11 @@ class ILQR:
         (True, True)
     """
 
-    max_iterations: int = 60
+    max_iterations: int = 100
     tolerance: float = 1e-10
     line_search_steps: int = 8
     regularisation: float = 1e-2
-    exact_curvature: bool = True
+    curvature: CurvatureForm = ExactCurvature()
     compile: bool = False
 
     def __post_init__(self) -> None:
@@ -132,12 +133,10 @@ class ILQR:
         with torch.no_grad():
             fixed = constant(dynamics), constant(cost)
             iterate = self.minimise(kernels, *fixed, settings, state, controls)
-            solution, optimum = conclude(
-                kernels, *fixed, settings, state, iterate, self.exact_curvature
-            )
+            solution, point = conclude(kernels, *fixed, settings, state, iterate, self.curvature)
         if not torch.is_grad_enabled():
             return solution
-        attached = attach(dynamics, cost, state, optimum, kernels.solve_free)
+        attached = attach(dynamics, cost, state, point, kernels.solve_free)
         return solution if attached is None else solution._replace(**attached._asdict())
 
     def settings(self, bounds: Bounds, state: Float[Tensor, "*b n"]) -> Settings:
@@ -152,17 +151,14 @@ class ILQR:
 
     def eager_kernels(self) -> Kernels:
         """The parts of an iteration of this solver, not compiled."""
-        return eager_kernels(self._expansion())
-
-    def _expansion(self) -> Callable[..., Model]:
-        return expand if self.exact_curvature else expand_by_differences
+        return eager_kernels(self.curvature)
 
     def _kernels(self, dynamics: Dynamics, cost: Cost, state: Tensor, controls: Tensor) -> Kernels:
         if not self.compile or state.numel() == 0:
             return self.eager_kernels()
         n, m = state.shape[-1], controls.shape[-1]
         static = (n, m, state.numel() == n, state.dim(), self.line_search_steps)
-        return compiled_kernels(self._expansion(), dynamics, cost, static, state.device.type)
+        return compiled_kernels(self.curvature, dynamics, cost, static, state.device.type)
 
     def minimise(
         self,
@@ -190,11 +186,11 @@ class ILQR:
 
     def _improve(self, kernels: Kernels, settings: Settings, work: Workload, n: int) -> Iterate:
         dynamics, cost, like, iterate = work[:4]
-        near = () if self.exact_curvature else (iterate.near,)
-        model = kernels.expand(dynamics, cost, like, iterate.x, iterate.u, *near)
+        model = kernels.expand(dynamics, cost, like, iterate.x, iterate.u, iterate.near)
         policy = definite_policy(
             kernels.box_policy,
             model.quadratic,
+            model.gradient,
             settings.box,
             iterate.damping,
             model.magnitude,
@@ -211,22 +207,21 @@ def conclude(
     settings: Settings,
     state: Tensor,
     iterate: Iterate,
-    exact: bool,
-) -> tuple[Solution, Optimum]:
+    curvature: CurvatureForm,
+) -> tuple[Solution, StationaryPoint]:
     """Residual and active bounds at the end; no problem gives NaN."""
     like = state.new_zeros(state.shape[:-1])
     x, u = iterate.x.nan_to_num(0.0), iterate.u.nan_to_num(0.0)
-    # the gradient is all that is asked for here, if not the exact Hessian
-    near = () if exact else (torch.zeros_like(iterate.near),)
-    model = kernels.expand(dynamics, cost, like, x, u, *near)
+    # the gradient is all that is asked for here: the Hessian is completed for a derivative
+    model = kernels.expand(dynamics, cost, like, x, u, torch.zeros_like(iterate.near))
     lower, upper = settings.box.unsqueeze(-1)
     moved = torch.minimum(torch.maximum(u - model.gradient, lower), upper)
     residual = (u - moved).abs().amax((0, 1)).nan_to_num(torch.inf)
-    free = free_controls(u, model.gradient, settings.box)
+    free = ~is_active(u, model.gradient, settings.box)
     converged = iterate.status == SolverStatus.CONVERGED
-    optimum = Optimum(x, u, free, converged, model, exact)
-    rows = (x, u, iterate.cost, residual, iterate.iterations, iterate.status)
-    return Solution(*(from_batch_last(row, like) for row in rows)), optimum
+    point = StationaryPoint(x, u, free, converged, model, curvature.completed)
+    parts = (x, u, iterate.cost, residual, iterate.iterations, iterate.status)
+    return Solution(*(from_batch_last(part, like) for part in parts)), point
 
 
 def check_problem(
@@ -235,9 +230,8 @@ def check_problem(
     """Refuse arguments that do not fit together.
 
     Raises:
-        ValueError: Leading dimensions, precision or number of controls differ, there is no control,
-            or a bound is
-            missing or above its partner.
+        ValueError: Leading dimensions, precision or number of controls differ, there is no step, or
+            a bound is missing or above its partner.
         TypeError: The state is not of a floating-point type.
     """
     if not state.is_floating_point():

@@ -2,8 +2,8 @@
 
 At a solution z* = (x_1 .. x_T, u_0 .. u_{T-1}) with costates λ the residual
 
-    R(z, λ; θ) = (∂L/∂x_t, ∂L/∂u_t on the controls inside of the box, f(x_t, u_t) - x_{t+1}),   L =
-    Σ c_t + Σ λ_{t+1} · f
+    R(z, λ; θ) = (∂L/∂x_t, ∂L/∂u_t on the controls inside of the box, f(x_t, u_t) - x_{t+1})
+    L(z, λ; θ) = Σ c_t(x_t, u_t) + Σ λ_{t+1} · (f(x_t, u_t) - x_{t+1})
 
 vanishes, so dz* = -K⁻¹ ∂R/∂θ dθ with the KKT matrix K = ∂R/∂(z, λ), which holds the Hessian of the
 Lagrangian: that of the cost and the curvature λ · ∂²f of the dynamics. The callables hide θ
@@ -23,65 +23,61 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last
-from diffstack_mmv.control.expansion import Model, expand, pad_controls, step_all
+from diffstack_mmv.control.expansion import Model, pad_controls, step_all
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.riccati import LinearQuadratic, Stationary, solve_free
 
 Solve = Callable[[LinearQuadratic, Tensor, int], Stationary]
 
 
-class Optimum(NamedTuple):
+class StationaryPoint(NamedTuple):
     """Converged trajectories, constants of the differentiation."""
 
     x: Float[Tensor, "T1 n N"]
     u: Float[Tensor, "T m N"]
-    free: Bool[Tensor, "T m N"]  # controls that no bound holds
+    free: Bool[Tensor, "T m N"]  # controls that are not active
     valid: Bool[Tensor, " N"]  # problems that carry a gradient
     model: Model
-    exact: bool  # whether the model holds the exact Hessian, which only a derivative asks for
+    complete: Callable[..., Model]  # gives the model the exact Hessian, if a derivative asks for it
 
 
 class Attached(NamedTuple):
-    """The values of an optimum with their derivatives."""
+    """The values of a stationary point with their derivatives."""
 
     states: Float[Tensor, "*b T1 n"]
     controls: Float[Tensor, "*b T m"]
     cost: Float[Tensor, "*b"]
 
 
-def free_controls(
-    u: Float[Tensor, "T m N"], gradient: Float[Tensor, "T m N"], box: Float[Tensor, "2 m"]
-) -> Bool[Tensor, "T m N"]:
-    """Which controls no bound holds: inside of the box, or at a bound without pressure on it."""
-    lower, upper = box[0].unsqueeze(-1), box[1].unsqueeze(-1)
-    held = ((u <= lower) & (gradient > 0)) | ((u >= upper) & (gradient < 0)) | (lower == upper)
-    return ~held
-
-
 class _Implicit(torch.autograd.Function):
-    """z* as a function of the KKT residual: dz* = -K⁻¹ dR with the active controls held."""
+    """z* as a function of the KKT residual: dz* = -K⁻¹ dR the active controls on their bounds."""
 
     @staticmethod
     def forward(
-        ctx: Any, of_x: Tensor, of_u: Tensor, following: Tensor, optimum: Optimum, solve: Solve
+        ctx: Any,
+        of_x: Tensor,
+        of_u: Tensor,
+        following: Tensor,
+        point: StationaryPoint,
+        solve: Solve,
     ) -> tuple[Tensor, Tensor]:
-        ctx.optimum, ctx.solve = optimum, solve
-        return optimum.x[1:].clone(), optimum.u.clone()
+        ctx.point, ctx.solve = point, solve
+        return point.x[1:].clone(), point.u.clone()
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, grad_x: Tensor, grad_u: Tensor) -> tuple[Tensor | None, ...]:
-        optimum: Optimum = ctx.optimum
-        lq, n = optimum.model.quadratic, grad_x.shape[1]
+        point: StationaryPoint = ctx.point
+        lq, n = point.model.quadratic, grad_x.shape[1]
         m = grad_u.shape[1]
         jacobians, _, rest = lq.stages.split([n * (n + m), n + m, n * n + m * n + m * m + m], 1)
         of_x = torch.cat([torch.zeros_like(grad_x[:1]), -grad_x[:-1]])
         adjoint = LinearQuadratic(
             torch.cat([jacobians, of_x, -grad_u, rest], 1), torch.cat([-grad_x[-1], lq.final[n:]])
         )
-        dual = ctx.solve(adjoint, optimum.free.to(grad_u.dtype), n)
+        dual = ctx.solve(adjoint, point.free.to(grad_u.dtype), n)
         # where, not a product: the adjoint of a problem that did not converge may be anything
-        parts = (torch.where(optimum.valid, -part, torch.zeros_like(part)) for part in dual)
+        parts = (torch.where(point.valid, -part, torch.zeros_like(part)) for part in dual)
         return *parts, None, None
 
 
@@ -89,22 +85,22 @@ def attach(
     dynamics: Dynamics,
     cost: Cost,
     state: Float[Tensor, "*b n"],
-    optimum: Optimum,
+    point: StationaryPoint,
     solve: Solve = solve_free,
 ) -> Attached | None:
-    """Give an optimum its derivatives in the state and in all that the callables depend on.
+    """Give a stationary point its derivatives in the state and in all that the callables depend on.
 
     The derivative of the cost is that of the Lagrangian at fixed z and λ (envelope theorem).
     Problems that are not valid get a gradient of exactly zero.
 
     Returns:
-        The optimum with its graph, or None if nothing here requires a gradient.
+        The point with its graph, or None if nothing here requires a gradient.
     """
     like = state.detach()[..., 0]
-    valid = from_batch_last(optimum.valid, like)
-    state = torch.where(valid.unsqueeze(-1), state, from_batch_last(optimum.x[0], like))
-    x, u = from_batch_last(optimum.x[1:], like), from_batch_last(optimum.u, like)
-    costates = torch.where(optimum.valid, optimum.model.costates, torch.zeros_like(optimum.x[1:]))
+    valid = from_batch_last(point.valid, like)
+    state = torch.where(valid.unsqueeze(-1), state, from_batch_last(point.x[0], like))
+    x, u = from_batch_last(point.x[1:], like), from_batch_last(point.u, like)
+    costates = torch.where(point.valid, point.model.costates, torch.zeros_like(point.x[1:]))
     multipliers = from_batch_last(costates, like)
 
     def lagrangian(x: Tensor, u: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor]]:
@@ -117,10 +113,8 @@ def attach(
     residual = [to_batch_last(part, like) for part in (of_x, of_u, following)]
     if not any(part.requires_grad for part in residual):
         return None
-    if not optimum.exact:
-        with torch.no_grad():
-            model = expand(dynamics, cost, like, optimum.x, optimum.u)
-        optimum = optimum._replace(model=model, exact=True)
-    x, u = (from_batch_last(part, like) for part in _Implicit.apply(*residual, optimum, solve))
+    model = point.complete(point.model, dynamics, cost, like, point.x, point.u)
+    point = point._replace(model=model)
+    x, u = (from_batch_last(part, like) for part in _Implicit.apply(*residual, point, solve))
     states = torch.cat([state.unsqueeze(-2), x], -2)
     return Attached(states, u, torch.where(valid, each, each.detach()))

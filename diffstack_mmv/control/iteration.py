@@ -54,7 +54,8 @@ def attempt(
 
     Finished is a problem whose model promises a decrease of the cost below the tolerance times
     Σ|c_t|, or below the noise; the promise of a strongly damped model counts for nothing. If no
-    step size lowers the cost, a promise of a few times the noise is enough.
+    step size lowers the cost, a promise of a few times the noise is enough. The projected gradient
+    has to agree, see `ILQR`: it is a coarser measure, but one that no step of the model enters.
     """
     noise = NOISE * noise
     trial = search(
@@ -71,10 +72,11 @@ def attempt(
     is_open = iterate.status == OPEN
     enough = torch.maximum(settings.tolerance * magnitude, noise)
     lower = trial.cost < iterate.cost
-    settled = (policy.decrease <= enough) & (iterate.damping < 1)
-    settled = settled | (~lower & (policy.decrease <= NOISE * noise))
+    flat = (policy.decrease <= enough) & (iterate.damping < 1)
+    flat = flat | (~lower & (policy.decrease <= NOISE * noise))
+    settled = flat & (policy.slope <= (enough * magnitude).sqrt())
     # the cost is flat at its minimum: a last Newton step is good to more digits than it shows
-    accepted = is_open & (lower | (settled & (trial.cost <= iterate.cost + noise)))
+    accepted = is_open & (lower | (flat & (trial.cost <= iterate.cost + noise)))
     damping = next_damping(iterate.damping, accepted, trial.size, settings.regularisation)
     status = torch.where(damping > DAMPING_MAX, SolverStatus.STALLED, iterate.status)
     status = torch.where(settled, SolverStatus.CONVERGED, status)
@@ -111,7 +113,7 @@ def start(
     x = state.expand(T + 1, n, N).contiguous()
     count = torch.zeros_like(status)
     nowhere = Iterate(x, controls, zero + torch.inf, zero, status, count, none)
-    idle = Policy(controls.new_zeros(T, m + m * n, N), zero + 1, none, none)
+    idle = Policy(controls.new_zeros(T, m + m * n, N), zero + 1, zero.clone(), none, none)
     guess = attempt(dynamics, cost, like, nowhere, zero.clone(), zero.clone(), idle, settings)
     finite = guess.cost.isfinite() & guess.x.isfinite().all(0).all(0)
     status = torch.where(finite, status, SolverStatus.NOT_FINITE)

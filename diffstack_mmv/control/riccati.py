@@ -49,8 +49,9 @@ class Policy(NamedTuple):
 
     gains: Float[Tensor, "T m+m*n N"]  # k and K of each time
     decrease: Float[Tensor, " N"]  # predicted decrease of the cost for α = 1
+    slope: Float[Tensor, " N"]  # decrease along the projected gradient, to first order
     lifted: Bool[Tensor, " N"]  # whether Q_uu was indefinite anywhere
-    lifted_free: Bool[Tensor, " N"]  # whether it was on controls that no bound holds
+    lifted_free: Bool[Tensor, " N"]  # whether it was on free controls
 
 
 class Stationary(NamedTuple):
@@ -110,6 +111,7 @@ def dominance(H: Float[Tensor, "k k N"], outside: Float[Tensor, "k N"]) -> Float
 def definite_policy(
     solve: Callable[..., Policy],
     lq: LinearQuadratic,
+    gradient: Float[Tensor, "T m N"],
     box: Float[Tensor, "2 m"],
     damping: Float[Tensor, " N"],
     magnitude: Float[Tensor, " N"],
@@ -118,19 +120,20 @@ def definite_policy(
     """Policy of the exact model where that is convex along the recursion, else of a convex one.
 
     Exact means the Hessian of the Lagrangian: Newton's method with its quadratic convergence. A
-    problem in which any Q_uu is indefinite on controls that no bound holds (or on any control, far
+    problem in which any Q_uu is indefinite on free controls (or on any control, far
     from the solution) is solved a second time with the Hessian over (x_t, u_t) of every stage
     lifted.
 
     Args:
         solve: `box_policy`, or a compiled form of it.
         lq: The exact model.
+        gradient: Derivative of the total cost by the controls.
         box: Bounds of the controls.
         damping: μ of each problem, dimensionless.
         magnitude: Σ |c_t|.
         n: Number of state columns.
     """
-    policy = solve(lq, box, damping, torch.zeros_like(damping), n)
+    policy = solve(lq, gradient, box, damping, torch.zeros_like(damping), n)
     far = policy.decrease > FAR * magnitude
     indefinite = policy.lifted_free | (policy.lifted & far)
     # to ask a device for the number would make it wait, and a whole second pass is cheap there
@@ -138,12 +141,12 @@ def definite_policy(
     if index is not None and len(index) == 0:
         return policy
     if index is None or len(damping) <= WHOLE or 2 * len(index) > len(damping):
-        return solve(lq, box, damping, indefinite.to(damping.dtype), n)
+        return solve(lq, gradient, box, damping, indefinite.to(damping.dtype), n)
     if len(index) == 1 < len(damping):
         index = index.repeat(2)  # a batch of one would be compiled separately
-    part = LinearQuadratic(*(rows.index_select(-1, index) for rows in lq))
-    weak = damping[index]
-    convex = solve(part, box, weak, torch.ones_like(weak), n)
+    part = LinearQuadratic(*(part.index_select(-1, index) for part in lq))
+    steep, weak = gradient.index_select(-1, index), damping[index]
+    convex = solve(part, steep, box, weak, torch.ones_like(weak), n)
     return Policy(
         *(whole.index_copy(-1, index, fixed) for whole, fixed in zip(policy, convex, strict=True))
     )
@@ -151,6 +154,7 @@ def definite_policy(
 
 def box_policy(
     lq: LinearQuadratic,
+    gradient: Float[Tensor, "T m N"],
     box: Float[Tensor, "2 m"],
     damping: Float[Tensor, " N"],
     lifted: Float[Tensor, " N"],
@@ -165,31 +169,39 @@ def box_policy(
 
     with Q_uu + μ max|Q_uu| I, its diagonal lifted where it is not positive definite. All this
     counts as a part of the cost of δu, so that the policy minimises one convex model and is a
-    direction of descent.
+    direction of descent. A control that its bound holds, by the gradient of the total cost, stays
+    there: a stage that released it would count on what other stages cannot do.
 
     Args:
         lq: The model around the present trajectory.
+        gradient: Derivative of the total cost by the controls.
         box: Bounds of the controls.
         damping: μ of each problem, dimensionless.
-        lifted: 1 where the Hessian of every stage is lifted until it is diagonally dominant, else
-            0.
+        lifted: 1 where the Hessian of every stage is lifted until it is diagonally dominant, 0
+            elsewhere.
         n: Number of state columns.
     """
     m = box.shape[1]
     eye = torch.eye(n, dtype=box.dtype, device=box.device).unsqueeze(-1)
     eye_u = torch.eye(m, dtype=box.dtype, device=box.device).unsqueeze(-1)
 
+    control = lq.stages[:, -m:]
+    # finite, because a closed form may multiply it by zero
+    infinity = torch.finfo(box.dtype).max ** 0.25
+    below, above = (side - control for side in box.clamp(-infinity, infinity).unsqueeze(-1))
+    holds, zero = is_active(control, gradient, box), torch.zeros_like(control)
+    limits = torch.where(holds, zero, below), torch.where(holds, zero, above)
+
     def step(value: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
-        *first, xx, ux, uu, control = unpack(row, *stage_shapes(n, m))
+        *first, xx, ux, uu, _, least, most = unpack(row, *stage_shapes(n, m), (m,), (m,))
         cross = ux.abs()
         xx = xx + eye * lifted * dominance(xx, cross.sum(0))
         uu = uu + eye_u * lifted * dominance(uu, cross.sum(1))
         Q = _action(value, (*first, xx, ux, uu))
         lift = positive_lift(Q.uu, DEFINITE)
         Q_uu = Q.uu + (lift + damping * largest(Q.uu)) * eye_u
-        k, free = solve_box_qp(
-            Q_uu, Q.u, box[0].unsqueeze(-1) - control, box[1].unsqueeze(-1) - control
-        )
+        curvature = Q.uu.diagonal(dim1=0, dim2=1).movedim(-1, 0) + lift
+        k, free = solve_box_qp(Q_uu, Q.u, least, most)
         K = -product(free_inverse(Q_uu, free), Q.ux)
         Qk = apply(Q_uu, k)
         cross = transposed_product(K, Q.ux)
@@ -197,19 +209,30 @@ def box_policy(
         V_xx = Q.xx + transposed_product(K, product(Q_uu, K)) + cross + cross.transpose(0, 1)
         decrease = -(k * (0.5 * Qk + Q.u)).sum(0, keepdim=True)
         return pack(V_x, symmetric(V_xx)), pack(
-            k, K, decrease, lift.sum(0, keepdim=True), (lift * free).sum(0, keepdim=True)
+            k, K, curvature, decrease, lift.sum(0, keepdim=True), (lift * free).sum(0, keepdim=True)
         )
 
     final_x, final_xx = unpack(lq.final, *final_shapes(n))
     final_xx = final_xx + eye * lifted * dominance(final_xx, torch.zeros_like(final_x))
-    rows = walk(step, pack(final_x, final_xx), lq.stages, reverse=True)[1]
-    gains, decrease, lift, lift_free = rows.split([m + m * n, 1, 1, 1], 1)
-    flags = ((rows > 0).any(0).squeeze(0) for rows in (lift, lift_free))
-    return Policy(gains.contiguous(), decrease.sum((0, 1)), *flags)
+    inputs = torch.concatenate([lq.stages, *limits], 1)
+    outputs = walk(step, pack(final_x, final_xx), inputs, reverse=True)[1]
+    gains, curvature, decrease, *lifts = outputs.split([m + m * n, m, 1, 1, 1], 1)
+    scaled = torch.minimum(torch.maximum(-gradient / curvature, below), above)
+    flags = ((lift > 0).any(0).squeeze(0) for lift in lifts)
+    slope = -(scaled * gradient).sum((0, 1))
+    return Policy(gains.contiguous(), decrease.sum((0, 1)), slope, *flags)
+
+
+def is_active(
+    u: Float[Tensor, "*T m N"], gradient: Float[Tensor, "*T m N"], box: Float[Tensor, "2 m"]
+) -> Bool[Tensor, "*T m N"]:
+    """Which controls their bound holds: at it, with pressure on it."""
+    lower, upper = box.unsqueeze(-1)
+    return ((u <= lower) & (gradient > 0)) | ((u >= upper) & (gradient < 0)) | (lower == upper)
 
 
 def solve_free(lq: LinearQuadratic, free: Float[Tensor, "T m N"], n: int) -> Stationary:
-    """Stationary point with δx_0 = 0 and the controls that are not free (0 in `free`) held at zero.
+    """Stationary point with δx_0 = 0 and δu = 0 for the controls that are not free (0 in `free`).
 
     The Hessian has to be invertible on the free controls, not definite: nothing is shifted or
     damped.

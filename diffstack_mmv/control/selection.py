@@ -1,7 +1,7 @@
 """Leaves finished problems behind, so that the last hard ones cost less than the batch."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int, Shaped
@@ -10,14 +10,18 @@ from torch import Tensor
 from diffstack_mmv.control.iteration import OPEN, Iterate
 
 SMALLEST = 8  # problems; below, there is nothing to win
+NOTHING = torch.zeros(0, dtype=torch.long)
 
 
 @runtime_checkable
 class Selectable(Protocol):
     """A callable that can be narrowed to some of its problems; closures cannot, see `Batched`."""
 
-    def select(self, index: Int[Tensor, " k"]) -> "Selectable":
-        """The same callable for the problems `index` of a batch with one leading dimension."""
+    def select(self, index: Int[Tensor, " k"]) -> Self:
+        """The same callable for the problems `index` of a batch with one leading dimension.
+
+        One that returns itself is shared by all problems.
+        """
         ...
 
 
@@ -25,10 +29,10 @@ class Batched:
     """A dynamics or cost function with its tensors named, which makes it selectable.
 
     Args:
-        function: Called with the usual arguments and then the tensors.
-        tensors: Tensors with one row per problem, shape (B, ...). Whatever is shared by all
-            problems
-            stays in the closure of `function`.
+        function: Called with the usual arguments and then the tensors: a function, a bound method
+            or a module. Whatever all problems share, such as its learnable parameters, stays in
+            it, and must not be an attribute with one entry per problem.
+        tensors: Tensors of any type with one entry per problem, shape (B, ...).
     """
 
     def __init__(self, function: Callable[..., Tensor], *tensors: Shaped[Tensor, "B ..."]) -> None:
@@ -40,12 +44,19 @@ class Batched:
         return self.function(*arguments, *self.tensors)
 
     def select(self, index: Int[Tensor, " k"]) -> "Batched":
-        """The same function with the rows `index` of its tensors."""
+        """The same function with the entries `index` of its tensors; itself if it has none."""
+        if not self.tensors:
+            return self
         return Batched(self.function, *(tensor[index] for tensor in self.tensors))
 
 
+def is_shared(function: Any) -> bool:
+    """Whether a callable is the same for all problems: it says so by selecting itself."""
+    return isinstance(function, Selectable) and function.select(NOTHING) is function
+
+
 def constant(function: Any) -> Any:
-    """The same callable, for solving without graph: one kernel serves training and evaluation."""
+    """The same callable without graph in its tensors: one kernel serves training and evaluation."""
     if not isinstance(function, Batched):
         return function
     return Batched(function.function, *(tensor.detach() for tensor in function.tensors))
@@ -83,6 +94,6 @@ class Workload(NamedTuple):
         # halves only, filled up with copies: few sizes, each of which may have to be compiled
         keep = torch.cat([keep, keep[:1].expand(size - len(keep))])
         index = keep if self.index is None else self.index[keep]
-        part = Iterate(*(rows.index_select(-1, keep) for rows in self.iterate))
+        part = Iterate(*(field.index_select(-1, keep) for field in self.iterate))
         narrow = self.dynamics.select(keep), self.cost.select(keep)
         return Workload(*narrow, self.like[keep], part, index, self.merged())

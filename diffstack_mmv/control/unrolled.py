@@ -45,5 +45,5 @@ class UnrolledILQR:
         iterate = self.solver.minimise(kernels, dynamics, cost, settings, state, controls)
         like = state[..., 0]
         unknown = torch.full_like(iterate.cost, torch.nan).detach()
-        rows = (iterate.x, iterate.u, iterate.cost, unknown, iterate.iterations, iterate.status)
-        return Solution(*(from_batch_last(row, like) for row in rows))
+        parts = (iterate.x, iterate.u, iterate.cost, unknown, iterate.iterations, iterate.status)
+        return Solution(*(from_batch_last(part, like) for part in parts))

@@ -93,7 +93,11 @@ class TrajdataModule(LightningDataModule):
             )
 
     def setup(self, stage: str | None = None) -> None:
-        """Open the splits of a stage ("fit", "validate", "test"), or all."""
+        """Open the splits of a stage ("fit", "validate", "test"), or all.
+
+        Raises:
+            ValueError: A split was not exported, or its export is damaged.
+        """
         for split in self._needed(stage):
             self.dataset(split)
 
@@ -116,7 +120,11 @@ class TrajdataModule(LightningDataModule):
         return self.dataset(split).samples
 
     def train_dataloader(self) -> WindowLoader:
-        """Batches for training: shuffled, augmented, balanced."""
+        """Batches for training: shuffled, augmented, balanced.
+
+        Raises:
+            ValueError: There are fewer samples than processes, or the balance does not fit them.
+        """
         dataset = self.dataset(self.splits.train)
         weights = None if self.balance is None else self.balance.weights(dataset.samples)
         share, loading = self._share(), self.loading

@@ -22,7 +22,7 @@ from diffstack_mmv.data.registration import TrajdataWindows, WindowLocation
 from diffstack_mmv.data.settings import WindowSettings
 from diffstack_mmv.types import StackBatch
 
-EXPORT_VERSION = 1
+EXPORT_VERSION = 2
 MARKER = "export.json"
 SAMPLES = "samples.parquet"
 USABLE = "usable.npy"
@@ -62,7 +62,7 @@ class ExportedWindows(WindowDataset):
         self.folder = folder
         self.content = _marker(folder)
         self.windows = WindowSettings(**self.content["key"]["windows"])
-        self._rows = np.flatnonzero(np.load(folder / USABLE))
+        self._usable = np.flatnonzero(np.load(folder / USABLE))
         layout = fields(self.windows)
         self._fields = {name: self._map(name, shape) for name, shape in layout.items()}
 
@@ -83,14 +83,14 @@ class ExportedWindows(WindowDataset):
 
     def __len__(self) -> int:
         """Number of samples."""
-        return len(self._rows)
+        return len(self._usable)
 
     def __getitem__(self, index: Sequence[int]) -> StackBatch:
         """Return the samples of these numbers; neighbors are as many as in the fullest of them."""
-        rows = self._rows[np.asarray(index, dtype=np.int64)]
-        widest = int(self._fields["others_count"][rows].max(initial=0))
+        chosen = self._usable[np.asarray(index, dtype=np.int64)]
+        widest = int(self._fields["neighbors_count"][chosen].max(initial=0))
         read = {
-            name: array[rows, :widest] if name in PER_NEIGHBOR else array[rows]
+            name: array[chosen, :widest] if name in PER_NEIGHBOR else array[chosen]
             for name, array in self._fields.items()
         }
         return unpack({name: torch.from_numpy(array) for name, array in read.items()}, self.windows)
@@ -99,7 +99,7 @@ class ExportedWindows(WindowDataset):
     def samples(self) -> pd.DataFrame:
         """One row per sample: dataset, scene, agent, row, mode and the situations."""
         table = pd.read_parquet(self.folder / SAMPLES)
-        return table.iloc[self._rows].reset_index(drop=True)
+        return table.iloc[self._usable].reset_index(drop=True)
 
 
 class DirectWindows(WindowDataset):

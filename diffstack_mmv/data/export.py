@@ -1,6 +1,5 @@
 """Export: all samples of a split, read from trajdata once and written as arrays for training."""
 
-import errno
 import fcntl
 import hashlib
 import json
@@ -21,11 +20,13 @@ from tqdm import tqdm
 from diffstack_mmv.checks import message, require_at_least
 from diffstack_mmv.data.batch import stack_batch
 from diffstack_mmv.data.dataset import EXPORT_VERSION, MARKER, SAMPLES, USABLE, sample_table
-from diffstack_mmv.data.layout import FieldLayout, create, fields, pack, write_rows
+from diffstack_mmv.data.layout import FieldLayout, create, fields, pack, write_windows
+from diffstack_mmv.data.loading import unchanged
 from diffstack_mmv.data.registration import TrajdataWindows, WindowLocation
 from diffstack_mmv.data.settings import WindowSettings
 from diffstack_mmv.data.situations import Situations, situations
 from diffstack_mmv.data.sources import WindowSource
+from dmmv_conventions.disk import disk_is_full
 
 logger = logging.getLogger(__name__)
 
@@ -104,7 +105,7 @@ def export_windows(export: Export, settings: ExportSettings) -> Path:
             try:
                 _write(export, settings, target)
             except OSError as error:
-                if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+                if not disk_is_full(error):
                     raise
                 remedy = "Free space and run again: finished parts are kept."
                 text = message(
@@ -128,7 +129,7 @@ def _write(export: Export, settings: ExportSettings, target: Path) -> None:
         sampler=pending,
         num_workers=settings.workers,
         multiprocessing_context="fork" if settings.workers else None,
-        collate_fn=_unchanged,  # type: ignore[arg-type]
+        collate_fn=unchanged,  # type: ignore[arg-type]
     )
     title = f"export {export.source.name} {export.split}"
     with tqdm(total=count, desc=title, unit="window", disable=not settings.progress) as bar:
@@ -189,12 +190,12 @@ class _ChunkWriter(Dataset[int]):
         elements = [self._source[int(element)] for element in self._element[first:end]]
         batch = stack_batch(self._collate(elements), self._source.windows)
         usable = batch.ego_past.valid.all(-1) & batch.ego_future.valid.all(-1)
-        rows = pack(batch) | {
+        packed = pack(batch) | {
             "usable": usable.numpy(),
             "situations": torch.stack(situations(batch), -1).numpy(),
         }
-        for name, content in rows.items():
-            write_rows(self._folder / f"{name}.npy", first, content)
+        for name, content in packed.items():
+            write_windows(self._folder / f"{name}.npy", first, content)
 
 
 def _finish(export: Export, source: TrajdataWindows, where: WindowLocation, partial: Path) -> None:
@@ -204,23 +205,19 @@ def _finish(export: Export, source: TrajdataWindows, where: WindowLocation, part
         partial / SAMPLES, index=False
     )
     for mode, count in zip(*np.unique(where.mode[~usable], return_counts=True), strict=True):
-        source.tally.drop(int(mode), int(count))
+        source.counts.drop(int(mode), int(count))
     content: dict[str, Any] = {
         "version": EXPORT_VERSION,
         "key": export.key(),
         "windows": len(usable),
         "samples": int(usable.sum()),
-        "rows": source.tally.as_dict(),
+        "rows": source.counts.as_dict(),
         "situations": {name: int(label[usable].sum()) for name, label in labels.items()},
     }
     (partial / MARKER).write_text(
         json.dumps(content, indent=1, default=str) + "\n", encoding="utf-8"
     )
     shutil.rmtree(partial / "done")
-
-
-def _unchanged(number: int) -> int:
-    return number
 
 
 @contextmanager

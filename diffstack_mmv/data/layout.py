@@ -1,4 +1,4 @@
-"""How an export lies on disk: one .npy file per field, one row per window."""
+"""How an export lies on disk: one .npy file per field, one entry per window."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -34,7 +34,7 @@ def fields(windows: WindowSettings) -> dict[str, FieldLayout]:
         "neighbors_valid": FieldLayout((neighbors, rows), np.bool_),
         "neighbors_extent": FieldLayout((neighbors, 2), np.float32),
         "neighbors_mode": FieldLayout((neighbors,), np.int16),
-        "others_count": FieldLayout((), np.int16),
+        "neighbors_count": FieldLayout((), np.int16),
     }
 
 
@@ -44,24 +44,24 @@ def create(folder: Path, count: int, layout: dict[str, FieldLayout]) -> None:
         np.lib.format.open_memmap(folder / f"{name}.npy", "w+", dtype, (count, *shape))
 
 
-def write_rows(path: Path, first: int, rows: NDArray[np.generic]) -> None:
-    """Overwrite consecutive rows of an array file.
+def write_windows(path: Path, first: int, windows: NDArray[np.generic]) -> None:
+    """Overwrite consecutive windows of an array file.
 
     Written through the file, not through a memory map, so that a full disk is an error and not a
-    crash. Zeros at the end of a row are not written.
+    crash. Zeros at the end of a window are not written.
 
     Raises:
         OSError: The disk is full.
     """
     array = np.load(path, mmap_mode="r")
     width = array.itemsize * int(np.prod(array.shape[1:]))
-    content = np.ascontiguousarray(rows, dtype=array.dtype)
+    content = np.ascontiguousarray(windows, dtype=array.dtype)
     with path.open("r+b") as file:
-        for number, row in enumerate(content):
-            used = np.flatnonzero(row.reshape(-1))
+        for number, window in enumerate(content):
+            used = np.flatnonzero(window.reshape(-1))
             length = int(used[-1]) + 1 if used.size else 0
             file.seek(array.offset + (first + number) * width)
-            file.write(row.reshape(-1)[:length].tobytes())
+            file.write(window.reshape(-1)[:length].tobytes())
 
 
 def pack(batch: StackBatch) -> dict[str, NDArray[np.generic]]:
@@ -76,22 +76,22 @@ def pack(batch: StackBatch) -> dict[str, NDArray[np.generic]]:
         "neighbors_valid": valid,
         "neighbors_extent": neighbors.extent,
         "neighbors_mode": neighbors.mode,
-        "others_count": (valid.any(-1).flip(-1).cumsum(-1) > 0).sum(-1),
+        "neighbors_count": (valid.any(-1).flip(-1).cumsum(-1) > 0).sum(-1),
     }
     return {name: tensor.numpy() for name, tensor in packed.items()}
 
 
-def unpack(rows: dict[str, Tensor], windows: WindowSettings) -> StackBatch:
+def unpack(packed: dict[str, Tensor], windows: WindowSettings) -> StackBatch:
     """Build a batch of fields; the opposite of `pack`."""
-    present = rows["ego"].new_ones(rows["ego"].shape[:-1], dtype=torch.bool)
+    present = packed["ego"].new_ones(packed["ego"].shape[:-1], dtype=torch.bool)
     ego = _unpack_tracks(
-        rows["ego"], rows["ego_extent"], rows["ego_mode"], present, windows.past_rows
+        packed["ego"], packed["ego_extent"], packed["ego_mode"], present, windows.past_rows
     )
     neighbors = _unpack_tracks(
-        rows["neighbors"],
-        rows["neighbors_extent"],
-        rows["neighbors_mode"],
-        rows["neighbors_valid"],
+        packed["neighbors"],
+        packed["neighbors_extent"],
+        packed["neighbors_mode"],
+        packed["neighbors_valid"],
         windows.past_rows,
     )
     goal = ego[1].motion.position[..., -1, :].clone()

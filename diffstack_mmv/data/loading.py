@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TypeVar
 
 import torch
 from torch.utils.data import DataLoader, Dataset
@@ -11,6 +12,8 @@ from diffstack_mmv.data.augment import Augmentation
 from diffstack_mmv.data.dataset import WindowDataset
 from diffstack_mmv.data.sampling import Draw, WindowSampler
 from diffstack_mmv.types import StackBatch
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,7 @@ class WindowLoader(DataLoader[StackBatch]):
             batch_size=None,
             sampler=sampler,
             num_workers=workers,
-            collate_fn=_unchanged,  # type: ignore[arg-type]
+            collate_fn=unchanged,  # type: ignore[arg-type]
             pin_memory=torch.cuda.is_available(),
             persistent_workers=workers > 0,
             multiprocessing_context="fork" if workers else None,
@@ -111,5 +114,6 @@ class WindowLoader(DataLoader[StackBatch]):
         }
 
 
-def _unchanged(batch: StackBatch) -> StackBatch:
-    return batch
+def unchanged(item: Item) -> Item:
+    """What the workers made, as it is: items are whole batches, and nothing is left to collate."""
+    return item

@@ -1,8 +1,4 @@
-"""The only place that knows the inside of trajdata 1.4.0.
-
-Converted caches are opened without a fork and without a patch: a subclass of `UnifiedDataset` gets
-no data directories and puts its environments in place where the base class first looks for them.
-"""
+"""Windows of trajdata 1.4.0: this and `dmmv_conventions.opening` alone know its inside."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,49 +6,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from trajdata import UnifiedDataset
 from trajdata.augmentation.augmentation import DatasetAugmentation
 from trajdata.caching.df_cache import STATE_FORMAT_STR, DataFrameCache
 from trajdata.caching.env_cache import EnvCache
 from trajdata.data_structures.agent import AgentMetadata
 from trajdata.data_structures.batch_element import AgentBatchElement
-from trajdata.data_structures.environment import EnvMetadata
 from trajdata.data_structures.scene import SceneTimeAgent
 from trajdata.data_structures.scene_metadata import Scene
-from trajdata.data_structures.scene_tag import SceneTag
 from trajdata.data_structures.state import StateArray
 from trajdata.dataset_specific.raw_dataset import RawDataset
 from trajdata.utils import scene_utils
 
 from diffstack_mmv.data.settings import WindowSettings
-from diffstack_mmv.data.tally import WindowTally
+from diffstack_mmv.data.window_counts import WindowCounts
+from dmmv_conventions.opening import CachedUnifiedDataset
 
 OBSERVED = "x,y,xd,yd,h"
-
-
-class CachedEnvironment(RawDataset):
-    """A converted data set: lists its scenes, holds no raw recordings."""
-
-    def __init__(self, cache: Path, state: Mapping[str, Any]) -> None:
-        """Describe the environment that `state`, the content of its `cache.json`, tells of."""
-        self._state = state
-        super().__init__(state["dataset"], str(cache), parallelizable=False, has_maps=False)
-
-    def compute_metadata(self, env_name: str, data_dir: str) -> EnvMetadata:
-        """Step in s and the split of each scene, as trajdata wants them told."""
-        splits = {scene["name"]: scene["split"] for scene in self._state["scenes"]}
-        parts: list[Any] = [tuple(sorted(set(splits.values())))]
-        return EnvMetadata(env_name, data_dir, self._state["dt_s"], parts, splits)
-
-    def _get_matching_scenes_from_cache(
-        self, scene_tag: SceneTag, scene_desc_contains: list[str] | None, env_cache: EnvCache
-    ) -> list[Scene]:
-        place = self._state["location"]
-        return [
-            Scene(self.metadata, scene["name"], place, scene["split"], scene["steps"], index, None)
-            for index, scene in enumerate(self._state["scenes"])
-            if scene["split"] in scene_tag and scene_desc_contains is None
-        ]
 
 
 class SceneTable(DataFrameCache):
@@ -124,7 +93,7 @@ class _OneRadius(dict[Any, float]):
         return self.radius_m
 
 
-class TrajdataWindows(UnifiedDataset):
+class TrajdataWindows(CachedUnifiedDataset):
     """Agent-centric windows of one split; item i is trajdata's element for one agent at one time.
 
     Unlike the base class it keeps the scene of the last item open, because trajdata reads the whole
@@ -150,14 +119,14 @@ class TrajdataWindows(UnifiedDataset):
             raw_folders: Folder of the recordings of each data set that trajdata itself knows.
             corrections: Repairs applied to each scene that is opened.
         """
-        self._environments = list(environments)
         self._opened: _OpenScene | None = None
         self._modes: list[list[int]] = []
         self._corrections = tuple(corrections)
         self.windows = windows
-        self.tally = WindowTally(windows)
+        self.counts = WindowCounts(windows)
         history, future = windows.history_s, windows.horizon_s
         super().__init__(
+            environments,
             desired_data=[query],
             desired_dt=windows.dt_s,
             history_sec=(history, history),
@@ -173,12 +142,6 @@ class TrajdataWindows(UnifiedDataset):
             require_map_cache=False,
         )
         self.cache_class = SceneTable
-
-    def _get_matching_scene_tags(self, queries: list[str]) -> list[SceneTag]:
-        if self._environments:
-            self.envs = self._environments
-            self.envs_dict = {environment.name: environment for environment in self.envs}
-        return super()._get_matching_scene_tags(queries)
 
     def _get_data_index(self, num_workers: int, scene_paths: list[Path]) -> list[Any]:
         index = []
@@ -197,11 +160,11 @@ class TrajdataWindows(UnifiedDataset):
             scene, path, elements, agents = entry
             modes = {agent.name: int(agent.type) for agent in scene.agents}
             for agent in scene.agents:
-                self.tally.add(modes[agent.name], agent.last_timestep - agent.first_timestep + 1)
+                self.counts.add(modes[agent.name], agent.last_timestep - agent.first_timestep + 1)
             if elements:
                 index.append((str(path), elements, agents))
                 self._modes.append([modes[name] for name, _ in agents])
-        self.tally.require_windows(self.desired_data[0])
+        self.counts.require_windows(self.desired_data[0])
         return index
 
     def __getitem__(self, idx: int) -> AgentBatchElement:

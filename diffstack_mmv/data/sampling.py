@@ -55,7 +55,7 @@ class SituationShare:
 
     Attributes:
         situation: A field of `Situations`.
-        share: Share of the draws in (0, 1).
+        share: Share of the draws in [0, 1].
 
     Raises:
         ValueError: There is no such situation, or the share is not between 0 and 1.

@@ -25,7 +25,8 @@ class WindowSettings:
         stride: Steps between the presents of consecutive windows.
 
     Raises:
-        ValueError: A mode is unknown, a duration is no multiple of `dt_s`, or a number is negative.
+        ValueError: A mode is unknown or there is none, a duration is no multiple of `dt_s`, or a
+            number is negative.
     """
 
     ego_modes: Sequence[str] = ("bicycle",)
@@ -45,7 +46,8 @@ class WindowSettings:
         require_at_least("neighbors", self.neighbors, 0)
         require_positive("radius_m", self.radius_m)
         require_at_least("stride", self.stride, 1)
-        require(len(self.modes) > 0, "ego_modes", "be known", self.ego_modes)
+        for name in self.ego_modes:
+            Mode.named(name)
 
     @property
     def modes(self) -> tuple[Mode, ...]:

@@ -13,12 +13,11 @@ from trajdata.utils import env_utils
 
 from diffstack_mmv.checks import message, require
 from diffstack_mmv.data.corrections import HeldHeading, UpwardY
-from diffstack_mmv.data.registration import CachedEnvironment, TrajdataWindows
+from diffstack_mmv.data.registration import TrajdataWindows
 from diffstack_mmv.data.settings import WindowSettings
+from dmmv_conventions.cache import REPORT_FILE, STATE_FILE, read_state
+from dmmv_conventions.opening import CachedEnvironment
 
-CACHE_VERSION = 1
-STATE_FILE = "cache.json"
-_REPORT_FILE = "conversion_report.json"
 _USUAL_CORRECTIONS: dict[str, tuple[DatasetAugmentation, ...]] = {"sdd": (UpwardY(), HeldHeading())}
 
 
@@ -64,7 +63,7 @@ class ConvertedCache:
         """
         self._state()
         digest = hashlib.sha256()
-        for file in (STATE_FILE, _REPORT_FILE):
+        for file in (STATE_FILE, REPORT_FILE):
             path = self._path / file
             digest.update(path.read_bytes() if path.is_file() else b"")
         return {"dataset": self.name, "content": digest.hexdigest()}
@@ -88,7 +87,7 @@ class ConvertedCache:
 
     def report(self) -> dict[str, Any]:
         """The report of the conversion, empty if there is none."""
-        path = self._path / _REPORT_FILE
+        path = self._path / REPORT_FILE
         return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
 
     def open(self, split: str, windows: WindowSettings) -> TrajdataWindows:
@@ -116,33 +115,7 @@ class ConvertedCache:
         return Path(self.folder) / self.name
 
     def _state(self) -> dict[str, Any]:
-        path = self._path / STATE_FILE
-        remedy = (
-            f"Run scripts/convert.py data={self.name} data.root=RECORDINGS data.cache={self.folder}"
-        )
-        if not path.is_file():
-            unfinished = any(Path(self.folder).glob(f".converting_{self.name}_*"))
-            found = "an interrupted conversion" if unfinished else "no such file"
-            requirement = f"hold a finished conversion of '{self.name}'"
-            raise ValueError(message("cache", requirement, found, f"at {path}", remedy))
-        try:
-            state = json.loads(path.read_text(encoding="utf-8"))
-        except json.JSONDecodeError as error:
-            raise ValueError(
-                message("cache", "have a state in JSON", error, f"in {path}", remedy)
-            ) from error
-        found = state.get("format_version")
-        require(
-            found == CACHE_VERSION,
-            "format_version",
-            f"be {CACHE_VERSION}",
-            found,
-            f"in {path}",
-            remedy,
-        )
-        finished = state.get("complete")
-        require(finished is True, "complete", "be true", finished, f"in {path}", remedy)
-        return state
+        return read_state(Path(self.folder), self.name)
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,13 @@ from diffstack_mmv.data.batch import STANDSTILL_MPS, yaw_rate
 from diffstack_mmv.data.sources import ConvertedCache, WindowSource
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.types import Mode, Motion
+from dmmv_conventions.cache import CONTROLS_TABLE, LEAN_TABLE, side_table
 
 logger = logging.getLogger(__name__)
 
 
-class PositionNoise(NamedTuple):
-    """Standard deviation of the position of one step, along and across the motion."""
+class RecordedNoise(NamedTuple):
+    """Standard deviation of the recorded position of one step, along and across the motion."""
 
     along_m: float
     across_m: float
@@ -40,7 +41,8 @@ def read_tracks(source: WindowSource, splits: Sequence[str], mode: str) -> dict[
         Motion (T) of each track in the world by "recording/agent", float64, steps of the cache.
 
     Raises:
-        ValueError: The source is no converted cache, or holds no track of that mode.
+        ValueError: The mode is unknown, or the source is no finished converted cache or holds no
+            track of that mode.
     """
     cache = _converted(source)
     wanted, found = Mode.named(mode), {}
@@ -60,11 +62,11 @@ def read_leans(source: WindowSource, splits: Sequence[str], mode: str) -> dict[s
         Lean (T) in rad, positive to the left, by "recording/agent"; NaN where it was not measured.
 
     Raises:
-        ValueError: The source is no converted cache.
+        ValueError: The mode is unknown, or the source is no finished converted cache.
     """
     cache, found = _converted(source), {}
     for scene in cache.scenes():
-        table = _folder(cache, scene["name"]) / "lean.parquet"
+        table = side_table(_folder(cache, scene["name"]), LEAN_TABLE)
         if scene["split"] in splits and table.is_file():
             found |= _scene_leans(cache, scene["name"], table, Mode.named(mode))
     return found
@@ -89,12 +91,12 @@ def read_controls(
         else a value between its neighbors; NaN before the first and after the last record.
 
     Raises:
-        ValueError: The source is no converted cache, no scene has such a table, or one lacks a
-            column.
+        ValueError: The mode is unknown, the source is no finished converted cache, no scene has
+            such a table, or one lacks a column.
     """
     cache, found, tables = _converted(source), {}, 0
     for scene in cache.scenes():
-        path = _folder(cache, scene["name"]) / "controls.parquet"
+        path = side_table(_folder(cache, scene["name"]), CONTROLS_TABLE)
         if scene["split"] not in splits or not path.is_file():
             continue
         tables, measured = tables + 1, pd.read_parquet(path)
@@ -110,7 +112,7 @@ def read_controls(
     return found
 
 
-def recorded_noise(source: WindowSource, mode: str, dt_s: float) -> PositionNoise | None:
+def recorded_noise(source: WindowSource, mode: str, dt_s: float) -> RecordedNoise | None:
     """Noise of the positions of a mode, as the conversion report tells it.
 
     The report knows the noise σ of a recorded position from what the smoother left over and from
@@ -135,9 +137,9 @@ def recorded_noise(source: WindowSource, mode: str, dt_s: float) -> PositionNois
             "where samples are sparse. Convert again, or set `noise`.",
             cache.name,
         )
-        return PositionNoise(told["along_m"], told["across_m"])
+        return RecordedNoise(told["along_m"], told["across_m"])
     share = math.sqrt(told["step_s"] / dt_s)
-    return PositionNoise(share * told["noise_along_m"], share * told["noise_across_m"])
+    return RecordedNoise(share * told["noise_along_m"], share * told["noise_across_m"])
 
 
 def _converted(source: WindowSource) -> ConvertedCache:

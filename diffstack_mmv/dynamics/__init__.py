@@ -3,7 +3,20 @@
 from diffstack_mmv.dynamics.base import DynamicsModel
 from diffstack_mmv.dynamics.gm3.model import DiffGM3
 from diffstack_mmv.dynamics.kbm import DiffKBM, SoftplusFloor
+from diffstack_mmv.dynamics.records import DerivedQuantity, DriverInput, WheelForces
 from diffstack_mmv.dynamics.rollout import rollout
+from diffstack_mmv.dynamics.single_integrator import SingleIntegrator
 from diffstack_mmv.dynamics.unicycle import ExtendedUnicycle
 
-__all__ = ["DiffGM3", "DiffKBM", "DynamicsModel", "ExtendedUnicycle", "SoftplusFloor", "rollout"]
+__all__ = [
+    "DerivedQuantity",
+    "DiffGM3",
+    "DiffKBM",
+    "DriverInput",
+    "DynamicsModel",
+    "ExtendedUnicycle",
+    "SingleIntegrator",
+    "SoftplusFloor",
+    "WheelForces",
+    "rollout",
+]

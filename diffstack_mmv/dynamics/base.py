@@ -1,14 +1,16 @@
 """The interface of a dynamics model: one control step, and its meaning as planar motion."""
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import Any, ClassVar
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Self
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from diffstack_mmv.checks import require, require_columns, require_positive
+from diffstack_mmv.checks import message, require, require_columns, require_positive
+from diffstack_mmv.dynamics.records import DerivedQuantity, DriverInput, WheelForces
 from diffstack_mmv.types import Bounds, Motion
 from diffstack_mmv.vehicles import SoftClamped
 
@@ -20,6 +22,9 @@ class DynamicsModel(nn.Module, ABC):
     `control_for`; checks, bounds and the view on the physical parameters ρ live here. All methods
     take any leading dimensions, work under `torch.func` transforms and `torch.compile`, and are
     differentiable in state, control and parameters.
+
+    What stands under "what a new model has to think about" has defaults: each tells for which
+    models it is right. A default that would be a guess refuses instead.
 
     Args:
         dt_s: Length of one step in s.
@@ -102,12 +107,91 @@ class DynamicsModel(nn.Module, ABC):
         """
         return self.initial_state(motion)
 
+    # what a new model has to think about
+
+    @property
+    def reference_ahead_m(self) -> float:
+        """Distance in m of the reference point ahead of the centre of gravity, negative behind it.
+
+        Zero by default: the reference point is the centre of gravity.
+        """
+        return 0.0
+
+    @property
+    def longest_step_s(self) -> float:
+        """Longest step in s at which the numerical scheme may be used within a plan.
+
+        Without limit by default: the scheme is exact or implicit.
+        """
+        return math.inf
+
+    @property
+    def driver_input_needs_state(self) -> bool:
+        """Whether what a control means to a driver depends on the state; true by default.
+
+        It does for a yaw rate, which is another steering angle at every speed.
+        """
+        return True
+
+    def control_for_driver(
+        self, state: Float[Tensor, "*b n"], driver: DriverInput
+    ) -> Float[Tensor, "*b m"]:
+        """Control, not clipped, that is a driver's acceleration (m/s²) and steering angle (rad).
+
+        Raises:
+            ValueError: The model does not say what a steering angle does, as by default.
+        """
+        raise ValueError(self._no_driver("control_for_driver"))
+
+    def driver_input(
+        self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
+    ) -> DriverInput:
+        """Acceleration (m/s²) and steering angle (rad) that a control means at a state.
+
+        Raises:
+            ValueError: The model does not say what its controls are to a driver, as by default.
+        """
+        raise ValueError(self._no_driver("driver_input"))
+
+    def wheel_forces(
+        self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
+    ) -> WheelForces | None:
+        """What happens at the wheels; None, the default, for a model without wheels."""
+        return None
+
+    def derived_quantities(self) -> Mapping[str, DerivedQuantity]:
+        """Combinations of parameters that steer the model, by name; none by default.
+
+        A track may inform them where it does not inform the single parameters.
+        """
+        return {}
+
+    def description(self) -> dict[str, Any]:
+        """What a results file tells of the model; a model adds what its class does not tell."""
+        return {
+            "class": type(self).__name__,
+            "tyre_law": None,
+            "step_s": self.dt_s,
+            "substeps": 1,
+        }
+
+    def select(self, index: Int[Tensor, " k"]) -> Self:
+        """The model for the problems `index` of a batch: itself, as all share its parameters."""
+        return self
+
+    def _no_driver(self, method: str) -> str:
+        remedy = f"Write `{method}` for it."
+        return message("dynamics", "be steered by an angle", type(self).__name__, "", remedy)
+
     def within_bounds(self, control: Float[Tensor, "*b m"]) -> Float[Tensor, "*b m"]:
         """Clip controls to the box."""
         return torch.minimum(torch.maximum(control, self.bounds.lower), self.bounds.upper)
 
     def physical_parameters(self) -> dict[str, Tensor]:
-        """Values of all physical parameters in physical units by their names, learned or frozen."""
+        """Values of all physical parameters in physical units by their names, learned or frozen.
+
+        Empty for a model without any, such as a baseline that only follows tracks.
+        """
         return {
             name: module()
             for name, module in self.named_modules()

@@ -1,7 +1,7 @@
 """DiffKBM: the kinematic bicycle with a learnable wheelbase."""
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -9,10 +9,14 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.dynamics.base import DynamicsModel
+from diffstack_mmv.dynamics.records import DerivedQuantity, DriverInput
 from diffstack_mmv.geometry import direction
 from diffstack_mmv.smooth import floor_at_zero, saturate
 from diffstack_mmv.types import Motion
-from diffstack_mmv.vehicles import SoftClamped, VehicleSpec
+from diffstack_mmv.vehicles import SoftClamped, VehicleSpec, turning_axle_m
+
+EULER_STEP_S = 0.05
+"""Longest step of the Euler scheme within a plan."""
 
 
 class SoftplusFloor:
@@ -29,13 +33,16 @@ class SoftplusFloor:
         require_positive("width_mps", width_mps)
         self.width_mps = width_mps
 
+    def __repr__(self) -> str:
+        return f"SoftplusFloor(width_mps={self.width_mps})"
+
     def __call__(self, speed: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
         """Bound a speed in m/s from below by zero."""
         return self.width_mps * torch.nn.functional.softplus(speed / self.width_mps)
 
 
 class DiffKBM(DynamicsModel):
-    """Kinematic bicycle, reference point at the rear axle, one Euler step.
+    """Kinematic bicycle, reference point at the axle that does not steer, one Euler step.
 
         v⁺ = max(v + a dt, 0)
         θ⁺ = θ + (v⁺ / L) tan δ dt
@@ -79,6 +86,17 @@ class DiffKBM(DynamicsModel):
         )
         self.wheelbase = SoftClamped(spec.wheelbase)
         self.floor = floor
+        self._axle_m = turning_axle_m(spec.wheels)
+
+    @property
+    def reference_ahead_m(self) -> float:
+        """Longitudinal position in m of the axle that does not steer, mostly the rear one."""
+        return self._axle_m
+
+    @property
+    def longest_step_s(self) -> float:
+        """Longest step in s of the Euler scheme within a plan."""
+        return EULER_STEP_S
 
     def step(
         self, state: Float[Tensor, "*#b 4"], control: Float[Tensor, "*#b 2"]
@@ -116,3 +134,29 @@ class DiffKBM(DynamicsModel):
         """Steering angle atan(L κ) in rad, acceleration (m/s²) as it is."""
         steer = torch.atan(self.wheelbase() * curvature)
         return self.within_bounds(torch.stack([acceleration.expand_as(steer), steer], -1))
+
+    @property
+    def driver_input_needs_state(self) -> bool:
+        """An acceleration and an angle mean the same at every state."""
+        return False
+
+    def control_for_driver(
+        self, state: Float[Tensor, "*b 4"], driver: DriverInput
+    ) -> Float[Tensor, "*b 2"]:
+        """Acceleration (m/s²) and steering angle (rad) are the control."""
+        return torch.stack(torch.broadcast_tensors(*driver), -1)
+
+    def driver_input(
+        self, state: Float[Tensor, "*b 4"], control: Float[Tensor, "*b 2"]
+    ) -> DriverInput:
+        """The control is acceleration (m/s²) and steering angle (rad)."""
+        return DriverInput(*control.unbind(-1))
+
+    def derived_quantities(self) -> Mapping[str, DerivedQuantity]:
+        """Steering angle per curvature in m, which is the wheelbase."""
+        return {"steer_per_curvature": DerivedQuantity(self.wheelbase(), "m")}
+
+    def description(self) -> dict[str, Any]:
+        """What a results file tells of the model, with the floor of the speed."""
+        name = getattr(self.floor, "__name__", repr(self.floor))
+        return super().description() | {"speed_floor": name}

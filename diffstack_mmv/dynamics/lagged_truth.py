@@ -108,14 +108,14 @@ def _command(
     return torch.stack([torch.full_like(times, acceleration), curvature * on], -1)
 
 
-class Course(NamedTuple):
-    """One manoeuvre of the comparison."""
+class CommandProfile(NamedTuple):
+    """Acceleration (m/s²) and curvature (1/m) over one manoeuvre of the comparison."""
 
     speed_mps: float
     command: Float[Tensor, "T 2"]
 
 
-def courses() -> dict[str, Course]:
+def command_profiles() -> dict[str, CommandProfile]:
     """S-curve (3-7 m/s), left and right turn (3-16 m/s), left and right U-turn (3-15 m/s)."""
     right = torch.tensor([1.0, -1.0], dtype=torch.float64)
     first = _command(9.8, 0.45, 0.1, 1.5, 4.0)
@@ -123,11 +123,11 @@ def courses() -> dict[str, Course]:
     curve = torch.stack([first[:, 0], first[:, 1] + second[:, 1]], -1)
     turn, back = _command(7.4, 1.8, 0.06, 2.0, 5.0), _command(6.0, 2.0, 0.14, 1.0, 4.5)
     return {
-        "S-curve": Course(3.0, curve),
-        "left turn": Course(3.0, turn),
-        "right turn": Course(3.0, turn * right),
-        "left U-turn": Course(3.0, back),
-        "right U-turn": Course(3.0, back * right),
+        "S-curve": CommandProfile(3.0, curve),
+        "left turn": CommandProfile(3.0, turn),
+        "right turn": CommandProfile(3.0, turn * right),
+        "left U-turn": CommandProfile(3.0, back),
+        "right U-turn": CommandProfile(3.0, back * right),
     }
 
 
@@ -167,7 +167,7 @@ def _kbm_path(
     return torch.stack(states[1:])[:, :2]
 
 
-class Score(NamedTuple):
+class FollowingError(NamedTuple):
     """Average displacement from the truth in m."""
 
     gm3_m: float
@@ -175,13 +175,13 @@ class Score(NamedTuple):
 
 
 def score(
-    spec: VehicleSpec, course: Course, variant: Variant, truth: LaggedTruth | None = None
-) -> Score:
-    """Drive both models over one course with the signals of one variant.
+    spec: VehicleSpec, profile: CommandProfile, variant: Variant, truth: LaggedTruth | None = None
+) -> FollowingError:
+    """Drive both models over one manoeuvre with the signals of one variant.
 
     Each model's own reference point starts at the origin: the truth is a point.
     """
-    signals = (truth or LaggedTruth())(course.command, course.speed_mps, _STEP_S)
-    paths = (path(spec, signals, variant, course.speed_mps) for path in (_gm3_path, _kbm_path))
+    signals = (truth or LaggedTruth())(profile.command, profile.speed_mps, _STEP_S)
+    paths = (path(spec, signals, variant, profile.speed_mps) for path in (_gm3_path, _kbm_path))
     gm3, kbm = ((path - signals.position).norm(dim=-1).mean().item() for path in paths)
-    return Score(gm3, kbm)
+    return FollowingError(gm3, kbm)

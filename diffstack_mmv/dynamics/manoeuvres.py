@@ -4,30 +4,24 @@ import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import message, require, require_positive
-
-
-class Steps(NamedTuple):
-    """What the rider does, one row per control step."""
-
-    acceleration: Float[Tensor, " T"]  # m/s²
-    steer: Float[Tensor, " T"]  # angle of the front wheel in rad
+from diffstack_mmv.dynamics.records import DriverInput
 
 
 @runtime_checkable
-class Manoeuvre(Protocol):
-    """A sequence of steps that starts at some speed."""
+class OpenLoopManoeuvre(Protocol):
+    """What a driver does over time, one row per control step, from some speed on."""
 
     speed_mps: float
 
-    def __call__(self, wheelbase_m: float, dt_s: float) -> Steps:
-        """Steps for a vehicle of this wheelbase."""
+    def __call__(self, wheelbase_m: float, dt_s: float) -> DriverInput:
+        """Inputs for a vehicle of this wheelbase."""
         ...
 
 
@@ -59,11 +53,11 @@ class Slalom:
     def __post_init__(self) -> None:
         require_positive("period_s", self.period_s)
 
-    def __call__(self, wheelbase_m: float, dt_s: float) -> Steps:
-        """Steps for a vehicle of this wheelbase."""
+    def __call__(self, wheelbase_m: float, dt_s: float) -> DriverInput:
+        """Inputs for a vehicle of this wheelbase."""
         times = _times(self.period_s * self.periods, dt_s)
         curvature = self.curvature * (2 * math.pi * times / self.period_s).sin()
-        return Steps(
+        return DriverInput(
             torch.full_like(times, self.acceleration_mps2), (wheelbase_m * curvature).atan()
         )
 
@@ -95,15 +89,15 @@ class Turn:
         for name in ("speed_mps", "radius_m", "ramp_s"):
             require_positive(name, getattr(self, name))
 
-    def __call__(self, wheelbase_m: float, dt_s: float) -> Steps:
-        """Steps for a vehicle of this wheelbase; the hold lasts until the angle is reached."""
+    def __call__(self, wheelbase_m: float, dt_s: float) -> DriverInput:
+        """Inputs for a vehicle of this wheelbase; the hold lasts until the angle is reached."""
         # a ramp up and one down turn as far as one of them at full curvature
         turning_s = abs(self.angle_rad) * self.radius_m / self.speed_mps + self.ramp_s
         times = _times(turning_s + 2 * self.straight_s, dt_s) - self.straight_s
         edge = torch.minimum(times, turning_s - times) / self.ramp_s
         share = 0.5 - 0.5 * (math.pi * edge.clamp(0, 1)).cos()
         curvature = math.copysign(1 / self.radius_m, self.angle_rad) * share
-        return Steps(
+        return DriverInput(
             torch.full_like(times, self.acceleration_mps2), (wheelbase_m * curvature).atan()
         )
 
@@ -124,12 +118,12 @@ class Braking:
     roll_s: float = 1.0
     hold_s: float = 1.0
 
-    def __call__(self, wheelbase_m: float, dt_s: float) -> Steps:
-        """Steps; straight for any wheelbase."""
+    def __call__(self, wheelbase_m: float, dt_s: float) -> DriverInput:
+        """Inputs; straight for any wheelbase."""
         braking_s = self.speed_mps / abs(self.acceleration_mps2)
         times = _times(self.roll_s + braking_s + self.hold_s, dt_s)
         acceleration = torch.where(times < self.roll_s, 0.0, self.acceleration_mps2).double()
-        return Steps(acceleration, torch.zeros_like(times))
+        return DriverInput(acceleration, torch.zeros_like(times))
 
 
 @dataclass(frozen=True)
@@ -144,8 +138,8 @@ class RecordedControls:
     path: str | Path
     speed_mps: float = 0.0
 
-    def __call__(self, wheelbase_m: float, dt_s: float) -> Steps:
-        """Steps as recorded.
+    def __call__(self, wheelbase_m: float, dt_s: float) -> DriverInput:
+        """Inputs as recorded.
 
         Raises:
             ValueError: The file is missing, lacks a column, is empty, or holds something else.
@@ -163,4 +157,4 @@ class RecordedControls:
         bad = (~torch.isfinite(values).all(1)).nonzero().flatten().tolist()
         told = f"{rows[bad[0]]} in row {bad[0] + 1}" if bad else ""
         require(not bad, "controls", "hold finite numbers", told, where, remedy)
-        return Steps(values[:, 0], values[:, 1])
+        return DriverInput(values[:, 0], values[:, 1])

@@ -7,10 +7,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.dynamics.base import DynamicsModel
+from diffstack_mmv.dynamics.records import DriverInput
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.smooth import saturate, sinc, sinc_slope
 from diffstack_mmv.types import Motion
-from diffstack_mmv.vehicles import VehicleSpec
+from diffstack_mmv.vehicles import VehicleSpec, turning_axle_m
 
 
 class ExtendedUnicycle(DynamicsModel):
@@ -26,7 +27,7 @@ class ExtendedUnicycle(DynamicsModel):
     (CoRL 2022), with the integral in closed form.
 
     Args:
-        spec: The vehicle, of which only the limits are used.
+        spec: The vehicle: limits, and axle and wheelbase for a driver who steers by an angle.
         dt_s: Length of one step in s.
     """
 
@@ -52,6 +53,13 @@ class ExtendedUnicycle(DynamicsModel):
             (-yaw_rate, limits.acceleration_min_mps2),
             (yaw_rate, limits.acceleration_max_mps2),
         )
+        self._axle_m = turning_axle_m(spec.wheels)
+        self._wheelbase_m = spec.wheelbase.entries()[0][0]
+
+    @property
+    def reference_ahead_m(self) -> float:
+        """Longitudinal position in m of the axle that does not steer: it slips no sideways."""
+        return self._axle_m
 
     def step(
         self, state: Float[Tensor, "*#b 4"], control: Float[Tensor, "*#b 2"]
@@ -97,3 +105,22 @@ class ExtendedUnicycle(DynamicsModel):
         """Yaw rate v κ at the middle of the step, acceleration (m/s²) as it is."""
         speed = state[..., 3] + 0.5 * self.dt_s * acceleration
         return self.within_bounds(torch.stack([curvature * speed, acceleration], -1))
+
+    def control_for_driver(
+        self, state: Float[Tensor, "*b 4"], driver: DriverInput
+    ) -> Float[Tensor, "*b 2"]:
+        """Yaw rate v tan δ / L in rad/s of the kinematic bicycle at the middle of the step."""
+        speed = (state[..., 3] + 0.5 * self.dt_s * driver.acceleration).clamp_min(0)
+        yaw_rate = speed * driver.steer.tan() / self._wheelbase_m
+        return torch.stack([yaw_rate, driver.acceleration.expand_as(yaw_rate)], -1)
+
+    def driver_input(
+        self, state: Float[Tensor, "*b 4"], control: Float[Tensor, "*b 2"]
+    ) -> DriverInput:
+        """Acceleration (m/s²), and the angle (rad) of the same curve; straight at standstill."""
+        yaw_rate, acceleration = control.unbind(-1)
+        speed = (state[..., 3] + 0.5 * self.dt_s * acceleration).clamp_min(0)
+        moving = speed > 0
+        curvature = yaw_rate / torch.where(moving, speed, torch.ones_like(speed))
+        curvature = torch.where(moving, curvature, torch.zeros_like(curvature))
+        return DriverInput(acceleration, torch.atan(self._wheelbase_m * curvature))

@@ -1,68 +1,102 @@
-"""System identification: physical parameters from tracks, with or without recorded controls."""
+"""System identification: physical parameters from tracks, with or without recorded controls.
 
-from diffstack_mmv.identification.case import Case, Explained, lean_agreement
-from diffstack_mmv.identification.excitation import beyond_limits
-from diffstack_mmv.identification.fit import Data, EarlyStopping, Fit
-from diffstack_mmv.identification.identify import Identification, Identifier
-from diffstack_mmv.identification.linearisation import Tracker
-from diffstack_mmv.identification.nested import Nested
-from diffstack_mmv.identification.parameters import LearnedParameters
-from diffstack_mmv.identification.problem import TrackedVehicle, TrackingSettings
-from diffstack_mmv.identification.profile import profiles
-from diffstack_mmv.identification.rider import ridden
-from diffstack_mmv.identification.sensitivity import Thresholds, Verdict
-from diffstack_mmv.identification.shooting import Shooting
-from diffstack_mmv.identification.stretches import (
-    Division,
-    ExcitingChoice,
-    LongestChoice,
-    RandomChoice,
-    Stretch,
-    StretchSettings,
-    batch,
-    cut,
-    divide,
+Parts import each other in one direction: tracks, shooting, inference, report.
+"""
+
+from diffstack_mmv.identification.inference import (
+    FittedMotion,
+    Identifiability,
+    IdentifiabilityThresholds,
+    Identification,
+    IdentificationProblem,
+    IdentificationStudy,
+    Identifier,
+    ModelComparison,
+    ModelResult,
+    StudyResult,
+    TrackingAssumptions,
+    ValidationErrors,
+    estimate_rider_scales,
+    profile_likelihoods,
+    validation_errors,
 )
-from diffstack_mmv.identification.summary import losses, summarise
-from diffstack_mmv.identification.tracking import LevenbergMarquardt, track
-from diffstack_mmv.identification.validation import HeldOut, Studied, Study, folds, held_out
+from diffstack_mmv.identification.report import (
+    identification_result,
+    lean_agreement,
+    summarise,
+    tracking_losses,
+    vehicle_provenance,
+)
+from diffstack_mmv.identification.shooting import (
+    BilevelFit,
+    EarlyStopping,
+    EstimationData,
+    LevenbergMarquardt,
+    MultipleShooting,
+    ParameterFit,
+    ParameterVector,
+    TrackingModel,
+    TrackingSettings,
+    TrackSimulator,
+    infer_controls,
+)
+from diffstack_mmv.identification.tracks import (
+    DataSplit,
+    ExcitationSelection,
+    LongestSelection,
+    RandomSelection,
+    Recordings,
+    SegmentSettings,
+    TrackSegment,
+    cross_validation_splits,
+    cut_tracks,
+    share_beyond_limits,
+    split_segments,
+    stack_segments,
+)
 
 __all__ = [
-    "Case",
-    "Data",
-    "Division",
+    "BilevelFit",
+    "DataSplit",
     "EarlyStopping",
-    "ExcitingChoice",
-    "Explained",
-    "Fit",
-    "HeldOut",
+    "EstimationData",
+    "ExcitationSelection",
+    "FittedMotion",
+    "Identifiability",
+    "IdentifiabilityThresholds",
     "Identification",
+    "IdentificationProblem",
+    "IdentificationStudy",
     "Identifier",
-    "LearnedParameters",
     "LevenbergMarquardt",
-    "LongestChoice",
-    "Nested",
-    "RandomChoice",
-    "Shooting",
-    "Stretch",
-    "Studied",
-    "Study",
-    "StretchSettings",
-    "Thresholds",
-    "TrackedVehicle",
-    "Tracker",
+    "LongestSelection",
+    "ModelComparison",
+    "ModelResult",
+    "MultipleShooting",
+    "ParameterFit",
+    "ParameterVector",
+    "RandomSelection",
+    "Recordings",
+    "SegmentSettings",
+    "StudyResult",
+    "TrackSegment",
+    "TrackSimulator",
+    "TrackingAssumptions",
+    "TrackingModel",
     "TrackingSettings",
-    "Verdict",
-    "batch",
-    "beyond_limits",
-    "cut",
-    "divide",
-    "folds",
-    "held_out",
+    "ValidationErrors",
+    "cross_validation_splits",
+    "cut_tracks",
+    "estimate_rider_scales",
+    "identification_result",
+    "infer_controls",
     "lean_agreement",
-    "losses",
-    "profiles",
-    "ridden",
+    "profile_likelihoods",
+    "share_beyond_limits",
+    "split_segments",
+    "stack_segments",
     "summarise",
-    "track",
+    "tracking_losses",
+    "validation_errors",
+    "vehicle_provenance",
 ]

@@ -1,29 +1,39 @@
-"""Metrics of predictions, plans and closed-loop episodes."""
+"""Scores of predictions, plans and closed-loop episodes, each computed in one place only."""
 
 from diffstack_mmv.metrics.by_mode import MeanByMode
 from diffstack_mmv.metrics.displacement import (
-    AverageDisplacement,
-    FinalDisplacement,
-    MinimumDisplacement,
-    MissRate,
     average_displacement,
     best_average_displacement,
+    displacement,
+    displacements,
     final_displacement,
+    mean_square_displacement,
+    missed,
 )
-from diffstack_mmv.metrics.likelihood import NegativeLogLikelihood, negative_log_likelihood
-from diffstack_mmv.metrics.planning import collides, overlap_now
+from diffstack_mmv.metrics.likelihood import negative_log_likelihood
+from diffstack_mmv.metrics.means import masked_mean, time_mean, where_known
+from diffstack_mmv.metrics.planning import collided, planning_loss, solved, total_cost
+from diffstack_mmv.metrics.scores import CLOSED_LOOP, DISPLACEMENT, OPEN_LOOP, Score
 
 __all__ = [
-    "AverageDisplacement",
-    "FinalDisplacement",
+    "CLOSED_LOOP",
+    "DISPLACEMENT",
+    "OPEN_LOOP",
     "MeanByMode",
-    "MinimumDisplacement",
-    "MissRate",
-    "NegativeLogLikelihood",
+    "Score",
     "average_displacement",
     "best_average_displacement",
-    "collides",
+    "collided",
+    "displacement",
+    "displacements",
     "final_displacement",
+    "masked_mean",
+    "mean_square_displacement",
+    "missed",
     "negative_log_likelihood",
-    "overlap_now",
+    "planning_loss",
+    "solved",
+    "time_mean",
+    "total_cost",
+    "where_known",
 ]

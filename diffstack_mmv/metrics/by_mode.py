@@ -15,7 +15,8 @@ class MeanByMode(Metric):
     """Mean of each score over the samples of each mode, and over all samples.
 
     The states are sums and counts, so the result does not depend on how samples are spread over
-    batches and processes. A score that is NaN for a sample leaves that sample out of its mean.
+    batches and processes. A score that is NaN for a sample leaves that sample out of its mean;
+    samples that some score could not judge are counted.
 
     Args:
         names: The scores.
@@ -33,8 +34,12 @@ class MeanByMode(Metric):
         shape = (len(self.names), len(Mode))
         self.add_state("total", torch.zeros(shape, dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("count", torch.zeros(shape, dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("samples", torch.zeros(len(Mode), dtype=torch.int64), dist_reduce_fx="sum")
+        self.add_state("missing", torch.zeros(len(Mode), dtype=torch.int64), dist_reduce_fx="sum")
         self.total: Tensor
         self.count: Tensor
+        self.samples: Tensor
+        self.missing: Tensor
 
     def update(self, scores: Mapping[str, Float[Tensor, " B"]], mode: Int[Tensor, " B"]) -> None:
         """Add a batch of samples."""
@@ -42,20 +47,26 @@ class MeanByMode(Metric):
         known = ~torch.isnan(values)
         self.total.index_add_(1, mode, torch.where(known, values, 0.0))
         self.count.index_add_(1, mode, known.to(self.count))
+        self.samples.index_add_(0, mode, torch.ones_like(mode).to(self.samples))
+        self.missing.index_add_(0, mode, (~known.all(0)).to(self.missing))
 
     def compute(self) -> dict[str, Tensor]:
         """Means as `score` over all samples and `mode/score` over those of a mode.
 
-        Absent where there was no sample.
+        Absent where no sample could be judged. `n_missing` and `mode/n_missing` count the samples
+        that at least one score could not judge.
         """
+        present = {mode: f"{mode.label}/" for mode in Mode if self.samples[mode] > 0}
         means: dict[str, Tensor] = {}
-        overall = self.total.sum(1) / self.count.sum(1)
         for row, name in enumerate(self.names):
             if self.count[row].sum() > 0:
-                means[name] = overall[row].float()
-            for mode in Mode:
+                means[name] = (self.total[row].sum() / self.count[row].sum()).float()
+            for mode, prefix in present.items():
                 if self.count[row, mode] > 0:
-                    means[f"{mode.label}/{name}"] = (
-                        self.total[row, mode] / self.count[row, mode]
-                    ).float()
-        return means
+                    mean = self.total[row, mode] / self.count[row, mode]
+                    means[f"{prefix}{name}"] = mean.float()
+        if present:
+            means["n_missing"] = self.missing.sum().float()
+        return means | {
+            f"{prefix}n_missing": self.missing[mode].float() for mode, prefix in present.items()
+        }

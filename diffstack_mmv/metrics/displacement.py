@@ -1,147 +1,74 @@
-"""Distances between predicted and true positions.
+"""Distances between a path and the true positions, one number per sample.
 
-The functions give one number per sample, NaN where a sample has no valid time to be judged at; the
-classes are their means over all samples, summed over processes.
+NaN where a sample has no valid time to be judged at. What stands in rows that are not valid counts
+neither in the value nor in the gradient.
 """
-
-from abc import abstractmethod
-from typing import ClassVar
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from torchmetrics import Metric
 
-from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.metrics.means import time_mean, where_known
 from diffstack_mmv.types import Forecast, Tracks
 
+MISS_M = 2.0
+"""Distance at the horizon beyond which a prediction is a miss, as in Argoverse and nuScenes."""
 
-def time_mean(values: Float[Tensor, "*b T"], valid: Bool[Tensor, "*#b T"]) -> Float[Tensor, "*b"]:
-    """Mean over the valid times, in the unit of the values; NaN where no time is valid."""
-    return torch.where(valid, values, torch.zeros_like(values)).sum(-1) / valid.sum(-1)
+
+def displacement(path: Float[Tensor, "*b T 2"], future: Tracks) -> Float[Tensor, "*b T"]:
+    """Distance in m to the true position at each time; NaN where that one is not valid."""
+    return where_known(
+        _offset(path, future.motion.position, future.valid).norm(dim=-1), future.valid
+    )
 
 
 def average_displacement(path: Float[Tensor, "*b T 2"], future: Tracks) -> Float[Tensor, "*b"]:
     """ADE in m: distance to the true position, mean over the valid times."""
-    return time_mean((path - future.motion.position).norm(dim=-1), future.valid)
+    distance = _offset(path, future.motion.position, future.valid).norm(dim=-1)
+    return time_mean(distance, future.valid)
 
 
 def final_displacement(path: Float[Tensor, "*b T 2"], future: Tracks) -> Float[Tensor, "*b"]:
     """FDE in m: distance to the true position at the last time; NaN where that one is not valid."""
-    distance = (path[..., -1, :] - future.motion.position[..., -1, :]).norm(dim=-1)
-    return torch.where(future.valid[..., -1], distance, torch.nan)
+    return displacement(path, future)[..., -1]
+
+
+def displacements(path: Float[Tensor, "*b T 2"], future: Tracks) -> dict[str, Float[Tensor, "*b"]]:
+    """ADE and FDE in m by their names."""
+    return {"ade": average_displacement(path, future), "fde": final_displacement(path, future)}
+
+
+def mean_square_displacement(path: Float[Tensor, "*b T 2"], future: Tracks) -> Float[Tensor, "*b"]:
+    """Squared distance in m² to the true position, mean over the valid times."""
+    offset = _offset(path, future.motion.position, future.valid)
+    return time_mean(offset.square().sum(-1), future.valid)
 
 
 def best_average_displacement(
-    forecast: Forecast, future: Tracks, components: int
+    forecast: Forecast, future: Tracks, components: int = 5
 ) -> Float[Tensor, "*b"]:
-    """Smallest ADE in m among that many components, those with the largest weights."""
+    """Smallest ADE in m (minADE) among that many components, those with the largest weights."""
     count = min(components, forecast.log_weight.shape[-1])
     index = forecast.log_weight.topk(count, -1).indices[..., None, None]
-    error = forecast.mean.take_along_dim(index, -3) - future.motion.position.unsqueeze(-3)
-    return time_mean(error.norm(dim=-1), future.valid.unsqueeze(-2)).amin(-1)
+    paths = forecast.mean.take_along_dim(index, -3)
+    valid = future.valid.unsqueeze(-2)
+    offset = _offset(paths, future.motion.position.unsqueeze(-3), valid)
+    return time_mean(offset.norm(dim=-1), valid).amin(-1)
 
 
-class ForecastMetric(Metric):
-    """Mean over samples of a number that a forecast and the truth give, NaN left out.
-
-    `update` takes a forecast `*b K T` of single agents and their true tracks `*b T`; `compute` is
-    NaN before any sample.
-    """
-
-    full_state_update = False
-    is_differentiable = False
-    unit: ClassVar[str] = "m"
-    title: ClassVar[str]
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
-        self.add_state("count", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
-        self.total: Tensor
-        self.count: Tensor
-
-    def update(self, forecast: Forecast, future: Tracks) -> None:
-        """Add the samples of a batch."""
-        scores = self.scores(forecast, future).detach()
-        judged = ~torch.isnan(scores)
-        self.total += scores[judged].sum(dtype=torch.float64)
-        self.count += judged.sum()
-
-    def compute(self) -> Float[Tensor, ""]:
-        """Mean over all samples, in `unit`."""
-        return (self.total / self.count).float()
-
-    @abstractmethod
-    def scores(self, forecast: Forecast, future: Tracks) -> Float[Tensor, "*b"]:
-        """One number per sample, in `unit`."""
+def missed(
+    path: Float[Tensor, "*b T 2"], future: Tracks, limit_m: float = MISS_M
+) -> Float[Tensor, "*b"]:
+    """1 where the FDE is above a limit, else 0; NaN where there is no FDE."""
+    distance = final_displacement(path, future)
+    return where_known((distance > limit_m).to(distance), ~torch.isnan(distance))
 
 
-class AverageDisplacement(ForecastMetric):
-    """ADE of the most likely trajectory."""
-
-    higher_is_better = False
-    title = "ADE"
-
-    def scores(self, forecast: Forecast, future: Tracks) -> Float[Tensor, "*b"]:
-        """ADE of each sample in m."""
-        return average_displacement(forecast.most_likely(), future)
-
-
-class FinalDisplacement(ForecastMetric):
-    """FDE of the most likely trajectory."""
-
-    higher_is_better = False
-    title = "FDE"
-
-    def scores(self, forecast: Forecast, future: Tracks) -> Float[Tensor, "*b"]:
-        """FDE of each sample in m."""
-        return final_displacement(forecast.most_likely(), future)
-
-
-class MinimumDisplacement(ForecastMetric):
-    """minADE_k: the ADE of the best of the k most likely trajectories.
-
-    Args:
-        components: k.
-
-    Raises:
-        ValueError: k is below one.
-    """
-
-    higher_is_better = False
-    title = "minADE"
-
-    def __init__(self, components: int = 5) -> None:
-        super().__init__()
-        require_at_least("components", components, 1)
-        self.components = components
-
-    def scores(self, forecast: Forecast, future: Tracks) -> Float[Tensor, "*b"]:
-        """minADE_k of each sample in m."""
-        return best_average_displacement(forecast, future, self.components)
-
-
-class MissRate(ForecastMetric):
-    """Share of samples whose most likely trajectory ends further away from the truth than a limit.
-
-    Args:
-        limit_m: The limit.
-
-    Raises:
-        ValueError: The limit is not positive.
-    """
-
-    higher_is_better = False
-    unit = "1"
-    title = "miss rate"
-
-    def __init__(self, limit_m: float = 2.0) -> None:
-        super().__init__()
-        require_positive("limit_m", limit_m)
-        self.limit_m = limit_m
-
-    def scores(self, forecast: Forecast, future: Tracks) -> Float[Tensor, "*b"]:
-        """1 for a miss, 0 for a hit."""
-        distance = final_displacement(forecast.most_likely(), future)
-        return torch.where(torch.isnan(distance), distance, (distance > self.limit_m).to(distance))
+def _offset(
+    path: Float[Tensor, "*b T 2"],
+    position: Float[Tensor, "*#b T 2"],
+    valid: Bool[Tensor, "*#b T"],
+) -> Float[Tensor, "*b T 2"]:
+    """From the true position to the path in m, zero at times that are not valid."""
+    offset = path - position
+    return torch.where(valid.unsqueeze(-1), offset, torch.zeros_like(offset))

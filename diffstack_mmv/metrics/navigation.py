@@ -12,7 +12,7 @@ from diffstack_mmv.checks import message, require_positive
 from diffstack_mmv.types import EpisodeRecord, Outcome
 
 DISCOMFORT_M = 0.2
-"""Clearance below which a human feels uncomfortable (Chen et al., Crowd-Robot Interaction)."""
+"""Clearance below which a pedestrian feels uncomfortable (Chen et al., Crowd-Robot Interaction)."""
 NORMAL_QUANTILE = 1.959963984540054
 """Standard normal quantile of a two-sided interval of 95 %."""
 
@@ -55,7 +55,7 @@ def wilson_interval(
 
 
 def uneasy_steps(record: EpisodeRecord) -> Bool[Tensor, "E T1"]:
-    """Steps in which a human feels uncomfortable: clearance in [0, 0.2 m), the last step apart.
+    """Steps in which a pedestrian feels uncomfortable: clearance in [0, 0.2 m).
 
     The step that ends an episode counts as collision, success or time-out instead, as in the
     original benchmark.
@@ -68,15 +68,11 @@ def uneasy_steps(record: EpisodeRecord) -> Bool[Tensor, "E T1"]:
 class EpisodeMean(Metric):
     """Quotient of two sums over episodes; a subclass says which.
 
-    Class attributes:
-        title: Name for tables.
-        unit: Unit of the value, "1" for a share.
+    Titles, units and which sign is better stand in `scores.CLOSED_LOOP`.
     """
 
     is_differentiable = False
     full_state_update = False
-    title: str
-    unit: str
     total: Tensor
     weight: Tensor
 
@@ -101,7 +97,7 @@ class EpisodeMean(Metric):
         self.weight += self._weights(record).double().sum()
 
     def compute(self) -> Float[Tensor, ""]:
-        """The quotient in the unit of the class; NaN where nothing was counted."""
+        """The quotient in the unit of the score; NaN where nothing was counted."""
         return self.total / self.weight
 
     @abstractmethod
@@ -116,7 +112,6 @@ class EpisodeMean(Metric):
 class OutcomeRate(EpisodeMean):
     """Share of the episodes with one outcome."""
 
-    unit = "1"
     outcome: Outcome
 
     def _values(self, record: EpisodeRecord) -> Tensor:
@@ -130,25 +125,23 @@ class OutcomeRate(EpisodeMean):
 class SuccessRate(OutcomeRate):
     """Share of the episodes that reached the goal."""
 
-    title, outcome, higher_is_better = "success", Outcome.SUCCESS, True
+    outcome = Outcome.SUCCESS
 
 
 class CollisionRate(OutcomeRate):
     """Share of the episodes that ended in a collision."""
 
-    title, outcome, higher_is_better = "collision", Outcome.COLLISION, False
+    outcome = Outcome.COLLISION
 
 
 class IncompleteRate(OutcomeRate):
     """Share of the episodes that ran out of time."""
 
-    title, outcome, higher_is_better = "incomplete", Outcome.TIMEOUT, False
+    outcome = Outcome.TIMEOUT
 
 
 class NavigationTime(EpisodeMean):
     """Mean time of the successful episodes; NaN without a success."""
-
-    title, unit, higher_is_better = "time", "s", False
 
     def _values(self, record: EpisodeRecord) -> Tensor:
         return torch.where(record.outcome == Outcome.SUCCESS, record.duration, 0)
@@ -160,16 +153,12 @@ class NavigationTime(EpisodeMean):
 class NavigationTimeOfAll(EpisodeMean):
     """Mean time of all episodes: to the goal, to the collision, or the limit."""
 
-    title, unit, higher_is_better = "time of all", "s", False
-
     def _values(self, record: EpisodeRecord) -> Tensor:
         return record.duration
 
 
 class DiscomfortFrequency(EpisodeMean):
     """Share of the `uneasy_steps` among all steps; time-outs count up to the limit."""
-
-    title, unit, higher_is_better = "discomfort", "1", False
 
     def _values(self, record: EpisodeRecord) -> Tensor:
         return uneasy_steps(record)
@@ -181,8 +170,6 @@ class DiscomfortFrequency(EpisodeMean):
 class DiscomfortDistance(EpisodeMean):
     """Mean clearance over the `uneasy_steps`, below 0.2 m by construction; NaN without any."""
 
-    title, unit, higher_is_better = "average minimum distance", "m", True
-
     def _values(self, record: EpisodeRecord) -> Tensor:
         return torch.where(uneasy_steps(record), record.clearance, 0)
 
@@ -192,8 +179,6 @@ class DiscomfortDistance(EpisodeMean):
 
 class EpisodeMinimumDistance(EpisodeMean):
     """Mean over the episodes of the smallest clearance, an overlap counting as zero."""
-
-    title, unit, higher_is_better = "minimum distance", "m", True
 
     def _values(self, record: EpisodeRecord) -> Tensor:
         return record.clearance.amin(dim=1).clamp(min=0)

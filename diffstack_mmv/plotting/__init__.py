@@ -21,13 +21,13 @@ from diffstack_mmv.plotting.identification import (
     save_identification,
 )
 from diffstack_mmv.plotting.open_loop import draw_runs, draw_wheels
-from diffstack_mmv.plotting.plans import Scene, draw_scene, draw_scenes
+from diffstack_mmv.plotting.plans import PlannedScene, draw_scene, draw_scenes
 
 __all__ = [
     "Episode",
     "Estimate",
     "FittedTrack",
-    "Scene",
+    "PlannedScene",
     "draw_controls",
     "draw_episode",
     "draw_error_over_horizon",

@@ -4,16 +4,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from jaxtyping import Float
 from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Patch
+from matplotlib.patches import Circle, Patch, Polygon
+from torch import Tensor
 
+from diffstack_mmv.geometry import position_from_frame
 from diffstack_mmv.plotting.figures import PALETTE, new_figure, save_figure
 from diffstack_mmv.types import EpisodeRecord, Outcome, map_tensors
 
 ROBOT, PEOPLE, GOAL = PALETTE[1], PALETTE[0], PALETTE[2]
 MARGIN_M = 1.0
+ROBOT_RADIUS_M = 0.3
 
 
 class Episode(NamedTuple):
@@ -21,40 +25,41 @@ class Episode(NamedTuple):
 
     case: int
     record: EpisodeRecord  # without leading dimensions
-    human_radius_m: float
+    pedestrian_radius_m: float
     goal_m: tuple[float, float] | None = None  # of the robot
-    robot_radius_m: float = 0.3
+    outline: Float[Tensor, "corners 2"] | None = None  # m, of the robot; a disc of 0.3 m if None
 
 
 def episode_of(
     record: EpisodeRecord,
     row: int,
     case: int,
-    human_radius_m: float,
+    pedestrian_radius_m: float,
     goal_m: tuple[float, float] | None = None,
+    outline: Float[Tensor, "corners 2"] | None = None,
 ) -> Episode:
-    """One episode of a batch, cut at its end; radius of the humans and goal of the robot in m."""
+    """One episode of a batch, cut at its end; radius of the pedestrians, goal and outline in m."""
     single = map_tensors(lambda field: field[row], record)
     end = int(single.steps) + 1
     motion = type(single.motion)(*(field[:end] for field in single.motion))
     cut = single._replace(
         motion=motion, pedestrians=single.pedestrians[:end], clearance=single.clearance[:end]
     )
-    return Episode(case, cut, human_radius_m, goal_m)
+    return Episode(case, cut, pedestrian_radius_m, goal_m, outline)
 
 
 def draw_episode(episode: Episode) -> Figure:
-    """Paths of the robot and of the people with discs once per second, darkest at the end."""
+    """Paths of the robot and of the people with outlines once per second, darkest at the end."""
     figure = new_figure(5.0, 5.0)
     axes = _axes(figure, episode)
     record = episode.record
     axes.plot(*record.motion.position.T.numpy(), color=ROBOT)
-    for human in record.pedestrians.unbind(1):
-        axes.plot(*human.T.numpy(), color=PEOPLE, linewidth=0.8)
+    for pedestrian in record.pedestrians.unbind(1):
+        axes.plot(*pedestrian.T.numpy(), color=PEOPLE, linewidth=0.8)
     last = len(record.clearance) - 1
     for step in range(0, last, max(round(1 / record.dt_s), 1)):
-        _discs(axes, episode, step, 0.15 + 0.4 * step / last)
-    _discs(axes, episode, last, 0.8)
+        _outlines(axes, episode, step, 0.15 + 0.4 * step / last)
+    _outlines(axes, episode, last, 0.8)
     handles = [
         Patch(color=ROBOT, label="robot, each second"),
         Patch(color=PEOPLE, label="people"),
@@ -75,7 +80,7 @@ def save_animation(episode: Episode, path: Path) -> None:
     def show(step: int) -> list[Any]:
         for patch in list(axes.patches):
             patch.remove()
-        _discs(axes, episode, step, 0.8)
+        _outlines(axes, episode, step, 0.8)
         clearance = float(record.clearance[step])
         axes.set_title(f"{step * record.dt_s:.2f} s, clearance {clearance:.2f} m")
         return list(axes.patches)
@@ -95,6 +100,7 @@ def save_stories(
     count: int,
     goal_m: tuple[float, float] | None = None,
     chosen: Sequence[int] = (),
+    outline: Float[Tensor, "corners 2"] | None = None,
 ) -> None:
     """Draw and animate some episodes: those asked for, then failures, then the others.
 
@@ -102,10 +108,11 @@ def save_stories(
         folder: Receives plots/case_N.png and plots/case_N.gif.
         cases: Numbers of the cases in the order of the records.
         records: Records, one after the other.
-        radius_m: Radius of the humans.
+        radius_m: Radius of the pedestrians.
         count: Number of episodes to show besides those asked for.
         goal_m: Goal of the robot in m.
         chosen: Cases asked for.
+        outline: Polygon of the robot around its reference point in m; a disc of 0.3 m if None.
 
     Raises:
         ValueError: A case asked for is none of these.
@@ -121,7 +128,7 @@ def save_stories(
     rest.sort(key=lambda index: outcomes[index] == Outcome.SUCCESS)
     for index in [*asked, *rest[:count]]:
         record, row = places[index]
-        episode = episode_of(record, row, cases[index], radius_m, goal_m)
+        episode = episode_of(record, row, cases[index], radius_m, goal_m, outline)
         save_figure(draw_episode(episode), folder / "plots" / f"case_{episode.case}.png")
         save_animation(episode, folder / "plots" / f"case_{episode.case}.gif")
 
@@ -144,13 +151,18 @@ def _axes(figure: Figure, episode: Episode) -> Axes:
     return axes
 
 
-def _discs(axes: Axes, episode: Episode, step: int, alpha: float) -> None:
-    """Discs of everybody at one step."""
+def _outlines(axes: Axes, episode: Episode, step: int, alpha: float) -> None:
+    """Outlines of everybody at one step."""
     for place in episode.record.pedestrians[step].tolist():
-        axes.add_patch(Circle(tuple(place), episode.human_radius_m, color=PEOPLE, alpha=alpha))
+        axes.add_patch(Circle(tuple(place), episode.pedestrian_radius_m, color=PEOPLE, alpha=alpha))
     motion = episode.record.motion
     centre = motion.position[step].tolist()
-    axes.add_patch(Circle(tuple(centre), episode.robot_radius_m, color=ROBOT, alpha=alpha))
+    if episode.outline is None:
+        axes.add_patch(Circle(tuple(centre), ROBOT_RADIUS_M, color=ROBOT, alpha=alpha))
+    else:
+        place = (motion.position[step], motion.heading[step])
+        corners = position_from_frame(episode.outline.to(place[0]), *place)
+        axes.add_patch(Polygon(corners.numpy(), color=ROBOT, alpha=alpha))
     nose = motion.heading[step]
     tip = [centre[0] + float(nose.cos()) * 0.3, centre[1] + float(nose.sin()) * 0.3]
     axes.add_patch(Circle(tuple(tip), 0.06, color="black", alpha=alpha))

@@ -8,12 +8,15 @@ from matplotlib.figure import Figure
 from diffstack_mmv.plotting.figures import PALETTE, new_figure
 
 
-def draw_error_over_horizon(errors: Mapping[str, Mapping[str, np.ndarray]], dt_s: float) -> Figure:
+def draw_error_over_horizon(
+    errors: Mapping[str, Mapping[str, np.ndarray]], dt_s: float, heading: str
+) -> Figure:
     """Draw the mean distance to the human over the horizon: a panel per mode, a line per method.
 
     Args:
         errors: Mode -> method -> mean error (T,) in m.
         dt_s: Length of a step in s.
+        heading: Title and unit of the error.
     """
     figure = new_figure(4.2 * max(len(errors), 1), 3.6)
     for column, (mode, methods) in enumerate(errors.items()):
@@ -29,7 +32,7 @@ def draw_error_over_horizon(errors: Mapping[str, Mapping[str, np.ndarray]], dt_s
                 linestyle="-" if ours else "--",
                 label=name.replace("_", " "),
             )
-        axes.set(title=mode, xlabel="time ahead [s]", ylabel="mean distance to the human [m]")
+        axes.set(title=mode, xlabel="time ahead [s]", ylabel=heading)
         axes.set_ylim(0, None)
         axes.grid(alpha=0.3)
         axes.legend(fontsize=7)

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 class FittedTrack(NamedTuple):
-    """One track beside its explanation."""
+    """One track beside the motion fitted to it."""
 
     name: str
     recorded: Array  # T+1 2, m
@@ -123,7 +123,7 @@ def draw_profiles(profiles: Mapping[str, tuple[Array, Array]]) -> Figure:
 
 
 def draw_lean(tracks: Sequence[FittedTrack], dt_s: float) -> Figure:
-    """Draw the lean of the model beside the measured one, which the fit has not seen."""
+    """Draw the lean of the model beside the measured one, which the fit does not use."""
     shown = [each for each in tracks if each.lean is not None and each.recorded_lean is not None]
     figure = new_figure(7.0, 1.7 * max(len(shown), 1))
     for index, each in enumerate(shown):

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from diffstack_mmv.plotting.figures import PALETTE, new_figure
 
 
-class Scene(NamedTuple):
+class PlannedScene(NamedTuple):
     """One sample to draw, positions in m in the frame of the ego."""
 
     title: str
@@ -24,7 +24,7 @@ class Scene(NamedTuple):
     neighbors: np.ndarray  # N T 2, NaN where unknown
 
 
-def draw_scene(axes: Axes, scene: Scene) -> None:
+def draw_scene(axes: Axes, scene: PlannedScene) -> None:
     """Draw one sample into a pair of axes."""
     for path in scene.candidates:
         axes.plot(*path.T, color="0.85", linewidth=0.6, zorder=1)
@@ -51,7 +51,7 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
     axes.tick_params(labelsize=7)
 
 
-def _frame(axes: Axes, scene: Scene) -> None:
+def _frame(axes: Axes, scene: PlannedScene) -> None:
     seen = np.concatenate([scene.past, scene.human, scene.plan])
     centre = 0.5 * (seen.min(0) + seen.max(0))
     half = 0.5 * np.ptp(seen, axis=0).max() + 1.0
@@ -59,7 +59,7 @@ def _frame(axes: Axes, scene: Scene) -> None:
     axes.set_ylim(centre[1] - 0.75 * half, centre[1] + 0.75 * half)
 
 
-def draw_scenes(scenes: Sequence[Scene], columns: int = 3) -> Figure:
+def draw_scenes(scenes: Sequence[PlannedScene], columns: int = 3) -> Figure:
     """Draw samples in a grid, x and y in m, with one legend."""
     rows = -(-len(scenes) // columns)
     figure = new_figure(4.0 * columns, 3.4 * rows)

@@ -1,5 +1,7 @@
 """Predictors: where the ego and its neighbors will be."""
 
+# also here, because the configurations of earlier checkpoints name it so
+from diffstack_mmv.dynamics import SingleIntegrator
 from diffstack_mmv.prediction.base import (
     Predictor,
     all_agents,
@@ -23,7 +25,7 @@ from diffstack_mmv.prediction.goal_baselines import (
     straight_line,
 )
 from diffstack_mmv.prediction.kalman import KalmanConstantVelocity
-from diffstack_mmv.prediction.trajectron import Annealing, SingleIntegrator, Sizes, Trajectron
+from diffstack_mmv.prediction.trajectron import Annealing, Sizes, Trajectron
 
 __all__ = [
     "Annealing",

@@ -1,7 +1,13 @@
 """Tables from saved results; nothing here runs a model."""
 
 from diffstack_mmv.reporting.closed_loop import closed_loop_table, write_closed_loop
-from diffstack_mmv.reporting.comparison import compare, paired_tests, read_runs, write_comparison
+from diffstack_mmv.reporting.comparison import (
+    Comparison,
+    compare,
+    paired_tests,
+    read_runs,
+    write_comparison,
+)
 from diffstack_mmv.reporting.files import (
     read_json,
     read_parquet,
@@ -12,8 +18,12 @@ from diffstack_mmv.reporting.files import (
 from diffstack_mmv.reporting.identification import models_table, write_identification
 from diffstack_mmv.reporting.metrics_table import summarise_modes, write_metrics
 from diffstack_mmv.reporting.paired import paired_cases, paired_table, paired_with_run
+from diffstack_mmv.reporting.scores import ScoreHeading, Scores
 
 __all__ = [
+    "Comparison",
+    "ScoreHeading",
+    "Scores",
     "closed_loop_table",
     "compare",
     "models_table",

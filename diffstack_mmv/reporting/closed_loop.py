@@ -8,17 +8,8 @@ import pandas as pd
 
 from diffstack_mmv.reporting.files import write_json, write_text
 from diffstack_mmv.reporting.paired import paired_table
+from diffstack_mmv.reporting.scores import Scores
 
-COLUMNS = {
-    "success_rate": "success",
-    "collision_rate": "collision",
-    "incomplete_rate": "incomplete",
-    "nav_time_s": "time [s]",
-    "nav_time_all_s": "time of all [s]",
-    "discomfort_frequency": "discomfort",
-    "avg_min_dist_m": "distance in discomfort [m]",
-    "mean_episode_min_dist_m": "mean smallest distance [m]",
-}
 WITH_INTERVAL = ("success_rate", "collision_rate")
 
 
@@ -26,6 +17,7 @@ def write_closed_loop(
     folder: Path,
     result: Mapping[str, Any],
     baselines: Mapping[str, Mapping[str, Any]],
+    scores: Scores,
     published: Sequence[Mapping[str, Any]] = (),
     pairs: Sequence[Mapping[str, Any]] = (),
 ) -> None:
@@ -35,6 +27,7 @@ def write_closed_loop(
         folder: The folder.
         result: Header and numbers of the controller; the keys are those of the file.
         baselines: Numbers of each baseline; its cases go into the file as well.
+        scores: Titles and units of the scores, in the order of the columns.
         published: Rows of published methods, each with its source.
         pairs: Paired tests against other methods and runs, see `paired_cases`.
 
@@ -42,37 +35,39 @@ def write_closed_loop(
         ValueError: A number is NaN or infinite.
     """
     write_json(folder / "closed_loop.json", _content(result, baselines, pairs))
-    told = [_summary(result, baselines), _paired(pairs), _published(published)]
+    told = [_summary(result, baselines, scores), _paired(pairs, scores), _published(published)]
     write_text(folder / "closed_loop.md", "\n\n".join(part for part in told if part) + "\n")
 
 
 def closed_loop_table(
-    result: Mapping[str, Any], baselines: Mapping[str, Mapping[str, Any]]
+    result: Mapping[str, Any], baselines: Mapping[str, Mapping[str, Any]], scores: Scores
 ) -> pd.DataFrame:
     """One row per method: shares with intervals of 95 %, times in s, distances in m."""
     own = f"{result['controller']} ({result['dynamics']} {result['vehicle']})"
-    rows = {own: _row(result)} | {name: _row(each) for name, each in baselines.items()}
+    rows = {name: _row(each, scores) for name, each in {own: result, **baselines}.items()}
     frame = pd.DataFrame.from_dict(rows, orient="index")
     frame.index.name = "method"
     return frame
 
 
-def _row(numbers: Mapping[str, Any]) -> dict[str, str]:
+def _row(numbers: Mapping[str, Any], scores: Scores) -> dict[str, str]:
     """The cells of one method."""
     cells = {"n": str(numbers["n"])}
-    for name, title in COLUMNS.items():
-        cells[title] = _cell(numbers[name])
+    for name, score in scores.items():
+        cells[score.heading] = _cell(numbers[name])
         if name in WITH_INTERVAL:
             low, high = numbers[f"{name}_ci95"]
-            cells[title] += f" [{low:.3f}, {high:.3f}]"
-    control = numbers["control_time_ms"]
-    cells["decision median / p99 [ms]"] = f"{control['median']:.1f} / {control['p99']:.1f}"
+            cells[score.heading] += f" [{low:.3f}, {high:.3f}]"
     return cells
 
 
-def _cell(value: float | None) -> str:
-    """A number with three digits, or a dash."""
-    return "–" if value is None else f"{value:.3f}"
+def _cell(value: float | Mapping[str, Any] | None) -> str:
+    """A number with three digits, a median and its quantile, or a dash."""
+    if value is None:
+        return "–"
+    if isinstance(value, Mapping):
+        return f"{value['median']:.1f} / {value['p99']:.1f}"
+    return f"{value:.3f}"
 
 
 def _content(
@@ -84,23 +79,41 @@ def _content(
     return {**result, "baselines": dict(baselines), "paired": list(pairs)}
 
 
-def _summary(result: Mapping[str, Any], baselines: Mapping[str, Mapping[str, Any]]) -> str:
+def _summary(
+    result: Mapping[str, Any], baselines: Mapping[str, Mapping[str, Any]], scores: Scores
+) -> str:
     """Setting, scores and failures."""
     last = result["first_case"] + result["n"] - 1
     title = f"# Closed loop: {result['vehicle']} · {result['dynamics']} · {result['scenario']}\n\n"
     limits = ", ".join(f"{name} {value:g}" for name, value in result["limits"].items())
     setting = (
-        f"{result['humans']} humans, {result['phase']} cases {result['first_case']}–{last}, limit "
-        f"{result['limit_s']:g} s, step {result['dt_s']:g} s, verdict `{result['verdict']}`. "
-        f"Limits: {limits} (or the tighter ones of the vehicle). The controller believes in "
-        f"{result['believed_dynamics']}. Brackets: Wilson intervals of 95 %.\n\n"
+        f"{result['humans']} pedestrians, {result['phase']} cases {result['first_case']}–{last}, "
+        f"limit {result['limit_s']:g} s, step {result['dt_s']:g} s, verdict "
+        f"`{result['verdict']}`. Limits: {limits} (or the tighter ones of the vehicle). Footprint: "
+        f"{_outline(result['actual_model']['footprint'])}; massless baselines always have the disc "
+        f"of 0.3 m. The robot is {_model(result['dynamics'], result['actual_model'])}, the "
+        f"controller believes in {_model(result['believed_dynamics'], result['believed_model'])}. "
+        "Brackets: Wilson intervals of 95 %.\n\n"
     )
-    table = closed_loop_table(result, baselines).to_markdown()
+    table = closed_loop_table(result, baselines, scores).to_markdown()
     failed = [case for case in result["cases"] if case["outcome"] != "success"]
     return f"{title}{setting}{table}\n\n## Cases without success\n\n{_failures(failed)}"
 
 
-def _paired(pairs: Sequence[Mapping[str, Any]]) -> str:
+def _model(name: str, model: Mapping[str, Any]) -> str:
+    """A model in words."""
+    parts = [model["class"], model["tyre_law"], f"step {model['step_s']:g} s"]
+    parts.append(f"{model['substeps']} substeps" if model["substeps"] > 1 else None)
+    return f"{name} ({', '.join(part for part in parts if part)})"
+
+
+def _outline(footprint: Mapping[str, Any]) -> str:
+    """A footprint in words."""
+    sizes = [f"{name} {value:g}" for name, value in footprint.items() if name != "shape"]
+    return f"{footprint['shape']} ({', '.join(sizes)})"
+
+
+def _paired(pairs: Sequence[Mapping[str, Any]], scores: Scores) -> str:
     """The paired tests, if there are any."""
     if not pairs:
         return ""
@@ -108,7 +121,7 @@ def _paired(pairs: Sequence[Mapping[str, Any]]) -> str:
         "Case by case; differences are this run minus the other. Success and collision: McNemar's "
         "exact test; time (where both succeed) and discomfort: Wilcoxon's signed-rank test."
     )
-    return f"## Paired tests\n\n{told}\n\n{paired_table(pairs).to_markdown(index=False)}"
+    return f"## Paired tests\n\n{told}\n\n{paired_table(pairs, scores).to_markdown(index=False)}"
 
 
 def _published(published: Sequence[Mapping[str, Any]]) -> str:

@@ -6,23 +6,28 @@ Dynamics x mode, mean and deviation over seeds, and a paired test.
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from scipy.stats import wilcoxon
 
 from diffstack_mmv.reporting.files import read_json, read_parquet, write_text
+from diffstack_mmv.reporting.scores import ScoreHeading, Scores
 
-COMPARED = {
-    "ade": "ADE [m]",
-    "nll": "NLL [nats]",
-    "plan_ade": "plan ADE [m]",
-    "planning_loss": "planning loss",
-    "collision_rate": "collisions",
-    "solved": "solved",
-}
-GROUP = ["data", "split", "goal", "mode", "dynamics"]
+COMPARED = ("ade", "nll", "plan_ade", "planning_loss", "collision_rate", "solved")
+"""Scores in the table, by name."""
+SETTING = ["data", "split", "goal", "mode"]
+GROUP = [*SETTING, "dynamics"]
+# private characters that no escaping touches, in place of LaTeX commands
+OPEN, CLOSE = "\ue000", "\ue001"
+
+
+class Comparison(NamedTuple):
+    """Scores of methods side by side."""
+
+    table: pd.DataFrame  # cells as text
+    best: pd.DataFrame  # same rows, the scores' columns: whether a cell is the best of its setting
 
 
 def read_runs(folders: Sequence[Path]) -> pd.DataFrame:
@@ -52,38 +57,68 @@ def read_runs(folders: Sequence[Path]) -> pd.DataFrame:
     return pd.DataFrame(rows).drop_duplicates([*GROUP, "seed", "ade"])
 
 
-def compare(runs: pd.DataFrame) -> pd.DataFrame:
-    """Mean ± standard deviation over seeds of each score, by data, goal, mode and dynamics."""
-    rows = []
+def compare(runs: pd.DataFrame, scores: Scores) -> Comparison:
+    """Mean ± standard deviation over seeds of each score, by data, goal, mode and dynamics.
+
+    Args:
+        runs: What `read_runs` returned.
+        scores: Titles, units and directions of the scores.
+    """
+    compared = {scores[name].heading: scores[name] for name in COMPARED}
+    texts, means = [], []
     for key, group in runs.groupby(GROUP, sort=False):
         row = dict(zip(GROUP, key, strict=True))
         row |= {"seeds": group["seed"].nunique(), "n": int(group["n"].max())}
-        rows.append(row | {title: _spread(group[name]) for name, title in COMPARED.items()})
-    return pd.DataFrame(rows).sort_values(["data", "goal", "mode"], kind="stable")
+        values = {heading: _known(group[score.name]) for heading, score in compared.items()}
+        texts.append(row | {heading: _spread(each) for heading, each in values.items()})
+        means.append(row | {heading: _mean(each) for heading, each in values.items()})
+    order = {"by": ["data", "goal", "mode"], "kind": "stable"}
+    table = pd.DataFrame(texts).sort_values(**order)
+    numbers = pd.DataFrame(means).sort_values(**order).groupby(SETTING, sort=False)
+    best = {
+        heading: numbers[heading].transform(_is_best, lower_is_better=score.lower_is_better)
+        for heading, score in compared.items()
+    }
+    return Comparison(table, pd.DataFrame(best).astype(bool))
 
 
-def _spread(values: pd.Series) -> str:
+def _is_best(values: pd.Series, lower_is_better: bool) -> pd.Series:
+    """Which values are the best, as far as the table shows it; none where there is no other."""
+    shown = values.round(3)
+    extreme = shown.min() if lower_is_better else shown.max()
+    return (shown == extreme) & (values.notna().sum() > 1)
+
+
+def _known(values: pd.Series) -> np.ndarray:
     numbers = values.to_numpy(np.float64)
-    known = numbers[~np.isnan(numbers)]
+    return numbers[~np.isnan(numbers)]
+
+
+def _mean(known: np.ndarray) -> float:
+    return float(known.mean()) if len(known) > 0 else float("nan")
+
+
+def _spread(known: np.ndarray) -> str:
+    """Mean and deviation as text, a dash without a value."""
     if len(known) == 0:
         return "-"
     return f"{known.mean():.3f}" + (f" ± {known.std(ddof=1):.3f}" if len(known) > 1 else "")
 
 
-def paired_tests(folders: Sequence[Path], score: str = "plan_ade") -> pd.DataFrame:
+def paired_tests(folders: Sequence[Path], score: ScoreHeading) -> pd.DataFrame:
     """Wilcoxon signed-rank test between the dynamics, paired by scene.
 
-    Windows of one scene resemble each other, so a score (m) is averaged over them, and over seeds,
-    before the test.
+    Windows of one scene resemble each other, so the score is averaged over them, and over seeds,
+    before the test. The table says which of both has the better mean.
     """
     samples = []
     for folder in folders:
         metrics = read_json(folder / "metrics.json")
-        frame = read_parquet(folder / "samples.parquet")[["scene", "mode", score]]
+        frame = read_parquet(folder / "samples.parquet")[["scene", "mode", score.name]]
         samples.append(frame.assign(**{key: metrics[key] for key in ("data", "goal", "dynamics")}))
     scenes = (
         pd.concat(samples)
-        .groupby(["data", "goal", "mode", "scene", "dynamics"])[score]
+        .groupby(["data", "goal", "mode", "scene", "dynamics"])[score.name]
         .mean()
         .unstack()
     )
@@ -93,9 +128,18 @@ def paired_tests(folders: Sequence[Path], score: str = "plan_ade") -> pd.DataFra
             difference = group[first].to_numpy() - group[second].to_numpy()
             difference = difference[~np.isnan(difference)]
             row = {"data": data, "goal": goal, "mode": mode, "pair": f"{first} - {second}"}
-            row |= {"scenes": len(difference), f"mean {score}": difference.mean()}
+            mean = _mean(difference)
+            row |= {"scenes": len(difference), f"mean Δ {score.heading}": mean}
+            row["better"] = _better(first, second, mean, score.lower_is_better)
             rows.append(row | {"p": signed_rank(difference)})
     return pd.DataFrame(rows)
+
+
+def _better(first: str, second: str, difference: float, lower_is_better: bool) -> str:
+    """Which of both a mean difference, first minus second, speaks for; a dash for neither."""
+    if np.isnan(difference) or difference == 0:
+        return "-"
+    return first if (difference < 0) == lower_is_better else second
 
 
 def signed_rank(difference: np.ndarray) -> float:
@@ -106,13 +150,23 @@ def signed_rank(difference: np.ndarray) -> float:
     return float(result.pvalue)
 
 
-def write_comparison(folder: Path, table: pd.DataFrame, tests: pd.DataFrame) -> None:
-    """Write `table.md`, `table.tex` and `table.csv`, and the tests beside them as `tests.csv`."""
-    sections = [str(table.to_markdown(index=False))]
+def write_comparison(folder: Path, comparison: Comparison, tests: pd.DataFrame) -> None:
+    """Write `table.md`, `table.tex` and `table.csv`, and the tests beside them as `tests.csv`.
+
+    The best method of a setting is bold in the first two.
+    """
+    sections = [str(_marked(comparison, "**", "**").to_markdown(index=False))]
     if not tests.empty:
         told = "Paired by scene, Wilcoxon signed-rank:"
         sections += [told, str(tests.to_markdown(index=False, floatfmt=".4g"))]
+    latex = str(_marked(comparison, OPEN, CLOSE).to_latex(index=False, escape=True))
     write_text(folder / "table.md", "\n\n".join(sections) + "\n")
-    write_text(folder / "table.tex", str(table.to_latex(index=False, escape=True)))
-    write_text(folder / "table.csv", str(table.to_csv(index=False)))
+    write_text(folder / "table.tex", latex.replace(OPEN, r"\textbf{").replace(CLOSE, "}"))
+    write_text(folder / "table.csv", str(comparison.table.to_csv(index=False)))
     write_text(folder / "tests.csv", str(tests.to_csv(index=False)))
+
+
+def _marked(comparison: Comparison, before: str, after: str) -> pd.DataFrame:
+    """The table with marks around the best cells."""
+    cells = comparison.table[list(comparison.best.columns)]
+    return comparison.table.assign(**(before + cells + after).where(comparison.best, cells))

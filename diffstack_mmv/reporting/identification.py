@@ -52,7 +52,7 @@ def models_table(models: Mapping[str, Mapping[str, float]]) -> pd.DataFrame:
 
 
 def validation_table(models: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
-    """Errors in m of each model on stretches held out, with the difference to the first one."""
+    """Errors in m of each model on held-out segments, with the difference to the first one."""
     rows = []
     for name, errors in models.items():
         row: dict[str, object] = {"model": name}
@@ -66,14 +66,14 @@ def validation_table(models: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
 
 
 def _validation(result: Mapping[str, Any]) -> str:
-    """What the models do on stretches that they were not fitted to."""
+    """Errors of the models on segments that they were not fitted to."""
     told = result["validation"]
     how = f"each held out once in {told['folds']} folds" if told["folds"] else "held out"
     text = (
-        f"{told['stretches']} stretches, {how}. Followed: distance between the track and the fit, "
-        "which is mostly noise. Foreseen: distance over the last "
-        f"{told['foresee_s']:g} s of a stretch, whose controls were inferred from what came before "
-        f"and held. Changes are means over the stretches, against {result['dynamics']}, with "
+        f"{told['stretches']} track segments, {how}. Followed: distance between the track and the "
+        "fit, which is mostly noise. Foreseen: distance over the last "
+        f"{told['foresee_s']:g} s of a segment, whose controls were inferred from what came before "
+        f"and held. Changes are means over the segments, against {result['dynamics']}, with "
         "standard errors.\n\n"
     )
     return text + _text(validation_table(told["models"])) + "\n"
@@ -100,7 +100,7 @@ def _lean(result: Mapping[str, Any]) -> str:
     """Lean of the model against the measured one, in words."""
     lean = result["lean"]
     return (
-        f"\n## Lean\n\nThe model's lean differs from the measured one, which no fit has seen, by "
+        f"\n## Lean\n\nThe model's lean differs from the measured one, which no fit uses, by "
         f"{lean['rms_difference_rad']:.3f} rad (root mean square; measured "
         f"{lean['rms_measured_rad']:.3f}), correlation {lean['correlation']:.2f}. It comes "
         f"{lean['late_s']:.1f} s late: moved back by that, the correlation is "
@@ -123,7 +123,7 @@ def _markdown(result: Mapping[str, Any]) -> str:
     if "assumed" in result:
         parts.append(_assumed(result))
     if "validation" in result:
-        parts += ["\n\n## Models on stretches held out\n\n", _validation(result)]
+        parts += ["\n\n## Models on held-out segments\n\n", _validation(result)]
     if result["parameters"]:
         parts += ["\n\n## Parameters\n\n", _text(_rows(result["parameters"], True))]
     if result["combinations"]:

@@ -4,22 +4,28 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from diffstack_mmv.reporting.files import write_json, write_text
+from diffstack_mmv.reporting.scores import Scores
 
-MODE_SCORES = {
-    "ade": "ADE [m]",
-    "fde": "FDE [m]",
-    "nll": "NLL [nats]",
-    "plan_ade": "plan ADE [m]",
-    "plan_fde": "plan FDE [m]",
-    "planning_loss": "planning loss",
-    "planning_ce": "CE [nats]",
-    "planning_cost": "cost",
-    "collision_rate": "collisions",
-    "solved": "solved",
-}
+MODE_SCORES = (
+    "ade",
+    "fde",
+    "nll",
+    "plan_ade",
+    "plan_fde",
+    "planning_loss",
+    "planning_ce",
+    "planning_cost",
+    "collision_rate",
+    "solved",
+)
+"""Scores that `metrics.json` holds for every mode, by name."""
+BASELINE_SCORES = ("ade", "fde")
+"""Scores that it holds for every baseline."""
+MISSING = "n_missing"
 
 
 def baseline_names(samples: pd.DataFrame) -> list[str]:
@@ -28,32 +34,45 @@ def baseline_names(samples: pd.DataFrame) -> list[str]:
 
 
 def summarise(samples: pd.DataFrame) -> dict[str, Any]:
-    """Means of all scores over some samples."""
-    means = {"n": len(samples)}
-    return means | {name: float(samples[name].mean()) for name in MODE_SCORES}
+    """Numbers of samples, and of those that a score could not judge; means over the others.
+
+    A score that could judge no sample at all is None.
+    """
+    names = list(MODE_SCORES)
+    missing = int(samples[names].isna().any(axis=1).sum())
+    return {"n": len(samples), MISSING: missing} | {name: _mean(samples[name]) for name in names}
 
 
-def summarise_baselines(samples: pd.DataFrame) -> dict[str, dict[str, float]]:
+def summarise_baselines(samples: pd.DataFrame) -> dict[str, dict[str, float | None]]:
     """Mean ADE and FDE in m of every baseline over some samples."""
     return {
-        name: {score: float(samples[f"{name}/{score}"].mean()) for score in ("ade", "fde")}
+        name: {score: _mean(samples[f"{name}/{score}"]) for score in BASELINE_SCORES}
         for name in baseline_names(samples)
     }
 
 
-def summarise_modes(samples: pd.DataFrame, situations: Sequence[str]) -> dict[str, Any]:
+def _mean(values: pd.Series) -> float | None:
+    """Mean over the judged samples, for JSON, which knows no NaN."""
+    mean = float(values.mean())
+    return None if np.isnan(mean) else mean
+
+
+def summarise_modes(
+    samples: pd.DataFrame, situations: Sequence[str], vehicle: str
+) -> dict[str, Any]:
     """The parts `modes`, `baselines` and `situations` of `metrics.json`, without empty groups.
 
     Args:
         samples: One row per sample: `mode`, the scores, `BASELINE/ade`, `BASELINE/fde`, and one
             column of truth values per situation.
         situations: Names of those columns.
+        vehicle: Name of the vehicle that planned.
     """
     modes: dict[str, Any] = {}
     baselines: dict[str, dict[str, Any]] = {name: {} for name in baseline_names(samples)}
     by_situation: dict[str, dict[str, Any]] = {}
     for mode, group in samples.groupby("mode", sort=True):
-        modes[str(mode)] = summarise(group)
+        modes[str(mode)] = {"vehicle": vehicle} | summarise(group)
         for name, scores in summarise_baselines(group).items():
             baselines[name][str(mode)] = scores
         by_situation[str(mode)] = {
@@ -65,47 +84,66 @@ def summarise_modes(samples: pd.DataFrame, situations: Sequence[str]) -> dict[st
     return {"modes": modes, "baselines": baselines, "situations": by_situation}
 
 
-def mode_table(metrics: Mapping[str, Any]) -> pd.DataFrame:
-    """One row per mode with all scores."""
-    frame = pd.DataFrame.from_dict(metrics["modes"], orient="index")
+def mode_table(metrics: Mapping[str, Any], scores: Scores) -> pd.DataFrame:
+    """One row per mode with all scores; a column counts samples not judged, if there are any."""
+    headings = {name: scores[name].heading for name in MODE_SCORES}
+    rows = {
+        mode: {"vehicle": told["vehicle"], "n": str(told["n"]), "not judged": str(told[MISSING])}
+        | {heading: told[name] for name, heading in headings.items()}
+        for mode, told in metrics["modes"].items()
+    }
+    frame = pd.DataFrame.from_dict(rows, orient="index")
     frame.index.name = "mode"
-    return frame.astype({"n": int}).astype({"n": str}).rename(columns=MODE_SCORES)
+    return frame if (frame["not judged"] != "0").any() else frame.drop(columns="not judged")
 
 
-def baseline_table(metrics: Mapping[str, Any]) -> pd.DataFrame:
-    """ADE and FDE in m of stack and baselines, one row each, one pair of columns per mode."""
+def baseline_table(metrics: Mapping[str, Any], scores: Scores) -> pd.DataFrame:
+    """ADE and FDE of stack and baselines, one row each, one pair of columns per mode."""
     rows: dict[str, dict[str, float]] = {"prediction": {}, "plan": {}}
-    for mode, scores in metrics["modes"].items():
-        rows["prediction"] |= {f"{mode} ADE": scores["ade"], f"{mode} FDE": scores["fde"]}
-        rows["plan"] |= {f"{mode} ADE": scores["plan_ade"], f"{mode} FDE": scores["plan_fde"]}
-    for name, per_mode in metrics["baselines"].items():
-        rows[name] = {}
-        for mode, scores in per_mode.items():
-            rows[name] |= {f"{mode} ADE": scores["ade"], f"{mode} FDE": scores["fde"]}
+    titles = {name: scores[name].title for name in BASELINE_SCORES}
+    for mode, told in metrics["modes"].items():
+        for name, title in titles.items():
+            rows["prediction"][f"{mode} {title}"] = told[name]
+            rows["plan"][f"{mode} {title}"] = told[f"plan_{name}"]
+    for method, per_mode in metrics["baselines"].items():
+        rows[method] = {
+            f"{mode} {title}": told[name]
+            for mode, told in per_mode.items()
+            for name, title in titles.items()
+        }
     frame = pd.DataFrame.from_dict(rows, orient="index")
     frame.index.name = "method"
     return frame
 
 
 def situation_table(metrics: Mapping[str, Any]) -> pd.DataFrame:
-    """ADE in m of stack and baselines by mode and situation."""
+    """ADE of stack and baselines by mode and situation."""
     rows = []
     for mode, situations in metrics["situations"].items():
-        for situation, scores in situations.items():
-            row = {"mode": mode, "situation": situation, "n": scores["n"]}
-            row |= {"prediction": scores["ade"], "plan": scores["plan_ade"]}
-            rows.append(row | {name: value["ade"] for name, value in scores["baselines"].items()})
+        for situation, told in situations.items():
+            row = {"mode": mode, "situation": situation, "n": told["n"]}
+            row |= {"prediction": told["ade"], "plan": told["plan_ade"]}
+            rows.append(row | {name: value["ade"] for name, value in told["baselines"].items()})
     return pd.DataFrame(rows)
 
 
-def write_metrics(folder: Path, metrics: Mapping[str, Any]) -> None:
-    """Write `metrics.json`, `metrics.csv` and `metrics.md` into a folder."""
+def write_metrics(folder: Path, metrics: Mapping[str, Any], scores: Scores) -> None:
+    """Write `metrics.json`, `metrics.csv` and `metrics.md` into a folder.
+
+    Args:
+        folder: The folder.
+        metrics: Header and what `summarise_modes` returned.
+        scores: Titles and units of the scores.
+
+    Raises:
+        ValueError: A number is NaN or infinite.
+    """
     write_json(folder / "metrics.json", metrics)
-    write_text(folder / "metrics.csv", mode_table(metrics).to_csv())
-    write_text(folder / "metrics.md", _markdown(metrics))
+    write_text(folder / "metrics.csv", mode_table(metrics, scores).to_csv())
+    write_text(folder / "metrics.md", _markdown(metrics, scores))
 
 
-def _markdown(metrics: Mapping[str, Any]) -> str:
+def _markdown(metrics: Mapping[str, Any], scores: Scores) -> str:
     told = {
         "future": "given (the human's position at the horizon)",
         "predicted": "predicted (no future used)",
@@ -115,13 +153,23 @@ def _markdown(metrics: Mapping[str, Any]) -> str:
         f"Goal: {told.get(metrics['goal'], metrics['goal'])}. Seed {metrics['seed']}. "
         f"Smoother: {metrics.get('smoother', 'unknown')}.\n\n"
     )
+    ade, fde = (scores[name] for name in BASELINE_SCORES)
+    beside = f"Beside the trivial baselines ({ade.title} and {fde.title} in {ade.unit})"
     sections = (
-        ("Scores by mode", mode_table(metrics), True),
-        ("Beside the trivial baselines (ADE and FDE in m)", baseline_table(metrics), True),
-        ("ADE in m by situation", situation_table(metrics), False),
+        ("Scores by mode", mode_table(metrics, scores), True),
+        (beside, baseline_table(metrics, scores), True),
+        (f"{ade.title} in {ade.unit} by situation", situation_table(metrics), False),
     )
-    body = "\n\n".join(
-        f"## {name}\n\n{frame.to_markdown(floatfmt='.3f', index=index)}"
-        for name, frame, index in sections
-    )
+    body = "\n\n".join(f"## {name}\n\n{_table(frame, index)}" for name, frame, index in sections)
     return title + body + "\n"
+
+
+def _table(frame: pd.DataFrame, index: bool) -> str:
+    """Markdown with three digits, and a dash where no sample could be judged."""
+    return frame.map(_cell).to_markdown(floatfmt=".3f", index=index)
+
+
+def _cell(value: Any) -> Any:
+    if pd.isna(value):
+        return "–"
+    return f"{value:.3f}" if isinstance(value, float) else value

@@ -10,9 +10,13 @@ from scipy.stats import binomtest
 
 from diffstack_mmv.reporting.comparison import signed_rank
 from diffstack_mmv.reporting.files import read_json
+from diffstack_mmv.reporting.scores import Scores
 
 SETTINGS = ("scenario", "humans", "phase", "limit_s", "dt_s", "verdict")
 """What two runs have to share to be compared case by case."""
+OUTCOMES = {"success": "success_rate", "collision": "collision_rate"}
+SHIFTS = {"time_s": "nav_time_s", "discomfort": "discomfort_frequency"}
+"""Tested numbers of a case, each with the score that it is a part of."""
 
 
 def paired_with_run(result: Mapping[str, Any], folder: Path) -> dict[str, Any]:
@@ -80,18 +84,19 @@ def paired_cases(
     }
 
 
-def paired_table(pairs: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+def paired_table(pairs: Sequence[Mapping[str, Any]], scores: Scores) -> pd.DataFrame:
     """One row per comparison: counts of discordant cases, mean differences and p values."""
     rows = []
     for pair in pairs:
         row = {"against": pair["other"], "n": pair["n"]}
-        for name in ("success", "collision"):
-            test = pair[name]
-            row[f"{name} only here / there"] = f"{test['only_own']} / {test['only_other']}"
-            row[f"p ({name})"] = _told(test["p"], ".3g")
-        for name, title in (("time_s", "time [s]"), ("discomfort", "discomfort")):
-            row[f"Δ {title}"] = _told(pair[name]["mean"], "+.4f")
-            row[f"p ({title})"] = _told(pair[name]["p"], ".3g")
+        for name, score in OUTCOMES.items():
+            test, title = pair[name], scores[score].title
+            row[f"{title} only here / there"] = f"{test['only_own']} / {test['only_other']}"
+            row[f"p ({title})"] = _told(test["p"], ".3g")
+        for name, score in SHIFTS.items():
+            heading = scores[score].heading
+            row[f"Δ {heading}"] = _told(pair[name]["mean"], "+.4f")
+            row[f"p ({heading})"] = _told(pair[name]["p"], ".3g")
         rows.append(row)
     return pd.DataFrame(rows)
 

@@ -1,16 +1,18 @@
 """Closed-loop simulation: scenarios, pedestrians, robots, verdicts and the environment."""
 
 from diffstack_mmv.simulation.assembly import (
-    Driven,
+    SimulatedVehicle,
     actuation,
     controller_model,
     require_stoppable,
+    vehicle_box,
+    vehicle_footprint,
     vehicle_robot,
 )
 from diffstack_mmv.simulation.benchmark import Chunk, Method, read_chunk, run
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint, RectangleFootprint
 from diffstack_mmv.simulation.controller import DiffMPCController
-from diffstack_mmv.simulation.env import ENV_ID, VERDICTS, CrowdNavEnv, register, robot_named
+from diffstack_mmv.simulation.env import ENV_ID, CrowdNavEnv, register, robot_named
 from diffstack_mmv.simulation.episode import drive
 from diffstack_mmv.simulation.forecasters import (
     ConstantVelocityForecaster,
@@ -18,7 +20,6 @@ from diffstack_mmv.simulation.forecasters import (
     PedestrianForecast,
     PedestrianForecaster,
 )
-from diffstack_mmv.simulation.held import HeldControl
 from diffstack_mmv.simulation.learned_forecaster import LearnedForecaster
 from diffstack_mmv.simulation.learning import imitation_loss, way_left_loss
 from diffstack_mmv.simulation.mppi import MPPIController
@@ -32,10 +33,19 @@ from diffstack_mmv.simulation.policies import (
 )
 from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
 from diffstack_mmv.simulation.scenario import CircleCrossing, Scenario, Scene, SquareCrossing
+from diffstack_mmv.simulation.study import models_told, study_world, world_for
 from diffstack_mmv.simulation.summary import summarise
 from diffstack_mmv.simulation.vehicle_robot import Actuation, VehicleRobot
-from diffstack_mmv.simulation.verdict import CrowdNavVerdict, ExactVerdict, Rewards, Verdict
+from diffstack_mmv.simulation.verdict import (
+    VERDICTS,
+    CrowdNavVerdict,
+    ExactVerdict,
+    Rewards,
+    Verdict,
+    verdict_named,
+)
 from diffstack_mmv.simulation.world import Observation, World, WorldState
+from diffstack_mmv.simulation.zero_order_hold import ZeroOrderHold
 
 __all__ = [
     "ENV_ID",
@@ -51,10 +61,9 @@ __all__ = [
     "CrowdNavVerdict",
     "DiffMPCController",
     "DiscFootprint",
-    "Driven",
     "ExactVerdict",
     "Footprint",
-    "HeldControl",
+    "ZeroOrderHold",
     "HolonomicRobot",
     "MPPIController",
     "Method",
@@ -70,6 +79,7 @@ __all__ = [
     "Robot",
     "Scenario",
     "Scene",
+    "SimulatedVehicle",
     "SocialForceCrowd",
     "SquareCrossing",
     "StraightLine",
@@ -82,14 +92,20 @@ __all__ = [
     "controller_model",
     "drive",
     "imitation_loss",
+    "models_told",
     "read_chunk",
     "register",
     "require_stoppable",
     "robot_named",
     "run",
+    "study_world",
     "summarise",
+    "vehicle_box",
+    "vehicle_footprint",
     "vehicle_robot",
+    "verdict_named",
     "way_left_loss",
+    "world_for",
 ]
 
 register()

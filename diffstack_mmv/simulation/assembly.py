@@ -1,5 +1,6 @@
 """Vehicles of a benchmark: the one that drives, and the one its controller believes in."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -9,38 +10,42 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import message, require, require_multiple
-from diffstack_mmv.dynamics import DiffKBM, DynamicsModel
-from diffstack_mmv.dynamics.catalogue import MODELS, VehicleSpec, altered, model_of
-from diffstack_mmv.dynamics.gm3.model import DiffGM3
-from diffstack_mmv.dynamics.gm3.steering import turning_axle_m
-from diffstack_mmv.simulation.held import HeldControl
-from diffstack_mmv.simulation.vehicle_robot import Actuation, VehicleRobot
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.dynamics.catalogue import ModelFactory, VehicleSpec, altered, model_of
+from diffstack_mmv.simulation.collision import Footprint, RectangleFootprint
+from diffstack_mmv.simulation.vehicle_robot import FINEST_NEEDED_S, Actuation, VehicleRobot
+from diffstack_mmv.simulation.zero_order_hold import ZeroOrderHold
 
-EULER_STEP_S = 0.05
-"""Step of a kinematic bicycle within a plan."""
 Actuate = Callable[[Float[Tensor, "*b m"]], Float[Tensor, "*b m"]]
 
 
 @dataclass(frozen=True)
-class Driven:
+class SimulatedVehicle:
     """A vehicle under limits, on a road, in the eyes of one dynamics model.
 
     Attributes:
         vehicle: The vehicle as its YAML file describes it.
-        dynamics: Short name of the model; of a variant such as "gm3_paper" the first part counts.
+        dynamics: What builds its model, or the name of a file of `configs/dynamics`.
         limits: Largest speed and accelerations; the tighter of these and the vehicle's own hold.
         mass_factor: Scales the mass.
         friction: Friction coefficient of all tyres; the vehicle's own if None.
+        name: Name of `dynamics` where it is no name itself.
 
     Raises:
         ValueError: The dynamics is unknown, or vehicle or limits are not valid.
     """
 
     vehicle: Mapping[str, Any]
-    dynamics: str
+    dynamics: str | ModelFactory
     limits: Mapping[str, float]
     mass_factor: float = 1.0
     friction: float | None = None
+    name: str = ""
+
+    @property
+    def dynamics_name(self) -> str:
+        """Name of the dynamics, as tables tell it."""
+        return self.dynamics if isinstance(self.dynamics, str) else self.name
 
     def spec(self) -> VehicleSpec:
         """The vehicle under the limits."""
@@ -56,29 +61,26 @@ class Driven:
 
     def model(self, step_s: float) -> DynamicsModel:
         """The model with this step."""
-        return model_of(self.spec(), self.dynamics.split("_")[0], step_s)
-
-    def reference_m(self) -> float:
-        """Longitudinal position of the model's reference point ahead of the centre of gravity."""
-        is_gm3 = MODELS.get(self.dynamics.split("_")[0]) is DiffGM3
-        return 0.0 if is_gm3 else turning_axle_m(self.spec().wheels)
+        return model_of(self.spec(), self.dynamics, step_s)
 
 
 def vehicle_robot(
-    driven: Driven,
+    vehicle: SimulatedVehicle,
     step_s: float = 0.01,
     delay_s: float = 0.0,
     noise: Sequence[float] = (),
     seed: int = 0,
+    footprint: Footprint | None = None,
 ) -> VehicleRobot:
     """The robot of a benchmark, governed to its top speed.
 
     Args:
-        driven: The true vehicle.
+        vehicle: The true vehicle.
         step_s: Fine step of its motion.
         delay_s: Time until a command acts.
         noise: Standard deviation of the error of each control.
         seed: Of the noise.
+        footprint: Its outline; the box of the vehicle if None.
 
     Returns:
         The robot.
@@ -86,24 +88,41 @@ def vehicle_robot(
     Raises:
         ValueError: The step, the delay or the noise does not fit.
     """
-    speed = driven.spec().limits.speed_max_mps
+    speed = vehicle.spec().limits.speed_max_mps
     return VehicleRobot(
-        driven.model(step_s), Actuation(delay_s, tuple(noise), seed, speed_max_mps=speed)
+        vehicle.model(step_s),
+        Actuation(delay_s, tuple(noise), seed, speed_max_mps=speed),
+        footprint=footprint or vehicle_footprint(vehicle),
     )
 
 
+def vehicle_footprint(vehicle: SimulatedVehicle) -> RectangleFootprint:
+    """The box of a vehicle, around the reference point of its model."""
+    return vehicle_box(vehicle.spec(), vehicle.model(FINEST_NEEDED_S))
+
+
+def vehicle_box(spec: VehicleSpec, model: DynamicsModel) -> RectangleFootprint:
+    """The box of a vehicle where it is, seen from the reference point of a model."""
+    size = spec.footprint
+    ahead = spec.centre_m - model.reference_ahead_m
+    return RectangleFootprint(size.length_m, size.width_m, ahead)
+
+
 def controller_model(
-    believed: Driven, actual: Driven, dt_s: float = 0.25, step_s: float | None = None
-) -> HeldControl:
+    believed: SimulatedVehicle,
+    actual: SimulatedVehicle,
+    dt_s: float = 0.25,
+    step_s: float | None = None,
+) -> ZeroOrderHold:
     """What a controller believes of the robot, seen from the robot's centre.
 
     Args:
         believed: Vehicle and dynamics that the controller believes in.
         actual: The vehicle that drives, for its reference point.
         dt_s: Time for which a control is held.
-        step_s: Step of the model, which divides it. Where it is None, a kinematic bicycle with its
-            Euler steps takes 0.05 s, any other model one step per control: the error of DiffGM3
-            after 1 s in steps of 0.25 s is at most about 1 cm.
+        step_s: Step of the model, which divides it. Where it is None, the longest one that the
+            scheme of the model allows: 0.05 s for a kinematic bicycle with its Euler steps, one
+            step per control for DiffGM3, whose error after 1 s is then at most about 1 cm.
 
     Returns:
         The model, in float32.
@@ -111,17 +130,17 @@ def controller_model(
     Raises:
         ValueError: The steps do not fit.
     """
+    model = believed.model(dt_s)
     if step_s is None:
-        step_s = EULER_STEP_S if isinstance(believed.model(dt_s), DiffKBM) else dt_s
+        step_s = dt_s / max(1, math.ceil(dt_s / model.longest_step_s - 1e-9))
     repeats = require_multiple("dt_s", dt_s, step_s, "for the model's step `step_s`")
-    ahead = actual.reference_m() - believed.reference_m()
-    return HeldControl(believed.model(step_s), repeats, ahead).to(torch.float32)
+    robot = actual.model(FINEST_NEEDED_S)
+    ahead = robot.reference_ahead_m - model.reference_ahead_m
+    return ZeroOrderHold(believed.model(step_s), repeats, ahead).to(torch.float32)
 
 
-def actuation(believed: Driven, actual: Driven) -> Actuate:
-    """Turn controls of the believed model into those of the robot: the same angle at the handlebar.
-
-    The command of DiffGM3 is clamped softly inside of the model, that of DiffKBM is the angle.
+def actuation(believed: SimulatedVehicle, actual: SimulatedVehicle) -> Actuate:
+    """Turn controls of the believed model into those of the robot: the same driver input.
 
     Args:
         believed: What the controller believes in.
@@ -131,17 +150,24 @@ def actuation(believed: Driven, actual: Driven) -> Actuate:
         The map of controls.
 
     Raises:
-        ValueError: There is no such map.
+        ValueError: There is no such map, because a control means something else in every state.
     """
-    source, target = believed.model(0.01), actual.model(0.01)
+    source, target = (each.model(FINEST_NEEDED_S) for each in (believed, actual))
     if type(source) is type(target):
         return _unchanged
-    if isinstance(source, DiffKBM) and isinstance(target, DiffGM3):
-        return _on_steer(target.chassis.steering.command_for)
-    if isinstance(source, DiffGM3) and isinstance(target, DiffKBM):
-        return _on_steer(source.chassis.steering.clamped)
-    pair = f"{believed.dynamics} for {actual.dynamics}"
-    raise ValueError(message("model_dynamics", "share its controls with the robot's", pair))
+    if source.driver_input_needs_state or target.driver_input_needs_state:
+        pair = f"{believed.dynamics_name} for {actual.dynamics_name}"
+        wanted = "share its controls with the robot's, or both be steered by an angle"
+        raise ValueError(message("believed.dynamics", wanted, pair))
+
+    def actuate(control: Float[Tensor, "*b m"]) -> Float[Tensor, "*b m"]:
+        states = [
+            control.new_zeros(*control.shape[:-1], each.state_dim) for each in (source, target)
+        ]
+        driver = source.driver_input(states[0], control)
+        return target.control_for_driver(states[1], driver)
+
+    return actuate
 
 
 def _unchanged(control: Float[Tensor, "*b m"]) -> Float[Tensor, "*b m"]:
@@ -149,22 +175,13 @@ def _unchanged(control: Float[Tensor, "*b m"]) -> Float[Tensor, "*b m"]:
     return control
 
 
-def _on_steer(change: Callable[[Tensor], Tensor]) -> Actuate:
-    """Change the steering, the second of the two controls."""
-
-    def actuate(control: Float[Tensor, "*b 2"]) -> Float[Tensor, "*b 2"]:
-        return torch.stack([control[..., 0], change(control[..., 1])], -1)
-
-    return actuate
-
-
-def require_stoppable(driven: Driven, way_m: float) -> None:
+def require_stoppable(vehicle: SimulatedVehicle, way_m: float) -> None:
     """Refuse a vehicle that cannot stop before the goal from its top speed.
 
     Raises:
         ValueError: Its braking distance is longer than the way.
     """
-    limits = driven.spec().limits
+    limits = vehicle.spec().limits
     distance = limits.speed_max_mps**2 / (-2 * limits.acceleration_min_mps2)
     require(
         distance <= way_m,

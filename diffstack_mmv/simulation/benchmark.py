@@ -63,11 +63,6 @@ class Timed:
     controller: Controller
     seconds: list[float] = field(default_factory=list)
 
-    @property
-    def massless(self) -> bool:
-        """As the controller says."""
-        return self.controller.massless
-
     def init(self, observation: Observation) -> Any:
         """As the controller begins."""
         return self.controller.init(observation)
@@ -89,7 +84,7 @@ def run(
     chunk_size: int = 50,
     phase: str = "test",
 ) -> Iterator[Chunk]:
-    """Drive cases chunk by chunk, or read the chunks that an earlier run has finished.
+    """DrivenEpisodes cases chunk by chunk, or read the chunks that an earlier run has finished.
 
     Args:
         method: Robot and controller.
@@ -121,7 +116,7 @@ def run(
 
 
 def _driven(method: Method, scenario: Scenario, numbers: list[int], phase: str) -> Chunk:
-    """Drive the cases as one batch."""
+    """DrivenEpisodes the cases as one batch."""
     controller = method.controller()
     timed = Timed(controller)
     record, known = drive(method.world, scenario.cases(phase, numbers), timed)

@@ -1,19 +1,22 @@
 """Clearance between a moving robot and moving discs, for the footprints a robot can have."""
 
+import math
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require_positive
+from diffstack_mmv.checks import require, require_positive
 from diffstack_mmv.geometry import distance_to_segment, length, rotate, unit_vector
 from diffstack_mmv.types import Discs
 
+MOST_DISCS = 5
+
 
 class Approach(NamedTuple):
-    """Straight relative motion of discs, seen from the centre of the robot in world directions."""
+    """Straight relative motion of discs, seen from the reference point in world directions."""
 
     start: Float[Tensor, "*b 2"]  # m, disc minus robot
     end: Float[Tensor, "*b 2"]  # m
@@ -28,25 +31,29 @@ class Footprint(Protocol):
 
     @property
     def radius_m(self) -> float:
-        """Radius in m of the smallest disc around the centre that holds the outline."""
+        """Radius in m of the smallest disc around the reference point that holds the outline."""
         ...
 
     def clearance(self, approach: Approach) -> Float[Tensor, "*b"]:
         """Smallest clearance in m during the approach, negative for an overlap."""
         ...
 
-    def discs(self) -> Discs:
-        """Discs that cover the outline, m."""
+    def outline(self) -> Float[Tensor, "corners 2"]:
+        """Polygon around the reference point in m, x forward, y left."""
         ...
 
-    def outline(self) -> Float[Tensor, "corners 2"]:
-        """Polygon around the centre in m, x forward, y left."""
+    def discs(self) -> Discs:
+        """Discs that cover the outline, in m along the heading."""
+        ...
+
+    def description(self) -> dict[str, Any]:
+        """Shape and sizes in m, for a results file."""
         ...
 
 
 @dataclass(frozen=True)
 class DiscFootprint:
-    """A disc around the centre of the robot, as in the benchmark.
+    """A disc around the reference point of the robot, as in the benchmark.
 
     Attributes:
         radius_m: Radius.
@@ -66,39 +73,47 @@ class DiscFootprint:
         distance = distance_to_segment(approach.start, approach.end)
         return distance - approach.radius - self.radius_m
 
-    def discs(self) -> Discs:
-        """The disc itself."""
-        return Discs(torch.zeros(1), torch.full((1,), self.radius_m, dtype=torch.float64))
-
     def outline(self) -> Float[Tensor, "corners 2"]:
         """Polygon of 48 corners on the circle, m."""
         return self.radius_m * unit_vector(torch.linspace(0, 2 * torch.pi, 49)[:-1].double())
 
+    def discs(self) -> Discs:
+        """The disc itself, m."""
+        radius = torch.tensor([self.radius_m], dtype=torch.float64)
+        return Discs(torch.zeros_like(radius), radius)
+
+    def description(self) -> dict[str, Any]:
+        """Shape and radius in m."""
+        return {"shape": "disc", "radius_m": self.radius_m}
+
 
 @dataclass(frozen=True)
 class RectangleFootprint:
-    """A rectangle that turns with the robot, its centre at the centre of the robot.
+    """A rectangle that turns with the robot.
 
     Attributes:
         length_m: Size along the heading.
         width_m: Size across the heading.
+        ahead_m: Distance of its centre ahead of the robot's reference point.
 
     Raises:
-        ValueError: A size is not positive.
+        ValueError: A size is not positive, or the distance not finite.
     """
 
     length_m: float
     width_m: float
+    ahead_m: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the sizes once, at the border."""
         require_positive("length_m", self.length_m)
         require_positive("width_m", self.width_m)
+        require(math.isfinite(self.ahead_m), "ahead_m", "be finite", self.ahead_m)
 
     @property
     def radius_m(self) -> float:
-        """Half of the diagonal in m."""
-        return 0.5 * (self.length_m**2 + self.width_m**2) ** 0.5
+        """Distance in m of the farthest corner from the reference point."""
+        return math.hypot(0.5 * self.length_m + abs(self.ahead_m), 0.5 * self.width_m)
 
     def clearance(self, approach: Approach) -> Float[Tensor, "*b"]:
         """Distance in m from the rectangle to the discs; minus their radius for centres inside it.
@@ -106,15 +121,38 @@ class RectangleFootprint:
         In the frame of the robot a disc moves straight where the heading stays constant; a turn
         during one fine step bends its path by less than its length times the angle turned.
         """
-        start = rotate(approach.start, -approach.start_heading)
-        end = rotate(approach.end, -approach.end_heading)
+        middle = approach.start.new_tensor((self.ahead_m, 0.0))
+        start = rotate(approach.start, -approach.start_heading) - middle
+        end = rotate(approach.end, -approach.end_heading) - middle
         half = start.new_tensor((0.5 * self.length_m, 0.5 * self.width_m))
         return distance_box_to_segment(half, start, end) - approach.radius
 
     def outline(self) -> Float[Tensor, "corners 2"]:
         """The four corners in m, counter-clockwise from the front left."""
         half = torch.tensor((0.5 * self.length_m, 0.5 * self.width_m), dtype=torch.float64)
-        return half * half.new_tensor(((1, 1), (-1, 1), (-1, -1), (1, -1)))
+        corners = half * half.new_tensor(((1, 1), (-1, 1), (-1, -1), (1, -1)))
+        return corners + half.new_tensor((self.ahead_m, 0.0))
+
+    def discs(self) -> Discs:
+        """The fewest equal discs on the axis whose overhang beside the rectangle is small, m.
+
+        D discs cover the rectangle best where each covers a piece of length / D: radius ½ sqrt(
+        (length / D)² + width²). D is the least number whose pieces are no longer than they are
+        wide, so that a disc stands out sideways by at most (√2 - 1) / 2 = 21 % of the width; it is
+        at most 5, and longer rectangles, longer than 5 widths, get wider discs.
+        """
+        wanted = math.ceil(self.length_m / self.width_m - 1e-9)
+        count = min(max(wanted, 1), MOST_DISCS)
+        piece = self.length_m / count
+        radius = 0.5 * math.hypot(piece, self.width_m)
+        place = torch.arange(count, dtype=torch.float64) - 0.5 * (count - 1)
+        ahead = self.ahead_m + piece * place
+        return Discs(ahead, torch.full_like(ahead, radius))
+
+    def description(self) -> dict[str, Any]:
+        """Shape, sizes and place in m."""
+        sizes = {"length_m": self.length_m, "width_m": self.width_m, "ahead_m": self.ahead_m}
+        return {"shape": "box"} | sizes
 
 
 def distance_box_to_segment(

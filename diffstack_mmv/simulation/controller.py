@@ -68,8 +68,6 @@ class DiffMPCController:
         ValueError: A number is not positive.
     """
 
-    massless = False
-
     def __init__(
         self,
         planner: MPCPlanner,
@@ -133,12 +131,12 @@ class DiffMPCController:
         like = self.planner.dynamics.bounds.lower
         seen = map_tensors(lambda entry: entry.to(like), observation)
         told = map_tensors(lambda entry: entry.to(like), forecast)
-        everybody = torch.ones_like(seen.human_radius, dtype=torch.bool)
+        everybody = torch.ones_like(seen.pedestrian_radius, dtype=torch.bool)
         return build_problem(
             Ego(seen.motion, Heading.BODY, seen.discs),
             seen.goal,
             straight_reference(seen.motion, seen.goal, self.planner.steps, self.cruise_mps),
-            predicted_obstacles(seen.human_position, seen.human_radius, everybody, told),
+            predicted_obstacles(seen.pedestrian_position, seen.pedestrian_radius, everybody, told),
         )
 
     def diagnosis(self, state: DiffMPCState) -> dict[str, Float[Tensor, " E"]]:

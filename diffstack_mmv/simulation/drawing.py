@@ -13,7 +13,7 @@ MARGIN_M = 2.0
 
 
 def picture(world: World, state: WorldState) -> np.ndarray:
-    """Robot, humans and goals from above.
+    """Robot, pedestrians and goals from above.
 
     Args:
         world: The world.
@@ -28,14 +28,12 @@ def picture(world: World, state: WorldState) -> np.ndarray:
     motion = world.robot.motion(state.robot)
     place = motion.position.detach().numpy()
     heading = float(motion.heading)
-    radius = world.verdict.footprint.radius_m
+    radius = world.robot.footprint.radius_m
     for position, size in zip(
-        state.humans.position.numpy(), state.humans.radius.numpy(), strict=True
+        state.pedestrians.position.numpy(), state.pedestrians.radius.numpy(), strict=True
     ):
         axes.add_patch(Circle(tuple(position), float(size), color=HUMAN, alpha=0.7))
-    outline = position_from_frame(
-        world.verdict.footprint.outline(), motion.position, motion.heading
-    )
+    outline = position_from_frame(world.robot.footprint.outline(), motion.position, motion.heading)
     axes.add_patch(Polygon(outline.detach().numpy(), color=ROBOT))
     nose = place + radius * np.array((np.cos(heading), np.sin(heading)))
     axes.plot(*zip(place, nose, strict=True), color="black")

@@ -16,13 +16,14 @@ from diffstack_mmv.checks import (
     require_one_of,
     require_positive,
 )
-from diffstack_mmv.dynamics.catalogue import model_of
-from diffstack_mmv.simulation.collision import DiscFootprint, Footprint
+from diffstack_mmv.dynamics.catalogue import load_vehicle, model_of
+from diffstack_mmv.simulation.assembly import vehicle_box
+from diffstack_mmv.simulation.collision import DiscFootprint
 from diffstack_mmv.simulation.pedestrians import OrcaCrowd
 from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
 from diffstack_mmv.simulation.scenario import PHASES, SCENARIOS, Scenario, Scene
 from diffstack_mmv.simulation.vehicle_robot import FINEST_NEEDED_S, VehicleRobot
-from diffstack_mmv.simulation.verdict import CrowdNavVerdict, ExactVerdict, Verdict
+from diffstack_mmv.simulation.verdict import verdict_named
 from diffstack_mmv.simulation.world import World, WorldState
 from diffstack_mmv.types import Outcome
 
@@ -33,10 +34,7 @@ POINT_ROBOTS: dict[str, Callable[[], Robot]] = {
     "holonomic": HolonomicRobot,
     "unicycle": UnicycleRobot,
 }
-VERDICTS: dict[str, Callable[[Footprint, float], Verdict]] = {
-    "crowdnav": CrowdNavVerdict,
-    "exact": ExactVerdict,
-}
+FOOTPRINTS = ("disc", "vehicle")
 
 
 class EnvStep(NamedTuple):
@@ -49,25 +47,31 @@ class EnvStep(NamedTuple):
     info: dict[str, Any]
 
 
-def robot_named(name: str, dynamics: str, dt_s: float) -> Robot:
+def robot_named(name: str, dynamics: str, dt_s: float, footprint: str = "disc") -> Robot:
     """Build a robot from the names that an environment takes.
 
     Args:
         name: "holonomic", "unicycle", or the name or YAML file of a vehicle.
-        dynamics: Short name of a vehicle's dynamics model.
+        dynamics: Name of a vehicle's dynamics, a file of `configs/dynamics`.
         dt_s: Step of the environment in s, which the vehicle's fine step divides.
+        footprint: "disc", that of the benchmark, or "vehicle", the box of a vehicle.
 
     Returns:
         The robot.
 
     Raises:
-        ValueError: There is no such robot or dynamics, or the step is not positive.
+        ValueError: There is no such robot, dynamics or footprint, or the step is not positive.
     """
     require_positive("dt_s", dt_s)
+    require_one_of("footprint", footprint, FOOTPRINTS)
     if name in POINT_ROBOTS:
+        require(footprint == "disc", "footprint", "be disc", footprint, f"for robot '{name}'")
         return POINT_ROBOTS[name]()
     pieces = math.ceil(dt_s / FINEST_NEEDED_S - 1e-9)
-    return VehicleRobot(model_of(name, dynamics, dt_s / pieces))
+    spec = load_vehicle(name)
+    model = model_of(spec, dynamics, dt_s / pieces)
+    outline = vehicle_box(spec, model) if footprint == "vehicle" else DiscFootprint()
+    return VehicleRobot(model, footprint=outline)
 
 
 class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
@@ -76,20 +80,22 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
     An action holds for one step, in the units of the robot: (v_x, v_y) in m/s for "holonomic",
     (v in m/s, turn in rad) for "unicycle", the controls of the dynamics model for a vehicle.
     An observation has `robot` (x, y, heading, world velocity v_x, v_y, yaw rate, radius, goal x, y)
-    and `humans` (one row per human: x, y, v_x, v_y, radius), SI units, world frame.
+    and `humans` (one row per pedestrian: x, y, v_x, v_y, radius), SI units, world frame.
     `reset(options={"phase": "test", "case": 7})` starts a case of the benchmark; without options
     the environment's generator draws a case of the training phase.
 
     Args:
         scenario: "circle_crossing", "square_crossing", or a scenario with settings of one's own.
-        humans: Number of humans; that of the scenario where one is given.
+        humans: Number of pedestrians; that of the scenario where one is given.
         dt_s: Length of a step.
         limit_s: Time limit, a multiple of the step.
         robot: "holonomic", "unicycle", the name or YAML file of a vehicle, or a robot.
         verdict: "crowdnav" (the original rules with their faults) or "exact".
         dynamics: Dynamics of a vehicle that is given by its name.
-        robot_visible: Whether the humans avoid the robot.
+        robot_visible: Whether the pedestrians avoid the robot.
         render_mode: "rgb_array" or None.
+        footprint: Outline of a robot that is given by its name: "disc", that of the benchmark, or
+            "vehicle", the box of the vehicle.
 
     Raises:
         ValueError: A name is unknown, or a number out of range.
@@ -111,17 +117,21 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         dynamics: str = "gm3",
         robot_visible: bool = False,
         render_mode: str | None = None,
+        footprint: str = "disc",
     ) -> None:
         self._scenario = _scenario_named(scenario, humans)
         require_positive("limit_s", limit_s)
-        require_one_of("verdict", verdict, tuple(VERDICTS))
         if render_mode is not None:
             require_one_of("render_mode", render_mode, self.metadata["render_modes"])
         self._use(
             World(
-                robot=robot_named(robot, dynamics, dt_s) if isinstance(robot, str) else robot,
+                robot=(
+                    robot_named(robot, dynamics, dt_s, footprint)
+                    if isinstance(robot, str)
+                    else robot
+                ),
                 crowd=OrcaCrowd(),
-                verdict=VERDICTS[verdict](DiscFootprint(), limit_s),
+                verdict=verdict_named(verdict, limit_s),
                 dt_s=dt_s,
                 robot_visible=robot_visible,
             ),
@@ -176,8 +186,8 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
 
     @property
     def human_positions(self) -> np.ndarray:
-        """Positions of the humans, (humans, 2) m."""
-        return self.state.humans.position.numpy().copy()
+        """Positions of the pedestrians, (humans, 2) m."""
+        return self.state.pedestrians.position.numpy().copy()
 
     @property
     def robot_position(self) -> np.ndarray:
@@ -223,8 +233,8 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
             action: Action in the units of the robot.
 
         Returns:
-            Observation, reward, whether the goal or a human was hit, whether the time is up, and
-            outcome, clearance (m) and time (s).
+            Observation, reward, whether the goal or a pedestrian was hit, whether the time is up,
+            and outcome, clearance (m) and time (s).
 
         Raises:
             ValueError: The action is not finite or has the wrong shape.
@@ -267,8 +277,12 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
             seen.radius[..., None],
             seen.goal,
         )
-        humans = (seen.human_position, seen.human_velocity, seen.human_radius[..., None])
-        return {"robot": _joined(robot), "humans": _joined(humans)}
+        pedestrians = (
+            seen.pedestrian_position,
+            seen.pedestrian_velocity,
+            seen.pedestrian_radius[..., None],
+        )
+        return {"robot": _joined(robot), "humans": _joined(pedestrians)}
 
 
 def _joined(columns: tuple[Tensor, ...]) -> np.ndarray:
@@ -277,7 +291,7 @@ def _joined(columns: tuple[Tensor, ...]) -> np.ndarray:
 
 
 def _scenario_named(scenario: str | Scenario, humans: int) -> Scenario:
-    """The scenario itself, or the one of that name with so many humans."""
+    """The scenario itself, or the one of that name with so many pedestrians."""
     if isinstance(scenario, Scenario):
         return scenario
     require_one_of("scenario", scenario, tuple(SCENARIOS))

@@ -21,7 +21,7 @@ class _Row(NamedTuple):
     running: Bool[Tensor, " E"]
 
 
-class Drive(NamedTuple):
+class DrivenEpisodes(NamedTuple):
     """Driven episodes, and what the controller remembers of them at their end."""
 
     record: EpisodeRecord
@@ -29,7 +29,7 @@ class Drive(NamedTuple):
 
 
 @torch.no_grad()
-def drive(world: World, scene: Scene, controller: Controller) -> Drive:
+def drive(world: World, scene: Scene, controller: Controller) -> DrivenEpisodes:
     """Run episodes until each has ended; those that have ended wait for the others.
 
     Args:
@@ -41,7 +41,7 @@ def drive(world: World, scene: Scene, controller: Controller) -> Drive:
         The record of all episodes, as long as the longest of them, and the controller's state.
 
     Raises:
-        ValueError: A human stands in the robot at the start, or an action has the wrong shape.
+        ValueError: A pedestrian stands in the robot at the start, or an action has the wrong shape.
     """
     state = world.start(scene)
     states, rows = [state], []
@@ -56,7 +56,7 @@ def drive(world: World, scene: Scene, controller: Controller) -> Drive:
         running = running & (judgement.outcome < Outcome.COLLISION)
         if not bool(running.any()):
             break
-    return Drive(_record(world, states, rows), known)
+    return DrivenEpisodes(_record(world, states, rows), known)
 
 
 def _record(world: World, states: list[WorldState], rows: list[_Row]) -> EpisodeRecord:
@@ -77,7 +77,7 @@ def _record(world: World, states: list[WorldState], rows: list[_Row]) -> Episode
         motion=Motion(
             *(_extended(torch.stack(f, dim=1), row_of) for f in zip(*motions, strict=True))
         ),
-        pedestrians=_extended(torch.stack([s.humans.position for s in states], dim=1), row_of),
+        pedestrians=_extended(torch.stack([s.pedestrians.position for s in states], dim=1), row_of),
         controls=_extended(
             torch.stack([row.action for row in rows], dim=1), row_of[:, :-1].clamp(max=last)
         ),

@@ -69,7 +69,7 @@ class ConstantVelocityForecaster:
         self, state: None, observation: Observation, dt_s: float, steps: int
     ) -> PedestrianForecast:
         """One component along straight lines."""
-        position, velocity = observation.human_position, observation.human_velocity
+        position, velocity = observation.pedestrian_position, observation.pedestrian_velocity
         ahead = dt_s * torch.arange(1, steps + 1, dtype=position.dtype, device=position.device)
         mean = position.unsqueeze(-2) + velocity.unsqueeze(-2) * ahead[:, None]
         return PedestrianForecast(_with_spread(mean, velocity, self.spread, dt_s), None)
@@ -155,13 +155,13 @@ class OrcaForecaster:
 
     def _believed(self, state: BelievedCrowd | None, observation: Observation) -> CrowdState:
         """The observed crowd with the goals believed in after this observation."""
-        position, velocity = observation.human_position, observation.human_velocity
-        preferred = torch.full_like(observation.human_radius, self.preferred_speed_mps)
+        position, velocity = observation.pedestrian_position, observation.pedestrian_velocity
+        preferred = torch.full_like(observation.pedestrian_radius, self.preferred_speed_mps)
         if state is None:
             goal = self._at_first_sight(position, velocity)
         else:
             goal = self._inferred(state, velocity)
-        return CrowdState(position, velocity, goal, observation.human_radius, preferred)
+        return CrowdState(position, velocity, goal, observation.pedestrian_radius, preferred)
 
     def _at_first_sight(
         self, position: Float[Tensor, "*b h 2"], velocity: Float[Tensor, "*b h 2"]

@@ -68,14 +68,14 @@ class LearnedForecaster:
         neighbors = self._tracks(seen, observation)
         everybody = self.predictor(_nobody(neighbors), neighbors)
         likely = strongest(neighbors_forecast(everybody), self.components)
-        now = observation.human_position[..., None, None, :].to(likely.mean)
+        now = observation.pedestrian_position[..., None, None, :].to(likely.mean)
         path = torch.cat((now.expand_as(likely.mean[..., :1, :]), likely.mean), -2)
         place = dt_s / self.predictor.dt_s * torch.arange(1, steps + 1, dtype=path.dtype)
         place = place.to(path.device)
         last = likely.scale_tril.shape[-3] - 1
         scale = _at(likely.scale_tril.flatten(-2), (place - 1).clamp(0, last))
         forecast = Forecast(likely.log_weight, _at(path, place), scale.unflatten(-1, (2, 2)))
-        wide = map_tensors(lambda entry: entry.to(observation.human_position.dtype), forecast)
+        wide = map_tensors(lambda entry: entry.to(observation.pedestrian_position.dtype), forecast)
         return PedestrianForecast(wide, seen)
 
     def _seen(self, state: tuple[_Seen, ...], observation: Observation) -> tuple[_Seen, ...]:
@@ -85,7 +85,7 @@ class LearnedForecaster:
         # one older observation is kept, from which the first row is interpolated
         old = [each for each in state if each.time <= oldest][-1:]
         recent = [each for each in state if each.time > oldest]
-        now = _Seen(time, observation.human_position, observation.human_velocity)
+        now = _Seen(time, observation.pedestrian_position, observation.pedestrian_velocity)
         return (*old, *recent, now)
 
     def _tracks(self, seen: tuple[_Seen, ...], observation: Observation) -> Tracks:
@@ -111,7 +111,7 @@ class LearnedForecaster:
             velocity=rotate(velocity, -heading),
             yaw_rate=torch.cat((torch.zeros_like(turned[..., :1]), turned), -1),
         )
-        size = 2 * observation.human_radius
+        size = 2 * observation.pedestrian_radius
         return Tracks(
             motion=Motion(*(entry.float() for entry in motion)),
             extent=torch.stack((size, size), -1).float(),

@@ -31,7 +31,7 @@ def imitation_loss(
         The loss, dimensionless.
 
     Raises:
-        ValueError: There is no step, or a human stands in the robot at the start.
+        ValueError: There is no step, or a pedestrian stands in the robot at the start.
 
     Source:
         Amos et al., Differentiable MPC for end-to-end planning and control (NeurIPS 2018), for the
@@ -67,7 +67,7 @@ def way_left_loss(world: World, scene: Scene, learner: Controller, steps: int) -
         The loss in m.
 
     Raises:
-        ValueError: There is no step, or a human stands in the robot at the start.
+        ValueError: There is no step, or a pedestrian stands in the robot at the start.
     """
     require_at_least("steps", steps, 1)
     state = world.start(scene)

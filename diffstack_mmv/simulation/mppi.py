@@ -58,8 +58,6 @@ class MPPIController:
         Williams et al., Information theoretic MPC for model-based reinforcement learning (2017).
     """
 
-    massless = False
-
     def __init__(
         self,
         dynamics: DynamicsModel,
@@ -126,8 +124,10 @@ class MPPIController:
         start = self.dynamics.initial_state(seen.motion)
         states = rollout(self.dynamics, start.unsqueeze(1).expand(-1, self.samples, -1), plans)
         motion = self.dynamics.motion(states, with_final_row(plans))
-        everybody = torch.ones_like(seen.human_radius, dtype=torch.bool)
-        obstacles = predicted_obstacles(seen.human_position, seen.human_radius, everybody, forecast)
+        everybody = torch.ones_like(seen.pedestrian_radius, dtype=torch.bool)
+        obstacles = predicted_obstacles(
+            seen.pedestrian_position, seen.pedestrian_radius, everybody, forecast
+        )
         clearance = clearance_within_steps(motion, seen.discs, obstacles)
         likely = obstacles.weight[:, None, :, :, None]
 

@@ -1,7 +1,7 @@
 """The simplest controllers: baselines of the benchmark, and the shortest complete examples."""
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -29,13 +29,9 @@ class Controller(Protocol):
     """Chooses the actions of the robots of all episodes at once.
 
     A controller holds settings only; what it remembers of its episodes is a record of its own that
-    goes in and comes out.
+    goes in and comes out. A class with a true attribute `massless` drives the massless robot of the
+    original benchmark.
     """
-
-    @property
-    def massless(self) -> bool:
-        """Whether it commands the velocity of a robot without mass."""
-        ...
 
     def init(self, observation: Observation) -> Any:
         """State at the start of episodes."""
@@ -63,7 +59,7 @@ class _Memoryless:
 
 @dataclass(frozen=True)
 class StraightLine(_Memoryless):
-    """Drive a holonomic robot straight to the goal, blind to the humans.
+    """DrivenEpisodes a holonomic robot straight to the goal, blind to the pedestrians.
 
     Attributes:
         speed_mps: Constant speed.
@@ -72,9 +68,8 @@ class StraightLine(_Memoryless):
         ValueError: The speed is not positive.
     """
 
+    massless: ClassVar[bool] = True
     speed_mps: float = 1.0
-
-    massless = True
 
     def __post_init__(self) -> None:
         """Check the speed once, at the border."""
@@ -89,7 +84,7 @@ class StraightLine(_Memoryless):
 
 @dataclass(frozen=True)
 class OrcaPolicy(_Memoryless):
-    """Drive a holonomic robot by ORCA, as the original benchmark's ORCA robot does.
+    """DrivenEpisodes a holonomic robot by ORCA, as the original benchmark's ORCA robot does.
 
     Attributes:
         dt_s: Step of the simulation.
@@ -100,11 +95,10 @@ class OrcaPolicy(_Memoryless):
         ValueError: The step or the speed is not positive.
     """
 
+    massless: ClassVar[bool] = True
     dt_s: float = 0.25
     speed_mps: float = 1.0
     orca: OrcaCrowd = field(default_factory=OrcaCrowd)
-
-    massless = True
 
     def __post_init__(self) -> None:
         """Check the numbers once, at the border."""
@@ -121,18 +115,18 @@ class OrcaPolicy(_Memoryless):
             radius=observation.radius,
             max_speed=torch.full_like(observation.radius, self.speed_mps),
         )
-        radius = observation.human_radius
-        humans = Neighbors(
-            position=observation.human_position,
-            velocity=observation.human_velocity,
+        radius = observation.pedestrian_radius
+        pedestrians = Neighbors(
+            position=observation.pedestrian_position,
+            velocity=observation.pedestrian_velocity,
             radius=radius,
             valid=torch.ones_like(radius, dtype=torch.bool),
         )
-        return Decided(self.orca.velocity(robot, humans, self.dt_s), None)
+        return Decided(self.orca.velocity(robot, pedestrians, self.dt_s), None)
 
 
 class BlindDriver(_Memoryless):
-    """Drive a vehicle straight to the goal and stop there, blind to the humans.
+    """DrivenEpisodes a vehicle straight to the goal and stop there, blind to the pedestrians.
 
     Args:
         dynamics: Model of the vehicle, whose step is the time between two decisions.
@@ -142,8 +136,6 @@ class BlindDriver(_Memoryless):
     Raises:
         ValueError: A number is not positive.
     """
-
-    massless = False
 
     def __init__(
         self, dynamics: DynamicsModel, cruise_mps: float = 3.0, braking_mps2: float = 2.8

@@ -8,7 +8,8 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.geometry import rotate, unit_vector
-from diffstack_mmv.simulation.pedestrians import Bystander
+from diffstack_mmv.simulation.collision import DiscFootprint, Footprint
+from diffstack_mmv.simulation.pedestrians import VisibleRobot
 from diffstack_mmv.simulation.scenario import Scene
 from diffstack_mmv.simulation.verdict import RobotPath
 from diffstack_mmv.types import Bounds, Motion
@@ -31,6 +32,11 @@ class Robot(Protocol):
         """Box of the actions, (m,)."""
         ...
 
+    @property
+    def footprint(self) -> Footprint:
+        """Outline around the reference point, the centre of its motion."""
+        ...
+
     def start(self, scene: Scene) -> Any:
         """State at rest at the start of a scene."""
         ...
@@ -44,16 +50,15 @@ class Robot(Protocol):
         ...
 
     def velocity(self, state: Any) -> Float[Tensor, "*b 2"]:
-        """Velocity in m/s in world directions, as humans see it."""
+        """Velocity in m/s in world directions, as pedestrians see it."""
         ...
 
 
-def seen_by_humans(robot: Robot, state: Any, radius_m: float) -> Bystander:
-    """The robot as an obstacle with a radius in m, in the eyes of the humans."""
+def seen_by_pedestrians(robot: Robot, state: Any) -> VisibleRobot:
+    """The robot in the eyes of pedestrians: the disc around its reference point that holds it."""
     position = robot.motion(state).position
-    return Bystander(
-        position, robot.velocity(state), position.new_tensor(radius_m).expand(position.shape[:-1])
-    )
+    radius = position.new_tensor(robot.footprint.radius_m).expand(position.shape[:-1])
+    return VisibleRobot(position, robot.velocity(state), radius)
 
 
 class PointState(NamedTuple):
@@ -65,7 +70,7 @@ class PointState(NamedTuple):
 
 
 class _PointRobot:
-    """What the massless robots of the benchmark share.
+    """What the massless robots of the benchmark share, its disc as footprint included.
 
     Args:
         max_speed_mps: Largest entry of an action in m/s, stated by `bounds` and not enforced.
@@ -77,6 +82,7 @@ class _PointRobot:
     def __init__(self, max_speed_mps: float = 1.0) -> None:
         require_positive("max_speed_mps", max_speed_mps)
         self.max_speed_mps = max_speed_mps
+        self.footprint: Footprint = DiscFootprint()
 
     def start(self, scene: Scene) -> PointState:
         """State at rest at the start of a scene, m and rad."""

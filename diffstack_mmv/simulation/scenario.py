@@ -24,16 +24,16 @@ from diffstack_mmv.checks import (
 from diffstack_mmv.simulation.pedestrians import CrowdState
 
 MAX_TRIES = 200_000
-"""Draws for one human before a scenario counts as too crowded."""
+"""Draws for one pedestrian before a scenario counts as too crowded."""
 
 
 class Scene(NamedTuple):
-    """Start of episodes, `*b`, with `h` humans; float64, m, rad, world frame; all at rest."""
+    """Start of episodes, `*b`, with `h` pedestrians; float64, m, rad, world frame; all at rest."""
 
     robot_position: Float[Tensor, "*b 2"]
     robot_heading: Float[Tensor, "*b"]
     robot_goal: Float[Tensor, "*b 2"]
-    humans: CrowdState
+    pedestrians: CrowdState
 
 
 class Phase(NamedTuple):
@@ -51,7 +51,7 @@ PHASES = {
 
 
 class _Placed(NamedTuple):
-    """Discs that a newcomer has to keep clear of: the robot and the humans placed so far."""
+    """Discs that a newcomer has to keep clear of: the robot and the pedestrians placed so far."""
 
     position: np.ndarray
     goal: np.ndarray
@@ -59,13 +59,13 @@ class _Placed(NamedTuple):
 
 @dataclass(frozen=True)
 class Scenario(ABC):
-    """A family of cases: the robot crosses from (0, -R) to (0, R), the humans get in its way.
+    """A family of cases: the robot crosses from (0, -R) to (0, R), the pedestrians get in its way.
 
     Attributes:
-        humans: Number of humans.
+        humans: Number of pedestrians, by the word of the benchmark.
         circle_radius_m: R, half of the robot's way.
-        human_radius_m: Radius of each human.
-        human_speed_mps: Preferred speed of each human.
+        pedestrian_radius_m: Radius of each pedestrian.
+        pedestrian_speed_mps: Preferred speed of each pedestrian.
         robot_radius_m: Radius of the robot that the placement keeps clear of.
         clearance_m: Smallest clearance between any two agents at the start.
 
@@ -78,8 +78,8 @@ class Scenario(ABC):
 
     humans: int = 5
     circle_radius_m: float = 4.0
-    human_radius_m: float = 0.3
-    human_speed_mps: float = 1.0
+    pedestrian_radius_m: float = 0.3
+    pedestrian_speed_mps: float = 1.0
     robot_radius_m: float = 0.3
     clearance_m: float = 0.2
 
@@ -87,8 +87,8 @@ class Scenario(ABC):
         """Check the sizes once, at the border."""
         require_at_least("humans", self.humans, 1)
         require_positive("circle_radius_m", self.circle_radius_m)
-        require_positive("human_radius_m", self.human_radius_m)
-        require_positive("human_speed_mps", self.human_speed_mps)
+        require_positive("pedestrian_radius_m", self.pedestrian_radius_m)
+        require_positive("pedestrian_speed_mps", self.pedestrian_speed_mps)
         require_positive("robot_radius_m", self.robot_radius_m)
         require_at_least("clearance_m", self.clearance_m, 0)
 
@@ -122,14 +122,14 @@ class Scenario(ABC):
         """
         scenes = [self.case(phase, number) for number in numbers]
         require(bool(scenes), "numbers", "name at least one case", "none")
-        humans = CrowdState(
-            *(torch.stack(field) for field in zip(*(s.humans for s in scenes), strict=True))
+        pedestrians = CrowdState(
+            *(torch.stack(field) for field in zip(*(s.pedestrians for s in scenes), strict=True))
         )
         return Scene(
             robot_position=torch.stack([scene.robot_position for scene in scenes]),
             robot_heading=torch.stack([scene.robot_heading for scene in scenes]),
             robot_goal=torch.stack([scene.robot_goal for scene in scenes]),
-            humans=humans,
+            pedestrians=pedestrians,
         )
 
     def sample(self, random: np.random.RandomState) -> Scene:
@@ -142,14 +142,14 @@ class Scenario(ABC):
             A scene without leading dimensions, in m and rad.
 
         Raises:
-            ValueError: No free place was found for a human.
+            ValueError: No free place was found for a pedestrian.
         """
         radius = self.circle_radius_m
         position, goal = np.zeros((2, self.humans + 1, 2))
         position[0], goal[0] = (0, -radius), (0, radius)
-        for human in range(1, self.humans + 1):
-            placed = _Placed(position[:human], goal[:human])
-            position[human], goal[human] = self._place(placed, random)
+        for pedestrian in range(1, self.humans + 1):
+            placed = _Placed(position[:pedestrian], goal[:pedestrian])
+            position[pedestrian], goal[pedestrian] = self._place(placed, random)
         return self._scene(torch.from_numpy(position), torch.from_numpy(goal))
 
     def _scene(self, position: Float[Tensor, "a 2"], goal: Float[Tensor, "a 2"]) -> Scene:
@@ -159,12 +159,12 @@ class Scenario(ABC):
             robot_position=position[0],
             robot_heading=position.new_tensor(np.pi / 2),
             robot_goal=goal[0],
-            humans=CrowdState(
+            pedestrians=CrowdState(
                 position=position[1:],
                 velocity=torch.zeros_like(position[1:]),
                 goal=goal[1:],
-                radius=each * self.human_radius_m,
-                preferred_speed=each * self.human_speed_mps,
+                radius=each * self.pedestrian_radius_m,
+                preferred_speed=each * self.pedestrian_speed_mps,
             ),
         )
 
@@ -172,27 +172,30 @@ class Scenario(ABC):
     def _place(
         self, placed: _Placed, random: np.random.RandomState
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Draw position and goal in m of the next human."""
+        """Draw position and goal in m of the next pedestrian."""
 
     def _is_free(self, point: np.ndarray, others: np.ndarray) -> bool:
         """Whether a disc at `point` keeps clear of the discs at `others`, all in m."""
-        radii = np.full(len(others), self.human_radius_m)
+        radii = np.full(len(others), self.pedestrian_radius_m)
         radii[0] = self.robot_radius_m
         x, y = (others - point).T
         return not bool(
-            (np.sqrt(x * x + y * y) < self.human_radius_m + radii + self.clearance_m).any()
+            (np.sqrt(x * x + y * y) < self.pedestrian_radius_m + radii + self.clearance_m).any()
         )
 
-    def _too_crowded(self, human: int) -> str:
-        """Explain that the scenario has no room for one more human."""
-        wanted = f"fit into the scenario, which has no place for human {human} in {MAX_TRIES} draws"
-        remedy = f"Take at most {max(human - 1, 1)}, or a larger scenario."
+    def _too_crowded(self, pedestrian: int) -> str:
+        """Explain that the scenario has no room for one more pedestrian."""
+        wanted = (
+            f"fit into the scenario, which has no place for pedestrian {pedestrian} in "
+            f"{MAX_TRIES} draws"
+        )
+        remedy = f"Take at most {max(pedestrian - 1, 1)}, or a larger scenario."
         return message("humans", wanted, self.humans, remedy=remedy)
 
 
 @dataclass(frozen=True)
 class CircleCrossing(Scenario):
-    """Humans start near a circle of radius R and walk to the opposite point.
+    """Pedestrians start near a circle of radius R and walk to the opposite point.
 
     Raises:
         ValueError: As in `Scenario`.
@@ -204,8 +207,8 @@ class CircleCrossing(Scenario):
         """Draw an angle and a displacement until the place is free."""
         for _ in range(MAX_TRIES):
             angle = random.random_sample() * np.pi * 2
-            shift_x = (random.random_sample() - 0.5) * self.human_speed_mps
-            shift_y = (random.random_sample() - 0.5) * self.human_speed_mps
+            shift_x = (random.random_sample() - 0.5) * self.pedestrian_speed_mps
+            shift_y = (random.random_sample() - 0.5) * self.pedestrian_speed_mps
             start = np.array(
                 (
                     self.circle_radius_m * np.cos(angle) + shift_x,
@@ -219,7 +222,7 @@ class CircleCrossing(Scenario):
 
 @dataclass(frozen=True)
 class SquareCrossing(Scenario):
-    """Humans start in one half of a square, left or right, and walk to a point in the other half.
+    """Pedestrians start in one half of a square and walk to a point in the other one.
 
     Attributes:
         square_width_m: Width of the square.

@@ -17,6 +17,7 @@ from diffstack_mmv.checks import (
 )
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import rotate
+from diffstack_mmv.simulation.collision import DiscFootprint, Footprint
 from diffstack_mmv.simulation.robot import Travel
 from diffstack_mmv.simulation.scenario import Scene
 from diffstack_mmv.simulation.verdict import RobotPath
@@ -66,13 +67,15 @@ class Actuation:
 class VehicleRobot:
     """A vehicle with its own dynamics; an action is a control of its model.
 
-    The centre of the robot is the reference point of the model. The model is copied, turned to
+    The centre of the robot is the reference point of the model, and the footprint lies around it,
+    see `vehicle_footprint` for the box of a vehicle. The model is copied, turned to
     float64 and frozen; whatever a controller believes about the vehicle is another model.
 
     Args:
         model: The true dynamics, whose `dt_s` is the fine step, at most 10 ms.
         actuation: Delay, noise and top speed of the actuators.
         bounds: Box to which actions are clipped; that of the model if None.
+        footprint: Outline; the disc of the benchmark if None.
 
     Raises:
         ValueError: The fine step is too long, or bounds, noise or delay do not fit the model.
@@ -83,11 +86,13 @@ class VehicleRobot:
         model: DynamicsModel,
         actuation: Actuation | None = None,
         bounds: Bounds | None = None,
+        footprint: Footprint | None = None,
     ) -> None:
         remedy = "Build the model with a smaller step; a controller may use a longer one."
         require_between("model.dt_s", model.dt_s, 0, FINEST_NEEDED_S + 1e-12, remedy=remedy)
         self.model = copy.deepcopy(model).double().requires_grad_(False)
         self.actuation = actuation or Actuation()
+        self.footprint = footprint or DiscFootprint()
         box = bounds or self.model.bounds
         self._bounds = Bounds(box.lower.double(), box.upper.double())
         columns = model.control_dim

@@ -1,6 +1,7 @@
 """Who judges a step: collision, success, time-out or discomfort, and the reward for it."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -8,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.checks import require_at_least, require_one_of, require_positive
 from diffstack_mmv.geometry import length
 from diffstack_mmv.simulation.collision import Approach, Footprint
 from diffstack_mmv.simulation.pedestrians import CrowdState
@@ -28,12 +29,13 @@ class RobotPath(NamedTuple):
 
 
 class Encounter(NamedTuple):
-    """One step of robot and humans, with all that a verdict may look at."""
+    """One step of robot and pedestrians, with all that a verdict may look at."""
 
     path: RobotPath
+    footprint: Footprint  # of the robot
     velocity: Float[Tensor, "*b 2"]  # m/s, of the robot: constant over the step, to the same end
-    humans: CrowdState  # before the step
-    human_velocity: Float[Tensor, "*b h 2"]  # m/s, that holds during the step
+    pedestrians: CrowdState  # before the step
+    pedestrian_velocity: Float[Tensor, "*b h 2"]  # m/s, that holds during the step
     goal: Float[Tensor, "*b 2"]  # m
     time: Float[Tensor, "*b"]  # s, before the step
     dt_s: float
@@ -54,7 +56,7 @@ class Rewards:
     Attributes:
         success: For reaching the goal.
         collision: For a collision.
-        discomfort_m: Clearance below which a human feels uncomfortable.
+        discomfort_m: Clearance below which a pedestrian feels uncomfortable.
         discomfort_factor: Penalty per metre below that clearance and per second.
     """
 
@@ -85,7 +87,6 @@ class Verdict(ABC):
     """Judges the steps of episodes.
 
     Attributes:
-        footprint: Outline of the robot.
         limit_s: Time limit of an episode.
         goal_tolerance_m: The goal counts as reached where a step ends closer than this to it.
         rewards: What each outcome is worth.
@@ -97,7 +98,6 @@ class Verdict(ABC):
         Chen et al., Crowd-Robot Interaction (ICRA 2019), Eq. 2.
     """
 
-    footprint: Footprint
     limit_s: float
     goal_tolerance_m: float = 0.3
     rewards: Rewards = field(default_factory=Rewards)
@@ -128,17 +128,20 @@ class Verdict(ABC):
         outcome = self._outcome(facts)
         return Judgement(outcome, self.rewards.of(outcome, clearance, step.dt_s), clearance)
 
-    def at_rest(self, path: RobotPath, humans: CrowdState) -> Float[Tensor, "*b"]:
-        """Clearance in m to the nearest human at the end of `path`, all standing still."""
+    @staticmethod
+    def at_rest(
+        path: RobotPath, footprint: Footprint, pedestrians: CrowdState
+    ) -> Float[Tensor, "*b"]:
+        """Clearance in m to the nearest pedestrian at the end of `path`, all standing still."""
         position, heading = path.position[..., -1:, :], path.heading[..., -1:]
-        offset = humans.position - position
-        heading = heading.expand(humans.radius.shape)
-        approach = Approach(offset, offset, humans.radius, heading, heading)
-        return self.footprint.clearance(approach).amin(dim=-1)
+        offset = pedestrians.position - position
+        heading = heading.expand(pedestrians.radius.shape)
+        approach = Approach(offset, offset, pedestrians.radius, heading, heading)
+        return footprint.clearance(approach).amin(dim=-1)
 
     @abstractmethod
     def _clearance(self, step: Encounter) -> Float[Tensor, "*b h"]:
-        """Smallest clearance in m to each human over the step."""
+        """Smallest clearance in m to each pedestrian over the step."""
 
     @abstractmethod
     def _is_late(self, step: Encounter) -> Bool[Tensor, "*b"]:
@@ -153,12 +156,11 @@ class Verdict(ABC):
 class CrowdNavVerdict(Verdict):
     """The verdict of the original benchmark, with its faults.
 
-    A collision is looked for along the velocities that the humans had before the step. The time is
-    up in the first step that starts one second or less before the limit, and a time-out hides
-    collision and success. Needed to compare with published numbers.
+    A collision is looked for along the velocities that the pedestrians had before the step. The
+    time is up in the first step that starts one second or less before the limit, and a time-out
+    hides collision and success. Needed to compare with published numbers.
 
     Attributes:
-        footprint: Outline of the robot.
         limit_s: Time limit of an episode, which ends about one second earlier.
         goal_tolerance_m: The goal counts as reached where a step ends closer than this to it.
         rewards: What each outcome is worth.
@@ -174,14 +176,14 @@ class CrowdNavVerdict(Verdict):
         require_positive("limit_s - 1", self.limit_s - EARLY_S, remedy=remedy)
 
     def _clearance(self, step: Encounter) -> Float[Tensor, "*b h"]:
-        """Straight motion at the robot's mean velocity and the humans' old ones."""
-        start = step.humans.position - step.path.position[..., :1, :]
-        relative = step.humans.velocity - step.velocity[..., None, :]
+        """Straight motion at the robot's mean velocity and the pedestrians' old ones."""
+        start = step.pedestrians.position - step.path.position[..., :1, :]
+        relative = step.pedestrians.velocity - step.velocity[..., None, :]
         first, last = (
             step.path.heading[..., end, None].expand(start.shape[:-1]) for end in (0, -1)
         )
         end = start + relative * step.dt_s
-        return self.footprint.clearance(Approach(start, end, step.humans.radius, first, last))
+        return step.footprint.clearance(Approach(start, end, step.pedestrians.radius, first, last))
 
     def _is_late(self, step: Encounter) -> Bool[Tensor, "*b"]:
         """The clock before the step stands within a second of the limit."""
@@ -201,11 +203,10 @@ class CrowdNavVerdict(Verdict):
 class ExactVerdict(Verdict):
     """The same rules with the two faults mended.
 
-    A collision is looked for between the fine path of the robot and the humans as they truly move
-    in this step; the time is up at the limit; collision and success come before time-out.
+    A collision is looked for between the fine path of the robot and the pedestrians as they truly
+    move in this step; the time is up at the limit; collision and success come before time-out.
 
     Attributes:
-        footprint: Outline of the robot.
         limit_s: Time limit of an episode.
         goal_tolerance_m: The goal counts as reached where a step ends closer than this to it.
         rewards: What each outcome is worth.
@@ -223,11 +224,11 @@ class ExactVerdict(Verdict):
         """Smallest over the pieces of the path, each a straight relative motion, in m."""
         points = step.path.position.shape[-2]
         time = torch.linspace(0, step.dt_s, points, dtype=step.time.dtype, device=step.time.device)
-        travelled = step.human_velocity[..., None, :] * time[:, None]
-        human = step.humans.position[..., None, :] + travelled
-        relative = human - step.path.position[..., None, :, :]
+        travelled = step.pedestrian_velocity[..., None, :] * time[:, None]
+        pedestrian = step.pedestrians.position[..., None, :] + travelled
+        relative = pedestrian - step.path.position[..., None, :, :]
         heading = step.path.heading[..., None, :].expand(relative.shape[:-1])
-        radius = step.humans.radius[..., None].expand(relative.shape[:-1])
+        radius = step.pedestrians.radius[..., None].expand(relative.shape[:-1])
         approach = Approach(
             start=relative[..., :-1, :],
             end=relative[..., 1:, :],
@@ -235,7 +236,7 @@ class ExactVerdict(Verdict):
             start_heading=heading[..., :-1],
             end_heading=heading[..., 1:],
         )
-        return self.footprint.clearance(approach).amin(dim=-1)
+        return step.footprint.clearance(approach).amin(dim=-1)
 
     def _is_late(self, step: Encounter) -> Bool[Tensor, "*b"]:
         """The clock after the step has reached the limit."""
@@ -256,3 +257,19 @@ def _mark(
 ) -> Int[Tensor, "*b"]:
     """Overwrite the outcome where a fact holds."""
     return torch.where(where, int(mark), outcome)
+
+
+VERDICTS: dict[str, Callable[[float], Verdict]] = {
+    "crowdnav": CrowdNavVerdict,
+    "exact": ExactVerdict,
+}
+
+
+def verdict_named(name: str, limit_s: float) -> Verdict:
+    """The verdict of this name with a time limit in s.
+
+    Raises:
+        ValueError: There is no such verdict, or the limit does not fit it.
+    """
+    require_one_of("verdict", name, tuple(VERDICTS))
+    return VERDICTS[name](limit_s)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import message, require_columns, require_multiple, require_positive
 from diffstack_mmv.simulation.pedestrians import Crowd, CrowdState
-from diffstack_mmv.simulation.robot import Robot, seen_by_humans
+from diffstack_mmv.simulation.robot import Robot, seen_by_pedestrians
 from diffstack_mmv.simulation.scenario import Scene
 from diffstack_mmv.simulation.verdict import Encounter, Judgement, RobotPath, Verdict
 from diffstack_mmv.types import Discs, Motion, map_tensors
@@ -19,22 +19,22 @@ class WorldState(NamedTuple):
     """Everything that a step depends on, for a batch `*b` of episodes."""
 
     robot: Any  # the record of the world's robot
-    humans: CrowdState
+    pedestrians: CrowdState
     goal: Float[Tensor, "*b 2"]  # m, of the robot
     time: Float[Tensor, "*b"]  # s
 
 
 class Observation(NamedTuple):
-    """What a controller may know: the robot, and the humans without their goals."""
+    """What a controller may know: the robot, and the pedestrians without their goals."""
 
     motion: Motion  # *b, of the robot's centre
     velocity: Float[Tensor, "*b 2"]  # m/s, of the robot in world directions
-    radius: Float[Tensor, "*b"]  # m, of the robot
-    discs: Discs  # *b D, around the robot
+    radius: Float[Tensor, "*b"]  # m, of the disc around the robot's reference point that holds it
+    discs: Discs  # *b D, that cover the robot
     goal: Float[Tensor, "*b 2"]  # m
-    human_position: Float[Tensor, "*b h 2"]  # m
-    human_velocity: Float[Tensor, "*b h 2"]  # m/s
-    human_radius: Float[Tensor, "*b h"]  # m
+    pedestrian_position: Float[Tensor, "*b h 2"]  # m
+    pedestrian_velocity: Float[Tensor, "*b h 2"]  # m/s
+    pedestrian_radius: Float[Tensor, "*b h"]  # m
     time: Float[Tensor, "*b"]  # s
     running: Bool[Tensor, "*b"]  # false where the episode has ended and its action counts no more
 
@@ -51,11 +51,11 @@ class World:
     """Robot, pedestrian model and verdict; it holds no state and works on any batch of episodes.
 
     Attributes:
-        robot: What an action does.
-        crowd: How the humans choose their velocities.
-        verdict: How a step is judged; it also knows the limit and the footprint.
-        dt_s: Length of a step, in which an action and the velocities of the humans hold.
-        robot_visible: Whether the humans avoid the robot; in the benchmark they do not.
+        robot: What an action does, and the outline.
+        crowd: How the pedestrians choose their velocities.
+        verdict: How a step is judged; it also knows the limit.
+        dt_s: Length of a step, in which an action and the velocities of the pedestrians hold.
+        robot_visible: Whether the pedestrians avoid the robot; in the benchmark they do not.
 
     Raises:
         ValueError: The step is not positive or the limit is no multiple of it.
@@ -81,28 +81,31 @@ class World:
         """State at the start of scenes, `*b`.
 
         Raises:
-            ValueError: A human stands in the robot at the start.
+            ValueError: A pedestrian stands in the robot at the start.
         """
         state = WorldState(
             robot=self.robot.start(scene),
-            humans=scene.humans,
+            pedestrians=scene.pedestrians,
             goal=scene.robot_goal,
             time=torch.zeros_like(scene.robot_heading),
         )
         clearance = self.clearance(state)
-        if bool((clearance < 0).any()):
+        bad = int((clearance < 0).sum())
+        if bad:
+            radius = self.robot.footprint.radius_m
             raise ValueError(
                 message(
                     "scene",
                     "start without a collision",
-                    f"a clearance of {clearance.min():.3f} m",
-                    remedy="Give the scenario a larger `clearance_m` or `robot_radius_m`.",
+                    f"a clearance of {clearance.min():.3f} m, {bad} of {clearance.numel()} below 0",
+                    remedy=f"Give the scenario a `robot_radius_m` of {radius:.2f}, which holds the "
+                    "robot, or a larger `clearance_m`.",
                 )
             )
         return state
 
     def step(self, state: WorldState, action: Float[Tensor, "*b m"]) -> WorldStep:
-        """Robot and humans move at once, from the present state.
+        """Robot and pedestrians move at once, from the present state.
 
         Args:
             state: State of all episodes, `*b`.
@@ -115,15 +118,16 @@ class World:
             ValueError: The action has the wrong number of columns.
         """
         require_columns("action", action, len(self.robot.bounds.lower))
-        seen = seen_by_humans(self.robot, state.robot, self.verdict.footprint.radius_m)
-        velocity = self.crowd(state.humans, self.dt_s, seen if self.robot_visible else None)
+        seen = seen_by_pedestrians(self.robot, state.robot)
+        velocity = self.crowd(state.pedestrians, self.dt_s, seen if self.robot_visible else None)
         travel = self.robot.step(state.robot, action, self.dt_s)
         judgement = self.verdict(
             Encounter(
                 path=travel.path,
+                footprint=self.robot.footprint,
                 velocity=travel.velocity,
-                humans=state.humans,
-                human_velocity=velocity,
+                pedestrians=state.pedestrians,
+                pedestrian_velocity=velocity,
                 goal=state.goal,
                 time=state.time,
                 dt_s=self.dt_s,
@@ -131,7 +135,7 @@ class World:
         )
         after = WorldState(
             robot=travel.state,
-            humans=state.humans.moved(velocity, self.dt_s),
+            pedestrians=state.pedestrians.moved(velocity, self.dt_s),
             goal=state.goal,
             time=state.time + self.dt_s,
         )
@@ -139,27 +143,26 @@ class World:
 
     def observe(self, state: WorldState) -> Observation:
         """What a controller may know of the state, m, rad and m/s."""
-        seen = seen_by_humans(self.robot, state.robot, self.verdict.footprint.radius_m)
+        seen = seen_by_pedestrians(self.robot, state.robot)
+        discs = map_tensors(
+            lambda field: field.to(seen.radius).expand(*seen.radius.shape, -1),
+            self.robot.footprint.discs(),
+        )
         return Observation(
             motion=self.robot.motion(state.robot),
             velocity=seen.velocity,
             radius=seen.radius,
-            discs=_covering(self.verdict.footprint.discs(), seen.radius),
+            discs=discs,
             goal=state.goal,
-            human_position=state.humans.position,
-            human_velocity=state.humans.velocity,
-            human_radius=state.humans.radius,
+            pedestrian_position=state.pedestrians.position,
+            pedestrian_velocity=state.pedestrians.velocity,
+            pedestrian_radius=state.pedestrians.radius,
             time=state.time,
             running=torch.ones_like(state.time, dtype=torch.bool),
         )
 
     def clearance(self, state: WorldState) -> Float[Tensor, "*b"]:
-        """Clearance in m between the robot and the nearest human at this instant."""
+        """Clearance in m between the robot and the nearest pedestrian at this instant."""
         motion = self.robot.motion(state.robot)
         path = RobotPath(motion.position[..., None, :], motion.heading[..., None])
-        return self.verdict.at_rest(path, state.humans)
-
-
-def _covering(discs: Discs, like: Float[Tensor, "*b"]) -> Discs:
-    """The same discs for every episode."""
-    return map_tensors(lambda entry: entry.to(like).expand(*like.shape, len(entry)), discs)
+        return self.verdict.at_rest(path, self.robot.footprint, state.pedestrians)

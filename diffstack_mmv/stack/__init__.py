@@ -18,10 +18,9 @@ from diffstack_mmv.stack.evaluation import (
     outputs_of,
     representative,
 )
-from diffstack_mmv.stack.module import SCORES, DiffStackMMV, LossWeights, StackOutput, assemble
+from diffstack_mmv.stack.module import DiffStackMMV, LossWeights, StackOutput, assemble
 
 __all__ = [
-    "SCORES",
     "Baseline",
     "DiffStackMMV",
     "Evaluation",

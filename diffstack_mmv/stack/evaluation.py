@@ -11,9 +11,10 @@ from torch import Tensor
 from tqdm import tqdm
 
 from diffstack_mmv.checks import require
+from diffstack_mmv.metrics import displacement, displacements, where_known
 from diffstack_mmv.planning import present
 from diffstack_mmv.prediction import Predictor, ego_forecast
-from diffstack_mmv.stack.module import DiffStackMMV, StackOutput, displacements
+from diffstack_mmv.stack.module import DiffStackMMV, StackOutput
 from diffstack_mmv.types import Mode, Motion, StackBatch, map_tensors
 
 
@@ -79,7 +80,7 @@ class Evaluation(NamedTuple):
     )  # one row per sample: identity, scores, and NAME/ade, NAME/fde of each baseline
     errors: dict[
         str, dict[str, np.ndarray]
-    ]  # mode -> method -> mean distance (T,) to the human in m
+    ]  # mode -> method -> mean distance (T,) to the human in m, NaN where nobody was recorded
 
 
 def evaluate_windows(
@@ -105,7 +106,7 @@ def evaluate_windows(
     samples["mode"] = [Mode(mode).label for mode in samples["mode"]]
     joined = {name: np.concatenate([part[name] for part in errors]) for name in errors[0]}
     by_mode = {
-        str(mode): {name: error[rows].mean(0) for name, error in joined.items()}
+        str(mode): {name: _known_mean(error[rows]) for name, error in joined.items()}
         for mode, rows in samples.groupby("mode", sort=True).indices.items()
     }
     return Evaluation(pd.concat([samples, pd.concat(scores, ignore_index=True)], axis=1), by_mode)
@@ -114,12 +115,15 @@ def evaluate_windows(
 def representative(samples: pd.DataFrame, score: str = "plan_ade") -> dict[str, dict[str, int]]:
     """Numbers of the best, the median and the worst sample of each mode by a score (m).
 
-    Where a mode has samples in motion (`moving`), only these are looked at.
+    Where a mode has samples in motion (`moving`), only these are looked at; samples without the
+    score are not, and a mode that has no other is absent.
     """
     chosen = {}
     numbers, values = np.arange(len(samples)), samples[score].to_numpy()
     for mode in sorted(set(samples["mode"])):
-        of_mode = (samples["mode"] == mode).to_numpy()
+        of_mode = (samples["mode"] == mode).to_numpy() & ~np.isnan(values)
+        if not of_mode.any():
+            continue
         in_motion = of_mode & samples["moving"].to_numpy(bool)
         own = numbers[in_motion if in_motion.any() else of_mode]
         order = own[np.argsort(values[own], kind="stable")]
@@ -150,9 +154,18 @@ def _evaluate_batch(
         "prediction": ego_forecast(output.forecast).most_likely(),
         "plan": output.plan.motion.position[..., 1:, :],
     }
+    future = batch.ego_future
+    # whoever rides to a goal that was not recorded cannot be judged
+    goal = where_known(output.goal, stack.goal_known(batch).unsqueeze(-1))
     for name, baseline in baselines.items():
-        paths[name] = baseline(batch, output.goal)
-        scores |= displacements(f"{name}/", paths[name], batch)
-    human = batch.ego_future.motion.position
-    errors = {name: (path - human).square().sum(-1).sqrt() for name, path in paths.items()}
-    return scores, errors
+        paths[name] = baseline(batch, goal)
+        own = displacements(paths[name], future)
+        scores |= {f"{name}/{score}": value for score, value in own.items()}
+    return scores, {name: displacement(path, future) for name, path in paths.items()}
+
+
+def _known_mean(error: np.ndarray) -> np.ndarray:
+    """Mean over samples (n, T) where known, NaN at times without any."""
+    known = ~np.isnan(error)
+    total = np.where(known, error, 0.0).sum(0)
+    return np.where(known.any(0), total / np.maximum(known.sum(0), 1), np.nan)

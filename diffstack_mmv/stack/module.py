@@ -5,11 +5,27 @@ from typing import Any, NamedTuple
 
 import pytorch_lightning as pl
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from diffstack_mmv.checks import require_at_least
-from diffstack_mmv.metrics import MeanByMode, collides
+from diffstack_mmv.metrics import (
+    OPEN_LOOP,
+    MeanByMode,
+    average_displacement,
+    best_average_displacement,
+    collided,
+    displacements,
+    final_displacement,
+    masked_mean,
+    mean_square_displacement,
+    missed,
+    negative_log_likelihood,
+    planning_loss,
+    solved,
+    total_cost,
+    where_known,
+)
 from diffstack_mmv.planning import (
     GoalSource,
     MPCPlanner,
@@ -23,10 +39,14 @@ from diffstack_mmv.planning import (
     present,
     tracked_ego,
 )
-from diffstack_mmv.prediction import Predictor, ego_forecast, neighbors_forecast, strongest
+from diffstack_mmv.prediction import (
+    Predictor,
+    all_agents,
+    ego_forecast,
+    neighbors_forecast,
+    strongest,
+)
 from diffstack_mmv.types import Forecast, Plan, PlanningProblem, StackBatch
-
-LOG_PROB_FLOOR = -20.0  # nats, as in Trajectron++ and DiffStack
 
 
 class LossWeights(NamedTuple):
@@ -84,7 +104,7 @@ class DiffStackMMV(pl.LightningModule):
         self.optimizer = optimizer
         self.scheduler = scheduler
         self.obstacle_components = obstacle_components
-        self.scores = MeanByMode(SCORES)
+        self.scores = MeanByMode(tuple(OPEN_LOOP))
 
     def forward(self, batch: StackBatch) -> StackOutput:
         """Predict all agents, choose the goal, and plan."""
@@ -111,7 +131,8 @@ class DiffStackMMV(pl.LightningModule):
     ) -> dict[str, Float[Tensor, " B"]]:
         """Losses of each sample: `planning_ce` in nats, `planning_cost` (1), `control` in m².
 
-        The hindsight cost is that of the plan under the true futures of the other agents.
+        The hindsight cost is that of the plan under the true futures of the other agents. NaN where
+        the human's future or the goal of the plan was not recorded.
         """
         future = batch.ego_future
         plan = output.plan
@@ -121,16 +142,25 @@ class DiffStackMMV(pl.LightningModule):
         hindsight = output.problem._replace(
             obstacles=observed_obstacles(batch.neighbors_past, batch.neighbors_future)
         )
-        parts = self.planner.hindsight_cost(plan, hindsight)
-        squared = (plan.motion.position[..., 1:, :] - future.motion.position).square().sum(-1)
-        return {
+        losses = {
             "planning_ce": cross_entropy(plan.logits, target),
-            "planning_cost": torch.stack(list(parts.values())).sum(0),
-            "control": _time_mean(squared, future.valid),
+            "planning_cost": total_cost(self.planner.hindsight_cost(plan, hindsight)),
+            "control": mean_square_displacement(plan.motion.position[..., 1:, :], future),
         }
+        judged = self._plan_judged(batch)
+        return {name: where_known(value, judged) for name, value in losses.items()}
+
+    def _plan_judged(self, batch: StackBatch) -> Bool[Tensor, " B"]:
+        """Whether there is a human's future to compare the plan with, and a goal to plan to."""
+        return batch.ego_future.valid.any(-1) & self.goal_known(batch)
+
+    def goal_known(self, batch: StackBatch) -> Bool[Tensor, " B"]:
+        """Whether the goal of the plan is one: a goal from a recording that ended before is not."""
+        recorded = batch.ego_future.valid[..., -1]
+        return recorded if self.goal.uses_future else torch.ones_like(recorded)
 
     def training_step(self, batch: StackBatch, batch_idx: int) -> Tensor:
-        """Weighted sum of the losses.
+        """Weighted sum of the losses, each a mean over the samples that it can judge.
 
         Nothing is planned where planning and control weigh nothing.
         """
@@ -138,12 +168,14 @@ class DiffStackMMV(pl.LightningModule):
         if weights.planning > 0 or weights.control > 0:
             forecast, judged = self.predictor.predict_and_judge(batch)
             means = self._planning_means(batch, self.plan(batch, forecast))
-            planning = means["planning_ce"] + weights.hindsight * means["planning_cost"]
+            planning = planning_loss(
+                means["planning_ce"], means["planning_cost"], weights.hindsight
+            )
             loss = weights.planning * planning + weights.control * means["control"]
         else:
             judged, means = self.predictor.loss(batch), {}
             loss = judged.new_zeros(())
-        means["prediction"] = judged.mean()
+        means["prediction"] = masked_mean(judged, _has_future(batch))
         loss = loss + weights.prediction * means["prediction"]
         logged = {f"train/{name}": value.detach() for name, value in means.items()}
         self.log_dict(logged | {"train/loss": loss.detach()}, batch_size=len(batch.goal))
@@ -155,12 +187,13 @@ class DiffStackMMV(pl.LightningModule):
         A plan without solution only counts in the cross entropy.
         """
         losses = self.planning_losses(batch, output)
-        converged = output.plan.converged
+        judged = self._plan_judged(batch)
+        converged = judged & output.plan.converged
         return {
-            "planning_ce": losses["planning_ce"].mean(),
-            "planning_cost": _masked_mean(losses["planning_cost"], converged),
-            "control": _masked_mean(losses["control"], converged),
-            "solved": converged.float().mean(),
+            "planning_ce": masked_mean(losses["planning_ce"], judged),
+            "planning_cost": masked_mean(losses["planning_cost"], converged),
+            "control": masked_mean(losses["control"], converged),
+            "solved": solved(output.plan).mean(),
         }
 
     def validation_step(self, batch: StackBatch, batch_idx: int) -> None:
@@ -168,7 +201,7 @@ class DiffStackMMV(pl.LightningModule):
         self.scores.update(self.sample_scores(batch), batch.ego_past.mode)
 
     def on_validation_epoch_end(self) -> None:
-        """Log the means, reduced over all processes."""
+        """Log the means and the numbers of samples not judged, reduced over all processes."""
         for name, value in self.scores.compute().items():
             self.log(f"val/{name}", value)
         self.scores.reset()
@@ -178,31 +211,46 @@ class DiffStackMMV(pl.LightningModule):
         return self.sample_scores(batch)
 
     def sample_scores(self, batch: StackBatch) -> dict[str, Float[Tensor, " B"]]:
-        """Every score of each sample, by the names of `SCORES`."""
+        """Every score of each sample, by the names of `OPEN_LOOP`."""
         return self.score(batch, self(batch))
 
     def score(self, batch: StackBatch, output: StackOutput) -> dict[str, Float[Tensor, " B"]]:
-        """Scores of what the stages made of a batch, by the names of `SCORES`."""
+        """Scores of what the stages made of a batch, by the names of `OPEN_LOOP`.
+
+        NaN where a sample cannot be judged.
+        """
         future = batch.ego_future
-        human = future.motion.position
         ego = ego_forecast(output.forecast)
-        planned = output.plan.motion.position
-        losses = self.planning_losses(batch, output)
-        truth = observed_obstacles(batch.neighbors_past, batch.neighbors_future)
-        log_prob = ego.log_prob(human).clamp_min(LOG_PROB_FLOOR)
-        ce, cost = losses["planning_ce"], losses["planning_cost"]
+        predicted = ego.most_likely()
         return {
-            **displacements("", ego.most_likely(), batch),
-            "nll": -_time_mean(log_prob, future.valid),
-            **displacements("plan_", planned[..., 1:, :], batch),
+            **displacements(predicted, future),
+            "nll": negative_log_likelihood(ego, future),
+            **self._plan_scores(batch, output),
+            "min_ade": best_average_displacement(ego, future),
+            "miss_rate": missed(predicted, future),
+        }
+
+    def _plan_scores(
+        self, batch: StackBatch, output: StackOutput
+    ) -> dict[str, Float[Tensor, " B"]]:
+        """Scores of the plans; NaN also where the goal of the plan is not known."""
+        future = batch.ego_future
+        position = output.plan.motion.position
+        losses = self.planning_losses(batch, output)
+        ce, cost = losses["planning_ce"], losses["planning_cost"]
+        radius = output.problem.ego.discs.radius[..., 0]
+        truth = observed_obstacles(batch.neighbors_past, batch.neighbors_future)
+        scores = {
+            "plan_ade": average_displacement(position[..., 1:, :], future),
+            "plan_fde": final_displacement(position[..., 1:, :], future),
             "planning_ce": ce,
             "planning_cost": cost,
-            "planning_loss": ce + self.loss_weights.hindsight * cost,
-            "collision_rate": collides(planned, output.problem.ego.discs.radius[..., 0], truth).to(
-                planned
-            ),
-            "solved": output.plan.converged.to(planned),
+            "planning_loss": planning_loss(ce, cost, self.loss_weights.hindsight),
+            "collision_rate": collided(position, radius, truth),
+            "solved": solved(output.plan),
         }
+        known = self.goal_known(batch)
+        return {name: where_known(value, known) for name, value in scores.items()}
 
     def configure_optimizers(self) -> Any:
         """Optimizer over all learnable parameters, with its schedule where one is given."""
@@ -212,36 +260,11 @@ class DiffStackMMV(pl.LightningModule):
         return {"optimizer": optimizer, "lr_scheduler": self.scheduler(optimizer=optimizer)}
 
 
-SCORES = (
-    "ade",
-    "fde",
-    "nll",
-    "plan_ade",
-    "plan_fde",
-    "planning_ce",
-    "planning_cost",
-    "planning_loss",
-    "collision_rate",
-    "solved",
-)
-
-
-def displacements(
-    prefix: str, path: Float[Tensor, "B T 2"], batch: StackBatch
-) -> dict[str, Float[Tensor, " B"]]:
-    """Average and final distance in m between a path and the human's future."""
-    future = batch.ego_future
-    error = (path - future.motion.position).square().sum(-1).sqrt()
-    return {f"{prefix}ade": _time_mean(error, future.valid), f"{prefix}fde": error[..., -1]}
-
-
-def _time_mean(values: Float[Tensor, "*b T"], valid: Tensor) -> Float[Tensor, "*b"]:
-    kept = torch.where(valid, values, torch.zeros_like(values))
-    return kept.sum(-1) / valid.sum(-1).clamp_min(1)
-
-
-def _masked_mean(values: Float[Tensor, " B"], mask: Tensor) -> Float[Tensor, ""]:
-    return torch.where(mask, values, torch.zeros_like(values)).sum() / mask.sum().clamp_min(1)
+def _has_future(batch: StackBatch) -> Bool[Tensor, " B"]:
+    """Whether any agent that is present now has a recorded future that a loss can judge."""
+    past = all_agents(batch.ego_past, batch.neighbors_past)
+    future = all_agents(batch.ego_future, batch.neighbors_future)
+    return (past.valid[..., -1] & future.valid.any(-1)).any(-1)
 
 
 def assemble(

@@ -6,14 +6,14 @@ from diffstack_mmv.vehicles.catalogue import (
     save_vehicle,
     vehicle_names,
 )
-from diffstack_mmv.vehicles.layout import axles
+from diffstack_mmv.vehicles.layout import axles, turning_axle_m
 from diffstack_mmv.vehicles.parameter import ExactBuffers, ParameterSpec, SoftClamped
 from diffstack_mmv.vehicles.parts import (
     BODY_PARAMETERS,
     WHEEL_PARAMETERS,
     AckermannSteering,
     DifferentialDrive,
-    Footprint,
+    FootprintSpec,
     Limits,
     Smoothing,
     Steering,
@@ -28,7 +28,7 @@ __all__ = [
     "AckermannSteering",
     "DifferentialDrive",
     "ExactBuffers",
-    "Footprint",
+    "FootprintSpec",
     "Limits",
     "ParameterSpec",
     "Smoothing",
@@ -41,5 +41,6 @@ __all__ = [
     "config_folder",
     "load_vehicle",
     "save_vehicle",
+    "turning_axle_m",
     "vehicle_names",
 ]

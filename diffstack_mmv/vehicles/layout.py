@@ -15,6 +15,16 @@ from diffstack_mmv.vehicles.parts import (
 SAME_PLACE_M = 1e-3
 
 
+def turning_axle_m(wheels: Sequence[WheelSpec]) -> float:
+    """Longitudinal position of the axle that does not steer, on whose line the turning centre lies.
+
+    The mean position of the rolling wheels that are neither steered nor on a truck; 0 where there
+    is none.
+    """
+    fixed = [w.x_m for w in wheels if not (w.steered or w.truck or w.caster)]
+    return sum(fixed) / len(fixed) if fixed else 0.0
+
+
 def axles(wheels: Sequence[WheelSpec]) -> list[list[int]]:
     """Group wheel indices by their longitudinal position, front axle first."""
     order = sorted(range(len(wheels)), key=lambda index: -wheels[index].x_m)

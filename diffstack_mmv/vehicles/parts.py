@@ -122,7 +122,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Footprint:
+class FootprintSpec:
     """Outline seen from above: length along the heading, and width.
 
     Raises:

@@ -12,7 +12,7 @@ from diffstack_mmv.vehicles.parts import (
     WHEEL_PARAMETERS,
     AckermannSteering,
     DifferentialDrive,
-    Footprint,
+    FootprintSpec,
     Limits,
     Smoothing,
     Steering,
@@ -189,7 +189,7 @@ def fields_from_config(mapping: Mapping[str, Any]) -> dict[str, Any]:
         "height_m": _number(mapping["height_m"], "height_m", where),
         "wheelbase": _parameter(mapping["wheelbase"], "wheelbase.", where),
         "limits": _record(Limits, mapping["limits"], "limits.", where),
-        "footprint": _record(Footprint, mapping["footprint"], "footprint.", where),
+        "footprint": _record(FootprintSpec, mapping["footprint"], "footprint.", where),
         "wheels": tuple(
             _wheel(str(name), entry, f"wheels.{name}.", where) for name, entry in wheels
         ),

@@ -8,7 +8,7 @@ from diffstack_mmv.vehicles.parameter import ParameterSpec, as_numbers
 from diffstack_mmv.vehicles.parts import (
     AckermannSteering,
     DifferentialDrive,
-    Footprint,
+    FootprintSpec,
     Limits,
     Smoothing,
     Steering,
@@ -178,7 +178,7 @@ def fields_from_reference(entry: Mapping[str, Any]) -> dict[str, Any]:
         "limits": Limits(
             12.0, -0.75 * grip, 0.5 * grip, entry["delta_max"], 2.5, entry["gamma_max"]
         ),
-        "footprint": Footprint(length + _OVERHANG_M, max(track, _WIDTH_M)),
+        "footprint": FootprintSpec(length + _OVERHANG_M, max(track, _WIDTH_M)),
         "wheels": _wheels(columns),
         "steering": _steering(entry),
         "parameters": _parameters(entry),

@@ -10,7 +10,7 @@ from diffstack_mmv.vehicles.parameter import ParameterSpec
 from diffstack_mmv.vehicles.parts import (
     BODY_PARAMETERS,
     WHEEL_PARAMETERS,
-    Footprint,
+    FootprintSpec,
     Limits,
     Smoothing,
     Steering,
@@ -40,7 +40,7 @@ class VehicleSpec:
         height_m: Height of the centre of gravity.
         wheelbase: Wheelbase of the kinematic bicycle in m; a virtual one for a single axle.
         limits: What it can do at most.
-        footprint: Outline seen from above.
+        footprint: Outline seen from above, its middle at `centre_m`.
         wheels: All wheels.
         steering: How a steering command turns the wheels.
         parameters: Physical parameters by name, see `WHEEL_PARAMETERS` and `BODY_PARAMETERS`.
@@ -62,7 +62,7 @@ class VehicleSpec:
     height_m: float
     wheelbase: ParameterSpec
     limits: Limits
-    footprint: Footprint
+    footprint: FootprintSpec
     wheels: tuple[WheelSpec, ...]
     steering: Steering
     parameters: Mapping[str, ParameterSpec]
@@ -138,6 +138,11 @@ class VehicleSpec:
     def rear_m(self) -> float:
         """Distance from the centre of gravity to the rear axle in m (0 for a single axle)."""
         return 0.0 - min(wheel.x_m for wheel in self.wheels)
+
+    @property
+    def centre_m(self) -> float:
+        """Middle of the footprint ahead of the centre of gravity in m: midway between the axles."""
+        return 0.5 * (self.front_m - self.rear_m)
 
     def per_wheel(self, attribute: str) -> list[float]:
         """One number per wheel of a `WheelSpec` attribute, e.g. `x_m`."""

@@ -8,7 +8,7 @@ from torch._dynamo.utils import counters
 
 from diffstack_mmv.control import ILQR, Bounds
 from diffstack_mmv.control.compilation import Kernel, hidden_tensors, kind
-from diffstack_mmv.control.size_free import SizeFree
+from diffstack_mmv.control.shape_polymorphic import ShapePolymorphic
 from tests.control.problems import driving, goal_cost, rate_model, solve
 
 
@@ -60,7 +60,7 @@ def test_new_closures_and_batch_sizes_are_not_compiled_again():
 
 def test_concatenation_by_padding_equals_concatenation():
     parts = torch.rand(3, 2), torch.rand(3, 1), torch.rand(3, 4)
-    with SizeFree(8):
+    with ShapePolymorphic(8):
         joined = torch.cat(parts, -1)
     assert joined.equal(torch.cat(parts, -1))
 
@@ -69,7 +69,7 @@ def test_concatenation_by_padding_equals_concatenation():
 @pytest.mark.parametrize("cut", [slice(2), slice(1, None), slice(-3, -1), slice(0, 4, 2), slice(0)])
 def test_a_slice_by_entries_equals_the_slice(size, cut):
     rows = torch.rand(3, 2, size)
-    with SizeFree(8):
+    with ShapePolymorphic(8):
         kept = rows[..., cut]
     assert kept.equal(rows[..., cut])
 

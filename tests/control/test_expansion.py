@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from diffstack_mmv.control.chunked import PAIRS, Chunked, pull
 from diffstack_mmv.control.expansion import (
     assemble,
     differenced_curvature,
@@ -10,7 +11,6 @@ from diffstack_mmv.control.expansion import (
     expand_by_differences,
     value_along,
 )
-from diffstack_mmv.control.pieces import PAIRS, Pieces, pull
 from tests.control.problems import goal_cost, rate_model
 
 
@@ -44,7 +44,7 @@ def test_curvature_is_the_hessian_of_the_weighted_step():
 
 
 @pytest.mark.parametrize("share", [0.0, 0.7, 1.0])
-def test_a_local_model_in_pieces_equals_the_one_in_one_call(share):
+def test_a_local_model_in_chunks_equals_the_one_in_one_call(share):
     generator = torch.Generator().manual_seed(0)
     x, u = (
         torch.randn(shape, generator=generator, dtype=torch.float64)
@@ -55,6 +55,6 @@ def test_a_local_model_in_pieces_equals_the_one_in_one_call(share):
     near = torch.rand(300, generator=generator) < share
     arguments = dynamics, goal_cost(goal, weight), like, x, u, near
     whole = expand_by_differences(*arguments)
-    in_pieces = Pieces(pull, value_along, assemble)(*arguments)
+    in_chunks = Chunked(pull, value_along, assemble)(*arguments)
     assert x[:-1].numel() > 2 * PAIRS
-    torch.testing.assert_close(in_pieces, whole, rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(in_chunks, whole, rtol=1e-6, atol=1e-6)

@@ -100,8 +100,8 @@ def test_horizon_of_one_step():
 
 def test_box_of_zero_width_holds_the_control():
     hidden, _, controls = driving()
-    held = Bounds(torch.tensor([0.5, -1.0]), torch.tensor([0.5, 1.0]))
-    solution = solve(SOLVER, hidden, held, controls)
+    fixed = Bounds(torch.tensor([0.5, -1.0]), torch.tensor([0.5, 1.0]))
+    solution = solve(SOLVER, hidden, fixed, controls)
     assert solution.converged.all()
     assert (solution.controls[..., 0] == 0.5).all()
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from diffstack_mmv.control import ILQR, Bounds, UnrolledILQR
+from diffstack_mmv.control import ILQR, Bounds, DifferencedCurvature, ExactCurvature, UnrolledILQR
 from tests.control.problems import driving, solve
 
 EXACT = ILQR(tolerance=1e-16)
@@ -44,13 +44,13 @@ def test_gradient_equals_finite_differences(limit, name):
 
 
 @pytest.mark.usefixtures("double")
-@pytest.mark.parametrize("exact_curvature", [True, False])
+@pytest.mark.parametrize("curvature", [ExactCurvature(), DifferencedCurvature()])
 @pytest.mark.parametrize("limit", [50.0, 1.0], ids=["free", "at the bounds"])
-def test_unrolled_gradient_approaches_the_implicit_one(limit, exact_curvature):
+def test_unrolled_gradient_approaches_the_implicit_one(limit, curvature):
     hidden, box, controls = driving(limit=limit)
     weight = hidden["weight"].requires_grad_()
     exact = torch.autograd.grad(functional(solve(EXACT, hidden, box, controls)), weight)[0]
-    solver = ILQR(tolerance=1e-16, exact_curvature=exact_curvature)
+    solver = ILQR(tolerance=1e-16, curvature=curvature)
     unrolled = solve(UnrolledILQR(solver), hidden, box, controls)
     gradient = torch.autograd.grad(functional(unrolled), weight)[0]
     torch.testing.assert_close(gradient, exact, rtol=1e-4, atol=1e-7)
@@ -156,7 +156,7 @@ def test_a_models_own_jacobian_gives_the_same_solution_and_gradient():
 @pytest.mark.parametrize("limit", [50.0, 1.0], ids=["free", "at the bounds"])
 def test_gradient_is_exact_where_the_iterations_difference_the_curvature(limit):
     gradients = []
-    for solver in (EXACT, ILQR(tolerance=1e-16, exact_curvature=False)):
+    for solver in (EXACT, ILQR(tolerance=1e-16, curvature=DifferencedCurvature())):
         hidden, box, controls = driving(limit=limit)
         hidden["wheelbase"].requires_grad_()
         functional(solve(solver, hidden, box, controls)).backward()

@@ -23,7 +23,7 @@ def reference(shared):
 
 
 def posed(module, name, instances, wheelbase=None, weights=None, parameters=None):
-    """Callables, box and states of a problem; tensors have one row per instance."""
+    """Callables, box and states of a problem; tensors have one entry per instance."""
     space = module.torch_ns()
     states, given = (torch.tensor(instances[key]) for key in ("x0", "p"))
     parameters = given if parameters is None else parameters
@@ -89,7 +89,7 @@ def drop_dynamics_curvature(monkeypatch):
     whole = expansion.dynamics_curvature
 
     def none(*arguments):
-        return expansion.Curvature(*(torch.zeros_like(block) for block in whole(*arguments)))
+        return expansion.HessianBlocks(*(torch.zeros_like(block) for block in whole(*arguments)))
 
     monkeypatch.setattr(expansion, "dynamics_curvature", none)
 

@@ -15,7 +15,8 @@ from diffstack_mmv.data import (
 )
 from diffstack_mmv.geometry import rotate, wrap_angle
 
-EVERY = [Mirror(0.5), Rotation(0.3), SpeedScale(), PositionNoise(), HistoryDropout(0.5)]
+CHAIN = Chain([Mirror(0.5), Rotation(0.3), SpeedScale()])
+EVERY = [Mirror(0.5), Rotation(0.3), SpeedScale(), PositionNoise(), HistoryDropout(0.5), CHAIN]
 
 
 @pytest.fixture
@@ -79,24 +80,27 @@ def test_a_mirrored_neighbor_changes_sides(batch):
     assert torch.equal(mirrored.velocity[..., 0], batch.neighbors_past.motion.velocity[..., 0])
 
 
-def test_the_goal_remains_the_end_of_the_future(batch):
-    changed = Chain([Mirror(1.0), Rotation(0.5), SpeedScale()])(batch, generator())
+@pytest.mark.parametrize("augmentation", EVERY, ids=lambda a: type(a).__name__)
+def test_the_goal_remains_the_end_of_the_future(batch, augmentation):
+    changed = augmentation(batch, generator())
     assert torch.equal(changed.goal, changed.ego_future.motion.position[:, -1])
 
 
-def test_noise_moves_the_observed_past_but_neither_the_present_nor_the_future(batch):
-    noisy = PositionNoise(0.1)(batch, generator())
+@pytest.mark.parametrize("std_m", [0.02, 0.1])
+def test_noise_moves_the_observed_past_but_neither_the_present_nor_the_future(batch, std_m):
+    noisy = PositionNoise(std_m)(batch, generator())
     moved = noisy.ego_past.motion.position - batch.ego_past.motion.position
-    assert abs(moved[:, :-1].std() - 0.1) < 0.01
+    assert moved[:, :-1].std().item() == pytest.approx(std_m, rel=0.1)
     assert (moved[:, -1] == 0).all()
     assert torch.equal(noisy.goal, batch.goal)
 
 
-def test_dropout_forgets_the_oldest_rows_only(batch):
-    valid = HistoryDropout(1.0, keep=11)(batch, generator()).ego_past.valid
-    assert valid[:, -11:].all()
+@pytest.mark.parametrize("keep", [1, 11, 21])
+def test_dropout_forgets_the_oldest_rows_only(batch, keep):
+    valid = HistoryDropout(1.0, keep=keep)(batch, generator()).ego_past.valid
+    assert valid[:, -keep:].all()
     assert (valid.int().diff(dim=1) >= 0).all()
-    assert 0.2 < valid[:, :-11].float().mean() < 0.8
+    assert 0.2 < valid[:, :-keep].float().mean() < 0.8
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """From trajdata's batch to a `StackBatch`."""
 
+import pytest
 import torch
 
 from diffstack_mmv.data import ConvertedCache, WindowSettings, stack_batch
@@ -34,19 +35,22 @@ def test_shapes_are_those_of_the_settings(source, windows):
     assert batch.dt_s == 0.1
 
 
-def test_a_circle_has_constant_body_velocity_and_yaw_rate(tmp_path):
-    batch = read(tmp_path, ToyAgent("a", Mode.BICYCLE, 80, start=(9.0, 9.0, 3.0), yaw_rate=0.5))
+@pytest.mark.parametrize("yaw_rate", [0.5, -0.3, 0.0])
+def test_a_circle_has_constant_body_velocity_and_yaw_rate(tmp_path, yaw_rate):
+    agent = ToyAgent("a", Mode.BICYCLE, 80, start=(9.0, 9.0, 3.0), yaw_rate=yaw_rate)
+    batch = read(tmp_path, agent)
     for tracks in (batch.ego_past, batch.ego_future):
         velocity = torch.tensor([3.0, 0.0]).expand_as(tracks.motion.velocity)
         torch.testing.assert_close(tracks.motion.velocity, velocity, atol=1e-5, rtol=0)
-        rate = torch.full_like(tracks.motion.yaw_rate, 0.5)
+        rate = torch.full_like(tracks.motion.yaw_rate, yaw_rate)
         torch.testing.assert_close(tracks.motion.yaw_rate, rate, atol=1e-4, rtol=0)
 
 
-def test_the_extent_is_length_and_width(tmp_path):
-    batch = read(tmp_path, ToyAgent("a", Mode.SCOOTER, 80))
-    assert batch.ego_past.extent.tolist() == [[torch.tensor(1.8).item(), torch.tensor(0.6).item()]]
-    assert batch.ego_future.mode.tolist() == [Mode.SCOOTER]
+@pytest.mark.parametrize("mode", [Mode.BICYCLE, Mode.SCOOTER, Mode.TRUCK])
+def test_extent_and_mode_are_those_of_the_agent(tmp_path, mode):
+    batch = read(tmp_path, ToyAgent("a", mode, 80))
+    torch.testing.assert_close(batch.ego_past.extent, torch.tensor([[1.8, 0.6]]))
+    assert batch.ego_future.mode.tolist() == [mode]
 
 
 def test_somebody_alone_has_no_neighbors(tmp_path):
@@ -82,14 +86,19 @@ def test_the_past_does_not_depend_on_the_future(tmp_path):
     assert not torch.equal(before.ego_future.motion.yaw_rate, after.ego_future.motion.yaw_rate)
 
 
-def test_a_heading_that_jumps_while_standing_is_no_yaw_rate():
-    heading = torch.tensor([0.0, 0.0, 1.0, 1.1, 1.2])
-    moving = torch.tensor([False, False, True, True, True])
-    expected = torch.tensor([0.0, 0.0, 1.0, 1.0, 1.0])
-    torch.testing.assert_close(yaw_rate(heading, moving, 0.1), expected)
+HALF_TURN = [3.0, 3.1, 3.2 - 2 * torch.pi, 3.3 - 2 * torch.pi]
 
 
-def test_the_yaw_rate_passes_through_half_a_turn_without_a_jump():
-    heading = torch.tensor([3.0, 3.1, 3.2 - 2 * torch.pi, 3.3 - 2 * torch.pi])
-    rate = yaw_rate(heading, torch.ones(4, dtype=torch.bool), 0.1)
-    torch.testing.assert_close(rate, torch.ones(4), atol=1e-5, rtol=0)
+@pytest.mark.parametrize(
+    ("heading", "moving", "expected"),
+    [
+        ([0.0, 0.0, 1.0, 1.1, 1.2], [0, 0, 1, 1, 1], [0.0, 0.0, 1.0, 1.0, 1.0]),
+        (HALF_TURN, [1, 1, 1, 1], [1.0, 1.0, 1.0, 1.0]),
+        ([0.0, 0.1, 0.3, 0.3], [1, 1, 1, 1], [1.0, 1.5, 1.0, 0.0]),
+        ([0.0, 3.0], [1, 1], [4.0, 4.0]),
+    ],
+    ids=["jump at standstill", "half a turn", "mean of both sides", "limit"],
+)
+def test_the_yaw_rate_is_that_of_an_agent_in_motion(heading, moving, expected):
+    rate = yaw_rate(torch.tensor(heading), torch.tensor(moving, dtype=torch.bool), 0.1)
+    torch.testing.assert_close(rate, torch.tensor(expected), atol=1e-5, rtol=0)

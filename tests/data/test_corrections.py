@@ -24,6 +24,7 @@ def test_turning_y_up_turns_a_right_turn_into_a_left_turn():
     np.testing.assert_allclose(rows.to_numpy(), [[-1.0, -2.0, -3.0, -0.5]] * 6)
 
 
-def test_a_standstill_speed_must_be_positive():
+@pytest.mark.parametrize("speed", [0.0, -0.4, float("nan")])
+def test_a_standstill_speed_must_be_positive(speed):
     with pytest.raises(ValueError, match="`standstill_mps` must be positive"):
-        HeldHeading(0.0)
+        HeldHeading(speed)

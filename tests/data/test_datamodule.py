@@ -53,9 +53,9 @@ def trainer(folder, **options):
 
 @pytest.fixture
 def module(source, windows, exporting):
-    def build(workers=0, batch_size=8, **options):
-        loading = LoaderSettings(batch_size, workers, seed=3)
-        return TrajdataModule(source, windows, loading, exporting, **options)
+    def build(workers=0, batch_size=8, seed=3, export=exporting, **options):
+        loading = LoaderSettings(batch_size, workers, seed)
+        return TrajdataModule(source, windows, loading, export, **options)
 
     return build
 
@@ -72,21 +72,14 @@ def equal(first, second):
     )
 
 
-def test_the_number_of_workers_changes_nothing(module):
+@pytest.mark.parametrize("other", [{"workers": 2}, {"export": None}], ids=["workers", "direct"])
+def test_neither_workers_nor_the_way_of_reading_change_a_batch(module, other):
     loaders = []
-    for workers in (0, 2):
-        built = module(workers, augmentation=Mirror(), balance=EqualModes())
+    for options in ({}, other):
+        built = module(augmentation=Mirror(), balance=EqualModes(), **options)
         built.prepare_data()
         loaders.append(batches(built.train_dataloader()))
     assert equal(*loaders)
-
-
-def test_reading_trajdata_directly_gives_the_same_batches(module, source, windows):
-    exported = module()
-    exported.prepare_data()
-    direct = TrajdataModule(source, windows, LoaderSettings(8, seed=3), export=None)
-    direct.prepare_data()
-    assert equal(batches(exported.train_dataloader()), batches(direct.train_dataloader()))
 
 
 def test_evaluation_follows_the_table_of_samples(module):
@@ -133,12 +126,14 @@ def test_a_run_after_a_whole_epoch_goes_on_with_the_next_one(module, tmp_path):
     assert second.seen == whole.seen[len(whole.seen) // 2 :]
 
 
-def test_resuming_with_another_batch_size_is_refused(module):
+@pytest.mark.parametrize(("name", "before", "after"), [("batch_size", 8, 4), ("seed", 3, 5)])
+def test_resuming_with_another_setting_is_refused(module, name, before, after):
     built = module()
     built.prepare_data()
     state = built.train_dataloader().state_dict()
-    other = module(batch_size=4).train_dataloader()
-    with pytest.raises(ValueError, match="`batch_size` must be 8 as in the checkpoint, but got 4"):
+    other = module(**{name: after}).train_dataloader()
+    complaint = f"`{name}` must be {before} as in the checkpoint, but got {after}"
+    with pytest.raises(ValueError, match=complaint):
         other.load_state_dict(state)
 
 

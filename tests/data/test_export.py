@@ -3,6 +3,7 @@
 import errno
 import json
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,6 @@ from diffstack_mmv.data import (
     Export,
     ExportedWindows,
     ExportSettings,
-    WindowSettings,
     export_windows,
 )
 from diffstack_mmv.data import export as module
@@ -48,10 +48,12 @@ def test_an_export_is_made_once(export, exporting, monkeypatch):
     assert export_windows(export, exporting) == folder
 
 
-def test_other_windows_make_another_export(export, exporting):
-    folder = export_windows(export, exporting)
-    longer = export._replace(windows=WindowSettings(history_s=3.0))
-    assert export_windows(longer, exporting) != folder
+@pytest.mark.parametrize(
+    "change", [{"history_s": 3.0}, {"stride": 10}, {"neighbors": 8}, {"ego_modes": ("bicycle",)}]
+)
+def test_other_windows_make_another_export(export, exporting, change):
+    other = export._replace(windows=replace(export.windows, **change))
+    assert other.folder(exporting) != export.folder(exporting)
 
 
 def test_an_interrupted_export_goes_on_where_it_stopped(export, exporting, monkeypatch):
@@ -77,7 +79,7 @@ def test_a_full_disk_is_one_clear_error_and_leaves_no_export(export, exporting, 
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(module, "write_rows", full)
+    monkeypatch.setattr(module, "write_windows", full)
     with pytest.raises(OSError, match="`folder` must have free disk space.*Free space"):
         export_windows(export, exporting)
     assert not export.exists(exporting)
@@ -106,7 +108,7 @@ def test_a_window_with_nan_is_left_out_and_counted(export, exporting, monkeypatc
         (lambda folder: (folder / "export.json").write_text("{"), "must have a marker in JSON"),
         (
             lambda folder: (folder / "export.json").write_text(json.dumps({"version": 99})),
-            "`version` must be 1, but got 99",
+            "`version` must be 2, but got 99",
         ),
         (lambda folder: np.save(folder / "ego.npy", np.zeros(3)), "must have shape"),
         (lambda folder: (folder / "neighbors.npy").write_bytes(b""), "must be an array of shape"),

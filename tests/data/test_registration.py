@@ -30,10 +30,11 @@ def test_locations_name_the_elements_they_point_at(opened):
     assert [e.scene_ts for e in elements] == where.row.tolist()
 
 
-def test_windows_of_an_agent_are_one_stride_apart(opened):
-    where = opened.locations()
-    rows = where.row[[agent == "cyclist" for agent in where.agent]][:4]
-    assert rows.tolist() == [40, 45, 50, 55]
+@pytest.mark.parametrize("stride", [1, 5, 7])
+def test_windows_of_an_agent_are_one_stride_apart(source, stride):
+    where = source.open("train", WindowSettings(stride=stride)).locations()
+    rows = where.row[[agent == "cyclist" for agent in where.agent]][:3]
+    assert rows.tolist() == [40, 40 + stride, 40 + 2 * stride]
 
 
 def test_scooters_keep_their_mode_as_ego_and_as_neighbor_through_forked_workers(opened, windows):
@@ -68,12 +69,21 @@ def test_neighbors_stand_where_the_world_has_them_seen_from_the_ego(opened, wind
         torch.testing.assert_close(found, expected.float(), atol=1e-4, rtol=0)
 
 
-def test_neighbors_are_sorted_by_distance_and_cut_at_the_radius_and_number(source, windows):
-    settings = WindowSettings(ego_modes=("bicycle",), neighbors=2, radius_m=30.0)
+@pytest.mark.parametrize(
+    ("limits", "count"),
+    [
+        ({"neighbors": 2}, 2),
+        ({"neighbors": 1}, 1),
+        ({"neighbors": 16}, 3),
+        ({"radius_m": 100.0}, 4),
+    ],
+)
+def test_neighbors_are_sorted_by_distance_and_cut_at_the_radius_and_number(source, limits, count):
+    settings = WindowSettings(ego_modes=("bicycle",), **limits)
     opened = source.open("val", settings)
     batch = stack_batch(opened.get_collate_fn()([opened[0]]), settings)
     distance = batch.neighbors_past.motion.position[0, :, -1].norm(dim=-1)
-    assert distance.shape == (2,)
+    assert distance.shape == (count,)
     assert (distance.diff() >= 0).all()
 
 
@@ -94,11 +104,12 @@ def test_a_split_without_a_window_is_refused_with_the_counts(source):
         source.open("val", WindowSettings(ego_modes=("stroller",)))
 
 
-def test_the_step_may_be_a_multiple_of_the_recorded_one(tmp_path):
+@pytest.mark.parametrize(("dt_s", "rows"), [(0.1, 41), (0.2, 21), (0.5, 9)])
+def test_the_step_may_be_a_multiple_of_the_recorded_one(tmp_path, dt_s, rows):
     agent = ToyAgent("cyclist", Mode.BICYCLE, 90, yaw_rate=0.3)
     write_cache(tmp_path, {"only": ("train", [agent])})
-    settings = WindowSettings(dt_s=0.2)
+    settings = WindowSettings(dt_s=dt_s)
     opened = ConvertedCache("toy", str(tmp_path)).open("train", settings)
     batch = stack_batch(opened.get_collate_fn()([opened[0]]), settings)
-    assert batch.ego_past.motion.position.shape == (1, 21, 2)
+    assert batch.ego_past.motion.position.shape == (1, rows, 2)
     np.testing.assert_allclose(batch.ego_past.motion.yaw_rate, 0.3, atol=1e-4)

@@ -18,15 +18,16 @@ def training(rank=0, processes=1, epoch=0, seed=0, weights=None, count=103):
     return sampler
 
 
-def test_an_epoch_takes_every_sample_once():
-    assert sorted(drawn(training())) == list(range(103))
-    assert len(training()) == len(list(training())) == 13
+@pytest.mark.parametrize(("count", "length"), [(103, 13), (104, 13), (8, 1), (1, 1)])
+def test_an_epoch_takes_every_sample_once(count, length):
+    assert sorted(drawn(training(count=count))) == list(range(count))
+    assert len(training(count=count)) == len(list(training(count=count))) == length
 
 
-def test_the_order_is_a_function_of_seed_and_epoch():
+@pytest.mark.parametrize("other", [{"epoch": 4}, {"seed": 1}, {"epoch": 1, "seed": 3}])
+def test_the_order_is_a_function_of_seed_and_epoch(other):
     assert drawn(training(epoch=3)) == drawn(training(epoch=3))
-    assert drawn(training(epoch=3)) != drawn(training(epoch=4))
-    assert drawn(training(seed=1)) != drawn(training(seed=2))
+    assert drawn(training(epoch=3)) != drawn(training(**{"epoch": 3, **other}))
 
 
 @pytest.mark.parametrize("processes", [2, 3])

@@ -3,7 +3,7 @@
 import pytest
 
 from diffstack_mmv.data import WindowSettings
-from diffstack_mmv.data.tally import WindowTally
+from diffstack_mmv.data.window_counts import WindowCounts
 from diffstack_mmv.types import Mode
 
 
@@ -33,13 +33,13 @@ def test_wrong_settings_are_refused(wrong, complaint):
 @pytest.mark.parametrize("rows", [1, 70, 71, 75, 76, 200])
 @pytest.mark.parametrize("mode", [Mode.BICYCLE, Mode.CAR])
 def test_every_row_has_one_fate(rows, mode):
-    tally = WindowTally(WindowSettings())
-    tally.add(mode, rows)
-    assert sum(tally.as_dict()[mode.label].values()) == rows
+    counts = WindowCounts(WindowSettings())
+    counts.add(mode, rows)
+    assert sum(counts.as_dict()[mode.label].values()) == rows
 
 
 @pytest.mark.parametrize(("rows", "kept"), [(70, 0), (71, 1), (75, 1), (76, 2), (171, 21)])
 def test_windows_are_counted_at_the_stride(rows, kept):
-    tally = WindowTally(WindowSettings())
-    tally.add(Mode.BICYCLE, rows)
-    assert tally.as_dict()["bicycle"].get("window", 0) == kept
+    counts = WindowCounts(WindowSettings())
+    counts.add(Mode.BICYCLE, rows)
+    assert counts.as_dict()["bicycle"].get("window", 0) == kept

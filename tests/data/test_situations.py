@@ -53,18 +53,23 @@ def test_noise_at_standstill_is_no_motion():
     assert not (found.moving | found.starting | found.stopping).any()
 
 
-def test_a_seven_metre_path_is_the_limit_of_moving():
-    assert situations(batch_of(path(lambda t: 1.01 + 0 * t))).moving.all()
-    assert not situations(batch_of(path(lambda t: 0.99 + 0 * t))).moving.any()
+@pytest.mark.parametrize(("speed", "moving"), [(1.01, True), (0.99, False)])
+def test_a_seven_metre_path_is_the_limit_of_moving(speed, moving):
+    assert situations(batch_of(path(lambda t: speed + 0 * t))).moving.all() == moving
 
 
-def test_an_angle_range_counts_only_what_is_counted_and_knows_whole_turns():
-    angle = torch.tensor([3.0, 9.0, -3.2, 3.1])
-    counted = torch.tensor([True, False, True, True])
-    torch.testing.assert_close(angle_range(angle, counted), torch.tensor(0.1))
-    assert angle_range(angle, torch.zeros(4, dtype=torch.bool)) == 0
+ROUND = torch.remainder(torch.linspace(0, 5.0, 50), 2 * torch.pi).tolist()
 
 
-def test_a_left_turn_by_more_than_half_a_circle_keeps_its_range():
-    angle = torch.remainder(torch.linspace(0, 5.0, 50), 2 * torch.pi)
-    torch.testing.assert_close(angle_range(angle, torch.ones(50).bool()), torch.tensor(5.0))
+@pytest.mark.parametrize(
+    ("angle", "counted", "expected"),
+    [
+        ([3.0, 9.0, -3.2, 3.1], [True, False, True, True], 0.1),
+        ([3.0, 9.0, -3.2, 3.1], [False] * 4, 0.0),
+        (ROUND, [True] * 50, 5.0),
+    ],
+    ids=["a jump between", "nothing counted", "more than half a turn"],
+)
+def test_an_angle_range_counts_only_what_is_counted_and_knows_whole_turns(angle, counted, expected):
+    found = angle_range(torch.tensor(angle), torch.tensor(counted))
+    torch.testing.assert_close(found, torch.tensor(expected))

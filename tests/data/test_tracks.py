@@ -34,14 +34,14 @@ def test_steps_between_sparse_samples_count_for_less(told, step_s, share):
     assert noise == pytest.approx((0.08 * share, 0.06 * share))
 
 
-def test_a_report_without_noise_is_warned_of(told, caplog):
-    noise = recorded_noise(told(along_m=0.08, across_m=0.06), "bicycle", 0.1)
-    assert noise == (0.08, 0.06)
-    assert "Convert again" in caplog.text
-
-
-def test_a_mode_that_was_not_recorded_has_no_noise(told):
-    assert recorded_noise(told(along_m=0.08, across_m=0.06), "scooter", 0.1) is None
+@pytest.mark.parametrize(
+    ("mode", "noise", "warning"),
+    [("bicycle", (0.08, 0.06), "Convert again"), ("scooter", None, "")],
+)
+def test_a_report_without_noise_is_warned_of(told, caplog, mode, noise, warning):
+    assert recorded_noise(told(along_m=0.08, across_m=0.06), mode, 0.1) == noise
+    assert warning in caplog.text
+    assert bool(caplog.text) == bool(warning)
 
 
 @pytest.fixture
@@ -79,15 +79,16 @@ def test_controls_recorded_rarely_are_interpolated_and_unknown_outside(ride):
     assert np.isfinite(steer).nonzero()[0].tolist() == list(range(10, 21))
 
 
-def test_a_control_without_a_column_is_named(ride):
-    source = ride("controls", time_s=[0.0], steer=[0.0])
-    with pytest.raises(ValueError, match="be columns of agent_id, time_s, steer, but got accel"):
-        read_controls(source, ["train"], "bicycle", NAMES)
-
-
-def test_tracks_without_any_recorded_control_are_told(ride):
-    source = ride("lean", time_s=[0.0], lean=[0.0])
-    with pytest.raises(ValueError, match=r"be recorded in controls\.parquet"):
+@pytest.mark.parametrize(
+    ("table", "column", "complaint"),
+    [
+        ("controls", "steer", "be columns of agent_id, time_s, steer, but got accel"),
+        ("lean", "lean", r"be recorded in controls\.parquet"),
+    ],
+)
+def test_controls_that_were_not_recorded_are_told(ride, table, column, complaint):
+    source = ride(table, time_s=[0.0], **{column: [0.0]})
+    with pytest.raises(ValueError, match=complaint):
         read_controls(source, ["train"], "bicycle", NAMES)
 
 

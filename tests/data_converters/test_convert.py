@@ -14,13 +14,15 @@ from data_converters import (
     ConversionError,
     ConversionSettings,
     ImptcDataset,
+    ImptcVruDataset,
     ResampleSettings,
     ThabVruDataset,
     TrackError,
+    TwoWheelerDataset,
     convert,
-    open_cache,
 )
-from data_converters.cache import DataFrameCache, read_state
+from data_converters.cache import DataFrameCache
+from dmmv_conventions.cache import read_state
 
 
 def scene_bytes(folder):
@@ -63,13 +65,13 @@ def test_every_track_is_either_converted_or_rejected_with_a_reason(thab_settings
     assert report.totals()["tracks_read"] == 14
 
 
-def test_the_report_stands_next_to_the_cache(thab_settings):
+@pytest.mark.parametrize("folder", ["", "thab_vru"])
+def test_the_report_stands_next_to_the_cache(thab_settings, folder):
     settings = thab_settings()
     report = convert(settings)
-    for path in (settings.cache, settings.cache / "thab_vru"):
-        stored = json.loads((path / "conversion_report.json").read_text())
-        assert stored["totals"]["rejected"] == report.rejected_by_reason
-        assert stored["settings_hash"] == settings.digest()
+    stored = json.loads((settings.cache / folder / "conversion_report.json").read_text())
+    assert stored["totals"]["rejected"] == report.rejected_by_reason
+    assert stored["settings_hash"] == settings.digest()
 
 
 def test_workers_change_nothing(thab_settings, tmp_path):
@@ -85,8 +87,8 @@ def test_an_interrupted_conversion_goes_on_where_it_stopped(thab_settings, monke
         fail_after(patch, 5, KeyboardInterrupt())
         with pytest.raises(KeyboardInterrupt):
             convert(thab_settings())
-    with pytest.raises(CacheError, match="unfinished conversion"):
-        read_state(thab_settings().cache, "thab_vru")
+    with pytest.raises(CacheError, match="interrupted conversion"):
+        read_state(thab_settings().cache, "thab_vru", CacheError)
     written = count_scenes(monkeypatch)
     report = convert(thab_settings())
     assert len(written) == 12 - 5
@@ -107,6 +109,17 @@ def test_only_changed_files_are_converted_again(thab_settings, thab, monkeypatch
     path.write_text(path.read_text().rsplit("\n", 30)[0] + "\n")
     written = count_scenes(monkeypatch)
     convert(thab_settings())
+    assert written == ["cyclists_moving_25"]
+
+
+def test_a_scene_that_names_modes_as_earlier_reports_did_is_converted_again(
+    thab_settings, monkeypatch
+):
+    convert(thab_settings())
+    path = thab_settings().cache / "thab_vru" / "cyclists_moving_25" / "conversion.json"
+    path.write_text(path.read_text().replace('"bicycle"', '"vehicle"'))
+    written = count_scenes(monkeypatch)
+    assert set(convert(thab_settings()).agents()["train"]) == {"bicycle"}
     assert written == ["cyclists_moving_25"]
 
 
@@ -221,45 +234,33 @@ def test_a_data_set_without_a_usable_track_fails(damaged, tmp_path):
         convert(settings)
 
 
-@pytest.mark.parametrize("dataset", [ImptcDataset, ThabVruDataset])
+@pytest.mark.parametrize(
+    "dataset", [ImptcDataset, ImptcVruDataset, ThabVruDataset, TwoWheelerDataset]
+)
 def test_a_missing_data_set_is_named(dataset, tmp_path):
-    with pytest.raises(ConversionError, match="no such folder"):
+    with pytest.raises(ConversionError, match="`root` must hold .*nowhere"):
         convert(ConversionSettings(dataset(tmp_path / "nowhere"), tmp_path / "cache"))
 
 
-@pytest.mark.parametrize("leftover", ["imptc_set_02.tar.gz.part", ".unpacking_imptc_set_02"])
-def test_a_half_downloaded_data_set_is_refused(damaged, tmp_path, leftover):
-    settings = damaged(lambda content: None)
-    (tmp_path / "raw" / leftover).touch()
-    with pytest.raises(ConversionError, match=f"finished download.*{leftover}"):
-        convert(settings)
-
-
-def test_archives_that_were_not_unpacked_are_pointed_out(tmp_path):
-    (tmp_path / "imptc_set_01.tar.gz").touch()
-    with pytest.raises(ConversionError, match="not unpacked.*imptc_set_01"):
-        convert(ConversionSettings(ImptcDataset(tmp_path), tmp_path / "cache"))
-
-
+@pytest.mark.parametrize("dataset", [ImptcDataset, ImptcVruDataset])
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("leftover", "says"),
     [
-        ({"format_version": 0}, "format_version.*must be 1, but got 0"),
-        ({"complete": False}, "complete.*but got False"),
+        ("imptc_set_02.tar.gz.part", "finished download.*imptc_set_02.tar.gz.part"),
+        (".unpacking_imptc_set_02", "finished download.*.unpacking_imptc_set_02"),
+        ("imptc_set_01.tar.gz", "not unpacked.*imptc_set_01"),
     ],
 )
-def test_a_cache_of_another_version_or_state_is_refused(thab_settings, change, says):
-    settings = thab_settings()
-    convert(settings)
-    path = settings.cache / "thab_vru" / "cache.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
-    with pytest.raises(CacheError, match=says):
-        open_cache(settings.cache, {"thab_vru": ["train"]})
+def test_a_half_downloaded_or_packed_data_set_is_refused(tmp_path, dataset, leftover, says):
+    (tmp_path / leftover).touch()
+    with pytest.raises(ConversionError, match=says):
+        convert(ConversionSettings(dataset(tmp_path), tmp_path / "cache"))
 
 
-def test_workers_must_be_positive(thab_settings):
-    with pytest.raises(ConversionError, match="workers"):
-        thab_settings(workers=0)
+@pytest.mark.parametrize("workers", [0, -1])
+def test_workers_must_be_positive(thab_settings, workers):
+    with pytest.raises(ConversionError, match=f"`workers` must be at least 1, but got {workers}"):
+        thab_settings(workers=workers)
 
 
 def test_rows_of_an_agent_have_no_gap(converted):

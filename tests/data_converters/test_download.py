@@ -121,11 +121,16 @@ def test_a_part_is_fetched_and_unpacked(record, tmp_path, part, folders):
     assert all(any(path.is_file() for path in (tmp_path / f).rglob("*")) for f in folders)
 
 
-def test_a_transfer_that_breaks_off_goes_on_at_the_byte_where_it_stopped(record, tmp_path):
-    record.break_after, record.breaks = 100_000, 2
+@pytest.mark.parametrize(
+    ("ranges", "starts"),
+    [(True, [0, 100_000, 200_000]), (False, [0, 0, 0])],
+    ids=["at the byte where it stopped", "from the start without ranges"],
+)
+def test_a_transfer_that_breaks_off_goes_on(record, tmp_path, ranges, starts):
+    record.break_after, record.breaks, record.ranges = 100_000, 2, ranges
     folder = download(record, tmp_path)[0]
     assert (folder / "0000_20230322_081506" / "noise").read_bytes() == NOISE
-    assert [start for _, start in record.requests] == [0, 100_000, 200_000]
+    assert [start for _, start in record.requests] == starts
 
 
 def test_a_later_run_goes_on_where_an_earlier_one_gave_up(record, tmp_path):
@@ -135,12 +140,6 @@ def test_a_later_run_goes_on_where_an_earlier_one_gave_up(record, tmp_path):
     assert (tmp_path / "imptc_samples.tar.gz.part").stat().st_size == 100_000
     download(record, tmp_path)
     assert record.requests[-1] == ("imptc_samples.tar.gz", 100_000)
-
-
-def test_a_server_without_ranges_starts_the_file_again(record, tmp_path):
-    record.break_after, record.breaks, record.ranges = 100_000, 1, False
-    folder = download(record, tmp_path)[0]
-    assert (folder / "0000_20230322_081506" / "noise").read_bytes() == NOISE
 
 
 def test_a_wrong_checksum_is_refused_and_leaves_nothing(record, tmp_path):
@@ -189,9 +188,10 @@ def test_a_record_that_cannot_be_read_is_named(record, path):
         read_record(record.address + path)
 
 
-def test_a_full_disk_gives_one_message(record, tmp_path, monkeypatch):
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_gives_one_message(record, tmp_path, monkeypatch, number):
     def full(*arguments, **options):
-        raise OSError(errno.ENOSPC, "No space left on device")
+        raise OSError(number, "No space left on device")
 
     monkeypatch.setattr(module, "unpack", full)
     with pytest.raises(ConversionError, match="free disk space"):

@@ -1,4 +1,4 @@
-"""Heading: along the motion, held at rest, along the cuboid."""
+"""HeadingTrack: along the motion, held at rest, along the cuboid."""
 
 import numpy as np
 import pytest
@@ -22,24 +22,23 @@ def test_heading_is_held_while_the_agent_stands(angle):
     assert heading.source.tolist() == [0, 0, 1, 1]
 
 
-def test_heading_before_the_first_motion_is_that_of_the_motion():
-    track = np.vstack([velocity([0.0, 0.1], 2.0), velocity([1.0], 0.7)])
-    heading = heading_from_motion(track, STANDSTILL, backfill=True)
-    np.testing.assert_allclose(heading.angle, 0.7)
-    assert heading.source.tolist() == [2, 2, 0]
-
-
-def test_without_backfill_nothing_of_the_future_is_used():
-    track = np.vstack([velocity([0.0, 0.1], 2.0), velocity([1.0], 0.7)])
-    heading = heading_from_motion(track, STANDSTILL, backfill=False)
-    np.testing.assert_allclose(heading.angle, [0.0, 0.0, 0.7])
-    assert heading.source.tolist() == [3, 3, 0]
-
-
-def test_an_agent_that_never_moves_has_no_known_heading():
-    heading = heading_from_motion(velocity([0.0, 0.1, 0.2], 1.0), STANDSTILL, backfill=True)
-    assert set(heading.source) == {HeadingSource.UNKNOWN}
-    assert np.all(heading.angle == 0.0)
+@pytest.mark.parametrize(
+    ("last_mps", "backfill", "angle", "source"),
+    [
+        (1.0, True, [0.7, 0.7, 0.7], [2, 2, 0]),
+        (1.0, False, [0.0, 0.0, 0.7], [3, 3, 0]),
+        (0.2, True, [0.0, 0.0, 0.0], [3, 3, 3]),
+        (0.2, False, [0.0, 0.0, 0.0], [3, 3, 3]),
+    ],
+    ids=["backfilled", "nothing of the future", "never moves", "never moves, not backfilled"],
+)
+def test_heading_before_the_first_motion_is_taken_from_it_only_on_demand(
+    last_mps, backfill, angle, source
+):
+    track = np.vstack([velocity([0.0, 0.1], 2.0), velocity([last_mps], 0.7)])
+    heading = heading_from_motion(track, STANDSTILL, backfill=backfill)
+    np.testing.assert_allclose(heading.angle, angle)
+    assert heading.source.tolist() == source
 
 
 def test_noise_at_standstill_does_not_turn_a_resampled_agent(make_track):

@@ -102,7 +102,10 @@ def test_a_context_entry_without_inner_time_is_dated_by_its_key(tmp_path, key):
     assert table["time_s"].tolist() == [1.0]
 
 
-@pytest.mark.parametrize("text", ["{", '{"status_data": {"ts_0": {"k1": 4}}}'])
+@pytest.mark.parametrize(
+    "text",
+    ["{", '{"status_data": {"ts_0": {"k1": 4}}}', '{"status_data": {"1679472906000000": 4}}'],
+)
 def test_broken_context_is_counted_and_left_out(tmp_path, text):
     (tmp_path / "traffic_light_signals.json").write_text(text)
     assert read_context(tmp_path, 0) == ({}, 1)

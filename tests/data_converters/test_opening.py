@@ -8,11 +8,11 @@ import pandas as pd
 import pytest
 import torch
 from torch.utils.data import DataLoader, Subset
-from trajdata.data_structures.agent import AgentType
 
 from data_converters import CacheError, ConversionError, Mode, open_cache
 from data_converters.imptc.modes import CLASS_MODES
 from data_converters.imptc.sample.sensor import ACROSS_M, ALONG_M
+from diffstack_mmv.data import ConvertedCache, read_tracks
 
 WINDOW = {"history_sec": (4.0, 4.0), "future_sec": (3.0, 3.0)}
 
@@ -41,17 +41,6 @@ def batches(dataset, workers, elements):
     )
 
 
-@pytest.mark.parametrize("member", list(AgentType))
-def test_modes_begin_with_the_agent_types_of_trajdata(member):
-    assert Mode[member.name] == member
-
-
-def test_modes_are_numbered_as_promised():
-    promised = "UNKNOWN VEHICLE PEDESTRIAN BICYCLE MOTORCYCLE SCOOTER SKATEBOARD CART STROLLER"
-    assert [mode.name for mode in Mode] == [*promised.split(), "WHEELCHAIR", "TRUCK"]
-    assert [int(mode) for mode in Mode] == list(range(11))
-
-
 def test_forked_workers_yield_the_same_batches_as_this_process(scooters):
     few = range(0, len(scooters), 12)
     for here, there in zip(batches(scooters, 0, few), batches(scooters, 2, few), strict=True):
@@ -65,7 +54,7 @@ def test_the_mode_of_ego_and_neighbors_survives_into_the_batch(scooters):
     for batch in batches(scooters, 0, range(0, len(scooters), 12)):
         assert torch.unique(batch.agent_type).tolist() == [Mode.SCOOTER]
         seen |= set(torch.unique(batch.neigh_types).int().tolist())
-    assert {Mode.BICYCLE, Mode.MOTORCYCLE, Mode.PEDESTRIAN, Mode.VEHICLE} <= seen
+    assert {Mode.BICYCLE, Mode.MOTORCYCLE, Mode.PEDESTRIAN, Mode.CAR} <= seen
 
 
 def test_a_window_has_four_seconds_of_history_and_three_of_future(scooters):
@@ -79,9 +68,17 @@ def test_a_window_has_four_seconds_of_history_and_three_of_future(scooters):
 def test_extents_are_those_of_the_mode_or_of_the_cuboid(scooters):
     batch = next(iter(batches(scooters, 0, range(0, 64, 2))))
     assert batch.agent_hist_extent[0, 0].tolist() == pytest.approx([1.2, 0.6, 1.85])
-    cars = batch.neigh_hist_extents[batch.neigh_types == Mode.VEHICLE][:, -1, 0]
+    cars = batch.neigh_hist_extents[batch.neigh_types == Mode.CAR][:, -1, 0]
     assert len(torch.unique(cars)) > 1
     assert ((cars > 3.5) & (cars < 5.5)).all()
+
+
+@pytest.mark.parametrize("mode", ["car", "bicycle", "scooter", "motorcycle", "pedestrian"])
+def test_every_track_is_found_under_the_mode_that_the_report_counts_it_under(converted, mode):
+    splits = ("train", "val", "test")
+    agents = json.loads((converted / "conversion_report.json").read_text())["totals"]["agents"]
+    tracks = read_tracks(ConvertedCache("imptc", str(converted)), splits, mode)
+    assert len(tracks) == sum(agents[split][mode] for split in splits) > 0
 
 
 def test_positions_in_the_cache_are_the_recorded_ones_within_the_noise(sample, converted):

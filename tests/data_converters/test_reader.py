@@ -79,20 +79,22 @@ def test_positions_move_to_utm_only_on_demand():
     np.testing.assert_allclose(utm - local, np.tile(UTM32_OFFSET_M, (5, 1)))
 
 
-def test_samples_below_the_minimum_status_are_dropped():
+@pytest.mark.parametrize(
+    ("changes", "keep", "kept"),
+    [
+        ({"1": {"status": 1}, "2": {"status": 1}}, KEEP, [0, 1, 2, 3, 4, 5]),
+        ({"1": {"status": 1}, "2": {"status": 1}}, TrackFilter(min_status=2), [2, 3, 4, 5]),
+        ({"3": {"ts": str(START + 40_000)}}, KEEP, [0, 1, 3, 4, 5]),
+    ],
+    ids=["every status", "low status", "repeated timestamp"],
+)
+def test_samples_that_are_dropped_are_counted(changes, keep, kept):
     file = content(6)
-    for key in ("1", "2"):
-        file["track_data"][key]["status"] = 1
-    assert len(parse_track(file, "here", KEEP).timestamp) == 6
-    track = parse_track(file, "here", TrackFilter(min_status=2))
-    assert (len(track.timestamp), track.dropped) == (4, 2)
-
-
-def test_repeated_timestamps_keep_their_first_sample():
-    file = content(6)
-    file["track_data"]["3"]["ts"] = file["track_data"]["2"]["ts"]
-    track = parse_track(file, "here", KEEP)
-    assert (len(track.timestamp), track.dropped) == (5, 1)
+    for key, change in changes.items():
+        file["track_data"][key].update(change)
+    track = parse_track(file, "here", keep)
+    assert track.position[:, 0].tolist() == kept
+    assert track.dropped == 6 - len(kept)
 
 
 @pytest.mark.parametrize(
@@ -107,6 +109,8 @@ def test_repeated_timestamps_keep_their_first_sample():
         (content(coordinates=[1.0, float("nan"), 0.0]), KEEP, RejectReason.NOT_FINITE, "nan"),
         (content(coordinates=[1.0, 2.0]), KEEP, RejectReason.NOT_FINITE, "coordinates"),
         (content(coordinates=["a", 2.0, 0.0]), KEEP, RejectReason.NOT_FINITE, "coordinates"),
+        (content(status="?"), KEEP, RejectReason.LOW_STATUS, "status"),
+        (content(status=None), KEEP, RejectReason.LOW_STATUS, "status"),
         (content(cuboid=[1]), KEEP, RejectReason.BROKEN_CUBOID, "cuboid"),
         (content(), TrackFilter(min_status=3), RejectReason.LOW_STATUS, "status"),
         (content(), TrackFilter(min_class_prob=0.95), RejectReason.LOW_PROBABILITY, "0.9"),
@@ -133,6 +137,6 @@ def test_broken_json_names_the_file(tmp_path, text):
 def test_the_size_of_a_vehicle_is_the_median_of_its_cuboids(sample):
     path = next(sample.glob("*/vehicles/*/track.json"))
     track = parse_track(json.loads(path.read_text()), "here", KEEP)
-    assert track.mode in (Mode.VEHICLE, Mode.TRUCK)
+    assert track.mode in (Mode.CAR, Mode.TRUCK)
     assert 3.5 < track.extent.length < 10.0
     assert track.axis.shape == track.timestamp.shape

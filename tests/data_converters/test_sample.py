@@ -52,18 +52,21 @@ def test_the_default_sample_trains_every_two_wheeler_in_every_split(tmp_path):
     assert classes == {mode.name.lower() for mode in CLASS_MODES.values()}
 
 
-def test_every_two_wheeler_has_windows_in_every_split(converted):
+@pytest.mark.parametrize("mode", ["bicycle", "scooter", "motorcycle"])
+def test_every_two_wheeler_has_windows_in_every_split(converted, mode):
     totals = json.loads((converted / "conversion_report.json").read_text())["totals"]
-    assert set(totals["windows_4s_3s"]) == {"train", "val", "test"}
-    for modes in totals["windows_4s_3s"].values():
-        assert min(modes[mode] for mode in ("bicycle", "scooter", "motorcycle")) > 30
+    windows = {split: modes[mode] for split, modes in totals["windows_4s_3s"].items()}
+    assert set(windows) == {"train", "val", "test"}
+    assert min(windows.values()) > 30
 
 
-def test_the_residual_of_the_smoother_is_the_noise_that_was_put_in(converted):
-    residual = json.loads((converted / "conversion_report.json").read_text())["totals"]
-    for mode in ("bicycle", "motorcycle"):
-        assert residual["smoother_residual"][mode]["along_m"] == pytest.approx(0.08, rel=0.15)
-        assert residual["smoother_residual"][mode]["across_m"] == pytest.approx(0.05, rel=0.15)
+@pytest.mark.parametrize("mode", ["bicycle", "motorcycle"])
+@pytest.mark.parametrize(("direction", "noise"), [("along_m", 0.08), ("across_m", 0.05)])
+def test_the_residual_of_the_smoother_is_the_noise_that_was_put_in(
+    converted, mode, direction, noise
+):
+    totals = json.loads((converted / "conversion_report.json").read_text())["totals"]
+    assert totals["smoother_residual"][mode][direction] == pytest.approx(noise, rel=0.15)
 
 
 def test_files_are_spelled_in_different_ways(tmp_path):

@@ -66,12 +66,19 @@ def test_a_file_cut_out_of_another_is_contained_in_it(piece):
     assert find_contained({"a": long, "b": long[piece], "c": other}) == {"b": "a"}
 
 
-def test_files_that_only_overlap_are_not_contained_but_one_recording():
+@pytest.mark.parametrize(
+    ("names", "groups"),
+    [
+        ({"a": "1", "b": "2", "c": "3"}, {"a": "1", "b": "1", "c": "3"}),
+        ({"a": "1", "b": "2", "c": "2"}, {"a": "1", "b": "1", "c": "1"}),
+    ],
+    ids=["shared samples", "shared samples and a shared name"],
+)
+def test_files_that_only_overlap_are_not_contained_but_one_recording(names, groups):
     long = walk(0, 60)
     tracks = {"a": long[:40], "b": long[25:], "c": walk(1)}
     assert find_contained(tracks) == {}
-    groups = group_recordings(tracks, {"a": "1", "b": "2", "c": "3"})
-    assert groups == {"a": "1", "b": "1", "c": "3"}
+    assert group_recordings(tracks, names) == groups
 
 
 def test_no_recording_stands_in_two_splits(thab):
@@ -112,17 +119,16 @@ def test_the_known_faults_of_the_real_tracks_are_found(real):
     assert report.totals()["tracks_read"] == 936
 
 
-def test_the_real_split_has_its_shares(real):
+@pytest.mark.parametrize("mode", ["bicycle", "pedestrian"])
+def test_the_real_split_has_its_shares(real, mode):
     agents = real[0].agents()
-    for mode in ("bicycle", "pedestrian"):
-        counts = np.array([agents[split][mode] for split in ("train", "val", "test")])
-        np.testing.assert_allclose(counts / counts.sum(), [0.70, 0.15, 0.15], atol=0.02)
+    counts = np.array([agents[split][mode] for split in ("train", "val", "test")])
+    np.testing.assert_allclose(counts / counts.sum(), [0.70, 0.15, 0.15], atol=0.02)
 
 
-def test_the_residual_on_real_cyclists_is_their_known_noise(real):
-    residual = real[0].residual_m["bicycle"]
-    assert residual["along_m"] == pytest.approx(0.08, abs=0.015)
-    assert residual["across_m"] == pytest.approx(0.055, abs=0.015)
+@pytest.mark.parametrize(("direction", "known"), [("along_m", 0.08), ("across_m", 0.055)])
+def test_the_residual_on_real_cyclists_is_their_known_noise(real, direction, known):
+    assert real[0].residual_m["bicycle"][direction] == pytest.approx(known, abs=0.015)
 
 
 def test_real_cyclists_ride_at_plausible_speeds_and_accelerations(real):

@@ -68,24 +68,27 @@ def test_jitter_of_the_clock_marks_nothing(make_track):
     assert not resample(make_track(time_s, lambda t: t), SETTINGS).rows.interpolated.any()
 
 
-@pytest.mark.parametrize("count", [1, 3, 20])
-def test_a_stretch_that_is_too_short_is_refused(make_track, count):
-    with pytest.raises(TrackError, match="last at least 1 s") as caught:
-        resample(make_track(0.04 * np.arange(count), lambda t: t), SETTINGS)
+@pytest.mark.parametrize(
+    ("step_s", "count", "settings", "says"),
+    [
+        (0.04, 1, SETTINGS, "last at least 1 s"),
+        (0.04, 3, SETTINGS, "last at least 1 s"),
+        (0.04, 20, SETTINGS, "last at least 1 s"),
+        (0.45, 20, ResampleSettings(smoother=CausalSmoother(window_s=0.6)), "samples per window"),
+    ],
+)
+def test_a_stretch_with_too_few_samples_is_refused(make_track, step_s, count, settings, says):
+    with pytest.raises(TrackError, match=says) as caught:
+        resample(make_track(step_s * np.arange(count), lambda t: t), settings)
     assert caught.value.reason is RejectReason.TOO_SHORT
 
 
-def test_a_causal_track_starts_after_half_a_window(make_track):
-    settings = ResampleSettings(smoother=CausalSmoother(window_s=1.2))
+@pytest.mark.parametrize(("window_s", "first"), [(1.2, 6), (0.8, 4), (2.0, 10)])
+def test_a_causal_track_starts_after_half_a_window(make_track, window_s, first):
+    settings = ResampleSettings(smoother=CausalSmoother(window_s=window_s))
     agent = resample(make_track(0.04 * np.arange(100), lambda t: 2.0 * t), settings)
-    assert agent.first_step == 6
+    assert agent.first_step == first
     np.testing.assert_allclose(agent.rows.vx, 2.0, atol=1e-9)
-
-
-def test_samples_too_sparse_for_a_causal_window_are_refused(make_track):
-    settings = ResampleSettings(smoother=CausalSmoother(window_s=0.6))
-    with pytest.raises(TrackError, match="samples per window"):
-        resample(make_track(0.45 * np.arange(20), lambda t: t), settings)
 
 
 def test_the_residual_tells_noise_along_from_noise_across(make_track):

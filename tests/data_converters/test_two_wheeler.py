@@ -16,6 +16,7 @@ from data_converters import (
 )
 from data_converters.two_wheeler.reader import lean_to_the_left, read_boxes
 
+STEMS, MODES = ("bicycle", "motorcycle", "scooter"), (Mode.BICYCLE, Mode.MOTORCYCLE, Mode.SCOOTER)
 HEIGHT_M, SPEED_MPS, RADIUS_M, LEAN = 1.8, 5.0, 10.0, 0.25
 
 
@@ -43,14 +44,15 @@ def ride(stem, folder, seconds=39.0):
 def rides(tmp_path):
     folder = tmp_path / "rides"
     folder.mkdir()
-    for stem in ("bicycle", "motorcycle", "scooter"):
+    for stem in STEMS:
         ride(stem, folder)
     return folder
 
 
-def test_the_contact_line_is_found_under_the_leaning_box(rides):
-    boxes = read_boxes(rides / "bicycle.csv")
-    np.testing.assert_allclose(boxes.ground[:, :2], ride("bicycle", rides), atol=1e-9)
+@pytest.mark.parametrize("stem", STEMS)
+def test_the_contact_line_is_found_under_the_leaning_box(rides, stem):
+    boxes = read_boxes(rides / f"{stem}.csv")
+    np.testing.assert_allclose(boxes.ground[:, :2], ride(stem, rides), atol=1e-9)
     np.testing.assert_allclose(boxes.ground[:, 2], 0.0, atol=1e-9)
 
 
@@ -60,13 +62,14 @@ def test_a_left_turn_leans_to_the_left(rides):
     np.testing.assert_allclose(lean_to_the_left(boxes.upright, velocity)[1:-1], LEAN, atol=1e-3)
 
 
-def test_pieces_share_no_sample_and_fill_all_splits(rides):
+@pytest.mark.parametrize(("stem", "mode"), zip(STEMS, MODES, strict=True))
+def test_pieces_share_no_sample_and_fill_all_splits(rides, stem, mode):
     dataset = TwoWheelerDataset(rides)
-    scenes = [scene for scene in dataset.scenes() if scene.name.startswith("bicycle")]
+    scenes = [scene for scene in dataset.scenes() if scene.name.startswith(stem)]
     raws = [dataset.read(scene, 0.1, strict=True) for scene in scenes]
     assert sum(len(raw.tracks[0].time_s) for raw in raws) == 78
     assert {scene.split for scene in scenes} == {"train", "val", "test"}
-    assert [raw.tracks[0].mode for raw in raws] == [Mode.BICYCLE] * 4
+    assert [raw.tracks[0].mode for raw in raws] == [mode] * 4
 
 
 def test_the_lean_stands_beside_the_agents(rides, tmp_path):
@@ -82,6 +85,7 @@ def test_the_lean_stands_beside_the_agents(rides, tmp_path):
     [
         ("", RejectReason.MISSING_FIELD),
         ("time_s,obj_id,x\n0,0,1\n", RejectReason.MISSING_FIELD),
+        ("obj_id,x\n0,1\n", RejectReason.NO_TIMESTAMPS),
         ("time_s,obj_id,x,y,z,qx,qy,qz,qw,sx,sy,sz\n", RejectReason.NOT_FINITE),
         (
             "time_s,obj_id,x,y,z,qx,qy,qz,qw,sx,sy,sz\n0,0,1,nan,1,0,0,0,1,1,1,1\n",
@@ -109,7 +113,7 @@ def test_a_folder_without_rides_is_named(tmp_path):
         TwoWheelerDataset(tmp_path).scenes()
 
 
-@pytest.mark.parametrize("mode", ["bicycle", "motorcycle", "scooter"])
+@pytest.mark.parametrize("mode", STEMS)
 def test_the_real_riders_lean_into_their_turns(mode, shared):
     folder = shared / "data" / "two_wheeler"
     boxes = read_boxes(folder / f"{mode}.csv")

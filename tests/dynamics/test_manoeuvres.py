@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle
-from diffstack_mmv.dynamics.lagged_truth import VARIANTS, LaggedTruth, courses, score
+from diffstack_mmv.dynamics.lagged_truth import VARIANTS, LaggedTruth, command_profiles, score
 from diffstack_mmv.dynamics.manoeuvres import Braking, RecordedControls, Slalom, Turn
 from diffstack_mmv.dynamics.open_loop import drive, save_run, wheel_history
 from diffstack_mmv.vehicles import load_vehicle
@@ -16,8 +16,7 @@ SPEC = load_vehicle("bicycle")
 
 def run(model, manoeuvre):
     model = model(SPEC).double()
-    steps = manoeuvre(1.05, 0.1)
-    return drive(model, steps, manoeuvre.speed_mps, 1.05, SPEC.rear_m)
+    return drive(model, manoeuvre(1.05, 0.1), manoeuvre.speed_mps)
 
 
 @pytest.mark.parametrize("angle", [math.pi / 2, -math.pi])
@@ -72,13 +71,13 @@ def test_truth_follows_its_commands_with_a_lag():
 
 
 def test_kinematic_model_is_near_the_truth_when_handed_its_signals():
-    course = courses()["S-curve"]
-    raw, realised = (score(SPEC, course, VARIANTS[letter]) for letter in ("B", "C"))
+    profile = command_profiles()["S-curve"]
+    raw, realised = (score(SPEC, profile, VARIANTS[letter]) for letter in ("B", "C"))
     assert realised.kbm_m < 0.2 < raw.kbm_m
     assert raw.gm3_m == pytest.approx(realised.gm3_m)
 
 
 def test_left_and_right_score_alike():
-    chosen = courses()
+    chosen = command_profiles()
     left, right = (score(SPEC, chosen[f"{side} turn"], VARIANTS["E"]) for side in ("left", "right"))
     assert left == pytest.approx(right, rel=1e-6)

@@ -6,11 +6,14 @@ import torch
 
 from diffstack_mmv.metrics import MeanByMode
 from diffstack_mmv.types import Mode
+from tests.metrics.samples import synced
 
 
 def example(count=50):
+    """Scores of which a fifth could not be judged."""
     mode = torch.tensor([Mode.BICYCLE, Mode.SCOOTER, Mode.CAR])[torch.randint(3, (count,))]
-    return {"ade": torch.rand(count), "solved": torch.randint(2, (count,)).float()}, mode
+    ade = torch.rand(count).masked_fill(torch.rand(count) < 0.2, torch.nan)
+    return {"ade": ade, "solved": torch.randint(2, (count,)).float()}, mode
 
 
 def test_means_equal_a_group_by():
@@ -42,21 +45,30 @@ def test_states_of_two_processes_add_up():
     whole.update(scores, mode)
     for metric, rows in ((one, slice(0, 20)), (two, slice(20, 50))):
         metric.update({name: value[rows] for name, value in scores.items()}, mode[rows])
-    assert all(
-        reduction is torch.sum or "sum" in str(reduction) for reduction in one._reductions.values()
-    )
-    one.total += two.total
-    one.count += two.count
-    assert one.compute() == whole.compute()
+    assert synced(one, two).compute() == whole.compute()
 
 
-def test_sample_without_a_score_is_left_out_of_its_mean():
-    metric = MeanByMode(["ade"])
-    metric.update({"ade": torch.tensor([1.0, float("nan"), 3.0])}, torch.tensor([3, 3, 3]))
-    assert metric.compute()["bicycle/ade"] == 2.0
+def test_samples_without_a_score_are_left_out_of_its_mean_and_counted():
+    metric = MeanByMode(["ade", "fde"])
+    nan = torch.nan
+    scores = {
+        "ade": torch.tensor([1.0, nan, 3.0, nan]),
+        "fde": torch.tensor([nan, nan, 5.0, 4.0]),
+    }
+    metric.update(scores, torch.tensor([3, 3, 3, 5]))
+    assert {name: float(value) for name, value in metric.compute().items()} == {
+        "ade": 2.0, "bicycle/ade": 2.0,
+        "fde": 4.5, "bicycle/fde": 5.0, "scooter/fde": 4.0,
+        "n_missing": 3.0, "bicycle/n_missing": 2.0, "scooter/n_missing": 1.0,
+    }  # fmt: skip
 
 
 def test_mode_without_samples_is_absent():
     metric = MeanByMode(["ade"])
     metric.update({"ade": torch.tensor([1.0])}, torch.tensor([3]))
-    assert set(metric.compute()) == {"ade", "bicycle/ade"}
+    assert set(metric.compute()) == {"ade", "bicycle/ade", "n_missing", "bicycle/n_missing"}
+
+
+def test_no_score_is_refused():
+    with pytest.raises(ValueError, match="`names` must hold at least one score"):
+        MeanByMode([])

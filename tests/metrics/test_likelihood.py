@@ -5,8 +5,9 @@ import math
 import pytest
 import torch
 
-from diffstack_mmv.metrics.likelihood import NegativeLogLikelihood, negative_log_likelihood
-from diffstack_mmv.types import Forecast, Mode, Motion, Tracks
+from diffstack_mmv.metrics import masked_mean, negative_log_likelihood
+from diffstack_mmv.types import Forecast
+from tests.metrics.samples import sample, tracks
 
 
 def standard(offset, steps=4, batch=2):
@@ -15,13 +16,8 @@ def standard(offset, steps=4, batch=2):
     forecast = Forecast(
         torch.full((batch, 2), math.log(0.5)), mean, torch.eye(2).expand(*mean.shape, 2)
     )
-    zero = torch.zeros(batch, steps)
     position = torch.tensor([offset, 0.0]).expand(batch, steps, 2)
-    motion = Motion(position, zero, torch.zeros(batch, steps, 2), zero)
-    valid = torch.ones(batch, steps, dtype=torch.bool)
-    return forecast, Tracks(
-        motion, torch.ones(batch, 2), torch.full((batch,), int(Mode.BICYCLE)), valid
-    )
+    return forecast, tracks(position, torch.ones(batch, steps, dtype=torch.bool))
 
 
 @pytest.mark.parametrize("offset", [0.0, 1.0, 3.0])
@@ -47,11 +43,25 @@ def test_times_that_are_not_valid_do_not_count():
     )
 
 
-def test_metric_is_the_mean_over_samples_with_any_valid_time():
-    metric = NegativeLogLikelihood()
-    forecast, future = standard(1.0)
-    valid = future.valid.clone()
-    valid[0] = False
-    metric.update(forecast, future._replace(valid=valid))
-    metric.update(*standard(0.0))
-    assert float(metric.compute()) == pytest.approx(math.log(2 * math.pi) + 0.5 / 3, rel=1e-5)
+def test_likelihood_equals_a_loop_over_mixture_and_times():
+    forecast, future = sample()
+    found = negative_log_likelihood(forecast, future)
+    assert math.isnan(found[1])
+    for row in (0, 2, 3):
+        total = 0.0
+        for t in future.valid[row].nonzero().flatten():
+            gaussians = torch.distributions.MultivariateNormal(
+                forecast.mean[row, :, t], scale_tril=forecast.scale_tril[row, :, t]
+            )
+            log_prob = gaussians.log_prob(future.motion.position[row, t])
+            total -= max(float((forecast.log_weight[row] + log_prob).logsumexp(0)), -20.0)
+        assert float(found[row]) == pytest.approx(total / int(future.valid[row].sum()), rel=1e-4)
+
+
+def test_gradient_is_finite_beside_the_unknown():
+    forecast, future = sample()
+    mean = forecast.mean.clone().requires_grad_()
+    found = negative_log_likelihood(forecast._replace(mean=mean), future)
+    masked_mean(found, future.valid.any(-1)).backward()
+    assert torch.isfinite(mean.grad).all()
+    assert (mean.grad[1] == 0).all()

@@ -18,6 +18,7 @@ from diffstack_mmv.metrics.navigation import (
     wilson_interval,
 )
 from diffstack_mmv.types import EpisodeRecord, Motion, Outcome
+from tests.metrics.samples import synced
 
 ENDINGS = torch.tensor([3, 2, 4, 3, 2, 3])
 METRICS = [
@@ -114,10 +115,13 @@ def test_records_in_parts_score_like_the_whole(metric):
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_every_metric_tells_its_title_unit_and_direction(metric):
-    assert metric.title
-    assert metric.unit in ("1", "s", "m")
-    assert isinstance(metric.higher_is_better, bool)
+def test_states_of_two_processes_add_up(metric):
+    one, two, both = metric(), metric(), metric()
+    records = record_of(), record_of(torch.tensor([2, 4, 3]))
+    for part, record in zip((one, two), records, strict=True):
+        part.update(record)
+        both.update(record)
+    assert float(synced(one, two).compute()) == pytest.approx(float(both.compute()))
 
 
 @pytest.mark.parametrize("metric", [NavigationTime, DiscomfortDistance])

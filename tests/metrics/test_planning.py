@@ -1,10 +1,12 @@
-"""Collisions of plans."""
+"""Collisions, losses and solutions of plans."""
+
+import math
 
 import pytest
 import torch
 
-from diffstack_mmv.metrics import collides, overlap_now
-from diffstack_mmv.types import Obstacles
+from diffstack_mmv.metrics import collided, planning_loss, solved, total_cost
+from diffstack_mmv.types import Motion, Obstacles, Plan, Solution, SolverStatus
 
 
 def standing_agent(x, y, valid=True):
@@ -30,16 +32,41 @@ def straight_plan():
     ],
 )
 def test_plan_collides_where_discs_overlap(x, y, valid, expected):
-    hit = collides(straight_plan(), torch.tensor([0.3]), standing_agent(x, y, valid))
-    assert hit.item() is expected
+    hit = collided(straight_plan(), torch.tensor([0.3]), standing_agent(x, y, valid))
+    assert hit.tolist() == [float(expected)]
 
 
 def test_overlap_at_the_start_is_no_fault_of_the_plan():
-    agent = standing_agent(-0.2, 0.0)
-    assert overlap_now(torch.zeros(1, 2), torch.tensor([0.3]), agent).item()
-    assert not collides(
-        straight_plan() + torch.tensor([1.0, 0.0]), torch.tensor([0.3]), agent
-    ).item()
+    plan = straight_plan() + torch.tensor([1.0, 0.0])
+    plan[:, 0] = 0.0
+    assert collided(plan, torch.tensor([0.3]), standing_agent(-0.2, 0.0)).tolist() == [0.0]
+
+
+def test_collisions_equal_a_loop():
+    position = torch.randn(4, 6, 2)
+    agents = Obstacles(
+        torch.randn(4, 3, 1, 6, 2), torch.ones(4, 3, 1), 0.4 * torch.rand(4, 3),
+        torch.rand(4, 3) < 0.8,
+    )  # fmt: skip
+    radius = 0.4 * torch.rand(4)
+    for row, hit in enumerate(collided(position, radius, agents).tolist()):
+        expected = any(
+            math.dist(position[row, t].tolist(), agents.position[row, n, 0, t].tolist())
+            < float(radius[row] + agents.radius[row, n])
+            for t in range(1, 6)
+            for n in range(3)
+            if agents.valid[row, n]
+        )
+        assert hit == float(expected)
+
+
+@pytest.mark.parametrize("spoiler", [torch.nan, torch.inf])
+def test_a_plan_that_is_not_finite_is_not_free_of_collisions(spoiler):
+    plan = straight_plan().expand(2, 31, 2).clone()
+    plan[1, 20] = spoiler
+    agents = standing_agent(50.0, 0.0)
+    found = collided(plan, torch.tensor([0.3, 0.3]), agents).tolist()
+    assert found == pytest.approx([0.0, math.nan], nan_ok=True)
 
 
 def test_no_agents_no_collision():
@@ -49,4 +76,20 @@ def test_no_agents_no_collision():
         torch.zeros(1, 0),
         torch.zeros(1, 0, dtype=torch.bool),
     )
-    assert not collides(straight_plan(), torch.tensor([0.3]), none).item()
+    assert collided(straight_plan(), torch.tensor([0.3]), none).tolist() == [0.0]
+
+
+def test_losses_add_up_and_stay_unknown_where_a_part_is():
+    cost = total_cost({"goal": torch.tensor([1.0, 2.0]), "effort": torch.tensor([0.5, 0.5])})
+    loss = planning_loss(torch.tensor([3.0, torch.nan]), cost, 0.1)
+    assert loss.tolist() == pytest.approx([3.15, math.nan], nan_ok=True)
+
+
+def test_only_plans_whose_every_start_converged_are_solved():
+    done, open_ = int(SolverStatus.CONVERGED), int(SolverStatus.ITERATION_LIMIT)
+    status = torch.tensor([[done, done], [done, open_], [open_, open_]])
+    number, rows = torch.zeros(3, 2), torch.zeros(3, 4)
+    motion = Motion(rows.unsqueeze(-1).expand(3, 4, 2), rows, rows, rows)
+    solution = Solution(number, number, number, number, number, status)
+    plan = Plan(rows, motion, number[:, 0].long(), solution, motion, number)
+    assert solved(plan).tolist() == [1.0, 0.0, 0.0]

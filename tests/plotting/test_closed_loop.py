@@ -2,8 +2,9 @@
 
 import pytest
 import torch
+from matplotlib.patches import Polygon
 
-from diffstack_mmv.plotting import episode_of, save_stories
+from diffstack_mmv.plotting import draw_episode, episode_of, save_stories
 from diffstack_mmv.types import EpisodeRecord, Motion, Outcome
 
 
@@ -38,6 +39,18 @@ def test_cases_asked_for_are_shown_besides(record, tmp_path):
     save_stories(tmp_path, [4, 7], [record], 0.3, 0, goal_m=(0.0, 4.0), chosen=[4])
     names = sorted(path.name for path in (tmp_path / "plots").iterdir())
     assert names == ["case_4.gif", "case_4.png"]
+
+
+def test_the_outline_of_the_robot_turns_with_its_heading(record):
+    box = torch.tensor([[1.0, 0.3], [-1.0, 0.3], [-1.0, -0.3], [1.0, -0.3]])
+    turned = record._replace(
+        motion=record.motion._replace(heading=torch.full((2, 4), torch.pi / 2))
+    )
+    drawn = draw_episode(episode_of(turned, 0, 4, 0.3, outline=box))
+    (axes,) = drawn.axes
+    last = [patch for patch in axes.patches if isinstance(patch, Polygon)][-1]
+    corners = torch.tensor(last.get_xy()[:4]) - turned.motion.position[0, -1]
+    assert torch.allclose(corners.float(), box.flip(-1) * torch.tensor([-1.0, 1.0]), atol=1e-6)
 
 
 def test_a_case_that_was_not_driven_cannot_be_shown(record, tmp_path):

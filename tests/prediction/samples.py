@@ -2,9 +2,9 @@
 
 import torch
 
-from diffstack_mmv.dynamics import DiffKBM, ExtendedUnicycle
+from diffstack_mmv.dynamics import DiffKBM, ExtendedUnicycle, SingleIntegrator
 from diffstack_mmv.geometry import rotate, wrap_angle
-from diffstack_mmv.prediction import SingleIntegrator, Sizes, Trajectron
+from diffstack_mmv.prediction import Sizes, Trajectron
 from diffstack_mmv.types import Mode, Motion, StackBatch, Tracks
 from diffstack_mmv.vehicles import load_vehicle
 

@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from diffstack_mmv.metrics import CLOSED_LOOP
 from diffstack_mmv.reporting import closed_loop_table, write_closed_loop
 
 
@@ -30,22 +31,35 @@ def result(numbers):
         "vehicle": "bicycle", "dynamics": "kbm", "scenario": "circle_crossing",
         "controller": "diffmpc", "limit_s": 10.0, "dt_s": 0.25, "verdict": "exact", "humans": 5,
         "phase": "test", "first_case": 0, "limits": {"speed_max_mps": 3.0},
-        "believed_dynamics": "kbm",
+        "believed_dynamics": "gm3",
+        "actual_model": {
+            "class": "DiffKBM", "tyre_law": None, "step_s": 0.01, "substeps": 1,
+            "footprint": {"shape": "disc", "radius_m": 0.3},
+        },
+        "believed_model": {
+            "class": "DiffGM3", "tyre_law": "PaperBrush(steepness=100)", "step_s": 0.25,
+            "substeps": 4, "footprint": {"shape": "disc", "radius_m": 0.3},
+        },
     }  # fmt: skip
 
 
 def test_every_method_is_a_row_with_its_interval(result, numbers):
-    table = closed_loop_table(result, {"orca": numbers})
+    table = closed_loop_table(result, {"orca": numbers}, CLOSED_LOOP)
     assert list(table.index) == ["diffmpc (kbm bicycle)", "orca"]
     assert table.loc["orca", "success"] == "0.500 [0.100, 0.900]"
     assert table.loc["orca", "distance in discomfort [m]"] == "–"
+    assert table.loc["orca", "decision median / p99 [ms]"] == "1.0 / 2.0"
+    assert list(table.columns) == ["n", *(score.heading for score in CLOSED_LOOP.values())]
 
 
 def test_files_hold_numbers_failures_and_sources(result, numbers, tmp_path):
     source = {"method": "SARL", "success": 0.9, "source": "Chen et al."}
-    write_closed_loop(tmp_path, result, {"orca": numbers}, [source])
+    write_closed_loop(tmp_path, result, {"orca": numbers}, CLOSED_LOOP, [source])
     stored = json.loads((tmp_path / "closed_loop.json").read_text())
     assert stored["baselines"]["orca"]["n"] == 2
     report = (tmp_path / "closed_loop.md").read_text()
     assert "| collision |" in report.replace("  ", " ")
     assert "Chen et al." in report
+    assert "Footprint: disc (radius_m 0.3)" in report
+    assert "kbm (DiffKBM, step 0.01 s)" in report
+    assert "gm3 (DiffGM3, PaperBrush(steepness=100), step 0.25 s, 4 substeps)" in report

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import wilcoxon
 
+from diffstack_mmv.metrics import CLOSED_LOOP
 from diffstack_mmv.reporting import paired_cases, paired_table, paired_with_run
 
 
@@ -68,7 +69,7 @@ def test_an_earlier_run_is_named_with_its_belief(tmp_path):
     (tmp_path / "closed_loop.json").write_text(json.dumps(run))
     pair = paired_with_run(run, tmp_path)
     assert pair["other"] == "diffmpc (gm3 bicycle), believes in kbm"
-    assert paired_table([pair])["success only here / there"].tolist() == ["0 / 0"]
+    assert paired_table([pair], CLOSED_LOOP)["success only here / there"].tolist() == ["0 / 0"]
 
 
 def test_runs_under_other_settings_are_refused(tmp_path):

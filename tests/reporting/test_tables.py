@@ -3,9 +3,9 @@
 import json
 
 import numpy as np
-import pandas as pd
 import pytest
 
+from diffstack_mmv.metrics import OPEN_LOOP
 from diffstack_mmv.reporting import (
     compare,
     paired_tests,
@@ -14,52 +14,61 @@ from diffstack_mmv.reporting import (
     summarise_modes,
     write_comparison,
     write_json,
-    write_metrics,
-    write_parquet,
 )
-from diffstack_mmv.reporting.metrics_table import MODE_SCORES
-
-SITUATIONS = ["moving", "standing"]
-
-
-def samples(seed=0, shift=0.0):
-    rng = np.random.default_rng(seed)
-    count = 60
-    frame = pd.DataFrame({name: rng.random(count) + shift for name in MODE_SCORES})
-    frame["mode"] = np.where(np.arange(count) % 3 == 0, "scooter", "bicycle")
-    frame["scene"] = [f"scene_{i // 4}" for i in range(count)]
-    frame["moving"] = np.arange(count) % 2 == 0
-    frame["standing"] = False
-    frame["stand_still/ade"], frame["stand_still/fde"] = 2.0, 4.0
-    return frame
-
-
-def write_run(folder, dynamics, seed, shift=0.0):
-    frame = samples(seed, shift)
-    header = {"goal": "predicted", "dynamics": dynamics, "vehicle": "bicycle", "data": "thab_vru"}
-    metrics = header | {"split": "test", "seed": seed} | summarise_modes(frame, SITUATIONS)
-    write_metrics(folder, metrics)
-    write_parquet(folder / "samples.parquet", frame)
-    return folder
+from diffstack_mmv.reporting.metrics_table import MODE_SCORES, mode_table
+from tests.reporting.runs import SITUATIONS, samples, write_run
 
 
 def test_metrics_have_the_keys_that_users_rely_on(tmp_path):
     write_run(tmp_path, "kbm", 0)
     metrics = read_json(tmp_path / "metrics.json")
     assert set(metrics["modes"]) == {"bicycle", "scooter"}
-    assert set(metrics["modes"]["bicycle"]) == {"n", *MODE_SCORES}
-    assert metrics["modes"]["bicycle"]["n"] == 40
+    bicycles = metrics["modes"]["bicycle"]
+    assert set(bicycles) == {"n", "n_missing", "vehicle", *MODE_SCORES}
+    assert (bicycles["n"], bicycles["n_missing"], bicycles["vehicle"]) == (40, 0, "bicycle")
     assert metrics["baselines"]["stand_still"]["scooter"] == {"ade": 2.0, "fde": 4.0}
 
 
 def test_means_are_those_of_the_samples(tmp_path):
     frame = samples()
-    metrics = summarise_modes(frame, SITUATIONS)
+    metrics = summarise_modes(frame, SITUATIONS, "bicycle")
     bicycles = frame[frame["mode"] == "bicycle"]
     assert metrics["modes"]["bicycle"]["plan_ade"] == pytest.approx(bicycles["plan_ade"].mean())
     moving = metrics["situations"]["bicycle"]["moving"]
     assert moving["ade"] == pytest.approx(bicycles[bicycles["moving"]]["ade"].mean())
     assert "standing" not in metrics["situations"]["bicycle"]
+
+
+def test_samples_that_cannot_be_judged_are_counted_and_not_averaged(tmp_path):
+    frame = samples()
+    bicycles = frame.index[frame["mode"] == "bicycle"]
+    frame.loc[bicycles[:3], ["ade", "fde"]] = np.nan
+    frame.loc[bicycles[2:5], "plan_fde"] = np.nan
+    write_run(tmp_path, "kbm", 0, frame=frame)
+    metrics = read_json(tmp_path / "metrics.json")
+    told = metrics["modes"]["bicycle"]
+    assert (told["n"], told["n_missing"]) == (40, 5)
+    assert told["ade"] == pytest.approx(frame.loc[bicycles[3:], "ade"].mean())
+    assert metrics["modes"]["scooter"]["n_missing"] == 0
+    assert list(mode_table(metrics, OPEN_LOOP)["not judged"]) == ["5", "0"]
+    assert "not judged" in (tmp_path / "metrics.md").read_text()
+
+
+def test_tables_say_nothing_of_missing_samples_where_none_is_missing(tmp_path):
+    write_run(tmp_path, "kbm", 0)
+    assert "not judged" not in (tmp_path / "metrics.md").read_text()
+
+
+def test_a_score_that_judged_no_sample_is_null_and_a_dash(tmp_path):
+    frame = samples()
+    frame.loc[frame["mode"] == "scooter", ["ade", "stand_still/ade"]] = np.nan
+    run = write_run(tmp_path, "kbm", 0, frame=frame)
+    metrics = read_json(tmp_path / "metrics.json")
+    assert metrics["modes"]["scooter"]["ade"] is None
+    assert metrics["baselines"]["stand_still"]["scooter"]["ade"] is None
+    assert "| –" in (tmp_path / "metrics.md").read_text()
+    table = compare(read_runs([run]), OPEN_LOOP).table
+    assert set(table.loc[table["mode"] == "scooter", "ADE [m]"]) == {"-"}
 
 
 def test_markdown_says_where_the_goal_came_from_and_shows_the_baselines(tmp_path):
@@ -69,18 +78,60 @@ def test_markdown_says_where_the_goal_came_from_and_shows_the_baselines(tmp_path
     assert "stand_still" in text
 
 
-def test_comparison_averages_over_seeds_and_tests_pairs(tmp_path):
-    runs = [write_run(tmp_path / f"kbm{seed}", "kbm", seed) for seed in (0, 1)]
-    runs += [write_run(tmp_path / f"uni{seed}", "unicycle", seed, shift=0.5) for seed in (0, 1)]
-    table = compare(read_runs(runs))
+@pytest.fixture
+def runs(tmp_path):
+    """Two seeds of the kinematic model, and of a worse one."""
+    return [
+        write_run(tmp_path / f"{name}{seed}", name, seed, shift=shift)
+        for name, shift in (("kbm", 0.0), ("unicycle", 0.5))
+        for seed in (0, 1)
+    ]
+
+
+def test_comparison_averages_over_seeds(runs):
+    table = compare(read_runs(runs), OPEN_LOOP).table
     row = table[(table["dynamics"] == "kbm") & (table["mode"] == "bicycle")].iloc[0]
     assert row["seeds"] == 2
     assert "±" in row["plan ADE [m]"]
-    tests = paired_tests(runs)
-    assert (tests["mean plan_ade"] < -0.4).all()
+
+
+@pytest.mark.parametrize(("score", "better"), [("plan_ade", "kbm"), ("solved", "unicycle")])
+def test_paired_tests_say_which_sign_is_better(runs, score, better):
+    tests = paired_tests(runs, OPEN_LOOP[score])
+    assert (tests[f"mean Δ {OPEN_LOOP[score].heading}"] < -0.4).all()
     assert (tests["p"] < 0.01).all()
-    write_comparison(tmp_path / "out", table, tests)
-    assert (tmp_path / "out" / "table.tex").read_text().startswith(r"\begin{tabular}")
+    assert set(tests["better"]) == {better}
+
+
+@pytest.mark.parametrize(
+    ("heading", "best"),
+    [("ADE [m]", "kbm"), ("plan ADE [m]", "kbm"), ("collisions", "kbm"), ("solved", "unicycle")],
+)
+def test_best_of_a_setting_is_found_by_the_direction_of_the_score(runs, heading, best):
+    comparison = compare(read_runs(runs), OPEN_LOOP)
+    assert comparison.best.index.equals(comparison.table.index)
+    assert set(comparison.table.loc[comparison.best[heading], "dynamics"]) == {best}
+    assert comparison.best[heading].sum() == 2
+
+
+def test_equals_are_all_best_and_one_alone_is_not(tmp_path):
+    alone = compare(read_runs([write_run(tmp_path / "one", "kbm", 0)]), OPEN_LOOP)
+    assert not alone.best["solved"].any()
+    twice = [write_run(tmp_path / name, name, 0) for name in ("kbm", "gm3")]
+    both = compare(read_runs(twice), OPEN_LOOP)
+    assert both.best.loc[both.table["dynamics"] != "stand_still", "solved"].all()
+
+
+def test_best_is_bold_in_markdown_and_latex_but_not_in_csv(runs, tmp_path):
+    comparison = compare(read_runs(runs), OPEN_LOOP)
+    write_comparison(tmp_path / "out", comparison, paired_tests(runs, OPEN_LOOP["ade"]))
+    texts = [(tmp_path / "out" / f"table.{ending}").read_text() for ending in ("md", "tex", "csv")]
+    for text, mark in zip(texts, ("**{}**", r"\textbf{{{}}}"), strict=False):
+        for heading, best in comparison.best.items():
+            assert all(mark.format(cell) in text for cell in comparison.table.loc[best, heading])
+        assert text.count(mark.split("{")[0]) in (12, 24)  # two modes, six scores
+    assert texts[1].startswith(r"\begin{tabular}")
+    assert "*" not in texts[2]
 
 
 def test_not_a_number_is_refused_and_the_old_file_stays(tmp_path):

@@ -16,11 +16,10 @@ import diffstack_mmv.cli  # noqa: F401  registers the resolvers
 from diffstack_mmv.simulation import (
     CircleCrossing,
     CrowdNavVerdict,
-    DiscFootprint,
-    Driven,
     ExactVerdict,
     HolonomicRobot,
     OrcaCrowd,
+    SimulatedVehicle,
     SquareCrossing,
     World,
 )
@@ -50,7 +49,7 @@ def world_with():
     """Build a world: the benchmark's, unless told otherwise."""
 
     def build(robot=None, exact=False, limit_s=25.0, dt_s=0.25, visible=False):
-        verdict = (ExactVerdict if exact else CrowdNavVerdict)(DiscFootprint(), limit_s)
+        verdict = (ExactVerdict if exact else CrowdNavVerdict)(limit_s)
         return World(robot or HolonomicRobot(), OrcaCrowd(), verdict, dt_s, visible)
 
     return build
@@ -58,17 +57,19 @@ def world_with():
 
 @pytest.fixture
 def scene_with():
-    """One human at a given place that wants to go to a given goal, the robot at the origin."""
+    """One pedestrian at a given place that wants to go to a given goal, the robot at the origin."""
 
-    def build(human, goal, robot_goal=(0.0, 8.0)):
+    def build(pedestrian, goal, robot_goal=(0.0, 8.0)):
         scene = CircleCrossing(humans=1).case("test", 0)
-        place = torch.tensor([human], dtype=torch.float64)
+        place = torch.tensor([pedestrian], dtype=torch.float64)
         aim = torch.tensor([goal], dtype=torch.float64)
-        humans = scene.humans._replace(position=place, goal=aim, velocity=torch.zeros_like(place))
+        pedestrians = scene.pedestrians._replace(
+            position=place, goal=aim, velocity=torch.zeros_like(place)
+        )
         return scene._replace(
             robot_position=torch.zeros(2, dtype=torch.float64),
             robot_goal=torch.tensor(robot_goal, dtype=torch.float64),
-            humans=humans,
+            pedestrians=pedestrians,
         )
 
     return build
@@ -99,7 +100,7 @@ def driven(root):
 
     def build(vehicle="bicycle", dynamics="kbm", **altered):
         mapping = yaml.safe_load((root / "configs" / "vehicle" / f"{vehicle}.yaml").read_text())
-        return Driven(mapping, dynamics, LIMITS, **altered)
+        return SimulatedVehicle(mapping, dynamics, LIMITS, **altered)
 
     return build
 

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from diffstack_mmv.simulation import (
+    DiscFootprint,
     MPPIController,
     actuation,
     controller_model,
@@ -59,7 +60,7 @@ def test_a_vehicle_that_cannot_stop_is_refused(driven):
 
 
 def test_mppi_drives_to_the_goal_and_repeats_itself(driven, world_with, scenario_of):
-    world = world_with(vehicle_robot(driven()), exact=True, limit_s=10.0)
+    world = world_with(vehicle_robot(driven(), footprint=DiscFootprint()), exact=True, limit_s=10.0)
     scene = scenario_of("circle").cases("train", [3])
     model = controller_model(driven(), driven(), step_s=0.125)
     records = [

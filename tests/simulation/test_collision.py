@@ -4,6 +4,8 @@ import math
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from diffstack_mmv.simulation import DiscFootprint, RectangleFootprint
 from diffstack_mmv.simulation.collision import (
@@ -11,6 +13,7 @@ from diffstack_mmv.simulation.collision import (
     distance_box_to_segment,
     distance_to_segment,
 )
+from diffstack_mmv.vehicles import load_vehicle
 
 SAMPLES = torch.linspace(0, 1, 2001, dtype=torch.float64)[:, None, None]
 
@@ -78,7 +81,54 @@ def test_the_disc_around_a_rectangle_never_has_more_clearance():
     assert (around <= rectangle.clearance(approach) + 1e-12).all()
 
 
-@pytest.mark.parametrize("footprint", [DiscFootprint(0.4), RectangleFootprint(1.8, 0.6)])
+def test_a_rectangle_ahead_of_its_reference_point_turns_around_that():
+    footprint = RectangleFootprint(length_m=1.8, width_m=0.6, ahead_m=0.5)
+    ahead, behind = torch.tensor([[2.0, 0.0], [-2.0, 0.0]]).double()
+    assert footprint.clearance(approach_of(ahead, ahead)) == pytest.approx(2.0 - 1.4 - 0.3)
+    assert footprint.clearance(approach_of(behind, behind)) == pytest.approx(2.0 - 0.4 - 0.3)
+    turned = footprint.clearance(approach_of(ahead, ahead, heading=math.pi))
+    assert turned == pytest.approx(2.0 - 0.4 - 0.3)
+
+
+def test_a_disc_is_its_own_cover():
+    ahead, radius = DiscFootprint(0.4).discs()
+    assert (ahead.tolist(), radius.tolist()) == ([0.0], [0.4])
+
+
+SIZES = st.floats(0.2, 4.0)
+
+
+@given(SIZES, SIZES, st.floats(-1.0, 1.0), st.floats(-1, 1), st.floats(-1, 1))
+def test_discs_cover_every_point_of_the_rectangle(length, width, offset, along, across):
+    ahead, radius = RectangleFootprint(length, width, offset).discs()
+    point = torch.tensor([offset + 0.5 * length * along, 0.5 * width * across]).double()
+    distance = torch.stack([ahead - point[0], point[1].expand_as(ahead)]).norm(dim=0)
+    assert (distance <= radius + 1e-9).any()
+
+
+@given(SIZES, SIZES)
+def test_discs_are_few_equal_and_stand_out_little(length, width):
+    ahead, radius = RectangleFootprint(length, width).discs()
+    assert len(ahead) <= 5
+    assert (radius == radius[0]).all()
+    assert ahead.sum().abs() < 1e-9
+    if length <= 5 * width:
+        assert radius[0] - 0.5 * width <= 0.21 * width
+        fewer = len(ahead) - 1
+        # one disc less would stand out further
+        assert fewer == 0 or 0.5 * math.hypot(length / fewer, width) > 0.7071 * width
+
+
+@pytest.mark.parametrize(("vehicle", "count"), [("bicycle", 3), ("cart", 2), ("hoverboard", 1)])
+def test_vehicles_are_covered_by_few_discs(vehicle, count):
+    size = load_vehicle(vehicle).footprint
+    assert len(RectangleFootprint(size.length_m, size.width_m).discs().ahead) == count
+
+
+@pytest.mark.parametrize(
+    "footprint",
+    [DiscFootprint(0.4), RectangleFootprint(1.8, 0.6), RectangleFootprint(1.8, 0.6, 0.525)],
+)
 def test_the_outline_is_where_the_clearance_of_a_point_vanishes(footprint):
     corners = footprint.outline()
     clearance = footprint.clearance(approach_of(corners, corners, radius=0.0))

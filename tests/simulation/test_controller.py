@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from diffstack_mmv.planning import TakeOptimum
-from diffstack_mmv.simulation import drive, vehicle_robot
+from diffstack_mmv.simulation import DiscFootprint, drive, vehicle_robot
 from diffstack_mmv.types import Outcome, PlanOrigin, map_tensors
 
 
@@ -14,7 +14,7 @@ def batched(scene):
 
 @pytest.fixture
 def crossing_world(world_with, driven):
-    return world_with(vehicle_robot(driven()), exact=True, limit_s=10.0)
+    return world_with(vehicle_robot(driven(), footprint=DiscFootprint()), exact=True, limit_s=10.0)
 
 
 @pytest.mark.slow

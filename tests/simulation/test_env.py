@@ -6,10 +6,12 @@ import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 
+from diffstack_mmv.dynamics.catalogue import dynamics_names, model_of
 from diffstack_mmv.simulation import (
     ENV_ID,
     CircleCrossing,
     CrowdNavEnv,
+    DiscFootprint,
     SocialForceCrowd,
     World,
     robot_named,
@@ -93,7 +95,7 @@ def test_a_scene_of_ones_own_can_be_started():
     scene = CircleCrossing(humans=2).case("val", 5)
     env = CrowdNavEnv(humans=2)
     env.reset(options={"scene": scene})
-    assert np.array_equal(env.human_positions, scene.humans.position.numpy())
+    assert np.array_equal(env.human_positions, scene.pedestrians.position.numpy())
 
 
 def test_a_picture_has_height_width_and_three_colours():
@@ -111,7 +113,7 @@ def test_without_a_render_mode_nothing_is_drawn():
     assert env.render() is None
 
 
-def test_a_visible_robot_changes_the_way_of_the_humans():
+def test_a_visible_robot_changes_the_way_of_the_pedestrians():
     places = []
     for visible in (True, False):
         env = CrowdNavEnv(robot_visible=visible)
@@ -149,9 +151,11 @@ def test_social_force_pedestrians_walk_in_the_environment(world_with):
         ({"limit_s": -1.0}, "`limit_s` must be positive"),
         ({"limit_s": 10.1}, "`limit_s` must be a multiple of 0.25"),
         ({"robot": "carpet"}, "`vehicle` must be one of"),
+        ({"robot": "bicycle", "footprint": "oval"}, "`footprint` must be one of disc, vehicle"),
+        ({"footprint": "vehicle"}, "`footprint` must be disc.* for robot 'holonomic'"),
         ({"robot": "bicycle", "dynamics": "magic"}, "`dynamics` must be one of"),
         ({"verdict": "mild"}, "`verdict` must be one of crowdnav, exact"),
-        ({"render_mode": "human"}, "`render_mode` must be one of rgb_array"),
+        ({"render_mode": "pedestrian"}, "`render_mode` must be one of rgb_array"),
     ],
 )
 def test_impossible_settings_are_refused_by_name(settings, message):
@@ -199,3 +203,27 @@ def test_the_fine_step_of_a_vehicle_divides_the_step_and_is_short_enough(dt_s):
     assert robot.model.dt_s <= 0.01 + 1e-12
     assert pieces == pytest.approx(round(pieces))
     assert robot.bounds.lower.dtype == torch.float64
+
+
+@pytest.mark.parametrize("dynamics", dynamics_names())
+def test_a_vehicle_takes_any_dynamics_of_the_configuration(dynamics):
+    env = CrowdNavEnv(robot="bicycle", dynamics=dynamics)
+    model = env.world.robot.model
+    assert model.description() == model_of("bicycle", dynamics, model.dt_s).description()
+
+
+def test_a_vehicle_has_the_disc_of_the_benchmark_or_its_box():
+    disc, box = (
+        CrowdNavEnv(robot="bicycle", dynamics="kbm", footprint=name).world.robot.footprint
+        for name in ("disc", "vehicle")
+    )
+    assert disc == DiscFootprint(0.3)
+    assert (box.length_m, box.width_m, box.ahead_m) == pytest.approx((1.8, 0.6, 0.525))
+
+
+def test_an_observation_tells_the_discs_that_cover_the_robot():
+    env = CrowdNavEnv(robot="bicycle", footprint="vehicle")
+    env.reset(seed=0)
+    seen = env.world.observe(env.state)
+    assert seen.discs.ahead.shape == (3,)
+    assert seen.radius == pytest.approx(env.world.robot.footprint.radius_m)

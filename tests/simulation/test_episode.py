@@ -24,8 +24,6 @@ POLICIES = {"linear": StraightLine(), "orca": OrcaPolicy()}
 class Replay:
     """Repeat recorded actions; the state is the number of the step."""
 
-    massless = True
-
     def __init__(self, actions):
         self.actions = torch.from_numpy(np.nan_to_num(actions))
 
@@ -111,9 +109,10 @@ def test_an_episode_that_ended_repeats_its_last_row(world_with):
 
 def test_a_standing_robot_runs_out_of_time_exactly_at_the_limit(world_with, scene_with):
     world = world_with(exact=True, limit_s=3.0)
-    scene = scene_with(human=(9.0, 9.0), goal=(9.0, 9.0))
+    scene = scene_with(pedestrian=(9.0, 9.0), goal=(9.0, 9.0))
     scene = type(scene)(
-        *(field[None] for field in scene[:3]), type(scene.humans)(*(f[None] for f in scene.humans))
+        *(field[None] for field in scene[:3]),
+        type(scene.pedestrians)(*(f[None] for f in scene.pedestrians)),
     )
     record, _ = drive(world, scene, Replay(np.zeros((1, 12, 2))))
     assert record.steps.tolist() == [12]

@@ -12,13 +12,13 @@ def paths(forecaster, *observations, dt_s=0.25, steps=4):
     state = forecaster.init(observations[0])
     for seen in observations:
         forecast, state = forecaster(state, seen, dt_s, steps)
-    return torch.cat((seen.human_position.unsqueeze(-2), forecast.most_likely()), -2)
+    return torch.cat((seen.pedestrian_position.unsqueeze(-2), forecast.most_likely()), -2)
 
 
 def test_constant_velocity_is_a_straight_line(observed, scene_with):
     seen = observed(scene_with((3.0, 0.0), (-6.0, 0.0)), 2)[-1]
     path = paths(ConstantVelocityForecaster(), seen)
-    assert torch.allclose(path.diff(dim=-2), 0.25 * seen.human_velocity.unsqueeze(-2))
+    assert torch.allclose(path.diff(dim=-2), 0.25 * seen.pedestrian_velocity.unsqueeze(-2))
 
 
 @pytest.mark.parametrize("forecaster", [ConstantVelocityForecaster(), OrcaForecaster()])
@@ -36,13 +36,13 @@ def test_the_forecast_is_one_proper_component_per_pedestrian(observed, scenario_
 def test_a_lone_pedestrian_is_predicted_exactly_until_arrival(observed, scene_with):
     seen = observed(scene_with((3.0, -5.0), (3.0, 5.0)), 20)
     path = paths(OrcaForecaster(), seen[2], steps=8)[0]
-    truth = torch.stack([later.human_position[0] for later in seen[2:11]])
+    truth = torch.stack([later.pedestrian_position[0] for later in seen[2:11]])
     assert torch.allclose(path, truth, atol=1e-5)
 
 
 def test_somebody_who_walks_slowly_is_expected_to_stop_soon(observed, scene_with):
     seen = observed(scene_with((3.0, -2.0), (3.0, 0.0)), 40)
-    slow = next(each for each in seen[2:] if each.human_velocity.norm() < 0.9)
+    slow = next(each for each in seen[2:] if each.pedestrian_velocity.norm() < 0.9)
     path = paths(OrcaForecaster(), slow, steps=24)[0]
     assert (path[-1] - path[0]).norm() < 1.01
 
@@ -50,10 +50,10 @@ def test_somebody_who_walks_slowly_is_expected_to_stop_soon(observed, scene_with
 def test_who_is_turned_aside_is_still_expected_at_its_goal(observed, scene_with):
     scene = scene_with((-3.0, 0.0), (3.0, 0.0))
     pair = torch.tensor([[-3.0, 0.0], [3.0, 0.3]], dtype=torch.float64)
-    humans = map_tensors(lambda entry: torch.cat((entry, entry)), scene.humans)
-    humans = humans._replace(position=pair, goal=-pair)
-    seen = observed(scene._replace(humans=humans), 16)
-    truth = torch.stack([later.human_position for later in seen[4:17]], -2)
+    pedestrians = map_tensors(lambda entry: torch.cat((entry, entry)), scene.pedestrians)
+    pedestrians = pedestrians._replace(position=pair, goal=-pair)
+    seen = observed(scene._replace(pedestrians=pedestrians), 16)
+    truth = torch.stack([later.pedestrian_position for later in seen[4:17]], -2)
     path = paths(OrcaForecaster(), *seen[:5], steps=12)
     straight = paths(ConstantVelocityForecaster(), seen[4], steps=12)
     error = (path - truth).norm(dim=-1).max()
@@ -62,9 +62,9 @@ def test_who_is_turned_aside_is_still_expected_at_its_goal(observed, scene_with)
 
 def test_slow_in_a_crowd_is_not_taken_for_arriving(observed, scenario_of):
     seen = observed(scenario_of("circle", humans=10).cases("test", range(8)), 20)
-    truth = torch.stack([later.human_position for later in seen[8:21]], -2)
+    truth = torch.stack([later.pedestrian_position for later in seen[8:21]], -2)
     path = paths(OrcaForecaster(), *seen[:9], steps=12)
-    slow = seen[8].human_velocity.norm(dim=-1) < 0.8
+    slow = seen[8].pedestrian_velocity.norm(dim=-1) < 0.8
     walked = (path[..., -1, :] - path[..., 0, :]).norm(dim=-1)[slow]
     truly = (truth[..., -1, :] - truth[..., 0, :]).norm(dim=-1)[slow]
     assert int(slow.sum()) > 5

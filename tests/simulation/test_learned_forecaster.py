@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from diffstack_mmv.dynamics import DiffKBM
-from diffstack_mmv.prediction import ConstantVelocity, SingleIntegrator, Sizes, Trajectron
+from diffstack_mmv.dynamics import DiffKBM, SingleIntegrator
+from diffstack_mmv.prediction import ConstantVelocity, Sizes, Trajectron
 from diffstack_mmv.simulation import LearnedForecaster
 from diffstack_mmv.simulation.learned_forecaster import last_heading
 from diffstack_mmv.types import map_tensors
@@ -31,14 +31,16 @@ def tiny():
 def test_straight_walks_are_continued_at_the_step_of_the_plan(observed, scene_with):
     seen = observed(scene_with((3.0, -5.0), (3.0, 5.0)), 8)
     path = paths(LearnedForecaster(ConstantVelocity(30, 0.1), 1.0), *seen[:5])
-    truth = torch.stack([each.human_position for each in seen[4:9]], -2)
+    truth = torch.stack([each.pedestrian_position for each in seen[4:9]], -2)
     assert torch.allclose(path, truth, atol=1e-4)
 
 
 def test_beyond_the_horizon_the_last_velocity_holds_on(observed, scene_with):
     seen = observed(scene_with((3.0, -5.0), (3.0, 5.0)), 4)[-1]
     path = paths(LearnedForecaster(ConstantVelocity(10, 0.1), 1.0), seen, steps=12)
-    assert torch.allclose(path.diff(dim=-2), 0.25 * seen.human_velocity[..., None, :], atol=1e-4)
+    assert torch.allclose(
+        path.diff(dim=-2), 0.25 * seen.pedestrian_velocity[..., None, :], atol=1e-4
+    )
 
 
 def test_the_past_is_the_walk_at_the_step_of_the_predictor(observed, scenario_of):
@@ -50,7 +52,7 @@ def test_the_past_is_the_walk_at_the_step_of_the_predictor(observed, scenario_of
     assert not recorder.past.valid.any()
     for back, each in ((0, seen[-1]), (5, seen[-3]), (10, seen[-5])):
         position = shown.motion.position[..., -1 - back, :]
-        assert torch.allclose(position, each.human_position.float(), atol=1e-5)
+        assert torch.allclose(position, each.pedestrian_position.float(), atol=1e-5)
 
 
 def test_rows_before_the_start_are_not_valid(observed, scenario_of):

@@ -5,13 +5,13 @@ import torch
 
 from diffstack_mmv.control import ILQR
 from diffstack_mmv.planning import TakeOptimum
-from diffstack_mmv.simulation import imitation_loss, vehicle_robot, way_left_loss
+from diffstack_mmv.simulation import DiscFootprint, imitation_loss, vehicle_robot, way_left_loss
 from diffstack_mmv.types import map_tensors
 
 
 @pytest.fixture
 def setting(world_with, driven, scenario_of):
-    world = world_with(vehicle_robot(driven()), exact=True, limit_s=10.0)
+    world = world_with(vehicle_robot(driven(), footprint=DiscFootprint()), exact=True, limit_s=10.0)
     return world, scenario_of("circle").cases("train", range(2))
 
 

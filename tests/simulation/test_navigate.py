@@ -36,12 +36,25 @@ def test_it_writes_results_baselines_and_paired_tests_and_resumes(navigate, tmp_
     first = json.loads((tmp_path / "closed_loop.json").read_text())
     assert (first["n"], set(first["baselines"])) == (2, {"straight"})
     assert first["paired"][0]["other"] == "straight"
+    assert first["actual_model"]["class"] == first["believed_model"]["class"] == "DiffKBM"
+    assert first["footprint"] == first["actual_model"]["footprint"]["shape"] == "disc"
     kept = {file: file.stat().st_mtime_ns for file in (tmp_path / "episodes").rglob("*.npz")}
     assert navigate(*QUICK, f"against=[{tmp_path}]") == 0
     assert {file: file.stat().st_mtime_ns for file in kept} == kept
     again = json.loads((tmp_path / "closed_loop.json").read_text())
     assert again["cases"] == first["cases"]
     assert again["paired"][1]["success"] == {"only_own": 0, "only_other": 0, "p": None}
+
+
+def test_a_controller_may_believe_in_dynamics_of_another_name(navigate, tmp_path):
+    given = ["dynamics=gm3_paper", "believed.dynamics=kbm_smooth", "footprint=vehicle"]
+    assert navigate(*QUICK, "cases=1", *given) == 0
+    found = json.loads((tmp_path / "closed_loop.json").read_text())
+    assert (found["dynamics"], found["believed_dynamics"]) == ("gm3_paper", "kbm_smooth")
+    assert found["actual_model"]["tyre_law"].startswith("PaperBrush")
+    assert found["believed_model"]["speed_floor"].startswith("Softplus")
+    assert found["footprint"] == "vehicle"
+    assert found["actual_model"]["footprint"]["shape"] == "box"
 
 
 @pytest.mark.parametrize(
@@ -52,6 +65,8 @@ def test_it_writes_results_baselines_and_paired_tests_and_resumes(navigate, tmp_
         (["limits.acceleration_min_mps2=-0.3"], "stop within the way"),
         (["scenario.clearance_m=0.0", "scenario.robot_radius_m=0.01"], "start without a collision"),
         (["people=predictor"], "be given for the predictor"),
+        (["believed.dynamics=magic"], "`dynamics` must be one of gm3, gm3_fine, gm3_paper"),
+        (["dynamics=unicycle", "actual.dynamics=gm3"], "share its controls with the robot's"),
     ],
 )
 def test_bad_input_ends_with_one_clear_message(navigate, capfd, arguments, message):

@@ -26,9 +26,9 @@ def test_cases_start_as_recorded_after_as_many_draws(recording, scenario_of, nam
     scenario = scenario_of(name, humans=recorded["start"].shape[1], circle_radius_m=radius)
     for row, case in enumerate(recorded["cases"]):
         random = generator("test", int(case))
-        humans = scenario.sample(random).humans
-        assert np.allclose(humans.position.numpy(), recorded["start"][row], rtol=0, atol=1e-12)
-        assert np.allclose(humans.goal.numpy(), recorded["goals"][row], rtol=0, atol=1e-12)
+        pedestrians = scenario.sample(random).pedestrians
+        assert np.allclose(pedestrians.position.numpy(), recorded["start"][row], rtol=0, atol=1e-12)
+        assert np.allclose(pedestrians.goal.numpy(), recorded["goals"][row], rtol=0, atol=1e-12)
         assert random.random_sample() == recorded["rng_next"][row]
 
 
@@ -44,14 +44,14 @@ def test_drawing_a_case_leaves_the_global_generator_alone(scenario):
 @BOTH
 def test_cases_of_a_batch_equal_the_single_ones(scenario):
     batch = scenario.cases("val", (4, 9))
-    assert (batch.humans.position[1] == scenario.case("val", 9).humans.position).all()
+    assert (batch.pedestrians.position[1] == scenario.case("val", 9).pedestrians.position).all()
     assert batch.robot_heading.shape == (2,)
 
 
 @BOTH
 def test_nobody_touches_anybody_at_the_start(scenario):
     scene = scenario.cases("train", range(20))
-    offset = scene.humans.position[:, :, None] - scene.humans.position[:, None]
+    offset = scene.pedestrians.position[:, :, None] - scene.pedestrians.position[:, None]
     distance = offset.norm(dim=-1) + 9 * np.eye(5)
     assert (distance >= 0.8 - 1e-12).all()
 
@@ -59,7 +59,7 @@ def test_nobody_touches_anybody_at_the_start(scenario):
 @pytest.mark.parametrize("name", ["circle_crossing", "square_crossing", "dense_circle_crossing"])
 def test_every_scenario_of_the_configuration_builds_and_draws_a_case(root, name):
     scenario = instantiate(OmegaConf.load(root / "configs" / "scenario" / f"{name}.yaml"))
-    assert scenario.case("test", 1).humans.position.shape == (scenario.humans, 2)
+    assert scenario.case("test", 1).pedestrians.position.shape == (scenario.humans, 2)
 
 
 def test_phases_do_not_share_seeds():
@@ -79,7 +79,7 @@ def test_an_unknown_phase_is_refused_with_the_known_ones():
 
 
 @pytest.mark.parametrize("family", [CircleCrossing, SquareCrossing])
-def test_too_many_humans_are_refused_after_a_bounded_search(monkeypatch, family):
+def test_too_many_pedestrians_are_refused_after_a_bounded_search(monkeypatch, family):
     monkeypatch.setattr(scenario_module, "MAX_TRIES", 300)
     with pytest.raises(ValueError, match="`humans` must fit into the scenario.*got 400"):
         family(humans=400).case("test", 0)
@@ -87,7 +87,12 @@ def test_too_many_humans_are_refused_after_a_bounded_search(monkeypatch, family)
 
 @pytest.mark.parametrize(
     ("setting", "value"),
-    [("humans", 0), ("circle_radius_m", -4.0), ("human_speed_mps", 0.0), ("clearance_m", -0.1)],
+    [
+        ("humans", 0),
+        ("circle_radius_m", -4.0),
+        ("pedestrian_speed_mps", 0.0),
+        ("clearance_m", -0.1),
+    ],
 )
 def test_impossible_sizes_are_refused_by_name(setting, value):
     with pytest.raises(ValueError, match=f"`{setting}` must"):

@@ -8,7 +8,7 @@ from diffstack_mmv.simulation.pedestrians import CrowdState
 from diffstack_mmv.simulation.verdict import Encounter, RobotPath
 from diffstack_mmv.types import Outcome
 
-VERDICTS = [CrowdNavVerdict(DiscFootprint(), 10.0), ExactVerdict(DiscFootprint(), 10.0)]
+VERDICTS = [CrowdNavVerdict(10.0), ExactVerdict(10.0)]
 BOTH = pytest.mark.parametrize("verdict", VERDICTS, ids=["crowdnav", "exact"])
 CROWDNAV, EXACT = VERDICTS
 
@@ -17,17 +17,18 @@ def vector(x, y):
     return torch.tensor((float(x), float(y)), dtype=torch.float64)
 
 
-def encounter(human=(0, 5), old=(0, 0), new=(0, 0), end=(0, 0.25), goal=(0, 8), time=0.0):
-    """One step of 0.25 s of a robot from the origin to `end` beside one human."""
-    end, human = vector(*end), vector(*human)[None]
+def encounter(pedestrian=(0, 5), old=(0, 0), new=(0, 0), end=(0, 0.25), goal=(0, 8), time=0.0):
+    """One step of 0.25 s of a robot from the origin to `end` beside one pedestrian."""
+    end, pedestrian = vector(*end), vector(*pedestrian)[None]
     one = torch.ones(1, dtype=torch.float64)
     return Encounter(
         path=RobotPath(
             torch.stack((torch.zeros_like(end), end)), torch.zeros(2, dtype=torch.float64)
         ),
+        footprint=DiscFootprint(),
         velocity=end / 0.25,
-        humans=CrowdState(human, vector(*old)[None], human, 0.3 * one, one),
-        human_velocity=vector(*new)[None],
+        pedestrians=CrowdState(pedestrian, vector(*old)[None], pedestrian, 0.3 * one, one),
+        pedestrian_velocity=vector(*new)[None],
         goal=vector(*goal),
         time=torch.tensor(float(time), dtype=torch.float64),
         dt_s=0.25,
@@ -39,10 +40,10 @@ def encounter(human=(0, 5), old=(0, 0), new=(0, 0), end=(0, 0.25), goal=(0, 8), 
     ("step", "outcome", "reward"),
     [
         (encounter(), Outcome.RUNNING, 0.0),
-        (encounter(human=(0.7, 0)), Outcome.DISCOMFORT, (0.1 - 0.2) * 0.5 * 0.25),
-        (encounter(human=(0, 0.7)), Outcome.COLLISION, -0.25),
+        (encounter(pedestrian=(0.7, 0)), Outcome.DISCOMFORT, (0.1 - 0.2) * 0.5 * 0.25),
+        (encounter(pedestrian=(0, 0.7)), Outcome.COLLISION, -0.25),
         (encounter(goal=(0, 0.5)), Outcome.SUCCESS, 1.0),
-        (encounter(goal=(0, 0.5), human=(0, 0.7)), Outcome.COLLISION, -0.25),
+        (encounter(goal=(0, 0.5), pedestrian=(0, 0.7)), Outcome.COLLISION, -0.25),
         (encounter(time=9.75), Outcome.TIMEOUT, 0.0),
     ],
     ids=["nothing", "near", "hit", "goal", "hit at the goal", "late"],
@@ -56,7 +57,7 @@ def test_outcome_and_reward_of_plain_steps(verdict, step, outcome, reward):
 @pytest.mark.parametrize(
     ("step", "exact"),
     [
-        (encounter(human=(0, 0.7), time=9.75), Outcome.COLLISION),
+        (encounter(pedestrian=(0, 0.7), time=9.75), Outcome.COLLISION),
         (encounter(goal=(0, 0.5), time=9.75), Outcome.SUCCESS),
         (encounter(time=9.0), Outcome.RUNNING),
     ],
@@ -68,14 +69,14 @@ def test_the_original_timeout_hides_what_the_exact_one_sees(step, exact):
 
 
 def test_the_original_tests_old_velocities_and_the_exact_one_those_of_the_step():
-    comes = encounter(human=(1.0, 0), old=(0, 0), new=(-2.0, 0), end=(0, 0))
-    stops = encounter(human=(1.0, 0), old=(-2.0, 0), new=(0, 0), end=(0, 0))
+    comes = encounter(pedestrian=(1.0, 0), old=(0, 0), new=(-2.0, 0), end=(0, 0))
+    stops = encounter(pedestrian=(1.0, 0), old=(-2.0, 0), new=(0, 0), end=(0, 0))
     assert [int(CROWDNAV(step).outcome) for step in (comes, stops)] == [0, Outcome.COLLISION]
     assert [int(EXACT(step).outcome) for step in (comes, stops)] == [Outcome.COLLISION, 0]
 
 
 def test_the_exact_verdict_follows_a_bent_path():
-    step = encounter(human=(0.7, 0.5), end=(0, 1.0))
+    step = encounter(pedestrian=(0.7, 0.5), end=(0, 1.0))
     bend = torch.stack((vector(0, 0), vector(0.5, 0.5), vector(0, 1.0)))
     bent = step._replace(path=RobotPath(bend, torch.zeros(3, dtype=torch.float64)))
     assert EXACT(step).outcome == Outcome.DISCOMFORT
@@ -83,21 +84,21 @@ def test_the_exact_verdict_follows_a_bent_path():
 
 
 @BOTH
-def test_clearance_is_that_to_the_nearest_human(verdict):
-    step = encounter(human=(1.0, 0), end=(0, 0))
-    crowd = CrowdState(*(field.repeat_interleave(2, dim=0) for field in step.humans))
+def test_clearance_is_that_to_the_nearest_pedestrian(verdict):
+    step = encounter(pedestrian=(1.0, 0), end=(0, 0))
+    crowd = CrowdState(*(field.repeat_interleave(2, dim=0) for field in step.pedestrians))
     crowd.position[1] = vector(3, 0)
     still = torch.zeros(2, 2, dtype=torch.float64)
-    judgement = verdict(step._replace(humans=crowd, human_velocity=still))
+    judgement = verdict(step._replace(pedestrians=crowd, pedestrian_velocity=still))
     assert judgement.clearance == pytest.approx(0.4)
 
 
 @pytest.mark.parametrize("limit", [0.0, -5.0, float("nan")])
 def test_a_limit_that_is_not_positive_is_refused(limit):
     with pytest.raises(ValueError, match="`limit_s` must be positive"):
-        ExactVerdict(DiscFootprint(), limit)
+        ExactVerdict(limit)
 
 
 def test_a_limit_that_the_early_timeout_swallows_is_refused():
     with pytest.raises(ValueError, match="take a later limit"):
-        CrowdNavVerdict(DiscFootprint(), 1.0)
+        CrowdNavVerdict(1.0)

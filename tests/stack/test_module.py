@@ -1,6 +1,5 @@
 """The stack: losses, scores and gradients of whole batches."""
 
-import pandas as pd
 import pytest
 import torch
 
@@ -13,17 +12,11 @@ from diffstack_mmv.costs import (
     WeightedCost,
 )
 from diffstack_mmv.dynamics import DiffKBM
+from diffstack_mmv.metrics import OPEN_LOOP
 from diffstack_mmv.planning import CandidateFan, FutureGoal, MPCPlanner, PredictedGoal
 from diffstack_mmv.prediction import ConstantVelocity, StandStill
 from diffstack_mmv.prediction.goal_baselines import hermite_spline
-from diffstack_mmv.stack import (
-    SCORES,
-    DiffStackMMV,
-    LossWeights,
-    PathToGoal,
-    PredictedPath,
-    representative,
-)
+from diffstack_mmv.stack import DiffStackMMV, LossWeights, PathToGoal, PredictedPath
 from diffstack_mmv.types import Mode, Motion, StackBatch, Tracks, map_tensors
 from diffstack_mmv.vehicles import load_vehicle
 
@@ -62,6 +55,23 @@ def batch_of(count=3, neighbors=2):
     )
 
 
+def without_future(batch, sample, first_row):
+    """The batch, with no recording of one ego from a row of its future on; something stands there.
+
+    Its neighbors have no future at all.
+    """
+    valid, position = batch.ego_future.valid.clone(), batch.ego_future.motion.position.clone()
+    valid[sample, first_row:], position[sample, first_row:] = False, 50.0
+    motion = batch.ego_future.motion._replace(position=position)
+    seen = batch.neighbors_future.valid.clone()
+    seen[sample] = False
+    return batch._replace(
+        ego_future=batch.ego_future._replace(motion=motion, valid=valid),
+        neighbors_future=batch.neighbors_future._replace(valid=seen),
+        goal=position[:, -1],
+    )
+
+
 def stack_of(goal, predictor=None, loss=None):
     spec = load_vehicle("bicycle")
     terms = {
@@ -80,7 +90,7 @@ def stack_of(goal, predictor=None, loss=None):
 def test_straight_riding_is_predicted_and_planned_to_the_centimetre(goal):
     stack = stack_of(goal)
     scores = stack.sample_scores(batch_of())
-    assert set(scores) == set(SCORES)
+    assert set(scores) == set(OPEN_LOOP)
     assert scores["ade"].max() < 0.01
     assert scores["plan_ade"].max() < 0.05
     assert (scores["solved"] == 1).all()
@@ -142,14 +152,70 @@ def test_baselines_answer_with_paths(baseline, error):
     assert distance.max() < 0.01 if error is not None else distance.max() > 2.0
 
 
-def test_representative_samples_are_in_motion_where_there_are_such():
-    frame = pd.DataFrame(
-        {
-            "mode": ["bicycle"] * 4 + ["scooter"],
-            "moving": [False, True, True, True, False],
-            "plan_ade": [0.0, 3.0, 1.0, 2.0, 0.5],
-        }
-    )
-    chosen = representative(frame)
-    assert chosen["bicycle"] == {"best": 2, "median": 3, "worst": 1}
-    assert set(chosen["scooter"].values()) == {4}
+OF_THE_END = {"fde", "plan_fde", "miss_rate"}
+OF_THE_PREDICTION = {"ade", "fde", "nll", "min_ade", "miss_rate"}
+WITHOUT_TRUTH = {"collision_rate", "solved"}
+
+
+@pytest.mark.parametrize(
+    ("goal", "first_row", "missing"),
+    [
+        (PredictedGoal(), 0, set(OPEN_LOOP) - WITHOUT_TRUTH),
+        (PredictedGoal(), STEPS - 1, OF_THE_END),
+        # the goal of the plan was not recorded: no score of the plan means anything
+        (FutureGoal(), 0, set(OPEN_LOOP)),
+        (FutureGoal(), STEPS - 1, set(OPEN_LOOP) - OF_THE_PREDICTION | {"fde", "miss_rate"}),
+    ],
+    ids=["predicted-none", "predicted-no end", "future-none", "future-no end"],
+)
+def test_scores_that_cannot_be_judged_are_nan_and_the_others_stay(goal, first_row, missing):
+    stack, batch = stack_of(goal), batch_of()
+    whole = stack.sample_scores(batch)
+    scores = stack.sample_scores(without_future(batch, 1, first_row))
+    assert {name for name, value in scores.items() if torch.isnan(value[1])} == missing
+    for name, value in scores.items():
+        assert torch.allclose(value[[0, 2]], whole[name][[0, 2]], atol=1e-5)
+
+
+@pytest.mark.parametrize("goal", [FutureGoal(), PredictedGoal()], ids=lambda goal: goal.name)
+def test_a_sample_without_future_adds_nothing_to_the_training_loss(goal):
+    stack, batch = stack_of(goal, StandStill(STEPS, 0.1)), batch_of()
+    stack.log_dict = lambda *args, **kwargs: None
+    kept = map_tensors(lambda field: field[[0, 2]], batch)
+    losses, gradients = [], []
+    for given in (kept, without_future(batch, 1, 0)):
+        stack.zero_grad()
+        losses.append(stack.training_step(given, 0))
+        losses[-1].backward()
+        gradients.append(stack.planner.cost.log_weight.grad.clone())
+    assert losses[1].item() == pytest.approx(losses[0].item(), rel=1e-4)
+    assert torch.allclose(gradients[1], gradients[0], rtol=1e-3, atol=1e-5)
+    assert gradients[0].abs().max() > 0
+
+
+def test_a_batch_without_any_future_has_a_finite_loss_and_no_gradient():
+    stack, batch = stack_of(PredictedGoal()), batch_of(count=1)
+    stack.log_dict = lambda *args, **kwargs: None
+    loss = stack.training_step(without_future(batch, 0, 0), 0)
+    loss.backward()
+    assert loss.item() == 0.0
+    assert all((p.grad == 0).all() for p in stack.parameters() if p.grad is not None)
+
+
+def test_a_loss_does_not_hide_that_the_predictor_diverged():
+    stack, batch = stack_of(PredictedGoal(), loss=LossWeights(1.0, 0.0, 0.0, 0.0)), batch_of()
+    stack.log_dict = lambda *args, **kwargs: None
+    stack.predictor.loss = lambda batch: torch.tensor([1.0, torch.nan, torch.nan])
+    assert torch.isnan(stack.training_step(batch, 0))
+    assert torch.isnan(stack.training_step(without_future(batch, 1, 0), 0))
+    stack.predictor.loss = lambda batch: torch.tensor([1.0, torch.nan, 2.0])
+    assert stack.training_step(without_future(batch, 1, 0), 0).item() == 1.5
+
+
+def test_validation_counts_what_it_could_not_judge():
+    stack, logged = stack_of(PredictedGoal()), {}
+    stack.log = lambda name, value: logged.update({name: float(value)})
+    stack.validation_step(without_future(batch_of(), 1, 0), 0)
+    stack.on_validation_epoch_end()
+    assert logged["val/n_missing"] == logged["val/bicycle/n_missing"] == 1
+    assert logged["val/ade"] < 0.01

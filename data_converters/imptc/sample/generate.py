@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from data_converters.errors import refuse
+from data_converters.errors import require
 from data_converters.imptc.modes import VEHICLE_CLASSES
 from data_converters.imptc.sample.cast import make_cast
 from data_converters.imptc.sample.files import Spelling, track_content, write_context, write_json
@@ -57,7 +57,7 @@ def generate_sample(
     for sequence in _simulated(seed, sequences, duration_s):
         folder = out / sequence.name
         remedy = "Choose another folder or remove it."
-        refuse(folder.exists(), "out", "not hold the sequence yet", folder.name, out, remedy)
+        require(not folder.exists(), "out", "not hold the sequence yet", folder.name, out, remedy)
         for track, class_id, content in sequence.tracks:
             family = "vehicles" if class_id in VEHICLE_CLASSES else "vrus"
             write_json(folder / family / f"{track:03d}" / "track.json", content)
@@ -91,7 +91,7 @@ def generate_vru_sample(
     """
     present = [split for split in RELEASE_SPLITS if (out / split).exists()]
     remedy = "Choose another folder or remove them."
-    refuse(bool(present), "out", "not hold train, eval or test yet", present, out, remedy)
+    require(not present, "out", "not hold train, eval or test yet", present, out, remedy)
     dealt: dict[int, int] = {}
     combined: dict[str, dict[str, Any]] = {split: {} for split in dict.fromkeys(RELEASE_SPLITS)}
     for sequence in _simulated(seed, sequences, duration_s):
@@ -112,10 +112,11 @@ def generate_vru_sample(
 
 def _simulated(seed: int, sequences: Sequence[int], duration_s: float) -> Iterator[_Sequence]:
     remedy = "Shorter ones hold no window of 4 s + 3 s for late starters."
-    refuse(duration_s < 16.0, "duration_s", "be at least 16", duration_s, "", remedy)
+    require(duration_s >= 16.0, "duration_s", "be at least 16", duration_s, "", remedy)
     for number in sequences:
-        wrong = not 0 <= number <= 9999
-        refuse(wrong, "sequences", "lie in 0..9999", number, "", "Sets are 0 to 269.")
+        require(
+            0 <= number <= 9999, "sequences", "lie in 0..9999", number, "", "Sets are 0 to 269."
+        )
         yield _simulate(seed, number, duration_s)
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from data_converters.imptc.sample.traffic import Motion
+from data_converters.imptc.sample.traffic import TrafficMotion
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def master_clock(count: int, start_us: int, rng: np.random.Generator) -> NDArray
     return start_us + np.concatenate([[0], np.cumsum(steps[1:])])
 
 
-def detect(motion: Motion, longest_gap_s: float, rng: np.random.Generator) -> Detections:
+def detect(motion: TrafficMotion, longest_gap_s: float, rng: np.random.Generator) -> Detections:
     """Add noise to a motion and drop samples.
 
     Two in a hundred samples are missing; three tracks in ten have one longer gap of up to

@@ -46,7 +46,7 @@ class Traveller:
     wander: tuple[float, float, float]
 
 
-class Motion(NamedTuple):
+class TrafficMotion(NamedTuple):
     """True motion: step numbers (n,), position (n, 2) m, heading (n,) rad, speed (n,) m/s."""
 
     step: NDArray[np.int64]
@@ -103,7 +103,9 @@ def _padded(values: Array, length: int) -> Array:
     return np.concatenate([values, np.repeat(values[-1:], length - len(values), axis=0)])
 
 
-def simulate(travellers: list[Traveller], plan: SignalPlan, duration_s: float) -> list[Motion]:
+def simulate(
+    travellers: list[Traveller], plan: SignalPlan, duration_s: float
+) -> list[TrafficMotion]:
     """Move all travellers by the intelligent driver model in steps of 0.04 s.
 
     Source: Treiber, Hennecke, Helbing, "Congested traffic states", Phys. Rev. E 62 (2000), for the
@@ -115,7 +117,7 @@ def simulate(travellers: list[Traveller], plan: SignalPlan, duration_s: float) -
         duration_s: How long, in s.
 
     Returns:
-        Motion per traveller, possibly with no steps.
+        TrafficMotion per traveller, possibly with no steps.
     """
     world = _World(travellers)
     log: list[list[tuple[int, float, float, float, float]]] = [[] for _ in travellers]
@@ -131,9 +133,9 @@ def simulate(travellers: list[Traveller], plan: SignalPlan, duration_s: float) -
     return [_motion(entries) for entries in log]
 
 
-def _motion(entries: list[tuple[int, float, float, float, float]]) -> Motion:
+def _motion(entries: list[tuple[int, float, float, float, float]]) -> TrafficMotion:
     table = np.array(entries, dtype=np.float64).reshape(-1, 5)
-    return Motion(table[:, 0].astype(np.int64), table[:, 1:3], table[:, 3], table[:, 4])
+    return TrafficMotion(table[:, 0].astype(np.int64), table[:, 1:3], table[:, 3], table[:, 4])
 
 
 def _admit(world: _World, time_s: float) -> None:

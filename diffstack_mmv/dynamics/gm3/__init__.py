@@ -3,7 +3,6 @@
 from diffstack_mmv.dynamics.gm3.model import DiffGM3
 from diffstack_mmv.dynamics.gm3.stepper import LIM2, ExplicitEuler, RungeKutta4
 from diffstack_mmv.dynamics.gm3.tire import ConsistentBrush, PaperBrush, SharpBrush
-from diffstack_mmv.dynamics.gm3.wheel_forces import WheelForces, wheel_forces
 from diffstack_mmv.dynamics.gm3.wheel_speed import DiffGM3WheelSpeed
 
 __all__ = [
@@ -15,6 +14,4 @@ __all__ = [
     "PaperBrush",
     "RungeKutta4",
     "SharpBrush",
-    "WheelForces",
-    "wheel_forces",
 ]

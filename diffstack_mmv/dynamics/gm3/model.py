@@ -1,5 +1,6 @@
 """DiffGM3: differentiable brush-tyre dynamics for any layout of wheels."""
 
+from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import torch
@@ -10,17 +11,26 @@ from diffstack_mmv.checks import require
 from diffstack_mmv.dynamics.base import DynamicsModel
 from diffstack_mmv.dynamics.gm3.chassis import Chassis, Physics
 from diffstack_mmv.dynamics.gm3.drive import Command, Drive, split_acceleration
-from diffstack_mmv.dynamics.gm3.held import HeldDynamics
 from diffstack_mmv.dynamics.gm3.load import GRAVITY
 from diffstack_mmv.dynamics.gm3.steady import linear_steer
-from diffstack_mmv.dynamics.gm3.steering import turning_axle_m
 from diffstack_mmv.dynamics.gm3.stepper import LIM2, Stepper
 from diffstack_mmv.dynamics.gm3.tire import ConsistentBrush, Tire
+from diffstack_mmv.dynamics.gm3.understeer import axle_quantities
+from diffstack_mmv.dynamics.gm3.wheel_forces import forces_at_wheels
+from diffstack_mmv.dynamics.gm3.zero_order_hold import ZeroOrderHoldDynamics
+from diffstack_mmv.dynamics.records import DerivedQuantity, DriverInput, WheelForces
 from diffstack_mmv.types import Motion
-from diffstack_mmv.vehicles import BODY_PARAMETERS, WHEEL_PARAMETERS, SoftClamped, VehicleSpec
+from diffstack_mmv.vehicles import (
+    BODY_PARAMETERS,
+    WHEEL_PARAMETERS,
+    SoftClamped,
+    VehicleSpec,
+    turning_axle_m,
+)
 
 COMMAND_RANGE = 2.0  # steering commands may go that far beyond the soft limit: tanh(2) = 0.96
 COMMAND_LIMIT = 1e3  # m/s^2, far beyond friction; keeps powers of a wild command finite
+PACE_MPS = 5.0  # speed at which the steering per curvature is told
 SLOW = 0.2  # m/s, below which a course says little about the heading
 
 
@@ -120,12 +130,12 @@ class DiffGM3(DynamicsModel):
         steer = self.chassis.steering.clamped(control[1])
         return Command(split_acceleration(acceleration, width), steer, None)
 
-    def hold(self, control: Float[Tensor, "m n"]) -> HeldDynamics:
+    def hold(self, control: Float[Tensor, "m n"]) -> ZeroOrderHoldDynamics:
         """Dynamics under one control, with all that depends on it alone computed."""
         physics, command = self.physics(), self.command(control)
         directions = self.chassis.steering(command.steer, physics.length_scale)
         axes = self.chassis.axes(directions, physics.length_scale)
-        return HeldDynamics(self.chassis, physics, command, axes)
+        return ZeroOrderHoldDynamics(self.chassis, physics, command, axes)
 
     def derivative(
         self, state: Float[Tensor, "*#b 8"], control: Float[Tensor, "*#b m"]
@@ -196,6 +206,57 @@ class DiffGM3(DynamicsModel):
         tangent = linear_steer(self.chassis, self.physics(), *flat).reshape(speed.shape)
         steering = self.chassis.steering
         return steering.command_for(steering.angle_for(tangent))
+
+    @property
+    def driver_input_needs_state(self) -> bool:
+        """An acceleration and an angle mean the same at every state."""
+        return False
+
+    def control_for_driver(
+        self, state: Float[Tensor, "*b 8"], driver: DriverInput
+    ) -> Float[Tensor, "*b m"]:
+        """Acceleration (m/s²), and the command whose soft clamp is the steering angle (rad)."""
+        steer = self.chassis.steering.command_for(driver.steer)
+        return torch.stack([driver.acceleration.expand_as(steer), steer], -1)
+
+    def driver_input(
+        self, state: Float[Tensor, "*b 8"], control: Float[Tensor, "*b m"]
+    ) -> DriverInput:
+        """Acceleration (m/s²), and the steering angle (rad) after the soft clamp."""
+        return DriverInput(control[..., 0], self.chassis.steering.clamped(control[..., 1]))
+
+    def wheel_forces(
+        self, state: Float[Tensor, "*b 8"], control: Float[Tensor, "*b m"]
+    ) -> WheelForces:
+        """Loads, slips and forces of all wheels under a state and a control."""
+        shape = torch.broadcast_shapes(state.shape[:-1], control.shape[:-1])
+        held = self.hold(as_columns(control, shape))
+        return forces_at_wheels(held, as_columns(state, shape), shape)
+
+    def derived_quantities(self) -> Mapping[str, DerivedQuantity]:
+        """Steering per curvature, normalised cornering stiffnesses C / F_z, understeer gradient.
+
+        The steering angle per curvature at 5 m/s holds all that acts as understeer in one number:
+        tyres, yaw damping and aligning moment. The others exist where both axles are tyred.
+        """
+        state = self.bounds.lower.new_zeros(self.state_dim)
+        forward = torch.tensor(self.State._fields.index("velocity_forward"))
+        state = state + PACE_MPS * torch.nn.functional.one_hot(forward, self.state_dim)
+        small = 1e-4
+        steer = self.steer_for(state, state.new_tensor(small)) / small
+        name = f"steer_per_curvature_at_{PACE_MPS:g}_mps"
+        tread = self.get_submodule("tread_stiffness")()
+        length = self.get_submodule("contact_half_length")()
+        each = 2 * tread * length.square()
+        return {name: DerivedQuantity(steer, "m")} | axle_quantities(self.spec, each)
+
+    def description(self) -> dict[str, Any]:
+        """What a results file tells of the model: tyre law with its numbers, and the scheme."""
+        return super().description() | {
+            "tyre_law": repr(self.chassis.tire),
+            "substeps": self.substeps,
+            "stepper": type(self.stepper).__name__,
+        }
 
 
 def as_columns(rows: Float[Tensor, "*b c"], shape: torch.Size) -> Float[Tensor, "c n"]:

@@ -22,6 +22,7 @@ from diffstack_mmv.vehicles import (
     Steering,
     TruckSteering,
     WheelSpec,
+    turning_axle_m,
 )
 
 COMMAND_SHARE = 0.98  # of the limit, the largest angle that the soft clamp is inverted for
@@ -32,16 +33,6 @@ class Directions(NamedTuple):
 
     sine: Float[Tensor, "wheels n"]
     cosine: Float[Tensor, "wheels n"]
-
-
-def turning_axle_m(wheels: Sequence[WheelSpec]) -> float:
-    """Longitudinal position of the axle that does not steer, on whose line the turning centre lies.
-
-    The mean position of the rolling wheels that are neither steered nor on a truck; 0 where there
-    is none.
-    """
-    fixed = [w.x_m for w in wheels if not (w.steered or w.truck or w.caster)]
-    return sum(fixed) / len(fixed) if fixed else 0.0
 
 
 class WheelSteering(ExactBuffers):

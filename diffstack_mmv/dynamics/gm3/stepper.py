@@ -11,8 +11,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.dynamics.gm3.body import LinearEquation, factored, times
-from diffstack_mmv.dynamics.gm3.held import HeldDynamics, unpack
 from diffstack_mmv.dynamics.gm3.lean import Lean, lean_after
+from diffstack_mmv.dynamics.gm3.zero_order_hold import ZeroOrderHoldDynamics, unpack
 
 
 @runtime_checkable
@@ -20,7 +20,7 @@ class Stepper(Protocol):
     """One step of a numerical method."""
 
     def __call__(
-        self, dynamics: HeldDynamics, state: Float[Tensor, "8 n"], step_s: float
+        self, dynamics: ZeroOrderHoldDynamics, state: Float[Tensor, "8 n"], step_s: float
     ) -> Float[Tensor, "8 n"]:
         """State after `step_s` seconds."""
         ...
@@ -30,7 +30,7 @@ class ExplicitEuler:
     """x⁺ = x + h f(x), as printed in DMMV; for comparison only."""
 
     def __call__(
-        self, dynamics: HeldDynamics, state: Float[Tensor, "8 n"], step_s: float
+        self, dynamics: ZeroOrderHoldDynamics, state: Float[Tensor, "8 n"], step_s: float
     ) -> Float[Tensor, "8 n"]:
         """State after one step."""
         return state + step_s * dynamics.derivative(state)
@@ -40,7 +40,7 @@ class RungeKutta4:
     """The classical method of fourth order; needs substeps of 1 to 5 ms."""
 
     def __call__(
-        self, dynamics: HeldDynamics, state: Float[Tensor, "8 n"], step_s: float
+        self, dynamics: ZeroOrderHoldDynamics, state: Float[Tensor, "8 n"], step_s: float
     ) -> Float[Tensor, "8 n"]:
         """State after one step."""
         first = dynamics.derivative(state)
@@ -98,7 +98,7 @@ class LIM2:
     """
 
     def __call__(
-        self, dynamics: HeldDynamics, state: Float[Tensor, "8 n"], step_s: float
+        self, dynamics: ZeroOrderHoldDynamics, state: Float[Tensor, "8 n"], step_s: float
     ) -> Float[Tensor, "8 n"]:
         """State after one step."""
         position, velocity, heading, lean = unpack(state)
@@ -122,7 +122,7 @@ class LIM2:
 
     @staticmethod
     def _lean(
-        dynamics: HeldDynamics,
+        dynamics: ZeroOrderHoldDynamics,
         lean: Lean,
         frozen: Float[Tensor, " n"],
         velocity: Float[Tensor, "3 n"],

@@ -76,6 +76,10 @@ class Tire(ABC):
 
     uses_slip_angle: ClassVar[bool] = True
 
+    def __repr__(self) -> str:
+        numbers = ", ".join(f"{name}={value}" for name, value in vars(self).items())
+        return f"{type(self).__name__}({numbers})"
+
     @abstractmethod
     def secants(
         self, slip: TireSlip, tire: TireProperties, lead: Float[Tensor, "*b"]

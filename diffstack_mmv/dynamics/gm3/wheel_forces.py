@@ -1,38 +1,28 @@
 """What happens at every wheel: loads, slips and forces, for figures and checks."""
 
-from typing import NamedTuple
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.dynamics.gm3.held import unpack
-from diffstack_mmv.dynamics.gm3.model import DiffGM3, as_columns
 from diffstack_mmv.dynamics.gm3.tire import forces
+from diffstack_mmv.dynamics.gm3.zero_order_hold import ZeroOrderHoldDynamics, unpack
+from diffstack_mmv.dynamics.records import WheelForces
 
 
-class WheelForces(NamedTuple):
-    """Quantities of all wheels in the order of the vehicle's; zero at casters but for the load."""
-
-    force_x: Float[Tensor, "*b wheels"]  # N, forward in the wheel's axes
-    force_y: Float[Tensor, "*b wheels"]  # N, to the left
-    moment_z: Float[Tensor, "*b wheels"]  # N m, before the vehicle's k_align
-    normal_load: Float[Tensor, "*b wheels"]  # N
-    steer: Float[Tensor, "*b wheels"]  # rad
-    slip_x: Float[Tensor, "*b wheels"]
-    slip_y: Float[Tensor, "*b wheels"]
-    spin: Float[Tensor, "*b wheels"]  # 1/m
-    wheel_speed: Float[Tensor, "*b wheels"]  # rad/s
-    friction_limit: Float[Tensor, "*b wheels"]  # μ F_z in N
-
-
-def wheel_forces(
-    model: DiffGM3, state: Float[Tensor, "*b 8"], control: Float[Tensor, "*b m"]
+def forces_at_wheels(
+    held: ZeroOrderHoldDynamics, state: Float[Tensor, "8 n"], shape: torch.Size
 ) -> WheelForces:
-    """Loads, slips and forces of all wheels under a state and a control."""
-    shape = torch.broadcast_shapes(state.shape[:-1], control.shape[:-1])
-    held = model.hold(as_columns(control, shape))
-    parts = unpack(as_columns(state, shape))
+    """Loads, slips and forces of all wheels.
+
+    Args:
+        held: The dynamics under the control.
+        state: States as columns.
+        shape: Leading dimensions of the result, n = their product.
+
+    Returns:
+        Quantities of all wheels, SI units.
+    """
+    chassis, parts = held.chassis, unpack(state)
     contact = held.contact(parts.velocity, parts.lean.angle)
     force = forces(contact.secants, contact.slip)
     sine, cosine = held.axes.along[1], held.axes.along[0]
@@ -44,10 +34,10 @@ def wheel_forces(
         "slip_x": contact.slip.along,
         "slip_y": contact.slip.across,
         "spin": contact.slip.spin,
-        "wheel_speed": contact.grip.traction.rolling / model.chassis.get_buffer("radius"),
+        "wheel_speed": contact.grip.traction.rolling / chassis.get_buffer("radius"),
     }
-    count = len(model.spec.wheels)
-    index = model.chassis.get_buffer("rolling_index")
+    count = len(chassis.spec.wheels)
+    index = chassis.get_buffer("rolling_index")
     load = contact.grip.normal_load
 
     def spread(values: Float[Tensor, "rolling n"]) -> Float[Tensor, "*b wheels"]:

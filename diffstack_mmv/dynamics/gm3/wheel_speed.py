@@ -10,6 +10,7 @@ from torch import Tensor
 from diffstack_mmv.dynamics.gm3.drive import Command, Drive, SpeedDrive, split_acceleration
 from diffstack_mmv.dynamics.gm3.model import COMMAND_RANGE, ControlRange, DiffGM3
 from diffstack_mmv.dynamics.gm3.slip import reference_speed
+from diffstack_mmv.dynamics.records import DriverInput
 from diffstack_mmv.vehicles import VehicleSpec
 
 
@@ -62,12 +63,54 @@ class DiffGM3WheelSpeed(DiffGM3):
         """
         steer = self.steer_for(state, curvature)
         speed, acceleration = torch.broadcast_tensors(state[..., 2], acceleration)
-        driven = self.chassis.get_buffer("driven_wheels").mT
+        hub = speed.unsqueeze(-1) * (1 - curvature.unsqueeze(-1) * self._of_driven("y"))
+        speeds = self._wheel_speeds(hub, acceleration)
+        return self.within_bounds(torch.cat([speeds, steer.unsqueeze(-1)], -1))
+
+    @property
+    def driver_input_needs_state(self) -> bool:
+        """A wheel speed means another acceleration at every speed."""
+        return True
+
+    def control_for_driver(
+        self, state: Float[Tensor, "*b 8"], driver: DriverInput
+    ) -> Float[Tensor, "*b m"]:
+        """Wheel speeds for an acceleration (m/s²) by linear tyres, and the steering command.
+
+        The acceleration is that of this instant; it fades as the hubs catch up with the wheels.
+        """
+        steer, acceleration = torch.broadcast_tensors(driver.steer, driver.acceleration)
+        speeds = self._wheel_speeds(self._hub_speed(state), acceleration)
+        command = self.chassis.steering.command_for(steer)
+        return torch.cat([speeds, command.unsqueeze(-1)], -1)
+
+    def driver_input(
+        self, state: Float[Tensor, "*b 8"], control: Float[Tensor, "*b m"]
+    ) -> DriverInput:
+        """Mean acceleration (m/s²) of the linear tyres, and the steering angle (rad)."""
+        hub = self._hub_speed(state)
+        reference = reference_speed(hub, self.spec.smoothing.slip_speed_mps)
+        slip = (control[..., :-1] * self._of_driven("radius") - hub) / reference
+        acceleration = slip.mean(-1) * self._stiffness() / self.spec.mass_kg
+        return DriverInput(acceleration, self.chassis.steering.clamped(control[..., -1]))
+
+    def _of_driven(self, name: str) -> Float[Tensor, " driven"]:
+        """A number of the driven wheels, SI units."""
+        return self.chassis.get_buffer("driven_wheels").mT @ self.chassis.get_buffer(name)[:, 0]
+
+    def _stiffness(self) -> Float[Tensor, ""]:
+        """ΣC of the driven wheels in N."""
         stiffness = 3 * self.physics().cornering.squeeze(-1)
-        slip = self.spec.mass_kg * acceleration / (driven @ stiffness).sum()
-        side, radius = (
-            driven @ self.chassis.get_buffer(name).squeeze(-1) for name in ("y", "radius")
-        )
-        hub = speed.unsqueeze(-1) * (1 - curvature.unsqueeze(-1) * side)
-        spread = slip.unsqueeze(-1) * reference_speed(hub, self.spec.smoothing.slip_speed_mps)
-        return self.within_bounds(torch.cat([(hub + spread) / radius, steer.unsqueeze(-1)], -1))
+        return (self.chassis.get_buffer("driven_wheels").mT @ stiffness).sum()
+
+    def _hub_speed(self, state: Float[Tensor, "*b 8"]) -> Float[Tensor, "*b driven"]:
+        """Forward speed in m/s of the hubs of the driven wheels."""
+        return state[..., 2:3] - state[..., 5:6] * self._of_driven("y")
+
+    def _wheel_speeds(
+        self, hub: Float[Tensor, "*b driven"], acceleration: Float[Tensor, "*b"]
+    ) -> Float[Tensor, "*b driven"]:
+        """Speeds in rad/s whose slips give an acceleration in m/s² on linear tyres."""
+        slip = (self.spec.mass_kg * acceleration / self._stiffness()).unsqueeze(-1)
+        spread = slip * reference_speed(hub, self.spec.smoothing.slip_speed_mps)
+        return (hub + spread) / self._of_driven("radius")

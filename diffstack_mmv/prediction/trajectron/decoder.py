@@ -10,13 +10,13 @@ from torch import Tensor, nn
 
 from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.prediction.trajectron.agent_batch import AgentBatch
 from diffstack_mmv.prediction.trajectron.mixture import (
     Linearisation,
     PositionMoments,
     integrate,
     linearise,
 )
-from diffstack_mmv.prediction.trajectron.rows import AgentRows
 from diffstack_mmv.smooth import safe_norm, soft_clamp
 from diffstack_mmv.types import Motion
 
@@ -93,7 +93,7 @@ class ControlDecoder(nn.Module):
         self.register_buffer("start_deviation", torch.tensor(START_DEVIATION), persistent=False)
         self.start_deviation: Tensor
 
-    def forward(self, context: Float[Tensor, "R c"], rows: AgentRows) -> PositionMoments:
+    def forward(self, context: Float[Tensor, "R c"], rows: AgentBatch) -> PositionMoments:
         """Mean and covariance of the positions `R K T` of the agents, in their own frames."""
         motion = present_motion(rows)
         context = self.dropout(context)
@@ -145,7 +145,7 @@ class ControlDecoder(nn.Module):
         factor[..., below[0], below[1]] = diagonal[..., below[0]] * raw[..., size:]
         return factor
 
-    def _base_controls(self, motion: Motion, rows: AgentRows) -> Float[Tensor, "R T m"]:
+    def _base_controls(self, motion: Motion, rows: AgentBatch) -> Float[Tensor, "R T m"]:
         """Controls of the fading CTRA, which never brakes below standstill."""
         speed = motion.velocity[:, 0]
         forward = rows.velocity / safe_norm(rows.velocity).unsqueeze(-1)
@@ -168,7 +168,7 @@ class ControlDecoder(nn.Module):
         return values.repeat_interleave(self.hold_steps, 2)[:, :, : self.horizon_steps]
 
 
-def present_motion(rows: AgentRows) -> Motion:
+def present_motion(rows: AgentBatch) -> Motion:
     """Motion of the agents now in their own frames, on the course of their fitted velocity.
 
     At rest the course is not observable; the heading of the track takes over below walking speed.

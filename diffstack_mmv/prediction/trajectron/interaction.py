@@ -6,13 +6,13 @@ from torch import Tensor, nn
 
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.geometry import direction, rotate
+from diffstack_mmv.prediction.trajectron.agent_batch import PEDESTRIAN, VEHICLE, AgentBatch
 from diffstack_mmv.prediction.trajectron.encoder import (
     POSITION_SCALE_M,
     SPEED_SCALE_MPS,
     PerKind,
     perceptron,
 )
-from diffstack_mmv.prediction.trajectron.rows import VEHICLE, WALKER, AgentRows
 from diffstack_mmv.smooth import safe_norm
 
 EDGE_FEATURES = 8
@@ -56,8 +56,8 @@ class Interaction(nn.Module):
         sizes = [node_size + EDGE_FEATURES, edge_size, edge_size]
         pairs = [
             pair_of_kinds(agent, other)
-            for agent in (VEHICLE, WALKER)
-            for other in (VEHICLE, WALKER)
+            for agent in (VEHICLE, PEDESTRIAN)
+            for other in (VEHICLE, PEDESTRIAN)
         ]
         self.edge_encoders = PerKind(
             {int(pair): perceptron(sizes, dropout) for pair in pairs}, edge_size
@@ -67,7 +67,7 @@ class Interaction(nn.Module):
         self.score = nn.Linear(edge_size, 1, bias=False)
 
     def forward(
-        self, rows: AgentRows, agents: int, node: Float[Tensor, "R h"]
+        self, rows: AgentBatch, agents: int, node: Float[Tensor, "R h"]
     ) -> Float[Tensor, "R e"]:
         """Encode the influence of the others on each row, with so many `agents` per scene."""
         agent, other = neighboring_rows(rows.index, agents)
@@ -115,7 +115,7 @@ def pair_of_kinds(
 
 
 def edge_features(
-    rows: AgentRows, agent: Int[Tensor, " P"], other: Int[Tensor, " P"]
+    rows: AgentBatch, agent: Int[Tensor, " P"], other: Int[Tensor, " P"]
 ) -> Float[Tensor, "P 8"]:
     """Position, velocity and direction of the others in the agents' frames, of order one."""
     offset = rotate(rows.origin[other] - rows.origin[agent], -rows.heading[agent])

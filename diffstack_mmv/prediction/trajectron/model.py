@@ -11,6 +11,16 @@ from diffstack_mmv.checks import require
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.prediction.base import Predictor, all_agents
 from diffstack_mmv.prediction.gaussian import log_density, scale_from_covariance
+from diffstack_mmv.prediction.trajectron.agent_batch import (
+    EGO,
+    PEDESTRIAN,
+    VEHICLE,
+    AgentBatch,
+    agent_batch,
+    in_own_frame,
+    select_agents,
+    take_rows,
+)
 from diffstack_mmv.prediction.trajectron.decoder import ControlDecoder, Jacobians
 from diffstack_mmv.prediction.trajectron.encoder import (
     TRACK_FEATURES,
@@ -21,16 +31,6 @@ from diffstack_mmv.prediction.trajectron.encoder import (
 from diffstack_mmv.prediction.trajectron.latent import Annealing, Latent, divergence
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments, linearise
 from diffstack_mmv.prediction.trajectron.output import nobody, placed, scenes
-from diffstack_mmv.prediction.trajectron.rows import (
-    EGO,
-    VEHICLE,
-    WALKER,
-    AgentRows,
-    agent_rows,
-    in_own_frame,
-    select_rows,
-    take_rows,
-)
 from diffstack_mmv.prediction.trajectron.scene import SceneEncoder
 from diffstack_mmv.types import Forecast, StackBatch, Tracks
 
@@ -63,7 +63,7 @@ class Decoded(NamedTuple):
     """What one branch made of its rows."""
 
     place: Tensor  # S, positions of the rows among all rows
-    rows: AgentRows  # S
+    rows: AgentBatch  # S
     context: Float[Tensor, "S c"]
     log_prior: Float[Tensor, "S K"]
     moments: PositionMoments  # S K T, in the own frames
@@ -74,15 +74,16 @@ class Trajectron(Predictor):
     """CVAE over controls, integrated through the dynamics of each agent.
 
     History LSTM per kind of agent, attention over the neighbors, discrete latent variable, GRU
-    decoder over controls, first-order propagation of covariances: single integrator for walkers,
-    `vehicle_dynamics` for vehicles, and for the ego the dynamics it is going to be controlled with.
-    Every agent is seen in its own frame, so that a turned scene gives the turned forecast. Source:
-    Salzmann et al., Trajectron++ (ECCV 2020); Karkus et al., DiffStack (CoRL 2022).
+    decoder over controls, first-order propagation of covariances: single integrator for
+    pedestrians, `vehicle_dynamics` for vehicles, and for the ego the dynamics it is going to be
+    controlled with. Every agent is seen in its own frame, so that a turned scene gives the turned
+    forecast. Source: Salzmann et al., Trajectron++ (ECCV 2020); Karkus et al., DiffStack (CoRL
+    2022).
 
     Args:
         ego_dynamics: Dynamics of the ego.
         vehicle_dynamics: Dynamics of all other vehicles.
-        walker_dynamics: Dynamics of those who walk.
+        pedestrian_dynamics: Dynamics of those who walk.
         horizon_steps: Number of predicted time steps T.
         components: Number K of components of the ego.
         neighbor_components: Number of components of each neighbor.
@@ -100,7 +101,7 @@ class Trajectron(Predictor):
         self,
         ego_dynamics: DynamicsModel,
         vehicle_dynamics: DynamicsModel,
-        walker_dynamics: DynamicsModel,
+        pedestrian_dynamics: DynamicsModel,
         horizon_steps: int = 30,
         components: int = 25,
         neighbor_components: int = 5,
@@ -110,14 +111,14 @@ class Trajectron(Predictor):
         jacobians: Jacobians = linearise,
     ) -> None:
         super().__init__(horizon_steps, ego_dynamics.dt_s)
-        models = {EGO: ego_dynamics, VEHICLE: vehicle_dynamics, WALKER: walker_dynamics}
+        models = {EGO: ego_dynamics, VEHICLE: vehicle_dynamics, PEDESTRIAN: pedestrian_dynamics}
         steps = [model.dt_s for model in models.values()]
         require(len(set(steps)) == 1, "dt_s", "be the same for all three dynamics", steps)
         sizes = sizes if sizes is not None else Sizes()
         self.annealing = (annealing if annealing is not None else Annealing()).checked()
         self.scene_encoder = SceneEncoder(sizes.history, sizes.edge, sizes.dropout)
         self.future_encoder = PerKind(
-            {kind: MaskedLSTM(TRACK_FEATURES, sizes.future) for kind in (VEHICLE, WALKER)},
+            {kind: MaskedLSTM(TRACK_FEATURES, sizes.future) for kind in (VEHICLE, PEDESTRIAN)},
             sizes.future,
         )
         self.components = max(components, neighbor_components)
@@ -143,7 +144,7 @@ class Trajectron(Predictor):
         """Forecast all agents, `*b 1+N`; an agent that is not observed now stays where it is."""
         agents = all_agents(past, neighbors)
         flat = scenes(agents)
-        parts = self._decoded(agent_rows(flat, self.dt_s), flat.mode.shape[1])
+        parts = self._decoded(agent_batch(flat, self.dt_s), flat.mode.shape[1])
         return self._forecast(agents, parts)
 
     def loss(self, batch: StackBatch) -> Float[Tensor, "*b"]:
@@ -174,7 +175,7 @@ class Trajectron(Predictor):
         """Decode the agents of a batch, and compute the loss of each sample."""
         agents = scenes(all_agents(batch.ego_past, batch.neighbors_past))
         futures = scenes(all_agents(batch.ego_future, batch.neighbors_future))
-        rows = agent_rows(agents, self.dt_s)
+        rows = agent_batch(agents, self.dt_s)
         future = in_own_frame(take_rows(futures, rows.index), rows.origin, rows.heading)
         parts = list(self._decoded(rows, agents.mode.shape[1]))
         loss = rows.origin.new_zeros(agents.mode.numel())
@@ -188,13 +189,13 @@ class Trajectron(Predictor):
         per_sample = per_agent.sum(-1) / judged.sum(-1).clamp_min(1)
         return parts, per_sample.reshape(batch.ego_past.mode.shape)
 
-    def _decoded(self, rows: AgentRows, agents: int) -> Iterator[Decoded]:
+    def _decoded(self, rows: AgentBatch, agents: int) -> Iterator[Decoded]:
         """Encode all rows at once, and decode them by their roles."""
         context = self.scene_encoder(rows, agents)
         for role, branch in enumerate(self.branches):
             place = (rows.role == role).nonzero().squeeze(-1)
             if len(place) > 0 and isinstance(branch, Branch):
-                chosen, seen = select_rows(rows, place), context[place]
+                chosen, seen = select_agents(rows, place), context[place]
                 moments = branch.decoder(seen, chosen)
                 yield Decoded(
                     place, chosen, seen, branch.latent.log_prior(seen), moments, branch.latent

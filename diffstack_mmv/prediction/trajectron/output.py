@@ -7,8 +7,8 @@ from torch import Tensor
 from diffstack_mmv.geometry import position_from_frame
 from diffstack_mmv.prediction.current import current_position
 from diffstack_mmv.prediction.gaussian import rotate_covariance, scale_from_covariance
+from diffstack_mmv.prediction.trajectron.agent_batch import AgentBatch
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
-from diffstack_mmv.prediction.trajectron.rows import AgentRows
 from diffstack_mmv.types import Forecast, Tracks, map_tensors
 
 ABSENT_LOG_WEIGHT = (
@@ -31,7 +31,7 @@ def nobody(agents: Tracks, components: int, steps: int) -> Forecast:
 
 
 def placed(
-    forecast: Forecast, rows: AgentRows, log_prior: Float[Tensor, "S K"], moments: PositionMoments
+    forecast: Forecast, rows: AgentBatch, log_prior: Float[Tensor, "S K"], moments: PositionMoments
 ) -> Forecast:
     """Replace the forecast of some agents by moments in their own frames.
 

@@ -5,6 +5,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from diffstack_mmv.checks import require_between
+from diffstack_mmv.prediction.trajectron.agent_batch import PEDESTRIAN, VEHICLE, AgentBatch
 from diffstack_mmv.prediction.trajectron.encoder import (
     SPEED_SCALE_MPS,
     TRACK_FEATURES,
@@ -13,7 +14,6 @@ from diffstack_mmv.prediction.trajectron.encoder import (
     track_features,
 )
 from diffstack_mmv.prediction.trajectron.interaction import Interaction
-from diffstack_mmv.prediction.trajectron.rows import VEHICLE, WALKER, AgentRows
 from diffstack_mmv.types import Mode
 
 MOTION_FEATURES = 4
@@ -35,12 +35,12 @@ class SceneEncoder(nn.Module):
         super().__init__()
         require_between("dropout", dropout, 0.0, 0.9)
         self.history = PerKind(
-            {kind: MaskedLSTM(TRACK_FEATURES, history) for kind in (VEHICLE, WALKER)}, history
+            {kind: MaskedLSTM(TRACK_FEATURES, history) for kind in (VEHICLE, PEDESTRIAN)}, history
         )
         self.interaction = Interaction(history, edge, dropout=dropout)
         self.outputs = history + edge + MOTION_FEATURES + len(Mode)
 
-    def forward(self, rows: AgentRows, agents: int) -> Float[Tensor, "R c"]:
+    def forward(self, rows: AgentBatch, agents: int) -> Float[Tensor, "R c"]:
         """Context of each row; `agents` is the number of agents per scene."""
         node = self.history(rows.kind, track_features(rows.past), rows.past.valid)
         around = self.interaction(rows, agents, node)

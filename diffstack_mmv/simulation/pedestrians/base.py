@@ -10,7 +10,7 @@ from diffstack_mmv.geometry import length
 
 
 class CrowdState(NamedTuple):
-    """The humans of a batch of episodes; lengths in m, speeds in m/s, world frame."""
+    """The pedestrians of a batch of episodes; lengths in m, speeds in m/s, world frame."""
 
     position: Float[Tensor, "*b h 2"]
     velocity: Float[Tensor, "*b h 2"]
@@ -23,8 +23,8 @@ class CrowdState(NamedTuple):
         return self._replace(position=self.position + velocity * dt_s, velocity=velocity)
 
 
-class Bystander(NamedTuple):
-    """A robot that the humans see; position in m, velocity in m/s, radius in m."""
+class VisibleRobot(NamedTuple):
+    """A robot that the pedestrians see; position in m, velocity in m/s, radius in m."""
 
     position: Float[Tensor, "*b 2"]
     velocity: Float[Tensor, "*b 2"]
@@ -33,10 +33,10 @@ class Bystander(NamedTuple):
 
 @runtime_checkable
 class Crowd(Protocol):
-    """A pedestrian model: all humans of all episodes choose their next velocity at once."""
+    """A pedestrian model: all pedestrians of all episodes choose their next velocity at once."""
 
     def __call__(
-        self, crowd: CrowdState, dt_s: float, bystander: Bystander | None = None
+        self, crowd: CrowdState, dt_s: float, robot: VisibleRobot | None = None
     ) -> Float[Tensor, "*b h 2"]:
         """Velocities in m/s that hold for the next `dt_s`, from the present state of everybody."""
         ...

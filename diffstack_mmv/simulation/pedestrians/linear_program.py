@@ -17,7 +17,7 @@ PARALLEL = 1e-5
 """Lines count as parallel where the determinant of their directions is at most this."""
 
 
-class Interval(NamedTuple):
+class LineInterval(NamedTuple):
     """Permitted part of each line, point + t direction with t from `left` to `right` in m/s."""
 
     left: Float[Tensor, "*b k"]
@@ -92,7 +92,7 @@ def furthest_velocity(
     return _walk(planes, interval, along, direction * max_speed[..., None])
 
 
-def feasible_interval(planes: HalfPlanes, max_speed: Float[Tensor, "*b"]) -> Interval:
+def feasible_interval(planes: HalfPlanes, max_speed: Float[Tensor, "*b"]) -> LineInterval:
     """Part of each line inside the speed disc and inside the half-planes before it.
 
     A comparison with NaN is false, so a degenerate half-plane restricts nothing.
@@ -123,12 +123,12 @@ def feasible_interval(planes: HalfPlanes, max_speed: Float[Tensor, "*b"]) -> Int
         lower = torch.where(usable & ~(denominator >= 0), crossing, -torch.inf).amax(dim=-1)
         left, right = torch.maximum(left, lower), torch.minimum(right, upper)
     shut_out = (earlier & parallel & (numerator < 0)).any(dim=-1)
-    return Interval(left, right, ~((discriminant < 0) | (left > right) | shut_out))
+    return LineInterval(left, right, ~((discriminant < 0) | (left > right) | shut_out))
 
 
 def _walk(
     planes: HalfPlanes,
-    interval: Interval,
+    interval: LineInterval,
     along: Float[Tensor, "*b k"],
     start: Float[Tensor, "*b 2"],
 ) -> Optimum:

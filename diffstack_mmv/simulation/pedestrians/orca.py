@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
-from diffstack_mmv.simulation.pedestrians.base import Bystander, CrowdState, towards
+from diffstack_mmv.simulation.pedestrians.base import CrowdState, VisibleRobot, towards
 from diffstack_mmv.simulation.pedestrians.half_planes import (
     Agents,
     HalfPlanes,
@@ -20,7 +20,7 @@ from diffstack_mmv.simulation.pedestrians.linear_program import safest_velocity
 
 @dataclass(frozen=True)
 class OrcaCrowd:
-    """Optimal reciprocal collision avoidance, vectorised over episodes x humans.
+    """Optimal reciprocal collision avoidance, vectorised over episodes x pedestrians.
 
     Computes in float32 with the rounding of the RVO2 library and reproduces it bit for bit. The
     velocities carry no gradient.
@@ -52,30 +52,30 @@ class OrcaCrowd:
         require_at_least("margin_m", self.margin_m, 0)
 
     def __call__(
-        self, crowd: CrowdState, dt_s: float, bystander: Bystander | None = None
+        self, crowd: CrowdState, dt_s: float, robot: VisibleRobot | None = None
     ) -> Float[Tensor, "*b h 2"]:
-        """Velocities of all humans for the next step.
+        """Velocities of all pedestrians for the next step.
 
         Args:
-            crowd: The humans of all episodes.
+            crowd: The pedestrians of all episodes.
             dt_s: Length of the step in s.
-            bystander: The robot, where the humans see it.
+            robot: The robot, where the pedestrians see it.
 
         Returns:
             Velocities in m/s in the precision of the positions; every value is a float32 number.
         """
         agents = _as_agents(crowd, towards(crowd.position, crowd.goal))
-        return self.velocity(agents, _everybody_else(crowd, bystander), dt_s)
+        return self.velocity(agents, _everybody_else(crowd, robot), dt_s)
 
     @torch.no_grad()
     def responses(
         self, crowd: CrowdState, goals: Float[Tensor, "*b h k 2"], dt_s: float
     ) -> Float[Tensor, "*b h k 2"]:
-        """What each human would do if it had another goal and all else were as it is.
+        """What each pedestrian would do if it had another goal and all else were as it is.
 
         Args:
-            crowd: The humans of all episodes, whose own goals do not matter.
-            goals: Goals in m to try for each human.
+            crowd: The pedestrians of all episodes, whose own goals do not matter.
+            goals: Goals in m to try for each pedestrian.
             dt_s: Length of the step in s.
 
         Returns:
@@ -128,7 +128,7 @@ class OrcaCrowd:
 
 
 def _as_agents(crowd: CrowdState, preferred: Float[Tensor, "..."]) -> Agents:
-    """The humans with these preferred velocities (m/s)."""
+    """The pedestrians with these preferred velocities (m/s)."""
     return Agents(
         position=crowd.position,
         velocity=crowd.velocity,
@@ -138,22 +138,24 @@ def _as_agents(crowd: CrowdState, preferred: Float[Tensor, "..."]) -> Agents:
     )
 
 
-def _everybody_else(crowd: CrowdState, bystander: Bystander | None) -> Neighbors:
-    """For each human the other ones in order of their index, then the bystander."""
-    humans = crowd.radius.shape[-1]
-    index = torch.arange(humans - 1, device=crowd.radius.device).expand(humans, humans - 1)
-    index = index + (index >= torch.arange(humans, device=index.device)[:, None])
+def _everybody_else(crowd: CrowdState, robot: VisibleRobot | None) -> Neighbors:
+    """For each pedestrian the other ones in order of their index, then the robot."""
+    pedestrians = crowd.radius.shape[-1]
+    index = torch.arange(pedestrians - 1, device=crowd.radius.device).expand(
+        pedestrians, pedestrians - 1
+    )
+    index = index + (index >= torch.arange(pedestrians, device=index.device)[:, None])
     position = crowd.position[..., index, :]
     velocity = crowd.velocity[..., index, :]
     radius = crowd.radius[..., index]
-    if bystander is not None:
+    if robot is not None:
         shape = radius.shape[:-1]
-        position = torch.cat((position, _for_all(bystander.position, (*shape, 1, 2))), dim=-2)
-        velocity = torch.cat((velocity, _for_all(bystander.velocity, (*shape, 1, 2))), dim=-2)
-        radius = torch.cat((radius, bystander.radius[..., None, None].expand(*shape, 1)), dim=-1)
+        position = torch.cat((position, _for_all(robot.position, (*shape, 1, 2))), dim=-2)
+        velocity = torch.cat((velocity, _for_all(robot.velocity, (*shape, 1, 2))), dim=-2)
+        radius = torch.cat((radius, robot.radius[..., None, None].expand(*shape, 1)), dim=-1)
     return Neighbors(position, velocity, radius, torch.ones_like(radius, dtype=torch.bool))
 
 
 def _for_all(vector: Float[Tensor, "*b 2"], shape: tuple[int, ...]) -> Float[Tensor, "..."]:
-    """Show one vector per episode to every human of it."""
+    """Show one vector per episode to every pedestrian of it."""
     return vector[..., None, None, :].expand(shape)

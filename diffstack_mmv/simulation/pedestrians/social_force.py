@@ -12,13 +12,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
-from diffstack_mmv.simulation.pedestrians.base import Bystander, CrowdState
+from diffstack_mmv.simulation.pedestrians.base import CrowdState, VisibleRobot
 
 PACKAGE = "pysocialforce"
 
 
 class _Agents(NamedTuple):
-    """All agents of one episode as the library wants them, the bystander last."""
+    """All agents of one episode as the library wants them, the robot last."""
 
     state: np.ndarray  # (a, 6): position, velocity, goal
     speed: np.ndarray  # (a,) preferred speed, m/s
@@ -41,7 +41,8 @@ class SocialForceCrowd:
 
     Source:
         Moussaïd et al., Experimental study of the behavioural mechanisms underlying
-        self-organization in human crowds (2009); forces and constants are those of the library.
+        self-organization in pedestrian crowds (2009); forces and constants are those of the
+        library.
     """
 
     max_step_s: float = 0.1
@@ -54,49 +55,49 @@ class SocialForceCrowd:
         _library()
 
     def __call__(
-        self, crowd: CrowdState, dt_s: float, bystander: Bystander | None = None
+        self, crowd: CrowdState, dt_s: float, robot: VisibleRobot | None = None
     ) -> Float[Tensor, "*b h 2"]:
-        """Mean velocities of all humans over the next step.
+        """Mean velocities of all pedestrians over the next step.
 
         Args:
-            crowd: The humans of all episodes.
+            crowd: The pedestrians of all episodes.
             dt_s: Length of the step in s.
-            bystander: The robot, where the humans see it.
+            robot: The robot, where the pedestrians see it.
 
         Returns:
             Velocities in m/s in the precision of the positions.
         """
-        humans = crowd.radius.shape[-1]
+        pedestrians = crowd.radius.shape[-1]
         state = torch.cat((crowd.position, crowd.velocity, crowd.goal), dim=-1)
         speed = crowd.preferred_speed
-        if bystander is not None:
-            ahead = bystander.position + bystander.velocity
-            robot = torch.cat((bystander.position, bystander.velocity, ahead), dim=-1)
-            state = torch.cat((state, robot[..., None, :]), dim=-2)
-            pace = bystander.velocity.norm(dim=-1, keepdim=True)
+        if robot is not None:
+            ahead = robot.position + robot.velocity
+            moving = torch.cat((robot.position, robot.velocity, ahead), dim=-1)
+            state = torch.cat((state, moving[..., None, :]), dim=-2)
+            pace = robot.velocity.norm(dim=-1, keepdim=True)
             speed = torch.cat((speed, pace), dim=-1)
         states = state.detach().cpu().double().reshape(-1, *state.shape[-2:]).numpy()
         speeds = speed.detach().cpu().double().reshape(-1, speed.shape[-1]).numpy()
         means = [
-            self._mean_velocity(_Agents(*agents), humans, dt_s)
+            self._mean_velocity(_Agents(*agents), pedestrians, dt_s)
             for agents in zip(states, speeds, strict=True)
         ]
         return torch.from_numpy(np.stack(means)).reshape(crowd.velocity.shape).to(crowd.velocity)
 
-    def _mean_velocity(self, agents: _Agents, humans: int, dt_s: float) -> np.ndarray:
-        """Move the agents of one episode for `dt_s`; the mean velocity of its humans in m/s."""
+    def _mean_velocity(self, agents: _Agents, pedestrians: int, dt_s: float) -> np.ndarray:
+        """Move the agents of one episode for `dt_s`; mean velocity of its pedestrians in m/s."""
         pieces = int(np.ceil(dt_s / self.max_step_s - 1e-9))
         step_s = dt_s / pieces
         state = agents.state.copy()
         for _ in range(pieces):
-            force = self._force(_Agents(state, agents.speed))[:humans]
-            wanted = state[:humans, 2:4] + step_s * force
+            force = self._force(_Agents(state, agents.speed))[:pedestrians]
+            wanted = state[:pedestrians, 2:4] + step_s * force
             pace = np.linalg.norm(wanted, axis=-1)
-            limit = self.speed_margin * agents.speed[:humans]
+            limit = self.speed_margin * agents.speed[:pedestrians]
             slower = limit / np.maximum(pace, limit)
-            state[:humans, 2:4] = wanted * slower[:, None]
+            state[:pedestrians, 2:4] = wanted * slower[:, None]
             state[:, :2] += step_s * state[:, 2:4]
-        return (state[:humans, :2] - agents.state[:humans, :2]) / dt_s
+        return (state[:pedestrians, :2] - agents.state[:pedestrians, :2]) / dt_s
 
     def _force(self, agents: _Agents) -> np.ndarray:
         """Force per mass in m/s² on every agent."""

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM, rollout
-from diffstack_mmv.dynamics.gm3 import PaperBrush, wheel_forces
+from diffstack_mmv.dynamics.gm3 import PaperBrush
 from diffstack_mmv.types import Motion
 from diffstack_mmv.vehicles import load_vehicle, vehicle_names
 
@@ -41,7 +41,7 @@ def random_inputs(count):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_tire_forces_stay_inside_the_friction_circle(name):
-    forces = wheel_forces(build(name), *random_inputs(5000))
+    forces = build(name).wheel_forces(*random_inputs(5000))
     used = torch.hypot(forces.force_x, forces.force_y)
     assert (used <= forces.friction_limit * (1 + 1e-9) + 1e-4).all()
 

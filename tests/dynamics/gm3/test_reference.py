@@ -11,7 +11,6 @@ from diffstack_mmv.dynamics.gm3 import (
     DiffGM3,
     PaperBrush,
     RungeKutta4,
-    wheel_forces,
 )
 from tests.dynamics.gm3.conftest import VEHICLES
 
@@ -34,7 +33,7 @@ def test_right_hand_side_matches_the_reference(vehicle, law, dtype, limit, refer
 @pytest.mark.parametrize("vehicle", VEHICLES)
 def test_wheel_forces_match_the_reference(vehicle, reference, sides):
     model = reference.model(vehicle)
-    found = wheel_forces(model, sides[f"{vehicle}_x"], sides[f"{vehicle}_u"])
+    found = model.wheel_forces(sides[f"{vehicle}_x"], sides[f"{vehicle}_u"])
     named = {"force_x": "Fx", "force_y": "Fy", "moment_z": "Mz", "normal_load": "Fz"}
     for ours, theirs in named.items():
         expected = sides[f"{vehicle}_{theirs}"]

@@ -4,17 +4,17 @@ import pytest
 import torch
 
 from diffstack_mmv.prediction.base import all_agents
+from diffstack_mmv.prediction.trajectron.agent_batch import agent_batch
 from diffstack_mmv.prediction.trajectron.interaction import (
     Interaction,
     gather_by_attention,
     neighboring_rows,
 )
-from diffstack_mmv.prediction.trajectron.rows import agent_rows
 from tests.prediction.samples import DT_S, scene
 
 
 def rows_of(batch):
-    return agent_rows(all_agents(batch.ego_past, batch.neighbors_past), DT_S)
+    return agent_batch(all_agents(batch.ego_past, batch.neighbors_past), DT_S)
 
 
 def far(batch, distance):

@@ -5,8 +5,7 @@ import torch
 from torch.autograd import gradcheck
 from torch.autograd.functional import jacobian
 
-from diffstack_mmv.dynamics import rollout
-from diffstack_mmv.prediction import SingleIntegrator
+from diffstack_mmv.dynamics import SingleIntegrator, rollout
 from diffstack_mmv.prediction.trajectron.mixture import (
     Linearisation,
     integrate,

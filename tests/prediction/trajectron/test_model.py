@@ -3,10 +3,10 @@
 import pytest
 import torch
 
+from diffstack_mmv.dynamics import SingleIntegrator
 from diffstack_mmv.prediction import (
     Annealing,
     ConstantTurnRateAcceleration,
-    SingleIntegrator,
     Trajectron,
     ego_forecast,
     neighbors_forecast,

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from diffstack_mmv.simulation import CircleCrossing, OrcaCrowd
-from diffstack_mmv.simulation.pedestrians import Bystander, CrowdState
+from diffstack_mmv.simulation.pedestrians import CrowdState, VisibleRobot
 
 RECORDINGS = [
     f"{scenario}_crossing_{size}"
@@ -21,7 +21,7 @@ RECORDINGS = [
 
 @pytest.fixture
 def crowd():
-    return CircleCrossing(humans=6).cases("test", range(4)).humans
+    return CircleCrossing(humans=6).cases("test", range(4)).pedestrians
 
 
 def follow(recorded, steps):
@@ -78,21 +78,21 @@ def test_any_leading_dimensions_are_taken(crowd):
 
 
 def test_a_human_alone_walks_straight_to_its_goal():
-    crowd = CircleCrossing(humans=1).case("test", 3).humans
+    crowd = CircleCrossing(humans=1).case("test", 3).pedestrians
     velocity = OrcaCrowd()(crowd, 0.25)
     way = crowd.goal - crowd.position
     assert torch.allclose(velocity, way / way.norm(dim=-1, keepdim=True), atol=1e-6)
 
 
-def test_humans_give_way_to_a_robot_that_they_see(crowd):
+def test_pedestrians_give_way_to_a_robot_that_they_see(crowd):
     place = crowd.position[:, 0] + 0.7
-    robot = Bystander(place, torch.zeros_like(place), torch.full((4,), 0.3, dtype=torch.float64))
+    robot = VisibleRobot(place, torch.zeros_like(place), torch.full((4,), 0.3, dtype=torch.float64))
     assert not torch.equal(OrcaCrowd()(crowd, 0.25, robot), OrcaCrowd()(crowd, 0.25))
 
 
 def test_a_robot_far_away_changes_nothing(crowd):
     place = torch.full((4, 2), 50.0, dtype=torch.float64)
-    robot = Bystander(place, torch.zeros_like(place), torch.full((4,), 0.3, dtype=torch.float64))
+    robot = VisibleRobot(place, torch.zeros_like(place), torch.full((4,), 0.3, dtype=torch.float64))
     assert torch.equal(OrcaCrowd()(crowd, 0.25, robot), OrcaCrowd()(crowd, 0.25))
 
 
@@ -102,7 +102,7 @@ def test_nobody_is_faster_than_preferred(crowd):
         assert (crowd.velocity.norm(dim=-1) <= 1 + 1e-6).all()
 
 
-def test_humans_keep_clear_of_each_other(crowd):
+def test_pedestrians_keep_clear_of_each_other(crowd):
     apart = torch.eye(6) * 9
     for _ in range(40):
         crowd = crowd.moved(OrcaCrowd()(crowd, 0.25), 0.25)

@@ -7,12 +7,12 @@ import pytest
 import torch
 
 from diffstack_mmv.simulation import CircleCrossing, SocialForceCrowd
-from diffstack_mmv.simulation.pedestrians import Bystander
+from diffstack_mmv.simulation.pedestrians import VisibleRobot
 
 
 @pytest.fixture
 def crowd():
-    return CircleCrossing(humans=3).cases("test", range(2)).humans
+    return CircleCrossing(humans=3).cases("test", range(2)).pedestrians
 
 
 def test_a_missing_library_is_named_with_its_remedy(monkeypatch):
@@ -25,7 +25,7 @@ def test_a_missing_library_is_named_with_its_remedy(monkeypatch):
 
 
 @pytest.mark.slow
-def test_humans_reach_their_goals_without_a_robot(crowd):
+def test_pedestrians_reach_their_goals_without_a_robot(crowd):
     pytest.importorskip("pysocialforce")
     model = SocialForceCrowd()
     for _ in range(60):
@@ -34,10 +34,10 @@ def test_humans_reach_their_goals_without_a_robot(crowd):
 
 
 @pytest.mark.slow
-def test_humans_are_pushed_by_a_robot_that_they_see(crowd):
+def test_pedestrians_are_pushed_by_a_robot_that_they_see(crowd):
     pytest.importorskip("pysocialforce")
     place = crowd.position[:, 0] * 0.8
-    robot = Bystander(place, torch.zeros_like(place), torch.full((2,), 0.3, dtype=torch.float64))
+    robot = VisibleRobot(place, torch.zeros_like(place), torch.full((2,), 0.3, dtype=torch.float64))
     change = SocialForceCrowd()(crowd, 0.25, robot) - SocialForceCrowd()(crowd, 0.25)
     assert (change[:, 0].norm(dim=-1) > 0.01).all()
 

@@ -1,0 +1,51 @@
+"""Reading of csv files whose columns are numbers."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from data_converters.errors import RejectReason, refuse_track
+
+
+def read_numbers(source: Path | io.BytesIO, columns: Sequence[str], where: object) -> pd.DataFrame:
+    """Columns of a csv file as numbers; text where a number should be becomes NaN.
+
+    Args:
+        source: The file or its content.
+        columns: What to read, in this order; the first is the clock.
+        where: The file, for messages.
+
+    Returns:
+        One row per line, float64.
+
+    Raises:
+        TrackError: If it is no table or lacks a column.
+    """
+    remedy = "Copy the file again."
+    try:
+        table = _read(source, columns)
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+        reason = RejectReason.MISSING_FIELD
+        refuse_track(reason, "file", "be a csv table", error, where, remedy)
+    missing = [column for column in columns if column not in table.columns]
+    if missing:
+        reason = RejectReason.NO_TIMESTAMPS if columns[0] in missing else RejectReason.MISSING_FIELD
+        found = list(table.columns)
+        refuse_track(reason, "columns", f"contain {missing}", found, where, remedy)
+    numbers = {column: pd.to_numeric(table[column], errors="coerce") for column in columns}
+    return pd.DataFrame(numbers).astype(np.float64)
+
+
+def _read(source: Path | io.BytesIO, columns: Sequence[str]) -> pd.DataFrame:
+    """The table of a file; slower, and all of it, where a number is missing."""
+    try:
+        return pd.read_csv(source, usecols=tuple(columns).__contains__, dtype=np.float64)
+    except ValueError:
+        if isinstance(source, io.BytesIO):
+            source.seek(0)
+        return pd.read_csv(source)

@@ -1,0 +1,116 @@
+"""Forms of the curvature λ · ∂²f that the iterations see; a gradient has it exactly in any case."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from diffstack_mmv.control.chunked import Chunked, pull
+from diffstack_mmv.control.expansion import (
+    Model,
+    assemble,
+    expand,
+    expand_by_differences,
+    value_along,
+)
+from diffstack_mmv.control.optimizer import Cost, Dynamics
+
+
+@runtime_checkable
+class LocalModel(Protocol):
+    """Expands a problem around trajectories; `near` marks the problems close to their solution."""
+
+    def __call__(
+        self,
+        dynamics: Dynamics,
+        cost: Cost,
+        like: Float[Tensor, "*b"],
+        x: Float[Tensor, "T1 n N"],
+        u: Float[Tensor, "T m N"],
+        near: Bool[Tensor, " N"],
+    ) -> Model:
+        """Local model of every problem."""
+        ...
+
+
+@runtime_checkable
+class KernelFactory(Protocol):
+    """Makes a kernel of a function of module level."""
+
+    def __call__(
+        self, function: Callable[..., Any], fixed_shapes: bool = False
+    ) -> Callable[..., Any]:
+        """The function, or a compiled form of it; `fixed_shapes` if they are always the same."""
+        ...
+
+
+@runtime_checkable
+class CurvatureForm(Protocol):
+    """How the iterations come by the curvature of the dynamics."""
+
+    def local_model(self, shared: bool, kernel: KernelFactory) -> LocalModel:
+        """The expansion made of kernels; `shared` if all problems have the same dynamics."""
+        ...
+
+    def completed(
+        self,
+        model: Model,
+        dynamics: Dynamics,
+        cost: Cost,
+        like: Float[Tensor, "*b"],
+        x: Float[Tensor, "T1 n N"],
+        u: Float[Tensor, "T m N"],
+    ) -> Model:
+        """A model that was asked for with no problem near its solution, with the exact Hessian."""
+        ...
+
+
+@dataclass(frozen=True)
+class ExactCurvature:
+    """The dynamics are differentiated twice, at every iteration."""
+
+    def local_model(self, shared: bool, kernel: KernelFactory) -> LocalModel:
+        """One kernel."""
+        return kernel(expand)
+
+    def completed(
+        self,
+        model: Model,
+        dynamics: Dynamics,
+        cost: Cost,
+        like: Float[Tensor, "*b"],
+        x: Float[Tensor, "T1 n N"],
+        u: Float[Tensor, "T m N"],
+    ) -> Model:
+        """The model as it is."""
+        return model
+
+
+@dataclass(frozen=True)
+class DifferencedCurvature:
+    """The exact gradient is differenced, and not before a problem is near its solution.
+
+    Less work and smaller graphs for large models such as DiffGM3.
+    """
+
+    def local_model(self, shared: bool, kernel: KernelFactory) -> LocalModel:
+        """One kernel, or for shared dynamics kernels that see chunks of one size."""
+        if shared:
+            return Chunked(kernel(pull, fixed_shapes=True), kernel(value_along), kernel(assemble))
+        return kernel(expand_by_differences)
+
+    def completed(
+        self,
+        model: Model,
+        dynamics: Dynamics,
+        cost: Cost,
+        like: Float[Tensor, "*b"],
+        x: Float[Tensor, "T1 n N"],
+        u: Float[Tensor, "T m N"],
+    ) -> Model:
+        """A new model: this one has no curvature of the dynamics."""
+        with torch.no_grad():
+            return expand(dynamics, cost, like, x, u)

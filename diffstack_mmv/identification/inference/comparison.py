@@ -1,0 +1,79 @@
+"""Several models identified and validated on the same segments."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.identification.inference.identification_problem import IdentificationProblem
+from diffstack_mmv.identification.inference.identifier import Identification, Identifier
+from diffstack_mmv.identification.inference.validation import (
+    ValidationErrors,
+    concatenate_errors,
+    validation_errors,
+)
+from diffstack_mmv.identification.shooting.settings import TrackingSettings
+from diffstack_mmv.identification.tracks.splitting import DataSplit
+from diffstack_mmv.vehicles import VehicleSpec
+
+ModelBuilder = Callable[[], DynamicsModel]
+
+
+class ModelResult(NamedTuple):
+    """A model with its tracks, its identification, and its errors on held-out segments."""
+
+    problem: IdentificationProblem
+    identification: Identification
+    validation: ValidationErrors
+
+
+@dataclass(frozen=True)
+class ModelComparison:
+    """Identifies and validates models on the same segments, one per call.
+
+    Args:
+        spec: The vehicle.
+        split: Segments to fit and to hold out.
+        settings: Noise and regularisation, the same for every model.
+        identifier: What identifies.
+        prediction_steps: How many samples at the end of a segment are predicted.
+        folds: Splits to validate on in turn; on `split` alone if there are none.
+    """
+
+    spec: VehicleSpec
+    split: DataSplit
+    settings: TrackingSettings
+    identifier: Identifier
+    prediction_steps: int = 10
+    folds: Sequence[DataSplit] = ()
+
+    def __call__(self, build: ModelBuilder, parameters: Sequence[str] | None = None) -> ModelResult:
+        """Identify a model on the split, and validate it on what is held out.
+
+        Args:
+            build: Builds the model anew.
+            parameters: Names of the parameters to learn; all learnable ones by default.
+
+        Raises:
+            ValueError: A held-out segment is too short, a name is unknown, or a physical model has
+                nothing to learn.
+        """
+        identified = self._identified(build, parameters, self.split, self.identifier)
+        # other optima are searched for once: they widen deviations, and hardly change errors
+        once = replace(self.identifier, starts=0)
+        folds = [self._identified(build, parameters, fold, once) for fold in self.folds]
+        errors = [
+            validation_errors(*part, self.identifier, self.prediction_steps)
+            for part in folds or [identified]
+        ]
+        return ModelResult(*identified, concatenate_errors(errors))
+
+    def _identified(
+        self,
+        build: ModelBuilder,
+        parameters: Sequence[str] | None,
+        split: DataSplit,
+        identifier: Identifier,
+    ) -> tuple[IdentificationProblem, Identification]:
+        problem = IdentificationProblem.of(build(), self.spec, split, self.settings, parameters)
+        return problem, identifier(problem.simulator, problem.data)

@@ -1,0 +1,182 @@
+"""From tracks to calibrated parameters: track, find what is informed, fit, search other optima."""
+
+import logging
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_at_least
+from diffstack_mmv.identification.inference.optima import (
+    LocalOptimum,
+    analyse_optimum,
+    combined_sensitivity,
+    is_same_optimum,
+    posterior_shares,
+    sobol_starts,
+)
+from diffstack_mmv.identification.inference.sensitivity import (
+    Identifiability,
+    IdentifiabilityThresholds,
+    Sensitivity,
+)
+from diffstack_mmv.identification.shooting.fit import (
+    EstimationData,
+    FitMethod,
+    ParameterFit,
+    significantly_worse,
+    total_cost,
+    with_parameters,
+)
+from diffstack_mmv.identification.shooting.linearisation import TrackSimulator
+from diffstack_mmv.identification.shooting.multiple_shooting import MultipleShooting
+from diffstack_mmv.identification.shooting.tracking import LevenbergMarquardt, infer_controls
+
+logger = logging.getLogger(__name__)
+
+
+class Identification(NamedTuple):
+    """Result of an identification."""
+
+    before: ParameterFit
+    after: ParameterFit
+    active: Bool[Tensor, " p"]  # which entries of θ were fitted
+    prior_sensitivity: Sensitivity
+    sensitivity: Sensitivity
+    identifiability: tuple[Identifiability, ...]
+    noise_factor: float  # deviation of the residuals over the assumed one
+    optima: tuple[LocalOptimum, ...]  # the estimate, then others that explain the tracks
+
+
+@dataclass(frozen=True)
+class Identifier:
+    """Identifies the parameters of a vehicle from tracks.
+
+    Args:
+        method: Algorithm that fits θ.
+        tracking: Solver that infers controls for a known vehicle.
+        thresholds: When a parameter counts as informed.
+        starts: Number of further starts, spread over the prior, that search for other optima.
+        search: Algorithm that fits θ from them.
+
+    Raises:
+        ValueError: The number of starts is negative.
+    """
+
+    method: FitMethod = field(default_factory=MultipleShooting)
+    tracking: LevenbergMarquardt = LevenbergMarquardt(60)
+    thresholds: IdentifiabilityThresholds = IdentifiabilityThresholds()
+    starts: int = 8
+    search: FitMethod = field(default_factory=MultipleShooting)
+
+    def __post_init__(self) -> None:
+        require_at_least("starts", self.starts, 0)
+
+    @torch.no_grad()
+    def __call__(self, simulator: TrackSimulator, data: EstimationData) -> Identification:
+        """Track with the prior, fit what the tracks inform, and compute its uncertainty.
+
+        The uncertainty is that of the optimum, widened by others that explain the tracks as well.
+
+        Args:
+            simulator: Model, residuals and learned parameters.
+            data: Tracks to fit and tracks to judge by.
+        """
+        theta = simulator.parameters.start()
+        before = self._tracked(simulator, data, theta, None)
+        logger.info("Tracked with the prior: cost %.3f", float(before.fitted.simulated.cost.sum()))
+        prior = analyse_optimum(simulator, data.fitted, before).sensitivity
+        informed = prior.conditional_ratio <= self.thresholds.informed
+        active = torch.zeros_like(informed)
+        best = analyse_optimum(simulator, data.fitted, before, active)
+        while not torch.equal(active, informed):
+            # what the tracks do not inform returns to its prior; the rest is fitted again
+            active = informed
+            fit = self._fitted(self.method, simulator, data, before, active)
+            best = analyse_optimum(simulator, data.fitted, fit, active)
+            ratio = best.sensitivity.conditional_ratio
+            informed = active & (ratio <= self.thresholds.informed)
+        optima = self._optima(simulator, data, best, active)
+        after, posterior = optima[0].fit, combined_sensitivity(optima, simulator.parameters)
+        values = simulator.parameters.values(after.theta)
+        identifiability = tuple(
+            verdict if fitted else Identifiability.NOT_IDENTIFIABLE
+            for verdict, fitted in zip(
+                posterior.classify(values, self.thresholds), active.tolist(), strict=True
+            )
+        )
+        factor = optima[0].noise_factor
+        return Identification(
+            before, after, active, prior, posterior, identifiability, factor, optima
+        )
+
+    def _optima(
+        self,
+        simulator: TrackSimulator,
+        data: EstimationData,
+        first: LocalOptimum,
+        active: Bool[Tensor, " p"],
+    ) -> tuple[LocalOptimum, ...]:
+        """All optima that are found, that of the largest posterior mass first."""
+        found = [first]
+        if not bool(active.any()):
+            return (first,)
+        for theta in sobol_starts(simulator.parameters, self.starts):
+            start = torch.where(active, theta, first.fit.theta)
+            before = self._from(simulator, data, first.fit, start)
+            fit = self._fitted(self.search, simulator, data, before, active)
+            other = analyse_optimum(simulator, data.fitted, fit, active)
+            known = any(is_same_optimum(each, other, simulator.parameters) for each in found)
+            if not known and not significantly_worse(fit, first.fit):
+                found.append(other)
+                logger.info("Another optimum: cost %.3f", total_cost(simulator, fit))
+        best = found[int(posterior_shares(found).argmax())]
+        if best is first:
+            return tuple(found)
+        fit = self._fitted(self.method, simulator, data, best.fit, active)
+        others = [each for each in found if each is not best]
+        return (analyse_optimum(simulator, data.fitted, fit, active), *others)
+
+    def _from(
+        self,
+        simulator: TrackSimulator,
+        data: EstimationData,
+        fit: ParameterFit,
+        theta: Float[Tensor, " p"],
+    ) -> ParameterFit:
+        """A fit that starts at another θ."""
+        start = with_parameters(simulator, data, fit, theta)
+        heldout = infer_controls(
+            simulator, theta, data.heldout, fit.heldout.unknowns, self.tracking
+        )
+        return start._replace(heldout=heldout)
+
+    def _fitted(
+        self,
+        method: FitMethod,
+        simulator: TrackSimulator,
+        data: EstimationData,
+        before: ParameterFit,
+        active: Bool[Tensor, " p"],
+    ) -> ParameterFit:
+        """Fit the active entries of θ, if any, and track again with the result."""
+        if not bool(active.any()):
+            return before
+        found = method(simulator, data, before, active)
+        return self._tracked(simulator, data, found.theta, found)
+
+    def _tracked(
+        self,
+        simulator: TrackSimulator,
+        data: EstimationData,
+        theta: Float[Tensor, " p"],
+        start: ParameterFit | None,
+    ) -> ParameterFit:
+        """Controls of all tracks at θ."""
+        guess = data.fitted.guess if start is None else start.fitted.unknowns
+        fitted = infer_controls(simulator, theta, data.fitted, guess, self.tracking)
+        guess = data.heldout.guess if start is None else start.heldout.unknowns
+        heldout = infer_controls(simulator, theta, data.heldout, guess, self.tracking)
+        return ParameterFit(theta, fitted, heldout, () if start is None else start.history)

@@ -1,0 +1,125 @@
+"""Local optima of a fit, their posterior masses, and the uncertainty of all together.
+
+Tyres act on a path mostly by their cornering stiffness 2 c_p ℓ², so a stiff short contact and a
+soft long one may explain tracks equally well: the posterior has several modes. A single fit,
+however good, knows the width of its mode only. Fits from starts all over the prior
+find the others, and with the posterior mass w_k of each by Laplace's approximation
+
+    ln w_k = -J_k - ½ Σ ln|H_i| + ½ ln|Σ_k| + const,    σ² = Σ w_k (σ_k² + (v_k - v)²)
+
+is the mean square error of the best estimate v.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from diffstack_mmv.identification.inference.sensitivity import Sensitivity, sensitivity
+from diffstack_mmv.identification.shooting.fit import ParameterFit, total_cost
+from diffstack_mmv.identification.shooting.linearisation import TrackSimulator, normal_equations
+from diffstack_mmv.identification.shooting.parameters import ParameterVector
+from diffstack_mmv.identification.shooting.problem import TrackingProblem
+
+MAX_DEVIATIONS = 1.9  # prior deviations: the range ends at two
+DISTINCT = 0.5  # standard deviations between two different optima
+
+
+class LocalOptimum(NamedTuple):
+    """A fit with its sensitivity and its posterior mass."""
+
+    fit: ParameterFit
+    sensitivity: Sensitivity
+    noise_factor: float  # deviation of the residuals over the assumed one
+    cost: float  # of the tracks and the prior
+    log_volume: float  # of the posterior mode, up to a constant
+
+
+def analyse_optimum(
+    simulator: TrackSimulator,
+    problem: TrackingProblem,
+    fit: ParameterFit,
+    active: Bool[Tensor, " p"] | None = None,
+) -> LocalOptimum:
+    """Sensitivity and posterior mass at a fit; noise above the assumed one reduces the information.
+
+    Args:
+        simulator: Model and residuals.
+        problem: The fitted tracks.
+        fit: The fit, tracks without gaps.
+        active: Which values were fitted, all by default.
+    """
+    unknowns, simulated, _ = fit.fitted
+    jacobian = simulator.jacobian(fit.theta, problem, unknowns, simulated)
+    system = normal_equations(jacobian, simulated.residual, unknowns)
+    factor = torch.linalg.cholesky(system.local)
+    noise = _noise_factor(problem, simulated.residual, factor)
+    found = sensitivity(system, simulator.parameters, fit.theta, max(noise, 1.0), active)
+    scale = simulator.parameters.prior.std
+    spread = found.covariance / (scale * scale.unsqueeze(-1))
+    volume = 0.5 * torch.logdet(spread) - factor.diagonal(dim1=-2, dim2=-1).log().sum()
+    return LocalOptimum(fit, found, noise, total_cost(simulator, fit), float(volume))
+
+
+def _noise_factor(
+    problem: TrackingProblem, residual: Float[Tensor, "N T1 k"], factor: Float[Tensor, "N z z"]
+) -> float:
+    """Root mean square residual of the recorded numbers over the assumed standard deviation.
+
+    Fitted unknowns take degrees of freedom as far as the tracks, not their priors, determine them:
+    tr H⁻¹ (H - 1) of each track, with the Cholesky factor of H.
+    """
+    measurements = problem.measurements
+    recorded = 2 * measurements.weight.sum() + (measurements.control_weight > 0).sum()
+    inverse = torch.cholesky_inverse(factor)
+    taken = factor.shape[-1] - inverse.diagonal(dim1=-2, dim2=-1).sum(-1)
+    freedom = max(float(recorded - taken.sum()), 1.0)
+    return math.sqrt(float(residual.square().sum()) / freedom)
+
+
+def posterior_shares(optima: Sequence[LocalOptimum]) -> Float[Tensor, " k"]:
+    """Posterior mass of each optimum, under the noise that fits the best of them."""
+    excess = max(min(each.noise_factor for each in optima), 1.0)
+    logs = [each.log_volume - each.cost / excess**2 for each in optima]
+    return torch.softmax(torch.tensor(logs, dtype=torch.float64), 0)
+
+
+def mixture_variance(
+    optima: Sequence[LocalOptimum], values: Float[Tensor, "k q"], variances: Float[Tensor, "k q"]
+) -> Float[Tensor, " q"]:
+    """Mean square error of the first of some values, given their variances at each optimum."""
+    weights = posterior_shares(optima).to(values).unsqueeze(-1)
+    return (weights * (variances + (values - values[0]).square())).sum(0)
+
+
+def combined_sensitivity(
+    optima: Sequence[LocalOptimum], parameters: ParameterVector
+) -> Sensitivity:
+    """Sensitivity of the first optimum, with deviations that the others widen up to the prior's.
+
+    Information, covariance and directions remain those of the first: they belong to a point.
+    """
+    first = optima[0].sensitivity
+    values = torch.stack([parameters.values(each.fit.theta) for each in optima])
+    variances = torch.stack([each.sensitivity.std.square() for each in optima])
+    prior = parameters.prior.std
+    std = mixture_variance(optima, values, variances).sqrt().clamp(first.std, prior)
+    return first._replace(std=std, marginal_ratio=std / prior)
+
+
+def is_same_optimum(one: LocalOptimum, other: LocalOptimum, parameters: ParameterVector) -> bool:
+    """Whether two optima are the same within their accuracy."""
+    apart = parameters.values(one.fit.theta) - parameters.values(other.fit.theta)
+    return bool((apart.abs() <= DISTINCT * one.sensitivity.std).all())
+
+
+def sobol_starts(parameters: ParameterVector, count: int) -> Float[Tensor, "count p"]:
+    """θ spread over the prior by a Sobol sequence, the same in every call."""
+    engine = torch.quasirandom.SobolEngine(max(len(parameters), 1), scramble=True, seed=0)
+    # an engine cannot draw zero points
+    uniform = engine.draw(max(count, 1), dtype=parameters.middle.dtype)[:count, : len(parameters)]
+    deviations = torch.special.ndtri(uniform).clamp(-MAX_DEVIATIONS, MAX_DEVIATIONS)
+    return parameters.theta_for(parameters.prior.mean + deviations * parameters.prior.std)

@@ -1,0 +1,140 @@
+"""A whole identification: from recordings to identified and compared models."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from diffstack_mmv.checks import require
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.identification.inference.assumptions import TrackingAssumptions
+from diffstack_mmv.identification.inference.comparison import (
+    ModelBuilder,
+    ModelComparison,
+    ModelResult,
+)
+from diffstack_mmv.identification.inference.identification_problem import FittedMotion
+from diffstack_mmv.identification.inference.identifier import Identifier
+from diffstack_mmv.identification.inference.profile_likelihood import (
+    ProfileLikelihood,
+    profile_likelihoods,
+)
+from diffstack_mmv.identification.shooting.settings import TrackingSettings
+from diffstack_mmv.identification.tracks.cutting import Recordings, SegmentSettings, cut_tracks
+from diffstack_mmv.identification.tracks.selection import ExcitationSelection, SegmentSelection
+from diffstack_mmv.identification.tracks.splitting import (
+    DataSplit,
+    cross_validation_splits,
+    split_segments,
+)
+from diffstack_mmv.vehicles import VehicleSpec
+
+logger = logging.getLogger(__name__)
+
+
+class StudyResult(NamedTuple):
+    """What a study found; the first of the models is the one to identify."""
+
+    models: Mapping[str, ModelResult]
+    split: DataSplit
+    settings: TrackingSettings
+    profiles: Mapping[str, ProfileLikelihood]
+
+    @property
+    def identified(self) -> ModelResult:
+        """The model to identify."""
+        return next(iter(self.models.values()))
+
+    def motions(self) -> list[FittedMotion]:
+        """The fitted segments with the motions of the identified model."""
+        problem, found, _ = self.identified
+        return problem.fitted_motions(found)
+
+    def calibrated(self, spec: VehicleSpec, source: str) -> VehicleSpec:
+        """The vehicle with the estimates in the place of its priors.
+
+        Args:
+            spec: The vehicle.
+            source: Where the new numbers come from.
+        """
+        problem, found, _ = self.identified
+        return problem.calibrated(spec, found, source)
+
+
+@dataclass(frozen=True)
+class IdentificationStudy:
+    """Identifies a model on segments of recorded tracks, and compares it with others.
+
+    Args:
+        spec: The vehicle.
+        assumptions: Noise and regularisation, the same for every model.
+        identifier: What identifies.
+        segments: How tracks are cut.
+        selection: Which segments to prefer.
+        tracks: Number of segments to fit, at most.
+        heldout: Number of segments to hold out, at most.
+        seed: Of the random numbers.
+        dt_s: Step of the tracks.
+        folds: Number of folds of a cross-validation of all segments; none for 0.
+        prediction_s: The end of a held-out segment that is predicted.
+        parameters: Names of the parameters to learn; all learnable ones by default.
+        profile: Names of the parameters whose profile likelihood is computed.
+    """
+
+    spec: VehicleSpec
+    assumptions: TrackingAssumptions
+    identifier: Identifier = field(default_factory=Identifier)
+    segments: SegmentSettings = SegmentSettings()
+    selection: SegmentSelection = ExcitationSelection()
+    tracks: int = 30
+    heldout: int = 10
+    seed: int = 0
+    dt_s: float = 0.1
+    folds: int = 0
+    prediction_s: float = 1.0
+    parameters: Sequence[str] | None = None
+    profile: Sequence[str] = ()
+
+    def __call__(self, recordings: Recordings, models: Mapping[str, ModelBuilder]) -> StudyResult:
+        """Identify the first model, then the others, on the same segments.
+
+        Args:
+            recordings: The tracks.
+            models: What builds each model, by its name.
+
+        Raises:
+            ValueError: The recorded controls are not those of the first model, the tracks do not
+                hold enough segments, or a name of a parameter is unknown.
+        """
+        (name, build), *others = models.items()
+        self._require_controls(build())
+        segments = cut_tracks(recordings, self.segments)
+        split = split_segments(segments, self.selection, self.tracks, self.heldout, self.seed)
+        settings = self.assumptions.settings(recordings, self.spec, split.fitted, self.dt_s)
+        folds = cross_validation_splits(split, self.folds, self.seed) if self.folds else ()
+        steps = round(self.prediction_s / self.dt_s)
+        compare = ModelComparison(self.spec, split, settings, self.identifier, steps, folds)
+        results = {name: compare(build, self.parameters)}
+        results |= {
+            other: compare(builder) for other, builder in others if self._comparable(builder())
+        }
+        problem, found, _ = results[name]
+        method = self.identifier.method
+        profiles = profile_likelihoods(problem.simulator, problem.data, found, method, self.profile)
+        return StudyResult(results, split, settings, profiles)
+
+    def _require_controls(self, model: DynamicsModel) -> None:
+        """Refuse recorded controls that are not those of the model."""
+        own, known = model.Control._fields, tuple(self.assumptions.controls or ())
+        expected = f"name {', '.join(own)} in this order"
+        require(not known or own == known, "controls", expected, ", ".join(known))
+
+    def _comparable(self, model: DynamicsModel) -> bool:
+        """Whether the recorded controls, if there are any, are those of a model."""
+        own, known = model.Control._fields, tuple(self.assumptions.controls or ())
+        if not known or own == known:
+            return True
+        logger.warning(
+            "%s is not compared: its controls %s were not recorded", type(model).__name__, own
+        )
+        return False

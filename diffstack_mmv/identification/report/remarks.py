@@ -1,0 +1,152 @@
+"""What an identification says and does not say, in sentences."""
+
+from collections.abc import Mapping
+
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.identification.inference.excitation import Excitation
+from diffstack_mmv.identification.inference.identifier import Identification
+from diffstack_mmv.identification.inference.optima import posterior_shares
+from diffstack_mmv.identification.inference.sensitivity import Identifiability, describe_direction
+from diffstack_mmv.identification.shooting.linearisation import TrackSimulator
+from diffstack_mmv.identification.shooting.settings import TrackingSettings
+
+NEAR_THE_LIMIT = 0.6  # of the adhesion limit: above, friction shapes the path
+MISFIT = 1.25  # residuals over assumed noise
+LARGE_INFLUENCE = 0.5  # prior deviations
+AT_THE_EDGE = 0.01  # of the range
+NOTEWORTHY = 0.05  # share of the posterior of an optimum that gets a remark
+WEAKEST = 3  # directions that get a remark
+
+
+def all_remarks(
+    simulator: TrackSimulator,
+    found: Identification,
+    demands: Excitation,
+    influence: Mapping[str, Float[Tensor, " p"]],
+) -> list[str]:
+    """All remarks on an identification.
+
+    Args:
+        simulator: Model and residuals.
+        found: The identification.
+        demands: How hard the tracks work the vehicle.
+        influence: Change of the estimates by the doubled deviation of each assumption.
+    """
+    if not simulator.parameters.names:
+        return ["The model has no learnable parameter: the tracks were only tracked."]
+    return [
+        *unobservable_parameters(simulator, found, demands),
+        *information_directions(simulator, found),
+        *other_optima(simulator, found),
+        *dependence_on_assumptions(simulator, influence),
+        *misfit(found),
+        *estimates_at_the_edge(simulator, found),
+    ]
+
+
+def unobservable_parameters(
+    simulator: TrackSimulator, found: Identification, demands: Excitation
+) -> list[str]:
+    """Parameters that the tracks say nothing about, with the reason."""
+    silent = {
+        name.split(".")[0]
+        for name, verdict in zip(simulator.parameters.names, found.identifiability, strict=True)
+        if verdict is Identifiability.NOT_IDENTIFIABLE
+    }
+    reasons = _reasons(simulator.vehicle.settings, demands)
+    usual = "its effect on the paths is lost in noise and free steering"
+    return [
+        f"{name} is not observable in these tracks: {reasons.get(name, usual)}; "
+        "it stays at its prior."
+        for name in sorted(silent)
+    ]
+
+
+def _reasons(settings: TrackingSettings, demands: Excitation) -> dict[str, str]:
+    """Why a parameter may not be observable, by its name."""
+    free = settings.steer_rate_radps is None and settings.control_noise is None
+    adhesion = f"{100 * demands.adhesion:.0f} % of the adhesion limit"
+    return {
+        "friction": f"the tyres are never asked for more than {adhesion}"
+        if demands.adhesion < NEAR_THE_LIMIT
+        else "a rider whose controls are unknown may simply have asked for less",
+        "wheelbase": "steering was not recorded and is free, so every wheelbase gives the same path"
+        if free
+        else "the steering prior is too wide for it",
+        "roll_inertia": "lean moves the path by less than the noise",
+        "roll_damping": "lean moves the path by less than the noise",
+        "yaw_inertia": "the yaw follows the steering faster than the tracks are sampled",
+    }
+
+
+def information_directions(simulator: TrackSimulator, found: Identification) -> list[str]:
+    """The least informed directions in the space of the parameters, and the best informed one."""
+    names, directions = simulator.parameters.names, found.sensitivity.directions
+    weak = [
+        f"Weak direction ({each.eigenvalue:.2g} of the prior's information): "
+        f"{describe_direction(each, names)}."
+        for each in directions[-WEAKEST:]
+    ]
+    best = directions[0]
+    strong = (
+        f"Best informed direction ({best.eigenvalue:.3g} times the prior's information): "
+        f"{describe_direction(best, names)}."
+    )
+    return [*weak, strong]
+
+
+def other_optima(simulator: TrackSimulator, found: Identification) -> list[str]:
+    """Other values that explain the tracks about as well."""
+    parameters = simulator.parameters
+    best, *others = [parameters.values(each.fit.theta) for each in found.optima]
+    shares = posterior_shares(found.optima).tolist()[1:]
+    std = found.optima[0].sensitivity.std
+    remarks = []
+    for share, values in zip(shares, others, strict=True):
+        differs = ((values - best).abs() > std).tolist()
+        named = zip(parameters.names, values.tolist(), differs, strict=True)
+        differing = [f"{name} {value:.3g}" for name, value, apart in named if apart]
+        if share >= NOTEWORTHY:
+            remarks.append(
+                f"Another optimum holds {100 * share:.0f} % of the posterior: "
+                f"{', '.join(differing)}. The deviations include it."
+            )
+    return remarks
+
+
+def dependence_on_assumptions(
+    simulator: TrackSimulator, influence: Mapping[str, Float[Tensor, " p"]]
+) -> list[str]:
+    """Estimates that owe more to assumptions than to tracks."""
+    return [
+        f"The estimate of {name} depends on the assumed `{setting}`: doubling it would move the "
+        f"estimate by {change:+.1f} prior deviations. Do not trust it."
+        for setting, changes in influence.items()
+        for name, change in zip(simulator.parameters.names, changes.tolist(), strict=True)
+        if abs(change) > LARGE_INFLUENCE
+    ]
+
+
+def misfit(found: Identification) -> list[str]:
+    """Residuals above the assumed noise."""
+    if found.noise_factor <= MISFIT:
+        return []
+    return [
+        f"The residuals are {found.noise_factor:.2f} times the assumed noise: the model does "
+        "not explain the tracks, or the fit ended in a poor optimum. Do not trust it."
+    ]
+
+
+def estimates_at_the_edge(simulator: TrackSimulator, found: Identification) -> list[str]:
+    """Estimates at the ends of their ranges."""
+    parameters, prior = simulator.parameters, simulator.parameters.prior
+    values = parameters.values(found.after.theta)
+    margin = AT_THE_EDGE * (prior.high - prior.low)
+    inside = (values >= prior.low + margin) & (values <= prior.high - margin)
+    return [
+        f"The estimate of {name} lies at the edge of its range: widen the range."
+        for name, fine in zip(parameters.names, inside.tolist(), strict=True)
+        if not fine
+    ]

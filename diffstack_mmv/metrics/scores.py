@@ -1,0 +1,57 @@
+"""What every score is called, measured in and judged by: the one place for titles and units."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+
+class Score(NamedTuple):
+    """A score as files, logs, tables, dashboard and figures present it."""
+
+    name: str  # key in files and logs
+    title: str  # for people, without the unit
+    unit: str  # "1" for a dimensionless number or a share
+    lower_is_better: bool
+
+    @property
+    def heading(self) -> str:
+        """Title with the unit in brackets, which a dimensionless number goes without."""
+        return self.title if self.unit == "1" else f"{self.title} [{self.unit}]"
+
+
+def _by_name(*scores: Score) -> Mapping[str, Score]:
+    """Registry of scores in the order of the tables."""
+    return MappingProxyType({score.name: score for score in scores})
+
+
+OPEN_LOOP = _by_name(
+    Score("ade", "ADE", "m", True),
+    Score("fde", "FDE", "m", True),
+    Score("nll", "NLL", "nats", True),
+    Score("plan_ade", "plan ADE", "m", True),
+    Score("plan_fde", "plan FDE", "m", True),
+    Score("planning_loss", "planning loss", "1", True),
+    Score("planning_ce", "CE", "nats", True),
+    Score("planning_cost", "cost", "1", True),
+    Score("collision_rate", "collisions", "1", True),
+    Score("solved", "solved", "1", False),
+    Score("min_ade", "minADE of five", "m", True),
+    Score("miss_rate", "misses beyond 2 m", "1", True),
+)
+"""Scores of samples: predictions and plans beside what the human did."""
+
+CLOSED_LOOP = _by_name(
+    Score("success_rate", "success", "1", False),
+    Score("collision_rate", "collision", "1", True),
+    Score("incomplete_rate", "incomplete", "1", True),
+    Score("nav_time_s", "time", "s", True),
+    Score("nav_time_all_s", "time of all", "s", True),
+    Score("discomfort_frequency", "discomfort", "1", True),
+    Score("avg_min_dist_m", "distance in discomfort", "m", False),
+    Score("mean_episode_min_dist_m", "mean smallest distance", "m", False),
+    Score("control_time_ms", "decision median / p99", "ms", True),
+)
+"""Scores of closed-loop episodes."""
+
+DISPLACEMENT = Score("displacement", "mean distance to the human", "m", True)
+"""The curve over the horizon whose mean over time is the ADE and whose last value the FDE."""

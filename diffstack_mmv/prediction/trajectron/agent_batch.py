@@ -1,0 +1,90 @@
+"""Agents of a batch of scenes as rows: only those that are observed now, each in its own frame."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from diffstack_mmv.geometry import motion_in_frame, rotate
+from diffstack_mmv.prediction.current import current_heading, current_position, trend
+from diffstack_mmv.types import Mode, Motion, Tracks, map_tensors
+
+PEDESTRIANS = (Mode.UNKNOWN, Mode.PEDESTRIAN, Mode.STROLLER)
+MEMORY_S = 0.7  # of the fit to the track, the best one on cyclists
+EGO, VEHICLE, PEDESTRIAN = (
+    0,
+    1,
+    2,
+)  # roles; the kinds of the encoders are VEHICLE and PEDESTRIAN alone
+
+
+class AgentBatch(NamedTuple):
+    """R agents, each seen in the frame of its own last row."""
+
+    index: Int[Tensor, " R"]  # scene * agents + agent
+    role: Int[Tensor, " R"]  # EGO, VEHICLE or PEDESTRIAN
+    kind: Int[Tensor, " R"]  # VEHICLE or PEDESTRIAN
+    origin: Float[Tensor, "R 2"]  # m, of the own frame in the frame of the scene
+    heading: Float[Tensor, " R"]  # rad, of the own frame in the frame of the scene
+    past: Tracks  # R H, in the own frame
+    velocity: Float[Tensor, "R 2"]  # m/s now, in the own frame, from the fit to the track
+    acceleration: Float[Tensor, "R 2"]  # m/s² now, in the own frame
+
+
+def agent_batch(agents: Tracks, dt_s: float) -> AgentBatch:
+    """Gather the present agents of scenes `B A`.
+
+    Args:
+        agents: Observed agents `B A H`, the ego of each scene first.
+        dt_s: Length of one step in s.
+    """
+    index = agents.valid[..., -1].flatten().nonzero().squeeze(-1)
+    scene_tracks = take_rows(agents, index)
+    origin, heading = current_position(scene_tracks), current_heading(scene_tracks)
+    now = trend(scene_tracks, MEMORY_S, dt_s)
+    kind = agent_kind(scene_tracks.mode)
+    is_ego = index % agents.mode.shape[1] == 0
+    return AgentBatch(
+        index=index,
+        role=torch.where(is_ego, torch.full_like(kind, EGO), kind),
+        kind=kind,
+        origin=origin,
+        heading=heading,
+        past=in_own_frame(scene_tracks, origin, heading),
+        velocity=rotate(now.velocity, -heading),
+        acceleration=rotate(now.acceleration, -heading),
+    )
+
+
+def agent_kind(mode: Int[Tensor, "*b"]) -> Int[Tensor, "*b"]:
+    """PEDESTRIAN for those who can step sideways, VEHICLE for all others."""
+    pedestrians = torch.tensor([int(pedestrian) for pedestrian in PEDESTRIANS], device=mode.device)
+    walks = (mode.unsqueeze(-1) == pedestrians).any(-1)
+    return torch.where(walks, torch.full_like(mode, PEDESTRIAN), torch.full_like(mode, VEHICLE))
+
+
+def take_rows(agents: Tracks, index: Int[Tensor, " R"]) -> Tracks:
+    """Agents `*b` by their flat index."""
+    dims = agents.mode.dim()
+    return map_tensors(lambda field: field.flatten(0, dims - 1)[index], agents)
+
+
+def select_agents(rows: AgentBatch, place: Int[Tensor, " S"]) -> AgentBatch:
+    """Rows at some places."""
+    return map_tensors(lambda field: field[place], rows)
+
+
+def in_own_frame(
+    tracks: Tracks, origin: Float[Tensor, "R 2"], heading: Float[Tensor, " R"]
+) -> Tracks:
+    """Tracks `R T` in frames with that origin (m) and heading (rad), zero where not valid."""
+    motion = motion_in_frame(tracks.motion, origin.unsqueeze(-2), heading.unsqueeze(-1))
+
+    def cleared(field: Tensor) -> Tensor:
+        known: Bool[Tensor, "..."] = tracks.valid[
+            (..., *(None,) * (field.dim() - tracks.valid.dim()))
+        ]
+        return torch.where(known, field, torch.zeros_like(field))
+
+    return tracks._replace(motion=Motion(*(cleared(field) for field in motion)))

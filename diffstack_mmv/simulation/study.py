@@ -1,0 +1,88 @@
+"""A study of closed-loop driving: a controller and its baselines, each in the world it needs."""
+
+from dataclasses import replace
+from typing import Any
+
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.simulation.assembly import SimulatedVehicle
+from diffstack_mmv.simulation.collision import Footprint
+from diffstack_mmv.simulation.pedestrians import Crowd
+from diffstack_mmv.simulation.robot import HolonomicRobot
+from diffstack_mmv.simulation.vehicle_robot import VehicleRobot
+from diffstack_mmv.simulation.verdict import verdict_named
+from diffstack_mmv.simulation.world import World
+
+
+def study_world(
+    robot: VehicleRobot,
+    crowd: Crowd,
+    verdict: str,
+    limit_s: float,
+    dt_s: float,
+    robot_visible: bool = False,
+) -> World:
+    """The world of a study.
+
+    Args:
+        robot: The vehicle.
+        crowd: How the pedestrians choose their velocities.
+        verdict: "crowdnav" or "exact".
+        limit_s: Time limit of an episode.
+        dt_s: Length of a step.
+        robot_visible: Whether the pedestrians avoid the robot.
+
+    Returns:
+        The world.
+
+    Raises:
+        ValueError: There is no such verdict, or the times do not fit.
+    """
+    return World(robot, crowd, verdict_named(verdict, limit_s), dt_s, robot_visible)
+
+
+def world_for(world: World, controller: type) -> World:
+    """The world in which a controller drives: massless ones drive the original benchmark's robot.
+
+    Args:
+        world: The world of the vehicle.
+        controller: Class of the controller.
+
+    Returns:
+        The same world, or the one with the massless robot, which is always a disc.
+    """
+    return replace(world, robot=HolonomicRobot()) if is_massless(controller) else world
+
+
+def is_massless(controller: type) -> bool:
+    """Whether controllers of this class drive the massless robot, see `Controller`."""
+    return bool(getattr(controller, "massless", False))
+
+
+def models_told(
+    actual: SimulatedVehicle,
+    believed: SimulatedVehicle,
+    robot: VehicleRobot,
+    model: DynamicsModel,
+) -> dict[str, Any]:
+    """Which models drove and planned, for a results file.
+
+    Args:
+        actual: The vehicle that drives.
+        believed: The one that the controller believes in.
+        robot: The robot built from the first.
+        model: The model of the controller, built from the second.
+
+    Returns:
+        Names of both dynamics, and what their models are, with the outline that both are given.
+    """
+    return {
+        "dynamics": actual.dynamics_name,
+        "believed_dynamics": believed.dynamics_name,
+        "actual_model": _told(robot.model, robot.footprint),
+        "believed_model": _told(model, robot.footprint),
+    }
+
+
+def _told(model: DynamicsModel, footprint: Footprint) -> dict[str, Any]:
+    """A model, and the outline of its vehicle, SI units."""
+    return model.description() | {"footprint": footprint.description()}

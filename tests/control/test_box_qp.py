@@ -1,0 +1,70 @@
+"""Box QPs are solved exactly, whatever their active set."""
+
+import itertools
+
+import pytest
+import torch
+
+from diffstack_mmv.control.box_qp import solve_box_qp
+
+pytestmark = pytest.mark.usefixtures("double")
+
+
+def minimum_over_active_sets(H, g, lower, upper):
+    """The cheapest feasible stationary point of all 3^m active sets."""
+    m, N = g.shape
+    best, best_value = torch.zeros_like(g), torch.full((N,), torch.inf)
+    for sides in itertools.product((-1, 0, 1), repeat=m):
+        free = [i for i in range(m) if sides[i] == 0]
+        fixed = [i for i in range(m) if sides[i] != 0]
+        k = torch.where(torch.tensor(sides).unsqueeze(-1) < 0, lower, upper)
+        pull = g[free] + torch.einsum("abN,bN->aN", H[free][:, fixed], k[fixed])
+        block = H[free][:, free].movedim(-1, 0)
+        k[free] = -torch.linalg.solve(block, pull.T.unsqueeze(-1)).squeeze(-1).T
+        feasible = ((k >= lower - 1e-9) & (k <= upper + 1e-9)).all(0)
+        value = ((0.5 * torch.einsum("abN,bN->aN", H, k) + g) * k).sum(0)
+        better = feasible & (value < best_value)
+        best, best_value = torch.where(better, k, best), torch.where(better, value, best_value)
+    return best
+
+
+def random_problems(m, spread, count=200):
+    """Definite matrices whose entries differ by `spread` orders of magnitude, tight boxes."""
+    X, scale = torch.randn(m, m, count), 10 ** (spread * (torch.rand(m, count) - 0.5))
+    H = torch.einsum("abN,cbN->acN", X, X) + 1e-2 * torch.eye(m).unsqueeze(-1)
+    lower, upper = -torch.rand(m, count), torch.rand(m, count)
+    lower = torch.where(torch.rand(m, count) < 0.2, 0.0, lower)  # at a bound already
+    return H * scale * scale.unsqueeze(1), 3 * torch.randn(m, count) * scale, lower, upper
+
+
+@pytest.mark.parametrize("spread", [0, 4])
+@pytest.mark.parametrize("m", [1, 2, 3, 4, 5, 6])
+def test_minimiser_equals_the_best_of_all_active_sets(m, spread):
+    problem = random_problems(m, spread)
+    k, free = solve_box_qp(*problem)
+    torch.testing.assert_close(k, minimum_over_active_sets(*problem), rtol=0, atol=1e-9)
+    assert (free == ((k > problem[2]) & (k < problem[3]))).all()
+
+
+@pytest.mark.parametrize("m", [1, 3, 5])
+def test_without_bounds_it_is_the_stationary_point(m):
+    H, g, lower, upper = random_problems(m, 1)
+    k, free = solve_box_qp(H, g, lower - torch.inf, upper + torch.inf)
+    torch.testing.assert_close(torch.einsum("abN,bN->aN", H, k), -g)
+    assert free.all()
+
+
+def test_interval_of_zero_width_holds_its_variable():
+    H, g, lower, upper = random_problems(4, 1)
+    upper[2] = lower[2]
+    k, free = solve_box_qp(H, g, lower, upper)
+    assert (k[2] == lower[2]).all()
+    assert not free[2].any()
+
+
+def test_a_problem_that_is_not_finite_leaves_the_others_alone():
+    H, g, lower, upper = random_problems(3, 1)
+    expected = solve_box_qp(H, g, lower, upper)[0]
+    H[..., 7] = torch.nan
+    k = solve_box_qp(H, g, lower, upper)[0]
+    assert k[:, torch.arange(200) != 7].equal(expected[:, torch.arange(200) != 7])

@@ -1,0 +1,54 @@
+"""What can be wrong with the state of a cache, and what is said about it."""
+
+import json
+import re
+
+import pytest
+
+from data_converters import CacheError
+from dmmv_conventions.cache import FORMAT_VERSION, STATE_FILE, read_state, staging_folder
+
+STATE = {"format_version": FORMAT_VERSION, "complete": True}
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write a text as the state of the environment "toy"."""
+
+    def to(text):
+        (tmp_path / "toy").mkdir()
+        (tmp_path / "toy" / STATE_FILE).write_text(text)
+        return tmp_path
+
+    return to
+
+
+def test_a_finished_state_is_read_as_it_was_written(write):
+    assert read_state(write(json.dumps(STATE | {"dt_s": 0.1})), "toy") == STATE | {"dt_s": 0.1}
+
+
+@pytest.mark.parametrize("error", [ValueError, CacheError])
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("{", "`cache` must have a state in JSON"),
+        (json.dumps(STATE | {"format_version": 7}), "`format_version` must be 1, but got 7"),
+        (json.dumps({"complete": True}), "`format_version` must be 1, but got None"),
+        (json.dumps(STATE | {"complete": False}), "`complete` must be true, but got False"),
+    ],
+)
+def test_a_cache_of_another_state_names_the_file_and_the_remedy(write, text, complaint, error):
+    folder = write(text)
+    with pytest.raises(error, match=re.escape(complaint)) as caught:
+        read_state(folder, "toy", error)
+    assert str(folder / "toy" / STATE_FILE) in str(caught.value)
+    assert f"data=toy data.root=RECORDINGS data.cache={folder}" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "found"), [("toy", "an interrupted conversion"), ("other", "no such file")]
+)
+def test_an_absent_state_is_told_from_an_interrupted_conversion(tmp_path, name, found):
+    staging_folder(tmp_path, "toy", "12ab").mkdir()
+    with pytest.raises(ValueError, match=f"conversion of '{name}', but got {found} at .* Run"):
+        read_state(tmp_path, name)

@@ -1,0 +1,186 @@
+"""What a model says of itself: driver input, reference point, wheels, derived quantities."""
+
+from typing import NamedTuple
+
+import pytest
+import torch
+import yaml
+from torch import Tensor
+
+from diffstack_mmv.control import Selectable
+from diffstack_mmv.dynamics import (
+    DiffGM3,
+    DiffKBM,
+    DriverInput,
+    DynamicsModel,
+    ExtendedUnicycle,
+    SingleIntegrator,
+    rollout,
+)
+from diffstack_mmv.dynamics.catalogue import dynamics_names, model_of
+from diffstack_mmv.dynamics.gm3 import DiffGM3WheelSpeed
+from diffstack_mmv.dynamics.manoeuvres import Slalom
+from diffstack_mmv.dynamics.open_loop import drive, wheel_history
+from diffstack_mmv.simulation import (
+    CircleCrossing,
+    SimulatedVehicle,
+    VehicleRobot,
+    ZeroOrderHold,
+    controller_model,
+)
+from diffstack_mmv.types import Motion
+from diffstack_mmv.vehicles import config_folder, load_vehicle, vehicle_names
+
+LIMITS = {"speed_max_mps": 3.0, "acceleration_min_mps2": -3.0, "acceleration_max_mps2": 2.0}
+
+
+class Tricycle(DynamicsModel):
+    """A toy: heading turns with the angle of the front wheel, whatever the speed."""
+
+    class State(NamedTuple):
+        """Position, heading, speed."""
+
+        position_x: Tensor
+        position_y: Tensor
+        heading: Tensor
+        speed: Tensor
+
+    class Control(NamedTuple):
+        """Half the acceleration, twice the angle."""
+
+        half_acceleration: Tensor
+        double_steer: Tensor
+
+    def __init__(self, spec=None, dt_s=0.1):
+        super().__init__(dt_s, (-2.0, -1.0), (2.0, 1.0))
+
+    def step(self, state, control):
+        x, y, heading, speed = state.unbind(-1)
+        after = [
+            x + self.dt_s * speed * heading.cos(),
+            y + self.dt_s * speed * heading.sin(),
+            heading + self.dt_s * control[..., 1] / 2,
+            speed + self.dt_s * 2 * control[..., 0],
+        ]
+        return torch.stack(after, -1)
+
+    def motion(self, states, controls):
+        velocity = torch.stack([states[..., 3], torch.zeros_like(states[..., 3])], -1)
+        return Motion(states[..., :2], states[..., 2], velocity, controls[..., 1] / 2)
+
+    def initial_state(self, motion):
+        parts = [motion.position, motion.heading.unsqueeze(-1), motion.velocity[..., :1]]
+        return torch.cat(parts, -1)
+
+    def control_for(self, state, acceleration, curvature):
+        return torch.stack([acceleration / 2, 2 * curvature * state[..., 3]], -1)
+
+    def control_for_driver(self, state, driver):
+        return torch.stack([driver.acceleration / 2, 2 * driver.steer], -1)
+
+
+@pytest.fixture
+def simulated():
+    """A bicycle of the benchmark in the eyes of some dynamics."""
+    mapping = yaml.safe_load((config_folder() / "vehicle" / "bicycle.yaml").read_text())
+    return lambda dynamics: SimulatedVehicle(mapping, dynamics, LIMITS)
+
+
+def test_a_toy_model_works_everywhere_without_registration():
+    spec, toy = load_vehicle("bicycle"), Tricycle().double()
+    run = drive(toy, Slalom(3.0, 0.05, 4.0)(1.05, 0.1), 3.0)
+    assert run.states.shape == (41, 4)
+    assert torch.equal(rollout(toy, run.states[0], run.controls), run.states)
+    assert wheel_history(toy, run) is None
+    robot = VehicleRobot(model_of(spec, Tricycle, 0.01))
+    scene = CircleCrossing().case("test", 0)
+    travel = robot.step(robot.start(scene), torch.tensor([1.0, 0.0]).double(), 0.25)
+    assert robot.motion(travel.state).velocity[0] == pytest.approx(0.5)
+
+
+def test_a_toy_model_is_what_a_controller_believes(simulated):
+    believed, actual = simulated(Tricycle), simulated("gm3")
+    model = controller_model(believed, actual)
+    assert isinstance(model.model, Tricycle)
+    assert (model.dt_s, model.repeats, model.ahead_m) == (0.25, 1, 0.0)
+
+
+def states_of(model):
+    speed = torch.tensor([1.0, 3.0, 6.0]).double()
+    velocity = torch.stack([speed, torch.zeros_like(speed)], -1)
+    zero = torch.zeros_like(speed)
+    return model.initial_state(Motion(torch.zeros(3, 2).double(), zero, velocity, 0.1 * speed))
+
+
+KINDS = [DiffGM3, DiffGM3WheelSpeed, DiffKBM, ExtendedUnicycle]
+
+
+@pytest.mark.parametrize("vehicle", vehicle_names())
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_control_means_the_input_it_was_made_for(kind, vehicle):
+    model = kind(load_vehicle(vehicle)).double()
+    state = states_of(model)
+    steer = torch.tensor([0.1, -0.2, 0.05]).double()
+    wanted = DriverInput(torch.tensor([0.5, -1.0, 0.0]).double(), steer)
+    found = model.driver_input(state, model.control_for_driver(state, wanted))
+    assert torch.allclose(found.acceleration, wanted.acceleration, atol=1e-9)
+    assert torch.allclose(found.steer, wanted.steer, atol=1e-9)
+
+
+def test_a_unicycle_at_rest_goes_straight():
+    model = ExtendedUnicycle(load_vehicle("bicycle"))
+    found = model.driver_input(torch.zeros(4), torch.tensor([0.5, 0.0]))
+    assert found.steer == 0
+
+
+@pytest.mark.parametrize("method", ["driver_input", "control_for_driver"])
+def test_a_model_that_is_not_steered_by_an_angle_refuses_a_driver(method):
+    model = SingleIntegrator()
+    given = torch.zeros(2) if method == "driver_input" else DriverInput(*torch.zeros(2))
+    with pytest.raises(ValueError, match=r"`dynamics` must be steered by an angle, but got Single"):
+        getattr(model, method)(torch.zeros(4), given)
+
+
+def test_the_reference_point_is_the_centre_of_gravity_or_the_axle_that_does_not_steer():
+    for name, expected in (("bicycle", -0.45), ("skateboard", 0.0), ("wheelchair", -0.15)):
+        spec = load_vehicle(name)
+        assert DiffGM3(spec).reference_ahead_m == 0
+        assert DiffKBM(spec).reference_ahead_m == pytest.approx(expected)
+        assert ExtendedUnicycle(spec).reference_ahead_m == pytest.approx(expected)
+
+
+def test_only_an_explicit_scheme_bounds_its_step():
+    spec = load_vehicle("bicycle")
+    assert DiffKBM(spec).longest_step_s == 0.05
+    assert DiffGM3(spec).longest_step_s == float("inf")
+
+
+@pytest.mark.parametrize(
+    ("name", "count"), [("bicycle", 4), ("wheelchair", 1), ("hoverboard", 1), ("tricycle", 4)]
+)
+def test_axle_quantities_exist_where_both_axles_are_tyred(name, count):
+    assert len(DiffGM3(load_vehicle(name)).derived_quantities()) == count
+
+
+@pytest.mark.parametrize("name", dynamics_names())
+def test_a_model_tells_what_it_is(name):
+    model = model_of("bicycle", name, 0.05)
+    told = model.description()
+    assert (told["class"], told["step_s"]) == (type(model).__name__, 0.05)
+    assert (told["tyre_law"] is None) == (not isinstance(model, DiffGM3))
+
+
+def test_variants_tell_what_sets_them_apart():
+    told = {name: model_of("bicycle", name, 0.1).description() for name in dynamics_names()}
+    assert told["gm3_paper"]["tyre_law"] == "PaperBrush(steepness=100.0, epsilon=1e-08)"
+    assert told["gm3_fine"]["substeps"] == 4
+    assert told["kbm_smooth"]["speed_floor"] == "SoftplusFloor(width_mps=0.05)"
+    assert len({str(each) for each in told.values()}) == len(told)
+
+
+def test_a_model_serves_any_part_of_a_batch():
+    model = DiffKBM(load_vehicle("bicycle"))
+    held = ZeroOrderHold(model, 3)
+    assert isinstance(model, Selectable)
+    assert model.select(torch.tensor([1])) is model
+    assert held.select(torch.tensor([1])) is held

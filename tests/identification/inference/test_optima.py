@@ -1,0 +1,92 @@
+"""Several optima: found, weighed, combined."""
+
+import pytest
+import torch
+
+from diffstack_mmv.identification import Identifier
+from diffstack_mmv.identification.inference.optima import (
+    combined_sensitivity,
+    is_same_optimum,
+    mixture_variance,
+    posterior_shares,
+    sobol_starts,
+)
+from tests.identification.conftest import double_precision, synthetic_problem
+
+
+@pytest.fixture(scope="module")
+def known():
+    with double_precision():
+        setup = synthetic_problem("kbm", {"wheelbase": 1.15})
+        found = Identifier(starts=2)(setup.simulator, setup.data)
+    return setup, found
+
+
+def another(best, away, cost):
+    """The optimum with θ moved and another cost."""
+    fit = best.fit._replace(theta=best.fit.theta + away)
+    return best._replace(fit=fit, cost=best.cost + cost)
+
+
+def test_one_optimum_is_found_once_from_every_start(known):
+    setup, found = known
+    assert len(found.optima) == 1
+    torch.testing.assert_close(found.sensitivity.std, found.optima[0].sensitivity.std)
+
+
+def test_shares_follow_the_costs(known):
+    best = known[1].optima[0]._replace(noise_factor=1.0)
+    weights = posterior_shares([best, another(best, 0.5, 1.0), another(best, -0.5, 100.0)])
+    expected = torch.softmax(torch.tensor([0.0, -1.0, -100.0]), 0)
+    torch.testing.assert_close(weights, expected)
+
+
+def test_larger_noise_makes_costs_differ_less(known):
+    best = known[1].optima[0]
+    noisy = [each._replace(noise_factor=2.0) for each in (best, another(best, 0.5, 4.0))]
+    torch.testing.assert_close(posterior_shares(noisy), torch.softmax(torch.tensor([0.0, -1.0]), 0))
+
+
+def test_second_optimum_widens_the_deviation_to_its_distance(known):
+    setup, found = known
+    parameters, best = setup.simulator.parameters, found.optima[0]
+    both = [best, another(best, 0.5, 0.0)]
+    values = [parameters.values(each.fit.theta) for each in both]
+    expected = (best.sensitivity.std.square() + 0.5 * (values[1] - values[0]).square()).sqrt()
+    combined = combined_sensitivity(both, parameters)
+    torch.testing.assert_close(combined.std, expected)
+    torch.testing.assert_close(combined.marginal_ratio, expected / parameters.prior.std)
+
+
+def test_far_optimum_leaves_the_deviation_of_the_prior(known):
+    setup, found = known
+    parameters, best = setup.simulator.parameters, found.optima[0]
+    combined = combined_sensitivity([best, another(best, -3.0, 0.0)], parameters)
+    torch.testing.assert_close(combined.std, parameters.prior.std)
+
+
+def test_quantity_on_which_optima_agree_keeps_its_variance(known):
+    best = known[1].optima[0]
+    both = [best, another(best, 0.5, 0.0)]
+    variance = torch.tensor([[0.3], [0.3]])
+    torch.testing.assert_close(mixture_variance(both, torch.ones(2, 1), variance), variance[0])
+
+
+def test_optima_are_alike_within_their_accuracy(known):
+    setup, found = known
+    parameters, best = setup.simulator.parameters, found.optima[0]
+    step = best.sensitivity.std / parameters.slope(best.fit.theta)
+    assert is_same_optimum(best, another(best, 0.3 * step, 0.0), parameters)
+    assert not is_same_optimum(best, another(best, 0.9 * step, 0.0), parameters)
+
+
+def test_starts_lie_inside_the_ranges_and_differ(known):
+    parameters = known[0].simulator.parameters
+    values = parameters.values(sobol_starts(parameters, 8))
+    assert bool(((values > parameters.prior.low) & (values < parameters.prior.high)).all())
+    assert len(values.unique()) == 8
+
+
+def test_negative_number_of_starts_is_refused():
+    with pytest.raises(ValueError, match="`starts` must be at least 0"):
+        Identifier(starts=-1)

@@ -1,0 +1,134 @@
+"""How sure an estimate is, and what it owes to assumptions."""
+
+import pytest
+import torch
+
+from diffstack_mmv.dynamics import DiffGM3
+from diffstack_mmv.identification import (
+    Identifiability,
+    IdentifiabilityThresholds,
+    Identifier,
+    MultipleShooting,
+    profile_likelihoods,
+)
+from diffstack_mmv.identification.inference.combinations import quantities
+from diffstack_mmv.identification.inference.influence import regularisation_influence
+from diffstack_mmv.identification.inference.optima import analyse_optimum
+from diffstack_mmv.identification.inference.sensitivity import (
+    InformationDirection,
+    describe_direction,
+)
+from tests.identification.conftest import LIVELY, double_precision, synthetic_problem
+
+EVERYTHING = IdentifiabilityThresholds(identifiable=0.4, informed=1.0)
+
+
+def identified(setup, thresholds=EVERYTHING):
+    return Identifier(thresholds=thresholds, starts=0)(setup.simulator, setup.data)
+
+
+@pytest.fixture(scope="module")
+def tyres():
+    with double_precision():
+        setup = synthetic_problem("gm3", {}, manoeuvres=LIVELY[1:2])
+        found = Identifier(MultipleShooting(max_iterations=2), starts=0)(
+            setup.simulator, setup.data
+        )
+    return setup, found
+
+
+def test_knowing_the_others_never_makes_one_less_certain(tyres):
+    sensitivity = tyres[1].sensitivity
+    assert bool((sensitivity.conditional_ratio <= sensitivity.marginal_ratio + 1e-9).all())
+    assert bool((sensitivity.marginal_ratio <= 1 + 1e-9).all())
+
+
+def test_information_is_positive_and_sorted(tyres):
+    values = [direction.eigenvalue for direction in tyres[1].sensitivity.directions]
+    assert values == sorted(values, reverse=True)
+    assert values[-1] >= 0
+
+
+def test_quick_ride_informs_combinations_of_tyre_parameters_rather_than_each(tyres):
+    _, found = tyres
+    ratio = found.sensitivity.conditional_ratio / found.sensitivity.marginal_ratio
+    assert float(ratio.min()) < 0.9
+    assert Identifiability.NOT_IDENTIFIABLE in found.identifiability
+
+
+def test_value_that_was_not_fitted_keeps_its_prior_and_hands_its_error_on(tyres):
+    setup, found = tyres
+    parameters, theta = setup.simulator.parameters, found.after.theta
+    fixed = torch.arange(len(theta)) > 2
+    fitted = analyse_optimum(setup.simulator, setup.data.fitted, found.after, ~fixed).sensitivity
+    whole = analyse_optimum(setup.simulator, setup.data.fitted, found.after).sensitivity
+    none = analyse_optimum(
+        setup.simulator, setup.data.fitted, found.after, torch.zeros_like(fixed)
+    ).sensitivity
+    torch.testing.assert_close(fitted.std[fixed], parameters.prior.std[fixed])
+    assert bool((fitted.std >= whole.std * (1 - 1e-9)).all())
+    torch.testing.assert_close(none.std, parameters.prior.std)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "precision", "noise_factor", "expected"),
+    [
+        (0.1, 0.01, 1.0, Identifiability.IDENTIFIABLE),
+        (0.1, 0.05, 1.0, Identifiability.WEAK),
+        (0.9, 0.01, 1.0, Identifiability.NOT_IDENTIFIABLE),
+        (0.1, 0.01, 1.5, Identifiability.WEAK),
+    ],
+    ids=["narrow and precise", "not precise", "as wide as the prior", "tracks not explained"],
+)
+def test_identifiability_needs_a_ratio_a_precision_and_a_fit(
+    ratio, precision, noise_factor, expected
+):
+    assert IdentifiabilityThresholds().classify(ratio, precision, noise_factor) is expected
+
+
+def test_direction_is_told_by_its_largest_parts():
+    told = describe_direction(
+        InformationDirection(1.0, (-0.9, 0.05, 0.4)), ["mass", "drag", "friction"]
+    )
+    assert told == "+0.90 mass, -0.40 friction"
+
+
+def test_combinations_follow_their_formulas(bicycle):
+    model = DiffGM3(bicycle).double()
+    steer, front, rear, gradient = quantities(model).tolist()
+    assert (front, rear) == pytest.approx((11.0, 12.0), rel=1e-6)
+    # K = (1 / C_f' - 1 / C_r') / g with the stiffnesses per load
+    assert gradient == pytest.approx((1 / 11 - 1 / 12) / 9.81, rel=1e-6)
+    assert steer == pytest.approx(1.05 + 25 * gradient, abs=0.06)
+
+
+def test_influence_of_the_steering_prior_predicts_a_new_fit():
+    setup = synthetic_problem("kbm", {}, False, steer_rate_radps=0.4)
+    found = identified(setup)
+    told = regularisation_influence(setup.simulator, setup.data.fitted, found.after, found.active)[
+        "steer_rate_radps"
+    ]
+    wider = synthetic_problem("kbm", {}, False, steer_rate_radps=0.4 * 1.1)
+    again = identified(wider)
+    values = [setup.simulator.parameters.values(each.after.theta) for each in (found, again)]
+    moved = (values[1] - values[0]) / setup.simulator.parameters.prior.std
+    expected = told * torch.tensor(1.1).log() / torch.tensor(2.0).log()
+    torch.testing.assert_close(moved, expected, rtol=0.35, atol=0.01)
+
+
+def test_profile_is_least_at_the_estimate():
+    setup = synthetic_problem("kbm", {"wheelbase": 1.1})
+    found = identified(setup)
+    shown = profile_likelihoods(
+        setup.simulator, setup.data, found, MultipleShooting(max_iterations=6), ["wheelbase"], 7
+    )
+    profile = shown["wheelbase"]
+    best = profile.values[profile.costs.index(min(profile.costs))]
+    assert abs(best - 1.1) < 0.06
+    assert profile.costs[0] > min(profile.costs) + 2 < profile.costs[-1]
+
+
+def test_profile_of_an_unknown_number_is_refused():
+    setup = synthetic_problem("kbm", {}, manoeuvres=LIVELY[:1])
+    with pytest.raises(ValueError, match="`profile` must be one of wheelbase, but got 'mass'"):
+        profile_likelihoods(setup.simulator, setup.data, None, MultipleShooting(), ["mass"])

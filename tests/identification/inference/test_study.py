@@ -1,0 +1,110 @@
+"""From recordings to identified and compared models."""
+
+import math
+from functools import partial
+
+import pytest
+import torch
+
+from diffstack_mmv.dynamics.catalogue import model_of
+from diffstack_mmv.identification import (
+    IdentificationStudy,
+    Identifier,
+    LongestSelection,
+    Recordings,
+    SegmentSettings,
+    TrackingAssumptions,
+    identification_result,
+    vehicle_provenance,
+)
+from diffstack_mmv.types import Motion
+from diffstack_mmv.vehicles import load_vehicle
+from tests.identification.conftest import double_precision
+
+WHEELBASE_M, SPEED_MPS = 1.1, 5.0
+NOISE = {"acceleration": 0.1, "steer": 0.002}
+RIDER = {"jerk_mps3": 2.0, "curvature_rate": 0.4}
+
+
+def circle(yaw_rate, steps=60):
+    """A motion along a circle."""
+    time_s = 0.1 * torch.arange(steps + 1)
+    heading = yaw_rate * time_s
+    position = torch.stack([heading.sin(), 1 - heading.cos()], -1) * SPEED_MPS / yaw_rate
+    velocity = torch.tensor([SPEED_MPS, 0.0]).expand(steps + 1, 2)
+    return Motion(position, heading, velocity, torch.full_like(time_s, yaw_rate))
+
+
+def recordings(turns=(0.3, -0.4, 0.5, -0.6)):
+    """Circles with the steering of a bicycle that is known."""
+    motions = {f"rider_{index}": circle(turn) for index, turn in enumerate(turns)}
+    controls = {
+        name: torch.tensor([0.0, math.atan(WHEELBASE_M * float(motion.yaw_rate[0]) / SPEED_MPS)])
+        .expand(len(motion.heading), 2)
+        for name, motion in motions.items()
+    }  # fmt: skip
+    return Recordings(motions, controls=controls, noise_m=(0.02, 0.02), smoother="none")
+
+
+def study(**options):
+    return IdentificationStudy(
+        load_vehicle("bicycle"),
+        TrackingAssumptions(**RIDER, controls=options.pop("controls", NOISE)),
+        Identifier(starts=0),
+        SegmentSettings(max_s=4.0),
+        LongestSelection(),
+        tracks=3,
+        heldout=1,
+        **options,
+    )
+
+
+def builders(*names):
+    return {name: partial(model_of, load_vehicle("bicycle"), name, 0.1) for name in names}
+
+
+@pytest.fixture(scope="module")
+def finished():
+    with double_precision():
+        whole = study(profile=["wheelbase"])
+        return whole, whole(recordings(), builders("kbm", "gm3", "unicycle"))
+
+
+def test_wheelbase_is_found_from_recorded_controls(finished):
+    parameters = identification_result(finished[0], recordings(), finished[1])["parameters"]
+    assert parameters["wheelbase"]["estimate"] == pytest.approx(WHEELBASE_M, rel=0.01)
+    assert parameters["wheelbase"]["verdict"] == "identifiable"
+
+
+def test_only_models_with_the_recorded_controls_are_compared(finished):
+    assert list(finished[1].models) == ["kbm", "gm3"]
+
+
+def test_result_tells_all_models_and_assumptions(finished):
+    content = identification_result(finished[0], recordings(), finished[1])
+    assert set(content["models"]) == set(content["validation"]["models"]) == {"kbm", "gm3"}
+    assert content["assumed"]["control_noise"] == (0.1, 0.002)
+    assert set(content["profiles"]) == {"wheelbase"}
+    assert (content["tracks"], content["heldout_tracks"]) == (3, 1)
+
+
+def test_calibrated_vehicle_has_the_estimate_and_its_origin(finished):
+    whole, result = finished
+    content = identification_result(whole, recordings(), result)
+    calibrated = result.calibrated(whole.spec, "a test")
+    origin = vehicle_provenance({"seed": 0}, content, "kbm")
+    assert calibrated.wheelbase.initial == pytest.approx(
+        content["parameters"]["wheelbase"]["estimate"]
+    )
+    assert origin["fitted"] == ["wheelbase"]
+    assert {"seed", "smoother", "assumed", "loss_after", "heldout_after"} <= set(origin)
+
+
+def test_motions_are_given_as_arrays_of_a_figure(finished):
+    names = {motion.arrays()["name"] for motion in finished[1].motions()}
+    assert names == {segment.name for segment in finished[1].split.fitted}
+
+
+def test_controls_of_another_model_are_refused():
+    with pytest.raises(ValueError, match="`controls` must name acceleration, steer in this order"):
+        study(controls={"steer": 0.1})(recordings(), builders("kbm"))

@@ -1,0 +1,80 @@
+"""What is written about an identification."""
+
+import json
+from dataclasses import asdict
+
+import torch
+
+from diffstack_mmv.identification import (
+    BilevelFit,
+    IdentifiabilityThresholds,
+    Identifier,
+    TrackingSettings,
+    lean_agreement,
+    summarise,
+    tracking_losses,
+    validation_errors,
+)
+from diffstack_mmv.plotting import FittedTrack, save_identification
+from diffstack_mmv.reporting import write_identification
+from tests.identification.conftest import LIVELY, synthetic_problem
+from tests.identification.report.conftest import leaning
+
+CONTRACT = {"tracks", "loss_before", "loss_after", "heldout_before", "heldout_after", "parameters"}
+ENTRY = {"initial", "estimate", "low", "high", "unit", "std", "identifiability"}
+HEADER = {"vehicle": "bicycle", "dynamics": "kbm", "data": "toy", "mode": "shooting", "seed": 0}
+
+
+def test_summary_holds_the_keys_that_others_rely_on(result):
+    summary = result[2]
+    assert set(summary) >= CONTRACT
+    assert set(summary["parameters"]["wheelbase"]) >= ENTRY
+    assert json.loads(json.dumps(summary, allow_nan=False)) == summary
+
+
+def test_report_tells_parameters_models_and_remarks(result, tmp_path):
+    setup, found, summary = result
+    models = {"kbm": tracking_losses(setup.simulator, setup.data, found)}
+    write_identification(tmp_path, HEADER | summary | {"models": models})
+    text = (tmp_path / "identification.md").read_text()
+    assert "wheelbase" in text
+    assert "identifiable" in text
+    assert "Influence of the regularisation" in text
+    assert json.loads((tmp_path / "identification.json").read_text())["seed"] == 0
+
+
+def test_figures_are_drawn(result, tmp_path):
+    setup, found, summary = result
+    tracks = [FittedTrack(**motion.arrays()) for motion in setup.fitted_motions(found)]
+    shown = summary | {"profiles": {"wheelbase": {"values": [1.0, 1.1], "costs": [3.0, 1.0]}}}
+    save_identification(tmp_path, shown, tracks, ("acceleration", "steer"), 0.1)
+    drawn = {path.name for path in tmp_path.glob("*.png")}
+    assert drawn == {
+        f"{n}.png" for n in ["tracks", "controls", "parameters", "spectrum", "profiles"]
+    }
+
+
+def test_report_tells_what_was_assumed_and_what_was_held_out(result, tmp_path):
+    setup, found, summary = result
+    models = {"kbm": tracking_losses(setup.simulator, setup.data, found)}
+    heldout = validation_errors(setup, found, Identifier(), 5)
+    judged = {"kbm": heldout.pooled() | heldout.change_from(heldout)}
+    extra = {
+        "models": models,
+        "assumed": asdict(TrackingSettings()),
+        "beyond_limits": 0.07,
+        "validation": {"folds": 4, "stretches": 1, "foresee_s": 0.5, "models": judged},
+        "lean": lean_agreement([leaning(torch.rand(30), torch.rand(30))], 0.1),
+    }
+    write_identification(tmp_path, HEADER | summary | extra)
+    text = (tmp_path / "identification.md").read_text()
+    for part in ("In 7 % of the samples", "each held out once in 4 folds", "3.00 m/s³", "s late"):
+        assert part in text
+
+
+def test_model_without_parameters_only_follows_tracks():
+    setup = synthetic_problem("unicycle", {}, known=False, manoeuvres=LIVELY[:1])
+    found = Identifier(BilevelFit())(setup.simulator, setup.data)
+    summary = summarise(setup.simulator, setup.data, found, IdentifiabilityThresholds())
+    assert summary["parameters"] == {}
+    assert summary["loss_before"] == summary["loss_after"]

@@ -1,0 +1,39 @@
+"""When held-out tracks end a fit."""
+
+import pytest
+import torch
+
+from diffstack_mmv.identification import EarlyStopping, ParameterFit
+from diffstack_mmv.identification.shooting.fit import HeldoutMonitor
+from diffstack_mmv.identification.shooting.tracking import TrackingSolution
+from tests.identification.conftest import LAZY, double_precision, synthetic_problem
+
+
+@pytest.fixture(scope="module")
+def blank():
+    with double_precision():
+        setup = synthetic_problem("kbm", {}, manoeuvres=LAZY[:1])
+        problem, theta = setup.data.heldout, setup.simulator.parameters.start()
+        simulated = setup.simulator.simulate(theta, problem, problem.guess)
+        tracked = TrackingSolution(problem.guess, simulated, torch.ones(1, dtype=torch.bool))
+    return ParameterFit(theta, tracked, tracked, ())
+
+
+def with_costs(blank, costs):
+    simulated = blank.heldout.simulated._replace(cost=torch.tensor(costs))
+    return blank._replace(heldout=blank.heldout._replace(simulated=simulated))
+
+
+def test_fit_ends_at_the_last_iterate_before_all_held_out_tracks_get_worse(blank):
+    fits = [with_costs(blank, [cost] * 9) for cost in (3.0, 2.0, 2.5, 2.6, 2.7)]
+    monitor = HeldoutMonitor(EarlyStopping(patience=3), fits[0])
+    goes_on = [monitor.observe(fit, 0.0) for fit in fits]
+    assert goes_on == [True, True, True, True, False]
+    assert monitor.best is fits[1]
+
+
+def test_held_out_tracks_that_disagree_stop_nothing(blank):
+    fits = [with_costs(blank, costs) for costs in ([3.0, 3.0, 3.0], [2.0, 3.5, 4.5])]
+    monitor = HeldoutMonitor(EarlyStopping(patience=1), fits[0])
+    assert all(monitor.observe(fit, 0.0) for fit in fits)
+    assert monitor.best is fits[1]

@@ -1,0 +1,54 @@
+"""Cutting recorded tracks into segments."""
+
+import pytest
+import torch
+
+from tests.identification.tracks.conftest import circling, cut
+
+
+def stopped_in_the_middle():
+    motion = circling(10.0)
+    motion.velocity[48:52] = 0
+    return motion
+
+
+def test_segments_do_not_overlap_and_keep_clear_of_the_ends():
+    segments = cut({"a": circling(12.0)})
+    starts = [each.name for each in segments]
+    assert starts == ["a@0.5s", "a@4.6s", "a@8.7s"]
+    assert [len(each.speed) for each in segments] == [41, 41, 29]
+
+
+def test_standstill_ends_a_segment():
+    segments = cut({"a": stopped_in_the_middle()})
+    assert [each.name for each in segments] == ["a@0.5s", "a@5.2s"]
+
+
+def test_course_has_no_jumps():
+    (segment, *_) = cut({"a": circling(6.0, yaw_rate=2.0)})
+    torch.testing.assert_close(segment.course.diff(), torch.full((40,), 0.2))
+
+
+def test_measured_lean_travels_with_its_segment():
+    lean = torch.arange(61.0)
+    (segment, *_) = cut({"a": circling(6.0)}, leans={"a": lean})
+    torch.testing.assert_close(segment.lean, lean[5:46])
+
+
+def test_tracks_too_short_are_refused_with_a_remedy():
+    with pytest.raises(ValueError, match="`tracks` must hold a segment of 2 s above 1 m/s.*Lower"):
+        cut({"a": circling(1.5)})
+
+
+def test_where_controls_are_asked_for_segments_have_them_all_along():
+    controls = torch.zeros(len(circling(12.0).heading), 2)
+    controls[:30] = torch.nan
+    tracks = {"a": circling(12.0), "b": circling(12.0)}
+    segments = cut(tracks, controls={"a": controls})
+    assert {each.recording for each in segments} == {"a"}
+    assert all(bool(each.controls.isfinite().all()) for each in segments)
+
+
+def test_tracks_without_controls_where_they_are_asked_for_are_refused():
+    with pytest.raises(ValueError, match="`tracks` must hold a segment .* with recorded controls"):
+        cut({"a": circling(12.0)}, controls={})

@@ -1,0 +1,39 @@
+"""The registries name every score that the package computes, logs or is asked for."""
+
+import pytest
+import yaml
+
+from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP, Score
+from diffstack_mmv.simulation.summary import SCORES as EPISODE_SCORES
+
+ALL = [*OPEN_LOOP.values(), *CLOSED_LOOP.values()]
+
+
+@pytest.mark.parametrize("registry", [OPEN_LOOP, CLOSED_LOOP], ids=["open", "closed"])
+def test_names_and_headings_are_unique(registry):
+    assert all(name == score.name for name, score in registry.items())
+    assert len({score.heading for score in registry.values()}) == len(registry)
+
+
+@pytest.mark.parametrize("score", ALL, ids=lambda score: score.name)
+def test_unit_is_a_unit_and_agrees_with_the_name(score):
+    assert score.unit in ("m", "s", "ms", "nats", "1")
+    *_, ending = score.name.split("_")
+    assert ending not in ("m", "s", "ms") or ending == score.unit
+
+
+@pytest.mark.parametrize(("unit", "heading"), [("m", "ADE [m]"), ("1", "ADE")])
+def test_heading_tells_the_unit_if_there_is_one(unit, heading):
+    assert Score("ade", "ADE", unit, True).heading == heading
+
+
+def test_every_score_of_episodes_is_registered_and_computed():
+    assert [*EPISODE_SCORES, "control_time_ms"] == list(CLOSED_LOOP)
+
+
+def test_configurations_ask_for_registered_scores(root):
+    callbacks = yaml.safe_load((root / "configs/callbacks/default.yaml").read_text())
+    monitored = [each["monitor"] for each in callbacks.values() if "monitor" in each]
+    compared = yaml.safe_load((root / "configs/compare.yaml").read_text())["score"]
+    assert monitored
+    assert {name.removeprefix("val/") for name in [*monitored, compared]} <= set(OPEN_LOOP)

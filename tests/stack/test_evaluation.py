@@ -1,0 +1,91 @@
+"""Evaluation sample by sample, beside the baselines."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from diffstack_mmv.metrics import OPEN_LOOP
+from diffstack_mmv.planning import FutureGoal, PredictedGoal
+from diffstack_mmv.prediction import StandStill
+from diffstack_mmv.prediction.goal_baselines import hermite_spline
+from diffstack_mmv.stack import PathToGoal, PredictedPath, evaluate_windows, representative
+from diffstack_mmv.types import Mode, map_tensors
+from tests.stack.test_module import STEPS, batch_of, stack_of, without_future
+
+BASELINES = {
+    "stand_still": PredictedPath(StandStill(STEPS, 0.1)),
+    "spline": PathToGoal(hermite_spline),
+}
+
+
+class Recorded:
+    """Windows of one batch."""
+
+    def __init__(self, batch):
+        self.batch = batch
+        count = len(batch.goal)
+        self.samples = pd.DataFrame({"scene": "a", "mode": [int(Mode.BICYCLE)] * count})
+
+    def __len__(self):
+        return len(self.samples)
+
+    def __getitem__(self, index):
+        return map_tensors(lambda field: field[list(index)], self.batch)
+
+
+def test_rows_hold_every_score_and_those_of_the_baselines():
+    evaluation = evaluate_windows(stack_of(PredictedGoal()), BASELINES, Recorded(batch_of()), 2)
+    expected = {f"{name}/{score}" for name in BASELINES for score in ("ade", "fde")}
+    assert set(evaluation.samples.columns) == {"scene", "mode", *OPEN_LOOP, *expected}
+    assert not evaluation.samples.isna().to_numpy().any()
+    curves = evaluation.errors["bicycle"]
+    assert set(curves) == {"prediction", "plan", *BASELINES}
+    for name, score in (("prediction", "ade"), ("plan", "plan_ade"), ("spline", "spline/ade")):
+        assert curves[name].mean() == pytest.approx(evaluation.samples[score].mean(), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("goal", "spline"),
+    [(PredictedGoal(), True), (FutureGoal(), False)],
+    ids=["predicted", "future"],
+)
+def test_a_sample_that_ends_early_is_missing_where_it_counts(goal, spline):
+    batch = without_future(batch_of(), 1, STEPS - 2)
+    evaluation = evaluate_windows(stack_of(goal), BASELINES, Recorded(batch), 3)
+    row = evaluation.samples.iloc[1]
+    assert np.isfinite(row["stand_still/ade"])
+    assert np.isnan(row["stand_still/fde"])
+    assert np.isfinite(row["spline/ade"]) == np.isfinite(row["plan_ade"]) == spline
+    others = evaluation.samples.iloc[[0, 2]].drop(columns=["scene", "mode"])
+    assert np.isfinite(others.to_numpy(float)).all()
+    assert all(np.isfinite(curve).all() for curve in evaluation.errors["bicycle"].values())
+    assert evaluation.errors["bicycle"]["prediction"].max() < 0.01
+
+
+def test_nobody_recorded_at_a_time_leaves_a_gap_in_the_curve():
+    batch = without_future(batch_of(count=1), 0, STEPS - 1)
+    curve = evaluate_windows(stack_of(PredictedGoal()), {}, Recorded(batch)).errors["bicycle"]
+    assert np.isnan(curve["prediction"]).tolist() == [False] * (STEPS - 1) + [True]
+
+
+@pytest.mark.parametrize(
+    ("unjudged", "chosen"),
+    [
+        ([], {"best": 2, "median": 3, "worst": 1}),
+        ([1], {"best": 2, "median": 3, "worst": 3}),
+        ([1, 2, 3], {"best": 0, "median": 0, "worst": 0}),
+    ],
+)
+def test_representative_samples_are_judged_and_in_motion_where_there_are_such(unjudged, chosen):
+    frame = pd.DataFrame(
+        {
+            "mode": ["bicycle"] * 4 + ["scooter", "car"],
+            "moving": [False, True, True, True, False, True],
+            "plan_ade": [0.0, 3.0, 1.0, 2.0, 0.5, np.nan],
+        }
+    )
+    frame.loc[unjudged, "plan_ade"] = np.nan
+    found = representative(frame)
+    assert found["bicycle"] == chosen
+    assert set(found["scooter"].values()) == {4}
+    assert "car" not in found
