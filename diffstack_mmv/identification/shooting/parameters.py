@@ -73,11 +73,11 @@ class ParameterVector:
         offsets = [module.offset.detach().reshape(-1) for module in self.modules.values()]
         return torch.cat([self.raw.new_zeros(0), *offsets])
 
-    def values(self, theta: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
+    def values(self, theta: Float[Tensor, "*b p"]) -> Float[Tensor, "*b p"]:
         """Physical values."""
         return self.middle + self.half * torch.tanh(self.raw + theta)
 
-    def slope(self, theta: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
+    def slope(self, theta: Float[Tensor, "*b p"]) -> Float[Tensor, "*b p"]:
         """Derivative dv/dθ."""
         return self.half * (1 - torch.tanh(self.raw + theta).square())
 
@@ -114,6 +114,6 @@ class ParameterVector:
         with torch.no_grad():
             return {name: module().tolist() for name, module in self.modules.items()}
 
-    def penalty(self, theta: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
+    def penalty(self, theta: Float[Tensor, "*b p"]) -> Float[Tensor, "*b p"]:
         """Residual of the prior, (v - mean) / std."""
         return (self.values(theta) - self.prior.mean) / self.prior.std
