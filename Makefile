@@ -36,7 +36,7 @@ test-all: install ## All tests that need no GPU, slow ones included
 	$(LIMIT) $(BIN)/python -m pytest -n $(JOBS) -m "not gpu"
 
 bench: install ## Benchmarks, results in benchmarks/results; PEERS=<python> of an environment with more peers
-	$(LIMIT) $(BIN)/python -m pytest benchmarks --benchmark-only -m "slow or not slow"
+	$(LIMIT) $(BIN)/python -m pytest benchmarks --jaxtyping-packages= --benchmark-only -m "slow or not slow"
 	for name in solver solver_free; do \
 		$(LIMIT) $(BIN)/python benchmarks/bench_$$name.py --python $(PEERS) || exit 1; done
 	for name in models memory profile; do \

@@ -12,7 +12,7 @@ from torch import Tensor
 from dmmv_conventions.checks import message, require
 
 
-def require_positive(argument: str, value: float, where: str = "", remedy: str = "") -> None:
+def require_positive(argument: str, value: float | int, where: str = "", remedy: str = "") -> None:
     """Refuse a number that is not finite and above zero.
 
     Raises:
@@ -22,7 +22,7 @@ def require_positive(argument: str, value: float, where: str = "", remedy: str =
 
 
 def require_at_least(
-    argument: str, value: float, low: float, where: str = "", remedy: str = ""
+    argument: str, value: float | int, low: float | int, where: str = "", remedy: str = ""
 ) -> None:
     """Refuse a number below `low`.
 
@@ -33,7 +33,12 @@ def require_at_least(
 
 
 def require_between(
-    argument: str, value: float, low: float, high: float, where: str = "", remedy: str = ""
+    argument: str,
+    value: float | int,
+    low: float | int,
+    high: float | int,
+    where: str = "",
+    remedy: str = "",
 ) -> None:
     """Refuse a number outside [low, high].
 
@@ -54,7 +59,7 @@ def require_one_of(argument: str, value: str, choices: Sequence[str], where: str
     )
 
 
-def require_multiple(argument: str, value: float, step: float, where: str = "") -> int:
+def require_multiple(argument: str, value: float | int, step: float | int, where: str = "") -> int:
     """Return how many steps make up `value`.
 
     Raises:

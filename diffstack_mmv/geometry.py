@@ -28,7 +28,7 @@ def direction(angle: Float[Tensor, "*b"]) -> Float[Tensor, "*b 2"]:
     return torch.stack([angle.cos(), angle.sin()], -1)
 
 
-def rotate(vector: Float[Tensor, "*b 2"], angle: Float[Tensor, "*#b"]) -> Float[Tensor, "*b 2"]:
+def rotate(vector: Float[Tensor, "*#b 2"], angle: Float[Tensor, "*#b"]) -> Float[Tensor, "*b 2"]:
     """Rotate vectors counter-clockwise by an angle in rad."""
     cosine, sine = angle.cos(), angle.sin()
     x, y = vector[..., 0], vector[..., 1]

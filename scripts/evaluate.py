@@ -55,7 +55,7 @@ def main(config: DictConfig) -> None:
         "data": config.data.name,
         "split": config.split,
         "seed": trained["seed"],
-        "smoother": data.source.smoother,
+        "smoother": data.source.smoother(),
         "checkpoint": str(config.checkpoint),
     }
     out = Path(config.out)

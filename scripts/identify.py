@@ -33,7 +33,7 @@ def main(config: DictConfig) -> None:
     )
     controls = read_controls(*place, columns) if config.controls else None
     noise = recorded_noise(source, study.spec.mode, config.dt_s)
-    recordings = Recordings(motions, leans, controls, noise, source.smoother)
+    recordings = Recordings(motions, leans, controls, noise, source.smoother())
     result = study(recordings, models)
     header = {**config.header, "date": date.today().isoformat()}
     content = identification_result(study, recordings, result)

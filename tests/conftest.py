@@ -6,6 +6,10 @@ import pytest
 import torch
 from hypothesis import HealthCheck, settings
 
+from tests import shape_checks
+
+shape_checks.install()
+
 ROOT = Path(__file__).resolve().parents[1]
 
 settings.register_profile(

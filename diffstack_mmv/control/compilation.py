@@ -239,6 +239,12 @@ def _parts(value: Any) -> Iterable[Any]:
 def _copy(function: Callable[..., Any]) -> Callable[..., Any]:
     """The same function with a code object of its own."""
     code = function.__code__.replace()
-    copy = types.FunctionType(code, function.__globals__, function.__name__, function.__defaults__)
+    copy = types.FunctionType(
+        code,
+        function.__globals__,
+        function.__name__,
+        function.__defaults__,
+        function.__closure__,
+    )
     copy.__kwdefaults__ = function.__kwdefaults__
     return copy

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
@@ -19,6 +19,7 @@ from diffstack_mmv.control.expansion import (
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 
 
+@runtime_checkable
 class LocalModel(Protocol):
     """Expands a problem around trajectories; `near` marks the problems close to their solution."""
 
@@ -35,6 +36,7 @@ class LocalModel(Protocol):
         ...
 
 
+@runtime_checkable
 class KernelFactory(Protocol):
     """Makes a kernel of a function of module level."""
 
@@ -45,6 +47,7 @@ class KernelFactory(Protocol):
         ...
 
 
+@runtime_checkable
 class CurvatureForm(Protocol):
     """How the iterations come by the curvature of the dynamics."""
 

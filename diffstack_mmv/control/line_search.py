@@ -26,7 +26,7 @@ def search(
     like: Float[Tensor, "*b"],
     x: Float[Tensor, "T1 n N"],
     u: Float[Tensor, "T m N"],
-    gains: Float[Tensor, "T m+mn N"],
+    gains: Float[Tensor, "T m+m*n N"],
     bounds: Float[Tensor, "2 m"],
     sizes: Float[Tensor, " S"],
     noise: Float[Tensor, " N"],

@@ -8,6 +8,7 @@ from torch import Tensor
 from diffstack_mmv.types import Bounds, Solution
 
 
+@runtime_checkable
 class Dynamics(Protocol):
     """One control step x⁺ = f(x, u)."""
 
@@ -29,6 +30,7 @@ class LinearisedDynamics(Protocol):
         ...
 
 
+@runtime_checkable
 class Cost(Protocol):
     """Cost per time; entry t sees x_t and u_t only, and the last row of the controls is zero."""
 
@@ -39,6 +41,7 @@ class Cost(Protocol):
         ...
 
 
+@runtime_checkable
 class TrajectoryOptimizer(Protocol):
     """Minimises Σ c_t(x_t, u_t) over controls in a box, x_{t+1} = f(x_t, u_t), for a batch."""
 

@@ -47,7 +47,7 @@ def final_shapes(n: int) -> tuple[tuple[int, ...], ...]:
 class Policy(NamedTuple):
     """Feedback δu_t = α k_t + K_t δx_t, and what the model promises for it."""
 
-    gains: Float[Tensor, "T m+mn N"]  # k and K of each time
+    gains: Float[Tensor, "T m+m*n N"]  # k and K of each time
     decrease: Float[Tensor, " N"]  # predicted decrease of the cost for α = 1
     slope: Float[Tensor, " N"]  # decrease along the projected gradient, to first order
     lifted: Bool[Tensor, " N"]  # whether Q_uu was indefinite anywhere

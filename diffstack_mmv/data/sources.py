@@ -34,7 +34,6 @@ class WindowSource(Protocol):
         """Plain values that change whenever the recordings or their conversion do."""
         ...
 
-    @property
     def smoother(self) -> str:
         """How the tracks were smoothed, and how far it looked ahead."""
         ...
@@ -69,7 +68,6 @@ class ConvertedCache:
             digest.update(path.read_bytes() if path.is_file() else b"")
         return {"dataset": self.name, "content": digest.hexdigest()}
 
-    @property
     def smoother(self) -> str:
         """Name and look-ahead in s of the smoother, as the cache tells them.
 
@@ -142,7 +140,6 @@ class NamedDataset:
             usual = _USUAL_CORRECTIONS.get(self.name, (HeldHeading(),))
             object.__setattr__(self, "corrections", usual)
 
-    @property
     def smoother(self) -> str:
         """None of ours: trajdata takes the tracks as they are."""
         return "none, tracks as trajdata reads them"

@@ -66,7 +66,7 @@ class DynamicsModel(nn.Module, ABC):
         return Bounds(self.get_buffer("_lower"), self.get_buffer("_upper"))
 
     def forward(
-        self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
+        self, state: Float[Tensor, "*#b n"], control: Float[Tensor, "*#b m"]
     ) -> Float[Tensor, "*b n"]:
         """Advance by one control step.
 
@@ -79,7 +79,7 @@ class DynamicsModel(nn.Module, ABC):
 
     @abstractmethod
     def step(
-        self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
+        self, state: Float[Tensor, "*#b n"], control: Float[Tensor, "*#b m"]
     ) -> Float[Tensor, "*b n"]:
         """Advance by one control step, arguments already checked."""
 

@@ -99,7 +99,7 @@ class DiffKBM(DynamicsModel):
         return EULER_STEP_S
 
     def step(
-        self, state: Float[Tensor, "*b 4"], control: Float[Tensor, "*b 2"]
+        self, state: Float[Tensor, "*#b 4"], control: Float[Tensor, "*#b 2"]
     ) -> Float[Tensor, "*b 4"]:
         """Advance by one control step."""
         acceleration, steer = saturate(control, *self.bounds).unbind(-1)

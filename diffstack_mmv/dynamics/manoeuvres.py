@@ -4,7 +4,7 @@ import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -14,6 +14,7 @@ from diffstack_mmv.checks import message, require, require_positive
 from diffstack_mmv.dynamics.records import DriverInput
 
 
+@runtime_checkable
 class OpenLoopManoeuvre(Protocol):
     """What a driver does over time, one row per control step, from some speed on."""
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -29,6 +29,7 @@ class Arc(NamedTuple):
     curvature: Float[Tensor, "*b C"]  # 1/m
 
 
+@runtime_checkable
 class CandidateSource(Protocol):
     """Proposes plans; where nothing else is left, a controller drives the last of them."""
 

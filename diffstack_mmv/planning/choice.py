@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
@@ -23,6 +23,7 @@ class Chosen(NamedTuple):
     origin: Int[Tensor, "*b"]  # a PlanOrigin
 
 
+@runtime_checkable
 class PlanChoice(Protocol):
     """Chooses among the proposals and the solutions that were started from some of them."""
 

@@ -1,6 +1,7 @@
 """Candidate plans among agents: pass left or right of somebody, wait, or go."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -47,9 +48,9 @@ class DetourFan:
 
     def __init__(
         self,
-        offsets_deg: tuple[float, ...] = (15.0, 30.0, 50.0, 80.0),
-        speed_shares: tuple[float, ...] = (0.0, 0.33, 0.67, 1.0),
-        durations_s: tuple[float, ...] = (0.5, 1.0, 1.75),
+        offsets_deg: Sequence[float] = (15.0, 30.0, 50.0, 80.0),
+        speed_shares: Sequence[float] = (0.0, 0.33, 0.67, 1.0),
+        durations_s: Sequence[float] = (0.5, 1.0, 1.75),
         turn_time_s: float = 0.3,
         lateral_mps2: float = 4.0,
         braking_mps2: float = 2.5,

@@ -1,6 +1,6 @@
 """Where the goal of a plan comes from."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from jaxtyping import Float
 from torch import Tensor
@@ -8,6 +8,7 @@ from torch import Tensor
 from diffstack_mmv.types import Forecast, StackBatch
 
 
+@runtime_checkable
 class GoalSource(Protocol):
     """Chooses the goal of each sample; every table names the source it was made with."""
 

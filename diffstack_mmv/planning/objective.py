@@ -1,6 +1,6 @@
 """The cost of planning problems as a solver wants it: able to select some of its problems."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from jaxtyping import Float
 from torch import Tensor
@@ -10,6 +10,7 @@ from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.types import Discs, Ego, Heading, Motion, Obstacles, PlanningProblem
 
 
+@runtime_checkable
 class PlanCost(Protocol):
     """What an objective needs of a planner."""
 

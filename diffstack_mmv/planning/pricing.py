@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -40,6 +40,7 @@ class ScoredPlans(NamedTuple):
         return torch.where(self.safe.any(-1), cheapest, least)
 
 
+@runtime_checkable
 class PlanScore(Protocol):
     """Says what plans are worth, from the planner's cost along them.
 

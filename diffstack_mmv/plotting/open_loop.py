@@ -1,7 +1,7 @@
 """Figures of open-loop runs: paths, speeds, lean, tyre forces against friction, loads."""
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,6 +13,7 @@ from diffstack_mmv.plotting.figures import PALETTE, new_figure
 from diffstack_mmv.types import Motion
 
 
+@runtime_checkable
 class WheelHistory(Protocol):
     """What happened at the wheels, each (T, wheels), in N."""
 

@@ -1,9 +1,10 @@
 """What a table has to know of a score."""
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 
+@runtime_checkable
 class ScoreHeading(Protocol):
     """Names, unit and direction of a score, as a registry holds them."""
 

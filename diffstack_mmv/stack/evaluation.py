@@ -1,7 +1,7 @@
 """Per-sample evaluation of a trained stack beside its trivial baselines."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import pandas as pd
@@ -18,6 +18,7 @@ from diffstack_mmv.stack.module import DiffStackMMV, StackOutput
 from diffstack_mmv.types import Mode, Motion, StackBatch, map_tensors
 
 
+@runtime_checkable
 class Baseline(Protocol):
     """A trivial answer to the same question: a path of the ego."""
 
@@ -53,6 +54,7 @@ class PathToGoal:
         return self.path(present(batch.ego_past).motion, goal, steps, batch.dt_s)
 
 
+@runtime_checkable
 class Windows(Protocol):
     """Samples by number, with one row of `samples` about each."""
 

@@ -83,6 +83,12 @@ def _number(value: Any, path: str, where: str) -> float:
     return float(value)
 
 
+def _whole_number(value: Any, path: str, where: str) -> int:
+    number = _number(value, path, where)
+    require(number.is_integer(), path, "be a whole number", repr(value), where)
+    return int(number)
+
+
 def _flag(value: Any, path: str, where: str) -> bool:
     require(isinstance(value, bool), path, "be true or false", repr(value), where)
     return value
@@ -132,10 +138,12 @@ def _parameter(mapping: Any, path: str, where: str) -> ParameterSpec:
 def _wheel(name: str, mapping: Any, path: str, where: str) -> WheelSpec:
     known = [field.name for field in fields(WheelSpec) if field.name != "name"]
     _require_keys(mapping, ("x_m", "y_m", "radius_m"), known[3:], path, where)
-    flags = ("steered", "driven", "braked", "caster")
+    readers = {"truck": _whole_number} | dict.fromkeys(
+        ("steered", "driven", "braked", "caster"), _flag
+    )
     arguments: dict[str, Any] = {"name": name}
     for key, value in mapping.items():
-        read = _flag if key in flags else _number
+        read = readers.get(key, _number)
         arguments[key] = read(value, f"{path}{key}", where)
     return _built(WheelSpec, arguments, path, where)
 

@@ -81,7 +81,10 @@ def test_what_is_remembered_goes_in_and_comes_out(observed, scenario_of):
     assert torch.equal(forecast.most_likely(), paths(OrcaForecaster(), *second)[..., 1:, :])
 
 
-@pytest.mark.parametrize("name", ["far_m", "preferred_speed_mps", "tolerance_mps", "courses"])
-def test_numbers_out_of_range_are_refused(name):
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("far_m", 0.0), ("preferred_speed_mps", 0.0), ("tolerance_mps", 0.0), ("courses", 0)],
+)
+def test_numbers_out_of_range_are_refused(name, value):
     with pytest.raises(ValueError, match=name):
-        OrcaForecaster(OrcaCrowd(), **{name: 0.0})
+        OrcaForecaster(OrcaCrowd(), **{name: value})

@@ -47,6 +47,7 @@ MISTAKES = [
     ("wheels/rear/caster", True, "neither steered, driven nor braked"),
     ("wheels/front/steered", False, "at least one steered wheel"),
     ("wheels/front/y_m", 0.2, "stand in one line"),
+    ("wheels/rear/truck", 0.5, "`wheels.rear.truck` must be a whole number"),
     ("wheels/rear", None, "must be at least two"),
     ("limits/steer_max_rad", 45.0, "Give radians"),
     ("limits/acceleration_min_mps2", 5.0, "must be negative"),
@@ -79,6 +80,12 @@ def test_two_axles_need_a_wheelbase(content):
 def test_plain_numbers_apply_to_all_wheels(content):
     content["parameters"]["friction"]["initial"] = 0.7
     assert VehicleSpec.from_config(content).wheel_parameter("friction").initial == (0.7, 0.7)
+
+
+def test_a_truck_is_a_whole_number_however_it_is_written(content):
+    content["wheels"]["rear"]["truck"] = 0.0
+    wheels = VehicleSpec.from_config(content).wheels
+    assert [repr(wheel.truck) for wheel in wheels] == ["0", "0"]
 
 
 def test_optional_parameters_are_neutral(content):

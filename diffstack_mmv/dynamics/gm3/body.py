@@ -33,7 +33,7 @@ def times(matrix: Float[Tensor, "3 3 n"], vector: Float[Tensor, "3 n"]) -> Float
 
 
 def outer_sum(
-    left: Float[Tensor, "3 wheels n"], right: Float[Tensor, "3 wheels n"]
+    left: Float[Tensor, "3 wheels #n"], right: Float[Tensor, "3 wheels #n"]
 ) -> Float[Tensor, "3 3 n"]:
     """Σ over the wheels of left ⊗ right."""
     return (left.unsqueeze(1) * right).sum(2)

@@ -144,7 +144,7 @@ class AccelerationDrive(Drive):
         command: Command,
         forward: Float[Tensor, " n"],
         tire: TireProperties,
-    ) -> tuple[Float[Tensor, "wheels n"], Float[Tensor, "wheels n"], Float[Tensor, " n"]]:
+    ) -> tuple[Float[Tensor, "wheels n"], Float[Tensor, "wheels n"], Float[Tensor, "wheels n"]]:
         """Demand per wheel in N: constant, per v_x, and q of the wheels of the set."""
         constant, per_speed = self._fade(command, forward)
         wanted = torch.addcmul(constant, per_speed, forward)

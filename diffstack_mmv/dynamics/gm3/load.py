@@ -42,7 +42,7 @@ def _static_loads(spec: VehicleSpec) -> np.ndarray:
     for wheel, load in zip(spec.wheels, loads, strict=True):
         where = f"for wheel '{wheel.name}' of vehicle '{spec.name}'"
         remedy = "Move the wheels so that each carries a part of the weight."
-        require(load > 0, "static load", "be positive", f"{load:.1f} N", where, remedy)
+        require(bool(load > 0), "static load", "be positive", f"{load:.1f} N", where, remedy)
     return loads
 
 

@@ -138,7 +138,7 @@ class DiffGM3(DynamicsModel):
         return ZeroOrderHoldDynamics(self.chassis, physics, command, axes)
 
     def derivative(
-        self, state: Float[Tensor, "*b 8"], control: Float[Tensor, "*b m"]
+        self, state: Float[Tensor, "*#b 8"], control: Float[Tensor, "*#b m"]
     ) -> Float[Tensor, "*b 8"]:
         """Continuous-time right-hand side x' = f(x, u), SI units per second."""
         shape = torch.broadcast_shapes(state.shape[:-1], control.shape[:-1])
@@ -146,7 +146,7 @@ class DiffGM3(DynamicsModel):
         return _rows(held.derivative(as_columns(state, shape)), shape)
 
     def step(
-        self, state: Float[Tensor, "*b 8"], control: Float[Tensor, "*b m"]
+        self, state: Float[Tensor, "*#b 8"], control: Float[Tensor, "*#b m"]
     ) -> Float[Tensor, "*b 8"]:
         """Advance by one control step."""
         shape = torch.broadcast_shapes(state.shape[:-1], control.shape[:-1])

@@ -4,7 +4,7 @@ The lateral and yaw rates of a light vehicle are fast, 50 to 1300 1/s, while its
 explicit Euler at 0.1 s is unstable for every single-track vehicle between 0 and 10 m/s.
 """
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -15,6 +15,7 @@ from diffstack_mmv.dynamics.gm3.lean import Lean, lean_after
 from diffstack_mmv.dynamics.gm3.zero_order_hold import ZeroOrderHoldDynamics, unpack
 
 
+@runtime_checkable
 class Stepper(Protocol):
     """One step of a numerical method."""
 

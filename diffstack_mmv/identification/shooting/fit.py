@@ -2,7 +2,7 @@
 
 import logging
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
@@ -43,6 +43,7 @@ class EstimationData(NamedTuple):
     heldout: TrackingProblem
 
 
+@runtime_checkable
 class FitMethod(Protocol):
     """An algorithm that fits θ."""
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -11,6 +11,7 @@ from torch import Generator, Tensor
 from diffstack_mmv.identification.tracks.segments import TrackSegment
 
 
+@runtime_checkable
 class SegmentSelection(Protocol):
     """Which segments to prefer."""
 

@@ -42,7 +42,9 @@ class Crowd(Protocol):
         ...
 
 
-def towards(position: Float[Tensor, "*b 2"], goal: Float[Tensor, "*b 2"]) -> Float[Tensor, "*b 2"]:
+def towards(
+    position: Float[Tensor, "*#b 2"], goal: Float[Tensor, "*#b 2"]
+) -> Float[Tensor, "*b 2"]:
     """Walk towards the goal at 1 m/s, slowing down within the last metre.
 
     Args:

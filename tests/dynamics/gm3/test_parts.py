@@ -92,13 +92,14 @@ def test_inverse_brush_law_matches_the_reference(helpers):
 
 
 def test_rolling_speed_matches_the_reference(helpers):
-    found = rolling_speed(helpers["roll_Vx"], helpers["roll_sigma"], float(helpers["roll_v_eps"]))
-    assert close(found, helpers["roll_Vr"])
+    forward, slip = helpers["roll_Vx"], helpers["roll_sigma"]
+    found = rolling_speed(forward[None], slip[None], float(helpers["roll_v_eps"]))
+    assert close(found[0], helpers["roll_Vr"])
 
 
 @given(st.floats(-30, 30), st.floats(-0.89, 0.89))
 def test_rolling_speed_gives_the_slip_exactly(forward, slip):
-    forward, slip = torch.tensor(forward).double(), torch.tensor(slip).double()
+    forward, slip = torch.tensor([[forward]]).double(), torch.tensor([[slip]]).double()
     rolling = rolling_speed(forward, slip, 0.3)
     found = (rolling - forward) / reference_speed(rolling, 0.3)
     assert found.item() == pytest.approx(slip.item(), abs=1e-6)
@@ -106,6 +107,7 @@ def test_rolling_speed_gives_the_slip_exactly(forward, slip):
 
 def test_spin_matches_the_reference(helpers):
     forward, radius = helpers["spin_Vx"], helpers["spin_R"]
-    camber = camber_spin(helpers["spin_gamma"], 1e9, (1 - helpers["spin_eps_gamma"]) / radius)
-    found = inverse_speed(forward, 0.3) * (forward * camber - helpers["spin_r"])
+    per_radius = ((1 - helpers["spin_eps_gamma"]) / radius).unsqueeze(-1)
+    camber = camber_spin(helpers["spin_gamma"], 1e9, per_radius).diagonal()
+    found = inverse_speed(forward[None], 0.3)[0] * (forward * camber - helpers["spin_r"])
     assert close(found, helpers["spin_phi"])

@@ -1,0 +1,51 @@
+"""The decorator that the import hook of jaxtyping puts on every function of the package.
+
+It stands in for jaxtyping's own, which checks the arguments twice, decorates the functions inside
+of functions anew at every call, and cannot be traced by `torch.compile`: the tests of planning
+would take four times as long instead of one and a half times. What is refused is the same.
+"""
+
+import dataclasses
+import functools
+import inspect
+from typing import Self
+
+import jaxtyping
+import torch
+
+SHAPES = jaxtyping.jaxtyped("context")
+
+
+def checked(function=None, *, typechecker):
+    """Check arguments and return value, the axes by name; while compiling, nothing.
+
+    Args:
+        function: Function or class; of a class only the constructor of a dataclass is checked.
+            Functions inside of functions stay as they are.
+        typechecker: Decorator that checks types.
+    """
+    if function is None:
+        return functools.partial(checked, typechecker=typechecker)
+    if inspect.isclass(function):
+        if dataclasses.is_dataclass(function) and "__init__" in vars(function):
+            function.__init__ = checked(function.__init__, typechecker=typechecker)
+        return function
+    if "<locals>" in function.__qualname__ or not function.__annotations__:
+        return function
+    if function.__annotations__.get("return") is Self:
+        del function.__annotations__["return"]  # beartype knows it in whole classes only
+    checking = typechecker(function)
+
+    @functools.wraps(function)
+    def call(*arguments, **named):
+        if torch.compiler.is_compiling():
+            return function(*arguments, **named)
+        with SHAPES:
+            return checking(*arguments, **named)
+
+    return call
+
+
+def install():
+    """Put this decorator in the place of jaxtyping's; before the package is imported."""
+    jaxtyping.jaxtyped = checked

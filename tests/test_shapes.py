@@ -1,0 +1,67 @@
+"""The shapes and types in the annotations of the package are checked while the tests run."""
+
+import pytest
+import torch
+from beartype import beartype
+from beartype.roar import BeartypeCallHintViolation
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_positive
+from diffstack_mmv.dynamics import DiffKBM
+from diffstack_mmv.geometry import rotate
+from diffstack_mmv.simulation.pedestrians.base import towards
+from diffstack_mmv.vehicles import WheelSpec, load_vehicle
+from tests.shape_checks import checked
+
+
+@pytest.mark.parametrize(
+    ("vector", "angle"),
+    [
+        (torch.zeros(4, 3), torch.zeros(4)),
+        (torch.zeros(4, 2), torch.zeros(5)),
+        (torch.zeros(4, 2, dtype=torch.int64), torch.zeros(4)),
+    ],
+    ids=["columns", "batch", "type"],
+)
+def test_a_wrong_tensor_is_refused(vector, angle):
+    with pytest.raises(BeartypeCallHintViolation, match="rotate"):
+        rotate(vector, angle)
+
+
+def test_a_wrong_tensor_is_refused_by_a_method():
+    model = DiffKBM(load_vehicle("bicycle"))
+    with pytest.raises(BeartypeCallHintViolation, match="control_for"):
+        model.control_for(torch.zeros(3, 4), torch.zeros(2), torch.zeros(3))
+
+
+def test_a_wrong_type_is_refused():
+    with pytest.raises(BeartypeCallHintViolation, match="value"):
+        require_positive("step", "one")
+
+
+def test_an_axis_means_one_length_in_all_arguments():
+    with pytest.raises(BeartypeCallHintViolation, match="goal"):
+        towards(torch.zeros(4, 2), torch.zeros(5, 2))
+
+
+def test_a_result_of_another_shape_is_refused():
+    def wrong(value: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+        return value[1:]
+
+    wrong.__qualname__ = "wrong"
+    assert checked(wrong, typechecker=beartype)(torch.zeros(1)[:0]).shape == (0,)
+    with pytest.raises(BeartypeCallHintViolation, match="return"):
+        checked(wrong, typechecker=beartype)(torch.zeros(3))
+
+
+def test_a_dataclass_is_checked():
+    with pytest.raises(BeartypeCallHintViolation, match="truck"):
+        WheelSpec("front", 0.5, 0.0, 0.3, truck=0.5)
+
+
+@pytest.mark.slow
+def test_a_compiled_function_is_not_checked():
+    whole = torch.compile(rotate, fullgraph=True, backend="eager")
+    vector, angle = torch.rand(4, 2), torch.rand(4)
+    assert torch.allclose(whole(vector, angle), rotate(vector, angle))
