@@ -125,7 +125,7 @@ USED = [
 # options that need something a test does not have, and what they then say
 NEEDS = {
     ("navigate", "people", "predictor"): "`checkpoint` must be given for the predictor",
-    ("train", "trainer", "gpu"): "GPU|CUDA|[Aa]ccelerator",
+    ("train", "trainer", "gpu"): "gpu backend|CUDA",
 }
 PLACES = {
     "augmentation": "augmentation@data.module.augmentation",
