@@ -12,8 +12,12 @@ from typing import Self
 
 import jaxtyping
 import torch
+from beartype import BeartypeConf
 
 SHAPES = jaxtyping.jaxtyped("context")
+NUMBERS = BeartypeConf(
+    is_pep484_tower=True
+)  # a whole number may stand for a `float`, as in PEP 484
 
 
 def checked(function=None, *, typechecker):
@@ -22,7 +26,7 @@ def checked(function=None, *, typechecker):
     Args:
         function: Function or class; of a class only the constructor of a dataclass is checked.
             Functions inside of functions stay as they are.
-        typechecker: Decorator that checks types.
+        typechecker: Decorator of beartype.
     """
     if function is None:
         return functools.partial(checked, typechecker=typechecker)
@@ -34,11 +38,11 @@ def checked(function=None, *, typechecker):
         return function
     if function.__annotations__.get("return") is Self:
         del function.__annotations__["return"]  # beartype knows it in whole classes only
-    checking = typechecker(function)
+    checking = typechecker(function, conf=NUMBERS)
 
     @functools.wraps(function)
     def call(*arguments, **named):
-        if torch.compiler.is_compiling():
+        if torch.compiler.is_compiling() or jaxtyping.config.jaxtyping_disable:
             return function(*arguments, **named)
         with SHAPES:
             return checking(*arguments, **named)

@@ -35,6 +35,15 @@ def test_a_wrong_tensor_is_refused_by_a_method():
         model.control_for(torch.zeros(3, 4), torch.zeros(2), torch.zeros(3))
 
 
+def test_a_whole_number_may_stand_for_a_float():
+    require_positive("step", 1)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_test_can_let_wrong_shapes_through():
+    assert rotate(torch.zeros(4, 3), torch.zeros(4)).shape == (4, 2)
+
+
 def test_a_wrong_type_is_refused():
     with pytest.raises(BeartypeCallHintViolation, match="value"):
         require_positive("step", "one")

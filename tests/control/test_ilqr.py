@@ -199,6 +199,7 @@ def test_iterations_after_all_have_finished_change_nothing(monkeypatch):
         ({"bounds": Bounds(torch.ones(2), -torch.ones(2))}, "in order"),
     ],
 )
+@pytest.mark.usefixtures("unchecked")
 def test_arguments_that_do_not_fit_are_refused(change, told):
     arguments = {
         "bounds": box(1.0, 2),

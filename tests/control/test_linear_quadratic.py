@@ -1,5 +1,7 @@
 """Convex problems of unstable systems: one solution, its gradient, and a true status."""
 
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -98,7 +100,7 @@ def test_published_problems_are_solved_with_their_gradients(published, name):
 
 def test_a_promise_of_nothing_does_not_make_a_point_stationary(monkeypatch):
     """What is said to have converged has no projected gradient, whatever the model promises."""
-    names = ILQR.minimise.__globals__
+    names = vars(sys.modules[ILQR.__module__])
     plain = names["definite_policy"]
 
     def promising_nothing(*arguments):

@@ -7,7 +7,7 @@ from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.utils import JobRuntime
 
-from diffstack_mmv.dynamics import DiffGM3, DiffKBM, catalogue
+from diffstack_mmv.dynamics import DiffGM3, DiffKBM, SoftplusFloor, catalogue
 from diffstack_mmv.dynamics.catalogue import dynamics_names, load_dynamics, model_of
 from diffstack_mmv.dynamics.gm3 import PaperBrush
 from diffstack_mmv.vehicles import config_folder, load_vehicle
@@ -52,9 +52,9 @@ def test_a_command_in_progress_is_left_alone(root):
 def test_installed_files_are_found_as_well(monkeypatch, tmp_path):
     installed = tmp_path / "diffstack_mmv_configs"
     shutil.copytree(config_folder() / "dynamics", installed / "dynamics")
-    (installed / "dynamics" / "mine.yaml").write_text("defaults: [kbm]\nfloor: null\n")
+    (installed / "dynamics" / "mine.yaml").write_text("defaults: [kbm_smooth]\n")
     monkeypatch.setattr(catalogue, "config_folder", lambda: installed)
     assert "mine" in dynamics_names()
     model = model_of("bicycle", "mine", 0.1)
     assert isinstance(model, DiffKBM)
-    assert model.floor is None
+    assert isinstance(model.floor, SoftplusFloor)
