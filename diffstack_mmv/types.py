@@ -75,7 +75,7 @@ class Forecast(NamedTuple):
     mean: Float[Tensor, "*b K T 2"]  # m
     scale_tril: Float[Tensor, "*b K T 2 2"]  # m
 
-    def log_prob(self, position: Float[Tensor, "*#b T 2"]) -> Float[Tensor, "*b T"]:
+    def log_prob(self, position: Float[Tensor, "*#b #T 2"]) -> Float[Tensor, "*b T"]:
         """Log density in nats of a position at each time, marginal over the components."""
         error = (position.unsqueeze(-3) - self.mean).unsqueeze(-1)
         white = torch.linalg.solve_triangular(self.scale_tril, error, upper=False).squeeze(-1)

@@ -10,6 +10,9 @@ from diffstack_mmv.costs import ControlEffort, FinalGoal, WeightedCost
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM
 from diffstack_mmv.vehicles import load_vehicle
 
+# stand-ins for the trainer and the module of Lightning
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 
 class Stack(torch.nn.Module):
     """The parts that monitors look at, and a log to read back."""

@@ -10,6 +10,9 @@ from diffstack_mmv.callbacks import Provenance, RandomState, resume_point
 
 CONFIG = {"data": "a", "dynamics": "kbm", "seed": 0, "epochs": 2}
 
+# stand-ins for the trainer and the module of Lightning
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 
 def draw():
     return random.random(), np.random.random(), torch.rand(()).item()

@@ -16,7 +16,7 @@ def broken(cache, tmp_path, **changes):
 
 ASKED = {
     "identity": lambda source: source.identity(),
-    "smoother": lambda source: source.smoother,
+    "smoother": lambda source: source.smoother(),
     "scenes": lambda source: source.scenes(),
     "windows": lambda source: source.open("train", WindowSettings()),
 }

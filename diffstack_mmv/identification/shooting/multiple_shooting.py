@@ -181,7 +181,7 @@ def _evaluate_step(
     plain = normal_equations(jacobian, simulated.residual, unknowns, closing)
     system = in_prior_deviations(plain, simulator, fit.theta).restricted(active)
     box = _step_box(parameters, fit.theta, active)
-    local, shared = solve_arrowhead(system.damped(share.expand(len(unknowns.rates)), share), box)
+    local, shared = solve_arrowhead(system.damped(share.expand(len(unknowns.rates)), share[0]), box)
     deviations = torch.zeros_like(fit.theta)
     deviations[active] = shared
     change = parameters.prior.std * deviations

@@ -81,7 +81,7 @@ class ParameterVector:
         """Derivative dv/dθ."""
         return self.half * (1 - torch.tanh(self.raw + theta).square())
 
-    def theta_for(self, values: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
+    def theta_for(self, values: Float[Tensor, "*b p"]) -> Float[Tensor, "*b p"]:
         """θ of physical values, which are clipped to where the soft clamp has a slope."""
         ratio = ((values - self.middle) / self.half).clamp(-MAX_SHARE_OF_RANGE, MAX_SHARE_OF_RANGE)
         return torch.atanh(ratio) - self.raw

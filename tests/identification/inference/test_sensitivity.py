@@ -128,6 +128,7 @@ def test_profile_is_least_at_the_estimate():
     assert profile.costs[0] > min(profile.costs) + 2 < profile.costs[-1]
 
 
+@pytest.mark.usefixtures("unchecked")  # nothing was identified
 def test_profile_of_an_unknown_number_is_refused():
     setup = synthetic_problem("kbm", {}, manoeuvres=LIVELY[:1])
     with pytest.raises(ValueError, match="`profile` must be one of wheelbase, but got 'mass'"):

@@ -121,4 +121,5 @@ def test_step_is_a_descent_of_the_merit():
 
 def test_weights_forget_by_halves_but_hold_every_multiplier():
     before, found = torch.tensor([8.0, 1.0, 0.0]), torch.tensor([-2.0, -4.0, 0.5])
-    assert penalty_weights(before, found).tolist() == [5.0, 4.0, 0.5]
+    weights = penalty_weights(before.reshape(1, 1, 3), found.reshape(1, 1, 3))
+    assert weights.flatten().tolist() == [5.0, 4.0, 0.5]
