@@ -129,9 +129,8 @@ class PlanningProblem(NamedTuple):
 
     ego: Ego
     goal: Float[Tensor, "*b 2"]  # m
-    reference: Float[
-        Tensor, "*b T 2"
-    ]  # m, row 0 is now; where the plan would go if nothing were in its way
+    # m, row 0 is now; where the plan would go if nothing were in its way
+    reference: Float[Tensor, "*b T 2"]
     reference_speed: Float[Tensor, "*b"]  # m/s
     obstacles: Obstacles
 
@@ -211,9 +210,8 @@ class EpisodeRecord(NamedTuple):
     pedestrians: Float[Tensor, "E T1 H 2"]  # m
     controls: Float[Tensor, "E T m"]
     reward: Float[Tensor, "E T"]  # zero after the end
-    clearance: Float[
-        Tensor, "E T1"
-    ]  # m, smallest one over the step that leads to this row; row 0: at the start
+    # m, smallest one over the step that leads to this row; row 0: at the start
+    clearance: Float[Tensor, "E T1"]
     outcome: Int[Tensor, " E"]  # an Outcome
     steps: Int[Tensor, " E"]  # steps until the end
     duration: Float[Tensor, " E"]  # s until the end; the limit for a time-out
@@ -221,10 +219,7 @@ class EpisodeRecord(NamedTuple):
 
 
 def map_tensors(function: Callable[[Tensor], Tensor], record: Any) -> Any:
-    """Apply a function to every tensor of a (nested) record and keep all else, e.g.
-
-    `dt_s`, as it is.
-    """
+    """Apply a function to every tensor of a (nested) record; all else, as `dt_s`, stays."""
     if isinstance(record, Tensor):
         return function(record)
     if isinstance(record, tuple):

@@ -43,7 +43,7 @@ def main(config: DictConfig) -> None:
         baselines |= instantiate(config.baselines.to_goal)
     evaluation = evaluate_windows(stack, baselines, windows, config.batch_size)
     vehicle = trained["vehicle"]["name"]
-    metrics = summarise_modes(evaluation.samples, config.situations, vehicle)
+    metrics = summarise_modes(evaluation.samples, config.situations, vehicle, OPEN_LOOP)
     for mode in set(config.modes) - set(metrics["modes"]):
         logger.warning(
             "No sample of mode '%s' in split '%s'; the tables leave it out.", mode, config.split

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
@@ -35,7 +36,8 @@ OPTIONS = [
 
 def composed(name, *overrides):
     with initialize_config_dir(str(CONFIGS), version_base="1.3"):
-        config = compose(name, ["data.cache=CACHE", *overrides], return_hydra_config=True)
+        known = ["data.cache=CACHE"] if "data:" in (CONFIGS / f"{name}.yaml").read_text() else []
+        config = compose(name, [*known, *overrides], return_hydra_config=True)
         HydraConfig.instance().set_config(config)
         OmegaConf.set_struct(config, False)
         config.pop("hydra")
@@ -95,3 +97,57 @@ def test_horizon_that_is_no_multiple_of_the_step_is_refused():
     config = composed("train", "horizon_s=2.95")
     with pytest.raises(InstantiationException, match=r"`horizon_s` must be a multiple of 0\.1"):
         instantiate(config.stack)
+
+
+# command, group with exchangeable options, the node of the configuration that uses it
+USED = [
+    ("convert", "data", "data.recordings"),
+    ("convert", "smoother", "smoother"),
+    ("evaluate", "baselines", "baselines"),
+    ("evaluate", "goal", "goal"),
+    ("evaluate", "solver", "solver"),
+    ("identify", "choice", "study"),
+    ("identify", "dynamics", "dynamics"),
+    ("identify", "mode", "study"),
+    ("navigate", "controller", "controller"),
+    ("navigate", "cost", "controller"),
+    ("navigate", "crowd", "world"),
+    ("navigate", "dynamics", "controller"),
+    ("navigate", "footprint", "world"),
+    ("navigate", "people", "controller"),
+    ("navigate", "scenario", "scenario"),
+    ("simulate", "dynamics", "dynamics"),
+    ("simulate", "manoeuvre", "manoeuvre"),
+    ("train", "augmentation", "data.module"),
+    ("train", "balance", "data.module"),
+    ("train", "trainer", "trainer"),
+]
+# options that need something a test does not have, and what they then say
+NEEDS = {
+    ("navigate", "people", "predictor"): "`checkpoint` must be given for the predictor",
+    ("train", "trainer", "gpu"): "gpu backend|CUDA",
+}
+PLACES = {
+    "augmentation": "augmentation@data.module.augmentation",
+    "balance": "+balance@data.module.balance",
+}
+CHOICES = [
+    (command, group, path.stem, node)
+    for command, group, node in USED
+    for path in sorted((CONFIGS / group).glob("*.yaml"))
+    if path.stem not in ("converted", "trajdata") or command != "convert"
+]
+
+
+@pytest.mark.parametrize(("command", "group", "option", "node"), CHOICES)
+def test_every_option_of_every_command_can_be_built(command, group, option, node, tmp_path):
+    chosen = f"{PLACES.get(group, group)}={option}"
+    folders = ["data.root=RECORDINGS"] if command in ("convert", "train", "identify") else []
+    config = composed(command, chosen, f"out={tmp_path}", *folders)
+    described = OmegaConf.select(config, node)
+    problem = NEEDS.get((command, group, option))
+    if problem is None or (option == "gpu" and torch.cuda.is_available()):
+        assert instantiate(described) is not None
+    else:
+        with pytest.raises(Exception, match=problem):
+            instantiate(described)

@@ -45,16 +45,19 @@ class ExpectedCollision(CostTerm):
 class TurningCircleBarrier(CostTerm):
     """Turning-circle control barrier ReLU(-h)² in m²: active only where both turns are obstructed.
 
-    With the smallest turning radius ρ = max(ρ_min, v² / (μ g)) and the circle centres c_L, c_R = p
-    ± ρ n(θ),
+    With the smallest turning radius ρ and the circle centres c_L and c_R, for each agent
 
-        h_L = ‖o - c_L‖ - (ρ_ego + r_o + margin),  h_R likewise,  h = smooth max(h_L, h_R) per
-        agent
+        ρ = max(ρ_min, v² / (μ g))
+        c_L, c_R = p ± ρ n(θ)
+        h_L = ‖o - c_L‖ - (ρ_ego + r_o + margin),  h_R likewise
+        h = smooth max(h_L, h_R)
 
     evaluated at the position of the agent at time t and averaged over the components of its
     mixture. ρ_ego is the circle that the outline of the vehicle sweeps on that turn: ρ + r_ego for
-    a disc around the reference point. Source: Lee et al., TC-CBF (arXiv 2503.20280), as in DMMV,
-    Sec. IV-B.
+    a disc around the reference point.
+
+    Source:
+        Lee et al., TC-CBF (arXiv 2503.20280), as in DMMV, Sec. IV-B.
 
     Args:
         radius_min_m: ρ_min, the wheelbase over the tangent of the largest steering angle, in m.

@@ -10,19 +10,6 @@ import pandas as pd
 from diffstack_mmv.reporting.files import write_json, write_text
 from diffstack_mmv.reporting.scores import Scores
 
-MODE_SCORES = (
-    "ade",
-    "fde",
-    "nll",
-    "plan_ade",
-    "plan_fde",
-    "planning_loss",
-    "planning_ce",
-    "planning_cost",
-    "collision_rate",
-    "solved",
-)
-"""Scores that `metrics.json` holds for every mode, by name."""
 BASELINE_SCORES = ("ade", "fde")
 """Scores that it holds for every baseline."""
 MISSING = "n_missing"
@@ -33,12 +20,12 @@ def baseline_names(samples: pd.DataFrame) -> list[str]:
     return [name.removesuffix("/ade") for name in samples.columns if name.endswith("/ade")]
 
 
-def summarise(samples: pd.DataFrame) -> dict[str, Any]:
+def summarise(samples: pd.DataFrame, scores: Scores) -> dict[str, Any]:
     """Numbers of samples, and of those that a score could not judge; means over the others.
 
     A score that could judge no sample at all is None.
     """
-    names = list(MODE_SCORES)
+    names = list(scores)
     missing = int(samples[names].isna().any(axis=1).sum())
     return {"n": len(samples), MISSING: missing} | {name: _mean(samples[name]) for name in names}
 
@@ -58,7 +45,7 @@ def _mean(values: pd.Series) -> float | None:
 
 
 def summarise_modes(
-    samples: pd.DataFrame, situations: Sequence[str], vehicle: str
+    samples: pd.DataFrame, situations: Sequence[str], vehicle: str, scores: Scores
 ) -> dict[str, Any]:
     """The parts `modes`, `baselines` and `situations` of `metrics.json`, without empty groups.
 
@@ -67,16 +54,17 @@ def summarise_modes(
             column of truth values per situation.
         situations: Names of those columns.
         vehicle: Name of the vehicle that planned.
+        scores: Registry of the scores, all of which `metrics.json` holds for every mode.
     """
     modes: dict[str, Any] = {}
     baselines: dict[str, dict[str, Any]] = {name: {} for name in baseline_names(samples)}
     by_situation: dict[str, dict[str, Any]] = {}
     for mode, group in samples.groupby("mode", sort=True):
-        modes[str(mode)] = {"vehicle": vehicle} | summarise(group)
-        for name, scores in summarise_baselines(group).items():
-            baselines[name][str(mode)] = scores
+        modes[str(mode)] = {"vehicle": vehicle} | summarise(group, scores)
+        for name, told in summarise_baselines(group).items():
+            baselines[name][str(mode)] = told
         by_situation[str(mode)] = {
-            situation: summarise(group.loc[group[situation]])
+            situation: summarise(group.loc[group[situation]], scores)
             | {"baselines": summarise_baselines(group.loc[group[situation]])}
             for situation in situations
             if group[situation].any()
@@ -86,7 +74,7 @@ def summarise_modes(
 
 def mode_table(metrics: Mapping[str, Any], scores: Scores) -> pd.DataFrame:
     """One row per mode with all scores; a column counts samples not judged, if there are any."""
-    headings = {name: scores[name].heading for name in MODE_SCORES}
+    headings = {name: score.heading for name, score in scores.items()}
     rows = {
         mode: {"vehicle": told["vehicle"], "n": str(told["n"]), "not judged": str(told[MISSING])}
         | {heading: told[name] for name, heading in headings.items()}

@@ -30,9 +30,6 @@ class SimulatedVehicle:
         mass_factor: Scales the mass.
         friction: Friction coefficient of all tyres; the vehicle's own if None.
         name: Name of `dynamics` where it is no name itself.
-
-    Raises:
-        ValueError: The dynamics is unknown, or vehicle or limits are not valid.
     """
 
     vehicle: Mapping[str, Any]
@@ -48,7 +45,11 @@ class SimulatedVehicle:
         return self.dynamics if isinstance(self.dynamics, str) else self.name
 
     def spec(self) -> VehicleSpec:
-        """The vehicle under the limits."""
+        """The vehicle under the limits.
+
+        Raises:
+            ValueError: Vehicle or limits are not valid.
+        """
         spec = VehicleSpec.from_config(self.vehicle)
         own, given = spec.limits, self.limits
         tighter = replace(
@@ -60,7 +61,11 @@ class SimulatedVehicle:
         return altered(replace(spec, limits=tighter), self.mass_factor, self.friction)
 
     def model(self, step_s: float) -> DynamicsModel:
-        """The model with this step."""
+        """The model with this step, in s.
+
+        Raises:
+            ValueError: The dynamics is unknown, or vehicle, limits or step are not valid.
+        """
         return model_of(self.spec(), self.dynamics, step_s)
 
 

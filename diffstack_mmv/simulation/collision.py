@@ -136,8 +136,11 @@ class RectangleFootprint:
     def discs(self) -> Discs:
         """The fewest equal discs on the axis whose overhang beside the rectangle is small, m.
 
-        D discs cover the rectangle best where each covers a piece of length / D: radius ½ sqrt(
-        (length / D)² + width²). D is the least number whose pieces are no longer than they are
+        D discs cover the rectangle best where each covers a piece of length / D:
+
+            radius = ½ sqrt((length / D)² + width²)
+
+        D is the least number whose pieces are no longer than they are
         wide, so that a disc stands out sideways by at most (√2 - 1) / 2 = 21 % of the width; it is
         at most 5, and longer rectangles, longer than 5 widths, get wider discs.
         """

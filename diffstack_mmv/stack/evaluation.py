@@ -73,14 +73,16 @@ class Windows(Protocol):
 
 
 class Evaluation(NamedTuple):
-    """What came out of a data set."""
+    """What came out of a data set.
 
-    samples: (
-        pd.DataFrame
-    )  # one row per sample: identity, scores, and NAME/ade, NAME/fde of each baseline
-    errors: dict[
-        str, dict[str, np.ndarray]
-    ]  # mode -> method -> mean distance (T,) to the human in m, NaN where nobody was recorded
+    Attributes:
+        samples: One row per sample: identity, scores, and NAME/ade, NAME/fde of each baseline.
+        errors: Mode -> method -> mean distance (T,) to the human in m, NaN where nobody was
+            recorded.
+    """
+
+    samples: pd.DataFrame
+    errors: dict[str, dict[str, np.ndarray]]
 
 
 def evaluate_windows(

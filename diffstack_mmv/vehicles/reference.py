@@ -98,9 +98,8 @@ def _wheels(columns: Mapping[str, Sequence[float]]) -> tuple[WheelSpec, ...]:
 def _parameters(entry: Mapping[str, Any]) -> dict[str, ParameterSpec]:
     columns = entry["wheels"]
     tied = len(columns["x"]) > 2  # left and right stay alike
-    swing = (
-        entry["m"] * entry["h"] ** 2
-    )  # the part of the roll inertia that the centre of gravity makes by itself
+    # the part of the roll inertia that the centre of gravity makes by itself
+    swing = entry["m"] * entry["h"] ** 2
     friction = as_numbers(columns["mu"])
     roll_inertia = entry["Ix"]
     damping = entry["d_roll"]

@@ -82,7 +82,8 @@ def test_a_forecast_is_a_proper_mixture_of_the_asked_horizon(forecaster, crowd, 
     assert forecast.mean.shape == (2, 5, components, steps, 2)
     assert forecast.scale_tril.shape == (2, 5, components, steps, 2, 2)
     assert torch.allclose(forecast.log_weight.exp().sum(-1), torch.ones(2, 5).double())
-    assert torch.isfinite(forecast.log_prob(crowd[0].pedestrian_position[..., None, :])).all()
+    here = crowd[0].pedestrian_position.unsqueeze(-2).expand(2, 5, steps, 2)
+    assert torch.isfinite(forecast.log_prob(here)).all()
 
 
 def test_a_forecast_remembers_by_its_state_alone(forecaster, crowd):

@@ -31,7 +31,7 @@ def minimum_over_active_sets(H, g, lower, upper):
 def random_problems(m, spread, count=200):
     """Definite matrices whose entries differ by `spread` orders of magnitude, tight boxes."""
     X, scale = torch.randn(m, m, count), 10 ** (spread * (torch.rand(m, count) - 0.5))
-    H = torch.einsum("abN,cbN->acN", X, X) + 1e-2 * torch.eye(m).unsqueeze(-1)
+    H = torch.einsum("xyN,zyN->xzN", X, X) + 1e-2 * torch.eye(m).unsqueeze(-1)
     lower, upper = -torch.rand(m, count), torch.rand(m, count)
     lower = torch.where(torch.rand(m, count) < 0.2, 0.0, lower)  # at a bound already
     return H * scale * scale.unsqueeze(1), 3 * torch.randn(m, count) * scale, lower, upper

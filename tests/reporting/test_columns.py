@@ -10,7 +10,7 @@ from diffstack_mmv.callbacks.dashboard import PANELS, panel_title
 from diffstack_mmv.callbacks.plans import SHOWN
 from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
 from diffstack_mmv.reporting import compare, paired_tests, read_runs, write_comparison
-from diffstack_mmv.reporting.metrics_table import BASELINE_SCORES, MODE_SCORES
+from diffstack_mmv.reporting.metrics_table import BASELINE_SCORES
 from diffstack_mmv.reporting.paired import OUTCOMES, SHIFTS
 from tests.reporting.runs import write_run
 
@@ -31,7 +31,7 @@ def folders(tmp_path_factory):
 def test_metrics_json(folders):
     metrics = json.loads((folders[1] / "metrics.json").read_text())
     for mode in metrics["modes"].values():
-        assert set(mode) == ABOUT_A_MODE | set(MODE_SCORES)
+        assert set(mode) == ABOUT_A_MODE | set(OPEN_LOOP)
         assert set(mode) - ABOUT_A_MODE <= set(OPEN_LOOP)
     for baseline in metrics["baselines"].values():
         assert all(set(scores) == set(BASELINE_SCORES) for scores in baseline.values())
@@ -40,7 +40,7 @@ def test_metrics_json(folders):
 
 def test_metrics_csv_and_markdown(folders):
     columns = set(pd.read_csv(folders[1] / "metrics.csv").columns)
-    assert columns - {"mode", "vehicle", "n"} == {OPEN_LOOP[name].heading for name in MODE_SCORES}
+    assert columns - {"mode", "vehicle", "n"} == {OPEN_LOOP[name].heading for name in OPEN_LOOP}
     header = (folders[1] / "metrics.md").read_text().splitlines()[6]
     assert columns == {cell.strip() for cell in header.strip("|").split("|")}
 

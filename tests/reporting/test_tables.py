@@ -15,7 +15,7 @@ from diffstack_mmv.reporting import (
     write_comparison,
     write_json,
 )
-from diffstack_mmv.reporting.metrics_table import MODE_SCORES, mode_table
+from diffstack_mmv.reporting.metrics_table import mode_table
 from tests.reporting.runs import SITUATIONS, samples, write_run
 
 
@@ -24,14 +24,14 @@ def test_metrics_have_the_keys_that_users_rely_on(tmp_path):
     metrics = read_json(tmp_path / "metrics.json")
     assert set(metrics["modes"]) == {"bicycle", "scooter"}
     bicycles = metrics["modes"]["bicycle"]
-    assert set(bicycles) == {"n", "n_missing", "vehicle", *MODE_SCORES}
+    assert set(bicycles) == {"n", "n_missing", "vehicle", *OPEN_LOOP}
     assert (bicycles["n"], bicycles["n_missing"], bicycles["vehicle"]) == (40, 0, "bicycle")
     assert metrics["baselines"]["stand_still"]["scooter"] == {"ade": 2.0, "fde": 4.0}
 
 
 def test_means_are_those_of_the_samples(tmp_path):
     frame = samples()
-    metrics = summarise_modes(frame, SITUATIONS, "bicycle")
+    metrics = summarise_modes(frame, SITUATIONS, "bicycle", OPEN_LOOP)
     bicycles = frame[frame["mode"] == "bicycle"]
     assert metrics["modes"]["bicycle"]["plan_ade"] == pytest.approx(bicycles["plan_ade"].mean())
     moving = metrics["situations"]["bicycle"]["moving"]

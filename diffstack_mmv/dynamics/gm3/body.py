@@ -1,13 +1,17 @@
 """Velocity of the body: v' = A v + b in exact secant form, and the 3x3 algebra on it.
 
-v = (v_x, v_y, r) at the centre of gravity. With the secants of the tyres at the present state, A v
-+ b equals
+v = (v_x, v_y, r) at the centre of gravity. With the secants of the tyres at the present state,
+v' = A v + b equals identically
 
-    m v_x' = ΣF_x,b + m r v_y,   m v_y' = ΣF_y,b - m r v_x,
+    m v_x' = ΣF_x,b + m r v_y
+    m v_y' = ΣF_y,b - m r v_x
     I_z r' = Σ(k_align M_z + x F_y,b - y F_x,b) - I_z d_yaw r
 
-identically; frozen over a step, A is dissipative. Source: GM3, Eq. 10-14; DMMV, Sec. IV-B; the
-Coriolis terms are not printed there, but steady cornering needs them.
+Frozen over a step, A is dissipative.
+
+Source:
+    GM3, Eq. 10-14; DMMV, Sec. IV-B; the Coriolis terms are not printed there, but steady cornering
+    needs them.
 """
 
 from typing import NamedTuple

@@ -61,8 +61,12 @@ def split_acceleration(acceleration: Float[Tensor, "*b"], width: float) -> Drive
 def slip_per_share(share: Float[Tensor, "*b"], friction_share: float) -> Float[Tensor, "*b"]:
     """Return ψσ / q of the inverse brush law for a share q = F / (μ F_z) of the friction.
 
-    q_b = q_max S(q / q_max),  ψσ = sgn(q_b) (1 - c),  c = (1 - |q_b|)^(1/3);  hence ψσ / q_b = 1 /
-    (1 + c + c²), finite at q = 0.
+        q_b = q_max S(q / q_max)
+        c = (1 - |q_b|)^(1/3)
+        ψσ = sgn(q_b) (1 - c)
+        ψσ / q_b = 1 / (1 + c + c²)
+
+    The last line is finite at q = 0.
     """
     gain = limiter_gain(share / friction_share)
     root = (1 - (share * gain).abs()).pow(1 / 3)

@@ -2,7 +2,9 @@
 
 Accelerations are functions of state and command only, so that the dynamics have no memory and no
 algebraic loop.
-Source: GM3, Eq. 15-17, where the lateral transfer is counted on every axle and loads may become
+
+Source:
+    GM3, Eq. 15-17, where the lateral transfer is counted on every axle and loads may become
     negative; here the axles share it by their load and every transfer is limited by the load that
     it takes from.
 """
@@ -68,8 +70,8 @@ def _roll_pattern(spec: VehicleSpec, share: np.ndarray) -> tuple[np.ndarray, np.
 class LoadTransfer(ExactBuffers):
     """Loads F_z of all wheels from the accelerations.
 
-        F_axle = F_axle,0 + m h c S-limited(a_x),   F_i = F_axle (f_i - e_i S(m h a_y / (lever ·
-        ΣF_axle)))
+        F_axle = F_axle,0 + m h c S-limited(a_x)
+        F_i = F_axle (f_i - e_i S(m h a_y / (lever · ΣF_axle)))
 
     c is the pitch pattern (±1/L for two axles), f_i the static share of a wheel in its axle, e_i
     the share it loses when its side lifts. ΣF_axle sums the axles with wheels side by side. The

@@ -44,12 +44,19 @@ class ControlRange(NamedTuple):
 class DiffGM3(DynamicsModel):
     """Wheels on brush tyres under a rigid, possibly leaning body, seen from its centre of gravity.
 
-    Per wheel: hub velocity → slip and spin → tyre law → force in the body's axes. Body: m (v_x' -
-    r v_y) = ΣF_x, m (v_y' + r v_x) = ΣF_y, I_z r' = ΣM - I_z d_yaw r. Loads follow a_x and a_y =
-    v_x r without memory; an acceleration command becomes wheel slips by the inverse brush law; the
-    steering command is softly clamped. All wheels and all elements of a batch are computed at
-    once. Source: Cai et al., GM3 (arXiv 2510.07807), and DMMV, Sec. III and IV-B; every difference
-    from the printed equations is listed in docs/dynamics.md.
+    Per wheel: hub velocity → slip and spin → tyre law → force in the body's axes. Body:
+
+        m (v_x' - r v_y) = ΣF_x
+        m (v_y' + r v_x) = ΣF_y
+        I_z r' = ΣM - I_z d_yaw r
+
+    Loads follow a_x and the lateral acceleration v_x r without memory; an acceleration command
+    becomes wheel slips by the inverse brush law; the steering command is softly clamped. All wheels
+    and all elements of a batch are computed at once.
+
+    Source:
+        Cai et al., GM3 (arXiv 2510.07807), and DMMV, Sec. III and IV-B; every difference from the
+        printed equations is listed in docs/dynamics.md.
 
     Args:
         spec: The vehicle: wheels, masses, parameters with ranges.

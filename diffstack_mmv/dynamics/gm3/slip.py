@@ -1,9 +1,11 @@
 """Slip and spin of the wheels, finite at standstill and in reverse.
 
-Source: GM3, Eq. 8-9 with the missing -r y_i restored; DMMV, Sec. III. Slip is taken over |V_r|, so
-    that forces brake in reverse as well, and regularised by v_ε. Inside of this folder the batch
-    is flattened and stands
-LAST, after wheels and components: small inner dimensions would make every operation slow.
+Slip is taken over |V_r|, so that forces brake in reverse as well, and regularised by v_ε. Inside of
+this folder the batch is flattened and is the last dimension, after wheels and components: small
+inner dimensions would make every operation slow.
+
+Source:
+    GM3, Eq. 8-9 with the missing -r y_i restored; DMMV, Sec. III.
 """
 
 from typing import NamedTuple
@@ -58,8 +60,11 @@ def rolling_speed(
 ) -> Float[Tensor, "wheels n"]:
     """Circumferential speed V_r in m/s that gives a slip σ_x exactly.
 
-    V_r = [V_x + σ sqrt(V_x² + (1 - σ²) v_ε²)] / (1 - σ²) solves σ = (V_r - V_x) / sqrt(V_r² +
-    v_ε²).
+        V_r = [V_x + σ sqrt(V_x² + (1 - σ²) v_ε²)] / (1 - σ²)
+
+    solves
+
+        σ = (V_r - V_x) / sqrt(V_r² + v_ε²)
     """
     rest = 1 - slip.square()
     root = (forward.square() + slip_speed**2 * rest).sqrt()

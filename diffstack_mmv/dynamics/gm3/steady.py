@@ -7,8 +7,9 @@ camber as a lead of ℓ/3) at speed v and curvature κ, for the steering t and t
     Σ C (x - k_align ℓ/3) (s t - β - x κ) + Σ C x (ℓ/3) φ + servo = I_z d_yaw v κ
 
 with φ = -κ + (1 - ε_γ) γ / R, γ = v² κ / g and s the angle of a wheel per angle of the command.
-For two axles this is the understeer formula t = κ (L + K v² + ...), K = m (l_r / C_f - l_f / C_r)
-/ L.
+For two axles this is the understeer formula
+
+    t = κ (L + K v² + ...),   K = m (l_r / C_f - l_f / C_r) / L
 """
 
 import torch

@@ -38,9 +38,12 @@ class Directions(NamedTuple):
 class WheelSteering(ExactBuffers):
     """How a command turns the wheels.
 
+    The command δ is softly clamped, here and nowhere else:
+
+        δ_c = δ_max tanh(δ / δ_max)
+
     Args:
-        limit_rad: Limit of the soft clamp, applied here and nowhere else: δ_c = δ_max tanh(δ /
-            δ_max).
+        limit_rad: Limit δ_max of the soft clamp.
     """
 
     def __init__(self, limit_rad: float) -> None:

@@ -3,7 +3,9 @@
 All laws share ψ = 2 c_p ℓ² / (3 μ F_z), the inverse of the slip at which the whole contact slides,
 and the cubic f(u) = 3u - 3u² + u³ = 1 - (1 - u)³. Positive lateral slip σ_y = -V_y / V_r gives a
 force to the left.
-Source: Cai et al., GM3 (arXiv 2510.07807), Eq. 4-7, and DMMV, Sec. III; Pacejka, Tire and Vehicle
+
+Source:
+    Cai et al., GM3 (arXiv 2510.07807), Eq. 4-7, and DMMV, Sec. III; Pacejka, Tire and Vehicle
     Dynamics, Ch. 3.
 """
 
@@ -61,7 +63,9 @@ def loaded_tire(
 class TireSecants(NamedTuple):
     """Forces as products of slips: exact at the slip they were taken at.
 
-    F_x = along · σ_x,  F_y = across · σ_y + per_angle · α + per_spin · φ,  M_z = -aligning · σ_y
+    F_x = along · σ_x
+    F_y = across · σ_y + per_angle · α + per_spin · φ
+    M_z = -aligning · σ_y
     """
 
     along: Float[Tensor, "*b"]  # N
@@ -138,13 +142,18 @@ def forces(secants: TireSecants, slip: TireSlip) -> TireForces:
 class ConsistentBrush(Tire):
     """The isotropic brush in combined slip, spin acting as an equivalent lateral slip.
 
-        σ_y' = σ_y + ℓφ/3,  s' = sqrt(σ_x² + σ_y'² + ε),  u = ψ s',  F(u) = 1 - max(1 - u, 0)³
-        F_x = μ F_z F(u) σ_x / s',  F_y = μ F_z F(u) σ_y' / s',  M_z = -μ F_z ℓ ψ σ_y max(1 - u, 0)³
+        σ_y' = σ_y + ℓφ/3,  s' = sqrt(σ_x² + σ_y'² + ε)
+        u = ψ s',  r = max(1 - u, 0),  F(u) = 1 - r³
+        F_x = μ F_z F(u) σ_x / s'
+        F_y = μ F_z F(u) σ_y' / s'
+        M_z = -μ F_z ℓ ψ σ_y r³
 
     Never leaves the friction circle, is twice continuously differentiable at the onset of sliding
-    without any gate, and keeps the camber thrust (2/3) c_p ℓ³ φ. It is written with μ F_z F(u) /
-    s' = (C/3)(1 + r + r²) / (u + r), r = max(1 - u, 0), which is finite without slip and without
-    load.
+    without any gate, and keeps the camber thrust (2/3) c_p ℓ³ φ. It is written with
+
+        μ F_z F(u) / s' = (C/3) (1 + r + r²) / (u + r)
+
+    which is finite without slip and without load.
 
     Args:
         epsilon: ε under the root; the stiffness without slip is low by the share ψ sqrt(ε).
@@ -186,14 +195,18 @@ def _cubic(slide: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
 class PaperBrush(Tire):
     """The smooth law of DMMV, letter by letter.
 
-        σ̂ = sqrt(σ_x² + σ_y² + ε),  t = tanh(kα),  ψ* = ψ / (1 - ℓφψ t),  G(s, p) = 1 / (1 +
-        exp(-k (s - 1/p))) F_x = μ F_z (σ_x/σ̂) [(1 - G) f(ψσ̂) + G]
+        σ̂ = sqrt(σ_x² + σ_y² + ε),  t = tanh(kα),  ψ* = ψ / (1 - ℓφψ t)
+        G(s, p) = 1 / (1 + exp(-k (s - 1/p)))
+        F_x = μ F_z (σ_x/σ̂) [(1 - G) f(ψσ̂) + G]
         F_y = (1 - G*) μ F_z (σ_y/σ̂) f(ψ*σ̂) + G* μ F_z t
         M_z = -(1 - G*) μ F_z ℓ ψ* σ_y (1 - ψ*σ̂)³
 
     with G = G(σ̂, ψ) and G* = G(σ̂, ψ*). It has no camber thrust, leaves the friction circle in
     combined slip, and needs k / ψ ≥ 11. In a vehicle, ψ is held below `SLIDE_SHARE` · k: for a
-    wheel that leaves the ground the printed law would grow without bound. Source: DMMV, Sec. III.
+    wheel that leaves the ground the printed law would grow without bound.
+
+    Source:
+        DMMV, Sec. III.
 
     Args:
         steepness: k of the gate in slip units and of the tanh.
@@ -249,7 +262,9 @@ class SharpBrush(Tire):
 
     It jumps at σ_y = 0 and at the onset of sliding, and leaves the friction circle; for comparison
     only.
-    Source: GM3, Eq. 4-7.
+
+    Source:
+        GM3, Eq. 4-7.
     """
 
     def secants(

@@ -35,10 +35,10 @@ class Controls(NamedTuple):
 class ControlDecoder(nn.Module):
     """GRU that emits controls of each component z as deviations from those of a fading CTRA.
 
-        u_t = ū_t + w ∘ W h_t,    ū_t = control for the acceleration a₀ exp(-t / τ) and the
-        curvature κ₀ exp(-t / τ)
+        u_t = ū_t + w ∘ W h_t
 
-    with the width w of the box of controls. Its weights W start at zero, so that an untrained
+    with the width w of the box of controls, and ū_t the control for the acceleration a₀ exp(-t / τ)
+    and the curvature κ₀ exp(-t / τ). Its weights W start at zero, so that an untrained
     decoder is the fading CTRA and what it learns are deviations from it. The input of the GRU is
     the deviation of the step before; context and component enter through its first state and
     through a constant part of its input, which is computed once.
@@ -55,8 +55,7 @@ class ControlDecoder(nn.Module):
         jacobians: Linearises the dynamics, see `integrate`.
 
     Raises:
-        ValueError: A number of steps is below one, or the state of the dynamics does not begin with
-            a position.
+        ValueError: A number of steps is below one.
     """
 
     def __init__(

@@ -11,9 +11,8 @@ from diffstack_mmv.prediction.trajectron.agent_batch import AgentBatch
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
 from diffstack_mmv.types import Forecast, Tracks, map_tensors
 
-ABSENT_LOG_WEIGHT = (
-    -1e4
-)  # of components that an agent does not have; finite, so that 0 · log 0 is 0
+ABSENT_LOG_WEIGHT = -1e4
+"""Of components that an agent does not have; finite, so that 0 · log 0 is 0."""
 
 
 def scenes(agents: Tracks) -> Tracks:
