@@ -11,7 +11,7 @@ from diffstack_mmv.control.constrained.constraint import Rows
 from diffstack_mmv.control.constrained.implicit import Attached, KktPoint
 from diffstack_mmv.control.constrained.local import Problem, expand_problem
 from diffstack_mmv.control.constrained.newton import free_controls
-from diffstack_mmv.control.constrained.outer import Progress
+from diffstack_mmv.control.constrained.phases import Progress
 from diffstack_mmv.control.constrained.solution import ConstrainedSolution
 from diffstack_mmv.control.expansion import pad_controls
 from diffstack_mmv.types import SolverStatus
@@ -40,7 +40,7 @@ def conclude(problem: Problem, progress: Progress) -> Conclusion:
     x = problem.rollout(u)
     acting = pad_controls(u)
     values = problem.rows.values(x, acting)
-    activity = classify(progress.multipliers + progress.penalty * values, problem.rows)
+    activity = classify(progress.multipliers + values, problem.rows)
     multipliers = activity.multipliers(progress.multipliers).nan_to_num(0.0)
     slack = torch.where(activity.side != 0, values.abs(), torch.zeros_like(values))
     total = problem.cost(x, acting).sum(-1) + paid(problem.rows, slack)
@@ -69,4 +69,5 @@ def paid(rows: Rows, slack: Tensor) -> Tensor:
 
 
 def _flat(problem: Problem, part: Tensor) -> Tensor:
-    return part.reshape(-1, *part.shape[problem.state.dim() - 1 :])
+    leading = problem.state.shape[:-1]
+    return part.reshape(leading.numel(), *part.shape[len(leading) :])

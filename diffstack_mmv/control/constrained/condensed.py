@@ -20,6 +20,12 @@ from torch import Tensor
 from diffstack_mmv.control.constrained.local import Local
 
 REFINEMENTS = 3
+CHUNK = 256  # problems that are solved densely at a time: bounds the memory
+
+
+def chunks(which: Bool[Tensor, " N"]) -> list[Int[Tensor, " k"]]:
+    """Positions of the chosen problems, some at a time."""
+    return [index for index in which.nonzero().squeeze(-1).split(CHUNK) if len(index)]
 
 
 class Condensed(NamedTuple):

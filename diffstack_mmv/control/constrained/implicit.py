@@ -14,9 +14,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.control.constrained.activity import Activity
-from diffstack_mmv.control.constrained.condensed import Condensed, assemble, condense
+from diffstack_mmv.control.constrained.condensed import Condensed, assemble, chunks, condense
 from diffstack_mmv.control.constrained.local import Local, Problem, adjoint_states
-from diffstack_mmv.control.constrained.newton import CHUNK
 from diffstack_mmv.control.expansion import pad_controls, step_all
 
 WEAK = 1e-6  # of the root of the cost that letting go of a row would save; below, it is inactive
@@ -79,7 +78,7 @@ class _Implicit(torch.autograd.Function):
             *(torch.zeros_like(part) for part in (*upstream[:2], upstream[0], upstream[2])),
             torch.zeros_like(upstream[1]),
         )
-        for index in point.valid.nonzero().squeeze(-1).split(CHUNK):
+        for index in chunks(point.valid):
             found = _adjoint(point, index, *(part[index] for part in upstream))
             for whole, part in zip(parts, found, strict=True):
                 whole[index] = part

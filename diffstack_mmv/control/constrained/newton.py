@@ -15,14 +15,14 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.control.constrained.activity import Activity, classify
-from diffstack_mmv.control.constrained.condensed import assemble, condense
+from diffstack_mmv.control.constrained.condensed import assemble, chunks, condense
 from diffstack_mmv.control.constrained.local import Local, Problem, expand_problem
 from diffstack_mmv.control.expansion import pad_controls
 
 STEPS = 12
 NEAR = 0.3  # cost of the first step relative to that of the problem, above which it is none to take
+ROUNDING = 8.0  # units of the precision within which a control is on its bound
 GROWTH = 10.0  # of that number from step to step, above which the method has failed
-CHUNK = 256  # problems that are solved densely at a time: bounds the memory
 
 
 class Point(NamedTuple):
@@ -51,7 +51,7 @@ class Polished(NamedTuple):
 def polish(
     problem: Problem,
     start: Point,
-    penalty: Float[Tensor, "*b 1 K"],
+    activation: Float[Tensor, "*b 1 K"],
     chosen: Bool[Tensor, "*b"],
     accuracy: Float[Tensor, ""],
     tolerance: Float[Tensor, ""],
@@ -64,7 +64,7 @@ def polish(
     Args:
         problem: All problems.
         start: Where they begin.
-        penalty: κ of each constraint.
+        activation: κ of each constraint.
         chosen: Which problems to iterate; the others stay.
         accuracy: Size of a step that counts as none.
         tolerance: Violation that counts as none.
@@ -77,7 +77,7 @@ def polish(
             break
         x = problem.rollout(point.u)
         values = problem.rows.values(x, pad_controls(point.u))
-        activity = classify(point.multipliers + penalty * values, problem.rows)
+        activity = classify(point.multipliers + activation * values, problem.rows)
         multipliers = activity.multipliers(point.multipliers)
         local = expand_problem(problem, x, point.u, multipliers)
         step = newton_step(problem, local, activity, point.u, multipliers, values, open_)
@@ -97,7 +97,10 @@ def _moved(
     problem: Problem, point: Point, multipliers: Tensor, step: Step, which: Tensor
 ) -> Point:
     lower, upper = problem.bounds
-    u = (point.u + step.u.view(point.u.shape)).clamp(lower.to(point.u), upper.to(point.u))
+    u = point.u + step.u.view(point.u.shape)
+    near = ROUNDING * torch.finfo(u.dtype).eps
+    u = torch.where(u <= lower + near * lower.abs(), lower, u)
+    u = torch.where(u >= upper - near * upper.abs(), upper, u)
     pressed = multipliers + step.multipliers.view(multipliers.shape)
     mask = which[..., None, None]
     return Point(torch.where(mask, u, point.u), torch.where(mask, pressed, point.multipliers))
@@ -113,6 +116,15 @@ def free_controls(
     return ~held.flatten(1)
 
 
+def _reached_bound(problem: Problem, u: Tensor, gradient: Tensor, weight: Tensor) -> Tensor:
+    """The bound that a step along the scaled gradient reaches, NaN where there is none."""
+    lower, upper = (bound.repeat(u.shape[1] // len(bound)) for bound in problem.bounds)
+    goal = u - gradient / weight
+    none = torch.full_like(u, torch.nan)
+    reached = torch.where(goal > upper, upper, torch.where(goal < lower, lower, none))
+    return torch.where(lower == upper, lower, reached)
+
+
 def newton_step(
     problem: Problem,
     local: Local,
@@ -124,16 +136,22 @@ def newton_step(
 ) -> Step:
     """The step of the problems `which`, zero for all others."""
     N, P = len(local.B), u.shape[-2] * u.shape[-1]
-    free = free_controls(problem, u, local.gradient)
+    flat = u.reshape(N, P)
     residual = activity.residual(values, multipliers).reshape(N, -1)
     held, compliance = activity.held.reshape(N, -1), activity.compliance.reshape(N, -1)
     du, dv = local.B.new_zeros(N, P), torch.zeros_like(residual)
     size, convex = local.B.new_zeros(N), torch.zeros(N, dtype=torch.bool, device=u.device)
-    for index in which.reshape(N).nonzero().squeeze(-1).split(CHUNK):
+    for index in chunks(which.reshape(N)):
         condensed = condense(local.select(index))
-        system = assemble(condensed, free[index], held[index], compliance[index])
-        own_u, own_v = system.solve(-local.gradient[index].flatten(1), -residual[index])
         weight = condensed.hessian.diagonal(dim1=1, dim2=2).abs()
+        gradient = local.gradient[index].flatten(1)
+        goal = _reached_bound(problem, flat[index], gradient, weight)
+        fixed = torch.where(goal.isnan(), 0.0, goal - flat[index])
+        system = assemble(condensed, goal.isnan(), held[index], compliance[index])
+        pull = (condensed.hessian @ fixed.unsqueeze(-1)).squeeze(-1)
+        along = (condensed.jacobian @ fixed.unsqueeze(-1)).squeeze(-1)
+        own_u, own_v = system.solve(-gradient - pull, -residual[index] - along)
+        own_u = own_u + fixed
         du[index], dv[index], convex[index] = own_u, own_v, system.convex
         size[index] = (weight * own_u.square()).sum(1) / local.magnitude[index]
     return Step(du, dv, size, convex)

@@ -7,13 +7,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.checks import require, require_at_least, require_positive
 from diffstack_mmv.control.constrained.conclusion import conclude
-from diffstack_mmv.control.constrained.constraint import Constraint, gather
+from diffstack_mmv.control.constrained.constraint import Constraint, Rows, gather
 from diffstack_mmv.control.constrained.implicit import attach
 from diffstack_mmv.control.constrained.local import Problem, rollout
-from diffstack_mmv.control.constrained.outer import begin
-from diffstack_mmv.control.constrained.rounds import Rounds
+from diffstack_mmv.control.constrained.phases import Phases, begin
 from diffstack_mmv.control.constrained.solution import ConstrainedSolution
 from diffstack_mmv.control.ilqr import ILQR, check_problem
 from diffstack_mmv.control.optimizer import Cost, Dynamics
@@ -30,15 +29,17 @@ class ConstrainedILQR:
         min Σ_t c_t(x_t, u_t)  subject to  x_{t+1} = f(x_t, u_t),  lower ≤ u_t ≤ upper,
         g(x_t, u_t) ≤ 0,  h(x_t, u_t) = 0  at any of the times 0 .. T,  x_0 given
 
-    An augmented Lagrangian with a penalty per problem comes near a solution: `solver` minimises it
-    in the box, then the multipliers are updated, and the penalty grows tenfold where the violation
-    did not fall to a quarter. As soon as Newton's method on the optimality conditions converges
-    from there it takes over, which leaves violations of the order of the rounding. Finished
-    problems are frozen, and left behind if the callables are `Selectable`; no answer depends on
-    the batch mates.
+    Where the solution of `solver` touches no constraint, it is the answer. All other problems go
+    through a primal-dual interior-point method with free states (multiple shooting) from the given
+    guess, and then through Newton's method on the optimality conditions with the active set held,
+    which leaves violations of the order of the rounding. Problems that do not come through are
+    solved once more with all constraints at a high price (elastic): that gives a solution, or a
+    violation that no step lowers, `SolverStatus.INFEASIBLE`. Finished problems are frozen, and left
+    behind if the callables are `Selectable`; no answer depends on the batch mates.
 
-    A soft constraint has a `Slack`, the price of its violation. Without constraints, or where none
-    is active, the solution is that of `solver`.
+    A soft constraint has a `Slack`, the price of its violation. With multipliers of a similar
+    problem Newton's method comes first, which takes a few iterations where the active set is
+    nearly the same.
 
     The solution, its multipliers and its cost are differentiable, exactly, in the initial state,
     the bounds and every tensor that the callables and prices depend on, the active constraints
@@ -46,19 +47,19 @@ class ConstrainedILQR:
     as inactive. A problem that did not converge contributes a gradient of exactly zero.
 
     Args:
-        solver: Minimises the augmented Lagrangian; its `tolerance` is that of the solution.
-        max_outer: Limit of updates of the multipliers.
+        solver: Solves without constraints; its `tolerance` is that of the solution.
+        max_iterations: Limit of interior-point iterations of each phase.
         tolerance: Largest violation of a hard constraint, in its unit, in a converged problem; in
             float32 at least 1.2e-5.
-        penalty: First curvature of the penalty relative to that of the cost.
 
     Raises:
         ValueError: A number is not positive.
 
     Source:
-        Howell, Jackson and Manchester, ALTRO: A Fast Solver for Constrained Trajectory
-        Optimization, IROS 2019; differs in exact Hessians, in the box QP of the inner solver, and
-        in the last phase, which is one dense Newton system per problem.
+        Wächter and Biegler, On the implementation of an interior-point filter line-search algorithm
+        for large-scale nonlinear programming, Mathematical Programming 106, 2006; Amos et al.,
+        Differentiable MPC for End-to-end Planning and Control, NeurIPS 2018, for derivatives;
+        differs in the active constraints on states and the full Hessian.
 
     Example:
         Brake before a wall whose place is learned.
@@ -82,14 +83,12 @@ class ConstrainedILQR:
     """
 
     solver: ILQR = ILQR()
-    max_outer: int = 20
+    max_iterations: int = 150
     tolerance: float = 1e-6
-    penalty: float = 1.0
 
     def __post_init__(self) -> None:
-        require_at_least("max_outer", self.max_outer, 1)
+        require_at_least("max_iterations", self.max_iterations, 1)
         require_positive("tolerance", self.tolerance)
-        require_positive("penalty", self.penalty)
 
     def __call__(
         self,
@@ -130,12 +129,30 @@ class ConstrainedILQR:
         posed = Problem(dynamics, cost, gather(constraints, x, u), bounds, state)
         with torch.no_grad():
             fixed = posed.constant()
-            progress = begin(fixed, x, u, multipliers, self.penalty)
-            progress = self._rounds(state).run(fixed, progress, multipliers is not None)
+            progress = begin(u, _given(multipliers, fixed.rows))
+            progress = self._phases(state).run(fixed, progress, multipliers is not None)
             conclusion = conclude(fixed, progress)
         attached = attach(posed, conclusion.point) if torch.is_grad_enabled() else None
         return conclusion.solution(posed.rows.widths, attached)
 
-    def _rounds(self, state: Tensor) -> Rounds:
+    def _phases(self, state: Tensor) -> Phases:
         finest = FINEST * torch.finfo(state.dtype).eps
-        return Rounds(self.solver, self.max_outer, max(self.tolerance, finest))
+        return Phases(self.solver, self.max_iterations, max(self.tolerance, finest))
+
+
+def _given(multipliers: Sequence[Tensor] | None, rows: Rows) -> Tensor:
+    """The given multipliers side by side, zero where there are none."""
+    none = torch.zeros_like(rows.linear)
+    if multipliers is None:
+        return none
+    given = torch.cat(list(multipliers), -1).detach().to(none)
+    remedy = "Take those of a solution with the same constraints."
+    shape = tuple(none.shape)
+    require(
+        given.shape == none.shape,
+        "multipliers",
+        f"have shape {shape} side by side",
+        tuple(given.shape),
+        remedy=remedy,
+    )
+    return torch.where(rows.applies, given, none)
