@@ -24,7 +24,8 @@ from diffstack_mmv.control.constrained.local import Local, Problem, expand_probl
 from diffstack_mmv.control.expansion import expand_cost, pad_controls
 from diffstack_mmv.control.selection import SMALLEST
 
-FIRST, LAST = 0.1, 1e-7  # barrier parameter μ, for a cost whose gradient is scaled to STEEPEST
+FIRST = 0.1  # barrier parameter μ, for a cost whose gradient is scaled to STEEPEST
+LAST = 0.7  # power of the precision that is the last μ: 1e-11 in float64
 STEEPEST = 10.0
 REDUCTION, POWER, ENOUGH = 0.2, 1.5, 10.0
 INSIDE = 1e-2  # of the box, distance of the first controls from the bounds; smallest first slack
@@ -186,13 +187,13 @@ def _errors(
 
 def _lowered(central: Central, error: Tensor, products: list[Tensor]) -> Central:
     """Lower μ where its problem is solved well enough; at the last one a problem is finished."""
-    mu = central.mu
+    mu, last = central.mu, torch.finfo(central.mu.dtype).eps ** LAST
     for _ in range(4):
         away = [(p - mu[..., None, None]).abs().nan_to_num(0.0).flatten(-2) for p in products]
         total = torch.maximum(error, torch.cat(away, -1).amax(-1))
         close = total <= ENOUGH * mu
-        less = torch.minimum(REDUCTION * mu, mu**POWER).clamp_min(LAST)
-        solved = close & (mu <= LAST) & central.open
+        less = torch.minimum(REDUCTION * mu, mu**POWER).clamp_min(last)
+        solved = close & (mu <= last) & central.open
         mu = torch.where(close & central.open, less, mu)
     forgotten = torch.where(mu < central.mu, torch.inf, central.visited.violation)
     visited = central.visited._replace(violation=forgotten)
