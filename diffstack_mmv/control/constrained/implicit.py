@@ -137,7 +137,7 @@ def attach(problem: Problem, point: KktPoint) -> Attached | None:
         The solutions with their graph, or None if nothing here requires a gradient.
     """
     leading = problem.state.shape[:-1]
-    shaped = [part.reshape(*leading, *part.shape[1:]) for part in (point.x, point.u)]
+    shaped = [part.reshape((*leading, *part.shape[1:])) for part in (point.x, point.u)]
     x, u = shaped[0][..., 1:, :], shaped[1]
     valid = point.valid.view(leading)
     state = torch.where(valid.unsqueeze(-1), problem.state, shaped[0][..., 0, :])
@@ -147,11 +147,13 @@ def attach(problem: Problem, point: KktPoint) -> Attached | None:
         terms.lagrangian, (0, 1), has_aux=True
     )(x, u)
     bounds = u - terms.bound
-    residual = [part.flatten(0, len(leading) - 1) if leading else part.unsqueeze(0)
-                for part in (of_x, of_u, following, rows, bounds)]
+    residual = [
+        part.reshape((leading.numel(), *part.shape[len(leading) :]))
+        for part in (of_x, of_u, following, rows, bounds)
+    ]
     if not any(part.requires_grad for part in (*residual, each)):
         return None
-    found = [part.reshape(*leading, *part.shape[1:]) for part in _Implicit.apply(*residual, point)]
+    found = [part.reshape((*leading, *part.shape[1:])) for part in _Implicit.apply(*residual, point)]
     states = torch.cat([state.unsqueeze(-2), found[0]], -2)
     multipliers = torch.where(terms.activity.held, found[2], terms.multipliers)
     return Attached(states, found[1], multipliers, torch.where(valid, each, each.detach()))
@@ -162,7 +164,7 @@ class _Terms:
 
     def __init__(self, problem: Problem, point: KktPoint, leading: torch.Size) -> None:
         def shaped(part: Tensor) -> Tensor:
-            return part.reshape(*leading, *part.shape[1:])
+            return part.reshape((*leading, *part.shape[1:]))
 
         self.problem, rows = problem, problem.rows
         self.valid = shaped(point.valid)[..., None, None]

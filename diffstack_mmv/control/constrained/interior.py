@@ -25,7 +25,7 @@ from diffstack_mmv.control.expansion import expand_cost, pad_controls
 from diffstack_mmv.control.selection import SMALLEST
 
 FIRST = 0.1  # barrier parameter μ, for a cost whose gradient is scaled to STEEPEST
-LAST = 0.7  # power of the precision that is the last μ: 1e-11 in float64
+FINE, COARSE = 0.7, 0.4  # powers of the precision that are the last μ: 1e-11, 5e-7 in float64
 STEEPEST = 10.0
 REDUCTION, POWER, ENOUGH = 0.2, 1.5, 10.0
 INSIDE = 1e-2  # of the box, distance of the first controls from the bounds; smallest first slack
@@ -36,6 +36,7 @@ class Central(NamedTuple):
     """Where each problem stands on the way along the central path."""
 
     point: Interior
+    last: Float[Tensor, "*b"]  # μ at which a problem is finished
     mu: Float[Tensor, "*b"]
     shift: Float[Tensor, "*b"]
     started: Bool[Tensor, "*b"]  # whether all was finite at the guess
@@ -69,14 +70,19 @@ class Found(NamedTuple):
 
 
 def follow(
-    problem: Problem, u: Float[Tensor, "*b T m"], most: int, which: Bool[Tensor, "*b"]
+    problem: Problem,
+    u: Float[Tensor, "*b T m"],
+    most: int,
+    which: Bool[Tensor, "*b"],
+    accuracy: float = FINE,
 ) -> Found:
     """Follow the central path from a guess of the controls, at most `most` iterations.
 
-    Only the problems `which` are iterated.
+    Only the problems `which` are iterated; `accuracy` is the power of the precision at the end.
     """
     barrier, central = enter(problem, u)
-    return _run(barrier, central._replace(open=central.open & which), most)
+    last = torch.full_like(central.mu, torch.finfo(u.dtype).eps ** accuracy)
+    return _run(barrier, central._replace(open=central.open & which, last=last), most)
 
 
 def _run(barrier: Barrier, central: Central, most: int) -> Found:
@@ -122,7 +128,7 @@ def enter(problem: Problem, u: Float[Tensor, "*b T m"]) -> tuple[Barrier, Centra
     count = torch.zeros_like(scale, dtype=torch.long)
     none = torch.zeros_like(finite)
     nowhere = Visited(scale.new_zeros(0, *scale.shape), scale.new_zeros(0, *scale.shape))
-    return barrier, Central(start, mu, torch.zeros_like(scale), finite, finite, none, count, nowhere)
+    return barrier, Central(start, mu, mu, torch.zeros_like(scale), finite, finite, none, count, nowhere)
 
 
 def _iterate(barrier: Barrier, central: Central) -> Central:
@@ -187,12 +193,12 @@ def _errors(
 
 def _lowered(central: Central, error: Tensor, products: list[Tensor]) -> Central:
     """Lower μ where its problem is solved well enough; at the last one a problem is finished."""
-    mu, last = central.mu, torch.finfo(central.mu.dtype).eps ** LAST
+    mu, last = central.mu, central.last
     for _ in range(4):
         away = [(p - mu[..., None, None]).abs().nan_to_num(0.0).flatten(-2) for p in products]
         total = torch.maximum(error, torch.cat(away, -1).amax(-1))
         close = total <= ENOUGH * mu
-        less = torch.minimum(REDUCTION * mu, mu**POWER).clamp_min(last)
+        less = torch.maximum(torch.minimum(REDUCTION * mu, mu**POWER), last)
         solved = close & (mu <= last) & central.open
         mu = torch.where(close & central.open, less, mu)
     forgotten = torch.where(mu < central.mu, torch.inf, central.visited.violation)

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from diffstack_mmv.control.constrained.constraint import Rows
-from diffstack_mmv.control.constrained.interior import Found, enter, follow
+from diffstack_mmv.control.constrained.interior import COARSE, FINE, Found, enter, follow
 from diffstack_mmv.control.constrained.local import Problem, linearise_rows
 from diffstack_mmv.control.constrained.newton import Point, polish
 from diffstack_mmv.control.expansion import expand_cost, pad_controls
@@ -114,7 +114,7 @@ class Phases:
         """All constraints at a high price: a violation that stays cannot be helped."""
         scale = enter(problem, guess)[0].scale
         elastic = problem._replace(rows=_soft(problem.rows, price / scale[..., None, None]))
-        found = self._followed(elastic, guess, progress.is_open)
+        found = self._followed(elastic, guess, progress.is_open, COARSE if last else FINE)
         progress = progress.counted(found.iterations)
         start = Point(found.u, found.multipliers)
         chosen = progress.is_open & found.solved
@@ -126,12 +126,14 @@ class Phases:
         stuck = chosen & progress.is_open & (problem.rows.violation(values) > self.tolerance)
         return progress.where(stuck, Point(u, found.multipliers), SolverStatus.INFEASIBLE)
 
-    def _followed(self, problem: Problem, guess: Tensor, which: Tensor) -> Found:
+    def _followed(
+        self, problem: Problem, guess: Tensor, which: Tensor, accuracy: float = FINE
+    ) -> Found:
         """The interior-point method for some of the problems, alone if they can be."""
         index = which.flatten().nonzero().squeeze(-1)
         if not problem.selectable or len(index) == which.numel():
-            return follow(problem, guess, self.most, which)
-        part = follow(problem.select(index), guess[index], self.most, which[index])
+            return follow(problem, guess, self.most, which, accuracy)
+        part = follow(problem.select(index), guess[index], self.most, which[index], accuracy)
         count = torch.zeros(which.shape, dtype=torch.long, device=which.device)
         empty = torch.zeros_like(which)
         whole = Found(guess, torch.zeros_like(problem.rows.linear), empty, empty, count)
