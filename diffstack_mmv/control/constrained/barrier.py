@@ -153,9 +153,9 @@ def _solve(
     barrier: Barrier, local: Local, flat: list[Tensor], shift: Tensor, which: Tensor
 ) -> tuple[list[Tensor], Tensor]:
     """δx, δu, J δ of the inequalities and δy, chunk by chunk."""
-    N, T1, I = flat[0].shape
+    N, T1, inequalities = flat[0].shape
     (T, n), m, E = local.B.shape[1:3], local.B.shape[3], flat[-1].shape[-1]
-    shapes = (T1, n), (T, m), (T1, I), (T1, E)
+    shapes = (T1, n), (T, m), (T1, inequalities), (T1, E)
     found = [local.B.new_zeros(N, *shape) for shape in shapes]
     for index in chunks(which):
         some = [part[index] for part in flat]

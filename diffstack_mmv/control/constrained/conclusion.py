@@ -30,7 +30,7 @@ class Conclusion(NamedTuple):
         multipliers = self.multipliers
         if attached is not None:
             x, u, multipliers, cost = attached
-        return ConstrainedSolution(x, u, cost, *rest, multipliers.split(list(widths), -1))
+        return ConstrainedSolution(*[x, u, cost, *rest, multipliers.split(list(widths), -1)])
 
 
 def conclude(problem: Problem, progress: Progress) -> Conclusion:
@@ -55,7 +55,7 @@ def conclude(problem: Problem, progress: Progress) -> Conclusion:
     flat = (_flat(problem, part) for part in (x, u, multipliers, slack.nan_to_num(0.0)))
     active = Activity(*(_flat(problem, part) for part in activity))
     free = free_controls(problem, u, local.gradient)
-    point = KktPoint(*flat, active, problem.rows.signed, free, valid, local)
+    point = KktPoint(*[*flat, active, problem.rows.signed, free, valid, local])
     violation = problem.rows.violation(values).nan_to_num(torch.inf)
     cost, residual = total.nan_to_num(torch.inf), residual.nan_to_num(torch.inf)
     parts = (x, u, cost, residual, progress.iterations, status, violation)

@@ -113,9 +113,7 @@ class System(NamedTuple):
         for _ in range(REFINEMENTS):
             error = wanted - self.matrix @ found
             found = found + torch.linalg.lu_solve(self.factor, self.pivots, error)
-        du, chosen = (found.squeeze(-1) * self.scale).split(
-            [of_u.shape[1], self.index.shape[1]], 1
-        )
+        du, chosen = (found.squeeze(-1) * self.scale).split([of_u.shape[1], self.index.shape[1]], 1)
         return du, torch.zeros_like(of_rows).scatter(1, self.index, chosen)
 
 

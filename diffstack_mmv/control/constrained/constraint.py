@@ -144,7 +144,8 @@ def gather(
         parts.append((linear, quadratic, signed, applies))
     columns = (torch.cat(part, -1) for part in zip(*parts, strict=True))
     widths = tuple(applies.shape[1] for *_, applies in parts)
-    return Rows(tuple(constraint.function for constraint in constraints), *columns, widths)
+    functions = tuple(constraint.function for constraint in constraints)
+    return Rows(*[functions, *columns, widths])
 
 
 def _priced(price: float | Tensor, values: Tensor, applies: Tensor, name: str) -> Tensor:

@@ -18,8 +18,8 @@ ROUNDING = 10.0  # units of the precision of the objective that count as no incr
 class Visited(NamedTuple):
     """Pairs that a step has to beat in one of the two; infinite violations are beaten anyway."""
 
-    violation: Float[Tensor, "F *b"]
-    objective: Float[Tensor, "F *b"]
+    violation: Float[Tensor, "F ..."]
+    objective: Float[Tensor, "F ..."]
 
     def beaten_by(
         self, violation: Float[Tensor, "*b"], objective: Float[Tensor, "*b"]
@@ -90,12 +90,10 @@ def longest(barrier: Barrier, point: Interior, step: Interior) -> tuple[Tensor, 
     )
     dual = torch.minimum(
         torch.minimum(_reach(point.lower, step.lower), _reach(point.upper, step.upper)),
-        torch.minimum(
-            _reach(point.z, step.z), _reach(barrier.spare(point), spare_step, inner)
-        ),
+        torch.minimum(_reach(point.z, step.z), _reach(barrier.spare(point), spare_step, inner)),
     )
-    # the price of a violation joins both
-    joint = inner.flatten(-2).any(-1)
+    # a price that grows with the violation joins both
+    joint = (inner & (rows.quadratic > 0)).flatten(-2).any(-1)
     both = torch.minimum(primal, dual)
     return torch.where(joint, both, primal), torch.where(joint, both, dual)
 

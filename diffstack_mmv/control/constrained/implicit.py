@@ -74,10 +74,8 @@ class _Implicit(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         point: KktPoint = ctx.point
-        parts = Adjoint(
-            *(torch.zeros_like(part) for part in (*upstream[:2], upstream[0], upstream[2])),
-            torch.zeros_like(upstream[1]),
-        )
+        like = (*upstream[:2], upstream[0], upstream[2], upstream[1])
+        parts = Adjoint(*(torch.zeros_like(part) for part in like))
         for index in chunks(point.valid):
             found = _adjoint(point, index, *(part[index] for part in upstream))
             for whole, part in zip(parts, found, strict=True):
@@ -143,9 +141,9 @@ def attach(problem: Problem, point: KktPoint) -> Attached | None:
     state = torch.where(valid.unsqueeze(-1), problem.state, shaped[0][..., 0, :])
     problem = problem._replace(state=state)
     terms = _Terms(problem, point, leading)
-    (of_x, of_u), (each, following, rows) = torch.func.grad(
-        terms.lagrangian, (0, 1), has_aux=True
-    )(x, u)
+    (of_x, of_u), (each, following, rows) = torch.func.grad(terms.lagrangian, (0, 1), has_aux=True)(
+        x, u
+    )
     bounds = u - terms.bound
     residual = [
         part.reshape((leading.numel(), *part.shape[len(leading) :]))
@@ -153,7 +151,9 @@ def attach(problem: Problem, point: KktPoint) -> Attached | None:
     ]
     if not any(part.requires_grad for part in (*residual, each)):
         return None
-    found = [part.reshape((*leading, *part.shape[1:])) for part in _Implicit.apply(*residual, point)]
+    found = [
+        part.reshape((*leading, *part.shape[1:])) for part in _Implicit.apply(*residual, point)
+    ]
     states = torch.cat([state.unsqueeze(-2), found[0]], -2)
     multipliers = torch.where(terms.activity.held, found[2], terms.multipliers)
     return Attached(states, found[1], multipliers, torch.where(valid, each, each.detach()))

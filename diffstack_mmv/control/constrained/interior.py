@@ -26,7 +26,7 @@ from diffstack_mmv.control.selection import SMALLEST
 
 FIRST = 0.1  # barrier parameter μ, for a cost whose gradient is scaled to STEEPEST
 FINE, COARSE = 0.7, 0.4  # powers of the precision that are the last μ: 1e-11, 5e-7 in float64
-STEEPEST = 10.0
+STEEPEST, DEAREST = 10.0, 100.0  # of the scaled cost: largest gradient, largest price
 REDUCTION, POWER, ENOUGH = 0.2, 1.5, 10.0
 INSIDE = 1e-2  # of the box, distance of the first controls from the bounds; smallest first slack
 DECAY, LIFT = 0.3, 30.0  # of the shift, after a step and after none
@@ -49,8 +49,7 @@ class Central(NamedTuple):
         """Some of the problems of a batch with one leading dimension."""
         point = Interior(*(part[index] for part in self.point))
         visited = Visited(*(part[:, index] for part in self.visited))
-        parts = (part[index] for part in self[1:-1])
-        return Central(point, *parts, visited)
+        return Central(*[point, *(part[index] for part in self[1:-1]), visited])
 
 
 class Found(NamedTuple):
@@ -61,7 +60,6 @@ class Found(NamedTuple):
     solved: Bool[Tensor, "*b"]
     started: Bool[Tensor, "*b"]  # whether all was finite at the guess
     iterations: Int[Tensor, "*b"]
-
 
     def replaced(self, index: Int[Tensor, " k"], part: "Found") -> "Found":
         """With the problems `index` of a batch with one leading dimension taken from `part`."""
@@ -111,6 +109,9 @@ def enter(problem: Problem, u: Float[Tensor, "*b T m"]) -> tuple[Barrier, Centra
     x = problem.rollout(u)
     of_x, of_u, _ = expand_cost(problem.cost, x, pad_controls(u))
     steep = torch.maximum(of_x.abs().amax((-2, -1)), of_u.abs().amax((-2, -1)))
+    linear = problem.rows.linear
+    dear = torch.where(linear.isfinite(), linear, torch.zeros_like(linear)).amax((-2, -1))
+    steep = torch.maximum(steep, STEEPEST / DEAREST * dear)
     scale = torch.where(steep > 0, STEEPEST / steep, torch.ones_like(steep)).nan_to_num(1.0)
     barrier = Barrier(problem, barrier_rows(problem.rows), scale)
     values = problem.rows.values(x, pad_controls(u))
@@ -128,7 +129,9 @@ def enter(problem: Problem, u: Float[Tensor, "*b T m"]) -> tuple[Barrier, Centra
     count = torch.zeros_like(scale, dtype=torch.long)
     none = torch.zeros_like(finite)
     nowhere = Visited(scale.new_zeros(0, *scale.shape), scale.new_zeros(0, *scale.shape))
-    return barrier, Central(start, mu, mu, torch.zeros_like(scale), finite, finite, none, count, nowhere)
+    return barrier, Central(
+        start, mu, mu, torch.zeros_like(scale), finite, finite, none, count, nowhere
+    )
 
 
 def _iterate(barrier: Barrier, central: Central) -> Central:
@@ -136,9 +139,7 @@ def _iterate(barrier: Barrier, central: Central) -> Central:
     local = expand_problem(_scaled(barrier), point.x, point.u, barrier.multipliers(point))
     residual = barrier.residual(point)
     central = _lowered(central, *_errors(barrier, local, point, residual))
-    found = newton(
-        barrier, local, point, residual, central.mu, central.shift, central.open
-    )
+    found = newton(barrier, local, point, residual, central.mu, central.shift, central.open)
     accepted = search(
         barrier, central.visited, point, found.step, residual, central.mu, central.open
     )
@@ -194,6 +195,7 @@ def _errors(
 def _lowered(central: Central, error: Tensor, products: list[Tensor]) -> Central:
     """Lower μ where its problem is solved well enough; at the last one a problem is finished."""
     mu, last = central.mu, central.last
+    solved = torch.zeros_like(central.open)
     for _ in range(4):
         away = [(p - mu[..., None, None]).abs().nan_to_num(0.0).flatten(-2) for p in products]
         total = torch.maximum(error, torch.cat(away, -1).amax(-1))

@@ -148,9 +148,7 @@ def linearise_rows(
     rows: Rows, x: Float[Tensor, "*b T1 n"], u: Float[Tensor, "*b T1 m"]
 ) -> tuple[Float[Tensor, "*b T1 K n"], Float[Tensor, "*b T1 K m"]]:
     """Jacobian of the constraints at each time, K cotangents pulled back in one call."""
-    values, pull = torch.func.vjp(rows.values, x, u)
+    values, pull = torch.func.vjp(rows.values, x, u)[:2]
     seeds = torch.eye(values.shape[-1], dtype=x.dtype, device=x.device)
     of_x, of_u = torch.vmap(lambda seed: pull(seed.expand_as(values)))(seeds)
     return of_x.movedim(0, -2), of_u.movedim(0, -2)
-
-

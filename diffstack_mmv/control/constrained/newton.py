@@ -11,7 +11,7 @@ method, SIAM J. Optimization 13, 2002.
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from diffstack_mmv.control.constrained.activity import Activity, classify
@@ -46,6 +46,7 @@ class Polished(NamedTuple):
 
     point: Point
     solved: Bool[Tensor, "*b"]
+    steps: Int[Tensor, "*b"]
 
 
 def polish(
@@ -70,8 +71,11 @@ def polish(
         tolerance: Violation that counts as none.
     """
     point, open_ = start, chosen
-    solved = torch.zeros_like(chosen)
-    small, before = torch.zeros_like(chosen), torch.zeros_like(problem.state[..., 0]) + NEAR / GROWTH
+    solved, steps = torch.zeros_like(chosen), torch.zeros_like(chosen, dtype=torch.long)
+    small, before = (
+        torch.zeros_like(chosen),
+        torch.zeros_like(problem.state[..., 0]) + NEAR / GROWTH,
+    )
     for _ in range(STEPS):
         if not bool(open_.any()):
             break
@@ -82,20 +86,21 @@ def polish(
         local = expand_problem(problem, x, point.u, multipliers)
         step = newton_step(problem, local, activity, point.u, multipliers, values, open_)
         size, convex = step.size.view(open_.shape), step.convex.view(open_.shape)
-        tiny = torch.maximum(accuracy, local.noise / local.magnitude).view(open_.shape)
+        tiny = torch.maximum(accuracy, (local.noise / local.magnitude).nan_to_num(0.0)).view(
+            open_.shape
+        )
         was_small, small = small, size <= tiny
         good = convex & (problem.rows.violation(values) <= tolerance)
         failed = ~(size <= torch.maximum(GROWTH * before, tiny))
+        steps = steps + open_
         point = _moved(problem, point, multipliers, step, open_ & ~failed)
         solved = solved | (open_ & small & was_small & good)
         open_ = open_ & ~failed & ~solved
         before = size
-    return Polished(point, solved)
+    return Polished(point, solved, steps)
 
 
-def _moved(
-    problem: Problem, point: Point, multipliers: Tensor, step: Step, which: Tensor
-) -> Point:
+def _moved(problem: Problem, point: Point, multipliers: Tensor, step: Step, which: Tensor) -> Point:
     lower, upper = problem.bounds
     u = point.u + step.u.view(point.u.shape)
     near = ROUNDING * torch.finfo(u.dtype).eps
@@ -153,5 +158,7 @@ def newton_step(
         own_u, own_v = system.solve(-gradient - pull, -residual[index] - along)
         own_u = own_u + fixed
         du[index], dv[index], convex[index] = own_u, own_v, system.convex
-        size[index] = (weight * own_u.square()).sum(1) / local.magnitude[index]
+        size[index] = (weight * own_u.square()).sum(1) / local.magnitude[index].clamp_min(
+            torch.finfo(u.dtype).tiny
+        )
     return Step(du, dv, size, convex)

@@ -17,7 +17,9 @@ from diffstack_mmv.control.iteration import OPEN
 from diffstack_mmv.types import SolverStatus
 
 PRICES = 1e3, 1e6  # of a violation in the elastic problem, the gradient of the cost being scaled
-NARROW = 1e-2  # gradient of a constraint relative to the steepest one, below which it counts as that
+NARROW = (
+    1e-2  # gradient of a constraint relative to the steepest one, below which it counts as that
+)
 
 
 class Progress(NamedTuple):
@@ -152,6 +154,7 @@ class Phases:
         accuracy = problem.state.new_tensor(self.solver.tolerance)
         tolerance = problem.state.new_tensor(self.tolerance)
         polished = polish(problem, start, activation, chosen, accuracy, tolerance)
+        progress = progress.counted(polished.steps)
         return progress.where(polished.solved, polished.point, SolverStatus.CONVERGED)
 
 

@@ -15,7 +15,7 @@ class ConstrainedSolution(NamedTuple):
     controls: Float[Tensor, "*b T m"]
     cost: Float[Tensor, "*b"]  # with the price of violated soft constraints
     residual: Float[Tensor, "*b"]  # largest entry of the projected gradient of the Lagrangian
-    iterations: Int[Tensor, "*b"]  # of the inner solver
+    iterations: Int[Tensor, "*b"]  # of all phases
     status: Int[Tensor, "*b"]  # a SolverStatus
     violation: Float[Tensor, "*b"]  # largest one of a hard constraint, in its unit
     multipliers: tuple[Float[Tensor, "*b T1 k"], ...]  # one per constraint

@@ -1,4 +1,4 @@
-"""Random constrained drives: a kinematic bicycle between moving discs, with limits on speed and grip."""
+"""Random constrained drives: a bicycle between moving discs, with limits on speed and grip."""
 
 from typing import NamedTuple
 
@@ -46,9 +46,7 @@ def price(states, controls, goal, weight):
 def overlap(states, controls, centre, velocity, radius):
     """1 - (distance / radius)² of each disc at each time."""
     time = DT * torch.arange(states.shape[-2], dtype=states.dtype).unsqueeze(-1)
-    away = states[..., :2].unsqueeze(-3) - (
-        centre.unsqueeze(-2) + velocity.unsqueeze(-2) * time
-    )
+    away = states[..., :2].unsqueeze(-3) - (centre.unsqueeze(-2) + velocity.unsqueeze(-2) * time)
     return (1 - away.square().sum(-1) / radius.square().unsqueeze(-1)).transpose(-1, -2)
 
 

@@ -3,11 +3,10 @@
 import functools
 from typing import NamedTuple
 
+import casadi
 import numpy as np
 
 from tests.control.constrained.problems import BOX, DT
-
-casadi = __import__("casadi")
 
 
 class Reference(NamedTuple):
@@ -52,7 +51,7 @@ def posed(steps, discs):
     program = {"x": unknown, "p": given, "f": cost, "g": casadi.vertcat(*equal, *unequal)}
     options = {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
     solver = casadi.nlpsol("drive", "ipopt", program, {**options, "ipopt.max_iter": 500})
-    return solver, 4 * (steps + 1), len(unequal) and casadi.vertcat(*unequal).shape[0]
+    return solver, 4 * (steps + 1), len(unequal)
 
 
 def by_ipopt(drive, index, controls, states=None):
@@ -67,7 +66,10 @@ def by_ipopt(drive, index, controls, states=None):
     )
     guess = np.tile(state, (steps + 1, 1)) if states is None else states
     free = np.full(count, np.inf)
-    lower, upper = (np.concatenate([s * free, np.tile(side, steps)]) for s, side in zip((-1, 1), BOX))
+    lower, upper = (
+        np.concatenate([s * free, np.tile(side, steps)])
+        for s, side in zip((-1, 1), BOX, strict=True)
+    )
     zero = np.zeros(4 * (steps + 1))
     found = solver(
         x0=np.concatenate([guess.ravel(), np.asarray(controls).ravel()]),

@@ -95,7 +95,9 @@ def test_a_low_price_is_paid(kind, slack):
 
 
 def test_contradictory_constraints_are_infeasible():
-    solution = brought([Inequality(wall), Inequality(lambda x, u: 2.5 - x[..., :1], times=slice(-1, None))])
+    solution = brought(
+        [Inequality(wall), Inequality(lambda x, u: 2.5 - x[..., :1], times=slice(-1, None))]
+    )
     assert (solution.status == SolverStatus.INFEASIBLE).all()
     assert solution.infeasible.all()
     assert solution.violation.min() > 0.1
@@ -115,7 +117,9 @@ def test_a_state_that_is_given_cannot_be_constrained():
         return states[..., 1:] - 1
 
     for times, status in ((always, SolverStatus.INFEASIBLE), (late, SolverStatus.CONVERGED)):
-        found = SOLVER(cart, reach, [Inequality(limit, times=times)], BOX, moving, torch.zeros(1, 9, 1))
+        found = SOLVER(
+            cart, reach, [Inequality(limit, times=times)], BOX, moving, torch.zeros(1, 9, 1)
+        )
         assert found.status.tolist() == [status]
 
 
