@@ -7,7 +7,13 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from diffstack_mmv.control.constrained.barrier_rows import BarrierRows
-from diffstack_mmv.control.constrained.condensed import assemble, chunks, condense
+from diffstack_mmv.control.constrained.condensed import (
+    Condensed,
+    assemble,
+    chunks,
+    condense,
+    is_convex,
+)
 from diffstack_mmv.control.constrained.local import Local, Problem
 from diffstack_mmv.control.expansion import pad_controls, step_all
 
@@ -194,18 +200,31 @@ def _solve_some(
     diagonal = condensed.hessian.diagonal(dim1=1, dim2=2).abs()
     diagonal = torch.maximum(diagonal, 1e-3 * diagonal.mean(1, keepdim=True))
     held = torch.ones_like(wanted, dtype=torch.bool) & (H.abs().amax(-1) > 0)
-    for attempt in range(SHIFTS):
-        lifted = hessian + torch.diag_embed(shift.unsqueeze(1) * diagonal)
-        whole = condensed._replace(hessian=lifted, jacobian=H)
-        system = assemble(whole, free, held, torch.zeros_like(wanted))
-        if attempt == SHIFTS - 1 or bool(system.convex.all()):
-            break
-        more = torch.where(shift > 0, shift * SHIFT_GROWTH, torch.full_like(shift, SHIFT))
-        shift = torch.where(system.convex, shift, more)
+    whole = condensed._replace(hessian=hessian, jacobian=H)
+    shift = _lifting(whole, diagonal, free, held, shift)
+    whole = whole._replace(hessian=hessian + torch.diag_embed(shift.unsqueeze(1) * diagonal))
+    system = assemble(whole, free, held, torch.zeros_like(wanted))
     du, dy = system.solve(right, wanted)
     dx = (G @ du[:, None, :, None]).squeeze(-1) + offset
     moved = (J @ du.unsqueeze(-1)).view(drift.shape) + drift
     return [dx, du.view(N, T1 - 1, -1), moved, dy.view(equal.shape)], shift
+
+
+def _lifting(
+    condensed: Condensed, diagonal: Tensor, free: Tensor, held: Tensor, shift: Tensor
+) -> Tensor:
+    """A multiple of the diagonal, from the given one on, with which the Hessian is convex."""
+    shift, bad = shift.clone(), torch.arange(len(shift), device=shift.device)
+    for _ in range(SHIFTS):
+        part = Condensed(*(matrix[bad] for matrix in condensed))
+        lift = torch.diag_embed(shift[bad].unsqueeze(1) * diagonal[bad])
+        part, rows = part._replace(hessian=part.hessian + lift), held[bad]
+        bad = bad[~is_convex(part, free[bad], rows, torch.zeros_like(rows, dtype=shift.dtype))]
+        if len(bad) == 0:
+            break
+        more = torch.where(shift > 0, shift * SHIFT_GROWTH, torch.full_like(shift, SHIFT))
+        shift[bad] = more[bad]
+    return shift
 
 
 def _offset(local: Local, defect: Tensor) -> Tensor:

@@ -90,7 +90,6 @@ class System(NamedTuple):
     free: Bool[Tensor, "N P"]
     index: Int[Tensor, "N H"]  # rows that are held, filled up with others
     held: Bool[Tensor, "N H"]
-    convex: Bool[Tensor, " N"]  # whether M is positive definite along the held rows
 
     def solve(
         self, of_u: Float[Tensor, "N P"], of_rows: Float[Tensor, "N R"]
@@ -117,13 +116,18 @@ class System(NamedTuple):
         return du, torch.zeros_like(of_rows).scatter(1, self.index, chosen)
 
 
-def assemble(
-    condensed: Condensed,
-    free: Bool[Tensor, "N P"],
-    held: Bool[Tensor, "N R"],
-    compliance: Float[Tensor, "N R"],
-) -> System:
-    """Factorise the system of the free controls and the held rows; `compliance` is D."""
+class _Scaled(NamedTuple):
+    """Parts of a system with a diagonal of ones, and what they were multiplied by."""
+
+    M: Float[Tensor, "N P P"]
+    J: Float[Tensor, "N H P"]
+    D: Float[Tensor, "N H"]
+    scale: Float[Tensor, "N S"]
+    index: Int[Tensor, "N H"]
+    held: Bool[Tensor, "N H"]
+
+
+def _scaled(condensed: Condensed, free: Tensor, held: Tensor, compliance: Tensor) -> _Scaled:
     most = int(held.sum(1).amax()) if held.numel() else 0
     index = held.to(torch.uint8).argsort(dim=1, descending=True, stable=True)[:, :most]
     chosen = held.gather(1, index)
@@ -132,18 +136,39 @@ def assemble(
     scale_u = _inverse_root(M.diagonal(dim1=1, dim2=2).abs())
     M, J = M * scale_u.unsqueeze(1) * scale_u.unsqueeze(2), J * scale_u.unsqueeze(1)
     scale_r = _inverse_root(J.square().sum(-1))
-    J = J * scale_r.unsqueeze(-1)
     D = compliance.gather(1, index) * scale_r.square()
     D = torch.where(chosen, D, torch.ones_like(D))
-    eps = torch.finfo(M.dtype).eps
-    convex = _is_definite(M + J.mT @ (J / (D + eps**0.375).unsqueeze(-1)))
+    scale = torch.cat([scale_u, scale_r], 1)
+    return _Scaled(M, J * scale_r.unsqueeze(-1), D, scale, index, chosen)
+
+
+def assemble(
+    condensed: Condensed,
+    free: Bool[Tensor, "N P"],
+    held: Bool[Tensor, "N R"],
+    compliance: Float[Tensor, "N R"],
+) -> System:
+    """Factorise the system of the free controls and the held rows; `compliance` is D."""
+    M, J, D, scale, index, chosen = _scaled(condensed, free, held, compliance)
     top, bottom = torch.cat([M, J.mT], 2), torch.cat([J, -torch.diag_embed(D)], 2)
     matrix = torch.cat([top, bottom], 1).nan_to_num(0.0, 0.0, 0.0)
-    shift = torch.cat([torch.zeros_like(scale_u), torch.full_like(D, eps**0.75)], 1)
+    shift = torch.zeros_like(scale)
+    shift[:, M.shape[1] :] = torch.finfo(M.dtype).eps ** 0.75
     factor, pivots, _ = torch.linalg.lu_factor_ex(matrix - torch.diag_embed(shift))
-    return System(
-        matrix, factor, pivots, torch.cat([scale_u, scale_r], 1), free, index, chosen, convex
-    )
+    return System(matrix, factor, pivots, scale, free, index, chosen)
+
+
+def is_convex(
+    condensed: Condensed,
+    free: Bool[Tensor, "N P"],
+    held: Bool[Tensor, "N R"],
+    compliance: Float[Tensor, "N R"],
+) -> Bool[Tensor, " N"]:
+    """Where M is positive definite along the held rows: with a high price on leaving them."""
+    M, J, D, *_ = _scaled(condensed, free, held, compliance)
+    M = M + J.mT @ (J / (D + torch.finfo(M.dtype).eps ** 0.375).unsqueeze(-1))
+    finite = M.isfinite().flatten(1).all(1)
+    return finite & (torch.linalg.cholesky_ex(M.nan_to_num(0.0, 0.0, 0.0))[1] == 0)
 
 
 def _held_out(M: Tensor, J: Tensor, free: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
@@ -151,11 +176,6 @@ def _held_out(M: Tensor, J: Tensor, free: Tensor, held: Tensor) -> tuple[Tensor,
     both = free.unsqueeze(1) & free.unsqueeze(2)
     M = torch.where(both, M, torch.diag_embed((~free).to(M.dtype)))
     return M, torch.where(held.unsqueeze(2) & free.unsqueeze(1), J, torch.zeros_like(J))
-
-
-def _is_definite(M: Tensor) -> Tensor:
-    finite = M.isfinite().flatten(1).all(1)
-    return finite & (torch.linalg.cholesky_ex(M.nan_to_num(0.0, 0.0, 0.0))[1] == 0)
 
 
 def _inverse_root(size: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from diffstack_mmv.control.constrained.activity import Activity, classify
-from diffstack_mmv.control.constrained.condensed import assemble, chunks, condense
+from diffstack_mmv.control.constrained.condensed import assemble, chunks, condense, is_convex
 from diffstack_mmv.control.constrained.local import Local, Problem, expand_problem
 from diffstack_mmv.control.expansion import pad_controls
 
@@ -152,12 +152,13 @@ def newton_step(
         gradient = local.gradient[index].flatten(1)
         goal = _reached_bound(problem, flat[index], gradient, weight)
         fixed = torch.where(goal.isnan(), 0.0, goal - flat[index])
-        system = assemble(condensed, goal.isnan(), held[index], compliance[index])
+        kept = goal.isnan(), held[index], compliance[index]
+        system = assemble(condensed, *kept)
         pull = (condensed.hessian @ fixed.unsqueeze(-1)).squeeze(-1)
         along = (condensed.jacobian @ fixed.unsqueeze(-1)).squeeze(-1)
         own_u, own_v = system.solve(-gradient - pull, -residual[index] - along)
         own_u = own_u + fixed
-        du[index], dv[index], convex[index] = own_u, own_v, system.convex
+        du[index], dv[index], convex[index] = own_u, own_v, is_convex(condensed, *kept)
         size[index] = (weight * own_u.square()).sum(1) / local.magnitude[index].clamp_min(
             torch.finfo(u.dtype).tiny
         )
