@@ -7,10 +7,10 @@ from pathlib import Path
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from data_converters import ConversionSettings, ResampleSettings, convert
-from diffstack_mmv.checks import require
 from diffstack_mmv.cli import command
-from diffstack_mmv.vehicles import config_folder
+from diffstack_mmv.config_checks import require_folder
+from dmmv_conventions.checks import require
+from dmmv_conventions.configs import config_folder
 
 logger = logging.getLogger(__name__)
 
@@ -21,6 +21,9 @@ def main(config: DictConfig) -> None:
     named = "recordings" in config.data
     require(named, "data", "be a data set that has a converter", config.data.name)
     require(bool(config.data.root), "data.root", "be given", None, "", "Add data.root=RECORDINGS.")
+    require_folder("data.root", config.data.root, "Add data.root=RECORDINGS.")
+    from data_converters import ConversionSettings, ResampleSettings, convert
+
     settings = ConversionSettings(
         dataset=instantiate(config.data.recordings),
         cache=Path(config.data.cache),

@@ -3,19 +3,34 @@
 from pathlib import Path
 from typing import Any
 
-import pytorch_lightning as pl
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from diffstack_mmv.callbacks import Provenance, resume_point
 from diffstack_mmv.cli import command
-from diffstack_mmv.stack import start_from
-from diffstack_mmv.vehicles import config_folder
+from diffstack_mmv.config_checks import require_checkpoint, require_recordings, require_windows
+from dmmv_conventions.configs import config_folder
 
 
 @command(config_folder(), "train")
 def main(config: DictConfig) -> None:
     """Fit, and continue where an interrupted run of the same configuration stopped."""
+    require_windows(
+        config.modes, config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
+    )
+    require_recordings(config.data.module.source)
+    if config.start is not None:
+        require_checkpoint("start", config.start)
+    # built once for its mistakes alone, which need torch but nothing that takes longer to import
+    instantiate([config.dynamics, config.predictor, config.planner, config.goal])
+    _fit(config)
+
+
+def _fit(config: DictConfig) -> None:
+    import pytorch_lightning as pl
+
+    from diffstack_mmv.callbacks import Provenance, resume_point
+    from diffstack_mmv.stack import start_from
+
     pl.seed_everything(config.seed, workers=True)
     content: Any = OmegaConf.to_container(config)
     resume = resume_point(Path(config.out) / "checkpoints" / "last.ckpt", content)
