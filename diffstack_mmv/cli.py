@@ -40,7 +40,9 @@ class CommandError(CompactHydraException):
 
 
 def command(
-    config_folder: Path, config_name: str
+    config_folder: Path,
+    config_name: str,
+    check: Callable[[DictConfig], object] = OmegaConf.resolve,
 ) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
     """Make a function of a composed configuration a command line.
 
@@ -51,6 +53,8 @@ def command(
     Args:
         config_folder: The folder of the configuration groups.
         config_name: File in it, without its ending.
+        check: Refuses, by raising, what cannot be run, before anything is written or imported; it
+            gets the resolved configuration.
     """
 
     def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
@@ -62,6 +66,7 @@ def command(
                 require_complete(OmegaConf.to_container(config))
                 _require_types(config, config_name)
                 OmegaConf.resolve(config)
+                check(config)
                 save_config(config, Path(config.out))
                 task(config)
             except EXPECTED as error:

@@ -130,3 +130,41 @@ def require_recordings(source: Mapping[str, Any]) -> None:
         require_folder("root", source["root"], "Give data.root=FOLDER.")
     else:
         read_state(Path(source["folder"]), source["name"])
+
+
+def require_tracks(source: Mapping[str, Any], splits: Sequence[str], mode: str) -> None:
+    """Refuse a converted data set without a track of a mode of transport.
+
+    Args:
+        source: Configuration of a data source, see `require_recordings`.
+        splits: Splits to look at.
+        mode: Mode of transport.
+
+    Raises:
+        ValueError: The folder is missing or no finished conversion, the mode is unknown, or nobody
+            travels like that.
+    """
+    require_recordings(source)
+    label = Mode.named(mode).label
+    if "root" in source:
+        return
+    scenes = read_state(Path(source["folder"]), source["name"])["scenes"]
+    # earlier caches do not say who is in a scene
+    found = any(
+        scene["split"] in splits and scene.get("agents", {label: 1}).get(label) for scene in scenes
+    )
+    remedy = "Choose another data set or another vehicle."
+    where = f"in the splits {', '.join(splits)} of '{source['name']}'"
+    require(found, "mode", "have tracks", f"none of mode '{mode}'", where, remedy)
+
+
+def require_reports(runs: Sequence[str]) -> None:
+    """Refuse folders that scripts/evaluate.py did not write.
+
+    Raises:
+        ValueError: There is no folder, or no `metrics.json` in one.
+    """
+    remedy = "Give those that evaluate.py wrote."
+    require(len(runs) > 0, "runs", "name at least one folder", "[]", "", remedy)
+    for run in runs:
+        require_file("runs", str(Path(run) / "metrics.json"), remedy)

@@ -15,13 +15,17 @@ from dmmv_conventions.configs import config_folder
 logger = logging.getLogger(__name__)
 
 
-@command(config_folder(), "convert")
-def main(config: DictConfig) -> None:
-    """Convert, and tell what was kept and what was rejected."""
+def check(config: DictConfig) -> None:
+    """Refuse a data set without converter, and a folder that is not there."""
     named = "recordings" in config.data
     require(named, "data", "be a data set that has a converter", config.data.name)
     require(bool(config.data.root), "data.root", "be given", None, "", "Add data.root=RECORDINGS.")
     require_folder("data.root", config.data.root, "Add data.root=RECORDINGS.")
+
+
+@command(config_folder(), "convert", check)
+def main(config: DictConfig) -> None:
+    """Convert, and tell what was kept and what was rejected."""
     from data_converters import ConversionSettings, ResampleSettings, convert
 
     settings = ConversionSettings(

@@ -14,18 +14,18 @@ from dmmv_conventions.configs import config_folder
 logger = logging.getLogger(__name__)
 
 
-@command(config_folder(), "evaluate")
-def main(config: DictConfig) -> None:
-    """Score every window of a split; write tables and plots."""
+def check(config: DictConfig) -> None:
+    """Refuse an evaluation without checkpoint or recordings."""
     require_checkpoint("checkpoint", config.checkpoint)
     require_windows(
         config.modes, config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
     )
     require_recordings(config.data.module.source)
-    _evaluate(config)
 
 
-def _evaluate(config: DictConfig) -> None:
+@command(config_folder(), "evaluate", check)
+def main(config: DictConfig) -> None:
+    """Score every window of a split; write tables and plots."""
     from diffstack_mmv.metrics import OPEN_LOOP
     from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
     from diffstack_mmv.stack import evaluate_windows, load_stack

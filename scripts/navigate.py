@@ -15,12 +15,17 @@ from dmmv_conventions.configs import config_folder
 logger = logging.getLogger(__name__)
 
 
-@command(config_folder(), "navigate")
-def main(config: DictConfig) -> None:
-    """Run the benchmark of the controller and of its baselines; write tables, plots, animations."""
+def check(config: DictConfig) -> None:
+    """Refuse a world or a controller that cannot be built, before any baseline has driven."""
     if "predictor" in config.people:
         require_checkpoint("people_checkpoint", config.people.predictor.path)
-    instantiate(config.controller)  # what is wrong with it is told before its baselines have driven
+    for part in (config.scenario, config.world, config.controller):
+        instantiate(part)
+
+
+@command(config_folder(), "navigate", check)
+def main(config: DictConfig) -> None:
+    """Run the benchmark of the controller and of its baselines; write tables, plots, animations."""
     import torch
 
     from diffstack_mmv.metrics import CLOSED_LOOP

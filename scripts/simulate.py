@@ -13,11 +13,15 @@ from dmmv_conventions.configs import config_folder
 logger = logging.getLogger(__name__)
 
 
-@command(config_folder(), "simulate")
-def main(config: DictConfig) -> None:
-    """Run the models, write trajectories and figures."""
+def check(config: DictConfig) -> None:
+    """Refuse recorded controls that are not there."""
     if config.controls:
         require_file("controls", config.controls, "Give controls=FILE.csv.")
+
+
+@command(config_folder(), "simulate", check)
+def main(config: DictConfig) -> None:
+    """Run the models, write trajectories and figures."""
     spec = instantiate(config.spec)
     manoeuvre = instantiate(config.recorded if config.controls else config.manoeuvre)
     from diffstack_mmv.dynamics.open_loop import drive, save_run, wheel_history

@@ -11,21 +11,22 @@ from diffstack_mmv.config_checks import require_checkpoint, require_recordings, 
 from dmmv_conventions.configs import config_folder
 
 
-@command(config_folder(), "train")
-def main(config: DictConfig) -> None:
-    """Fit, and continue where an interrupted run of the same configuration stopped."""
+def check(config: DictConfig) -> None:
+    """Refuse a run without recordings or with parts that cannot be built."""
     require_windows(
         config.modes, config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
     )
     require_recordings(config.data.module.source)
     if config.start is not None:
         require_checkpoint("start", config.start)
-    # built once for its mistakes alone, which need torch but nothing that takes longer to import
-    instantiate([config.dynamics, config.predictor, config.planner, config.goal])
-    _fit(config)
+    # for their mistakes alone; they need torch, but nothing that takes longer to import
+    for part in (config.dynamics, config.predictor, config.planner, config.goal):
+        instantiate(part)
 
 
-def _fit(config: DictConfig) -> None:
+@command(config_folder(), "train", check)
+def main(config: DictConfig) -> None:
+    """Fit, and continue where an interrupted run of the same configuration stopped."""
     import pytorch_lightning as pl
 
     from diffstack_mmv.callbacks import Provenance, resume_point
