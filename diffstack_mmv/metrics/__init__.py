@@ -14,7 +14,13 @@ from diffstack_mmv.metrics.displacement import (
 from diffstack_mmv.metrics.likelihood import negative_log_likelihood
 from diffstack_mmv.metrics.means import masked_mean, time_mean, where_known
 from diffstack_mmv.metrics.planning import collided, planning_loss, solved, total_cost
-from diffstack_mmv.metrics.scores import CLOSED_LOOP, DISPLACEMENT, OPEN_LOOP, Score
+from diffstack_mmv.metrics.scores import (
+    CLOSED_LOOP,
+    DISPLACEMENT,
+    OF_THE_PREDICTION,
+    OPEN_LOOP,
+    Score,
+)
 
 if TYPE_CHECKING:
     from diffstack_mmv.metrics.by_mode import MeanByMode
@@ -22,6 +28,7 @@ if TYPE_CHECKING:
 __all__ = [
     "CLOSED_LOOP",
     "DISPLACEMENT",
+    "OF_THE_PREDICTION",
     "OPEN_LOOP",
     "MeanByMode",
     "Score",

@@ -18,15 +18,19 @@ from diffstack_mmv.stack.evaluation import (
     outputs_of,
     representative,
 )
+from diffstack_mmv.stack.learning_rate import ScaledByProcesses
 from diffstack_mmv.stack.module import DiffStackMMV, LossWeights, StackOutput, assemble
+from diffstack_mmv.stack.precision import MixedPrecision
 
 __all__ = [
     "Baseline",
     "DiffStackMMV",
     "Evaluation",
     "LossWeights",
+    "MixedPrecision",
     "PathToGoal",
     "PredictedPath",
+    "ScaledByProcesses",
     "StackOutput",
     "TrainedStack",
     "Windows",

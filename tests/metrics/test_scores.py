@@ -32,8 +32,8 @@ def test_every_score_of_episodes_is_registered_and_computed():
 
 
 def test_configurations_ask_for_registered_scores(root):
-    callbacks = yaml.safe_load((root / "configs/callbacks/default.yaml").read_text())
-    monitored = [each["monitor"] for each in callbacks.values() if "monitor" in each]
+    losses = [yaml.safe_load(path.read_text()) for path in (root / "configs/loss").glob("*.yaml")]
+    monitored = [each["watched"] for each in losses]
     compared = yaml.safe_load((root / "configs/compare.yaml").read_text())["score"]
     assert monitored
     assert {name.removeprefix("val/") for name in [*monitored, compared]} <= set(OPEN_LOOP)
