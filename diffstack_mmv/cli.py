@@ -6,7 +6,8 @@ Hydra's composition, one message per failure, and an exit status to trust.
 import functools
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import OverrideType
 from hydra.errors import CompactHydraException, HydraException
-from omegaconf import DictConfig, OmegaConf
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf, read_write
 from omegaconf.errors import OmegaConfBaseException
 
 from diffstack_mmv.config_checks import require_complete, require_same_type
@@ -68,7 +70,8 @@ def command(
                 OmegaConf.resolve(config)
                 check(config)
                 save_config(config, Path(config.out))
-                task(config)
+                with _single_job():
+                    task(config)
             except EXPECTED as error:
                 raise CommandError(_told(error)) from error
 
@@ -111,6 +114,25 @@ def _read_vehicle_file(config: DictConfig) -> None:
     if not path.is_file():
         raise ValueError(f"`vehicle` must be a name or an existing YAML file, but got {file!r}.")
     config.vehicle = OmegaConf.load(path)
+
+
+@contextmanager
+def _single_job() -> Iterator[None]:
+    """Have the command line of a job of a sweep (`-m`) name that job alone.
+
+    Whoever starts further processes of a training repeats the command line in each of them.
+    """
+    job, before = HydraConfig.get(), list(sys.argv)
+    if job.mode is not RunMode.MULTIRUN:
+        yield
+        return
+    sys.argv[1:] = job.overrides.task
+    with read_write(job):
+        job.run.dir = job.runtime.output_dir
+    try:
+        yield
+    finally:
+        sys.argv[:] = before
 
 
 def _require_types(config: DictConfig, config_name: str) -> None:

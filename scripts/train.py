@@ -30,7 +30,7 @@ def main(config: DictConfig) -> None:
     import pytorch_lightning as pl
 
     from diffstack_mmv.callbacks import Provenance, resume_point
-    from diffstack_mmv.stack import start_from
+    from diffstack_mmv.stack import own_processes, start_from
 
     pl.seed_everything(config.seed, workers=True)
     content: Any = OmegaConf.to_container(config)
@@ -43,7 +43,8 @@ def main(config: DictConfig) -> None:
     trainer = instantiate(
         config.trainer, callbacks=[*callbacks, Provenance(content)], logger=loggers
     )
-    trainer.fit(stack, data, ckpt_path=resume)
+    with own_processes():
+        trainer.fit(stack, data, ckpt_path=resume)
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from diffstack_mmv.stack.evaluation import (
 from diffstack_mmv.stack.learning_rate import ScaledByProcesses
 from diffstack_mmv.stack.module import DiffStackMMV, LossWeights, StackOutput, assemble
 from diffstack_mmv.stack.precision import MixedPrecision
+from diffstack_mmv.stack.processes import own_processes
 
 __all__ = [
     "Baseline",
@@ -40,6 +41,7 @@ __all__ = [
     "load_stack",
     "load_weights",
     "outputs_of",
+    "own_processes",
     "read_checkpoint",
     "representative",
     "start_from",
