@@ -3,13 +3,15 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v p
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= outputs/quickstart
+CACHE  ?= $(OUT)/cache
+DATA   ?= imptc
 JOBS   ?= 2
 PEERS  ?= $(BIN)/python
 RESULTS := benchmarks/results
 REFERENCE := ../shared/reference/mpc
 LIMIT  := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help install quickstart test test-all bench lint lock clean
+.PHONY: help install quickstart test test-all bench throughput profile lint lock clean
 help:            ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
 
@@ -44,6 +46,12 @@ bench: install ## Benchmarks, results in benchmarks/results; PEERS=<python> of a
 	if test -d $(REFERENCE); then for name in gradients convergence; do \
 		$(LIMIT) $(BIN)/python benchmarks/bench_solver_$$name.py > $(RESULTS)/$$name.md || exit 1; done; \
 	else echo "Skipped gradients and convergence: no reference solutions in $(REFERENCE)."; fi
+
+throughput: install ## Windows/s of training and evaluation per model; CACHE=, DATA= converted recordings, PEER=name=checkout
+	$(LIMIT) $(BIN)/python benchmarks/bench_throughput.py $(CACHE) --data $(DATA) $(if $(PEER),--peer $(PEER))
+
+profile: install ## Parts, operations, floor and flame chart of one training step per model, in outputs/profile
+	$(LIMIT) $(BIN)/python benchmarks/profile_step.py $(CACHE) outputs/profile --data $(DATA)
 
 lint: install ## ruff, pyright, codespell
 	$(BIN)/ruff check .
