@@ -5,13 +5,15 @@ BIN    := $(VENV)/bin
 OUT    ?= outputs/quickstart
 CACHE  ?= $(OUT)/cache
 DATA   ?= imptc
+SIZE   ?= small
+RAW    ?= data
 JOBS   ?= 2
 PEERS  ?= $(BIN)/python
 RESULTS := benchmarks/results
 REFERENCE := ../shared/reference/mpc
 LIMIT  := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help install quickstart test test-all bench throughput profile lint lock clean
+.PHONY: help install quickstart test test-all results bench throughput profile lint lock clean
 help:            ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
 
@@ -36,6 +38,9 @@ test: install ## Fast tests
 
 test-all: install ## All tests that need no GPU, slow ones included
 	$(LIMIT) $(BIN)/python -m pytest -n $(JOBS) -m "not gpu"
+
+results: install ## The paper's table; SIZE=small|full, RAW=folder with one folder of recordings per data set
+	$(BIN)/python scripts/results.py size=$(SIZE) raw=$(RAW)
 
 bench: install ## Benchmarks, results in benchmarks/results; PEERS=<python> of an environment with more peers
 	$(LIMIT) $(BIN)/python -m pytest benchmarks --jaxtyping-packages= --benchmark-only -m "slow or not slow"
