@@ -14,8 +14,10 @@ LIGHT = {
     "dmmv_conventions",
     "diffstack_mmv.cli",
     "diffstack_mmv.config_checks",
+    "diffstack_mmv.jobs",
     "hydra.utils",
     "omegaconf",
+    "tqdm",
     *sys.stdlib_module_names,
 }
 HEAVY = ("torch", "pandas", "scipy", "matplotlib", "trajdata", "wandb", "pytorch_lightning")
