@@ -122,7 +122,8 @@ def _single_job() -> Iterator[None]:
 
     Whoever starts further processes of a training repeats the command line in each of them.
     """
-    job, before = HydraConfig.get(), list(sys.argv)
+    job: Any = HydraConfig.get()
+    before = list(sys.argv)
     if job.mode is not RunMode.MULTIRUN:
         yield
         return

@@ -16,6 +16,7 @@ ALLOWED = {
     "__init__": set(),
     "cli": {"config_checks"},
     "config_checks": set(),
+    "jobs": set(),
     "reporting": set(),
     "checks": set(),
     "smooth": set(),
