@@ -13,7 +13,13 @@ from diffstack_mmv.metrics.displacement import (
 )
 from diffstack_mmv.metrics.likelihood import negative_log_likelihood
 from diffstack_mmv.metrics.means import masked_mean, time_mean, where_known
-from diffstack_mmv.metrics.planning import collided, planning_loss, solved, total_cost
+from diffstack_mmv.metrics.planning import (
+    collided,
+    human_collided,
+    planning_loss,
+    solved,
+    total_cost,
+)
 from diffstack_mmv.metrics.scores import (
     CLOSED_LOOP,
     DISPLACEMENT,
@@ -38,6 +44,7 @@ __all__ = [
     "displacement",
     "displacements",
     "final_displacement",
+    "human_collided",
     "masked_mean",
     "mean_square_displacement",
     "missed",

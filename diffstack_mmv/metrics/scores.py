@@ -34,6 +34,7 @@ OPEN_LOOP = _by_name(
     Score("planning_ce", "CE", "nats", True),
     Score("planning_cost", "cost", "1", True),
     Score("collision_rate", "collisions", "1", True),
+    Score("human_collision_rate", "human's collisions", "1", True),
     Score("solved", "solved", "1", False),
     Score("min_ade", "minADE of five", "m", True),
     Score("miss_rate", "misses beyond 2 m", "1", True),

@@ -18,6 +18,7 @@ from diffstack_mmv.metrics import (
     collided,
     displacements,
     final_displacement,
+    human_collided,
     masked_mean,
     mean_square_displacement,
     missed,
@@ -150,16 +151,20 @@ class DiffStackMMV(pl.LightningModule):
         target = closest_candidate(
             plan.candidates.position[..., 1:, :], future.motion.position, future.valid
         )
-        hindsight = output.problem._replace(
-            obstacles=observed_obstacles(batch.neighbors_past, batch.neighbors_future)
-        )
         losses = {
             "planning_ce": cross_entropy(plan.logits, target),
-            "planning_cost": total_cost(self.planner.hindsight_cost(plan, hindsight)),
+            "planning_cost": total_cost(self.hindsight_costs(batch, output)),
             "control": mean_square_displacement(plan.motion.position[..., 1:, :], future),
         }
         judged = self._plan_judged(batch)
         return {name: where_known(value, judged) for name, value in losses.items()}
+
+    def hindsight_costs(
+        self, batch: StackBatch, output: StackOutput
+    ) -> dict[str, Float[Tensor, " B"]]:
+        """Cost of each plan under the true futures of the other agents, by term, dimensionless."""
+        truth = observed_obstacles(batch.neighbors_past, batch.neighbors_future)
+        return self.planner.hindsight_cost(output.plan, output.problem._replace(obstacles=truth))
 
     def _plan_judged(self, batch: StackBatch) -> Bool[Tensor, " B"]:
         """Whether there is a human's future to compare the plan with, and a goal to plan to."""
@@ -242,10 +247,10 @@ class DiffStackMMV(pl.LightningModule):
     ) -> dict[str, Float[Tensor, " B"]]:
         """Scores of the plans; NaN also where the goal of the plan is not known."""
         future = batch.ego_future
-        position = output.plan.motion.position
+        motion, discs = output.plan.motion, output.problem.ego.discs
+        position = motion.position
         losses = self.planning_losses(batch, output)
         ce, cost = losses["planning_ce"], losses["planning_cost"]
-        radius = output.problem.ego.discs.radius[..., 0]
         truth = observed_obstacles(batch.neighbors_past, batch.neighbors_future)
         scores = {
             "plan_ade": average_displacement(position[..., 1:, :], future),
@@ -253,7 +258,8 @@ class DiffStackMMV(pl.LightningModule):
             "planning_ce": ce,
             "planning_cost": cost,
             "planning_loss": planning_loss(ce, cost, self.loss_weights.hindsight),
-            "collision_rate": collided(position, radius, truth),
+            "collision_rate": collided(position, motion.heading, discs, truth),
+            "human_collision_rate": human_collided(batch.ego_past, future, discs, truth),
             "solved": solved(output.plan),
         }
         known = self.goal_known(batch)
