@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from diffstack_mmv.checks import require
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.prediction.base import Predictor, all_agents
-from diffstack_mmv.prediction.gaussian import log_density, scale_from_covariance
+from diffstack_mmv.prediction.gaussian import log_density, log_of_sum, scale_from_covariance
 from diffstack_mmv.prediction.trajectron.agent_batch import (
     EGO,
     PEDESTRIAN,
@@ -208,7 +208,7 @@ class Trajectron(Predictor):
         error = future.motion.position.unsqueeze(1) - part.moments.mean
         log_prob = log_density(error, scale_from_covariance(part.moments.covariance))
         log_prob = torch.where(future.valid.unsqueeze(1), log_prob, torch.zeros_like(log_prob))
-        likelihood = torch.logsumexp(log_posterior + log_prob.sum(-1), -1)
+        likelihood = log_of_sum(log_posterior + log_prob.sum(-1))
         penalty = self.annealing.penalty(
             divergence(log_posterior, part.log_prior), self.training_step
         )
