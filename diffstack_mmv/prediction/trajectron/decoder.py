@@ -10,13 +10,12 @@ from torch import Tensor, nn
 from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.prediction.trajectron.agent_batch import AgentBatch
-from diffstack_mmv.prediction.trajectron.mixture import (
+from diffstack_mmv.prediction.trajectron.jacobians import (
     Linearisation,
-    PositionMoments,
-    integrate,
     linearise,
     linearise_shared,
 )
+from diffstack_mmv.prediction.trajectron.mixture import PositionMoments, integrate
 from diffstack_mmv.prediction.trajectron.recomputed import recomputed
 from diffstack_mmv.prediction.trajectron.recurrence import Weights, emissions
 from diffstack_mmv.smooth import safe_norm, soft_clamp
@@ -108,7 +107,7 @@ class ControlDecoder(nn.Module):
 
     def _moments(
         self,
-        constant: Float[Tensor, "*r 3h"],
+        constant: Float[Tensor, "*r g"],
         hidden: Float[Tensor, "*r h"],
         base: Float[Tensor, "*r T m"],
         *motion: Tensor,
@@ -128,7 +127,7 @@ class ControlDecoder(nn.Module):
         return moments.mean, moments.covariance
 
     def _emitted(
-        self, constant: Float[Tensor, "*r 3h"], hidden: Float[Tensor, "*r h"]
+        self, constant: Float[Tensor, "*r g"], hidden: Float[Tensor, "*r h"]
     ) -> tuple[Float[Tensor, "*r T m"], Float[Tensor, "*r T s"]]:
         """Deviations of the controls in widths of their box, and what scales are made of."""
         weights = Weights(

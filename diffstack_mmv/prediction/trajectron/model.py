@@ -28,8 +28,9 @@ from diffstack_mmv.prediction.trajectron.encoder import (
     PerKind,
     track_features,
 )
+from diffstack_mmv.prediction.trajectron.jacobians import linearise
 from diffstack_mmv.prediction.trajectron.latent import Annealing, Latent, divergence
-from diffstack_mmv.prediction.trajectron.mixture import PositionMoments, linearise
+from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
 from diffstack_mmv.prediction.trajectron.output import nobody, placed, scenes
 from diffstack_mmv.prediction.trajectron.scene import SceneEncoder
 from diffstack_mmv.types import Forecast, StackBatch, Tracks

@@ -16,11 +16,11 @@ CHUNK = 512
 
 
 class Weights(NamedTuple):
-    """Weights of the recurrence; the 3 h rows are those of reset, update and candidate."""
+    """Weights of the recurrence; the g = 3 h rows are those of reset, update and candidate."""
 
-    control: Float[Tensor, "3h m"]
-    hidden: Float[Tensor, "3h h"]
-    hidden_bias: Float[Tensor, " 3h"]
+    control: Float[Tensor, "g m"]
+    hidden: Float[Tensor, "g h"]
+    hidden_bias: Float[Tensor, " g"]
     head: Float[Tensor, "e h"]  # the first m emissions are fed back
     head_bias: Float[Tensor, " e"]
 
@@ -29,12 +29,12 @@ class Step(NamedTuple):
     """What the backward pass needs of one step."""
 
     before: Float[Tensor, "N h"]  # state the step starts from
-    gates: Float[Tensor, "N 3h"]  # own part of the candidate, reset, update
+    gates: Float[Tensor, "N g"]  # own part of the candidate, reset, update
     candidate: Float[Tensor, "N h"]
 
 
 def emissions(
-    constant: Float[Tensor, "N 3h"], hidden: Float[Tensor, "N h"], weights: Weights, steps: int
+    constant: Float[Tensor, "N g"], hidden: Float[Tensor, "N h"], weights: Weights, steps: int
 ) -> Float[Tensor, "S N e"]:
     """Unroll a GRU whose own emission is its input.
 
@@ -61,13 +61,13 @@ def emissions(
     return chunks[0] if len(chunks) == 1 else torch.cat(chunks, 1)
 
 
-def _reordered(rows: Float[Tensor, "3h *b"]) -> Float[Tensor, "3h *b"]:
+def _reordered(rows: Float[Tensor, "g *b"]) -> Float[Tensor, "g *b"]:
     """Candidate, reset, update from reset, update, candidate."""
     return rows.roll(len(rows) // 3, 0)
 
 
 def _unrolled(
-    constant: Float[Tensor, "N 3h"],
+    constant: Float[Tensor, "N g"],
     hidden: Float[Tensor, "N h"],
     weights: Weights,
     steps: int,
