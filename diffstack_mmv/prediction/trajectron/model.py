@@ -24,12 +24,12 @@ from diffstack_mmv.prediction.trajectron.agent_batch import (
 from diffstack_mmv.prediction.trajectron.decoder import ControlDecoder, Jacobians
 from diffstack_mmv.prediction.trajectron.encoder import (
     TRACK_FEATURES,
-    MaskedLSTM,
     PerKind,
     track_features,
 )
 from diffstack_mmv.prediction.trajectron.jacobians import linearise
 from diffstack_mmv.prediction.trajectron.latent import Annealing, Latent, divergence
+from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
 from diffstack_mmv.prediction.trajectron.output import nobody, placed, scenes
 from diffstack_mmv.prediction.trajectron.scene import SceneEncoder
