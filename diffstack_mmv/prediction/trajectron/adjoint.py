@@ -59,7 +59,9 @@ class _Rollout(torch.autograd.Function):
         with torch.enable_grad():
             after = ctx.dynamics(before, controls)
         sources = [controls, *parameters]
-        found = torch.autograd.grad(after, sources, torch.stack(slopes[::-1], -2), allow_unused=True)
+        found = torch.autograd.grad(
+            after, sources, torch.stack(slopes[::-1], -2), allow_unused=True
+        )
         first = grad[..., 0, :] + _pulled(jacobian[..., 0, :, :], slope)
         return None, first, *found
 

@@ -196,8 +196,8 @@ def _value_and_slope(
 ) -> tuple[Float[Tensor, "*b"], Float[Tensor, "*b"]]:
     """Value and derivative of a function of single numbers."""
     value = value.clone()  # an expanded tensor cannot have a tangent
-    found: tuple[Tensor, Tensor] = torch.func.jvp(function, (value,), (torch.ones_like(value),))
-    return found
+    found = torch.func.jvp(function, (value,), (torch.ones_like(value),))
+    return found[0], found[1]
 
 
 def _matrix(rows: Sequence[Sequence[Float[Tensor, "*b"]]]) -> Float[Tensor, "*b r c"]:

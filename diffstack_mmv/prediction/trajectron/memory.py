@@ -82,7 +82,9 @@ class _Last(torch.autograd.Function):
         by_features = []
         for time in range(len(keep) - 1, -1, -1):
             by_state, by_next = keep[time] * by_hidden, keep[time] * by_memory
-            by_memory = by_memory - by_next + _into_gates(slopes, by_state, by_next, ctx.steps[time])
+            by_memory = (
+                by_memory - by_next + _into_gates(slopes, by_state, by_next, ctx.steps[time])
+            )
             by_weight.addmm_(slopes, joined[time].mT)
             by_joined = weight.mT @ slopes
             by_hidden = by_hidden - by_state + by_joined[-size:]

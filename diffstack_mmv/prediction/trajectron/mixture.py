@@ -47,9 +47,9 @@ def propagate(
     factor = _problems_last(start_factor.unsqueeze(-3))[0]
     covariance = _product(factor, factor)
     covariances = []
-    for jacobian, push, deviation in zip(moved, pushed, scale, strict=True):
+    for matrix, push, deviation in zip(moved, pushed, scale, strict=True):
         driven = _product(push, deviation.transpose(0, 1))
-        covariance = _product(_product(jacobian, covariance), jacobian) + _product(driven, driven)
+        covariance = _product(_product(matrix, covariance), matrix) + _product(driven, driven)
         covariances.append(covariance)
     return torch.stack(covariances).movedim(-1, 0).unflatten(0, leading)
 

@@ -39,7 +39,9 @@ class _Recomputed(torch.autograd.Function):
     """`recomputed` where something has a gradient."""
 
     @staticmethod
-    def forward(ctx: Any, function: RowFunction, count: int, *tensors: Tensor) -> tuple[Tensor, ...]:
+    def forward(
+        ctx: Any, function: RowFunction, count: int, *tensors: Tensor
+    ) -> tuple[Tensor, ...]:
         ctx.function, ctx.count = function, count
         ctx.save_for_backward(*tensors)
         return function(*tensors[:count])

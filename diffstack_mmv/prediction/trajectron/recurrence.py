@@ -63,8 +63,8 @@ def emissions(
     return chunks[0] if len(chunks) == 1 else torch.cat(chunks, 1)
 
 
-def _reordered(rows: Float[Tensor, "g *b"]) -> Float[Tensor, "g *b"]:
-    """Candidate, reset, update from reset, update, candidate."""
+def _reordered(rows: Tensor) -> Tensor:
+    """Rows of candidate, reset, update from those of reset, update, candidate."""
     return rows.roll(len(rows) // 3, 0)
 
 
@@ -110,9 +110,7 @@ class _Emissions(torch.autograd.Function):
     """`emissions` with its gradient."""
 
     @staticmethod
-    def forward(
-        ctx: Any, constant: Tensor, hidden: Tensor, steps: int, *tensors: Tensor
-    ) -> Tensor:
+    def forward(ctx: Any, constant: Tensor, hidden: Tensor, steps: int, *tensors: Tensor) -> Tensor:
         ctx.kept = []
         result = _unrolled(constant, hidden, Weights(*tensors), steps, ctx.kept)
         ctx.save_for_backward(*tensors, result)
