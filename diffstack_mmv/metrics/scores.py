@@ -40,6 +40,9 @@ OPEN_LOOP = _by_name(
 )
 """Scores of samples: predictions and plans beside what the human did."""
 
+OF_THE_PREDICTION = ("ade", "fde", "nll", "min_ade", "miss_rate")
+"""Names of those of `OPEN_LOOP` that need no plan."""
+
 CLOSED_LOOP = _by_name(
     Score("success_rate", "success", "1", False),
     Score("collision_rate", "collision", "1", True),

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.metrics import (
+    OF_THE_PREDICTION,
     OPEN_LOOP,
     MeanByMode,
     average_displacement,
@@ -46,6 +47,7 @@ from diffstack_mmv.prediction import (
     neighbors_forecast,
     strongest,
 )
+from diffstack_mmv.stack.precision import MixedPrecision
 from diffstack_mmv.types import Forecast, Plan, PlanningProblem, StackBatch
 
 
@@ -59,6 +61,11 @@ class LossWeights(NamedTuple):
     planning: float = 1.0
     hindsight: float = 0.01
     control: float = 1.0
+
+    @property
+    def plans(self) -> bool:
+        """Whether any part of the loss is one of a plan."""
+        return self.planning > 0 or self.control > 0
 
 
 class StackOutput(NamedTuple):
@@ -83,6 +90,7 @@ class DiffStackMMV(pl.LightningModule):
         optimizer: Makes the optimizer from the parameters.
         scheduler: Makes the learning-rate schedule from the optimizer, stepped once per epoch.
         obstacle_components: How many predicted components of each neighbor the plan sees.
+        precision: Precision of the layers of the predictor; float32 if none is given.
     """
 
     def __init__(
@@ -94,9 +102,12 @@ class DiffStackMMV(pl.LightningModule):
         optimizer: Callable[..., torch.optim.Optimizer],
         scheduler: Callable[..., Any] | None = None,
         obstacle_components: int = 5,
+        precision: MixedPrecision | None = None,
     ) -> None:
         super().__init__()
         require_at_least("obstacle_components", obstacle_components, 1)
+        if precision is not None:
+            precision.apply(predictor)
         self.predictor = predictor
         self.planner = planner
         self.goal = goal
@@ -104,7 +115,7 @@ class DiffStackMMV(pl.LightningModule):
         self.optimizer = optimizer
         self.scheduler = scheduler
         self.obstacle_components = obstacle_components
-        self.scores = MeanByMode(tuple(OPEN_LOOP))
+        self.scores = MeanByMode(tuple(OPEN_LOOP) if loss.plans else OF_THE_PREDICTION)
 
     def forward(self, batch: StackBatch) -> StackOutput:
         """Predict all agents, choose the goal, and plan."""
@@ -165,7 +176,7 @@ class DiffStackMMV(pl.LightningModule):
         Nothing is planned where planning and control weigh nothing.
         """
         weights = self.loss_weights
-        if weights.planning > 0 or weights.control > 0:
+        if weights.plans:
             forecast, judged = self.predictor.predict_and_judge(batch)
             means = self._planning_means(batch, self.plan(batch, forecast))
             planning = planning_loss(
@@ -197,8 +208,12 @@ class DiffStackMMV(pl.LightningModule):
         }
 
     def validation_step(self, batch: StackBatch, batch_idx: int) -> None:
-        """Add the scores of a batch to the means by mode."""
-        self.scores.update(self.sample_scores(batch), batch.ego_past.mode)
+        """Add the scores of a batch to the means by mode; nothing is planned for a loss without."""
+        if self.loss_weights.plans:
+            scores = self.sample_scores(batch)
+        else:
+            scores = _prediction_scores(batch, self.predictor.predict(batch))
+        self.scores.update(scores, batch.ego_past.mode)
 
     def on_validation_epoch_end(self) -> None:
         """Log the means and the numbers of samples not judged, reduced over all processes."""
@@ -219,16 +234,8 @@ class DiffStackMMV(pl.LightningModule):
 
         NaN where a sample cannot be judged.
         """
-        future = batch.ego_future
-        ego = ego_forecast(output.forecast)
-        predicted = ego.most_likely()
-        return {
-            **displacements(predicted, future),
-            "nll": negative_log_likelihood(ego, future),
-            **self._plan_scores(batch, output),
-            "min_ade": best_average_displacement(ego, future),
-            "miss_rate": missed(predicted, future),
-        }
+        scores = _prediction_scores(batch, output.forecast) | self._plan_scores(batch, output)
+        return {name: scores[name] for name in OPEN_LOOP}
 
     def _plan_scores(
         self, batch: StackBatch, output: StackOutput
@@ -258,6 +265,18 @@ class DiffStackMMV(pl.LightningModule):
         if self.scheduler is None:
             return optimizer
         return {"optimizer": optimizer, "lr_scheduler": self.scheduler(optimizer=optimizer)}
+
+
+def _prediction_scores(batch: StackBatch, forecast: Forecast) -> dict[str, Float[Tensor, " B"]]:
+    """Scores that need no plan, by the names of `OF_THE_PREDICTION`."""
+    future, ego = batch.ego_future, ego_forecast(forecast)
+    predicted = ego.most_likely()
+    return {
+        **displacements(predicted, future),
+        "nll": negative_log_likelihood(ego, future),
+        "min_ade": best_average_displacement(ego, future),
+        "miss_rate": missed(predicted, future),
+    }
 
 
 def _has_future(batch: StackBatch) -> Bool[Tensor, " B"]:
