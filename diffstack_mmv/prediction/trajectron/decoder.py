@@ -101,7 +101,8 @@ class ControlDecoder(nn.Module):
         ]
         if self.jacobians is linearise_shared:
             return PositionMoments(*self._moments(constant, hidden, *repeated))
-        each = [field.flatten(0, 1) for field in (constant, hidden, *repeated)]
+        kind = self.gate_hidden.weight.dtype
+        each = [field.flatten(0, 1).to(kind) for field in (constant, hidden, *repeated)]
         moments = recomputed(self._moments, tuple(each), self.parameters())
         return PositionMoments(*(field.unflatten(0, hidden.shape[:2]) for field in moments))
 

@@ -19,7 +19,8 @@ class Step(NamedTuple):
 class MaskedLSTM(nn.Module):
     """LSTM that keeps its state over rows that are not valid, whatever they hold.
 
-    Can be differentiated once; a second derivative is refused.
+    Can be differentiated once; a second derivative is refused. Computed in the precision of the
+    weights, under autocast as well.
 
     Args:
         inputs: Number of features of a row.
@@ -37,8 +38,9 @@ class MaskedLSTM(nn.Module):
         seen = torch.where(valid.unsqueeze(-1), features, torch.zeros_like(features))
         bias = self.cell.bias_ih + self.cell.bias_hh
         weight = torch.cat([self.cell.weight_ih, bias.unsqueeze(-1), self.cell.weight_hh], -1)
-        keep = valid.mT.to(features.dtype, memory_format=torch.contiguous_format)
-        last: Tensor = _Last.apply(seen.permute(1, 2, 0), keep, weight)  # type: ignore[no-untyped-call]
+        keep = valid.mT.to(weight.dtype, memory_format=torch.contiguous_format)
+        with torch.autocast(features.device.type, enabled=False):
+            last: Tensor = _Last.apply(seen.permute(1, 2, 0).to(weight.dtype), keep, weight)  # type: ignore[no-untyped-call]
         return last.mT
 
 

@@ -25,14 +25,16 @@ def recomputed(
             tensors; each row of the results depends on the same row of the arguments alone. It is
             called again in the backward pass, and has to give the same.
         rows: Its arguments.
-        parameters: All other tensors that it depends on.
+        parameters: All other tensors that it depends on. Autocast does not act on the function.
     """
     learning = [parameter for parameter in parameters if parameter.requires_grad]
     tensors = (*rows, *learning)
-    if not (torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)):
-        return function(*rows)
-    results: tuple[Tensor, ...] = _Recomputed.apply(function, len(rows), *tensors)  # type: ignore[no-untyped-call]
-    return results
+    # the second evaluation has to be as precise as the first, and comes when autocast is over
+    with torch.autocast(rows[0].device.type, enabled=False):
+        if not (torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)):
+            return function(*rows)
+        results: tuple[Tensor, ...] = _Recomputed.apply(function, len(rows), *tensors)  # type: ignore[no-untyped-call]
+        return results
 
 
 class _Recomputed(torch.autograd.Function):

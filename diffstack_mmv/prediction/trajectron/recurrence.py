@@ -42,7 +42,8 @@ def emissions(
         r, v = σ(c + W_u y + W_h h),    n = tanh(c + W_u y + r ∘ (W_h h + b))
         h⁺ = n + v ∘ (h - n),           e = W_e h⁺ + b_e,    y = first entries of e, 0 at first
 
-    Can be differentiated once; a second derivative is refused.
+    Can be differentiated once; a second derivative is refused. Computed in the precision of the
+    weights, under autocast as well.
 
     Args:
         constant: c, the part of the input that does not change.
@@ -50,6 +51,15 @@ def emissions(
         weights: Weights of gates and emissions.
         steps: Number S of steps.
     """
+    with torch.autocast(hidden.device.type, enabled=False):
+        kind = weights.hidden.dtype
+        return _in_chunks(constant.to(kind), hidden.to(kind), weights, steps)
+
+
+def _in_chunks(
+    constant: Float[Tensor, "N g"], hidden: Float[Tensor, "N h"], weights: Weights, steps: int
+) -> Float[Tensor, "S N e"]:
+    """`emissions`, of so many rows at once as stay in the cache of a CPU."""
     tensors = (constant, hidden, *weights)
     learning = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
     count = math.ceil(len(hidden) / CHUNK) if hidden.device.type == "cpu" else 1

@@ -129,6 +129,15 @@ def test_batches_of_any_size_have_a_loss_with_a_gradient(count, neighbors, jacob
         assert all(torch.isfinite(slope).all() for slope in slopes)
 
 
+@pytest.mark.parametrize("jacobians", [linearise, linearise_shared])
+def test_it_learns_under_autocast(jacobians):
+    model = trajectron(bicycle(kinematic=True), jacobians=jacobians)
+    with torch.autocast("cpu", torch.bfloat16):
+        loss = model.loss(scene(neighbors=2))
+    loss.sum().backward()
+    assert all(torch.isfinite(p.grad).all() for p in model.parameters() if p.grad is not None)
+
+
 def test_a_component_out_of_question_costs_nothing_backward(monkeypatch):
     model, batch = trajectron().double(), scene(neighbors=0, dtype=torch.float64)
     decoder, seen = model.branches[0].decoder, []
