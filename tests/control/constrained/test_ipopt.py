@@ -15,19 +15,20 @@ pytestmark = pytest.mark.usefixtures("double")
 def test_solutions_and_sensitivities_are_those_of_ipopt():
     from tests.control.constrained.reference import by_ipopt
 
-    drive = drives(3)
+    drive = drives(2)
     radius = drive.radius.clone().requires_grad_()
     solution = solve(
         ConstrainedILQR(ILQR(tolerance=1e-16)), drive._replace(radius=radius), braking(drive)
     )
     (gradient,) = torch.autograd.grad(solution.cost.sum(), radius)
-    for i in range(3):
+    cost = solution.cost.tolist()
+    for i in range(2):
         states, controls = (
             part[i].detach().numpy() for part in (solution.states, solution.controls)
         )
         found = by_ipopt(drive, i, controls, states)
         assert found.solved
-        assert found.cost == pytest.approx(float(solution.cost[i]), rel=1e-7)
+        assert found.cost == pytest.approx(cost[i], rel=1e-7)
         np.testing.assert_allclose(found.states, states, atol=1e-5)
         ends = [
             by_ipopt(drive._replace(radius=drive.radius + step), i, controls, states).cost

@@ -129,67 +129,72 @@ def test_redundant_constraints_do_no_harm():
     torch.testing.assert_close(twice.controls, once.controls, rtol=0, atol=1e-7)
 
 
-def test_drives_end_within_every_constraint():
+def taken(drive, index):
+    """Some of the drives."""
+    return type(drive)(*(part[index] for part in drive))
+
+
+@pytest.fixture(scope="module")
+def solved():
+    """Drives and their solutions."""
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
     drive = drives(9)
     solution = solve(SOLVER, drive, braking(drive))
+    torch.set_default_dtype(before)
+    return drive, solution
+
+
+def test_drives_end_within_every_constraint(solved):
+    drive, solution = solved
     assert solution.converged.all()
     assert solution.violation.max() <= 1e-9
     assert solution.residual.max() <= 1e-9
-    assert all((multiplier >= 0).all() for multiplier in solution.multipliers)
-    assert all((multiplier > 0).any() for multiplier in solution.multipliers)
-    pressed = [
-        (limit.function(solution.states, torch.nn.functional.pad(solution.controls, (0, 0, 0, 1))))
-        for limit in constraints(drive)
-    ]
-    for value, multiplier in zip(pressed, solution.multipliers, strict=True):
-        assert (value * multiplier).abs().max() < 1e-8
+    padded = torch.nn.functional.pad(solution.controls, (0, 0, 0, 1))
+    for limit, multiplier in zip(constraints(drive), solution.multipliers, strict=True):
+        assert (multiplier >= 0).all()
+        assert (multiplier > 0).any()
+        assert (limit.function(solution.states, padded) * multiplier).abs().max() < 1e-8
 
 
-def test_answer_is_free_of_the_batch_mates():
-    drive = drives(9)
-    together = solve(SOLVER, drive, braking(drive))
-    for i in (0, 5):
-        alone = type(drive)(*(part[i : i + 1] for part in drive))
-        single = solve(SOLVER, alone, braking(alone))
-        assert single.status == together.status[i]
-        torch.testing.assert_close(single.controls[0], together.controls[i], rtol=0, atol=1e-8)
+def test_answer_is_free_of_the_batch_mates(solved):
+    drive, together = solved
+    alone = taken(drive, [5])
+    single = solve(SOLVER, alone, braking(alone))
+    assert single.status == together.status[5]
+    torch.testing.assert_close(single.controls[0], together.controls[5], rtol=0, atol=1e-8)
 
 
-def test_closures_give_the_same_as_selectable_callables():
-    drive = drives(4)
-    named = solve(SOLVER, drive, braking(drive))
-
-    def closed(solver, dynamics, cost, limits, *rest):
-        def bare(part):
-            return lambda *arguments: part(*arguments)
-
-        limits = [Inequality(bare(limit.function), limit.slack, limit.times) for limit in limits]
-        return solver(bare(dynamics), bare(cost), limits, *rest)
-
-    hidden = solve(lambda *arguments: closed(SOLVER, *arguments), drive, braking(drive))
-    torch.testing.assert_close(hidden.controls, named.controls, rtol=0, atol=1e-8)
+def bare(part):
+    """A callable that cannot be selected from."""
+    return lambda *arguments: part(*arguments)
 
 
-def test_nan_of_one_problem_touches_no_other():
-    drive = drives(6)
-    clean = solve(SOLVER, drive, braking(drive))
+def hiding(dynamics, cost, limits, *rest):
+    limits = [Inequality(bare(limit.function), limit.slack, limit.times) for limit in limits]
+    return SOLVER(bare(dynamics), bare(cost), limits, *rest)
+
+
+def test_closures_give_the_same_and_nan_of_one_problem_touches_no_other(solved):
+    drive, clean = solved
+    drive = taken(drive, [0, 1, 2, 3])
     drive.state[2, 0] = torch.nan
-    drive.radius[4] = torch.nan
-    solution = solve(SOLVER, drive, braking(drive).nan_to_num(0.0))
-    bad = torch.tensor([False, False, True, False, True, False])
-    assert (solution.status[bad] == SolverStatus.NOT_FINITE).all()
+    drive.radius[3] = torch.nan
+    solution = solve(hiding, drive, braking(drive).nan_to_num(0.0))
+    assert solution.status.tolist() == [0, 0, *[SolverStatus.NOT_FINITE] * 2]
     assert all(part.isnan().sum() == 0 for part in (*solution.solution, *solution.multipliers))
-    torch.testing.assert_close(solution.controls[~bad], clean.controls[~bad], rtol=0, atol=1e-8)
+    torch.testing.assert_close(solution.controls[:2], clean.controls[:2], rtol=0, atol=1e-8)
 
 
-def test_a_warm_start_takes_a_few_iterations():
-    drive = drives(3)
-    cold = solve(SOLVER, drive, braking(drive))
+def test_a_warm_start_takes_a_few_iterations(solved):
+    drive, cold = (taken(part, [1, 2]) for part in (solved[0], solved[1].solution))
+    multipliers = [multiplier[[1, 2]] for multiplier in solved[1].multipliers]
     moved = drive._replace(state=drive.state + 1e-3)
-    warm = solve(SOLVER, moved, cold.controls, cold.multipliers)
+    warm = solve(SOLVER, moved, cold.controls, multipliers)
     again = solve(SOLVER, moved, cold.controls)
     assert warm.converged.all()
-    assert warm.iterations.sum() < 0.3 * again.iterations.sum()
+    assert (warm.iterations < 10).all()
+    assert (warm.iterations < again.iterations).all()
     torch.testing.assert_close(warm.controls, again.controls, rtol=0, atol=1e-7)
 
 
