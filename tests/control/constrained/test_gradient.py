@@ -9,7 +9,7 @@ from tests.control.constrained.problems import Drive, braking, drives, solve
 
 pytestmark = pytest.mark.usefixtures("double")
 EXACT = ConstrainedILQR(ILQR(tolerance=1e-16))
-DRIVES = 4
+DRIVES = 2
 
 
 def functional(solution):
@@ -31,7 +31,13 @@ def solved():
     return drive, solution
 
 
-@pytest.mark.parametrize("name", Drive._fields)
+QUICK = ("state", "radius", "wheelbase")
+SLOW = [name for name in Drive._fields if name not in QUICK]
+
+
+@pytest.mark.parametrize(
+    "name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)]
+)
 def test_gradient_equals_central_differences(solved, name):
     drive, start = solved
     assert start.converged.all()
@@ -89,8 +95,11 @@ SLACKS = {
 
 @pytest.mark.parametrize(
     ("slack", "name"),
-    [("hard", "wall"), ("hard", "end"), ("hard", "lower"), ("hard", "upper")]
-    + [("linear", "price"), ("both", "price"), ("both", "slope"), ("quadratic", "slope")],
+    [("hard", "wall"), ("hard", "upper"), ("linear", "price"), ("both", "slope")]
+    + [
+        pytest.param(*case, marks=pytest.mark.slow)
+        for case in (("hard", "end"), ("hard", "lower"), ("both", "price"), ("quadratic", "slope"))
+    ],
 )
 def test_gradient_by_prices_bounds_and_constraints(slack, name):
     hidden = torch.tensor(HIDDEN[name], requires_grad=True)

@@ -12,6 +12,7 @@ pytest.importorskip("casadi", reason="IPOPT comes with CasADi, see the extra `te
 pytestmark = pytest.mark.usefixtures("double")
 
 
+@pytest.mark.slow
 def test_solutions_and_sensitivities_are_those_of_ipopt():
     from tests.control.constrained.reference import by_ipopt
 
