@@ -12,7 +12,8 @@ import torch._inductor.config
 from torch import Tensor
 from torch._dynamo.decorators import maybe_mark_dynamic
 from torch._dynamo.exc import FailOnRecompileLimitHit, TorchDynamoException
-from torch._inductor.exc import InductorError
+from torch._inductor.cpp_builder import get_cpp_compiler
+from torch._inductor.exc import InductorError, InvalidCxxCompiler
 
 from diffstack_mmv.control.curvature import CurvatureForm, LocalModel
 from diffstack_mmv.control.iteration import Iterate, attempt
@@ -91,6 +92,15 @@ class Kernel:
             )
             self.compiled = self.function
             return self.function(*arguments)
+
+
+def can_compile() -> bool:
+    """Whether there is a compiler for kernels on a CPU."""
+    try:
+        get_cpp_compiler()
+    except InvalidCxxCompiler:
+        return False
+    return True
 
 
 class Kernels(NamedTuple):
