@@ -6,10 +6,10 @@ from diffstack_mmv.control.curvature import (
     DifferencedCurvature,
     ExactCurvature,
 )
+from diffstack_mmv.control.gradient import GradientMode, Implicit, Unrolled
 from diffstack_mmv.control.ilqr import ILQR
 from diffstack_mmv.control.optimizer import Cost, Dynamics, LinearisedDynamics, TrajectoryOptimizer
 from diffstack_mmv.control.selection import Batched, Selectable
-from diffstack_mmv.control.unrolled import UnrolledILQR
 from diffstack_mmv.types import Bounds, Solution, SolverStatus
 
 __all__ = [
@@ -22,10 +22,12 @@ __all__ = [
     "DifferencedCurvature",
     "Dynamics",
     "ExactCurvature",
+    "GradientMode",
+    "Implicit",
     "LinearisedDynamics",
     "Selectable",
     "Solution",
     "SolverStatus",
     "TrajectoryOptimizer",
-    "UnrolledILQR",
+    "Unrolled",
 ]
