@@ -16,8 +16,8 @@ class CompiledSolver(Callback):
     a few windows.
 
     Args:
-        steps: Steps of the optimiser from which on compiling pays. A minute or two of compiling are
-            won back in about fifty steps of 64 windows.
+        steps: Steps of the optimiser from which on compiling pays. Estimated: a minute or two of
+            compiling is won back in about fifty steps of 64 windows of DiffKBM.
 
     Raises:
         ValueError: The number is negative.
