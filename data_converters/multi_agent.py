@@ -8,12 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from trajdata.data_structures.agent import FixedExtent
 
 from data_converters.errors import RejectReason, TrackError, refuse_track, require
 from data_converters.modes import default_extent
@@ -21,6 +20,9 @@ from data_converters.recordings import RawScene, RecordingDataset, SceneSource, 
 from data_converters.splits import RecordingSplit
 from data_converters.tracks import RawTrack
 from dmmv_conventions.modes import Mode
+
+if TYPE_CHECKING:
+    from trajdata.data_structures.agent import FixedExtent
 
 SIZES = ("length", "width", "height")
 """Optional columns of a table in m; the median of an agent is its size."""
@@ -206,6 +208,8 @@ def _optional(rows: pd.DataFrame, column: str) -> NDArray[np.float64] | None:
 
 def _extent(rows: pd.DataFrame, mode: Mode) -> FixedExtent | None:
     """Median of the stated sizes; what is not stated is the usual one of the mode."""
+    from trajdata.data_structures.agent import FixedExtent
+
     usual = default_extent(mode)
     stated = [float(rows[column].median()) if column in rows else float("nan") for column in SIZES]
     if not np.isfinite(stated).any():

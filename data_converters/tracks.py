@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from trajdata.data_structures.agent import FixedExtent
 
 from data_converters.errors import RejectReason, refuse_track, require
 from data_converters.heading import (
@@ -21,6 +20,9 @@ from data_converters.heading import (
 from data_converters.modes import default_extent
 from data_converters.smoothing import CausalSmoother, Smoother, SmoothSeries
 from dmmv_conventions.modes import Mode
+
+if TYPE_CHECKING:
+    from trajdata.data_structures.agent import FixedExtent
 
 Array = NDArray[np.float64]
 

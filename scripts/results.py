@@ -1,10 +1,13 @@
 """The paper's table by one command."""
 
+from __future__ import annotations
+
 import logging
 import sys
 from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
@@ -12,10 +15,10 @@ from tqdm import tqdm
 
 from diffstack_mmv.cli import command
 from diffstack_mmv.jobs import Job, Launcher, expected_seconds
-from diffstack_mmv.metrics import OPEN_LOOP
-from diffstack_mmv.plotting import save_figure
-from diffstack_mmv.reporting import Run, paper_table, read_parquet, write_paper_table
-from diffstack_mmv.vehicles import config_folder
+from dmmv_conventions.configs import config_folder
+
+if TYPE_CHECKING:
+    from diffstack_mmv.reporting import Run
 
 logger = logging.getLogger(__name__)
 
@@ -25,6 +28,9 @@ SCRIPTS = Path(__file__).resolve().parent
 @command(config_folder(), "results")
 def main(config: DictConfig) -> None:
     """Convert, train and evaluate whatever is not done yet, then write table and figures."""
+    from diffstack_mmv.metrics import OPEN_LOOP
+    from diffstack_mmv.reporting import paper_table, write_paper_table
+
     out = Path(config.out)
     available = {name for name, told in config.sets.items() if _is_there(told.root)}
     absent = [f"{name}: no recordings in {config.sets[name].root}." for name in config.sets
@@ -56,6 +62,8 @@ def _is_there(root: str | None) -> bool:
 
 
 def _runs(config: DictConfig, out: Path) -> Iterator[Run]:
+    from diffstack_mmv.reporting import Run
+
     for name, told in config.sets.items():
         places = product(told.modes, config.models, config.size.goals, config.size.seeds)
         for mode, model, goal, seed in places:
@@ -128,7 +136,8 @@ def _work(launcher: Launcher, jobs: Sequence[Job]) -> list[Job]:
 def _draw(config: DictConfig, runs: Sequence[Run], out: Path) -> None:
     """The sample that is the median of the first model, as every model plans it."""
     from diffstack_mmv.callbacks import scenes_of
-    from diffstack_mmv.plotting import draw_scenes
+    from diffstack_mmv.plotting import draw_scenes, save_figure
+    from diffstack_mmv.reporting import read_parquet
     from diffstack_mmv.stack import load_stack, outputs_of, representative
 
     ended = [run for run in runs if (run.report / "metrics.json").is_file()]

@@ -26,6 +26,7 @@ GROUPS = (
     "goal",
     "loss",
     "optim",
+    "stack",
     "callbacks",
     "logger",
 )

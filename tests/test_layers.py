@@ -14,7 +14,9 @@ BASE = {"checks", "smooth", "types", "geometry"}
 # what a part of the package may import besides itself
 ALLOWED = {
     "__init__": set(),
-    "cli": set(),
+    "cli": {"config_checks"},
+    "config_checks": set(),
+    "jobs": set(),
     "reporting": set(),
     "checks": set(),
     "smooth": set(),
@@ -38,7 +40,13 @@ OURS = {"dmmv_conventions", "data_converters", "diffstack_mmv", "scripts"}
 # who takes what from the conventions; all others find modes and checks in `types` and `checks`
 CONVENTIONS = {
     "checks": {"dmmv_conventions.checks"},
+    "config_checks": {
+        "dmmv_conventions.cache",
+        "dmmv_conventions.checks",
+        "dmmv_conventions.modes",
+    },
     "types": {"dmmv_conventions.modes"},
+    "vehicles": {"dmmv_conventions.configs"},
     "data": {"dmmv_conventions.cache", "dmmv_conventions.disk", "dmmv_conventions.opening"},
 }
 
@@ -87,7 +95,7 @@ def test_only_base_parts_and_the_data_lie_on_the_conventions(file):
     assert taken <= CONVENTIONS.get(part, set())
 
 
-@pytest.mark.parametrize("module", ["cache", "checks", "disk", "modes"])
+@pytest.mark.parametrize("module", ["cache", "checks", "configs", "disk", "modes"])
 def test_plain_conventions_need_no_other_package(module):
     names = {name.split(".")[0] for name in imported(ROOT / "dmmv_conventions" / f"{module}.py")}
     assert names <= {"dmmv_conventions", *sys.stdlib_module_names}

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from data_converters.errors import RejectReason, TrackError
 from data_converters.imptc.dataset import ImptcDataset, find_sequences, to_raw_track
@@ -255,6 +253,9 @@ def _overlapping(tracks: list[_VruTrack], *, pause_us: int) -> list[int]:
 
 def _connected(groups: list[int], sequences: list[str]) -> list[int]:
     """Groups joined where they hold tracks of one sequence; "" is none."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     count = len(groups)
     named = {sequence: number for number, sequence in enumerate(dict.fromkeys(sequences), count)}
     links = [(g, named[s]) for g, s in zip(groups, sequences, strict=True) if s]

@@ -12,7 +12,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-import pyarrow
 
 from data_converters.csv_table import told_as_fault
 from data_converters.errors import RejectReason, TrackError, refuse_track, require
@@ -194,7 +193,7 @@ def _read(path: Path) -> pd.DataFrame:
             return pd.read_csv(path, sep=_separator(path), encoding="utf-8-sig")
     try:
         return pd.read_parquet(path)
-    except (pyarrow.ArrowInvalid, pyarrow.ArrowTypeError) as error:
+    except (ValueError, TypeError) as error:
         remedy = "Write the file again."
         refuse_track(RejectReason.MISSING_FIELD, "file", "be a table", error, path, remedy)
 

@@ -10,7 +10,15 @@ import pandas as pd
 from diffstack_mmv.reporting.files import read_json, read_parquet, write_text
 from diffstack_mmv.reporting.scores import Scores
 
-SHOWN = ("ade", "nll", "plan_ade", "planning_loss", "collision_rate", "solved")
+SHOWN = (
+    "ade",
+    "nll",
+    "plan_ade",
+    "planning_loss",
+    "collision_rate",
+    "human_collision_rate",
+    "solved",
+)
 TRIVIAL = ("ade", "plan_ade")
 """Scores that a trivial path is held against: it is prediction and plan at once."""
 LEVEL = 95.0
