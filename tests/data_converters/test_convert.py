@@ -7,6 +7,7 @@ import shutil
 import numpy as np
 import pandas as pd
 import pytest
+from trajdata.caching.df_cache import DataFrameCache
 
 from data_converters import (
     CacheError,
@@ -21,7 +22,6 @@ from data_converters import (
     ZeroPhaseSmoother,
     convert,
 )
-from data_converters.cache import DataFrameCache
 from dmmv_conventions.cache import read_state
 
 
