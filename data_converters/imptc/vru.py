@@ -22,7 +22,7 @@ from data_converters.imptc.reader import (
     time_span_us,
 )
 from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
-from dmmv_conventions.cache import SPLITS
+from data_converters.splits import RecordingSplit
 
 RELEASE_SPLITS = {"train": "train", "eval": "val", "test": "test"}
 """Folder of the release and its split."""
@@ -68,7 +68,8 @@ class ImptcVruDataset(RecordingDataset):
 
     The release deals the tracks of a sequence to different splits. A recording (tracks of one
     sequence by `src_info.txt`, or with pauses of less than 30 s) stays in one here: the published
-    split of most of its tracks, the later one where there are equally many.
+    split if all its tracks share it, else whole recordings are dealt by a hash of their names, or
+    take the split of their sequence in `sequences`.
 
     The release is cut from sequences, of which many are in the sequence release as well. Give these
     as `sequences` to leave out every track whose sequence stands in another split there, so that
@@ -157,6 +158,16 @@ class ImptcVruDataset(RecordingDataset):
                     found.append(Overlap(track.key, source, sequence, scene.split, other))
         return sorted(found)
 
+    def _known_splits(self) -> dict[str, str]:
+        """By its start the split of each sequence of the other release."""
+        if self.sequences is None:
+            return {}
+        splits = {
+            name.partition("_")[2]: self.sequences.split.of(int(name[:4]))
+            for name in find_sequences(self.sequences.root)
+        }
+        return {start: split for start, split in splits.items() if split is not None}
+
     @cached_property
     def _scenes(self) -> dict[str, _VruScene]:
         """By name all scenes, in the order of the release."""
@@ -165,14 +176,12 @@ class ImptcVruDataset(RecordingDataset):
         recordings = _connected(
             _overlapping(tracks, pause_us=PAUSE_US), [track.sequence for track in tracks]
         )
-        splits: dict[int, list[str]] = {}
-        for recording, track in zip(recordings, tracks, strict=True):
-            splits.setdefault(recording, []).append(RELEASE_SPLITS[track.key.partition("/")[0]])
+        splits = _splits(recordings, tracks, self._known_splits())
         grouped: dict[int, list[int]] = {}
         for number, group in enumerate(together):
             grouped.setdefault(group, []).append(number)
         return {
-            name: _VruScene(name, _most(splits[recordings[members[0]]]), chosen)
+            name: _VruScene(name, splits[recordings[members[0]]], chosen)
             for members in grouped.values()
             for chosen in [tuple(tracks[number] for number in members)]
             for name in [_agent_name(chosen[0].key)]
@@ -266,6 +275,20 @@ def _connected(groups: list[int], sequences: list[str]) -> list[int]:
     return [int(labels[group]) for group in groups]
 
 
-def _most(splits: list[str]) -> str:
-    """The most frequent split; of equally frequent ones the later."""
-    return max(SPLITS, key=lambda split: (splits.count(split), SPLITS.index(split)))
+def _splits(
+    recordings: list[int], tracks: list[_VruTrack], known: Mapping[str, str]
+) -> dict[int, str]:
+    """Split of each recording: the published one if its tracks share it, else that of its sequence.
+
+    `known` are the splits of sequences in the other release; the rest is dealt.
+    """
+    published: dict[int, list[str]] = {}
+    first: dict[int, _VruTrack] = {}
+    for recording, track in zip(recordings, tracks, strict=True):
+        published.setdefault(recording, []).append(RELEASE_SPLITS[track.key.partition("/")[0]])
+        first.setdefault(recording, track)
+    mixed = {r: float(len(splits)) for r, splits in published.items() if len(set(splits)) > 1}
+    dealt = RecordingSplit().deal({first[r].key: size for r, size in mixed.items()})
+    return {r: splits[0] for r, splits in published.items()} | {
+        r: known.get(first[r].sequence, dealt[first[r].key]) for r in mixed
+    }

@@ -18,7 +18,7 @@ from data_converters import (
 )
 from data_converters.imptc.context import read_context, read_table, signals_per_step
 from data_converters.imptc.dataset import find_sequences
-from data_converters.imptc.vru import _connected, _overlapping, _VruTrack
+from data_converters.imptc.vru import _connected, _overlapping, _splits, _VruTrack
 
 
 @pytest.mark.parametrize(
@@ -124,11 +124,15 @@ def test_tracks_of_the_vru_release_that_overlap_in_time_are_one_scene(vru_sample
         assert scene.tracks[0].first_us <= max(track.last_us for track in scene.tracks)
 
 
-def test_a_recording_of_the_vru_release_stands_in_the_split_of_most_of_its_tracks(vru_sample):
-    for scene in ImptcVruDataset(vru_sample)._scenes.values():
-        published = [track.key.partition("/")[0] for track in scene.tracks]
-        counts = [published.count(folder) for folder in ("train", "eval", "test")]
-        assert counts[("train", "val", "test").index(scene.split)] == max(counts)
+def test_recordings_of_the_vru_release_with_mixed_splits_are_dealt_as_a_whole(vru_sample):
+    splits = [scene.split for scene in ImptcVruDataset(vru_sample).scenes()]
+    assert sorted(splits) == ["test", "train", "val"]
+
+
+@pytest.mark.parametrize(("folder", "split"), [("eval", "val"), ("test", "test")])
+def test_a_recording_with_one_published_split_keeps_it(folder, split):
+    tracks = [_VruTrack(f"{folder}/{n}", "", "a", 0, 1) for n in range(3)]
+    assert _splits([0, 0, 0], tracks, {}) == {0: split}
 
 
 SECOND = 1_000_000
@@ -166,9 +170,22 @@ def test_the_combined_files_give_the_same_tracks_as_the_folders(vru_sample, tmp_
     assert reports[0].totals() == reports[1].totals()
 
 
-def test_a_track_never_stands_in_different_splits_of_both_releases(vru_sample, sample, tmp_path):
+def test_mixed_recordings_take_the_split_of_their_sequence(vru_sample, sample):
     sequences = ImptcDataset(sample)
-    joined = ImptcVruDataset(vru_sample, sequences=sequences)
+    found = ImptcVruDataset(vru_sample, sequences=sequences).overlaps(sequences)
+    assert found
+    assert all(overlap.vru_split == overlap.sequence_split for overlap in found)
+
+
+def test_a_track_never_stands_in_different_splits_of_both_releases(vru_sample, sample, tmp_path):
+    root = tmp_path / "published_as_test"
+    for path in vru_sample.glob("*/*/track.json"):
+        name = f"{path.parents[1].name}_{path.parent.name}"
+        shutil.copytree(path.parent, root / "test" / name)
+    for empty in ("train", "eval"):
+        (root / empty).mkdir()
+    sequences = ImptcDataset(sample)
+    joined = ImptcVruDataset(root, sequences=sequences)
     conflicts = [o for o in joined.overlaps(sequences) if o.vru_split != o.sequence_split]
     report = convert(ConversionSettings(joined, tmp_path, strict=True, progress=False))
     assert report.rejected_by_reason == {"source_sequence_in_another_split": len(conflicts)}
