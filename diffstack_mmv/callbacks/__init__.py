@@ -1,11 +1,13 @@
 """What a training run does beside training: records, tables and figures."""
 
+from diffstack_mmv.callbacks.compilation import CompiledSolver
 from diffstack_mmv.callbacks.dashboard import build_dashboard
 from diffstack_mmv.callbacks.monitors import GradientNorms, LearnedParameters, Throughput
 from diffstack_mmv.callbacks.plans import PlanTable, scenes_of
 from diffstack_mmv.callbacks.reproducibility import Provenance, RandomState, resume_point
 
 __all__ = [
+    "CompiledSolver",
     "GradientNorms",
     "LearnedParameters",
     "PlanTable",

@@ -1,6 +1,11 @@
 """Differentiable model predictive control: `ILQR`, and the interfaces it works with."""
 
-from diffstack_mmv.control.curvature import CurvatureForm, DifferencedCurvature, ExactCurvature
+from diffstack_mmv.control.curvature import (
+    CurvatureBySize,
+    CurvatureForm,
+    DifferencedCurvature,
+    ExactCurvature,
+)
 from diffstack_mmv.control.gradient import GradientMode, Implicit, Unrolled
 from diffstack_mmv.control.ilqr import ILQR
 from diffstack_mmv.control.optimizer import Cost, Dynamics, LinearisedDynamics, TrajectoryOptimizer
@@ -12,6 +17,7 @@ __all__ = [
     "Batched",
     "Bounds",
     "Cost",
+    "CurvatureBySize",
     "CurvatureForm",
     "DifferencedCurvature",
     "Dynamics",

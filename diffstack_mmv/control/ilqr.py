@@ -1,6 +1,7 @@
 """Box-constrained trajectory optimisation with exact second derivatives, batched."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import torch
 from jaxtyping import Float
@@ -8,7 +9,12 @@ from torch import Tensor
 
 from diffstack_mmv.checks import message, require, require_at_least, require_positive
 from diffstack_mmv.control.batch_last import to_batch_last
-from diffstack_mmv.control.compilation import Kernels, compiled_kernels, eager_kernels
+from diffstack_mmv.control.compilation import (
+    Kernels,
+    can_compile,
+    compiled_kernels,
+    eager_kernels,
+)
 from diffstack_mmv.control.curvature import CurvatureForm, ExactCurvature
 from diffstack_mmv.control.gradient import Call, GradientMode, Implicit
 from diffstack_mmv.control.iteration import OPEN, Iterate, Settings, start
@@ -142,6 +148,10 @@ class ILQR:
             self.curvature,
         )
         return self.gradient(self.minimise, call)
+
+    def compiled(self) -> Self:
+        """The same solver with its kernels compiled, or itself where there is no compiler."""
+        return replace(self, compile=True) if can_compile() else self
 
     def settings(self, bounds: Bounds, state: Float[Tensor, "*b n"]) -> Settings:
         """The numbers of this solver and the box, in the precision of the state."""
