@@ -37,13 +37,19 @@ from diffstack_mmv.types import Forecast, StackBatch, Tracks
 
 
 class Sizes(NamedTuple):
-    """Sizes of the networks, those of Trajectron++ by default, and the share of units dropped."""
+    """Sizes of the networks, those of Trajectron++ by default, and the share of units dropped.
+
+    `reach_m` is the distance at which the influence of another agent is halved, `fade_m` the
+    distance over which it fades; see `Interaction`.
+    """
 
     history: int = 32
     edge: int = 32
     future: int = 32
     decoder: int = 128
     dropout: float = 0.1
+    reach_m: float = 15.0
+    fade_m: float = 2.0
 
 
 class Branch(nn.Module):
@@ -117,7 +123,9 @@ class Trajectron(Predictor):
         require(len(set(steps)) == 1, "dt_s", "be the same for all three dynamics", steps)
         sizes = sizes if sizes is not None else Sizes()
         self.annealing = (annealing if annealing is not None else Annealing()).checked()
-        self.scene_encoder = SceneEncoder(sizes.history, sizes.edge, sizes.dropout)
+        self.scene_encoder = SceneEncoder(
+            sizes.history, sizes.edge, sizes.dropout, sizes.reach_m, sizes.fade_m
+        )
         self.future_encoder = PerKind(
             {kind: MaskedLSTM(TRACK_FEATURES, sizes.future) for kind in (VEHICLE, PEDESTRIAN)},
             sizes.future,
