@@ -1,0 +1,143 @@
+"""Positions of the antenna from measured steering and speed, with derivatives for all unknowns."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.func import functional_call, jvp, vmap
+
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.dynamics.records import DriverInput
+from diffstack_mmv.geometry import direction
+from diffstack_mmv.identification.measured.instruments import GRAVITY, MeasurementNoise
+from diffstack_mmv.identification.measured.rides import RideWindows
+from diffstack_mmv.identification.shooting import ParameterVector
+from diffstack_mmv.types import Motion
+from diffstack_mmv.vehicles import VehicleSpec, turning_axle_m
+
+POSE, RECORDING, ANTENNA = 3, 4, 2
+"""Numbers of unknowns: pose at the start, of a recording, place of the antenna."""
+
+
+class Simulated(NamedTuple):
+    """What a model makes of the measured controls."""
+
+    position: Float[Tensor, "w T1 2"]  # m, of the antenna
+    yaw_rate: Float[Tensor, "w T"]  # rad/s, mean of each step
+    states: Float[Tensor, "w T1 n"]
+
+
+class Linearised(NamedTuple):
+    """Outputs (positions, then yaw rates) with their derivatives."""
+
+    outputs: Float[Tensor, "w o"]
+    shared: Float[Tensor, "w o s"]  # by θ of the vehicle and the place of the antenna
+    local: Float[Tensor, "w o l"]  # by the unknowns of recording and window
+
+
+class _Stepper(torch.nn.Module):
+    """A model driven by speed and steering, as one module for a functional call."""
+
+    def __init__(self, model: DynamicsModel, wheelbase_m: float) -> None:
+        super().__init__()
+        self.model, self.wheelbase_m = model, wheelbase_m
+
+    def forward(self, start: Tensor, speed: Tensor, steer: Tensor) -> tuple[Tensor, Tensor]:
+        """States and headings from a start (x, y, course), speeds (w T1) and angles (w T)."""
+        model = self.model
+        turn = speed[:, 0] * steer[:, 0].tan() / self.wheelbase_m
+        velocity = torch.stack([speed[:, 0], torch.zeros_like(turn)], -1)
+        states = [model.state_on_course(Motion(start[:, :2], start[:, 2], velocity, turn))]
+        idle = states[0].new_zeros(*steer.shape[:1], model.control_dim)
+        forward = model.motion(states[0], idle).velocity[..., 0]
+        for step in range(steer.shape[-1]):
+            driver = DriverInput((speed[:, step + 1] - forward) / model.dt_s, steer[:, step])
+            states.append(model.step(states[-1], model.control_for_driver(states[-1], driver)))
+            forward = model.motion(states[-1], idle).velocity[..., 0]
+        path = torch.stack(states, 1)
+        return path, model.motion(path, idle.unsqueeze(1).expand(-1, path.shape[1], -1)).heading
+
+
+class RideSimulator:
+    """Simulates windows of rides.
+
+    The unknowns of a window stand in one row: pose of the reference point (m, m, rad), steering
+    offset and scale, speed scale, delay, then the errors of steering and speed per knot. Shared
+    unknowns are θ of the vehicle, then ahead and height of the antenna in m. The antenna is moved
+    sideways by the coordinated lean atan(v r / g).
+
+    Args:
+        model: The dynamics, float64.
+        parameters: Its learned parameters.
+        noise: For the length of the knots.
+        spec: The vehicle, for wheelbase and axle.
+    """
+
+    def __init__(
+        self,
+        model: DynamicsModel,
+        parameters: ParameterVector,
+        noise: MeasurementNoise,
+        spec: VehicleSpec,
+    ) -> None:
+        self.model, self.parameters, self.noise = model, parameters, noise
+        self._stepper = _Stepper(model, spec.wheelbase.entries()[0][0])
+        self._axle_m = turning_axle_m(spec.wheels)
+
+    def knots(self, steps: int) -> int:
+        """Number of knots over so many steps."""
+        return -(-steps // self.noise.knot_steps)
+
+    def local_size(self, steps: int) -> int:
+        """Number of unknowns of a window, those of its recording included."""
+        return POSE + RECORDING + 2 * self.knots(steps)
+
+    def simulate(
+        self, windows: RideWindows, shared: Float[Tensor, " s"], local: Float[Tensor, "w l"]
+    ) -> Simulated:
+        """Simulate all windows."""
+        speed, steer = self._driven(windows, local)
+        theta, (ahead, height) = shared[:-ANTENNA], shared[-ANTENNA:].unbind()
+        weights = self.parameters.tensors(theta, "model.")
+        start = local[:, :POSE]
+        states, heading = functional_call(self._stepper, weights, (start, speed, steer))
+        yaw_rate = heading.diff(dim=-1) / self.model.dt_s
+        ends = torch.cat([yaw_rate[:, :1], yaw_rate, yaw_rate[:, -1:]], -1)
+        lateral = 0.5 * (ends[:, 1:] + ends[:, :-1]) * speed
+        aside = height * torch.atan(lateral / GRAVITY)
+        ahead = ahead - self.model.reference_ahead_m + self._axle_m
+        along = direction(heading)
+        across = torch.stack([-along[..., 1], along[..., 0]], -1)
+        idle = states.new_zeros(*states.shape[:-1], self.model.control_dim)
+        place = self.model.motion(states, idle).position
+        position = place + ahead * along + aside.unsqueeze(-1) * across
+        return Simulated(position, yaw_rate, states)
+
+    def linearise(
+        self, windows: RideWindows, shared: Float[Tensor, " s"], local: Float[Tensor, "w l"]
+    ) -> Linearised:
+        """Outputs and derivatives; each direction is taken for all windows at once."""
+
+        def outputs(shared: Tensor, local: Tensor) -> Tensor:
+            found = self.simulate(windows, shared, local)
+            return torch.cat([found.position.flatten(1), found.yaw_rate], -1)
+
+        def along(shared_way: Tensor, local_way: Tensor) -> tuple[Tensor, Tensor]:
+            return jvp(outputs, (shared, local), (shared_way, local_way.expand_as(local)))
+
+        count, size = len(shared), len(shared) + local.shape[-1]
+        ways = torch.eye(size, dtype=local.dtype)
+        value, slope = vmap(along, out_dims=(None, -1))(ways[:, :count], ways[:, count:])
+        return Linearised(value, slope[..., :count], slope[..., count:])
+
+    def _driven(self, windows: RideWindows, local: Tensor) -> tuple[Tensor, Tensor]:
+        """Speed (w T1) and steering (w T) after the corrections of a window."""
+        count = self.knots(windows.steps)
+        offset, scale, pace, delay = local[:, POSE : POSE + RECORDING].T.unsqueeze(-1)
+        errors = local[:, POSE + RECORDING :]
+        number = torch.arange(windows.steps + 1) // self.noise.knot_steps
+        number = number.clamp(max=count - 1)
+        steer = scale * (windows.steer - delay * windows.steer_rate) + offset
+        steer = steer + errors[:, :count][:, number[:-1]]
+        return windows.speed * (pace + errors[:, count:][:, number]), steer
