@@ -1,4 +1,4 @@
-"""Identify the physical parameters of a vehicle from tracks without recorded controls."""
+"""Identify the physical parameters of a vehicle from tracks, with or without measured controls."""
 
 import logging
 from datetime import date
@@ -15,6 +15,10 @@ from dmmv_conventions.configs import config_folder
 logger = logging.getLogger(__name__)
 
 
+MEASURED = "measured"
+"""Value of `controls` for steering and speed whose instruments are unknown too."""
+
+
 def check(config: DictConfig) -> None:
     """Refuse a study without recordings of the vehicle."""
     require_tracks(config.data.module.source, config.splits, config.vehicle.mode)
@@ -23,6 +27,9 @@ def check(config: DictConfig) -> None:
 @command(config_folder(), "identify", check)
 def main(config: DictConfig) -> None:
     """Identify the model, and write the calibrated vehicle, its table and its figures."""
+    if config.controls == MEASURED:
+        identify_measured(config)
+        return
     study, source, out = instantiate(config.study), instantiate(config.source), Path(config.out)
     from diffstack_mmv.data import read_controls, read_leans, read_tracks, recorded_noise
     from diffstack_mmv.identification import Recordings, identification_result, vehicle_provenance
@@ -51,6 +58,35 @@ def main(config: DictConfig) -> None:
     origin = f"identified from {len(tracks)} tracks of {config.data.name}"
     vehicle = result.calibrated(study.spec, origin)
     save_vehicle(vehicle, out / "vehicle.yaml", vehicle_provenance(header, content, name))
+    logger.info("Report: %s", out / "identification.md")
+
+
+def identify_measured(config: DictConfig) -> None:
+    """Fit vehicle and instruments, and write vehicle, numbers and tables."""
+    from diffstack_mmv.data import read_controls, read_interpolated, read_leans, read_sensors
+    from diffstack_mmv.data import read_tracks
+    from diffstack_mmv.identification.measured import measured_result, measured_rides
+    from diffstack_mmv.identification.measured import measured_tables
+    from diffstack_mmv.reporting import write_tables
+    from diffstack_mmv.vehicles import save_vehicle
+
+    study, source, out = instantiate(config.measured), instantiate(config.source), Path(config.out)
+    place, name = (source, config.splits, study.spec.mode), config.names.dynamics
+    rides = measured_rides(
+        read_tracks(*place),
+        read_controls(*place, ["steer", "speed"]),
+        read_sensors(*place, ["yaw_rate"]),
+        read_leans(*place),
+        read_interpolated(*place),
+    )
+    models = {name: config.dynamics} | {each: node for each, node in config.others.items() if node}
+    result = study(rides, {each: partial(instantiate, node) for each, node in models.items()})
+    header = {**config.header, "date": date.today().isoformat(), "controls": MEASURED}
+    content = measured_result(study, result, instantiate(config.thresholds))
+    write_tables(out, header | content, measured_tables(content))
+    vehicle = result.calibrated(study.spec, f"identified from rides of {config.data.name}")
+    told = ("tracks", "loss_before", "loss_after", "heldout_before", "heldout_after", "models")
+    save_vehicle(vehicle, out / "vehicle.yaml", header | {key: content[key] for key in told})
     logger.info("Report: %s", out / "identification.md")
 
 

@@ -21,6 +21,7 @@ from diffstack_mmv.data.situations import Situations, situations
 from diffstack_mmv.data.sources import ConvertedCache, NamedDataset, WindowSource
 from diffstack_mmv.data.tracks import (
     read_controls,
+    read_interpolated,
     read_leans,
     read_sensors,
     read_tracks,
@@ -56,6 +57,7 @@ __all__ = [
     "WindowSource",
     "export_windows",
     "read_controls",
+    "read_interpolated",
     "read_leans",
     "read_sensors",
     "read_tracks",

@@ -55,6 +55,30 @@ def read_tracks(source: WindowSource, splits: Sequence[str], mode: str) -> dict[
     return found
 
 
+def read_interpolated(
+    source: WindowSource, splits: Sequence[str], mode: str
+) -> dict[str, Tensor]:
+    """Which steps of each track lie in a gap of the recording, beside `read_tracks`.
+
+    Returns:
+        By "recording/agent" a mask (T) of the rows that were bridged, not measured.
+
+    Raises:
+        ValueError: The mode is unknown, or the source is no finished converted cache.
+    """
+    cache, wanted, found = _converted(source), Mode.named(mode), {}
+    for scene in cache.scenes():
+        if scene["split"] not in splits or not scene.get("agents", {wanted.label: 1}).get(
+            wanted.label
+        ):
+            continue
+        table = pd.read_feather(next(_folder(cache, scene["name"]).glob("agent_data_dt*.feather")))
+        for agent, rows in table.sort_values("scene_ts").groupby("agent_id"):
+            mask = rows["interpolated"].to_numpy(dtype=bool)
+            found[f"{scene['name']}/{agent}"] = torch.from_numpy(mask.copy())
+    return found
+
+
 def read_leans(source: WindowSource, splits: Sequence[str], mode: str) -> dict[str, Tensor]:
     """Measured lean of the tracks that have one, beside `read_tracks`.
 

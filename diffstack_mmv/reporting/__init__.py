@@ -15,7 +15,11 @@ from diffstack_mmv.reporting.files import (
     write_parquet,
     write_text,
 )
-from diffstack_mmv.reporting.identification import models_table, write_identification
+from diffstack_mmv.reporting.identification import (
+    models_table,
+    write_identification,
+    write_tables,
+)
 from diffstack_mmv.reporting.metrics_table import summarise_modes, write_metrics
 from diffstack_mmv.reporting.paired import paired_cases, paired_table, paired_with_run
 from diffstack_mmv.reporting.paper_table import Run, paper_table, write_paper_table
@@ -41,6 +45,7 @@ __all__ = [
     "write_closed_loop",
     "write_comparison",
     "write_identification",
+    "write_tables",
     "write_json",
     "write_metrics",
     "write_paper_table",

@@ -1,6 +1,6 @@
 """`identification.json` and `identification.md` from the numbers of an identification."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,26 @@ def write_identification(folder: Path, result: Mapping[str, Any]) -> None:
     """
     write_json(folder / "identification.json", result)
     write_text(folder / "identification.md", _markdown(result))
+
+
+def write_tables(
+    folder: Path, result: Mapping[str, Any], tables: Mapping[str, Sequence[Mapping[str, Any]]]
+) -> None:
+    """Write `identification.json`, and `identification.md` with a table under each heading.
+
+    Args:
+        folder: The folder.
+        result: All numbers.
+        tables: Rows by heading.
+
+    Raises:
+        ValueError: A number is NaN or infinite.
+    """
+    write_json(folder / "identification.json", result)
+    parts = [f"# {result['vehicle']}: {result['dynamics']}, measured controls"]
+    for heading, rows in tables.items():
+        parts.append(f"## {heading}\n\n" + _text(pd.DataFrame(list(rows))))
+    write_text(folder / "identification.md", "\n\n".join(parts) + "\n")
 
 
 def _number(value: float) -> str:

@@ -1,0 +1,46 @@
+"""Identification from rides whose steering and speed were measured."""
+
+from diffstack_mmv.identification.measured.ego import EgoEstimate, EgoEstimator, EgoMeasurement
+from diffstack_mmv.identification.measured.fit import MeasuredFit, MeasuredFitter
+from diffstack_mmv.identification.measured.instruments import (
+    Gaussian,
+    InstrumentPriors,
+    MeasurementNoise,
+)
+from diffstack_mmv.identification.measured.report import measured_result, measured_tables
+from diffstack_mmv.identification.measured.rides import (
+    MeasuredRide,
+    RideWindows,
+    WindowSettings,
+    cut_windows,
+    measured_rides,
+)
+from diffstack_mmv.identification.measured.simulator import RideSimulator
+from diffstack_mmv.identification.measured.study import MeasuredStudy, MeasuredStudyResult
+from diffstack_mmv.identification.measured.validation import (
+    held_out_errors,
+    paired_by_recording,
+)
+
+__all__ = [
+    "EgoEstimate",
+    "EgoEstimator",
+    "EgoMeasurement",
+    "Gaussian",
+    "InstrumentPriors",
+    "MeasuredFit",
+    "MeasuredFitter",
+    "MeasuredRide",
+    "MeasuredStudy",
+    "MeasuredStudyResult",
+    "MeasurementNoise",
+    "RideSimulator",
+    "RideWindows",
+    "WindowSettings",
+    "cut_windows",
+    "held_out_errors",
+    "measured_result",
+    "measured_rides",
+    "measured_tables",
+    "paired_by_recording",
+]

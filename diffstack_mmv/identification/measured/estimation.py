@@ -138,7 +138,7 @@ def estimate_windows(
     mean: Float[Tensor, "w 4"],
     precision: Float[Tensor, "w 4 4"],
     with_gyro: bool = False,
-    iterations: int = 4,
+    iterations: int = 3,
     start: Float[Tensor, "w l"] | None = None,
 ) -> WindowEstimate:
     """Most probable unknowns of each window by itself.
@@ -158,7 +158,7 @@ def estimate_windows(
     prior = local_prior(first, mean, precision, simulator.noise)
     hessian, residual = prior.precision, first.new_zeros(len(first), 1)
     for _ in range(iterations):
-        found = simulator.linearise(windows, shared, local)
+        found = simulator.linearise(windows, shared, local, by_shared=False)
         system = residuals(windows, found, simulator.noise, with_gyro)
         hessian = system.local.mT @ system.local + prior.precision
         gap = (local - prior.mean).unsqueeze(-1)

@@ -103,8 +103,8 @@ class MeasuredFitter:
     """
 
     priors: InstrumentPriors = InstrumentPriors()
-    iterations: int = 12
-    tolerance: float = 0.05
+    iterations: int = 10
+    tolerance: float = 0.3
     with_gyro: bool = False
 
     def __call__(

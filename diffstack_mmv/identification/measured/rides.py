@@ -156,6 +156,14 @@ def cut_windows(rides: Sequence[MeasuredRide], settings: WindowSettings) -> Ride
     return RideWindows(names=names, **columns)
 
 
+def chord_course(position: Float[Tensor, "*b T1 2"], reach: int = 4) -> Float[Tensor, "*b T1"]:
+    """Directions in rad of the chords over some steps to both sides."""
+    index = torch.arange(position.shape[-2])
+    after, before = (index + reach).clamp(max=len(index) - 1), (index - reach).clamp(min=0)
+    way = position[..., after, :] - position[..., before, :]
+    return torch.atan2(way[..., 1], way[..., 0])
+
+
 def _starts(ride: MeasuredRide, settings: WindowSettings) -> list[int]:
     """First rows of the windows of a ride."""
     whole = ride.steer.isfinite() & (ride.speed > settings.speed_min_mps)
@@ -173,13 +181,6 @@ def _starts(ride: MeasuredRide, settings: WindowSettings) -> list[int]:
         else:
             start += 1
     return found
-
-
-def _course(position: Float[Tensor, "T1 2"], reach: int = 4) -> Float[Tensor, " T1"]:
-    """Directions in rad of the chords over some steps to both sides."""
-    index = torch.arange(len(position))
-    way = position[(index + reach).clamp(max=len(position) - 1)] - position[(index - reach).clamp(min=0)]
-    return torch.atan2(way[:, 1], way[:, 0])
 
 
 def _largest_jump(ride: MeasuredRide, part: slice, dt_s: float) -> float:
@@ -209,7 +210,7 @@ def _windows(
         names,
         origin,
         ride.position[ends] - origin,
-        _course(ride.position[ends]),
+        chord_course(ride.position[ends]),
         ride.known[ends],
         ride.steer[each],
         rate,

@@ -115,9 +115,16 @@ class RideSimulator:
         return Simulated(position, yaw_rate, states)
 
     def linearise(
-        self, windows: RideWindows, shared: Float[Tensor, " s"], local: Float[Tensor, "w l"]
+        self,
+        windows: RideWindows,
+        shared: Float[Tensor, " s"],
+        local: Float[Tensor, "w l"],
+        by_shared: bool = True,
     ) -> Linearised:
-        """Outputs and derivatives; each direction is taken for all windows at once."""
+        """Outputs and derivatives; each direction is taken for all windows at once.
+
+        Without `by_shared` the derivatives by the shared unknowns are left out (s = 0).
+        """
 
         def outputs(shared: Tensor, local: Tensor) -> Tensor:
             found = self.simulate(windows, shared, local)
@@ -128,6 +135,11 @@ class RideSimulator:
 
         count, size = len(shared), len(shared) + local.shape[-1]
         ways = torch.eye(size, dtype=local.dtype)
+        if not by_shared:
+            value, slope = vmap(along, out_dims=(None, -1))(
+                ways[count:, :count], ways[count:, count:]
+            )
+            return Linearised(value, slope[..., :0], slope)
         value, slope = vmap(along, out_dims=(None, -1))(ways[:, :count], ways[:, count:])
         return Linearised(value, slope[..., :count], slope[..., count:])
 

@@ -1,0 +1,183 @@
+"""Numbers of a study of measured rides under the keys of `identification.json`."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from diffstack_mmv.identification.inference import IdentifiabilityThresholds
+from diffstack_mmv.identification.measured.fit import MeasuredFit
+from diffstack_mmv.identification.measured.instruments import GRAVITY
+from diffstack_mmv.identification.measured.rides import RideWindows
+from diffstack_mmv.identification.measured.simulator import RideSimulator
+from diffstack_mmv.identification.measured.study import MeasuredStudy, MeasuredStudyResult, ModelFit
+from diffstack_mmv.identification.measured.validation import (
+    RolloutErrors,
+    paired_by_recording,
+    session_of,
+)
+
+WITHIN = 1.96
+"""Deviations of an interval that holds 95 %."""
+
+SPEEDS = (0.0, 2.5, 3.0, 99.0)
+LATERAL = (0.0, 0.2, 0.6, 1.2, 99.0)
+RECORDING_UNKNOWNS = ("steer_offset", "steer_scale", "speed_scale", "delay_s")
+
+
+def measured_result(
+    study: MeasuredStudy, result: MeasuredStudyResult, thresholds: IdentifiabilityThresholds
+) -> dict[str, Any]:
+    """Content of `identification.json` after its header.
+
+    Losses are mean distances in m of roll-outs over the horizon, before (nominal bicycle) and
+    after the fit, those held out by recording; `loss_after` is that of the fit itself.
+    """
+    name, first = next(iter(result.models.items()))
+    every = torch.ones(len(result.rollouts.recording), dtype=torch.bool)
+    nominal = result.baselines["nominal kinematic bicycle"].mean(every)["ade"]
+    return {
+        "tracks": len(result.windows.recording),
+        "heldout_tracks": len(result.rollouts.recording),
+        "loss": "root mean square distance in m of fitted windows; held out: ADE of roll-outs",
+        "loss_before": nominal,
+        "loss_after": first.fit.rms_m,
+        "heldout_before": nominal,
+        "heldout_after": first.by_recording.mean(every)["ade"],
+        "parameters": fitted_parameters(first.simulator, first.fit, thresholds),
+        "models": {each: _model(found, thresholds) for each, found in result.models.items()},
+        "recordings": _recordings(result.windows.names, first.fit),
+        "rollouts": rollout_table(result),
+        "tests": _tests(name, result),
+        "assumed": {
+            "noise": asdict(result.noise),
+            "priors": asdict(study.fitter.priors),
+            "window_s": study.fitted.steps * study.fitted.dt_s,
+            "history_s": study.history_s,
+            "horizon_s": study.horizon_s,
+        },
+    }
+
+
+def fitted_parameters(
+    simulator: RideSimulator, fit: MeasuredFit, thresholds: IdentifiabilityThresholds
+) -> dict[str, dict[str, Any]]:
+    """Vehicle parameters with 95 % intervals and verdicts."""
+    vector = simulator.parameters
+    values, prior = vector.values(fit.point.shared[: len(vector)]), vector.prior
+    found = {}
+    for index, name in enumerate(vector.names):
+        value, std = float(values[index]), float(fit.shared_std[index])
+        ratio = std / float(prior.std[index])
+        found[name] = {
+            "initial": float(prior.mean[index]),
+            "estimate": value,
+            "low": float(prior.low[index]),
+            "high": float(prior.high[index]),
+            "unit": vector.units[index],
+            "std": std,
+            "prior_std": float(prior.std[index]),
+            "interval_95": [value - WITHIN * std, value + WITHIN * std],
+            "identifiability": max(0.0, 1 - ratio),
+            "verdict": str(thresholds.classify(ratio, std / abs(value), fit.noise_factor)),
+        }
+    return found
+
+
+def _model(found: ModelFit, thresholds: IdentifiabilityThresholds) -> dict[str, Any]:
+    fit = found.fit
+    ahead, height = fit.point.shared[-2:].tolist()
+    return {
+        "loss_after": fit.rms_m,
+        "log_evidence": fit.log_evidence,
+        "noise_factor": fit.noise_factor,
+        "iterations": fit.iterations,
+        "parameters": fitted_parameters(found.simulator, fit, thresholds),
+        "antenna": {
+            "ahead_m": ahead,
+            "ahead_std": float(fit.shared_std[-2]),
+            "height_m": height,
+            "height_std": float(fit.shared_std[-1]),
+        },
+    }
+
+
+def _recordings(names: tuple[str, ...], fit: MeasuredFit) -> dict[str, dict[str, float]]:
+    """Offsets, scales and delay of each recording, each with its deviation."""
+    found = {}
+    for index, name in enumerate(names):
+        row: dict[str, float] = {}
+        for column, unknown in enumerate(RECORDING_UNKNOWNS):
+            row[unknown] = float(fit.point.recording[index, column])
+            row[f"{unknown}_std"] = float(fit.recording_std[index, column])
+        found[name] = row
+    return found
+
+
+def rollout_table(result: MeasuredStudyResult) -> dict[str, dict[str, dict[str, float]]]:
+    """ADE and FDE (m) of all models and baselines, by session, speed and lateral acceleration."""
+    lines = dict(result.baselines)
+    for name, found in result.models.items():
+        lines[name] = found.by_recording
+        lines[f"{name}, session left out"] = found.by_session
+        lines[f"{name}, with gyro"] = found.with_gyro
+    groups = rollout_groups(result.rollouts)
+    return {
+        group: {"n": {"windows": float(chosen.sum())}}
+        | {name: errors.mean(chosen) for name, errors in lines.items()}
+        for group, chosen in groups.items()
+        if bool(chosen.any())
+    }
+
+
+def rollout_groups(windows: RideWindows) -> dict[str, Tensor]:
+    """Masks of windows: all, each session, classes of mean speed and lateral acceleration."""
+    speed = windows.speed.mean(-1)
+    lateral = (windows.speed[:, :-1] * windows.yaw_rate).abs().nanmean(-1).clamp(max=GRAVITY)
+    sessions = [session_of(windows.names[int(index)]) for index in windows.recording]
+    groups = {"all": torch.ones_like(speed, dtype=torch.bool)}
+    for session in sorted(set(sessions)):
+        groups[f"session {session}"] = torch.tensor([each == session for each in sessions])
+    for text, values, edges in (
+        ("speed {:g}-{:g} m/s", speed, SPEEDS),
+        ("lateral {:g}-{:g} m/s2", lateral, LATERAL),
+    ):
+        for low, high in zip(edges[:-1], edges[1:], strict=True):
+            groups[text.format(low, high)] = (values >= low) & (values < high)
+    return groups
+
+
+def _tests(identified: str, result: MeasuredStudyResult) -> dict[str, dict[str, float]]:
+    """Identified model against the others, by recording."""
+    owner = result.rollouts.recording
+
+    def errors(name: str) -> RolloutErrors:
+        return result.models[name].by_recording
+
+    return {
+        f"{identified} - {other}": paired_by_recording(
+            errors(identified).ade, errors(other).ade, owner
+        )._asdict()
+        for other in result.models
+        if other != identified
+    }
+
+
+def measured_tables(content: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
+    """Tables for `identification.md`: parameters, roll-outs, tests."""
+    parameters = [
+        {"model": model, "parameter": name}
+        | {key: entry[key] for key in ("initial", "estimate", "std", "unit", "verdict")}
+        for model, told in content["models"].items()
+        for name, entry in told["parameters"].items()
+    ]
+    rollouts = [
+        {"group": group, "line": line, "ADE": errors["ade"], "FDE": errors["fde"]}
+        for group, lines in content["rollouts"].items()
+        for line, errors in lines.items()
+        if "ade" in errors
+    ]
+    tests = [{"difference of ADE": name, **test} for name, test in content["tests"].items()]
+    return {"Parameters": parameters, "Roll-outs": rollouts, "Tests": tests}
