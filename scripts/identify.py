@@ -63,10 +63,18 @@ def main(config: DictConfig) -> None:
 
 def identify_measured(config: DictConfig) -> None:
     """Fit vehicle and instruments, and write vehicle, numbers and tables."""
-    from diffstack_mmv.data import read_controls, read_interpolated, read_leans, read_sensors
-    from diffstack_mmv.data import read_tracks
-    from diffstack_mmv.identification.measured import measured_result, measured_rides
-    from diffstack_mmv.identification.measured import measured_tables
+    from diffstack_mmv.data import (
+        read_controls,
+        read_interpolated,
+        read_leans,
+        read_sensors,
+        read_tracks,
+    )
+    from diffstack_mmv.identification.measured import (
+        measured_result,
+        measured_rides,
+        measured_tables,
+    )
     from diffstack_mmv.reporting import write_tables
     from diffstack_mmv.vehicles import save_vehicle
 

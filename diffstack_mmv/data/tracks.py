@@ -55,9 +55,7 @@ def read_tracks(source: WindowSource, splits: Sequence[str], mode: str) -> dict[
     return found
 
 
-def read_interpolated(
-    source: WindowSource, splits: Sequence[str], mode: str
-) -> dict[str, Tensor]:
+def read_interpolated(source: WindowSource, splits: Sequence[str], mode: str) -> dict[str, Tensor]:
     """Which steps of each track lie in a gap of the recording, beside `read_tracks`.
 
     Returns:

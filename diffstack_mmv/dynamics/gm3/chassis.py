@@ -15,7 +15,7 @@ from diffstack_mmv.dynamics.gm3.drive import (
     DifferentialYawDrive,
     Drive,
 )
-from diffstack_mmv.dynamics.gm3.lean import camber_spin
+from diffstack_mmv.dynamics.gm3.lean import LeanLaw, PrescribedLean, camber_spin
 from diffstack_mmv.dynamics.gm3.load import GRAVITY, AccelerationLimits, LoadTransfer
 from diffstack_mmv.dynamics.gm3.slip import (
     WheelAxes,
@@ -57,12 +57,20 @@ class Chassis(ExactBuffers):
         spec: The vehicle.
         tire: The tyre law of all wheels.
         drive: How commands become slips, None for the vehicle's own way from accelerations.
+        lean: How a leaning vehicle leans, `PrescribedLean()` by default.
     """
 
-    def __init__(self, spec: VehicleSpec, tire: Tire, drive: type[Drive] | None = None) -> None:
+    def __init__(
+        self,
+        spec: VehicleSpec,
+        tire: Tire,
+        drive: type[Drive] | None = None,
+        lean: LeanLaw | None = None,
+    ) -> None:
         super().__init__()
         self.spec = spec
         self.tire = tire
+        self.lean = lean or PrescribedLean()
         self.rolling = [i for i, wheel in enumerate(spec.wheels) if not wheel.caster]
         self.has_casters = len(self.rolling) < len(spec.wheels)
         wheels = [spec.wheels[index] for index in self.rolling]

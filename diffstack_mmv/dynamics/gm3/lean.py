@@ -5,11 +5,14 @@ lean is atan(a_y / g), a surrogate for the balancing rider. The state is never c
 acts on the camber only. Source: DMMV, Sec. IV-B, with I_x about the line on the ground.
 """
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, runtime_checkable
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from diffstack_mmv.checks import require_positive
 from diffstack_mmv.dynamics.gm3.load import GRAVITY
 from diffstack_mmv.smooth import sinc, soft_clamp
 
@@ -40,6 +43,87 @@ def lean_coefficients(
     return LeanCoefficients(
         per_inertia * lean.cos(), per_inertia * GRAVITY * sinc(lean), roll_damping / roll_inertia
     )
+
+
+@runtime_checkable
+class LeanLaw(Protocol):
+    """How a leaning vehicle follows its lateral acceleration."""
+
+    @property
+    def lead_s(self) -> float:
+        """By how much the lateral acceleration is taken ahead of its time, to first order."""
+        ...
+
+    def coefficients(
+        self,
+        lean: Float[Tensor, " n"],
+        mass_height: float,
+        roll_inertia: Float[Tensor, ""],
+        roll_damping: Float[Tensor, ""],
+    ) -> LeanCoefficients:
+        """Secant coefficients at a lean in rad; `mass_height` is m h in kg m."""
+        ...
+
+
+@dataclass(frozen=True)
+class PrescribedLean:
+    """The pendulum of DMMV: it follows the turn, by roll_damping / (m g h) seconds late."""
+
+    @property
+    def lead_s(self) -> float:
+        """None: nothing anticipates the turn."""
+        return 0.0
+
+    def coefficients(
+        self,
+        lean: Float[Tensor, " n"],
+        mass_height: float,
+        roll_inertia: Float[Tensor, ""],
+        roll_damping: Float[Tensor, ""],
+    ) -> LeanCoefficients:
+        """Coefficients of the pendulum."""
+        return lean_coefficients(lean, mass_height, roll_inertia, roll_damping)
+
+
+@dataclass(frozen=True)
+class CoordinatedLean:
+    """Lean of a steady turn, tan γ = a_y / g, taken `anticipation_s` before the turn.
+
+    A rider, or the controller of a bicycle without one, leans first and lets the turn follow. With
+    T = anticipation + 2 / ω the critically damped equation
+
+        γ'' = ω² (cos γ (a_y + T a_y') / g - sin γ) - 2 ω γ'
+
+    leads the steady lean by the anticipation at low frequencies, and is deaf to those beyond ω. It
+    takes the place of roll inertia and roll damping.
+
+    Attributes:
+        anticipation_s: By how much the lean comes before the lateral acceleration.
+        bandwidth_radps: ω.
+    """
+
+    anticipation_s: float = 0.1
+    bandwidth_radps: float = 8.0
+
+    def __post_init__(self) -> None:
+        require_positive("bandwidth_radps", self.bandwidth_radps)
+
+    @property
+    def lead_s(self) -> float:
+        """T."""
+        return self.anticipation_s + 2.0 / self.bandwidth_radps
+
+    def coefficients(
+        self,
+        lean: Float[Tensor, " n"],
+        mass_height: float,
+        roll_inertia: Float[Tensor, ""],
+        roll_damping: Float[Tensor, ""],
+    ) -> LeanCoefficients:
+        """Coefficients that depend on neither mass nor damping."""
+        stiffness = self.bandwidth_radps**2
+        damp = torch.full_like(roll_damping, 2.0 * self.bandwidth_radps)
+        return LeanCoefficients(stiffness / GRAVITY * lean.cos(), stiffness * sinc(lean), damp)
 
 
 def lean_acceleration(

@@ -11,6 +11,7 @@ from diffstack_mmv.checks import require
 from diffstack_mmv.dynamics.base import DynamicsModel
 from diffstack_mmv.dynamics.gm3.chassis import Chassis, Physics
 from diffstack_mmv.dynamics.gm3.drive import Command, Drive, split_acceleration
+from diffstack_mmv.dynamics.gm3.lean import LeanLaw
 from diffstack_mmv.dynamics.gm3.load import GRAVITY
 from diffstack_mmv.dynamics.gm3.steady import linear_steer
 from diffstack_mmv.dynamics.gm3.stepper import LIM2, Stepper
@@ -64,6 +65,7 @@ class DiffGM3(DynamicsModel):
         tire: Tyre law of all wheels, `ConsistentBrush()` by default.
         substeps: Steps of the numerical method per control step.
         stepper: Numerical method, `LIM2()` by default.
+        lean: How a leaning vehicle leans, `PrescribedLean()` by default.
 
     Raises:
         ValueError: The step or the number of substeps is not positive, or a wheel would carry no
@@ -97,6 +99,7 @@ class DiffGM3(DynamicsModel):
         tire: Tire | None = None,
         substeps: int = 1,
         stepper: Stepper | None = None,
+        lean: LeanLaw | None = None,
     ) -> None:
         require(substeps >= 1, "substeps", "be at least 1", substeps)
         self.Control = self.control_record(spec)
@@ -104,7 +107,7 @@ class DiffGM3(DynamicsModel):
         self.spec = spec
         self.substeps = substeps
         self.stepper = stepper or LIM2()
-        self.chassis = Chassis(spec, tire or ConsistentBrush(), self.drive)
+        self.chassis = Chassis(spec, tire or ConsistentBrush(), self.drive, lean)
         for name in WHEEL_PARAMETERS:
             self.add_module(name, SoftClamped(spec.wheel_parameter(name)))
         for name in BODY_PARAMETERS:
@@ -263,6 +266,7 @@ class DiffGM3(DynamicsModel):
             "tyre_law": repr(self.chassis.tire),
             "substeps": self.substeps,
             "stepper": type(self.stepper).__name__,
+            "lean": repr(self.chassis.lean) if self.spec.leans else None,
         }
 
 

@@ -104,13 +104,13 @@ class LIM2:
         position, velocity, heading, lean = unpack(state)
         start = dynamics.equation(velocity, dynamics.contact(velocity, lean.angle))
         half = pade_step(start, velocity, 0.5 * step_s)
-        midway = self._lean(dynamics, lean, lean.angle, half.mean, 0.5 * step_s)
+        midway = self._lean(dynamics, lean, lean.angle, velocity, half, 0.5 * step_s)
         early = 0.5 * (half.mean + half.end)
         first = dynamics.contact(early, midway.angle)
         middle = pade_step(dynamics.equation(early, first), velocity, step_s, parts=2).mean
         second = dynamics.equation(middle, dynamics.slipping(middle, first.grip))
         full = pade_step(second, velocity, step_s, parts=2)
-        end = self._lean(dynamics, lean, midway.angle, full.mean, step_s)
+        end = self._lean(dynamics, lean, midway.angle, velocity, full, step_s)
         forward, left, yaw_rate = full.mean.unbind(0)
         mean_heading = heading + 0.5 * step_s * yaw_rate
         cosine, sine = mean_heading.cos(), mean_heading.sin()
@@ -125,12 +125,14 @@ class LIM2:
         dynamics: ZeroOrderHoldDynamics,
         lean: Lean,
         frozen: Float[Tensor, " n"],
-        velocity: Float[Tensor, "3 n"],
+        before: Float[Tensor, "3 n"],
+        velocity: VelocityStep,
         step_s: float,
     ) -> Lean:
         """Lean after a step, with its coefficients frozen at some angle."""
         if not dynamics.leans:
             return lean
         coefficients = dynamics.lean_coefficients(frozen)
-        lateral = velocity[0] * velocity[2]
+        change = (velocity.end[0] * velocity.end[2] - before[0] * before[2]) / step_s
+        lateral = dynamics.anticipated(velocity.mean[0] * velocity.mean[2], change)
         return lean_after(lean, lateral, coefficients, step_s)

@@ -15,7 +15,6 @@ from diffstack_mmv.dynamics.gm3.lean import (
     Lean,
     LeanCoefficients,
     lean_acceleration,
-    lean_coefficients,
 )
 from diffstack_mmv.dynamics.gm3.slip import WheelAxes
 
@@ -58,12 +57,19 @@ class ZeroOrderHoldDynamics:
     def lean_coefficients(self, lean: Float[Tensor, " n"]) -> LeanCoefficients:
         """Secant coefficients of the lean equation."""
         spec = self.chassis.spec
-        return lean_coefficients(
+        return self.chassis.lean.coefficients(
             lean,
             spec.mass_kg * spec.height_m,
             self.physics.roll_inertia,
             self.physics.roll_damping,
         )
+
+    def anticipated(
+        self, lateral: Float[Tensor, " n"], change: Float[Tensor, " n"]
+    ) -> Float[Tensor, " n"]:
+        """Lateral acceleration (m/s²) that the lean answers, from it and its change (m/s³)."""
+        lead_s = self.chassis.lean.lead_s
+        return lateral + lead_s * change if lead_s else lateral
 
     def derivative(self, state: Float[Tensor, "8 n"]) -> Float[Tensor, "8 n"]:
         """Right-hand side, in the order of the state."""
@@ -73,7 +79,9 @@ class ZeroOrderHoldDynamics:
         roll = Lean(torch.zeros_like(heading), torch.zeros_like(heading))
         if self.leans:
             coefficients = self.lean_coefficients(lean.angle)
-            acceleration = lean_acceleration(lean, forward * yaw_rate, coefficients)
+            change = rate[0] * yaw_rate + forward * rate[2]
+            lateral = self.anticipated(forward * yaw_rate, change)
+            acceleration = lean_acceleration(lean, lateral, coefficients)
             roll = Lean(lean.rate, acceleration)
         cosine, sine = heading.cos(), heading.sin()
         east, north = cosine * forward - sine * left, sine * forward + cosine * left

@@ -83,9 +83,7 @@ class EgoEstimator:
     def init(self, measurement: EgoMeasurement) -> EgoHorizon:
         """A horizon of which only the last instant is known."""
         count = len(measurement.steer)
-        past = [
-            part.unsqueeze(1).repeat_interleave(self.steps + 1, 1) for part in measurement
-        ]
+        past = [part.unsqueeze(1).repeat_interleave(self.steps + 1, 1) for part in measurement]
         whole = EgoMeasurement(*past)
         earlier = torch.arange(self.steps + 1) < self.steps
         mean, std = self.priors.recording()

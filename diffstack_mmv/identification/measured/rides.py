@@ -56,9 +56,7 @@ class RideWindows(NamedTuple):
 
     def select(self, chosen: Tensor) -> "RideWindows":
         """Some of the windows, by index or mask."""
-        rest = {
-            name: value[chosen] for name, value in self._asdict().items() if name != "names"
-        }
+        rest = {name: value[chosen] for name, value in self._asdict().items() if name != "names"}
         return RideWindows(names=self.names, **rest)
 
     def head(self, steps: int) -> "RideWindows":

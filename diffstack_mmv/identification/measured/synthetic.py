@@ -1,0 +1,123 @@
+"""Rides of a known vehicle with known instruments, recorded like real ones."""
+
+import math
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Generator, Tensor
+
+from diffstack_mmv.identification.measured.instruments import GRAVITY, InstrumentPriors
+from diffstack_mmv.identification.measured.rides import MeasuredRide, RideWindows
+from diffstack_mmv.identification.measured.simulator import ANTENNA, POSE, RECORDING, RideSimulator
+
+KNOWN_SHARE = 0.97
+"""Share of the positions that are measured; the others are bridged."""
+
+
+class SyntheticRides(NamedTuple):
+    """Rides with the truth behind them."""
+
+    rides: list[MeasuredRide]
+    shared: Float[Tensor, " s"]
+    recording: Float[Tensor, "r 4"]
+
+
+def draw_shared(simulator: RideSimulator, priors: InstrumentPriors, generator: Generator) -> Tensor:
+    """Vehicle and antenna drawn from their priors."""
+    vector = simulator.parameters
+    theta = vector.theta_for(vector.prior.draw_values(generator))
+    mean, std = priors.antenna()
+    drawn = mean + 0.5 * std * torch.randn(ANTENNA, generator=generator, dtype=torch.float64)
+    return torch.cat([theta, drawn])
+
+
+def record_rides(
+    simulator: RideSimulator,
+    priors: InstrumentPriors,
+    recordings: int,
+    steps: int,
+    generator: Generator,
+) -> SyntheticRides:
+    """Drive gentle random curves at about 3 m/s and measure them.
+
+    Args:
+        simulator: Of the true vehicle; its noise is that of the measurements.
+        priors: The instruments are drawn from them, the delay within its deviation.
+        recordings: Number of rides.
+        steps: Steps of each.
+        generator: Of the random numbers.
+    """
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(*shape, generator=generator, dtype=torch.float64)
+
+    noise, dt_s = simulator.noise, simulator.model.dt_s
+    time = dt_s * torch.arange(steps + 1, dtype=torch.float64)
+    waves = 2 * math.pi * torch.tensor([0.03, 0.08, 0.2, 0.4], dtype=torch.float64)
+    phase = 2 * math.pi * torch.rand(recordings, 2, 4, generator=generator, dtype=torch.float64)
+    swing = (waves * time[:, None] + phase.unsqueeze(2)).sin()
+    steer = (swing[:, 0] @ torch.tensor([0.1, 0.08, 0.05, 0.02], dtype=torch.float64))[:, :-1]
+    speed = 2.9 + 0.15 * swing[:, 1, :, :2].sum(-1)
+    mean, std = priors.recording()
+    instruments = mean + std * normal(recordings, RECORDING)
+    count = simulator.knots(steps)
+    errors = torch.cat(
+        [
+            noise.steer_rad * normal(recordings, count),
+            noise.speed_share * normal(recordings, count),
+        ],
+        -1,
+    )
+    pose = torch.zeros(recordings, POSE, dtype=torch.float64)
+    local = torch.cat([pose, instruments, errors], -1)
+    shared = draw_shared(simulator, priors, generator)
+    (rate,) = torch.gradient(steer, spacing=dt_s, dim=-1)
+    nothing = torch.zeros_like(speed)
+    windows = RideWindows(
+        torch.arange(recordings),
+        tuple(f"synthetic_{number}" for number in range(recordings)),
+        torch.zeros(recordings, 2, dtype=torch.float64),
+        nothing.unsqueeze(-1).expand(-1, -1, 2),
+        nothing,
+        nothing > -1,
+        steer,
+        rate,
+        speed,
+        nothing[:, 1:],
+        nothing,
+    )
+    true = simulator.simulate(windows, shared, local)
+    way = true.position.diff(dim=1)
+    way = torch.cat([way, way[:, -1:]], 1)
+    along = way / way.norm(dim=-1, keepdim=True)
+    across = torch.stack([-along[..., 1], along[..., 0]], -1)
+    measured = true.position + noise.along_m * normal(recordings, steps + 1, 1) * along
+    measured = measured + noise.across_m * normal(recordings, steps + 1, 1) * across
+    known = torch.rand(recordings, steps + 1, generator=generator) < KNOWN_SHARE
+    bias = noise.yaw_rate_bias.mean + noise.yaw_rate_bias.std * normal(recordings, 1)
+    gyro = true.yaw_rate + bias + noise.yaw_rate_radps * normal(recordings, steps)
+    rides = []
+    for number, name in enumerate(windows.names):
+        # the rows of a ride are means over steps, from which `cut_windows` takes the ends
+        rides.append(
+            MeasuredRide(
+                f"{name}/bicycle",
+                measured[number],
+                known[number],
+                torch.cat([steer[number], steer[number, -1:]]),
+                _means(speed[number]),
+                torch.cat([gyro[number], gyro[number, -1:]]),
+                torch.atan(_lateral(true.yaw_rate, speed)[number] / GRAVITY),
+            )
+        )
+    return SyntheticRides(rides, shared, instruments)
+
+
+def _means(speed: Float[Tensor, " T1"]) -> Float[Tensor, " T1"]:
+    """Means over the steps from the speeds at their ends; the last step goes on as it is."""
+    return torch.cat([0.5 * (speed[1:] + speed[:-1]), speed[-1:]])
+
+
+def _lateral(yaw_rate: Float[Tensor, "r T"], speed: Float[Tensor, "r T1"]) -> Tensor:
+    return torch.cat([yaw_rate, yaw_rate[:, -1:]], -1) * speed
