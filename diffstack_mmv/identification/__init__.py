@@ -1,6 +1,6 @@
 """System identification: physical parameters from tracks, with or without recorded controls.
 
-Parts import each other in one direction: tracks, shooting, inference, report.
+Parts import each other in one direction: tracks, shooting, inference, report, measured.
 """
 
 from diffstack_mmv.identification.inference import (

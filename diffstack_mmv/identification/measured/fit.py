@@ -69,6 +69,7 @@ class MeasuredFit(NamedTuple):
         noise_factor: Residuals over assumed noise, at least 1.
         iterations: Steps of Levenberg and Marquardt.
         prior: Information of the prior of the shared unknowns, in θ.
+        prior_gradient: Gradient of that prior.
         sizes: Deviations of noise that explain its residuals and errors better than the assumed.
     """
 
@@ -82,13 +83,14 @@ class MeasuredFit(NamedTuple):
     noise_factor: float
     iterations: int
     prior: Float[Tensor, "s s"]
+    prior_gradient: Float[Tensor, " s"]
     sizes: dict[str, float]
 
     def shared_without(self, recordings: Tensor) -> Float[Tensor, " s"]:
         """Shared unknowns had some recordings (r, mask) been left out: one Newton step."""
         kept = self.reduced.information[~recordings].sum(0) + self.prior
-        push = self.reduced.gradient[recordings].sum(0)
-        return self.point.shared + torch.linalg.solve(kept, push)
+        push = self.reduced.gradient[~recordings].sum(0) + self.prior_gradient
+        return self.point.shared - torch.linalg.solve(kept, push)
 
 
 @dataclass(frozen=True)
@@ -262,7 +264,7 @@ class _Problem:
     def result(self, state: _State, iterations: int) -> MeasuredFit:
         """Deviations and evidence at the end."""
         parts, point = self.eliminated(state), state.point
-        _, prior = self.shared_prior(point.shared)
+        push, prior = self.shared_prior(point.shared)
         known = self.windows.known.sum() * 2
         square = state.system.residual.square().sum()
         factor = max(1.0, float((square / known).sqrt()))
@@ -290,6 +292,7 @@ class _Problem:
             factor,
             iterations,
             prior,
+            push,
             self.sizes(state, spread_window),
         )
 
