@@ -15,6 +15,10 @@ from hydra.errors import CompactHydraException, HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from dmmv_conventions.locks import alone_in
+from dmmv_conventions.targets import OF_A_RUN, require_buildable
+from dmmv_conventions.yaml_files import read_mapping
+
 # `${smaller:a,b}`, and the smallest turning radius of a vehicle
 OmegaConf.register_new_resolver("smaller", min, replace=True)
 OmegaConf.register_new_resolver(
@@ -33,18 +37,27 @@ class CommandError(CompactHydraException):
     """
 
 
+def admit_any(config: DictConfig) -> None:
+    """Admit every run to its folder."""
+
+
 def command(
-    config_folder: Path, config_name: str
+    config_folder: Path,
+    config_name: str,
+    admit: Callable[[DictConfig], object] = admit_any,
 ) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
     """Make a function of a composed configuration a command line.
 
     The resolved configuration goes into the run folder (`out=DIR`) as `config.yaml` before the work
-    begins, so that every run can be repeated. A bad input ends with one message and exit status 1;
-    `HYDRA_FULL_ERROR=1` shows where it came from.
+    begins, so that every run can be repeated; no other command works in that folder meanwhile. What
+    the configuration has built is checked before, because parts of it may come from files. A bad
+    input ends with one message and exit status 1; `HYDRA_FULL_ERROR=1` shows where it came from.
 
     Args:
         config_folder: The folder of the configuration groups.
         config_name: File in it, without its ending.
+        admit: Refuses, by raising, a run that does not belong in its folder, before anything in it
+            is replaced.
     """
 
     def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
@@ -55,8 +68,11 @@ def command(
                 _read_vehicle_file(config)
                 _require_complete(config)
                 OmegaConf.resolve(config)
-                save_config(config, Path(config.out))
-                task(config)
+                require_buildable(OmegaConf.to_container(config), OF_A_RUN, "in the configuration")
+                with alone_in(Path(config.out), "out"):
+                    admit(config)
+                    save_config(config, Path(config.out))
+                    task(config)
             except EXPECTED as error:
                 raise CommandError(_told(error)) from error
 
@@ -98,7 +114,7 @@ def _read_vehicle_file(config: DictConfig) -> None:
     path = Path(file)
     if not path.is_file():
         raise ValueError(f"`vehicle` must be a name or an existing YAML file, but got {file!r}.")
-    config.vehicle = OmegaConf.load(path)
+    config.vehicle = read_mapping(path, "vehicle")
 
 
 def _require_complete(config: DictConfig) -> None:

@@ -13,12 +13,18 @@ from diffstack_mmv.stack import start_from
 from diffstack_mmv.vehicles import config_folder
 
 
-@command(config_folder(), "train")
+def resumed(config: DictConfig) -> Path | None:
+    """Where the run in its folder goes on; a run of another configuration is refused."""
+    content: Any = OmegaConf.to_container(config)
+    return resume_point(Path(config.out) / "checkpoints" / "last.ckpt", content)
+
+
+@command(config_folder(), "train", admit=resumed)
 def main(config: DictConfig) -> None:
     """Fit, and continue where an interrupted run of the same configuration stopped."""
     pl.seed_everything(config.seed, workers=True)
     content: Any = OmegaConf.to_container(config)
-    resume = resume_point(Path(config.out) / "checkpoints" / "last.ckpt", content)
+    resume = resumed(config)
     stack, data = instantiate(config.stack), instantiate(config.data.module)
     if config.start is not None and resume is None:
         start_from(stack, Path(config.start))

@@ -6,7 +6,6 @@ Where it came from, and the state of all random generators.
 import random
 import subprocess
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,8 @@ import torch
 from pytorch_lightning.callbacks import Callback
 
 from diffstack_mmv.checks import require
+from dmmv_conventions.checkpoints import read_plain
+from dmmv_conventions.versions import installed_version
 
 
 class Provenance(Callback):
@@ -36,7 +37,7 @@ class Provenance(Callback):
             "config": self.config,
             "commit": current_commit(),
             "torch": str(torch.__version__),
-            "diffstack_mmv": _installed_version(),
+            "diffstack_mmv": installed_version(),
         }
 
 
@@ -53,13 +54,6 @@ def current_commit() -> str:
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return answer.stdout.strip()
-
-
-def _installed_version() -> str:
-    try:
-        return version("diffstack_mmv")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 class RandomState(Callback):
@@ -110,12 +104,16 @@ def resume_point(last: Path, config: Mapping[str, Any]) -> Path | None:
     """Checkpoint from which an interrupted run of this configuration continues, if there is one.
 
     Raises:
-        ValueError: The folder holds a run of another configuration.
+        ValueError: The folder holds a run of another configuration, or a broken checkpoint.
     """
-    if not last.is_file():
+    if not last.exists():
         return None
-    stored = torch.load(last, map_location="cpu", weights_only=True).get("provenance", {})
-    before = stored.get("config", {})
+    remedy = "Delete it to begin anew, or choose another `out`."
+    content = read_plain(last, remedy)
+    stored = content.get("provenance") if isinstance(content, dict) else None
+    before = stored.get("config") if isinstance(stored, dict) else None
+    known = isinstance(before, dict)
+    require(known, "checkpoint", "hold its configuration", "none", f"in {last}", remedy)
     changed = sorted(key for key in _MEANING if before.get(key) != config.get(key))
     require(
         not changed,
