@@ -16,7 +16,7 @@ from trajdata.data_structures.scene_metadata import Scene
 from trajdata.data_structures.scene_tag import SceneTag
 from trajdata.dataset_specific.raw_dataset import RawDataset
 
-from dmmv_conventions.cache import SPLITS
+from dmmv_conventions.cache import SPLITS, conversion_of, require_own
 
 
 def environment(name: str, dt_s: float, scene_splits: Mapping[str, str]) -> EnvMetadata:
@@ -32,7 +32,12 @@ class CachedEnvironment(RawDataset):
     """A converted data set: lists its scenes, holds no raw recordings."""
 
     def __init__(self, cache: Path, state: Mapping[str, Any]) -> None:
-        """Describe the environment that `state`, the content of its `cache.json`, tells of."""
+        """Describe the environment that `state`, the content of its `cache.json`, tells of.
+
+        Raises:
+            ValueError: Another user wrote it: it holds pickles, which run code when they are read.
+        """
+        require_own(cache / state["dataset"], conversion_of(state["dataset"], cache))
         self._state = state
         super().__init__(state["dataset"], str(cache), parallelizable=False, has_maps=False)
 
