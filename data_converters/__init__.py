@@ -7,6 +7,7 @@ from data_converters.convert import ConversionSettings, convert
 from data_converters.errors import CacheError, ConversionError, RejectReason, TrackError
 from data_converters.imptc import ImptcDataset, ImptcVruDataset, SequenceSplit, TrackFilter
 from data_converters.imptc.sample import generate_sample, generate_vru_sample
+from data_converters.limits import RecordingLimits
 from data_converters.modes import default_extent
 from data_converters.opening import open_cache
 from data_converters.report import ConversionReport
@@ -25,6 +26,7 @@ __all__ = [
     "ImptcDataset",
     "ImptcVruDataset",
     "Mode",
+    "RecordingLimits",
     "RejectReason",
     "ResampleSettings",
     "SequenceSplit",

@@ -29,9 +29,14 @@ def read_numbers(source: Path | io.BytesIO, columns: Sequence[str], where: objec
     remedy = "Copy the file again."
     try:
         table = _read(source, columns)
+    except OSError as error:
+        refuse_track(RejectReason.UNREADABLE, "file", "be a file", error, where, remedy)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
         reason = RejectReason.MISSING_FIELD
         refuse_track(reason, "file", "be a csv table", error, where, remedy)
+    if not isinstance(table.index, pd.RangeIndex):
+        needs, found = "name every column", f"{len(table.columns)} names for more columns"
+        refuse_track(RejectReason.MISSING_FIELD, "header", needs, found, where, remedy)
     missing = [column for column in columns if column not in table.columns]
     if missing:
         reason = RejectReason.NO_TIMESTAMPS if columns[0] in missing else RejectReason.MISSING_FIELD

@@ -24,6 +24,13 @@ class RejectReason(StrEnum):
     CONTAINED = "contained_in_another_file"
     OTHER_SPLIT = "source_sequence_in_another_split"
     TOO_SHORT = "too_short"
+    UNREADABLE = "unreadable_file"
+    REPEATED_FILE = "repeated_file"
+    UNSAFE_MEMBER = "unsafe_archive_member"
+    NO_ORIENTATION = "no_orientation"
+    TIME_SPAN = "time_beyond_limit"
+    COORDINATES = "coordinates_beyond_limit"
+    SPEED = "faster_than_its_mode"
 
 
 class ConversionError(ValueError):

@@ -8,16 +8,23 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
-from data_converters.errors import RejectReason, TrackError
-from data_converters.imptc.dataset import ImptcDataset, find_sequences, to_raw_track
+from data_converters.errors import RejectReason, TrackError, require
+from data_converters.imptc.dataset import ImptcDataset, find_sequences, size_of, to_raw_track
 from data_converters.imptc.reader import (
+    UTM32_OFFSET_M,
     TrackFilter,
     load_json,
     parse_track,
     refuse_missing,
     refuse_unfinished,
 )
-from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
+from data_converters.recordings import (
+    RawScene,
+    RecordingDataset,
+    SceneSource,
+    fingerprint,
+    scene_names,
+)
 
 RELEASE_SPLITS = {"train": "train", "eval": "val", "test": "test"}
 """Folder of the release and its split."""
@@ -75,12 +82,16 @@ class ImptcVruDataset(RecordingDataset):
         absent = [name for name in RELEASE_SPLITS if not _present(self._base, name)]
         if absent:
             refuse_missing("train, eval and test of the VRU release", f"no {absent}", self.root)
+        marks = {
+            (name, f"{name}/{track}"): mark
+            for name in RELEASE_SPLITS
+            for track, mark in self._tracks(name)
+        }
+        names = scene_names(key for _, key in marks)
         scenes = []
-        for name, split in RELEASE_SPLITS.items():
-            for track, mark in self._tracks(name):
-                key = f"{name}/{track}"
-                agrees = "" if key not in self._conflicts else "other_split"
-                scenes.append(SceneSource(f"{name}_{track}", split, key, mark + agrees))
+        for (name, key), mark in marks.items():
+            agrees = "" if key not in self._conflicts else "other_split"
+            scenes.append(SceneSource(names[key], RELEASE_SPLITS[name], key, mark + agrees))
         return scenes
 
     def read(self, scene: SceneSource, dt_s: float, *, strict: bool) -> RawScene:
@@ -98,7 +109,8 @@ class ImptcVruDataset(RecordingDataset):
             return raw
         path = self._base / scene.key / "track.json"
         try:
-            track = parse_track(self._content(scene.key, path), str(path), self.keep)
+            content = self._content(scene.key, path)
+            track = parse_track(content, str(path), self.keep, self.limits)
         except TrackError as error:
             raw.reject("vru", scene.key, error, strict=strict)
             return raw
@@ -106,13 +118,18 @@ class ImptcVruDataset(RecordingDataset):
         raw.tracks.append(to_raw_track(track, "vru", scene.key, int(track.timestamp[0])))
         return raw
 
+    @property
+    def origin_m(self) -> tuple[float, float, float]:
+        """Origin of the local frame: in UTM where positions are given so."""
+        return UTM32_OFFSET_M if self.keep.utm else super().origin_m
+
     def overlaps(self, sequences: ImptcDataset) -> list[Overlap]:
         """Tracks whose sequence is part of the sequence release, joined by `src_info.txt`."""
         known = {name.partition("_")[2]: name for name in find_sequences(sequences.root)}
         found = []
         for folder, split in RELEASE_SPLITS.items():
             for path in sorted((self._base / folder).glob("*/src_info.txt")):
-                source = path.read_text(encoding="utf-8").strip().strip('"')
+                source = _first_line(path)
                 sequence = known.get(source.partition("/")[0])
                 other = sequences.split.of(int(sequence[:4])) if sequence else None
                 if sequence and other:
@@ -134,24 +151,38 @@ class ImptcVruDataset(RecordingDataset):
     def _tracks(self, folder: str) -> list[tuple[str, str]]:
         """Names and fingerprints of the tracks of a split."""
         if (self._base / folder).is_dir():
-            paths = sorted((self._base / folder).glob("*/track.json"))
-            return [(path.parent.name, str(path.stat().st_size)) for path in paths]
+            places = [path for path in sorted((self._base / folder).glob("*")) if path.is_dir()]
+            return [(place.name, str(size_of(place / "track.json"))) for place in places]
         return [
             (name, _digest(content)) for name, content in sorted(self._combined[folder].items())
         ]
 
     def _content(self, key: str, path: Path) -> Any:
         folder, _, name = key.partition("/")
-        return load_json(path) if path.is_file() else self._combined[folder][name]
+        unpacked = (self._base / folder).is_dir()
+        return load_json(path) if unpacked else self._combined[folder][name]
 
     @cached_property
     def _combined(self) -> dict[str, dict[str, Any]]:
         paths = {name: self._base / f"{name}_tracks.json" for name in RELEASE_SPLITS}
-        return {name: load_json(path) for name, path in paths.items() if path.is_file()}
+        content = {name: load_json(path) for name, path in paths.items() if path.is_file()}
+        for name, tracks in content.items():
+            needs, remedy = "hold tracks by name", "Unpack the archive again."
+            known, found = isinstance(tracks, dict), type(tracks).__name__
+            require(known, "file", needs, found, paths[name], remedy)
+        return content
 
 
 def _present(base: Path, name: str) -> bool:
     return (base / name).is_dir() or (base / f"{name}_tracks.json").is_file()
+
+
+def _first_line(path: Path) -> str:
+    """Content of a small text file, "" where there is none."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").strip().strip('"')
+    except OSError:
+        return ""
 
 
 def _digest(content: object) -> str:
