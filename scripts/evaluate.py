@@ -15,6 +15,7 @@ from diffstack_mmv.plotting import draw_error_over_horizon, draw_scenes, save_fi
 from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
 from diffstack_mmv.stack import evaluate_windows, load_stack, outputs_of, representative
 from diffstack_mmv.vehicles import config_folder
+from dmmv_conventions.versions import code_version, file_hash
 
 logger = logging.getLogger(__name__)
 
@@ -57,6 +58,9 @@ def main(config: DictConfig) -> None:
         "seed": trained["seed"],
         "smoother": data.source.smoother(),
         "checkpoint": str(config.checkpoint),
+        "checkpoint_sha256": file_hash(Path(config.checkpoint)),
+        "data_sha256": windows.digest(),
+        "code": code_version(),
     }
     out = Path(config.out)
     write_parquet(out / "samples.parquet", evaluation.samples)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytorch_lightning as pl
 import torch
+from pytorch_lightning import callbacks
 from pytorch_lightning.callbacks import Callback
 
 from diffstack_mmv.checks import require
@@ -54,6 +55,15 @@ def current_commit() -> str:
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return answer.stdout.strip()
+
+
+class EarlyStopping(callbacks.EarlyStopping):
+    """Lightning's, which forgets that a run has stopped and, resumed, trains an epoch more."""
+
+    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Stop at once where the checkpoint is that of a run that stopped."""
+        if self.wait_count >= self.patience:
+            trainer.should_stop = True
 
 
 class RandomState(Callback):
