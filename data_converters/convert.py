@@ -269,6 +269,8 @@ def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> Convers
     require(bool(usable), "root", "hold a usable track", found, settings.dataset.root, remedy)
     location = settings.dataset.location
     listed = [(s.name, location, s.split, s.steps, i) for i, s in enumerate(usable)]
+    for leftover in settings.staging.glob(".partial_*"):  # of a process that was killed
+        shutil.rmtree(leftover, ignore_errors=True)
     EnvCache(settings.staging).save_env_scenes_list(".", listed)  # type: ignore[arg-type]
     write_json(settings.staging / REPORT_FILE, report.as_dict())
     write_json(settings.staging / STATE_FILE, _state(settings, usable))
