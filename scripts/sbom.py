@@ -36,7 +36,7 @@ def licence(package: Distribution | None) -> str:
     """The licence that an installed package states, "unknown" where it states none."""
     if package is None:
         return "not installed here"
-    stated = package.metadata
+    stated: Any = package.metadata
     classes = [
         each.split(" :: ")[-1]
         for each in stated.get_all("Classifier") or []

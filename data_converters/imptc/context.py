@@ -53,7 +53,7 @@ def read_table(path: Path, section: str, origin_us: int) -> pd.DataFrame | None:
         return None
     rows = [_row(key, entry, origin_us, path) for key, entry in entries.items()]
     table = pd.DataFrame(rows).sort_values("time_s", ignore_index=True)
-    return table.assign(**{name: _one_kind(table[name]) for name in table if name != "time_s"})
+    return table.assign(**{str(name): _one_kind(table[name]) for name in table if name != "time_s"})
 
 
 def _one_kind(values: pd.Series) -> pd.Series:

@@ -15,7 +15,7 @@ import torch
 from pytorch_lightning import callbacks
 from pytorch_lightning.callbacks import Callback
 
-from diffstack_mmv.checks import require
+from diffstack_mmv.checks import message, require
 from dmmv_conventions.checkpoints import read_plain
 from dmmv_conventions.versions import installed_version
 
@@ -122,8 +122,9 @@ def resume_point(last: Path, config: Mapping[str, Any]) -> Path | None:
     content = read_plain(last, remedy)
     stored = content.get("provenance") if isinstance(content, dict) else None
     before = stored.get("config") if isinstance(stored, dict) else None
-    known = isinstance(before, dict)
-    require(known, "checkpoint", "hold its configuration", "none", f"in {last}", remedy)
+    if not isinstance(before, dict):
+        fault = message("checkpoint", "hold its configuration", "none", f"in {last}", remedy)
+        raise ValueError(fault)
     changed = sorted(key for key in _MEANING if before.get(key) != config.get(key))
     require(
         not changed,

@@ -116,7 +116,7 @@ def test_the_step_may_be_a_multiple_of_the_recorded_one(tmp_path, dt_s, rows):
 
 
 def test_paths_and_agents_may_have_any_letters(tmp_path):
-    folder = tmp_path / "Ordner für Läufe"
+    folder = tmp_path / "a folder für Läufe"
     agents = [ToyAgent("fußgänger", Mode.BICYCLE, 90)]
     write_cache(folder, {"kreuzung_ä": ("train", agents)})
     opened = ConvertedCache("toy", str(folder)).open("train", WindowSettings())
