@@ -6,6 +6,7 @@ from pathlib import Path
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from diffstack_mmv.checks import require_positive
 from diffstack_mmv.cli import command
 from diffstack_mmv.dynamics.open_loop import drive, save_run, wheel_history
 from diffstack_mmv.plotting import draw_runs, draw_wheels, save_figure
@@ -17,6 +18,7 @@ logger = logging.getLogger(__name__)
 @command(config_folder(), "simulate")
 def main(config: DictConfig) -> None:
     """Run the models, write trajectories and figures."""
+    require_positive("dt_s", config.dt_s)
     spec = instantiate(config.spec)
     manoeuvre = instantiate(config.recorded if config.controls else config.manoeuvre)
     wheelbase_m = spec.wheelbase.entries()[0][0]
