@@ -3,13 +3,17 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v p
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= outputs/quickstart
+CACHE  ?= $(OUT)/cache
+DATA   ?= imptc
+SIZE   ?= small
+RAW    ?= data
 JOBS   ?= 2
 PEERS  ?= $(BIN)/python
 RESULTS := benchmarks/results
 REFERENCE := ../shared/reference/mpc
 LIMIT  := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help install quickstart test test-all bench lint lock faults audit sbom clean
+.PHONY: help install quickstart test test-all results bench throughput profile lint lock faults audit sbom clean
 help:            ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
 
@@ -37,6 +41,9 @@ test: install ## Fast tests
 test-all: install ## All tests that need no GPU, slow ones included
 	$(LIMIT) $(BIN)/python -m pytest -n $(JOBS) -m "not gpu"
 
+results: install ## The paper's table; SIZE=small|full, RAW=folder with one folder of recordings per data set
+	$(BIN)/python scripts/results.py size=$(SIZE) raw=$(RAW)
+
 bench: install ## Benchmarks, results in benchmarks/results; PEERS=<python> of an environment with more peers
 	$(LIMIT) $(BIN)/python -m pytest benchmarks --jaxtyping-packages= --benchmark-only -m "slow or not slow"
 	for name in solver solver_free; do \
@@ -46,6 +53,12 @@ bench: install ## Benchmarks, results in benchmarks/results; PEERS=<python> of a
 	if test -d $(REFERENCE); then for name in gradients convergence; do \
 		$(LIMIT) $(BIN)/python benchmarks/bench_solver_$$name.py > $(RESULTS)/$$name.md || exit 1; done; \
 	else echo "Skipped gradients and convergence: no reference solutions in $(REFERENCE)."; fi
+
+throughput: install ## Windows/s of training and evaluation per model; CACHE=, DATA= converted recordings, PEER=name=checkout
+	$(LIMIT) $(BIN)/python benchmarks/bench_throughput.py $(CACHE) --data $(DATA) $(if $(PEER),--peer $(PEER))
+
+profile: install ## Parts, operations, floor and flame chart of one training step per model, in outputs/profile
+	$(LIMIT) $(BIN)/python benchmarks/profile_step.py $(CACHE) outputs/profile --data $(DATA)
 
 lint: install ## ruff, pyright, codespell
 	$(BIN)/ruff check .

@@ -6,6 +6,7 @@ python benchmarks/bench_solver_memory.py > benchmarks/results/solver_memory.md
 import multiprocessing
 import resource
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -13,7 +14,7 @@ import torch
 sys.path.insert(0, str(Path(__file__).parent))
 from peers import driving, ours  # noqa: E402
 
-from diffstack_mmv.control import ILQR, Bounds, UnrolledILQR  # noqa: E402
+from diffstack_mmv.control import ILQR, Bounds, Unrolled  # noqa: E402
 
 BATCH, STEPS = 64, 100
 RESIDENT = Path("/proc/self/statm")
@@ -34,7 +35,7 @@ def measure(case):
     box = Bounds(torch.tensor(driving.LOWER), torch.tensor(driving.UPPER))
     wheelbase = torch.tensor(driving.WHEELBASE, requires_grad=True)
     solver = ILQR(max_iterations=limit, tolerance=1e-9)
-    solve = UnrolledILQR(solver) if unrolled else solver
+    solve = replace(solver, gradient=Unrolled()) if unrolled else solver
     before = resident_mib()
     solution = solve(*ours.callables(p, wheelbase), box, state, torch.zeros(BATCH, STEPS, 2))
     kept = resident_mib() - before

@@ -6,18 +6,18 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
-from trajdata.caching.df_cache import DataFrameCache
-from trajdata.caching.env_cache import EnvCache
-from trajdata.data_structures.agent import AgentMetadata
-from trajdata.data_structures.environment import EnvMetadata
-from trajdata.data_structures.scene_metadata import Scene
 
 from data_converters.recordings import RawScene
 from data_converters.tracks import AgentRows
 from dmmv_conventions.cache import side_table
+
+if TYPE_CHECKING:
+    from trajdata.data_structures.agent import AgentMetadata
+    from trajdata.data_structures.environment import EnvMetadata
+    from trajdata.data_structures.scene_metadata import Scene
 
 SCENE_REPORT_FILE = "conversion.json"
 
@@ -43,6 +43,11 @@ def write_scene(
     Returns:
         trajdata's record of the scene.
     """
+    # trajdata takes seconds to import: not before something is written
+    from trajdata.caching.df_cache import DataFrameCache
+    from trajdata.caching.env_cache import EnvCache
+    from trajdata.data_structures.scene_metadata import Scene
+
     steps = max(agent.first_step + len(agent.rows) for agent in agents)
     split = metadata.scene_split_map[name]
     scene = Scene(metadata, name, location, split, steps, 0, None)
@@ -62,6 +67,8 @@ def write_scene(
 
 
 def _agent_metadata(agent: AgentRows) -> AgentMetadata:
+    from trajdata.data_structures.agent import AgentMetadata
+
     return AgentMetadata(
         name=agent.name,
         agent_type=agent.mode,  # type: ignore[arg-type]

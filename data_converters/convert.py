@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from tqdm import tqdm
-from trajdata.caching.env_cache import EnvCache
 
 from data_converters.cache import SCENE_REPORT_FILE, write_json, write_scene
 from data_converters.errors import ConversionError, TrackError, fault, require
@@ -25,7 +24,6 @@ from data_converters.tracks import AgentRows, ResampleSettings, resample, split_
 from dmmv_conventions.cache import FORMAT_VERSION, REPORT_FILE, STATE_FILE, staging_folder
 from dmmv_conventions.disk import disk_is_full
 from dmmv_conventions.locks import in_turn
-from dmmv_conventions.opening import environment
 
 logger = logging.getLogger(__name__)
 
@@ -137,6 +135,8 @@ def _run(settings: ConversionSettings, pending: list[SceneSource]) -> Iterator[S
         for source in pending:
             yield convert_scene(settings, source)
         return
+    import trajdata  # noqa: F401  before the workers are forked, which then share it
+
     todo = iter(pending)
     running: set[Future[SceneReport]] = set()
     pool = ProcessPoolExecutor(
@@ -179,6 +179,8 @@ def convert_scene(settings: ConversionSettings, source: SceneSource) -> SceneRep
     Raises:
         ConversionError: If the scene cannot be read, or, when strict, one of its tracks.
     """
+    from dmmv_conventions.opening import environment
+
     dt_s = settings.resample.dt_s
     raw = settings.dataset.read(source, dt_s, strict=settings.strict)
     _reject_implausible(raw, settings)
@@ -267,6 +269,8 @@ def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> Convers
     found = f"0 of {sum(s.tracks_read for s in reports)} ({report.rejected_by_reason})"
     remedy = "See the reasons; `strict` shows the first fault."
     require(bool(usable), "root", "hold a usable track", found, settings.dataset.root, remedy)
+    from trajdata.caching.env_cache import EnvCache
+
     location = settings.dataset.location
     listed = [(s.name, location, s.split, s.steps, i) for i, s in enumerate(usable)]
     for leftover in settings.staging.glob(".partial_*"):  # of a process that was killed

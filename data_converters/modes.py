@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from trajdata.data_structures.agent import FixedExtent
+from typing import TYPE_CHECKING
 
 # earlier caches name the modes as `data_converters.modes.Mode`
 from dmmv_conventions.modes import Mode
+
+if TYPE_CHECKING:
+    from trajdata.data_structures.agent import FixedExtent
 
 _DEFAULT_EXTENT_M = {
     Mode.UNKNOWN: (0.8, 0.8, 1.6),
@@ -28,4 +31,6 @@ def default_extent(mode: Mode) -> FixedExtent:
     Only vehicles of the IMPTC sequences carry a measured size (their cuboid); every other agent
     gets this one. Values are typical outer dimensions, not measurements of the data sets.
     """
+    from trajdata.data_structures.agent import FixedExtent
+
     return FixedExtent(*_DEFAULT_EXTENT_M[mode])

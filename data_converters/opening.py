@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
-
-from trajdata import UnifiedDataset
+from typing import TYPE_CHECKING, Any
 
 from data_converters.errors import CacheError, require
 from dmmv_conventions.cache import SPLITS, read_state
-from dmmv_conventions.opening import CachedEnvironment, CachedUnifiedDataset
+
+if TYPE_CHECKING:
+    from trajdata import UnifiedDataset
 
 
 def open_cache(cache: Path, splits: Mapping[str, Sequence[str]], **options: Any) -> UnifiedDataset:
@@ -28,6 +28,8 @@ def open_cache(cache: Path, splits: Mapping[str, Sequence[str]], **options: Any)
         ConversionError: If a split is none of train, val, test.
         CacheError: If a data set is absent, unfinished or of another version.
     """
+    from dmmv_conventions.opening import CachedEnvironment, CachedUnifiedDataset
+
     for name, wanted in splits.items():
         known = bool(wanted) and set(wanted) <= set(SPLITS)
         require(known, "splits", f"be of {SPLITS}", wanted, f"'{name}'", "Give a list of splits.")

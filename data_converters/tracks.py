@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from trajdata.data_structures.agent import FixedExtent
 
 from data_converters.errors import RejectReason, refuse_track, require
 from data_converters.heading import heading_from_axis, heading_from_motion
 from data_converters.modes import default_extent
 from data_converters.smoothing import SAMPLES_NEEDED, Smoother, SmoothSeries, ZeroPhaseSmoother
 from dmmv_conventions.modes import Mode
+
+if TYPE_CHECKING:
+    from trajdata.data_structures.agent import FixedExtent
 
 Array = NDArray[np.float64]
 

@@ -1,82 +1,34 @@
 """Checks of arguments at the border: constructors, configuration and files.
 
-`message` and `require` tell all of them in one form, which the converters share.
+Those of plain values are shared with the converters and the command lines; they need no tensor.
 """
 
-import math
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-from dmmv_conventions.checks import message, require
+from dmmv_conventions.checks import (
+    message,
+    require,
+    require_at_least,
+    require_between,
+    require_multiple,
+    require_one_of,
+    require_positive,
+)
 
-
-def require_positive(argument: str, value: float | int, where: str = "", remedy: str = "") -> None:
-    """Refuse a number that is not finite and above zero.
-
-    Raises:
-        ValueError: `value` is zero, negative, infinite or NaN.
-    """
-    require(math.isfinite(value) and value > 0, argument, "be positive", value, where, remedy)
-
-
-def require_at_least(
-    argument: str, value: float | int, low: float | int, where: str = "", remedy: str = ""
-) -> None:
-    """Refuse a number below `low`.
-
-    Raises:
-        ValueError: `value` is below `low` or NaN.
-    """
-    require(value >= low, argument, f"be at least {low}", value, where, remedy)
-
-
-def require_between(
-    argument: str,
-    value: float | int,
-    low: float | int,
-    high: float | int,
-    where: str = "",
-    remedy: str = "",
-) -> None:
-    """Refuse a number outside [low, high].
-
-    Raises:
-        ValueError: `value` lies outside the interval or is NaN.
-    """
-    require(low <= value <= high, argument, f"lie in [{low}, {high}]", value, where, remedy)
-
-
-def require_one_of(argument: str, value: str, choices: Sequence[str], where: str = "") -> None:
-    """Refuse a name that is not among the known ones.
-
-    Raises:
-        ValueError: `value` is not in `choices`.
-    """
-    require(
-        value in choices, argument, f"be one of {', '.join(sorted(choices))}", repr(value), where
-    )
-
-
-def require_multiple(argument: str, value: float | int, step: float | int, where: str = "") -> int:
-    """Return how many steps make up `value`.
-
-    Raises:
-        ValueError: `value` is not a whole number of steps.
-    """
-    require_positive(argument, value, where)
-    steps = round(value / step)
-    whole = steps >= 1 and math.isclose(steps * step, value, rel_tol=1e-6)
-    require(
-        whole,
-        argument,
-        f"be a multiple of {step}",
-        value,
-        where,
-        f"Take {max(steps, 1) * step:g}, for example.",
-    )
-    return steps
+__all__ = [
+    "message",
+    "require",
+    "require_at_least",
+    "require_between",
+    "require_columns",
+    "require_finite",
+    "require_multiple",
+    "require_one_of",
+    "require_positive",
+]
 
 
 def require_columns(argument: str, tensor: Tensor, columns: int, names: Sequence[str] = ()) -> None:

@@ -6,15 +6,22 @@ Hydra's composition, one message per failure, and an exit status to trust.
 import functools
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import hydra
+from hydra import compose
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import OverrideType
 from hydra.errors import CompactHydraException, HydraException
-from omegaconf import DictConfig, OmegaConf
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf, read_write
 from omegaconf.errors import OmegaConfBaseException
 
+from diffstack_mmv.config_checks import require_complete, require_same_type
 from dmmv_conventions.locks import alone_in
 from dmmv_conventions.targets import OF_A_RUN, require_buildable
 from dmmv_conventions.yaml_files import read_mapping
@@ -44,6 +51,7 @@ def admit_any(config: DictConfig) -> None:
 def command(
     config_folder: Path,
     config_name: str,
+    check: Callable[[DictConfig], object] = OmegaConf.resolve,
     admit: Callable[[DictConfig], object] = admit_any,
 ) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
     """Make a function of a composed configuration a command line.
@@ -56,6 +64,8 @@ def command(
     Args:
         config_folder: The folder of the configuration groups.
         config_name: File in it, without its ending.
+        check: Refuses, by raising, what cannot be run, before anything is written or imported; it
+            gets the resolved configuration.
         admit: Refuses, by raising, a run that does not belong in its folder, before anything in it
             is replaced.
     """
@@ -66,10 +76,12 @@ def command(
             try:
                 config.out = HydraConfig.get().runtime.output_dir
                 _read_vehicle_file(config)
-                _require_complete(config)
+                require_complete(OmegaConf.to_container(config))
+                _require_types(config, config_name)
                 OmegaConf.resolve(config)
                 require_buildable(OmegaConf.to_container(config), OF_A_RUN, "in the configuration")
-                with alone_in(Path(config.out), "out"):
+                check(config)
+                with alone_in(Path(config.out), "out"), _single_job():
                     admit(config)
                     save_config(config, Path(config.out))
                     task(config)
@@ -117,11 +129,52 @@ def _read_vehicle_file(config: DictConfig) -> None:
     config.vehicle = read_mapping(path, "vehicle")
 
 
-def _require_complete(config: DictConfig) -> None:
-    missing = sorted(OmegaConf.missing_keys(config))
-    if missing:
-        given = " ".join(f"{key}=VALUE" for key in missing)
-        raise ValueError(f"`{missing[0]}` must be given. Add {given}, or see --help.")
+@contextmanager
+def _single_job() -> Iterator[None]:
+    """Have the command line of a job of a sweep (`-m`) name that job alone.
+
+    Whoever starts further processes of a training repeats the command line in each of them.
+    """
+    job: Any = HydraConfig.get()
+    before = list(sys.argv)
+    if job.mode is not RunMode.MULTIRUN:
+        yield
+        return
+    sys.argv[1:] = job.overrides.task
+    with read_write(job):
+        job.run.dir = job.runtime.output_dir
+    try:
+        yield
+    finally:
+        sys.argv[:] = before
+
+
+def _require_types(config: DictConfig, config_name: str) -> None:
+    """Compare each value given on the command line with its default.
+
+    The default is that of the same groups. `+key` and `++key` are not looked at.
+    """
+    choices = HydraConfig.get().runtime.choices
+    parsed = OverridesParser.create().parse_overrides(list(HydraConfig.get().overrides.task))
+    given = [
+        each
+        for each in parsed
+        if each.type is OverrideType.CHANGE and each.get_key_element() not in choices
+    ]
+    others = [each.input_line for each in parsed if each not in given]
+    defaults = compose(config_name, [str(line) for line in others]) if given else config
+    for each in given:
+        key = each.key_or_group
+        require_same_type(key, _value(defaults, key), _value(config, key))
+
+
+def _value(config: DictConfig, key: str) -> Any:
+    """Value of a key in plain containers, none where it has none yet."""
+    try:
+        value = OmegaConf.select(config, key, throw_on_missing=False)
+        return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+    except OmegaConfBaseException:
+        return None
 
 
 def _told(error: BaseException) -> str:

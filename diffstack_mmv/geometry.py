@@ -36,7 +36,7 @@ def rotate(vector: Float[Tensor, "*#b 2"], angle: Float[Tensor, "*#b"]) -> Float
 
 
 def position_in_frame(
-    position: Float[Tensor, "*b 2"], origin: Float[Tensor, "*#b 2"], heading: Float[Tensor, "*#b"]
+    position: Float[Tensor, "*#b 2"], origin: Float[Tensor, "*#b 2"], heading: Float[Tensor, "*#b"]
 ) -> Float[Tensor, "*b 2"]:
     """Express world positions in m in a frame with the given origin (m) and heading (rad)."""
     return rotate(position - origin, -heading)
@@ -47,6 +47,29 @@ def position_from_frame(
 ) -> Float[Tensor, "*b 2"]:
     """Express positions in m of a frame with this origin (m) and heading (rad) in the world."""
     return rotate(position, heading) + origin
+
+
+def distance_to_axis(
+    position: Float[Tensor, "*#b 2"],
+    origin: Float[Tensor, "*#b 2"],
+    heading: Float[Tensor, "*#b"],
+    rear: Float[Tensor, "*#b"],
+    front: Float[Tensor, "*#b"],
+    epsilon: float = 0.0,
+) -> Float[Tensor, "*b"]:
+    """Distance in m of points to a stretch of the axis of bodies at an origin with a heading.
+
+    Args:
+        position: Points in m.
+        origin: Of the bodies, in m.
+        heading: Of the bodies, in rad.
+        rear: Where the stretch begins, in m ahead of the origin.
+        front: Where it ends, not before it begins.
+        epsilon: Added to the square in m², for a derivative at zero.
+    """
+    seen = position_in_frame(position, origin, heading)
+    beyond = seen[..., 0] - torch.minimum(torch.maximum(seen[..., 0], rear), front)
+    return (beyond.square() + seen[..., 1].square() + epsilon).sqrt()
 
 
 def motion_in_frame(

@@ -3,6 +3,9 @@
 Every message reads "`argument` must requirement, but got value where. remedy".
 """
 
+import math
+from collections.abc import Sequence
+
 
 def message(
     argument: str, requirement: str, value: object, where: str = "", remedy: str = ""
@@ -40,3 +43,70 @@ def require(
     """
     if not condition:
         raise error(message(argument, requirement, value, where, remedy))
+
+
+def require_positive(argument: str, value: float | int, where: str = "", remedy: str = "") -> None:
+    """Refuse a number that is not finite and above zero.
+
+    Raises:
+        ValueError: `value` is zero, negative, infinite or NaN.
+    """
+    require(math.isfinite(value) and value > 0, argument, "be positive", value, where, remedy)
+
+
+def require_at_least(
+    argument: str, value: float | int, low: float | int, where: str = "", remedy: str = ""
+) -> None:
+    """Refuse a number below `low`.
+
+    Raises:
+        ValueError: `value` is below `low` or NaN.
+    """
+    require(value >= low, argument, f"be at least {low}", value, where, remedy)
+
+
+def require_between(
+    argument: str,
+    value: float | int,
+    low: float | int,
+    high: float | int,
+    where: str = "",
+    remedy: str = "",
+) -> None:
+    """Refuse a number outside [low, high].
+
+    Raises:
+        ValueError: `value` lies outside the interval or is NaN.
+    """
+    require(low <= value <= high, argument, f"lie in [{low}, {high}]", value, where, remedy)
+
+
+def require_one_of(argument: str, value: str, choices: Sequence[str], where: str = "") -> None:
+    """Refuse a name that is not among the known ones.
+
+    Raises:
+        ValueError: `value` is not in `choices`.
+    """
+    require(
+        value in choices, argument, f"be one of {', '.join(sorted(choices))}", repr(value), where
+    )
+
+
+def require_multiple(argument: str, value: float | int, step: float | int, where: str = "") -> int:
+    """Return how many steps make up `value`.
+
+    Raises:
+        ValueError: `value` is not a whole number of steps.
+    """
+    require_positive(argument, value, where)
+    steps = round(value / step)
+    whole = steps >= 1 and math.isclose(steps * step, value, rel_tol=1e-6)
+    require(
+        whole,
+        argument,
+        f"be a multiple of {step}",
+        value,
+        where,
+        f"Take {max(steps, 1) * step:g}, for example.",
+    )
+    return steps

@@ -8,11 +8,14 @@ looked through before it is built.
 import importlib
 import inspect
 import os
+import re
 from collections.abc import Iterator, Mapping
+from functools import cache
 from types import ModuleType
 from typing import Any, NamedTuple
 
 from dmmv_conventions.checks import message
+from dmmv_conventions.configs import config_folder
 
 TRUSTED_VARIABLE = "DMMV_TRUSTED_PACKAGES"
 """Environment variable with the packages of one's own whose names a file may hold, by commas."""
@@ -133,7 +136,7 @@ def _nodes(content: Any, place: str) -> Iterator[tuple[str, Any]]:
 
 
 def _is_allowed(name: str, allowed: Buildable) -> bool:
-    if name in allowed.names:
+    if name in allowed.names or (allowed is OF_A_RUN and name in _shipped()):
         return True
     package = name.partition(".")[0]
     trusted = [each.strip() for each in os.environ.get(TRUSTED_VARIABLE, "").split(",")]
@@ -145,6 +148,15 @@ def _is_allowed(name: str, allowed: Buildable) -> bool:
     if not inspect.isclass(found) or found.__module__ in allowed.apart:
         return False
     return f"{found.__module__}.".startswith(tuple(f"{each}." for each in allowed.packages))
+
+
+@cache
+def _shipped() -> frozenset[str]:
+    """Names in the configuration that comes with the package, which need no import to be known."""
+    files = config_folder().rglob("*.yaml")
+    named = re.compile(r"(?:_target_|path): *([A-Za-z_][\w.]*)")
+    found = {name for file in files for name in named.findall(file.read_text(encoding="utf-8"))}
+    return frozenset(name for name in found if "." in name and not name.startswith("hydra."))
 
 
 def _located(name: str) -> object:

@@ -5,19 +5,28 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from diffstack_mmv.checks import require_one_of
 from diffstack_mmv.cli import command
-from diffstack_mmv.metrics import OPEN_LOOP
-from diffstack_mmv.reporting import compare, paired_tests, read_runs, write_comparison
-from diffstack_mmv.vehicles import config_folder
+from diffstack_mmv.config_checks import require_reports
+from dmmv_conventions.checks import require_one_of
+from dmmv_conventions.configs import config_folder
 
 logger = logging.getLogger(__name__)
 
 
-@command(config_folder(), "compare")
+def check(config: DictConfig) -> None:
+    """Refuse folders without a report, and a score that nobody computes."""
+    require_reports(config.runs)
+    from diffstack_mmv.metrics import OPEN_LOOP
+
+    require_one_of("score", config.score, tuple(OPEN_LOOP))
+
+
+@command(config_folder(), "compare", check)
 def main(config: DictConfig) -> None:
     """Read what evaluate.py wrote and write one table."""
-    require_one_of("score", config.score, tuple(OPEN_LOOP))
+    from diffstack_mmv.metrics import OPEN_LOOP
+    from diffstack_mmv.reporting import compare, paired_tests, read_runs, write_comparison
+
     folders = [Path(run) for run in config.runs]
     comparison = compare(read_runs(folders), OPEN_LOOP)
     tests = paired_tests(folders, OPEN_LOOP[config.score])

@@ -7,20 +7,27 @@ from pathlib import Path
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from data_converters import ConversionSettings, ResampleSettings, convert
-from diffstack_mmv.checks import require
 from diffstack_mmv.cli import command
-from diffstack_mmv.vehicles import config_folder
+from diffstack_mmv.config_checks import require_folder
+from dmmv_conventions.checks import require
+from dmmv_conventions.configs import config_folder
 
 logger = logging.getLogger(__name__)
 
 
-@command(config_folder(), "convert")
-def main(config: DictConfig) -> None:
-    """Convert, and tell what was kept and what was rejected."""
+def check(config: DictConfig) -> None:
+    """Refuse a data set without converter, and a folder that is not there."""
     named = "recordings" in config.data
     require(named, "data", "be a data set that has a converter", config.data.name)
     require(bool(config.data.root), "data.root", "be given", None, "", "Add data.root=RECORDINGS.")
+    require_folder("data.root", config.data.root, "Add data.root=RECORDINGS.")
+
+
+@command(config_folder(), "convert", check)
+def main(config: DictConfig) -> None:
+    """Convert, and tell what was kept and what was rejected."""
+    from data_converters import ConversionSettings, ResampleSettings, convert
+
     settings = ConversionSettings(
         dataset=instantiate(config.data.recordings),
         cache=Path(config.data.cache),

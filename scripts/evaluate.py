@@ -2,35 +2,35 @@
 
 import logging
 from pathlib import Path
+from typing import Any
 
-import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from diffstack_mmv.callbacks import scenes_of
-from diffstack_mmv.checks import require
 from diffstack_mmv.cli import command
-from diffstack_mmv.metrics import DISPLACEMENT, OPEN_LOOP
-from diffstack_mmv.plotting import draw_error_over_horizon, draw_scenes, save_figure
-from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
-from diffstack_mmv.stack import evaluate_windows, load_stack, outputs_of, representative
-from diffstack_mmv.vehicles import config_folder
+from diffstack_mmv.config_checks import require_checkpoint, require_recordings, require_windows
+from dmmv_conventions.configs import config_folder
 from dmmv_conventions.versions import code_version, file_hash
 
 logger = logging.getLogger(__name__)
 
 
-@command(config_folder(), "evaluate")
+def check(config: DictConfig) -> None:
+    """Refuse an evaluation without checkpoint or recordings."""
+    require_checkpoint("checkpoint", config.checkpoint)
+    require_windows(
+        config.modes, config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
+    )
+    require_recordings(config.data.module.source)
+
+
+@command(config_folder(), "evaluate", check)
 def main(config: DictConfig) -> None:
     """Score every window of a split; write tables and plots."""
-    require(
-        bool(config.checkpoint),
-        "checkpoint",
-        "be given",
-        config.checkpoint,
-        "",
-        "Add checkpoint=PATH.",
-    )
+    from diffstack_mmv.metrics import OPEN_LOOP
+    from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
+    from diffstack_mmv.stack import evaluate_windows, load_stack
+
     stack, trained = load_stack(Path(config.checkpoint), _device(config.device))
     if "goal" in config:
         stack.goal = instantiate(config.goal)
@@ -66,15 +66,27 @@ def main(config: DictConfig) -> None:
     write_parquet(out / "samples.parquet", evaluation.samples)
     write_metrics(out, header | metrics, OPEN_LOOP)
     if config.plots:
-        figure = draw_error_over_horizon(evaluation.errors, config.dt_s, DISPLACEMENT.heading)
-        save_figure(figure, out / "error_over_horizon.png")
-        for mode, chosen in representative(evaluation.samples).items():
-            scenes = scenes_of(*outputs_of(stack, windows, list(chosen.values())), list(chosen))
-            save_figure(draw_scenes(scenes), out / f"plans_{mode}.png")
+        _draw(config, stack, windows, evaluation)
     logger.info("Report: %s", out / "metrics.md")
 
 
+def _draw(config: DictConfig, stack: Any, windows: Any, evaluation: Any) -> None:
+    from diffstack_mmv.callbacks import scenes_of
+    from diffstack_mmv.metrics import DISPLACEMENT
+    from diffstack_mmv.plotting import draw_error_over_horizon, draw_scenes, save_figure
+    from diffstack_mmv.stack import outputs_of, representative
+
+    out = Path(config.out)
+    figure = draw_error_over_horizon(evaluation.errors, config.dt_s, DISPLACEMENT.heading)
+    save_figure(figure, out / "error_over_horizon.png")
+    for mode, chosen in representative(evaluation.samples).items():
+        scenes = scenes_of(*outputs_of(stack, windows, list(chosen.values())), list(chosen))
+        save_figure(draw_scenes(scenes), out / f"plans_{mode}.png")
+
+
 def _device(name: str) -> str:
+    import torch
+
     automatic = "cuda" if torch.cuda.is_available() else "cpu"
     return automatic if name == "auto" else name
 

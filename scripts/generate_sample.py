@@ -5,9 +5,8 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from data_converters import generate_sample
 from diffstack_mmv.cli import command
-from diffstack_mmv.vehicles import config_folder
+from dmmv_conventions.configs import config_folder
 
 logger = logging.getLogger(__name__)
 
@@ -15,6 +14,8 @@ logger = logging.getLogger(__name__)
 @command(config_folder(), "generate_sample")
 def main(config: DictConfig) -> None:
     """Write the sample."""
+    from data_converters import generate_sample
+
     folders = generate_sample(Path(config.out), config.seed)
     logger.info("Wrote %d sequences to %s", len(folders), config.out)
 

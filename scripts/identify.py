@@ -9,19 +9,27 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from diffstack_mmv.cli import command
-from diffstack_mmv.data import read_controls, read_leans, read_tracks, recorded_noise
-from diffstack_mmv.identification import Recordings, identification_result, vehicle_provenance
-from diffstack_mmv.plotting import FittedTrack, save_identification
-from diffstack_mmv.reporting import write_identification
-from diffstack_mmv.vehicles import config_folder, save_vehicle
+from diffstack_mmv.config_checks import require_tracks
+from dmmv_conventions.configs import config_folder
 
 logger = logging.getLogger(__name__)
 
 
-@command(config_folder(), "identify")
+def check(config: DictConfig) -> None:
+    """Refuse a study without recordings of the vehicle."""
+    require_tracks(config.data.module.source, config.splits, config.vehicle.mode)
+
+
+@command(config_folder(), "identify", check)
 def main(config: DictConfig) -> None:
     """Identify the model, and write the calibrated vehicle, its table and its figures."""
     study, source, out = instantiate(config.study), instantiate(config.source), Path(config.out)
+    from diffstack_mmv.data import read_controls, read_leans, read_tracks, recorded_noise
+    from diffstack_mmv.identification import Recordings, identification_result, vehicle_provenance
+    from diffstack_mmv.plotting import FittedTrack, save_identification
+    from diffstack_mmv.reporting import write_identification
+    from diffstack_mmv.vehicles import save_vehicle
+
     name, place = config.names.dynamics, (source, config.splits, study.spec.mode)
     others = {other: model for other, model in config.others.items() if model and other != name}
     models = {each: partial(instantiate, model) for each, model in others.items()}

@@ -5,32 +5,43 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import torch
 from hydra.utils import get_class, instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from diffstack_mmv.cli import command
-from diffstack_mmv.metrics import CLOSED_LOOP
-from diffstack_mmv.plotting import save_stories
-from diffstack_mmv.reporting import paired_cases, paired_with_run, write_closed_loop
-from diffstack_mmv.simulation import (
-    Chunk,
-    Method,
-    models_told,
-    require_stoppable,
-    run,
-    summarise,
-    world_for,
-)
-from diffstack_mmv.vehicles import config_folder
+from diffstack_mmv.config_checks import require_checkpoint
+from dmmv_conventions.configs import config_folder
 from dmmv_conventions.versions import code_version, file_hash
 
 logger = logging.getLogger(__name__)
 
 
-@command(config_folder(), "navigate")
+def check(config: DictConfig) -> None:
+    """Refuse a world or a controller that cannot be built, before any baseline has driven."""
+    if "predictor" in config.people:
+        require_checkpoint("people_checkpoint", config.people.predictor.path)
+    for part in (config.scenario, config.world, config.controller):
+        instantiate(part)
+
+
+@command(config_folder(), "navigate", check)
 def main(config: DictConfig) -> None:
     """Run the benchmark of the controller and of its baselines; write tables, plots, animations."""
+    import torch
+
+    from diffstack_mmv.metrics import CLOSED_LOOP
+    from diffstack_mmv.plotting import save_stories
+    from diffstack_mmv.reporting import paired_cases, paired_with_run, write_closed_loop
+    from diffstack_mmv.simulation import (
+        Chunk,
+        Method,
+        models_told,
+        require_stoppable,
+        run,
+        summarise,
+        world_for,
+    )
+
     torch.manual_seed(config.seed)
     scenario, world = instantiate(config.scenario), instantiate(config.world)
     actual, believed = instantiate(config.actual), instantiate(config.believed)

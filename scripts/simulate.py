@@ -8,19 +8,27 @@ from omegaconf import DictConfig
 
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.cli import command
-from diffstack_mmv.dynamics.open_loop import drive, save_run, wheel_history
-from diffstack_mmv.plotting import draw_runs, draw_wheels, save_figure
-from diffstack_mmv.vehicles import config_folder
+from diffstack_mmv.config_checks import require_file
+from dmmv_conventions.configs import config_folder
 
 logger = logging.getLogger(__name__)
 
 
-@command(config_folder(), "simulate")
+def check(config: DictConfig) -> None:
+    """Refuse recorded controls that are not there."""
+    if config.controls:
+        require_file("controls", config.controls, "Give controls=FILE.csv.")
+
+
+@command(config_folder(), "simulate", check)
 def main(config: DictConfig) -> None:
     """Run the models, write trajectories and figures."""
     require_positive("dt_s", config.dt_s)
     spec = instantiate(config.spec)
     manoeuvre = instantiate(config.recorded if config.controls else config.manoeuvre)
+    from diffstack_mmv.dynamics.open_loop import drive, save_run, wheel_history
+    from diffstack_mmv.plotting import draw_runs, draw_wheels, save_figure
+
     wheelbase_m = spec.wheelbase.entries()[0][0]
     inputs = manoeuvre(wheelbase_m, config.dt_s)
     chosen = {config.names.dynamics: config.dynamics}

@@ -3,25 +3,43 @@
 from pathlib import Path
 from typing import Any
 
-import pytorch_lightning as pl
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from diffstack_mmv.callbacks import Provenance, resume_point
 from diffstack_mmv.cli import command
-from diffstack_mmv.stack import start_from
-from diffstack_mmv.vehicles import config_folder
+from diffstack_mmv.config_checks import require_checkpoint, require_recordings, require_windows
+from dmmv_conventions.configs import config_folder
+
+
+def check(config: DictConfig) -> None:
+    """Refuse a run without recordings or with parts that cannot be built."""
+    require_windows(
+        config.modes, config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
+    )
+    require_recordings(config.data.module.source)
+    if config.start is not None:
+        require_checkpoint("start", config.start)
+    # for their mistakes alone; they need torch, but nothing that takes longer to import
+    for part in (config.dynamics, config.predictor, config.planner, config.goal):
+        instantiate(part)
 
 
 def resumed(config: DictConfig) -> Path | None:
     """Where the run in its folder goes on; a run of another configuration is refused."""
+    from diffstack_mmv.callbacks import resume_point
+
     content: Any = OmegaConf.to_container(config)
     return resume_point(Path(config.out) / "checkpoints" / "last.ckpt", content)
 
 
-@command(config_folder(), "train", admit=resumed)
+@command(config_folder(), "train", check, admit=resumed)
 def main(config: DictConfig) -> None:
     """Fit, and continue where an interrupted run of the same configuration stopped."""
+    import pytorch_lightning as pl
+
+    from diffstack_mmv.callbacks import Provenance
+    from diffstack_mmv.stack import own_processes, start_from
+
     pl.seed_everything(config.seed, workers=True)
     content: Any = OmegaConf.to_container(config)
     resume = resumed(config)
@@ -33,7 +51,8 @@ def main(config: DictConfig) -> None:
     trainer = instantiate(
         config.trainer, callbacks=[*callbacks, Provenance(content)], logger=loggers
     )
-    trainer.fit(stack, data, ckpt_path=resume)
+    with own_processes():
+        trainer.fit(stack, data, ckpt_path=resume)
 
 
 if __name__ == "__main__":

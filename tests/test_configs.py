@@ -26,6 +26,7 @@ GROUPS = (
     "goal",
     "loss",
     "optim",
+    "stack",
     "callbacks",
     "logger",
 )
@@ -36,7 +37,7 @@ OPTIONS = [
 
 def composed(name, *overrides):
     with initialize_config_dir(str(CONFIGS), version_base="1.3"):
-        known = ["data.cache=CACHE"] if "data:" in (CONFIGS / f"{name}.yaml").read_text() else []
+        known = ["data.cache=CACHE"] if "- data:" in (CONFIGS / f"{name}.yaml").read_text() else []
         config = compose(name, [*known, *overrides], return_hydra_config=True)
         HydraConfig.instance().set_config(config)
         OmegaConf.set_struct(config, False)
@@ -46,7 +47,7 @@ def composed(name, *overrides):
 
 
 @pytest.mark.parametrize(
-    "name", [name for name in COMMANDS if (CONFIGS / f"{name}.yaml").read_text().count("data:")]
+    "name", [name for name in COMMANDS if "- data:" in (CONFIGS / f"{name}.yaml").read_text()]
 )
 def test_commands_on_data_compose(name):
     assert composed(name).data.name == "thab_vru"
@@ -116,6 +117,8 @@ USED = [
     ("navigate", "footprint", "world"),
     ("navigate", "people", "controller"),
     ("navigate", "scenario", "scenario"),
+    ("results", "launcher", "launcher"),
+    ("results", "size", "launcher"),
     ("simulate", "dynamics", "dynamics"),
     ("simulate", "manoeuvre", "manoeuvre"),
     ("train", "augmentation", "data.module"),

@@ -11,6 +11,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import torch
+from omegaconf import OmegaConf
 
 from data_converters import generate_sample
 from diffstack_mmv.types import Mode
@@ -259,6 +260,16 @@ def test_checkpoint_of_another_architecture_is_refused(workplace, tmp_path):
 )
 def test_help_shows_an_example(script):
     assert f"python scripts/{script}.py" in succeed(script, "--help").stdout
+
+
+@pytest.mark.slow
+def test_runs_of_a_sweep_train_in_two_processes_each(workplace, tmp_path):
+    options = [*data_of(workplace), *SMALL, "logger=csv", "epochs=1", "loss=prediction"]
+    ddp = ["trainer=ddp", "trainer.accelerator=cpu", "trainer.devices=2", "optim=adamw_scaled"]
+    succeed("train", "-m", *options, *ddp, "seed=0,1", f"out={tmp_path}")
+    for job in ("0", "1"):
+        assert (tmp_path / job / "checkpoints" / "best.ckpt").is_file()
+        assert OmegaConf.load(tmp_path / job / "config.yaml").seed == int(job)
 
 
 @pytest.mark.slow

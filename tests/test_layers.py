@@ -14,7 +14,9 @@ BASE = {"checks", "smooth", "types", "geometry"}
 # what a part of the package may import besides itself
 ALLOWED = {
     "__init__": set(),
-    "cli": set(),
+    "cli": {"config_checks"},
+    "config_checks": set(),
+    "jobs": set(),
     "reporting": set(),
     "checks": set(),
     "smooth": set(),
@@ -38,6 +40,11 @@ OURS = {"dmmv_conventions", "data_converters", "diffstack_mmv", "scripts"}
 # who takes what from the conventions; all others find modes and checks in `types` and `checks`
 CONVENTIONS = {
     "checks": {"dmmv_conventions.checks"},
+    "config_checks": {
+        "dmmv_conventions.cache",
+        "dmmv_conventions.checks",
+        "dmmv_conventions.modes",
+    },
     "types": {"dmmv_conventions.modes"},
     "data": {"dmmv_conventions.cache", "dmmv_conventions.disk", "dmmv_conventions.opening"},
     "cli": {
@@ -45,7 +52,7 @@ CONVENTIONS = {
         "dmmv_conventions.targets",
         "dmmv_conventions.yaml_files",
     },
-    "vehicles": {"dmmv_conventions.yaml_files"},
+    "vehicles": {"dmmv_conventions.configs", "dmmv_conventions.yaml_files"},
     "stack": {"dmmv_conventions.checkpoints", "dmmv_conventions.targets"},
     "callbacks": {"dmmv_conventions.checkpoints", "dmmv_conventions.versions"},
 }
@@ -95,7 +102,7 @@ def test_only_base_parts_and_the_data_lie_on_the_conventions(file):
     assert taken <= CONVENTIONS.get(part, set())
 
 
-@pytest.mark.parametrize("module", ["cache", "checks", "disk", "modes", "targets", "versions"])
+@pytest.mark.parametrize("module", ["cache", "checks", "configs", "disk", "modes", "versions"])
 def test_plain_conventions_need_no_other_package(module):
     names = {name.split(".")[0] for name in imported(ROOT / "dmmv_conventions" / f"{module}.py")}
     assert names <= {"dmmv_conventions", *sys.stdlib_module_names}

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from trajdata.maps.traffic_light_status import TrafficLightStatus
 
 from data_converters.errors import RejectReason, TrackError, refuse_track
 from data_converters.imptc.reader import load_json, microseconds
@@ -16,14 +15,14 @@ SIGNAL_GROUPS = ("k1", "k2", "k3", "k4", "k5", "k6", "f1", "f2", "f3")
 """k1-k6 are lanes of vehicles, f1-f3 crossings of pedestrians."""
 
 STATES = {
-    2: TrafficLightStatus.UNKNOWN,
-    4: TrafficLightStatus.GREEN,
-    10: TrafficLightStatus.RED,
-    11: TrafficLightStatus.NO_DATA,
-    20: TrafficLightStatus.UNKNOWN,
-    30: TrafficLightStatus.RED,
+    2: "UNKNOWN",
+    4: "GREEN",
+    10: "RED",
+    11: "NO_DATA",
+    20: "UNKNOWN",
+    30: "RED",
 }
-"""trajdata's status of the codes yellow-blinking, green, red, disabled, yellow, red-yellow."""
+"""Names of trajdata's status: yellow-blinking, green, red, disabled, yellow, red-yellow."""
 
 LIGHTS_FILE = "traffic_light_signals.json"
 WEATHER_FILE = "weather_data.json"
@@ -109,6 +108,8 @@ def signals_per_step(lights: pd.DataFrame, steps: int, dt_s: float) -> pd.DataFr
     Returns:
         Index lane_id (the signal group) and scene_ts, column status.
     """
+    from trajdata.maps.traffic_light_status import TrafficLightStatus
+
     latest = (
         np.searchsorted(lights["time_s"].to_numpy(), np.arange(steps) * dt_s + 1e-6, side="right")
         - 1
@@ -118,7 +119,7 @@ def signals_per_step(lights: pd.DataFrame, steps: int, dt_s: float) -> pd.DataFr
         if group not in lights:
             continue
         codes = lights[group].to_numpy()[np.maximum(latest, 0)]
-        status = [_status(code).value for code in codes]
+        status = [TrafficLightStatus[_status(code)].value for code in codes]
         status = np.where(latest < 0, TrafficLightStatus.NO_DATA.value, status)
         parts.append(
             pd.DataFrame({"lane_id": group, "scene_ts": np.arange(steps), "status": status})
@@ -126,9 +127,9 @@ def signals_per_step(lights: pd.DataFrame, steps: int, dt_s: float) -> pd.DataFr
     return pd.concat(parts, ignore_index=True).set_index(["lane_id", "scene_ts"])
 
 
-def _status(code: object) -> TrafficLightStatus:
-    """Status of a recorded code; unknown for anything that is no number."""
+def _status(code: object) -> str:
+    """Name of the status of a recorded code; unknown for anything that is no number."""
     try:
-        return STATES.get(int(float(str(code))), TrafficLightStatus.UNKNOWN)
+        return STATES.get(int(float(str(code))), "UNKNOWN")
     except (ValueError, OverflowError):
-        return TrafficLightStatus.UNKNOWN
+        return "UNKNOWN"

@@ -6,17 +6,19 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
-from trajdata.data_structures.agent import FixedExtent
 
 from data_converters.errors import ConversionError, RejectReason, fault, refuse_track, require
 from data_converters.imptc.cuboid import measure_cuboids
 from data_converters.imptc.modes import CLASS_MODES
 from data_converters.limits import USUAL, RecordingLimits
 from dmmv_conventions.modes import Mode
+
+if TYPE_CHECKING:
+    from trajdata.data_structures.agent import FixedExtent
 
 Array = NDArray[np.float64]
 
@@ -230,6 +232,8 @@ def _body(samples: list[dict[str, Any]], where: str) -> tuple[Array | None, Fixe
         return None, None
     boxes = measure_cuboids([sample["cuboid"] for sample in samples], where)
     size = [float(np.median(side)) for side in (boxes.length, boxes.width, boxes.height)]
+    from trajdata.data_structures.agent import FixedExtent
+
     return boxes.axis, FixedExtent(*size)
 
 

@@ -1,5 +1,6 @@
 """What a training run does beside training: records, tables and figures."""
 
+from diffstack_mmv.callbacks.compilation import CompiledSolver
 from diffstack_mmv.callbacks.csv_log import KeptRows, ResumableCSVLogger
 from diffstack_mmv.callbacks.dashboard import build_dashboard
 from diffstack_mmv.callbacks.monitors import GradientNorms, LearnedParameters, Throughput, WallClock
@@ -12,6 +13,7 @@ from diffstack_mmv.callbacks.reproducibility import (
 )
 
 __all__ = [
+    "CompiledSolver",
     "EarlyStopping",
     "GradientNorms",
     "KeptRows",

@@ -13,7 +13,7 @@ from pytorch_lightning.utilities import rank_zero_only
 from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.metrics import OPEN_LOOP
 from diffstack_mmv.plotting import PlannedScene, draw_scenes
-from diffstack_mmv.types import Mode, StackBatch, Tracks
+from diffstack_mmv.types import Mode, StackBatch, Tracks, map_tensors
 
 SHOWN = ("ade", "plan_ade")
 """Scores beside each image, by name."""
@@ -78,15 +78,20 @@ class PlanTable(Callback):
         batch_idx: int,
         dataloader_idx: int = 0,
     ) -> None:
-        """Draw and log, on the first batch of an epoch whose turn it is."""
+        """Draw and log, on the first batch of an epoch whose turn it is.
+
+        Of a stack whose loss plans nothing, no plan is made for a picture either.
+        """
         logger = next((each for each in trainer.loggers if isinstance(each, WandbLogger)), None)
         its_turn = trainer.current_epoch % self.every_epochs == 0 and not trainer.sanity_checking
-        if batch_idx > 0 or logger is None or not its_turn:
+        stack: Any = pl_module
+        if batch_idx > 0 or logger is None or not its_turn or not stack.loss_weights.plans:
             return
+        batch = map_tensors(lambda tensor: tensor[: self.samples], batch)
         with torch.no_grad():
-            output: Any = pl_module(batch)
-            scores: Any = pl_module.score(batch, output)  # pyright: ignore[reportCallIssue]
-        labels = [Mode(int(mode)).label for mode in batch.ego_past.mode[: self.samples]]
+            output = stack(batch)
+            scores = stack.score(batch, output)
+        labels = [Mode(mode).label for mode in batch.ego_past.mode.tolist()]
         headings = [OPEN_LOOP[name].heading for name in SHOWN]
         table = wandb.Table(columns=["mode", *headings, "plan"])
         for i, scene in enumerate(scenes_of(batch, output, labels)):

@@ -1,10 +1,15 @@
 """Differentiable model predictive control: `ILQR`, and the interfaces it works with."""
 
-from diffstack_mmv.control.curvature import CurvatureForm, DifferencedCurvature, ExactCurvature
+from diffstack_mmv.control.curvature import (
+    CurvatureBySize,
+    CurvatureForm,
+    DifferencedCurvature,
+    ExactCurvature,
+)
+from diffstack_mmv.control.gradient import GradientMode, Implicit, Unrolled
 from diffstack_mmv.control.ilqr import ILQR
 from diffstack_mmv.control.optimizer import Cost, Dynamics, LinearisedDynamics, TrajectoryOptimizer
 from diffstack_mmv.control.selection import Batched, Selectable
-from diffstack_mmv.control.unrolled import UnrolledILQR
 from diffstack_mmv.types import Bounds, Solution, SolverStatus
 
 __all__ = [
@@ -12,14 +17,17 @@ __all__ = [
     "Batched",
     "Bounds",
     "Cost",
+    "CurvatureBySize",
     "CurvatureForm",
     "DifferencedCurvature",
     "Dynamics",
     "ExactCurvature",
+    "GradientMode",
+    "Implicit",
     "LinearisedDynamics",
     "Selectable",
     "Solution",
     "SolverStatus",
     "TrajectoryOptimizer",
-    "UnrolledILQR",
+    "Unrolled",
 ]

@@ -2,17 +2,14 @@
 
 import functools
 import logging
+import time
 import types
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, NamedTuple
 
 import torch
-import torch._inductor.config
 from torch import Tensor
-from torch._dynamo.decorators import maybe_mark_dynamic
-from torch._dynamo.exc import FailOnRecompileLimitHit, TorchDynamoException
-from torch._inductor.exc import InductorError
 
 from diffstack_mmv.control.curvature import CurvatureForm, LocalModel
 from diffstack_mmv.control.iteration import Iterate, attempt
@@ -25,7 +22,22 @@ LOGGER = logging.getLogger(__name__)
 LARGEST_ROW = 8  # a size beyond it may be a batch or a horizon, not a row of controls or step sizes
 RETAINED = 31 << 20
 """Bytes; the C library retains freed blocks up to the largest mapped one freed so far, 32 MiB."""
-FAILURES = (TorchDynamoException, InductorError)
+
+
+class Refusals(NamedTuple):
+    """Exceptions by which the compiler refuses a function."""
+
+    too_many_graphs: type[Exception]
+    failed: tuple[type[Exception], ...]
+
+
+@functools.cache
+def _refusals() -> Refusals:
+    # imported here as everywhere in this file: the compiler takes twice as long to import as torch
+    from torch._dynamo.exc import FailOnRecompileLimitHit, TorchDynamoException
+    from torch._inductor.exc import InductorError
+
+    return Refusals(FailOnRecompileLimitHit, (TorchDynamoException, InductorError))
 
 
 def kind(function: Any) -> Hashable:
@@ -37,6 +49,16 @@ def kind(function: Any) -> Hashable:
     if isinstance(function, types.MethodType):
         return kind(function.__func__), type(function.__self__)
     return getattr(function, "__code__", type(function))
+
+
+def label(function: Any) -> str:
+    """Name of a callable for people: of the module it belongs to, where there is one."""
+    if isinstance(function, functools.partial):
+        return label(function.func)
+    if isinstance(function, Batched):
+        return label(function.function)
+    owner = getattr(function, "__self__", function)
+    return getattr(owner, "__qualname__", type(owner).__name__)
 
 
 class Kernel:
@@ -51,6 +73,7 @@ class Kernel:
         options: Options of the compiler.
         context: What it is traced in.
         varying: Whether batch and horizon vary; otherwise every shape has a graph.
+        problem: What the kernel is for, told before it is compiled.
     """
 
     def __init__(
@@ -59,8 +82,10 @@ class Kernel:
         options: dict[str, Any],
         context: Callable[[], AbstractContextManager[Any]] = nullcontext,
         varying: bool = True,
+        problem: str = "problems of any kind",
     ) -> None:
         self.function = function
+        self.problem = problem
         self.compiled: Callable[..., Any] | None = None
         self.options = options
         self.context = context
@@ -69,19 +94,15 @@ class Kernel:
     def __call__(self, *arguments: Any) -> Any:
         """Run compiled, or eagerly where the compiler failed before."""
         if self.compiled is None:
-            if self.varying:
-                _mark_varying(arguments)
-            self.compiled = torch.compile(
-                _copy(self.function), fullgraph=True, options=self.options
-            )
+            return self._first_call(arguments)
         try:
             with self.context():
                 return self.compiled(*arguments)
-        except FailOnRecompileLimitHit:
+        except _refusals().too_many_graphs:
             # many shapes in one process: begin with an empty list of graphs
             self.compiled = None
             return self(*arguments)
-        except FAILURES as failure:
+        except _refusals().failed as failure:
             reason = next(iter(str(failure).strip().splitlines()), type(failure).__name__)
             LOGGER.warning(
                 "`%s` could not be compiled (%s) and runs eagerly. "
@@ -91,6 +112,31 @@ class Kernel:
             )
             self.compiled = self.function
             return self.function(*arguments)
+
+    def _first_call(self, arguments: tuple[Any, ...]) -> Any:
+        """Compile and run, and say so: it takes seconds, or the better part of a minute."""
+        if self.varying:
+            _mark_varying(arguments)
+        name = self.function.__name__
+        LOGGER.info("Compiling the solver for %s: %s", self.problem, name)
+        began_s = time.perf_counter()
+        self.compiled = torch.compile(_copy(self.function), fullgraph=True, options=self.options)
+        result = self(*arguments)
+        if self.compiled is not self.function:
+            LOGGER.info("Compiled %s in %.1f s", name, time.perf_counter() - began_s)
+        return result
+
+
+def can_compile() -> bool:
+    """Whether there is a compiler for kernels on a CPU."""
+    from torch._inductor.cpp_builder import get_cpp_compiler
+    from torch._inductor.exc import InvalidCxxCompiler
+
+    try:
+        get_cpp_compiler()
+    except InvalidCxxCompiler:
+        return False
+    return True
 
 
 class Kernels(NamedTuple):
@@ -126,12 +172,18 @@ def _recursions(n: int, m: int, single: bool, device: str) -> tuple[Kernel, Kern
 
 @functools.cache
 def _kernel(
-    key: Hashable, function: Callable[..., Any], longest_row: int, device: str, fixed_shapes: bool
+    key: Hashable,
+    function: Callable[..., Any],
+    longest_row: int,
+    device: str,
+    fixed_shapes: bool,
+    problem: str,
 ) -> Kernel:
     """The kernel of a function for one kind of dynamics and cost."""
     if fixed_shapes:
-        return Kernel(function, _options(device), varying=False)
-    return Kernel(function, _options(device), functools.partial(ShapePolymorphic, longest_row))
+        return Kernel(function, _options(device), varying=False, problem=problem)
+    context = functools.partial(ShapePolymorphic, longest_row)
+    return Kernel(function, _options(device), context, problem=problem)
 
 
 def compiled_kernels(
@@ -156,7 +208,7 @@ def compiled_kernels(
     longest = max(*static[:2], LARGEST_ROW)
 
     def compiled(function: Callable[..., Any], fixed_shapes: bool = False) -> Kernel:
-        return _kernel(key, function, longest, device, fixed_shapes)
+        return _kernel(key, function, longest, device, fixed_shapes, label(dynamics))
 
     model = curvature.local_model(is_shared(dynamics) and device == "cpu", compiled)
     return Kernels(model, policy, compiled(attempt), free)
@@ -168,6 +220,8 @@ def _options(device: str) -> dict[str, Any]:
     The compiler does not keep graphs with loops unless told that the loop is safe to keep, which it
     is: its body is a part of the graph that is hashed.
     """
+    import torch._inductor.config
+
     options: dict[str, Any] = {"loop_ordering_after_fusion": False}  # slow, and finds nothing here
     if device == "cpu":
         options["cpp_wrapper"] = True
@@ -193,6 +247,8 @@ def _mark_varying(arguments: tuple[Any, ...]) -> None:
     The tensors that the callables hide have to be told as well: one of a fixed size that meets a
     batch in an operation would fix the batch.
     """
+    from torch._dynamo.decorators import maybe_mark_dynamic
+
     tensors = [tensor for argument in arguments for tensor in hidden_tensors(argument)]
     sizes = {
         size

@@ -1,20 +1,26 @@
 """Box-constrained trajectory optimisation with exact second derivatives, batched."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import message, require, require_at_least, require_positive
-from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last
-from diffstack_mmv.control.compilation import Kernels, compiled_kernels, eager_kernels
+from diffstack_mmv.control.batch_last import to_batch_last
+from diffstack_mmv.control.compilation import (
+    Kernels,
+    can_compile,
+    compiled_kernels,
+    eager_kernels,
+)
 from diffstack_mmv.control.curvature import CurvatureForm, ExactCurvature
-from diffstack_mmv.control.implicit import StationaryPoint, attach
+from diffstack_mmv.control.gradient import Call, GradientMode, Implicit
 from diffstack_mmv.control.iteration import OPEN, Iterate, Settings, start
 from diffstack_mmv.control.optimizer import Cost, Dynamics
-from diffstack_mmv.control.riccati import definite_policy, is_active
-from diffstack_mmv.control.selection import Workload, constant
+from diffstack_mmv.control.riccati import definite_policy
+from diffstack_mmv.control.selection import Workload
 from diffstack_mmv.types import Bounds, Solution, SolverStatus
 
 CHECK_EVERY = {"cpu": 1}
@@ -45,7 +51,7 @@ class ILQR:
 
     The solution is differentiable, exactly, in the initial state and in every tensor that the
     callables depend on (see `implicit`); a problem that did not converge contributes a gradient of
-    exactly zero.
+    exactly zero. `gradient` replaces this by the derivative of the iterations.
 
     Args:
         max_iterations: Limit of iterations.
@@ -55,12 +61,13 @@ class ILQR:
         curvature: How the iterations come by the curvature of the dynamics: `ExactCurvature`, or
             `DifferencedCurvature` for large models such as DiffGM3. Derivatives of the solution
             are exact in either case.
+        gradient: How the solution is differentiated: `Implicit`, or `Unrolled` for comparison.
         compile: Compile the kernels, once per code of the callables (not per closure). Where there
             is no compiler, or the callables do not compile, a warning is logged and they run
             eagerly.
 
     Raises:
-        ValueError: A number is not positive.
+        ValueError: A number is not positive, or `Unrolled` is to run compiled kernels.
 
     Source:
         Tassa et al., Control-Limited Differential Dynamic Programming, ICRA 2014; differs in the
@@ -94,6 +101,7 @@ class ILQR:
     line_search_steps: int = 8
     regularisation: float = 1e-2
     curvature: CurvatureForm = ExactCurvature()
+    gradient: GradientMode = Implicit()
     compile: bool = False
 
     def __post_init__(self) -> None:
@@ -101,6 +109,8 @@ class ILQR:
         require_positive("tolerance", self.tolerance)
         require_at_least("line_search_steps", self.line_search_steps, 1)
         require_positive("regularisation", self.regularisation)
+        eager = not (self.compile and self.gradient.through_iterations)
+        require(eager, "compile", f"be false with {self.gradient}", self.compile)
 
     def __call__(
         self,
@@ -128,16 +138,20 @@ class ILQR:
             TypeError: The state is not of a floating-point type.
         """
         check_problem(bounds, state, controls)
-        settings = self.settings(bounds, state)
-        kernels = self._kernels(dynamics, cost, state, controls)
-        with torch.no_grad():
-            fixed = constant(dynamics), constant(cost)
-            iterate = self.minimise(kernels, *fixed, settings, state, controls)
-            solution, point = conclude(kernels, *fixed, settings, state, iterate, self.curvature)
-        if not torch.is_grad_enabled():
-            return solution
-        attached = attach(dynamics, cost, state, point, kernels.solve_free)
-        return solution if attached is None else solution._replace(**attached._asdict())
+        call = Call(
+            self._kernels(dynamics, cost, state, controls),
+            dynamics,
+            cost,
+            self.settings(bounds, state),
+            state,
+            controls,
+            self.curvature,
+        )
+        return self.gradient(self.minimise, call)
+
+    def compiled(self) -> Self:
+        """The same solver with its kernels compiled, or itself where there is no compiler."""
+        return replace(self, compile=True) if can_compile() else self
 
     def settings(self, bounds: Bounds, state: Float[Tensor, "*b n"]) -> Settings:
         """The numbers of this solver and the box, in the precision of the state."""
@@ -149,27 +163,16 @@ class ILQR:
             state.new_tensor(self.regularisation),
         )
 
-    def eager_kernels(self) -> Kernels:
-        """The parts of an iteration of this solver, not compiled."""
-        return eager_kernels(self.curvature)
-
     def _kernels(self, dynamics: Dynamics, cost: Cost, state: Tensor, controls: Tensor) -> Kernels:
         if not self.compile or state.numel() == 0:
-            return self.eager_kernels()
+            return eager_kernels(self.curvature)
         n, m = state.shape[-1], controls.shape[-1]
         static = (n, m, state.numel() == n, state.dim(), self.line_search_steps)
         return compiled_kernels(self.curvature, dynamics, cost, static, state.device.type)
 
-    def minimise(
-        self,
-        kernels: Kernels,
-        dynamics: Dynamics,
-        cost: Cost,
-        settings: Settings,
-        state: Tensor,
-        controls: Tensor,
-    ) -> Iterate:
+    def minimise(self, call: Call) -> Iterate:
         """Iterate until every problem is finished; the arguments are checked already."""
+        kernels, dynamics, cost, settings, state, controls, _ = call
         like = state.new_zeros(state.shape[:-1])
         x0, guess = to_batch_last(state, like), to_batch_last(controls, like).contiguous()
         first = start(kernels.attempt, dynamics, cost, like, x0.contiguous(), guess, settings)
@@ -198,30 +201,6 @@ class ILQR:
         )
         scale = model.magnitude, model.noise
         return kernels.attempt(dynamics, cost, like, iterate, *scale, policy, settings)
-
-
-def conclude(
-    kernels: Kernels,
-    dynamics: Dynamics,
-    cost: Cost,
-    settings: Settings,
-    state: Tensor,
-    iterate: Iterate,
-    curvature: CurvatureForm,
-) -> tuple[Solution, StationaryPoint]:
-    """Residual and active bounds at the end; no problem gives NaN."""
-    like = state.new_zeros(state.shape[:-1])
-    x, u = iterate.x.nan_to_num(0.0), iterate.u.nan_to_num(0.0)
-    # the gradient is all that is asked for here: the Hessian is completed for a derivative
-    model = kernels.expand(dynamics, cost, like, x, u, torch.zeros_like(iterate.near))
-    lower, upper = settings.box.unsqueeze(-1)
-    moved = torch.minimum(torch.maximum(u - model.gradient, lower), upper)
-    residual = (u - moved).abs().amax((0, 1)).nan_to_num(torch.inf)
-    free = ~is_active(u, model.gradient, settings.box)
-    converged = iterate.status == SolverStatus.CONVERGED
-    point = StationaryPoint(x, u, free, converged, model, curvature.completed)
-    parts = (x, u, iterate.cost, residual, iterate.iterations, iterate.status)
-    return Solution(*(from_batch_last(part, like) for part in parts)), point
 
 
 def check_problem(

@@ -1,7 +1,7 @@
 """Cost terms of a plan, and their learnable sum."""
 
 from diffstack_mmv.costs.base import CostTerm
-from diffstack_mmv.costs.clearance import ExpectedCollision, TurningCircleBarrier
+from diffstack_mmv.costs.clearance import ExpectedCollision, OutlineClearance, TurningCircleBarrier
 from diffstack_mmv.costs.effort import ControlEffort, LateralAcceleration, YawRate
 from diffstack_mmv.costs.goal import (
     BrakingProfile,
@@ -24,6 +24,7 @@ __all__ = [
     "GoalOutsideTurn",
     "HeadingToGoal",
     "LateralAcceleration",
+    "OutlineClearance",
     "ReferenceSpeed",
     "ReferenceTracking",
     "RunningGoal",

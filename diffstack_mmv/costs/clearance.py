@@ -6,6 +6,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.costs.base import CostTerm
+from diffstack_mmv.geometry import distance_to_axis
 from diffstack_mmv.smooth import safe_norm, smooth_maximum
 from diffstack_mmv.types import Discs, Motion, PlanningProblem
 
@@ -40,6 +41,47 @@ class ExpectedCollision(CostTerm):
         distance = (obstacles.weight.unsqueeze(-1) * safe_norm(offset, 1e-4)).sum(-2)
         value = torch.exp(-0.5 * (distance / self.bandwidth_m).square())
         return (value * obstacles.valid.unsqueeze(-1)).sum(-2)
+
+
+class OutlineClearance(CostTerm):
+    """Squared lack of clearance between the outlines of ego and agents, in m².
+
+        C_t = Σ_i Σ_k w_ik relu(margin - (d_ikt - r_ego - r_i))²
+
+    d is the distance of agent i in component k to the axis of the vehicle between its first and its
+    last disc: the outline of the vehicle is the hull of its discs, that of an agent its disc.
+    Nothing is paid beyond the margin, and more the deeper an overlap is.
+
+    Args:
+        margin_m: Clearance that is kept where it costs nothing, in m.
+
+    Raises:
+        ValueError: The margin is negative.
+    """
+
+    def __init__(self, margin_m: float = 0.3) -> None:
+        super().__init__()
+        require_at_least("margin_m", margin_m, 0.0)
+        self.margin_m = margin_m
+
+    def forward(
+        self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
+    ) -> Float[Tensor, "*b t"]:
+        """Value in m² at each time, summed over agents."""
+        obstacles, discs = problem.obstacles, problem.ego.discs
+        rear, front = discs.ahead.amin(-1), discs.ahead.amax(-1)
+        distance = distance_to_axis(
+            obstacles.position,
+            motion.position[..., None, None, :, :],
+            motion.heading[..., None, None, :],
+            rear[..., None, None, None],
+            front[..., None, None, None],
+            epsilon=1e-6,
+        )
+        reach = discs.radius.amax(-1)[..., None] + obstacles.radius + self.margin_m
+        lack = torch.relu(reach[..., None, None] - distance).square()
+        expected = (obstacles.weight.unsqueeze(-1) * lack).sum(-2)
+        return (expected * obstacles.valid.unsqueeze(-1)).sum(-2)
 
 
 class TurningCircleBarrier(CostTerm):

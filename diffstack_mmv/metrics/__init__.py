@@ -1,6 +1,7 @@
 """Scores of predictions, plans and closed-loop episodes, each computed in one place only."""
 
-from diffstack_mmv.metrics.by_mode import MeanByMode
+from typing import TYPE_CHECKING, Any
+
 from diffstack_mmv.metrics.displacement import (
     average_displacement,
     best_average_displacement,
@@ -12,12 +13,28 @@ from diffstack_mmv.metrics.displacement import (
 )
 from diffstack_mmv.metrics.likelihood import negative_log_likelihood
 from diffstack_mmv.metrics.means import masked_mean, time_mean, where_known
-from diffstack_mmv.metrics.planning import collided, planning_loss, solved, total_cost
-from diffstack_mmv.metrics.scores import CLOSED_LOOP, DISPLACEMENT, OPEN_LOOP, Score
+from diffstack_mmv.metrics.planning import (
+    collided,
+    human_collided,
+    planning_loss,
+    solved,
+    total_cost,
+)
+from diffstack_mmv.metrics.scores import (
+    CLOSED_LOOP,
+    DISPLACEMENT,
+    OF_THE_PREDICTION,
+    OPEN_LOOP,
+    Score,
+)
+
+if TYPE_CHECKING:
+    from diffstack_mmv.metrics.by_mode import MeanByMode
 
 __all__ = [
     "CLOSED_LOOP",
     "DISPLACEMENT",
+    "OF_THE_PREDICTION",
     "OPEN_LOOP",
     "MeanByMode",
     "Score",
@@ -27,6 +44,7 @@ __all__ = [
     "displacement",
     "displacements",
     "final_displacement",
+    "human_collided",
     "masked_mean",
     "mean_square_displacement",
     "missed",
@@ -37,3 +55,12 @@ __all__ = [
     "total_cost",
     "where_known",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """`MeanByMode`, at its first use: torchmetrics takes as long to import as torch itself."""
+    if name != "MeanByMode":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from diffstack_mmv.metrics.by_mode import MeanByMode
+
+    return MeanByMode

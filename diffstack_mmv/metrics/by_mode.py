@@ -56,13 +56,15 @@ class MeanByMode(Metric):
         Absent where no sample could be judged. `n_missing` and `mode/n_missing` count the samples
         that at least one score could not judge.
         """
-        present = {mode: f"{mode.label}/" for mode in Mode if self.samples[mode] > 0}
+        # the counts in one copy: to ask a device for each of them would make it wait as often
+        samples, counts = self.samples.tolist(), self.count.tolist()
+        present = {mode: f"{mode.label}/" for mode in Mode if samples[mode] > 0}
         means: dict[str, Tensor] = {}
         for row, name in enumerate(self.names):
-            if self.count[row].sum() > 0:
+            if sum(counts[row]) > 0:
                 means[name] = (self.total[row].sum() / self.count[row].sum()).float()
             for mode, prefix in present.items():
-                if self.count[row, mode] > 0:
+                if counts[row][mode] > 0:
                     mean = self.total[row, mode] / self.count[row, mode]
                     means[f"{prefix}{name}"] = mean.float()
         if present:

@@ -34,11 +34,15 @@ OPEN_LOOP = _by_name(
     Score("planning_ce", "CE", "nats", True),
     Score("planning_cost", "cost", "1", True),
     Score("collision_rate", "collisions", "1", True),
+    Score("human_collision_rate", "human's collisions", "1", True),
     Score("solved", "solved", "1", False),
     Score("min_ade", "minADE of five", "m", True),
     Score("miss_rate", "misses beyond 2 m", "1", True),
 )
 """Scores of samples: predictions and plans beside what the human did."""
+
+OF_THE_PREDICTION = ("ade", "fde", "nll", "min_ade", "miss_rate")
+"""Names of those of `OPEN_LOOP` that need no plan."""
 
 CLOSED_LOOP = _by_name(
     Score("success_rate", "success", "1", False),

@@ -58,9 +58,18 @@ def tracked_ego(past: Tracks, goal: Float[Tensor, "*b 2"]) -> Ego:
 
     The heading of a rider at rest is not observed: it then faces the goal.
     """
-    radius = disc_radius(past.extent).unsqueeze(-1)
-    discs = Discs(torch.zeros_like(radius), radius)
-    return Ego(facing_the_goal(present(past).motion, goal), Heading.COURSE, discs)
+    motion = facing_the_goal(present(past).motion, goal)
+    return Ego(motion, Heading.COURSE, end_discs(past.extent))
+
+
+def end_discs(extent: Float[Tensor, "*b 2"]) -> Discs:
+    """Two discs at the ends of a (length, width) box in m: their hull is as long and as wide.
+
+    The hull has round ends, as two-wheelers do. What is wider than long is one disc.
+    """
+    length, width = extent.unbind(-1)
+    reach = 0.5 * (length - width).clamp_min(0)
+    return Discs(torch.stack([-reach, reach], -1), 0.5 * width[..., None].expand(extent.shape))
 
 
 def facing_the_goal(motion: Motion, goal: Float[Tensor, "*b 2"]) -> Motion:

@@ -18,10 +18,12 @@ from diffstack_mmv.reporting.files import (
 from diffstack_mmv.reporting.identification import models_table, write_identification
 from diffstack_mmv.reporting.metrics_table import summarise_modes, write_metrics
 from diffstack_mmv.reporting.paired import paired_cases, paired_table, paired_with_run
+from diffstack_mmv.reporting.paper_table import Run, paper_table, write_paper_table
 from diffstack_mmv.reporting.scores import ScoreHeading, Scores
 
 __all__ = [
     "Comparison",
+    "Run",
     "ScoreHeading",
     "Scores",
     "closed_loop_table",
@@ -31,6 +33,7 @@ __all__ = [
     "paired_table",
     "paired_tests",
     "paired_with_run",
+    "paper_table",
     "read_json",
     "read_parquet",
     "read_runs",
@@ -40,6 +43,7 @@ __all__ = [
     "write_identification",
     "write_json",
     "write_metrics",
+    "write_paper_table",
     "write_parquet",
     "write_text",
 ]

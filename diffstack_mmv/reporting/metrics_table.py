@@ -13,6 +13,8 @@ from diffstack_mmv.reporting.scores import Scores
 BASELINE_SCORES = ("ade", "fde")
 """Scores that it holds for every baseline."""
 MISSING = "n_missing"
+COST = "cost/"
+"""What the columns of the cost of a plan by term begin with."""
 
 
 def baseline_names(samples: pd.DataFrame) -> list[str]:
@@ -47,7 +49,7 @@ def _mean(values: pd.Series) -> float | None:
 def summarise_modes(
     samples: pd.DataFrame, situations: Sequence[str], vehicle: str, scores: Scores
 ) -> dict[str, Any]:
-    """The parts `modes`, `baselines` and `situations` of `metrics.json`, without empty groups.
+    """The parts of `metrics.json` by mode, without empty groups.
 
     Args:
         samples: One row per sample: `mode`, the scores, `BASELINE/ade`, `BASELINE/fde`, and one
@@ -59,8 +61,11 @@ def summarise_modes(
     modes: dict[str, Any] = {}
     baselines: dict[str, dict[str, Any]] = {name: {} for name in baseline_names(samples)}
     by_situation: dict[str, dict[str, Any]] = {}
+    costs: dict[str, dict[str, float | None]] = {}
+    terms = [name for name in samples.columns if name.startswith(COST)]
     for mode, group in samples.groupby("mode", sort=True):
         modes[str(mode)] = {"vehicle": vehicle} | summarise(group, scores)
+        costs[str(mode)] = {name.removeprefix(COST): _mean(group[name]) for name in terms}
         for name, told in summarise_baselines(group).items():
             baselines[name][str(mode)] = told
         by_situation[str(mode)] = {
@@ -69,7 +74,7 @@ def summarise_modes(
             for situation in situations
             if group[situation].any()
         }
-    return {"modes": modes, "baselines": baselines, "situations": by_situation}
+    return {"modes": modes, "baselines": baselines, "costs": costs, "situations": by_situation}
 
 
 def mode_table(metrics: Mapping[str, Any], scores: Scores) -> pd.DataFrame:
@@ -101,6 +106,13 @@ def baseline_table(metrics: Mapping[str, Any], scores: Scores) -> pd.DataFrame:
         }
     frame = pd.DataFrame.from_dict(rows, orient="index")
     frame.index.name = "method"
+    return frame
+
+
+def cost_table(metrics: Mapping[str, Any]) -> pd.DataFrame:
+    """Mean cost of the plans in hindsight by mode and term."""
+    frame = pd.DataFrame.from_dict(metrics["costs"], orient="index")
+    frame.index.name = "mode"
     return frame
 
 
@@ -146,9 +158,14 @@ def _markdown(metrics: Mapping[str, Any], scores: Scores) -> str:
     sections = (
         ("Scores by mode", mode_table(metrics, scores), True),
         (beside, baseline_table(metrics, scores), True),
+        ("Cost of the plan in hindsight by term", cost_table(metrics), True),
         (f"{ade.title} in {ade.unit} by situation", situation_table(metrics), False),
     )
-    body = "\n\n".join(f"## {name}\n\n{_table(frame, index)}" for name, frame, index in sections)
+    body = "\n\n".join(
+        f"## {name}\n\n{_table(frame, index)}"
+        for name, frame, index in sections
+        if len(frame.columns)
+    )
     return title + body + "\n"
 
 

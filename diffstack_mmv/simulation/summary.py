@@ -1,26 +1,30 @@
 """The numbers of a closed-loop benchmark, as a file tells them."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import torch
 
-from diffstack_mmv.metrics import navigation
 from diffstack_mmv.simulation.benchmark import Chunk
 from diffstack_mmv.types import Outcome
 
-SCORES = {
-    "success_rate": navigation.SuccessRate,
-    "collision_rate": navigation.CollisionRate,
-    "incomplete_rate": navigation.IncompleteRate,
-    "nav_time_s": navigation.NavigationTime,
-    "nav_time_all_s": navigation.NavigationTimeOfAll,
-    "discomfort_frequency": navigation.DiscomfortFrequency,
-    "avg_min_dist_m": navigation.DiscomfortDistance,
-    "mean_episode_min_dist_m": navigation.EpisodeMinimumDistance,
-}
+
+def episode_scores() -> dict[str, Callable[[], Any]]:
+    """Metric of each score, by the names and in the order of `CLOSED_LOOP`."""
+    from diffstack_mmv.metrics import navigation
+
+    return {
+        "success_rate": navigation.SuccessRate,
+        "collision_rate": navigation.CollisionRate,
+        "incomplete_rate": navigation.IncompleteRate,
+        "nav_time_s": navigation.NavigationTime,
+        "nav_time_all_s": navigation.NavigationTimeOfAll,
+        "discomfort_frequency": navigation.DiscomfortFrequency,
+        "avg_min_dist_m": navigation.DiscomfortDistance,
+        "mean_episode_min_dist_m": navigation.EpisodeMinimumDistance,
+    }
 
 
 def summarise(chunks: Sequence[Chunk]) -> dict[str, Any]:
@@ -32,7 +36,9 @@ def summarise(chunks: Sequence[Chunk]) -> dict[str, Any]:
     Returns:
         A dictionary for JSON; a score without any case that counts is None.
     """
-    metrics = {name: score() for name, score in SCORES.items()}
+    from diffstack_mmv.metrics.navigation import OutcomeRate
+
+    metrics = {name: score() for name, score in episode_scores().items()}
     for chunk in chunks:
         for metric in metrics.values():
             metric.update(chunk.record)
@@ -40,7 +46,7 @@ def summarise(chunks: Sequence[Chunk]) -> dict[str, Any]:
     intervals = {
         f"{name}_ci95": [_number(end) for end in metric.interval()]
         for name, metric in metrics.items()
-        if isinstance(metric, navigation.OutcomeRate)
+        if isinstance(metric, OutcomeRate)
     }
     seconds = np.concatenate([chunk.step_s for chunk in chunks])
     cases = [case for chunk in chunks for case in _cases(chunk)]
@@ -65,9 +71,11 @@ def _number(value: torch.Tensor) -> float | None:
 
 def _cases(chunk: Chunk) -> list[dict[str, Any]]:
     """One entry per case."""
+    from diffstack_mmv.metrics.navigation import uneasy_steps
+
     record = chunk.record
     nearest = record.clearance.amin(dim=1)
-    uneasy = navigation.uneasy_steps(record).sum(dim=1)
+    uneasy = uneasy_steps(record).sum(dim=1)
     return [
         {
             "case": number,

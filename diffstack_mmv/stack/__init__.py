@@ -18,15 +18,20 @@ from diffstack_mmv.stack.evaluation import (
     outputs_of,
     representative,
 )
+from diffstack_mmv.stack.learning_rate import ScaledByProcesses
 from diffstack_mmv.stack.module import DiffStackMMV, LossWeights, StackOutput, assemble
+from diffstack_mmv.stack.precision import MixedPrecision
+from diffstack_mmv.stack.processes import own_processes
 
 __all__ = [
     "Baseline",
     "DiffStackMMV",
     "Evaluation",
     "LossWeights",
+    "MixedPrecision",
     "PathToGoal",
     "PredictedPath",
+    "ScaledByProcesses",
     "StackOutput",
     "TrainedStack",
     "Windows",
@@ -36,6 +41,7 @@ __all__ = [
     "load_stack",
     "load_weights",
     "outputs_of",
+    "own_processes",
     "read_checkpoint",
     "representative",
     "start_from",

@@ -17,6 +17,9 @@ from diffstack_mmv.prediction import Predictor, ego_forecast
 from diffstack_mmv.stack.module import DiffStackMMV, StackOutput
 from diffstack_mmv.types import Mode, Motion, StackBatch, map_tensors
 
+COST = "cost/"
+"""Prefix of the columns that hold the cost of a plan by term."""
+
 
 @runtime_checkable
 class Baseline(Protocol):
@@ -76,7 +79,8 @@ class Evaluation(NamedTuple):
     """What came out of a data set.
 
     Attributes:
-        samples: One row per sample: identity, scores, and NAME/ade, NAME/fde of each baseline.
+        samples: One row per sample: identity, scores, the hindsight cost of the plan by term as
+            cost/TERM, and NAME/ade, NAME/fde of each baseline.
         errors: Mode -> method -> mean distance (T,) to the human in m, NaN where nobody was
             recorded.
     """
@@ -151,7 +155,8 @@ def _evaluate_batch(
     stack: DiffStackMMV, baselines: Mapping[str, Baseline], batch: StackBatch
 ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
     output = stack(batch)
-    scores = stack.score(batch, output)
+    terms = stack.hindsight_costs(batch, output)
+    scores = stack.score(batch, output) | {f"{COST}{term}": cost for term, cost in terms.items()}
     paths = {
         "prediction": ego_forecast(output.forecast).most_likely(),
         "plan": output.plan.motion.position[..., 1:, :],

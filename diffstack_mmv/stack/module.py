@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.metrics import (
+    OF_THE_PREDICTION,
     OPEN_LOOP,
     MeanByMode,
     average_displacement,
@@ -17,6 +18,7 @@ from diffstack_mmv.metrics import (
     collided,
     displacements,
     final_displacement,
+    human_collided,
     masked_mean,
     mean_square_displacement,
     missed,
@@ -46,6 +48,7 @@ from diffstack_mmv.prediction import (
     neighbors_forecast,
     strongest,
 )
+from diffstack_mmv.stack.precision import MixedPrecision
 from diffstack_mmv.types import Forecast, Plan, PlanningProblem, StackBatch
 
 
@@ -59,6 +62,11 @@ class LossWeights(NamedTuple):
     planning: float = 1.0
     hindsight: float = 0.01
     control: float = 1.0
+
+    @property
+    def plans(self) -> bool:
+        """Whether any part of the loss is one of a plan."""
+        return self.planning > 0 or self.control > 0
 
 
 class StackOutput(NamedTuple):
@@ -83,6 +91,7 @@ class DiffStackMMV(pl.LightningModule):
         optimizer: Makes the optimizer from the parameters.
         scheduler: Makes the learning-rate schedule from the optimizer, stepped once per epoch.
         obstacle_components: How many predicted components of each neighbor the plan sees.
+        precision: Precision of the layers of the predictor; float32 if none is given.
     """
 
     def __init__(
@@ -94,9 +103,12 @@ class DiffStackMMV(pl.LightningModule):
         optimizer: Callable[..., torch.optim.Optimizer],
         scheduler: Callable[..., Any] | None = None,
         obstacle_components: int = 5,
+        precision: MixedPrecision | None = None,
     ) -> None:
         super().__init__()
         require_at_least("obstacle_components", obstacle_components, 1)
+        if precision is not None:
+            precision.apply(predictor)
         self.predictor = predictor
         self.planner = planner
         self.goal = goal
@@ -104,7 +116,7 @@ class DiffStackMMV(pl.LightningModule):
         self.optimizer = optimizer
         self.scheduler = scheduler
         self.obstacle_components = obstacle_components
-        self.scores = MeanByMode(tuple(OPEN_LOOP))
+        self.scores = MeanByMode(tuple(OPEN_LOOP) if loss.plans else OF_THE_PREDICTION)
 
     def forward(self, batch: StackBatch) -> StackOutput:
         """Predict all agents, choose the goal, and plan."""
@@ -139,16 +151,20 @@ class DiffStackMMV(pl.LightningModule):
         target = closest_candidate(
             plan.candidates.position[..., 1:, :], future.motion.position, future.valid
         )
-        hindsight = output.problem._replace(
-            obstacles=observed_obstacles(batch.neighbors_past, batch.neighbors_future)
-        )
         losses = {
             "planning_ce": cross_entropy(plan.logits, target),
-            "planning_cost": total_cost(self.planner.hindsight_cost(plan, hindsight)),
+            "planning_cost": total_cost(self.hindsight_costs(batch, output)),
             "control": mean_square_displacement(plan.motion.position[..., 1:, :], future),
         }
         judged = self._plan_judged(batch)
         return {name: where_known(value, judged) for name, value in losses.items()}
+
+    def hindsight_costs(
+        self, batch: StackBatch, output: StackOutput
+    ) -> dict[str, Float[Tensor, " B"]]:
+        """Cost of each plan under the true futures of the other agents, by term, dimensionless."""
+        truth = observed_obstacles(batch.neighbors_past, batch.neighbors_future)
+        return self.planner.hindsight_cost(output.plan, output.problem._replace(obstacles=truth))
 
     def _plan_judged(self, batch: StackBatch) -> Bool[Tensor, " B"]:
         """Whether there is a human's future to compare the plan with, and a goal to plan to."""
@@ -165,7 +181,7 @@ class DiffStackMMV(pl.LightningModule):
         Nothing is planned where planning and control weigh nothing.
         """
         weights = self.loss_weights
-        if weights.planning > 0 or weights.control > 0:
+        if weights.plans:
             forecast, judged = self.predictor.predict_and_judge(batch)
             means = self._planning_means(batch, self.plan(batch, forecast))
             planning = planning_loss(
@@ -197,8 +213,12 @@ class DiffStackMMV(pl.LightningModule):
         }
 
     def validation_step(self, batch: StackBatch, batch_idx: int) -> None:
-        """Add the scores of a batch to the means by mode."""
-        self.scores.update(self.sample_scores(batch), batch.ego_past.mode)
+        """Add the scores of a batch to the means by mode; nothing is planned for a loss without."""
+        if self.loss_weights.plans:
+            scores = self.sample_scores(batch)
+        else:
+            scores = _prediction_scores(batch, self.predictor.predict(batch))
+        self.scores.update(scores, batch.ego_past.mode)
 
     def on_validation_epoch_end(self) -> None:
         """Log the means and the numbers of samples not judged, reduced over all processes."""
@@ -219,26 +239,18 @@ class DiffStackMMV(pl.LightningModule):
 
         NaN where a sample cannot be judged.
         """
-        future = batch.ego_future
-        ego = ego_forecast(output.forecast)
-        predicted = ego.most_likely()
-        return {
-            **displacements(predicted, future),
-            "nll": negative_log_likelihood(ego, future),
-            **self._plan_scores(batch, output),
-            "min_ade": best_average_displacement(ego, future),
-            "miss_rate": missed(predicted, future),
-        }
+        scores = _prediction_scores(batch, output.forecast) | self._plan_scores(batch, output)
+        return {name: scores[name] for name in OPEN_LOOP}
 
     def _plan_scores(
         self, batch: StackBatch, output: StackOutput
     ) -> dict[str, Float[Tensor, " B"]]:
         """Scores of the plans; NaN also where the goal of the plan is not known."""
         future = batch.ego_future
-        position = output.plan.motion.position
+        motion, discs = output.plan.motion, output.problem.ego.discs
+        position = motion.position
         losses = self.planning_losses(batch, output)
         ce, cost = losses["planning_ce"], losses["planning_cost"]
-        radius = output.problem.ego.discs.radius[..., 0]
         truth = observed_obstacles(batch.neighbors_past, batch.neighbors_future)
         scores = {
             "plan_ade": average_displacement(position[..., 1:, :], future),
@@ -246,7 +258,8 @@ class DiffStackMMV(pl.LightningModule):
             "planning_ce": ce,
             "planning_cost": cost,
             "planning_loss": planning_loss(ce, cost, self.loss_weights.hindsight),
-            "collision_rate": collided(position, radius, truth),
+            "collision_rate": collided(position, motion.heading, discs, truth),
+            "human_collision_rate": human_collided(batch.ego_past, future, discs, truth),
             "solved": solved(output.plan),
         }
         known = self.goal_known(batch)
@@ -258,6 +271,18 @@ class DiffStackMMV(pl.LightningModule):
         if self.scheduler is None:
             return optimizer
         return {"optimizer": optimizer, "lr_scheduler": self.scheduler(optimizer=optimizer)}
+
+
+def _prediction_scores(batch: StackBatch, forecast: Forecast) -> dict[str, Float[Tensor, " B"]]:
+    """Scores that need no plan, by the names of `OF_THE_PREDICTION`."""
+    future, ego = batch.ego_future, ego_forecast(forecast)
+    predicted = ego.most_likely()
+    return {
+        **displacements(predicted, future),
+        "nll": negative_log_likelihood(ego, future),
+        "min_ade": best_average_displacement(ego, future),
+        "miss_rate": missed(predicted, future),
+    }
 
 
 def _has_future(batch: StackBatch) -> Bool[Tensor, " B"]:

@@ -4,7 +4,6 @@ import os
 import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -13,24 +12,8 @@ from omegaconf import OmegaConf
 from diffstack_mmv.checks import message
 from diffstack_mmv.vehicles.reading import config_from_spec
 from diffstack_mmv.vehicles.spec import VehicleSpec
+from dmmv_conventions.configs import config_folder
 from dmmv_conventions.yaml_files import read_mapping
-
-
-def config_folder() -> Path:
-    """Folder of the configuration groups: beside the package in a checkout, else installed.
-
-    Raises:
-        FileNotFoundError: Neither exists.
-    """
-    beside = Path(__file__).resolve().parents[2] / "configs"
-    if (beside / "vehicle").is_dir():
-        return beside
-    try:
-        return Path(str(files("diffstack_mmv_configs")))
-    except ModuleNotFoundError as missing:
-        raise FileNotFoundError(
-            f"No configuration folder: neither {beside} nor the installed package."
-        ) from missing
 
 
 def vehicle_names() -> list[str]:

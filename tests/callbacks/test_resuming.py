@@ -74,7 +74,7 @@ class Killed(Callback):
 def callbacks_of(out):
     """What a run has by default, without what looks into the stack."""
     content = OmegaConf.load(config_folder() / "callbacks" / "default.yaml")
-    whole = OmegaConf.create({"out": str(out), "callbacks": content})
+    whole = OmegaConf.create({"out": str(out), "watched": "val/plan_ade", "callbacks": content})
     names = ("checkpoint", "last", "early_stopping", "random_state", "rows", "wall_clock")
     whole.callbacks.early_stopping.patience = 2
     return [instantiate(whole.callbacks[name]) for name in names]

@@ -1,9 +1,11 @@
 """The gradient of a solution is that of the converged solution, not of the iterations."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
-from diffstack_mmv.control import ILQR, Bounds, DifferencedCurvature, ExactCurvature, UnrolledILQR
+from diffstack_mmv.control import ILQR, Bounds, DifferencedCurvature, ExactCurvature, Unrolled
 from tests.control.problems import driving, solve
 
 EXACT = ILQR(tolerance=1e-16)
@@ -51,7 +53,7 @@ def test_unrolled_gradient_approaches_the_implicit_one(limit, curvature):
     weight = hidden["weight"].requires_grad_()
     exact = torch.autograd.grad(functional(solve(EXACT, hidden, box, controls)), weight)[0]
     solver = ILQR(tolerance=1e-16, curvature=curvature)
-    unrolled = solve(UnrolledILQR(solver), hidden, box, controls)
+    unrolled = solve(replace(solver, gradient=Unrolled()), hidden, box, controls)
     gradient = torch.autograd.grad(functional(unrolled), weight)[0]
     torch.testing.assert_close(gradient, exact, rtol=1e-4, atol=1e-7)
 
@@ -106,7 +108,9 @@ def graph_nodes(solver):
 def test_graph_does_not_grow_with_the_iterations_while_the_unrolled_one_does():
     few, many = ILQR(max_iterations=2), ILQR(max_iterations=50)
     assert graph_nodes(few) == graph_nodes(many)
-    assert graph_nodes(UnrolledILQR(many)) > 2 * graph_nodes(UnrolledILQR(few))
+    assert graph_nodes(replace(many, gradient=Unrolled())) > 2 * graph_nodes(
+        replace(few, gradient=Unrolled())
+    )
 
 
 class Pendulum(torch.nn.Module):
@@ -162,3 +166,8 @@ def test_gradient_is_exact_where_the_iterations_difference_the_curvature(limit):
         functional(solve(solver, hidden, box, controls)).backward()
         gradients.append(hidden["wheelbase"].grad)
     torch.testing.assert_close(*gradients, rtol=1e-7, atol=1e-9)
+
+
+def test_unrolled_gradient_of_compiled_kernels_is_refused():
+    with pytest.raises(ValueError, match=r"`compile` must be false with Unrolled\(\)"):
+        ILQR(gradient=Unrolled(), compile=True)

@@ -18,6 +18,7 @@ TERMS = [
     costs.YawRate(),
     costs.LateralAcceleration(),
     costs.ExpectedCollision(),
+    costs.OutlineClearance(),
     costs.TurningCircleBarrier(),
     costs.SpeedLimit(),
     costs.GoalOutsideTurn(),
@@ -106,6 +107,25 @@ def test_derivatives_are_finite_on_top_of_goal_and_obstacle(term, double):
 def test_no_agents_is_no_special_case(term, double):
     motion, controls, problem = random_case(neighbors=0)
     assert torch.isfinite(term(motion, controls, problem)).all()
+
+
+def test_outline_clearance_is_paid_within_the_margin_of_the_outline_only(double):
+    term = costs.OutlineClearance(margin_m=0.2)
+    motion, controls, problem = random_case(batch=1, times=1, neighbors=1, components=1)
+    still = Motion(torch.zeros(1, 1, 2), torch.zeros(1, 1), torch.zeros(1, 1, 2), torch.zeros(1, 1))
+    discs = Discs(torch.tensor([[-1.0, 1.0]]), torch.full((1, 2), 0.3))
+
+    def value(x, y):
+        place = torch.tensor([x, y]).reshape(1, 1, 1, 1, 2)
+        agent = Obstacles(
+            place, torch.ones(1, 1, 1), torch.full((1, 1), 0.25), torch.ones(1, 1) > 0
+        )
+        ego = problem.ego._replace(discs=discs)
+        return term(still, controls, problem._replace(obstacles=agent, ego=ego)).item()
+
+    assert value(0.5, 0.76) == value(-2.0, 0.0) == 0.0
+    assert value(0.5, 0.55) == pytest.approx(0.04, rel=1e-4)
+    assert value(1.55, 0.0) == pytest.approx(0.04, rel=1e-4)
 
 
 def test_barrier_is_active_only_where_both_turns_are_obstructed(double):

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from diffstack_mmv.metrics import collided, planning_loss, solved, total_cost
-from diffstack_mmv.types import Motion, Obstacles, Plan, Solution, SolverStatus
+from diffstack_mmv.types import Discs, Motion, Obstacles, Plan, Solution, SolverStatus
 
 
 def standing_agent(x, y, valid=True):
@@ -22,6 +22,14 @@ def straight_plan():
     return torch.stack([torch.linspace(0, 10, 31), torch.zeros(31)], -1).unsqueeze(0)
 
 
+def hit_by(position, radius, agents, heading=None, reach=0.0):
+    """Whether vehicles of this radius hit an agent; their discs lie at ± reach on the axis."""
+    ahead = torch.tensor([-reach, reach]).expand(*radius.shape, 2)
+    discs = Discs(ahead, radius.unsqueeze(-1).expand(ahead.shape))
+    heading = torch.zeros_like(position[..., 0]) if heading is None else heading
+    return collided(position, heading, discs, agents)
+
+
 @pytest.mark.parametrize(
     ("x", "y", "valid", "expected"),
     [
@@ -32,14 +40,22 @@ def straight_plan():
     ],
 )
 def test_plan_collides_where_discs_overlap(x, y, valid, expected):
-    hit = collided(straight_plan(), torch.tensor([0.3]), standing_agent(x, y, valid))
+    hit = hit_by(straight_plan(), torch.tensor([0.3]), standing_agent(x, y, valid))
     assert hit.tolist() == [float(expected)]
+
+
+@pytest.mark.parametrize(("heading", "expected"), [(0.0, False), (math.pi / 2, True)])
+def test_a_long_vehicle_is_its_outline_and_not_a_disc(heading, expected):
+    plan, radius = straight_plan(), torch.tensor([0.3])
+    turned = torch.full((1, 31), heading)
+    beside = standing_agent(5.0, 1.2)
+    assert hit_by(plan, radius, beside, turned, reach=0.8).tolist() == [float(expected)]
 
 
 def test_overlap_at_the_start_is_no_fault_of_the_plan():
     plan = straight_plan() + torch.tensor([1.0, 0.0])
     plan[:, 0] = 0.0
-    assert collided(plan, torch.tensor([0.3]), standing_agent(-0.2, 0.0)).tolist() == [0.0]
+    assert hit_by(plan, torch.tensor([0.3]), standing_agent(-0.2, 0.0)).tolist() == [0.0]
 
 
 def test_collisions_equal_a_loop():
@@ -49,7 +65,7 @@ def test_collisions_equal_a_loop():
         torch.rand(4, 3) < 0.8,
     )  # fmt: skip
     radius = 0.4 * torch.rand(4)
-    for row, hit in enumerate(collided(position, radius, agents).tolist()):
+    for row, hit in enumerate(hit_by(position, radius, agents).tolist()):
         expected = any(
             math.dist(position[row, t].tolist(), agents.position[row, n, 0, t].tolist())
             < float(radius[row] + agents.radius[row, n])
@@ -65,7 +81,7 @@ def test_a_plan_that_is_not_finite_is_not_free_of_collisions(spoiler):
     plan = straight_plan().expand(2, 31, 2).clone()
     plan[1, 20] = spoiler
     agents = standing_agent(50.0, 0.0)
-    found = collided(plan, torch.tensor([0.3, 0.3]), agents).tolist()
+    found = hit_by(plan, torch.tensor([0.3, 0.3]), agents).tolist()
     assert found == pytest.approx([0.0, math.nan], nan_ok=True)
 
 
@@ -76,7 +92,7 @@ def test_no_agents_no_collision():
         torch.zeros(1, 0),
         torch.zeros(1, 0, dtype=torch.bool),
     )
-    assert collided(straight_plan(), torch.tensor([0.3]), none).tolist() == [0.0]
+    assert hit_by(straight_plan(), torch.tensor([0.3]), none).tolist() == [0.0]
 
 
 def test_losses_add_up_and_stay_unknown_where_a_part_is():

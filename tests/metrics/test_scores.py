@@ -4,7 +4,7 @@ import pytest
 import yaml
 
 from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP, Score
-from diffstack_mmv.simulation.summary import SCORES as EPISODE_SCORES
+from diffstack_mmv.simulation.summary import episode_scores
 
 ALL = [*OPEN_LOOP.values(), *CLOSED_LOOP.values()]
 
@@ -28,12 +28,12 @@ def test_heading_tells_the_unit_if_there_is_one(unit, heading):
 
 
 def test_every_score_of_episodes_is_registered_and_computed():
-    assert [*EPISODE_SCORES, "control_time_ms"] == list(CLOSED_LOOP)
+    assert [*episode_scores(), "control_time_ms"] == list(CLOSED_LOOP)
 
 
 def test_configurations_ask_for_registered_scores(root):
-    callbacks = yaml.safe_load((root / "configs/callbacks/default.yaml").read_text())
-    monitored = [each["monitor"] for each in callbacks.values() if "monitor" in each]
+    losses = [yaml.safe_load(path.read_text()) for path in (root / "configs/loss").glob("*.yaml")]
+    monitored = [each["watched"] for each in losses]
     compared = yaml.safe_load((root / "configs/compare.yaml").read_text())["score"]
     assert monitored
     assert {name.removeprefix("val/") for name in [*monitored, compared]} <= set(OPEN_LOOP)

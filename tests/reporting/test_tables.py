@@ -29,6 +29,14 @@ def test_metrics_have_the_keys_that_users_rely_on(tmp_path):
     assert metrics["baselines"]["stand_still"]["scooter"] == {"ade": 2.0, "fde": 4.0}
 
 
+def test_costs_are_told_by_term(tmp_path):
+    frame = samples().assign(**{"cost/goal": 2.0, "cost/collision": 0.5})
+    write_run(tmp_path, "kbm", 0, frame=frame)
+    told = read_json(tmp_path / "metrics.json")["costs"]
+    assert told["bicycle"] == {"goal": 2.0, "collision": 0.5}
+    assert "Cost of the plan in hindsight by term" in (tmp_path / "metrics.md").read_text()
+
+
 def test_means_are_those_of_the_samples(tmp_path):
     frame = samples()
     metrics = summarise_modes(frame, SITUATIONS, "bicycle", OPEN_LOOP)

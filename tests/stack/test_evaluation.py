@@ -36,7 +36,10 @@ class Recorded:
 def test_rows_hold_every_score_and_those_of_the_baselines():
     evaluation = evaluate_windows(stack_of(PredictedGoal()), BASELINES, Recorded(batch_of()), 2)
     expected = {f"{name}/{score}" for name in BASELINES for score in ("ade", "fde")}
-    assert set(evaluation.samples.columns) == {"scene", "mode", *OPEN_LOOP, *expected}
+    costs = {name for name in evaluation.samples.columns if name.startswith("cost/")}
+    assert set(evaluation.samples.columns) - costs == {"scene", "mode", *OPEN_LOOP, *expected}
+    terms = evaluation.samples[sorted(costs)].sum(axis=1)
+    assert terms.to_numpy() == pytest.approx(evaluation.samples["planning_cost"], rel=1e-5)
     assert not evaluation.samples.isna().to_numpy().any()
     curves = evaluation.errors["bicycle"]
     assert set(curves) == {"prediction", "plan", *BASELINES}

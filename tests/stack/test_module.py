@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from torch._inductor.exc import InductorError
 
 from diffstack_mmv.control import ILQR
 from diffstack_mmv.costs import (
@@ -12,7 +13,7 @@ from diffstack_mmv.costs import (
     WeightedCost,
 )
 from diffstack_mmv.dynamics import DiffKBM
-from diffstack_mmv.metrics import OPEN_LOOP
+from diffstack_mmv.metrics import OF_THE_PREDICTION, OPEN_LOOP
 from diffstack_mmv.planning import CandidateFan, FutureGoal, MPCPlanner, PredictedGoal
 from diffstack_mmv.prediction import ConstantVelocity, StandStill
 from diffstack_mmv.prediction.goal_baselines import hermite_spline
@@ -130,10 +131,45 @@ def test_hindsight_cost_does_not_reward_new_weights():
 
 
 def test_nothing_is_planned_where_planning_weighs_nothing():
-    stack = stack_of(FutureGoal(), loss=LossWeights(1.0, 0.0, 0.0, 0.0))
+    stack, logged = stack_of(FutureGoal(), loss=LossWeights(1.0, 0.0, 0.0, 0.0)), {}
     stack.planner.forward = lambda problem: pytest.fail("planned")
     stack.log_dict = lambda *args, **kwargs: None
+    stack.log = lambda name, value: logged.update({name: float(value)})
     assert torch.isfinite(stack.training_step(batch_of(), 0))
+    stack.validation_step(batch_of(), 0)
+    stack.on_validation_epoch_end()
+    assert {f"val/{name}" for name in OF_THE_PREDICTION} <= set(logged)
+    assert logged["val/ade"] < 0.01
+    assert not any("plan" in name for name in logged)
+
+
+def test_scores_of_the_prediction_need_no_plan():
+    plain, whole = (stack_of(PredictedGoal(), loss=LossWeights(1.0, w, w, w)) for w in (0.0, 1.0))
+    for stack in (plain, whole):
+        stack.validation_step(batch_of(), 0)
+    scores = whole.scores.compute()
+    assert plain.scores.compute() == {name: scores[name] for name in plain.scores.compute()}
+
+
+def test_training_goes_on_where_nothing_can_be_compiled(monkeypatch, caplog):
+    def refusing(function, **options):
+        def call(*arguments):
+            raise InductorError(RuntimeError("no compiler"), None)
+
+        return call
+
+    monkeypatch.setattr(torch, "compile", refusing)
+    stack = stack_of(PredictedGoal(), StandStill(STEPS, 0.1))
+    stack.log_dict = lambda *args, **kwargs: None
+    expected = stack.training_step(batch_of(), 0)
+    stack.planner.solver = ILQR(compile=True)
+    with caplog.at_level("INFO"):
+        loss = stack.training_step(batch_of(), 0)
+        loss.backward()
+    assert loss.item() == pytest.approx(expected.item(), rel=1e-5)
+    assert stack.planner.cost.log_weight.grad.abs().max() > 0
+    assert "Compiling the solver for DiffKBM" in caplog.text
+    assert "runs eagerly" in caplog.text
 
 
 @pytest.mark.parametrize(
@@ -153,7 +189,6 @@ def test_baselines_answer_with_paths(baseline, error):
 
 
 OF_THE_END = {"fde", "plan_fde", "miss_rate"}
-OF_THE_PREDICTION = {"ade", "fde", "nll", "min_ade", "miss_rate"}
 WITHOUT_TRUTH = {"collision_rate", "solved"}
 
 
@@ -164,7 +199,7 @@ WITHOUT_TRUTH = {"collision_rate", "solved"}
         (PredictedGoal(), STEPS - 1, OF_THE_END),
         # the goal of the plan was not recorded: no score of the plan means anything
         (FutureGoal(), 0, set(OPEN_LOOP)),
-        (FutureGoal(), STEPS - 1, set(OPEN_LOOP) - OF_THE_PREDICTION | {"fde", "miss_rate"}),
+        (FutureGoal(), STEPS - 1, set(OPEN_LOOP) - set(OF_THE_PREDICTION) | {"fde", "miss_rate"}),
     ],
     ids=["predicted-none", "predicted-no end", "future-none", "future-no end"],
 )

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from diffstack_mmv.checks import require
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.prediction.base import Predictor, all_agents
-from diffstack_mmv.prediction.gaussian import log_density, scale_from_covariance
+from diffstack_mmv.prediction.gaussian import log_density, log_of_sum, scale_from_covariance
 from diffstack_mmv.prediction.trajectron.agent_batch import (
     EGO,
     PEDESTRIAN,
@@ -24,12 +24,13 @@ from diffstack_mmv.prediction.trajectron.agent_batch import (
 from diffstack_mmv.prediction.trajectron.decoder import ControlDecoder, Jacobians
 from diffstack_mmv.prediction.trajectron.encoder import (
     TRACK_FEATURES,
-    MaskedLSTM,
     PerKind,
     track_features,
 )
+from diffstack_mmv.prediction.trajectron.jacobians import linearise
 from diffstack_mmv.prediction.trajectron.latent import Annealing, Latent, divergence
-from diffstack_mmv.prediction.trajectron.mixture import PositionMoments, linearise
+from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
+from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
 from diffstack_mmv.prediction.trajectron.output import nobody, placed, scenes
 from diffstack_mmv.prediction.trajectron.scene import SceneEncoder
 from diffstack_mmv.types import Forecast, StackBatch, Tracks
@@ -208,7 +209,7 @@ class Trajectron(Predictor):
         error = future.motion.position.unsqueeze(1) - part.moments.mean
         log_prob = log_density(error, scale_from_covariance(part.moments.covariance))
         log_prob = torch.where(future.valid.unsqueeze(1), log_prob, torch.zeros_like(log_prob))
-        likelihood = torch.logsumexp(log_posterior + log_prob.sum(-1), -1)
+        likelihood = log_of_sum(log_posterior + log_prob.sum(-1))
         penalty = self.annealing.penalty(
             divergence(log_posterior, part.log_prior), self.training_step
         )

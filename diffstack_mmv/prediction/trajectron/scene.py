@@ -9,11 +9,11 @@ from diffstack_mmv.prediction.trajectron.agent_batch import PEDESTRIAN, VEHICLE,
 from diffstack_mmv.prediction.trajectron.encoder import (
     SPEED_SCALE_MPS,
     TRACK_FEATURES,
-    MaskedLSTM,
     PerKind,
     track_features,
 )
 from diffstack_mmv.prediction.trajectron.interaction import Interaction
+from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
 from diffstack_mmv.types import Mode
 
 MOTION_FEATURES = 4

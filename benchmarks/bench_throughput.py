@@ -1,0 +1,162 @@
+"""Windows per second of training and evaluation, of this code, eager and compiled, and of others.
+
+    python benchmarks/bench_throughput.py CACHE [--data thab_vru] [--peer NAME=CHECKOUT ...]
+
+Every row is a process of its own on one thread, end to end: loading, forward, losses, backward,
+clipping and the optimizer's step; processor time, so that a busy machine counts little. A peer is a
+checkout whose `train` configuration has the same groups (an older commit). Prints Markdown.
+"""
+
+import argparse
+import itertools
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+MODELS = {
+    "predictor alone": ["dynamics=kbm", "loss=prediction"],
+    "unicycle": ["dynamics=unicycle"],
+    "DiffKBM": ["dynamics=kbm"],
+    "DiffGM3": ["dynamics=gm3"],
+}
+TRAINING, EVALUATION = "training", "evaluation"
+BUDGET_S = 20.0
+WARM_UP_PAIRS = 10
+
+
+def composed(arguments):
+    """The stack and the data of `train` with these arguments, whatever the checkout."""
+    from hydra import compose, initialize_config_dir
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.utils import instantiate
+    from omegaconf import OmegaConf, open_dict
+
+    import diffstack_mmv.cli  # noqa: F401  registers the resolvers
+    from diffstack_mmv.vehicles import config_folder
+
+    with initialize_config_dir(str(config_folder()), version_base="1.3"):
+        config = compose("train", [*arguments, "out=none"], return_hydra_config=True)
+    HydraConfig.instance().set_config(config)
+    with open_dict(config):
+        config.pop("hydra")
+    OmegaConf.resolve(config)
+    return instantiate(config.stack), instantiate(config.data.module)
+
+
+def training(stack, optimizer, batch):
+    """One step as Lightning takes it."""
+    import torch
+
+    optimizer.zero_grad(set_to_none=True)
+    loss = stack.training_step(batch, 0)
+    loss.backward()
+    torch.nn.utils.clip_grad_norm_(stack.parameters(), 1.0)
+    optimizer.step()
+    return loss.item()
+
+
+def evaluation(stack, optimizer, batch):
+    """All scores of a batch."""
+    import torch
+
+    with torch.no_grad():
+        return float(sum(value.nansum() for value in stack.sample_scores(batch).values()))
+
+
+def measure(work, arguments):
+    """Warm up, then steps until the budget is spent; prints one line of JSON."""
+    import torch
+
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+    stack, data = composed(arguments)
+    stack.log_dict = stack.log = lambda *given, **named: None
+    data.prepare_data()
+    data.setup("fit")
+    made = stack.configure_optimizers()
+    optimizer = made["optimizer"] if isinstance(made, dict) else made
+    step = {TRAINING: training, EVALUATION: evaluation}[work]
+    stack.train(work == TRAINING)
+    batches = itertools.chain.from_iterable(data.train_dataloader() for _ in itertools.count())
+    first = time.perf_counter()
+    step(stack, optimizer, next(batches))
+    first = time.perf_counter() - first
+    for _ in range(WARM_UP_PAIRS):
+        if _steady(step, stack, optimizer, batches):
+            break
+    windows, start = 0, time.process_time()
+    while time.process_time() - start < BUDGET_S:
+        batch = next(batches)
+        step(stack, optimizer, batch)
+        windows += len(batch.goal)
+    seconds = time.process_time() - start
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(json.dumps({"rate": windows / seconds, "first_s": first, "peak_mib": peak}))
+
+
+def _steady(step, stack, optimizer, batches):
+    """Two steps; whether the second took no longer than four thirds of the first, or was short."""
+    seconds = []
+    for _ in range(2):
+        start = time.process_time()
+        step(stack, optimizer, next(batches))
+        seconds.append(time.process_time() - start)
+    return seconds[1] < 4 / 3 * seconds[0] or seconds[1] < 0.2
+
+
+def row(checkout, work, arguments):
+    """Measure in a process that sees only this checkout."""
+    environment = os.environ | {"PYTHONPATH": str(checkout), "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, __file__, "--measure", work, *arguments]
+    done = subprocess.run(
+        command, env=environment, cwd=checkout, capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        sys.exit(done.stderr)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def main():
+    if sys.argv[1:2] == ["--measure"]:
+        return measure(sys.argv[2], sys.argv[3:])
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cache", type=Path)
+    parser.add_argument("--data", default="thab_vru")
+    parser.add_argument("--batch", type=int, default=64)
+    parser.add_argument("--models", nargs="+", default=list(MODELS), choices=list(MODELS))
+    parser.add_argument("--peer", action="append", default=[], metavar="NAME=CHECKOUT")
+    parser.add_argument("--variant", action="append", default=[], metavar="NAME=OVERRIDE,OVERRIDE")
+    given = parser.parse_args()
+    codes = [("this code", CHECKOUT, [])]
+    for variant in given.variant:
+        name, _, overrides = variant.partition("=")
+        codes.append((name, CHECKOUT, overrides.split(",")))
+    for peer in given.peer:
+        name, _, checkout = peer.partition("=")
+        codes.append((name, Path(checkout).resolve(), []))
+    print(f"{given.data}, batch {given.batch}, one thread.\n")
+    print(
+        "| model | code | training, windows/s | evaluation, windows/s | first step, s | peak, MiB |"
+    )
+    print("|---|---|---|---|---|---|")
+    for model in given.models:
+        for name, checkout, more in codes:
+            common = [f"data={given.data}", f"data.cache={given.cache.resolve()}"]
+            arguments = [*common, *MODELS[model], f"batch_size={given.batch}", *more]
+            trained = row(checkout, TRAINING, arguments)
+            judged = row(checkout, EVALUATION, arguments)
+            print(
+                f"| {model} | {name} | {trained['rate']:.0f} | {judged['rate']:.0f} |"
+                f" {trained['first_s']:.1f} | {trained['peak_mib']:.0f} |",
+                flush=True,
+            )
+    return None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,207 @@
+"""Where one training step goes: parts, operations, flame chart, and the floor of its arithmetic.
+
+    python benchmarks/profile_step.py CACHE OUT [--data thab_vru] [--models DiffKBM ...] [OVERRIDES]
+
+Writes OUT/profile.md, and for every model OUT/<model>.png (flame chart of one step) and
+OUT/<model>.json.gz (the same for a trace viewer). One thread, batch 64, processor time.
+"""
+
+import argparse
+import collections
+import contextlib
+import time
+from pathlib import Path
+
+import matplotlib as mpl
+import torch
+from bench_solver_profile import rates
+from bench_throughput import MODELS, composed, training
+from matplotlib import pyplot as plt
+from torch.profiler import ProfilerActivity, profile, record_function
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils.flop_counter import FlopCounterMode
+
+from diffstack_mmv.control import ILQR
+
+STEPS, SHOWN_OPERATIONS, SHOWN_SHARE = 5, 12, 0.002
+KERNELS = ("expand", "box_policy", "attempt", "solve_free")
+
+
+class Counted(TorchDispatchMode):
+    """Number of tensor operations, and bytes of what they write."""
+
+    def __init__(self):
+        super().__init__()
+        self.operations, self.bytes = 0, 0
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        out = func(*args, **(kwargs or {}))
+        self.operations += 1
+        for tensor in out if isinstance(out, list | tuple) else (out,):
+            if isinstance(tensor, torch.Tensor) and not tensor._is_view():
+                self.bytes += tensor.numel() * tensor.element_size()
+        return out
+
+
+class Watch:
+    """Processor time of named parts, that of the parts inside included."""
+
+    def __init__(self):
+        self.seconds = collections.Counter()
+
+    def around(self, name, function):
+        def timed(*args, **kwargs):
+            with self.part(name):
+                return function(*args, **kwargs)
+
+        return timed
+
+    @contextlib.contextmanager
+    def part(self, name):
+        start = time.process_time()
+        with record_function(name):
+            yield
+        self.seconds[name] += time.process_time() - start
+
+
+def watched(stack):
+    """Put a stop-watch around the parts of a stack, and around the kernels of the solver."""
+    watch = Watch()
+    for name in ("predict_and_judge", "loss"):
+        wrapped = watch.around("prediction", getattr(stack.predictor, name))
+        setattr(stack.predictor, name, wrapped)
+    stack.plan = watch.around("plan", stack.plan)
+    stack.planning_losses = watch.around("planning losses", stack.planning_losses)
+    planner = stack.planner
+    planner.candidates = watch.around("plan: candidates", planner.candidates)
+    planner._scored = watch.around("plan: scores", planner._scored)
+    planner._solve = watch.around("plan: solver", planner._solve)
+    made = ILQR._kernels
+
+    def kernels(self, *args):
+        own = made(self, *args)
+        named = {name: watch.around(f"solver: {name}", getattr(own, name)) for name in KERNELS}
+        return own._replace(**named)
+
+    planner.solver.__class__._kernels = kernels
+    return watch
+
+
+def stepped(watch, stack, optimizer, batch):
+    """One step, its backward pass as a part."""
+    optimizer.zero_grad(set_to_none=True)
+    loss = stack.training_step(batch, 0)
+    with watch.part("backward"):
+        loss.backward()
+    with watch.part("clip and optimizer"):
+        torch.nn.utils.clip_grad_norm_(stack.parameters(), 1.0)
+        optimizer.step()
+
+
+def draw(events, path, title):
+    """Flame chart: time to the right, calls within calls downwards."""
+    first = min(event.time_range.start for event in events)
+    whole = max(event.time_range.end for event in events) - first
+    figure, axes = plt.subplots(figsize=(16, 7))
+    rows = collections.defaultdict(list)
+    thread = collections.Counter(event.thread for event in events)
+    lanes = {name: lane for lane, (name, _) in enumerate(thread.most_common())}
+    for event in events:
+        depth, parent = 0, event.cpu_parent
+        while parent is not None:
+            depth, parent = depth + 1, parent.cpu_parent
+        long = event.time_range.elapsed_us()
+        if long > SHOWN_SHARE * whole:
+            rows[lanes[event.thread], depth].append(
+                (event.time_range.start - first, long, event.name)
+            )
+    order = {key: place for place, key in enumerate(sorted(rows))}
+    colours = mpl.colormaps["tab20"]
+    for key, bars in rows.items():
+        spans = [(1e-3 * start, 1e-3 * long) for start, long, _ in bars]
+        fill = [colours(hash(name) % 20) for *_, name in bars]
+        axes.broken_barh(spans, (order[key], 0.9), facecolors=fill)
+        for start, long, name in bars:
+            if long > 0.03 * whole:
+                axes.text(
+                    1e-3 * start, order[key] + 0.45, name, fontsize=7, va="center", clip_on=True
+                )
+    axes.invert_yaxis()
+    axes.set(xlabel="ms", yticks=[], title=title)
+    figure.savefig(path, bbox_inches="tight", dpi=110)
+    plt.close(figure)
+
+
+def report(name, arguments, folder, rate):
+    """Profile one model; returns its lines of Markdown."""
+    torch.manual_seed(0)
+    stack, data = composed(arguments)
+    stack.log_dict = stack.log = lambda *given, **named: None
+    data.prepare_data()
+    data.setup("fit")
+    made = stack.configure_optimizers()
+    optimizer = made["optimizer"] if isinstance(made, dict) else made
+    stack.train()
+    batches = iter(data.train_dataloader())
+    for _ in range(2):
+        training(stack, optimizer, next(batches))
+    kept = [next(batches) for _ in range(STEPS)]
+    watch = watched(stack)
+    start = time.process_time()
+    for batch in kept:
+        stepped(watch, stack, optimizer, batch)
+    whole = (time.process_time() - start) / STEPS
+    parts = {part: seconds / STEPS for part, seconds in watch.seconds.items()}
+    with FlopCounterMode(display=False) as flops:
+        stepped(watch, stack, optimizer, kept[0])
+    with Counted() as counted:
+        stepped(watch, stack, optimizer, kept[0])
+    with profile(activities=[ProfilerActivity.CPU]) as profiler:
+        stepped(watch, stack, optimizer, kept[0])
+    profiler.export_chrome_trace(str(folder / f"{name.replace(' ', '_')}.json.gz"))
+    draw(profiler.events(), folder / f"{name.replace(' ', '_')}.png", f"{name}: one training step")
+    compute, copy = rate
+    arithmetic, traffic = flops.get_total_flops() / compute, 2 * counted.bytes / copy
+    lines = [
+        f"## {name}: {1e3 * whole:.0f} ms a step, {64 / whole:.0f} windows/s",
+        "",
+        f"{counted.operations} tensor operations write {counted.bytes / 2**20:.0f} MiB"
+        f" ({1e3 * traffic:.0f} ms to read and write once); matrix products"
+        f" {1e-9 * flops.get_total_flops():.2f} GFLOP ({1e3 * arithmetic:.0f} ms at"
+        f" {1e-9 * compute:.0f} GFLOP/s: the floor without fewer products).",
+        "",
+        "| part | ms | share |",
+        "|---|---|---|",
+    ]
+    lines += [
+        f"| {part} | {1e3 * seconds:.1f} | {seconds / whole:.0%} |"
+        for part, seconds in sorted(parts.items(), key=lambda row: -row[1])
+    ]
+    lines += ["", "| operation | calls | own ms |", "|---|---|---|"]
+    averages = sorted(profiler.key_averages(), key=lambda row: -row.self_cpu_time_total)
+    lines += [
+        f"| `{row.key}` | {row.count} | {1e-3 * row.self_cpu_time_total:.1f} |"
+        for row in averages[:SHOWN_OPERATIONS]
+    ]
+    return [*lines, ""]
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cache", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--data", default="thab_vru")
+    parser.add_argument("--models", nargs="+", default=list(MODELS), choices=list(MODELS))
+    given, overrides = parser.parse_known_args()
+    torch.set_num_threads(1)
+    given.out.mkdir(parents=True, exist_ok=True)
+    rate, lines = rates(), ["# Profile of one training step", ""]
+    for name in given.models:
+        common = [f"data={given.data}", f"data.cache={given.cache.resolve()}", "batch_size=64"]
+        lines += report(name, [*common, *MODELS[name], *overrides], given.out, rate)
+        (given.out / "profile.md").write_text("\n".join(lines))
+    print("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()

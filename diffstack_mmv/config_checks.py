@@ -1,0 +1,170 @@
+"""Checks of a composed configuration that need nothing heavy.
+
+A mistake is told before torch, trajdata or Lightning are imported, which takes longer than to find
+it. What only the parts themselves can judge, they judge when they are built.
+"""
+
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from dmmv_conventions.cache import read_state
+from dmmv_conventions.checks import message, require, require_multiple
+from dmmv_conventions.modes import Mode
+
+
+def require_complete(content: Any) -> None:
+    """Refuse a configuration in which a value still has to be given.
+
+    Args:
+        content: The configuration as plain containers, interpolations as they are written.
+
+    Raises:
+        ValueError: A value is `???`.
+    """
+    missing = sorted(key for key, value in _leaves("", content) if value == "???")
+    if missing:
+        given = " ".join(f"{key}=VALUE" for key in missing)
+        raise ValueError(f"`{missing[0]}` must be given. Add {given}, or see --help.")
+
+
+def _leaves(place: str, content: Any) -> Iterable[tuple[str, Any]]:
+    if isinstance(content, Mapping):
+        for key, value in content.items():
+            yield from _leaves(f"{place}.{key}" if place else str(key), value)
+    else:
+        yield place, content
+
+
+def require_same_type(key: str, default: Any, value: Any) -> None:
+    """Refuse a value that cannot stand where its default does.
+
+    Text may stand for a mapping (the name of a file in its place), and a list for a number (one
+    entry per wheel). Where there is no default, and for none, anything goes.
+
+    Raises:
+        ValueError: Text instead of a number, a truth value or a list; a number instead of a list of
+            text; a fraction instead of a whole number.
+    """
+    if isinstance(default, Mapping) and isinstance(value, Mapping):
+        for name in default.keys() & value.keys():
+            require_same_type(f"{key}.{name}", default[name], value[name])
+    elif value is not None:
+        wanted = _refusal(default, value)
+        remedy = f"Write ++{key}=VALUE to have it all the same."
+        require(not wanted, key, f"be {wanted}", repr(value), "", remedy)
+
+
+def _refusal(default: Any, value: Any) -> str:
+    """What the value should be, "" if it may be what it is."""
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if isinstance(default, bool):
+        return "" if isinstance(value, bool | int) else "true or false"
+    if isinstance(default, int) and isinstance(value, float):
+        return "" if value.is_integer() else "a whole number"
+    if isinstance(default, int | float):
+        return "" if number or isinstance(value, list) else "a number"
+    if isinstance(default, list):
+        of_numbers = bool(default) and isinstance(default[0], int | float)
+        return "" if isinstance(value, list) or (number and of_numbers) else "a list"
+    return ""
+
+
+def require_folder(argument: str, folder: str | None, remedy: str) -> None:
+    """Refuse a folder that is not given or not there.
+
+    Raises:
+        ValueError: There is no such folder.
+    """
+    found = folder is not None and Path(folder).expanduser().is_dir()
+    require(found, argument, "be an existing folder", repr(folder), "", remedy)
+
+
+def require_file(argument: str, file: str | None, remedy: str) -> None:
+    """Refuse a file that is not given or not there.
+
+    Raises:
+        ValueError: There is no such file.
+    """
+    if file is None:
+        raise ValueError(message(argument, "be given", file, "", remedy))
+    require(Path(file).is_file(), argument, "be an existing file", repr(file), "", remedy)
+
+
+def require_checkpoint(argument: str, file: str | None) -> None:
+    """Refuse a checkpoint that is not given, not there, or no archive as torch writes it.
+
+    Raises:
+        ValueError: There is no such checkpoint.
+    """
+    remedy = "Give the path of a checkpoint that scripts/train.py wrote."
+    require_file(argument, file, remedy)
+    whole = file is not None and zipfile.is_zipfile(file)
+    require(whole, argument, "be readable", "no archive", f"in {file}", remedy)
+
+
+def require_windows(modes: Sequence[str], dt_s: float, **durations_s: float) -> None:
+    """Refuse modes of transport that nobody knows, and durations of no whole number of steps.
+
+    Raises:
+        ValueError: A mode is unknown, or a duration is no multiple of `dt_s`.
+    """
+    for name in modes:
+        Mode.named(name)
+    for name, duration_s in durations_s.items():
+        require_multiple(name, duration_s, dt_s)
+
+
+def require_recordings(source: Mapping[str, Any]) -> None:
+    """Refuse a source of recordings that is not there.
+
+    Args:
+        source: Configuration of a data source: with `root`, one that reads recordings itself, else
+            the `name` of a data set in a `folder` that scripts/convert.py wrote.
+
+    Raises:
+        ValueError: The folder is missing, or holds no finished conversion.
+    """
+    if "root" in source:
+        require_folder("root", source["root"], "Give data.root=FOLDER.")
+    else:
+        read_state(Path(source["folder"]), source["name"])
+
+
+def require_tracks(source: Mapping[str, Any], splits: Sequence[str], mode: str) -> None:
+    """Refuse a converted data set without a track of a mode of transport.
+
+    Args:
+        source: Configuration of a data source, see `require_recordings`.
+        splits: Splits to look at.
+        mode: Mode of transport.
+
+    Raises:
+        ValueError: The folder is missing or no finished conversion, the mode is unknown, or nobody
+            travels like that.
+    """
+    require_recordings(source)
+    label = Mode.named(mode).label
+    if "root" in source:
+        return
+    scenes = read_state(Path(source["folder"]), source["name"])["scenes"]
+    # earlier caches do not say who is in a scene
+    found = any(
+        scene["split"] in splits and scene.get("agents", {label: 1}).get(label) for scene in scenes
+    )
+    remedy = "Choose another data set or another vehicle."
+    where = f"in the splits {', '.join(splits)} of '{source['name']}'"
+    require(found, "mode", "have tracks", f"none of mode '{mode}'", where, remedy)
+
+
+def require_reports(runs: Sequence[str]) -> None:
+    """Refuse folders that scripts/evaluate.py did not write.
+
+    Raises:
+        ValueError: There is no folder, or no `metrics.json` in one.
+    """
+    remedy = "Give those that evaluate.py wrote."
+    require(len(runs) > 0, "runs", "name at least one folder", "[]", "", remedy)
+    for run in runs:
+        require_file("runs", str(Path(run) / "metrics.json"), remedy)

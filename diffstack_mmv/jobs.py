@@ -1,0 +1,148 @@
+"""Many command lines, side by side: on this machine or on a cluster, each done once."""
+
+import json
+import os
+import subprocess
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+
+class Job(NamedTuple):
+    """Command lines to run one after the other, until their last one has written its result."""
+
+    name: str
+    kind: str  # jobs of one kind take about as long
+    commands: tuple[tuple[str, ...], ...]
+    result: Path  # there as soon as the job is done
+    log: Path
+
+    @property
+    def done(self) -> bool:
+        """Whether there is nothing left to do."""
+        return self.result.is_file()
+
+
+class Outcome(NamedTuple):
+    """How a job ended."""
+
+    job: Job
+    seconds: float
+    succeeded: bool
+
+
+def run_job(job: Job) -> Outcome:
+    """Run the commands of a job, one thread each, until one fails; all they say goes to its log."""
+    start = time.monotonic()
+    job.log.parent.mkdir(parents=True, exist_ok=True)
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    with job.log.open("a", encoding="utf-8") as log:
+        for command in job.commands:
+            code = subprocess.run(
+                command, stdout=log, stderr=log, env=environment, check=False
+            ).returncode
+            if code != 0:
+                break
+    seconds = time.monotonic() - start
+    if job.done:
+        spent = {"kind": job.kind, "seconds": seconds}
+        job.log.with_suffix(".json").write_text(json.dumps(spent), encoding="utf-8")
+    return Outcome(job, seconds, job.done)
+
+
+@runtime_checkable
+class Launcher(Protocol):
+    """Where jobs run."""
+
+    @property
+    def width(self) -> int:
+        """How many run at the same time."""
+        ...
+
+    def __call__(self, jobs: Sequence[Job]) -> Iterator[Outcome]:
+        """Run all, and yield each one as soon as it ended."""
+        ...
+
+
+@dataclass(frozen=True)
+class LocalProcesses:
+    """Jobs in processes of this machine.
+
+    Args:
+        processes: How many at a time.
+    """
+
+    processes: int = 2
+
+    @property
+    def width(self) -> int:
+        """The number of processes."""
+        return self.processes
+
+    def __call__(self, jobs: Sequence[Job]) -> Iterator[Outcome]:
+        """Run all, and yield each one as soon as it ended."""
+        with ThreadPoolExecutor(self.processes) as pool:
+            yield from _ended([pool.submit(run_job, job) for job in jobs])
+
+
+@dataclass(frozen=True)
+class Slurm:
+    """Jobs of a SLURM cluster, through submitit.
+
+    Args:
+        folder: What submitit writes.
+        parameters: Its parameters, e.g. `timeout_min`, `slurm_partition`; null ones are left out.
+        cluster: `local` runs them here in submitit's own processes, to try it; null finds SLURM.
+
+    Raises:
+        ImportError: submitit is not installed.
+    """
+
+    folder: str
+    parameters: Mapping[str, Any]
+    cluster: str | None = None
+
+    @property
+    def width(self) -> int:
+        """As many as the cluster takes: for an estimate of time, ten."""
+        return 10
+
+    def __call__(self, jobs: Sequence[Job]) -> Iterator[Outcome]:
+        """Submit all, and yield each one as soon as it ended."""
+        import submitit  # an extra  # pyright: ignore[reportMissingImports]
+
+        executor = submitit.AutoExecutor(self.folder, cluster=self.cluster)
+        given = {name: value for name, value in self.parameters.items() if value is not None}
+        executor.update_parameters(**given)
+        submitted = executor.map_array(run_job, list(jobs))
+        with ThreadPoolExecutor(max(len(submitted), 1)) as waiting:
+            yield from _ended([waiting.submit(job.result) for job in submitted])
+
+
+def _ended(futures: list[Future[Outcome]]) -> Iterator[Outcome]:
+    for future in as_completed(futures):
+        yield future.result()
+
+
+def expected_seconds(
+    jobs: Sequence[Job], measured: Sequence[Job], guess: Mapping[str, float], width: int
+) -> float:
+    """How long the open jobs will take, from the finished ones of their kind, else from a guess.
+
+    Args:
+        jobs: Those to be run; finished ones take no time.
+        measured: Jobs whose logs may tell what one of their kind took.
+        guess: Kind -> seconds, where none was measured.
+        width: How many run at a time.
+    """
+    spent: dict[str, list[float]] = {}
+    for file in (job.log.with_suffix(".json") for job in measured):
+        if file.is_file():
+            told = json.loads(file.read_text(encoding="utf-8"))
+            spent.setdefault(told["kind"], []).append(told["seconds"])
+    each = {kind: sum(times) / len(times) for kind, times in spent.items()}
+    still = [each.get(job.kind, guess.get(job.kind, 0.0)) for job in jobs if not job.done]
+    return sum(still) / min(width, max(len(still), 1))

@@ -1,0 +1,141 @@
+"""The table of the paper: scores per mode and model, over seeds, beside the trivial paths."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from diffstack_mmv.reporting.files import read_json, read_parquet, write_text
+from diffstack_mmv.reporting.scores import Scores
+
+SHOWN = (
+    "ade",
+    "nll",
+    "plan_ade",
+    "planning_loss",
+    "collision_rate",
+    "human_collision_rate",
+    "solved",
+)
+TRIVIAL = ("ade", "plan_ade")
+"""Scores that a trivial path is held against: it is prediction and plan at once."""
+LEVEL = 95.0
+
+
+class Run(NamedTuple):
+    """One evaluated run and its place in the table."""
+
+    data: str
+    mode: str
+    model: str
+    goal: str
+    seed: int
+    report: Path
+
+
+def paper_table(
+    runs: Sequence[Run], models: Mapping[str, str], scores: Scores, resamples: int = 1000
+) -> pd.DataFrame:
+    """One row per data set, goal, mode and model; the first model is what others are held against.
+
+    A cell is `mean [low, high] (± deviation over seeds, difference in %)`: the interval holds 95 %
+    of the means over recordings drawn with replacement, since windows of one recording resemble
+    each other. Trivial paths follow the models. A run that has not ended is told, never averaged.
+
+    Args:
+        runs: All runs that the table is about.
+        models: Name of the dynamics -> title, in order.
+        scores: Titles, units and directions.
+        resamples: Draws of the bootstrap.
+    """
+    rows: list[dict[str, Any]] = []
+    keys = dict.fromkeys((run.data, run.goal, run.mode) for run in runs)
+    for data, goal, mode in keys:
+        first: dict[str, float] = {}
+        place = {"data": data, "goal": goal, "mode": mode}
+        baselines: dict[str, dict[str, float | None]] = {}
+        for model, title in models.items():
+            own = [run for run in runs if run[:4] == (data, mode, model, goal)]
+            ended = [run for run in own if (run.report / "metrics.json").is_file()]
+            row: dict[str, Any] = place | {"model": title, "seeds": f"{len(ended)}/{len(own)}"}
+            if not ended:
+                rows.append(row | {"n": "-"})
+                continue
+            told = [read_json(run.report / "metrics.json") for run in ended]
+            samples = _over_seeds(ended, mode)
+            row["n"] = str(len(samples))
+            for name in SHOWN:
+                means = [part["modes"][mode][name] for part in told if mode in part["modes"]]
+                interval = bootstrap(samples[name], samples["scene"], resamples)
+                row[scores[name].heading] = _cell(means, interval, first.get(name))
+                first.setdefault(name, _mean(means))
+            baselines |= {name: per_mode[mode] for name, per_mode in told[0]["baselines"].items()}
+            rows.append(row)
+        for name, known in baselines.items():
+            error = {scores[score].heading: _number(known["ade"]) for score in TRIVIAL}
+            rows.append(place | {"model": name.replace("_", " "), "seeds": "-", "n": "-"} | error)
+    return pd.DataFrame(rows).fillna("-")
+
+
+def bootstrap(
+    values: pd.Series, recordings: pd.Series, resamples: int, seed: int = 0
+) -> tuple[float, float]:
+    """Interval of the mean over samples when recordings are drawn with replacement.
+
+    Returns:
+        Low and high; NaN with less than two recordings.
+    """
+    parts = pd.DataFrame({"value": values, "recording": recordings}).dropna()
+    grouped = parts.groupby("recording")["value"].agg(["sum", "count"]).to_numpy()
+    if len(grouped) < 2:
+        return float("nan"), float("nan")
+    draws = np.random.default_rng(seed).integers(0, len(grouped), (resamples, len(grouped)))
+    totals = grouped[draws].sum(1)
+    low, high = np.percentile(totals[:, 0] / totals[:, 1], [50 - LEVEL / 2, 50 + LEVEL / 2])
+    return float(low), float(high)
+
+
+def write_paper_table(folder: Path, table: pd.DataFrame, remarks: Sequence[str]) -> None:
+    """Write `results.md`, `results.tex` and `results.csv`; remarks go below the first."""
+    text = str(table.to_markdown(index=False)) if len(table) else "No run has ended."
+    below = "\n".join(f"- {remark}" for remark in remarks)
+    write_text(folder / "results.md", f"{text}\n\n{below}\n" if below else f"{text}\n")
+    write_text(folder / "results.tex", str(table.to_latex(index=False, escape=True)))
+    write_text(folder / "results.csv", str(table.to_csv(index=False)))
+
+
+def _over_seeds(runs: Sequence[Run], mode: str) -> pd.DataFrame:
+    """Scores of each sample of a mode, averaged over seeds; NaN where a seed could not judge it."""
+    frames = [read_parquet(run.report / "samples.parquet") for run in runs]
+    own = [frame[frame["mode"] == mode].reset_index(drop=True) for frame in frames]
+    mean = np.mean([frame[list(SHOWN)].to_numpy(np.float64) for frame in own], 0)
+    return pd.DataFrame(mean, columns=list(SHOWN)).assign(scene=own[0]["scene"])
+
+
+def _mean(values: Sequence[float | None]) -> float:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else float("nan")
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None or np.isnan(value) else f"{value:.3f}"
+
+
+def _cell(
+    values: Sequence[float | None], interval: tuple[float, float], first: float | None
+) -> str:
+    """A score as text."""
+    known = [value for value in values if value is not None]
+    if not known:
+        return "-"
+    mean, notes = float(np.mean(known)), []
+    if len(known) > 1:
+        notes.append(f"± {np.std(known, ddof=1):.3f}")
+    if first is not None and np.isfinite(first) and first != 0:
+        notes.append(f"{100 * (mean - first) / abs(first):+.1f} %")
+    text = f"{mean:.3f}"
+    if np.isfinite(interval[0]):
+        text += f" [{interval[0]:.3f}, {interval[1]:.3f}]"
+    return text + (f" ({', '.join(notes)})" if notes else "")

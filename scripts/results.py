@@ -1,0 +1,162 @@
+"""The paper's table by one command."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterator, Sequence
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+from tqdm import tqdm
+
+from diffstack_mmv.cli import command
+from diffstack_mmv.jobs import Job, Launcher, expected_seconds
+from dmmv_conventions.configs import config_folder
+
+if TYPE_CHECKING:
+    from diffstack_mmv.reporting import Run
+
+logger = logging.getLogger(__name__)
+
+SCRIPTS = Path(__file__).resolve().parent
+
+
+@command(config_folder(), "results")
+def main(config: DictConfig) -> None:
+    """Convert, train and evaluate whatever is not done yet, then write table and figures."""
+    from diffstack_mmv.metrics import OPEN_LOOP
+    from diffstack_mmv.reporting import paper_table, write_paper_table
+
+    out = Path(config.out)
+    available = {name for name, told in config.sets.items() if _is_there(told.root)}
+    absent = [f"{name}: no recordings in {config.sets[name].root}." for name in config.sets
+              if name not in available]  # fmt: skip
+    runs = list(_runs(config, out))
+    converted = [_conversion(config, name, out) for name in sorted(available)]
+    trained = [_training(config, run, out) for run in runs if run.data in available]
+    launcher: Launcher = instantiate(config.launcher)
+    _tell(config, [*converted, *trained], launcher.width)
+    if config.dry_run:
+        return
+    failed = [*_work(launcher, converted), *_work(launcher, trained)]
+    remarks = [*absent, *(f"{job.name} failed: see {job.log}." for job in failed)]
+    shown = [run for run in runs if run.data in available]
+    table = paper_table(shown, config.models, OPEN_LOOP, config.resamples)
+    write_paper_table(out, table, remarks)
+    for data, mode, goal in dict.fromkeys((run.data, run.mode, run.goal) for run in shown):
+        side = [run for run in shown if (run.data, run.mode, run.goal) == (data, mode, goal)]
+        _draw(config, [run for run in side if run.seed == config.size.seeds[0]], out)
+    logger.info("\n%s", (out / "results.md").read_text(encoding="utf-8"))
+    if failed:
+        raise ValueError(f"{len(failed)} of {len(converted) + len(trained)} jobs failed. " +
+                         "Read their logs, then give the same command again.")  # fmt: skip
+
+
+def _is_there(root: str | None) -> bool:
+    """Whether recordings can be had; those without a folder are generated."""
+    return root is None or Path(root).is_dir()
+
+
+def _runs(config: DictConfig, out: Path) -> Iterator[Run]:
+    from diffstack_mmv.reporting import Run
+
+    for name, told in config.sets.items():
+        places = product(told.modes, config.models, config.size.goals, config.size.seeds)
+        for mode, model, goal, seed in places:
+            folder = out / "runs" / name / mode / model / goal / str(seed)
+            yield Run(str(name), mode, model, goal, seed, folder / "report")
+
+
+def _script(name: str, *arguments: str) -> tuple[str, ...]:
+    return (sys.executable, str(SCRIPTS / f"{name}.py"), *arguments)
+
+
+def _conversion(config: DictConfig, name: str, out: Path) -> Job:
+    told, cache = config.sets[name], out / "data" / name / "cache"
+    root, commands = told.root, []
+    if root is None:
+        root = out / "data" / name / "recordings"
+        commands.append(_script("generate_sample", f"out={root}", "seed=0"))
+    data = f"data={told.data}", f"data.root={root}", f"data.cache={cache}"
+    commands.append(_script("convert", *data, f"out={out / 'data' / name / 'conversion'}"))
+    result = cache / "conversion_report.json"
+    log = out / "logs" / f"{name}.convert.log"
+    return Job(f"convert {name}", "conversion", tuple(commands), result, log)
+
+
+def _training(config: DictConfig, run: Run, out: Path) -> Job:
+    told, folder = config.sets[run.data], run.report.parent
+    data = f"data={told.data}", f"data.cache={out / 'data' / run.data / 'cache'}"
+    settings = [f"epochs={config.size.epochs}", *config.size.overrides, *config.overrides]
+    train = _script(
+        "train",
+        *data,
+        f"modes=[{run.mode}]",
+        f"vehicle={told.modes[run.mode]}",
+        f"dynamics={run.model}",
+        f"goal={run.goal}",
+        f"seed={run.seed}",
+        f"out={folder}",
+        *settings,
+    )
+    best = folder / "checkpoints" / "best.ckpt"
+    asked = f"checkpoint={best}", f"modes=[{run.mode}]", f"out={run.report}"
+    evaluate = _script("evaluate", *data, *asked)
+    name = "/".join(map(str, run[:-1]))
+    log = out / "logs" / f"{name.replace('/', '.')}.log"
+    return Job(name, run.model, (train, evaluate), run.report / "metrics.json", log)
+
+
+def _tell(config: DictConfig, jobs: Sequence[Job], width: int) -> None:
+    still = [job for job in jobs if not job.done]
+    seconds = expected_seconds(jobs, jobs, config.size.expected_s, width)
+    logger.info(
+        "%d of %d jobs to do, %d at a time: about %.1f hours on cores like those measured before.",
+        len(still), len(jobs), width, seconds / 3600,
+    )  # fmt: skip
+    for job in still:
+        logger.debug("%s", job.name)
+
+
+def _work(launcher: Launcher, jobs: Sequence[Job]) -> list[Job]:
+    """Run what is not done; returns what failed."""
+    still, failed = [job for job in jobs if not job.done], []
+    for outcome in tqdm(launcher(still), total=len(still), desc="results", unit="job"):
+        logger.info("%s: %.0f s%s", outcome.job.name, outcome.seconds,
+                    "" if outcome.succeeded else ", FAILED")  # fmt: skip
+        if not outcome.succeeded:
+            failed.append(outcome.job)
+    return failed
+
+
+def _draw(config: DictConfig, runs: Sequence[Run], out: Path) -> None:
+    """The sample that is the median of the first model, as every model plans it."""
+    from diffstack_mmv.callbacks import scenes_of
+    from diffstack_mmv.plotting import draw_scenes, save_figure
+    from diffstack_mmv.reporting import read_parquet
+    from diffstack_mmv.stack import load_stack, outputs_of, representative
+
+    ended = [run for run in runs if (run.report / "metrics.json").is_file()]
+    if not ended:
+        return
+    samples = read_parquet(ended[0].report / "samples.parquet")
+    number = representative(samples)[ended[0].mode]["median"]
+    scenes = []
+    for run in ended:
+        path = run.report.parent / "checkpoints" / "best.ckpt"
+        stack, trained = load_stack(path)
+        data = instantiate(trained["data"]["module"])
+        data.prepare_splits(["test"])
+        planned = outputs_of(stack, data.dataset("test"), [number])
+        scenes += scenes_of(*planned, [config.models[run.model]])
+    first = ended[0]
+    name = f"{first.data}_{first.mode}_{first.goal}.png"
+    save_figure(draw_scenes(scenes, columns=2), out / "figures" / name)
+
+
+if __name__ == "__main__":
+    main()

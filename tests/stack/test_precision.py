@@ -1,0 +1,50 @@
+"""Mixed precision: short inside the layers of the predictor, float32 everywhere else."""
+
+import copy
+
+import pytest
+import torch
+from torch import nn
+
+from diffstack_mmv.stack import MixedPrecision
+
+
+class Network(nn.Module):
+    def __init__(self):
+        super().__init__()
+        self.recurrent, self.head = nn.GRU(4, 8, batch_first=True), nn.Linear(8, 2)
+
+    def forward(self, sequence):
+        states, last = self.recurrent(sequence)
+        assert states.dtype == last.dtype == torch.float32
+        return self.head(states) @ torch.eye(2)
+
+
+@pytest.fixture
+def networks():
+    plain = Network()
+    mixed = copy.deepcopy(plain)
+    MixedPrecision().apply(mixed)
+    return plain, mixed
+
+
+def test_layers_are_short_and_results_long(networks):
+    plain, mixed = networks
+    sequence = torch.randn(3, 5, 4)
+    expected, result = plain(sequence), mixed(sequence)
+    assert result.dtype == torch.float32
+    assert 0 < (result - expected).abs().max() < 0.05
+    result.sum().backward()
+    assert all(p.dtype == p.grad.dtype == torch.float32 for p in mixed.parameters())
+
+
+def test_a_copy_uses_its_own_weights(networks):
+    mixed = copy.deepcopy(networks[1])
+    nn.init.zeros_(mixed.head.weight)
+    nn.init.zeros_(mixed.head.bias)
+    assert (mixed(torch.randn(3, 5, 4)) == 0).all()
+
+
+def test_an_unknown_type_is_refused():
+    with pytest.raises(ValueError, match="`dtype` must be one of bfloat16, float16"):
+        MixedPrecision("int8")

@@ -1,0 +1,85 @@
+"""Checks of a configuration before anything is built."""
+
+import json
+
+import pytest
+
+from diffstack_mmv.config_checks import (
+    require_checkpoint,
+    require_complete,
+    require_recordings,
+    require_same_type,
+    require_tracks,
+    require_windows,
+)
+
+
+@pytest.mark.parametrize(
+    ("default", "value", "wanted"),
+    [
+        (1, "many", "a number"),
+        (0.1, True, "a number"),
+        (1, 1.5, "a whole number"),
+        (True, "maybe", "true or false"),
+        (["a"], "a", "a list"),
+        (["a"], 1, "a list"),
+        ({"b": {"c": 1}}, {"b": {"c": "x"}}, "a number"),
+    ],
+)
+def test_a_value_of_another_type_is_refused(default, value, wanted):
+    with pytest.raises(ValueError, match=f"`a.*` must be {wanted}, but got .* Write [+][+]a"):
+        require_same_type("a", default, value)
+
+
+@pytest.mark.parametrize(
+    ("default", "value"),
+    [
+        (None, "x"),
+        (1, None),
+        (1, 2.0),
+        (1.0, 1),
+        (0.8, [0.8, 0.9]),
+        ([0.8, 0.9], 0.8),
+        ({"b": 1}, "name of a file"),
+        ("auto", 2),
+    ],
+)
+def test_values_that_mean_something_pass(default, value):
+    require_same_type("a", default, value)
+
+
+def test_every_value_that_must_be_given_is_named():
+    with pytest.raises(ValueError, match="`a.b` must be given. Add a.b=VALUE c=VALUE"):
+        require_complete({"a": {"b": "???"}, "c": "???", "d": "${a.b}"})
+
+
+def test_windows_of_unknown_modes_or_broken_steps_are_refused():
+    require_windows(["bicycle"], 0.1, horizon_s=3.0)
+    with pytest.raises(ValueError, match="`mode` must be one of"):
+        require_windows(["bike"], 0.1)
+    with pytest.raises(ValueError, match="`horizon_s` must be a multiple"):
+        require_windows(["bicycle"], 0.1, horizon_s=2.95)
+
+
+def test_a_checkpoint_is_an_archive(tmp_path):
+    with pytest.raises(ValueError, match="`start` must be given"):
+        require_checkpoint("start", None)
+    (tmp_path / "a.ckpt").write_text("text")
+    with pytest.raises(ValueError, match="`start` must be readable"):
+        require_checkpoint("start", str(tmp_path / "a.ckpt"))
+
+
+def test_a_source_needs_its_folder_and_tracks_of_the_mode(tmp_path):
+    with pytest.raises(ValueError, match="`root` must be an existing folder"):
+        require_recordings({"root": str(tmp_path / "none")})
+    source = {"folder": str(tmp_path), "name": "toy"}
+    with pytest.raises(ValueError, match="hold a finished conversion"):
+        require_recordings(source)
+    scenes = [{"split": "train", "agents": {"bicycle": 1}}]
+    state = {"format_version": 1, "complete": True, "scenes": scenes}
+    (tmp_path / "toy").mkdir()
+    (tmp_path / "toy" / "cache.json").write_text(json.dumps(state))
+    require_tracks(source, ["train"], "bicycle")
+    for splits, mode in ((["train"], "scooter"), (["val"], "bicycle")):
+        with pytest.raises(ValueError, match="`mode` must have tracks"):
+            require_tracks(source, splits, mode)

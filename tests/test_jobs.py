@@ -1,0 +1,46 @@
+"""Jobs run side by side, once each, and tell how they ended."""
+
+import json
+import sys
+
+import pytest
+
+from diffstack_mmv.jobs import Job, LocalProcesses, expected_seconds
+
+
+def job(folder, name, code):
+    """A job that runs a line of Python in which RESULT is its result."""
+    result = folder / f"{name}.txt"
+    line = code.replace("RESULT", repr(str(result)))
+    command = (sys.executable, "-S", "-c", line)
+    return Job(name, "kind", (command,), result, folder / f"{name}.log")
+
+
+WRITE = "open(RESULT, 'w').write('done'); print('said')"
+
+
+def test_jobs_that_write_their_result_succeed_and_the_others_fail(tmp_path):
+    jobs = [job(tmp_path, "good", WRITE), job(tmp_path, "bad", "raise SystemExit(3)")]
+    ended = {outcome.job.name: outcome.succeeded for outcome in LocalProcesses(2)(jobs)}
+    assert ended == {"good": True, "bad": False}
+    assert "said" in jobs[0].log.read_text()
+    assert jobs[0].done
+    assert not jobs[1].done
+
+
+def test_a_command_after_a_failed_one_does_not_run(tmp_path):
+    bad, good = job(tmp_path, "bad", "raise SystemExit(1)"), job(tmp_path, "good", WRITE)
+    both = good._replace(commands=(*bad.commands, *good.commands))
+    assert [outcome.succeeded for outcome in LocalProcesses(1)([both])] == [False]
+
+
+@pytest.mark.parametrize(("width", "expected"), [(1, 14.0), (2, 7.0), (9, 7.0)])
+def test_time_is_told_from_finished_jobs_of_the_kind_and_else_from_the_guess(
+    tmp_path, width, expected
+):
+    jobs = [job(tmp_path, name, WRITE) for name in "abc"]
+    jobs[2] = jobs[2]._replace(kind="other")
+    jobs[0].result.touch()
+    told = json.dumps({"kind": "kind", "seconds": 4.0})
+    jobs[0].log.with_suffix(".json").write_text(told)
+    assert expected_seconds(jobs, jobs, {"kind": 99.0, "other": 10.0}, width) == expected
