@@ -4,13 +4,16 @@ import contextlib
 import io
 import sys
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
+from tempfile import mkdtemp
 
 from hydra.core.global_hydra import GlobalHydra
 
+from benchmarks.faults.tables import THAB, text, thab_rows
 from benchmarks.faults.trial import Result, Trial, each
+from data_converters import ConversionSettings, ThabVruDataset, convert
 
 NEEDING = ("convert", "train", "evaluate", "identify", "compare")
 UNFINISHED = ("", "data.cache=nowhere", "runs=[]")
@@ -33,8 +36,8 @@ WRONG: dict[str, tuple[str, ...]] = {
     "evaluate": (
         "", "checkpoint=none.ckpt", "checkpoint=README.md", "checkpoint=.", "goal=horse checkpoint=x", "split=7 checkpoint=y", "solver=horse",
     ),
-    "compare": ("runs=[]", "runs=[nowhere]", "score=horse", "runs=7", "runs=[.]"),
-    "identify": (
+    "compare": ("runs=[]", "runs=[nowhere]", "runs=7", "runs=[.]"),
+    "identify": ("",
         "dynamics=horse", "data.cache=nowhere", "vehicle=none.yaml", "choice=horse", "mode=horse", "dt_s=0", "thresholds.identifiable=-1", "starts=-1",
     ),
     "navigate": (
@@ -53,6 +56,18 @@ WRONG: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 
 
+@cache
+def small_cache() -> Path:
+    """A cache with tracks too short for a window: what finds no other fault ends there."""
+    folder = Path(mkdtemp())
+    for number in range(12):
+        path = folder / "raw" / "cyclists" / "moving" / f"{number}.csv"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text(THAB, thab_rows(2.0 * number)))
+    convert(ConversionSettings(ThabVruDataset(folder / "raw"), folder / "cache", progress=False))
+    return folder / "cache"
+
+
 def ran(script: str, arguments: str, folder: Path) -> Result:
     """Run a command that cannot work; it has to say something else than without the fault."""
     told = _said(script, arguments, folder)
@@ -68,7 +83,8 @@ def _said(script: str, arguments: str, folder: Path) -> str | None:
     """What a command tells before it ends with a failure, None where it works."""
     main: Callable[[], None] = import_module(f"scripts.{script}").main
     needs = script in NEEDING and script != "compare"
-    data = [f"data.cache={folder / 'cache'}"] if needs and "data.cache" not in arguments else []
+    place = folder / "cache" if script == "convert" else small_cache()
+    data = [f"data.cache={place}"] if needs and "data.cache" not in arguments else []
     told, before = io.StringIO(), sys.argv
     GlobalHydra.instance().clear()
     try:
