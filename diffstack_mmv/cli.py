@@ -22,6 +22,9 @@ from omegaconf import DictConfig, OmegaConf, read_write
 from omegaconf.errors import OmegaConfBaseException
 
 from diffstack_mmv.config_checks import require_complete, require_same_type
+from dmmv_conventions.locks import alone_in
+from dmmv_conventions.targets import OF_A_RUN, require_buildable
+from dmmv_conventions.yaml_files import read_mapping
 
 # `${smaller:a,b}`, and the smallest turning radius of a vehicle
 OmegaConf.register_new_resolver("smaller", min, replace=True)
@@ -41,22 +44,30 @@ class CommandError(CompactHydraException):
     """
 
 
+def admit_any(config: DictConfig) -> None:
+    """Admit every run to its folder."""
+
+
 def command(
     config_folder: Path,
     config_name: str,
     check: Callable[[DictConfig], object] = OmegaConf.resolve,
+    admit: Callable[[DictConfig], object] = admit_any,
 ) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
     """Make a function of a composed configuration a command line.
 
     The resolved configuration goes into the run folder (`out=DIR`) as `config.yaml` before the work
-    begins, so that every run can be repeated. A bad input ends with one message and exit status 1;
-    `HYDRA_FULL_ERROR=1` shows where it came from.
+    begins, so that every run can be repeated; no other command works in that folder meanwhile. What
+    the configuration has built is checked before, because parts of it may come from files. A bad
+    input ends with one message and exit status 1; `HYDRA_FULL_ERROR=1` shows where it came from.
 
     Args:
         config_folder: The folder of the configuration groups.
         config_name: File in it, without its ending.
         check: Refuses, by raising, what cannot be run, before anything is written or imported; it
             gets the resolved configuration.
+        admit: Refuses, by raising, a run that does not belong in its folder, before anything in it
+            is replaced.
     """
 
     def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
@@ -68,9 +79,11 @@ def command(
                 require_complete(OmegaConf.to_container(config))
                 _require_types(config, config_name)
                 OmegaConf.resolve(config)
+                require_buildable(OmegaConf.to_container(config), OF_A_RUN, "in the configuration")
                 check(config)
-                save_config(config, Path(config.out))
-                with _single_job():
+                with alone_in(Path(config.out), "out"), _single_job():
+                    admit(config)
+                    save_config(config, Path(config.out))
                     task(config)
             except EXPECTED as error:
                 raise CommandError(_told(error)) from error
@@ -113,7 +126,7 @@ def _read_vehicle_file(config: DictConfig) -> None:
     path = Path(file)
     if not path.is_file():
         raise ValueError(f"`vehicle` must be a name or an existing YAML file, but got {file!r}.")
-    config.vehicle = OmegaConf.load(path)
+    config.vehicle = read_mapping(path, "vehicle")
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from diffstack_mmv.config_checks import (
     require_windows,
 )
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.versions import code_version, file_hash
 
 logger = logging.getLogger(__name__)
 
@@ -64,6 +65,9 @@ def main(config: DictConfig) -> None:
         "seed": trained["seed"],
         "smoother": data.source.smoother(),
         "checkpoint": str(config.checkpoint),
+        "checkpoint_sha256": file_hash(Path(config.checkpoint)),
+        "data_sha256": windows.digest(),
+        "code": code_version(),
     }
     out = Path(config.out)
     write_parquet(out / "samples.parquet", evaluation.samples)

@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from diffstack_mmv.cli import command
 from diffstack_mmv.config_checks import require_checkpoint
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.versions import code_version, file_hash
 
 logger = logging.getLogger(__name__)
 
@@ -47,10 +48,13 @@ def main(config: DictConfig) -> None:
     require_stoppable(actual, 2 * scenario.circle_radius_m)
     numbers, out = range(config.first_case, config.first_case + config.cases), Path(config.out)
 
+    learned = config.people_checkpoint
+    weights = {"people_checkpoint": file_hash(Path(learned)) if learned else None}
+
     def driven(name: str, controller: DictConfig) -> list[Chunk]:
-        settings = OmegaConf.to_yaml(OmegaConf.create([controller, config.world]))
+        settings = OmegaConf.to_yaml(OmegaConf.create([controller, config.world, weights]))
         place = world_for(world, get_class(controller._target_))
-        method = Method(name, place, partial(instantiate, controller), settings)
+        method = Method(name, place, partial(instantiate, controller), settings, code_version())
         folder = out / "episodes" / name
         return list(run(method, scenario, numbers, folder, config.chunk, config.phase))
 
@@ -59,6 +63,7 @@ def main(config: DictConfig) -> None:
     }
     chunks = driven(config.names.controller, config.controller)
     header: Any = OmegaConf.to_container(config.header)
+    header |= {"code": code_version()} | weights
     header |= models_told(actual, believed, world.robot, instantiate(config.model))
     result = header | summarise(chunks)
     search = instantiate(config.search)

@@ -30,17 +30,25 @@ def check(config: DictConfig) -> None:
         instantiate(part)
 
 
-@command(config_folder(), "train", check)
+def resumed(config: DictConfig) -> Path | None:
+    """Where the run in its folder goes on; a run of another configuration is refused."""
+    from diffstack_mmv.callbacks import resume_point
+
+    content: Any = OmegaConf.to_container(config)
+    return resume_point(Path(config.out) / "checkpoints" / "last.ckpt", content)
+
+
+@command(config_folder(), "train", check, admit=resumed)
 def main(config: DictConfig) -> None:
     """Fit, and continue where an interrupted run of the same configuration stopped."""
     import pytorch_lightning as pl
 
-    from diffstack_mmv.callbacks import Provenance, resume_point
+    from diffstack_mmv.callbacks import Provenance
     from diffstack_mmv.stack import own_processes, start_from
 
     pl.seed_everything(config.seed, workers=True)
     content: Any = OmegaConf.to_container(config)
-    resume = resume_point(Path(config.out) / "checkpoints" / "last.ckpt", content)
+    resume = resumed(config)
     stack, data = instantiate(config.stack), instantiate(config.data.module)
     if config.start is not None and resume is None:
         start_from(stack, Path(config.start))
