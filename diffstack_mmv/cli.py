@@ -6,7 +6,7 @@ Hydra's composition, one message per failure, and an exit status to trust.
 import functools
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -87,6 +87,26 @@ def command(
         return main
 
     return decorate
+
+
+def folders_as(key: str, arguments: Sequence[str]) -> list[str]:
+    """Command line in which bare folders, as in `report.py RUN RUN`, are the list of one key.
+
+    What begins with a dash or sets a key stays, unless it is a folder of that name.
+
+    Args:
+        key: The key.
+        arguments: The command line without its first word.
+    """
+    bare = [each for each in arguments if _is_folder(each)]
+    rest = [each for each in arguments if each not in bare]
+    quoted = ",".join("'" + each.replace("'", "\\'") + "'" for each in bare)
+    return [*rest, f"{key}=[{quoted}]"] if bare else rest
+
+
+def _is_folder(argument: str) -> bool:
+    named = not argument.startswith("-") and "=" not in argument
+    return named or Path(argument).is_dir()
 
 
 def save_config(config: DictConfig, folder: Path) -> None:

@@ -32,6 +32,8 @@ def main(config: DictConfig) -> None:
     tests = paired_tests(folders, OPEN_LOOP[config.score])
     write_comparison(Path(config.out), comparison, tests)
     logger.info("\n%s", comparison.table.to_markdown(index=False))
+    places = " ".join(str(run) for run in (config.out, *config.runs))
+    logger.info("As a page: dmmv-report %s", places)
 
 
 if __name__ == "__main__":

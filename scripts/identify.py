@@ -51,7 +51,7 @@ def main(config: DictConfig) -> None:
     origin = f"identified from {len(tracks)} tracks of {config.data.name}"
     vehicle = result.calibrated(study.spec, origin)
     save_vehicle(vehicle, out / "vehicle.yaml", vehicle_provenance(header, content, name))
-    logger.info("Report: %s", out / "identification.md")
+    logger.info("Report: %s; as a page: dmmv-report %s", out / "identification.md", out)
 
 
 if __name__ == "__main__":

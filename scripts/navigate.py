@@ -69,7 +69,7 @@ def main(config: DictConfig) -> None:
     radius_m = scenario.pedestrian_radius_m
     outline = world.robot.footprint.outline()
     save_stories(out, numbers, records, radius_m, config.animate, goal_m, config.show, outline)
-    logger.info("Report: %s", out / "closed_loop.md")
+    logger.info("Report: %s; as a page: dmmv-report %s", out / "closed_loop.md", out)
 
 
 if __name__ == "__main__":
