@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from diffstack_mmv.reporting.html.blocks import plain
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 DISC_M = 0.3  # radius of a robot whose outline nobody told
 
 
