@@ -8,14 +8,17 @@ from omegaconf import DictConfig
 
 from diffstack_mmv.cli import command, folders_as
 from diffstack_mmv.config_checks import require_results
+from dmmv_conventions.checks import require
 from dmmv_conventions.configs import config_folder
 
 logger = logging.getLogger(__name__)
 
 
 def check(config: DictConfig) -> None:
-    """Refuse folders without results."""
+    """Refuse folders without results, and to write into one of them."""
     require_results(config.runs)
+    inside = Path(config.out).resolve() in [Path(run).resolve() for run in config.runs]
+    require(not inside, "out", "be a folder of its own", config.out, "", "Choose another `out`.")
 
 
 @command(config_folder(), "report", check)

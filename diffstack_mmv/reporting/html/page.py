@@ -25,6 +25,8 @@ def render(runs: Sequence[RunPage]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    # the order of methods and parts is that of the files, which the default would sort away
+    environment.policies["json.dumps_kwargs"] = {"sort_keys": False}
     # our own files, which are written as they are; the scripts must not end their element early
     parts = {
         name: Markup(Path(__file__).with_name("templates").joinpath(name).read_text("utf-8"))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from diffstack_mmv.reporting.html.blocks import plain
 
 Array = NDArray[Any]
+FAINT = 0.1  # weight of an ellipse among many
 DISC_M = 0.3  # radius of a robot whose outline nobody told
 
 
@@ -136,10 +137,10 @@ def _thought(arrays: Mapping[str, Array], row: int, step: int) -> dict[str, Any]
     told: dict[str, Any] = {"ellipses": [], "lines": []}
     plans, forecasts = arrays.get("thoughts.plan"), arrays.get("thoughts.forecast")
     if plans is not None and step < plans.shape[1] and np.isfinite(plans[row, step]).all():
-        told["lines"].append({"role": "candidate", "points": plain(plans[row, step], 2)})
+        told["lines"].append({"role": "intent", "points": plain(plans[row, step], 2)})
     if forecasts is not None and step < forecasts.shape[1]:
-        # every second time is enough to see where somebody goes
-        expected = forecasts[row, step, :, 1::2].reshape(-1, 5)
+        # every third time is enough to see where somebody goes
+        expected = forecasts[row, step, :, 2::3].reshape(-1, 5)
         known = expected[np.isfinite(expected).all(1)]
-        told["ellipses"] = [[*each, 0.4] for each in plain(known, 3)]
+        told["ellipses"] = [[*each, FAINT] for each in plain(known, 3)]
     return told

@@ -102,7 +102,7 @@ def test_failures_come_first_and_forecasts_where_the_file_has_them(thoughts, tmp
     assert len(scenes[0]["times"]) == 4
     assert [each["name"] for each in scenes[0]["series"]][-2:] == ["a", "b"]
     first = scenes[0]["frames"][0]
-    assert (len(first["ellipses"]), len(first["lines"])) == ((9, 1) if thoughts else (0, 0))
+    assert (len(first["ellipses"]), len(first["lines"])) == ((6, 1) if thoughts else (0, 0))
 
 
 def test_calibration_is_shown_where_it_was_measured(tmp_path):

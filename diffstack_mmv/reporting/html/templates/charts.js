@@ -129,7 +129,9 @@ function drawLines(figure) {
 function drawBars(figure) {
   const content = read(figure);
   const names = Object.keys(content.values);
-  const size = { ...SIZE, width: Math.max(SIZE.width, 70 + content.groups.length * (names.length * 12 + 18)) };
+  const longest = Math.max(...content.groups.map((name) => name.length));
+  const needed = Math.max(names.length * 12 + 18, longest * 6.5);
+  const size = { ...SIZE, width: Math.max(SIZE.width, 70 + content.groups.length * needed) };
   const picture = svg("svg", { width: size.width, height: size.height, viewBox: `0 0 ${size.width} ${size.height}` }, figure);
   const [low, high] = range(Object.values(content.values).flat().concat(0));
   const place = axes(picture, size, [0, content.groups.length], [Math.min(low, 0), high], null, content.y);

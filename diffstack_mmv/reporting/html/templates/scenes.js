@@ -2,6 +2,7 @@
 // Scenes that play: a slider over time, layers that can be hidden, and series under the picture.
 const LAYERS = {
   candidate: "candidates", prediction: "prediction", ellipse: "forecast, 90 %", agent: "agents", human: "human", plan: "plan",
+  intent: "plan of the moment",
 };
 const NINETY = 4.605; // 90 % of a planar Gaussian lie within this squared distance in deviations
 
@@ -17,8 +18,17 @@ class Player {
     box.querySelector("select").addEventListener("change", (event) => this.choose(Number(event.target.value)));
     this.slider.addEventListener("input", () => this.show(Number(this.slider.value)));
     this.button.addEventListener("click", () => (this.timer ? this.pause() : this.play()));
-    for (const [role, name] of Object.entries(LAYERS)) this.layer(role, name);
+    const used = this.roles();
+    for (const [role, name] of Object.entries(LAYERS)) if (used.has(role)) this.layer(role, name);
     this.choose(0);
+  }
+
+  // what at least one of the scenes shows
+  roles() {
+    const frames = this.scenes.flatMap((scene) => scene.frames);
+    const drawn = this.scenes.flatMap((scene) => [...scene.lines, ...scene.bodies]).concat(frames.flatMap((frame) => frame.lines));
+    const ellipses = frames.some((frame) => frame.ellipses.length) ? ["ellipse"] : [];
+    return new Set([...drawn.map((each) => each.role), ...ellipses]);
   }
 
   layer(role, name) {
@@ -62,7 +72,7 @@ class Player {
   draw() {
     const stage = this.box.querySelector(".stage");
     stage.replaceChildren();
-    const places = this.scene.lines.filter((line) => line.role !== "candidate").flatMap((line) => line.points)
+    const places = this.scene.lines.flatMap((line) => line.points)
       .concat(this.scene.goal ? [this.scene.goal] : [])
       .concat(this.scene.bodies.filter((body) => body.role !== "agent").flatMap((body) => body.path).filter(Boolean));
     if (this.scene.series.length) places.push(...this.scene.bodies.flatMap((body) => body.path).filter(Boolean));
