@@ -104,14 +104,23 @@ def require_checkpoint(argument: str, file: str | None) -> None:
     require(whole, argument, "be readable", "no archive", f"in {file}", remedy)
 
 
+def require_modes(modes: Sequence[str]) -> None:
+    """Refuse modes of transport that nobody knows.
+
+    Raises:
+        ValueError: A mode is unknown.
+    """
+    for name in modes:
+        Mode.named(name)
+
+
 def require_windows(modes: Sequence[str], dt_s: float, **durations_s: float) -> None:
     """Refuse modes of transport that nobody knows, and durations of no whole number of steps.
 
     Raises:
         ValueError: A mode is unknown, or a duration is no multiple of `dt_s`.
     """
-    for name in modes:
-        Mode.named(name)
+    require_modes(modes)
     for name, duration_s in durations_s.items():
         require_multiple(name, duration_s, dt_s)
 

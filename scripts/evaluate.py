@@ -26,8 +26,9 @@ def check(config: DictConfig) -> None:
 @command(config_folder(), "evaluate", check)
 def main(config: DictConfig) -> None:
     """Score every window of a split; write tables and plots."""
-    from diffstack_mmv.metrics import OPEN_LOOP
+    from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
     from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
+    from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.stack import evaluate_windows, load_stack
 
     stack, trained = load_stack(Path(config.checkpoint), _device(config.device))
@@ -63,6 +64,8 @@ def main(config: DictConfig) -> None:
     write_metrics(out, header | metrics, OPEN_LOOP)
     if config.plots:
         _draw(config, stack, windows, evaluation)
+    if config.get("wandb"):
+        instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))
     logger.info("Report: %s; as a page: dmmv-report %s", out / "metrics.md", out)
 
 

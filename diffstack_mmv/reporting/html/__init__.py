@@ -3,14 +3,17 @@
 from diffstack_mmv.reporting.html.evaluation import HORIZON_FILE, SCENES_FILE, horizon_content
 from diffstack_mmv.reporting.html.page import render, write_page
 from diffstack_mmv.reporting.html.readers import RunPage, Titles, read_page
+from diffstack_mmv.reporting.html.records import RunRecord, read_record
 
 __all__ = [
     "HORIZON_FILE",
     "SCENES_FILE",
     "RunPage",
+    "RunRecord",
     "Titles",
     "horizon_content",
     "read_page",
+    "read_record",
     "render",
     "write_page",
 ]
