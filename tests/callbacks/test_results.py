@@ -4,6 +4,7 @@ import json
 
 import pytest
 import pytorch_lightning as pl
+import wandb
 import yaml
 from hydra import compose, initialize_config_dir
 from pytorch_lightning.loggers import WandbLogger
@@ -67,7 +68,7 @@ def test_checkpoints_become_artifacts_of_an_offline_run(offline, tmp_path):
     logger = WandbLogger(project="project", save_dir=str(tmp_path), offline=True)
     trainer = pl.Trainer(logger=logger, accelerator="cpu", enable_checkpointing=False)
     CheckpointArtifact(str(tmp_path)).on_fit_end(trainer, pl.LightningModule())
-    logger.experiment.finish()
+    wandb.finish()
     record = kept(tmp_path)[1]
     assert b"best.ckpt" in record
     assert b"last.ckpt" not in record
