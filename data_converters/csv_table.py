@@ -1,9 +1,12 @@
-"""Reading of csv files whose columns are numbers."""
+"""Reading of csv files, gzipped or not: every fault is told as that of a track."""
 
 from __future__ import annotations
 
+import gzip
 import io
-from collections.abc import Sequence
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -26,19 +29,45 @@ def read_numbers(source: Path | io.BytesIO, columns: Sequence[str], where: objec
     Raises:
         TrackError: If it is no table or lacks a column.
     """
-    remedy = "Copy the file again."
-    try:
+    with told_as_fault(where):
         table = _read(source, columns)
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        reason = RejectReason.MISSING_FIELD
+    require_columns(table, columns, where)
+    numbers = {column: pd.to_numeric(table[column], errors="coerce") for column in columns}
+    return pd.DataFrame(numbers).astype(np.float64)
+
+
+@contextmanager
+def told_as_fault(where: object) -> Iterator[None]:
+    """Tell what goes wrong while pandas reads the file `where` as a fault of its track.
+
+    Raises:
+        TrackError: If it is no table, or cut off.
+    """
+    try:
+        yield
+    except (
+        pd.errors.ParserError,
+        pd.errors.EmptyDataError,
+        UnicodeDecodeError,
+        EOFError,
+        gzip.BadGzipFile,
+        zlib.error,
+    ) as error:
+        reason, remedy = RejectReason.MISSING_FIELD, "Copy the file again."
         refuse_track(reason, "file", "be a csv table", error, where, remedy)
+
+
+def require_columns(table: pd.DataFrame, columns: Sequence[str], where: object) -> None:
+    """Refuse a table that lacks one of the columns, of which the first is the clock.
+
+    Raises:
+        TrackError: If one is missing.
+    """
     missing = [column for column in columns if column not in table.columns]
     if missing:
         reason = RejectReason.NO_TIMESTAMPS if columns[0] in missing else RejectReason.MISSING_FIELD
-        found = list(table.columns)
+        found, remedy = list(table.columns), "Copy the file again."
         refuse_track(reason, "columns", f"contain {missing}", found, where, remedy)
-    numbers = {column: pd.to_numeric(table[column], errors="coerce") for column in columns}
-    return pd.DataFrame(numbers).astype(np.float64)
 
 
 def _read(source: Path | io.BytesIO, columns: Sequence[str]) -> pd.DataFrame:

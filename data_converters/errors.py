@@ -24,6 +24,10 @@ class RejectReason(StrEnum):
     CONTAINED = "contained_in_another_file"
     OTHER_SPLIT = "source_sequence_in_another_split"
     TOO_SHORT = "too_short"
+    LOW_CERTAINTY = "scale_certainty_below_minimum"
+    NO_POSITION = "no_position_fix"
+    WHEEL_SPEED = "wheel_speed_disagrees_with_positions"
+    GYRO = "gyro_disagrees_with_positions"
 
 
 class ConversionError(ValueError):

@@ -76,7 +76,8 @@ def heading_from_axis(
     """HeadingTrack along a measured body axis whose direction is known up to half a turn.
 
     The doubled angle is smoothed as a unit vector, which is blind to half turns; the sign follows
-    the motion: the one that agrees with most of the distance travelled.
+    the motion: the one that agrees with most of the distance travelled, of which a smoother without
+    look-ahead sees what was travelled so far.
 
     Args:
         axis: (n,) rad, modulo pi, at `time_s` (n,) s.
@@ -88,7 +89,7 @@ def heading_from_axis(
 
     Returns:
         HeadingTrack in rad at `at_s`; unknown in sign, and marked so, for an agent that never
-        moves.
+        moves, or has not moved yet.
     """
     doubled = np.column_stack([np.cos(2.0 * axis), np.sin(2.0 * axis)])
     smooth = smoother(time_s, doubled, at_s).value
@@ -96,6 +97,21 @@ def heading_from_axis(
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     moving = speed >= standstill_mps
     along = velocity[:, 0] * np.cos(angle) + velocity[:, 1] * np.sin(angle)
-    flipped = float(along[moving].sum()) < 0.0
-    known = HeadingSource.MEASURED if moving.any() else HeadingSource.UNKNOWN
-    return HeadingTrack(wrap(angle + np.pi * flipped), np.full(len(angle), known, np.int8))
+    agrees, moved = np.cumsum(np.where(moving, along, 0.0)), np.logical_or.accumulate(moving)
+    if smoother.lookahead_s > 0.0:
+        agrees, moved = np.full_like(agrees, agrees[-1]), np.full_like(moved, moved[-1])
+    source = np.where(moved, HeadingSource.MEASURED, HeadingSource.UNKNOWN).astype(np.int8)
+    return HeadingTrack(wrap(angle + np.pi * (agrees < 0.0)), source)
+
+
+def heading_measured(
+    heading: Array, time_s: Array, at_s: Array, smoother: Smoother
+) -> HeadingTrack:
+    """Smooth a recorded heading (n,) rad at `time_s` (n,) s as a unit vector.
+
+    Returns:
+        HeadingTrack in rad at `at_s` (m,) s.
+    """
+    vector = smoother(time_s, np.column_stack([np.cos(heading), np.sin(heading)]), at_s).value
+    angle = np.arctan2(vector[:, 1], vector[:, 0])
+    return HeadingTrack(wrap(angle), np.full(len(angle), HeadingSource.MEASURED, np.int8))

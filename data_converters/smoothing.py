@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import asdict, dataclass
 from math import ceil
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,6 @@ from scipy.signal import savgol_filter
 from data_converters.errors import require
 
 Array = NDArray[np.float64]
-
-SAMPLES_NEEDED = 4
 
 
 class SmoothSeries(NamedTuple):
@@ -29,7 +27,40 @@ class SmoothSeries(NamedTuple):
 
 @dataclass(frozen=True)
 class Smoother(ABC):
-    """Local polynomial smoother.
+    """Values and derivatives of a series that was sampled at any times.
+
+    Attributes:
+        samples_needed: Fewest samples of a series.
+    """
+
+    samples_needed: ClassVar[int] = 4
+
+    @property
+    @abstractmethod
+    def lookahead_s(self) -> float:
+        """How far into the future, in s, a smoothed value depends on the recording."""
+
+    @property
+    def warmup_s(self) -> float:
+        """Time after the first sample, in s, before which nothing is put out."""
+        return 0.0
+
+    def ready_s(self, time_s: Array) -> float:
+        """Time in s from which a series with these sample times (n,) s is put out."""
+        return float(time_s[0]) + self.warmup_s
+
+    @abstractmethod
+    def __call__(self, time_s: Array, values: Array, at_s: Array) -> SmoothSeries:
+        """Smooth `values` (n, k) sampled at rising `time_s` (n,) s; result at `at_s` (m,) s."""
+
+    def settings(self) -> dict[str, float | int | str]:
+        """The smoother as plain values, for the report and the hash of the settings."""
+        return {"name": type(self).__name__, **asdict(self), "lookahead_s": self.lookahead_s}
+
+
+@dataclass(frozen=True)
+class PolynomialSmoother(Smoother):
+    """Local polynomials.
 
     Attributes:
         window_s: Length of the window in s.
@@ -46,27 +77,9 @@ class Smoother(ABC):
         require(self.window_s > 0.0, "window_s", "be positive", self.window_s, "", "Try 0.9.")
         require(self.order in (1, 2, 3), "order", "be 1, 2 or 3", self.order, "", "Use 2.")
 
-    @property
-    @abstractmethod
-    def lookahead_s(self) -> float:
-        """How far into the future, in s, a smoothed value depends on the recording."""
-
-    @property
-    @abstractmethod
-    def warmup_s(self) -> float:
-        """Time after the first sample, in s, before which nothing is put out."""
-
-    @abstractmethod
-    def __call__(self, time_s: Array, values: Array, at_s: Array) -> SmoothSeries:
-        """Smooth `values` (n, k) sampled at rising `time_s` (n,) s; result at `at_s` (m,) s."""
-
-    def settings(self) -> dict[str, float | int | str]:
-        """The smoother as plain values, for the report and the hash of the settings."""
-        return {"name": type(self).__name__, **asdict(self), "lookahead_s": self.lookahead_s}
-
 
 @dataclass(frozen=True)
-class ZeroPhaseSmoother(Smoother):
+class ZeroPhaseSmoother(PolynomialSmoother):
     """Savitzky-Golay filter on a time-uniform grid: no lag, looks half a window ahead.
 
     The series is brought to a uniform fine grid by a cubic spline in time and filtered with
@@ -87,11 +100,6 @@ class ZeroPhaseSmoother(Smoother):
         """Half the window, in s."""
         return self.window_s / 2.0
 
-    @property
-    def warmup_s(self) -> float:
-        """Zero: the ends of a track are fitted."""
-        return 0.0
-
     def __call__(self, time_s: Array, values: Array, at_s: Array) -> SmoothSeries:
         """See `Smoother`; shapes (n,), (n, k), (m,)."""
         count = max(ceil((time_s[-1] - time_s[0]) / self.grid_s) + 1, self.order + 3)
@@ -106,11 +114,12 @@ class ZeroPhaseSmoother(Smoother):
 
 
 @dataclass(frozen=True)
-class CausalSmoother(Smoother):
+class CausalSmoother(PolynomialSmoother):
     """Least-squares polynomial through the samples of the last window: uses no later sample.
 
     The value at t is fitted to the samples in (t - window_s, t] only, so it is noisier than the
-    zero-phase one. Nothing is put out before the track has lasted half a window.
+    zero-phase one. Where samples are sparse the window reaches back to as many as the polynomial
+    has coefficients, and one more. Nothing is put out before the track has lasted half a window.
     """
 
     window_s: float = 1.2
@@ -125,11 +134,16 @@ class CausalSmoother(Smoother):
         """Half the window, in s."""
         return self.window_s / 2.0
 
+    def ready_s(self, time_s: Array) -> float:
+        """After the warm-up, and not before there are enough samples for the polynomial."""
+        return max(super().ready_s(time_s), float(time_s[min(self.order, len(time_s) - 1)]))
+
     def __call__(self, time_s: Array, values: Array, at_s: Array) -> SmoothSeries:
         """See `Smoother`; shapes (n,), (n, k), (m,). Times in the warm-up get NaN."""
         last = np.searchsorted(time_s, at_s + 1e-9, side="right")
         first = np.searchsorted(time_s, at_s - self.window_s + 1e-9)
-        usable = (at_s >= time_s[0] + self.warmup_s - 1e-9) & (last - first > self.order)
+        first = np.minimum(first, np.maximum(last - self.order - 2, 0))
+        usable = at_s >= self.ready_s(time_s) - 1e-9
         result = np.full((3, len(at_s), values.shape[1]), np.nan)
         for d, part in enumerate(
             self._fit(time_s, values, at_s[usable], first[usable], last[usable])
@@ -159,3 +173,31 @@ class CausalSmoother(Smoother):
         zero = np.zeros_like(coefficient[:, 0])
         curvature = 2.0 * coefficient[:, 2] / self.window_s**2 if self.order > 1 else zero
         return [coefficient[:, 0], coefficient[:, 1] / self.window_s, curvature]
+
+
+@dataclass(frozen=True)
+class Unsmoothed(Smoother):
+    """The samples as they are, with backward differences; between samples at constant velocity.
+
+    The velocity at a sample is the step to it divided by its duration, 0 at the first one; the
+    acceleration is the change of that velocity, 0 at the first two. This is what the benchmark of
+    ETH and UCY asks for: central differences over a track contain the next position.
+    """
+
+    samples_needed: ClassVar[int] = 2
+
+    @property
+    def lookahead_s(self) -> float:
+        """Zero."""
+        return 0.0
+
+    def __call__(self, time_s: Array, values: Array, at_s: Array) -> SmoothSeries:
+        """See `Smoother`; shapes (n,), (n, k), (m,)."""
+        step = np.diff(time_s)[:, None]
+        rate = np.vstack([np.zeros((1, values.shape[1])), np.diff(values, axis=0) / step])
+        curvature = np.vstack(
+            [np.zeros((2, values.shape[1])), np.diff(rate[1:], axis=0) / step[1:]]
+        )
+        last = np.maximum(np.searchsorted(time_s, at_s + 1e-6, side="right") - 1, 0)
+        since = (at_s - time_s[last])[:, None]
+        return SmoothSeries(values[last] + since * rate[last], rate[last], curvature[last])

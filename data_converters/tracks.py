@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -11,9 +11,14 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from data_converters.errors import RejectReason, refuse_track, require
-from data_converters.heading import heading_from_axis, heading_from_motion
+from data_converters.heading import (
+    HeadingTrack,
+    heading_from_axis,
+    heading_from_motion,
+    heading_measured,
+)
 from data_converters.modes import default_extent
-from data_converters.smoothing import SAMPLES_NEEDED, Smoother, SmoothSeries, ZeroPhaseSmoother
+from data_converters.smoothing import CausalSmoother, Smoother, SmoothSeries
 from dmmv_conventions.modes import Mode
 
 if TYPE_CHECKING:
@@ -40,6 +45,8 @@ class RawTrack:
         extent: Measured size in m, None where unknown.
         axis: (n,) rad, measured direction of the longer side modulo pi, None where unknown.
         speed: (n,) m/s as stated by the recording, only checked against; None where absent.
+        heading: (n,) rad as stated by the recording, counter-clockwise from east; None where
+            absent.
     """
 
     name: str
@@ -50,6 +57,7 @@ class RawTrack:
     extent: FixedExtent | None = None
     axis: Array | None = None
     speed: Array | None = None
+    heading: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -61,7 +69,7 @@ class ResampleSettings:
         max_gap_s: Longest gap in s that is interpolated; longer ones split the track.
         min_duration_s: Shortest stretch in s that is kept.
         standstill_mps: Speed in m/s below which the heading is held.
-        smoother: Smoother of positions.
+        smoother: Smoother of positions; the causal one sees nothing of the future.
         backfill_heading: Whether rows before the first motion take its heading, which looks into
             the future; off, they get 0. A causal smoother never does.
 
@@ -73,7 +81,7 @@ class ResampleSettings:
     max_gap_s: float = 0.5
     min_duration_s: float = 1.0
     standstill_mps: float = 0.4
-    smoother: Smoother = field(default_factory=ZeroPhaseSmoother)
+    smoother: Smoother = field(default_factory=CausalSmoother)
     backfill_heading: bool = True
 
     def __post_init__(self) -> None:
@@ -128,15 +136,14 @@ def split_at_gaps(track: RawTrack, max_gap_s: float) -> list[RawTrack]:
 
 
 def _stretch(track: RawTrack, part: slice, number: int) -> RawTrack:
-    return RawTrack(
+    return replace(
+        track,
         name=track.name if number == 0 else f"{track.name}_s{number}",
-        mode=track.mode,
         time_s=track.time_s[part],
         position=track.position[part],
-        source=track.source,
-        extent=track.extent,
         axis=None if track.axis is None else track.axis[part],
         speed=None if track.speed is None else track.speed[part],
+        heading=None if track.heading is None else track.heading[part],
     )
 
 
@@ -154,10 +161,12 @@ def resample(track: RawTrack, settings: ResampleSettings) -> AgentRows:
         TrackError: If the stretch is shorter than `min_duration_s` or has too few samples.
     """
     smoother = settings.smoother
-    begin, end = track.time_s[0] + smoother.warmup_s, track.time_s[-1]
+    begin, end = smoother.ready_s(track.time_s), track.time_s[-1]
     first = int(np.ceil(begin / settings.dt_s - 1e-6))
     last = int(np.floor(end / settings.dt_s + 1e-6))
-    if end - begin < settings.min_duration_s or len(track.time_s) < SAMPLES_NEEDED or last <= first:
+    enough = len(track.time_s) >= smoother.samples_needed and last > first
+    # times are read from text: a stretch of just the shortest duration may miss it by rounding
+    if end - begin < settings.min_duration_s - 1e-6 or not enough:
         lasts = f"{track.time_s[-1] - track.time_s[0]:.2f} s with {len(track.time_s)} samples"
         needs = f"last at least {settings.min_duration_s + smoother.warmup_s:g} s without a gap"
         remedy = "Lower `min_duration_s` to keep it."
@@ -169,11 +178,6 @@ def resample(track: RawTrack, settings: ResampleSettings) -> AgentRows:
     steps = SmoothSeries(*(part[: len(at_s), :3] for part in smooth))
     raw = SmoothSeries(*(part[len(at_s) :, :3] for part in smooth))
     left = probes - smooth.value[len(at_s) :, 3:]
-    if not np.isfinite(steps.value).all():
-        found = f"{len(track.time_s)} samples in {end - track.time_s[0]:.2f} s"
-        needs = f"have more than {smoother.order} samples per window of {smoother.window_s:g} s"
-        remedy = "Use a longer window."
-        refuse_track(RejectReason.TOO_SHORT, "track", needs, found, track.source, remedy)
     return AgentRows(
         name=track.name,
         mode=track.mode,
@@ -189,18 +193,25 @@ def _rows(
     track: RawTrack, steps: SmoothSeries, at_s: Array, settings: ResampleSettings
 ) -> pd.DataFrame:
     velocity = steps.rate[:, :2]
-    if track.axis is None:
-        backfill = settings.backfill_heading and settings.smoother.lookahead_s > 0.0
-        heading = heading_from_motion(velocity, settings.standstill_mps, backfill=backfill)
-    else:
-        heading = heading_from_axis(
-            track.axis, track.time_s, at_s, velocity, settings.smoother, settings.standstill_mps
-        )
+    heading = _heading(track, velocity, at_s, settings)
     columns = np.column_stack([steps.value, velocity, steps.curvature[:, :2], heading.angle])
     rows = pd.DataFrame(columns, columns=pd.Index(STATE_COLUMNS))
     rows["interpolated"] = _in_gap(track.time_s, at_s)
     rows["heading_source"] = heading.source
     return rows
+
+
+def _heading(
+    track: RawTrack, velocity: Array, at_s: Array, settings: ResampleSettings
+) -> HeadingTrack:
+    """The recorded heading where there is one, else along the body axis, else along the motion."""
+    smoother, standstill_mps = settings.smoother, settings.standstill_mps
+    if track.heading is not None:
+        return heading_measured(track.heading, track.time_s, at_s, smoother)
+    if track.axis is not None:
+        return heading_from_axis(track.axis, track.time_s, at_s, velocity, smoother, standstill_mps)
+    backfill = settings.backfill_heading and smoother.lookahead_s > 0.0
+    return heading_from_motion(velocity, standstill_mps, backfill=backfill)
 
 
 def _in_gap(time_s: Array, at_s: Array) -> NDArray[np.bool_]:

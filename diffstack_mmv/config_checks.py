@@ -125,6 +125,32 @@ def require_windows(modes: Sequence[str], dt_s: float, **durations_s: float) -> 
         require_multiple(name, duration_s, dt_s)
 
 
+def other_modes(modes: Sequence[str], vehicle: Mapping[str, Any]) -> list[str]:
+    """Modes that another vehicle than this one drives; people on foot are not driven at all."""
+    on_foot = (Mode.PEDESTRIAN.label, Mode.UNKNOWN.label)
+    return [mode for mode in modes if mode.lower() not in (vehicle["mode"], *on_foot)]
+
+
+def require_own_vehicle(modes: Sequence[str], vehicle: Mapping[str, Any], *, shared: bool) -> None:
+    """Refuse agents that a vehicle of another mode would drive, unless it is meant so.
+
+    Args:
+        modes: Modes of transport of the ego.
+        vehicle: Configuration of the vehicle, with its `name` and `mode`.
+        shared: Whether the vehicle drives agents of all modes.
+
+    Raises:
+        ValueError: A mode is not that of the vehicle.
+    """
+    needs = f"be the mode of the vehicle '{vehicle['name']}' ({vehicle['mode']})"
+    remedy = (
+        "Train a run per mode (-m vehicle=bicycle,scooter 'modes=[${vehicle.mode}]'), or let one "
+        "vehicle drive all of them (shared_vehicle=true)."
+    )
+    fits = shared or not other_modes(modes, vehicle)
+    require(fits, "modes", needs, f"[{', '.join(modes)}]", "", remedy)
+
+
 def require_recordings(source: Mapping[str, Any]) -> None:
     """Refuse a source of recordings that is not there.
 

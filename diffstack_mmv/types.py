@@ -21,6 +21,7 @@ class SolverStatus(IntEnum):
     ITERATION_LIMIT = 1
     STALLED = 2
     NOT_FINITE = 3
+    INFEASIBLE = 4
 
     @property
     def advice(self) -> str:
@@ -33,6 +34,7 @@ _ADVICE = {
     SolverStatus.ITERATION_LIMIT: "The limit was reached: raise `max_iterations` or start closer.",
     SolverStatus.STALLED: "No step lowers the cost: loosen `tolerance`, or solve in float64.",
     SolverStatus.NOT_FINITE: "State, cost or dynamics are NaN or infinite: check the inputs.",
+    SolverStatus.INFEASIBLE: "No step meets the constraints any better: loosen or soften them.",
 }
 
 

@@ -20,6 +20,9 @@ LEAN_TABLE = "lean"
 CONTROLS_TABLE = "controls"
 """Recorded controls beside the agents of a scene: agent_id, time_s (s), one column per control."""
 
+SENSORS_TABLE = "sensors"
+"""Inertial and other sensors beside the agents of a scene: agent_id, time_s (s), their columns."""
+
 
 def staging_folder(cache: Path, name: str, digest: str) -> Path:
     """Hidden folder in which environment `name` grows; `digest` is the hash of its settings."""

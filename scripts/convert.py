@@ -33,6 +33,8 @@ def main(config: DictConfig) -> None:
         cache=Path(config.data.cache),
         resample=ResampleSettings(
             dt_s=config.dt_s,
+            max_gap_s=config.max_gap_s,
+            min_duration_s=config.min_duration_s,
             smoother=instantiate(config.smoother),
             backfill_heading=config.backfill_heading,
         ),

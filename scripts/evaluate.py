@@ -8,7 +8,12 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from diffstack_mmv.cli import command
-from diffstack_mmv.config_checks import require_checkpoint, require_recordings, require_windows
+from diffstack_mmv.config_checks import (
+    other_modes,
+    require_checkpoint,
+    require_recordings,
+    require_windows,
+)
 from dmmv_conventions.configs import config_folder
 
 logger = logging.getLogger(__name__)
@@ -44,6 +49,8 @@ def main(config: DictConfig) -> None:
         baselines |= instantiate(config.baselines.to_goal)
     evaluation = evaluate_windows(stack, baselines, windows, config.batch_size)
     vehicle = trained["vehicle"]["name"]
+    for mode in other_modes(config.modes, trained["vehicle"]):
+        logger.warning("Agents of mode '%s' are driven with the vehicle '%s'.", mode, vehicle)
     metrics = summarise_modes(evaluation.samples, config.situations, vehicle, OPEN_LOOP)
     for mode in set(config.modes) - set(metrics["modes"]):
         logger.warning(

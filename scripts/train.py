@@ -7,7 +7,12 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from diffstack_mmv.cli import command
-from diffstack_mmv.config_checks import require_checkpoint, require_recordings, require_windows
+from diffstack_mmv.config_checks import (
+    require_checkpoint,
+    require_own_vehicle,
+    require_recordings,
+    require_windows,
+)
 from dmmv_conventions.configs import config_folder
 
 
@@ -16,6 +21,7 @@ def check(config: DictConfig) -> None:
     require_windows(
         config.modes, config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
     )
+    require_own_vehicle(config.modes, config.vehicle, shared=config.shared_vehicle)
     require_recordings(config.data.module.source)
     if config.start is not None:
         require_checkpoint("start", config.start)

@@ -7,6 +7,7 @@ import pytest
 from diffstack_mmv.config_checks import (
     require_checkpoint,
     require_complete,
+    require_own_vehicle,
     require_recordings,
     require_same_type,
     require_tracks,
@@ -83,3 +84,19 @@ def test_a_source_needs_its_folder_and_tracks_of_the_mode(tmp_path):
     for splits, mode in ((["train"], "scooter"), (["val"], "bicycle")):
         with pytest.raises(ValueError, match="`mode` must have tracks"):
             require_tracks(source, splits, mode)
+
+
+BICYCLE = {"name": "tadpole", "mode": "bicycle"}
+
+
+@pytest.mark.parametrize(
+    ("modes", "shared"),
+    [(["bicycle"], False), (["pedestrian", "bicycle"], False), (["bicycle", "scooter"], True)],
+)
+def test_a_vehicle_drives_its_mode_or_all_if_it_is_meant_so(modes, shared):
+    require_own_vehicle(modes, BICYCLE, shared=shared)
+
+
+def test_agents_that_another_vehicle_drives_are_refused():
+    with pytest.raises(ValueError, match=r"`modes`.*'tadpole' \(bicycle\).*\[bicycle, scooter\]"):
+        require_own_vehicle(["bicycle", "scooter"], BICYCLE, shared=False)

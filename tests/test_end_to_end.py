@@ -20,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # small enough for seconds: everything is there, nothing is trained to any purpose
 SMALL = (
     "modes=[bicycle,scooter,motorcycle]",
+    "shared_vehicle=true",
     "predictor.components=3",
     "predictor.neighbor_components=1",
     "trainer.limit_train_batches=2",
@@ -202,6 +203,7 @@ def test_resumed_run_ends_where_an_uninterrupted_one_does(workplace, tmp_path):
         ("train", ["vehicle=hovercraft"], "Could not find 'vehicle/hovercraft'"),
         ("train", ["vehicle=none.yaml"], "`vehicle` must be a name or an existing YAML file"),
         ("train", ["modes=[bike]"], "`mode` must be one of"),
+        ("train", ["modes=[bicycle,scooter]"], "`modes` must be the mode of the vehicle 'bicycle'"),
         ("train", ["horizon_s=2.95"], "`horizon_s` must be a multiple of 0.1"),
         ("train", ["data.cache=nowhere"], "hold a finished conversion"),
         ("train", ["cost.weights.final_goal=-1"], "`weights.final_goal` must be positive"),

@@ -175,6 +175,11 @@ class ImptcDataset(RecordingDataset):
             raw.signals = signals_per_step(lights, int(last / dt_s) + 1, dt_s)
 
 
+def sequences_at(folder: str | None) -> ImptcDataset | None:
+    """The sequence release in a folder, None where there is no folder."""
+    return None if folder is None else ImptcDataset(Path(folder))
+
+
 def find_sequences(root: Path) -> dict[str, Path]:
     """Sequence folders up to three levels below `root`, by name, in order.
 

@@ -154,6 +154,20 @@ def _mode(overview: Mapping[str, Any], where: str) -> Mode:
         )
 
 
+def time_span_us(content: Any, where: str) -> tuple[int, int]:
+    """First and last time of a track in microseconds UTC.
+
+    Raises:
+        TrackError: If there are no samples, or one has no usable time.
+    """
+    samples = _section(content, "track_data", where, RejectReason.NO_TIMESTAMPS)
+    stamps = [_timestamp(sample, where) for sample in samples.values() if isinstance(sample, dict)]
+    if not stamps:
+        needs, remedy = "hold samples", "Unpack the archive again."
+        refuse_track(RejectReason.NO_TIMESTAMPS, "track_data", needs, "none", where, remedy)
+    return min(stamps), max(stamps)
+
+
 def _status(sample: Any, keep: TrackFilter) -> bool:
     if not isinstance(sample, dict):
         return False

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,8 +11,9 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from data_converters.errors import RejectReason, TrackError, require
+from data_converters.errors import RejectReason, TrackError
 from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
+from data_converters.splits import RecordingSplit
 from data_converters.thab.duplicates import find_contained, group_recordings
 from data_converters.thab.modes import FOLDER_MODES
 from data_converters.thab.reader import ThabFile, parse, read_files
@@ -57,9 +57,7 @@ class ThabVruDataset(RecordingDataset):
     salt: str = ""
 
     def __post_init__(self) -> None:
-        fits = min(self.shares) >= 0.0 and abs(sum(self.shares) - 1.0) <= 1e-9
-        remedy = "Give for instance (0.7, 0.15, 0.15)."
-        require(fits, "shares", "be >= 0 and add up to 1", self.shares, "", remedy)
+        RecordingSplit(self.shares, self.salt)
 
     def settings(self) -> Mapping[str, object]:
         """Shares and salt of the split."""
@@ -125,26 +123,12 @@ class ThabVruDataset(RecordingDataset):
         groups = group_recordings(positions, _recordings(files, samples))
         splits = dict.fromkeys(modes, SPLITS[0])
         kept = [path for path in samples if path not in contained]
+        split = RecordingSplit(self.shares, self.salt)
         for mode in FOLDER_MODES.values():
             of_mode = {path: groups[path] for path in kept if modes[path] is mode}
-            split_of_group = self._deal(of_mode)
+            split_of_group = split.deal(Counter(of_mode.values()))
             splits |= {p: split_of_group[g] for p, g in groups.items() if g in split_of_group}
         return _Index(samples, modes, faults, contained, groups, splits)
-
-    def _deal(self, groups: Mapping[str, str]) -> dict[str, str]:
-        """Split of each group: groups in hashed order fill train, then val, then test."""
-        sizes = Counter(groups.values())
-        bounds = np.cumsum(self.shares) * sum(sizes.values())
-        order = sorted(
-            sizes, key=lambda group: hashlib.sha256((self.salt + group).encode()).digest()
-        )
-        split_of_group: dict[str, str] = {}
-        dealt = 0
-        for group in order:
-            middle = dealt + sizes[group] / 2.0
-            split_of_group[group] = SPLITS[min(int(np.searchsorted(bounds, middle)), 2)]
-            dealt += sizes[group]
-        return split_of_group
 
     def _fingerprint(self, path: str) -> str:
         samples = self._index.samples.get(path)

@@ -1,9 +1,20 @@
 """Differentiable model predictive control: `ILQR`, and the interfaces it works with."""
 
-from diffstack_mmv.control.curvature import CurvatureForm, DifferencedCurvature, ExactCurvature
+from diffstack_mmv.control.curvature import (
+    CurvatureBySize,
+    CurvatureForm,
+    DifferencedCurvature,
+    ExactCurvature,
+)
 from diffstack_mmv.control.gradient import GradientMode, Implicit, Unrolled
 from diffstack_mmv.control.ilqr import ILQR
-from diffstack_mmv.control.optimizer import Cost, Dynamics, LinearisedDynamics, TrajectoryOptimizer
+from diffstack_mmv.control.optimizer import (
+    Constraints,
+    Cost,
+    Dynamics,
+    LinearisedDynamics,
+    TrajectoryOptimizer,
+)
 from diffstack_mmv.control.selection import Batched, Selectable
 from diffstack_mmv.types import Bounds, Solution, SolverStatus
 
@@ -11,7 +22,9 @@ __all__ = [
     "ILQR",
     "Batched",
     "Bounds",
+    "Constraints",
     "Cost",
+    "CurvatureBySize",
     "CurvatureForm",
     "DifferencedCurvature",
     "Dynamics",

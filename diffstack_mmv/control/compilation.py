@@ -127,6 +127,18 @@ class Kernel:
         return result
 
 
+def can_compile() -> bool:
+    """Whether there is a compiler for kernels on a CPU."""
+    from torch._inductor.cpp_builder import get_cpp_compiler
+    from torch._inductor.exc import InvalidCxxCompiler
+
+    try:
+        get_cpp_compiler()
+    except InvalidCxxCompiler:
+        return False
+    return True
+
+
 class Kernels(NamedTuple):
     """The parts of an iteration and of the adjoint, eager or compiled."""
 

@@ -114,3 +114,40 @@ class DifferencedCurvature:
         """A new model: this one has no curvature of the dynamics."""
         with torch.no_grad():
             return expand(dynamics, cost, like, x, u)
+
+
+@dataclass(frozen=True)
+class CurvatureBySize:
+    """Exact for small models, by differences for large ones: each where it takes less time.
+
+    Args:
+        large: Number of state columns from which on a model is large.
+    """
+
+    large: int = 6
+
+    def local_model(self, shared: bool, kernel: KernelFactory) -> LocalModel:
+        """The expansion of either form; a kernel is compiled at its first use."""
+        exact = ExactCurvature().local_model(shared, kernel)
+        differenced = DifferencedCurvature().local_model(shared, kernel)
+
+        def chosen(
+            dynamics: Dynamics, cost: Cost, like: Tensor, x: Tensor, u: Tensor, near: Tensor
+        ) -> Model:
+            model = differenced if x.shape[1] >= self.large else exact
+            return model(dynamics, cost, like, x, u, near)
+
+        return chosen
+
+    def completed(
+        self,
+        model: Model,
+        dynamics: Dynamics,
+        cost: Cost,
+        like: Float[Tensor, "*b"],
+        x: Float[Tensor, "T1 n N"],
+        u: Float[Tensor, "T m N"],
+    ) -> Model:
+        """As the form that was chosen."""
+        form = DifferencedCurvature() if x.shape[1] >= self.large else ExactCurvature()
+        return form.completed(model, dynamics, cost, like, x, u)

@@ -1,6 +1,7 @@
 """Box-constrained trajectory optimisation with exact second derivatives, batched."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Self, overload
 
 import torch
 from jaxtyping import Float
@@ -8,14 +9,22 @@ from torch import Tensor
 
 from diffstack_mmv.checks import message, require, require_at_least, require_positive
 from diffstack_mmv.control.batch_last import to_batch_last
-from diffstack_mmv.control.compilation import Kernels, compiled_kernels, eager_kernels
+from diffstack_mmv.control.compilation import (
+    Kernels,
+    can_compile,
+    compiled_kernels,
+    eager_kernels,
+)
 from diffstack_mmv.control.curvature import CurvatureForm, ExactCurvature
 from diffstack_mmv.control.gradient import Call, GradientMode, Implicit
 from diffstack_mmv.control.iteration import OPEN, Iterate, Settings, start
-from diffstack_mmv.control.optimizer import Cost, Dynamics
+from diffstack_mmv.control.optimizer import Constraints, Cost, Dynamics
 from diffstack_mmv.control.riccati import definite_policy
 from diffstack_mmv.control.selection import Workload
 from diffstack_mmv.types import Bounds, Solution, SolverStatus
+
+if TYPE_CHECKING:
+    from diffstack_mmv.control.constrained import ConstrainedSolution
 
 CHECK_EVERY = {"cpu": 1}
 """Iterations between two questions whether all are finished; another device would wait for each."""
@@ -106,6 +115,7 @@ class ILQR:
         eager = not (self.compile and self.gradient.through_iterations)
         require(eager, "compile", f"be false with {self.gradient}", self.compile)
 
+    @overload
     def __call__(
         self,
         dynamics: Dynamics,
@@ -113,7 +123,29 @@ class ILQR:
         bounds: Bounds,
         state: Float[Tensor, "*b n"],
         controls: Float[Tensor, "*b T m"],
-    ) -> Solution:
+        constraints: None = None,
+    ) -> Solution: ...
+
+    @overload
+    def __call__(
+        self,
+        dynamics: Dynamics,
+        cost: Cost,
+        bounds: Bounds,
+        state: Float[Tensor, "*b n"],
+        controls: Float[Tensor, "*b T m"],
+        constraints: Constraints,
+    ) -> "ConstrainedSolution": ...
+
+    def __call__(
+        self,
+        dynamics: Dynamics,
+        cost: Cost,
+        bounds: Bounds,
+        state: Float[Tensor, "*b n"],
+        controls: Float[Tensor, "*b T m"],
+        constraints: Constraints | None = None,
+    ) -> Any:
         """Solve from the initial state and a guess of the controls.
 
         Args:
@@ -122,15 +154,23 @@ class ILQR:
             bounds: Box of the controls; infinite where there is no bound.
             state: x_0.
             controls: The guess, clipped to the box.
+            constraints: What has to hold besides: the default settings of `ConstrainedILQR`, which
+                has soft constraints, chosen times and warm starts.
 
         Returns:
-            The solution; states and controls of a problem that is not finite are zero where they
-            are NaN.
+            The `Solution`, a `ConstrainedSolution` with constraints; states and controls of a
+            problem that is not finite are zero where they are NaN.
 
         Raises:
             ValueError: Shapes, precision or the order of the bounds do not fit.
             TypeError: The state is not of a floating-point type.
         """
+        if constraints is not None:
+            # it is built on this class
+            from diffstack_mmv.control.constrained import ConstrainedILQR, listed
+
+            solve = ConstrainedILQR(self)
+            return solve(dynamics, cost, listed(constraints), bounds, state, controls)
         check_problem(bounds, state, controls)
         call = Call(
             self._kernels(dynamics, cost, state, controls),
@@ -142,6 +182,10 @@ class ILQR:
             self.curvature,
         )
         return self.gradient(self.minimise, call)
+
+    def compiled(self) -> Self:
+        """The same solver with its kernels compiled, or itself where there is no compiler."""
+        return replace(self, compile=True) if can_compile() else self
 
     def settings(self, bounds: Bounds, state: Float[Tensor, "*b n"]) -> Settings:
         """The numbers of this solver and the box, in the precision of the state."""

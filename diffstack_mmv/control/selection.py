@@ -56,10 +56,13 @@ def is_shared(function: Any) -> bool:
 
 
 def constant(function: Any) -> Any:
-    """The same callable without graph in its tensors: one kernel serves training and evaluation."""
+    """The same callable with plain tensors: one kernel serves training and evaluation.
+
+    They have no graph, and are laid out as `select` will lay out theirs.
+    """
     if not isinstance(function, Batched):
         return function
-    return Batched(function.function, *(tensor.detach() for tensor in function.tensors))
+    return Batched(function.function, *(each.detach().contiguous() for each in function.tensors))
 
 
 class Workload(NamedTuple):

@@ -19,7 +19,13 @@ from diffstack_mmv.data.sampling import Balance, EqualModes, SituationShare
 from diffstack_mmv.data.settings import WindowSettings
 from diffstack_mmv.data.situations import Situations, situations
 from diffstack_mmv.data.sources import ConvertedCache, NamedDataset, WindowSource
-from diffstack_mmv.data.tracks import read_controls, read_leans, read_tracks, recorded_noise
+from diffstack_mmv.data.tracks import (
+    read_controls,
+    read_leans,
+    read_sensors,
+    read_tracks,
+    recorded_noise,
+)
 
 __all__ = [
     "Augmentation",
@@ -51,6 +57,7 @@ __all__ = [
     "export_windows",
     "read_controls",
     "read_leans",
+    "read_sensors",
     "read_tracks",
     "recorded_noise",
     "situations",

@@ -1,5 +1,6 @@
 """Where recordings come from: a cache that our converters wrote, or a data set of trajdata's."""
 
+import fnmatch
 import hashlib
 import json
 from collections.abc import Sequence
@@ -50,10 +51,12 @@ class ConvertedCache:
     Attributes:
         name: Name of the data set, e.g. "thab_vru".
         folder: Folder of the cache.
+        sequences: Scenes to use, by name or pattern such as "09_06_*"; None takes all.
     """
 
     name: str
     folder: str
+    sequences: Sequence[str] | None = None
 
     def identity(self) -> dict[str, object]:
         """Name and a hash of the state and the report of the conversion.
@@ -66,7 +69,8 @@ class ConvertedCache:
         for file in (STATE_FILE, REPORT_FILE):
             path = self._path / file
             digest.update(path.read_bytes() if path.is_file() else b"")
-        return {"dataset": self.name, "content": digest.hexdigest()}
+        chosen = {} if self.sequences is None else {"sequences": sorted(self.sequences)}
+        return {"dataset": self.name, "content": digest.hexdigest(), **chosen}
 
     def smoother(self) -> str:
         """Name and look-ahead in s of the smoother, as the cache tells them.
@@ -83,7 +87,7 @@ class ConvertedCache:
         Raises:
             ValueError: The cache is absent, unfinished or of another version.
         """
-        return self._state()["scenes"]
+        return self._chosen(self._state())["scenes"]
 
     def report(self) -> dict[str, Any]:
         """The report of the conversion, empty if there is none."""
@@ -97,7 +101,7 @@ class ConvertedCache:
             ValueError: The cache is absent, unfinished or of another version, has no such split or
                 another step, or holds no window.
         """
-        state = self._state()
+        state = self._chosen(self._state())
         splits = sorted({scene["split"] for scene in state["scenes"]})
         require(
             split in splits,
@@ -109,6 +113,22 @@ class ConvertedCache:
         _require_step(windows, state["dt_s"], f"in {self._path / STATE_FILE}")
         environment = CachedEnvironment(Path(self.folder), state)
         return TrajdataWindows(f"{self.name}-{split}", windows, Path(self.folder), [environment])
+
+    def _chosen(self, state: dict[str, Any]) -> dict[str, Any]:
+        """The state with the chosen scenes alone.
+
+        Raises:
+            ValueError: No scene has one of the names.
+        """
+        if self.sequences is None:
+            return state
+        names = [scene["name"] for scene in state["scenes"]]
+        absent = [wanted for wanted in self.sequences if not fnmatch.filter(names, wanted)]
+        some = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+        where = f"for '{self.name}'"
+        require(not absent, "sequences", f"name scenes such as {some}", absent, where)
+        kept = {name for wanted in self.sequences for name in fnmatch.filter(names, wanted)}
+        return {**state, "scenes": [s for s in state["scenes"] if s["name"] in kept]}
 
     @property
     def _path(self) -> Path:
@@ -128,14 +148,21 @@ class NamedDataset:
         folder: Folder of the cache that trajdata writes.
         corrections: Repairs of each scene. By default the heading is held at standstill, and the y
             axis is turned up where the recordings are in picture coordinates ("sdd").
+        sequences: None; trajdata tells no scene of these data sets by its name.
+
+    Raises:
+        ValueError: `sequences` is given.
     """
 
     name: str
     root: str
     folder: str
     corrections: Sequence[DatasetAugmentation] | None = None
+    sequences: Sequence[str] | None = None
 
     def __post_init__(self) -> None:
+        needs, remedy = "be null for data that trajdata reads itself", "Convert the data set."
+        require(self.sequences is None, "sequences", needs, self.sequences, "", remedy)
         if self.corrections is None:
             usual = _USUAL_CORRECTIONS.get(self.name, (HeldHeading(),))
             object.__setattr__(self, "corrections", usual)

@@ -17,7 +17,7 @@ from diffstack_mmv.data.batch import STANDSTILL_MPS, yaw_rate
 from diffstack_mmv.data.sources import ConvertedCache, WindowSource
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.types import Mode, Motion
-from dmmv_conventions.cache import CONTROLS_TABLE, LEAN_TABLE, side_table
+from dmmv_conventions.cache import CONTROLS_TABLE, LEAN_TABLE, SENSORS_TABLE, side_table
 
 logger = logging.getLogger(__name__)
 
@@ -94,21 +94,42 @@ def read_controls(
         ValueError: The mode is unknown, the source is no finished converted cache, no scene has
             such a table, or one lacks a column.
     """
-    cache, found, tables = _converted(source), {}, 0
+    return _recorded(_converted(source), splits, Mode.named(mode), names, CONTROLS_TABLE)
+
+
+def read_sensors(
+    source: WindowSource, splits: Sequence[str], mode: str, names: Sequence[str]
+) -> dict[str, Tensor]:
+    """Measurements of sensors, such as `yaw_rate`, in the way of `read_controls`.
+
+    They stand in `sensors.parquet` of a scene.
+
+    Returns:
+        By "recording/agent" the measurements (T, m); NaN before the first and after the last.
+
+    Raises:
+        ValueError: As `read_controls`.
+    """
+    return _recorded(_converted(source), splits, Mode.named(mode), names, SENSORS_TABLE)
+
+
+def _recorded(
+    cache: ConvertedCache, splits: Sequence[str], mode: Mode, names: Sequence[str], table: str
+) -> dict[str, Tensor]:
+    """Columns of a table that stands beside the scenes, over the steps of each track."""
+    found, tables = {}, 0
     for scene in cache.scenes():
-        path = side_table(_folder(cache, scene["name"]), CONTROLS_TABLE)
+        path = side_table(_folder(cache, scene["name"]), table)
         if scene["split"] not in splits or not path.is_file():
             continue
         tables, measured = tables + 1, pd.read_parquet(path)
         for name in ("agent_id", "time_s", *names):
             known = tuple(measured.columns)
-            require(name in known, "controls", f"be columns of {', '.join(known)}", name,
+            require(name in known, table, f"be columns of {', '.join(known)}", name,
                     f" in {path}")  # fmt: skip
-        found |= _scene_controls(cache, scene["name"], measured, Mode.named(mode), names)
-    where, remedy = f" in '{cache.name}'", "Write one beside the scenes, or drop `controls`."
-    require(
-        tables > 0, "controls", "be recorded in controls.parquet", "no such file", where, remedy
-    )
+        found |= _scene_controls(cache, scene["name"], measured, mode, names)
+    where, remedy = f" in '{cache.name}'", f"Write one beside the scenes, or drop `{table}`."
+    require(tables > 0, table, f"be recorded in {table}.parquet", "no such file", where, remedy)
     return found
 
 

@@ -107,7 +107,7 @@ class DiffKBM(DynamicsModel):
         next_speed = self.floor(speed + self.dt_s * acceleration)
         next_heading = heading + self.dt_s * next_speed / self.wheelbase() * steer.tan()
         position = state[..., :2] + self.dt_s * speed.unsqueeze(-1) * direction(heading)
-        return torch.cat([position, torch.stack([next_heading, next_speed], -1)], -1)
+        return torch.stack([*position.unbind(-1), next_heading, next_speed], -1)
 
     def motion(self, states: Float[Tensor, "*b 4"], controls: Float[Tensor, "*b 2"]) -> Motion:
         """Motion of the rear axle, which has no lateral velocity; yaw rate v tan δ / L in rad/s."""

@@ -55,7 +55,8 @@ class SingleIntegrator(DynamicsModel):
         acceleration = saturate(control, *self.bounds)
         position, velocity = state[..., :2], state[..., 2:]
         moved = position + self.dt_s * velocity + 0.5 * self.dt_s**2 * acceleration
-        return torch.cat([moved, velocity + self.dt_s * acceleration], -1)
+        faster = velocity + self.dt_s * acceleration
+        return torch.stack([*moved.unbind(-1), *faster.unbind(-1)], -1)
 
     def motion(self, states: Float[Tensor, "*b 4"], controls: Float[Tensor, "*b 2"]) -> Motion:
         """Motion whose heading is the course (rad); the point has no yaw rate of its own."""

@@ -77,8 +77,8 @@ class ExtendedUnicycle(DynamicsModel):
             -1,
         )
         position = state[..., :2] + rotate(chord, heading + half_turn)
-        rates = torch.stack([yaw_rate, acceleration], -1)
-        return torch.cat([position, state[..., 2:] + dt_s * rates], -1)
+        turned, faster = heading + dt_s * yaw_rate, speed + dt_s * acceleration
+        return torch.stack([*position.unbind(-1), turned, faster], -1)
 
     def motion(self, states: Float[Tensor, "*b 4"], controls: Float[Tensor, "*b 2"]) -> Motion:
         """Motion of the point itself."""

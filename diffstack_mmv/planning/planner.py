@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from diffstack_mmv.checks import require_at_least
-from diffstack_mmv.control import Batched, TrajectoryOptimizer
+from diffstack_mmv.control import ILQR, Batched, TrajectoryOptimizer
 from diffstack_mmv.costs import WeightedCost
 from diffstack_mmv.dynamics import DynamicsModel, rollout
 from diffstack_mmv.planning.candidates import CandidateSource, with_final_row
@@ -115,6 +115,11 @@ class MPCPlanner(Planner):
         fan_size = fan.controls.shape[-3]
         chosen = self.choice(proposals, fan_size, solution, motion, scored)
         return Plan(*chosen, solution, proposals.motion, -proposals.cost)
+
+    def compile_solver(self) -> None:
+        """Have the solver compiled at its next call, if it can be; it takes a minute or two."""
+        if isinstance(self.solver, ILQR):
+            self.solver = self.solver.compiled()
 
     def cost_of(
         self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem

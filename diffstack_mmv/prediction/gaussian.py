@@ -52,3 +52,14 @@ def log_density(
     white_second = (error[..., 1] - scale_tril[..., 1, 0] * white_first) / second
     squared = white_first.square() + white_second.square()
     return -0.5 * squared - (first * second).log() - math.log(2 * math.pi)
+
+
+def log_of_sum(log_joint: Float[Tensor, "*b K"]) -> Float[Tensor, "*b"]:
+    """Log in nats of the sum over K components, to the digit that rounding leaves.
+
+    A component that is too small for it has no part in the gradient either, so that nothing needs
+    to be differentiated through it.
+    """
+    largest = log_joint.detach().amax(-1, keepdim=True)
+    lost = log_joint < largest + math.log(torch.finfo(log_joint.dtype).eps) - 3
+    return torch.logsumexp(log_joint.masked_fill(lost, -torch.inf), -1)

@@ -8,12 +8,15 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.checks import require_at_least, require_between, require_positive
 from diffstack_mmv.geometry import length, unit_vector
 from diffstack_mmv.prediction import Spread, single_component
 from diffstack_mmv.simulation.pedestrians import CrowdState, OrcaCrowd
 from diffstack_mmv.simulation.world import Observation
 from diffstack_mmv.types import Forecast
+
+RESTING_MPS = 0.05
+"""Who is slower stands."""
 
 
 class PedestrianForecast(NamedTuple):
@@ -107,7 +110,11 @@ class OrcaForecaster:
     so far is kept as long as it explains the velocity; then comes the course of the velocity
     itself, then the best of a fan of far goals, and only where none of these explains it, the
     pedestrian is taken to be slowing down before its goal, which `towards` lays at
-    p + v (1 s - dt). Who has not moved yet stays. The robot is no part of it.
+    p + v (1 s - dt). The robot is no part of it.
+
+    At first sight nobody's goal is known. Who is at rest then may walk off in any direction: beside
+    the component in which it stays there is one for each of `directions`, straight at the preferred
+    speed. A single one of them is unlikely; a plan pays for all.
 
     Attributes:
         crowd: Settings of ORCA.
@@ -116,10 +123,12 @@ class OrcaForecaster:
         tolerance_mps: Largest error of the velocity under which a goal explains it.
         courses: Number of courses in the fan; the best of them is refined once by as many within
             its neighbors.
+        directions: Number of directions in which somebody at rest at first sight may walk off.
+        stays: Probability that it stays.
         spread: How the uncertainty grows.
 
     Raises:
-        ValueError: A number is not positive.
+        ValueError: A number is not positive, or the probability outside of [0, 1].
     """
 
     crowd: OrcaCrowd = field(default_factory=OrcaCrowd)
@@ -127,10 +136,14 @@ class OrcaForecaster:
     preferred_speed_mps: float = 1.0
     tolerance_mps: float = 0.05
     courses: int = 16
+    directions: int = 24
+    stays: float = 0.1
     spread: Spread = field(default_factory=Spread)
 
     def __post_init__(self) -> None:
         """Check the numbers once, at the border."""
+        require_at_least("directions", self.directions, 1)
+        require_between("stays", self.stays, 0, 1)
         require_positive("far_m", self.far_m)
         require_positive("preferred_speed_mps", self.preferred_speed_mps)
         require_positive("tolerance_mps", self.tolerance_mps)
@@ -143,7 +156,7 @@ class OrcaForecaster:
     def __call__(
         self, state: BelievedCrowd | None, observation: Observation, dt_s: float, steps: int
     ) -> PedestrianForecast:
-        """One component: the crowd rolled forward."""
+        """One component, the crowd rolled forward; at first sight also walking off."""
         believed = crowd = self._believed(state, observation)
         positions = []
         for _ in range(steps):
@@ -151,7 +164,25 @@ class OrcaForecaster:
             positions.append(crowd.position)
         mean = torch.stack(positions, dim=-2)
         forecast = _with_spread(mean, believed.velocity, self.spread, dt_s)
+        if state is None:
+            forecast = self._walking_off(forecast, believed, dt_s)
         return PedestrianForecast(forecast, BelievedCrowd(believed, dt_s))
+
+    def _walking_off(self, forecast: Forecast, crowd: CrowdState, dt_s: float) -> Forecast:
+        """A forecast of one component, and one more per direction for who is at rest."""
+        mean, count = forecast.mean, self.directions
+        turns = 2 * math.pi / count * torch.arange(count).to(mean)
+        ahead = dt_s * torch.arange(1, mean.shape[-2] + 1).to(mean)
+        way = self.preferred_speed_mps * ahead[:, None] * unit_vector(turns)[:, None]
+        resting = (length(crowd.velocity) < RESTING_MPS)[..., None, None, None]
+        off = torch.where(resting, crowd.position[..., None, None, :] + way, mean)
+        weight = mean.new_tensor([self.stays] + count * [(1 - self.stays) / count])
+        scale = forecast.scale_tril
+        return Forecast(
+            weight.log().expand(*forecast.log_weight.shape[:-1], 1 + count),
+            torch.cat([mean, off], -3),
+            scale.expand(*scale.shape[:-4], 1 + count, *scale.shape[-3:]),
+        )
 
     def _believed(self, state: BelievedCrowd | None, observation: Observation) -> CrowdState:
         """The observed crowd with the goals believed in after this observation."""

@@ -4,11 +4,15 @@ import logging
 
 import pytest
 import torch
+from torch._dynamo.decorators import maybe_mark_dynamic
 from torch._dynamo.utils import counters
 
 from diffstack_mmv.control import ILQR, Bounds
+from diffstack_mmv.control.batch_last import walk
 from diffstack_mmv.control.compilation import Kernel, hidden_tensors, kind
 from diffstack_mmv.control.shape_polymorphic import ShapePolymorphic
+from diffstack_mmv.dynamics import DiffKBM, ExtendedUnicycle, SingleIntegrator
+from diffstack_mmv.vehicles import load_vehicle
 from tests.control.problems import driving, goal_cost, rate_model, solve
 
 
@@ -63,6 +67,46 @@ def test_concatenation_by_padding_equals_concatenation():
     with ShapePolymorphic(8):
         joined = torch.cat(parts, -1)
     assert joined.equal(torch.cat(parts, -1))
+
+
+@pytest.mark.parametrize(
+    "index", [(..., None), (..., None, slice(None)), (..., None, None, slice(None))]
+)
+def test_dimensions_inserted_one_by_one_are_those_of_the_index(index):
+    rows = torch.rand(3, 2, 4)
+    with ShapePolymorphic(8):
+        wide = rows[index]
+    assert wide.equal(rows[index])
+
+
+@pytest.mark.parametrize("model", [DiffKBM, ExtendedUnicycle, SingleIntegrator])
+def test_a_loop_over_steps_of_a_model_serves_every_batch(model):
+    graphs = []
+
+    def backend(graph, example):
+        graphs.append(graph)
+        return graph.forward
+
+    dynamics = model() if model is SingleIntegrator else model(load_vehicle("bicycle"))
+
+    def one(state, control):
+        return dynamics(state.movedim(0, -1), control.movedim(0, -1)).movedim(-1, 0)
+
+    def rolled(state, controls):
+        def step(state, control):
+            following = torch.vmap(one, (1, 1), 1)(state, control)
+            return following, following
+
+        return walk(step, state, controls)[1]
+
+    compiled = torch.compile(rolled, backend=backend, fullgraph=True)
+    with torch.no_grad(), ShapePolymorphic(8):
+        for batch in (64, 32, 12):
+            state, controls = torch.rand(4, 8, batch), torch.rand(10, 2, 8, batch)
+            for tensor in (state, controls):
+                maybe_mark_dynamic(tensor, tensor.dim() - 1)
+            compiled(state, controls)
+    assert len(graphs) == 1
 
 
 @pytest.mark.parametrize("size", [4, 12])

@@ -148,3 +148,10 @@ def test_selected_problems_keep_their_types_and_order():
     for part, whole in zip(chosen.tensors, tensors, strict=True):
         assert part.dtype == whole.dtype
         assert part.equal(whole[index])
+
+
+def test_constant_tensors_are_laid_out_as_selected_ones_are():
+    wide = torch.rand(4, 3, 5).movedim(-1, 0).requires_grad_()
+    plain = constant(Batched(torch.add, wide)).tensors[0]
+    assert plain.is_contiguous()
+    assert not plain.requires_grad

@@ -65,3 +65,27 @@ def test_a_named_data_set_that_cannot_be_opened_is_told(tmp_path, name, root, sp
 def test_picture_coordinates_are_turned_up(name, expected, tmp_path):
     repairs = NamedDataset(name, str(tmp_path), str(tmp_path)).corrections
     assert [type(repair).__name__ for repair in repairs] == expected
+
+
+def test_scenes_are_chosen_by_name_or_pattern(cache, source):
+    names = [scene["name"] for scene in source.scenes()]
+    chosen = ConvertedCache("toy", str(cache), sequences=[names[0]])
+    assert [scene["name"] for scene in chosen.scenes()] == names[:1]
+    assert chosen.identity() != source.identity()
+    every = ConvertedCache("toy", str(cache), sequences=["*"])
+    assert every.scenes() == source.scenes()
+    split = source.scenes()[0]["split"]
+    windows = WindowSettings(history_s=1.0, horizon_s=1.0, ego_modes=("bicycle", "scooter"))
+    assert set(chosen.open(split, windows).locations().scene) <= {names[0]}
+
+
+@pytest.mark.parametrize("ask", ["scenes", "open"])
+def test_a_scene_that_is_not_there_is_told(cache, ask):
+    source = ConvertedCache("toy", str(cache), sequences=["nowhere_*"])
+    with pytest.raises(ValueError, match="`sequences` must name scenes such as .*nowhere"):
+        source.scenes() if ask == "scenes" else source.open("train", WindowSettings())
+
+
+def test_scenes_of_data_that_trajdata_reads_cannot_be_chosen(tmp_path):
+    with pytest.raises(ValueError, match="`sequences` must be null"):
+        NamedDataset("sdd", str(tmp_path), str(tmp_path), sequences=["a"])

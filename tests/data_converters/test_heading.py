@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data_converters import ResampleSettings, ZeroPhaseSmoother
+from data_converters import CausalSmoother, ResampleSettings, ZeroPhaseSmoother
 from data_converters.heading import HeadingSource, heading_from_axis, heading_from_motion, wrap
 from data_converters.tracks import resample
 
@@ -82,3 +82,18 @@ def test_a_parked_car_keeps_its_axis_and_says_that_the_sign_is_unknown():
     )
     np.testing.assert_allclose(heading.angle % np.pi, 1.2)
     assert set(heading.source) == {HeadingSource.UNKNOWN}
+
+
+def test_without_look_ahead_the_sign_is_that_of_the_motion_so_far():
+    time_s, at_s = 0.04 * np.arange(200), np.arange(2.0, 7.0, 0.1)
+    speed = np.where(at_s < 3.0, 0.0, np.where(at_s < 4.0, 2.0, -5.0))
+    sign = [
+        heading_from_axis(
+            np.full(200, 0.5), time_s, at_s, velocity(speed, 0.5), smoother, STANDSTILL
+        )
+        for smoother in (CausalSmoother(), ZeroPhaseSmoother())
+    ]
+    # it backs out over a longer distance than it came in, which only hindsight knows at first
+    np.testing.assert_allclose(wrap(sign[0].angle[:20] - 0.5), 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.abs(wrap(sign[1].angle - 0.5)), np.pi, atol=1e-9)
+    assert set(sign[0].source[:10]) == {HeadingSource.UNKNOWN}

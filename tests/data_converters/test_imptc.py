@@ -18,6 +18,7 @@ from data_converters import (
 )
 from data_converters.imptc.context import read_context, read_table, signals_per_step
 from data_converters.imptc.dataset import find_sequences
+from data_converters.imptc.vru import _connected, _overlapping, _splits, _VruTrack
 
 
 @pytest.mark.parametrize(
@@ -111,11 +112,50 @@ def test_broken_context_is_counted_and_left_out(tmp_path, text):
     assert read_context(tmp_path, 0) == ({}, 1)
 
 
-def test_the_vru_release_keeps_its_published_split(vru_sample, tmp_path):
-    report = convert(ConversionSettings(ImptcVruDataset(vru_sample), tmp_path, progress=False))
-    for folder, split in (("train", "train"), ("eval", "val"), ("test", "test")):
-        count = len(list((vru_sample / folder).iterdir()))
-        assert sum(report.agents()[split].values()) == count
+def test_tracks_of_the_vru_release_that_overlap_in_time_are_one_scene(vru_sample, tmp_path):
+    dataset = ImptcVruDataset(vru_sample)
+    report = convert(ConversionSettings(dataset, tmp_path, progress=False))
+    tracks = len(list(vru_sample.glob("*/*/track.json")))
+    # the sample has three sequences, minutes apart
+    assert report.totals()["tracks_read"] == tracks
+    assert report.totals()["scenes"] == 3
+    for scene in dataset._scenes.values():
+        assert len({track.sequence for track in scene.tracks}) == 1
+        assert scene.tracks[0].first_us <= max(track.last_us for track in scene.tracks)
+
+
+def test_recordings_of_the_vru_release_with_mixed_splits_are_dealt_as_a_whole(vru_sample):
+    splits = [scene.split for scene in ImptcVruDataset(vru_sample).scenes()]
+    assert sorted(splits) == ["test", "train", "val"]
+
+
+@pytest.mark.parametrize(("folder", "split"), [("eval", "val"), ("test", "test")])
+def test_a_recording_with_one_published_split_keeps_it(folder, split):
+    tracks = [_VruTrack(f"{folder}/{n}", "", "a", 0, 1) for n in range(3)]
+    assert _splits([0, 0, 0], tracks, {}) == {0: split}
+
+
+SECOND = 1_000_000
+
+
+@pytest.mark.parametrize(
+    ("spans", "groups"),
+    [
+        ([(0, 10), (5, 12), (11, 20)], [0, 0, 0]),
+        ([(0, 10), (11, 20), (60, 70)], [0, 0, 2]),
+        ([(0, 10), (0, 4000), (5, 12)], [0, 1, 0]),
+        ([(0, 10), (0, -1), (5, 12)], [0, 1, 0]),
+    ],
+    ids=["a chain", "a short and a long pause", "a broken clock", "no clock"],
+)
+def test_tracks_are_grouped_by_their_times(spans, groups):
+    tracks = [_VruTrack(str(n), "", "", a * SECOND, b * SECOND) for n, (a, b) in enumerate(spans)]
+    assert _overlapping(tracks, pause_us=30 * SECOND) == groups
+
+
+def test_groups_of_one_sequence_are_one_recording():
+    labels = _connected([0, 1, 2, 2], ["a", "", "a", ""])
+    assert labels[0] == labels[2] == labels[3] != labels[1]
 
 
 def test_the_combined_files_give_the_same_tracks_as_the_folders(vru_sample, tmp_path):
@@ -130,19 +170,36 @@ def test_the_combined_files_give_the_same_tracks_as_the_folders(vru_sample, tmp_
     assert reports[0].totals() == reports[1].totals()
 
 
-def test_a_track_never_stands_in_different_splits_of_both_releases(vru_sample, sample, tmp_path):
+def test_mixed_recordings_take_the_split_of_their_sequence(vru_sample, sample):
     sequences = ImptcDataset(sample)
-    joined = ImptcVruDataset(vru_sample, sequences=sequences)
+    found = ImptcVruDataset(vru_sample, sequences=sequences).overlaps(sequences)
+    assert found
+    assert all(overlap.vru_split == overlap.sequence_split for overlap in found)
+
+
+def test_a_track_never_stands_in_different_splits_of_both_releases(vru_sample, sample, tmp_path):
+    root = tmp_path / "published_as_test"
+    for path in vru_sample.glob("*/*/track.json"):
+        name = f"{path.parents[1].name}_{path.parent.name}"
+        shutil.copytree(path.parent, root / "test" / name)
+    for empty in ("train", "eval"):
+        (root / empty).mkdir()
+    sequences = ImptcDataset(sample)
+    joined = ImptcVruDataset(root, sequences=sequences)
     conflicts = [o for o in joined.overlaps(sequences) if o.vru_split != o.sequence_split]
     report = convert(ConversionSettings(joined, tmp_path, strict=True, progress=False))
     assert report.rejected_by_reason == {"source_sequence_in_another_split": len(conflicts)}
     assert len(report.dataset_notes["overlaps_in_other_split"]) == len(conflicts) > 0
-    kept = {scene.name: scene.split for scene in report.scenes if scene.usable}
+    tables = {path.parent.name: pd.read_feather(path) for path in tmp_path.glob("*/*/agent*")}
+    kept = {
+        agent: scene.split
+        for scene in report.scenes
+        if scene.usable
+        for agent in tables[scene.name]["agent_id"].unique()
+    }
     for overlap in joined.overlaps(sequences):
-        assert (
-            kept.get(overlap.track.replace("/", "_"), overlap.sequence_split)
-            == overlap.sequence_split
-        )
+        own = kept.get(overlap.track.replace("/", "_"), overlap.sequence_split)
+        assert own == overlap.sequence_split
 
 
 def test_overlaps_name_the_sequence_and_the_vru(vru_sample, sample):

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import savgol_filter
 
-from data_converters import CausalSmoother, ConversionError, ZeroPhaseSmoother
+from data_converters import CausalSmoother, ConversionError, Unsmoothed, ZeroPhaseSmoother
 
 SMOOTHERS = [
     ZeroPhaseSmoother(),
@@ -25,7 +25,7 @@ def irregular(rng, count=120, step=0.08):
 def test_constant_acceleration_comes_back_exactly_at_irregular_times(smoother, seed, p, v, a):
     time_s = irregular(np.random.default_rng(seed))
     values = (p + v * time_s + 0.5 * a * time_s**2)[:, None]
-    at_s = np.linspace(time_s[0] + smoother.warmup_s, time_s[-1], 40)
+    at_s = np.linspace(smoother.ready_s(time_s), time_s[-1], 40)
     smooth = smoother(time_s, values, at_s)
     np.testing.assert_allclose(smooth.value[:, 0], p + v * at_s + 0.5 * a * at_s**2, atol=1e-6)
     np.testing.assert_allclose(smooth.rate[:, 0], v + a * at_s, atol=1e-5)
@@ -49,7 +49,9 @@ def test_zero_phase_commutes_with_reversing_time():
     np.testing.assert_allclose(forward, backward, atol=1e-9)
 
 
-@pytest.mark.parametrize("smoother", [CausalSmoother(), CausalSmoother(order=1)], ids=repr)
+@pytest.mark.parametrize(
+    "smoother", [CausalSmoother(), CausalSmoother(order=1), Unsmoothed()], ids=repr
+)
 def test_causal_values_do_not_change_with_later_samples(smoother):
     rng = np.random.default_rng(2)
     time_s, values = irregular(rng), rng.normal(size=(120, 2))
@@ -87,3 +89,11 @@ def test_smoothing_removes_white_noise(smoother, left):
 def test_impossible_settings_are_refused(options):
     with pytest.raises(ConversionError, match=next(iter(options))):
         ZeroPhaseSmoother(**options)
+
+
+def test_unsmoothed_samples_come_back_with_backward_differences():
+    time_s = np.array([0.0, 0.4, 0.8, 1.2])
+    smooth = Unsmoothed()(time_s, np.array([[0.0], [1.0], [3.0], [6.0]]), np.append(time_s, 1.4))
+    np.testing.assert_allclose(smooth.value[:, 0], [0.0, 1.0, 3.0, 6.0, 7.5])
+    np.testing.assert_allclose(smooth.rate[:, 0], [0.0, 2.5, 5.0, 7.5, 7.5])
+    np.testing.assert_allclose(smooth.curvature[:, 0], [0.0, 0.0, 6.25, 6.25, 6.25])

@@ -12,12 +12,13 @@ from data_converters import (
     RejectReason,
     ResampleSettings,
     TrackError,
+    Unsmoothed,
     ZeroPhaseSmoother,
     default_extent,
 )
 from data_converters.tracks import resample, split_at_gaps
 
-SETTINGS = ResampleSettings()
+SETTINGS = ResampleSettings(smoother=ZeroPhaseSmoother())
 
 
 @given(
@@ -74,13 +75,22 @@ def test_jitter_of_the_clock_marks_nothing(make_track):
         (0.04, 1, SETTINGS, "last at least 1 s"),
         (0.04, 3, SETTINGS, "last at least 1 s"),
         (0.04, 20, SETTINGS, "last at least 1 s"),
-        (0.45, 20, ResampleSettings(smoother=CausalSmoother(window_s=0.6)), "samples per window"),
+        (0.45, 3, ResampleSettings(smoother=CausalSmoother()), r"last at least 1\.6 s"),
     ],
 )
 def test_a_stretch_with_too_few_samples_is_refused(make_track, step_s, count, settings, says):
     with pytest.raises(TrackError, match=says) as caught:
         resample(make_track(step_s * np.arange(count), lambda t: t), settings)
     assert caught.value.reason is RejectReason.TOO_SHORT
+
+
+@pytest.mark.parametrize("smoother", [CausalSmoother(), Unsmoothed()], ids=repr)
+@pytest.mark.parametrize("step_s", [0.4, 0.5])
+def test_a_sparse_track_is_kept_without_look_ahead(make_track, smoother, step_s):
+    settings = ResampleSettings(smoother=smoother)
+    rows = resample(make_track(step_s * np.arange(20), lambda t: 2.0 * t), settings).rows
+    np.testing.assert_allclose(rows.vx[-50:], 2.0, atol=1e-9)
+    np.testing.assert_allclose(np.diff(rows.x[-50:]), 0.2, atol=1e-9)
 
 
 @pytest.mark.parametrize(("window_s", "first"), [(1.2, 6), (0.8, 4), (2.0, 10)])

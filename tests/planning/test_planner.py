@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from diffstack_mmv import costs
-from diffstack_mmv.control import ILQR
+from diffstack_mmv.control import ILQR, ilqr
 from diffstack_mmv.dynamics import DiffKBM
 from diffstack_mmv.planning import (
     CandidateFan,
@@ -90,6 +90,14 @@ def test_training_takes_the_optimum_started_from_the_cheapest_candidate():
     assert torch.equal(plan.controls, plan.solution.controls[:, 0])
     assert (plan.origin == PlanOrigin.OPTIMISED).all()
     assert (plan.solution.cost[:, 0] <= -plan.logits.amax(-1) + 1e-5).all()
+
+
+@pytest.mark.parametrize("compiler", [True, False])
+def test_the_solver_is_compiled_on_demand_where_there_is_a_compiler(compiler, monkeypatch):
+    monkeypatch.setattr(ilqr, "can_compile", lambda: compiler)
+    planner = training()
+    planner.compile_solver()
+    assert planner.solver == ILQR(max_iterations=60, tolerance=1e-7, compile=compiler)
 
 
 def scores(planner, problems, controls, motion):

@@ -1,7 +1,7 @@
 """Trajectron++ with the dynamics of micro-mobility vehicles in its decoder."""
 
+from diffstack_mmv.prediction.trajectron.jacobians import linearise, linearise_shared
 from diffstack_mmv.prediction.trajectron.latent import Annealing
-from diffstack_mmv.prediction.trajectron.mixture import linearise, linearise_shared
 from diffstack_mmv.prediction.trajectron.model import Sizes, Trajectron
 
 __all__ = ["Annealing", "Sizes", "Trajectron", "linearise", "linearise_shared"]

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -11,25 +10,20 @@ from torch import Tensor, nn
 from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.prediction.trajectron.agent_batch import AgentBatch
-from diffstack_mmv.prediction.trajectron.mixture import (
+from diffstack_mmv.prediction.trajectron.jacobians import (
     Linearisation,
-    PositionMoments,
-    integrate,
     linearise,
+    linearise_shared,
 )
+from diffstack_mmv.prediction.trajectron.mixture import PositionMoments, integrate
+from diffstack_mmv.prediction.trajectron.recomputed import recomputed
+from diffstack_mmv.prediction.trajectron.recurrence import Weights, emissions
 from diffstack_mmv.smooth import safe_norm, soft_clamp
 from diffstack_mmv.types import Motion
 
 Jacobians = Callable[[DynamicsModel, Tensor, Tensor], Linearisation]
 START_DEVIATION = (0.03, 0.03, 0.05, 0.1)  # m along, m across, rad, m/s before training
 LOG_RANGE = 4.0  # a deviation stays within a factor of e^4 of its value before training
-
-
-class Controls(NamedTuple):
-    """Gaussian controls over time."""
-
-    mean: Float[Tensor, "*b T m"]
-    scale_tril: Float[Tensor, "*b T m m"]
 
 
 class ControlDecoder(nn.Module):
@@ -93,50 +87,72 @@ class ControlDecoder(nn.Module):
         self.start_deviation: Tensor
 
     def forward(self, context: Float[Tensor, "R c"], rows: AgentBatch) -> PositionMoments:
-        """Mean and covariance of the positions `R K T` of the agents, in their own frames."""
+        """Mean and covariance of the positions `R K T` of the agents, in their own frames.
+
+        The backward pass leaves out components without a gradient, see `recomputed`.
+        """
         motion = present_motion(rows)
         context = self.dropout(context)
         hidden = torch.tanh(self.start_context(context).unsqueeze(1) + self.start_component)
-        deviation, states = self._unrolled(context, hidden)
-        low, high = self.dynamics.bounds
-        width = 0.25 * (high - low)
-        base = self._base_controls(motion, rows).unsqueeze(1)
-        controls = Controls(
-            base + width * self._held(deviation),
-            width.unsqueeze(-1) * self._held(self._scale(states)),
-        )
-        spread = self.start_deviation * torch.exp(soft_clamp(self.start_head(hidden), LOG_RANGE))
-        each = Motion(
-            *(field.unsqueeze(1).expand(*spread.shape[:2], *field.shape[1:]) for field in motion)
-        )
-        return integrate(
-            self.dynamics, each, controls.mean, controls.scale_tril, spread, self.jacobians
-        )
-
-    def _unrolled(
-        self, context: Float[Tensor, "R c"], hidden: Float[Tensor, "R K h"]
-    ) -> tuple[Float[Tensor, "R K S m"], Float[Tensor, "R K S h"]]:
-        """Deviations of the controls in widths of their box, and states of the GRU."""
         constant = self.gate_context(context).unsqueeze(1) + self.gate_component
-        deviation = hidden.new_zeros(*hidden.shape[:-1], self.dynamics.control_dim)
-        deviations, states = [], []
-        for _ in range(math.ceil(self.horizon_steps / self.hold_steps)):
-            entering = constant + self.gate_control(deviation)
-            own = self.gate_hidden(hidden)
-            size = hidden.shape[-1]
-            reset, update = torch.sigmoid(entering[..., : 2 * size] + own[..., : 2 * size]).chunk(
-                2, -1
-            )
-            candidate = torch.tanh(entering[..., 2 * size :] + reset * own[..., 2 * size :])
-            hidden = candidate + update * (hidden - candidate)
-            deviation = self.mean_head(hidden)
-            deviations.append(deviation)
-            states.append(hidden)
-        return torch.stack(deviations, -2), torch.stack(states, -2)
+        repeated = [
+            field.unsqueeze(1).expand(*hidden.shape[:2], *field.shape[1:])
+            for field in (self._base_controls(motion, rows), *motion)
+        ]
+        if self.jacobians is linearise_shared:
+            return PositionMoments(*self._moments(constant, hidden, *repeated))
+        kind = self.gate_hidden.weight.dtype
+        each = [field.flatten(0, 1).to(kind) for field in (constant, hidden, *repeated)]
+        moments = recomputed(self._moments, tuple(each), self.parameters())
+        return PositionMoments(*(field.unflatten(0, hidden.shape[:2]) for field in moments))
 
-    def _scale(self, states: Float[Tensor, "R K S h"]) -> Float[Tensor, "R K S m m"]:
+    def _moments(
+        self,
+        constant: Float[Tensor, "*r g"],
+        hidden: Float[Tensor, "*r h"],
+        base: Float[Tensor, "*r T m"],
+        *motion: Tensor,
+    ) -> tuple[Float[Tensor, "*r T 2"], Float[Tensor, "*r T 2 2"]]:
+        """Mean and covariance, from the constant input and the first state of the GRU."""
+        width = 0.25 * (self.dynamics.bounds.upper - self.dynamics.bounds.lower)
+        deviation, raw_scale = self._emitted(constant, hidden)
+        spread = self.start_deviation * torch.exp(soft_clamp(self.start_head(hidden), LOG_RANGE))
+        moments = integrate(
+            self.dynamics,
+            Motion(*motion),
+            base + width * deviation,
+            width.unsqueeze(-1) * self._scale(raw_scale),
+            spread,
+            self.jacobians,
+        )
+        return moments.mean, moments.covariance
+
+    def _emitted(
+        self, constant: Float[Tensor, "*r g"], hidden: Float[Tensor, "*r h"]
+    ) -> tuple[Float[Tensor, "*r T m"], Float[Tensor, "*r T s"]]:
+        """Deviations of the controls in widths of their box, and what scales are made of."""
+        weights = Weights(
+            self.gate_control.weight,
+            self.gate_hidden.weight,
+            self.gate_hidden.bias,
+            torch.cat([self.mean_head.weight, self.scale_head.weight]),
+            torch.cat([self.mean_head.bias, self.scale_head.bias]),
+        )
+        leading, size = hidden.shape[:-1], self.dynamics.control_dim
+        emitted = emissions(
+            constant.flatten(0, -2),
+            hidden.flatten(0, -2),
+            weights,
+            math.ceil(self.horizon_steps / self.hold_steps),
+        )
+        if self.hold_steps > 1:
+            emitted = emitted.repeat_interleave(self.hold_steps, 0)[: self.horizon_steps]
+        emitted = emitted.movedim(0, 1).unflatten(0, leading)
+        return emitted[..., :size], emitted[..., size:]
+
+    def _scale(self, raw: Float[Tensor, "*r T s"]) -> Float[Tensor, "*r T m m"]:
         """Cholesky factors of the controls' covariance in widths of their box."""
-        raw = soft_clamp(self.scale_head(states), LOG_RANGE)
+        raw = soft_clamp(raw, LOG_RANGE)
         size = self.dynamics.control_dim
         diagonal = 0.25 * torch.exp(raw[..., :size])
         factor = torch.diag_embed(diagonal)
@@ -161,10 +177,6 @@ class ControlDecoder(nn.Module):
             acceleration.unsqueeze(-1) * fading,
             curvature.unsqueeze(-1) * fading,
         )
-
-    def _held(self, values: Tensor) -> Tensor:
-        """Repeat the values `R K S ..` over the steps they are held, in dimension 2."""
-        return values.repeat_interleave(self.hold_steps, 2)[:, :, : self.horizon_steps]
 
 
 def present_motion(rows: AgentBatch) -> Motion:

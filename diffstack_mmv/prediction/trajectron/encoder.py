@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from diffstack_mmv.geometry import direction, rotate
@@ -28,34 +28,6 @@ def track_features(tracks: Tracks) -> Float[Tensor, "*b T 8"]:
         -1,
     )
     return torch.where(tracks.valid.unsqueeze(-1), features, torch.zeros_like(features))
-
-
-class MaskedLSTM(nn.Module):
-    """LSTM that keeps its state over rows that are not valid, whatever they hold.
-
-    Args:
-        inputs: Number of features of a row.
-        hidden: Size of the state.
-    """
-
-    def __init__(self, inputs: int, hidden: int) -> None:
-        super().__init__()
-        self.cell = nn.LSTMCell(inputs, hidden)
-
-    def forward(
-        self, features: Float[Tensor, "R T f"], valid: Bool[Tensor, "R T"]
-    ) -> Float[Tensor, "R h"]:
-        """Return the state after the last row, zero where no row is valid."""
-        hidden = features.new_zeros(features.shape[0], self.cell.hidden_size)
-        memory = hidden
-        for row in range(features.shape[1]):
-            new_hidden, new_memory = self.cell(features[:, row], (hidden, memory))
-            keep = valid[:, row].unsqueeze(-1)
-            hidden, memory = (
-                torch.where(keep, new_hidden, hidden),
-                torch.where(keep, new_memory, memory),
-            )
-        return hidden
 
 
 class PerKind(nn.Module):

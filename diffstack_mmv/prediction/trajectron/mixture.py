@@ -5,64 +5,12 @@ from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
-from diffstack_mmv.dynamics import DynamicsModel, rollout
-from diffstack_mmv.geometry import direction
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.prediction.trajectron.adjoint import rolled_out, time_outermost
+from diffstack_mmv.prediction.trajectron.jacobians import Linearisation, jacobian, linearise
 from diffstack_mmv.types import Motion
-
-
-class Linearisation(NamedTuple):
-    """Jacobians of one control step at points `*b`."""
-
-    state: Float[Tensor, "*b n n"]
-    control: Float[Tensor, "*b n m"]
-
-
-def linearise(
-    dynamics: DynamicsModel, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
-) -> Linearisation:
-    """Jacobians A = ∂f/∂x and B = ∂f/∂u at all points in one call, by forward mode."""
-    n = state.shape[-1]
-    columns = _jacobian(
-        lambda point: dynamics(point[..., :n], point[..., n:]), torch.cat([state, control], -1)
-    )
-    return Linearisation(columns[..., :n], columns[..., n:])
-
-
-def linearise_shared(
-    dynamics: DynamicsModel,
-    state: Float[Tensor, "R K T n"],
-    control: Float[Tensor, "R K T m"],
-) -> Linearisation:
-    """Jacobians at the mean over the K components, turned to the heading of each component.
-
-    A model that does not care where it stands and where it points has, with the frame S = (rotation
-    of the position by θ, else identity), A(θ) = S A(0) Sᵀ and B(θ) = S B(0). What is neglected is
-    how speed and control differ between the components; what is gained is a factor K.
-    """
-    fields = dynamics.State._fields
-    pose = torch.tensor([name in ("position_x", "position_y", "heading") for name in fields])
-    centre = torch.where(pose.to(state.device), torch.zeros_like(state), state).mean(1)
-    shared = linearise(dynamics, centre, control.mean(1))
-    if "heading" not in fields:
-        return Linearisation(
-            shared.state.unsqueeze(1).expand(*state.shape, -1),
-            shared.control.unsqueeze(1).expand(*state.shape, -1),
-        )
-    frame = _frames(state[..., fields.index("heading")], state.shape[-1])
-    turned = frame @ shared.state.unsqueeze(1)
-    return Linearisation(turned @ frame.mT, frame @ shared.control.unsqueeze(1))
-
-
-def _frames(heading: Float[Tensor, "*b"], size: int) -> Float[Tensor, "*b n n"]:
-    """Rotate the first two of so many columns by a heading in rad, and keep the others."""
-    forward = direction(heading)
-    left = torch.stack([-forward[..., 1], forward[..., 0]], -1)
-    rotation = nn.functional.pad(torch.stack([forward, left], -1), (0, size - 2, 0, size - 2))
-    rest = torch.ones(size, dtype=heading.dtype, device=heading.device)
-    rest[:2] = 0
-    return rotation + torch.diag(rest)
 
 
 def start_sensitivity(dynamics: DynamicsModel, motion: Motion) -> Float[Tensor, "*b n 4"]:
@@ -79,19 +27,7 @@ def start_sensitivity(dynamics: DynamicsModel, motion: Motion) -> Float[Tensor, 
         )
 
     point = torch.cat([motion.position, motion.heading.unsqueeze(-1), motion.velocity[..., :1]], -1)
-    return _jacobian(state_at, point)
-
-
-def _jacobian(
-    function: Callable[[Tensor], Tensor], point: Float[Tensor, "*b p"]
-) -> Float[Tensor, "*b o p"]:
-    """Derivatives of a function of single points, one tangent per column."""
-
-    def push(tangent: Float[Tensor, " p"]) -> Tensor:
-        return torch.func.jvp(function, (point,), (tangent.expand_as(point),))[1]
-
-    tangents = torch.eye(point.shape[-1], dtype=point.dtype, device=point.device)
-    return torch.func.vmap(push, out_dims=-1)(tangents)
+    return jacobian(state_at, point)
 
 
 def propagate(
@@ -106,14 +42,26 @@ def propagate(
         start_factor: Any factor F of the covariance F Fᵀ of x_0.
         control_scale: Cholesky factors L of the control's covariance.
     """
-    covariance = start_factor @ start_factor.mT
-    driven = linearisation.control @ control_scale
-    noise = driven @ driven.mT
+    leading = start_factor.shape[:-2]
+    moved, pushed, scale = (_problems_last(field) for field in (*linearisation, control_scale))
+    factor = _problems_last(start_factor.unsqueeze(-3))[0]
+    covariance = _product(factor, factor)
     covariances = []
-    for jacobian, added in zip(linearisation.state.unbind(-3), noise.unbind(-3), strict=True):
-        covariance = jacobian @ covariance @ jacobian.mT + added
+    for matrix, push, deviation in zip(moved, pushed, scale, strict=True):
+        driven = _product(push, deviation.transpose(0, 1))
+        covariance = _product(_product(matrix, covariance), matrix) + _product(driven, driven)
         covariances.append(covariance)
-    return torch.stack(covariances, -3)
+    return torch.stack(covariances).movedim(-1, 0).unflatten(0, leading)
+
+
+def _problems_last(field: Float[Tensor, "*b T r c"]) -> Float[Tensor, "T r c N"]:
+    """All problems in the last dimension, along which a processor computes several at once."""
+    return field.flatten(0, -4).movedim(0, -1) if field.dim() > 3 else field.unsqueeze(-1)
+
+
+def _product(left: Float[Tensor, "r k N"], right: Float[Tensor, "c k N"]) -> Float[Tensor, "r c N"]:
+    """Products A Bᵀ of small matrices; faster by far than a library call per matrix."""
+    return (left.unsqueeze(1) * right.unsqueeze(0)).sum(2)
 
 
 class PositionMoments(NamedTuple):
@@ -147,7 +95,8 @@ def integrate(
         jacobians: `linearise` at every point, or `linearise_shared` where that is too slow.
     """
     state = dynamics.state_on_course(motion)
-    states = rollout(dynamics, state, controls)
+    controls = time_outermost(controls)
+    states = rolled_out(dynamics, state, controls)
     linearisation = jacobians(dynamics, states[..., :-1, :], controls)
     start_factor = start_sensitivity(dynamics, motion) * start_deviation.unsqueeze(-2)
     covariance = propagate(linearisation, start_factor, control_scale)

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from diffstack_mmv.checks import require
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.prediction.base import Predictor, all_agents
-from diffstack_mmv.prediction.gaussian import log_density, scale_from_covariance
+from diffstack_mmv.prediction.gaussian import log_density, log_of_sum, scale_from_covariance
 from diffstack_mmv.prediction.trajectron.agent_batch import (
     EGO,
     PEDESTRIAN,
@@ -24,25 +24,32 @@ from diffstack_mmv.prediction.trajectron.agent_batch import (
 from diffstack_mmv.prediction.trajectron.decoder import ControlDecoder, Jacobians
 from diffstack_mmv.prediction.trajectron.encoder import (
     TRACK_FEATURES,
-    MaskedLSTM,
     PerKind,
     track_features,
 )
+from diffstack_mmv.prediction.trajectron.jacobians import linearise
 from diffstack_mmv.prediction.trajectron.latent import Annealing, Latent, divergence
-from diffstack_mmv.prediction.trajectron.mixture import PositionMoments, linearise
+from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
+from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
 from diffstack_mmv.prediction.trajectron.output import nobody, placed, scenes
 from diffstack_mmv.prediction.trajectron.scene import SceneEncoder
 from diffstack_mmv.types import Forecast, StackBatch, Tracks
 
 
 class Sizes(NamedTuple):
-    """Sizes of the networks, those of Trajectron++ by default, and the share of units dropped."""
+    """Sizes of the networks, those of Trajectron++ by default, and the share of units dropped.
+
+    `reach_m` is the distance at which the influence of another agent is halved, `fade_m` the
+    distance over which it fades; see `Interaction`.
+    """
 
     history: int = 32
     edge: int = 32
     future: int = 32
     decoder: int = 128
     dropout: float = 0.1
+    reach_m: float = 15.0
+    fade_m: float = 2.0
 
 
 class Branch(nn.Module):
@@ -116,7 +123,9 @@ class Trajectron(Predictor):
         require(len(set(steps)) == 1, "dt_s", "be the same for all three dynamics", steps)
         sizes = sizes if sizes is not None else Sizes()
         self.annealing = (annealing if annealing is not None else Annealing()).checked()
-        self.scene_encoder = SceneEncoder(sizes.history, sizes.edge, sizes.dropout)
+        self.scene_encoder = SceneEncoder(
+            sizes.history, sizes.edge, sizes.dropout, sizes.reach_m, sizes.fade_m
+        )
         self.future_encoder = PerKind(
             {kind: MaskedLSTM(TRACK_FEATURES, sizes.future) for kind in (VEHICLE, PEDESTRIAN)},
             sizes.future,
@@ -208,7 +217,7 @@ class Trajectron(Predictor):
         error = future.motion.position.unsqueeze(1) - part.moments.mean
         log_prob = log_density(error, scale_from_covariance(part.moments.covariance))
         log_prob = torch.where(future.valid.unsqueeze(1), log_prob, torch.zeros_like(log_prob))
-        likelihood = torch.logsumexp(log_posterior + log_prob.sum(-1), -1)
+        likelihood = log_of_sum(log_posterior + log_prob.sum(-1))
         penalty = self.annealing.penalty(
             divergence(log_posterior, part.log_prior), self.training_step
         )

@@ -9,11 +9,11 @@ from diffstack_mmv.prediction.trajectron.agent_batch import PEDESTRIAN, VEHICLE,
 from diffstack_mmv.prediction.trajectron.encoder import (
     SPEED_SCALE_MPS,
     TRACK_FEATURES,
-    MaskedLSTM,
     PerKind,
     track_features,
 )
 from diffstack_mmv.prediction.trajectron.interaction import Interaction
+from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
 from diffstack_mmv.types import Mode
 
 MOTION_FEATURES = 4
@@ -26,18 +26,27 @@ class SceneEncoder(nn.Module):
         history: Size of the encoding of the history.
         edge: Size of the encoding of the interaction.
         dropout: Share of units dropped in training.
+        reach_m: Distance at which the influence of another agent is halved.
+        fade_m: Distance over which it fades.
 
     Raises:
-        ValueError: The share is no share.
+        ValueError: The share is no share, or a distance is not positive.
     """
 
-    def __init__(self, history: int = 32, edge: int = 32, dropout: float = 0.1) -> None:
+    def __init__(
+        self,
+        history: int = 32,
+        edge: int = 32,
+        dropout: float = 0.1,
+        reach_m: float = 15.0,
+        fade_m: float = 2.0,
+    ) -> None:
         super().__init__()
         require_between("dropout", dropout, 0.0, 0.9)
         self.history = PerKind(
             {kind: MaskedLSTM(TRACK_FEATURES, history) for kind in (VEHICLE, PEDESTRIAN)}, history
         )
-        self.interaction = Interaction(history, edge, dropout=dropout)
+        self.interaction = Interaction(history, edge, reach_m, fade_m, dropout)
         self.outputs = history + edge + MOTION_FEATURES + len(Mode)
 
     def forward(self, rows: AgentBatch, agents: int) -> Float[Tensor, "R c"]:

@@ -3,7 +3,8 @@
 import torch
 from torch import nn
 
-from diffstack_mmv.prediction.trajectron.encoder import MaskedLSTM, PerKind
+from diffstack_mmv.prediction.trajectron.encoder import PerKind
+from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
 
 
 def test_masked_lstm_without_gaps_is_an_lstm():

@@ -6,13 +6,12 @@ from torch.autograd import gradcheck
 from torch.autograd.functional import jacobian
 
 from diffstack_mmv.dynamics import SingleIntegrator, rollout
-from diffstack_mmv.prediction.trajectron.mixture import (
+from diffstack_mmv.prediction.trajectron.jacobians import (
     Linearisation,
-    integrate,
     linearise,
     linearise_shared,
-    propagate,
 )
+from diffstack_mmv.prediction.trajectron.mixture import integrate, propagate
 from diffstack_mmv.types import Motion
 from tests.prediction.samples import bicycle
 

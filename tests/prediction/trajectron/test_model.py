@@ -11,6 +11,7 @@ from diffstack_mmv.prediction import (
     ego_forecast,
     neighbors_forecast,
 )
+from diffstack_mmv.prediction.trajectron import linearise, linearise_shared
 from diffstack_mmv.types import Forecast
 from tests.prediction.samples import DT_S, at_rest, bicycle, scene, trajectron
 
@@ -112,6 +113,47 @@ def test_annealing_advances_in_training_only_and_survives_a_checkpoint():
     restored = trajectron()
     restored.load_state_dict(model.state_dict())
     assert restored.training_step == 2
+
+
+@pytest.mark.parametrize("jacobians", [linearise, linearise_shared])
+@pytest.mark.parametrize(("count", "neighbors"), [(0, 0), (0, 2), (1, 0), (2, 1)])
+def test_batches_of_any_size_have_a_loss_with_a_gradient(count, neighbors, jacobians):
+    model = trajectron(bicycle(kinematic=True), jacobians=jacobians)
+    forecast, loss = model.predict_and_judge(scene(batch=(count,), neighbors=neighbors))
+    assert forecast.mean.shape[:2] == (count, 1 + neighbors)
+    assert loss.shape == (count,)
+    if count:
+        loss.sum().backward()
+        slopes = [p.grad for p in model.parameters() if p.grad is not None]
+        assert slopes
+        assert all(torch.isfinite(slope).all() for slope in slopes)
+
+
+@pytest.mark.parametrize("jacobians", [linearise, linearise_shared])
+def test_it_learns_under_autocast(jacobians):
+    model = trajectron(bicycle(kinematic=True), jacobians=jacobians)
+    with torch.autocast("cpu", torch.bfloat16):
+        loss = model.loss(scene(neighbors=2))
+    loss.sum().backward()
+    assert all(torch.isfinite(p.grad).all() for p in model.parameters() if p.grad is not None)
+
+
+def test_a_component_out_of_question_costs_nothing_backward(monkeypatch):
+    model, batch = trajectron().double(), scene(neighbors=0, dtype=torch.float64)
+    decoder, seen = model.branches[0].decoder, []
+    moments = decoder._moments
+    monkeypatch.setattr(
+        decoder, "_moments", lambda *rows: seen.append(len(rows[0])) or moments(*rows)
+    )
+    with torch.no_grad():
+        decoder.gate_component[1:, :16] += 40.0
+        decoder.start_component[0] -= 40.0
+        last = model.branches[0].latent.posterior[-1]
+        last.bias[0] += 100.0
+        last.bias[1:] -= 100.0
+    model.loss(batch).sum().backward()
+    assert seen[0] == 12
+    assert seen[1] < 12
 
 
 def test_models_of_different_time_steps_are_refused():

@@ -1,0 +1,229 @@
+"""Recordings of many agents on one clock, as tables: one scene per recording."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from data_converters.errors import RejectReason, TrackError, refuse_track, require
+from data_converters.modes import default_extent
+from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
+from data_converters.splits import RecordingSplit
+from data_converters.tracks import RawTrack
+from dmmv_conventions.modes import Mode
+
+if TYPE_CHECKING:
+    from trajdata.data_structures.agent import FixedExtent
+
+SIZES = ("length", "width", "height")
+"""Optional columns of a table in m; the median of an agent is its size."""
+
+
+class Recording(NamedTuple):
+    """One recording before it is read: its name, which is that of its scene, and its files.
+
+    `split` is None where the recording is to be dealt, then together with all that name the same
+    `group`; without one it is a group of its own.
+    """
+
+    name: str
+    files: tuple[Path, ...]
+    split: str | None = None
+    group: str = ""
+
+    @property
+    def size(self) -> float:
+        """Bytes of its files, a measure of how much they hold."""
+        return float(sum(path.stat().st_size for path in self.files))
+
+
+@dataclass(frozen=True)
+class MultiAgentDataset(RecordingDataset):
+    """Recordings that are tables of samples; a subclass finds and reads them.
+
+    All agents of a recording are in one scene, so that they are neighbors of each other.
+
+    Attributes:
+        root: Folder of the recordings.
+        split: How whole recordings are dealt to the splits.
+    """
+
+    expects: ClassVar[str]
+    """What `root` must hold, for messages."""
+
+    split: RecordingSplit = field(default_factory=RecordingSplit)
+
+    @abstractmethod
+    def recordings(self) -> list[Recording]:
+        """All recordings in a fixed order; none if the data set is not there."""
+
+    @abstractmethod
+    def table(self, path: Path, recording: Recording, raw: RawScene) -> pd.DataFrame:
+        """Samples of one file of a recording, in any order.
+
+        Tables that are to stand beside the scene go to `raw.side_tables`, on the same clock.
+
+        Returns:
+            Columns agent (name), mode (number of a `Mode`, NaN where the class is not known),
+            time_s (s, on the clock that all files of the recording share), x, y (m, x east, y
+            north); optionally z (m), speed (m/s), heading (rad), label (of the class, for
+            messages), id (number of the agent, which must be one) and `SIZES`.
+
+        Raises:
+            TrackError: If the file cannot be used.
+        """
+
+    def settings(self) -> Mapping[str, object]:
+        """The split."""
+        return {"split": self.split.settings()}
+
+    def scenes(self) -> list[SceneSource]:
+        """One scene per recording.
+
+        Raises:
+            ConversionError: If there is no recording, or the split names one that is not there.
+        """
+        found = "no such folder" if not self.root.is_dir() else "nothing of the kind"
+        remedy = "Give data.root=FOLDER."
+        require(bool(self._index), "root", f"hold {self.expects}", found, self.root, remedy)
+        sizes: Counter[str] = Counter()
+        for each in self._index.values():
+            if each.split is None:
+                sizes[each.group or each.name] += each.size  # type: ignore[assignment]
+        dealt = self.split.deal(sizes)
+        return [
+            SceneSource(
+                each.name,
+                each.split or dealt[each.group or each.name],
+                each.name,
+                _fingerprint(each),
+            )
+            for each in self._index.values()
+        ]
+
+    def read(self, scene: SceneSource, dt_s: float, *, strict: bool) -> RawScene:
+        """All agents of a recording; time 0 is its first sample.
+
+        Raises:
+            TrackError: When `strict`, if a file or a track cannot be used.
+        """
+        raw, tables = RawScene(), []
+        recording = self._index[scene.key]
+        for path in recording.files:
+            source = str(path.relative_to(self.root))
+            try:
+                tables.append(self.table(path, recording, raw).assign(source=source))
+            except TrackError as error:
+                raw.reject(path.name, source, error, strict=strict)
+        tables = [table for table in tables if len(table)]
+        if tables:
+            table = pd.concat(tables, ignore_index=True)
+            start = table["time_s"].min()
+            add_tracks(raw, table.assign(time_s=table["time_s"] - start), strict=strict)
+            for stem, side in raw.side_tables.items():
+                raw.side_tables[stem] = side.assign(time_s=side["time_s"] - start)
+        return raw
+
+    @cached_property
+    def _index(self) -> dict[str, Recording]:
+        return {recording.name: recording for recording in self.recordings()}
+
+
+def add_tracks(raw: RawScene, table: pd.DataFrame, *, strict: bool) -> None:
+    """Add every agent of a table to a scene, or count why not.
+
+    Args:
+        raw: The scene.
+        table: As `MultiAgentDataset.table` returns it, time 0 being that of the scene; `source` is
+            the file of a sample.
+        strict: Raise at the first bad track.
+
+    Raises:
+        TrackError: When `strict`.
+    """
+    for name, rows in table.groupby("agent", sort=True):
+        source = str(rows["source"].iloc[0])
+        try:
+            raw.tracks.append(_track(str(name), rows, source, raw))
+        except TrackError as error:
+            raw.reject(str(name), source, error, strict=strict)
+
+
+def _track(name: str, rows: pd.DataFrame, source: str, raw: RawScene) -> RawTrack:
+    where = f"{source}, agent {name}"
+    mode = _mode(rows, where)
+    needed = [column for column in ("time_s", "x", "y", "z", "id") if column in rows]
+    values = rows[needed].to_numpy(np.float64)
+    bad = ~np.isfinite(values).all(axis=1)
+    if bad.any():
+        needs, remedy = "be finite numbers", "Correct or remove the row."
+        found = values[int(bad.argmax())]
+        refuse_track(RejectReason.NOT_FINITE, ", ".join(needed), needs, found, where, remedy)
+    rows = rows.iloc[np.argsort(values[:, 0], kind="stable")]
+    fresh = np.concatenate([[True], np.diff(rows["time_s"].to_numpy()) > 0.0])
+    if len(rows) > 1 and fresh.sum() == 1:
+        needs, remedy = "increase", "The agent has no clock."
+        found = values[:2, 0]
+        refuse_track(RejectReason.REPEATED_TIMESTAMPS, "time_s", needs, found, where, remedy)
+    raw.note("repeated_timestamps", int((~fresh).sum()))
+    rows = rows[fresh]
+    height = rows["z"] if "z" in rows else np.zeros(len(rows))
+    return RawTrack(
+        name=name,
+        mode=mode,
+        time_s=rows["time_s"].to_numpy(np.float64),
+        position=np.column_stack([rows["x"], rows["y"], height]).astype(np.float64),
+        source=source,
+        extent=_extent(rows, mode),
+        speed=_optional(rows, "speed"),
+        heading=_optional(rows, "heading"),
+    )
+
+
+def _mode(rows: pd.DataFrame, where: str) -> Mode:
+    modes = rows["mode"].unique()
+    if len(modes) != 1 or not np.isfinite(modes[0]):
+        labels = sorted({str(label) for label in rows.get("label", rows["mode"])})
+        needs, remedy = "be one known class for all rows of an agent", "Map it to a mode."
+        refuse_track(RejectReason.UNKNOWN_CLASS, "type", needs, ", ".join(labels), where, remedy)
+    return Mode(int(modes[0]))
+
+
+def _optional(rows: pd.DataFrame, column: str) -> NDArray[np.float64] | None:
+    """A column, if every row of the agent has a finite number in it."""
+    if column not in rows:
+        return None
+    values = rows[column].to_numpy(np.float64)
+    return values if np.isfinite(values).all() else None
+
+
+def _extent(rows: pd.DataFrame, mode: Mode) -> FixedExtent | None:
+    """Median of the stated sizes; what is not stated is the usual one of the mode."""
+    from trajdata.data_structures.agent import FixedExtent
+
+    usual = default_extent(mode)
+    stated = [float(rows[column].median()) if column in rows else float("nan") for column in SIZES]
+    if not np.isfinite(stated).any():
+        return None
+    filled = zip(stated, (usual.length, usual.width, usual.height), strict=True)
+    return FixedExtent(*(own if np.isfinite(own) else default for own, default in filled))
+
+
+def modes_of(labels: pd.Series, known: Mapping[str, Mode]) -> pd.Series:
+    """Mode of each label as a number, NaN where it is not known; case does not count."""
+    numbers = {name.lower(): float(mode) for name, mode in known.items()}
+    return labels.astype(str).str.strip().str.lower().map(numbers)
+
+
+def _fingerprint(recording: Recording) -> str:
+    content: Sequence[str] = [fingerprint(path.read_bytes()) for path in recording.files]
+    return fingerprint(repr(content).encode())

@@ -1,0 +1,217 @@
+"""Tables of your own as scenes: every file, or every scene that a column names."""
+
+from __future__ import annotations
+
+import gzip
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pandas as pd
+
+from data_converters.csv_table import told_as_fault
+from data_converters.errors import RejectReason, TrackError, refuse_track, require
+from data_converters.multi_agent import MultiAgentDataset, Recording, modes_of
+from data_converters.recordings import RawScene
+from data_converters.tables.columns import TableColumns
+from data_converters.tables.units import Plausibility, TableUnits
+from dmmv_conventions.cache import CONTROLS_TABLE
+from dmmv_conventions.modes import Mode
+
+SEPARATORS = (",", ";", "\t", "|")
+ENDINGS = ("csv", "csv.gz", "parquet")
+OWN_NAMES = {mode.label: mode.label for mode in Mode}
+
+
+@dataclass(frozen=True)
+class TableDataset(MultiAgentDataset):
+    """CSV and Parquet tables, one row per agent and time.
+
+    Attributes:
+        root: Folder; all .csv, .csv.gz and .parquet files in it and below it are read.
+        split: How whole recordings are dealt to the splits.
+        called: Name of the data set in the cache; letters, digits and "_".
+        columns: Which column holds what.
+        units: Their units.
+        plausible: Rate and speed that are believed.
+        types: Mode by type, as the column of the type has it; case does not count.
+        mode: Mode of all agents of tables without a type.
+
+    Raises:
+        ConversionError: If the name, a mode or a column cannot be used.
+    """
+
+    location: ClassVar[str] = "own_tables"
+    expects: ClassVar[str] = "tables (.csv, .csv.gz or .parquet)"
+
+    called: str = "csv"
+    columns: TableColumns = field(default_factory=TableColumns)
+    units: TableUnits = field(default_factory=TableUnits)
+    plausible: Plausibility = field(default_factory=Plausibility)
+    types: Mapping[str, str] = field(default_factory=lambda: OWN_NAMES)
+    mode: str | None = None
+
+    def __post_init__(self) -> None:
+        needs, remedy = "consist of letters, digits and _", "Give data.name=NAME."
+        fits = re.fullmatch(r"\w+", self.called, re.ASCII) is not None
+        require(fits, "name", needs, self.called, "", remedy)
+        given = {} if self.mode is None else {"mode": self.mode}
+        for kind, label in {**self.types, **given}.items():
+            known, needs = str(label).lower() in OWN_NAMES, f"be one of {', '.join(OWN_NAMES)}"
+            require(known, f"types.{kind}", needs, label, "", "Correct it.")
+        needs, remedy = "be given where the tables have no type", "Set data.mode or a column."
+        typed = self.columns.type is not None or self.mode is not None
+        require(typed, "mode", needs, self.mode, "", remedy)
+
+    @property
+    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The name in the cache."""
+        return self.called
+
+    def settings(self) -> Mapping[str, object]:
+        """All that changes what is read."""
+        return {
+            **super().settings(),
+            "columns": self.columns.settings(),
+            "units": self.units.settings(),
+            "plausible": asdict(self.plausible),
+            "types": dict(self.types),
+            "mode": self.mode,
+        }
+
+    def recordings(self) -> list[Recording]:
+        """One per file, or one per scene of each file.
+
+        Raises:
+            ConversionError: If the first table lacks a column.
+        """
+        paths = sorted({path for ending in ENDINGS for path in self.root.rglob(f"*.{ending}")})
+        found: dict[str, Recording] = {}
+        self._scene_of.clear()
+        for path in paths:
+            stem = _plain(str(path.relative_to(self.root)).partition(".")[0])
+            for scene, group in self._scenes(path).items():
+                name = stem if scene is None else f"{stem}_{_plain(scene)}"
+                while name in found:
+                    name += "_"
+                self._scene_of[name] = scene
+                found[name] = Recording(name, (path,), None, group)
+        return list(found.values())
+
+    def table(self, path: Path, recording: Recording, raw: RawScene) -> pd.DataFrame:
+        """Samples of one scene in SI units.
+
+        Raises:
+            TrackError: If the file is no table.
+            ConversionError: If it lacks a column, or its units cannot be right.
+        """
+        rows, columns, units = self._rows(path), self.columns, self.units
+        columns.require_all(rows, path)
+        scene = self._scene_of.get(recording.name)
+        if scene is not None:
+            rows = rows[rows[columns.scene].astype(str) == scene]
+        table = pd.DataFrame(
+            {
+                "agent": "agent" if columns.agent is None else _agents(rows[columns.agent]),
+                "time_s": units.seconds(rows[columns.time]),
+                "x": units.metres(rows[columns.x]),
+                "y": units.metres(rows[columns.y]) * (-1.0 if units.y_down else 1.0),
+            }
+        )
+        table = table.assign(**self._modes(rows), **self._measured(rows))
+        self.plausible.check(table, path)
+        if columns.controls:
+            recorded = {name: rows[column] for name, column in columns.controls.items()}
+            numbers = pd.DataFrame(recorded).apply(pd.to_numeric, errors="coerce")
+            controls = table[["agent", "time_s"]].rename(columns={"agent": "agent_id"})
+            raw.side_tables[CONTROLS_TABLE] = controls.assign(**numbers.astype(np.float64))
+        return table
+
+    def _modes(self, rows: pd.DataFrame) -> dict[str, Any]:
+        if self.columns.type is None:
+            return {"mode": float(Mode.named(str(self.mode)))}
+        known = {str(kind): Mode.named(str(label)) for kind, label in self.types.items()}
+        labels = rows[self.columns.type]
+        return {"mode": modes_of(labels, known), "label": labels}
+
+    def _measured(self, rows: pd.DataFrame) -> dict[str, pd.Series]:
+        """Optional columns in SI units."""
+        turned = {
+            "heading": self.units.radians,
+            "speed": self.units.metres_per_second,
+            "length": self.units.metres,
+            "width": self.units.metres,
+        }
+        named = self.columns.named()
+        return {name: turn(rows[named[name]]) for name, turn in turned.items() if name in named}
+
+    def _scenes(self, path: Path) -> Mapping[str | None, str]:
+        """Scenes of a file, None for the file itself, and the recording of each."""
+        if self.columns.scene is None and self.columns.recording is None:
+            return {None: ""}
+        try:
+            rows = self._rows(path)
+        except TrackError:
+            # it is refused, and counted, when it is read
+            return {None: ""}
+        self.columns.require_all(rows, path)
+        scene, recording = self.columns.scene, self.columns.recording
+        groups = rows[recording].astype(str) if recording else pd.Series("", index=rows.index)
+        if scene is None:
+            return {None: str(groups.iloc[0]) if len(groups) else ""}
+        pairs = pd.DataFrame({"scene": rows[scene].astype(str), "group": groups})
+        return {str(s): str(g) for s, g in pairs.drop_duplicates("scene").itertuples(index=False)}
+
+    def _rows(self, path: Path) -> pd.DataFrame:
+        """The table of a file; that of the last one is kept, because scenes are read in order."""
+        if path not in self._latest:
+            self._latest.clear()
+            self._latest[path] = _read(path)
+        return self._latest[path]
+
+    @cached_property
+    def _latest(self) -> dict[Path, pd.DataFrame]:
+        return {}
+
+    @cached_property
+    def _scene_of(self) -> dict[str, str | None]:
+        return {}
+
+
+def _read(path: Path) -> pd.DataFrame:
+    """A table as it is.
+
+    Raises:
+        TrackError: If it is none.
+    """
+    if path.suffix != ".parquet":
+        with told_as_fault(path):
+            return pd.read_csv(path, sep=_separator(path), encoding="utf-8-sig")
+    try:
+        return pd.read_parquet(path)
+    except (ValueError, TypeError) as error:
+        remedy = "Write the file again."
+        refuse_track(RejectReason.MISSING_FIELD, "file", "be a table", error, path, remedy)
+
+
+def _separator(path: Path) -> str:
+    """The one of , ; tab | that is most frequent in the first line."""
+    with gzip.open(path, "rt") if path.suffix == ".gz" else path.open() as file:
+        first = file.readline()
+    return max(SEPARATORS, key=first.count)
+
+
+def _agents(numbers: pd.Series) -> pd.Series:
+    """Names of agents; a number that a gap turned into 7.0 is 7, and no name is NaN."""
+    if pd.api.types.is_float_dtype(numbers):
+        return numbers.map("{:.15g}".format).where(numbers.notna(), "unnamed")
+    return numbers.astype(str)
+
+
+def _plain(name: str) -> str:
+    """A name that can be one of a folder and of a scene."""
+    return re.sub(r"[^A-Za-z0-9_]+", "_", name)

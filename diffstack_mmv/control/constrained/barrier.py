@@ -1,0 +1,235 @@
+"""The barrier problem: its unknowns, its Newton step and its measures."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from diffstack_mmv.control.constrained.barrier_rows import BarrierRows
+from diffstack_mmv.control.constrained.condensed import (
+    Condensed,
+    assemble,
+    chunks,
+    condense,
+    is_convex,
+)
+from diffstack_mmv.control.constrained.local import Local, Problem
+from diffstack_mmv.control.expansion import pad_controls, step_all
+
+SHIFT, SHIFT_GROWTH, SHIFTS = 1e-4, 8.0, 14  # of the Hessian, relative to its diagonal
+
+
+class Interior(NamedTuple):
+    """Unknowns of every problem."""
+
+    x: Float[Tensor, "*b T1 n"]
+    u: Float[Tensor, "*b T m"]
+    s: Float[Tensor, "*b T1 I"]  # slack of the inequalities
+    sigma: Float[Tensor, "*b T1 I"]  # violation of the soft ones
+    z: Float[Tensor, "*b T1 I"]
+    y: Float[Tensor, "*b T1 E"]
+    lower: Float[Tensor, "*b T m"]  # multipliers of the bounds
+    upper: Float[Tensor, "*b T m"]
+
+    def moved(
+        self, step: "Interior", primal: Float[Tensor, "*b"], dual: Float[Tensor, "*b"]
+    ) -> "Interior":
+        """After a step of these sizes."""
+        sizes = [primal] * 4 + [dual] * 4
+        triples = zip(self, step, sizes, strict=True)
+        return Interior(*(own + size[..., None, None] * d for own, d, size in triples))
+
+
+class Residual(NamedTuple):
+    """How far unknowns are from the equations."""
+
+    defect: Float[Tensor, "*b T n"]  # f(x, u) - x⁺
+    unequal: Float[Tensor, "*b T1 I"]  # g + s - σ
+    equal: Float[Tensor, "*b T1 E"]  # h
+
+    @property
+    def total(self) -> Float[Tensor, "*b"]:
+        """Sum of all absolute values."""
+        return sum(part.abs().sum((-2, -1)) for part in self)  # pyright: ignore
+
+
+class Barrier(NamedTuple):
+    """A batch of barrier problems, the cost multiplied by `scale`."""
+
+    problem: Problem
+    rows: BarrierRows
+    scale: Float[Tensor, "*b"]
+
+    def select(self, index: Int[Tensor, " k"]) -> "Barrier":
+        """Some of the problems of a batch with one leading dimension."""
+        return Barrier(self.problem.select(index), self.rows.select(index), self.scale[index])
+
+    def gaps(self, u: Float[Tensor, "*b T m"]) -> tuple[Tensor, Tensor]:
+        """Distances from the bounds, infinite where there is none or the control is fixed."""
+        low, high = self.problem.bounds
+        fixed = torch.where(low == high, torch.inf, 0.0).to(u)
+        return u - low + fixed, high - u + fixed
+
+    def residual(self, point: Interior) -> Residual:
+        """Defects and constraints."""
+        values = self.problem.rows.values(point.x, pad_controls(point.u))
+        following = step_all(self.problem.dynamics, point.x[..., :-1, :], point.u)
+        unequal = self.rows.inequalities(values) + point.s - point.sigma
+        return Residual(
+            following - point.x[..., 1:, :],
+            torch.where(self.rows.applies, unequal, torch.zeros_like(unequal)),
+            values[..., self.rows.equality],
+        )
+
+    def objective(self, point: Interior, mu: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+        """Cost and barriers."""
+        rows = self.rows
+        paid = rows.linear * point.sigma + 0.5 * rows.quadratic * point.sigma.square()
+        cost = self.problem.cost(point.x, pad_controls(point.u)).sum(-1)
+        cost = self.scale * (cost + torch.where(rows.soft, paid, 0.0).sum((-2, -1)))
+        logs = torch.where(rows.applies, point.s, 1.0).log().sum((-2, -1))
+        logs = logs + torch.where(self.yields, point.sigma, 1.0).log().sum((-2, -1))
+        for gap in self.gaps(point.u):
+            logs = logs + torch.where(gap.isfinite(), gap, 1.0).log().sum((-2, -1))
+        return cost - mu * logs
+
+    @property
+    def yields(self) -> Bool[Tensor, "*b T1 I"]:
+        """Rows that may be violated at a price."""
+        return self.rows.applies & self.rows.soft
+
+    def spare(self, point: Interior) -> Float[Tensor, "*b T1 I"]:
+        """What the price of a violation exceeds the multiplier by, one for hard rows."""
+        price = self.rows.linear + self.rows.quadratic * point.sigma
+        price = self.scale[..., None, None] * price
+        return torch.where(self.yields, price - point.z, torch.ones_like(point.z))
+
+    def multipliers(self, point: Interior) -> Float[Tensor, "*b T1 K"]:
+        """Multipliers of the constraints, of the scaled cost."""
+        return self.rows.multipliers(point.z, point.y, len(self.problem.rows.signed))
+
+
+class Newton(NamedTuple):
+    """A Newton step, and the shift of the Hessian that it took."""
+
+    step: Interior
+    shift: Float[Tensor, "*b"]
+
+
+def newton(
+    barrier: Barrier,
+    local: Local,
+    point: Interior,
+    residual: Residual,
+    mu: Float[Tensor, "*b"],
+    shift: Float[Tensor, "*b"],
+    which: Bool[Tensor, "*b"],
+) -> Newton:
+    """Newton step on the optimality conditions of the problems `which`, zero for the others.
+
+    Slacks: dz = Σ (J δ) + c with Σ = z / (s + z σ / (p + w₂ σ)), p = w₁ + w₂ σ - z, the terms in σ
+    for soft rows only.
+    """
+    rows = barrier.rows
+    level, scale = mu[..., None, None], barrier.scale[..., None, None]
+    spare, quadratic = barrier.spare(point), scale * rows.quadratic
+    give = torch.where(barrier.yields, 1 / (spare + quadratic * point.sigma), 0.0)
+    stiff = torch.where(rows.applies, 1.0, 0.0) / (point.s + point.z * point.sigma * give)
+    pushed = (level - spare * point.sigma) * give  # of σ, at dz = 0
+    constant = stiff * (level - point.s * point.z + point.z * (residual.unequal - pushed))
+    stiff = stiff * point.z
+    below, above = barrier.gaps(point.u)
+    around = point.lower / below + point.upper / above
+    push = level / below - level / above
+    parts = (stiff, constant, around, push, point.lower - point.upper, *residual)
+    flat = [part.reshape(mu.numel(), *part.shape[mu.dim() :]) for part in parts]
+    found, shifted = _solve(barrier, local, flat, shift.flatten().clone(), which.flatten())
+    dx, du, moved, dy = (part.view(*mu.shape, *part.shape[1:]) for part in found)
+    dz = stiff * moved + constant
+    dsigma = torch.where(barrier.yields, pushed + point.sigma * give * dz, 0.0)
+    ds = torch.where(rows.applies, dsigma - residual.unequal - moved, 0.0)
+    lower = level / below - point.lower - point.lower / below * du
+    upper = level / above - point.upper + point.upper / above * du
+    step = Interior(dx, du, ds, dsigma, dz, dy, lower, upper)
+    return Newton(step, shifted.view(mu.shape))
+
+
+def _solve(
+    barrier: Barrier, local: Local, flat: list[Tensor], shift: Tensor, which: Tensor
+) -> tuple[list[Tensor], Tensor]:
+    """δx, δu, J δ of the inequalities and δy, chunk by chunk."""
+    N, T1, inequalities = flat[0].shape
+    (T, n), m, E = local.B.shape[1:3], local.B.shape[3], flat[-1].shape[-1]
+    shapes = (T1, n), (T, m), (T1, inequalities), (T1, E)
+    found = [local.B.new_zeros(N, *shape) for shape in shapes]
+    for index in chunks(which):
+        some = [part[index] for part in flat]
+        parts, shift[index] = _solve_some(barrier, local.select(index), some, shift[index])
+        for whole, part in zip(found, parts, strict=True):
+            whole[index] = part
+    return found, shift
+
+
+def _solve_some(
+    barrier: Barrier, local: Local, flat: list[Tensor], shift: Tensor
+) -> tuple[list[Tensor], Tensor]:
+    stiff, constant, around, push, _, defect, _, equal = flat
+    condensed = condense(local)
+    N, T1, n, P = condensed.sensitivity.shape
+    offset = _offset(local, defect)
+    rows = condensed.jacobian.view(N, T1, -1, P)
+    J = rows[:, :, barrier.rows.column] * barrier.rows.sign[:, None]
+    along = (local.values_x @ offset.unsqueeze(-1)).squeeze(-1)
+    drift = along[..., barrier.rows.column] * barrier.rows.sign
+    J = J.flatten(1, 2)
+    pressed = (constant + stiff * drift).flatten(1)
+    weight = stiff.flatten(1)
+    hessian = condensed.hessian + J.mT @ (weight.unsqueeze(-1) * J)
+    hessian = hessian + torch.diag_embed(around.flatten(1))
+    curved = (local.xx @ offset.unsqueeze(-1)).flatten(1)
+    bent = (local.ux @ offset[:, :-1].unsqueeze(-1)).flatten(1)
+    G = condensed.sensitivity
+    right = push.flatten(1) - local.gradient.flatten(1) - bent
+    right = right - (G.flatten(1, 2).mT @ curved.unsqueeze(-1)).squeeze(-1)
+    right = right - (J.mT @ pressed.unsqueeze(-1)).squeeze(-1)
+    H = rows[:, :, barrier.rows.equality].flatten(1, 2)
+    wanted = -(equal + along[..., barrier.rows.equality]).flatten(1)
+    low, high = barrier.problem.bounds
+    free = (low < high).repeat(N, P // len(low))
+    diagonal = condensed.hessian.diagonal(dim1=1, dim2=2).abs()
+    diagonal = torch.maximum(diagonal, 1e-3 * diagonal.mean(1, keepdim=True))
+    held = torch.ones_like(wanted, dtype=torch.bool) & (H.abs().amax(-1) > 0)
+    whole = condensed._replace(hessian=hessian, jacobian=H)
+    shift = _lifting(whole, diagonal, free, held, shift)
+    whole = whole._replace(hessian=hessian + torch.diag_embed(shift.unsqueeze(1) * diagonal))
+    system = assemble(whole, free, held, torch.zeros_like(wanted))
+    du, dy = system.solve(right, wanted)
+    dx = (G @ du[:, None, :, None]).squeeze(-1) + offset
+    moved = (J @ du.unsqueeze(-1)).view(drift.shape) + drift
+    return [dx, du.view(N, T1 - 1, -1), moved, dy.view(equal.shape)], shift
+
+
+def _lifting(
+    condensed: Condensed, diagonal: Tensor, free: Tensor, held: Tensor, shift: Tensor
+) -> Tensor:
+    """A multiple of the diagonal, from the given one on, with which the Hessian is convex."""
+    shift, bad = shift.clone(), torch.arange(len(shift), device=shift.device)
+    for _ in range(SHIFTS):
+        part = Condensed(*(matrix[bad] for matrix in condensed))
+        lift = torch.diag_embed(shift[bad].unsqueeze(1) * diagonal[bad])
+        part, rows = part._replace(hessian=part.hessian + lift), held[bad]
+        bad = bad[~is_convex(part, free[bad], rows, torch.zeros_like(rows, dtype=shift.dtype))]
+        if len(bad) == 0:
+            break
+        more = torch.where(shift > 0, shift * SHIFT_GROWTH, torch.full_like(shift, SHIFT))
+        shift[bad] = more[bad]
+    return shift
+
+
+def _offset(local: Local, defect: Tensor) -> Tensor:
+    """Where the linear dynamics lead with the controls unchanged, to close the defects."""
+    offset = [torch.zeros_like(defect[:, 0])]
+    for t in range(defect.shape[1]):
+        offset.append((local.A[:, t] @ offset[-1].unsqueeze(-1)).squeeze(-1) + defect[:, t])
+    return torch.stack(offset, 1)

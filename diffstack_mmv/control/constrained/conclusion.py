@@ -1,0 +1,73 @@
+"""What is returned at the end: no problem gives NaN."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from diffstack_mmv.control.constrained.activity import Activity, classify
+from diffstack_mmv.control.constrained.constraint import Rows
+from diffstack_mmv.control.constrained.implicit import Attached, KktPoint
+from diffstack_mmv.control.constrained.local import Problem, expand_problem
+from diffstack_mmv.control.constrained.newton import free_controls
+from diffstack_mmv.control.constrained.phases import Progress
+from diffstack_mmv.control.constrained.solution import ConstrainedSolution
+from diffstack_mmv.control.expansion import pad_controls
+from diffstack_mmv.types import SolverStatus
+
+
+class Conclusion(NamedTuple):
+    """The end of all problems: the result, its multipliers in one piece, and what it rests on."""
+
+    point: KktPoint
+    parts: tuple[Tensor, ...]
+    multipliers: Tensor
+
+    def solution(self, widths: Sequence[int], attached: Attached | None) -> ConstrainedSolution:
+        """The result, with its derivatives if there are any; `widths` of each multiplier."""
+        x, u, cost, *rest = self.parts
+        multipliers = self.multipliers
+        if attached is not None:
+            x, u, multipliers, cost = attached
+        return ConstrainedSolution(*[x, u, cost, *rest, multipliers.split(list(widths), -1)])
+
+
+def conclude(problem: Problem, progress: Progress) -> Conclusion:
+    """Trajectories, active set, residual and cost at the end."""
+    lower, upper = problem.bounds
+    u = progress.u.nan_to_num(0.0).clamp(lower, upper)
+    x = problem.rollout(u)
+    acting = pad_controls(u)
+    values = problem.rows.values(x, acting)
+    activity = classify(progress.multipliers + values, problem.rows)
+    multipliers = activity.multipliers(progress.multipliers).nan_to_num(0.0)
+    slack = torch.where(activity.side != 0, values.abs(), torch.zeros_like(values))
+    total = problem.cost(x, acting).sum(-1) + paid(problem.rows, slack)
+    local = expand_problem(problem, x, u, multipliers)
+    gradient = local.gradient.view(u.shape)
+    residual = (u - (u - gradient).clamp(lower, upper)).abs().amax((-2, -1))
+    finite = x.isfinite().all(-1).all(-1) & total.isfinite() & residual.isfinite()
+    bad = (progress.status == SolverStatus.CONVERGED) & ~finite
+    status = torch.where(bad, SolverStatus.NOT_FINITE, progress.status)
+    valid = (status == SolverStatus.CONVERGED).reshape(-1)
+    x = x.nan_to_num(0.0)
+    flat = (_flat(problem, part) for part in (x, u, multipliers, slack.nan_to_num(0.0)))
+    active = Activity(*(_flat(problem, part) for part in activity))
+    free = free_controls(problem, u, local.gradient)
+    point = KktPoint(*[*flat, active, problem.rows.signed, free, valid, local])
+    violation = problem.rows.violation(values).nan_to_num(torch.inf)
+    cost, residual = total.nan_to_num(torch.inf), residual.nan_to_num(torch.inf)
+    parts = (x, u, cost, residual, progress.iterations, status, violation)
+    return Conclusion(point, parts, multipliers)
+
+
+def paid(rows: Rows, slack: Tensor) -> Tensor:
+    """Price of the violations of soft rows."""
+    linear = torch.where(rows.linear.isfinite(), rows.linear, torch.zeros_like(slack))
+    return (linear * slack + 0.5 * rows.quadratic * slack.square()).sum((-2, -1))
+
+
+def _flat(problem: Problem, part: Tensor) -> Tensor:
+    leading = problem.state.shape[:-1]
+    return part.reshape(leading.numel(), *part.shape[len(leading) :])

@@ -1,0 +1,159 @@
+"""Constraints on states and controls as a user states them, and as the solver sees them."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from diffstack_mmv.checks import message, require
+from diffstack_mmv.control.expansion import pad_controls
+from diffstack_mmv.control.optimizer import ConstraintFunction, Constraints
+from diffstack_mmv.control.selection import Selectable
+
+
+@dataclass(frozen=True)
+class Slack:
+    """Price of a violation s: `linear` · s + ½ `quadratic` · s².
+
+    A linear price above the multiplier of the hard constraint leaves no violation where that can
+    be met. Both may be tensors that require a gradient, of a shape that broadcasts against the
+    values of the constraint (*b T+1 k).
+    """
+
+    linear: float | Tensor = 0.0
+    quadratic: float | Tensor = 0.0
+
+
+HARD = Slack(math.inf)
+
+
+@dataclass(frozen=True)
+class Inequality:
+    """g(x_t, u_t) ≤ 0.
+
+    Args:
+        function: Gives the values of g.
+        slack: Price of a violation; `HARD` if there must be none.
+        times: The times of 0 .. T at which it holds: `slice(1, None)` leaves out the given start,
+            `slice(-1, None)` is the end alone.
+    """
+
+    function: ConstraintFunction
+    slack: Slack = HARD
+    times: slice = field(default_factory=lambda: slice(None))
+
+
+@dataclass(frozen=True)
+class Equality:
+    """h(x_t, u_t) = 0; the arguments are those of `Inequality`."""
+
+    function: ConstraintFunction
+    slack: Slack = HARD
+    times: slice = field(default_factory=lambda: slice(None))
+
+
+Constraint = Inequality | Equality
+
+
+def listed(constraints: Constraints) -> list[Constraint]:
+    """A hard constraint for each function of a record."""
+    both: list[Constraint] = []
+    if constraints.inequality is not None:
+        both.append(Inequality(constraints.inequality))
+    if constraints.equality is not None:
+        both.append(Equality(constraints.equality))
+    return both
+
+
+class Rows(NamedTuple):
+    """All constraints side by side: K values at each time.
+
+    A multiplier is at most `linear` and grows beyond it only by `quadratic` times the violation.
+    A hard row has an infinite `linear`.
+    """
+
+    functions: tuple[ConstraintFunction, ...]
+    linear: Float[Tensor, "*b T1 K"]
+    quadratic: Float[Tensor, "*b T1 K"]
+    signed: Bool[Tensor, " K"]  # equalities, whose multiplier has either sign
+    applies: Bool[Tensor, "T1 K"]  # times at which a constraint holds
+    widths: tuple[int, ...]  # how many of the K belong to each constraint
+
+    def values(
+        self, states: Float[Tensor, "*b T1 n"], controls: Float[Tensor, "*b T1 m"]
+    ) -> Float[Tensor, "*b T1 K"]:
+        """Values of all constraints, zero where they do not apply."""
+        return joined(self.functions, states, controls) * self.applies.to(states)
+
+    def select(self, index: Int[Tensor, " k"]) -> "Rows":
+        """The rows of some problems; all functions have to be selectable."""
+        functions = tuple(
+            part.select(index) for part in self.functions if isinstance(part, Selectable)
+        )
+        return self._replace(
+            functions=functions, linear=self.linear[index], quadratic=self.quadratic[index]
+        )
+
+    def violation(self, values: Float[Tensor, "*b T1 K"]) -> Float[Tensor, "*b"]:
+        """Largest violation of a hard row."""
+        above = torch.where(self.signed, values.abs(), values.clamp_min(0))
+        hard = self.linear.isinf() & self.applies
+        return torch.where(hard, above, torch.zeros_like(above)).amax((-2, -1))
+
+
+def joined(
+    functions: Sequence[ConstraintFunction],
+    states: Float[Tensor, "*b T1 n"],
+    controls: Float[Tensor, "*b T1 m"],
+) -> Float[Tensor, "*b T1 K"]:
+    """Values of several constraint functions side by side."""
+    return torch.cat([function(states, controls) for function in functions], -1)
+
+
+def gather(
+    constraints: Sequence[Constraint],
+    states: Float[Tensor, "*b T1 n"],
+    controls: Float[Tensor, "*b T m"],
+) -> Rows:
+    """Lay constraints out as rows, their sizes taken from the values along a trajectory.
+
+    Raises:
+        ValueError: A constraint function does not return one row per time, or a price does not
+            broadcast or is negative.
+    """
+    acting, parts = pad_controls(controls), []
+    for number, constraint in enumerate(constraints):
+        values = constraint.function(states, acting)
+        require(
+            values.shape[:-1] == states.shape[:-1],
+            f"constraints[{number}]",
+            f"return values of shape ({', '.join(map(str, states.shape[:-1]))}, k)",
+            tuple(values.shape),
+        )
+        applies = torch.zeros(values.shape[-2:], dtype=torch.bool, device=values.device)
+        applies[constraint.times] = True
+        linear, quadratic = (
+            _priced(price, values, applies, f"constraints[{number}].slack.{name}")
+            for name, price in vars(constraint.slack).items()
+        )
+        signed = torch.full_like(applies[0], isinstance(constraint, Equality))
+        parts.append((linear, quadratic, signed, applies))
+    columns = (torch.cat(part, -1) for part in zip(*parts, strict=True))
+    widths = tuple(applies.shape[1] for *_, applies in parts)
+    functions = tuple(constraint.function for constraint in constraints)
+    return Rows(*[functions, *columns, widths])
+
+
+def _priced(price: float | Tensor, values: Tensor, applies: Tensor, name: str) -> Tensor:
+    given = torch.as_tensor(price, dtype=values.dtype, device=values.device)
+    require(bool((given >= 0).all()), name, "be zero or positive", given.tolist())
+    try:
+        whole = given.expand(values.shape)
+    except RuntimeError:
+        shape = tuple(values.shape)
+        raise ValueError(message(name, f"broadcast to {shape}", tuple(given.shape))) from None
+    return torch.where(applies, whole, torch.zeros_like(whole))

@@ -1,0 +1,158 @@
+"""Trajectory optimisation with constraints on states and controls, batched and differentiable."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require, require_at_least, require_positive
+from diffstack_mmv.control.constrained.conclusion import conclude
+from diffstack_mmv.control.constrained.constraint import Constraint, Rows, gather
+from diffstack_mmv.control.constrained.implicit import attach
+from diffstack_mmv.control.constrained.local import Problem, rollout
+from diffstack_mmv.control.constrained.phases import Phases, begin
+from diffstack_mmv.control.constrained.solution import ConstrainedSolution
+from diffstack_mmv.control.ilqr import ILQR, check_problem
+from diffstack_mmv.control.optimizer import Cost, Dynamics
+from diffstack_mmv.control.selection import constant
+from diffstack_mmv.types import Bounds
+
+FINEST = 100.0  # violations, in units of the precision, below which none can be told from another
+
+
+@dataclass(frozen=True)
+class ConstrainedILQR:
+    """Trajectory optimisation in a box with constraints on states and controls.
+
+        min Σ_t c_t(x_t, u_t)  subject to  x_{t+1} = f(x_t, u_t),  lower ≤ u_t ≤ upper,
+        g(x_t, u_t) ≤ 0,  h(x_t, u_t) = 0  at any of the times 0 .. T,  x_0 given
+
+    Where the solution of `solver` touches no constraint, it is the answer. All other problems go
+    through a primal-dual interior-point method with free states (multiple shooting) from the given
+    guess, and then through Newton's method on the optimality conditions with the active set held,
+    which leaves violations of the order of the rounding. Problems that do not come through are
+    solved once more with all constraints at a high price (elastic): that gives a solution, or a
+    violation that no step lowers, `SolverStatus.INFEASIBLE`. Finished problems are frozen, and left
+    behind if the callables are `Selectable`; no answer depends on the batch mates.
+
+    A soft constraint has a `Slack`, the price of its violation. With multipliers of a similar
+    problem Newton's method comes first, which takes a few iterations where the active set is
+    nearly the same.
+
+    The solution, its multipliers and its cost are differentiable, exactly, in the initial state,
+    the bounds and every tensor that the callables and prices depend on, the active constraints
+    held (see `implicit`). A weakly active inequality, reached but without a multiplier, is treated
+    as inactive. A problem that did not converge contributes a gradient of exactly zero.
+
+    Args:
+        solver: Solves without constraints; its `tolerance` is that of the solution.
+        max_iterations: Limit of interior-point iterations of each phase.
+        tolerance: Largest violation of a hard constraint, in its unit, in a converged problem; in
+            float32 at least 1.2e-5.
+
+    Raises:
+        ValueError: A number is not positive.
+
+    Source:
+        Wächter and Biegler, On the implementation of an interior-point filter line-search algorithm
+        for large-scale nonlinear programming, Mathematical Programming 106, 2006; Amos et al.,
+        Differentiable MPC for End-to-end Planning and Control, NeurIPS 2018, for derivatives;
+        differs in the active constraints on states and the full Hessian.
+
+    Example:
+        Brake before a wall whose place is learned.
+
+        >>> import torch
+        >>> from diffstack_mmv.control import ILQR, Bounds
+        >>> from diffstack_mmv.control.constrained import ConstrainedILQR, Inequality
+        >>> wall = torch.tensor(2.0, requires_grad=True)
+        >>> def cart(state, force):
+        ...     place, speed = state.unbind(-1)
+        ...     return torch.stack([place + 0.1 * speed, speed + 0.1 * force[..., 0]], -1)
+        >>> def cost(states, forces):
+        ...     return (states[..., 0] - 3).square() + 0.01 * forces[..., 0].square()
+        >>> keep_off = Inequality(lambda states, forces: states[..., :1] - wall)
+        >>> box = Bounds(torch.tensor([-9.0]), torch.tensor([9.0]))
+        >>> solver = ConstrainedILQR(ILQR())
+        >>> solution = solver(cart, cost, [keep_off], box, torch.zeros(4, 2), torch.zeros(4, 30, 1))
+        >>> solution.states[:, -1, 0].sum().backward()
+        >>> bool(solution.converged.all()), round(float(wall.grad), 2)
+        (True, 4.0)
+    """
+
+    solver: ILQR = ILQR()
+    max_iterations: int = 150
+    tolerance: float = 1e-6
+
+    def __post_init__(self) -> None:
+        require_at_least("max_iterations", self.max_iterations, 1)
+        require_positive("tolerance", self.tolerance)
+
+    def __call__(
+        self,
+        dynamics: Dynamics,
+        cost: Cost,
+        constraints: Sequence[Constraint],
+        bounds: Bounds,
+        state: Float[Tensor, "*b n"],
+        controls: Float[Tensor, "*b T m"],
+        multipliers: Sequence[Float[Tensor, "*b T1 k"]] | None = None,
+    ) -> ConstrainedSolution:
+        """Solve from the initial state and a guess of the controls.
+
+        Args:
+            dynamics: One step (state, control) -> state of all problems.
+            cost: (states, controls padded by a zero row) -> cost of each time.
+            constraints: What has to hold, called as the cost is.
+            bounds: Box of the controls; infinite where there is no bound.
+            state: x_0.
+            controls: The guess, clipped to the box.
+            multipliers: Those of a similar problem, which make this a warm start.
+
+        Returns:
+            The solution, with one tensor of multipliers per constraint.
+
+        Raises:
+            ValueError: Shapes, precision, the order of the bounds or a price do not fit.
+            TypeError: The state is not of a floating-point type.
+        """
+        check_problem(bounds, state, controls)
+        if not constraints:
+            plain = self.solver(dynamics, cost, bounds, state, controls)
+            return ConstrainedSolution(*plain, torch.zeros_like(plain.cost).detach(), ())
+        lower, upper = (bound.detach().to(state) for bound in bounds)
+        u = controls.detach().clamp(lower, upper)
+        with torch.no_grad():
+            x = rollout(constant(dynamics), state.detach(), u)
+        posed = Problem(dynamics, cost, gather(constraints, x, u), bounds, state)
+        with torch.no_grad():
+            fixed = posed.constant()
+            progress = begin(u, _given(multipliers, fixed.rows))
+            progress = self._phases(state).run(fixed, progress, multipliers is not None)
+            conclusion = conclude(fixed, progress)
+        attached = attach(posed, conclusion.point) if torch.is_grad_enabled() else None
+        return conclusion.solution(posed.rows.widths, attached)
+
+    def _phases(self, state: Tensor) -> Phases:
+        finest = FINEST * torch.finfo(state.dtype).eps
+        return Phases(self.solver, self.max_iterations, max(self.tolerance, finest))
+
+
+def _given(multipliers: Sequence[Tensor] | None, rows: Rows) -> Tensor:
+    """The given multipliers side by side, zero where there are none."""
+    none = torch.zeros_like(rows.linear)
+    if multipliers is None:
+        return none
+    given = torch.cat(list(multipliers), -1).detach().to(none)
+    remedy = "Take those of a solution with the same constraints."
+    shape = tuple(none.shape)
+    require(
+        given.shape == none.shape,
+        "multipliers",
+        f"have shape {shape} side by side",
+        tuple(given.shape),
+        remedy=remedy,
+    )
+    return torch.where(rows.applies, given, none)

@@ -1,0 +1,19 @@
+"""The solver is compiled where a training is long enough."""
+
+import types
+
+import pytest
+
+from diffstack_mmv.callbacks import CompiledSolver
+
+# stand-ins for the trainer and the module of Lightning
+pytestmark = pytest.mark.usefixtures("unchecked")
+
+
+@pytest.mark.parametrize(("steps", "compiled"), [(149, 0), (150, 1), (float("inf"), 1)])
+def test_only_a_long_training_is_compiled(steps, compiled):
+    calls = []
+    planner = types.SimpleNamespace(compile_solver=lambda: calls.append(None))
+    trainer = types.SimpleNamespace(estimated_stepping_batches=steps)
+    CompiledSolver(150).on_train_start(trainer, types.SimpleNamespace(planner=planner))
+    assert len(calls) == compiled

@@ -1,0 +1,267 @@
+"""Constrained solutions: optimal, within every constraint, and told from what has none."""
+
+import pytest
+import torch
+
+from diffstack_mmv.control import ILQR, Batched, Bounds, Constraints, SolverStatus
+from diffstack_mmv.control.constrained import ConstrainedILQR, Equality, Inequality, Slack
+from tests.control.constrained.problems import braking, constraints, drives, solve
+
+pytestmark = pytest.mark.usefixtures("double")
+SOLVER = ConstrainedILQR(ILQR())
+BOX = Bounds(torch.tensor([-9.0]), torch.tensor([9.0]))
+
+
+def cart(state, force):
+    place, speed = state.unbind(-1)
+    return torch.stack([place + 0.1 * speed, speed + 0.1 * force[..., 0]], -1)
+
+
+def reach(states, forces):
+    return (states[..., 0] - 3).square() + 0.01 * forces[..., 0].square()
+
+
+def wall(states, forces):
+    return states[..., :1] - 2
+
+
+def rest(states, forces):
+    return states[..., 1:]
+
+
+def brought(constraints, box=BOX, batch=3, steps=15, **warm):
+    state, guess = torch.zeros(batch, 2), torch.zeros(batch, steps, 1)
+    return SOLVER(cart, reach, constraints, box, state, guess, **warm)
+
+
+def test_without_constraints_it_is_the_plain_solver():
+    plain = ILQR()(cart, reach, BOX, torch.zeros(3, 2), torch.zeros(3, 15, 1))
+    assert all((a == b).all() for a, b in zip(brought([]).solution, plain, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("record", "held"),
+    [
+        (Constraints(inequality=wall), [Inequality(wall)]),
+        (Constraints(inequality=wall, equality=lambda x, u: 0 * x[..., 1:]), [Inequality(wall)]),
+    ],
+    ids=["inequality", "and a void equality"],
+)
+def test_the_plain_solver_takes_constraints_too(record, held):
+    problem = BOX, torch.zeros(2, 2), torch.zeros(2, 20, 1)
+    found = ILQR()(cart, reach, *problem, constraints=record)
+    expected = SOLVER(cart, reach, held, *problem)
+    assert found.converged.all()
+    assert float(found.violation.max()) < 1e-9
+    torch.testing.assert_close(found.controls, expected.controls, atol=1e-7, rtol=0)
+
+
+def test_constraints_that_nothing_touches_change_nothing():
+    plain = ILQR()(cart, reach, BOX, torch.zeros(3, 2), torch.zeros(3, 15, 1))
+    far = Inequality(lambda states, forces: states[..., :1] - 100)
+    solution = brought([far])
+    assert (solution.controls == plain.controls).all()
+    assert (solution.multipliers[0] == 0).all()
+
+
+def test_inequality_equality_and_box_hold_together():
+    tight = Bounds(torch.tensor([-5.0]), torch.tensor([5.0]))
+    solution = brought([Inequality(wall), Equality(rest, times=slice(-1, None))], tight)
+    assert solution.converged.all()
+    assert solution.states[..., 0].max() < 2 + 1e-12
+    assert solution.states[:, -1, 1].abs().max() < 1e-12
+    assert (solution.controls == 5).any()
+    assert solution.violation.max() < 1e-12
+    assert (solution.multipliers[0] >= 0).all()
+    assert (solution.multipliers[1][:, :-1] == 0).all()
+
+
+def test_box_of_zero_width_and_no_box_hold():
+    fixed = Bounds(torch.tensor([0.5]), torch.tensor([0.5]))
+    assert (brought([Inequality(wall)], fixed).controls == 0.5).all()
+    nothing = Bounds(torch.tensor([-torch.inf]), torch.tensor([torch.inf]))
+    solution = brought([Inequality(wall)], nothing)
+    assert solution.converged.all()
+    assert solution.violation.max() < 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [Inequality, Equality])
+def test_a_price_above_the_multiplier_is_as_good_as_hard(kind):
+    end = slice(-1, None)
+    hard = brought([kind(wall, times=end)])
+    dear = 2 * float(hard.multipliers[0].abs().max())
+    soft = brought([kind(wall, Slack(linear=dear), end)])
+    torch.testing.assert_close(soft.controls, hard.controls, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("kind", [Inequality, Equality])
+@pytest.mark.parametrize("slack", [Slack(linear=0.5), Slack(0.5, 3.0), Slack(quadratic=20.0)])
+def test_a_low_price_is_paid(kind, slack):
+    """The multiplier is the marginal price, and the cost has the price in it."""
+    solution = brought([kind(wall, slack, slice(-1, None))])
+    excess = solution.states[:, -1, 0] - 2
+    padded = torch.cat([solution.controls, torch.zeros(3, 1, 1)], -2)
+    bare = reach(solution.states, padded).sum(-1)
+    paid = slack.linear * excess + 0.5 * slack.quadratic * excess.square()
+    assert solution.converged.all()
+    assert (excess > 0.01).all()
+    torch.testing.assert_close(
+        solution.multipliers[0][:, -1, 0], slack.linear + slack.quadratic * excess
+    )
+    torch.testing.assert_close(solution.cost, bare + paid)
+
+
+def test_contradictory_constraints_are_infeasible():
+    solution = brought(
+        [Inequality(wall), Inequality(lambda x, u: 2.5 - x[..., :1], times=slice(-1, None))]
+    )
+    assert (solution.status == SolverStatus.INFEASIBLE).all()
+    assert solution.infeasible.all()
+    assert solution.violation.min() > 0.1
+
+
+def test_what_the_box_does_not_allow_is_infeasible():
+    weak = Bounds(torch.tensor([-0.1]), torch.tensor([0.1]))
+    far = Equality(lambda states, forces: states[..., :1] - 2, times=slice(-1, None))
+    assert brought([far], weak).infeasible.all()
+
+
+def test_a_state_that_is_given_cannot_be_constrained():
+    late, always = slice(1, None), slice(None)
+    moving = torch.tensor([[1.5, 1.2]])
+
+    def limit(states, forces):
+        return states[..., 1:] - 1
+
+    for times, status in ((always, SolverStatus.INFEASIBLE), (late, SolverStatus.CONVERGED)):
+        found = SOLVER(
+            cart, reach, [Inequality(limit, times=times)], BOX, moving, torch.zeros(1, 9, 1)
+        )
+        assert found.status.tolist() == [status]
+
+
+def test_redundant_constraints_do_no_harm():
+    once = brought([Inequality(wall)])
+    twice = brought([Inequality(wall), Inequality(wall), Inequality(lambda x, u: 2 * wall(x, u))])
+    torch.testing.assert_close(twice.controls, once.controls, rtol=0, atol=1e-7)
+
+
+def taken(drive, index):
+    """Some of the drives."""
+    return type(drive)(*(part[index] for part in drive))
+
+
+@pytest.fixture(scope="module")
+def solved():
+    """Drives and their solutions."""
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    drive = drives(6)
+    solution = solve(SOLVER, drive, braking(drive))
+    torch.set_default_dtype(before)
+    return drive, solution
+
+
+def test_drives_end_within_every_constraint(solved):
+    drive, solution = solved
+    assert solution.converged.all()
+    assert solution.violation.max() <= 1e-9
+    assert solution.residual.max() <= 1e-9
+    padded = torch.nn.functional.pad(solution.controls, (0, 0, 0, 1))
+    for limit, multiplier in zip(constraints(drive), solution.multipliers, strict=True):
+        assert (multiplier >= 0).all()
+        assert (multiplier > 0).any()
+        assert (limit.function(solution.states, padded) * multiplier).abs().max() < 1e-8
+
+
+def test_answer_is_free_of_the_batch_mates(solved):
+    drive, together = solved
+    alone = taken(drive, [5])
+    single = solve(SOLVER, alone, braking(alone))
+    assert single.status == together.status[5]
+    torch.testing.assert_close(single.controls[0], together.controls[5], rtol=0, atol=1e-8)
+
+
+def bare(part):
+    """A callable that cannot be selected from."""
+    return lambda *arguments: part(*arguments)
+
+
+def hiding(dynamics, cost, limits, *rest):
+    limits = [Inequality(bare(limit.function), limit.slack, limit.times) for limit in limits]
+    return SOLVER(bare(dynamics), bare(cost), limits, *rest)
+
+
+def test_closures_give_the_same_and_nan_of_one_problem_touches_no_other(solved):
+    drive, clean = solved
+    drive = taken(drive, [0, 1, 2, 3])
+    drive.state[2, 0] = torch.nan
+    drive.radius[3] = torch.nan
+    solution = solve(hiding, drive, braking(drive).nan_to_num(0.0))
+    assert solution.status.tolist() == [0, 0, *[SolverStatus.NOT_FINITE] * 2]
+    assert all(part.isnan().sum() == 0 for part in (*solution.solution, *solution.multipliers))
+    torch.testing.assert_close(solution.controls[:2], clean.controls[:2], rtol=0, atol=1e-8)
+
+
+def test_a_warm_start_takes_a_few_iterations(solved):
+    drive, cold = (taken(part, [1, 2]) for part in (solved[0], solved[1].solution))
+    multipliers = [multiplier[[1, 2]] for multiplier in solved[1].multipliers]
+    moved = drive._replace(state=drive.state + 1e-5)
+    warm = solve(SOLVER, moved, cold.controls, multipliers)
+    again = solve(SOLVER, moved, cold.controls)
+    assert warm.converged.all()
+    assert (warm.iterations < 10).all()
+    assert (warm.iterations < again.iterations).all()
+    torch.testing.assert_close(warm.controls, again.controls, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("batch", [(), (2, 3), (0,)])
+def test_any_leading_dimensions(batch):
+    solution = SOLVER(
+        cart, reach, [Inequality(wall)], BOX, torch.zeros(*batch, 2), torch.zeros(*batch, 15, 1)
+    )
+    assert solution.states.shape == (*batch, 16, 2)
+    assert solution.multipliers[0].shape == (*batch, 16, 1)
+    assert solution.converged.shape == batch
+    assert solution.converged.all()
+
+
+def test_single_precision_is_good_to_its_rounding():
+    box = Bounds(torch.tensor([-9.0]).float(), torch.tensor([9.0]).float())
+    state, guess = torch.zeros(3, 2).float(), torch.zeros(3, 15, 1).float()
+    solution = SOLVER(cart, reach, [Inequality(wall)], box, state, guess)
+    assert solution.converged.all()
+    assert solution.violation.max() < 2e-5
+    torch.testing.assert_close(
+        solution.states.double(), brought([Inequality(wall)]).states, rtol=0, atol=1e-3
+    )
+
+
+def test_too_few_iterations_are_a_status():
+    drive = drives(2)
+    solution = solve(ConstrainedILQR(max_iterations=2), drive, braking(drive))
+    assert (solution.status == SolverStatus.ITERATION_LIMIT).all()
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_arguments_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match=r"constraints\[0\].*must return values of shape"):
+        brought([Inequality(lambda x, u: x[..., 1:, :1])])
+    with pytest.raises(ValueError, match=r"slack.linear.*must be zero or positive"):
+        brought([Inequality(wall, Slack(linear=-1.0))])
+    with pytest.raises(ValueError, match=r"slack.quadratic.*must broadcast"):
+        brought([Inequality(wall, Slack(quadratic=torch.ones(7, 5)))])
+    with pytest.raises(ValueError, match="multipliers.*must have shape"):
+        brought([Inequality(wall)], multipliers=[torch.zeros(3, 16, 2)])
+    with pytest.raises(ValueError, match="tolerance.*must be positive"):
+        ConstrainedILQR(tolerance=0.0)
+
+
+def test_a_price_per_problem_is_selected_with_it():
+    price = torch.linspace(0.2, 2.0, 12)[:, None, None]
+    state, guess = torch.zeros(12, 2), torch.zeros(12, 15, 1)
+    limit = Inequality(Batched(wall), Slack(price), slice(-1, None))
+    solution = SOLVER(Batched(cart), Batched(reach), [limit], BOX, state, guess)
+    assert solution.converged.all()
+    assert (solution.states[:, -1, 0].diff() < 0).all()

@@ -1,0 +1,135 @@
+"""Autobike logs: units, clocks, sensors beside the scene, what is refused, and the real data."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from data_converters import (
+    AutobikeDataset,
+    ConversionSettings,
+    Mode,
+    RejectReason,
+    TrackError,
+    convert,
+)
+from data_converters.autobike.reader import read_log
+from diffstack_mmv.data import ConvertedCache, read_controls, read_leans, read_sensors, read_tracks
+from tests.data_converters.synthetic import WRITERS, autobike_log, ride, times
+
+LATITUDE, TIME, WHEEL = "Lat GPS (deg)", "Time (ms)", "Speed VESC (rad/s)"
+GYRO = "Gyroscope Z (rad/s)"
+
+
+@pytest.fixture
+def log(tmp_path):
+    """Write one log, changed by a function of its table, and tell its path."""
+
+    def build(change=lambda table: table):
+        path = tmp_path / "09_06" / "1.csv"
+        path.parent.mkdir()
+        change(autobike_log()).to_csv(path, index=False, float_format="%.12f")
+        return path
+
+    return build
+
+
+def test_radians_become_metres_and_a_position_counts_when_it_is_new(log):
+    read = read_log(log())
+    assert np.diff(read.fixes.time_s) == pytest.approx(0.1)
+    expected = ride(times(100.0, 20.0), 1.0).position[::10]
+    np.testing.assert_allclose(read.fixes.position, expected - expected[0], atol=2e-4)
+
+
+def test_a_file_in_degrees_is_read_as_its_header_says(log):
+    angles = [LATITUDE, "Long GPS (deg)"]
+    path = log(lambda table: table.assign(**{name: np.rad2deg(table[name]) for name in angles}))
+    expected = ride(times(100.0, 20.0), 1.0).position[::10]
+    np.testing.assert_allclose(read_log(path).fixes.position, expected - expected[0], atol=2e-4)
+
+
+def test_a_bicycle_that_stands_keeps_its_position(log):
+    def stand(table):
+        still = table.index >= 1500
+        held = {name: table[name].where(~still, table[name][1499]) for name in table.columns[:2]}
+        return table.assign(**held, **{WHEEL: table[WHEEL].where(~still, 0.0)})
+
+    assert np.diff(read_log(log(stand)).fixes.time_s).max() < 0.11
+
+
+def test_rows_that_repeat_a_time_are_dropped(log):
+    path = log(lambda table: pd.concat([table, table[:50]]).sort_values(TIME, kind="stable"))
+    read = read_log(path)
+    assert read.repeated == 50
+    assert np.diff(read.time_s).min() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda t: t.assign(**{WHEEL: 0.0}), RejectReason.WHEEL_SPEED),
+        (lambda t: t.assign(**{WHEEL: 0.6 * t[WHEEL]}), RejectReason.WHEEL_SPEED),
+        (lambda t: t.assign(**{GYRO: -t[GYRO]}), RejectReason.GYRO),
+        (lambda t: t.assign(**{LATITUDE: 0.0}), RejectReason.NO_POSITION),
+        (lambda t: t.assign(**{TIME: 5.0}), RejectReason.NO_TIMESTAMPS),
+        (lambda t: t.drop(columns=WHEEL), RejectReason.MISSING_FIELD),
+        (lambda t: t.drop(columns=TIME), RejectReason.NO_TIMESTAMPS),
+        (lambda t: t[:500], RejectReason.TOO_SHORT),
+    ],
+    ids=["dead wheel", "slow wheel", "gyro", "no fix", "no clock", "no wheel", "no time", "short"],
+)
+def test_a_log_that_cannot_be_used_is_refused_with_its_reason(log, tmp_path, change, reason):
+    log(change)
+    dataset = AutobikeDataset(tmp_path)
+    with pytest.raises(TrackError, match=r"1\.csv") as caught:
+        dataset.read(dataset.scenes()[0], 0.1, strict=True)
+    assert caught.value.reason is reason
+
+
+def test_a_step_of_the_receiver_begins_another_agent(log, tmp_path):
+    def step(table):
+        return table.assign(**{LATITUDE: table[LATITUDE] + 2e-7 * (table.index >= 1200)})
+
+    log(step)
+    dataset = AutobikeDataset(tmp_path)
+    raw = dataset.read(dataset.scenes()[0], 0.1, strict=True)
+    assert [track.name for track in raw.tracks] == ["bicycle", "bicycle_p1"]
+    assert raw.side_tables["controls"].groupby("agent_id")["time_s"].max()["bicycle"] < 12.0
+
+
+def test_a_copy_of_a_log_is_left_out(tmp_path):
+    WRITERS["autobike"](tmp_path)
+    path = tmp_path / "recordings" / "09_06" / "0.csv.gz"
+    copy = tmp_path / "recordings" / "10_06" / "0.csv.gz"
+    copy.parent.mkdir()
+    copy.write_bytes(path.read_bytes())
+    settings = ConversionSettings(AutobikeDataset(tmp_path), tmp_path / "cache", progress=False)
+    assert convert(settings).rejected_by_reason == {RejectReason.CONTAINED: 1}
+
+
+def test_controls_sensors_and_lean_are_read_beside_the_track(tmp_path):
+    WRITERS["autobike"](tmp_path / "raw")
+    dataset = AutobikeDataset(tmp_path / "raw")
+    convert(ConversionSettings(dataset, tmp_path / "cache", progress=False))
+    place = ConvertedCache("autobike", str(tmp_path / "cache")), ("train",), "bicycle"
+    ((name, motion),) = list(read_tracks(*place).items())[:1]
+    truth = ride(0.1 * np.arange(6, 6 + len(motion.heading)) + 0.05, 1.0)
+    controls = read_controls(*place, ["steer", "speed"])[name].numpy()
+    # the wheel is 3 % fast, and the steering acts through the inclined head axis
+    np.testing.assert_allclose(controls[:-1, 1] / truth.speed[:-1], 1.03, atol=0.01)
+    ground = np.sin(1.2217) * 1.165 * truth.yaw_rate / truth.speed
+    np.testing.assert_allclose(np.tan(controls[:-1, 0]), ground[:-1], atol=5e-3)
+    sensors = read_sensors(*place, ["yaw_rate"])[name].numpy()
+    np.testing.assert_allclose(sensors[:-1, 0], truth.yaw_rate[:-1], atol=0.01)
+    lean = read_leans(*place)[name].numpy()
+    assert np.corrcoef(lean[:-1], truth.yaw_rate[:-1])[0, 1] > 0.99
+
+
+@pytest.mark.parametrize("session", ["recordings/09_06/13", "unclean/26_05/9", "unclean/02_06/1"])
+def test_real_logs_are_clean_or_refused_as_known(shared, tmp_path, session):
+    path = tmp_path / f"{session}.csv.gz"
+    path.parent.mkdir(parents=True)
+    path.symlink_to(shared / "data" / "autobike" / f"{session}.csv.gz")
+    dataset = AutobikeDataset(tmp_path)
+    raw = dataset.read(dataset.scenes()[0], 0.1, strict=False)
+    assert [track.mode for track in raw.tracks] == [Mode.BICYCLE] * session.startswith("rec")
+    assert len(raw.rejected) == session.startswith("unclean")

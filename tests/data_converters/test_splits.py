@@ -1,0 +1,35 @@
+"""Whole recordings are dealt, reproducibly, and none of the splits stays empty."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data_converters import ConversionError, RecordingSplit
+
+
+@given(st.dictionaries(st.text(min_size=1), st.integers(1, 10**6), min_size=3, max_size=30))
+def test_every_recording_is_dealt_and_no_split_is_empty(sizes):
+    dealt = RecordingSplit().deal(sizes)
+    assert list(dealt) == list(sizes)
+    assert set(dealt.values()) == {"train", "val", "test"}
+    assert dealt == RecordingSplit().deal(dict(reversed(sizes.items())))
+
+
+def test_shares_hold_where_recordings_are_many():
+    dealt = list(RecordingSplit().deal(dict.fromkeys(map(str, range(1000)), 1)).values())
+    assert [dealt.count(split) for split in ("train", "val", "test")] == [700, 150, 150]
+
+
+def test_given_splits_are_kept_and_unknown_names_refused():
+    sizes = dict.fromkeys("abcdef", 1)
+    assert RecordingSplit(given={"a": "test", "b": "test"}).deal(sizes)["a"] == "test"
+    with pytest.raises(ConversionError, match="`given` must name recordings that are there"):
+        RecordingSplit(given={"g": "test"}).deal(sizes)
+
+
+@pytest.mark.parametrize(
+    "options", [{"shares": (0.5, 0.2, 0.1)}, {"shares": (1.2, -0.1, -0.1)}, {"given": {"a": "dev"}}]
+)
+def test_an_impossible_split_is_refused(options):
+    with pytest.raises(ConversionError, match="shares|given"):
+        RecordingSplit(**options)

@@ -1,0 +1,194 @@
+"""Own tables: columns, units, types, scenes, faults, and the example of the README."""
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+
+import diffstack_mmv.cli  # noqa: F401  registers the resolvers
+from data_converters import (
+    ConversionError,
+    ConversionSettings,
+    Mode,
+    RecordingSplit,
+    RejectReason,
+    TableColumns,
+    TableDataset,
+    TableUnits,
+    convert,
+)
+from data_converters.tables.units import Plausibility
+
+ROOT = Path(__file__).resolve().parents[2]
+TIME_S = np.arange(0.0, 12.0, 0.1)
+
+
+def table(**changes):
+    """A scooter that rides east at 4 m/s, in the columns of the defaults."""
+    columns = {"time": TIME_S, "x": 4.0 * TIME_S, "y": 1.0, "agent": 7, "type": "scooter"}
+    return pd.DataFrame(columns | changes)
+
+
+@pytest.fixture
+def dataset(tmp_path):
+    """A data set of tables, given by the stem of their files."""
+
+    def build(*, tables=None, **options):
+        for stem, content in (tables or {"day": table()}).items():
+            path = tmp_path / f"{stem}.csv"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            content.to_csv(path, index=False)
+        return TableDataset(tmp_path, **options)
+
+    return build
+
+
+def read(dataset, number=0, *, strict=True):
+    return dataset.read(dataset.scenes()[number], 0.1, strict=strict)
+
+
+UNITS = {
+    "milliseconds": (TableUnits(time="ms"), {"time": 1e3 * TIME_S}),
+    "date and time": (
+        TableUnits(time="iso"),
+        {"time": [f"2026-05-04T12:00:{second:09.6f}" for second in TIME_S]},
+    ),
+    "centimetres": (TableUnits(length="cm"), {"x": 400.0 * TIME_S, "y": 100.0}),
+    "a picture": (TableUnits(y_down=True), {"y": -1.0}),
+}
+
+
+@pytest.mark.parametrize(("units", "changes"), UNITS.values(), ids=UNITS)
+def test_units_become_si(dataset, units, changes):
+    (track,) = read(dataset(tables={"day": table(**changes)}, units=units)).tracks
+    np.testing.assert_allclose(track.time_s, TIME_S, atol=1e-6)
+    np.testing.assert_allclose(track.position[:, 0], 4.0 * TIME_S, atol=1e-9)
+    np.testing.assert_allclose(track.position[:, 1], 1.0)
+    assert (track.name, track.mode) == ("7", Mode.SCOOTER)
+
+
+@pytest.mark.parametrize(
+    ("unit", "y_down", "stated", "heading"),
+    [
+        ("deg", False, 90.0, np.pi / 2.0),
+        ("compass_deg", False, 90.0, 0.0),
+        ("compass_deg", False, 0.0, np.pi / 2.0),
+        ("rad", True, 0.3, -0.3),
+    ],
+)
+def test_headings_are_turned_counter_clockwise_from_east(dataset, unit, y_down, stated, heading):
+    columns, units = TableColumns(heading="face"), TableUnits(angle=unit, y_down=y_down)
+    (track,) = read(dataset(tables={"d": table(face=stated)}, columns=columns, units=units)).tracks
+    np.testing.assert_allclose(track.heading, heading, atol=1e-12)
+
+
+MISTAKES = {
+    "a column": ({}, {"columns": TableColumns(time="t")}, r"`columns\.time` must.*'t'.*time, x, y"),
+    "a control": (
+        {},
+        {"columns": TableColumns(controls={"steer": "delta"})},
+        r"`columns\.controls\.steer`.*'delta'",
+    ),
+    "milliseconds": ({"time": 1e3 * TIME_S}, {}, "`rate`.*0.01 Hz.*units.time"),
+    "centimetres": ({"x": 400.0 * TIME_S}, {}, "`speed`.*400 m/s.*units.length"),
+    "the rate": ({}, {"plausible": Plausibility(rate_hz=25.0)}, "`rate` must be 25 Hz.*10 Hz"),
+}
+
+
+@pytest.mark.parametrize(("changes", "options", "says"), MISTAKES.values(), ids=MISTAKES)
+def test_a_wrong_setting_is_told_with_what_to_change(dataset, changes, options, says):
+    with pytest.raises(ConversionError, match=says):
+        read(dataset(tables={"day": table(**changes)}, **options))
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"called": "my-scooters"}, "`name` must consist of letters"),
+        ({"types": {"roller": "hovercraft"}}, "`types.roller` must be one of"),
+        ({"columns": TableColumns(type=None)}, "`mode` must be given"),
+    ],
+)
+def test_an_impossible_description_is_refused(tmp_path, options, says):
+    with pytest.raises(ConversionError, match=says):
+        TableDataset(tmp_path, **options)
+
+
+@pytest.mark.parametrize("unit", ["time", "length", "angle", "speed"])
+def test_an_unknown_unit_is_refused(unit):
+    with pytest.raises(ConversionError, match=rf"`units\.{unit}` must be one of"):
+        TableUnits(**{unit: "furlong"})
+
+
+@pytest.mark.parametrize(
+    ("bad", "reason"),
+    [
+        ({"x": "west"}, RejectReason.NOT_FINITE),
+        ({"type": "horse"}, RejectReason.UNKNOWN_CLASS),
+        ({"time": 1.0}, RejectReason.REPEATED_TIMESTAMPS),
+    ],
+)
+def test_bad_rows_cost_their_agent_alone(dataset, bad, reason):
+    rows = pd.concat([table(), table(agent=8, **bad)])
+    raw = read(dataset(tables={"day": rows}), strict=False)
+    assert [(item.track, item.reason) for item in raw.rejected] == [("8", reason)]
+    assert [track.name for track in raw.tracks] == ["7"]
+
+
+def test_a_broken_file_is_counted_and_the_others_kept(dataset, tmp_path):
+    found = dataset(tables={"a": table(), "b": table()})
+    (tmp_path / "c.csv").write_text("")
+    report = convert(ConversionSettings(found, tmp_path / "cache", progress=False))
+    assert report.rejected_by_reason == {RejectReason.MISSING_FIELD: 1}
+
+
+def test_scenes_of_a_recording_stay_in_one_split(dataset):
+    rows = pd.concat(
+        [table(place=f"p{n}", ride=f"r{n // 3}", agent=n) for n in range(18)], ignore_index=True
+    )
+    columns = TableColumns(scene="place", recording="ride")
+    scenes = dataset(tables={"all": rows}, columns=columns).scenes()
+    assert len(scenes) == 18
+    for number in range(6):
+        assert len({scene.split for scene in scenes[3 * number : 3 * number + 3]}) == 1
+    assert {scene.split for scene in scenes} == {"train", "val", "test"}
+
+
+def test_files_are_recordings_whose_split_can_be_given(dataset):
+    given = RecordingSplit(given={"a_1": "test", "b": "test", "sub_c": "train"})
+    tables = {"a-1": table(), "b": table(), "sub/c": table()}
+    scenes = dataset(tables=tables, split=given).scenes()
+    assert {scene.name: scene.split for scene in scenes} == dict(given.given)
+
+
+def test_sizes_and_one_mode_for_all(dataset):
+    columns = TableColumns(type=None, agent=None, length="long")
+    found = dataset(tables={"d": table(long=1.3)}, columns=columns, mode="scooter")
+    (track,) = read(found).tracks
+    assert (track.extent.length, track.extent.width, track.mode) == (1.3, 0.6, Mode.SCOOTER)
+
+
+def test_the_example_of_the_readme_runs(tmp_path, monkeypatch):
+    text = (ROOT / "data_converters" / "README.md").read_text().partition("## Your own tables")[2]
+    script = re.search(r"```python\n(.*?)```", text, re.DOTALL)[1]
+    given = re.search(r"```bash\n(.*?)```", text, re.DOTALL)[1].replace("\\\n", " ")
+    assert len(script.splitlines()) + len(given.splitlines()) <= 20
+    monkeypatch.chdir(tmp_path)
+    exec(compile(script, "README.md", "exec"), {})  # noqa: S102
+    words = shlex.split(given)
+    assert words[:2] == ["python", "scripts/convert.py"]
+    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
+        config = compose("convert", [*words[2:], "out=out"])
+    OmegaConf.resolve(config)
+    dataset = instantiate(config.data.recordings)
+    settings = ConversionSettings(dataset, Path(config.data.cache), progress=False, strict=True)
+    report = convert(settings)
+    assert sum(sum(agents.values()) for agents in report.agents().values()) == 6
+    controls = pd.read_parquet(next(tmp_path.glob("cache/my_scooters/*/controls.parquet")))
+    assert set(controls.columns) == {"agent_id", "time_s", "steer"}
