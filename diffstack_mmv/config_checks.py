@@ -151,6 +151,23 @@ def require_own_vehicle(modes: Sequence[str], vehicle: Mapping[str, Any], *, sha
     require(fits, "modes", needs, f"[{', '.join(modes)}]", "", remedy)
 
 
+def require_same_horizon(config: Mapping[str, Any], trained: Mapping[str, Any]) -> None:
+    """Refuse other steps or another horizon than those that a checkpoint was trained with.
+
+    Args:
+        config: Configuration of the evaluation.
+        trained: That of the training.
+
+    Raises:
+        ValueError: The step or the horizon differs.
+    """
+    for name in ("dt_s", "horizon_s"):
+        wanted, found = trained[name], config[name]
+        remedy = f"Give {name}={wanted}, or train with {name}={found}."
+        requirement = f"be {wanted} as in the training"
+        require(found == wanted, name, requirement, found, "for this checkpoint", remedy)
+
+
 def require_recordings(source: Mapping[str, Any]) -> None:
     """Refuse a source of recordings that is not there.
 

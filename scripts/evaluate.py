@@ -8,7 +8,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from diffstack_mmv.cli import command
-from diffstack_mmv.config_checks import (
+from diffstack_mmv.config_checks import require_same_horizon, (
     other_modes,
     require_checkpoint,
     require_recordings,
@@ -37,6 +37,7 @@ def main(config: DictConfig) -> None:
     from diffstack_mmv.stack import evaluate_windows, load_stack
 
     stack, trained = load_stack(Path(config.checkpoint), _device(config.device))
+    require_same_horizon(config, trained)
     if "goal" in config:
         stack.goal = instantiate(config.goal)
     if "solver" in config:

@@ -1,6 +1,6 @@
 """Results and checkpoints in offline W&B runs, which need neither account nor network."""
 
-import json
+import time
 
 import pytest
 import pytorch_lightning as pl
@@ -22,12 +22,19 @@ def offline(monkeypatch):
     monkeypatch.setenv("WANDB_SILENT", "true")
 
 
-def kept(folder):
-    """Name -> content of the tables of an offline run, and its stored record."""
+def tables_of(folder):
+    """Names of the tables of an offline run."""
     files = folder.glob("wandb/offline-run-*/files/media/table/**/*.json")
-    tables = {file.name.split("_0_")[0]: json.loads(file.read_text()) for file in files}
-    [record] = folder.glob("wandb/offline-run-*/*.wandb")
-    return tables, record.read_bytes()
+    return {file.name.split("_0_")[0] for file in files}
+
+
+def written(folder, wanted):
+    """The stored record of an offline run, which its own process writes after the run is closed."""
+    [file] = folder.glob("wandb/offline-run-*/*.wandb")
+    end = time.monotonic() + 20
+    while wanted not in file.read_bytes() and time.monotonic() < end:
+        time.sleep(0.05)
+    return file.read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -42,9 +49,8 @@ def kept(folder):
 def test_tables_and_numbers_of_every_command_are_logged(offline, kind, table, number, tmp_path):
     folder = kind(tmp_path / "run")
     WandbResults(str(folder), "project", "kind")(read_record(folder, runs.TITLES))
-    tables, record = kept(folder)
-    assert table in tables
-    assert number in record
+    assert table in tables_of(folder)
+    assert number in written(folder, number)
 
 
 def test_columns_of_numbers_are_numbers(tmp_path):
@@ -69,7 +75,7 @@ def test_checkpoints_become_artifacts_of_an_offline_run(offline, tmp_path):
     trainer = pl.Trainer(logger=logger, accelerator="cpu", enable_checkpointing=False)
     CheckpointArtifact(str(tmp_path)).on_fit_end(trainer, pl.LightningModule())
     wandb.finish()
-    record = kept(tmp_path)[1]
+    record = written(tmp_path, b"best.ckpt")
     assert b"best.ckpt" in record
     assert b"last.ckpt" not in record
 
