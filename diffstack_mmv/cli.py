@@ -34,6 +34,10 @@ OmegaConf.register_new_resolver(
 EXPECTED = (ValueError, TypeError, LookupError, OSError, HydraException, OmegaConfBaseException)
 
 
+Task = Callable[[DictConfig], float | None]
+"""Work of a command; a number is what a sweeper minimises or maximises."""
+
+
 class CommandError(CompactHydraException):
     """A failure told in one message.
 
@@ -45,7 +49,7 @@ def command(
     config_folder: Path,
     config_name: str,
     check: Callable[[DictConfig], object] = OmegaConf.resolve,
-) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
+) -> Callable[[Task], Callable[[], None]]:
     """Make a function of a composed configuration a command line.
 
     The resolved configuration goes into the run folder (`out=DIR`) as `config.yaml` before the work
@@ -59,9 +63,9 @@ def command(
             gets the resolved configuration.
     """
 
-    def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
+    def decorate(task: Task) -> Callable[[], None]:
         @functools.wraps(task)
-        def guarded(config: DictConfig) -> None:
+        def guarded(config: DictConfig) -> float | None:
             try:
                 config.out = HydraConfig.get().runtime.output_dir
                 _read_vehicle_file(config)
@@ -71,9 +75,10 @@ def command(
                 check(config)
                 save_config(config, Path(config.out))
                 with _single_job():
-                    task(config)
+                    result = task(config)
             except EXPECTED as error:
                 raise CommandError(_told(error)) from error
+            return result
 
         entry = hydra.main(
             version_base="1.3", config_path=str(config_folder), config_name=config_name

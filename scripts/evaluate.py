@@ -8,10 +8,11 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from diffstack_mmv.cli import command
-from diffstack_mmv.config_checks import require_same_horizon, (
+from diffstack_mmv.config_checks import (
     other_modes,
     require_checkpoint,
     require_recordings,
+    require_same_horizon,
     require_windows,
 )
 from dmmv_conventions.configs import config_folder

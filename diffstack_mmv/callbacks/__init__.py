@@ -5,6 +5,7 @@ from diffstack_mmv.callbacks.compilation import CompiledSolver
 from diffstack_mmv.callbacks.dashboard import build_dashboard, dashboard
 from diffstack_mmv.callbacks.monitors import GradientNorms, LearnedParameters, Throughput
 from diffstack_mmv.callbacks.plans import PlanTable, scenes_of
+from diffstack_mmv.callbacks.preemption import Preemption
 from diffstack_mmv.callbacks.reproducibility import Provenance, RandomState, resume_point
 from diffstack_mmv.callbacks.results import WandbResults
 
@@ -14,6 +15,7 @@ __all__ = [
     "GradientNorms",
     "LearnedParameters",
     "PlanTable",
+    "Preemption",
     "Provenance",
     "RandomState",
     "Throughput",
