@@ -62,6 +62,9 @@ def main(config: DictConfig) -> None:
     header: Any = OmegaConf.to_container(config.header)
     header |= models_told(actual, believed, world.robot, instantiate(config.model))
     result = header | summarise(chunks)
+    search = instantiate(config.search)
+    if search is not None:
+        result["feasible"] = search.judge(world, scenario, config.phase, result["cases"])
     published = [dict(each) for each in config.published or ()]
     pairs = [{"other": name} | paired_cases(result["cases"], rows[name]["cases"]) for name in rows]
     pairs += [paired_with_run(result, Path(folder)) for folder in config.against]
