@@ -28,8 +28,8 @@ def scene_records(
         output: What the stack made of them.
         titles: Names of the samples.
     """
-    cpu: Any = map_tensors(lambda tensor: tensor.detach().cpu(), (batch, output))
-    return [_record(*cpu, row, title) for row, title in enumerate(titles)]
+    here, made = map_tensors(lambda tensor: tensor.detach().cpu(), (batch, output))
+    return [_record(here, made, row, title) for row, title in enumerate(titles)]
 
 
 def _record(batch: StackBatch, output: StackOutput, row: int, title: str) -> dict[str, Any]:

@@ -5,22 +5,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 
 PICTURES = {".png": "image/png", ".gif": "image/gif"}
-
-
-@runtime_checkable
-class Block(Protocol):
-    """A part of a section."""
-
-    @property
-    def template(self) -> str:
-        """File of the template that shows it."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -114,6 +104,10 @@ class Scenes:
     template: ClassVar[str] = "scenes.html.j2"
     title: str
     scenes: Sequence[Mapping[str, Any]]
+
+
+Block = Note | Table | Chart | Bars | Gallery | Scenes
+"""A part of a section; `template` is the file that shows it."""
 
 
 @dataclass(frozen=True)
