@@ -19,8 +19,8 @@ class Preemption(Callback):
     """On SIGTERM or SIGUSR1, saves a checkpoint after the present batch and ends the training.
 
     The same command resumes there, within the epoch. A SLURM job that may be requeued (`sbatch
-    --requeue`) asks for that itself. A signal during validation is answered after the next batch
-    of the training; until then the checkpoint is that of the epoch before.
+    --requeue`) asks for that itself. A signal during the last batch or validation is answered
+    after the first batch of the next epoch.
 
     Args:
         path: The checkpoint, from which a training resumes.
@@ -52,7 +52,9 @@ class Preemption(Callback):
         Raises:
             InterruptedError: A signal came.
         """
-        told = self._received is not None
+        # behind its last batch an epoch still has its validation and its own checkpoint to come,
+        # which a resumed run would leave out
+        told = self._received is not None and not trainer.is_last_batch
         if not trainer.strategy.reduce_boolean_decision(told, all=False):
             return
         trainer.save_checkpoint(self.path)

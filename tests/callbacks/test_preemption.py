@@ -58,6 +58,11 @@ def test_the_run_goes_on_within_the_epoch(tmp_path):
     assert trainer.global_step == BATCHES
 
 
+def test_an_epoch_that_is_nearly_over_is_brought_to_its_end(tmp_path):
+    assert fit(tmp_path, Counter(signal.SIGUSR1, BATCHES - 1)).global_step == BATCHES
+    assert not (tmp_path / "last.ckpt").exists()
+
+
 @pytest.mark.parametrize(("job", "asked"), [("17", "requeue 17\n"), (None, "")])
 def test_a_job_of_slurm_is_put_back_into_its_queue(job, asked, tmp_path, monkeypatch):
     tool, said = tmp_path / "scontrol", tmp_path / "said"
