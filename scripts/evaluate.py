@@ -32,7 +32,7 @@ def check(config: DictConfig) -> None:
 @command(config_folder(), "evaluate", check)
 def main(config: DictConfig) -> None:
     """Score every window of a split; write tables and plots."""
-    from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
+    from diffstack_mmv.metrics import CLOSED_LOOP, EVALUATED
     from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
     from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.stack import evaluate_windows, load_stack
@@ -53,7 +53,7 @@ def main(config: DictConfig) -> None:
     vehicle = trained["vehicle"]["name"]
     for mode in other_modes(config.modes, trained["vehicle"]):
         logger.warning("Agents of mode '%s' are driven with the vehicle '%s'.", mode, vehicle)
-    metrics = summarise_modes(evaluation.samples, config.situations, vehicle, OPEN_LOOP)
+    metrics = summarise_modes(evaluation.samples, config.situations, vehicle, EVALUATED)
     for mode in set(config.modes) - set(metrics["modes"]):
         logger.warning(
             "No sample of mode '%s' in split '%s'; the tables leave it out.", mode, config.split
@@ -70,11 +70,11 @@ def main(config: DictConfig) -> None:
     }
     out = Path(config.out)
     write_parquet(out / "samples.parquet", evaluation.samples)
-    write_metrics(out, header | metrics, OPEN_LOOP)
+    write_metrics(out, header | metrics, EVALUATED)
     if config.plots:
         _draw(config, stack, windows, evaluation)
     if config.get("wandb"):
-        instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))
+        instantiate(config.wandb)(read_record(out, Titles(EVALUATED, CLOSED_LOOP)))
     logger.info("Report: %s; as a page: dmmv-report %s", out / "metrics.md", out)
 
 

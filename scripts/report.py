@@ -24,10 +24,10 @@ def check(config: DictConfig) -> None:
 @command(config_folder(), "report", check)
 def report(config: DictConfig) -> None:
     """Read what the runs wrote, and write one HTML file that needs nothing else."""
-    from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
+    from diffstack_mmv.metrics import CLOSED_LOOP, EVALUATED
     from diffstack_mmv.reporting.html import Titles, read_page, write_page
 
-    titles = Titles(OPEN_LOOP, CLOSED_LOOP)
+    titles = Titles(EVALUATED, CLOSED_LOOP)
     pages = [read_page(Path(run), titles, config.episodes) for run in config.runs]
     write_page(Path(config.page), pages)
     logger.info("Page: %s", config.page)
