@@ -6,7 +6,7 @@ Hydra's composition, one message per failure, and an exit status to trust.
 import functools
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,10 @@ OmegaConf.register_new_resolver(
 EXPECTED = (ValueError, TypeError, LookupError, OSError, HydraException, OmegaConfBaseException)
 
 
+Task = Callable[[DictConfig], float | None]
+"""Work of a command; a number is what a sweeper minimises or maximises."""
+
+
 class CommandError(CompactHydraException):
     """A failure told in one message.
 
@@ -53,7 +57,7 @@ def command(
     config_name: str,
     check: Callable[[DictConfig], object] = OmegaConf.resolve,
     admit: Callable[[DictConfig], object] = admit_any,
-) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
+) -> Callable[[Task], Callable[[], None]]:
     """Make a function of a composed configuration a command line.
 
     The resolved configuration goes into the run folder (`out=DIR`) as `config.yaml` before the work
@@ -70,9 +74,9 @@ def command(
             is replaced.
     """
 
-    def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
+    def decorate(task: Task) -> Callable[[], None]:
         @functools.wraps(task)
-        def guarded(config: DictConfig) -> None:
+        def guarded(config: DictConfig) -> float | None:
             try:
                 config.out = HydraConfig.get().runtime.output_dir
                 _read_vehicle_file(config)
@@ -84,9 +88,10 @@ def command(
                 with alone_in(Path(config.out), "out"), _single_job():
                     admit(config)
                     save_config(config, Path(config.out))
-                    task(config)
+                    result = task(config)
             except EXPECTED as error:
                 raise CommandError(_told(error)) from error
+            return result
 
         entry = hydra.main(
             version_base="1.3", config_path=str(config_folder), config_name=config_name
@@ -100,6 +105,26 @@ def command(
         return main
 
     return decorate
+
+
+def folders_as(key: str, arguments: Sequence[str]) -> list[str]:
+    """Command line in which bare folders, as in `report.py RUN RUN`, are the list of one key.
+
+    What begins with a dash or sets a key stays, unless it is a folder of that name.
+
+    Args:
+        key: The key.
+        arguments: The command line without its first word.
+    """
+    bare = [each for each in arguments if _is_folder(each)]
+    rest = [each for each in arguments if each not in bare]
+    quoted = ",".join("'" + each.replace("'", "\\'") + "'" for each in bare)
+    return [*rest, f"{key}=[{quoted}]"] if bare else rest
+
+
+def _is_folder(argument: str) -> bool:
+    named = not argument.startswith("-") and "=" not in argument
+    return named or Path(argument).is_dir()
 
 
 def save_config(config: DictConfig, folder: Path) -> None:

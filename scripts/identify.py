@@ -29,8 +29,10 @@ def main(config: DictConfig) -> None:
 
     from diffstack_mmv.data import read_controls, read_leans, read_tracks, recorded_noise
     from diffstack_mmv.identification import Recordings, identification_result, vehicle_provenance
+    from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
     from diffstack_mmv.plotting import FittedTrack, save_identification
     from diffstack_mmv.reporting import write_identification
+    from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.vehicles import save_vehicle
 
     name, place = config.names.dynamics, (source, config.splits, study.spec.mode)
@@ -59,7 +61,9 @@ def main(config: DictConfig) -> None:
     origin = f"identified from {len(tracks)} tracks of {config.data.name}"
     vehicle = result.calibrated(study.spec, origin)
     save_vehicle(vehicle, out / "vehicle.yaml", vehicle_provenance(header, content, name))
-    logger.info("Report: %s", out / "identification.md")
+    if config.get("wandb"):
+        instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))
+    logger.info("Report: %s; as a page: dmmv-report %s", out / "identification.md", out)
 
 
 if __name__ == "__main__":

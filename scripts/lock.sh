@@ -6,7 +6,7 @@
 set -eu
 python="$1"
 torch="torch==2.13.0"
-cpu="https://download.pytorch.org/whl/cpu"
+cpu="${TORCH_CPU_INDEX:-}"   # address of the index that has torch without CUDA
 folder="$(mktemp -d)"
 trap 'rm -rf "$folder"' EXIT
 "$python" -m venv "$folder/venv"
@@ -24,8 +24,8 @@ fi
 $uv --no-deps "$folder/pins" > "$folder/hashed"
 echo "$torch" > "$folder/torch"
 # the builds without CUDA are files of another index; where it cannot be reached, those that pip finds here
-if ! $uv --no-deps --index-url "$cpu" "$folder/torch" > "$folder/cpu" 2> /dev/null; then
-  echo "$cpu cannot be reached: only the build of this machine is added." >&2
+if [ -z "$cpu" ] || ! $uv --no-deps --index-url "$cpu" "$folder/torch" > "$folder/cpu" 2> /dev/null; then
+  echo "No index in TORCH_CPU_INDEX, or it cannot be reached: only the build of this machine is added." >&2
   "$folder/venv/bin/python" -m pip download --quiet --no-deps --dest "$folder" "$torch"
   sha256sum "$folder"/torch-*.whl | sed 's/^\([0-9a-f]*\) .*/    --hash=sha256:\1/' > "$folder/cpu"
 fi

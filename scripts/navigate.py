@@ -29,9 +29,10 @@ def main(config: DictConfig) -> None:
     """Run the benchmark of the controller and of its baselines; write tables, plots, animations."""
     import torch
 
-    from diffstack_mmv.metrics import CLOSED_LOOP
+    from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
     from diffstack_mmv.plotting import save_stories
     from diffstack_mmv.reporting import paired_cases, paired_with_run, write_closed_loop
+    from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.simulation import (
         Chunk,
         Method,
@@ -77,7 +78,9 @@ def main(config: DictConfig) -> None:
     radius_m = scenario.pedestrian_radius_m
     outline = world.robot.footprint.outline()
     save_stories(out, numbers, records, radius_m, config.animate, goal_m, config.show, outline)
-    logger.info("Report: %s", out / "closed_loop.md")
+    if config.get("wandb"):
+        instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))
+    logger.info("Report: %s; as a page: dmmv-report %s", out / "closed_loop.md", out)
 
 
 if __name__ == "__main__":

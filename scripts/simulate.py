@@ -46,7 +46,7 @@ def main(config: DictConfig) -> None:
     leaning = lean.numpy() if spec.leans and lean is not None else None
     motions = {name: run.motion for name, run in runs.items()}
     save_figure(draw_runs(motions, config.dt_s, leaning), out / "runs.png")
-    logger.info("Trajectories and figures: %s", out)
+    logger.info("Trajectories and figures: %s; as a page: dmmv-report %s", out, out)
 
 
 if __name__ == "__main__":

@@ -39,8 +39,12 @@ def resumed(config: DictConfig) -> Path | None:
 
 
 @command(config_folder(), "train", check, admit=resumed)
-def main(config: DictConfig) -> None:
-    """Fit, and continue where an interrupted run of the same configuration stopped."""
+def main(config: DictConfig) -> float | None:
+    """Fit, and continue where an interrupted run of the same configuration stopped.
+
+    Returns:
+        The best value of the watched score, which a sweeper minimises.
+    """
     import pytorch_lightning as pl
 
     from diffstack_mmv.callbacks import Provenance
@@ -59,6 +63,9 @@ def main(config: DictConfig) -> None:
     )
     with own_processes():
         trainer.fit(stack, data, ckpt_path=resume)
+    best = trainer.checkpoint_callback
+    score = getattr(best, "best_model_score", None)
+    return None if score is None else float(score)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from diffstack_mmv.control.compilation import (
     eager_kernels,
 )
 from diffstack_mmv.control.curvature import CurvatureForm, ExactCurvature
+from diffstack_mmv.control.fitting import require_fitting, require_tensors
 from diffstack_mmv.control.gradient import Call, GradientMode, Implicit
 from diffstack_mmv.control.iteration import OPEN, Iterate, Settings, start
 from diffstack_mmv.control.optimizer import Constraints, Cost, Dynamics
@@ -162,8 +163,9 @@ class ILQR:
             problem that is not finite are zero where they are NaN.
 
         Raises:
-            ValueError: Shapes, precision or the order of the bounds do not fit.
-            TypeError: The state is not of a floating-point type.
+            ValueError: Shapes, precision or the order of the bounds do not fit, or the callables
+                return other shapes.
+            TypeError: The state is not of a floating-point type, or something is no tensor.
         """
         if constraints is not None:
             # it is built on this class
@@ -171,7 +173,9 @@ class ILQR:
 
             solve = ConstrainedILQR(self)
             return solve(dynamics, cost, listed(constraints), bounds, state, controls)
+        require_tensors(bounds, state, controls)
         check_problem(bounds, state, controls)
+        require_fitting(dynamics, cost, state, controls)
         call = Call(
             self._kernels(dynamics, cost, state, controls),
             dynamics,

@@ -57,6 +57,8 @@ class Chunk(NamedTuple):
     record: EpisodeRecord
     step_s: Float[np.ndarray, " steps"]  # time of each decision per running episode
     diagnosis: dict[str, Float[np.ndarray, " E"]]  # per case, what the controller tells of itself
+    # per case and decision, what it expected and planned; on disk only, empty when read back
+    thoughts: dict[str, Float[np.ndarray, "E S *d"]]
 
 
 @dataclass
@@ -119,6 +121,7 @@ def run(
         if chunk is None or chunk.cases != numbers:
             chunk = _driven(method, scenario, numbers, phase)
             _write(file, origin, chunk)
+            chunk = chunk._replace(thoughts={})
         LOGGER.info("%s: cases %d to %d are done.", method.name, numbers[0], numbers[-1])
         yield chunk
 
@@ -131,7 +134,9 @@ def _driven(method: Method, scenario: Scenario, numbers: list[int], phase: str) 
     diagnose = getattr(controller, "diagnosis", None)
     shares = {} if diagnose is None else diagnose(known)
     told = {name: share.double().numpy() for name, share in shares.items()}
-    return Chunk(numbers, record, np.array(timed.seconds), told)
+    think = getattr(controller, "thoughts", None)
+    thoughts = {} if think is None else think(known)
+    return Chunk(numbers, record, np.array(timed.seconds), told, thoughts)
 
 
 def _write(file: Path, origin: Origin, chunk: Chunk) -> None:
@@ -146,6 +151,7 @@ def _write(file: Path, origin: Origin, chunk: Chunk) -> None:
             arrays[name] = value.detach().numpy()
     arrays["dt_s"] = record.dt_s
     arrays |= {f"diagnosis.{name}": value for name, value in chunk.diagnosis.items()}
+    arrays |= {f"thoughts.{name}": value for name, value in chunk.thoughts.items()}
     unfinished = file.with_name(file.name + ".part")
     with unfinished.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
@@ -174,7 +180,8 @@ def _read(file: Path, origin: Origin | None) -> Chunk | None:
         return None
     try:
         with np.load(file) as stored:
-            arrays = {name: stored[name] for name in stored.files}
+            kept = (name for name in stored.files if not name.startswith("thoughts."))
+            arrays = {name: stored[name] for name in kept}
         record = _record(arrays)
     except (OSError, ValueError, KeyError, BadZipFile) as broken:
         LOGGER.warning("`%s` is not readable (%s) and is made anew.", file, broken)
@@ -186,7 +193,7 @@ def _read(file: Path, origin: Origin | None) -> Chunk | None:
         for name, value in arrays.items()
         if name.startswith("diagnosis.")
     }
-    return Chunk(arrays["cases"].tolist(), record, arrays["step_s"], told)
+    return Chunk(arrays["cases"].tolist(), record, arrays["step_s"], told, {})
 
 
 def _require_origin(file: Path, arrays: dict[str, np.ndarray], origin: Origin) -> None:
