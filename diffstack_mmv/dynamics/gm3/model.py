@@ -26,6 +26,7 @@ from diffstack_mmv.vehicles import (
     WHEEL_PARAMETERS,
     SoftClamped,
     VehicleSpec,
+    require_vehicle,
     turning_axle_m,
 )
 
@@ -101,6 +102,7 @@ class DiffGM3(DynamicsModel):
         stepper: Stepper | None = None,
         lean: LeanLaw | None = None,
     ) -> None:
+        require_vehicle(spec)
         require(substeps >= 1, "substeps", "be at least 1", substeps)
         self.Control = self.control_record(spec)
         super().__init__(dt_s, *self.control_range(spec))
