@@ -54,14 +54,14 @@ class InstrumentPriors:
 class MeasurementNoise:
     """Standard deviations of what is measured, the same for every model.
 
-    Steering and speed have errors that stay for `knot_steps` steps, which stand for everything
+    Steering and speed have errors at knots every `knot_steps` steps, which stand for everything
     between the measured control and the path: play, slope, wind.
 
     Attributes:
         along_m: Of a position along the course, where the time of a fix counts too.
         across_m: Across it.
-        steer_rad: Of the steering over a knot.
-        speed_share: Of the speed over a knot, relative.
+        steer_rad: Of the steering at a knot.
+        speed_share: Of the speed at a knot, relative.
         yaw_rate_radps: Of the gyro over a step.
         yaw_rate_bias: Prior of the bias of the gyro, rad/s.
         knot_steps: Steps of a knot.

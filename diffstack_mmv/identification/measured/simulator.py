@@ -86,8 +86,8 @@ class RideSimulator:
         self._axle_m = turning_axle_m(spec.wheels)
 
     def knots(self, steps: int) -> int:
-        """Number of knots over so many steps."""
-        return -(-steps // self.noise.knot_steps)
+        """Number of knots over so many steps, both ends included."""
+        return -(-steps // self.noise.knot_steps) + 1
 
     def local_size(self, steps: int) -> int:
         """Number of unknowns of a window, those of its recording included."""
@@ -148,8 +148,16 @@ class RideSimulator:
         count = self.knots(windows.steps)
         offset, scale, pace, delay = local[:, POSE : POSE + RECORDING].T.unsqueeze(-1)
         errors = local[:, POSE + RECORDING :]
-        number = torch.arange(windows.steps + 1) // self.noise.knot_steps
-        number = number.clamp(max=count - 1)
         steer = scale * (windows.steer - delay * windows.steer_rate) + offset
-        steer = steer + errors[:, :count][:, number[:-1]]
-        return windows.speed * (pace + errors[:, count:][:, number]), steer
+        ends = torch.arange(windows.steps + 1, dtype=errors.dtype)
+        steer = steer + self._between(errors[:, :count], ends[:-1] + 0.5)
+        return windows.speed * (pace + self._between(errors[:, count:], ends)), steer
+
+    def _between(
+        self, knots: Float[Tensor, "w k"], steps: Float[Tensor, " t"]
+    ) -> Float[Tensor, "w t"]:
+        """Values between knots by straight lines: jumps of the speed would saturate the model."""
+        place = steps / self.noise.knot_steps
+        left = place.floor().long().clamp(max=knots.shape[-1] - 2)
+        share = place - left
+        return (1 - share) * knots[:, left] + share * knots[:, left + 1]
