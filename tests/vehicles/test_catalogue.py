@@ -19,8 +19,8 @@ from diffstack_mmv.vehicles import (
 NAMES = vehicle_names()
 
 
-def test_nine_vehicles_are_shipped():
-    names = "bicycle cart hoverboard motorcycle scooter skateboard tadpole tricycle wheelchair"
+def test_ten_vehicles_are_shipped():
+    names = "autobike bicycle cart hoverboard motorcycle scooter skateboard tadpole tricycle wheelchair"
     assert " ".join(NAMES) == names
 
 
