@@ -20,11 +20,14 @@ NAMES = vehicle_names()
 
 
 def test_ten_vehicles_are_shipped():
-    names = "autobike bicycle cart hoverboard motorcycle scooter skateboard tadpole tricycle wheelchair"
+    names = (
+        "autobike bicycle cart hoverboard motorcycle scooter skateboard tadpole tricycle wheelchair"
+    )
     assert " ".join(NAMES) == names
 
 
-@pytest.mark.parametrize("name", NAMES)
+# the autobike was measured by its builders, and is in no reference set
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "autobike"])
 def test_shipped_numbers_are_those_of_the_reference(name, shared):
     entries = json.loads((shared / "reference/gm3/vehicles.json").read_text())
     ours, theirs = load_vehicle(name), VehicleSpec.from_reference(entries[name])
