@@ -102,26 +102,19 @@ def _linearise_turned(
     """`linearise` by forward mode, without tangents for the pose."""
     shape, n = state.shape[:-1], state.shape[-1]
     columns = (part.reshape(-1, part.shape[-1]).mT for part in (state, control))
-    whole = linearised_columns(dynamics, (), *columns)[1].permute(2, 1, 0).unflatten(0, shape)
+    whole = linearised_columns(dynamics, *columns)[1].permute(2, 1, 0).unflatten(0, shape)
     return Linearisation(whole[..., :n], whole[..., n:])
 
 
 def linearised_columns(
-    dynamics: DynamicsModel, names: tuple[str, ...], *tensors: Tensor
+    dynamics: DynamicsModel, state: Float[Tensor, "n N"], control: Float[Tensor, "m N"]
 ) -> tuple[Float[Tensor, "n N"], Float[Tensor, "k n N"]]:
-    """Step and Jacobian at given values of the parameters of these names.
-
-    Args:
-        dynamics: The model.
-        names: Names of the parameters.
-        tensors: Columns of states and of controls, and the values.
-    """
-    state, control, *values = tensors
-    n, given = len(state), dict(zip(names, values, strict=True))
+    """Step and Jacobian of a model that moves with its pose: entry (j, i) is ∂f_i / ∂(x, u)_j."""
+    n = len(state)
 
     def step(point: Tensor) -> Tensor:
-        arguments = (point[:n].mT, point[n:].mT)
-        return torch.func.functional_call(dynamics, given, arguments).mT
+        following: Tensor = dynamics(point[:n].mT, point[n:].mT)
+        return following.mT
 
     point = torch.cat([state, control])
 

@@ -1,13 +1,13 @@
 """One control step and its Jacobians in one call, for models without Jacobians in closed form.
 
-The batch is the last dimension: a compiled kernel sees columns of one length, so that one graph
+The batch is the last dimension: the compiled kernel sees columns of one length, so that one graph
 serves any number of agents, and what it computes in between stays in the cache.
 """
 
 import functools
 import logging
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -24,14 +24,11 @@ from diffstack_mmv.prediction.trajectron.jacobians import (
 
 LOGGER = logging.getLogger(__name__)
 COLUMNS = 512
-"""Length of the columns of a compiled kernel."""
-
-
-class LinearStep(NamedTuple):
-    """A step, and its derivatives: entry (j, i) is that of output i in the state or control j."""
-
-    state: Float[Tensor, "n N"]
-    jacobian: Float[Tensor, "k n N"]
+"""Number of columns that the compiled kernel sees."""
+ROWS = 256
+"""Rows whose second derivatives are computed at once, at all times; bounds the memory."""
+ROWS = 256
+"""Rows whose second derivatives are computed at once, at all times; bounds the memory."""
 
 
 def linearised_rollout(
@@ -39,20 +36,101 @@ def linearised_rollout(
 ) -> tuple[Float[Tensor, "*b T1 n"], Linearisation]:
     """States x_0 .. x_T and Jacobians at all times, each step by a compiled kernel.
 
-    The roll-out needs no adjoint of its own: autograd goes back through the steps, and each is
-    computed again there.
+    Can be differentiated once; a second derivative is refused.
     """
-    shape = controls.shape[:-2]
-    columns = [state.expand(*shape, -1).flatten(0, -2).mT]
-    jacobians = []
-    for control in controls.flatten(0, -3).permute(1, 2, 0):
-        step = linearised_step(dynamics, columns[-1], control, *_KERNELS)
-        columns.append(step.state)
-        jacobians.append(step.jacobian)
-    states = torch.stack(columns).movedim(-1, 0).unflatten(0, shape)
-    whole = torch.stack(jacobians).permute(3, 0, 2, 1).unflatten(0, shape)
-    n = state.shape[-1]
+    shape, n = controls.shape[:-2], state.shape[-1]
+    start = state.expand(*shape, n).flatten(0, -2).mT
+    acting = controls.flatten(0, -3).permute(1, 2, 0)
+    learned = [each for each in dynamics.parameters() if each.requires_grad]
+    columns, jacobians = _Rollout.apply(dynamics, start, acting, *learned)  # type: ignore[no-untyped-call]
+    states = columns.movedim(-1, 0).unflatten(0, shape)
+    whole = jacobians.permute(3, 0, 2, 1).unflatten(0, shape)
     return states, Linearisation(whole[..., :n], whole[..., n:])
+
+
+class _Rollout(torch.autograd.Function):
+    """`linearised_rollout` with the batch last, and with its adjoint.
+
+    With the gradient G in the Jacobians J = (A, B) the recursion is λ_t = g_t + ∂(G · J)/∂x_t +
+    A_tᵀ λ_{t+1}: the second derivatives of all times are one call.
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        dynamics: DynamicsModel,
+        start: Float[Tensor, "n N"],
+        controls: Float[Tensor, "T m N"],
+        *learned: Tensor,
+    ) -> tuple[Float[Tensor, "T1 n N"], Float[Tensor, "T k n N"]]:
+        states, jacobians = [start], []
+        for control in controls:
+            following, jacobian = _by_kernel(dynamics, states[-1], control)
+            states.append(following)
+            jacobians.append(jacobian)
+        found = torch.stack(states), torch.stack(jacobians)
+        ctx.dynamics = dynamics
+        ctx.save_for_backward(controls, *found, *learned)
+        return found
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: Tensor, of_jacobians: Tensor) -> tuple[Tensor | None, ...]:
+        controls, states, jacobians, *learned = ctx.saved_tensors
+        n, before = states.shape[1], states[:-1]
+        of_state, of_control, *bent = _pulled(ctx.dynamics, before, controls, of_jacobians, learned)
+        slope, slopes = grad[-1], []
+        for step in range(len(controls) - 1, -1, -1):
+            slopes.append(slope)
+            pulled = (jacobians[step] * slope).sum(1)
+            slope = grad[step] + of_state[step] + pulled[:n]
+            of_control[step] += pulled[n:]
+        with torch.enable_grad():
+            after = ctx.dynamics(before.mT, controls.mT).mT
+        moved = torch.autograd.grad(
+            after, learned, torch.stack(slopes[::-1]), materialize_grads=True, allow_unused=True
+        )
+        totals = [first + second for first, second in zip(bent, moved, strict=True)]
+        return None, slope, of_control, *totals
+
+
+def _by_kernel(
+    dynamics: DynamicsModel, state: Float[Tensor, "n N"], control: Float[Tensor, "m N"]
+) -> tuple[Float[Tensor, "n N"], Float[Tensor, "k n N"]]:
+    """Step and Jacobian of any number of columns by the kernel, which sees a fixed number."""
+    missing = -state.shape[-1] % COLUMNS
+    fields = [
+        torch.cat([field, field[:, -1:].expand(-1, missing)], -1) for field in (state, control)
+    ]
+    split = zip(*(field.split(COLUMNS, -1) for field in fields), strict=True)
+    parts = [KERNEL(dynamics, *(field.contiguous() for field in pair)) for pair in split]
+    following, jacobian = (torch.cat(part, -1) for part in zip(*parts, strict=True))
+    return following[..., : state.shape[-1]], jacobian[..., : state.shape[-1]]
+
+
+def _pulled(
+    dynamics: DynamicsModel,
+    states: Float[Tensor, "T n N"],
+    controls: Float[Tensor, "T m N"],
+    of_jacobians: Float[Tensor, "T k n N"],
+    learned: Sequence[Tensor],
+) -> list[Tensor]:
+    """Gradient through the Jacobians in states, controls and parameters, some rows at a time."""
+    parts = zip(*(part.split(ROWS, -1) for part in (states, controls, of_jacobians)), strict=True)
+    found = []
+    for state, control, toward in parts:
+        points = [part.movedim(1, 0).flatten(1).requires_grad_() for part in (state, control)]
+        with torch.enable_grad():
+            jacobian = linearised_columns(dynamics, *points)[1]
+        weights = toward.permute(1, 2, 0, 3).flatten(2)
+        slopes = torch.autograd.grad(
+            jacobian, [*points, *learned], weights, materialize_grads=True, allow_unused=True
+        )
+        unflattened = (slope.unflatten(1, (len(state), -1)).movedim(1, 0) for slope in slopes[:2])
+        found.append([*unflattened, *slopes[2:]])
+    gathered = list(zip(*found, strict=True))
+    joined = [torch.cat(each, -1) for each in gathered[:2]]
+    return [*joined, *(functools.reduce(torch.add, each) for each in gathered[2:])]
 
 
 def linearise_compiled(
@@ -68,110 +146,6 @@ def gains_from_compiling(dynamics: DynamicsModel, state: Float[Tensor, "*b n"]) 
     return dynamics.moves_with_pose and not plain
 
 
-def linearised_step(
-    dynamics: DynamicsModel,
-    state: Float[Tensor, "n N"],
-    control: Float[Tensor, "m N"],
-    linearised: Callable[..., tuple[Tensor, Tensor]] | None = None,
-    pulled: Callable[..., tuple[Tensor, ...]] | None = None,
-) -> LinearStep:
-    """x⁺ = f(x, u) with ∂f/∂(x, u), differentiable once in state, control and parameters.
-
-    Nothing but the arguments is kept for the backward pass. Columns of the pose need no tangent:
-    a model that does not care where it stands and where it points moves with its pose.
-
-    Args:
-        dynamics: A model with a pose among its states.
-        state: Columns of states.
-        control: Columns of controls.
-        linearised: Kernel for columns of a fixed number, `linearised_columns` by default.
-        pulled: Kernel for the gradient, `pulled_columns` by default.
-    """
-    named = {name: each for name, each in dynamics.named_parameters() if each.requires_grad}
-    kernels = linearised or linearised_columns, pulled or pulled_columns
-    given = (dynamics, tuple(named), *kernels, state, control, *named.values())
-    return LinearStep(*_Step.apply(*given))  # type: ignore[no-untyped-call]
-
-
-class _Step(torch.autograd.Function):
-    """`linearised_step` with its gradient."""
-
-    @staticmethod
-    def forward(
-        ctx: Any,
-        dynamics: DynamicsModel,
-        names: tuple[str, ...],
-        linearised: Callable[..., tuple[Tensor, Tensor]],
-        pulled: Callable[..., tuple[Tensor, ...]],
-        *tensors: Tensor,
-    ) -> tuple[Tensor, Tensor]:
-        ctx.dynamics, ctx.names, ctx.pulled = dynamics, names, pulled
-        ctx.save_for_backward(*tensors)
-        state, control, *parameters = tensors
-        parts = [
-            linearised(dynamics, names, *columns, *parameters)
-            for columns in _cut((state, control), isinstance(linearised, Compiled))
-        ]
-        following, jacobian = (_joined(part, state.shape[-1]) for part in zip(*parts, strict=True))
-        return following, jacobian
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        state, control, *parameters = ctx.saved_tensors
-        pulled = [
-            ctx.pulled(ctx.dynamics, ctx.names, *columns, *parameters)
-            for columns in _cut((state, control, *grads), isinstance(ctx.pulled, Compiled))
-        ]
-        of_state, of_control, *rest = zip(*pulled, strict=True)
-        count = state.shape[-1]
-        slopes = [functools.reduce(torch.add, part) for part in rest]
-        nothing = (None,) * 4
-        return *nothing, _joined(of_state, count), _joined(of_control, count), *slopes
-
-
-def _cut(fields: Sequence[Tensor], fixed: bool) -> list[tuple[Tensor, ...]]:
-    """Parts of fixed length, the last one filled up with copies that carry no gradient.
-
-    The last column is repeated in states and controls, the first two fields; the others, which are
-    gradients, go on with zeros.
-    """
-    count = fields[0].shape[-1]
-    if not fixed:
-        return [tuple(fields)]
-    missing = -count % COLUMNS
-    if missing:
-        copies = [field[..., -1:].expand(*field.shape[:-1], missing) for field in fields]
-        filled = [*copies[:2], *(torch.zeros_like(copy) for copy in copies[2:])]
-        fields = [torch.cat(pair, -1) for pair in zip(fields, filled, strict=True)]
-    split = (field.split(COLUMNS, -1) for field in fields)
-    return [tuple(part.contiguous() for part in parts) for parts in zip(*split, strict=True)]
-
-
-def _joined(parts: Sequence[Tensor], count: int) -> Tensor:
-    return parts[0][..., :count] if len(parts) == 1 else torch.cat(list(parts), -1)[..., :count]
-
-
-def pulled_columns(
-    dynamics: DynamicsModel, names: tuple[str, ...], *tensors: Tensor
-) -> tuple[Tensor, ...]:
-    """Gradient through `linearised_columns` in columns and values.
-
-    Args:
-        dynamics: The model.
-        names: Names of the parameters.
-        tensors: Columns of states, of controls, of the gradients in both results; the values.
-    """
-    state, control, of_state, of_jacobian, *values = tensors
-
-    def function(*inputs: Tensor) -> tuple[Tensor, Tensor]:
-        return linearised_columns(dynamics, names, *inputs)
-
-    pull = torch.func.vjp(function, state, control, *values)[1]
-    found: tuple[Tensor, ...] = pull((of_state, of_jacobian))
-    return found
-
-
 class Compiled:
     """A function that runs compiled, or eagerly after the compiler failed.
 
@@ -183,10 +157,8 @@ class Compiled:
         self.function = function
         self.run: Callable[..., Any] | None = None
 
-    def __call__(
-        self, dynamics: DynamicsModel, names: tuple[str, ...], *tensors: Tensor
-    ) -> tuple[Tensor, ...]:
-        """Run it for columns of a fixed number."""
+    def __call__(self, dynamics: DynamicsModel, *tensors: Tensor) -> tuple[Tensor, ...]:
+        """Run it for columns of a fixed number; its results are constants."""
         # imported here: the compiler takes twice as long to import as torch
         from torch._dynamo.exc import TorchDynamoException
         from torch._inductor.exc import InductorError
@@ -200,7 +172,7 @@ class Compiled:
         try:
             with torch.no_grad():
                 plain = (tensor.detach() for tensor in tensors)
-                found: tuple[Tensor, ...] = self.run(dynamics, names, *plain)
+                found: tuple[Tensor, ...] = self.run(dynamics, *plain)
                 return found
         except (TorchDynamoException, InductorError) as failure:
             reason = next(iter(str(failure).strip().splitlines()), type(failure).__name__)
@@ -211,7 +183,7 @@ class Compiled:
                 reason,
             )
             self.run = self.function
-            return self.function(dynamics, names, *tensors)
+            return self.function(dynamics, *tensors)
 
 
-_KERNELS = Compiled(linearised_columns), Compiled(pulled_columns)
+KERNEL = Compiled(linearised_columns)

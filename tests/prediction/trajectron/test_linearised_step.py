@@ -7,7 +7,7 @@ from torch.autograd import gradcheck
 from diffstack_mmv.dynamics import DiffGM3
 from diffstack_mmv.prediction.trajectron import linearise, linearise_compiled, linearised_step
 from diffstack_mmv.prediction.trajectron.jacobians import linearise_forward, linearised_columns
-from diffstack_mmv.prediction.trajectron.linearised_step import Compiled, pulled_columns
+from diffstack_mmv.prediction.trajectron.linearised_step import Compiled, linearised_rollout
 from diffstack_mmv.prediction.trajectron.mixture import integrate
 from diffstack_mmv.vehicles import load_vehicle
 from tests.prediction.trajectron.test_mixture import moving
@@ -27,13 +27,12 @@ def points(count):
 
 @pytest.fixture
 def interpreted(monkeypatch):
-    """Kernels as if compiled, for columns of length three."""
-    kernels = Compiled(linearised_columns), Compiled(pulled_columns)
-    for kernel in kernels:
-        kernel.run = kernel.function
-    monkeypatch.setattr(linearised_step, "_KERNELS", kernels)
+    """The kernel as if compiled, for three columns."""
+    kernel = Compiled(linearised_columns)
+    kernel.run = kernel.function
+    monkeypatch.setattr(linearised_step, "KERNEL", kernel)
     monkeypatch.setattr(linearised_step, "COLUMNS", 3)
-    return kernels
+    monkeypatch.setattr(linearised_step, "ROWS", 1)
 
 
 def sources(dynamics):
@@ -53,14 +52,16 @@ def test_jacobians_with_a_known_pose_are_those_of_forward_mode(name):
         assert all(torch.allclose(*pair) for pair in zip(first, second, strict=True))
 
 
-def test_a_step_has_the_gradient_of_its_value(interpreted):
-    dynamics, (state, control) = model(), points(4)
+@pytest.mark.usefixtures("interpreted")
+def test_a_rollout_has_the_gradient_of_its_value():
+    dynamics, (state, control) = model(), points(2)
 
-    def step(state, control):
-        return tuple(linearised_step.linearised_step(dynamics, state, control, *interpreted))
+    def rolled(state, controls):
+        states, jacobians = linearised_rollout(dynamics, state, controls)
+        return states, *jacobians
 
-    inputs = [part.mT.contiguous().requires_grad_() for part in (state, control)]
-    assert gradcheck(step, inputs, fast_mode=True, rtol=1e-3, atol=1e-5)
+    inputs = [state.requires_grad_(), torch.stack([control, -control], 1).requires_grad_()]
+    assert gradcheck(rolled, inputs, fast_mode=True, rtol=1e-3, atol=1e-5)
 
 
 @pytest.mark.usefixtures("interpreted")
