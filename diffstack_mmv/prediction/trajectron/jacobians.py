@@ -120,12 +120,13 @@ def linearised_columns(
 
     def push(tangent: Float[Tensor, " k"]) -> tuple[Tensor, Tensor]:
         along = tangent.unsqueeze(-1) + torch.zeros_like(point)
-        return torch.func.jvp(step, (point,), (along,))
+        pushed = torch.func.jvp(step, (point,), (along,))
+        return pushed[0], pushed[1]
 
     fields = dynamics.State._fields
     moving = [column for column in range(len(point)) if column >= n or fields[column] not in POSE]
     seeds = torch.eye(len(point), dtype=point.dtype, device=point.device)[moving]
-    following, pushed = torch.func.vmap(push, out_dims=(None, 0))(seeds)
+    following, pushed = torch.func.vmap(push, out_dims=(None, 0))(seeds)  # pyright: ignore[reportArgumentType]
     rows, pose = iter(pushed.unbind(0)), _by_pose(fields, state, following)
     columns = [pose[j] if j in pose else next(rows) for j in range(len(point))]
     return following.contiguous(), torch.stack(columns)
