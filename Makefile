@@ -13,13 +13,15 @@ RESULTS := benchmarks/results
 REFERENCE := ../shared/reference/mpc
 LIMIT  := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help install quickstart test test-all results bench throughput profile lint lock clean
+.PHONY: help install quickstart test test-all results bench throughput profile lint lock faults audit sbom clean
 help:            ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
 
-$(BIN)/.installed: requirements.lock pyproject.toml
+$(BIN)/.installed: requirements.lock requirements-cuda.lock pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --requirement requirements.lock
+	$(BIN)/python -m pip install --quiet --require-hashes --no-deps --requirement requirements.lock
+	$(BIN)/python scripts/needs_cuda.py || \
+		$(BIN)/python -m pip install --quiet --require-hashes --no-deps --requirement requirements-cuda.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	touch $@
 
@@ -64,7 +66,17 @@ lint: install ## ruff, pyright, codespell
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/codespell
 
-lock: ## Write requirements.lock anew from the ranges of pyproject.toml
+faults: install  ## Try every kind of fault, table in docs/results/faults.md
+	$(LIMIT) $(BIN)/python -m benchmarks.faults > docs/results/faults.md.part
+	mv docs/results/faults.md.part docs/results/faults.md
+
+sbom: install    ## List of dependencies with licences: outputs/sbom.json (CycloneDX) and outputs/licences.md
+	$(BIN)/python scripts/sbom.py outputs
+
+audit:           ## Look up known vulnerabilities of the locked versions; needs https://pypi.org
+	sh scripts/audit.sh $(PYTHON)
+
+lock:            ## Write requirements.lock anew from the ranges of pyproject.toml
 	sh scripts/lock.sh $(PYTHON)
 
 clean: ## Remove the environment and all outputs

@@ -1,6 +1,6 @@
 """Where one training step goes: parts, operations, flame chart, and the floor of its arithmetic.
 
-    python benchmarks/profile_step.py CACHE OUT [--data thab_vru] [--models DiffKBM ...] [OVERRIDES]
+    python benchmarks/profile_step.py CACHE OUT [--data thab_vru] [--models DiffKBM ...] [--override KEY=VALUE]
 
 Writes OUT/profile.md, and for every model OUT/<model>.png (flame chart of one step) and
 OUT/<model>.json.gz (the same for a trace viewer). One thread, batch 64, processor time.
@@ -152,9 +152,9 @@ def report(name, arguments, folder, rate):
         stepped(watch, stack, optimizer, batch)
     whole = (time.process_time() - start) / STEPS
     parts = {part: seconds / STEPS for part, seconds in watch.seconds.items()}
-    with FlopCounterMode(display=False) as flops:
+    with torch.compiler.set_stance("force_eager"), FlopCounterMode(display=False) as flops:
         stepped(watch, stack, optimizer, kept[0])
-    with Counted() as counted:
+    with torch.compiler.set_stance("force_eager"), Counted() as counted:
         stepped(watch, stack, optimizer, kept[0])
     with profile(activities=[ProfilerActivity.CPU]) as profiler:
         stepped(watch, stack, optimizer, kept[0])
@@ -191,14 +191,15 @@ def main():
     parser.add_argument("cache", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--data", default="thab_vru")
+    parser.add_argument("--override", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--models", nargs="+", default=list(MODELS), choices=list(MODELS))
-    given, overrides = parser.parse_known_args()
+    given = parser.parse_args()
     torch.set_num_threads(1)
     given.out.mkdir(parents=True, exist_ok=True)
     rate, lines = rates(), ["# Profile of one training step", ""]
     for name in given.models:
         common = [f"data={given.data}", f"data.cache={given.cache.resolve()}", "batch_size=64"]
-        lines += report(name, [*common, *MODELS[name], *overrides], given.out, rate)
+        lines += report(name, [*common, *MODELS[name], *given.override], given.out, rate)
         (given.out / "profile.md").write_text("\n".join(lines))
     print("\n".join(lines))
 

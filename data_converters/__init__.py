@@ -9,6 +9,7 @@ from data_converters.errors import CacheError, ConversionError, RejectReason, Tr
 from data_converters.eth_ucy import EthUcyDataset
 from data_converters.imptc import ImptcDataset, ImptcVruDataset, SequenceSplit, TrackFilter
 from data_converters.imptc.sample import generate_sample, generate_vru_sample
+from data_converters.limits import RecordingLimits
 from data_converters.modes import default_extent
 from data_converters.opening import open_cache
 from data_converters.report import ConversionReport
@@ -35,6 +36,7 @@ __all__ = [
     "ImptcDataset",
     "ImptcVruDataset",
     "Mode",
+    "RecordingLimits",
     "RecordingSplit",
     "RejectReason",
     "ResampleSettings",

@@ -23,6 +23,7 @@ from data_converters.report import ConversionReport, SceneReport, report_scene
 from data_converters.tracks import AgentRows, ResampleSettings, resample, split_at_gaps
 from dmmv_conventions.cache import FORMAT_VERSION, REPORT_FILE, STATE_FILE, staging_folder
 from dmmv_conventions.disk import disk_is_full
+from dmmv_conventions.locks import in_turn
 
 logger = logging.getLogger(__name__)
 
@@ -59,6 +60,7 @@ class ConversionSettings:
         return {
             "format_version": FORMAT_VERSION,
             "dataset": {"name": self.dataset.name, **self.dataset.settings()},
+            "limits": asdict(self.dataset.limits),
             "resample": {**asdict(self.resample), "smoother": smoother.settings()},
         }
 
@@ -87,11 +89,12 @@ def convert(settings: ConversionSettings) -> ConversionReport:
         ConversionError: If the data set is missing or holds no usable track, the disk is full, or,
             when strict, a track is bad.
     """
-    sources = settings.dataset.scenes()
     try:
-        settings.staging.mkdir(parents=True, exist_ok=True)
-        reports = _convert_scenes(settings, sources)
-        return _finish(settings, reports)
+        sources = settings.dataset.scenes()
+        with in_turn(settings.cache, settings.dataset.name):
+            settings.staging.mkdir(parents=True, exist_ok=True)
+            reports = _convert_scenes(settings, sources)
+            return _finish(settings, reports)
     except OSError as error:
         if not disk_is_full(error):
             raise
@@ -180,6 +183,7 @@ def convert_scene(settings: ConversionSettings, source: SceneSource) -> SceneRep
 
     dt_s = settings.resample.dt_s
     raw = settings.dataset.read(source, dt_s, strict=settings.strict)
+    _reject_implausible(raw, settings)
     agents = _resample_all(raw, settings)
     key = _scene_key(settings, source)
     report = report_scene(source.name, source.split, key, raw, agents, dt_s)
@@ -200,12 +204,26 @@ def convert_scene(settings: ConversionSettings, source: SceneSource) -> SceneRep
     return report
 
 
+def _reject_implausible(raw: RawScene, settings: ConversionSettings) -> None:
+    """Leave out tracks that no recording can hold, before anything is made of them."""
+    dataset, kept = settings.dataset, []
+    for track in raw.tracks:
+        try:
+            dataset.limits.check(track, dataset.origin_m, settings.resample.dt_s)
+            kept.append(track)
+        except TrackError as error:
+            raw.reject(track.name, track.source, error, strict=settings.strict)
+    raw.tracks[:] = kept
+
+
 def _resample_all(raw: RawScene, settings: ConversionSettings) -> list[AgentRows]:
     agents = []
     for track in raw.tracks:
         for stretch in split_at_gaps(track, settings.resample.max_gap_s):
             try:
-                agents.append(resample(stretch, settings.resample))
+                rows = resample(stretch, settings.resample)
+                settings.dataset.limits.check_rows(rows, track.source)
+                agents.append(rows)
             except TrackError as error:
                 raw.reject(stretch.name, track.source, error, strict=settings.strict)
     return sorted(agents, key=lambda agent: agent.name)
@@ -255,6 +273,8 @@ def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> Convers
 
     location = settings.dataset.location
     listed = [(s.name, location, s.split, s.steps, i) for i, s in enumerate(usable)]
+    for leftover in settings.staging.glob(".partial_*"):  # of a process that was killed
+        shutil.rmtree(leftover, ignore_errors=True)
     EnvCache(settings.staging).save_env_scenes_list(".", listed)  # type: ignore[arg-type]
     write_json(settings.staging / REPORT_FILE, report.as_dict())
     write_json(settings.staging / STATE_FILE, _state(settings, usable))

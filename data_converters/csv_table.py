@@ -45,12 +45,16 @@ def told_as_fault(where: object) -> Iterator[None]:
     """
     try:
         yield
+    except gzip.BadGzipFile as error:
+        reason, remedy = RejectReason.MISSING_FIELD, "Copy the file again."
+        refuse_track(reason, "file", "be a csv table", error, where, remedy)
+    except OSError as error:
+        refuse_track(RejectReason.UNREADABLE, "file", "be a file", error, where, "Copy it again.")
     except (
         pd.errors.ParserError,
         pd.errors.EmptyDataError,
         UnicodeDecodeError,
         EOFError,
-        gzip.BadGzipFile,
         zlib.error,
     ) as error:
         reason, remedy = RejectReason.MISSING_FIELD, "Copy the file again."
@@ -63,6 +67,10 @@ def require_columns(table: pd.DataFrame, columns: Sequence[str], where: object) 
     Raises:
         TrackError: If one is missing.
     """
+    if not isinstance(table.index, pd.RangeIndex):
+        needs, found = "name every column", f"{len(table.columns)} names for more columns"
+        remedy = "Copy the file again."
+        refuse_track(RejectReason.MISSING_FIELD, "header", needs, found, where, remedy)
     missing = [column for column in columns if column not in table.columns]
     if missing:
         reason = RejectReason.NO_TIMESTAMPS if columns[0] in missing else RejectReason.MISSING_FIELD

@@ -28,6 +28,13 @@ class RejectReason(StrEnum):
     NO_POSITION = "no_position_fix"
     WHEEL_SPEED = "wheel_speed_disagrees_with_positions"
     GYRO = "gyro_disagrees_with_positions"
+    UNREADABLE = "unreadable_file"
+    REPEATED_FILE = "repeated_file"
+    UNSAFE_MEMBER = "unsafe_archive_member"
+    NO_ORIENTATION = "no_orientation"
+    TIME_SPAN = "time_beyond_limit"
+    COORDINATES = "coordinates_beyond_limit"
+    SPEED = "faster_than_its_mode"
 
 
 class ConversionError(ValueError):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, NamedTuple
@@ -12,6 +13,7 @@ from typing import ClassVar, NamedTuple
 import pandas as pd
 
 from data_converters.errors import RejectReason, TrackError
+from data_converters.limits import RecordingLimits
 from data_converters.tracks import RawTrack
 
 
@@ -81,12 +83,19 @@ class RecordingDataset(ABC):
         name: Name of the trajdata environment; no "-" in it.
         location: Name of the place, as trajdata wants it.
         root: Folder of the recordings.
+        limits: Times, places and speeds beyond which a track is rejected.
     """
 
     name: ClassVar[str]
     location: ClassVar[str]
 
     root: Path
+    limits: RecordingLimits = field(default_factory=RecordingLimits, kw_only=True)
+
+    @property
+    def origin_m(self) -> tuple[float, float, float]:
+        """Origin of the recording's own frame, in the frame of the tracks."""
+        return 0.0, 0.0, 0.0
 
     @abstractmethod
     def scenes(self) -> list[SceneSource]:
@@ -116,3 +125,28 @@ class RecordingDataset(ABC):
 def fingerprint(content: bytes) -> str:
     """Hash of what a scene is made from, 16 hexadecimal digits."""
     return hashlib.sha256(content).hexdigest()[:16]
+
+
+LONGEST_NAME = 120
+
+
+def scene_names(keys: Iterable[str]) -> dict[str, str]:
+    """Name of the scene of each key: unique, and short and plain enough for a folder.
+
+    Args:
+        keys: What the scenes are found by, as "cyclists/moving/17".
+
+    Returns:
+        Names by key; only names that would not do carry a hash of their key.
+    """
+    names: dict[str, str] = {}
+    taken: set[str] = set()
+    for key in keys:
+        plain = re.sub(r"[/-]", "_", key)
+        name = re.sub(r"[^A-Za-z0-9_.]", "_", plain)
+        usable = name == plain and len(name.encode()) <= LONGEST_NAME and name[:1] != "."
+        if not usable or name in taken:
+            name = f"scene_{name[:40]}_{fingerprint(key.encode())}"
+        names[key] = name
+        taken.add(name)
+    return names

@@ -28,7 +28,20 @@ __all__ = [
     "require_multiple",
     "require_one_of",
     "require_positive",
+    "require_tensor",
 ]
+
+
+def require_tensor(argument: str, value: object) -> None:
+    """Refuse anything but a tensor.
+
+    Raises:
+        TypeError: `value` is something else.
+    """
+    if not isinstance(value, Tensor):
+        remedy = "Write torch.as_tensor(...) around it."
+        found = type(value).__name__
+        raise TypeError(message(argument, "be a tensor", found, "", remedy))
 
 
 def require_columns(argument: str, tensor: Tensor, columns: int, names: Sequence[str] = ()) -> None:
@@ -36,7 +49,9 @@ def require_columns(argument: str, tensor: Tensor, columns: int, names: Sequence
 
     Raises:
         ValueError: The last dimension of `tensor` is not `columns`.
+        TypeError: It is no tensor.
     """
+    require_tensor(argument, tensor)
     told = f" ({', '.join(names)})" if names else ""
     if tensor.dim() == 0 or tensor.shape[-1] != columns:
         raise ValueError(

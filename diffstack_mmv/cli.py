@@ -6,7 +6,7 @@ Hydra's composition, one message per failure, and an exit status to trust.
 import functools
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,9 @@ from omegaconf import DictConfig, OmegaConf, read_write
 from omegaconf.errors import OmegaConfBaseException
 
 from diffstack_mmv.config_checks import require_complete, require_same_type
+from dmmv_conventions.locks import alone_in
+from dmmv_conventions.targets import OF_A_RUN, require_buildable
+from dmmv_conventions.yaml_files import read_mapping
 
 # `${smaller:a,b}`, and the smallest turning radius of a vehicle
 OmegaConf.register_new_resolver("smaller", min, replace=True)
@@ -34,6 +37,10 @@ OmegaConf.register_new_resolver(
 EXPECTED = (ValueError, TypeError, LookupError, OSError, HydraException, OmegaConfBaseException)
 
 
+Task = Callable[[DictConfig], float | None]
+"""Work of a command; a number is what a sweeper minimises or maximises."""
+
+
 class CommandError(CompactHydraException):
     """A failure told in one message.
 
@@ -41,39 +48,50 @@ class CommandError(CompactHydraException):
     """
 
 
+def admit_any(config: DictConfig) -> None:
+    """Admit every run to its folder."""
+
+
 def command(
     config_folder: Path,
     config_name: str,
     check: Callable[[DictConfig], object] = OmegaConf.resolve,
-) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
+    admit: Callable[[DictConfig], object] = admit_any,
+) -> Callable[[Task], Callable[[], None]]:
     """Make a function of a composed configuration a command line.
 
     The resolved configuration goes into the run folder (`out=DIR`) as `config.yaml` before the work
-    begins, so that every run can be repeated. A bad input ends with one message and exit status 1;
-    `HYDRA_FULL_ERROR=1` shows where it came from.
+    begins, so that every run can be repeated; no other command works in that folder meanwhile. What
+    the configuration has built is checked before, because parts of it may come from files. A bad
+    input ends with one message and exit status 1; `HYDRA_FULL_ERROR=1` shows where it came from.
 
     Args:
         config_folder: The folder of the configuration groups.
         config_name: File in it, without its ending.
         check: Refuses, by raising, what cannot be run, before anything is written or imported; it
             gets the resolved configuration.
+        admit: Refuses, by raising, a run that does not belong in its folder, before anything in it
+            is replaced.
     """
 
-    def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
+    def decorate(task: Task) -> Callable[[], None]:
         @functools.wraps(task)
-        def guarded(config: DictConfig) -> None:
+        def guarded(config: DictConfig) -> float | None:
             try:
                 config.out = HydraConfig.get().runtime.output_dir
                 _read_vehicle_file(config)
                 require_complete(OmegaConf.to_container(config))
                 _require_types(config, config_name)
                 OmegaConf.resolve(config)
+                require_buildable(OmegaConf.to_container(config), OF_A_RUN, "in the configuration")
                 check(config)
-                save_config(config, Path(config.out))
-                with _single_job():
-                    task(config)
+                with alone_in(Path(config.out), "out"), _single_job():
+                    admit(config)
+                    save_config(config, Path(config.out))
+                    result = task(config)
             except EXPECTED as error:
                 raise CommandError(_told(error)) from error
+            return result
 
         entry = hydra.main(
             version_base="1.3", config_path=str(config_folder), config_name=config_name
@@ -87,6 +105,26 @@ def command(
         return main
 
     return decorate
+
+
+def folders_as(key: str, arguments: Sequence[str]) -> list[str]:
+    """Command line in which bare folders, as in `report.py RUN RUN`, are the list of one key.
+
+    What begins with a dash or sets a key stays, unless it is a folder of that name.
+
+    Args:
+        key: The key.
+        arguments: The command line without its first word.
+    """
+    bare = [each for each in arguments if _is_folder(each)]
+    rest = [each for each in arguments if each not in bare]
+    quoted = ",".join("'" + each.replace("'", "\\'") + "'" for each in bare)
+    return [*rest, f"{key}=[{quoted}]"] if bare else rest
+
+
+def _is_folder(argument: str) -> bool:
+    named = not argument.startswith("-") and "=" not in argument
+    return named or Path(argument).is_dir()
 
 
 def save_config(config: DictConfig, folder: Path) -> None:
@@ -113,7 +151,7 @@ def _read_vehicle_file(config: DictConfig) -> None:
     path = Path(file)
     if not path.is_file():
         raise ValueError(f"`vehicle` must be a name or an existing YAML file, but got {file!r}.")
-    config.vehicle = OmegaConf.load(path)
+    config.vehicle = read_mapping(path, "vehicle")
 
 
 @contextmanager

@@ -104,14 +104,23 @@ def require_checkpoint(argument: str, file: str | None) -> None:
     require(whole, argument, "be readable", "no archive", f"in {file}", remedy)
 
 
+def require_modes(modes: Sequence[str]) -> None:
+    """Refuse modes of transport that nobody knows.
+
+    Raises:
+        ValueError: A mode is unknown.
+    """
+    for name in modes:
+        Mode.named(name)
+
+
 def require_windows(modes: Sequence[str], dt_s: float, **durations_s: float) -> None:
     """Refuse modes of transport that nobody knows, and durations of no whole number of steps.
 
     Raises:
         ValueError: A mode is unknown, or a duration is no multiple of `dt_s`.
     """
-    for name in modes:
-        Mode.named(name)
+    require_modes(modes)
     for name, duration_s in durations_s.items():
         require_multiple(name, duration_s, dt_s)
 
@@ -140,6 +149,23 @@ def require_own_vehicle(modes: Sequence[str], vehicle: Mapping[str, Any], *, sha
     )
     fits = shared or not other_modes(modes, vehicle)
     require(fits, "modes", needs, f"[{', '.join(modes)}]", "", remedy)
+
+
+def require_same_horizon(config: Mapping[str, Any], trained: Mapping[str, Any]) -> None:
+    """Refuse other steps or another horizon than those that a checkpoint was trained with.
+
+    Args:
+        config: Configuration of the evaluation.
+        trained: That of the training.
+
+    Raises:
+        ValueError: The step or the horizon differs.
+    """
+    for name in ("dt_s", "horizon_s"):
+        wanted, found = trained[name], config[name]
+        remedy = f"Give {name}={wanted}, or train with {name}={found}."
+        requirement = f"be {wanted} as in the training"
+        require(found == wanted, name, requirement, found, "for this checkpoint", remedy)
 
 
 def require_recordings(source: Mapping[str, Any]) -> None:
@@ -194,3 +220,29 @@ def require_reports(runs: Sequence[str]) -> None:
     require(len(runs) > 0, "runs", "name at least one folder", "[]", "", remedy)
     for run in runs:
         require_file("runs", str(Path(run) / "metrics.json"), remedy)
+
+
+RESULTS = (
+    "metrics.json",
+    "closed_loop.json",
+    "identification.json",
+    "table.csv",
+    "results.csv",
+    "trajectory_*.csv",
+    "csv/metrics.csv",
+)
+"""What the commands write that a page can show."""
+
+
+def require_results(runs: Sequence[str]) -> None:
+    """Refuse folders in which no command has written its results.
+
+    Raises:
+        ValueError: No folder is given, one is absent, or holds no results.
+    """
+    remedy = "Give folders that train, evaluate, navigate, identify, simulate or compare wrote."
+    require(len(runs) > 0, "runs", "name at least one folder", "[]", "", remedy)
+    for run in runs:
+        require_folder("runs", run, remedy)
+        found = any(next(Path(run).glob(pattern), None) for pattern in RESULTS)
+        require(found, "runs", "hold results", "none", f"in {run}", remedy)

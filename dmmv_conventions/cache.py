@@ -4,6 +4,8 @@
 """
 
 import json
+import os
+from functools import cache as remembered
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,12 @@ SPLITS = ("train", "val", "test")
 
 LEAN_TABLE = "lean"
 """Measured lean beside the agents of a scene: agent_id, time_s (s), lean (rad, left positive)."""
+
+TRUSTED_VARIABLE = "DMMV_TRUSTED_CACHES"
+"""Environment variable with folders of caches of others that are read all the same, by colons."""
+
+ADMINISTRATOR = 0
+"""User whose files everyone trusts anyway."""
 
 CONTROLS_TABLE = "controls"
 """Recorded controls beside the agents of a scene: agent_id, time_s (s), one column per control."""
@@ -49,7 +57,7 @@ def read_state(cache: Path, name: str, error: type[ValueError] = ValueError) -> 
         ValueError: The environment is absent, unfinished or of another version; of class `error`.
     """
     path = cache / name / STATE_FILE
-    remedy = f"Run scripts/convert.py data={name} data.root=RECORDINGS data.cache={cache}"
+    remedy = conversion_of(name, cache)
     interrupted = any(cache.glob(staging_folder(Path(), name, "*").name))
     found = "an interrupted conversion" if interrupted else "no such file"
     requirement = f"hold a finished conversion of '{name}'"
@@ -57,9 +65,10 @@ def read_state(cache: Path, name: str, error: type[ValueError] = ValueError) -> 
     place = f"in {path}"
     try:
         state = json.loads(path.read_text(encoding="utf-8"))
-    except json.JSONDecodeError as fault:
+    except (ValueError, RecursionError) as fault:
         requirement = "have a state in JSON"
         raise error(message("cache", requirement, fault, place, remedy)) from fault
+    require(isinstance(state, dict), "cache", "have a state in JSON", state, place, remedy, error)
     for field, wanted, told in (
         ("format_version", FORMAT_VERSION, str(FORMAT_VERSION)),
         ("complete", True, "true"),
@@ -67,3 +76,38 @@ def read_state(cache: Path, name: str, error: type[ValueError] = ValueError) -> 
         found = state.get(field)
         require(found == wanted, field, f"be {told}", found, place, remedy, error)
     return state
+
+
+def conversion_of(name: str, cache: Path) -> str:
+    """The command that makes an environment."""
+    return f"Run scripts/convert.py data={name} data.root=RECORDINGS data.cache={cache}"
+
+
+def require_own(folder: Path, remedy: str) -> None:
+    """Refuse a folder with pickles of another user: reading them runs whatever they hold.
+
+    Files of the administrator are taken, and those below the folders in `TRUSTED_VARIABLE`.
+
+    Args:
+        folder: Folder of an environment.
+        remedy: How to make it anew.
+
+    Raises:
+        ValueError: A file belongs to another user.
+    """
+    trusted = [place for place in os.environ.get(TRUSTED_VARIABLE, "").split(os.pathsep) if place]
+    if any(folder.resolve().is_relative_to(Path(place).resolve()) for place in trusted):
+        return
+    foreign = _foreign(folder.resolve())
+    told = f"{foreign}, which user {foreign.stat().st_uid if foreign else 0} wrote"
+    advice = f"{remedy} to make your own, or set {TRUSTED_VARIABLE}={folder.parent} to trust it."
+    requirement = "be written by you, because reading it runs code that stands in it"
+    require(foreign is None, "cache", requirement, told, "", advice)
+
+
+@remembered
+def _foreign(folder: Path) -> Path | None:
+    """The first file or folder of another user."""
+    own = {ADMINISTRATOR, os.geteuid()}
+    places = (Path(place, name) for place, _, files in os.walk(folder) for name in ("", *files))
+    return next((place for place in places if place.stat().st_uid not in own), None)

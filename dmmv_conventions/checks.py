@@ -99,6 +99,7 @@ def require_multiple(argument: str, value: float | int, step: float | int, where
         ValueError: `value` is not a whole number of steps.
     """
     require_positive(argument, value, where)
+    require(step > 0, argument, "be a multiple of a positive step", f"a step of {step}", where)
     steps = round(value / step)
     whole = steps >= 1 and math.isclose(steps * step, value, rel_tol=1e-6)
     require(

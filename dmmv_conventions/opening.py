@@ -5,7 +5,8 @@ cache, and a subclass of `UnifiedDataset` puts environments in place where the b
 looks for them.
 """
 
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from trajdata.data_structures.scene_metadata import Scene
 from trajdata.data_structures.scene_tag import SceneTag
 from trajdata.dataset_specific.raw_dataset import RawDataset
 
-from dmmv_conventions.cache import SPLITS
+from dmmv_conventions.cache import SPLITS, conversion_of, require_own
 
 
 def environment(name: str, dt_s: float, scene_splits: Mapping[str, str]) -> EnvMetadata:
@@ -32,7 +33,12 @@ class CachedEnvironment(RawDataset):
     """A converted data set: lists its scenes, holds no raw recordings."""
 
     def __init__(self, cache: Path, state: Mapping[str, Any]) -> None:
-        """Describe the environment that `state`, the content of its `cache.json`, tells of."""
+        """Describe the environment that `state`, the content of its `cache.json`, tells of.
+
+        Raises:
+            ValueError: Another user wrote it: it holds pickles, which run code when they are read.
+        """
+        require_own(cache / state["dataset"], conversion_of(state["dataset"], cache))
         self._state = state
         super().__init__(state["dataset"], str(cache), parallelizable=False, has_maps=False)
 
@@ -52,6 +58,23 @@ class CachedEnvironment(RawDataset):
         ]
 
 
+def encoded(index: Iterable[tuple[Any, ...]]) -> list[Any]:
+    """An index of trajdata with its paths and agents as bytes.
+
+    trajdata keeps both as bytes of ASCII and reads them as UTF-8: given as text, a letter outside
+    of ASCII anywhere in the path of a cache would end in a traceback.
+    """
+    return [
+        (os.fsencode(path), count, [_encoded_agent(part) for part in elements])
+        for path, count, elements in index
+    ]
+
+
+def _encoded_agent(element: Any) -> Any:
+    """An entry of an index by agents; those of an index by scenes are plain numbers."""
+    return (element[0].encode(), element[1]) if isinstance(element, tuple) else element
+
+
 class CachedUnifiedDataset(UnifiedDataset):
     """`UnifiedDataset` over converted caches."""
 
@@ -64,6 +87,10 @@ class CachedUnifiedDataset(UnifiedDataset):
         """
         self._converted = list(environments)
         super().__init__(**{"data_dirs": {}, **options})
+        self._scene_index = [Path(os.fsdecode(path)) for path in self._scene_index]
+
+    def _get_data_index(self, num_workers: int, scene_paths: list[Path]) -> list[Any]:
+        return encoded(super()._get_data_index(num_workers, scene_paths))
 
     def _get_matching_scene_tags(self, queries: list[str]) -> list[SceneTag]:
         if self._converted:

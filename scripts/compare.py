@@ -3,6 +3,7 @@
 import logging
 from pathlib import Path
 
+from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from diffstack_mmv.cli import command
@@ -24,14 +25,19 @@ def check(config: DictConfig) -> None:
 @command(config_folder(), "compare", check)
 def main(config: DictConfig) -> None:
     """Read what evaluate.py wrote and write one table."""
-    from diffstack_mmv.metrics import OPEN_LOOP
+    from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
     from diffstack_mmv.reporting import compare, paired_tests, read_runs, write_comparison
+    from diffstack_mmv.reporting.html import Titles, read_record
 
     folders = [Path(run) for run in config.runs]
     comparison = compare(read_runs(folders), OPEN_LOOP)
     tests = paired_tests(folders, OPEN_LOOP[config.score])
     write_comparison(Path(config.out), comparison, tests)
     logger.info("\n%s", comparison.table.to_markdown(index=False))
+    if config.get("wandb"):
+        instantiate(config.wandb)(read_record(Path(config.out), Titles(OPEN_LOOP, CLOSED_LOOP)))
+    places = " ".join(str(run) for run in (config.out, *config.runs))
+    logger.info("As a page: dmmv-report %s", places)
 
 
 if __name__ == "__main__":

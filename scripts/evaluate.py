@@ -12,9 +12,11 @@ from diffstack_mmv.config_checks import (
     other_modes,
     require_checkpoint,
     require_recordings,
+    require_same_horizon,
     require_windows,
 )
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.versions import code_version, file_hash
 
 logger = logging.getLogger(__name__)
 
@@ -31,11 +33,13 @@ def check(config: DictConfig) -> None:
 @command(config_folder(), "evaluate", check)
 def main(config: DictConfig) -> None:
     """Score every window of a split; write tables and plots."""
-    from diffstack_mmv.metrics import OPEN_LOOP
+    from diffstack_mmv.metrics import CLOSED_LOOP, EVALUATED
     from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
+    from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.stack import evaluate_windows, load_stack
 
     stack, trained = load_stack(Path(config.checkpoint), _device(config.device))
+    require_same_horizon(config, trained)
     if "goal" in config:
         stack.goal = instantiate(config.goal)
     if "solver" in config:
@@ -50,7 +54,7 @@ def main(config: DictConfig) -> None:
     vehicle = trained["vehicle"]["name"]
     for mode in other_modes(config.modes, trained["vehicle"]):
         logger.warning("Agents of mode '%s' are driven with the vehicle '%s'.", mode, vehicle)
-    metrics = summarise_modes(evaluation.samples, config.situations, vehicle, OPEN_LOOP)
+    metrics = summarise_modes(evaluation.samples, config.situations, vehicle, EVALUATED)
     for mode in set(config.modes) - set(metrics["modes"]):
         logger.warning(
             "No sample of mode '%s' in split '%s'; the tables leave it out.", mode, config.split
@@ -64,27 +68,39 @@ def main(config: DictConfig) -> None:
         "seed": trained["seed"],
         "smoother": data.source.smoother(),
         "checkpoint": str(config.checkpoint),
+        "checkpoint_sha256": file_hash(Path(config.checkpoint)),
+        "data_sha256": windows.digest(),
+        "code": code_version(),
     }
     out = Path(config.out)
     write_parquet(out / "samples.parquet", evaluation.samples)
-    write_metrics(out, header | metrics, OPEN_LOOP)
+    write_metrics(out, header | metrics, EVALUATED)
     if config.plots:
         _draw(config, stack, windows, evaluation)
-    logger.info("Report: %s", out / "metrics.md")
+    if config.get("wandb"):
+        instantiate(config.wandb)(read_record(out, Titles(EVALUATED, CLOSED_LOOP)))
+    logger.info("Report: %s; as a page: dmmv-report %s", out / "metrics.md", out)
 
 
 def _draw(config: DictConfig, stack: Any, windows: Any, evaluation: Any) -> None:
     from diffstack_mmv.callbacks import scenes_of
     from diffstack_mmv.metrics import DISPLACEMENT
     from diffstack_mmv.plotting import draw_error_over_horizon, draw_scenes, save_figure
-    from diffstack_mmv.stack import outputs_of, representative
+    from diffstack_mmv.reporting import write_compact
+    from diffstack_mmv.reporting.html import HORIZON_FILE, SCENES_FILE, horizon_content
+    from diffstack_mmv.stack import outputs_of, representative, scene_records
 
-    out = Path(config.out)
-    figure = draw_error_over_horizon(evaluation.errors, config.dt_s, DISPLACEMENT.heading)
+    out, heading = Path(config.out), DISPLACEMENT.heading
+    figure = draw_error_over_horizon(evaluation.errors, config.dt_s, heading)
     save_figure(figure, out / "error_over_horizon.png")
+    curves = horizon_content(evaluation.errors, config.dt_s, heading)
+    write_compact(out / HORIZON_FILE, curves)
+    records = []
     for mode, chosen in representative(evaluation.samples).items():
-        scenes = scenes_of(*outputs_of(stack, windows, list(chosen.values())), list(chosen))
-        save_figure(draw_scenes(scenes), out / f"plans_{mode}.png")
+        shown = outputs_of(stack, windows, list(chosen.values()))
+        save_figure(draw_scenes(scenes_of(*shown, list(chosen))), out / f"plans_{mode}.png")
+        records += scene_records(*shown, [f"{mode}, {which} plan ADE" for which in chosen])
+    write_compact(out / SCENES_FILE, {"scenes": records})
 
 
 def _device(name: str) -> str:

@@ -10,6 +10,7 @@ from omegaconf import DictConfig
 
 from diffstack_mmv.cli import command
 from diffstack_mmv.config_checks import require_tracks
+from dmmv_conventions.checks import message
 from dmmv_conventions.configs import config_folder
 
 logger = logging.getLogger(__name__)
@@ -24,10 +25,14 @@ def check(config: DictConfig) -> None:
 def main(config: DictConfig) -> None:
     """Identify the model, and write the calibrated vehicle, its table and its figures."""
     study, source, out = instantiate(config.study), instantiate(config.source), Path(config.out)
+    import torch
+
     from diffstack_mmv.data import read_controls, read_leans, read_tracks, recorded_noise
     from diffstack_mmv.identification import Recordings, identification_result, vehicle_provenance
+    from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
     from diffstack_mmv.plotting import FittedTrack, save_identification
     from diffstack_mmv.reporting import write_identification
+    from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.vehicles import save_vehicle
 
     name, place = config.names.dynamics, (source, config.splits, study.spec.mode)
@@ -42,7 +47,12 @@ def main(config: DictConfig) -> None:
     controls = read_controls(*place, columns) if config.controls else None
     noise = recorded_noise(source, study.spec.mode, config.dt_s)
     recordings = Recordings(motions, leans, controls, noise, source.smoother())
-    result = study(recordings, models)
+    try:
+        result = study(recordings, models)
+    except torch.linalg.LinAlgError as singular:
+        found = str(singular).splitlines()[0]
+        remedy = "Give tracks that turn and are not free of noise, or set `noise`."
+        raise ValueError(message("tracks", "inform the problem", found, "", remedy)) from singular
     header = {**config.header, "date": date.today().isoformat()}
     content = identification_result(study, recordings, result)
     write_identification(out, header | content)
@@ -51,7 +61,9 @@ def main(config: DictConfig) -> None:
     origin = f"identified from {len(tracks)} tracks of {config.data.name}"
     vehicle = result.calibrated(study.spec, origin)
     save_vehicle(vehicle, out / "vehicle.yaml", vehicle_provenance(header, content, name))
-    logger.info("Report: %s", out / "identification.md")
+    if config.get("wandb"):
+        instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))
+    logger.info("Report: %s; as a page: dmmv-report %s", out / "identification.md", out)
 
 
 if __name__ == "__main__":

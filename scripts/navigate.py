@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from diffstack_mmv.cli import command
 from diffstack_mmv.config_checks import require_checkpoint
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.versions import code_version, file_hash
 
 logger = logging.getLogger(__name__)
 
@@ -28,9 +29,10 @@ def main(config: DictConfig) -> None:
     """Run the benchmark of the controller and of its baselines; write tables, plots, animations."""
     import torch
 
-    from diffstack_mmv.metrics import CLOSED_LOOP
+    from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
     from diffstack_mmv.plotting import save_stories
     from diffstack_mmv.reporting import paired_cases, paired_with_run, write_closed_loop
+    from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.simulation import (
         Chunk,
         Method,
@@ -47,10 +49,13 @@ def main(config: DictConfig) -> None:
     require_stoppable(actual, 2 * scenario.circle_radius_m)
     numbers, out = range(config.first_case, config.first_case + config.cases), Path(config.out)
 
+    learned = config.people_checkpoint
+    weights = {"people_checkpoint": file_hash(Path(learned)) if learned else None}
+
     def driven(name: str, controller: DictConfig) -> list[Chunk]:
-        settings = OmegaConf.to_yaml(OmegaConf.create([controller, config.world]))
+        settings = OmegaConf.to_yaml(OmegaConf.create([controller, config.world, weights]))
         place = world_for(world, get_class(controller._target_))
-        method = Method(name, place, partial(instantiate, controller), settings)
+        method = Method(name, place, partial(instantiate, controller), settings, code_version())
         folder = out / "episodes" / name
         return list(run(method, scenario, numbers, folder, config.chunk, config.phase))
 
@@ -59,8 +64,12 @@ def main(config: DictConfig) -> None:
     }
     chunks = driven(config.names.controller, config.controller)
     header: Any = OmegaConf.to_container(config.header)
+    header |= {"code": code_version()} | weights
     header |= models_told(actual, believed, world.robot, instantiate(config.model))
     result = header | summarise(chunks)
+    search = instantiate(config.search)
+    if search is not None:
+        result["feasible"] = search.judge(world, scenario, config.phase, result["cases"])
     published = [dict(each) for each in config.published or ()]
     pairs = [{"other": name} | paired_cases(result["cases"], rows[name]["cases"]) for name in rows]
     pairs += [paired_with_run(result, Path(folder)) for folder in config.against]
@@ -69,7 +78,9 @@ def main(config: DictConfig) -> None:
     radius_m = scenario.pedestrian_radius_m
     outline = world.robot.footprint.outline()
     save_stories(out, numbers, records, radius_m, config.animate, goal_m, config.show, outline)
-    logger.info("Report: %s", out / "closed_loop.md")
+    if config.get("wandb"):
+        instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))
+    logger.info("Report: %s; as a page: dmmv-report %s", out / "closed_loop.md", out)
 
 
 if __name__ == "__main__":

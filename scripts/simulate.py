@@ -6,6 +6,7 @@ from pathlib import Path
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from diffstack_mmv.checks import require_positive
 from diffstack_mmv.cli import command
 from diffstack_mmv.config_checks import require_file
 from dmmv_conventions.configs import config_folder
@@ -22,6 +23,7 @@ def check(config: DictConfig) -> None:
 @command(config_folder(), "simulate", check)
 def main(config: DictConfig) -> None:
     """Run the models, write trajectories and figures."""
+    require_positive("dt_s", config.dt_s)
     spec = instantiate(config.spec)
     manoeuvre = instantiate(config.recorded if config.controls else config.manoeuvre)
     from diffstack_mmv.dynamics.open_loop import drive, save_run, wheel_history
@@ -44,7 +46,7 @@ def main(config: DictConfig) -> None:
     leaning = lean.numpy() if spec.leans and lean is not None else None
     motions = {name: run.motion for name, run in runs.items()}
     save_figure(draw_runs(motions, config.dt_s, leaning), out / "runs.png")
-    logger.info("Trajectories and figures: %s", out)
+    logger.info("Trajectories and figures: %s; as a page: dmmv-report %s", out, out)
 
 
 if __name__ == "__main__":

@@ -30,17 +30,29 @@ def check(config: DictConfig) -> None:
         instantiate(part)
 
 
-@command(config_folder(), "train", check)
-def main(config: DictConfig) -> None:
-    """Fit, and continue where an interrupted run of the same configuration stopped."""
+def resumed(config: DictConfig) -> Path | None:
+    """Where the run in its folder goes on; a run of another configuration is refused."""
+    from diffstack_mmv.callbacks import resume_point
+
+    content: Any = OmegaConf.to_container(config)
+    return resume_point(Path(config.out) / "checkpoints" / "last.ckpt", content)
+
+
+@command(config_folder(), "train", check, admit=resumed)
+def main(config: DictConfig) -> float | None:
+    """Fit, and continue where an interrupted run of the same configuration stopped.
+
+    Returns:
+        The best value of the watched score, which a sweeper minimises.
+    """
     import pytorch_lightning as pl
 
-    from diffstack_mmv.callbacks import Provenance, resume_point
+    from diffstack_mmv.callbacks import Provenance
     from diffstack_mmv.stack import own_processes, start_from
 
     pl.seed_everything(config.seed, workers=True)
     content: Any = OmegaConf.to_container(config)
-    resume = resume_point(Path(config.out) / "checkpoints" / "last.ckpt", content)
+    resume = resumed(config)
     stack, data = instantiate(config.stack), instantiate(config.data.module)
     if config.start is not None and resume is None:
         start_from(stack, Path(config.start))
@@ -51,6 +63,9 @@ def main(config: DictConfig) -> None:
     )
     with own_processes():
         trainer.fit(stack, data, ckpt_path=resume)
+    best = trainer.checkpoint_callback
+    score = getattr(best, "best_model_score", None)
+    return None if score is None else float(score)
 
 
 if __name__ == "__main__":

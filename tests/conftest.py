@@ -1,5 +1,6 @@
 """Fixtures shared by all tests: the reference data beside the project, and seeds."""
 
+import os
 from pathlib import Path
 
 import jaxtyping
@@ -10,6 +11,8 @@ from hypothesis import HealthCheck, settings
 from tests import shape_checks
 
 shape_checks.install()
+# of the commands that log their results; the tests of that log set it anew
+os.environ["WANDB_MODE"] = "disabled"
 
 ROOT = Path(__file__).resolve().parents[1]
 

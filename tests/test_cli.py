@@ -7,7 +7,8 @@ import pytest
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
-from diffstack_mmv.cli import command, save_config
+from diffstack_mmv.cli import admit_any, command, save_config
+from dmmv_conventions.locks import alone_in
 
 CONTENT = """
 vehicle: {name: bicycle}
@@ -22,10 +23,12 @@ hydra: {run: {dir: "${out}"}, output_subdir: null}
 @pytest.fixture
 def run(tmp_path, monkeypatch, capsys):
     """Run a task as a command line; its configuration and what was told on failure."""
-    (tmp_path / "task.yaml").write_text(CONTENT)
+    configs = tmp_path / "configs"
+    configs.mkdir()
+    (configs / "task.yaml").write_text(CONTENT)
     monkeypatch.chdir(tmp_path)
 
-    def go(*arguments, task=lambda config: None):
+    def go(*arguments, task=lambda config: None, admit=admit_any):
         seen = []
         GlobalHydra.instance().clear()
         monkeypatch.setattr(sys, "argv", ["task", *arguments, f"out={tmp_path / 'out'}"])
@@ -35,7 +38,7 @@ def run(tmp_path, monkeypatch, capsys):
             task(config)
 
         with contextlib.suppress(SystemExit):
-            command(tmp_path, "task")(keep)()
+            command(configs, "task", admit)(keep)()
         GlobalHydra.instance().clear()
         return (seen[0] if seen else None), capsys.readouterr().err
 
@@ -92,3 +95,38 @@ def test_a_configuration_is_replaced_whole(tmp_path):
         save_config(OmegaConf.create({"value": value}), tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["config.yaml"]
     assert OmegaConf.load(tmp_path / "config.yaml").value == 2
+
+
+@pytest.mark.parametrize("target", ["os.system", "pathlib.Path.write_text"])
+def test_what_a_vehicle_file_would_have_built_is_refused(target, run, tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text(f"name: mine\nsteering: {{_target_: {target}, _args_: [ls]}}\n")
+    config, told = run("needed=1", f"vehicle={file}")
+    assert config is None
+    assert f"`_target_` must name what a file may have built, but got '{target}'" in told
+    assert "Traceback" not in told
+
+
+def test_what_a_configuration_would_have_built_is_refused(run):
+    config, told = run("needed=1", "+model={_target_: os.system, _args_: [ls]}")
+    assert config is None
+    assert "`_target_` must name what a file may have built, but got 'os.system' at model" in told
+
+
+def test_a_refused_run_leaves_the_folder_as_it_is(run, tmp_path):
+    def refuse(config):
+        if config.needed == 2:
+            raise ValueError("`out` must be a new folder")
+
+    run("needed=1", admit=refuse)
+    _, told = run("needed=2", admit=refuse)
+    assert "`out` must be a new folder" in told
+    assert OmegaConf.load(tmp_path / "out" / "config.yaml").needed == 1
+
+
+def test_two_commands_never_share_a_folder(run, tmp_path):
+    with alone_in(tmp_path / "out", "out"):
+        config, told = run("needed=1")
+    assert config is None
+    assert "`out` must be a folder that no other process writes to" in told
+    assert run("needed=1")[0] is not None

@@ -1,5 +1,6 @@
 """The command lines, from recordings to a table, as a user runs them."""
 
+import hashlib
 import json
 import math
 import os
@@ -107,6 +108,9 @@ def test_report_has_a_row_per_mode_beside_the_baselines(workplace):
     assert metrics["goal"] == "predicted"
     for name in ("stand_still", "constant_velocity", "kalman", "ctra"):
         assert set(metrics["baselines"][name]) == set(metrics["modes"])
+    checkpoint = (workplace / "run" / "checkpoints" / "best.ckpt").read_bytes()
+    assert metrics["checkpoint_sha256"] == hashlib.sha256(checkpoint).hexdigest()
+    assert len(metrics["data_sha256"]) == 64
     samples = pd.read_parquet(workplace / "report" / "samples.parquet")
     assert len(samples) == sum(scores["n"] for scores in metrics["modes"].values())
     assert (workplace / "report" / "error_over_horizon.png").stat().st_size > 1000
@@ -194,6 +198,11 @@ def test_resumed_run_ends_where_an_uninterrupted_one_does(workplace, tmp_path):
     assert whole["global_step"] == parts["global_step"] == 4
     for name, value in whole["state_dict"].items():
         assert torch.equal(value, parts["state_dict"][name]), name
+    one, two = (
+        pd.read_csv(tmp_path / name / "csv" / "metrics.csv").filter(regex="^(?!throughput)")
+        for name in ("whole", "parts")
+    )
+    pd.testing.assert_frame_equal(one, two)
 
 
 @pytest.mark.parametrize(
@@ -224,12 +233,14 @@ def test_bad_input_ends_with_one_message(script, arguments, told, workplace, tmp
 
 def test_other_run_in_the_same_folder_is_refused_and_left_alone(workplace):
     last = workplace / "run" / "checkpoints" / "last.ckpt"
+    config = (workplace / "run" / "config.yaml").read_bytes()
     before = last.read_bytes()
     message = fail(
         "train", *data_of(workplace), *SMALL, "dynamics=unicycle", f"out={workplace / 'run'}"
     )
     assert "`out` must be a new folder" in message
     assert last.read_bytes() == before
+    assert (workplace / "run" / "config.yaml").read_bytes() == config
 
 
 def test_training_starts_from_the_predictor_of_other_dynamics(workplace, tmp_path):

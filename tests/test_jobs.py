@@ -4,8 +4,11 @@ import json
 import sys
 
 import pytest
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
 
 from diffstack_mmv.jobs import Job, LocalProcesses, expected_seconds
+from dmmv_conventions.configs import config_folder
 
 
 def job(folder, name, code):
@@ -44,3 +47,15 @@ def test_time_is_told_from_finished_jobs_of_the_kind_and_else_from_the_guess(
     told = json.dumps({"kind": "kind", "seconds": 4.0})
     jobs[0].log.with_suffix(".json").write_text(told)
     assert expected_seconds(jobs, jobs, {"kind": 99.0, "other": 10.0}, width) == expected
+
+
+@pytest.mark.slow
+def test_jobs_run_through_the_launcher_of_clusters(tmp_path):
+    pytest.importorskip("submitit", reason="needs the extra `sweep`")
+    with initialize_config_dir(str(config_folder()), version_base="1.3"):
+        given = ["launcher=slurm", "launcher.cluster=local", f"out={tmp_path}"]
+        config = compose("results", [*given, "launcher.parameters.timeout_min=1"]).launcher
+    jobs = [job(tmp_path, "good", WRITE), job(tmp_path, "bad", "raise SystemExit(3)")]
+    ended = {outcome.job.name: outcome.succeeded for outcome in instantiate(config)(jobs)}
+    assert ended == {"good": True, "bad": False}
+    assert list((tmp_path / "slurm").glob("*_log.out"))

@@ -46,8 +46,15 @@ CONVENTIONS = {
         "dmmv_conventions.modes",
     },
     "types": {"dmmv_conventions.modes"},
-    "vehicles": {"dmmv_conventions.configs"},
     "data": {"dmmv_conventions.cache", "dmmv_conventions.disk", "dmmv_conventions.opening"},
+    "cli": {
+        "dmmv_conventions.locks",
+        "dmmv_conventions.targets",
+        "dmmv_conventions.yaml_files",
+    },
+    "vehicles": {"dmmv_conventions.configs", "dmmv_conventions.yaml_files"},
+    "stack": {"dmmv_conventions.checkpoints", "dmmv_conventions.targets"},
+    "callbacks": {"dmmv_conventions.checkpoints", "dmmv_conventions.versions"},
 }
 
 
@@ -95,7 +102,7 @@ def test_only_base_parts_and_the_data_lie_on_the_conventions(file):
     assert taken <= CONVENTIONS.get(part, set())
 
 
-@pytest.mark.parametrize("module", ["cache", "checks", "configs", "disk", "modes"])
+@pytest.mark.parametrize("module", ["cache", "checks", "configs", "disk", "modes", "versions"])
 def test_plain_conventions_need_no_other_package(module):
     names = {name.split(".")[0] for name in imported(ROOT / "dmmv_conventions" / f"{module}.py")}
     assert names <= {"dmmv_conventions", *sys.stdlib_module_names}

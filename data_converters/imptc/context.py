@@ -51,7 +51,14 @@ def read_table(path: Path, section: str, origin_us: int) -> pd.DataFrame | None:
     if not isinstance(entries, dict) or not entries:
         return None
     rows = [_row(key, entry, origin_us, path) for key, entry in entries.items()]
-    return pd.DataFrame(rows).sort_values("time_s", ignore_index=True)
+    table = pd.DataFrame(rows).sort_values("time_s", ignore_index=True)
+    return table.assign(**{str(name): _one_kind(table[name]) for name in table if name != "time_s"})
+
+
+def _one_kind(values: pd.Series) -> pd.Series:
+    """Values as they are, or their texts: a file may mix kinds, a column may not."""
+    texts = all(value is None or isinstance(value, str) for value in values)
+    return values if values.dtype != object or texts else values.map(str)
 
 
 def _row(key: str, entry: Any, origin_us: int, path: Path) -> dict[str, Any]:
@@ -112,9 +119,17 @@ def signals_per_step(lights: pd.DataFrame, steps: int, dt_s: float) -> pd.DataFr
         if group not in lights:
             continue
         codes = lights[group].to_numpy()[np.maximum(latest, 0)]
-        status = [TrafficLightStatus[STATES.get(int(code), "UNKNOWN")].value for code in codes]
+        status = [TrafficLightStatus[_status(code)].value for code in codes]
         status = np.where(latest < 0, TrafficLightStatus.NO_DATA.value, status)
         parts.append(
             pd.DataFrame({"lane_id": group, "scene_ts": np.arange(steps), "status": status})
         )
     return pd.concat(parts, ignore_index=True).set_index(["lane_id", "scene_ts"])
+
+
+def _status(code: object) -> str:
+    """Name of the status of a recorded code; unknown for anything that is no number."""
+    try:
+        return STATES.get(int(float(str(code))), "UNKNOWN")
+    except (ValueError, OverflowError):
+        return "UNKNOWN"

@@ -15,6 +15,10 @@ TOLERANCE_M = 0.1
 """How far a corner may lie from the rectangle that the others form."""
 
 
+FARTHEST_M = 1e7
+"""Larger than any coordinate, in whatever frame."""
+
+
 class Cuboids(NamedTuple):
     """Per sample (n,): length, width, height in m; axis of the longer side in rad, in [0, pi)."""
 
@@ -62,10 +66,10 @@ def measure_cuboids(edges: list[object], where: str) -> Cuboids:
 def _end_points(edges: list[object], where: str) -> Array:
     try:
         points = np.asarray(edges, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         _refuse("no list of numbers", where)
-    if points.shape[1:] != (12, 2, 3) or not np.isfinite(points).all():
-        _refuse(f"shape {points.shape[1:]} or no finite numbers", where)
+    if points.shape[1:] != (12, 2, 3) or not (np.abs(points) < FARTHEST_M).all():
+        _refuse(f"shape {points.shape[1:]} or no possible numbers", where)
     return points.reshape(-1, 24, 3)
 
 

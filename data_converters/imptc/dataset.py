@@ -11,9 +11,10 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 import pandas as pd
 
-from data_converters.errors import TrackError, require
+from data_converters.errors import RejectReason, TrackError, fault, require
 from data_converters.imptc.context import read_context, signals_per_step
 from data_converters.imptc.reader import (
+    UTM32_OFFSET_M,
     TrackFile,
     TrackFilter,
     load_json,
@@ -21,6 +22,7 @@ from data_converters.imptc.reader import (
     refuse_missing,
     refuse_unfinished,
 )
+from data_converters.limits import on_one_clock
 from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
 from data_converters.tracks import RawTrack
 from dmmv_conventions.cache import SPLITS
@@ -134,10 +136,11 @@ class ImptcDataset(RecordingDataset):
         files: dict[str, TrackFile] = {}
         for path in track_files(folder):
             try:
-                files[_agent_name(path)] = parse_track(load_json(path), str(path), self.keep)
+                files[_agent_name(path)] = self._parsed(path)
             except TrackError as error:
                 source = str(path.relative_to(self.root))
                 raw.reject(_agent_name(path), source, error, strict=strict)
+        self._keep_one_clock(raw, files, scene.key, strict=strict)
         if not files:
             return raw
         origin = min(int(track.timestamp[0]) for track in files.values())
@@ -156,7 +159,7 @@ class ImptcDataset(RecordingDataset):
         parts = []
         for path in track_files(folder):
             try:
-                track = parse_track(load_json(path), str(path), self.keep)
+                track = self._parsed(path)
             except TrackError:
                 continue
             table = pd.DataFrame(track.position, columns=pd.Index(("x", "y", "z")))
@@ -165,6 +168,30 @@ class ImptcDataset(RecordingDataset):
             )
             parts.append(table.assign(agent_id=_agent_name(path)))
         return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+
+    @property
+    def origin_m(self) -> tuple[float, float, float]:
+        """Origin of the local frame: in UTM where positions are given so."""
+        return UTM32_OFFSET_M if self.keep.utm else super().origin_m
+
+    def _parsed(self, path: Path) -> TrackFile:
+        return parse_track(load_json(path), str(path), self.keep, self.limits)
+
+    def _keep_one_clock(
+        self, raw: RawScene, files: dict[str, TrackFile], key: str, *, strict: bool
+    ) -> None:
+        """Reject tracks whose time is far from that of the others: one clock serves them all."""
+        span = self.limits.span_s
+        first = {name: float(track.timestamp[0]) for name, track in files.items()}
+        last = {name: float(track.timestamp[-1]) for name, track in files.items()}
+        for name in sorted(set(files) - on_one_clock(first, last, span * 1e6)):
+            del files[name]
+            needs = f"lie within {span:g} s of the other tracks"
+            found, where = f"{first[name]:.0f} µs", f"{key}/{name}"
+            remedy = "Correct its clock, or remove it."
+            message = fault("ts", needs, found, where, remedy)
+            error = TrackError(message, RejectReason.TIME_SPAN)
+            raw.reject(name, where, error, strict=strict)
 
     def _add_context(self, raw: RawScene, folder: Path, origin: int, dt_s: float) -> None:
         raw.side_tables, broken = read_context(folder / "context", origin)
@@ -196,8 +223,9 @@ def find_sequences(root: Path) -> dict[str, Path]:
 
 
 def track_files(folder: Path) -> list[Path]:
-    """The track files of a sequence; either family may be absent."""
-    return [path for family in FAMILIES for path in sorted((folder / family).glob("*/track.json"))]
+    """The track file of each folder of a sequence, absent or not; either family may be absent."""
+    folders = [place for family in FAMILIES for place in sorted((folder / family).glob("*"))]
+    return [place / "track.json" for place in folders if place.is_dir()]
 
 
 def to_raw_track(track: TrackFile, name: str, source: str, origin_us: int) -> RawTrack:
@@ -214,13 +242,20 @@ def to_raw_track(track: TrackFile, name: str, source: str, origin_us: int) -> Ra
     )
 
 
+def size_of(path: Path) -> int:
+    """Size of a file in bytes, -1 where there is none."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return -1
+
+
 def _agent_name(path: Path) -> str:
     """Family and number of a track file: "vru_007" for vrus/007/track.json."""
     return f"{path.parent.parent.name[:-1]}_{path.parent.name}"
 
 
 def _fingerprint(folder: Path) -> str:
-    sizes = [(str(path.relative_to(folder)), path.stat().st_size) for path in track_files(folder)]
-    context = sorted((folder / "context").glob("*.json"))
-    sizes += [(path.name, path.stat().st_size) for path in context]
+    files = [*track_files(folder), *sorted((folder / "context").glob("*.json"))]
+    sizes = [(str(path.relative_to(folder)), size_of(path)) for path in files]
     return fingerprint(repr(sizes).encode())

@@ -9,7 +9,6 @@ import logging
 import os
 import re
 import shutil
-import tarfile
 import urllib.error
 import urllib.request
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from data_converters.archives import whole_tar
 from data_converters.errors import ConversionError, fault, require
 from dmmv_conventions.disk import disk_is_full
 
@@ -206,15 +206,11 @@ def unpack(archive: Path, folder: Path) -> None:
     partial = folder.with_name(f".unpacking_{folder.name}")
     shutil.rmtree(partial, ignore_errors=True)
     try:
-        with tarfile.open(archive) as tar:
+        with whole_tar(archive, error=DownloadError) as tar:
             tar.extractall(partial, filter="data")
-    except (tarfile.TarError, EOFError) as error:
+        os.replace(partial, folder)
+    finally:
         shutil.rmtree(partial, ignore_errors=True)
-        remedy = "Remove it and run the download again."
-        raise DownloadError(
-            fault("archive", "be a whole tar file", error, archive, remedy)
-        ) from error
-    os.replace(partial, folder)
 
 
 def _size(path: Path) -> int:

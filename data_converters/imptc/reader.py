@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from data_converters.errors import ConversionError, RejectReason, fault, refuse_track, require
 from data_converters.imptc.cuboid import measure_cuboids
 from data_converters.imptc.modes import CLASS_MODES
+from data_converters.limits import USUAL, RecordingLimits
 from dmmv_conventions.modes import Mode
 
 if TYPE_CHECKING:
@@ -62,11 +63,14 @@ def load_json(path: Path) -> Any:
     """Content of a JSON file.
 
     Raises:
-        TrackError: If the file is cut off or no JSON.
+        TrackError: If the file is absent, cut off, nested too deep or no JSON.
     """
     try:
         return json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except OSError as error:
+        remedy = "Unpack the archive again."
+        refuse_track(RejectReason.UNREADABLE, "file", "be a file", error, path, remedy)
+    except (ValueError, RecursionError) as error:
         remedy = "The file is damaged or half unpacked: unpack the archive again."
         refuse_track(RejectReason.BROKEN_JSON, "file", "be JSON", error, path, remedy)
 
@@ -91,20 +95,23 @@ def microseconds(value: object, where: str) -> int:
     return number if number >= 10**14 else number * 1000
 
 
-def parse_track(content: Any, where: str, keep: TrackFilter) -> TrackFile:
+def parse_track(
+    content: Any, where: str, keep: TrackFilter, limits: RecordingLimits = USUAL
+) -> TrackFile:
     """Samples of one track, ordered by their inner timestamp.
 
     Args:
         content: Content of a track.json.
         where: The file, for messages.
         keep: What to keep.
+        limits: Times and places that are possible.
 
     Returns:
         The track.
 
     Raises:
-        TrackError: If class, timestamps, coordinates or cuboids are missing or wrong, or the filter
-            leaves nothing.
+        TrackError: If class, timestamps, coordinates or cuboids are missing, wrong or impossible,
+            or the filter leaves nothing.
     """
     samples = _section(content, "track_data", where, RejectReason.NO_TIMESTAMPS)
     mode = _mode(_section(content, "overview", where, RejectReason.MISSING_FIELD), where)
@@ -123,6 +130,7 @@ def parse_track(content: Any, where: str, keep: TrackFilter) -> TrackFile:
     stamps, order = np.unique(stamps, return_index=True)
     ordered = [kept[i] for i in order.tolist()]
     position = _positions(ordered, where)
+    limits.check_samples((stamps - stamps[0]) / 1e6, position, where)
     axis, extent = _body(ordered, where)
     return TrackFile(
         mode=mode,
@@ -146,7 +154,7 @@ def _mode(overview: Mapping[str, Any], where: str) -> Mode:
     known = sorted(CLASS_MODES)
     try:
         return CLASS_MODES[int(overview["class_id"])]
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         found = overview.get("class_id")
         remedy = "Add it to data_converters/imptc/modes.py if the data set has a new class."
         refuse_track(
@@ -204,7 +212,7 @@ def _timestamp(sample: Mapping[str, Any], where: str) -> int:
 def _number(value: object) -> float:
     try:
         return float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return float("nan")
 
 

@@ -11,9 +11,10 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from data_converters.errors import RejectReason, TrackError
-from data_converters.imptc.dataset import ImptcDataset, find_sequences, to_raw_track
+from data_converters.errors import RejectReason, TrackError, require
+from data_converters.imptc.dataset import ImptcDataset, find_sequences, size_of, to_raw_track
 from data_converters.imptc.reader import (
+    UTM32_OFFSET_M,
     TrackFilter,
     load_json,
     parse_track,
@@ -21,7 +22,13 @@ from data_converters.imptc.reader import (
     refuse_unfinished,
     time_span_us,
 )
-from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
+from data_converters.recordings import (
+    RawScene,
+    RecordingDataset,
+    SceneSource,
+    fingerprint,
+    scene_names,
+)
 from data_converters.splits import RecordingSplit
 
 RELEASE_SPLITS = {"train": "train", "eval": "val", "test": "test"}
@@ -133,7 +140,7 @@ class ImptcVruDataset(RecordingDataset):
                 continue
             path = self._path(key)
             try:
-                files[key] = parse_track(self._content(key), str(path), self.keep)
+                files[key] = parse_track(self._content(key), str(path), self.keep, self.limits)
             except TrackError as error:
                 raw.reject(agent, key, error, strict=strict)
                 continue
@@ -144,6 +151,11 @@ class ImptcVruDataset(RecordingDataset):
         for key, track in files.items():
             raw.tracks.append(to_raw_track(track, _agent_name(key), key, origin))
         return raw
+
+    @property
+    def origin_m(self) -> tuple[float, float, float]:
+        """Origin of the local frame: in UTM where positions are given so."""
+        return UTM32_OFFSET_M if self.keep.utm else super().origin_m
 
     def overlaps(self, sequences: ImptcDataset) -> list[Overlap]:
         """Tracks whose sequence is part of the sequence release, joined by `src_info.txt`."""
@@ -180,11 +192,15 @@ class ImptcVruDataset(RecordingDataset):
         grouped: dict[int, list[int]] = {}
         for number, group in enumerate(together):
             grouped.setdefault(group, []).append(number)
-        return {
-            name: _VruScene(name, splits[recordings[members[0]]], chosen)
+        chosen = {
+            tracks[members[0]].key: tuple(tracks[number] for number in members)
             for members in grouped.values()
-            for chosen in [tuple(tracks[number] for number in members)]
-            for name in [_agent_name(chosen[0].key)]
+        }
+        split = {track.key: splits[recordings[n]] for n, track in enumerate(tracks)}
+        names = scene_names(chosen)
+        return {
+            names[key]: _VruScene(names[key], split[key], together)
+            for key, together in chosen.items()
         }
 
     @cached_property
@@ -201,8 +217,8 @@ class ImptcVruDataset(RecordingDataset):
     def _tracks(self, folder: str) -> list[_VruTrack]:
         """Tracks of a published split; one that cannot be read has no time, and joins nothing."""
         if (self._base / folder).is_dir():
-            paths = sorted((self._base / folder).glob("*/track.json"))
-            named = {path.parent.name: str(path.stat().st_size) for path in paths}
+            places = [path for path in sorted((self._base / folder).glob("*")) if path.is_dir()]
+            named = {place.name: str(size_of(place / "track.json")) for place in places}
         else:
             named = {k: _digest(content) for k, content in sorted(self._combined[folder].items())}
         return [self._track(f"{folder}/{name}", mark) for name, mark in named.items()]
@@ -216,24 +232,37 @@ class ImptcVruDataset(RecordingDataset):
 
     def _source(self, key: str) -> str:
         """Sequence and number of a track there, "" where `src_info.txt` is absent."""
-        path = self._base / key / "src_info.txt"
-        return path.read_text(encoding="utf-8").strip().strip('"') if path.is_file() else ""
+        return _first_line(self._base / key / "src_info.txt")
 
     def _path(self, key: str) -> Path:
         return self._base / key / "track.json"
 
     def _content(self, key: str) -> Any:
-        path, (folder, _, name) = self._path(key), key.partition("/")
-        return load_json(path) if path.is_file() else self._combined[folder][name]
+        folder, _, name = key.partition("/")
+        unpacked = (self._base / folder).is_dir()
+        return load_json(self._path(key)) if unpacked else self._combined[folder][name]
 
     @cached_property
     def _combined(self) -> dict[str, dict[str, Any]]:
         paths = {name: self._base / f"{name}_tracks.json" for name in RELEASE_SPLITS}
-        return {name: load_json(path) for name, path in paths.items() if path.is_file()}
+        content = {name: load_json(path) for name, path in paths.items() if path.is_file()}
+        for name, tracks in content.items():
+            needs, remedy = "hold tracks by name", "Unpack the archive again."
+            known, found = isinstance(tracks, dict), type(tracks).__name__
+            require(known, "file", needs, found, paths[name], remedy)
+        return content
 
 
 def _present(base: Path, name: str) -> bool:
     return (base / name).is_dir() or (base / f"{name}_tracks.json").is_file()
+
+
+def _first_line(path: Path) -> str:
+    """Content of a small text file, "" where there is none."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").strip().strip('"')
+    except OSError:
+        return ""
 
 
 def _digest(content: object) -> str:

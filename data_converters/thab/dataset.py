@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_converters.errors import RejectReason, TrackError
-from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
+from data_converters.recordings import (
+    RawScene,
+    RecordingDataset,
+    SceneSource,
+    fingerprint,
+    scene_names,
+)
 from data_converters.splits import RecordingSplit
 from data_converters.thab.duplicates import find_contained, group_recordings
 from data_converters.thab.modes import FOLDER_MODES
@@ -77,8 +83,14 @@ class ThabVruDataset(RecordingDataset):
         Raises:
             ConversionError: If the data set is missing or an archive is broken.
         """
+        names = scene_names(path.removesuffix(".csv") for path in self._index.modes)
         return [
-            SceneSource(_scene_name(path), self._index.splits[path], path, self._fingerprint(path))
+            SceneSource(
+                names[path.removesuffix(".csv")],
+                self._index.splits[path],
+                path,
+                self._fingerprint(path),
+            )
             for path in self._index.modes
         ]
 
@@ -115,7 +127,7 @@ class ThabVruDataset(RecordingDataset):
         faults: dict[str, TrackError] = {}
         for file in files:
             try:
-                samples[file.path] = parse(file)
+                samples[file.path] = parse(file, self.limits)
             except TrackError as error:
                 faults[file.path] = error
         positions = {path: values[:, 1:] for path, values in samples.items()}
@@ -135,11 +147,6 @@ class ThabVruDataset(RecordingDataset):
         content = b"" if samples is None else samples.tobytes()
         holder = self._index.contained.get(path, "")
         return fingerprint(content + holder.encode())
-
-
-def _scene_name(path: str) -> str:
-    group, phase, stem = path.removesuffix(".csv").split("/")
-    return f"{group}_{phase}_{stem}".replace("-", "_")
 
 
 def _recordings(files: list[ThabFile], samples: Mapping[str, object]) -> dict[str, str]:

@@ -4,32 +4,39 @@ from __future__ import annotations
 
 import io
 import tarfile
+from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from data_converters.archives import reaches_outside, whole_tar
 from data_converters.csv_table import read_numbers
-from data_converters.errors import ConversionError, RejectReason, fault, refuse_track, require
+from data_converters.errors import RejectReason, TrackError, fault, refuse_track, require
+from data_converters.limits import USUAL, RecordingLimits
 from data_converters.thab.modes import FOLDER_MODES, PHASES
 
 COLUMNS = ("timestamp", "x", "y")
 
 
 class ThabFile(NamedTuple):
-    """One csv file: group ("cyclists"), phase, stem of its name, and its bytes."""
+    """One csv file: group ("cyclists"), phase, stem of its name, and its bytes, or why none.
+
+    `place` is empty, or tells files apart that have the same name in an archive.
+    """
 
     group: str
     phase: str
     stem: str
-    content: bytes
+    content: bytes | TrackError
+    place: str = ""
 
     @property
     def path(self) -> str:
         """Path inside the data set."""
-        return f"{self.group}/{self.phase}/{self.stem}.csv"
+        return f"{self.group}/{self.phase}/{self.stem}{self.place}.csv"
 
 
 def read_files(root: Path) -> list[ThabFile]:
@@ -52,30 +59,63 @@ def _read_group(root: Path, group: str) -> Iterator[ThabFile]:
     if folder.is_dir():
         for phase in PHASES:
             for path in (folder / phase).glob("*.csv"):
-                yield ThabFile(group, phase, path.stem, path.read_bytes())
+                yield ThabFile(group, phase, path.stem, _content(path))
     elif archive.is_file():
         yield from _read_archive(archive, group)
 
 
-def _read_archive(archive: Path, group: str) -> Iterator[ThabFile]:
+def _content(path: Path) -> bytes | TrackError:
+    """The bytes of a file, or why it has none: a folder, a dangling link, no permission."""
     try:
-        with tarfile.open(archive, "r:gz") as tar:
-            for member in tar:
-                path = Path(member.name)
-                stream = tar.extractfile(member) if path.suffix == ".csv" else None
-                if stream is not None and path.parent.name in PHASES:
-                    yield ThabFile(group, path.parent.name, path.stem, stream.read())
-    except (tarfile.TarError, EOFError, OSError) as error:
-        told = fault("archive", "be whole", error, archive, "Copy the archive again.")
-        raise ConversionError(f"{told}") from error
+        return path.read_bytes()
+    except OSError as error:
+        return _refused(RejectReason.UNREADABLE, "be a readable file", error, path)
 
 
-def parse(file: ThabFile) -> NDArray[np.float64]:
+def _refused(reason: RejectReason, needs: str, found: object, where: object) -> TrackError:
+    return TrackError(fault("file", needs, found, where, "Copy the file again."), reason)
+
+
+def _read_archive(archive: Path, group: str) -> Iterator[ThabFile]:
+    """The csv files of an archive; members that no folder could hold are told, not left out."""
+    known: Counter[tuple[str, str]] = Counter()
+    with whole_tar(archive) as tar:
+        for member in tar:
+            path = PurePosixPath(member.name)
+            phase, stem = path.parent.name, path.stem
+            if path.suffix != ".csv" or not (phase in PHASES or reaches_outside(member.name)):
+                continue
+            content = _member(tar, member, f"{archive}, {member.name}")
+            phase = phase if phase in PHASES else "elsewhere"
+            known[phase, stem] += 1
+            count = known[phase, stem]
+            if count > 1 and isinstance(content, bytes):
+                reason, needs = RejectReason.REPEATED_FILE, "stand in the archive once"
+                content = _refused(reason, needs, f"{member.name} again", archive)
+            yield ThabFile(group, phase, stem, content, f"#{count}" if count > 1 else "")
+
+
+def _member(tar: tarfile.TarFile, member: tarfile.TarInfo, where: str) -> bytes | TrackError:
+    """The bytes of a member, or why it is refused."""
+    reason = RejectReason.UNSAFE_MEMBER
+    if reaches_outside(member.name):
+        return _refused(reason, "stay within the archive", member.name, where)
+    if not member.isreg():
+        found = f"a link to {member.linkname!r}" if member.linkname else "no file"
+        return _refused(reason, "be a plain file", found, where)
+    stream = tar.extractfile(member)
+    return b"" if stream is None else stream.read()
+
+
+def parse(file: ThabFile, limits: RecordingLimits = USUAL) -> NDArray[np.float64]:
     """Columns timestamp (s), x, y (m) of one file, (n, 3).
 
     Raises:
-        TrackError: If a column is missing, a value is no finite number, or the clock stands still.
+        TrackError: If the file could not be read, is empty, lacks a column, holds a value that is
+            not finite or beyond the limits, or its clock stands still.
     """
+    if isinstance(file.content, TrackError):
+        raise file.content
     table = read_numbers(io.BytesIO(file.content), COLUMNS, file.path)
     values = table.to_numpy(dtype=np.float64)
     if not np.isfinite(values).all():
@@ -89,6 +129,10 @@ def parse(file: ThabFile) -> NDArray[np.float64]:
             place,
             "Remove the file.",
         )
+    if len(values) == 0:
+        needs, remedy = "hold samples", "Copy the file again."
+        refuse_track(RejectReason.TOO_SHORT, "file", needs, "none", file.path, remedy)
+    limits.check_samples(values[:, 0], values[:, 1:], file.path)
     if len(values) > 1 and not np.any(np.diff(values[:, 0]) > 0.0):
         refuse_track(
             RejectReason.REPEATED_TIMESTAMPS,

@@ -78,7 +78,7 @@ class TwoWheelerDataset(RecordingDataset):
             SceneSource(f"{stem}_{number}", TURNS[number % len(TURNS)], f"{stem}/{number}", mark)
             for stem, boxes in rides.boxes.items()
             for mark in [hashlib.sha256(np.concatenate(boxes, axis=None).tobytes()).hexdigest()]
-            for number in range(self._piece(boxes).max() + 1)
+            for number in np.unique(self._piece(boxes)).tolist()
         ]
         return pieces + [SceneSource(stem, TURNS[0], stem, "") for stem in rides.faults]
 
@@ -109,9 +109,9 @@ class TwoWheelerDataset(RecordingDataset):
         rides = _Rides({}, {})
         for stem in FILE_MODES:
             path = self.root / f"{stem}.csv"
-            if path.is_file():
+            if path.exists() or path.is_symlink():
                 try:
-                    rides.boxes[stem] = read_boxes(path)
+                    rides.boxes[stem] = read_boxes(path, self.limits)
                 except TrackError as error:
                     rides.faults[stem] = error
         return rides

@@ -11,8 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from data_converters.csv_table import read_numbers
 from data_converters.errors import RejectReason, refuse_track
+from data_converters.limits import USUAL, RecordingLimits
 
 Array = NDArray[np.float64]
+
+SAMPLES_NEEDED = 4
+"""Frames that every smoother can work with."""
+LENGTH_TOLERANCE = 0.01
+"""How far the length of a quaternion may be off because of rounding."""
 
 RIDER = 0
 """`obj_id` of the box of the rider; other boxes of a frame are parts of the vehicle."""
@@ -35,14 +41,15 @@ class Boxes(NamedTuple):
     upright: Array
 
 
-def read_boxes(path: Path) -> Boxes:
+def read_boxes(path: Path, limits: RecordingLimits = USUAL) -> Boxes:
     """Boxes of the vehicle in one file.
 
     The files are in the frame of the sensor with y up; z, x and y become east, north and up, which
     keeps left turns left. The upright axis is the one of the box that is steepest over the file.
 
     Raises:
-        TrackError: If the file is no table, lacks a column, or a number is missing.
+        TrackError: If the file is no table, lacks a column, a number is missing or beyond the
+            limits, a box has no orientation, or fewer than `SAMPLES_NEEDED` times are left.
     """
     table = read_numbers(path, COLUMNS, path)
     table = table[table["obj_id"] == RIDER].sort_values("time_s").drop_duplicates("time_s")
@@ -52,6 +59,16 @@ def read_boxes(path: Path) -> Boxes:
         found = "no row" if len(values) == 0 else values[int(broken.argmax())]
         needs = f"hold finite numbers with obj_id {RIDER}"
         refuse_track(RejectReason.NOT_FINITE, "rows", needs, found, path, "Copy the file again.")
+    limits.check_samples(values[:, 0], table[list(CENTRE)].to_numpy(), path)
+    if len(values) < SAMPLES_NEEDED:
+        needs, found = f"hold {SAMPLES_NEEDED} frames at different times", f"{len(values)}"
+        refuse_track(RejectReason.TOO_SHORT, "rows", needs, found, path, "Copy the file again.")
+    length = np.linalg.norm(table[list(QUATERNION)].to_numpy(), axis=1)
+    if not (np.abs(length - 1.0) < LENGTH_TOLERANCE).all():
+        worst = int(np.abs(length - 1.0).argmax())
+        found = f"length {length[worst]:g} at {values[worst, 0]:g} s"
+        reason, needs = RejectReason.NO_ORIENTATION, "be quaternions of length 1"
+        refuse_track(reason, "qx, qy, qz, qw", needs, found, path, "Copy the file again.")
     axes = Rotation.from_quat(table[list(QUATERNION)].to_numpy()).as_matrix()
     steepest = int(np.abs(axes[:, 1, :]).mean(axis=0).argmax())
     upright = axes[:, :, steepest] * np.sign(axes[:, 1, steepest])[:, None]

@@ -81,3 +81,30 @@ class Throughput(Callback):
         self._batch_end = now
         pl_module.log("throughput/samples_per_s", len(batch.goal) / elapsed_s)
         pl_module.log("throughput/waiting_share", waited_s / elapsed_s)
+
+
+class WallClock(Callback):
+    """Logs the time spent on training in s; a resumed run goes on where its checkpoint was."""
+
+    def __init__(self) -> None:
+        self._before_s = 0.0
+        self._start = time.perf_counter()
+
+    def state_dict(self) -> dict[str, float]:
+        """Time spent so far in s."""
+        return {"elapsed_s": self._elapsed_s()}
+
+    def load_state_dict(self, state_dict: dict[str, float]) -> None:
+        """Go on counting from there."""
+        self._before_s = state_dict["elapsed_s"]
+
+    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Start the clock."""
+        self._start = time.perf_counter()
+
+    def on_train_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Log the time since the run first started."""
+        pl_module.log("throughput/elapsed_s", self._elapsed_s())
+
+    def _elapsed_s(self) -> float:
+        return self._before_s + time.perf_counter() - self._start

@@ -6,16 +6,18 @@ Where it came from, and the state of all random generators.
 import random
 import subprocess
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytorch_lightning as pl
 import torch
+from pytorch_lightning import callbacks
 from pytorch_lightning.callbacks import Callback
 
-from diffstack_mmv.checks import require
+from diffstack_mmv.checks import message, require
+from dmmv_conventions.checkpoints import read_plain
+from dmmv_conventions.versions import installed_version
 
 
 class Provenance(Callback):
@@ -36,7 +38,7 @@ class Provenance(Callback):
             "config": self.config,
             "commit": current_commit(),
             "torch": str(torch.__version__),
-            "diffstack_mmv": _installed_version(),
+            "diffstack_mmv": installed_version(),
         }
 
 
@@ -55,11 +57,13 @@ def current_commit() -> str:
     return answer.stdout.strip()
 
 
-def _installed_version() -> str:
-    try:
-        return version("diffstack_mmv")
-    except PackageNotFoundError:
-        return "unknown"
+class EarlyStopping(callbacks.EarlyStopping):
+    """Lightning's, which forgets that a run has stopped and, resumed, trains an epoch more."""
+
+    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Stop at once where the checkpoint is that of a run that stopped."""
+        if self.wait_count >= self.patience:
+            trainer.should_stop = True
 
 
 class RandomState(Callback):
@@ -110,12 +114,17 @@ def resume_point(last: Path, config: Mapping[str, Any]) -> Path | None:
     """Checkpoint from which an interrupted run of this configuration continues, if there is one.
 
     Raises:
-        ValueError: The folder holds a run of another configuration.
+        ValueError: The folder holds a run of another configuration, or a broken checkpoint.
     """
-    if not last.is_file():
+    if not last.exists():
         return None
-    stored = torch.load(last, map_location="cpu", weights_only=True).get("provenance", {})
-    before = stored.get("config", {})
+    remedy = "Delete it to begin anew, or choose another `out`."
+    content = read_plain(last, remedy)
+    stored = content.get("provenance") if isinstance(content, dict) else None
+    before = stored.get("config") if isinstance(stored, dict) else None
+    if not isinstance(before, dict):
+        fault = message("checkpoint", "hold its configuration", "none", f"in {last}", remedy)
+        raise ValueError(fault)
     changed = sorted(key for key in _MEANING if before.get(key) != config.get(key))
     require(
         not changed,

@@ -8,7 +8,13 @@ from diffstack_mmv.control.curvature import (
 )
 from diffstack_mmv.control.gradient import GradientMode, Implicit, Unrolled
 from diffstack_mmv.control.ilqr import ILQR
-from diffstack_mmv.control.optimizer import Cost, Dynamics, LinearisedDynamics, TrajectoryOptimizer
+from diffstack_mmv.control.optimizer import (
+    Constraints,
+    Cost,
+    Dynamics,
+    LinearisedDynamics,
+    TrajectoryOptimizer,
+)
 from diffstack_mmv.control.selection import Batched, Selectable
 from diffstack_mmv.types import Bounds, Solution, SolverStatus
 
@@ -16,6 +22,7 @@ __all__ = [
     "ILQR",
     "Batched",
     "Bounds",
+    "Constraints",
     "Cost",
     "CurvatureBySize",
     "CurvatureForm",

@@ -1,7 +1,7 @@
 """Box-constrained trajectory optimisation with exact second derivatives, batched."""
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import TYPE_CHECKING, Any, Self, overload
 
 import torch
 from jaxtyping import Float
@@ -16,12 +16,16 @@ from diffstack_mmv.control.compilation import (
     eager_kernels,
 )
 from diffstack_mmv.control.curvature import CurvatureForm, ExactCurvature
+from diffstack_mmv.control.fitting import require_fitting, require_tensors
 from diffstack_mmv.control.gradient import Call, GradientMode, Implicit
 from diffstack_mmv.control.iteration import OPEN, Iterate, Settings, start
-from diffstack_mmv.control.optimizer import Cost, Dynamics
+from diffstack_mmv.control.optimizer import Constraints, Cost, Dynamics
 from diffstack_mmv.control.riccati import definite_policy
 from diffstack_mmv.control.selection import Workload
 from diffstack_mmv.types import Bounds, Solution, SolverStatus
+
+if TYPE_CHECKING:
+    from diffstack_mmv.control.constrained import ConstrainedSolution
 
 CHECK_EVERY = {"cpu": 1}
 """Iterations between two questions whether all are finished; another device would wait for each."""
@@ -112,6 +116,7 @@ class ILQR:
         eager = not (self.compile and self.gradient.through_iterations)
         require(eager, "compile", f"be false with {self.gradient}", self.compile)
 
+    @overload
     def __call__(
         self,
         dynamics: Dynamics,
@@ -119,7 +124,29 @@ class ILQR:
         bounds: Bounds,
         state: Float[Tensor, "*b n"],
         controls: Float[Tensor, "*b T m"],
-    ) -> Solution:
+        constraints: None = None,
+    ) -> Solution: ...
+
+    @overload
+    def __call__(
+        self,
+        dynamics: Dynamics,
+        cost: Cost,
+        bounds: Bounds,
+        state: Float[Tensor, "*b n"],
+        controls: Float[Tensor, "*b T m"],
+        constraints: Constraints,
+    ) -> "ConstrainedSolution": ...
+
+    def __call__(
+        self,
+        dynamics: Dynamics,
+        cost: Cost,
+        bounds: Bounds,
+        state: Float[Tensor, "*b n"],
+        controls: Float[Tensor, "*b T m"],
+        constraints: Constraints | None = None,
+    ) -> Any:
         """Solve from the initial state and a guess of the controls.
 
         Args:
@@ -128,16 +155,27 @@ class ILQR:
             bounds: Box of the controls; infinite where there is no bound.
             state: x_0.
             controls: The guess, clipped to the box.
+            constraints: What has to hold besides: the default settings of `ConstrainedILQR`, which
+                has soft constraints, chosen times and warm starts.
 
         Returns:
-            The solution; states and controls of a problem that is not finite are zero where they
-            are NaN.
+            The `Solution`, a `ConstrainedSolution` with constraints; states and controls of a
+            problem that is not finite are zero where they are NaN.
 
         Raises:
-            ValueError: Shapes, precision or the order of the bounds do not fit.
-            TypeError: The state is not of a floating-point type.
+            ValueError: Shapes, precision or the order of the bounds do not fit, or the callables
+                return other shapes.
+            TypeError: The state is not of a floating-point type, or something is no tensor.
         """
+        if constraints is not None:
+            # it is built on this class
+            from diffstack_mmv.control.constrained import ConstrainedILQR, listed
+
+            solve = ConstrainedILQR(self)
+            return solve(dynamics, cost, listed(constraints), bounds, state, controls)
+        require_tensors(bounds, state, controls)
         check_problem(bounds, state, controls)
+        require_fitting(dynamics, cost, state, controls)
         call = Call(
             self._kernels(dynamics, cost, state, controls),
             dynamics,

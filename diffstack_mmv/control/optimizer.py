@@ -1,5 +1,6 @@
 """What other folders see of the control layer: the optimiser, and what it is given."""
 
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from jaxtyping import Float
@@ -60,3 +61,27 @@ class TrajectoryOptimizer(Protocol):
             depend on.
         """
         ...
+
+
+@runtime_checkable
+class ConstraintFunction(Protocol):
+    """Constrained quantities per time; entry t sees x_t and u_t only, as the entries of a cost."""
+
+    def __call__(
+        self, states: Float[Tensor, "*b T1 n"], controls: Float[Tensor, "*b T1 m"], /
+    ) -> Float[Tensor, "*b T1 k"]:
+        """Values at times 0 .. T; the last row of the controls is zero."""
+        ...
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """g(x_t, u_t) ≤ 0 and h(x_t, u_t) = 0 at all times 0 .. T, both hard.
+
+    Args:
+        inequality: Gives g; None if there is none.
+        equality: Gives h.
+    """
+
+    inequality: ConstraintFunction | None = None
+    equality: ConstraintFunction | None = None

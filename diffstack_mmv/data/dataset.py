@@ -1,5 +1,6 @@
 """Samples by number: from an export on disk, or straight from trajdata."""
 
+import hashlib
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ import torch
 from jaxtyping import Int
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.utils._pytree import tree_leaves
 from torch.utils.data import Dataset
 
 from diffstack_mmv.checks import message, require
@@ -26,6 +28,7 @@ EXPORT_VERSION = 2
 MARKER = "export.json"
 SAMPLES = "samples.parquet"
 USABLE = "usable.npy"
+PIECE = 256  # samples in memory at once while they are hashed
 
 
 class WindowDataset(Dataset[StackBatch], ABC):
@@ -43,6 +46,18 @@ class WindowDataset(Dataset[StackBatch], ABC):
     @abstractmethod
     def samples(self) -> pd.DataFrame:
         """One row per sample: dataset, scene, agent, row (time index of the present), mode."""
+
+    def digest(self) -> str:
+        """SHA-256 of all samples and of where they come from, hexadecimal."""
+        digest = hashlib.sha256(self.samples.to_csv(index=False).encode())
+        for first in range(0, len(self), PIECE):
+            batch = self[range(first, min(first + PIECE, len(self)))]
+            for part in tree_leaves(batch):
+                content = (
+                    part.numpy().tobytes() if isinstance(part, Tensor) else repr(part).encode()
+                )
+                digest.update(content)
+        return digest.hexdigest()
 
     @property
     def modes(self) -> Int[Tensor, " n"]:

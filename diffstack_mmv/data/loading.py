@@ -73,6 +73,8 @@ class WindowLoader(DataLoader[StackBatch]):
             sampler=sampler,
             num_workers=workers,
             collate_fn=unchanged,  # type: ignore[arg-type]
+            # else each epoch would draw a seed for the workers from the generator of the training
+            generator=torch.Generator(),
             pin_memory=torch.cuda.is_available(),
             persistent_workers=workers > 0,
             multiprocessing_context="fork" if workers else None,

@@ -19,7 +19,7 @@ from trajdata.utils import scene_utils
 
 from diffstack_mmv.data.settings import WindowSettings
 from diffstack_mmv.data.window_counts import WindowCounts
-from dmmv_conventions.opening import CachedUnifiedDataset
+from dmmv_conventions.opening import CachedUnifiedDataset, encoded
 
 OBSERVED = "x,y,xd,yd,h"
 
@@ -165,7 +165,7 @@ class TrajdataWindows(CachedUnifiedDataset):
                 index.append((str(path), elements, agents))
                 self._modes.append([modes[name] for name, _ in agents])
         self.counts.require_windows(self.desired_data[0])
-        return index
+        return encoded(index)
 
     def __getitem__(self, idx: int) -> AgentBatchElement:
         """Return trajdata's element of one window."""

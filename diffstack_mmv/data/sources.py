@@ -16,7 +16,7 @@ from diffstack_mmv.checks import message, require
 from diffstack_mmv.data.corrections import HeldHeading, UpwardY
 from diffstack_mmv.data.registration import TrajdataWindows
 from diffstack_mmv.data.settings import WindowSettings
-from dmmv_conventions.cache import REPORT_FILE, STATE_FILE, read_state
+from dmmv_conventions.cache import REPORT_FILE, STATE_FILE, read_state, require_own
 from dmmv_conventions.opening import CachedEnvironment
 
 _USUAL_CORRECTIONS: dict[str, tuple[DatasetAugmentation, ...]] = {"sdd": (UpwardY(), HeldHeading())}
@@ -210,6 +210,7 @@ class NamedDataset:
         query = f"{self.name}-{split}"
         folders = {self.name: str(root)}
         cache = Path(self.folder).expanduser()
+        require_own(cache / self.name, "Give another data.cache=FOLDER")
         return TrajdataWindows(query, windows, cache, (), folders, self.corrections or ())
 
 

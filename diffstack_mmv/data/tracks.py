@@ -17,7 +17,14 @@ from diffstack_mmv.data.batch import STANDSTILL_MPS, yaw_rate
 from diffstack_mmv.data.sources import ConvertedCache, WindowSource
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.types import Mode, Motion
-from dmmv_conventions.cache import CONTROLS_TABLE, LEAN_TABLE, SENSORS_TABLE, side_table
+from dmmv_conventions.cache import (
+    CONTROLS_TABLE,
+    LEAN_TABLE,
+    SENSORS_TABLE,
+    conversion_of,
+    require_own,
+    side_table,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -167,6 +174,8 @@ def _converted(source: WindowSource) -> ConvertedCache:
     if not isinstance(source, ConvertedCache):
         wanted = "be a cache written by scripts/convert.py"
         raise ValueError(message("data", wanted, type(source).__name__, "", "Convert it first."))
+    folder = Path(source.folder)
+    require_own(folder / source.name, conversion_of(source.name, folder))
     return source
 
 

@@ -13,7 +13,7 @@ from diffstack_mmv.dynamics.records import DerivedQuantity, DriverInput
 from diffstack_mmv.geometry import direction
 from diffstack_mmv.smooth import floor_at_zero, saturate
 from diffstack_mmv.types import Motion
-from diffstack_mmv.vehicles import SoftClamped, VehicleSpec, turning_axle_m
+from diffstack_mmv.vehicles import SoftClamped, VehicleSpec, require_vehicle, turning_axle_m
 
 EULER_STEP_S = 0.05
 """Longest step of the Euler scheme within a plan."""
@@ -78,6 +78,7 @@ class DiffKBM(DynamicsModel):
         dt_s: float = 0.1,
         floor: Callable[[Tensor], Tensor] = floor_at_zero,
     ) -> None:
+        require_vehicle(spec)
         limits = spec.limits
         super().__init__(
             dt_s,

@@ -157,4 +157,7 @@ class RecordedControls:
         bad = (~torch.isfinite(values).all(1)).nonzero().flatten().tolist()
         told = f"{rows[bad[0]]} in row {bad[0] + 1}" if bad else ""
         require(not bad, "controls", "hold finite numbers", told, where, remedy)
+        steep = values[:, 1].abs().max().item()
+        requirement = "stay below π/2 in the column steer_rad"
+        require(steep < math.pi / 2, "controls", requirement, steep, where, "Give radians.")
         return DriverInput(values[:, 0], values[:, 1])

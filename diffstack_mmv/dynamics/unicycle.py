@@ -11,7 +11,7 @@ from diffstack_mmv.dynamics.records import DriverInput
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.smooth import saturate, sinc, sinc_slope
 from diffstack_mmv.types import Motion
-from diffstack_mmv.vehicles import VehicleSpec, turning_axle_m
+from diffstack_mmv.vehicles import VehicleSpec, require_vehicle, turning_axle_m
 
 
 class ExtendedUnicycle(DynamicsModel):
@@ -46,6 +46,7 @@ class ExtendedUnicycle(DynamicsModel):
         acceleration: Float[Tensor, "*b"]
 
     def __init__(self, spec: VehicleSpec, dt_s: float = 0.1) -> None:
+        require_vehicle(spec)
         limits = spec.limits
         yaw_rate = limits.yaw_rate_max_radps
         super().__init__(

@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
+from diffstack_mmv.metrics.calibration import coverages
 from diffstack_mmv.metrics.displacement import (
     average_displacement,
     best_average_displacement,
@@ -21,8 +22,10 @@ from diffstack_mmv.metrics.planning import (
     total_cost,
 )
 from diffstack_mmv.metrics.scores import (
+    CALIBRATION,
     CLOSED_LOOP,
     DISPLACEMENT,
+    EVALUATED,
     OF_THE_PREDICTION,
     OPEN_LOOP,
     Score,
@@ -32,8 +35,10 @@ if TYPE_CHECKING:
     from diffstack_mmv.metrics.by_mode import MeanByMode
 
 __all__ = [
+    "CALIBRATION",
     "CLOSED_LOOP",
     "DISPLACEMENT",
+    "EVALUATED",
     "OF_THE_PREDICTION",
     "OPEN_LOOP",
     "MeanByMode",
@@ -41,6 +46,7 @@ __all__ = [
     "average_displacement",
     "best_average_displacement",
     "collided",
+    "coverages",
     "displacement",
     "displacements",
     "final_displacement",

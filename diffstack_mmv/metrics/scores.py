@@ -44,6 +44,15 @@ OPEN_LOOP = _by_name(
 OF_THE_PREDICTION = ("ade", "fde", "nll", "min_ade", "miss_rate")
 """Names of those of `OPEN_LOOP` that need no plan."""
 
+CALIBRATION = _by_name(
+    Score("coverage_50", "in the 50 % region", "1", False),
+    Score("coverage_90", "in the 90 % region", "1", False),
+)
+"""Scores that only an evaluation computes, since they take samples; best are 0.5 and 0.9."""
+
+EVALUATED: Mapping[str, Score] = MappingProxyType({**OPEN_LOOP, **CALIBRATION})
+"""Everything that an evaluation tells of a sample."""
+
 CLOSED_LOOP = _by_name(
     Score("success_rate", "success", "1", False),
     Score("collision_rate", "collision", "1", True),

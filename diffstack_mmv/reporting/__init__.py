@@ -11,6 +11,7 @@ from diffstack_mmv.reporting.comparison import (
 from diffstack_mmv.reporting.files import (
     read_json,
     read_parquet,
+    write_compact,
     write_json,
     write_parquet,
     write_text,
@@ -39,6 +40,7 @@ __all__ = [
     "read_runs",
     "summarise_modes",
     "write_closed_loop",
+    "write_compact",
     "write_comparison",
     "write_identification",
     "write_json",

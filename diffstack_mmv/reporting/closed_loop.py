@@ -97,7 +97,19 @@ def _summary(
     )
     table = closed_loop_table(result, baselines, scores).to_markdown()
     failed = [case for case in result["cases"] if case["outcome"] != "success"]
+    table = f"{table}\n\n{_feasible(result)}" if "feasible" in result else table
     return f"{title}{setting}{table}\n\n## Cases without success\n\n{_failures(failed)}"
+
+
+def _feasible(result: Mapping[str, Any]) -> str:
+    """Scores without the cases that nobody could have passed."""
+    told = result["feasible"]
+    return (
+        f"Feasible cases: {told['n']} of {result['n']}, success {_cell(told['success_rate'])}, "
+        f"collision {_cell(told['collision_rate'])}. A case is not feasible where the vehicle "
+        "collides in each of many random drives that know the walks (`avoidable`: share without "
+        "collision)."
+    )
 
 
 def _model(name: str, model: Mapping[str, Any]) -> str:
@@ -138,4 +150,7 @@ def _failures(cases: Sequence[Mapping[str, Any]]) -> str:
     if not cases:
         return "None."
     columns = ["case", "outcome", "time_s", "min_clearance_m"]
-    return pd.DataFrame(cases)[columns].to_markdown(index=False, floatfmt=".2f")
+    frame = pd.DataFrame(cases)
+    if "avoidable" in frame:
+        columns.append("avoidable")
+    return frame[columns].to_markdown(index=False, floatfmt=".2f")

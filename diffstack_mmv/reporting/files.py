@@ -25,6 +25,15 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
+def write_compact(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a JSON file that is read by programs only, without white space, atomically.
+
+    Raises:
+        ValueError: A number is NaN or infinite.
+    """
+    write_text(path, json.dumps(content, separators=(",", ":"), allow_nan=False))
+
+
 def read_json(path: Path) -> dict[str, Any]:
     """Read a JSON file.
 

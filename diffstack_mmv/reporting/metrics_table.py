@@ -64,7 +64,12 @@ def summarise_modes(
     costs: dict[str, dict[str, float | None]] = {}
     terms = [name for name in samples.columns if name.startswith(COST)]
     for mode, group in samples.groupby("mode", sort=True):
-        modes[str(mode)] = {"vehicle": vehicle} | summarise(group, scores)
+        likelihoods = {
+            f"nll_{name.removesuffix('/nll')}": _mean(group[name])
+            for name in samples.columns
+            if name.endswith("/nll")
+        }
+        modes[str(mode)] = {"vehicle": vehicle} | summarise(group, scores) | likelihoods
         costs[str(mode)] = {name.removeprefix(COST): _mean(group[name]) for name in terms}
         for name, told in summarise_baselines(group).items():
             baselines[name][str(mode)] = told

@@ -14,6 +14,7 @@ from diffstack_mmv.simulation.collision import DiscFootprint, Footprint, Rectang
 from diffstack_mmv.simulation.controller import DiffMPCController
 from diffstack_mmv.simulation.env import ENV_ID, CrowdNavEnv, register, robot_named
 from diffstack_mmv.simulation.episode import drive
+from diffstack_mmv.simulation.feasibility import AvoidanceSearch
 from diffstack_mmv.simulation.forecasters import (
     ConstantVelocityForecaster,
     OrcaForecaster,
@@ -51,6 +52,7 @@ __all__ = [
     "ENV_ID",
     "VERDICTS",
     "Actuation",
+    "AvoidanceSearch",
     "BlindDriver",
     "Chunk",
     "CircleCrossing",

@@ -1,10 +1,10 @@
 """Benchmarks: many cases in chunks, each finished chunk kept on disk, so that a run can resume."""
 
-import hashlib
 import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 from zipfile import BadZipFile
@@ -32,14 +32,22 @@ class Method:
         name: Name of the row, also of the folder of its episodes.
         world: Where it drives.
         controller: Makes a fresh controller.
-        settings: Everything that decides the result, as text; a chunk made under other settings is
-            made anew.
+        settings: Everything that decides the result, as text.
+        code: Version of the code that drives.
     """
 
     name: str
     world: World
     controller: Callable[[], Controller]
     settings: str = ""
+    code: str = ""
+
+
+class Origin(NamedTuple):
+    """What made a chunk; chunks of different origin are never mixed."""
+
+    code: str
+    settings: str
 
 
 class Chunk(NamedTuple):
@@ -49,6 +57,8 @@ class Chunk(NamedTuple):
     record: EpisodeRecord
     step_s: Float[np.ndarray, " steps"]  # time of each decision per running episode
     diagnosis: dict[str, Float[np.ndarray, " E"]]  # per case, what the controller tells of itself
+    # per case and decision, what it expected and planned; on disk only, empty when read back
+    thoughts: dict[str, Float[np.ndarray, "E S *d"]]
 
 
 @dataclass
@@ -98,19 +108,20 @@ def run(
         The chunks in order.
 
     Raises:
-        ValueError: There is no case, a case does not exist, or its start is impossible.
+        ValueError: There is no case, a case does not exist, its start is impossible, or the folder
+            holds chunks of other settings or of another version of the code.
     """
     require(len(cases) > 0, "cases", "name at least one case", "none")
     require_at_least("chunk_size", chunk_size, 1)
-    told = f"{method.settings}|{scenario!r}|{phase}"
+    origin = Origin(method.code, f"{method.settings}\n{scenario!r}\n{phase}")
     for first in range(0, len(cases), chunk_size):
         numbers = list(cases[first : first + chunk_size])
-        stamp = hashlib.sha256(f"{told}|{numbers}".encode()).hexdigest()
         file = folder / f"{phase}_{numbers[0]:05d}-{numbers[-1]:05d}.npz"
-        chunk = _read(file, stamp)
-        if chunk is None:
+        chunk = _read(file, origin)
+        if chunk is None or chunk.cases != numbers:
             chunk = _driven(method, scenario, numbers, phase)
-            _write(file, stamp, chunk)
+            _write(file, origin, chunk)
+            chunk = chunk._replace(thoughts={})
         LOGGER.info("%s: cases %d to %d are done.", method.name, numbers[0], numbers[-1])
         yield chunk
 
@@ -123,20 +134,24 @@ def _driven(method: Method, scenario: Scenario, numbers: list[int], phase: str) 
     diagnose = getattr(controller, "diagnosis", None)
     shares = {} if diagnose is None else diagnose(known)
     told = {name: share.double().numpy() for name, share in shares.items()}
-    return Chunk(numbers, record, np.array(timed.seconds), told)
+    think = getattr(controller, "thoughts", None)
+    thoughts = {} if think is None else think(known)
+    return Chunk(numbers, record, np.array(timed.seconds), told, thoughts)
 
 
-def _write(file: Path, stamp: str, chunk: Chunk) -> None:
+def _write(file: Path, origin: Origin, chunk: Chunk) -> None:
     """Keep a chunk, all or nothing."""
     file.parent.mkdir(parents=True, exist_ok=True)
     record = chunk.record
-    arrays: dict[str, Any] = {"stamp": stamp, "cases": chunk.cases, "step_s": chunk.step_s}
+    arrays: dict[str, Any] = {"cases": chunk.cases, "step_s": chunk.step_s}
+    arrays |= {f"origin.{name}": text for name, text in origin._asdict().items()}
     arrays |= {f"motion.{k}": v.detach().numpy() for k, v in record.motion._asdict().items()}
     for name, value in record._asdict().items():
         if isinstance(value, Tensor):
             arrays[name] = value.detach().numpy()
     arrays["dt_s"] = record.dt_s
     arrays |= {f"diagnosis.{name}": value for name, value in chunk.diagnosis.items()}
+    arrays |= {f"thoughts.{name}": value for name, value in chunk.thoughts.items()}
     unfinished = file.with_name(file.name + ".part")
     with unfinished.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
@@ -155,25 +170,43 @@ def read_chunk(file: Path) -> Chunk:
     return chunk
 
 
-def _read(file: Path, stamp: str | None) -> Chunk | None:
-    """A chunk with this stamp, if the file holds one; any stamp if none is given."""
+def _read(file: Path, origin: Origin | None) -> Chunk | None:
+    """A chunk of this origin, if the file holds one; of any if none is given.
+
+    Raises:
+        ValueError: It is of another origin.
+    """
     if not file.is_file():
         return None
     try:
         with np.load(file) as stored:
-            arrays = {name: stored[name] for name in stored.files}
-        if stamp is not None and str(arrays["stamp"]) != stamp:
-            return None
+            kept = (name for name in stored.files if not name.startswith("thoughts."))
+            arrays = {name: stored[name] for name in kept}
         record = _record(arrays)
     except (OSError, ValueError, KeyError, BadZipFile) as broken:
         LOGGER.warning("`%s` is not readable (%s) and is made anew.", file, broken)
         return None
+    if origin is not None:
+        _require_origin(file, arrays, origin)
     told = {
         name.removeprefix("diagnosis."): value
         for name, value in arrays.items()
         if name.startswith("diagnosis.")
     }
-    return Chunk(arrays["cases"].tolist(), record, arrays["step_s"], told)
+    return Chunk(arrays["cases"].tolist(), record, arrays["step_s"], told, {})
+
+
+def _require_origin(file: Path, arrays: dict[str, np.ndarray], origin: Origin) -> None:
+    """Refuse a chunk that other code, or other settings, have made."""
+    for name, wanted in origin._asdict().items():
+        found = str(arrays.get(f"origin.{name}", "unknown"))
+        if found != wanted:
+            lines = zip_longest(found.splitlines(), wanted.splitlines(), fillvalue="nothing")
+            before, now = next((pair for pair in lines if pair[0] != pair[1]), (found, wanted))
+            requirement = f"hold episodes of the same {name} ({now.strip()})"
+            remedy = f"Choose another `out`, or delete {file.parent}."
+            place = f"in {file}"
+            raise ValueError(message("out", requirement, before.strip(), place, remedy))
 
 
 def _record(arrays: dict[str, np.ndarray]) -> EpisodeRecord:

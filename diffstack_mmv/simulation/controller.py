@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -17,6 +18,7 @@ from diffstack_mmv.planning import (
 )
 from diffstack_mmv.simulation.forecasters import PedestrianForecaster
 from diffstack_mmv.simulation.policies import Decided, unbatched
+from diffstack_mmv.simulation.thoughts import Thought, joined, thought
 from diffstack_mmv.simulation.world import Observation
 from diffstack_mmv.types import (
     Ego,
@@ -39,6 +41,7 @@ class Decision(NamedTuple):
     origin: Int[Tensor, " r"]  # a PlanOrigin
     status: Int[Tensor, "r k"]  # a SolverStatus per start
     rows: Int[Tensor, " r"]  # number of the episode
+    thought: Thought
 
 
 class DiffMPCState(NamedTuple):
@@ -122,7 +125,8 @@ class DiffMPCController:
         controls = state.plan.index_copy(0, rows, plan.controls)
         action = controls[:, 0] if self.actuate is None else self.actuate(controls[:, 0])
         state = state._replace(
-            plan=controls.detach(), decisions=(*state.decisions, _decision(plan, rows))
+            plan=controls.detach(),
+            decisions=(*state.decisions, _decision(plan, told.forecast, rows)),
         )
         return Decided(action, state)
 
@@ -156,6 +160,10 @@ class DiffMPCController:
         solved = (status == SolverStatus.CONVERGED).float().mean(-1)
         return shares | {"solved_share": share(solved)}
 
+    def thoughts(self, state: DiffMPCState) -> dict[str, Float[np.ndarray, "E S *d"]]:
+        """Per episode and decision: the plan in m, and what was expected of each pedestrian."""
+        return joined([decision.thought for decision in state.decisions], len(state.plan))
+
     def _progressed(self, state: DiffMPCState, problem: PlanningProblem) -> DiffMPCState:
         """Count how long each vehicle has come no closer to its goal."""
         with torch.no_grad():
@@ -172,5 +180,5 @@ class DiffMPCController:
         return controls[..., ahead.floor().long().clamp(max=steps - 1), :]
 
 
-def _decision(plan: Plan, rows: Int[Tensor, " r"]) -> Decision:
-    return Decision(plan.origin, plan.solution.status, rows)
+def _decision(plan: Plan, forecast: Forecast, rows: Int[Tensor, " r"]) -> Decision:
+    return Decision(plan.origin, plan.solution.status, rows, thought(plan, forecast, rows))

@@ -132,7 +132,8 @@ class MPPIController:
         likely = obstacles.weight[:, None, :, :, None]
 
         def expected(component: Tensor) -> Tensor:
-            return (likely * component).sum(3).amax(2)
+            each = (likely * component).sum(3)
+            return each.amax(2) if each.shape[2] else each.sum(2)
 
         distance = (motion.position - seen.goal[:, None, None]).norm(dim=-1)
         arrived = (distance[..., 1:] < 0.25).long()

@@ -85,7 +85,7 @@ class Scenario(ABC):
 
     def __post_init__(self) -> None:
         """Check the sizes once, at the border."""
-        require_at_least("humans", self.humans, 1)
+        require_at_least("humans", self.humans, 0)
         require_positive("circle_radius_m", self.circle_radius_m)
         require_positive("pedestrian_radius_m", self.pedestrian_radius_m)
         require_positive("pedestrian_speed_mps", self.pedestrian_speed_mps)

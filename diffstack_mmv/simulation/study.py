@@ -84,5 +84,6 @@ def models_told(
 
 
 def _told(model: DynamicsModel, footprint: Footprint) -> dict[str, Any]:
-    """A model, and the outline of its vehicle, SI units."""
-    return model.description() | {"footprint": footprint.description()}
+    """A model, the outline of its vehicle and the names of its controls, SI units."""
+    named = {"controls": list(model.Control._fields)}
+    return model.description() | {"footprint": footprint.description()} | named

@@ -82,7 +82,7 @@ def _cases(chunk: Chunk) -> list[dict[str, Any]]:
             "outcome": Outcome(int(record.outcome[row])).label,
             "time_s": float(record.duration[row]),
             "steps": int(record.steps[row]),
-            "min_clearance_m": float(nearest[row]),
+            "min_clearance_m": _number(nearest[row]),
             "discomfort_steps": int(uneasy[row]),
         }
         | {name: _number(torch.tensor(value[row])) for name, value in chunk.diagnosis.items()}

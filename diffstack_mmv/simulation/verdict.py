@@ -116,7 +116,7 @@ class Verdict(ABC):
         Returns:
             Outcome, reward and smallest clearance in m.
         """
-        clearance = self._clearance(step).amin(dim=-1)
+        clearance = _nearest(self._clearance(step))
         way = step.path.position[..., -1, :] - step.goal
         distance = length(way)
         facts = _Facts(
@@ -137,7 +137,7 @@ class Verdict(ABC):
         offset = pedestrians.position - position
         heading = heading.expand(pedestrians.radius.shape)
         approach = Approach(offset, offset, pedestrians.radius, heading, heading)
-        return footprint.clearance(approach).amin(dim=-1)
+        return _nearest(footprint.clearance(approach))
 
     @abstractmethod
     def _clearance(self, step: Encounter) -> Float[Tensor, "*b h"]:
@@ -273,3 +273,10 @@ def verdict_named(name: str, limit_s: float) -> Verdict:
     """
     require_one_of("verdict", name, tuple(VERDICTS))
     return VERDICTS[name](limit_s)
+
+
+def _nearest(clearance: Float[Tensor, "*b h"]) -> Float[Tensor, "*b"]:
+    """Clearance in m to the nearest of h pedestrians, infinite where there are none."""
+    if clearance.shape[-1] == 0:
+        return clearance.new_full(clearance.shape[:-1], torch.inf)
+    return clearance.amin(dim=-1)

@@ -7,7 +7,13 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.checks import message, require_columns, require_multiple, require_positive
+from diffstack_mmv.checks import (
+    message,
+    require_columns,
+    require_finite,
+    require_multiple,
+    require_positive,
+)
 from diffstack_mmv.simulation.pedestrians import Crowd, CrowdState
 from diffstack_mmv.simulation.robot import Robot, seen_by_pedestrians
 from diffstack_mmv.simulation.scenario import Scene
@@ -115,9 +121,10 @@ class World:
             The next state and the verdict on the step.
 
         Raises:
-            ValueError: The action has the wrong number of columns.
+            ValueError: The action has the wrong number of columns, or is not finite.
         """
         require_columns("action", action, len(self.robot.bounds.lower))
+        require_finite("action", action, "", "The controller has to answer with numbers.")
         seen = seen_by_pedestrians(self.robot, state.robot)
         velocity = self.crowd(state.pedestrians, self.dt_s, seen if self.robot_visible else None)
         travel = self.robot.step(state.robot, action, self.dt_s)

@@ -22,6 +22,7 @@ from diffstack_mmv.stack.learning_rate import ScaledByProcesses
 from diffstack_mmv.stack.module import DiffStackMMV, LossWeights, StackOutput, assemble
 from diffstack_mmv.stack.precision import MixedPrecision
 from diffstack_mmv.stack.processes import own_processes
+from diffstack_mmv.stack.scene_records import scene_records
 
 __all__ = [
     "Baseline",
@@ -44,5 +45,6 @@ __all__ = [
     "own_processes",
     "read_checkpoint",
     "representative",
+    "scene_records",
     "start_from",
 ]

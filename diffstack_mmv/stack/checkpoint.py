@@ -1,7 +1,6 @@
-"""A trained stack from its checkpoint alone."""
+"""A trained stack from its checkpoint alone, without running code that stands in it."""
 
 import logging
-import pickle
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,9 +9,11 @@ import torch
 from hydra.utils import instantiate
 from torch import Tensor
 
-from diffstack_mmv.checks import message
+from diffstack_mmv.checks import message, require
 from diffstack_mmv.prediction import Predictor
 from diffstack_mmv.stack.module import DiffStackMMV
+from dmmv_conventions.checkpoints import read_plain
+from dmmv_conventions.targets import OF_A_STACK, require_buildable
 
 _logger = logging.getLogger(__name__)
 
@@ -29,12 +30,19 @@ class TrainedStack(NamedTuple):
 def load_stack(path: Path, device: torch.device | str = "cpu") -> TrainedStack:
     """Build the stack that a checkpoint describes, and load its weights.
 
+    The file may name what is built: only classes of this project and the short list of
+    `dmmv_conventions/targets.py` are, whatever else it names is refused.
+
     Raises:
-        ValueError: The file is missing, broken, of another program, or of another architecture
-            than this version builds.
+        ValueError: The file is missing, broken, of another program, names what a file may not have
+            built, or is of another architecture than this version builds.
     """
     config = read_checkpoint(path)["provenance"]["config"]
+    require_buildable(config["stack"], OF_A_STACK, f"in {path}")
     stack = instantiate(config["stack"])
+    found = type(stack).__name__
+    requirement = "describe a stack"
+    require(isinstance(stack, DiffStackMMV), "checkpoint", requirement, found, f"in {path}")
     load_weights(stack, path)
     return TrainedStack(stack.eval().to(device), config)
 
@@ -86,6 +94,8 @@ def start_from(stack: DiffStackMMV, path: Path) -> None:
 
 def _load(stack: DiffStackMMV, weights: Mapping[str, Tensor], path: Path) -> None:
     """Load weights that have to fit the stack completely."""
+    lost = [name for name, value in weights.items() if bool(torch.isnan(value).any())]
+    require(not lost, "checkpoint", "hold no NaN", ", ".join(lost[:3]), f"in {path}", _REMEDY)
     try:
         stack.load_state_dict(weights)
     except RuntimeError as mismatch:
@@ -107,17 +117,15 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     Raises:
         ValueError: The file is missing, broken, or of another program.
     """
-    if not path.is_file():
-        raise ValueError(message("checkpoint", "be an existing file", repr(str(path)), "", _REMEDY))
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except (RuntimeError, EOFError, OSError, pickle.UnpicklingError) as broken:
-        told = str(broken).splitlines()[0]
-        raise ValueError(
-            message("checkpoint", "be readable", told, f"in {path}", _REMEDY)
-        ) from broken
-    if not isinstance(content, dict) or "provenance" not in content:
-        raise ValueError(
-            message("checkpoint", "hold its configuration", "none", f"in {path}", _REMEDY)
-        )
+    content = read_plain(path, _REMEDY)
+    config = _within(_within(content, "provenance"), "config")
+    weights = _within(content, "state_dict")
+    whole = isinstance(_within(config, "stack"), Mapping) and isinstance(weights, Mapping)
+    plain = whole and all(isinstance(value, Tensor) for value in weights.values())
+    found = "none" if config is None else "another"
+    require(plain, "checkpoint", "hold its configuration and weights", found, f"in {path}", _REMEDY)
     return content
+
+
+def _within(content: Any, key: str) -> Any:
+    return content.get(key) if isinstance(content, Mapping) else None

@@ -11,11 +11,17 @@ from torch import Tensor
 from tqdm import tqdm
 
 from diffstack_mmv.checks import require
-from diffstack_mmv.metrics import displacement, displacements, where_known
+from diffstack_mmv.metrics import (
+    coverages,
+    displacement,
+    displacements,
+    negative_log_likelihood,
+    where_known,
+)
 from diffstack_mmv.planning import present
 from diffstack_mmv.prediction import Predictor, ego_forecast
 from diffstack_mmv.stack.module import DiffStackMMV, StackOutput
-from diffstack_mmv.types import Mode, Motion, StackBatch, map_tensors
+from diffstack_mmv.types import Forecast, Mode, Motion, StackBatch, map_tensors
 
 COST = "cost/"
 """Prefix of the columns that hold the cost of a plan by term."""
@@ -38,7 +44,11 @@ class PredictedPath:
 
     def __call__(self, batch: StackBatch, goal: Float[Tensor, "B 2"]) -> Float[Tensor, "B T 2"]:
         """Path in m; the goal is not used."""
-        return ego_forecast(self.predictor.predict(batch)).most_likely()
+        return self.forecast(batch).most_likely()
+
+    def forecast(self, batch: StackBatch) -> Forecast:
+        """What it forecasts of the ego, `B K T`."""
+        return ego_forecast(self.predictor.predict(batch))
 
 
 class PathToGoal:
@@ -80,7 +90,7 @@ class Evaluation(NamedTuple):
 
     Attributes:
         samples: One row per sample: identity, scores, the hindsight cost of the plan by term as
-            cost/TERM, and NAME/ade, NAME/fde of each baseline.
+            cost/TERM, and NAME/ade, NAME/fde of each baseline, NAME/nll where it is a forecast.
         errors: Mode -> method -> mean distance (T,) to the human in m, NaN where nobody was
             recorded.
     """
@@ -156,7 +166,9 @@ def _evaluate_batch(
 ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
     output = stack(batch)
     terms = stack.hindsight_costs(batch, output)
-    scores = stack.score(batch, output) | {f"{COST}{term}": cost for term, cost in terms.items()}
+    scores = stack.score(batch, output)
+    scores |= coverages(ego_forecast(output.forecast), batch.ego_future)
+    scores |= {f"{COST}{term}": cost for term, cost in terms.items()}
     paths = {
         "prediction": ego_forecast(output.forecast).most_likely(),
         "plan": output.plan.motion.position[..., 1:, :],
@@ -167,6 +179,8 @@ def _evaluate_batch(
     for name, baseline in baselines.items():
         paths[name] = baseline(batch, goal)
         own = displacements(paths[name], future)
+        if isinstance(baseline, PredictedPath):
+            own["nll"] = negative_log_likelihood(baseline.forecast(batch), future)
         scores |= {f"{name}/{score}": value for score, value in own.items()}
     return scores, {name: displacement(path, future) for name, path in paths.items()}
 

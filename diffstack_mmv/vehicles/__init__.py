@@ -20,7 +20,7 @@ from diffstack_mmv.vehicles.parts import (
     TruckSteering,
     WheelSpec,
 )
-from diffstack_mmv.vehicles.spec import VehicleSpec
+from diffstack_mmv.vehicles.spec import VehicleSpec, require_vehicle
 
 __all__ = [
     "BODY_PARAMETERS",
@@ -40,6 +40,7 @@ __all__ = [
     "axles",
     "config_folder",
     "load_vehicle",
+    "require_vehicle",
     "save_vehicle",
     "turning_axle_m",
     "vehicle_names",

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
 
 from diffstack_mmv.checks import message
 from diffstack_mmv.vehicles.reading import config_from_spec
 from diffstack_mmv.vehicles.spec import VehicleSpec
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.yaml_files import read_mapping
 
 
 def vehicle_names() -> list[str]:
@@ -36,14 +35,9 @@ def load_vehicle(name_or_path: str | Path) -> VehicleSpec:
     if not path.is_file():
         wanted = f"be one of {', '.join(vehicle_names())}, or the path of a YAML file"
         raise ValueError(message("vehicle", wanted, repr(text)))
+    content = read_mapping(path, "vehicle")
     try:
-        content = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
-    except (YAMLError, OmegaConfBaseException, UnicodeDecodeError) as problem:
-        raise ValueError(message("vehicle", "be a YAML file", f"{path}: {problem}")) from problem
-    if not isinstance(content, dict):
-        raise ValueError(message("vehicle", "be a mapping of keys", f"{path}: {content!r}"))
-    try:
-        return VehicleSpec.from_config({str(key): value for key, value in content.items()})
+        return VehicleSpec.from_config(content)
     except ValueError as problem:
         raise ValueError(f"{problem} (file {path})") from problem
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from diffstack_mmv.checks import require, require_at_least, require_positive
+from diffstack_mmv.checks import message, require, require_at_least, require_positive
 from diffstack_mmv.vehicles.layout import require_possible_layout
 from diffstack_mmv.vehicles.parameter import ParameterSpec
 from diffstack_mmv.vehicles.parts import (
@@ -27,6 +27,18 @@ _POSITIVE = (
     "roll_inertia",
     "length_scale",
 )
+
+
+def require_vehicle(spec: object) -> None:
+    """Refuse anything but a `VehicleSpec`.
+
+    Raises:
+        TypeError: `spec` is something else, a name for example.
+    """
+    if not isinstance(spec, VehicleSpec):
+        found = f"{type(spec).__name__} {spec!r}"
+        remedy = "Give load_vehicle(NAME_OR_PATH)."
+        raise TypeError(message("spec", "be a VehicleSpec", found, "", remedy))
 
 
 @dataclass(frozen=True)
@@ -86,6 +98,9 @@ class VehicleSpec:
             )
         require_possible_layout(self.wheels, self.steering, self.leans or self.balanced, where)
         self._require_parameters(where)
+        require(
+            self.wheelbase.unit == "m", "wheelbase.unit", "be 'm'", repr(self.wheelbase.unit), where
+        )
         for _, low, _ in self.wheelbase.entries():
             require_positive(
                 "wheelbase.low", low, where, "A vehicle with one axle takes a virtual wheelbase."

@@ -150,3 +150,21 @@ def test_batches_move_to_a_device_as_they_are(module):
 def test_an_export_that_was_not_prepared_is_told(module):
     with pytest.raises(ValueError, match="`export` must be complete, but got no such file"):
         module().setup("fit")
+
+
+def test_reading_batches_leaves_the_random_numbers_of_the_training_alone(module):
+    built = module()
+    built.prepare_splits(["train"])
+    loader = built.train_dataloader()
+    before = torch.get_rng_state()
+    next(iter(loader))
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+def test_the_hash_of_the_samples_changes_with_them(module):
+    hashes = []
+    for split in ("test", "test", "val"):
+        built = module()
+        built.prepare_splits([split])
+        hashes.append(built.dataset(split).digest())
+    assert hashes[0] == hashes[1] != hashes[2]

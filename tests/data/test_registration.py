@@ -113,3 +113,14 @@ def test_the_step_may_be_a_multiple_of_the_recorded_one(tmp_path, dt_s, rows):
     batch = stack_batch(opened.get_collate_fn()([opened[0]]), settings)
     assert batch.ego_past.motion.position.shape == (1, rows, 2)
     np.testing.assert_allclose(batch.ego_past.motion.yaw_rate, 0.3, atol=1e-4)
+
+
+def test_paths_and_agents_may_have_any_letters(tmp_path):
+    folder = tmp_path / "a folder für Läufe"
+    agents = [ToyAgent("fußgänger", Mode.BICYCLE, 90)]
+    write_cache(folder, {"kreuzung_ä": ("train", agents)})
+    opened = ConvertedCache("toy", str(folder)).open("train", WindowSettings())
+    assert set(opened.locations().agent) == {"fußgänger"}
+    assert set(opened.locations().scene) == {"kreuzung_ä"}
+    assert opened[0].agent_name == "fußgänger"
+    assert opened.get_scene(0).name == "kreuzung_ä"

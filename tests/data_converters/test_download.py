@@ -170,7 +170,7 @@ def test_a_kept_archive_is_verified_instead_of_fetched(record, tmp_path):
 )
 def test_a_bad_archive_leaves_no_folder(record, tmp_path, content):
     record.files["imptc_samples.tar.gz"] = content
-    with pytest.raises(DownloadError, match="whole tar file"):
+    with pytest.raises(DownloadError, match="`archive` must be whole"):
         download(record, tmp_path / "out")
     assert not (tmp_path / "out" / "imptc_samples").exists()
     assert not (tmp_path / "outside").exists()

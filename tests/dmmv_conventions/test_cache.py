@@ -6,7 +6,12 @@ import re
 import pytest
 
 from data_converters import CacheError
-from dmmv_conventions.cache import FORMAT_VERSION, STATE_FILE, read_state, staging_folder
+from dmmv_conventions.cache import (
+    FORMAT_VERSION,
+    STATE_FILE,
+    read_state,
+    staging_folder,
+)
 
 STATE = {"format_version": FORMAT_VERSION, "complete": True}
 
@@ -52,3 +57,9 @@ def test_an_absent_state_is_told_from_an_interrupted_conversion(tmp_path, name, 
     staging_folder(tmp_path, "toy", "12ab").mkdir()
     with pytest.raises(ValueError, match=f"conversion of '{name}', but got {found} at .* Run"):
         read_state(tmp_path, name)
+
+
+@pytest.mark.parametrize("text", ["[]", "[" * 100_000, "1"])
+def test_a_state_that_is_no_object_is_told(write, text):
+    with pytest.raises(ValueError, match="`cache` must have a state in JSON"):
+        read_state(write(text), "toy")

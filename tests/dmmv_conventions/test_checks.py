@@ -2,7 +2,7 @@
 
 import pytest
 
-from dmmv_conventions.checks import message, require
+from dmmv_conventions.checks import message, require, require_multiple
 
 
 @pytest.mark.parametrize(
@@ -32,3 +32,9 @@ def test_a_value_is_refused_with_the_error_of_the_caller(error):
     with pytest.raises(error, match="`mass_kg` must be positive, but got -1") as caught:
         require(False, "mass_kg", "be positive", -1, error=error)
     assert type(caught.value) is error
+
+
+@pytest.mark.parametrize("step", [0.0, -0.1, float("nan")])
+def test_a_step_that_is_not_positive_is_told(step):
+    with pytest.raises(ValueError, match="`horizon_s` must be a multiple of a positive step"):
+        require_multiple("horizon_s", 3.0, step)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from dmmv_conventions.cache import TRUSTED_VARIABLE
 from dmmv_conventions.opening import CachedEnvironment, environment
 
 SCENES = [
@@ -28,3 +29,25 @@ def test_the_scenes_of_a_split_come_from_the_state(split, expected):
 
 def test_an_environment_holds_no_absolute_path():
     assert environment("toy", 0.1, {}).data_dir == Path("toy")
+
+
+@pytest.fixture
+def foreign(tmp_path, monkeypatch):
+    """A cache that another user has written: this process is someone else."""
+    (tmp_path / "toy" / "scene").mkdir(parents=True)
+    (tmp_path / "toy" / "scene" / "scene_metadata_dt0.10.dill").write_bytes(b"")
+    user = tmp_path.stat().st_uid + 1
+    monkeypatch.setattr("os.geteuid", lambda: user)
+    monkeypatch.setattr("dmmv_conventions.cache.ADMINISTRATOR", user)
+    return tmp_path
+
+
+def test_pickles_of_another_user_are_refused_with_a_way_to_make_them_anew(foreign):
+    with pytest.raises(ValueError, match="`cache` must be written by you") as told:
+        CachedEnvironment(foreign, STATE)
+    assert f"data=toy data.root=RECORDINGS data.cache={foreign}" in str(told.value)
+
+
+def test_the_cache_of_a_trusted_user_is_read(foreign, monkeypatch):
+    monkeypatch.setenv(TRUSTED_VARIABLE, f"/elsewhere:{foreign}")
+    assert CachedEnvironment(foreign, STATE).name == "toy"

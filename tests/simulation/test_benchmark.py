@@ -1,5 +1,7 @@
 """Benchmarks resume, and tell what the contract asks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,12 +45,36 @@ def test_resumed_results_equal_fresh_ones(straight, scenario_of, tmp_path):
     assert summarise(chunks(straight, scenario_of("circle"), tmp_path)) == fresh
 
 
-def test_other_settings_are_driven_anew(straight, scenario_of, tmp_path):
+@pytest.mark.parametrize(
+    ("settings", "code", "humans", "told"),
+    [
+        ("v=3", "1+a", 5, r"`out` must hold episodes of the same settings \(v=3\), but got v=2.5"),
+        ("v=2.5", "1+b", 5, r"`out` must hold episodes of the same code \(1\+b\), but got 1\+a"),
+        ("v=2.5", "1+a", 3, "`out` must hold episodes of the same settings .*humans=3"),
+    ],
+)
+def test_batches_of_other_settings_or_code_are_never_mixed(
+    straight, settings, code, humans, told, scenario_of, tmp_path
+):
+    first = replace(straight, code="1+a")
+    next(run(first, scenario_of("circle"), range(6), tmp_path, chunk_size=3))
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    other = replace(first, settings=settings, code=code)
+    with pytest.raises(ValueError, match=told):
+        chunks(other, scenario_of("circle", humans=humans), tmp_path)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_batches_of_an_earlier_version_tell_no_code_and_are_refused(
+    straight, scenario_of, tmp_path
+):
     chunks(straight, scenario_of("circle"), tmp_path)
-    other = Method("straight", straight.world, straight.controller, "v=3")
-    chunks(other, scenario_of("circle"), tmp_path)
-    chunks(other, scenario_of("circle", humans=3), tmp_path)
-    assert straight.controller.made == 6
+    for file in tmp_path.iterdir():
+        with np.load(file) as stored:
+            kept = {name: stored[name] for name in stored.files if "origin" not in name}
+        np.savez(file, **kept)
+    with pytest.raises(ValueError, match="but got unknown in"):
+        chunks(straight, scenario_of("circle"), tmp_path)
 
 
 def test_a_broken_file_is_made_anew(straight, scenario_of, tmp_path):

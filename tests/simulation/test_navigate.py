@@ -4,6 +4,7 @@ import json
 import runpy
 import sys
 
+import numpy as np
 import pytest
 from hydra.core.global_hydra import GlobalHydra
 
@@ -38,6 +39,10 @@ def test_it_writes_results_baselines_and_paired_tests_and_resumes(navigate, tmp_
     assert first["paired"][0]["other"] == "straight"
     assert first["actual_model"]["class"] == first["believed_model"]["class"] == "DiffKBM"
     assert first["footprint"] == first["actual_model"]["footprint"]["shape"] == "disc"
+    [stored] = (tmp_path / "episodes" / "diffmpc").glob("test_00000-*.npz")
+    with np.load(stored) as arrays:
+        assert np.isfinite(arrays["thoughts.plan"][0, 0]).all()
+        assert np.isfinite(arrays["thoughts.forecast"][0, 0]).all()
     kept = {file: file.stat().st_mtime_ns for file in (tmp_path / "episodes").rglob("*.npz")}
     assert navigate(*QUICK, f"against=[{tmp_path}]") == 0
     assert {file: file.stat().st_mtime_ns for file in kept} == kept

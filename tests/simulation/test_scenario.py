@@ -88,7 +88,7 @@ def test_too_many_pedestrians_are_refused_after_a_bounded_search(monkeypatch, fa
 @pytest.mark.parametrize(
     ("setting", "value"),
     [
-        ("humans", 0),
+        ("humans", -1),
         ("circle_radius_m", -4.0),
         ("pedestrian_speed_mps", 0.0),
         ("clearance_m", -0.1),

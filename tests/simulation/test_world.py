@@ -115,3 +115,29 @@ def test_an_action_of_the_wrong_size_is_refused(world_with):
     world = world_with()
     with pytest.raises(ValueError, match="`action` must have 2 columns"):
         world.step(world.start(CircleCrossing().case("test", 0)), torch.zeros(3).double())
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_an_action_that_is_not_finite_is_refused(world_with, value):
+    world = world_with()
+    state = world.start(CircleCrossing().cases("test", range(2)))
+    action = torch.tensor([[0.0, 0.0], [0.0, value]]).double()
+    with pytest.raises(ValueError, match="`action` must be finite"):
+        world.step(state, action)
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [CircleCrossing(humans=0), SquareCrossing(humans=1), SquareCrossing(humans=50)],
+    ids=["nobody", "one", "fifty"],
+)
+@pytest.mark.parametrize("visible", [True, False])
+def test_a_crowd_of_any_size_walks(world_with, scenario, visible):
+    world = world_with(visible=visible)
+    state = world.start(scenario.cases("test", range(2)))
+    for _ in range(4):
+        step = world.step(state, 0.3 + STILL.expand(2, 2))
+        state = step.state
+    assert state.pedestrians.position.shape == (2, scenario.humans, 2)
+    assert state.pedestrians.position.isfinite().all()
+    assert not step.judgement.clearance.isnan().any()

@@ -3,13 +3,14 @@
 from diffstack_mmv.control.constrained.constraint import (
     HARD,
     Constraint,
-    ConstraintFunction,
     Equality,
     Inequality,
     Slack,
+    listed,
 )
 from diffstack_mmv.control.constrained.solution import ConstrainedSolution
 from diffstack_mmv.control.constrained.solver import ConstrainedILQR
+from diffstack_mmv.control.optimizer import ConstraintFunction, Constraints
 
 __all__ = [
     "HARD",
@@ -17,7 +18,9 @@ __all__ = [
     "ConstrainedSolution",
     "Constraint",
     "ConstraintFunction",
+    "Constraints",
     "Equality",
     "Inequality",
     "Slack",
+    "listed",
 ]

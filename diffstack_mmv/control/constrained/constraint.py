@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -11,18 +11,8 @@ from torch import Tensor
 
 from diffstack_mmv.checks import message, require
 from diffstack_mmv.control.expansion import pad_controls
+from diffstack_mmv.control.optimizer import ConstraintFunction, Constraints
 from diffstack_mmv.control.selection import Selectable
-
-
-@runtime_checkable
-class ConstraintFunction(Protocol):
-    """Constrained quantities per time; entry t sees x_t and u_t only, as the entries of a cost."""
-
-    def __call__(
-        self, states: Float[Tensor, "*b T1 n"], controls: Float[Tensor, "*b T1 m"], /
-    ) -> Float[Tensor, "*b T1 k"]:
-        """Values at times 0 .. T; the last row of the controls is zero."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -67,6 +57,16 @@ class Equality:
 
 
 Constraint = Inequality | Equality
+
+
+def listed(constraints: Constraints) -> list[Constraint]:
+    """A hard constraint for each function of a record."""
+    both: list[Constraint] = []
+    if constraints.inequality is not None:
+        both.append(Inequality(constraints.inequality))
+    if constraints.equality is not None:
+        both.append(Equality(constraints.equality))
+    return both
 
 
 class Rows(NamedTuple):

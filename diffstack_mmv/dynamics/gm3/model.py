@@ -25,6 +25,7 @@ from diffstack_mmv.vehicles import (
     WHEEL_PARAMETERS,
     SoftClamped,
     VehicleSpec,
+    require_vehicle,
     turning_axle_m,
 )
 
@@ -98,6 +99,7 @@ class DiffGM3(DynamicsModel):
         substeps: int = 1,
         stepper: Stepper | None = None,
     ) -> None:
+        require_vehicle(spec)
         require(substeps >= 1, "substeps", "be at least 1", substeps)
         self.Control = self.control_record(spec)
         super().__init__(dt_s, *self.control_range(spec))

@@ -64,6 +64,8 @@ class OrcaCrowd:
         Returns:
             Velocities in m/s in the precision of the positions; every value is a float32 number.
         """
+        if crowd.radius.shape[-1] == 0:
+            return crowd.velocity
         agents = _as_agents(crowd, towards(crowd.position, crowd.goal))
         return self.velocity(agents, _everybody_else(crowd, robot), dt_s)
 
@@ -81,6 +83,8 @@ class OrcaCrowd:
         Returns:
             Velocities in m/s, one per goal.
         """
+        if crowd.radius.shape[-1] == 0:
+            return goals
         agents = _as_agents(crowd, towards(crowd.position.unsqueeze(-2), goals))
         preferred = agents.preferred_velocity.float()
         planes = self._planes(agents, _everybody_else(crowd, None), dt_s)

@@ -68,6 +68,8 @@ class SocialForceCrowd:
             Velocities in m/s in the precision of the positions.
         """
         pedestrians = crowd.radius.shape[-1]
+        if pedestrians == 0:
+            return crowd.velocity
         state = torch.cat((crowd.position, crowd.velocity, crowd.goal), dim=-1)
         speed = crowd.preferred_speed
         if robot is not None:

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from diffstack_mmv.control import ILQR, Batched, Bounds, SolverStatus
+from diffstack_mmv.control import ILQR, Batched, Bounds, Constraints, SolverStatus
 from diffstack_mmv.control.constrained import ConstrainedILQR, Equality, Inequality, Slack
 from tests.control.constrained.problems import braking, constraints, drives, solve
 
@@ -37,6 +37,23 @@ def brought(constraints, box=BOX, batch=3, steps=15, **warm):
 def test_without_constraints_it_is_the_plain_solver():
     plain = ILQR()(cart, reach, BOX, torch.zeros(3, 2), torch.zeros(3, 15, 1))
     assert all((a == b).all() for a, b in zip(brought([]).solution, plain, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("record", "held"),
+    [
+        (Constraints(inequality=wall), [Inequality(wall)]),
+        (Constraints(inequality=wall, equality=lambda x, u: 0 * x[..., 1:]), [Inequality(wall)]),
+    ],
+    ids=["inequality", "and a void equality"],
+)
+def test_the_plain_solver_takes_constraints_too(record, held):
+    problem = BOX, torch.zeros(2, 2), torch.zeros(2, 20, 1)
+    found = ILQR()(cart, reach, *problem, constraints=record)
+    expected = SOLVER(cart, reach, held, *problem)
+    assert found.converged.all()
+    assert float(found.violation.max()) < 1e-9
+    torch.testing.assert_close(found.controls, expected.controls, atol=1e-7, rtol=0)
 
 
 def test_constraints_that_nothing_touches_change_nothing():

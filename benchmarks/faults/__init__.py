@@ -1,0 +1,1 @@
+"""Faults of every kind, tried one by one: `python -m benchmarks.faults`."""

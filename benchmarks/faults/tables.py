@@ -1,0 +1,143 @@
+"""Recordings in CSV files: TH-AB tracks and two-wheeler rides, whole and broken."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.faults.trial import Result, Trial, converted, each
+from data_converters import ThabVruDataset, TwoWheelerDataset
+
+TIME = np.arange(0.0, 6.0, 0.08)
+FRAMES = np.arange(24) / 2
+THAB = ("", "timestamp", "x", "y")
+BOXES = ("time_s", "obj_id", "x", "y", "z", "qx", "qy", "qz", "qw", "sx", "sy", "sz")
+Rows = list[list[object]]
+
+
+def thab_rows(offset: float = 0.0) -> Rows:
+    """A rider at 3 m/s."""
+    return [[i, t, 3.0 * t, offset] for i, t in enumerate(TIME)]
+
+
+def box_rows() -> Rows:
+    """A ride at 6 m/s."""
+    return [[t, 0, 1.0, 0.0, 6.0 * t, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0] for t in FRAMES]
+
+
+def text(header: tuple[str, ...], rows: Rows) -> str:
+    """A CSV file."""
+    return "\n".join(",".join(map(str, row)) for row in [list(header), *rows]) + "\n"
+
+
+def column(rows: Rows, index: int, change: Callable[[float, int], object]) -> Rows:
+    """Rows with one column changed."""
+    return [
+        [*row[:index], change(float(str(row[index])), i), *row[index + 1 :]]
+        for i, row in enumerate(rows)
+    ]
+
+
+def spoiled(
+    header: tuple[str, ...], rows: Rows, time: int, place: int
+) -> Iterator[tuple[str, str]]:
+    """Broken contents by name, for a table with its clock and a coordinate in these columns."""
+    whole, half = text(header, rows), len(rows) // 2
+    for name, value in {
+        "NaN": "nan", "infinite": "inf", "no": "", "text for a": "one", "1e308 as": 1e308,
+        "-1e308 as": -1e308, "1e9 m as": 1e9, "a jump of 900 m in": 900.0, "1e400 as": "1e400",
+        "a date as": "2024-01-01",
+    }.items():  # fmt: skip
+        changed = column(rows, place, lambda x, i, v=value: v if i == half else x)
+        yield f"{name} coordinate", text(header, changed)
+    for name, value in {"NaN": "nan", "infinite": "inf", "no": "", "text for a": "noon"}.items():
+        changed = column(rows, time, lambda t, i, v=value: v if i == half else t)
+        yield f"{name} time", text(header, changed)
+    for name, change in {
+        "time in ms": lambda t, i: 1e3 * t,
+        "time in µs": lambda t, i: 1e6 * t,
+        "time times 1e300": lambda t, i: 1e300 * t,
+        "all times equal": lambda t, i: 7.0,
+        "half a year later": lambda t, i: t + (1.6e7 if i > half else 0),
+        "first sample ten years early": lambda t, i: t - (3.2e8 if i == 0 else 0),
+        "time times 1e-9": lambda t, i: 1e-9 * t,
+    }.items():
+        yield name, text(header, column(rows, time, change))
+    yield "millimetres", text(header, column(rows, place, lambda x, i: 1e3 * x))
+    yield "centimetres", text(header, column(rows, place, lambda x, i: 1e2 * x))
+    yield "feet on a motorway", text(header, column(rows, place, lambda x, i: 18.0 * x))
+    for index in sorted({time, place}):
+        kept = [i for i in range(len(header)) if i != index]
+        less = [[row[i] for i in kept] for row in rows]
+        yield f"no column {header[index]}", text(tuple(header[i] for i in kept), less)
+    yield "empty file", ""
+    yield "header only", text(header, [])
+    yield "one row", text(header, rows[:1])
+    yield "three rows", text(header, rows[:3])
+    yield "no header", "\n".join(whole.splitlines()[1:])
+    yield "semicolons", whole.replace(",", ";")
+    yield (
+        "a row cut off",
+        whole[: len(whole) // 2].rsplit(",", 1)[0] + "\n1,2,3,4,5,6,7,8,9,0,1,2,3,4",
+    )
+    yield (
+        "rows with more columns than the header",
+        whole.replace("\n", ",9,9\n").replace(",9,9", "", 1),
+    )
+    yield "zero bytes", "\0" * 500
+    yield "a web page", "<html><body>404</body></html>"
+
+
+def made(kind: str, put: Callable[[Path], object], place: str) -> Callable[[Path], object]:
+    """Write what is no file."""
+    return lambda root: put(root / place)
+
+
+def thab(content: str | bytes | Callable[[Path], object], folder: Path) -> Result:
+    """Convert one good cyclist and a broken one."""
+    place = folder / "cyclists" / "moving"
+    place.mkdir(parents=True)
+    (place / "20.csv").write_text(text(THAB, thab_rows()))
+    _put(place / "21.csv", content)
+    return converted(ThabVruDataset(folder), folder, 1)
+
+
+def rides(content: str | bytes | Callable[[Path], object], folder: Path) -> Result:
+    """Convert a good ride and a broken one."""
+    (folder / "bicycle.csv").write_text(text(BOXES, box_rows()))
+    _put(folder / "scooter.csv", content)
+    return converted(TwoWheelerDataset(folder), folder, 1)
+
+
+def _put(path: Path, content: str | bytes | Callable[[Path], object]) -> None:
+    if callable(content):
+        content(path)
+    elif isinstance(content, bytes):
+        path.write_bytes(content)
+    else:
+        path.write_text(content)
+
+
+NO_FILES: dict[str, bytes | Callable[[Path], object]] = {
+    "a folder": Path.mkdir,
+    "a dangling link": lambda path: path.symlink_to("nowhere"),
+    "a link to itself": lambda path: path.symlink_to(path.name),
+    "no UTF-8": b"\xff\xfe\x00" * 99,
+}
+
+
+def trials() -> Iterator[Trial]:
+    """All faults of these files."""
+    contents = {**dict(spoiled(THAB, thab_rows(9.0), 1, 2)), **NO_FILES}
+    yield from each("TH-AB tracks", ((n, partial(thab, c)) for n, c in contents.items()))
+    contents = {**dict(spoiled(BOXES, box_rows(), 0, 4)), **NO_FILES}
+    for name, part in {
+        "zero": (0.0,) * 4,
+        "long": (0.0, 0.0, 0.0, 9.0),
+        "NaN": ("nan",) * 4,
+    }.items():
+        rows = [[*row[:5], *part, *row[9:]] for row in box_rows()]
+        contents[f"{name} quaternions"] = text(BOXES, rows)
+    contents["no box of the rider"] = text(BOXES, column(box_rows(), 1, lambda x, i: 3))
+    yield from each("two-wheeler rides", ((n, partial(rides, c)) for n, c in contents.items()))

@@ -1,0 +1,44 @@
+"""Tables of comparisons and of the paper, and trajectories of open-loop runs."""
+
+from pathlib import Path
+
+import pandas as pd
+
+from diffstack_mmv.reporting.html.blocks import Block, Chart, Section, frame_table
+
+TABLES = {"table.csv": "Comparison", "tests.csv": "Paired tests", "results.csv": "Results"}
+"""File -> title."""
+
+
+def read_tables(folder: Path) -> list[Section]:
+    """What `compare` and `results` wrote."""
+    blocks: list[Block] = []
+    for name, title in TABLES.items():
+        file = folder / name
+        # a comparison without a pair has no test, and a file without a column
+        if file.is_file() and file.read_text(encoding="utf-8").strip():
+            blocks.append(frame_table(title, pd.read_csv(file, dtype=object)))
+    return [Section("Tables", blocks)] if blocks else []
+
+
+def read_trajectories(folder: Path) -> list[Section]:
+    """What `simulate` wrote: each column over time, the models side by side."""
+    files = sorted(folder.glob("trajectory_*.csv"))
+    frames = {file.stem.removeprefix("trajectory_"): pd.read_csv(file) for file in files}
+    if not frames:
+        return []
+    columns = dict.fromkeys(name for frame in frames.values() for name in frame.columns[1:])
+    charts = [
+        Chart(
+            column,
+            str(next(iter(frames.values())).columns[0]),
+            column,
+            {
+                name: (frame.iloc[:, 0].tolist(), frame[column].tolist())
+                for name, frame in frames.items()
+                if column in frame
+            },
+        )
+        for column in columns
+    ]
+    return [Section("Trajectories", charts)]

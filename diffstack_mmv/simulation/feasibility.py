@@ -1,0 +1,101 @@
+"""Whether anybody could have avoided a collision, knowing every walk beforehand."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_at_least, require_between
+from diffstack_mmv.simulation.scenario import Scenario, Scene
+from diffstack_mmv.simulation.world import World
+from diffstack_mmv.types import Outcome, map_tensors
+
+BEYOND_S = 0.75
+"""How much longer than up to the collision a drive has to stay free of one."""
+
+
+@dataclass(frozen=True)
+class AvoidanceSearch:
+    """Drives many random sequences of actions through a case, with the vehicle's own dynamics.
+
+    Half of the actions lie on the bounds, and each is held on with probability one half. Whoever
+    finds none that is free of collisions up to a time has no proof that there is none, but in the
+    first seconds of a case, in which a vehicle can do little, the samples lie dense.
+
+    Args:
+        samples: Sequences that are tried.
+        seed: Of the random numbers.
+
+    Raises:
+        ValueError: There is no sample.
+    """
+
+    samples: int = 4096
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        require_at_least("samples", self.samples, 1)
+
+    def judge(
+        self, world: World, scenario: Scenario, phase: str, cases: Sequence[dict[str, Any]]
+    ) -> dict[str, Any]:
+        """Say of each collision whether it could have been avoided, and leave out the others.
+
+        Args:
+            world: The world of the vehicle.
+            scenario: Where the cases come from.
+            phase: Of the cases.
+            cases: What `summarise` tells of them, which is completed by `avoidable`.
+
+        Returns:
+            Number of feasible cases, and success and collision rate among them.
+        """
+        collided = [case for case in cases if case["outcome"] == Outcome.COLLISION.label]
+        for case in collided:
+            scene = scenario.cases(phase, [case["case"]])
+            until = min(case["time_s"] + BEYOND_S, world.verdict.limit_s)
+            case["avoidable"] = self(world, scene, until)
+        feasible = [case for case in cases if case.get("avoidable", 1.0) > 0]
+        count = max(len(feasible), 1)
+        succeeded = sum(case["outcome"] == Outcome.SUCCESS.label for case in feasible)
+        hit = sum(case["outcome"] == Outcome.COLLISION.label for case in feasible)
+        return {
+            "n": len(feasible),
+            "success_rate": succeeded / count,
+            "collision_rate": hit / count,
+        }
+
+    @torch.no_grad()
+    def __call__(self, world: World, scene: Scene, until_s: float) -> float:
+        """Share of the sequences that pass without a collision.
+
+        Args:
+            world: The world with its robot; pedestrians that see it react to every sequence.
+            scene: One case, in a leading dimension of one.
+            until_s: Time up to which the way has to be free: that of the collision, and some more.
+
+        Raises:
+            ValueError: The time does not lie within the limit of the world.
+        """
+        require_between("until_s", until_s, world.dt_s, world.verdict.limit_s)
+        generator = torch.Generator().manual_seed(self.seed)
+        many = map_tensors(lambda part: part.expand(self.samples, *part.shape[1:]).clone(), scene)
+        state, free = world.start(many), torch.ones(self.samples, dtype=torch.bool)
+        action = self._drawn(world, generator)
+        for _ in range(round(until_s / world.dt_s)):
+            state, judgement = world.step(state, action)
+            free &= judgement.outcome != Outcome.COLLISION
+            held = torch.rand(self.samples, 1, generator=generator) < 0.5
+            action = torch.where(held, action, self._drawn(world, generator))
+        return float(free.double().mean())
+
+    def _drawn(self, world: World, generator: torch.Generator) -> Float[Tensor, "S m"]:
+        """Actions within the bounds, half of them on the bounds."""
+        lower, upper = world.robot.bounds
+        share = torch.rand(self.samples, len(lower), generator=generator, dtype=torch.float64)
+        extreme = torch.rand(self.samples, 1, generator=generator) < 0.5
+        share = torch.where(extreme, share.round(), share).to(lower)
+        return lower + share * (upper - lower)

@@ -1,0 +1,56 @@
+"""What a planning controller expected and intended at each decision, kept to be looked at."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from diffstack_mmv.types import Forecast, Plan
+
+
+class Thought(NamedTuple):
+    """Forecast and plan of one decision, for the episodes that still ran."""
+
+    rows: Int[Tensor, " r"]  # number of the episode
+    plan: Float[Tensor, "r T1 2"]  # m
+    forecast: Float[Tensor, "r h T 5"]  # m, m²: x, y, and the covariance xx, xy, yy
+
+
+@torch.no_grad()
+def thought(plan: Plan, forecast: Forecast, rows: Int[Tensor, " r"]) -> Thought:
+    """The path that was planned, and the most likely component of each pedestrian, in float32.
+
+    Args:
+        plan: Of the running episodes.
+        forecast: Of all episodes.
+        rows: Numbers of the running ones.
+    """
+    log_weight, mean, scale = (field[rows].float() for field in forecast)
+    best = log_weight.argmax(-1)[..., None, None, None]
+    mean = mean.take_along_dim(best, -3).squeeze(-3)
+    scale = scale.take_along_dim(best.unsqueeze(-1), -4).squeeze(-4)
+    spread = (scale @ scale.mT)[..., [0, 0, 1], [0, 1, 1]]
+    return Thought(rows, plan.motion.position.float(), torch.cat([mean, spread], -1))
+
+
+def joined(thoughts: Sequence[Thought], episodes: int) -> dict[str, Float[np.ndarray, "E S *d"]]:
+    """Plans and forecasts by episode and decision; NaN after the end of an episode.
+
+    Args:
+        thoughts: One per decision.
+        episodes: How many there are.
+
+    Returns:
+        Half precision is enough for a picture: millimetres near the origin.
+    """
+    arrays = {}
+    for name in ("plan", "forecast"):
+        told = [getattr(each, name).cpu().numpy() for each in thoughts]
+        shape = (episodes, len(thoughts), *told[0].shape[1:])
+        arrays[name] = np.full(shape, np.nan, np.float16)
+        for step, each in enumerate(thoughts):
+            arrays[name][each.rows.cpu().numpy(), step] = told[step]
+    return arrays

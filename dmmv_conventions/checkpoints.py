@@ -1,0 +1,46 @@
+"""Reading of a checkpoint without running code that stands in it."""
+
+import pickle
+import struct
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from dmmv_conventions.checks import message, require
+
+# what a damaged archive makes the reader raise, whichever part of it is hit
+_BROKEN = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    pickle.UnpicklingError,
+    struct.error,
+)
+
+
+def read_plain(path: Path, remedy: str) -> Any:
+    """Content of a checkpoint on the CPU: tensors and plain values only.
+
+    Args:
+        path: The file.
+        remedy: One sentence that says what to do where it cannot be used.
+
+    Raises:
+        ValueError: The file is missing, broken, or holds anything but tensors and plain values.
+    """
+    require(path.is_file(), "checkpoint", "be an existing file", repr(str(path)), "", remedy)
+    try:
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except _BROKEN as broken:
+        told = (str(broken).splitlines() or [type(broken).__name__])[0]
+        raise ValueError(
+            message("checkpoint", "be readable", told, f"in {path}", remedy)
+        ) from broken

@@ -1,0 +1,7 @@
+"""Exit with status 0 where the installed torch needs no packages for CUDA, else with 1."""
+
+import sys
+from importlib.metadata import version
+
+if __name__ == "__main__":
+    sys.exit(0 if sys.platform != "linux" or "+cpu" in version("torch") else 1)

@@ -1,0 +1,43 @@
+"""One page to look at, from the folders of finished runs."""
+
+import logging
+import sys
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from diffstack_mmv.cli import command, folders_as
+from diffstack_mmv.config_checks import require_results
+from dmmv_conventions.checks import require
+from dmmv_conventions.configs import config_folder
+
+logger = logging.getLogger(__name__)
+
+
+def check(config: DictConfig) -> None:
+    """Refuse folders without results, and to write into one of them."""
+    require_results(config.runs)
+    inside = Path(config.out).resolve() in [Path(run).resolve() for run in config.runs]
+    require(not inside, "out", "be a folder of its own", config.out, "", "Choose another `out`.")
+
+
+@command(config_folder(), "report", check)
+def report(config: DictConfig) -> None:
+    """Read what the runs wrote, and write one HTML file that needs nothing else."""
+    from diffstack_mmv.metrics import CLOSED_LOOP, EVALUATED
+    from diffstack_mmv.reporting.html import Titles, read_page, write_page
+
+    titles = Titles(EVALUATED, CLOSED_LOOP)
+    pages = [read_page(Path(run), titles, config.episodes) for run in config.runs]
+    write_page(Path(config.page), pages)
+    logger.info("Page: %s", config.page)
+
+
+def main() -> None:
+    """The command, which also takes the folders alone: report.py RUN..."""
+    sys.argv[1:] = folders_as("runs", sys.argv[1:])
+    report()
+
+
+if __name__ == "__main__":
+    main()

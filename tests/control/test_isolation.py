@@ -1,0 +1,69 @@
+"""A problem with NaN or infinite entries never touches its batch mates."""
+
+from functools import cache, partial
+
+import pytest
+import torch
+
+from diffstack_mmv.control import ILQR, Bounds
+from tests.control.problems import driving, goal_cost, rate_model
+
+BAD = 2
+VALUES = (float("nan"), float("inf"), float("-inf"))
+PLACES = ("state", "goal", "guess", "wheelbase")
+
+
+def answered(place, value, solver=None, device="cpu"):
+    """Solution and gradient to the goals of six problems, one of which is broken in a place."""
+    hidden, box, guess = driving()
+    hidden = {name: tensor.clone().to(device) for name, tensor in hidden.items()}
+    hidden["wheelbase"] = hidden["wheelbase"].expand(6).clone()
+    guess = guess.clone().to(device)
+    parts = {"state": hidden["state"], "goal": hidden["goal"], "guess": guess}
+    parts["wheelbase"] = hidden["wheelbase"]
+    if place is not None:
+        parts[place][BAD] = value
+    goal = hidden["goal"].requires_grad_()
+    bounds = Bounds(box.lower.to(device), box.upper.to(device))
+    solution = (solver or ILQR())(
+        rate_model(hidden["wheelbase"]), goal_cost(goal, hidden["weight"]), bounds,
+        hidden["state"], guess,
+    )  # fmt: skip
+    others = torch.arange(6) != BAD
+    solution.controls[others.to(device)].square().sum().backward()
+    return solution, goal.grad, others.to(device)
+
+
+clean_answer = cache(partial(answered, None, 0.0))
+
+
+def check(place, value, **options):
+    clean, clean_gradient, others = clean_answer(**options)
+    found, gradient, _ = answered(place, value, **options)
+    assert torch.equal(found.controls[others], clean.controls[others])
+    assert torch.equal(found.states[others], clean.states[others])
+    assert torch.equal(found.status[others], clean.status[others])
+    assert torch.equal(gradient[others], clean_gradient[others])
+    # an infinite guess is brought into the box, an infinite wheelbase only drives straight on
+    if place in ("state", "goal") or value != value:
+        assert not found.converged[BAD]
+
+
+@pytest.mark.parametrize("value", VALUES)
+@pytest.mark.parametrize("place", PLACES)
+def test_a_broken_problem_leaves_its_mates_alone(place, value):
+    check(place, value)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("value", VALUES[:2])
+@pytest.mark.parametrize("place", PLACES)
+def test_a_broken_problem_leaves_its_mates_alone_compiled(place, value):
+    check(place, value, solver=ILQR(compile=True))
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("value", VALUES)
+@pytest.mark.parametrize("place", PLACES)
+def test_a_broken_problem_leaves_its_mates_alone_on_a_gpu(place, value):
+    check(place, value, device="cuda")

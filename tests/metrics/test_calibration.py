@@ -1,0 +1,51 @@
+"""Coverage is that of the forecast that made the truths, and tells one that is too sure."""
+
+import math
+
+import pytest
+import torch
+
+from diffstack_mmv.metrics import coverages
+from diffstack_mmv.metrics.calibration import density_level
+from diffstack_mmv.types import Forecast
+from tests.stack.test_module import straight_tracks
+
+
+def forecast(batch, components=1, times=6, scale=1.0):
+    roots = scale * torch.tensor([[1.0, 0.0], [0.5, 2.0]])
+    mean = 10.0 * torch.arange(components).reshape(-1, 1, 1).expand(batch, components, times, 2)
+    weight = torch.full((batch, components), -math.log(components))
+    return Forecast(weight, mean.clone(), roots.expand(batch, components, times, 2, 2))
+
+
+@pytest.mark.parametrize("distance", [0.3, 1.0, 2.0])
+def test_level_of_one_gaussian_is_that_of_its_ellipse(distance):
+    one = forecast(2)
+    position = torch.tensor([0.6, 0.8]) * distance @ one.scale_tril[0, 0, 0].T
+    level = density_level(one, position.expand(2, 6, 2), samples=4000)
+    expected = 1 - math.exp(-0.5 * distance**2)
+    assert level.mean().item() == pytest.approx(expected, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("scale", "low", "high"), [(1.0, 0.46, 0.54), (0.5, 0.0, 0.3), (2.0, 0.7, 1)]
+)
+def test_coverage_tells_a_forecast_that_is_too_sure_or_not_sure_enough(scale, low, high):
+    torch.manual_seed(0)
+    count = 400
+    truth = forecast(count, components=2)
+    drawn = truth.mean[torch.arange(count), torch.randint(2, (count,))]
+    noise = torch.randn(count, 6, 2)
+    future = straight_tracks(torch.zeros(count, 2), torch.ones(count, 2), 6, 0)
+    position = drawn + noise @ truth.scale_tril[0, 0, 0].T
+    future = future._replace(motion=future.motion._replace(position=position))
+    found = coverages(forecast(count, components=2, scale=scale), future)
+    assert low <= found["coverage_50"].mean().item() <= high
+    assert (found["coverage_90"] >= found["coverage_50"]).all()
+
+
+def test_who_has_no_future_is_not_judged():
+    future = straight_tracks(torch.zeros(2, 2), torch.ones(2, 2), 6, 0)
+    future = future._replace(valid=torch.tensor([[True] * 6, [False] * 6]))
+    found = coverages(forecast(2), future)
+    assert found["coverage_50"].isnan().tolist() == [False, True]

@@ -1,0 +1,141 @@
+"""A page about runs of every kind: complete, valid and self-contained."""
+
+import json
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from diffstack_mmv.reporting.html import read_page, render, write_page
+from diffstack_mmv.reporting.html.blocks import cell, plain
+from tests.reporting.html import runs
+
+VOID = {"meta", "link", "img", "input", "br"}
+SVG = "http://www.w3.org/2000/svg"
+
+
+class Reader(HTMLParser):
+    """Checks that elements are closed in order, and keeps ids, references and embedded records."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.ids, self.references, self.records = [], [], [], []
+
+    def handle_starttag(self, tag, attributes):
+        told = dict(attributes)
+        self.ids += [told["id"]] if "id" in told else []
+        self.references += [told[key] for key in ("src", "href") if key in told]
+        if tag not in VOID:
+            self.open.append((tag, told.get("type")))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop()[0] == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] == ("script", "application/json"):
+            self.records.append(json.loads(data))
+
+
+def parsed(text):
+    reader = Reader()
+    reader.feed(text)
+    reader.close()
+    assert reader.open == []
+    return reader
+
+
+def page_of(*folders):
+    return render([read_page(folder, runs.TITLES) for folder in folders])
+
+
+@pytest.fixture
+def folders(tmp_path):
+    return [kind(tmp_path / kind.__name__) for kind in runs.KINDS]
+
+
+def test_a_page_of_all_kinds_is_valid_and_needs_nothing_else(folders, tmp_path):
+    write_page(tmp_path / "page.html", [read_page(each, runs.TITLES) for each in folders])
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert text.startswith("<!DOCTYPE html>")
+    assert set(re.findall(r"https?://[^\"'\s<]*", text)) == {SVG}
+    told = parsed(text)
+    assert len(set(told.ids)) == len(told.ids)
+    for reference in told.references:
+        assert reference.startswith("data:") or reference.removeprefix("#") in told.ids
+
+
+@pytest.mark.parametrize(
+    ("kind", "titles"),
+    [
+        (runs.evaluation, ["Scores by mode", "ADE by situation: bicycle", "Scenes", "Figures"]),
+        (runs.training, ["Loss", "Validation by mode: plan ade", "Physical parameters"]),
+        (runs.drive, ["Scores", "Cases without success", "Episodes"]),
+        (runs.identification, ["Parameters", "Profile: w", "a &lt; b &amp; c"]),
+        (runs.comparison, ["Comparison", "0.5 ± 0.1"]),
+        (runs.simulation, ["Trajectories", "steer"]),
+    ],
+)
+def test_each_kind_shows_its_parts(kind, titles, tmp_path):
+    text = page_of(kind(tmp_path / "run"))
+    for title in titles:
+        assert title in text
+    assert "NaN" not in text.split("<script>")[0]
+
+
+def test_scenes_hold_an_entry_for_every_time(tmp_path):
+    [scenes] = [each for each in parsed(page_of(runs.evaluation(tmp_path / "run"))).records
+                if isinstance(each, list)]  # fmt: skip
+    for scene in scenes:
+        assert scene["times"][scene["start"]] == 0.0
+        assert {len(body["path"]) for body in scene["bodies"]} == {len(scene["times"])}
+        assert len(scene["frames"]) == len(scene["times"])
+    ahead = scenes[0]["frames"][scenes[0]["start"] + 1]["ellipses"]
+    assert len(ahead) == 3
+    assert ahead[0][2:] == [0.1, 0.02, 0.1, 0.5]
+
+
+@pytest.mark.parametrize("thoughts", [True, False])
+def test_failures_come_first_and_forecasts_where_the_file_has_them(thoughts, tmp_path):
+    told = parsed(page_of(runs.drive(tmp_path / "run", thoughts))).records
+    [scenes] = [each for each in told if isinstance(each, list)]
+    assert [scene["title"].split(":")[0] for scene in scenes] == ["case 1", "case 0"]
+    assert len(scenes[0]["times"]) == 4
+    assert [each["name"] for each in scenes[0]["series"]][-2:] == ["a", "b"]
+    first = scenes[0]["frames"][0]
+    assert (len(first["ellipses"]), len(first["lines"])) == ((6, 1) if thoughts else (0, 0))
+
+
+def test_calibration_is_shown_where_it_was_measured(tmp_path):
+    folder = runs.evaluation(tmp_path / "run")
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert "Calibration" not in page_of(folder)
+    metrics["modes"]["bicycle"] |= {"coverage_50": 0.4, "coverage_90": 0.8}
+    (folder / "metrics.json").write_text(json.dumps(metrics))
+    charts = parsed(page_of(folder)).records
+    [chart] = [each for each in charts if each and "x" in each and each["x"] == "promised share"]
+    assert chart["lines"][0] == {"name": "bicycle", "x": [0.5, 0.9], "y": [0.4, 0.8]}
+
+
+def test_a_report_of_an_earlier_version_is_shown_as_far_as_it_goes(tmp_path):
+    folder = runs.evaluation(tmp_path / "run")
+    metrics = json.loads((folder / "metrics.json").read_text())
+    del metrics["costs"], metrics["situations"]
+    for scores in metrics["modes"].values():
+        for name in ("vehicle", "n_missing", "miss_rate"):
+            del scores[name]
+    (folder / "metrics.json").write_text(json.dumps(metrics))
+    text = page_of(folder)
+    assert "Scores by mode" in text
+    assert "misses" not in text
+
+
+def test_a_folder_without_results_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="`runs` must name folders with results, but got none in"):
+        page_of(tmp_path)
+
+
+def test_unknown_numbers_are_none_in_records_and_dashes_in_tables():
+    assert plain([[1.23456, float("nan")], [None, 2.0]], 2) == [[1.23, None], [None, 2.0]]
+    assert [cell(value) for value in (float("nan"), None, 0.12345, "x", 3)] == [
+        "–", "–", "0.123", "x", "3",
+    ]  # fmt: skip

@@ -1,0 +1,67 @@
+"""Collisions that nobody could have avoided are told from those that somebody could."""
+
+import pytest
+import torch
+
+from diffstack_mmv.simulation import (
+    AvoidanceSearch,
+    HolonomicRobot,
+    OrcaCrowd,
+    SquareCrossing,
+    StraightLine,
+    World,
+    drive,
+)
+from diffstack_mmv.simulation.verdict import ExactVerdict
+from diffstack_mmv.types import Outcome
+
+SCENARIO = SquareCrossing()
+
+
+def world_with(speed_mps):
+    return World(HolonomicRobot(speed_mps), OrcaCrowd(), ExactVerdict(10.0))
+
+
+@pytest.fixture(scope="module")
+def collided():
+    """The cases among the first of the training phase in which driving straight collides."""
+    numbers = list(range(12))
+    record = drive(world_with(1.0), SCENARIO.cases("train", numbers), StraightLine()).record
+    rows = (record.outcome == Outcome.COLLISION).nonzero().flatten().tolist()
+    return [
+        {"case": numbers[row], "outcome": "collision", "time_s": float(record.duration[row])}
+        for row in rows
+    ]
+
+
+def test_collisions_of_somebody_who_could_go_elsewhere_are_avoidable(collided):
+    assert collided
+    cases = [dict(case) for case in collided] + [{"case": 99, "outcome": "success", "time_s": 9.0}]
+    told = AvoidanceSearch(64).judge(world_with(1.0), SCENARIO, "train", cases)
+    assert all(0 < case["avoidable"] <= 1 for case in cases[:-1])
+    assert "avoidable" not in cases[-1]
+    assert told["n"] == len(cases)
+    assert told["collision_rate"] == pytest.approx(len(collided) / len(cases))
+
+
+def test_who_cannot_move_out_of_the_way_could_not_avoid_anything(collided):
+    cases = [dict(case, time_s=9.0) for case in collided]
+    search = AvoidanceSearch(8)
+    shares = [search(world_with(1e-6), SCENARIO.cases("train", [n]), 9.5) for n in range(12)]
+    assert min(shares) == 0.0
+    assert set(shares) <= {0.0, 1.0}
+    told = search.judge(world_with(1e-6), SCENARIO, "train", cases)
+    assert told["n"] == sum(case["avoidable"] > 0 for case in cases)
+
+
+def test_the_search_is_the_same_every_time(collided):
+    scene = SCENARIO.cases("train", [collided[0]["case"]])
+    first, second = (AvoidanceSearch(32)(world_with(1.0), scene, 3.0) for _ in range(2))
+    assert first == second
+
+
+def test_nothing_to_try_is_refused():
+    with pytest.raises(ValueError, match="samples"):
+        AvoidanceSearch(0)
+    with pytest.raises(ValueError, match="until_s"):
+        AvoidanceSearch(1)(world_with(1.0), SCENARIO.cases("train", [0]), torch.inf)

@@ -1,0 +1,91 @@
+"""Checkpoints: read without running code that stands in them, refused where they are broken."""
+
+import pickle
+
+import pytest
+import torch
+
+from diffstack_mmv.planning import PredictedGoal
+from diffstack_mmv.stack import load_stack, load_weights, read_checkpoint
+from tests.stack.test_module import stack_of
+
+
+class Runs:
+    """Unpickling it would write a file."""
+
+    def __init__(self, mark):
+        self.mark = mark
+
+    def __reduce__(self):
+        return eval, (f"open({str(self.mark)!r}, 'w').close()",)
+
+
+def saved(path, **content):
+    whole = {"provenance": {"config": {"stack": {}}}, "state_dict": {}}
+    torch.save(whole | content, path)
+    return path
+
+
+def building(path, node):
+    return saved(path, provenance={"config": {"stack": node}})
+
+
+def test_a_checkpoint_builds_nothing_but_ours(tmp_path):
+    mark = tmp_path / "mark"
+    write = {
+        "_target_": "pathlib.Path.write_text",
+        "_args_": [{"_target_": "pathlib.Path", "_args_": [str(mark)]}, "code ran"],
+    }
+    for node in (write, {"_target_": "diffstack_mmv.stack.assemble", "planner": [write]}):
+        with pytest.raises(
+            ValueError, match=r"built, but got 'pathlib.Path.write_text' at .*a.ckpt"
+        ):
+            load_stack(building(tmp_path / "a.ckpt", node))
+    assert not mark.exists()
+
+
+def test_what_is_built_has_to_be_a_stack(tmp_path):
+    node = {"_target_": "diffstack_mmv.vehicles.load_vehicle", "_args_": ["bicycle"]}
+    with pytest.raises(ValueError, match="`checkpoint` must describe a stack, but got VehicleSpec"):
+        load_stack(building(tmp_path / "a.ckpt", node))
+
+
+def test_a_pickle_runs_nothing(tmp_path):
+    mark = tmp_path / "mark"
+    (tmp_path / "plain.ckpt").write_bytes(pickle.dumps(Runs(mark)))
+    torch.save({"state_dict": Runs(mark)}, tmp_path / "zip.ckpt")
+    for name in ("plain.ckpt", "zip.ckpt"):
+        with pytest.raises(ValueError, match="`checkpoint` must be readable"):
+            read_checkpoint(tmp_path / name)
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"provenance": None},
+        {"provenance": {"config": None}},
+        {"provenance": {"config": {"stack": None}}},
+        {"state_dict": None},
+        {"state_dict": {"a": 1}},
+    ],
+)
+def test_a_checkpoint_without_its_parts_is_refused(content, tmp_path):
+    with pytest.raises(ValueError, match="`checkpoint` must hold its configuration and weights"):
+        read_checkpoint(saved(tmp_path / "a.ckpt", **content))
+
+
+def test_a_cut_or_damaged_checkpoint_is_refused(tmp_path):
+    whole = saved(tmp_path / "a.ckpt", state_dict={"a": torch.zeros(50)}).read_bytes()
+    for end in range(0, len(whole), 97):
+        (tmp_path / "cut.ckpt").write_bytes(whole[:end])
+        with pytest.raises(ValueError, match="`checkpoint` must be readable"):
+            read_checkpoint(tmp_path / "cut.ckpt")
+
+
+def test_weights_that_are_lost_are_refused(tmp_path):
+    built = stack_of(PredictedGoal())
+    weights = {name: torch.full_like(each, torch.nan) for name, each in built.state_dict().items()}
+    path = saved(tmp_path / "a.ckpt", state_dict=weights)
+    with pytest.raises(ValueError, match="`checkpoint` must hold no NaN"):
+        load_weights(built, path)
