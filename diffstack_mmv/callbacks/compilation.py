@@ -32,3 +32,4 @@ class CompiledSolver(Callback):
         stack: Any = pl_module
         if trainer.estimated_stepping_batches >= self.steps:
             stack.planner.compile_solver()
+            stack.predictor.compile_kernels()

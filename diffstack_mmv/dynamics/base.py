@@ -126,6 +126,14 @@ class DynamicsModel(nn.Module, ABC):
         return math.inf
 
     @property
+    def moves_with_pose(self) -> bool:
+        """Whether a moved and turned vehicle does the same, moved and turned; not by default.
+
+        Its derivatives in position and heading are then known from the step itself.
+        """
+        return False
+
+    @property
     def driver_input_needs_state(self) -> bool:
         """Whether what a control means to a driver depends on the state; true by default.
 

@@ -62,6 +62,10 @@ class Predictor(nn.Module, ABC):
         total = torch.where(seen, log_prob, torch.zeros_like(log_prob)).sum((-2, -1))
         return -total / seen.sum((-2, -1)).clamp_min(1)
 
+    def compile_kernels(self) -> None:
+        """Have expensive parts compiled at their next use; by default there is nothing to do."""
+        return
+
 
 def all_agents(ego: Tracks, neighbors: Tracks) -> Tracks:
     """Join the ego (`*b H`) and its neighbors (`*b N H`) to agents `*b 1+N H`, the ego first.

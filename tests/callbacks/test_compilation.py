@@ -13,7 +13,9 @@ pytestmark = pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(("steps", "compiled"), [(149, 0), (150, 1), (float("inf"), 1)])
 def test_only_a_long_training_is_compiled(steps, compiled):
     calls = []
-    planner = types.SimpleNamespace(compile_solver=lambda: calls.append(None))
+    planner = types.SimpleNamespace(compile_solver=lambda: calls.append("planner"))
+    predictor = types.SimpleNamespace(compile_kernels=lambda: calls.append("predictor"))
     trainer = types.SimpleNamespace(estimated_stepping_batches=steps)
-    CompiledSolver(150).on_train_start(trainer, types.SimpleNamespace(planner=planner))
-    assert len(calls) == compiled
+    stack = types.SimpleNamespace(planner=planner, predictor=predictor)
+    CompiledSolver(150).on_train_start(trainer, stack)
+    assert calls == compiled * ["planner", "predictor"]

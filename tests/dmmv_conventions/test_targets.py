@@ -112,7 +112,7 @@ def _mappings(content):
             yield from _mappings(part)
 
 
-@pytest.mark.parametrize("predictor", ["trajectron_shared", "kalman"])
+@pytest.mark.parametrize("predictor", ["trajectron_shared", "trajectron_compiled", "kalman"])
 def test_the_stack_of_a_run_can_be_read_back(predictor, tmp_path):
     with initialize_config_dir(str(config_folder()), version_base="1.3"):
         overrides = [f"predictor={predictor}", f"data.cache={tmp_path}", "out=out"]

@@ -23,14 +23,35 @@ def test_constant_velocity_is_a_straight_line(observed, scene_with):
 
 @pytest.mark.parametrize("forecaster", [ConstantVelocityForecaster(), OrcaForecaster()])
 def test_the_forecast_is_one_proper_component_per_pedestrian(observed, scenario_of, forecaster):
-    seen = observed(scenario_of("circle").cases("test", [0, 1]), 3)[-1]
-    forecast, _ = forecaster(forecaster.init(seen), seen, 0.25, 4)
+    before, seen = observed(scenario_of("circle").cases("test", [0, 1]), 3)[-2:]
+    _, state = forecaster(forecaster.init(before), before, 0.25, 4)
+    forecast, _ = forecaster(state, seen, 0.25, 4)
     assert forecast.log_weight.shape == (2, 5, 1)
     assert forecast.mean.shape == (2, 5, 1, 4, 2)
     assert torch.equal(forecast.log_weight.exp().sum(-1), torch.ones(2, 5).double())
     assert (forecast.scale_tril.diagonal(dim1=-2, dim2=-1) > 0).all()
     spread = forecast.scale_tril.diagonal(dim1=-2, dim2=-1).prod(-1)
     assert (spread.diff(dim=-1) > 0).all()
+
+
+def test_who_rests_at_first_sight_may_walk_off_in_every_direction(observed, scenario_of):
+    seen = observed(scenario_of("circle").cases("test", [0, 1]), 1)[0]
+    assert (seen.pedestrian_velocity == 0).all()
+    forecast, state = OrcaForecaster(directions=8, stays=0.2)(None, seen, 0.25, 4)
+    assert forecast.mean.shape == (2, 5, 9, 4, 2)
+    assert torch.allclose(forecast.log_weight.exp().sum(-1), torch.ones(2, 5).double())
+    assert forecast.log_weight.exp()[..., 0].allclose(torch.tensor(0.2).double())
+    gone = (forecast.mean[..., -1, :] - seen.pedestrian_position.unsqueeze(-2)).norm(dim=-1)
+    assert gone[..., 0].max() < 1e-6
+    assert gone[..., 1:].allclose(torch.tensor(1.0).double())
+    middle = forecast.mean[..., 1:, -1, :].mean(-2)
+    assert middle.allclose(seen.pedestrian_position, atol=1e-6)
+
+
+def test_who_walks_at_first_sight_walks_on(observed, scene_with):
+    seen = observed(scene_with((3.0, -5.0), (3.0, 5.0)), 3)[-1]
+    forecast, _ = OrcaForecaster()(None, seen, 0.25, 4)
+    assert (forecast.mean == forecast.mean[..., :1, :, :]).all()
 
 
 def test_a_lone_pedestrian_is_predicted_exactly_until_arrival(observed, scene_with):

@@ -220,6 +220,11 @@ class DiffGM3(DynamicsModel):
         return steering.command_for(steering.angle_for(tangent))
 
     @property
+    def moves_with_pose(self) -> bool:
+        """The road is flat and the same everywhere."""
+        return True
+
+    @property
     def driver_input_needs_state(self) -> bool:
         """An acceleration and an angle mean the same at every state."""
         return False

@@ -2,6 +2,14 @@
 
 from diffstack_mmv.prediction.trajectron.jacobians import linearise, linearise_shared
 from diffstack_mmv.prediction.trajectron.latent import Annealing
+from diffstack_mmv.prediction.trajectron.linearised_step import linearise_compiled
 from diffstack_mmv.prediction.trajectron.model import Sizes, Trajectron
 
-__all__ = ["Annealing", "Sizes", "Trajectron", "linearise", "linearise_shared"]
+__all__ = [
+    "Annealing",
+    "Sizes",
+    "Trajectron",
+    "linearise",
+    "linearise_compiled",
+    "linearise_shared",
+]

@@ -11,6 +11,8 @@ from diffstack_mmv.dynamics import DiffKBM, DynamicsModel, ExtendedUnicycle, Sin
 from diffstack_mmv.geometry import direction
 from diffstack_mmv.smooth import saturate, sinc, sinc_slope
 
+POSE = ("position_x", "position_y", "heading")
+
 
 class Linearisation(NamedTuple):
     """Jacobians of one control step at points `*b`."""
@@ -26,6 +28,8 @@ def linearise(
     closed_form = _CLOSED_FORMS.get(type(dynamics))
     if closed_form is not None:
         return closed_form(dynamics, state, control)
+    if dynamics.moves_with_pose:
+        return _linearise_turned(dynamics, state, control)
     return linearise_forward(dynamics, state, control)
 
 
@@ -90,6 +94,56 @@ def jacobian(
 
     tangents = torch.eye(point.shape[-1], dtype=point.dtype, device=point.device)
     return torch.func.vmap(push, out_dims=-1)(tangents)
+
+
+def _linearise_turned(
+    dynamics: DynamicsModel, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
+) -> Linearisation:
+    """`linearise` by forward mode, without tangents for the pose."""
+    shape, n = state.shape[:-1], state.shape[-1]
+    columns = (part.reshape(-1, part.shape[-1]).mT for part in (state, control))
+    whole = linearised_columns(dynamics, *columns)[1].permute(2, 1, 0).unflatten(0, shape)
+    return Linearisation(whole[..., :n], whole[..., n:])
+
+
+def linearised_columns(
+    dynamics: DynamicsModel, state: Float[Tensor, "n N"], control: Float[Tensor, "m N"]
+) -> tuple[Float[Tensor, "n N"], Float[Tensor, "k n N"]]:
+    """Step and Jacobian of a model that moves with its pose: entry (j, i) is ∂f_i / ∂(x, u)_j."""
+    n = len(state)
+
+    def step(point: Tensor) -> Tensor:
+        following: Tensor = dynamics(point[:n].mT, point[n:].mT)
+        return following.mT
+
+    point = torch.cat([state, control])
+
+    def push(tangent: Float[Tensor, " k"]) -> tuple[Tensor, Tensor]:
+        along = tangent.unsqueeze(-1) + torch.zeros_like(point)
+        pushed = torch.func.jvp(step, (point,), (along,))
+        return pushed[0], pushed[1]
+
+    fields = dynamics.State._fields
+    moving = [column for column in range(len(point)) if column >= n or fields[column] not in POSE]
+    seeds = torch.eye(len(point), dtype=point.dtype, device=point.device)[moving]
+    following, pushed = torch.func.vmap(push, out_dims=(None, 0))(seeds)  # pyright: ignore[reportArgumentType]
+    rows, pose = iter(pushed.unbind(0)), _by_pose(fields, state, following)
+    columns = [pose[j] if j in pose else next(rows) for j in range(len(point))]
+    return following.contiguous(), torch.stack(columns)
+
+
+def _by_pose(
+    fields: Sequence[str], state: Float[Tensor, "n N"], following: Float[Tensor, "n N"]
+) -> dict[int, Float[Tensor, "n N"]]:
+    """Derivatives in the pose: the next pose is moved and turned with the present one."""
+    x, y, heading = (fields.index(name) for name in POSE)
+    zero, one = torch.zeros_like(state[0]), torch.ones_like(state[0])
+    turned = [zero] * len(fields)
+    turned[x], turned[y], turned[heading] = state[y] - following[y], following[x] - state[x], one
+    found = {heading: torch.stack(turned)}
+    for column in (x, y):
+        found[column] = torch.stack([one if row == column else zero for row in range(len(fields))])
+    return found
 
 
 def _bicycle(dynamics: DiffKBM, state: Tensor, control: Tensor) -> Linearisation:

@@ -1,15 +1,21 @@
 """From Gaussian controls to Gaussian positions by linearisation of the dynamics."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.prediction.trajectron.adjoint import rolled_out, time_outermost
 from diffstack_mmv.prediction.trajectron.jacobians import Linearisation, jacobian, linearise
+from diffstack_mmv.prediction.trajectron.linearised_step import (
+    gains_from_compiling,
+    linearise_compiled,
+    linearised_rollout,
+)
 from diffstack_mmv.types import Motion
 
 
@@ -45,13 +51,54 @@ def propagate(
     leading = start_factor.shape[:-2]
     moved, pushed, scale = (_problems_last(field) for field in (*linearisation, control_scale))
     factor = _problems_last(start_factor.unsqueeze(-3))[0]
-    covariance = _product(factor, factor)
-    covariances = []
-    for matrix, push, deviation in zip(moved, pushed, scale, strict=True):
-        driven = _product(push, deviation.transpose(0, 1))
-        covariance = _product(_product(matrix, covariance), matrix) + _product(driven, driven)
-        covariances.append(covariance)
-    return torch.stack(covariances).movedim(-1, 0).unflatten(0, leading)
+    covariances: Tensor = _Propagation.apply(moved, pushed, scale, _product(factor, factor))  # type: ignore[no-untyped-call]
+    return covariances.movedim(-1, 0).unflatten(0, leading)
+
+
+class _Propagation(torch.autograd.Function):
+    """`propagate` with the problems last, and with its adjoint: autograd would keep all products.
+
+    With the gradient P in Σ⁺, symmetric, and D = B L, the gradients are 2 P A Σ in A, Aᵀ P A in Σ,
+    and 2 P D in D.
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        matrices: Float[Tensor, "T n n N"],
+        pushes: Float[Tensor, "T n m N"],
+        scales: Float[Tensor, "T m m N"],
+        covariance: Float[Tensor, "n n N"],
+    ) -> Float[Tensor, "T n n N"]:
+        before, after = covariance, []
+        for matrix, push, scale in zip(matrices, pushes, scales, strict=True):
+            driven = _product(push, scale.transpose(0, 1))
+            moved = _product(_product(matrix, before), matrix)
+            before = moved + _product(driven, driven)
+            after.append(before)
+        covariances = torch.stack(after)
+        ctx.save_for_backward(matrices, pushes, scales, covariance, covariances)
+        return covariances
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: Float[Tensor, "T n n N"]) -> tuple[Tensor, ...]:
+        matrices, pushes, scales, first, covariances = ctx.saved_tensors
+        grad = 0.5 * (grad + grad.transpose(1, 2))
+        slope = torch.zeros_like(first)
+        slopes = []
+        for step in range(len(matrices) - 1, -1, -1):
+            matrix, push, scale = matrices[step], pushes[step], scales[step]
+            slope = slope + grad[step]
+            before = covariances[step - 1] if step > 0 else first
+            turned = _product(slope, matrix.transpose(0, 1))
+            of_driven = 2 * _product(slope, _product(scale.transpose(0, 1), push))
+            of_matrix = 2 * _product(turned, before)
+            of_scale = _product(push.transpose(0, 1), of_driven.transpose(0, 1))
+            slopes.append((of_matrix, _product(of_driven, scale), of_scale))
+            slope = _product(matrix.transpose(0, 1), turned.transpose(0, 1))
+        found = (torch.stack(parts[::-1]) for parts in zip(*slopes, strict=True))
+        return *found, slope
 
 
 def _problems_last(field: Float[Tensor, "*b T r c"]) -> Float[Tensor, "T r c N"]:
@@ -61,7 +108,12 @@ def _problems_last(field: Float[Tensor, "*b T r c"]) -> Float[Tensor, "T r c N"]
 
 def _product(left: Float[Tensor, "r k N"], right: Float[Tensor, "c k N"]) -> Float[Tensor, "r c N"]:
     """Products A Bᵀ of small matrices; faster by far than a library call per matrix."""
-    return (left.unsqueeze(1) * right.unsqueeze(0)).sum(2)
+    pairs = zip(left.unbind(1), right.unbind(1), strict=True)
+    row, column = next(pairs)
+    result = row.unsqueeze(1) * column
+    for row, column in pairs:
+        result = torch.addcmul(result, row.unsqueeze(1), column)
+    return result
 
 
 class PositionMoments(NamedTuple):
@@ -92,12 +144,16 @@ def integrate(
         control_scale: Cholesky factors of their covariances.
         start_deviation: Standard deviations of the present position along and across in m, heading
             in rad, speed in m/s.
-        jacobians: `linearise` at every point, or `linearise_shared` where that is too slow.
+        jacobians: `linearise` or `linearise_compiled` at every point, or `linearise_shared` where
+            that is too slow.
     """
     state = dynamics.state_on_course(motion)
     controls = time_outermost(controls)
-    states = rolled_out(dynamics, state, controls)
-    linearisation = jacobians(dynamics, states[..., :-1, :], controls)
+    if jacobians is linearise_compiled and gains_from_compiling(dynamics, state):
+        states, linearisation = linearised_rollout(dynamics, state, controls)
+    else:
+        states = rolled_out(dynamics, state, controls)
+        linearisation = jacobians(dynamics, states[..., :-1, :], controls)
     start_factor = start_sensitivity(dynamics, motion) * start_deviation.unsqueeze(-2)
     covariance = propagate(linearisation, start_factor, control_scale)
     return PositionMoments(states[..., 1:, :2], covariance[..., :2, :2])

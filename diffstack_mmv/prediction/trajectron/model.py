@@ -29,6 +29,7 @@ from diffstack_mmv.prediction.trajectron.encoder import (
 )
 from diffstack_mmv.prediction.trajectron.jacobians import linearise
 from diffstack_mmv.prediction.trajectron.latent import Annealing, Latent, divergence
+from diffstack_mmv.prediction.trajectron.linearised_step import linearise_compiled
 from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
 from diffstack_mmv.prediction.trajectron.output import nobody, placed, scenes
@@ -98,7 +99,8 @@ class Trajectron(Predictor):
         annealing: Weight of the divergence of the posterior from the prior.
         hold_steps: Steps over which a decoded control is held.
         jacobians: Linearises the dynamics: `linearise` at every point, or `linearise_shared` at the
-            mean of the components, for models whose step is expensive.
+            mean of the components, for models whose step is expensive; `linearise_compiled` is
+            `linearise` with compiled steps.
 
     Raises:
         ValueError: The models differ in their time step, or a number is out of its range.
@@ -148,6 +150,12 @@ class Trajectron(Predictor):
             self.branches.append(Branch(Latent(context, sizes.future, count), decoder))
         self.register_buffer("training_step", torch.zeros((), dtype=torch.long))
         self.training_step: Tensor
+
+    def compile_kernels(self) -> None:
+        """Have the steps of models without Jacobians in closed form compiled at their next use."""
+        for branch in self.branches:
+            if isinstance(branch, Branch) and branch.decoder.jacobians is linearise:
+                branch.decoder.jacobians = linearise_compiled
 
     def forward(self, past: Tracks, neighbors: Tracks) -> Forecast:
         """Forecast all agents, `*b 1+N`; an agent that is not observed now stays where it is."""

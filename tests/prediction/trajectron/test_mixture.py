@@ -103,3 +103,14 @@ def test_shared_linearisation_of_components_that_differ_in_pose_alone_is_exact(m
     exact, shared = linearise(dynamics, state, control), linearise_shared(dynamics, state, control)
     assert torch.allclose(shared.state, exact.state)
     assert torch.allclose(shared.control, exact.control)
+
+
+def test_propagation_has_the_gradient_of_its_value():
+    shapes = [(2, 3, 4, 4), (2, 3, 4, 2), (2, 4, 3), (2, 3, 2, 2)]
+    moved, pushed, start, scale = (torch.randn(shape, dtype=torch.float64) for shape in shapes)
+
+    def covariances(moved, pushed, start, scale):
+        return propagate(Linearisation(moved, pushed), start, scale)
+
+    inputs = [part.requires_grad_() for part in (moved, pushed, start, scale)]
+    assert gradcheck(covariances, inputs)
