@@ -122,7 +122,8 @@ def measured_rides(
             name,
             motion.position.double(),
             ~interpolated[name],
-            *controls[name].double().unbind(-1),
+            controls[name][:, 0].double(),
+            controls[name][:, 1].double(),
             sensors[name].double()[:, 0] if name in sensors else None,
             leans.get(name),
         )

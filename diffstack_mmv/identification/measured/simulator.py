@@ -131,16 +131,19 @@ class RideSimulator:
             return torch.cat([found.position.flatten(1), found.yaw_rate], -1)
 
         def along(shared_way: Tensor, local_way: Tensor) -> tuple[Tensor, Tensor]:
-            return jvp(outputs, (shared, local), (shared_way, local_way.expand_as(local)))
+            value, slope, *_ = jvp(
+                outputs, (shared, local), (shared_way, local_way.expand_as(local))
+            )
+            return value, slope
 
         count, size = len(shared), len(shared) + local.shape[-1]
         ways = torch.eye(size, dtype=local.dtype)
+        # the types of torch know no output that is not mapped
+        every = vmap(along, out_dims=(None, -1))  # pyright: ignore[reportArgumentType]
         if not by_shared:
-            value, slope = vmap(along, out_dims=(None, -1))(
-                ways[count:, :count], ways[count:, count:]
-            )
+            value, slope = every(ways[count:, :count], ways[count:, count:])
             return Linearised(value, slope[..., :0], slope)
-        value, slope = vmap(along, out_dims=(None, -1))(ways[:, :count], ways[:, count:])
+        value, slope = every(ways[:, :count], ways[:, count:])
         return Linearised(value, slope[..., :count], slope[..., count:])
 
     def _driven(self, windows: RideWindows, local: Tensor) -> tuple[Tensor, Tensor]:
