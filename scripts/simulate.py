@@ -6,9 +6,9 @@ from pathlib import Path
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from diffstack_mmv.checks import require_positive
 from diffstack_mmv.cli import command
 from diffstack_mmv.config_checks import require_file
+from dmmv_conventions.checks import require_positive
 from dmmv_conventions.configs import config_folder
 
 logger = logging.getLogger(__name__)

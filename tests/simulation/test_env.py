@@ -146,7 +146,7 @@ def test_social_force_pedestrians_walk_in_the_environment(world_with):
     ("settings", "message"),
     [
         ({"scenario": "spiral"}, "`scenario` must be one of circle_crossing, square_crossing"),
-        ({"humans": 0}, "`humans` must be at least 1"),
+        ({"humans": -1}, "`humans` must be at least 0"),
         ({"dt_s": 0.0}, "`dt_s` must be positive"),
         ({"limit_s": -1.0}, "`limit_s` must be positive"),
         ({"limit_s": 10.1}, "`limit_s` must be a multiple of 0.25"),
