@@ -64,7 +64,7 @@ def test_problems_of_the_solver_that_do_not_fit(mistake, error, told):
         (lambda: rollout(MODEL, STATE, torch.zeros(2)), ValueError, "`controls` must have the sh"),
         (lambda: rollout(MODEL, STATE, torch.zeros(3, 5, 2)), ValueError, "shape (1, T, m) to fit"),
         (lambda: DiffKBM(BICYCLE, dt_s=0.0), ValueError, "`dt_s` must be positive, but got 0"),
-        (lambda: load_vehicle("bike"), ValueError, "`vehicle` must be one of bicycle, cart"),
+        (lambda: load_vehicle("bike"), ValueError, "`vehicle` must be one of autobike, bicycle"),
     ],
 )
 def test_arguments_of_models_that_do_not_fit(act, error, told):

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "diffstack_mmv" / "identification"
-ORDER = ("tracks", "shooting", "inference", "report")
+ORDER = ("tracks", "shooting", "inference", "report", "measured")
 FILES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.glob("*/*.py"))
 
 

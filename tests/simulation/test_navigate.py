@@ -70,7 +70,7 @@ def test_a_controller_may_believe_in_dynamics_of_another_name(navigate, tmp_path
         (["limits.acceleration_min_mps2=-0.3"], "stop within the way"),
         (["scenario.clearance_m=0.0", "scenario.robot_radius_m=0.01"], "start without a collision"),
         (["people=predictor"], "checkpoint that scripts/train.py wrote"),
-        (["believed.dynamics=magic"], "`dynamics` must be one of gm3, gm3_fine, gm3_paper"),
+        (["believed.dynamics=magic"], "`dynamics` must be one of gm3, gm3_coordinated, gm3_fine"),
         (["dynamics=unicycle", "actual.dynamics=gm3"], "share its controls with the robot's"),
     ],
 )

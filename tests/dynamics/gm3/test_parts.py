@@ -15,7 +15,8 @@ from diffstack_mmv.dynamics.gm3.slip import inverse_speed, reference_speed, roll
 from diffstack_mmv.vehicles import load_vehicle, vehicle_names
 from tests.dynamics.gm3.conftest import VEHICLES
 
-NAMES = vehicle_names()
+# the autobike is in no reference set
+NAMES = [name for name in vehicle_names() if name != "autobike"]
 
 
 def close(found, expected, scale=None):
