@@ -4,7 +4,12 @@ import pytest
 import torch
 
 from diffstack_mmv.planning import TakeOptimum
-from diffstack_mmv.simulation import DiscFootprint, drive, vehicle_robot
+from diffstack_mmv.simulation import (
+    ConstantVelocityForecaster,
+    DiscFootprint,
+    drive,
+    vehicle_robot,
+)
 from diffstack_mmv.types import Outcome, PlanOrigin, map_tensors
 
 
@@ -112,8 +117,11 @@ def test_the_optimiser_improves_on_its_start(crossing_world, scenario_of, contro
     seen = crossing_world.observe(
         crossing_world.start(scenario_of("circle").cases("train", range(6)))
     )
-    _, state = first_decision(controller_for(starts=1), seen)
-    assert (state.decisions[0].origin == PlanOrigin.OPTIMISED).float().mean() >= 0.5
+    controller = controller_for(starts=1)
+    # everybody stays in this forecast: the price of all ways to walk off is not what is optimised
+    controller.forecaster = ConstantVelocityForecaster()
+    _, state = first_decision(controller, seen)
+    assert (state.decisions[0].origin == PlanOrigin.OPTIMISED).float().mean() > 0.5
 
 
 @pytest.mark.slow
