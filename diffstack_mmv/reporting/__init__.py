@@ -21,6 +21,7 @@ from diffstack_mmv.reporting.identification import (
     write_identification,
     write_tables,
 )
+from diffstack_mmv.reporting.joint_table import DrivenRow, joint_table, write_joint_table
 from diffstack_mmv.reporting.metrics_table import summarise_modes, write_metrics
 from diffstack_mmv.reporting.paired import paired_cases, paired_table, paired_with_run
 from diffstack_mmv.reporting.paper_table import Run, paper_table, write_paper_table
@@ -28,11 +29,13 @@ from diffstack_mmv.reporting.scores import ScoreHeading, Scores
 
 __all__ = [
     "Comparison",
+    "DrivenRow",
     "Run",
     "ScoreHeading",
     "Scores",
     "closed_loop_table",
     "compare",
+    "joint_table",
     "models_table",
     "paired_cases",
     "paired_table",
@@ -48,6 +51,7 @@ __all__ = [
     "write_comparison",
     "write_identification",
     "write_tables",
+    "write_joint_table",
     "write_json",
     "write_metrics",
     "write_paper_table",
