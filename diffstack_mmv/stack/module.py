@@ -134,7 +134,8 @@ class DiffStackMMV(pl.LightningModule):
             strongest(neighbors_forecast(forecast), self.obstacle_components),
         )
         motion = present(batch.ego_past).motion
-        reference = predicted_reference(motion, ego.most_likely(), goal, batch.dt_s)
+        path = self.goal.expected_path(ego, goal)
+        reference = predicted_reference(motion, path, goal, batch.dt_s)
         problem = build_problem(tracked_ego(batch.ego_past, goal), goal, reference, obstacles)
         return StackOutput(forecast, goal, problem, self.planner(problem))
 
@@ -276,7 +277,7 @@ class DiffStackMMV(pl.LightningModule):
 def _prediction_scores(batch: StackBatch, forecast: Forecast) -> dict[str, Float[Tensor, " B"]]:
     """Scores that need no plan, by the names of `OF_THE_PREDICTION`."""
     future, ego = batch.ego_future, ego_forecast(forecast)
-    predicted = ego.most_likely()
+    predicted = ego.median()
     return {
         **displacements(predicted, future),
         "nll": negative_log_likelihood(ego, future),
