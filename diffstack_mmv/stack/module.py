@@ -48,6 +48,7 @@ from diffstack_mmv.prediction import (
     neighbors_forecast,
     strongest,
 )
+from diffstack_mmv.stack.physics import PhysicsLearning
 from diffstack_mmv.stack.precision import MixedPrecision
 from diffstack_mmv.types import Forecast, Plan, PlanningProblem, StackBatch
 
@@ -92,6 +93,8 @@ class DiffStackMMV(pl.LightningModule):
         scheduler: Makes the learning-rate schedule from the optimizer, stepped once per epoch.
         obstacle_components: How many predicted components of each neighbor the plan sees.
         precision: Precision of the layers of the predictor; float32 if none is given.
+        physics: Which physical parameters are learned; all that the vehicle allows, at the rate of
+            the networks, if none is given.
     """
 
     def __init__(
@@ -104,6 +107,7 @@ class DiffStackMMV(pl.LightningModule):
         scheduler: Callable[..., Any] | None = None,
         obstacle_components: int = 5,
         precision: MixedPrecision | None = None,
+        physics: PhysicsLearning | None = None,
     ) -> None:
         super().__init__()
         require_at_least("obstacle_components", obstacle_components, 1)
@@ -111,6 +115,8 @@ class DiffStackMMV(pl.LightningModule):
             precision.apply(predictor)
         self.predictor = predictor
         self.planner = planner
+        self.physics = physics or PhysicsLearning(rate=1.0)
+        self.physics.freeze(planner.dynamics)
         self.goal = goal
         self.loss_weights = loss
         self.optimizer = optimizer
@@ -268,7 +274,7 @@ class DiffStackMMV(pl.LightningModule):
 
     def configure_optimizers(self) -> Any:
         """Optimizer over all learnable parameters, with its schedule where one is given."""
-        optimizer = self.optimizer(params=[p for p in self.parameters() if p.requires_grad])
+        optimizer = self.physics.optimizer(self.optimizer, self, self.planner.dynamics)
         if self.scheduler is None:
             return optimizer
         return {"optimizer": optimizer, "lr_scheduler": self.scheduler(optimizer=optimizer)}
