@@ -14,8 +14,9 @@ BASE = {"checks", "smooth", "types", "geometry"}
 # what a part of the package may import besides itself
 ALLOWED = {
     "__init__": set(),
-    "cli": {"config_checks"},
+    "cli": {"config_checks", "override_errors"},
     "config_checks": set(),
+    "override_errors": set(),
     "jobs": set(),
     "reporting": set(),
     "checks": set(),
@@ -45,6 +46,7 @@ CONVENTIONS = {
         "dmmv_conventions.checks",
         "dmmv_conventions.modes",
     },
+    "override_errors": {"dmmv_conventions.checks"},
     "types": {"dmmv_conventions.modes"},
     "data": {"dmmv_conventions.cache", "dmmv_conventions.disk", "dmmv_conventions.opening"},
     "cli": {
