@@ -13,21 +13,24 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, NoReturn
 
-import hydra
-from hydra import compose
-from hydra.core.hydra_config import HydraConfig
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import OverrideType
-from hydra.errors import CompactHydraException, HydraException
-from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf, read_write
-from omegaconf.errors import OmegaConfBaseException
-
-from diffstack_mmv.config_checks import require_complete, require_same_type
-from diffstack_mmv.override_errors import one_line, told
+from dmmv_conventions.extras import needs
 from dmmv_conventions.locks import alone_in
 from dmmv_conventions.targets import OF_A_RUN, require_buildable
 from dmmv_conventions.yaml_files import read_mapping
+
+with needs("stack", "the command lines"):
+    import hydra
+    from hydra import compose
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.core.override_parser.types import OverrideType
+    from hydra.errors import CompactHydraException, HydraException
+    from hydra.types import RunMode
+    from omegaconf import DictConfig, OmegaConf, read_write
+    from omegaconf.errors import OmegaConfBaseException
+
+    from diffstack_mmv.config_checks import require_complete, require_same_type
+    from diffstack_mmv.override_errors import one_line, told
 
 # `${smaller:a,b}`, and the smallest turning radius of a vehicle
 OmegaConf.register_new_resolver("smaller", min, replace=True)
