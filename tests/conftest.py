@@ -68,8 +68,8 @@ def double():
 
 
 @pytest.fixture
-def command(root, monkeypatch):
-    """Run a command of scripts/ in this process, where all is imported already; its exit status."""
+def command(root, monkeypatch, unchecked):
+    """Run a command of scripts/ as users do, but in this process; its exit status."""
 
     def run(script, *arguments):
         GlobalHydra.instance().clear()
