@@ -20,14 +20,14 @@ FLOW_M = 4.0
 """The direction of the flow is that of the people within this distance."""
 
 
-class Rows(NamedTuple):
+class RecordedRows(NamedTuple):
     """Recorded people at the times of the world's steps."""
 
     position: NDArray[np.float64]  # people, rows, 2: m
     inside: NDArray[np.bool_]  # people, rows: recorded in this row and in the one before
 
 
-def rows_of(scene: RecordedScene, time_s: NDArray[np.float64]) -> Rows:
+def rows_of(scene: RecordedScene, time_s: NDArray[np.float64]) -> RecordedRows:
     """People at equally distant times; between two recorded rows they move straight.
 
     Args:
@@ -51,7 +51,7 @@ def rows_of(scene: RecordedScene, time_s: NDArray[np.float64]) -> Rows:
     smooth = step < FASTEST_MPS * (time_s[1] - time_s[0])
     inside = np.zeros_like(known)
     inside[:, 1:] = known[:, 1:] & known[:, :-1] & smooth
-    return Rows(between, inside)
+    return RecordedRows(between, inside)
 
 
 class Crossing(NamedTuple):
@@ -92,7 +92,7 @@ class CrossingRules:
         require_at_least("turn_deg", self.turn_deg, 0)
 
     def draw(
-        self, rows: Rows, start: int, step_s: float, random: np.random.RandomState
+        self, rows: RecordedRows, start: int, step_s: float, random: np.random.RandomState
     ) -> Crossing | None:
         """A crossing through a place with many people, the more of them the likelier.
 

@@ -17,7 +17,12 @@ from diffstack_mmv.checks import (
 from diffstack_mmv.planning import disc_radius
 from diffstack_mmv.simulation.pedestrians import RecordedCrowdState
 from diffstack_mmv.simulation.pedestrians.recorded import far_away
-from diffstack_mmv.simulation.recorded.crossing import CrossingRules, Rows, as_tensor, rows_of
+from diffstack_mmv.simulation.recorded.crossing import (
+    CrossingRules,
+    RecordedRows,
+    as_tensor,
+    rows_of,
+)
 from diffstack_mmv.simulation.recorded.passage import PassageRules, Walks
 from diffstack_mmv.simulation.scenario import Scene, generator
 from diffstack_mmv.types import RecordedScene
@@ -180,20 +185,20 @@ class RecordedCrossing:
         crossing = self.crossing.draw(rows, lead, self.dt_s, random)
         if crossing is None:
             return None
-        seen = Rows(crossing.seen_from(rows.position), rows.inside)
+        seen = RecordedRows(crossing.seen_from(rows.position), rows.inside)
         radius = disc_radius(recorded.tracks.extent).numpy()
         kept = self._nearest(seen, lead)
-        seen, radius = Rows(seen.position[kept], seen.inside[kept]), radius[kept]
+        seen, radius = RecordedRows(seen.position[kept], seen.inside[kept]), radius[kept]
         walks = Walks(seen.position[:, lead:], seen.inside[:, lead:], radius, self.dt_s)
         return self._scene(seen, radius, lead) if self._is_case(walks) else None
 
-    def _nearest(self, rows: Rows, lead: int) -> np.ndarray:
+    def _nearest(self, rows: RecordedRows, lead: int) -> np.ndarray:
         """Numbers of the agents that come nearest to the way, no more than there is room for."""
         apart = self._from_way(rows)[:, lead:].min(-1, initial=np.inf)
         order = np.argsort(apart, kind="stable")[: self.humans]
         return order[apart[order] < self.reach_m]
 
-    def _from_way(self, rows: Rows) -> np.ndarray:
+    def _from_way(self, rows: RecordedRows) -> np.ndarray:
         """Distance from the way in m, (people, rows); infinite for those who are absent."""
         beyond = np.maximum(np.abs(rows.position[..., 1]) - self.way_m / 2, 0)
         apart = np.hypot(rows.position[..., 0], beyond)
@@ -202,7 +207,7 @@ class RecordedCrossing:
     def _is_case(self, walks: Walks) -> bool:
         """Whether the start is free, enough people are met, and the way is passable."""
         soon = round(self.least_s / self.dt_s)
-        way = self._from_way(Rows(walks.position[:, :soon], walks.inside[:, :soon]))
+        way = self._from_way(RecordedRows(walks.position[:, :soon], walks.inside[:, :soon]))
         if int((way.min(-1, initial=np.inf) < NEAR_WAY_M).sum()) < self.met:
             return False
         at_start = round(0.5 / self.dt_s) + 1
@@ -212,7 +217,7 @@ class RecordedCrossing:
             return False
         return self.passage.passable(walks, self.way_m, self.robot_radius_m)
 
-    def _scene(self, rows: Rows, radius: np.ndarray, lead: int) -> Scene:
+    def _scene(self, rows: RecordedRows, radius: np.ndarray, lead: int) -> Scene:
         """The scene of a case, padded to the largest number of agents."""
         count, steps = rows.inside.shape
         track = np.zeros((self.humans, steps, 2))
