@@ -47,9 +47,17 @@ def attempt(trial: Trial) -> Told:
             return Told(trial, trial.run(Path(folder)), "")
         except EXPECTED as error:
             told = str(error)
-            return Told(trial, Result.REFUSED if told else Result.TRACEBACK, told)
+            return Told(trial, Result.REFUSED if is_message(told) else Result.TRACEBACK, told)
         except Exception:  # noqa: BLE001  whatever it is, it is what this looks for
             return Told(trial, Result.TRACEBACK, traceback.format_exc())
+
+
+OF_HYDRA = ("Could not find", "missing EQUAL", "no viable alternative", "not in struct", "override")
+
+
+def is_message(told: str) -> bool:
+    """Whether it names what is wrong, as ours do and Hydra's do, or is Python's own remark."""
+    return "`" in told or any(words in told for words in OF_HYDRA)
 
 
 class Usual(NamedTuple):
