@@ -96,6 +96,14 @@ class ConvertedCache:
         """
         return self._chosen(self._state())["scenes"]
 
+    def dt_s(self) -> float:
+        """Step of the tracks in s.
+
+        Raises:
+            ValueError: The cache is absent, unfinished or of another version.
+        """
+        return float(self._state()["dt_s"])
+
     def report(self) -> dict[str, Any]:
         """The report of the conversion, empty if there is none."""
         path = self._path / REPORT_FILE
