@@ -15,12 +15,12 @@ WRONG: dict[str, tuple[str, ...]] = {
     "convert": (
         "data=horse", "data.root=nowhere", "data=trajdata", "dt_s=0", "dt_s=-1", "dt_s=nan", "workers=0",
         "workers=x", "smoother=horse", "+smoother.window_s=-1", "+smoother.order=9", "max_gap_s=0",
-        "min_duration_s=-1", "+data.recordings.limits.span_s=0", "+data.recordings.limits.speed_mps.horse=3",
+        "min_duration_s=-1", "data.recordings.limits.span_s=0", "+data.recordings.limits.speed_mps.horse=3",
         "data.recordings._target_=os.system", "+data.recordings.horse=1", "data=two_wheeler +data.recordings.horse=1",
         "data=csv data.units.time=h", "data=csv data.columns.time=t", "data=csv data.name=a-b", "data=csv data.mode=horse",
         "data=csv data.types.bike=horse", "data=csv +data.given.day=exam", "data=csv data.rate_hz=0",
         "data=eth_ucy data.held_out=paris", "data=citr", "data=dut", "data=sdd", "data=autobike",
-        "data=sdd +data.recordings.min_certainty=x", "strict=7.5", "data.cache=/dev/null",
+        "data=sdd data.recordings.min_certainty=x", "strict=7.5", "data.cache=/dev/null",
     ),
     "train": (
         "dynamics=car", "vehicle=hovercraft", "vehicle=none.yaml", "modes=[bike]", "modes=[]", "horizon_s=0.95",
@@ -42,9 +42,9 @@ WRONG: dict[str, tuple[str, ...]] = {
         "dynamics=horse", "data.cache=nowhere", "vehicle=none.yaml", "vehicle=skateboard", "choice=horse", "mode=horse", "dt_s=0",
         "thresholds.identifiable=-1", "starts=-1", "tracks=0", "tracks=-1", "heldout=-1", "parameters=[grip]", "profile=[grip]",
         "splits=[exam]", "splits=[]", "folds=-1", "folds=1", "foresee_s=-1", "noise.along_m=-1", "noise={along_m: 0, across_m: 0}",
-        "controls=measured", "controls={steer: 0.1}", "controls={acceleration: 0, steer: 0}", "controls=horse", "stretch.min_s=90",
+        "controls=measured", "controls={steer: 0.1}", "controls=horse", "stretch.min_s=90",
         "stretch.min_s=5.0", "tracking.segment_steps=0", "tracking.jerk_mps3=-1", "others.kbm._target_=os.system",
-        "measured.noise_rounds=-1 controls=measured",
+        
     ),
     "navigate": (
         "scenario=horse", "controller=horse", "vehicle=horse", "dynamics=car", "cases=0", "cases=-3", "chunk=0", "scenario.humans=-1",
@@ -54,11 +54,11 @@ WRONG: dict[str, tuple[str, ...]] = {
         "robot.noise=[1]", "robot.noise=[-1,0,0,0]", "robot.delay_s=-1", "robot.step_s=0", "against=[nowhere]", "against=[.]",
         "first_case=-5", "search.samples=0", "animate=-1", "show=[9]", "crowd=horse", "footprint=horse", "published=horse",
         "scenario.circle_radius_m=0", "scenario.pedestrian_radius_m=-1", "limits.acceleration_min_mps2=3", "seed=-1",
-        "controller=diffmpc controller.planner.starts=0", "baselines.orca._target_=os.system",
+        "controller=diffmpc controller.planner.starts=-1", "baselines.orca._target_=os.system",
     ),
     "simulate": (
         "vehicle=horse", "vehicle=none.yaml", "dynamics=horse", "controls=none.csv", "manoeuvre=horse", "dt_s=0", "dt_s=-0.1",
-        "speed_mps=x", "speed_mps=nan", "controls=README.md", "controls=.", "manoeuvre.duration_s=-1", "others.kbm._target_=os.system",
+        "speed_mps=x", "speed_mps=nan", "controls=README.md", "controls=.", "manoeuvre.curvature=x", "others.kbm._target_=os.system",
         "manoeuvre._target_=builtins.eval", "vehicle.limits.steer_max_rad=-1",
     ),
     "report": (
@@ -71,7 +71,7 @@ WRONG: dict[str, tuple[str, ...]] = {
         "raw=nowhere sets={thab: {data: thab_vru, root: nowhere, modes: {bicycle: bicycle}}}", "resamples=0", "size.epochs=0",
         "overrides=7", "launcher.processes=0", "launcher._target_=os.system",
     ),
-    "dashboard": ("modes=[bike]", "entity=null", "modes=7", "entity=e modes=[horse]", "project=[1]"),
+    "dashboard": ("modes=[bike]", "entity=null", "modes=7", "entity=e modes=[horse]"),
     "generate_sample": ("seed=x", "seed=-1", "seed=1.5"),
     "download_imptc": ("parts=horse", "parts=[]"),
 }  # fmt: skip

@@ -52,12 +52,16 @@ def attempt(trial: Trial) -> Told:
             return Told(trial, Result.TRACEBACK, traceback.format_exc())
 
 
-OF_HYDRA = ("Could not find", "missing EQUAL", "no viable alternative", "not in struct", "override")
+OF_OTHERS = (
+    "Could not override", "Could not append", "Error merging", "unexpected keyword argument",
+    "Invalid learning rate", "[Errno", "Ambiguous value",
+)  # fmt: skip
+"""Remarks of Hydra, torch and the system that name what is wrong too."""
 
 
 def is_message(told: str) -> bool:
-    """Whether it names what is wrong, as ours do and Hydra's do, or is Python's own remark."""
-    return "`" in told or any(words in told for words in OF_HYDRA)
+    """Whether it names what is wrong, as ours do, or is a remark from somewhere within."""
+    return "`" in told or any(words in told for words in OF_OTHERS)
 
 
 class Usual(NamedTuple):
