@@ -15,6 +15,7 @@ from diffstack_mmv.config_checks import (
     require_same_horizon,
     require_windows,
 )
+from dmmv_conventions.checks import message, require_one_of
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.versions import code_version, file_hash
 
@@ -33,11 +34,14 @@ def check(config: DictConfig) -> None:
 @command(config_folder(), "evaluate", check)
 def main(config: DictConfig) -> None:
     """Score every window of a split; write tables and plots."""
+    from diffstack_mmv.data import Situations
     from diffstack_mmv.metrics import CLOSED_LOOP, EVALUATED
     from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
     from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.stack import evaluate_windows, load_stack
 
+    for name in config.situations:
+        require_one_of("situations", name, Situations._fields)
     stack, trained = load_stack(Path(config.checkpoint), _device(config.device))
     require_same_horizon(config, trained)
     if "goal" in config:
@@ -106,8 +110,15 @@ def _draw(config: DictConfig, stack: Any, windows: Any, evaluation: Any) -> None
 def _device(name: str) -> str:
     import torch
 
-    automatic = "cuda" if torch.cuda.is_available() else "cpu"
-    return automatic if name == "auto" else name
+    if name == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        torch.empty(0, device=name)
+    except (RuntimeError, AssertionError) as absent:
+        told = f"{name!r} ({str(absent).splitlines()[0]})"
+        needs, remedy = "be auto, cpu, or a device of this machine", "Give device=auto."
+        raise ValueError(message("device", needs, told, "", remedy)) from absent
+    return name
 
 
 if __name__ == "__main__":
