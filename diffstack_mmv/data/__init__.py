@@ -18,6 +18,7 @@ with needs("stack", "diffstack_mmv.data"):
     from diffstack_mmv.data.dataset import DirectWindows, ExportedWindows, WindowDataset
     from diffstack_mmv.data.export import Export, ExportSettings, export_windows
     from diffstack_mmv.data.loading import LoaderSettings, WindowLoader
+    from diffstack_mmv.data.recorded_scenes import RecordedScenes
     from diffstack_mmv.data.sampling import Balance, EqualModes, SituationShare
     from diffstack_mmv.data.settings import WindowSettings
     from diffstack_mmv.data.situations import Situations, situations
@@ -48,6 +49,7 @@ __all__ = [
     "NamedDataset",
     "PositionNoise",
     "Rotation",
+    "RecordedScenes",
     "SituationShare",
     "Situations",
     "SpeedScale",

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import message, require, require_positive
+from diffstack_mmv.geometry import rotate
 from diffstack_mmv.types import EpisodeRecord, Outcome
 
 DISCOMFORT_M = 0.2
@@ -62,6 +63,31 @@ def uneasy_steps(record: EpisodeRecord) -> Bool[Tensor, "E T1"]:
     row = torch.arange(record.clearance.shape[1], device=record.clearance.device)
     during = (row > 0) & (row < record.steps[:, None])
     return during & (record.clearance >= 0) & (record.clearance < DISCOMFORT_M)
+
+
+class Ride(NamedTuple):
+    """How comfortable episodes were to ride in; means over the square are taken per episode."""
+
+    acceleration: Float[Tensor, " E"]  # m/s², root mean square of the steps
+    jerk: Float[Tensor, " E"]  # m/s³
+
+
+def ride(record: EpisodeRecord) -> Ride:
+    """Root mean squares of the acceleration of the steps, and of its change from step to step.
+
+    Both are those of the velocity in the plane, so that braking and bends count alike.
+    """
+    velocity = rotate(record.motion.velocity, record.motion.heading)
+    acceleration = velocity.diff(dim=-2) / record.dt_s
+    jerk = acceleration.diff(dim=-2) / record.dt_s
+    row = torch.arange(acceleration.shape[-2], device=acceleration.device)
+    driven = row < record.steps[:, None]
+
+    def effective(vectors: Float[Tensor, "E T 2"], counts: Bool[Tensor, "E T"]) -> Tensor:
+        squared = vectors.square().sum(-1) * counts
+        return (squared.sum(-1) / counts.sum(-1).clamp(min=1)).sqrt()
+
+    return Ride(effective(acceleration, driven), effective(jerk, driven[:, 1:]))
 
 
 class EpisodeMean(ABC):
@@ -185,3 +211,17 @@ class EpisodeMinimumDistance(EpisodeMean):
 
     def _values(self, record: EpisodeRecord) -> Tensor:
         return record.clearance.amin(dim=1).clamp(min=0)
+
+
+class RideAcceleration(EpisodeMean):
+    """Mean over the episodes of the root mean square of the acceleration, see `ride`."""
+
+    def _values(self, record: EpisodeRecord) -> Tensor:
+        return ride(record).acceleration
+
+
+class RideJerk(EpisodeMean):
+    """Mean over the episodes of the root mean square of the jerk, see `ride`."""
+
+    def _values(self, record: EpisodeRecord) -> Tensor:
+        return ride(record).jerk

@@ -24,6 +24,7 @@ with needs("stack", "diffstack_mmv.reporting"):
         write_identification,
         write_tables,
     )
+    from diffstack_mmv.reporting.joint_table import DrivenRow, joint_table, write_joint_table
     from diffstack_mmv.reporting.metrics_table import summarise_modes, write_metrics
     from diffstack_mmv.reporting.paired import paired_cases, paired_table, paired_with_run
     from diffstack_mmv.reporting.paper_table import Run, paper_table, write_paper_table
@@ -31,11 +32,13 @@ with needs("stack", "diffstack_mmv.reporting"):
 
 __all__ = [
     "Comparison",
+    "DrivenRow",
     "Run",
     "ScoreHeading",
     "Scores",
     "closed_loop_table",
     "compare",
+    "joint_table",
     "models_table",
     "paired_cases",
     "paired_table",
@@ -51,6 +54,7 @@ __all__ = [
     "write_comparison",
     "write_identification",
     "write_tables",
+    "write_joint_table",
     "write_json",
     "write_metrics",
     "write_paper_table",

@@ -24,13 +24,25 @@ from diffstack_mmv.simulation.forecasters import (
 from diffstack_mmv.simulation.learned_forecaster import LearnedForecaster
 from diffstack_mmv.simulation.learning import imitation_loss, way_left_loss
 from diffstack_mmv.simulation.mppi import MPPIController
-from diffstack_mmv.simulation.pedestrians import OrcaCrowd, SocialForceCrowd
+from diffstack_mmv.simulation.pedestrians import (
+    OrcaCrowd,
+    ReactiveReplayCrowd,
+    ReplayCrowd,
+    SocialForceCrowd,
+)
 from diffstack_mmv.simulation.policies import (
     BlindDriver,
     Controller,
     Decided,
     OrcaPolicy,
+    StopAndGoDriver,
     StraightLine,
+)
+from diffstack_mmv.simulation.recorded import (
+    CrossingRules,
+    KnownFuture,
+    PassageRules,
+    RecordedCrossing,
 )
 from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
 from diffstack_mmv.simulation.scenario import CircleCrossing, Scenario, Scene, SquareCrossing
@@ -59,6 +71,7 @@ __all__ = [
     "ConstantVelocityForecaster",
     "Controller",
     "Decided",
+    "CrossingRules",
     "CrowdNavEnv",
     "CrowdNavVerdict",
     "DiffMPCController",
@@ -67,6 +80,7 @@ __all__ = [
     "Footprint",
     "ZeroOrderHold",
     "HolonomicRobot",
+    "KnownFuture",
     "MPPIController",
     "Method",
     "Observation",
@@ -74,9 +88,13 @@ __all__ = [
     "OrcaForecaster",
     "OrcaPolicy",
     "PedestrianForecast",
+    "PassageRules",
     "PedestrianForecaster",
     "LearnedForecaster",
+    "ReactiveReplayCrowd",
+    "RecordedCrossing",
     "RectangleFootprint",
+    "ReplayCrowd",
     "Rewards",
     "Robot",
     "Scenario",
@@ -84,6 +102,7 @@ __all__ = [
     "SimulatedVehicle",
     "SocialForceCrowd",
     "SquareCrossing",
+    "StopAndGoDriver",
     "StraightLine",
     "UnicycleRobot",
     "VehicleRobot",

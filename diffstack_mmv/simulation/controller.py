@@ -135,7 +135,7 @@ class DiffMPCController:
         like = self.planner.dynamics.bounds.lower
         seen = map_tensors(lambda entry: entry.to(like), observation)
         told = map_tensors(lambda entry: entry.to(like), forecast)
-        everybody = torch.ones_like(seen.pedestrian_radius, dtype=torch.bool)
+        everybody = seen.pedestrian_present.bool()
         return build_problem(
             Ego(seen.motion, Heading.BODY, seen.discs),
             seen.goal,

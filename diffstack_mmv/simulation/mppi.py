@@ -124,7 +124,7 @@ class MPPIController:
         start = self.dynamics.initial_state(seen.motion)
         states = rollout(self.dynamics, start.unsqueeze(1).expand(-1, self.samples, -1), plans)
         motion = self.dynamics.motion(states, with_final_row(plans))
-        everybody = torch.ones_like(seen.pedestrian_radius, dtype=torch.bool)
+        everybody = seen.pedestrian_present.bool()
         obstacles = predicted_obstacles(
             seen.pedestrian_position, seen.pedestrian_radius, everybody, forecast
         )

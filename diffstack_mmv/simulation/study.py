@@ -20,6 +20,7 @@ def study_world(
     limit_s: float,
     dt_s: float,
     robot_visible: bool = False,
+    reveals_s: float = 0.0,
 ) -> World:
     """The world of a study.
 
@@ -29,7 +30,8 @@ def study_world(
         verdict: "crowdnav" or "exact".
         limit_s: Time limit of an episode.
         dt_s: Length of a step.
-        robot_visible: Whether the pedestrians avoid the robot.
+        robot_visible: Whether the pedestrians avoid the robot; those of a reactive crowd always do.
+        reveals_s: How far the observations tell what is recorded to come.
 
     Returns:
         The world.
@@ -37,7 +39,8 @@ def study_world(
     Raises:
         ValueError: There is no such verdict, or the times do not fit.
     """
-    return World(robot, crowd, verdict_named(verdict, limit_s), dt_s, robot_visible)
+    visible = robot_visible or bool(getattr(crowd, "reactive", False))
+    return World(robot, crowd, verdict_named(verdict, limit_s), dt_s, visible, reveals_s)
 
 
 def world_for(world: World, controller: type) -> World:

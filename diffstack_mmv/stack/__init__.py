@@ -23,6 +23,7 @@ with needs("stack", "diffstack_mmv.stack"):
     )
     from diffstack_mmv.stack.learning_rate import ScaledByProcesses
     from diffstack_mmv.stack.module import DiffStackMMV, LossWeights, StackOutput, assemble
+    from diffstack_mmv.stack.physics import PhysicsLearning
     from diffstack_mmv.stack.precision import MixedPrecision
     from diffstack_mmv.stack.processes import own_processes
     from diffstack_mmv.stack.scene_records import scene_records
@@ -35,6 +36,7 @@ __all__ = [
     "MixedPrecision",
     "PathToGoal",
     "PredictedPath",
+    "PhysicsLearning",
     "ScaledByProcesses",
     "StackOutput",
     "TrainedStack",
