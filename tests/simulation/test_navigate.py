@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 from hydra.core.global_hydra import GlobalHydra
 
+from diffstack_mmv.types import Mode
+from tests.data.conftest import ToyAgent, write_cache
+
 QUICK = [
     "cases=2", "chunk=1", "controller.planner.starts=0", "animate=0", "~controller@baselines.mppi",
     "~controller@baselines.blind", "~controller@baselines.orca",
@@ -79,3 +82,26 @@ def test_bad_input_ends_with_one_clear_message(navigate, capfd, arguments, messa
     told = capfd.readouterr().err
     assert message in told
     assert "Traceback" not in told
+
+
+@pytest.mark.parametrize("crowd", ["replay", "replay_reactive"])
+def test_a_recorded_crowd_is_crossed(navigate, tmp_path, crowd):
+    walkers = [
+        ToyAgent(
+            f"walker_{k}", Mode.PEDESTRIAN, 150, first=5 * k, start=(-6.0, 0.4 * k, 0.0), speed=1.1
+        )
+        for k in range(8)
+    ]
+    write_cache(tmp_path / "cache", {"one": ("test", walkers)}, "dut")
+    data = [f"crowd={crowd}", "data=dut", f"data.cache={tmp_path / 'cache'}", "limit_s=10"]
+    rest = ["cases=1", "search=null", "animate=0", "controller=stop_and_go"]
+    gone = ["~controller@baselines.stop_and_go", *QUICK[4:], "~controller@baselines.straight"]
+    assert navigate(*data, *rest, *gone) == 0
+    found = json.loads((tmp_path / "closed_loop.json").read_text())
+    assert (found["n"], found["scenario"], found["crowd"], found["data"]) == (
+        1,
+        "replay",
+        crowd,
+        "dut",
+    )
+    assert found["cases"][0]["acceleration_mps2"] > 0
