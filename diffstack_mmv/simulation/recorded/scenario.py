@@ -49,8 +49,9 @@ class RecordedCrossing:
 
     The phases are the splits of the recordings. A case is drawn from the seed of its number: a
     recording (the longer, the likelier), a time, a place and a direction. It is taken if the start
-    is free, some people are met, and the way is passable for somebody who knows where they will
-    be; otherwise the draw is repeated. The scene is turned so that the vehicle starts at
+    is free, some people are met, nobody's track begins beside the way while the vehicle is on it,
+    and the way is passable for somebody who knows where they will be; otherwise the draw is
+    repeated. The scene is turned so that the vehicle starts at
     (0, -way / 2) and its goal lies at (0, way / 2). Nothing of a recording is stored.
 
     Attributes:
@@ -58,6 +59,7 @@ class RecordedCrossing:
         way_m: Length of the way.
         humans: At most so many agents, those that come nearest to the way.
         met: Smallest number of agents that come within 2 m of the way within `least_s`.
+        entry_m: Nobody's track begins nearer to the way than this within `cover_s`.
         reach_m: Who never comes nearer to the way is left out.
         dt_s: Step of the world.
         history_s: What is seen before the start; no case starts earlier in a recording.
@@ -77,6 +79,7 @@ class RecordedCrossing:
     way_m: float = 14.0
     humans: int = 24
     met: int = 3
+    entry_m: float = 4.0
     reach_m: float = 10.0
     dt_s: float = 0.25
     history_s: float = 4.0
@@ -94,6 +97,7 @@ class RecordedCrossing:
             require_positive(name, getattr(self, name))
         require_at_least("humans", self.humans, 1)
         require_at_least("met", self.met, 0)
+        require_at_least("entry_m", self.entry_m, 0)
         require_at_least("clearance_m", self.clearance_m, 0)
         require_at_least("cover_s", self.cover_s, self.least_s)
         require_multiple("history_s", self.history_s, self.dt_s, "for the step `dt_s`")
@@ -200,10 +204,12 @@ class RecordedCrossing:
         return np.where(rows.inside, apart, np.inf)
 
     def _is_case(self, walks: Walks) -> bool:
-        """Whether the start is free, enough people are met, and the way is passable."""
+        """Whether people are met, nobody appears, the start is free, and the way is passable."""
         soon = round(self.least_s / self.dt_s)
         way = self._from_way(Rows(walks.position[:, :soon], walks.inside[:, :soon]))
         if int((way.min(-1, initial=np.inf) < NEAR_WAY_M).sum()) < self.met:
+            return False
+        if self._somebody_appears(walks):
             return False
         at_start = round(0.5 / self.dt_s) + 1
         start = np.array([[0.0, -self.way_m / 2]])
@@ -211,6 +217,13 @@ class RecordedCrossing:
         if not free[:at_start].all():
             return False
         return self.passage.passable(walks, self.way_m, self.robot_radius_m)
+
+    def _somebody_appears(self, walks: Walks) -> bool:
+        """Whether a track begins beside the way after the start: nobody could know of it."""
+        rows = round(self.cover_s / self.dt_s)
+        way = self._from_way(Rows(walks.position[:, 1:rows], walks.inside[:, 1:rows]))
+        entered = ~walks.inside[:, : rows - 1] & walks.inside[:, 1:rows]
+        return bool((way[entered] < self.entry_m).any())
 
     def _scene(self, rows: Rows, radius: np.ndarray, lead: int) -> Scene:
         """The scene of a case, padded to the largest number of agents."""
