@@ -220,7 +220,7 @@ class RecordedCrossing:
 
     def _somebody_appears(self, walks: Walks) -> bool:
         """Whether a track begins beside the way after the start: nobody could know of it."""
-        rows = round(self.cover_s / self.dt_s)
+        rows = min(round(self.cover_s / self.dt_s), walks.inside.shape[1])
         way = self._from_way(Rows(walks.position[:, 1:rows], walks.inside[:, 1:rows]))
         entered = ~walks.inside[:, : rows - 1] & walks.inside[:, 1:rows]
         return bool((way[entered] < self.entry_m).any())

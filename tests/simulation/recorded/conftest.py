@@ -62,7 +62,13 @@ def crossing(reader):
     """Cases of the stream, with overrides."""
 
     def build(**settings):
-        given = {"history_s": 2.0, "limit_s": 8.0, "met": 1, "humans": 12} | settings
+        given = {
+            "history_s": 2.0,
+            "limit_s": 8.0,
+            "met": 1,
+            "entry_m": 1.0,
+            "humans": 12,
+        } | settings
         return RecordedCrossing(reader, **given)
 
     return build

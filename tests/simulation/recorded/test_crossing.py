@@ -79,6 +79,14 @@ def test_somebody_in_the_middle_is_passed_by_a_bend():
     assert not PassageRules(bulges_m=(0.0,)).passable(standing, WAY_M, 0.3)
 
 
+def test_nobody_appears_beside_the_way(crossing):
+    crowd = crossing(entry_m=4.0).cases("test", range(4)).pedestrians
+    beyond = (crowd.track[..., 1].abs() - WAY_M / 2).clamp(min=0)
+    apart = crowd.track[..., 0].hypot(beyond)
+    entered = crowd.inside[..., 9:32] & ~crowd.inside[..., 8:31]
+    assert (apart[..., 9:32][entered] >= 4).all()
+
+
 def test_recordings_that_are_too_short_or_too_empty_are_refused():
     short = RecordedCrossing(Reader({"test": {"one": stream(rows=60)}}), history_s=2.0)
     with pytest.raises(ValueError, match="`least_s` must leave recordings of 8 s"):
