@@ -93,7 +93,13 @@ def test_a_recorded_crowd_is_crossed(navigate, tmp_path, crowd):
         for k in range(8)
     ]
     write_cache(tmp_path / "cache", {"one": ("test", walkers)}, "dut")
-    data = [f"crowd={crowd}", "data=dut", f"data.cache={tmp_path / 'cache'}", "limit_s=10"]
+    data = [
+        f"crowd={crowd}",
+        "data=dut",
+        f"data.cache={tmp_path / 'cache'}",
+        "limit_s=10",
+        "scenario.blind_mps=0.0",
+    ]
     rest = ["cases=1", "search=null", "animate=0", "controller=stop_and_go"]
     gone = ["~controller@baselines.stop_and_go", *QUICK[4:], "~controller@baselines.straight"]
     assert navigate(*data, *rest, *gone) == 0

@@ -49,7 +49,7 @@ class RecordedCrossing:
 
     The phases are the splits of the recordings. A case is drawn from the seed of its number: a
     recording (the longer, the likelier), a time, a place and a direction. It is taken if the start
-    is free, some people are met, nobody's track begins beside the way while the vehicle is on it,
+    is free, some people are met, a straight drive hits somebody, nobody's track begins beside the way while the vehicle is on it,
     and the way is passable for somebody who knows where they will be; otherwise the draw is
     repeated. The scene is turned so that the vehicle starts at
     (0, -way / 2) and its goal lies at (0, way / 2). Nothing of a recording is stored.
@@ -59,6 +59,8 @@ class RecordedCrossing:
         way_m: Length of the way.
         humans: At most so many agents, those that come nearest to the way.
         met: Smallest number of agents that come within 2 m of the way within `least_s`.
+        blind_mps: Who drives straight on at this speed from rest, at the acceleration of `passage`,
+            hits somebody: there is something to avoid. 0 takes all cases.
         entry_m: Nobody's track begins nearer to the way than this within `cover_s`.
         reach_m: Who never comes nearer to the way is left out.
         dt_s: Step of the world.
@@ -79,6 +81,7 @@ class RecordedCrossing:
     way_m: float = 14.0
     humans: int = 24
     met: int = 3
+    blind_mps: float = 3.0
     entry_m: float = 4.0
     reach_m: float = 10.0
     dt_s: float = 0.25
@@ -97,6 +100,7 @@ class RecordedCrossing:
             require_positive(name, getattr(self, name))
         require_at_least("humans", self.humans, 1)
         require_at_least("met", self.met, 0)
+        require_at_least("blind_mps", self.blind_mps, 0)
         require_at_least("entry_m", self.entry_m, 0)
         require_at_least("clearance_m", self.clearance_m, 0)
         require_at_least("cover_s", self.cover_s, self.least_s)
@@ -204,12 +208,12 @@ class RecordedCrossing:
         return np.where(rows.inside, apart, np.inf)
 
     def _is_case(self, walks: Walks) -> bool:
-        """Whether people are met, nobody appears, the start is free, and the way is passable."""
+        """Whether people are in the way, nobody appears, and there is a way past them."""
         soon = round(self.least_s / self.dt_s)
         way = self._from_way(Rows(walks.position[:, :soon], walks.inside[:, :soon]))
         if int((way.min(-1, initial=np.inf) < NEAR_WAY_M).sum()) < self.met:
             return False
-        if self._somebody_appears(walks):
+        if self._is_clear(walks) or self._somebody_appears(walks):
             return False
         at_start = round(0.5 / self.dt_s) + 1
         start = np.array([[0.0, -self.way_m / 2]])
@@ -217,6 +221,21 @@ class RecordedCrossing:
         if not free[:at_start].all():
             return False
         return self.passage.passable(walks, self.way_m, self.robot_radius_m)
+
+    def _is_clear(self, walks: Walks) -> bool:
+        """Whether a straight drive that looks at nobody hits nobody."""
+        if not self.blind_mps:
+            return False
+        time = self.dt_s * np.arange(walks.inside.shape[1])
+        ramp = self.blind_mps / self.passage.acceleration_mps2
+        way = np.where(
+            time < ramp,
+            0.5 * self.passage.acceleration_mps2 * time**2,
+            self.blind_mps * (time - 0.5 * ramp),
+        )
+        under_way = way < self.way_m
+        path = np.stack((np.zeros_like(way), way - self.way_m / 2), -1)
+        return bool(np.diagonal(walks.free(path, self.robot_radius_m))[under_way].all())
 
     def _somebody_appears(self, walks: Walks) -> bool:
         """Whether a track begins beside the way after the start: nobody could know of it."""

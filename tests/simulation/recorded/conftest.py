@@ -67,6 +67,7 @@ def crossing(reader):
             "limit_s": 8.0,
             "met": 1,
             "entry_m": 1.0,
+            "blind_mps": 0.0,
             "humans": 12,
         } | settings
         return RecordedCrossing(reader, **given)

@@ -44,6 +44,7 @@ def test_stop_and_go_stops_for_who_walks_in_front(driven):
         Reader({"test": {"one": walker}}),
         history_s=2.0,
         met=0,
+        blind_mps=0.0,
         crossing=CrossingRules(turn_deg=0.0),
     )
     scene = scenario.cases("test", [0])

@@ -79,6 +79,16 @@ def test_somebody_in_the_middle_is_passed_by_a_bend():
     assert not PassageRules(bulges_m=(0.0,)).passable(standing, WAY_M, 0.3)
 
 
+def test_a_straight_drive_hits_somebody(crossing):
+    scene = crossing(blind_mps=1.0).cases("test", range(3))
+    crowd, time = scene.pedestrians, 0.25 * torch.arange(33, dtype=torch.float64)
+    way = torch.where(time < 0.5, time.square(), time - 0.25)
+    robot = torch.stack((torch.zeros_like(way), way - WAY_M / 2), -1)
+    apart = (crowd.track[:, :, 8:41] - robot).norm(dim=-1) - crowd.radius[..., None]
+    hit = (apart < 0.3) & crowd.inside[:, :, 8:41]
+    assert hit.flatten(1).any(-1).all()
+
+
 def test_nobody_appears_beside_the_way(crossing):
     crowd = crossing(entry_m=4.0).cases("test", range(4)).pedestrians
     beyond = (crowd.track[..., 1].abs() - WAY_M / 2).clamp(min=0)

@@ -25,7 +25,7 @@ def walker():
         time = 0.1 * torch.arange(201, dtype=torch.float64)
         way = torch.stack((1.2 * (time - 10), 0 * time), -1)[None]
         reader = Reader({"test": {"one": recorded(way)}})
-        scenario = RecordedCrossing(reader, history_s=2.0, met=0, limit_s=10.0)
+        scenario = RecordedCrossing(reader, history_s=2.0, met=0, blind_mps=0.0, limit_s=10.0)
         scene = scenario.cases("test", [0])
         crowd = scene.pedestrians
         lead = int(crowd.lead[0])
