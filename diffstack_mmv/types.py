@@ -77,6 +77,10 @@ class StackBatch(NamedTuple):
     dt_s: float
 
 
+NEAR_MEDIAN_M = 0.02
+"""Distance in m below which a component counts as if it were that far from the median."""
+
+
 class Forecast(NamedTuple):
     """Mixture of Gaussians over the future positions of agents, one weight per whole trajectory."""
 
@@ -100,6 +104,22 @@ class Forecast(NamedTuple):
         """Mean trajectory in m of the component with the largest weight."""
         best = self.log_weight.argmax(-1)[..., None, None, None]
         return self.mean.take_along_dim(best, -3).squeeze(-3)
+
+    def median(self, iterations: int = 10) -> Float[Tensor, "*b T 2"]:
+        """Path in m with the least expected mean distance to the paths of the components.
+
+        The geometric median of the components' means by Weiszfeld's iteration: the answer of one
+        path to the question that the ADE asks. Its gradient is that of the last iteration and
+        reaches weights and means of all components.
+        """
+        weight = self.log_weight.exp()
+        path = (weight[..., None, None] * self.mean).sum(-3)
+        for _ in range(iterations):
+            distance = (self.mean - path.unsqueeze(-3)).norm(dim=-1).mean(-1).detach()
+            share = weight / distance.clamp_min(NEAR_MEDIAN_M)
+            share = share / share.sum(-1, keepdim=True)
+            path = (share[..., None, None] * self.mean).sum(-3)
+        return path
 
 
 class Obstacles(NamedTuple):

@@ -1,6 +1,7 @@
 """Drive a vehicle through a crowd, case by case, beside its baselines."""
 
 import logging
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -59,9 +60,8 @@ def main(config: DictConfig) -> None:
         folder = out / "episodes" / name
         return list(run(method, scenario, numbers, folder, config.chunk, config.phase))
 
-    rows = {
-        n: summarise(driven(n, each)) for n, each in (config.get("baselines") or {}).items() if each
-    }
+    baselines = {n: each for n, each in (config.get("baselines") or {}).items() if each}
+    rows = {n: summarise(driven(n, each)) for n, each in baselines.items() if n in config.beside}
     chunks = driven(config.names.controller, config.controller)
     header: Any = OmegaConf.to_container(config.header)
     header |= {"code": code_version()} | weights
@@ -78,9 +78,21 @@ def main(config: DictConfig) -> None:
     radius_m = scenario.pedestrian_radius_m
     outline = world.robot.footprint.outline()
     save_stories(out, numbers, records, radius_m, config.animate, goal_m, config.show, outline)
+    _tell_times(result)
     if config.get("wandb"):
         instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))
     logger.info("Report: %s; as a page: dmmv-report %s", out / "closed_loop.md", out)
+
+
+def _tell_times(result: Mapping[str, Any]) -> None:
+    """Say whether the decisions keep up with the vehicle, and how many solves converge."""
+    solved, time_ms = result["solved_share"], result["control_time_ms"]
+    logger.info(
+        "Real-time factor %.1f (time driven over processor time of the decisions), median %.1f ms, "
+        "99th percentile %.1f ms per decision and episode%s.",
+        result["real_time_factor"], time_ms["median"], time_ms["p99"],
+        "" if solved is None else f"; {100 * solved:.0f} % of the solves converge",
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

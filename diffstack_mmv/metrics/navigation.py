@@ -1,14 +1,13 @@
 """Scores of closed-loop episodes: how often, how fast and how far from people."""
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from torchmetrics import Metric
 
-from diffstack_mmv.checks import message, require_positive
+from diffstack_mmv.checks import message, require, require_positive
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.types import EpisodeRecord, Outcome
 
@@ -91,22 +90,26 @@ def ride(record: EpisodeRecord) -> Ride:
     return Ride(effective(acceleration, driven), effective(jerk, driven[:, 1:]))
 
 
-class EpisodeMean(Metric):
+class EpisodeMean(ABC):
     """Quotient of two sums over episodes; a subclass says which.
 
     Titles, units and which sign is better stand in `scores.CLOSED_LOOP`.
     """
 
-    is_differentiable = False
-    full_state_update = False
-    total: Tensor
-    weight: Tensor
-
     def __init__(self) -> None:
-        super().__init__()
-        zero = torch.zeros((), dtype=torch.float64)
-        self.add_state("total", zero, dist_reduce_fx="sum")
-        self.add_state("weight", zero.clone(), dist_reduce_fx="sum")
+        self.total = torch.zeros((), dtype=torch.float64)
+        self.weight = torch.zeros((), dtype=torch.float64)
+
+    def merge_state(self, other: "EpisodeMean") -> None:
+        """Add what the same score has counted elsewhere.
+
+        Raises:
+            ValueError: It is another score.
+        """
+        same = type(other) is type(self)
+        require(same, "other", f"be a {type(self).__name__}", type(other).__name__)
+        self.total += other.total
+        self.weight += other.weight
 
     def update(self, record: EpisodeRecord) -> None:
         """Add the episodes of a record.

@@ -55,7 +55,7 @@ class Chunk(NamedTuple):
 
     cases: list[int]
     record: EpisodeRecord
-    step_s: Float[np.ndarray, " steps"]  # time of each decision per running episode
+    step_s: Float[np.ndarray, " steps"]  # processor time of each decision per running episode
     diagnosis: dict[str, Float[np.ndarray, " E"]]  # per case, what the controller tells of itself
     # per case and decision, what it expected and planned; on disk only, empty when read back
     thoughts: dict[str, Float[np.ndarray, "E S *d"]]
@@ -63,11 +63,11 @@ class Chunk(NamedTuple):
 
 @dataclass
 class Timed:
-    """A controller under a stop-watch.
+    """A controller under a stop-watch of processor time: a busy machine does not count.
 
     Attributes:
         controller: The controller.
-        seconds: Time per decision and running episode in s, in the order of the calls.
+        seconds: Processor time per decision and running episode in s, in the order of the calls.
     """
 
     controller: Controller
@@ -79,10 +79,10 @@ class Timed:
 
     def act(self, state: Any, observation: Observation) -> Decided:
         """What the controller decides."""
-        start = time.perf_counter()
+        start = time.process_time()
         decided = self.controller.act(state, observation)
         running = max(int(observation.running.sum()), 1)
-        self.seconds.append((time.perf_counter() - start) / running)
+        self.seconds.append((time.process_time() - start) / running)
         return decided
 
 
