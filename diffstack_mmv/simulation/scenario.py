@@ -7,7 +7,7 @@ global generator of numpy is left alone.
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -34,6 +34,15 @@ class Scene(NamedTuple):
     robot_heading: Float[Tensor, "*b"]
     robot_goal: Float[Tensor, "*b 2"]
     pedestrians: AnyCrowdState
+
+
+@runtime_checkable
+class CaseSource(Protocol):
+    """Gives the start of a case by its number."""
+
+    def cases(self, phase: str, numbers: Iterable[int]) -> Scene:
+        """Several cases of a phase as one batch."""
+        ...
 
 
 class Phase(NamedTuple):
