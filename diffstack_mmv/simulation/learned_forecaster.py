@@ -24,6 +24,7 @@ class _Seen(NamedTuple):
     time: float  # s
     position: Float[Tensor, "*b h 2"]  # m
     velocity: Float[Tensor, "*b h 2"]  # m/s
+    seen: Bool[Tensor, "*b h"]
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,9 @@ class LearnedForecaster:
         # one older observation is kept, from which the first row is interpolated
         old = [each for each in state if each.time <= oldest][-1:]
         recent = [each for each in state if each.time > oldest]
-        now = _Seen(time, observation.pedestrian_position, observation.pedestrian_velocity)
+        now = _Seen(
+            time, observation.pedestrian_position, observation.pedestrian_velocity, observation.seen
+        )
         return (*old, *recent, now)
 
     def _tracks(self, seen: tuple[_Seen, ...], observation: Observation) -> Tracks:
@@ -102,8 +105,10 @@ class LearnedForecaster:
         # a velocity holds up to the observation that tells of it
         velocities = torch.stack([each.velocity for each in seen], -2)
         velocity = velocities[..., (place - 1e-6).ceil().long(), :]
-        heading = last_heading(velocity, valid)
-        known = valid.expand(heading.shape)
+        both = torch.stack([each.seen for each in seen], -1)
+        both = both[..., place.floor().long()] & both[..., (place - 1e-6).ceil().long()]
+        known = valid & both
+        heading = last_heading(velocity, known)
         turned = wrap_angle(heading.diff(dim=-1)) / step_s * (known[..., 1:] & known[..., :-1])
         motion = Motion(
             position=position,
@@ -121,7 +126,7 @@ class LearnedForecaster:
 
 
 def last_heading(
-    velocity: Float[Tensor, "*b T 2"], valid: Bool[Tensor, " T"]
+    velocity: Float[Tensor, "*b T 2"], valid: Bool[Tensor, "*#b T"]
 ) -> Float[Tensor, "*b T"]:
     """Course in rad, at rest the last one before; before the first motion that of the first motion.
 

@@ -10,7 +10,7 @@ from diffstack_mmv.simulation.pedestrians import Crowd
 from diffstack_mmv.simulation.robot import HolonomicRobot
 from diffstack_mmv.simulation.vehicle_robot import VehicleRobot
 from diffstack_mmv.simulation.verdict import verdict_named
-from diffstack_mmv.simulation.world import World
+from diffstack_mmv.simulation.world import Sensing, World
 
 
 def study_world(
@@ -20,6 +20,7 @@ def study_world(
     limit_s: float,
     dt_s: float,
     robot_visible: bool = False,
+    sensing: Sensing | None = None,
 ) -> World:
     """The world of a study.
 
@@ -30,6 +31,7 @@ def study_world(
         limit_s: Time limit of an episode.
         dt_s: Length of a step.
         robot_visible: Whether the pedestrians avoid the robot.
+        sensing: What the robot sees of the pedestrians; everything if None.
 
     Returns:
         The world.
@@ -37,7 +39,7 @@ def study_world(
     Raises:
         ValueError: There is no such verdict, or the times do not fit.
     """
-    return World(robot, crowd, verdict_named(verdict, limit_s), dt_s, robot_visible)
+    return World(robot, crowd, verdict_named(verdict, limit_s), dt_s, robot_visible, sensing)
 
 
 def world_for(world: World, controller: type) -> World:

@@ -1,7 +1,7 @@
 """The world of the episodes: a pure step from state and action to the next state and a verdict."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from jaxtyping import Bool, Float
@@ -14,7 +14,7 @@ from diffstack_mmv.checks import (
     require_multiple,
     require_positive,
 )
-from diffstack_mmv.simulation.pedestrians import Crowd, CrowdState
+from diffstack_mmv.simulation.pedestrians import Crowd, CrowdState, Itinerary
 from diffstack_mmv.simulation.robot import Robot, seen_by_pedestrians
 from diffstack_mmv.simulation.scenario import Scene
 from diffstack_mmv.simulation.verdict import Encounter, Judgement, RobotPath, Verdict
@@ -28,6 +28,7 @@ class WorldState(NamedTuple):
     pedestrians: CrowdState
     goal: Float[Tensor, "*b 2"]  # m, of the robot
     time: Float[Tensor, "*b"]  # s
+    itinerary: Itinerary | None = None  # where the pedestrians go after their goals
 
 
 class Observation(NamedTuple):
@@ -43,6 +44,15 @@ class Observation(NamedTuple):
     pedestrian_radius: Float[Tensor, "*b h"]  # m
     time: Float[Tensor, "*b"]  # s
     running: Bool[Tensor, "*b"]  # false where the episode has ended and its action counts no more
+    seen: Bool[Tensor, "*b h"]  # who is not is laid far away, without a velocity
+
+
+class Sensing(Protocol):
+    """What a robot sees of an observation, which holds the truth."""
+
+    def __call__(self, observation: Observation) -> Observation:
+        """The observation with what is hidden or disturbed."""
+        ...
 
 
 class WorldStep(NamedTuple):
@@ -62,6 +72,7 @@ class World:
         verdict: How a step is judged; it also knows the limit.
         dt_s: Length of a step, in which an action and the velocities of the pedestrians hold.
         robot_visible: Whether the pedestrians avoid the robot; in the benchmark they do not.
+        sensing: What the robot sees of the pedestrians; everything if None.
 
     Raises:
         ValueError: The step is not positive or the limit is no multiple of it.
@@ -72,6 +83,7 @@ class World:
     verdict: Verdict
     dt_s: float = 0.25
     robot_visible: bool = False
+    sensing: Sensing | None = None
 
     def __post_init__(self) -> None:
         """Check the times once, at the border."""
@@ -94,6 +106,7 @@ class World:
             pedestrians=scene.pedestrians,
             goal=scene.robot_goal,
             time=torch.zeros_like(scene.robot_heading),
+            itinerary=scene.itinerary,
         )
         clearance = self.clearance(state)
         bad = int((clearance < 0).sum())
@@ -140,12 +153,11 @@ class World:
                 dt_s=self.dt_s,
             )
         )
-        after = WorldState(
-            robot=travel.state,
-            pedestrians=state.pedestrians.moved(velocity, self.dt_s),
-            goal=state.goal,
-            time=state.time + self.dt_s,
-        )
+        time, itinerary = state.time + self.dt_s, state.itinerary
+        pedestrians = state.pedestrians.moved(velocity, self.dt_s)
+        if itinerary is not None:
+            pedestrians, itinerary = itinerary.followed(pedestrians, state.time, time)
+        after = WorldState(travel.state, pedestrians, state.goal, time, itinerary)
         return WorldStep(after, judgement)
 
     def observe(self, state: WorldState) -> Observation:
@@ -155,7 +167,7 @@ class World:
             lambda field: field.to(seen.radius).expand(*seen.radius.shape, -1),
             self.robot.footprint.discs(),
         )
-        return Observation(
+        observation = Observation(
             motion=self.robot.motion(state.robot),
             velocity=seen.velocity,
             radius=seen.radius,
@@ -166,7 +178,9 @@ class World:
             pedestrian_radius=state.pedestrians.radius,
             time=state.time,
             running=torch.ones_like(state.time, dtype=torch.bool),
+            seen=torch.ones_like(state.pedestrians.radius, dtype=torch.bool),
         )
+        return observation if self.sensing is None else self.sensing(observation)
 
     def clearance(self, state: WorldState) -> Float[Tensor, "*b"]:
         """Clearance in m between the robot and the nearest pedestrian at this instant."""
