@@ -20,7 +20,7 @@ class LimitedSensing:
     """A sensor with a range and a field of view, whose measurements have errors.
 
     Attributes:
-        range_m: Clearance between the discs from which on nobody is seen; infinite: no limit.
+        range_m: Clearance between the discs from which on nobody is seen; no limit if None.
         view_deg: Angle of the field of view around the heading.
         position_noise_m: Standard deviation of each measured coordinate of a pedestrian.
         velocity_noise_mps: Standard deviation of each measured component of its velocity.
@@ -31,7 +31,7 @@ class LimitedSensing:
             negative.
     """
 
-    range_m: float = math.inf
+    range_m: float | None = None
     view_deg: float = 360.0
     position_noise_m: float = 0.0
     velocity_noise_mps: float = 0.0
@@ -39,7 +39,8 @@ class LimitedSensing:
 
     def __post_init__(self) -> None:
         """Check the settings once, at the border."""
-        require_positive("range_m", self.range_m)
+        if self.range_m is not None:
+            require_positive("range_m", self.range_m)
         require_between("view_deg", self.view_deg, 0, 360)
         require_at_least("position_noise_m", self.position_noise_m, 0)
         require_at_least("velocity_noise_mps", self.velocity_noise_mps, 0)
@@ -64,7 +65,8 @@ class LimitedSensing:
         motion = observation.motion
         offset = observation.pedestrian_position - motion.position[..., None, :]
         reach = observation.radius[..., None] + observation.pedestrian_radius
-        near = offset.norm(dim=-1) - reach <= self.range_m
+        range_m = math.inf if self.range_m is None else self.range_m
+        near = offset.norm(dim=-1) - reach <= range_m
         bearing = torch.atan2(offset[..., 1], offset[..., 0]) - motion.heading[..., None]
         ahead = wrap_angle(bearing).abs() <= 0.5 * math.radians(self.view_deg) + 1e-9
         return near & ahead

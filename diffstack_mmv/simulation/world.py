@@ -1,7 +1,7 @@
 """The world of the episodes: a pure step from state and action to the next state and a verdict."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
@@ -47,6 +47,7 @@ class Observation(NamedTuple):
     seen: Bool[Tensor, "*b h"]  # who is not is laid far away, without a velocity
 
 
+@runtime_checkable
 class Sensing(Protocol):
     """What a robot sees of an observation, which holds the truth."""
 
