@@ -93,6 +93,11 @@ class Scenario(ABC):
         require_positive("robot_radius_m", self.robot_radius_m)
         require_at_least("clearance_m", self.clearance_m, 0)
 
+    @property
+    def goal_m(self) -> tuple[float, float] | None:
+        """The goal of the robot in m, where it is the same in all cases."""
+        return (0.0, self.circle_radius_m)
+
     def case(self, phase: str, number: int) -> Scene:
         """One case without leading dimensions.
 
