@@ -10,9 +10,7 @@ from diffstack_mmv.types import Forecast
 WIDTH_M = 0.1
 
 
-def given_end(
-    forecast: Forecast, end: Float[Tensor, "*b 2"], width_m: float = WIDTH_M
-) -> Forecast:
+def given_end(forecast: Forecast, end: Float[Tensor, "*b 2"], width_m: float = WIDTH_M) -> Forecast:
     """Condition a forecast on the position at its last time.
 
     A component counts by its weight times its density at the end, and is moved there:

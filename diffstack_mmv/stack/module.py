@@ -45,6 +45,7 @@ from diffstack_mmv.prediction import (
     Predictor,
     all_agents,
     ego_forecast,
+    fitted_motion,
     neighbors_forecast,
     strongest,
 )
@@ -139,10 +140,11 @@ class DiffStackMMV(pl.LightningModule):
             neighbors.valid,
             strongest(neighbors_forecast(forecast), self.obstacle_components),
         )
-        motion = present(batch.ego_past).motion
+        motion = fitted_motion(batch.ego_past, batch.dt_s)
         path = self.goal.expected_path(ego, goal)
         reference = predicted_reference(motion, path, goal, batch.dt_s)
-        problem = build_problem(tracked_ego(batch.ego_past, goal), goal, reference, obstacles)
+        tracked = tracked_ego(motion, batch.ego_past.extent, goal)
+        problem = build_problem(tracked, goal, reference, obstacles)
         return StackOutput(forecast, goal, problem, self.planner(problem))
 
     def planning_losses(

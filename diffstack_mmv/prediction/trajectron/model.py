@@ -104,6 +104,8 @@ class Trajectron(Predictor):
         forecast_neighbors: Whether neighbors are forecast and learned from; else they are only
             seen, and their forecast is that they stay. For benchmarks in which every agent is an
             ego once.
+        resting_component: Whether the last component of each vehicle starts at rest, see
+            `ControlDecoder`.
 
     Raises:
         ValueError: The models differ in their time step, or a number is out of its range.
@@ -122,6 +124,7 @@ class Trajectron(Predictor):
         hold_steps: int = 1,
         jacobians: Jacobians = linearise,
         forecast_neighbors: bool = True,
+        resting_component: bool = False,
     ) -> None:
         super().__init__(horizon_steps, ego_dynamics.dt_s)
         self.forecast_neighbors = forecast_neighbors
@@ -151,6 +154,7 @@ class Trajectron(Predictor):
                 hold_steps,
                 dropout=sizes.dropout,
                 jacobians=jacobians,
+                resting=resting_component and count > 1 and role != PEDESTRIAN,
             )
             self.branches.append(Branch(Latent(context, sizes.future, count), decoder))
         self.register_buffer("training_step", torch.zeros((), dtype=torch.long))
