@@ -25,7 +25,7 @@ def check(config: DictConfig) -> None:
     """Refuse an evaluation without checkpoint or recordings."""
     require_checkpoint("checkpoint", config.checkpoint)
     require_windows(
-        config.modes, config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
+        config.modes or [], config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
     )
     require_recordings(config.data.module.source)
 
@@ -33,13 +33,15 @@ def check(config: DictConfig) -> None:
 @command(config_folder(), "evaluate", check)
 def main(config: DictConfig) -> None:
     """Score every window of a split; write tables and plots."""
-    from diffstack_mmv.metrics import CLOSED_LOOP, EVALUATED
+    from diffstack_mmv.metrics import CLOSED_LOOP, EVALUATED, PREDICTED
     from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
     from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.stack import evaluate_windows, load_stack
 
     stack, trained = load_stack(Path(config.checkpoint), _device(config.device))
     require_same_horizon(config, trained)
+    if config.modes is None:
+        config.modes = config.data.module.windows.ego_modes = trained["modes"]
     if "goal" in config:
         stack.goal = instantiate(config.goal)
     if "solver" in config:
@@ -50,11 +52,12 @@ def main(config: DictConfig) -> None:
     baselines = dict(instantiate(config.baselines.simple))
     if stack.goal.uses_future:
         baselines |= instantiate(config.baselines.to_goal)
-    evaluation = evaluate_windows(stack, baselines, windows, config.batch_size)
+    evaluation = evaluate_windows(stack, baselines, windows, config.batch_size, config.plans)
+    scores = EVALUATED if config.plans else PREDICTED
     vehicle = trained["vehicle"]["name"]
     for mode in other_modes(config.modes, trained["vehicle"]):
         logger.warning("Agents of mode '%s' are driven with the vehicle '%s'.", mode, vehicle)
-    metrics = summarise_modes(evaluation.samples, config.situations, vehicle, EVALUATED)
+    metrics = summarise_modes(evaluation.samples, config.situations, vehicle, scores)
     for mode in set(config.modes) - set(metrics["modes"]):
         logger.warning(
             "No sample of mode '%s' in split '%s'; the tables leave it out.", mode, config.split
@@ -74,11 +77,11 @@ def main(config: DictConfig) -> None:
     }
     out = Path(config.out)
     write_parquet(out / "samples.parquet", evaluation.samples)
-    write_metrics(out, header | metrics, EVALUATED)
-    if config.plots:
+    write_metrics(out, header | metrics, scores)
+    if config.plots and config.plans:
         _draw(config, stack, windows, evaluation)
     if config.get("wandb"):
-        instantiate(config.wandb)(read_record(out, Titles(EVALUATED, CLOSED_LOOP)))
+        instantiate(config.wandb)(read_record(out, Titles(scores, CLOSED_LOOP)))
     logger.info("Report: %s; as a page: dmmv-report %s", out / "metrics.md", out)
 
 

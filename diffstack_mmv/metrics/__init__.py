@@ -21,6 +21,7 @@ from diffstack_mmv.metrics.planning import (
     solved,
     total_cost,
 )
+from diffstack_mmv.metrics.sampling import best_of_samples, sampled_paths
 from diffstack_mmv.metrics.scores import (
     CALIBRATION,
     CLOSED_LOOP,
@@ -28,6 +29,7 @@ from diffstack_mmv.metrics.scores import (
     EVALUATED,
     OF_THE_PREDICTION,
     OPEN_LOOP,
+    PREDICTED,
     Score,
 )
 
@@ -41,10 +43,12 @@ __all__ = [
     "EVALUATED",
     "OF_THE_PREDICTION",
     "OPEN_LOOP",
+    "PREDICTED",
     "MeanByMode",
     "Score",
     "average_displacement",
     "best_average_displacement",
+    "best_of_samples",
     "collided",
     "coverages",
     "displacement",
@@ -56,6 +60,7 @@ __all__ = [
     "missed",
     "negative_log_likelihood",
     "planning_loss",
+    "sampled_paths",
     "solved",
     "time_mean",
     "total_cost",

@@ -52,9 +52,7 @@ def present(tracks: Tracks) -> Tracks:
     return tracks._replace(motion=motion, valid=tracks.valid[..., -1])
 
 
-def tracked_ego(
-    motion: Motion, extent: Float[Tensor, "*b 2"], goal: Float[Tensor, "*b 2"]
-) -> Ego:
+def tracked_ego(motion: Motion, extent: Float[Tensor, "*b 2"], goal: Float[Tensor, "*b 2"]) -> Ego:
     """The ego at the end of its track, whose heading is its course.
 
     The heading of a rider at rest is not observed: it then faces the goal.

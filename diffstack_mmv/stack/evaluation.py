@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 from diffstack_mmv.checks import require
 from diffstack_mmv.metrics import (
+    best_of_samples,
     coverages,
     displacement,
     displacements,
@@ -20,7 +21,7 @@ from diffstack_mmv.metrics import (
 )
 from diffstack_mmv.planning import present
 from diffstack_mmv.prediction import Predictor, ego_forecast
-from diffstack_mmv.stack.module import DiffStackMMV, StackOutput
+from diffstack_mmv.stack.module import DiffStackMMV, StackOutput, prediction_scores
 from diffstack_mmv.types import Forecast, Mode, Motion, StackBatch, map_tensors
 
 COST = "cost/"
@@ -100,9 +101,20 @@ class Evaluation(NamedTuple):
 
 
 def evaluate_windows(
-    stack: DiffStackMMV, baselines: Mapping[str, Baseline], windows: Windows, batch_size: int = 64
+    stack: DiffStackMMV,
+    baselines: Mapping[str, Baseline],
+    windows: Windows,
+    batch_size: int = 64,
+    plans: bool = True,
 ) -> Evaluation:
     """Score every sample, in order and without randomness, on the device of the stack.
+
+    Args:
+        stack: The trained stack.
+        baselines: Trivial answers by their names.
+        windows: The samples.
+        batch_size: How many at a time.
+        plans: Whether anything is planned; without, only the prediction is judged.
 
     Raises:
         ValueError: There is no sample.
@@ -115,7 +127,8 @@ def evaluate_windows(
     for start in tqdm(range(0, len(windows), batch_size), desc="evaluate", unit="batch"):
         numbers = range(start, min(start + batch_size, len(windows)))
         batch = map_tensors(lambda tensor: tensor.to(stack.device), windows[numbers])
-        row, error = _evaluate_batch(stack, baselines, batch)
+        judge = _judged_plans if plans else _judged_predictions
+        row, error = _beside_baselines(*judge(stack, batch), baselines, batch)
         scores.append(pd.DataFrame({name: value.cpu().numpy() for name, value in row.items()}))
         errors.append({name: value.cpu().numpy() for name, value in error.items()})
     samples = windows.samples.reset_index(drop=True)
@@ -160,22 +173,52 @@ def outputs_of(
     return batch, stack(batch)
 
 
+class _Judged(NamedTuple):
+    """Scores and paths of the stack, and the goal that baselines are given."""
+
+    scores: dict[str, Tensor]
+    paths: dict[str, Tensor]
+    goal: Float[Tensor, "B 2"]
+
+
 @torch.no_grad()
-def _evaluate_batch(
-    stack: DiffStackMMV, baselines: Mapping[str, Baseline], batch: StackBatch
-) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+def _judged_plans(stack: DiffStackMMV, batch: StackBatch) -> _Judged:
     output = stack(batch)
     terms = stack.hindsight_costs(batch, output)
-    scores = stack.score(batch, output)
-    scores |= coverages(ego_forecast(output.forecast), batch.ego_future)
+    scores = stack.score(batch, output) | _scores_of_samples(output.forecast, batch)
     scores |= {f"{COST}{term}": cost for term, cost in terms.items()}
     paths = {
         "prediction": ego_forecast(output.forecast).median(),
         "plan": output.plan.motion.position[..., 1:, :],
     }
-    future = batch.ego_future
     # whoever rides to a goal that was not recorded cannot be judged
     goal = where_known(output.goal, stack.goal_known(batch).unsqueeze(-1))
+    return _Judged(scores, paths, goal)
+
+
+@torch.no_grad()
+def _judged_predictions(stack: DiffStackMMV, batch: StackBatch) -> _Judged:
+    forecast = stack.predictor.predict(batch)
+    scores = prediction_scores(batch, forecast) | _scores_of_samples(forecast, batch)
+    return _Judged(scores, {"prediction": ego_forecast(forecast).median()}, batch.goal)
+
+
+def _scores_of_samples(forecast: Forecast, batch: StackBatch) -> dict[str, Tensor]:
+    """Scores that take samples of the forecast."""
+    ego = ego_forecast(forecast)
+    return coverages(ego, batch.ego_future) | best_of_samples(ego, batch.ego_future)
+
+
+@torch.no_grad()
+def _beside_baselines(
+    scores: dict[str, Tensor],
+    paths: dict[str, Tensor],
+    goal: Float[Tensor, "B 2"],
+    baselines: Mapping[str, Baseline],
+    batch: StackBatch,
+) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """Scores of stack and baselines, and the distance to the human over time of each."""
+    future = batch.ego_future
     for name, baseline in baselines.items():
         paths[name] = baseline(batch, goal)
         own = displacements(paths[name], future)
