@@ -19,7 +19,7 @@ from diffstack_mmv.prediction.trajectron.mixture import PositionMoments, integra
 from diffstack_mmv.prediction.trajectron.recomputed import recomputed
 from diffstack_mmv.prediction.trajectron.recurrence import Weights, emissions
 from diffstack_mmv.smooth import safe_norm, soft_clamp
-from diffstack_mmv.types import Motion, map_tensors
+from diffstack_mmv.types import Motion
 
 Jacobians = Callable[[DynamicsModel, Tensor, Tensor], Linearisation]
 START_DEVIATION = (0.03, 0.03, 0.05, 0.1)  # m along, m across, rad, m/s before training
@@ -47,8 +47,6 @@ class ControlDecoder(nn.Module):
         fade_s: τ, for acceleration and turn alike.
         dropout: Share of units of the context dropped in training.
         jacobians: Linearises the dynamics, see `integrate`.
-        resting: Whether the last component starts at rest instead of at the present velocity: who
-            stands has a small velocity all the same, that of the noise of positions.
 
     Raises:
         ValueError: A number of steps is below one.
@@ -65,18 +63,12 @@ class ControlDecoder(nn.Module):
         fade_s: float = 0.3,
         dropout: float = 0.0,
         jacobians: Jacobians = linearise,
-        resting: bool = False,
     ) -> None:
         super().__init__()
         require_at_least("horizon_steps", horizon_steps, 1)
         require_at_least("hold_steps", hold_steps, 1)
         self.dynamics, self.jacobians = dynamics, jacobians
         self.horizon_steps, self.hold_steps, self.fade_s = horizon_steps, hold_steps, fade_s
-        moving = torch.ones(components)
-        if resting:
-            moving[-1] = 0.0
-        self.register_buffer("moving", moving, persistent=False)
-        self.moving: Tensor
         size = dynamics.control_dim
         self.dropout = nn.Dropout(dropout)
         self.start_context = nn.Linear(context_size, hidden)
@@ -103,15 +95,10 @@ class ControlDecoder(nn.Module):
         context = self.dropout(context)
         hidden = torch.tanh(self.start_context(context).unsqueeze(1) + self.start_component)
         constant = self.gate_context(context).unsqueeze(1) + self.gate_component
-        base, present = (
-            map_tensors(
-                lambda field: field.unsqueeze(1).expand(*hidden.shape[:2], *field.shape[1:]), each
-            )
-            for each in (self._base_controls(motion, rows), motion)
-        )
-        moving = self.moving.to(motion.velocity).unsqueeze(-1)
-        started = present._replace(velocity=present.velocity * moving)
-        repeated = [base * moving.unsqueeze(-1), *started]
+        repeated = [
+            field.unsqueeze(1).expand(*hidden.shape[:2], *field.shape[1:])
+            for field in (self._base_controls(motion, rows), *motion)
+        ]
         if self.jacobians is linearise_shared:
             return PositionMoments(*self._moments(constant, hidden, *repeated))
         kind = self.gate_hidden.weight.dtype
