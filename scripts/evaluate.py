@@ -36,7 +36,7 @@ def main(config: DictConfig) -> None:
     from diffstack_mmv.metrics import CLOSED_LOOP, EVALUATED, PREDICTED
     from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
     from diffstack_mmv.reporting.html import Titles, read_record
-    from diffstack_mmv.stack import evaluate_windows, load_stack
+    from diffstack_mmv.stack import evaluate_windows, fitted_calibration, load_stack
 
     stack, trained = load_stack(Path(config.checkpoint), _device(config.device))
     require_same_horizon(config, trained)
@@ -52,7 +52,15 @@ def main(config: DictConfig) -> None:
     baselines = dict(instantiate(config.baselines.simple))
     if stack.goal.uses_future:
         baselines |= instantiate(config.baselines.to_goal)
-    evaluation = evaluate_windows(stack, baselines, windows, config.batch_size, config.plans)
+    calibration = None
+    if config.calibration.split is not None:
+        data.prepare_splits([config.calibration.split])
+        calibration = fitted_calibration(
+            stack, data.dataset(config.calibration.split), config.batch_size
+        )
+    evaluation = evaluate_windows(
+        stack, baselines, windows, config.batch_size, config.plans, calibration
+    )
     scores = EVALUATED if config.plans else PREDICTED
     vehicle = trained["vehicle"]["name"]
     for mode in other_modes(config.modes, trained["vehicle"]):
@@ -70,6 +78,7 @@ def main(config: DictConfig) -> None:
         "split": config.split,
         "seed": trained["seed"],
         "smoother": data.source.smoother(),
+        "calibrated_on": config.calibration.split,
         "checkpoint": str(config.checkpoint),
         "checkpoint_sha256": file_hash(Path(config.checkpoint)),
         "data_sha256": windows.digest(),
@@ -78,7 +87,7 @@ def main(config: DictConfig) -> None:
     out = Path(config.out)
     write_parquet(out / "samples.parquet", evaluation.samples)
     write_metrics(out, header | metrics, scores)
-    if config.plots and config.plans:
+    if config.plots:
         _draw(config, stack, windows, evaluation)
     if config.get("wandb"):
         instantiate(config.wandb)(read_record(out, Titles(scores, CLOSED_LOOP)))
@@ -88,16 +97,24 @@ def main(config: DictConfig) -> None:
 def _draw(config: DictConfig, stack: Any, windows: Any, evaluation: Any) -> None:
     from diffstack_mmv.callbacks import scenes_of
     from diffstack_mmv.metrics import DISPLACEMENT
-    from diffstack_mmv.plotting import draw_error_over_horizon, draw_scenes, save_figure
+    from diffstack_mmv.plotting import (
+        draw_error_over_horizon,
+        draw_reliability,
+        draw_scenes,
+        save_figure,
+    )
     from diffstack_mmv.reporting import write_compact
     from diffstack_mmv.reporting.html import HORIZON_FILE, SCENES_FILE, horizon_content
     from diffstack_mmv.stack import outputs_of, representative, scene_records
 
     out, heading = Path(config.out), DISPLACEMENT.heading
+    save_figure(draw_reliability(evaluation.levels), out / "reliability.png")
     figure = draw_error_over_horizon(evaluation.errors, config.dt_s, heading)
     save_figure(figure, out / "error_over_horizon.png")
     curves = horizon_content(evaluation.errors, config.dt_s, heading)
     write_compact(out / HORIZON_FILE, curves)
+    if not config.plans:
+        return
     records = []
     for mode, chosen in representative(evaluation.samples).items():
         shown = outputs_of(stack, windows, list(chosen.values()))

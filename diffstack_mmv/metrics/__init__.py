@@ -2,7 +2,12 @@
 
 from typing import TYPE_CHECKING, Any
 
-from diffstack_mmv.metrics.calibration import coverages
+from diffstack_mmv.metrics.calibration import (
+    Calibration,
+    DensityLevels,
+    coverages,
+    judged_levels,
+)
 from diffstack_mmv.metrics.displacement import (
     average_displacement,
     best_average_displacement,
@@ -44,6 +49,8 @@ __all__ = [
     "OF_THE_PREDICTION",
     "OPEN_LOOP",
     "PREDICTED",
+    "Calibration",
+    "DensityLevels",
     "MeanByMode",
     "Score",
     "average_displacement",
@@ -55,6 +62,7 @@ __all__ = [
     "displacements",
     "final_displacement",
     "human_collided",
+    "judged_levels",
     "masked_mean",
     "mean_square_displacement",
     "missed",

@@ -47,8 +47,13 @@ OF_THE_PREDICTION = ("ade", "fde", "nll", "min_ade", "miss_rate")
 CALIBRATION = _by_name(
     Score("coverage_50", "in the 50 % region", "1", False),
     Score("coverage_90", "in the 90 % region", "1", False),
+    Score("area_50", "area of the 50 % region", "m²", True),
+    Score("area_90", "area of the 90 % region", "m²", True),
 )
-"""Scores that only an evaluation computes, since they take samples; best are 0.5 and 0.9."""
+"""Scores that only an evaluation computes, since they take samples.
+
+The best coverages are 0.5 and 0.9; of two calibrated forecasts the sharper has smaller areas.
+"""
 
 SAMPLED = _by_name(
     Score("best_of_20_ade", "ADE best of 20", "m", True),

@@ -22,6 +22,7 @@ from diffstack_mmv.plotting.identification import (
 )
 from diffstack_mmv.plotting.open_loop import draw_runs, draw_wheels
 from diffstack_mmv.plotting.plans import PlannedScene, draw_scene, draw_scenes
+from diffstack_mmv.plotting.reliability import draw_reliability
 
 __all__ = [
     "Episode",
@@ -34,6 +35,7 @@ __all__ = [
     "draw_estimates",
     "draw_lean",
     "draw_profiles",
+    "draw_reliability",
     "draw_runs",
     "draw_scene",
     "draw_scenes",

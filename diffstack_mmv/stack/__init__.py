@@ -15,6 +15,7 @@ from diffstack_mmv.stack.evaluation import (
     PredictedPath,
     Windows,
     evaluate_windows,
+    fitted_calibration,
     outputs_of,
     representative,
 )
@@ -40,6 +41,7 @@ __all__ = [
     "Windows",
     "assemble",
     "evaluate_windows",
+    "fitted_calibration",
     "load_predictor",
     "load_stack",
     "load_weights",
