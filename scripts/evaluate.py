@@ -47,6 +47,8 @@ def main(config: DictConfig) -> None:
     data = instantiate(config.data.module)
     data.prepare_splits([config.split])
     windows = data.dataset(config.split)
+    if len(windows) >= config.compile_from:
+        stack.compile_kernels()
     baselines = dict(instantiate(config.baselines.simple))
     if stack.goal.uses_future:
         baselines |= instantiate(config.baselines.to_goal)

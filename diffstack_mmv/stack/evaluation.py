@@ -177,10 +177,11 @@ def _evaluate_batch(
     # whoever rides to a goal that was not recorded cannot be judged
     goal = where_known(output.goal, stack.goal_known(batch).unsqueeze(-1))
     for name, baseline in baselines.items():
-        paths[name] = baseline(batch, goal)
-        own = displacements(paths[name], future)
-        if isinstance(baseline, PredictedPath):
-            own["nll"] = negative_log_likelihood(baseline.forecast(batch), future)
+        forecast = baseline.forecast(batch) if isinstance(baseline, PredictedPath) else None
+        path = baseline(batch, goal) if forecast is None else forecast.most_likely()
+        paths[name], own = path, displacements(path, future)
+        if forecast is not None:
+            own["nll"] = negative_log_likelihood(forecast, future)
         scores |= {f"{name}/{score}": value for score, value in own.items()}
     return scores, {name: displacement(path, future) for name, path in paths.items()}
 
