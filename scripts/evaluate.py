@@ -47,12 +47,10 @@ def main(config: DictConfig) -> None:
     data = instantiate(config.data.module)
     data.prepare_splits([config.split])
     windows = data.dataset(config.split)
-    if len(windows) >= config.compile_from:
-        stack.compile_kernels()
     baselines = dict(instantiate(config.baselines.simple))
     if stack.goal.uses_future:
         baselines |= instantiate(config.baselines.to_goal)
-    evaluation = evaluate_windows(stack, baselines, windows, config.batch_size)
+    evaluation = evaluate_windows(stack, baselines, windows, config.batch_size, config.compile_from)
     vehicle = trained["vehicle"]["name"]
     for mode in other_modes(config.modes, trained["vehicle"]):
         logger.warning("Agents of mode '%s' are driven with the vehicle '%s'.", mode, vehicle)

@@ -1,5 +1,6 @@
 """Per-sample evaluation of a trained stack beside its trivial baselines."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -100,9 +101,21 @@ class Evaluation(NamedTuple):
 
 
 def evaluate_windows(
-    stack: DiffStackMMV, baselines: Mapping[str, Baseline], windows: Windows, batch_size: int = 64
+    stack: DiffStackMMV,
+    baselines: Mapping[str, Baseline],
+    windows: Windows,
+    batch_size: int = 64,
+    compile_from: float = math.inf,
 ) -> Evaluation:
     """Score every sample, in order and without randomness, on the device of the stack.
+
+    Args:
+        stack: What is evaluated.
+        baselines: Trivial answers beside it, by name.
+        windows: The samples.
+        batch_size: Samples at once.
+        compile_from: Number of samples from which on the kernels are compiled, which may change
+            scores in their last digit.
 
     Raises:
         ValueError: There is no sample.
@@ -110,6 +123,8 @@ def evaluate_windows(
     remedy = "Choose other modes or another split."
     require(len(windows) > 0, "windows", "hold at least one sample", 0, "", remedy)
     stack.eval()
+    if len(windows) >= compile_from:
+        stack.compile_kernels()
     scores: list[pd.DataFrame] = []
     errors: list[dict[str, np.ndarray]] = []
     for start in tqdm(range(0, len(windows), batch_size), desc="evaluate", unit="batch"):
