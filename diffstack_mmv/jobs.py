@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+from dmmv_conventions.checks import require_at_least
+
 
 class Job(NamedTuple):
     """Command lines to run one after the other, until their last one has written its result."""
@@ -76,6 +78,9 @@ class LocalProcesses:
     """
 
     processes: int = 2
+
+    def __post_init__(self) -> None:
+        require_at_least("processes", self.processes, 1)
 
     @property
     def width(self) -> int:

@@ -5,6 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from diffstack_mmv.types import Mode
+from tests.data.conftest import ToyAgent, write_cache
+
 QUICK = [
     "cases=2", "chunk=1", "controller.planner.starts=0", "animate=0", "~controller@baselines.mppi",
     "~controller@baselines.blind", "~controller@baselines.orca",
@@ -61,3 +64,32 @@ def test_a_controller_may_believe_in_dynamics_of_another_name(navigate, tmp_path
 )
 def test_bad_input_ends_with_one_clear_message(refusal, arguments, message, tmp_path):
     assert message in refusal("navigate", *QUICK, "cases=20", *arguments, f"out={tmp_path}")
+
+
+@pytest.mark.parametrize("crowd", ["replay", "replay_reactive"])
+def test_a_recorded_crowd_is_crossed(navigate, tmp_path, crowd):
+    walkers = [
+        ToyAgent(
+            f"walker_{k}", Mode.PEDESTRIAN, 150, first=5 * k, start=(-6.0, 0.4 * k, 0.0), speed=1.1
+        )
+        for k in range(8)
+    ]
+    write_cache(tmp_path / "cache", {"one": ("test", walkers)}, "dut")
+    data = [
+        f"crowd={crowd}",
+        "data=dut",
+        f"data.cache={tmp_path / 'cache'}",
+        "limit_s=10",
+        "scenario.blind_mps=0.0",
+    ]
+    rest = ["cases=1", "search=null", "animate=0", "controller=stop_and_go"]
+    gone = ["~controller@baselines.stop_and_go", *QUICK[4:], "~controller@baselines.straight"]
+    assert navigate(*data, *rest, *gone) == 0
+    found = json.loads((tmp_path / "closed_loop.json").read_text())
+    assert (found["n"], found["scenario"], found["crowd"], found["data"]) == (
+        1,
+        "replay",
+        crowd,
+        "dut",
+    )
+    assert found["cases"][0]["acceleration_mps2"] > 0
