@@ -63,12 +63,16 @@ def trials_of(module):
     return {(trial.kind, trial.name): trial for trial in module.trials()}
 
 
+# a stack, its evaluation and a drive are made for these; the parts have quick tests of their own
+SLOW = (replays, results_files)
+CASES = [
+    pytest.param(*each, id=", ".join(each[1:3]), marks=[pytest.mark.slow] * (each[0] in SLOW))
+    for each in MENDED
+]
+
+
 @pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize(
-    ("module", "kind", "name", "result"),
-    MENDED,
-    ids=[f"{kind}, {name}" for _, kind, name, _ in MENDED],
-)
+@pytest.mark.parametrize(("module", "kind", "name", "result"), CASES)
 def test_a_fault_is_told_and_costs_itself_alone(module, kind, name, result):
     told = attempt(trials_of(module)[kind, name])
     assert told.result is result, told.message
