@@ -25,9 +25,9 @@ def test_a_table_that_was_cut_off_is_told(share, tmp_path):
 
 @pytest.mark.parametrize("error", [KeyError("modes"), TypeError("no mapping"), ValueError("'x'")])
 def test_what_a_reader_stumbles_over_is_the_fault_of_the_file(error, tmp_path):
-    with pytest.raises(ValueError, match=f"`{tmp_path}` must be.*{type(error).__name__}"):
-        with told_as_broken(tmp_path):
-            raise error
+    told = f"`{tmp_path}` must be.*{type(error).__name__}"
+    with pytest.raises(ValueError, match=told), told_as_broken(tmp_path):
+        raise error
 
 
 def test_a_message_that_names_the_fault_stays(tmp_path):
