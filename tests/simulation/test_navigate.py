@@ -84,7 +84,9 @@ def test_bad_input_ends_with_one_clear_message(navigate, capfd, arguments, messa
     assert "Traceback" not in told
 
 
-@pytest.mark.parametrize("crowd", ["replay", "replay_reactive"])
+@pytest.mark.parametrize(
+    "crowd", ["replay", pytest.param("replay_reactive", marks=pytest.mark.slow)]
+)
 def test_a_recorded_crowd_is_crossed(navigate, tmp_path, crowd):
     walkers = [
         ToyAgent(
