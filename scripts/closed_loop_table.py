@@ -64,7 +64,8 @@ def _rows(config: DictConfig, out: Path) -> Iterator[DrivenRow]:
 
     table = config.table
     for place in config.places or table.places:
-        for name in config.rows or table.rows:
+        driven = (table.get("drives") or {}).get(place, list(table.rows))
+        for name in (each for each in config.rows or table.rows if each in driven):
             against = tuple((table.get("against") or {}).get(name) or ())
             yield DrivenRow(str(place), str(name), out / "drives" / place / name, against)
 

@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from diffstack_mmv.cli import command
 from diffstack_mmv.config_checks import require_checkpoint
+from dmmv_conventions.checks import require_at_least
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.versions import code_version, file_hash
 
@@ -21,6 +22,7 @@ def check(config: DictConfig) -> None:
     """Refuse a world or a controller that cannot be built, before any baseline has driven."""
     if "predictor" in config.people:
         require_checkpoint("people_checkpoint", config.people.predictor.path)
+    require_at_least("animate", config.animate, 0)
     for part in (config.scenario, config.world, config.controller):
         instantiate(part)
 
@@ -38,6 +40,7 @@ def main(config: DictConfig) -> None:
         Chunk,
         Method,
         models_told,
+        read_thoughts,
         require_stoppable,
         run,
         summarise,
@@ -74,10 +77,13 @@ def main(config: DictConfig) -> None:
     pairs = [{"other": name} | paired_cases(result["cases"], rows[name]["cases"]) for name in rows]
     pairs += [paired_with_run(result, Path(folder)) for folder in config.against]
     write_closed_loop(out, result, rows, CLOSED_LOOP, published, pairs)
-    records, goal_m = [chunk.record for chunk in chunks], (0.0, scenario.circle_radius_m)
+    records = [chunk.record for chunk in chunks]
     radius_m = scenario.pedestrian_radius_m
     outline = world.robot.footprint.outline()
-    save_stories(out, numbers, records, radius_m, config.animate, goal_m, config.show, outline)
+    told = partial(read_thoughts, out / "episodes" / config.names.controller)
+    save_stories(
+        out, numbers, records, radius_m, config.animate, scenario.goal_m, config.show, outline, told
+    )
     _tell_times(result)
     if config.get("wandb"):
         instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))

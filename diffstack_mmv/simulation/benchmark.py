@@ -170,6 +170,26 @@ def read_chunk(file: Path) -> Chunk:
     return chunk
 
 
+def read_thoughts(folder: Path, case: int) -> dict[str, Float[np.ndarray, "S ..."]]:
+    """What the controller expected and planned at each decision of a case, from stored episodes.
+
+    Args:
+        folder: Where `run` keeps the chunks.
+        case: Number of the case.
+
+    Returns:
+        Arrays by name, see `Thought`; empty where the controller tells nothing.
+    """
+    for file in sorted(folder.glob("*.npz")):
+        with np.load(file) as stored:
+            cases = stored["cases"].tolist()
+            if case in cases:
+                row = cases.index(case)
+                names = [name for name in stored.files if name.startswith("thoughts.")]
+                return {name.removeprefix("thoughts."): stored[name][row] for name in names}
+    return {}
+
+
 def _read(file: Path, origin: Origin | None) -> Chunk | None:
     """A chunk of this origin, if the file holds one; of any if none is given.
 

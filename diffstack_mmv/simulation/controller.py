@@ -16,6 +16,7 @@ from diffstack_mmv.planning import (
     predicted_obstacles,
     straight_reference,
 )
+from diffstack_mmv.simulation.delay import DelayCompensation
 from diffstack_mmv.simulation.forecasters import PedestrianForecast, PedestrianForecaster
 from diffstack_mmv.simulation.policies import Decided, unbatched
 from diffstack_mmv.simulation.thoughts import Thought, joined, thought
@@ -66,6 +67,7 @@ class DiffMPCController:
         cruise_mps: Cruising speed.
         dt_s: Time between two decisions.
         actuate: Turns controls of the planner's model into those of the robot.
+        delay: Makes up for the time until a command acts, where it is known.
 
     Raises:
         ValueError: A number is not positive.
@@ -78,6 +80,7 @@ class DiffMPCController:
         cruise_mps: float = 3.0,
         dt_s: float = 0.25,
         actuate: Callable[[Tensor], Tensor] | None = None,
+        delay: DelayCompensation | None = None,
     ) -> None:
         require_positive("cruise_mps", cruise_mps)
         require_positive("dt_s", dt_s)
@@ -86,6 +89,7 @@ class DiffMPCController:
         self.cruise_mps = cruise_mps
         self.dt_s = dt_s
         self.actuate = actuate
+        self.delay = delay
 
     def init(self, observation: Observation) -> DiffMPCState:
         """State at the start of episodes: no plan, no waiting."""
@@ -115,8 +119,13 @@ class DiffMPCController:
         """
         if observation.time.dim() == 0:
             return unbatched(self, state, observation)
-        planner = self.planner
-        told = self.forecaster(state.forecaster, observation, planner.dynamics.dt_s, planner.steps)
+        planner, delay = self.planner, self.delay
+        steps = planner.steps + (delay is not None)
+        told = self.forecaster(state.forecaster, observation, planner.dynamics.dt_s, steps)
+        if delay is not None:
+            later = delay.forecast(told.forecast, observation.pedestrian_position)
+            told = told._replace(forecast=later)
+            observation = delay.observation(observation, state.plan[:, 0])
         problem = self.problem(observation, told.forecast)
         state = self._progressed(state, problem)._replace(forecaster=told.state)
         rows = observation.running.nonzero().squeeze(-1)
@@ -133,8 +142,10 @@ class DiffMPCController:
     def problem(self, observation: Observation, forecast: Forecast) -> PlanningProblem:
         """The planning problem of an observation, `*b`, in the precision of the dynamics."""
         like = self.planner.dynamics.bounds.lower
-        seen = map_tensors(lambda entry: entry.to(like), observation)
-        told = map_tensors(lambda entry: entry.to(like), forecast)
+        seen, told = map_tensors(
+            lambda entry: entry.to(like) if entry.is_floating_point() else entry,
+            (observation, forecast),
+        )
         people = _present_first(seen, told)
         return build_problem(
             Ego(seen.motion, Heading.BODY, seen.discs),
@@ -194,7 +205,7 @@ def _present_first(seen: Observation, forecast: Forecast) -> _People:
 
     The cost of planning grows with the number of obstacles, whether they are there or not.
     """
-    present = seen.pedestrian_present.bool()
+    present = seen.seen.bool()
     everybody = _People(seen.pedestrian_position, seen.pedestrian_radius, present, forecast)
     most = int(present.sum(-1).max()) if present.numel() else 0
     if most == present.shape[-1]:
@@ -212,7 +223,7 @@ def _present_first(seen: Observation, forecast: Forecast) -> _People:
 def _of_present(seen: Observation, told: PedestrianForecast) -> Forecast:
     """A forecast to look at: NaN for those who are absent."""
     mean = told.forecast.mean
-    present = seen.pedestrian_present[..., None, None, None]
+    present = seen.seen[..., None, None, None]
     return told.forecast._replace(mean=torch.where(present, mean, torch.full_like(mean, torch.nan)))
 
 

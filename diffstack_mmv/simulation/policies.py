@@ -120,7 +120,7 @@ class OrcaPolicy(_Memoryless):
             position=observation.pedestrian_position,
             velocity=observation.pedestrian_velocity,
             radius=radius,
-            valid=observation.pedestrian_present,
+            valid=observation.seen,
         )
         return Decided(self.orca.velocity(robot, pedestrians, self.dt_s), None)
 
@@ -221,5 +221,5 @@ class StopAndGoDriver(BlindDriver):
         ahead = (local[..., 0] > -observation.radius[..., None, None]) & (
             local[..., 0] < (stopping + self.ahead_m)[..., None, None] + apart[..., None]
         )
-        within = beside & ahead & observation.pedestrian_present[..., None]
+        within = beside & ahead & observation.seen[..., None]
         return within.flatten(-2).any(-1)

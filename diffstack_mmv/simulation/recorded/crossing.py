@@ -21,23 +21,23 @@ FLOW_M = 4.0
 """The direction of the flow is that of the people within this distance."""
 
 
-class Rows(NamedTuple):
+class RecordedRows(NamedTuple):
     """Recorded people at the times of the world's steps; who is never there is left out."""
 
     position: NDArray[np.float64]  # people, rows, 2: m
     inside: NDArray[np.bool_]  # people, rows: recorded in this row and in the one before
     radius: NDArray[np.float64]  # people: m, of the disc with the area of the box
 
-    def of(self, chosen: NDArray[np.int64] | NDArray[np.bool_]) -> "Rows":
+    def of(self, chosen: NDArray[np.int64] | NDArray[np.bool_]) -> "RecordedRows":
         """Some of the people."""
-        return Rows(self.position[chosen], self.inside[chosen], self.radius[chosen])
+        return RecordedRows(self.position[chosen], self.inside[chosen], self.radius[chosen])
 
-    def later(self, first: int, end: int | None = None) -> "Rows":
+    def later(self, first: int, end: int | None = None) -> "RecordedRows":
         """Some of the rows."""
-        return Rows(self.position[:, first:end], self.inside[:, first:end], self.radius)
+        return RecordedRows(self.position[:, first:end], self.inside[:, first:end], self.radius)
 
 
-def rows_of(scene: RecordedScene, time_s: NDArray[np.float64]) -> Rows:
+def rows_of(scene: RecordedScene, time_s: NDArray[np.float64]) -> RecordedRows:
     """People at equally distant times; between two recorded rows they move straight.
 
     Args:
@@ -64,7 +64,7 @@ def rows_of(scene: RecordedScene, time_s: NDArray[np.float64]) -> Rows:
     smooth = step < FASTEST_MPS * (time_s[1] - time_s[0])
     inside = np.zeros_like(known)
     inside[:, 1:] = known[:, 1:] & known[:, :-1] & smooth
-    return Rows(between, inside, radius[there])
+    return RecordedRows(between, inside, radius[there])
 
 
 class Crossing(NamedTuple):
@@ -105,7 +105,7 @@ class CrossingRules:
         require_at_least("turn_deg", self.turn_deg, 0)
 
     def draw(
-        self, rows: Rows, start: int, step_s: float, random: np.random.RandomState
+        self, rows: RecordedRows, start: int, step_s: float, random: np.random.RandomState
     ) -> Crossing | None:
         """A crossing through a place with many people, the more of them the likelier.
 

@@ -16,7 +16,12 @@ from diffstack_mmv.checks import (
 )
 from diffstack_mmv.simulation.pedestrians import RecordedCrowdState
 from diffstack_mmv.simulation.pedestrians.recorded import far_away
-from diffstack_mmv.simulation.recorded.crossing import CrossingRules, Rows, as_tensor, rows_of
+from diffstack_mmv.simulation.recorded.crossing import (
+    CrossingRules,
+    RecordedRows,
+    as_tensor,
+    rows_of,
+)
 from diffstack_mmv.simulation.recorded.passage import PassageRules, Walks
 from diffstack_mmv.simulation.scenario import Scene, generator
 from diffstack_mmv.types import RecordedScene
@@ -199,19 +204,19 @@ class RecordedCrossing:
         seen = seen.of(self._nearest(seen.later(lead)))
         return self._scene(seen, lead) if self._is_case(seen.later(lead)) else None
 
-    def _nearest(self, rows: Rows) -> np.ndarray:
+    def _nearest(self, rows: RecordedRows) -> np.ndarray:
         """Numbers of the agents that come nearest to the way, no more than there is room for."""
         apart = self._from_way(rows).min(-1, initial=np.inf)
         order = np.argsort(apart, kind="stable")[: self.humans]
         return order[apart[order] < self.reach_m]
 
-    def _from_way(self, rows: Rows) -> np.ndarray:
+    def _from_way(self, rows: RecordedRows) -> np.ndarray:
         """Distance from the way in m, (people, rows); infinite for those who are absent."""
         beyond = np.maximum(np.abs(rows.position[..., 1]) - self.way_m / 2, 0)
         apart = np.hypot(rows.position[..., 0], beyond)
         return np.where(rows.inside, apart, np.inf)
 
-    def _is_case(self, rows: Rows) -> bool:
+    def _is_case(self, rows: RecordedRows) -> bool:
         """Whether people are in the way, nobody appears, and there is a way past them."""
         soon = round(self.least_s / self.dt_s)
         way = self._from_way(rows.later(0, soon))
@@ -227,7 +232,7 @@ class RecordedCrossing:
             return False
         return self.passage.passable(walks, self.way_m, self.robot_radius_m)
 
-    def _is_clear(self, rows: Rows) -> bool:
+    def _is_clear(self, rows: RecordedRows) -> bool:
         """Whether a straight drive that looks at nobody hits nobody."""
         if not self.blind_mps:
             return False
@@ -244,13 +249,13 @@ class RecordedCrossing:
         hit = (apart < self.robot_radius_m) & rows.inside
         return not bool(hit[:, under_way].any())
 
-    def _somebody_appears(self, rows: Rows) -> bool:
+    def _somebody_appears(self, rows: RecordedRows) -> bool:
         """Whether a track begins beside the way after the start: nobody could know of it."""
         covered = rows.later(0, round(self.cover_s / self.dt_s))
         entered = ~covered.inside[:, :-1] & covered.inside[:, 1:]
         return bool((self._from_way(covered)[:, 1:][entered] < self.entry_m).any())
 
-    def _scene(self, rows: Rows, lead: int) -> Scene:
+    def _scene(self, rows: RecordedRows, lead: int) -> Scene:
         """The scene of a case, padded to the largest number of agents."""
         count, steps = rows.inside.shape
         track = np.zeros((self.humans, steps, 2))

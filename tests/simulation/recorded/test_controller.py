@@ -29,11 +29,11 @@ def test_who_is_absent_is_no_obstacle_and_takes_no_room(crossing, controller_for
     dynamics = controller.planner.dynamics
     told = ConstantVelocityForecaster()(None, seen, dynamics.dt_s, controller.planner.steps)
     obstacles = controller.problem(seen, told.forecast).obstacles
-    count = seen.pedestrian_present.sum(-1)
+    count = seen.seen.sum(-1)
     assert obstacles.radius.shape[-1] == int(count.max()) < 20
     assert torch.equal(obstacles.valid.sum(-1), count)
     for case in range(3):
-        there = seen.pedestrian_position[case][seen.pedestrian_present[case]].float()
+        there = seen.pedestrian_position[case][seen.seen[case]].float()
         now = obstacles.position[case][obstacles.valid[case]][:, 0, 0]
         assert torch.equal(now, there)
 
