@@ -14,6 +14,16 @@ import torch
 from omegaconf import OmegaConf
 
 from data_converters import generate_sample
+from diffstack_mmv.data import ConvertedCache, RecordedScenes
+from diffstack_mmv.simulation import (
+    ExactVerdict,
+    HolonomicRobot,
+    OrcaPolicy,
+    RecordedCrossing,
+    ReplayCrowd,
+    World,
+    drive,
+)
 from diffstack_mmv.types import Mode
 from tests.data.conftest import ToyAgent, write_cache
 
@@ -296,3 +306,12 @@ def test_two_processes_score_as_one(workplace, tmp_path):
         for name in ("one", "two")
     )
     pd.testing.assert_series_equal(one, two, check_names=False, rtol=1e-5)
+
+
+def test_a_vehicle_can_cross_the_people_of_the_sample(workplace):
+    scenes = RecordedScenes(ConvertedCache("imptc", str(workplace / "cache")))
+    world = World(HolonomicRobot(), ReplayCrowd(), ExactVerdict(4.0))
+    scenario = RecordedCrossing(scenes, history_s=2.0, limit_s=4.0, met=1, blind_mps=0.0)
+    record = drive(world, scenario.cases("train", [0, 1]), OrcaPolicy()).record
+    assert record.pedestrians.isfinite().any()
+    assert (record.steps > 0).all()
