@@ -71,7 +71,7 @@ def main(config: DictConfig) -> None:
     search = instantiate(config.search)
     if search is not None:
         result["feasible"] = search.judge(world, scenario, config.phase, result["cases"])
-    published = [dict(each) for each in config.published or ()]
+    published = [dict(each) for each in config.get("published") or ()]
     pairs = [{"other": name} | paired_cases(result["cases"], rows[name]["cases"]) for name in rows]
     pairs += [paired_with_run(result, Path(folder)) for folder in config.against]
     write_closed_loop(out, result, rows, CLOSED_LOOP, published, pairs)

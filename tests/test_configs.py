@@ -26,6 +26,7 @@ GROUPS = (
     "goal",
     "loss",
     "optim",
+    "physics",
     "stack",
     "callbacks",
     "logger",

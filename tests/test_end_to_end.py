@@ -208,8 +208,8 @@ def test_resumed_run_ends_where_an_uninterrupted_one_does(workplace, tmp_path):
 @pytest.mark.parametrize(
     ("script", "arguments", "told"),
     [
-        ("train", ["dynamics=car"], "Could not find 'dynamics/car'"),
-        ("train", ["vehicle=hovercraft"], "Could not find 'vehicle/hovercraft'"),
+        ("train", ["dynamics=car"], "`dynamics` must be one of gm3,"),
+        ("train", ["vehicle=hovercraft"], "but got 'hovercraft' on the command line"),
         ("train", ["vehicle=none.yaml"], "`vehicle` must be a name or an existing YAML file"),
         ("train", ["modes=[bike]"], "`mode` must be one of"),
         ("train", ["modes=[bicycle,scooter]"], "`modes` must be the mode of the vehicle 'bicycle'"),

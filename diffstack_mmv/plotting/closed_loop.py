@@ -183,7 +183,7 @@ def save_stories(
 def _axes(figure: Figure, episode: Episode, given: Axes | None = None) -> Axes:
     """Axes in m that hold everybody."""
     axes = figure.add_subplot() if given is None else given
-    reach = float(episode.record.pedestrians.abs().max())
+    reach = float(episode.record.pedestrians.nan_to_num().abs().max())
     reach = max(reach, float(episode.record.motion.position.abs().max()))
     if episode.goal_m is not None:
         reach = max(reach, *(abs(entry) for entry in episode.goal_m))
@@ -200,7 +200,8 @@ def _axes(figure: Figure, episode: Episode, given: Axes | None = None) -> Axes:
 
 def _outlines(axes: Axes, episode: Episode, step: int, alpha: float) -> None:
     """Outlines of everybody at one step."""
-    for place in episode.record.pedestrians[step].tolist():
+    people = episode.record.pedestrians[step]
+    for place in people[people.isfinite().all(-1)].tolist():
         axes.add_patch(Circle(tuple(place), episode.pedestrian_radius_m, color=PEOPLE, alpha=alpha))
     motion = episode.record.motion
     centre = motion.position[step].tolist()

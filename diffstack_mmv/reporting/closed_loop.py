@@ -54,7 +54,7 @@ def _row(numbers: Mapping[str, Any], scores: Scores) -> dict[str, str]:
     """The cells of one method."""
     cells = {"n": str(numbers["n"])}
     for name, score in scores.items():
-        cells[score.heading] = cell(numbers[name])
+        cells[score.heading] = cell(numbers.get(name))
         if name in WITH_INTERVAL:
             low, high = numbers[f"{name}_ci95"]
             cells[score.heading] += f" [{low:.3f}, {high:.3f}]"

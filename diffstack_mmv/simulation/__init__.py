@@ -27,13 +27,26 @@ from diffstack_mmv.simulation.hedging import MixedForecaster, StandingForecaster
 from diffstack_mmv.simulation.learned_forecaster import LearnedForecaster
 from diffstack_mmv.simulation.learning import imitation_loss, way_left_loss
 from diffstack_mmv.simulation.mppi import MPPIController
-from diffstack_mmv.simulation.pedestrians import OrcaCrowd, SocialForceCrowd, SuddenCrowd
+from diffstack_mmv.simulation.pedestrians import (
+    OrcaCrowd,
+    ReactiveReplayCrowd,
+    ReplayCrowd,
+    SocialForceCrowd,
+    SuddenCrowd,
+)
 from diffstack_mmv.simulation.policies import (
     BlindDriver,
     Controller,
     Decided,
     OrcaPolicy,
+    StopAndGoDriver,
     StraightLine,
+)
+from diffstack_mmv.simulation.recorded import (
+    CrossingRules,
+    KnownFuture,
+    PassageRules,
+    RecordedCrossing,
 )
 from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
 from diffstack_mmv.simulation.scenario import CircleCrossing, Scenario, Scene, SquareCrossing
@@ -67,6 +80,7 @@ __all__ = [
     "Controller",
     "Decided",
     "DelayCompensation",
+    "CrossingRules",
     "CrowdNavEnv",
     "CrowdNavVerdict",
     "DiffMPCController",
@@ -75,6 +89,7 @@ __all__ = [
     "Footprint",
     "ZeroOrderHold",
     "HolonomicRobot",
+    "KnownFuture",
     "MPPIController",
     "MixedForecaster",
     "Method",
@@ -83,11 +98,15 @@ __all__ = [
     "OrcaForecaster",
     "OrcaPolicy",
     "PedestrianForecast",
+    "PassageRules",
     "PedestrianForecaster",
     "PedestrianTracker",
     "LearnedForecaster",
     "LimitedSensing",
+    "ReactiveReplayCrowd",
+    "RecordedCrossing",
     "RectangleFootprint",
+    "ReplayCrowd",
     "Rewards",
     "Robot",
     "Scenario",
@@ -96,6 +115,7 @@ __all__ = [
     "SocialForceCrowd",
     "SquareCrossing",
     "StandingForecaster",
+    "StopAndGoDriver",
     "StraightLine",
     "TrackingController",
     "SuddenCrowd",

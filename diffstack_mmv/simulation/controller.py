@@ -142,15 +142,14 @@ class DiffMPCController:
     def problem(self, observation: Observation, forecast: Forecast) -> PlanningProblem:
         """The planning problem of an observation, `*b`, in the precision of the dynamics."""
         like = self.planner.dynamics.bounds.lower
-        seen, told = map_tensors(
-            lambda entry: entry.to(like) if entry.is_floating_point() else entry,
-            (observation, forecast),
-        )
+        seen = map_tensors(lambda entry: entry.to(like), observation)
+        told = map_tensors(lambda entry: entry.to(like), forecast)
+        everybody = seen.pedestrian_present.bool()
         return build_problem(
             Ego(seen.motion, Heading.BODY, seen.discs),
             seen.goal,
             straight_reference(seen.motion, seen.goal, self.planner.steps, self.cruise_mps),
-            predicted_obstacles(seen.pedestrian_position, seen.pedestrian_radius, seen.seen, told),
+            predicted_obstacles(seen.pedestrian_position, seen.pedestrian_radius, everybody, told),
         )
 
     def diagnosis(self, state: DiffMPCState) -> dict[str, Float[Tensor, " E"]]:

@@ -21,7 +21,7 @@ from diffstack_mmv.checks import (
     require_one_of,
     require_positive,
 )
-from diffstack_mmv.simulation.pedestrians import CrowdState, Itinerary
+from diffstack_mmv.simulation.pedestrians import AnyCrowdState, CrowdState, Itinerary
 
 MAX_TRIES = 200_000
 """Draws for one pedestrian before a scenario counts as too crowded."""
@@ -33,7 +33,7 @@ class Scene(NamedTuple):
     robot_position: Float[Tensor, "*b 2"]
     robot_heading: Float[Tensor, "*b"]
     robot_goal: Float[Tensor, "*b 2"]
-    pedestrians: CrowdState
+    pedestrians: AnyCrowdState
     itinerary: Itinerary | None = None  # where the pedestrians go after their goals; else they stay
 
 

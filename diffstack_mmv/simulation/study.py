@@ -20,6 +20,7 @@ def study_world(
     limit_s: float,
     dt_s: float,
     robot_visible: bool = False,
+    reveals_s: float = 0.0,
     sensing: Sensing | None = None,
 ) -> World:
     """The world of a study.
@@ -30,7 +31,8 @@ def study_world(
         verdict: "crowdnav" or "exact".
         limit_s: Time limit of an episode.
         dt_s: Length of a step.
-        robot_visible: Whether the pedestrians avoid the robot.
+        robot_visible: Whether the pedestrians avoid the robot; those of a reactive crowd always do.
+        reveals_s: How far the observations tell what is recorded to come.
         sensing: What the robot sees of the pedestrians; everything if None.
 
     Returns:
@@ -39,7 +41,8 @@ def study_world(
     Raises:
         ValueError: There is no such verdict, or the times do not fit.
     """
-    return World(robot, crowd, verdict_named(verdict, limit_s), dt_s, robot_visible, sensing)
+    visible = robot_visible or bool(getattr(crowd, "reactive", False))
+    return World(robot, crowd, verdict_named(verdict, limit_s), dt_s, visible, reveals_s, sensing)
 
 
 def world_for(world: World, controller: type) -> World:

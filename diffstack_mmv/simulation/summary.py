@@ -24,6 +24,8 @@ def episode_scores() -> dict[str, Callable[[], Any]]:
         "discomfort_frequency": navigation.DiscomfortFrequency,
         "avg_min_dist_m": navigation.DiscomfortDistance,
         "mean_episode_min_dist_m": navigation.EpisodeMinimumDistance,
+        "acceleration_mps2": navigation.RideAcceleration,
+        "jerk_mps3": navigation.RideJerk,
     }
 
 
@@ -91,11 +93,11 @@ def _number(value: torch.Tensor) -> float | None:
 
 def _cases(chunk: Chunk) -> list[dict[str, Any]]:
     """One entry per case."""
-    from diffstack_mmv.metrics.navigation import uneasy_steps
+    from diffstack_mmv.metrics.navigation import ride, uneasy_steps
 
     record = chunk.record
     nearest = record.clearance.amin(dim=1)
-    uneasy = uneasy_steps(record).sum(dim=1)
+    uneasy, comfort = uneasy_steps(record).sum(dim=1), ride(record)
     return [
         {
             "case": number,
@@ -104,6 +106,8 @@ def _cases(chunk: Chunk) -> list[dict[str, Any]]:
             "steps": int(record.steps[row]),
             "min_clearance_m": _number(nearest[row]),
             "discomfort_steps": int(uneasy[row]),
+            "acceleration_mps2": _number(comfort.acceleration[row]),
+            "jerk_mps3": _number(comfort.jerk[row]),
         }
         | {name: _number(torch.tensor(value[row])) for name, value in chunk.diagnosis.items()}
         for row, number in enumerate(chunk.cases)

@@ -14,7 +14,13 @@ from diffstack_mmv.checks import (
     require_multiple,
     require_positive,
 )
-from diffstack_mmv.simulation.pedestrians import Crowd, CrowdState, Itinerary
+from diffstack_mmv.simulation.pedestrians import (
+    AnyCrowdState,
+    Crowd,
+    Itinerary,
+    PedestrianHistory,
+    RecordedCrowdState,
+)
 from diffstack_mmv.simulation.robot import Robot, seen_by_pedestrians
 from diffstack_mmv.simulation.scenario import Scene
 from diffstack_mmv.simulation.verdict import Encounter, Judgement, RobotPath, Verdict
@@ -25,7 +31,7 @@ class WorldState(NamedTuple):
     """Everything that a step depends on, for a batch `*b` of episodes."""
 
     robot: Any  # the record of the world's robot
-    pedestrians: CrowdState
+    pedestrians: AnyCrowdState
     goal: Float[Tensor, "*b 2"]  # m, of the robot
     time: Float[Tensor, "*b"]  # s
     itinerary: Itinerary | None = None  # where the pedestrians go after their goals
@@ -42,9 +48,12 @@ class Observation(NamedTuple):
     pedestrian_position: Float[Tensor, "*b h 2"]  # m
     pedestrian_velocity: Float[Tensor, "*b h 2"]  # m/s
     pedestrian_radius: Float[Tensor, "*b h"]  # m
+    pedestrian_present: Bool[Tensor, "*b h"]  # who is absent is far away and no obstacle
     time: Float[Tensor, "*b"]  # s
     running: Bool[Tensor, "*b"]  # false where the episode has ended and its action counts no more
-    seen: Bool[Tensor, "*b h"]  # who is not is laid far away, without a velocity
+    history: PedestrianHistory | None = None  # of the pedestrians, before the start
+    # *b h T 2 in m, one row per step of the world, where the world reveals it; never a controller's
+    future: Float[Tensor, "*b h T 2"] | None = None
 
 
 @runtime_checkable
@@ -73,10 +82,12 @@ class World:
         verdict: How a step is judged; it also knows the limit.
         dt_s: Length of a step, in which an action and the velocities of the pedestrians hold.
         robot_visible: Whether the pedestrians avoid the robot; in the benchmark they do not.
+        reveals_s: How far the observations tell what is recorded to come, for controllers that show
+            what a perfect forecast would be worth; 0 for all others.
         sensing: What the robot sees of the pedestrians; everything if None.
 
     Raises:
-        ValueError: The step is not positive or the limit is no multiple of it.
+        ValueError: The step is not positive, or limit or `reveals_s` are no multiple of it.
     """
 
     robot: Robot
@@ -84,12 +95,15 @@ class World:
     verdict: Verdict
     dt_s: float = 0.25
     robot_visible: bool = False
+    reveals_s: float = 0.0
     sensing: Sensing | None = None
 
     def __post_init__(self) -> None:
         """Check the times once, at the border."""
         require_positive("dt_s", self.dt_s)
         require_multiple("limit_s", self.verdict.limit_s, self.dt_s, "for the step `dt_s`")
+        if self.reveals_s:
+            require_multiple("reveals_s", self.reveals_s, self.dt_s, "for the step `dt_s`")
 
     @property
     def max_steps(self) -> int:
@@ -177,11 +191,27 @@ class World:
             pedestrian_position=state.pedestrians.position,
             pedestrian_velocity=state.pedestrians.velocity,
             pedestrian_radius=state.pedestrians.radius,
+            pedestrian_present=state.pedestrians.present,
             time=state.time,
             running=torch.ones_like(state.time, dtype=torch.bool),
-            seen=torch.ones_like(state.pedestrians.radius, dtype=torch.bool),
+            history=state.pedestrians.history(),
+            future=self._revealed(state.pedestrians),
         )
         return observation if self.sensing is None else self.sensing(observation)
+
+    def _revealed(self, pedestrians: AnyCrowdState) -> Float[Tensor, "*b h T 2"] | None:
+        """What is recorded to come, in m, where the world reveals it.
+
+        Raises:
+            ValueError: There is no recording.
+        """
+        if not self.reveals_s:
+            return None
+        if isinstance(pedestrians, RecordedCrowdState):
+            return pedestrians.future(round(self.reveals_s / self.dt_s))
+        remedy = "Choose crowd=replay."
+        told = type(pedestrians).__name__
+        raise ValueError(message("reveals_s", "be 0 without a recording", told, "", remedy))
 
     def clearance(self, state: WorldState) -> Float[Tensor, "*b"]:
         """Clearance in m between the robot and the nearest pedestrian at this instant."""

@@ -170,7 +170,7 @@ def _evaluate_batch(
     scores |= coverages(ego_forecast(output.forecast), batch.ego_future)
     scores |= {f"{COST}{term}": cost for term, cost in terms.items()}
     paths = {
-        "prediction": ego_forecast(output.forecast).most_likely(),
+        "prediction": ego_forecast(output.forecast).median(),
         "plan": output.plan.motion.position[..., 1:, :],
     }
     future = batch.ego_future

@@ -48,6 +48,7 @@ from diffstack_mmv.prediction import (
     neighbors_forecast,
     strongest,
 )
+from diffstack_mmv.stack.physics import PhysicsLearning
 from diffstack_mmv.stack.precision import MixedPrecision
 from diffstack_mmv.types import Forecast, Plan, PlanningProblem, StackBatch
 
@@ -92,6 +93,8 @@ class DiffStackMMV(pl.LightningModule):
         scheduler: Makes the learning-rate schedule from the optimizer, stepped once per epoch.
         obstacle_components: How many predicted components of each neighbor the plan sees.
         precision: Precision of the layers of the predictor; float32 if none is given.
+        physics: Which physical parameters are learned; all that the vehicle allows, at the rate of
+            the networks, if none is given.
     """
 
     def __init__(
@@ -104,6 +107,7 @@ class DiffStackMMV(pl.LightningModule):
         scheduler: Callable[..., Any] | None = None,
         obstacle_components: int = 5,
         precision: MixedPrecision | None = None,
+        physics: PhysicsLearning | None = None,
     ) -> None:
         super().__init__()
         require_at_least("obstacle_components", obstacle_components, 1)
@@ -111,6 +115,8 @@ class DiffStackMMV(pl.LightningModule):
             precision.apply(predictor)
         self.predictor = predictor
         self.planner = planner
+        self.physics = physics or PhysicsLearning(rate=1.0)
+        self.physics.freeze(planner.dynamics)
         self.goal = goal
         self.loss_weights = loss
         self.optimizer = optimizer
@@ -134,7 +140,8 @@ class DiffStackMMV(pl.LightningModule):
             strongest(neighbors_forecast(forecast), self.obstacle_components),
         )
         motion = present(batch.ego_past).motion
-        reference = predicted_reference(motion, ego.most_likely(), goal, batch.dt_s)
+        path = self.goal.expected_path(ego, goal)
+        reference = predicted_reference(motion, path, goal, batch.dt_s)
         problem = build_problem(tracked_ego(batch.ego_past, goal), goal, reference, obstacles)
         return StackOutput(forecast, goal, problem, self.planner(problem))
 
@@ -267,7 +274,7 @@ class DiffStackMMV(pl.LightningModule):
 
     def configure_optimizers(self) -> Any:
         """Optimizer over all learnable parameters, with its schedule where one is given."""
-        optimizer = self.optimizer(params=[p for p in self.parameters() if p.requires_grad])
+        optimizer = self.physics.optimizer(self.optimizer, self, self.planner.dynamics)
         if self.scheduler is None:
             return optimizer
         return {"optimizer": optimizer, "lr_scheduler": self.scheduler(optimizer=optimizer)}
@@ -276,7 +283,7 @@ class DiffStackMMV(pl.LightningModule):
 def _prediction_scores(batch: StackBatch, forecast: Forecast) -> dict[str, Float[Tensor, " B"]]:
     """Scores that need no plan, by the names of `OF_THE_PREDICTION`."""
     future, ego = batch.ego_future, ego_forecast(forecast)
-    predicted = ego.most_likely()
+    predicted = ego.median()
     return {
         **displacements(predicted, future),
         "nll": negative_log_likelihood(ego, future),

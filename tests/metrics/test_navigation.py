@@ -18,7 +18,6 @@ from diffstack_mmv.metrics.navigation import (
     wilson_interval,
 )
 from diffstack_mmv.types import EpisodeRecord, Motion, Outcome
-from tests.metrics.samples import synced
 
 ENDINGS = torch.tensor([3, 2, 4, 3, 2, 3])
 METRICS = [
@@ -121,7 +120,13 @@ def test_states_of_two_processes_add_up(metric):
     for part, record in zip((one, two), records, strict=True):
         part.update(record)
         both.update(record)
-    assert float(synced(one, two).compute()) == pytest.approx(float(both.compute()))
+    one.merge_state(two)
+    assert float(one.compute()) == pytest.approx(float(both.compute()))
+
+
+def test_another_score_is_not_merged():
+    with pytest.raises(ValueError, match="`other` must be a SuccessRate, but got CollisionRate"):
+        SuccessRate().merge_state(CollisionRate())
 
 
 @pytest.mark.parametrize("metric", [NavigationTime, DiscomfortDistance])

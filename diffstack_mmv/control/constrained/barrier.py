@@ -143,9 +143,9 @@ def newton(
     around = point.lower / below + point.upper / above
     push = level / below - level / above
     parts = (stiff, constant, around, push, point.lower - point.upper, *residual)
-    flat = [part.reshape(mu.numel(), *part.shape[mu.dim() :]) for part in parts]
+    flat = [barrier.problem.flat(part) for part in parts]
     found, shifted = _solve(barrier, local, flat, shift.flatten().clone(), which.flatten())
-    dx, du, moved, dy = (part.view(*mu.shape, *part.shape[1:]) for part in found)
+    dx, du, moved, dy = (barrier.problem.unflat(part) for part in found)
     dz = stiff * moved + constant
     dsigma = torch.where(barrier.yields, pushed + point.sigma * give * dz, 0.0)
     ds = torch.where(rows.applies, dsigma - residual.unequal - moved, 0.0)

@@ -59,6 +59,15 @@ class Problem(NamedTuple):
         """States of given controls."""
         return rollout(self.dynamics, self.state, controls)
 
+    def flat(self, part: Tensor) -> Tensor:
+        """(*b, ...) to (N, ...), the problems in one dimension."""
+        leading = self.state.shape[:-1]
+        return part.reshape((leading.numel(), *part.shape[len(leading) :]))
+
+    def unflat(self, part: Tensor) -> Tensor:
+        """(N, ...) back to (*b, ...)."""
+        return part.reshape((*self.state.shape[:-1], *part.shape[1:]))
+
 
 def rollout(
     dynamics: Dynamics, state: Float[Tensor, "*b n"], controls: Float[Tensor, "*b T m"]
@@ -119,8 +128,7 @@ def expand_problem(
         magnitude,
         torch.finfo(x.dtype).eps * change,
     )
-    count, leading = problem.state[..., 0].numel(), problem.state.dim() - 1
-    return Local(*(part.reshape(count, *part.shape[leading:]) for part in parts))
+    return Local(*(problem.flat(part) for part in parts))
 
 
 def lagrangian(problem: Problem, multipliers: Float[Tensor, "*b T1 K"]) -> Cost:

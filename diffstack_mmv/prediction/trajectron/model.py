@@ -101,12 +101,15 @@ class Trajectron(Predictor):
         jacobians: Linearises the dynamics: `linearise` at every point, or `linearise_shared` at the
             mean of the components, for models whose step is expensive; `linearise_compiled` is
             `linearise` with compiled steps.
+        forecast_neighbors: Whether neighbors are forecast and learned from; else they are only
+            seen, and their forecast is that they stay. For benchmarks in which every agent is an
+            ego once.
 
     Raises:
         ValueError: The models differ in their time step, or a number is out of its range.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - each is a part that can be exchanged
         self,
         ego_dynamics: DynamicsModel,
         vehicle_dynamics: DynamicsModel,
@@ -118,8 +121,10 @@ class Trajectron(Predictor):
         annealing: Annealing | None = None,
         hold_steps: int = 1,
         jacobians: Jacobians = linearise,
+        forecast_neighbors: bool = True,
     ) -> None:
         super().__init__(horizon_steps, ego_dynamics.dt_s)
+        self.forecast_neighbors = forecast_neighbors
         models = {EGO: ego_dynamics, VEHICLE: vehicle_dynamics, PEDESTRIAN: pedestrian_dynamics}
         steps = [model.dt_s for model in models.values()]
         require(len(set(steps)) == 1, "dt_s", "be the same for all three dynamics", steps)
@@ -202,14 +207,19 @@ class Trajectron(Predictor):
         if self.training:
             self.training_step += 1
         judged = agents.valid[..., -1] & futures.valid.any(-1)
-        per_agent = torch.where(judged, loss.reshape(judged.shape), 0.0)
+        judged = judged if self.forecast_neighbors else judged[..., :1]
+        loss = loss.reshape(agents.mode.shape)[..., : judged.shape[-1]]
+        per_agent = torch.where(judged, loss, 0.0)
         per_sample = per_agent.sum(-1) / judged.sum(-1).clamp_min(1)
         return parts, per_sample.reshape(batch.ego_past.mode.shape)
 
     def _decoded(self, rows: AgentBatch, agents: int) -> Iterator[Decoded]:
         """Encode all rows at once, and decode them by their roles."""
-        context = self.scene_encoder(rows, agents)
+        wanted = None if self.forecast_neighbors else rows.role == EGO
+        context = self.scene_encoder(rows, agents, wanted)
         for role, branch in enumerate(self.branches):
+            if role != EGO and not self.forecast_neighbors:
+                continue
             place = (rows.role == role).nonzero().squeeze(-1)
             if len(place) > 0 and isinstance(branch, Branch):
                 chosen, seen = select_agents(rows, place), context[place]

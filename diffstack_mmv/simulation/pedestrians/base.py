@@ -9,6 +9,15 @@ from torch import Tensor
 from diffstack_mmv.geometry import length
 
 
+class PedestrianHistory(NamedTuple):
+    """What was seen of the pedestrians before an episode, oldest row first; zero where absent."""
+
+    position: Float[Tensor, "*b h P 2"]  # m
+    velocity: Float[Tensor, "*b h P 2"]  # m/s, over the step that leads to the row
+    present: Bool[Tensor, "*b h P"]
+    step_s: float  # from one row to the next, and from the last one to the start
+
+
 class CrowdState(NamedTuple):
     """The pedestrians of a batch of episodes; lengths in m, speeds in m/s, world frame."""
 
@@ -17,6 +26,15 @@ class CrowdState(NamedTuple):
     goal: Float[Tensor, "*b h 2"]
     radius: Float[Tensor, "*b h"]
     preferred_speed: Float[Tensor, "*b h"]
+
+    @property
+    def present(self) -> Bool[Tensor, "*b h"]:
+        """Who is there now: everybody."""
+        return torch.ones_like(self.radius, dtype=torch.bool)
+
+    def history(self) -> PedestrianHistory | None:
+        """Nothing was seen of them before the start."""
+        return None
 
     def moved(self, velocity: Float[Tensor, "*b h 2"], dt_s: float) -> "CrowdState":
         """The crowd after `dt_s` at constant `velocity` (m/s)."""
