@@ -8,12 +8,13 @@ DATA   ?= imptc
 SIZE   ?= small
 RAW    ?= data
 JOBS   ?= 2
+TABLE  ?= crowdnav
 PEERS  ?= $(BIN)/python
 RESULTS := benchmarks/results
 REFERENCE := ../shared/reference/mpc
 LIMIT  := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help install quickstart test test-all results bench throughput profile lint lock faults audit sbom clean
+.PHONY: help install quickstart test test-all results tables bench throughput profile lint lock faults audit sbom clean
 help:            ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
 
@@ -43,6 +44,9 @@ test-all: install ## All tests that need no GPU, slow ones included
 
 results: install ## The paper's table; SIZE=small|full, RAW=folder with one folder of recordings per data set
 	$(BIN)/python scripts/results.py size=$(SIZE) raw=$(RAW)
+
+tables: install  ## A table of closed-loop drives; TABLE=crowdnav|paper|ablation|published|dense|robustness, JOBS=processes
+	$(BIN)/python scripts/closed_loop_table.py table=$(TABLE) launcher.processes=$(JOBS)
 
 bench: install ## Benchmarks, results in benchmarks/results; PEERS=<python> of an environment with more peers
 	$(LIMIT) $(BIN)/python -m pytest benchmarks --jaxtyping-packages= --benchmark-only -m "slow or not slow"

@@ -1,5 +1,6 @@
 """Crowds whose members walk on to new goals, as those of DS-RNN and CrowdNav++ do."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +48,7 @@ class WanderingCrossing(Scenario):
     radius_max_m: float = 0.3
     speed_min_mps: float = 1.0
     speed_max_mps: float = 1.0
-    shift_m: tuple[float, float] = (-0.5, 0.5)
+    shift_m: Sequence[float] = (-0.5, 0.5)
     change_every_s: float = 5.0
     change_chance: float = 0.0
 
