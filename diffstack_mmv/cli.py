@@ -29,7 +29,7 @@ with needs("stack", "the command lines"):
     from omegaconf import DictConfig, OmegaConf, read_write
     from omegaconf.errors import OmegaConfBaseException
 
-    from diffstack_mmv.config_checks import require_complete, require_same_type
+    from diffstack_mmv.config_checks import require_complete, require_same_type, require_seed
     from diffstack_mmv.override_errors import one_line, told
 
 # `${smaller:a,b}`, and the smallest turning radius of a vehicle
@@ -90,6 +90,7 @@ def command(
                 require_complete(OmegaConf.to_container(config))
                 _require_types(config, config_name)
                 OmegaConf.resolve(config)
+                require_seed(config.get("seed"))
                 require_buildable(OmegaConf.to_container(config), OF_A_RUN, "in the configuration")
                 check(config)
                 with alone_in(Path(config.out), "out"), _single_job():

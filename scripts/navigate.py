@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from diffstack_mmv.cli import command
 from diffstack_mmv.config_checks import require_checkpoint
+from dmmv_conventions.checks import require_at_least
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.versions import code_version, file_hash
 
@@ -21,6 +22,7 @@ def check(config: DictConfig) -> None:
     """Refuse a world or a controller that cannot be built, before any baseline has driven."""
     if "predictor" in config.people:
         require_checkpoint("people_checkpoint", config.people.predictor.path)
+    require_at_least("animate", config.animate, 0)
     for part in (config.scenario, config.world, config.controller):
         instantiate(part)
 

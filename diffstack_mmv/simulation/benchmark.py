@@ -17,7 +17,7 @@ from torch import Tensor
 from diffstack_mmv.checks import message, require, require_at_least
 from diffstack_mmv.simulation.episode import drive
 from diffstack_mmv.simulation.policies import Controller, Decided
-from diffstack_mmv.simulation.scenario import Scenario
+from diffstack_mmv.simulation.scenario import CaseSource
 from diffstack_mmv.simulation.world import Observation, World
 from diffstack_mmv.types import EpisodeRecord, Motion
 
@@ -88,7 +88,7 @@ class Timed:
 
 def run(
     method: Method,
-    scenario: Scenario,
+    scenario: CaseSource,
     cases: Sequence[int],
     folder: Path,
     chunk_size: int = 50,
@@ -126,7 +126,7 @@ def run(
         yield chunk
 
 
-def _driven(method: Method, scenario: Scenario, numbers: list[int], phase: str) -> Chunk:
+def _driven(method: Method, scenario: CaseSource, numbers: list[int], phase: str) -> Chunk:
     """DrivenEpisodes the cases as one batch."""
     controller = method.controller()
     timed = Timed(controller)

@@ -169,9 +169,7 @@ class OrcaForecaster:
         forecast = _with_spread(mean, believed.velocity, self.spread, dt_s)
         if state is None:
             forecast = self._walking_off(forecast, believed, dt_s)
-        return PedestrianForecast(
-            forecast, BelievedCrowd(believed, observation.pedestrian_present, dt_s)
-        )
+        return PedestrianForecast(forecast, BelievedCrowd(believed, observation.seen, dt_s))
 
     def _walking_off(self, forecast: Forecast, crowd: CrowdState, dt_s: float) -> Forecast:
         """A forecast of one component, and one more per direction for who is at rest."""
@@ -195,7 +193,7 @@ class OrcaForecaster:
         preferred = self._preferred(state, observation)
         goal = self._at_first_sight(position, velocity, preferred)
         if state is not None:
-            known = (observation.pedestrian_present & state.seen)[..., None]
+            known = (observation.seen & state.seen)[..., None]
             goal = torch.where(known, self._inferred(state, velocity), goal)
         return CrowdState(position, velocity, goal, observation.pedestrian_radius, preferred)
 

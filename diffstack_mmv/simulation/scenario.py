@@ -7,7 +7,7 @@ global generator of numpy is left alone.
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -35,6 +35,15 @@ class Scene(NamedTuple):
     robot_goal: Float[Tensor, "*b 2"]
     pedestrians: AnyCrowdState
     itinerary: Itinerary | None = None  # where the pedestrians go after their goals; else they stay
+
+
+@runtime_checkable
+class CaseSource(Protocol):
+    """Gives the start of a case by its number."""
+
+    def cases(self, phase: str, numbers: Iterable[int]) -> Scene:
+        """Several cases of a phase as one batch."""
+        ...
 
 
 class Phase(NamedTuple):

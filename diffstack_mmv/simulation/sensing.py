@@ -49,7 +49,7 @@ class LimitedSensing:
         """The observation without those who are not seen, m and m/s."""
         if self == LimitedSensing(seed=self.seed):
             return observation
-        seen = observation.pedestrian_present & self._in_sight(observation)
+        seen = observation.seen & self._in_sight(observation)
         position = self._disturbed(observation, "position")
         velocity = self._disturbed(observation, "velocity")
         count = seen.shape[-1]
@@ -58,7 +58,7 @@ class LimitedSensing:
         return observation._replace(
             pedestrian_position=torch.where(seen[..., None], position, hidden),
             pedestrian_velocity=torch.where(seen[..., None], velocity, torch.zeros_like(velocity)),
-            pedestrian_present=seen,
+            seen=seen,
         )
 
     def _in_sight(self, observation: Observation) -> Bool[Tensor, "*b h"]:

@@ -42,7 +42,8 @@ def study_world(
         ValueError: There is no such verdict, or the times do not fit.
     """
     visible = robot_visible or bool(getattr(crowd, "reactive", False))
-    return World(robot, crowd, verdict_named(verdict, limit_s), dt_s, visible, reveals_s, sensing)
+    judge = verdict_named(verdict, limit_s)
+    return World(robot, crowd, judge, dt_s, visible, reveals_s, sensing)
 
 
 def world_for(world: World, controller: type) -> World:

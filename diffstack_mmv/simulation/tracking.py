@@ -54,7 +54,7 @@ class PedestrianTracker:
             [observation.pedestrian_position, observation.pedestrian_velocity], -2
         )
         noise = torch.diag(measured.new_tensor([self.position_m**2, self.velocity_mps**2]))
-        seen, time = observation.pedestrian_present, float(observation.time.max())
+        seen, time = observation.seen, float(observation.time.max())
         fresh = noise.expand(*seen.shape, 2, 2)
         if before is None:
             never = torch.full_like(measured[..., 0, 0], torch.inf)
@@ -82,7 +82,7 @@ class PedestrianTracker:
         return observation._replace(
             pedestrian_position=torch.where(keep, position, observation.pedestrian_position),
             pedestrian_velocity=torch.where(keep, velocity, observation.pedestrian_velocity),
-            pedestrian_present=known,
+            seen=known,
         )
 
     @staticmethod

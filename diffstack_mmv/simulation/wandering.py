@@ -109,10 +109,11 @@ class WanderingCrossing(Scenario):
     ) -> np.ndarray:
         """A start in m that keeps clear of everybody placed so far and of the robot's goal."""
         others, reach = np.array(places), np.array(sizes) + radius + self.clearance_m
+        least, most = self.shift_m
         for _ in range(MAX_TRIES):
             angle = random.uniform(0, 2 * np.pi)
             start = self.circle_radius_m * np.array((np.cos(angle), np.sin(angle)))
-            start = start + random.uniform(*self.shift_m, 2)
+            start = start + random.uniform(least, most, 2)
             if (np.linalg.norm(others - start, axis=1) >= reach).all():
                 return start
         raise ValueError(self._too_crowded(len(places) - 1))

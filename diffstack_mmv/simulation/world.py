@@ -17,6 +17,7 @@ from diffstack_mmv.checks import (
 from diffstack_mmv.simulation.pedestrians import (
     AnyCrowdState,
     Crowd,
+    CrowdState,
     Itinerary,
     PedestrianHistory,
     RecordedCrowdState,
@@ -48,7 +49,7 @@ class Observation(NamedTuple):
     pedestrian_position: Float[Tensor, "*b h 2"]  # m
     pedestrian_velocity: Float[Tensor, "*b h 2"]  # m/s
     pedestrian_radius: Float[Tensor, "*b h"]  # m
-    pedestrian_present: Bool[Tensor, "*b h"]  # who is absent is far away and no obstacle
+    seen: Bool[Tensor, "*b h"]  # who is not is laid far away and no obstacle
     time: Float[Tensor, "*b"]  # s
     running: Bool[Tensor, "*b"]  # false where the episode has ended and its action counts no more
     history: PedestrianHistory | None = None  # of the pedestrians, before the start
@@ -170,7 +171,7 @@ class World:
         )
         time, itinerary = state.time + self.dt_s, state.itinerary
         pedestrians = state.pedestrians.moved(velocity, self.dt_s)
-        if itinerary is not None:
+        if itinerary is not None and isinstance(pedestrians, CrowdState):
             pedestrians, itinerary = itinerary.followed(pedestrians, state.time, time)
         after = WorldState(travel.state, pedestrians, state.goal, time, itinerary)
         return WorldStep(after, judgement)
@@ -191,7 +192,7 @@ class World:
             pedestrian_position=state.pedestrians.position,
             pedestrian_velocity=state.pedestrians.velocity,
             pedestrian_radius=state.pedestrians.radius,
-            pedestrian_present=state.pedestrians.present,
+            seen=state.pedestrians.present,
             time=state.time,
             running=torch.ones_like(state.time, dtype=torch.bool),
             history=state.pedestrians.history(),

@@ -24,7 +24,7 @@ def test_who_is_far_or_out_of_view_is_hidden_far_away(seen, range_m, view_deg):
     near = offset.norm(dim=-1) - 0.6 <= (range_m or 1e9)
     off_course = (torch.atan2(offset[..., 1], offset[..., 0]) - torch.pi / 2).cos().acos()
     expected = near & (off_course <= torch.deg2rad(torch.tensor(view_deg / 2)))
-    assert torch.equal(told.pedestrian_present, expected)
+    assert torch.equal(told.seen, expected)
     assert 0 < int(expected.sum()) < expected.numel()
     assert torch.equal(told.pedestrian_position[expected], seen.pedestrian_position[expected])
     assert (told.pedestrian_position[~expected].norm(dim=-1) > 500).all()
@@ -49,19 +49,19 @@ def test_a_tracker_halves_the_error_and_remembers_who_was_lost(seen):
         told = seen._replace(
             pedestrian_position=truth + noise[0],
             pedestrian_velocity=velocity + noise[1],
-            pedestrian_present=seen.pedestrian_present & (step < 8),
+            seen=seen.seen & (step < 8),
             time=seen.time + 0.25 * step,
         )
         tracked = tracker(tracked, told)
         believed = tracker.believed(tracked, told)
         errors.append(float((believed.pedestrian_position - truth).norm(dim=-1).mean()))
-        assert bool(believed.pedestrian_present.all())
+        assert bool(believed.seen.all())
     assert errors[7] < 0.7 * errors[0]
     assert errors[11] < 0.6
 
 
 def test_who_was_never_seen_stays_unseen(seen):
     tracker = PedestrianTracker(memory_s=0.5)
-    hidden = seen._replace(pedestrian_present=torch.zeros_like(seen.pedestrian_present))
+    hidden = seen._replace(seen=torch.zeros_like(seen.seen))
     tracked = tracker(tracker(None, hidden), hidden._replace(time=hidden.time + 0.25))
-    assert not tracker.believed(tracked, hidden).pedestrian_present.any()
+    assert not tracker.believed(tracked, hidden).seen.any()

@@ -51,5 +51,5 @@ def test_the_robot_of_a_limited_sensor_still_meets_everybody(crossing, world_wit
     world = world_with()
     state = world.start(crossing.cases("val", (0,)))
     told = LimitedSensing(range_m=2.0)(world.observe(state))
-    assert told.pedestrian_present.shape == (1, 8)
-    assert not bool(told.pedestrian_present.all())
+    assert told.seen.shape == (1, 8)
+    assert not bool(told.seen.all())

@@ -53,7 +53,7 @@ class Adjoint(NamedTuple):
     bounds: Float[Tensor, "N T m"]
 
 
-class _Implicit(torch.autograd.Function):
+class _ImplicitRows(torch.autograd.Function):
     """(x, u, ν) as a function of the residual of the optimality conditions."""
 
     @staticmethod
@@ -144,7 +144,7 @@ def attach(problem: Problem, point: KktPoint) -> AttachedRows | None:
     residual = [problem.flat(part) for part in (of_x, of_u, following, rows, bounds)]
     if not any(part.requires_grad for part in (*residual, each)):
         return None
-    x, u, rows = (problem.unflat(part) for part in _Implicit.apply(*residual, point))
+    x, u, rows = (problem.unflat(part) for part in _ImplicitRows.apply(*residual, point))
     multipliers = torch.where(terms.activity.held, rows, terms.multipliers)
     return AttachedRows(attached(state, x, u, each, valid), multipliers)
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from diffstack_mmv.reporting.files import told_as_broken
 from diffstack_mmv.reporting.html.blocks import PICTURES, Gallery, Section
 from diffstack_mmv.reporting.html.closed_loop import read_closed_loop
 from diffstack_mmv.reporting.html.evaluation import read_evaluation
@@ -52,7 +53,8 @@ def read_page(
         lambda: read_training(folder),
         lambda: _pictures(folder),
     )
-    sections = [section for read in readers for section in read()]
+    with told_as_broken(folder):
+        sections = [section for read in readers for section in read()]
     if not sections:
         raise ValueError(
             f"`runs` must name folders with results, but got none in {folder}. "

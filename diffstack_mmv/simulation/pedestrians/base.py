@@ -1,6 +1,6 @@
 """What every pedestrian model gets and gives: the interface behind which models are exchanged."""
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -87,7 +87,10 @@ class Crowd(Protocol):
     """A pedestrian model: all pedestrians of all episodes choose their next velocity at once."""
 
     def __call__(
-        self, crowd: CrowdState, dt_s: float, robot: VisibleRobot | None = None
+        self,
+        crowd: Any,  # `CrowdState`, or the state of a recorded crowd: what its scenario starts with
+        dt_s: float,
+        robot: VisibleRobot | None = None,
     ) -> Float[Tensor, "*b h 2"]:
         """Velocities in m/s that hold for the next `dt_s`, from the present state of everybody."""
         ...
