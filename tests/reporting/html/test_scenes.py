@@ -15,9 +15,10 @@ def scene(steps, controls):
         "goal": [5.0, 1.0],
         "bodies": [{"name": "robot", "role": "plan", "path": path, "shape": {"radius": 0.3}}],
         "lines": [{"role": "plan", "points": path}],
-        "frames": [
-            {"ellipses": [[1.0, 2.0, 0.1, 0.0, 0.1, 1.0]], "lines": [{"role": "intent", "points": path}]}
-        ] * steps,
+        "frames": [{
+            "ellipses": [[1.0, 2.0, 0.1, 0.0, 0.1, 1.0]],
+            "lines": [{"role": "intent", "points": path}],
+        }] * steps,
         "series": [{"name": name, "values": [0.0] * steps} for name in controls],
     }  # fmt: skip
 
