@@ -8,13 +8,14 @@ DATA   ?= imptc
 SIZE   ?= small
 RAW    ?= data
 JOBS   ?= 2
+TABLE  ?= crowdnav
 PEERS  ?= $(BIN)/python
 RESULTS := benchmarks/results
 REFERENCE := ../shared/reference/mpc
 DOCS   := .venv-docs
 LIMIT  := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help install quickstart test test-all results docs bench throughput profile lint lock faults audit sbom clean
+.PHONY: help install quickstart test test-all results tables docs bench throughput profile lint lock faults audit sbom clean
 help:            ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
 
@@ -45,6 +46,9 @@ test-all: install ## All tests that need no GPU, slow ones included
 
 results: install ## The paper's table; SIZE=small|full, RAW=folder with one folder of recordings per data set
 	$(BIN)/python scripts/results.py size=$(SIZE) raw=$(RAW)
+
+tables: install  ## A table of closed-loop drives; TABLE=crowdnav|paper|ablation|published|dense|robustness, JOBS=processes
+	$(BIN)/python scripts/closed_loop_table.py table=$(TABLE) launcher.processes=$(JOBS)
 
 $(DOCS)/.installed: requirements-docs.lock
 	test -x $(DOCS)/bin/python || $(PYTHON) -m venv $(DOCS)
