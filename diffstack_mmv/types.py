@@ -59,6 +59,13 @@ class Tracks(NamedTuple):
     valid: Bool[Tensor, "*b T"]
 
 
+class RecordedScene(NamedTuple):
+    """Everybody in a recording, in its world; rows in which somebody is absent are not valid."""
+
+    tracks: Tracks  # n T
+    dt_s: float
+
+
 class StackBatch(NamedTuple):
     """Samples in the frame of the ego at the last row of its past (position 0, heading 0)."""
 
@@ -68,6 +75,10 @@ class StackBatch(NamedTuple):
     neighbors_future: Tracks  # B N T
     goal: Float[Tensor, "B 2"]  # m, the position of the human at the horizon
     dt_s: float
+
+
+NEAR_MEDIAN_M = 0.02
+"""Distance in m below which a component counts as if it were that far from the median."""
 
 
 class Forecast(NamedTuple):
@@ -93,6 +104,22 @@ class Forecast(NamedTuple):
         """Mean trajectory in m of the component with the largest weight."""
         best = self.log_weight.argmax(-1)[..., None, None, None]
         return self.mean.take_along_dim(best, -3).squeeze(-3)
+
+    def median(self, iterations: int = 10) -> Float[Tensor, "*b T 2"]:
+        """Path in m with the least expected mean distance to the paths of the components.
+
+        The geometric median of the components' means by Weiszfeld's iteration: the answer of one
+        path to the question that the ADE asks. Its gradient is that of the last iteration and
+        reaches weights and means of all components.
+        """
+        weight = self.log_weight.exp()
+        path = (weight[..., None, None] * self.mean).sum(-3)
+        for _ in range(iterations):
+            distance = (self.mean - path.unsqueeze(-3)).norm(dim=-1).mean(-1).detach()
+            share = weight / distance.clamp_min(NEAR_MEDIAN_M)
+            share = share / share.sum(-1, keepdim=True)
+            path = (share[..., None, None] * self.mean).sum(-3)
+        return path
 
 
 class Obstacles(NamedTuple):
@@ -209,7 +236,7 @@ class EpisodeRecord(NamedTuple):
     """Closed-loop episodes; an episode that ended early repeats its last row up to the end."""
 
     motion: Motion  # E T+1, of the robot
-    pedestrians: Float[Tensor, "E T1 H 2"]  # m
+    pedestrians: Float[Tensor, "E T1 H 2"]  # m, NaN for those who are absent
     controls: Float[Tensor, "E T m"]
     reward: Float[Tensor, "E T"]  # zero after the end
     # m, smallest one over the step that leads to this row; row 0: at the start

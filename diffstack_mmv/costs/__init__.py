@@ -11,7 +11,7 @@ from diffstack_mmv.costs.goal import (
     ReferenceSpeed,
     RunningGoal,
 )
-from diffstack_mmv.costs.limits import SpeedLimit
+from diffstack_mmv.costs.limits import Reversing, SpeedLimit
 from diffstack_mmv.costs.tracking import ReferenceTracking
 from diffstack_mmv.costs.weighted import WeightedCost
 
@@ -27,6 +27,7 @@ __all__ = [
     "OutlineClearance",
     "ReferenceSpeed",
     "ReferenceTracking",
+    "Reversing",
     "RunningGoal",
     "SpeedLimit",
     "TurningCircleBarrier",

@@ -17,3 +17,16 @@ class SpeedLimit(CostTerm):
         """Value in (m/s)² at each time."""
         excess = motion.velocity[..., 0] - problem.reference_speed.unsqueeze(-1)
         return torch.relu(excess).square()
+
+
+class Reversing(CostTerm):
+    """Squared speed backwards ReLU(-v)² in (m/s)²: nobody rides a two-wheeler in reverse.
+
+    Zero for models that cannot go backwards; the unicycle can.
+    """
+
+    def forward(
+        self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
+    ) -> Float[Tensor, "*b t"]:
+        """Value in (m/s)² at each time."""
+        return torch.relu(-motion.velocity[..., 0]).square()

@@ -5,6 +5,7 @@ from typing import Protocol, runtime_checkable
 from jaxtyping import Float
 from torch import Tensor
 
+from diffstack_mmv.planning.conditional import given_end
 from diffstack_mmv.types import Forecast, StackBatch
 
 
@@ -19,6 +20,12 @@ class GoalSource(Protocol):
         """Goal in m in the frame of the sample, given the forecast of the ego (B K T)."""
         ...
 
+    def expected_path(
+        self, forecast: Forecast, goal: Float[Tensor, "B 2"]
+    ) -> Float[Tensor, "B T 2"]:
+        """Where the ego is expected to go, in m, given its forecast (B K T) and the goal."""
+        ...
+
 
 class FutureGoal:
     """The human's position at the horizon: the route is known, as in DMMV."""
@@ -30,13 +37,25 @@ class FutureGoal:
         """Goal in m from the recording."""
         return batch.goal
 
+    def expected_path(
+        self, forecast: Forecast, goal: Float[Tensor, "B 2"]
+    ) -> Float[Tensor, "B T 2"]:
+        """Median of the forecast given that it ends at the goal, see `given_end`."""
+        return given_end(forecast, goal).median()
+
 
 class PredictedGoal:
-    """The end of the ego's most likely predicted trajectory: no future is used at all."""
+    """The end of the path that the forecast of the ego expects: no future is used at all."""
 
     name = "predicted"
     uses_future = False
 
     def __call__(self, batch: StackBatch, forecast: Forecast) -> Float[Tensor, "B 2"]:
         """Goal in m from the forecast."""
-        return forecast.most_likely()[..., -1, :]
+        return forecast.median()[..., -1, :]
+
+    def expected_path(
+        self, forecast: Forecast, goal: Float[Tensor, "B 2"]
+    ) -> Float[Tensor, "B T 2"]:
+        """Median of the forecast, which ends at the goal."""
+        return forecast.median()

@@ -3,7 +3,7 @@
 Dynamics x mode, mean and deviation over seeds, and a paired test.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,12 +12,13 @@ import numpy as np
 import pandas as pd
 from scipy.stats import wilcoxon
 
-from diffstack_mmv.reporting.files import read_json, read_parquet, write_text
+from diffstack_mmv.reporting.files import read_json, read_parquet, told_as_broken, write_text
+from diffstack_mmv.reporting.metrics_table import MISSING
 from diffstack_mmv.reporting.scores import ScoreHeading, Scores
 
 COMPARED = ("ade", "nll", "plan_ade", "planning_loss", "collision_rate", "solved")
 """Scores in the table, by name."""
-SETTING = ["data", "split", "goal", "mode"]
+SETTING = ["data", "split", "goal", "mode", "vehicle"]
 GROUP = [*SETTING, "dynamics"]
 # private characters that no escaping touches, in place of LaTeX commands
 OPEN, CLOSE = "\ue000", "\ue001"
@@ -34,27 +35,58 @@ def read_runs(folders: Sequence[Path]) -> pd.DataFrame:
     """Per-mode scores of all runs, one row per run and mode; baselines count as dynamics.
 
     Raises:
-        ValueError: No folder is given, or one has no readable `metrics.json`.
+        ValueError: No folder is given, one has no readable `metrics.json`, or two runs have the
+            same seed, data, goal, mode, vehicle and dynamics: their mean would be of two settings.
     """
     if not folders:
         raise ValueError(
             "`runs` must name at least one folder, but got []. Give those that evaluate.py wrote."
         )
     rows: list[dict[str, Any]] = []
+    baselines: list[dict[str, Any]] = []
     for folder in folders:
-        metrics = read_json(folder / "metrics.json")
-        common = {key: metrics[key] for key in ("data", "split", "goal", "seed")} | {
-            "run": str(folder)
-        }
-        for mode, scores in metrics["modes"].items():
-            own = {name: scores[name] for name in ("n", *COMPARED)}
-            rows.append(common | {"mode": mode, "dynamics": metrics["dynamics"]} | own)
-        for name, modes in metrics["baselines"].items():
-            for mode, scores in modes.items():
-                row = {"mode": mode, "dynamics": name, "n": metrics["modes"][mode]["n"]}
-                rows.append(common | row | {"ade": scores["ade"]})
+        with told_as_broken(folder / "metrics.json"):
+            rows += _own_rows(folder)
+            baselines += _baseline_rows(folder)
+    _require_different_seeds(rows)
     # runs of one seed share their baselines
-    return pd.DataFrame(rows).drop_duplicates([*GROUP, "seed", "ade"])
+    shared = [*GROUP, "seed", "ade"]
+    return pd.concat([pd.DataFrame(rows), pd.DataFrame(baselines).drop_duplicates(shared)])
+
+
+def _own_rows(folder: Path) -> list[dict[str, Any]]:
+    metrics = read_json(folder / "metrics.json")
+    common = {key: metrics[key] for key in ("data", "split", "goal", "seed")} | {"run": str(folder)}
+    rows: list[dict[str, Any]] = []
+    for mode, scores in metrics["modes"].items():
+        own = {name: scores[name] for name in ("n", MISSING, "vehicle", *COMPARED)}
+        rows.append(common | {"mode": mode, "dynamics": metrics["dynamics"]} | own)
+    return rows
+
+
+def _baseline_rows(folder: Path) -> list[dict[str, Any]]:
+    metrics = read_json(folder / "metrics.json")
+    common = {key: metrics[key] for key in ("data", "split", "goal", "seed")} | {"run": str(folder)}
+    return [
+        common
+        | {"mode": mode, "dynamics": name, "ade": scores["ade"]}
+        | {key: metrics["modes"][mode][key] for key in ("n", "vehicle")}
+        for name, modes in metrics["baselines"].items()
+        for mode, scores in modes.items()
+    ]
+
+
+def _require_different_seeds(rows: Sequence[Mapping[str, Any]]) -> None:
+    seen: dict[tuple[Any, ...], str] = {}
+    for row in rows:
+        key = tuple(row[name] for name in (*GROUP, "seed"))
+        other = seen.setdefault(key, row["run"])
+        if other != row["run"]:
+            raise ValueError(
+                "`runs` must differ in seed, data, goal, mode, vehicle or dynamics, but got "
+                f"seed {row['seed']} of {row['dynamics']} in {other} and {row['run']}. "
+                "Leave one of both out."
+            )
 
 
 def compare(runs: pd.DataFrame, scores: Scores) -> Comparison:
@@ -69,11 +101,14 @@ def compare(runs: pd.DataFrame, scores: Scores) -> Comparison:
     for key, group in runs.groupby(GROUP, sort=False):
         row = dict(zip(GROUP, key, strict=True))
         row |= {"seeds": group["seed"].nunique(), "n": int(group["n"].max())}
+        row |= {"not judged": int(group[MISSING].fillna(0).max())}
         values = {heading: _known(group[score.name]) for heading, score in compared.items()}
         texts.append(row | {heading: _spread(each) for heading, each in values.items()})
         means.append(row | {heading: _mean(each) for heading, each in values.items()})
-    order = {"by": ["data", "goal", "mode"], "kind": "stable"}
+    order = {"by": ["data", "goal", "mode", "vehicle"], "kind": "stable"}
     table = pd.DataFrame(texts).sort_values(**order)
+    if not table["not judged"].any():
+        table = table.drop(columns="not judged")
     numbers = pd.DataFrame(means).sort_values(**order).groupby(SETTING, sort=False)
     best = {
         heading: numbers[heading].transform(_is_best, lower_is_better=score.lower_is_better)
@@ -114,20 +149,23 @@ def paired_tests(folders: Sequence[Path], score: ScoreHeading) -> pd.DataFrame:
     samples = []
     for folder in folders:
         metrics = read_json(folder / "metrics.json")
-        frame = read_parquet(folder / "samples.parquet")[["scene", "mode", score.name]]
+        with told_as_broken(folder / "samples.parquet"):
+            frame = read_parquet(folder / "samples.parquet")[["scene", "mode", score.name]]
+        frame["vehicle"] = [metrics["modes"][mode]["vehicle"] for mode in frame["mode"]]
         samples.append(frame.assign(**{key: metrics[key] for key in ("data", "goal", "dynamics")}))
     scenes = (
         pd.concat(samples)
-        .groupby(["data", "goal", "mode", "scene", "dynamics"])[score.name]
+        .groupby(["data", "goal", "mode", "vehicle", "scene", "dynamics"])[score.name]
         .mean()
         .unstack()
     )
     rows = []
-    for (data, goal, mode), group in scenes.groupby(level=[0, 1, 2]):
+    for place, group in scenes.groupby(level=[0, 1, 2, 3]):
         for first, second in combinations(group.columns, 2):
             difference = group[first].to_numpy() - group[second].to_numpy()
             difference = difference[~np.isnan(difference)]
-            row = {"data": data, "goal": goal, "mode": mode, "pair": f"{first} - {second}"}
+            row = dict(zip(("data", "goal", "mode", "vehicle"), place, strict=True))
+            row["pair"] = f"{first} - {second}"
             mean = _mean(difference)
             row |= {"scenes": len(difference), f"mean Δ {score.heading}": mean}
             row["better"] = _better(first, second, mean, score.lower_is_better)

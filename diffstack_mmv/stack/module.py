@@ -45,9 +45,11 @@ from diffstack_mmv.prediction import (
     Predictor,
     all_agents,
     ego_forecast,
+    fitted_motion,
     neighbors_forecast,
     strongest,
 )
+from diffstack_mmv.stack.physics import PhysicsLearning
 from diffstack_mmv.stack.precision import MixedPrecision
 from diffstack_mmv.types import Forecast, Plan, PlanningProblem, StackBatch
 
@@ -92,6 +94,8 @@ class DiffStackMMV(pl.LightningModule):
         scheduler: Makes the learning-rate schedule from the optimizer, stepped once per epoch.
         obstacle_components: How many predicted components of each neighbor the plan sees.
         precision: Precision of the layers of the predictor; float32 if none is given.
+        physics: Which physical parameters are learned; all that the vehicle allows, at the rate of
+            the networks, if none is given.
     """
 
     def __init__(
@@ -104,6 +108,7 @@ class DiffStackMMV(pl.LightningModule):
         scheduler: Callable[..., Any] | None = None,
         obstacle_components: int = 5,
         precision: MixedPrecision | None = None,
+        physics: PhysicsLearning | None = None,
     ) -> None:
         super().__init__()
         require_at_least("obstacle_components", obstacle_components, 1)
@@ -111,6 +116,8 @@ class DiffStackMMV(pl.LightningModule):
             precision.apply(predictor)
         self.predictor = predictor
         self.planner = planner
+        self.physics = physics or PhysicsLearning(rate=1.0)
+        self.physics.freeze(planner.dynamics)
         self.goal = goal
         self.loss_weights = loss
         self.optimizer = optimizer
@@ -138,9 +145,11 @@ class DiffStackMMV(pl.LightningModule):
             neighbors.valid,
             strongest(neighbors_forecast(forecast), self.obstacle_components),
         )
-        motion = present(batch.ego_past).motion
-        reference = predicted_reference(motion, ego.most_likely(), goal, batch.dt_s)
-        problem = build_problem(tracked_ego(batch.ego_past, goal), goal, reference, obstacles)
+        motion = fitted_motion(batch.ego_past, batch.dt_s)
+        path = self.goal.expected_path(ego, goal)
+        reference = predicted_reference(motion, path, goal, batch.dt_s)
+        tracked = tracked_ego(motion, batch.ego_past.extent, goal)
+        problem = build_problem(tracked, goal, reference, obstacles)
         return StackOutput(forecast, goal, problem, self.planner(problem))
 
     def planning_losses(
@@ -222,7 +231,7 @@ class DiffStackMMV(pl.LightningModule):
         if self.loss_weights.plans:
             scores = self.sample_scores(batch)
         else:
-            scores = _prediction_scores(batch, self.predictor.predict(batch))
+            scores = prediction_scores(batch, self.predictor.predict(batch))
         self.scores.update(scores, batch.ego_past.mode)
 
     def on_validation_epoch_end(self) -> None:
@@ -244,7 +253,7 @@ class DiffStackMMV(pl.LightningModule):
 
         NaN where a sample cannot be judged.
         """
-        scores = _prediction_scores(batch, output.forecast) | self._plan_scores(batch, output)
+        scores = prediction_scores(batch, output.forecast) | self._plan_scores(batch, output)
         return {name: scores[name] for name in OPEN_LOOP}
 
     def _plan_scores(
@@ -272,16 +281,16 @@ class DiffStackMMV(pl.LightningModule):
 
     def configure_optimizers(self) -> Any:
         """Optimizer over all learnable parameters, with its schedule where one is given."""
-        optimizer = self.optimizer(params=[p for p in self.parameters() if p.requires_grad])
+        optimizer = self.physics.optimizer(self.optimizer, self, self.planner.dynamics)
         if self.scheduler is None:
             return optimizer
         return {"optimizer": optimizer, "lr_scheduler": self.scheduler(optimizer=optimizer)}
 
 
-def _prediction_scores(batch: StackBatch, forecast: Forecast) -> dict[str, Float[Tensor, " B"]]:
+def prediction_scores(batch: StackBatch, forecast: Forecast) -> dict[str, Float[Tensor, " B"]]:
     """Scores that need no plan, by the names of `OF_THE_PREDICTION`."""
     future, ego = batch.ego_future, ego_forecast(forecast)
-    predicted = ego.most_likely()
+    predicted = ego.median()
     return {
         **displacements(predicted, future),
         "nll": negative_log_likelihood(ego, future),

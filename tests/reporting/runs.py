@@ -22,11 +22,11 @@ def samples(seed=0, shift=0.0):
     return frame
 
 
-def write_run(folder, dynamics, seed, shift=0.0, frame=None):
+def write_run(folder, dynamics, seed, shift=0.0, frame=None, vehicle="bicycle"):
     """What `evaluate.py` writes for a run of that name."""
     frame = samples(seed, shift) if frame is None else frame
-    header = {"goal": "predicted", "dynamics": dynamics, "vehicle": "bicycle", "data": "thab_vru"}
-    told = summarise_modes(frame, SITUATIONS, "bicycle", OPEN_LOOP)
+    header = {"goal": "predicted", "dynamics": dynamics, "vehicle": vehicle, "data": "thab_vru"}
+    told = summarise_modes(frame, SITUATIONS, vehicle, OPEN_LOOP)
     write_metrics(folder, header | {"split": "test", "seed": seed} | told, OPEN_LOOP)
     write_parquet(folder / "samples.parquet", frame)
     return folder

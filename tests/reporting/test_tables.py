@@ -103,6 +103,25 @@ def test_comparison_averages_over_seeds(runs):
     assert "±" in row["plan ADE [m]"]
 
 
+def test_runs_of_different_vehicles_are_never_averaged(tmp_path):
+    names = ("bicycle", "scooter")
+    folders = [write_run(tmp_path / name, "kbm", 0, vehicle=name) for name in names]
+    table = compare(read_runs(folders), OPEN_LOOP).table
+    own = table[(table["dynamics"] == "kbm") & (table["mode"] == "bicycle")]
+    assert sorted(own["vehicle"]) == ["bicycle", "scooter"]
+    assert set(own["seeds"]) == {1}
+
+
+def test_two_runs_of_one_seed_are_refused_and_what_was_not_judged_is_told(tmp_path):
+    frame = samples()
+    frame.loc[:4, "plan_ade"] = np.nan
+    run = write_run(tmp_path / "a", "kbm", 0, frame=frame)
+    table = compare(read_runs([run]), OPEN_LOOP).table
+    assert table.set_index(["dynamics", "mode"])["not judged"]["kbm", "bicycle"] == 3
+    with pytest.raises(ValueError, match="`runs` must differ in seed"):
+        read_runs([run, write_run(tmp_path / "b", "kbm", 0)])
+
+
 @pytest.mark.parametrize(("score", "better"), [("plan_ade", "kbm"), ("solved", "unicycle")])
 def test_paired_tests_say_which_sign_is_better(runs, score, better):
     tests = paired_tests(runs, OPEN_LOOP[score])

@@ -67,10 +67,19 @@ class Interaction(nn.Module):
         self.score = nn.Linear(edge_size, 1, bias=False)
 
     def forward(
-        self, rows: AgentBatch, agents: int, node: Float[Tensor, "R h"]
+        self,
+        rows: AgentBatch,
+        agents: int,
+        node: Float[Tensor, "R h"],
+        wanted: Bool[Tensor, " R"] | None = None,
     ) -> Float[Tensor, "R e"]:
-        """Encode the influence of the others on each row, with so many `agents` per scene."""
+        """Encode the influence of the others on each row, with so many `agents` per scene.
+
+        Rows that are not wanted get zeros; None wants all.
+        """
         agent, other = neighboring_rows(rows.index, agents)
+        if wanted is not None:
+            agent, other = agent[wanted[agent]], other[wanted[agent]]
         offset = rows.origin[other] - rows.origin[agent]
         distance = safe_norm(offset)
         near = (distance < self.reach_m + 8 * self.fade_m).nonzero().squeeze(-1)

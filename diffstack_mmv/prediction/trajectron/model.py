@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from diffstack_mmv.checks import require
+from diffstack_mmv.checks import require, require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.prediction.base import Predictor, all_agents
 from diffstack_mmv.prediction.gaussian import log_density, log_of_sum, scale_from_covariance
@@ -94,7 +94,9 @@ class Trajectron(Predictor):
         pedestrian_dynamics: Dynamics of those who walk.
         horizon_steps: Number of predicted time steps T.
         components: Number K of components of the ego.
-        neighbor_components: Number of components of each neighbor.
+        neighbor_components: Number of components of each neighbor; with 0 neighbors are only seen:
+            their forecast is that they stay, and nothing is learned from them. For benchmarks in
+            which every agent is an ego once.
         sizes: Sizes of the networks.
         annealing: Weight of the divergence of the posterior from the prior.
         hold_steps: Steps over which a decoded control is held.
@@ -106,7 +108,7 @@ class Trajectron(Predictor):
         ValueError: The models differ in their time step, or a number is out of its range.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - each is a part that can be exchanged
         self,
         ego_dynamics: DynamicsModel,
         vehicle_dynamics: DynamicsModel,
@@ -120,6 +122,8 @@ class Trajectron(Predictor):
         jacobians: Jacobians = linearise,
     ) -> None:
         super().__init__(horizon_steps, ego_dynamics.dt_s)
+        require_at_least("neighbor_components", neighbor_components, 0)
+        self.forecast_neighbors = neighbor_components > 0
         models = {EGO: ego_dynamics, VEHICLE: vehicle_dynamics, PEDESTRIAN: pedestrian_dynamics}
         steps = [model.dt_s for model in models.values()]
         require(len(set(steps)) == 1, "dt_s", "be the same for all three dynamics", steps)
@@ -136,7 +140,7 @@ class Trajectron(Predictor):
         context = self.scene_encoder.outputs
         self.branches = nn.ModuleList()
         for role, model in models.items():
-            count = components if role == EGO else neighbor_components
+            count = components if role == EGO else max(neighbor_components, 1)
             decoder = ControlDecoder(
                 model,
                 context,
@@ -202,14 +206,19 @@ class Trajectron(Predictor):
         if self.training:
             self.training_step += 1
         judged = agents.valid[..., -1] & futures.valid.any(-1)
-        per_agent = torch.where(judged, loss.reshape(judged.shape), 0.0)
+        judged = judged if self.forecast_neighbors else judged[..., :1]
+        loss = loss.reshape(agents.mode.shape)[..., : judged.shape[-1]]
+        per_agent = torch.where(judged, loss, 0.0)
         per_sample = per_agent.sum(-1) / judged.sum(-1).clamp_min(1)
         return parts, per_sample.reshape(batch.ego_past.mode.shape)
 
     def _decoded(self, rows: AgentBatch, agents: int) -> Iterator[Decoded]:
         """Encode all rows at once, and decode them by their roles."""
-        context = self.scene_encoder(rows, agents)
+        wanted = None if self.forecast_neighbors else rows.role == EGO
+        context = self.scene_encoder(rows, agents, wanted)
         for role, branch in enumerate(self.branches):
+            if role != EGO and not self.forecast_neighbors:
+                continue
             place = (rows.role == role).nonzero().squeeze(-1)
             if len(place) > 0 and isinstance(branch, Branch):
                 chosen, seen = select_agents(rows, place), context[place]

@@ -1,7 +1,7 @@
 """The encoding of an agent in its scene: history, neighbors, present motion and mode."""
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from diffstack_mmv.checks import require_between
@@ -49,10 +49,15 @@ class SceneEncoder(nn.Module):
         self.interaction = Interaction(history, edge, reach_m, fade_m, dropout)
         self.outputs = history + edge + MOTION_FEATURES + len(Mode)
 
-    def forward(self, rows: AgentBatch, agents: int) -> Float[Tensor, "R c"]:
-        """Context of each row; `agents` is the number of agents per scene."""
+    def forward(
+        self, rows: AgentBatch, agents: int, wanted: Bool[Tensor, " R"] | None = None
+    ) -> Float[Tensor, "R c"]:
+        """Context of each row; `agents` is the number of agents per scene.
+
+        The context of rows that are not wanted lacks their neighbors; None wants all.
+        """
         node = self.history(rows.kind, track_features(rows.past), rows.past.valid)
-        around = self.interaction(rows, agents, node)
+        around = self.interaction(rows, agents, node, wanted)
         mode = nn.functional.one_hot(rows.past.mode, len(Mode)).to(node.dtype)
         return torch.cat(
             [node, around, rows.velocity / SPEED_SCALE_MPS, rows.acceleration, mode], -1

@@ -1,0 +1,52 @@
+"""A forecast of somebody whose destination is known."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_positive
+from diffstack_mmv.types import Forecast
+
+WIDTH_M = 0.1
+
+
+def given_end(forecast: Forecast, end: Float[Tensor, "*b 2"], width_m: float = WIDTH_M) -> Forecast:
+    """Condition a forecast on the position at its last time.
+
+    A component counts by its weight times its density at the end, and is moved there:
+
+        w_k ∝ w_k N(g; μ_kT, Σ_kT + σ² I),    μ_kt + ρ_t L_kt L_kT⁻¹ (g - μ_kT),    ρ_t = √(t / T)
+
+    with L Lᵀ = Σ and the correlation ρ_t between the position at t and at the end that independent
+    steps have; what is left of the covariance at t is (1 - ρ_t²) Σ_kt.
+
+    Args:
+        forecast: Mixtures, *b K T.
+        end: Known position g in m.
+        width_m: σ, how exactly the end is known; it also bounds the covariances from below.
+
+    Returns:
+        Mixtures with the same number of components.
+
+    Raises:
+        ValueError: The width is not positive.
+    """
+    require_positive("width_m", width_m)
+    mean, scale = forecast.mean, forecast.scale_tril
+    error = end.unsqueeze(-2) - mean[..., -1, :]
+    steps = mean.shape[-2]
+    share = torch.arange(1, steps + 1, dtype=mean.dtype, device=mean.device) / steps
+    white = _whitened(error, scale[..., -1, :, :]).unsqueeze(-3)
+    moved = mean + share.sqrt().unsqueeze(-1) * (scale @ white).squeeze(-1)
+    floor = width_m * torch.eye(2, dtype=mean.dtype, device=mean.device)
+    rest = (1 - share).sqrt()[:, None, None] * scale + floor
+    blurred = torch.linalg.cholesky(scale[..., -1, :, :] @ scale[..., -1, :, :].mT + floor**2)
+    log_density = -0.5 * _whitened(error, blurred).square().sum((-2, -1))
+    log_density = log_density - blurred.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+    return Forecast((forecast.log_weight + log_density).log_softmax(-1), moved, rest)
+
+
+def _whitened(
+    error: Float[Tensor, "*b 2"], scale_tril: Float[Tensor, "*b 2 2"]
+) -> Float[Tensor, "*b 2 1"]:
+    return torch.linalg.solve_triangular(scale_tril, error.unsqueeze(-1), upper=False)
