@@ -16,6 +16,7 @@ from diffstack_mmv.config_checks import (
     require_windows,
 )
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.versions import code_version, file_hash
 
 logger = logging.getLogger(__name__)
@@ -38,7 +39,8 @@ def main(config: DictConfig) -> None:
     from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.stack import evaluate_windows, fitted_calibration, load_stack
 
-    stack, trained = load_stack(Path(config.checkpoint), _device(config.device))
+    path = checkpoint_path(config.checkpoint)
+    stack, trained = load_stack(path, _device(config.device))
     require_same_horizon(config, trained)
     if config.modes is None:
         config.modes = config.data.module.windows.ego_modes = trained["modes"]
@@ -80,7 +82,7 @@ def main(config: DictConfig) -> None:
         "smoother": data.source.smoother(),
         "calibrated_on": config.calibration.split,
         "checkpoint": str(config.checkpoint),
-        "checkpoint_sha256": file_hash(Path(config.checkpoint)),
+        "checkpoint_sha256": file_hash(path),
         "data_sha256": windows.digest(),
         "code": code_version(),
     }

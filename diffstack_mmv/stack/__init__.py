@@ -7,6 +7,7 @@ from diffstack_mmv.stack.checkpoint import (
     load_weights,
     read_checkpoint,
     start_from,
+    write_lean,
 )
 from diffstack_mmv.stack.evaluation import (
     Baseline,
@@ -51,4 +52,5 @@ __all__ = [
     "representative",
     "scene_records",
     "start_from",
+    "write_lean",
 ]
