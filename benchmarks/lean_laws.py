@@ -11,7 +11,7 @@ import torch
 
 from diffstack_mmv.data import ConvertedCache, read_leans, read_tracks
 from diffstack_mmv.dynamics.gm3 import CoordinatedLean, PrescribedLean
-from diffstack_mmv.dynamics.gm3.lean import Lean, lean_after
+from diffstack_mmv.dynamics.gm3.lean import Lean, RollBody, lean_after
 from diffstack_mmv.vehicles import load_vehicle
 
 LAWS = (PrescribedLean(), CoordinatedLean(0.0), CoordinatedLean(), CoordinatedLean(0.2))
@@ -20,17 +20,16 @@ LAGS = range(-5, 13)
 
 def response(law, spec, lateral, dt_s):
     """Lean that follows a lateral acceleration, from the lean of a steady turn."""
-    mass_height = spec.mass_kg * spec.height_m
     inertia, damping = (
         torch.tensor(spec.parameters[name].entries()[0][0])
         for name in ("roll_inertia", "roll_damping")
     )
+    pendulum = law.pendulum(RollBody(spec.mass_kg * spec.height_m, inertia, damping))
     lean = Lean(torch.atan(lateral[:1] / 9.81), torch.zeros_like(lateral[:1]))
     found = [lean.angle]
     for before, after in zip(lateral[:-1], lateral[1:], strict=True):
         push = 0.5 * (before + after) + law.lead_s * (after - before) / dt_s
-        coefficients = law.coefficients(lean.angle, mass_height, inertia, damping)
-        lean = lean_after(lean, push.reshape(1), coefficients, dt_s)
+        lean = lean_after(lean, push.reshape(1), pendulum.secant(lean.angle), dt_s)
         found.append(lean.angle)
     return torch.cat(found)
 

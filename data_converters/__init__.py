@@ -3,25 +3,28 @@
 Everything a script needs is here; `README.md` describes the cache on disk.
 """
 
-from data_converters.autobike import AutobikeDataset
-from data_converters.convert import ConversionSettings, convert
-from data_converters.errors import CacheError, ConversionError, RejectReason, TrackError
-from data_converters.eth_ucy import EthUcyDataset
-from data_converters.imptc import ImptcDataset, ImptcVruDataset, SequenceSplit, TrackFilter
-from data_converters.imptc.sample import generate_sample, generate_vru_sample
-from data_converters.limits import RecordingLimits
-from data_converters.modes import default_extent
-from data_converters.opening import open_cache
-from data_converters.report import ConversionReport
-from data_converters.sdd import SddDataset
-from data_converters.smoothing import CausalSmoother, Unsmoothed, ZeroPhaseSmoother
-from data_converters.splits import RecordingSplit
-from data_converters.tables import TableColumns, TableDataset, TableUnits
-from data_converters.thab import ThabVruDataset
-from data_converters.tracks import ResampleSettings
-from data_converters.two_wheeler import TwoWheelerDataset
-from data_converters.vci import CitrDataset, DutDataset
-from dmmv_conventions.modes import Mode
+from dmmv_conventions.extras import needs
+
+with needs("stack", "data_converters"):
+    from data_converters.autobike import AutobikeDataset
+    from data_converters.convert import ConversionSettings, convert
+    from data_converters.errors import CacheError, ConversionError, RejectReason, TrackError
+    from data_converters.eth_ucy import EthUcyDataset
+    from data_converters.imptc import ImptcDataset, ImptcVruDataset, SequenceSplit, TrackFilter
+    from data_converters.imptc.sample import generate_sample, generate_vru_sample
+    from data_converters.limits import RecordingLimits
+    from data_converters.modes import default_extent
+    from data_converters.opening import open_cache
+    from data_converters.report import ConversionReport
+    from data_converters.sdd import SddDataset
+    from data_converters.smoothing import CausalSmoother, Unsmoothed, ZeroPhaseSmoother
+    from data_converters.splits import RecordingSplit
+    from data_converters.tables import TableColumns, TableDataset, TableUnits
+    from data_converters.thab import ThabVruDataset
+    from data_converters.tracks import ResampleSettings
+    from data_converters.two_wheeler import TwoWheelerDataset
+    from data_converters.vci import CitrDataset, DutDataset
+    from dmmv_conventions.modes import Mode
 
 __all__ = [
     "AutobikeDataset",

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from data_converters.errors import RejectReason, refuse_track
+from data_converters.errors import ConversionError, RejectReason, TrackError, refuse_track
 
 
 def read_numbers(source: Path | io.BytesIO, columns: Sequence[str], where: object) -> pd.DataFrame:
@@ -76,6 +76,41 @@ def require_columns(table: pd.DataFrame, columns: Sequence[str], where: object) 
         reason = RejectReason.NO_TIMESTAMPS if columns[0] in missing else RejectReason.MISSING_FIELD
         found, remedy = list(table.columns), "Copy the file again."
         refuse_track(reason, "columns", f"contain {missing}", found, where, remedy)
+
+
+def read_by_name(
+    path: Path, names: Sequence[str], numbers: Sequence[str]
+) -> dict[str, tuple[float, ...]]:
+    """Numbers of each row of a small table beside the recordings, such as their scales.
+
+    Args:
+        path: The csv file; none if it is not there.
+        names: Columns whose values, joined by "_", name a row.
+        numbers: Columns to read.
+
+    Returns:
+        The numbers by name, NaN for what is none; of a name that comes twice with other numbers,
+        which cannot be trusted, NaN too.
+
+    Raises:
+        ConversionError: If it is no table or lacks a column.
+    """
+    if not path.exists():
+        return {}
+    try:
+        with told_as_fault(path):
+            table = pd.read_csv(path, dtype=str)
+        require_columns(table, (*names, *numbers), path)
+    except TrackError as error:
+        raise ConversionError(str(error)) from error
+    found: dict[str, tuple[float, ...]] = {}
+    keys = table[list(names)].astype(str).agg("_".join, axis=1)
+    values = table[list(numbers)].apply(pd.to_numeric, errors="coerce").astype(np.float64)
+    for key, row in zip(keys, values.to_numpy().tolist(), strict=True):
+        known = found.setdefault(key, tuple(row))
+        if known != tuple(row):
+            found[key] = (float("nan"),) * len(numbers)
+    return found
 
 
 def _read(source: Path | io.BytesIO, columns: Sequence[str]) -> pd.DataFrame:

@@ -24,6 +24,7 @@ class RejectReason(StrEnum):
     CONTAINED = "contained_in_another_file"
     OTHER_SPLIT = "source_sequence_in_another_split"
     TOO_SHORT = "too_short"
+    SCALE = "scale_unknown_or_beyond_limit"
     LOW_CERTAINTY = "scale_certainty_below_minimum"
     NO_POSITION = "no_position_fix"
     WHEEL_SPEED = "wheel_speed_disagrees_with_positions"
@@ -35,6 +36,7 @@ class RejectReason(StrEnum):
     TIME_SPAN = "time_beyond_limit"
     COORDINATES = "coordinates_beyond_limit"
     SPEED = "faster_than_its_mode"
+    OTHER_TABLE = "table_unlike_the_others"
 
 
 class ConversionError(ValueError):

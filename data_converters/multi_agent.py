@@ -15,6 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from data_converters.errors import RejectReason, TrackError, refuse_track, require
+from data_converters.limits import on_one_clock
 from data_converters.modes import default_extent
 from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
 from data_converters.splits import RecordingSplit
@@ -26,6 +27,10 @@ if TYPE_CHECKING:
 
 SIZES = ("length", "width", "height")
 """Optional columns of a table in m; the median of an agent is its size."""
+
+
+METRES_PER_PIXEL = (1e-4, 1.0)
+"""Scales of a picture of people from above; in a coarser one they are smaller than a pixel."""
 
 
 class Recording(NamedTuple):
@@ -43,7 +48,7 @@ class Recording(NamedTuple):
     @property
     def size(self) -> float:
         """Bytes of its files, a measure of how much they hold."""
-        return float(sum(path.stat().st_size for path in self.files))
+        return float(sum(path.stat().st_size for path in self.files if path.is_file()))
 
 
 @dataclass(frozen=True)
@@ -120,18 +125,45 @@ class MultiAgentDataset(RecordingDataset):
         recording = self._index[scene.key]
         for path in recording.files:
             source = str(path.relative_to(self.root))
+            refused = len(raw.rejected)
             try:
-                tables.append(self.table(path, recording, raw).assign(source=source))
+                table = self.table(path, recording, raw)
+                if len(table) == 0 and len(raw.rejected) == refused:
+                    needs, remedy = "hold a sample", "Copy the file again, or remove it."
+                    refuse_track(RejectReason.TOO_SHORT, "file", needs, "none", path, remedy)
+                tables.append(table.assign(source=source))
             except TrackError as error:
                 raw.reject(path.name, source, error, strict=strict)
         tables = [table for table in tables if len(table)]
         if tables:
             table = pd.concat(tables, ignore_index=True)
-            start = table["time_s"].min()
-            add_tracks(raw, table.assign(time_s=table["time_s"] - start), strict=strict)
+            table = self._on_one_clock(table, raw, strict=strict)
+            times = table["time_s"]
+            start = times[np.isfinite(times)].min()
+            add_tracks(raw, table.assign(time_s=times - start), strict=strict)
             for stem, side in raw.side_tables.items():
                 raw.side_tables[stem] = side.assign(time_s=side["time_s"] - start)
         return raw
+
+    def _on_one_clock(self, table: pd.DataFrame, raw: RawScene, *, strict: bool) -> pd.DataFrame:
+        """Samples of the agents that share a clock; who is years away would move all others."""
+        times = table["time_s"].where(np.isfinite(table["time_s"])).groupby(table["agent"])
+        first, last = times.min().dropna(), times.max().dropna()
+        if len(first) == 0 or last.max() - first.min() <= self.limits.span_s:
+            return table
+        kept = on_one_clock(first.to_dict(), last.to_dict(), self.limits.span_s)
+        for name in first.index.difference(sorted(kept)):
+            source = str(table.loc[table["agent"] == name, "source"].iloc[0])
+            needs = f"be within {self.limits.span_s:g} s of the other agents"
+            found = f"{first[name]:g} to {last[name]:g} s"
+            remedy = "Correct the clock, or raise `span_s`."
+            try:
+                where = f"{source}, agent {name}"
+                refuse_track(RejectReason.TIME_SPAN, "time_s", needs, found, where, remedy)
+            except TrackError as error:
+                raw.reject(str(name), source, error, strict=strict)
+        unclocked = ~table["agent"].isin(first.index)
+        return table[table["agent"].isin(kept) | unclocked]
 
     @cached_property
     def _index(self) -> dict[str, Recording]:
@@ -224,6 +256,14 @@ def modes_of(labels: pd.Series, known: Mapping[str, Mode]) -> pd.Series:
     return labels.astype(str).str.strip().str.lower().map(numbers)
 
 
+def fingerprint_of(path: Path) -> str:
+    """Hash of a file; one that cannot be read is told when its scene is."""
+    try:
+        return fingerprint(path.read_bytes())
+    except OSError:
+        return f"unreadable {path}"
+
+
 def _fingerprint(recording: Recording) -> str:
-    content: Sequence[str] = [fingerprint(path.read_bytes()) for path in recording.files]
+    content: Sequence[str] = [fingerprint_of(path) for path in recording.files]
     return fingerprint(repr(content).encode())

@@ -5,26 +5,32 @@ Hydra's composition, one message per failure, and an exit status to trust.
 
 import functools
 import math
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
-import hydra
-from hydra import compose
-from hydra.core.hydra_config import HydraConfig
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import OverrideType
-from hydra.errors import CompactHydraException, HydraException
-from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf, read_write
-from omegaconf.errors import OmegaConfBaseException
-
-from diffstack_mmv.config_checks import require_complete, require_same_type
+from dmmv_conventions.extras import needs
 from dmmv_conventions.locks import alone_in
 from dmmv_conventions.targets import OF_A_RUN, require_buildable
 from dmmv_conventions.yaml_files import read_mapping
+
+with needs("stack", "the command lines"):
+    import hydra
+    from hydra import compose
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.core.override_parser.types import OverrideType
+    from hydra.errors import CompactHydraException, HydraException
+    from hydra.types import RunMode
+    from omegaconf import DictConfig, OmegaConf, read_write
+    from omegaconf.errors import OmegaConfBaseException
+
+    from diffstack_mmv.config_checks import require_complete, require_same_type, require_seed
+    from diffstack_mmv.override_errors import one_line, told
 
 # `${smaller:a,b}`, and the smallest turning radius of a vehicle
 OmegaConf.register_new_resolver("smaller", min, replace=True)
@@ -35,6 +41,10 @@ OmegaConf.register_new_resolver(
 )
 
 EXPECTED = (ValueError, TypeError, LookupError, OSError, HydraException, OmegaConfBaseException)
+FULL_ERROR = "HYDRA_FULL_ERROR"
+"""Environment variable that asks for the traceback of a failure (1)."""
+_RAISING = ContextVar("raising", default=False)
+"""Whether Hydra was asked for its errors by us, not by who runs the command."""
 
 
 Task = Callable[[DictConfig], float | None]
@@ -42,10 +52,7 @@ Task = Callable[[DictConfig], float | None]
 
 
 class CommandError(CompactHydraException):
-    """A failure told in one message.
-
-    Hydra prints it without a traceback and exits with status 1.
-    """
+    """A failure that is told in one line; the status of the command is 1."""
 
 
 def admit_any(config: DictConfig) -> None:
@@ -63,7 +70,7 @@ def command(
     The resolved configuration goes into the run folder (`out=DIR`) as `config.yaml` before the work
     begins, so that every run can be repeated; no other command works in that folder meanwhile. What
     the configuration has built is checked before, because parts of it may come from files. A bad
-    input ends with one message and exit status 1; `HYDRA_FULL_ERROR=1` shows where it came from.
+    input ends with one line and exit status 1; `HYDRA_FULL_ERROR=1` shows where it came from.
 
     Args:
         config_folder: The folder of the configuration groups.
@@ -77,21 +84,19 @@ def command(
     def decorate(task: Task) -> Callable[[], None]:
         @functools.wraps(task)
         def guarded(config: DictConfig) -> float | None:
-            try:
+            with _failures_told():
                 config.out = HydraConfig.get().runtime.output_dir
                 _read_vehicle_file(config)
                 require_complete(OmegaConf.to_container(config))
                 _require_types(config, config_name)
                 OmegaConf.resolve(config)
+                require_seed(config.get("seed"))
                 require_buildable(OmegaConf.to_container(config), OF_A_RUN, "in the configuration")
                 check(config)
                 with alone_in(Path(config.out), "out"), _single_job():
                     admit(config)
                     save_config(config, Path(config.out))
-                    result = task(config)
-            except EXPECTED as error:
-                raise CommandError(_told(error)) from error
-            return result
+                    return task(config)
 
         entry = hydra.main(
             version_base="1.3", config_path=str(config_folder), config_name=config_name
@@ -100,11 +105,57 @@ def command(
         @functools.wraps(task)
         def main() -> None:
             sys.argv[1:] = [_vehicle_from_file(argument) for argument in sys.argv[1:]]
-            entry()
+            with _composition_told(config_folder, config_name):
+                entry()
 
         return main
 
     return decorate
+
+
+@contextmanager
+def _composition_told(folder: Path, config_name: str) -> Iterator[None]:
+    """Have Hydra raise what it would print in many lines, and tell it in one."""
+    if os.environ.get(FULL_ERROR) == "1":
+        yield
+        return
+    arguments, before = list(sys.argv[1:]), _RAISING.set(True)
+    os.environ[FULL_ERROR] = "1"
+    try:
+        yield
+    except CommandError as error:
+        _exit(str(error))
+    except (HydraException, OmegaConfBaseException) as error:
+        _exit(told(error, arguments, folder, config_name))
+    finally:
+        del os.environ[FULL_ERROR]
+        _RAISING.reset(before)
+
+
+@contextmanager
+def _failures_told() -> Iterator[None]:
+    """Tell the failure of a job in one line.
+
+    A job of a sweep raises it: the others go on, and the command ends with it. Within the job the
+    environment is that of the user, since it may start further processes.
+    """
+    raising = _RAISING.get()
+    if raising:
+        del os.environ[FULL_ERROR]
+    try:
+        yield
+    except EXPECTED as error:
+        if raising and HydraConfig.get().mode is RunMode.RUN:
+            _exit(_told(error))
+        raise CommandError(_told(error)) from error
+    finally:
+        if raising:
+            os.environ[FULL_ERROR] = "1"
+
+
+def _exit(line: str) -> NoReturn:
+    sys.stderr.write(f"{line}\n")
+    raise SystemExit(1)
 
 
 def folders_as(key: str, arguments: Sequence[str]) -> list[str]:
@@ -203,10 +254,12 @@ def _value(config: DictConfig, key: str) -> Any:
 
 
 def _told(error: BaseException) -> str:
-    """The message of the first cause.
+    """The message of the first cause, in one line.
 
-    What a constructor refused, not that Hydra could not call it.
+    What a constructor refused, not that Hydra could not call it. What names the argument at fault
+    says enough without the kind of the error.
     """
     while isinstance(error, HydraException) and error.__cause__ is not None:
         error = error.__cause__
-    return f"{type(error).__name__}: {error}"
+    line = one_line(str(error))
+    return line if line.startswith("`") else f"{type(error).__name__}: {line}"

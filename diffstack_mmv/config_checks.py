@@ -72,6 +72,30 @@ def _refusal(default: Any, value: Any) -> str:
     return ""
 
 
+SEED_MAX = 2**32 - 1
+"""Largest seed that every generator takes."""
+
+
+def require_seed(seed: int | None) -> None:
+    """Refuse a seed that not all random number generators take; none is that of a command without.
+
+    Raises:
+        ValueError: It is negative or too large.
+    """
+    fits = seed is None or 0 <= seed <= SEED_MAX
+    require(fits, "seed", f"lie in [0, {SEED_MAX}]", seed)
+
+
+def require_share(argument: str, share: float) -> None:
+    """Refuse what is neither a share nor a number of batches.
+
+    Raises:
+        ValueError: It is no fraction above 0 up to 1, and no whole number above it.
+    """
+    fits = 0.0 < share <= 1.0 or (share > 1.0 and float(share).is_integer())
+    require(fits, argument, "lie in (0, 1], or be a whole number of batches", share)
+
+
 def require_folder(argument: str, folder: str | None, remedy: str) -> None:
     """Refuse a folder that is not given or not there.
 

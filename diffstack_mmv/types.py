@@ -59,6 +59,13 @@ class Tracks(NamedTuple):
     valid: Bool[Tensor, "*b T"]
 
 
+class RecordedScene(NamedTuple):
+    """Everybody in a recording, in its world; rows in which somebody is absent are not valid."""
+
+    tracks: Tracks  # n T
+    dt_s: float
+
+
 class StackBatch(NamedTuple):
     """Samples in the frame of the ego at the last row of its past (position 0, heading 0)."""
 
@@ -229,7 +236,7 @@ class EpisodeRecord(NamedTuple):
     """Closed-loop episodes; an episode that ended early repeats its last row up to the end."""
 
     motion: Motion  # E T+1, of the robot
-    pedestrians: Float[Tensor, "E T1 H 2"]  # m
+    pedestrians: Float[Tensor, "E T1 H 2"]  # m, NaN for those who are absent
     controls: Float[Tensor, "E T m"]
     reward: Float[Tensor, "E T"]  # zero after the end
     # m, smallest one over the step that leads to this row; row 0: at the start

@@ -2,7 +2,7 @@
 
 import logging
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
@@ -15,9 +15,15 @@ from diffstack_mmv.config_checks import (
     require_same_horizon,
     require_windows,
 )
+from dmmv_conventions.checks import message, require_one_of
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.versions import code_version, file_hash
+
+if TYPE_CHECKING:
+    from diffstack_mmv.data import TrajdataModule
+    from diffstack_mmv.metrics import Calibration
+    from diffstack_mmv.stack import DiffStackMMV
 
 logger = logging.getLogger(__name__)
 
@@ -31,14 +37,30 @@ def check(config: DictConfig) -> None:
     require_recordings(config.data.module.source)
 
 
+def _calibration(
+    config: DictConfig, stack: "DiffStackMMV", data: "TrajdataModule"
+) -> "Calibration | None":
+    """Levels of the regions, fitted to the split that the configuration names."""
+    from diffstack_mmv.stack import fitted_calibration
+
+    split = config.calibration.split
+    if split is None:
+        return None
+    data.prepare_splits([split])
+    return fitted_calibration(stack, data.dataset(split), config.batch_size)
+
+
 @command(config_folder(), "evaluate", check)
 def main(config: DictConfig) -> None:
     """Score every window of a split; write tables and plots."""
+    from diffstack_mmv.data import Situations
     from diffstack_mmv.metrics import CLOSED_LOOP, EVALUATED, PREDICTED
     from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
     from diffstack_mmv.reporting.html import Titles, read_record
-    from diffstack_mmv.stack import evaluate_windows, fitted_calibration, load_stack
+    from diffstack_mmv.stack import evaluate_windows, load_stack
 
+    for name in config.situations:
+        require_one_of("situations", name, Situations._fields)
     path = checkpoint_path(config.checkpoint)
     stack, trained = load_stack(path, _device(config.device))
     require_same_horizon(config, trained)
@@ -54,14 +76,9 @@ def main(config: DictConfig) -> None:
     baselines = dict(instantiate(config.baselines.simple))
     if stack.goal.uses_future:
         baselines |= instantiate(config.baselines.to_goal)
-    calibration = None
-    if config.calibration.split is not None:
-        data.prepare_splits([config.calibration.split])
-        calibration = fitted_calibration(
-            stack, data.dataset(config.calibration.split), config.batch_size
-        )
+    calibration = _calibration(config, stack, data)
     evaluation = evaluate_windows(
-        stack, baselines, windows, config.batch_size, config.plans, calibration
+        stack, baselines, windows, config.batch_size, config.plans, calibration, config.compile_from
     )
     scores = EVALUATED if config.plans else PREDICTED
     vehicle = trained["vehicle"]["name"]
@@ -128,8 +145,15 @@ def _draw(config: DictConfig, stack: Any, windows: Any, evaluation: Any) -> None
 def _device(name: str) -> str:
     import torch
 
-    automatic = "cuda" if torch.cuda.is_available() else "cpu"
-    return automatic if name == "auto" else name
+    if name == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        torch.empty(0, device=name)
+    except (RuntimeError, AssertionError) as absent:
+        told = f"{name!r} ({str(absent).splitlines()[0]})"
+        needs, remedy = "be auto, cpu, or a device of this machine", "Give device=auto."
+        raise ValueError(message("device", needs, told, "", remedy)) from absent
+    return name
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Drive a vehicle through a crowd, case by case, beside its baselines."""
 
 import logging
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from diffstack_mmv.cli import command
 from diffstack_mmv.config_checks import require_checkpoint
+from dmmv_conventions.checks import require_at_least
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.versions import code_version, file_hash
@@ -21,6 +23,7 @@ def check(config: DictConfig) -> None:
     """Refuse a world or a controller that cannot be built, before any baseline has driven."""
     if "predictor" in config.people:
         require_checkpoint("people_checkpoint", config.people.predictor.path)
+    require_at_least("animate", config.animate, 0)
     for part in (config.scenario, config.world, config.controller):
         instantiate(part)
 
@@ -38,6 +41,7 @@ def main(config: DictConfig) -> None:
         Chunk,
         Method,
         models_told,
+        read_thoughts,
         require_stoppable,
         run,
         summarise,
@@ -60,9 +64,8 @@ def main(config: DictConfig) -> None:
         folder = out / "episodes" / name
         return list(run(method, scenario, numbers, folder, config.chunk, config.phase))
 
-    rows = {
-        n: summarise(driven(n, each)) for n, each in (config.get("baselines") or {}).items() if each
-    }
+    baselines = {n: each for n, each in (config.get("baselines") or {}).items() if each}
+    rows = {n: summarise(driven(n, each)) for n, each in baselines.items() if n in config.beside}
     chunks = driven(config.names.controller, config.controller)
     header: Any = OmegaConf.to_container(config.header)
     header |= {"code": code_version()} | weights
@@ -71,17 +74,32 @@ def main(config: DictConfig) -> None:
     search = instantiate(config.search)
     if search is not None:
         result["feasible"] = search.judge(world, scenario, config.phase, result["cases"])
-    published = [dict(each) for each in config.published or ()]
+    published = [dict(each) for each in config.get("published") or ()]
     pairs = [{"other": name} | paired_cases(result["cases"], rows[name]["cases"]) for name in rows]
     pairs += [paired_with_run(result, Path(folder)) for folder in config.against]
     write_closed_loop(out, result, rows, CLOSED_LOOP, published, pairs)
-    records, goal_m = [chunk.record for chunk in chunks], (0.0, scenario.circle_radius_m)
+    records = [chunk.record for chunk in chunks]
     radius_m = scenario.pedestrian_radius_m
     outline = world.robot.footprint.outline()
-    save_stories(out, numbers, records, radius_m, config.animate, goal_m, config.show, outline)
+    told = partial(read_thoughts, out / "episodes" / config.names.controller)
+    save_stories(
+        out, numbers, records, radius_m, config.animate, scenario.goal_m, config.show, outline, told
+    )
+    _tell_times(result)
     if config.get("wandb"):
         instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))
     logger.info("Report: %s; as a page: dmmv-report %s", out / "closed_loop.md", out)
+
+
+def _tell_times(result: Mapping[str, Any]) -> None:
+    """Say whether the decisions keep up with the vehicle, and how many solves converge."""
+    solved, time_ms = result["solved_share"], result["control_time_ms"]
+    logger.info(
+        "Real-time factor %.1f (time driven over processor time of the decisions), median %.1f ms, "
+        "99th percentile %.1f ms per decision and episode%s.",
+        result["real_time_factor"], time_ms["median"], time_ms["p99"],
+        "" if solved is None else f"; {100 * solved:.0f} % of the solves converge",
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from omegaconf import DictConfig
 
 from diffstack_mmv.cli import command, folders_as
 from diffstack_mmv.config_checks import require_results
-from dmmv_conventions.checks import require
+from dmmv_conventions.checks import require, require_at_least
 from dmmv_conventions.configs import config_folder
 
 logger = logging.getLogger(__name__)
@@ -18,6 +18,8 @@ def check(config: DictConfig) -> None:
     """Refuse folders without results, and to write into one of them."""
     require_results(config.runs)
     inside = Path(config.out).resolve() in [Path(run).resolve() for run in config.runs]
+    require_at_least("episodes", config.episodes, 0)
+    require(not Path(config.page).is_dir(), "page", "be a file", config.page, "", "Name it.")
     require(not inside, "out", "be a folder of its own", config.out, "", "Choose another `out`.")
 
 
@@ -28,7 +30,8 @@ def report(config: DictConfig) -> None:
     from diffstack_mmv.reporting.html import Titles, read_page, write_page
 
     titles = Titles(EVALUATED, CLOSED_LOOP)
-    pages = [read_page(Path(run), titles, config.episodes) for run in config.runs]
+    beside = None if config.beside is None else Path(config.beside)
+    pages = [read_page(Path(run), titles, config.episodes, beside) for run in config.runs]
     write_page(Path(config.page), pages)
     logger.info("Page: %s", config.page)
 

@@ -14,7 +14,9 @@ from omegaconf import DictConfig
 from tqdm import tqdm
 
 from diffstack_mmv.cli import command
+from diffstack_mmv.config_checks import require_modes
 from diffstack_mmv.jobs import Job, Launcher, expected_seconds
+from dmmv_conventions.checks import require, require_at_least, require_one_of
 from dmmv_conventions.configs import config_folder
 
 if TYPE_CHECKING:
@@ -25,7 +27,35 @@ logger = logging.getLogger(__name__)
 SCRIPTS = Path(__file__).resolve().parent
 
 
-@command(config_folder(), "results")
+def check(config: DictConfig) -> None:
+    """Refuse a table of nothing, and names that no command knows."""
+    size = config.size
+    for name, parts in (
+        ("size.seeds", size.seeds), ("size.goals", size.goals), ("models", config.models),
+        ("sets", config.sets),
+    ):  # fmt: skip
+        require(len(parts) > 0, name, "name at least one", "none")
+    require_at_least("size.epochs", size.epochs, 1)
+    require_at_least("resamples", config.resamples, 1)
+    for goal in size.goals:
+        _require_option("goal", goal)
+    for model in config.models:
+        _require_option("dynamics", str(model))
+    for told in config.sets.values():
+        _require_option("data", told.data)
+        for vehicle in told.modes.values():
+            _require_option("vehicle", vehicle)
+        require_modes([str(mode) for mode in told.modes])
+
+
+def _require_option(group: str, name: str) -> None:
+    """Refuse what is neither an option of a group nor a file of one's own."""
+    known = sorted(path.stem for path in (config_folder() / group).glob("*.yaml"))
+    if not Path(name).is_file():
+        require_one_of(group, name, known)
+
+
+@command(config_folder(), "results", check)
 def main(config: DictConfig) -> None:
     """Convert, train and evaluate whatever is not done yet, then write table and figures."""
     from diffstack_mmv.metrics import OPEN_LOOP

@@ -8,14 +8,15 @@ from omegaconf import DictConfig
 
 from diffstack_mmv.cli import command
 from diffstack_mmv.config_checks import require_file
-from dmmv_conventions.checks import require_positive
+from dmmv_conventions.checks import require_at_least, require_positive
 from dmmv_conventions.configs import config_folder
 
 logger = logging.getLogger(__name__)
 
 
 def check(config: DictConfig) -> None:
-    """Refuse recorded controls that are not there."""
+    """Refuse a speed that is none, and recorded controls that are not there."""
+    require_at_least("speed_mps", config.speed_mps, 0.0)
     if config.controls:
         require_file("controls", config.controls, "Give controls=FILE.csv.")
 

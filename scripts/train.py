@@ -11,6 +11,7 @@ from diffstack_mmv.config_checks import (
     require_checkpoint,
     require_own_vehicle,
     require_recordings,
+    require_share,
     require_windows,
 )
 from dmmv_conventions.configs import config_folder
@@ -22,6 +23,7 @@ def check(config: DictConfig) -> None:
     require_windows(
         config.modes, config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
     )
+    require_share("validation.share", config.validation.share)
     require_own_vehicle(config.modes, config.vehicle, shared=config.shared_vehicle)
     require_recordings(config.data.module.source)
     if config.start is not None:

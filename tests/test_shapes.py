@@ -8,10 +8,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.dynamics import DiffKBM
-from diffstack_mmv.geometry import rotate, wrap_angle
+from diffstack_mmv.geometry import rotate
 from diffstack_mmv.simulation.pedestrians.base import towards
-from diffstack_mmv.smooth import soft_clamp
 from diffstack_mmv.vehicles import WheelSpec, load_vehicle
+from dmmv_conventions.checks import require_positive
 from tests.shape_checks import checked
 
 
@@ -36,7 +36,7 @@ def test_a_wrong_tensor_is_refused_by_a_method():
 
 
 def test_a_whole_number_may_stand_for_a_float():
-    assert soft_clamp(torch.zeros(1), 1).item() == 0.0
+    require_positive("step", 1)
 
 
 @pytest.mark.usefixtures("unchecked")
@@ -45,8 +45,8 @@ def test_a_test_can_let_wrong_shapes_through():
 
 
 def test_a_wrong_type_is_refused():
-    with pytest.raises(BeartypeCallHintViolation, match="angle"):
-        wrap_angle("one")
+    with pytest.raises(BeartypeCallHintViolation, match="value"):
+        require_positive("step", "one")
 
 
 def test_an_axis_means_one_length_in_all_arguments():

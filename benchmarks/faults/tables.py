@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,20 @@ FRAMES = np.arange(24) / 2
 THAB = ("", "timestamp", "x", "y")
 BOXES = ("time_s", "obj_id", "x", "y", "z", "qx", "qy", "qz", "qw", "sx", "sy", "sz")
 Rows = list[list[object]]
+Content = str | bytes | Callable[[Path], object]
+
+
+class Layout(NamedTuple):
+    """How a table of text is written."""
+
+    header: tuple[str, ...]
+    separator: str = ","
+    headed: bool = True
+
+    def text(self, rows: Rows) -> str:
+        """The file."""
+        lines = [list(self.header), *rows] if self.headed else rows
+        return "\n".join(self.separator.join(map(str, row)) for row in lines) + "\n"
 
 
 def thab_rows(offset: float = 0.0) -> Rows:
@@ -28,7 +43,7 @@ def box_rows() -> Rows:
 
 def text(header: tuple[str, ...], rows: Rows) -> str:
     """A CSV file."""
-    return "\n".join(",".join(map(str, row)) for row in [list(header), *rows]) + "\n"
+    return Layout(header).text(rows)
 
 
 def column(rows: Rows, index: int, change: Callable[[float, int], object]) -> Rows:
@@ -39,21 +54,19 @@ def column(rows: Rows, index: int, change: Callable[[float, int], object]) -> Ro
     ]
 
 
-def spoiled(
-    header: tuple[str, ...], rows: Rows, time: int, place: int
-) -> Iterator[tuple[str, str]]:
-    """Broken contents by name, for a table with its clock and a coordinate in these columns."""
-    whole, half = text(header, rows), len(rows) // 2
+def spoiled_rows(rows: Rows, time: int, place: int) -> Iterator[tuple[str, Rows]]:
+    """Rows of one agent with impossible numbers by name, its clock and a coordinate there."""
+    half = len(rows) // 2
     for name, value in {
         "NaN": "nan", "infinite": "inf", "no": "", "text for a": "one", "1e308 as": 1e308,
         "-1e308 as": -1e308, "1e9 m as": 1e9, "a jump of 900 m in": 900.0, "1e400 as": "1e400",
         "a date as": "2024-01-01",
     }.items():  # fmt: skip
-        changed = column(rows, place, lambda x, i, v=value: v if i == half else x)
-        yield f"{name} coordinate", text(header, changed)
-    for name, value in {"NaN": "nan", "infinite": "inf", "no": "", "text for a": "noon"}.items():
-        changed = column(rows, time, lambda t, i, v=value: v if i == half else t)
-        yield f"{name} time", text(header, changed)
+        yield f"{name} coordinate", column(rows, place, lambda x, i, v=value: v if i == half else x)
+    for name, value in {
+        "NaN": "nan", "infinite": "inf", "minus infinite": "-inf", "no": "", "text for a": "noon",
+    }.items():  # fmt: skip
+        yield f"{name} time", column(rows, time, lambda t, i, v=value: v if i == half else t)
     for name, change in {
         "time in ms": lambda t, i: 1e3 * t,
         "time in µs": lambda t, i: 1e6 * t,
@@ -63,54 +76,68 @@ def spoiled(
         "first sample ten years early": lambda t, i: t - (3.2e8 if i == 0 else 0),
         "time times 1e-9": lambda t, i: 1e-9 * t,
     }.items():
-        yield name, text(header, column(rows, time, change))
-    yield "millimetres", text(header, column(rows, place, lambda x, i: 1e3 * x))
-    yield "centimetres", text(header, column(rows, place, lambda x, i: 1e2 * x))
-    yield "feet on a motorway", text(header, column(rows, place, lambda x, i: 18.0 * x))
+        yield name, column(rows, time, change)
+    for name, factor in {
+        "millimetres": 1e3,
+        "centimetres": 1e2,
+        "40 times too far": 40.0,
+    }.items():
+        yield name, column(rows, place, lambda x, i, f=factor: f * x)
+
+
+def spoiled_files(layout: Layout, rows: Rows, time: int, place: int) -> Iterator[tuple[str, str]]:
+    """Files that are no such table, by name."""
+    whole, sign = layout.text(rows), layout.separator
     for index in sorted({time, place}):
-        kept = [i for i in range(len(header)) if i != index]
-        less = [[row[i] for i in kept] for row in rows]
-        yield f"no column {header[index]}", text(tuple(header[i] for i in kept), less)
+        kept = [i for i in range(len(layout.header)) if i != index]
+        less = layout._replace(header=tuple(layout.header[i] for i in kept))
+        yield (
+            f"no column {layout.header[index]}",
+            less.text([[row[i] for i in kept] for row in rows]),
+        )
     yield "empty file", ""
-    yield "header only", text(header, [])
-    yield "one row", text(header, rows[:1])
-    yield "three rows", text(header, rows[:3])
-    yield "no header", "\n".join(whole.splitlines()[1:])
-    yield "semicolons", whole.replace(",", ";")
+    yield "header only", layout.text([])
+    yield "one row", layout.text(rows[:1])
+    yield "three rows", layout.text(rows[:3])
+    if layout.headed:
+        yield "no header", "\n".join(whole.splitlines()[1:])
+        yield (
+            "rows with more columns than the header",
+            whole.replace("\n", f"{sign}9{sign}9\n").replace(f"{sign}9{sign}9", "", 1),
+        )
+    yield "another separator", whole.replace(sign, "#")
     yield (
         "a row cut off",
-        whole[: len(whole) // 2].rsplit(",", 1)[0] + "\n1,2,3,4,5,6,7,8,9,0,1,2,3,4",
-    )
-    yield (
-        "rows with more columns than the header",
-        whole.replace("\n", ",9,9\n").replace(",9,9", "", 1),
+        whole[: len(whole) // 2].rsplit(sign, 1)[0] + "\n" + sign.join("12345678901234") + "\n",
     )
     yield "zero bytes", "\0" * 500
     yield "a web page", "<html><body>404</body></html>"
 
 
-def made(kind: str, put: Callable[[Path], object], place: str) -> Callable[[Path], object]:
-    """Write what is no file."""
-    return lambda root: put(root / place)
+def spoiled(layout: Layout, rows: Rows, time: int, place: int) -> dict[str, str]:
+    """All broken contents of a file with one agent."""
+    numbers = {name: layout.text(each) for name, each in spoiled_rows(rows, time, place)}
+    return numbers | dict(spoiled_files(layout, rows, time, place))
 
 
-def thab(content: str | bytes | Callable[[Path], object], folder: Path) -> Result:
+def thab(content: Content, folder: Path) -> Result:
     """Convert one good cyclist and a broken one."""
     place = folder / "cyclists" / "moving"
     place.mkdir(parents=True)
     (place / "20.csv").write_text(text(THAB, thab_rows()))
-    _put(place / "21.csv", content)
+    put(place / "21.csv", content)
     return converted(ThabVruDataset(folder), folder, 1)
 
 
-def rides(content: str | bytes | Callable[[Path], object], folder: Path) -> Result:
+def rides(content: Content, folder: Path) -> Result:
     """Convert a good ride and a broken one."""
     (folder / "bicycle.csv").write_text(text(BOXES, box_rows()))
-    _put(folder / "scooter.csv", content)
+    put(folder / "scooter.csv", content)
     return converted(TwoWheelerDataset(folder), folder, 1)
 
 
-def _put(path: Path, content: str | bytes | Callable[[Path], object]) -> None:
+def put(path: Path, content: Content) -> None:
+    """Write a file, or what is none."""
     if callable(content):
         content(path)
     elif isinstance(content, bytes):
@@ -129,9 +156,9 @@ NO_FILES: dict[str, bytes | Callable[[Path], object]] = {
 
 def trials() -> Iterator[Trial]:
     """All faults of these files."""
-    contents = {**dict(spoiled(THAB, thab_rows(9.0), 1, 2)), **NO_FILES}
+    contents = {**spoiled(Layout(THAB), thab_rows(9.0), 1, 2), **NO_FILES}
     yield from each("TH-AB tracks", ((n, partial(thab, c)) for n, c in contents.items()))
-    contents = {**dict(spoiled(BOXES, box_rows(), 0, 4)), **NO_FILES}
+    contents = {**spoiled(Layout(BOXES), box_rows(), 0, 4), **NO_FILES}
     for name, part in {
         "zero": (0.0,) * 4,
         "long": (0.0, 0.0, 0.0, 9.0),

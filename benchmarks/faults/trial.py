@@ -47,9 +47,21 @@ def attempt(trial: Trial) -> Told:
             return Told(trial, trial.run(Path(folder)), "")
         except EXPECTED as error:
             told = str(error)
-            return Told(trial, Result.REFUSED if told else Result.TRACEBACK, told)
+            return Told(trial, Result.REFUSED if is_message(told) else Result.TRACEBACK, told)
         except Exception:  # noqa: BLE001  whatever it is, it is what this looks for
             return Told(trial, Result.TRACEBACK, traceback.format_exc())
+
+
+OF_OTHERS = (
+    "Could not override", "Could not append", "Error merging", "unexpected keyword argument",
+    "Invalid learning rate", "[Errno", "Ambiguous value",
+)  # fmt: skip
+"""Remarks of Hydra, torch and the system that name what is wrong too."""
+
+
+def is_message(told: str) -> bool:
+    """Whether it names what is wrong, as ours do, or is a remark from somewhere within."""
+    return "`" in told or any(words in told for words in OF_OTHERS)
 
 
 class Usual(NamedTuple):

@@ -14,8 +14,8 @@ import pandas as pd
 from data_converters.autobike.quality import LogQuality
 from data_converters.autobike.reader import Fixes, Log, read_log
 from data_converters.errors import RejectReason
-from data_converters.multi_agent import MultiAgentDataset, Recording
-from data_converters.recordings import RawScene, fingerprint
+from data_converters.multi_agent import MultiAgentDataset, Recording, fingerprint_of
+from data_converters.recordings import RawScene
 from dmmv_conventions.cache import CONTROLS_TABLE, LEAN_TABLE, SENSORS_TABLE, SPLITS
 from dmmv_conventions.modes import Mode
 
@@ -71,14 +71,16 @@ class AutobikeDataset(MultiAgentDataset):
         Raises:
             TrackError: If the log cannot be read or its sensors do not agree.
         """
-        original = self._first_of[fingerprint(path.read_bytes())]
+        original = self._first_of[fingerprint_of(path)]
         if original != path:
             message = f"{path} repeats {original}"
             raw.leave_out(path.name, str(path), RejectReason.CONTAINED, message)
             return pd.DataFrame()
         log = read_log(path)
+        self.limits.check_samples(log.fixes.time_s, log.fixes.position, path)
         self.quality.check(log, path)
         raw.note("repeated_timestamps", log.repeated)
+        raw.note("unusable_values", log.unusable)
         pieces = self._pieces(log.fixes)
         raw.note("position_steps", int(pieces.max()))
         self._add_tables(raw, log, pieces)
@@ -119,7 +121,7 @@ class AutobikeDataset(MultiAgentDataset):
         found: dict[str, Path] = {}
         for recording in self._index.values():
             for path in recording.files:
-                found.setdefault(fingerprint(path.read_bytes()), path)
+                found.setdefault(fingerprint_of(path), path)
         return found
 
 

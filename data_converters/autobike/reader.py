@@ -26,6 +26,11 @@ STEER, WHEEL = "Steering Angle encoder(rad)", "Speed VESC (rad/s)"
 ROLL_RATE, YAW_RATE = "Gyroscope X (rad/s)", "Gyroscope Z (rad/s)"
 SIDEWAYS, ROLL = "Accelerometer Y (rad/s^2)", "State Estimate Roll (rad)"
 COLUMNS = (TIME, LATITUDE, LONGITUDE, STEER, WHEEL, ROLL_RATE, YAW_RATE, SIDEWAYS, ROLL)
+LARGEST = {
+    TIME: np.inf, LATITUDE: 180.0, LONGITUDE: 360.0, STEER: np.pi, WHEEL: 300.0,
+    ROLL_RATE: 100.0, YAW_RATE: 100.0, SIDEWAYS: 500.0, ROLL: np.pi,
+}  # fmt: skip
+"""Largest magnitude of a column that its instrument can tell."""
 
 
 class Fixes(NamedTuple):
@@ -51,12 +56,15 @@ class Log(NamedTuple):
             lateral_acceleration (m/s², gravity included, biased) and lean (rad, left positive, as
             the filter on board estimates it).
         repeated: Rows whose time is not later than the one before.
+        unusable: Values that are no numbers, or none that the instrument can tell, which are NaN,
+            and rows without a position.
     """
 
     fixes: Fixes
     time_s: Array
     sensors: pd.DataFrame
     repeated: int
+    unusable: int
 
 
 def read_log(path: Path) -> Log:
@@ -76,6 +84,10 @@ def read_log(path: Path) -> Log:
         needs, remedy, found = "increase", "The log has no clock.", times[:2]
         refuse_track(RejectReason.NO_TIMESTAMPS, TIME, needs, found, path, remedy)
     table, times = table[fresh], times[fresh]
+    within = table.abs() <= pd.Series(LARGEST)[table.columns]
+    lost = ((table[[LATITUDE, LONGITUDE]] == 0.0).any(axis=1)).sum()
+    unusable = int((~within).sum().sum() + lost)
+    table = table.where(within)
     sensors = pd.DataFrame(
         {
             "steer_encoder": table[STEER],
@@ -86,7 +98,7 @@ def read_log(path: Path) -> Log:
             "lean": -table[ROLL],
         }
     )
-    return Log(_fixes(table, times, path), times, sensors, int((~fresh).sum()))
+    return Log(_fixes(table, times, path), times, sensors, int((~fresh).sum()), unusable)
 
 
 def _fixes(table: pd.DataFrame, time_s: Array, path: Path) -> Fixes:

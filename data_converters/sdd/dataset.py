@@ -11,9 +11,14 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 import pandas as pd
 
-from data_converters.csv_table import require_columns, told_as_fault
+from data_converters.csv_table import read_by_name, require_columns, told_as_fault
 from data_converters.errors import RejectReason, refuse_track
-from data_converters.multi_agent import MultiAgentDataset, Recording, modes_of
+from data_converters.multi_agent import (
+    METRES_PER_PIXEL,
+    MultiAgentDataset,
+    Recording,
+    modes_of,
+)
 from data_converters.recordings import RawScene
 from data_converters.splits import RecordingSplit
 from dmmv_conventions.cache import SPLITS
@@ -30,6 +35,7 @@ LABELS = {
 }
 """Mode of a label; a bus has the size and the motion of a truck."""
 
+FILES = ("annotations.txt", "annotations.txt.gz")
 BOX = ("xmin", "ymin", "xmax", "ymax")
 COLUMNS = ("id", *BOX, "frame", "lost", "occluded", "generated", "label")
 
@@ -69,11 +75,9 @@ class SddDataset(MultiAgentDataset):
 
     def recordings(self) -> list[Recording]:
         """One recording per video; one that is refused for its scale is not dealt."""
-        paths = [
-            path
-            for ending in ("txt", "txt.gz")
-            for path in self.root.glob(f"*/*/annotations.{ending}")
-        ]
+        # by a pattern, which finds dangling links too
+        found = sorted(self.root.glob("*/*/annotations.txt*"))
+        paths = [path for path in found if path.name in FILES]
         named = {f"{path.parents[1].name}_{path.parent.name}": path for path in paths}
         return [
             Recording(name, (named[name],), None if self._certain(name) else SPLITS[0])
@@ -98,9 +102,9 @@ class SddDataset(MultiAgentDataset):
         raw.note("rows_lost", int((~visible).sum()))
         raw.note("rows_generated", int((visible & (rows["generated"] == 1)).sum()))
         # the number of disappearances before a row tells the visible stretch it is part of
-        vanished = (~visible & visible.groupby(rows["id"]).shift(fill_value=False)).groupby(
-            rows["id"]
-        )
+        vanished = (
+            ~visible & visible.groupby(rows["id"], dropna=False).shift(fill_value=False)
+        ).groupby(rows["id"], dropna=False)
         rows = rows.assign(stretch=vanished.cumsum())[visible]
         return rows.assign(
             agent=_names(rows["id"], rows["stretch"]),
@@ -120,6 +124,11 @@ class SddDataset(MultiAgentDataset):
             needs, remedy = f"reach {self.min_certainty:g} for {video}", "Lower `min_certainty`."
             found = known.certainty
             refuse_track(RejectReason.LOW_CERTAINTY, "certainty", needs, found, where, remedy)
+        finest, coarsest = METRES_PER_PIXEL
+        if not finest <= known.metres_per_pixel <= coarsest:
+            needs, remedy = f"be {finest:g} to {coarsest:g} m for {video}", "Correct its row."
+            found = known.metres_per_pixel
+            refuse_track(RejectReason.SCALE, "metres_per_pixel", needs, found, where, remedy)
         return known.metres_per_pixel
 
     def _certain(self, video: str) -> bool:
@@ -128,13 +137,9 @@ class SddDataset(MultiAgentDataset):
 
     @cached_property
     def _scales(self) -> dict[str, _Scale]:
-        path = self.root / "scales.csv"
-        if not path.is_file():
-            return {}
-        table = pd.read_csv(path).astype({"metres_per_pixel": float, "certainty": float})
-        names = (table["scene"] + "_" + table["video"]).tolist()
-        scales = table[["metres_per_pixel", "certainty"]].to_numpy()
-        return {name: _Scale(*scale) for name, scale in zip(names, scales.tolist(), strict=True)}
+        path, columns = self.root / "scales.csv", ("metres_per_pixel", "certainty")
+        table = read_by_name(path, ("scene", "video"), columns)
+        return {name: _Scale(*numbers) for name, numbers in table.items()}
 
 
 def _names(number: pd.Series, stretch: pd.Series) -> pd.Series:

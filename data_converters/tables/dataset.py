@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import gzip
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +15,13 @@ import numpy as np
 import pandas as pd
 
 from data_converters.csv_table import told_as_fault
-from data_converters.errors import RejectReason, TrackError, refuse_track, require
+from data_converters.errors import (
+    ConversionError,
+    RejectReason,
+    TrackError,
+    refuse_track,
+    require,
+)
 from data_converters.multi_agent import MultiAgentDataset, Recording, modes_of
 from data_converters.recordings import RawScene
 from data_converters.tables.columns import TableColumns
@@ -89,10 +96,9 @@ class TableDataset(MultiAgentDataset):
         Raises:
             ConversionError: If the first table lacks a column.
         """
-        paths = sorted({path for ending in ENDINGS for path in self.root.rglob(f"*.{ending}")})
         found: dict[str, Recording] = {}
         self._scene_of.clear()
-        for path in paths:
+        for path in self._paths:
             stem = _plain(str(path.relative_to(self.root)).partition(".")[0])
             for scene, group in self._scenes(path).items():
                 name = stem if scene is None else f"{stem}_{_plain(scene)}"
@@ -109,12 +115,23 @@ class TableDataset(MultiAgentDataset):
             TrackError: If the file is no table.
             ConversionError: If it lacks a column, or its units cannot be right.
         """
-        rows, columns, units = self._rows(path), self.columns, self.units
-        columns.require_all(rows, path)
-        scene = self._scene_of.get(recording.name)
-        if scene is not None:
-            rows = rows[rows[columns.scene].astype(str) == scene]
-        table = pd.DataFrame(
+        rows, columns = self._rows(path), self.columns
+        with self._unlike_others(recording):
+            columns.require_all(rows, path)
+            rows = self._of_scene(rows, recording)
+            table = self._in_si(rows)
+            self.plausible.check(table, path)
+        table = table.assign(**self._modes(rows), **self._measured(rows))
+        if columns.controls:
+            recorded = {name: rows[column] for name, column in columns.controls.items()}
+            numbers = pd.DataFrame(recorded).apply(pd.to_numeric, errors="coerce")
+            controls = table[["agent", "time_s"]].rename(columns={"agent": "agent_id"})
+            raw.side_tables[CONTROLS_TABLE] = controls.assign(**numbers.astype(np.float64))
+        return table
+
+    def _in_si(self, rows: pd.DataFrame) -> pd.DataFrame:
+        columns, units = self.columns, self.units
+        return pd.DataFrame(
             {
                 "agent": "agent" if columns.agent is None else _agents(rows[columns.agent]),
                 "time_s": units.seconds(rows[columns.time]),
@@ -122,14 +139,38 @@ class TableDataset(MultiAgentDataset):
                 "y": units.metres(rows[columns.y]) * (-1.0 if units.y_down else 1.0),
             }
         )
-        table = table.assign(**self._modes(rows), **self._measured(rows))
-        self.plausible.check(table, path)
-        if columns.controls:
-            recorded = {name: rows[column] for name, column in columns.controls.items()}
-            numbers = pd.DataFrame(recorded).apply(pd.to_numeric, errors="coerce")
-            controls = table[["agent", "time_s"]].rename(columns={"agent": "agent_id"})
-            raw.side_tables[CONTROLS_TABLE] = controls.assign(**numbers.astype(np.float64))
-        return table
+
+    @contextmanager
+    def _unlike_others(self, recording: Recording) -> Iterator[None]:
+        """Refuse one recording that the settings do not describe, if they describe another.
+
+        Raises:
+            TrackError: They do, so that it is this one that is wrong.
+            ConversionError: They describe none, so that they are wrong.
+        """
+        try:
+            yield
+        except ConversionError as error:
+            others = (each for each in self._index.values() if each.name != recording.name)
+            if any(self._fits(other) for other in others):
+                raise TrackError(str(error), RejectReason.OTHER_TABLE) from error
+            raise
+
+    def _fits(self, recording: Recording) -> bool:
+        """Whether the settings describe a recording."""
+        (path,) = recording.files
+        try:
+            rows = self._rows(path)
+            self.columns.require_all(rows, path)
+            table = self._in_si(self._of_scene(rows, recording))
+            self.plausible.check(table, path)
+        except ConversionError:
+            return False
+        return len(table) > 0
+
+    def _of_scene(self, rows: pd.DataFrame, recording: Recording) -> pd.DataFrame:
+        scene = self._scene_of.get(recording.name)
+        return rows if scene is None else rows[rows[self.columns.scene].astype(str) == scene]
 
     def _modes(self, rows: pd.DataFrame) -> dict[str, Any]:
         if self.columns.type is None:
@@ -155,10 +196,10 @@ class TableDataset(MultiAgentDataset):
             return {None: ""}
         try:
             rows = self._rows(path)
-        except TrackError:
+            self.columns.require_all(rows, path)
+        except ConversionError:
             # it is refused, and counted, when it is read
             return {None: ""}
-        self.columns.require_all(rows, path)
         scene, recording = self.columns.scene, self.columns.recording
         groups = rows[recording].astype(str) if recording else pd.Series("", index=rows.index)
         if scene is None:
@@ -172,6 +213,10 @@ class TableDataset(MultiAgentDataset):
             self._latest.clear()
             self._latest[path] = _read(path)
         return self._latest[path]
+
+    @cached_property
+    def _paths(self) -> list[Path]:
+        return sorted({path for ending in ENDINGS for path in self.root.rglob(f"*.{ending}")})
 
     @cached_property
     def _latest(self) -> dict[Path, pd.DataFrame]:
@@ -191,9 +236,11 @@ def _read(path: Path) -> pd.DataFrame:
     if path.suffix != ".parquet":
         with told_as_fault(path):
             return pd.read_csv(path, sep=_separator(path), encoding="utf-8-sig")
+    from pyarrow.lib import ArrowException
+
     try:
         return pd.read_parquet(path)
-    except (ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, ArrowException) as error:
         remedy = "Write the file again."
         refuse_track(RejectReason.MISSING_FIELD, "file", "be a table", error, path, remedy)
 

@@ -88,6 +88,9 @@ class Plausibility:
         slowest_hz: Slowest rate that can be used.
         fastest_hz: Fastest rate that is believed.
         max_speed_mps: Speed in m/s that the median of the agents does not exceed.
+
+    Raises:
+        ConversionError: If a number is not positive.
     """
 
     rate_hz: float | None = None
@@ -95,6 +98,11 @@ class Plausibility:
     slowest_hz: float = 1.0
     fastest_hz: float = 1000.0
     max_speed_mps: float = 60.0
+
+    def __post_init__(self) -> None:
+        for name in ("rate_hz", "tolerance", "slowest_hz", "fastest_hz", "max_speed_mps"):
+            value = getattr(self, name)
+            require(value is None or value > 0.0, name, "be positive", value, "", "Give Hz or m/s.")
 
     def check(self, table: pd.DataFrame, where: object) -> None:
         """Refuse a table whose usual step or speed cannot be.

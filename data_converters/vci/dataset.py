@@ -11,9 +11,9 @@ from typing import ClassVar
 
 import pandas as pd
 
-from data_converters.csv_table import read_numbers
+from data_converters.csv_table import read_by_name, read_numbers
 from data_converters.errors import RejectReason, refuse_track
-from data_converters.multi_agent import MultiAgentDataset, Recording
+from data_converters.multi_agent import METRES_PER_PIXEL, MultiAgentDataset, Recording
 from data_converters.recordings import RawScene
 from data_converters.splits import RecordingSplit
 from dmmv_conventions.modes import Mode
@@ -152,16 +152,14 @@ class DutDataset(VehicleCrowdDataset):
             TrackError: If `ratios.csv` does not tell it.
         """
         ratio = self._pixels_per_metre.get(clip, float("nan"))
-        if not ratio > 0.0:
+        finest, coarsest = METRES_PER_PIXEL
+        if not 1.0 / coarsest <= ratio <= 1.0 / finest:
             where, remedy = self.root / "ratios.csv", "Raw positions are pixels: add its scale."
-            needs = f"hold the pixels_per_metre of {clip}"
-            refuse_track(RejectReason.MISSING_FIELD, "ratios", needs, ratio, where, remedy)
+            needs = f"hold the pixels_per_metre of {clip}, {1 / coarsest:g} to {1 / finest:g}"
+            refuse_track(RejectReason.SCALE, "ratios", needs, ratio, where, remedy)
         return 1.0 / ratio
 
     @cached_property
     def _pixels_per_metre(self) -> dict[str, float]:
-        path = self.root / "ratios.csv"
-        if not path.is_file():
-            return {}
-        table = pd.read_csv(path)
-        return dict(zip(table["clip"], table["pixels_per_metre"].astype(float), strict=True))
+        table = read_by_name(self.root / "ratios.csv", ("clip",), ("pixels_per_metre",))
+        return {clip: ratio for clip, (ratio,) in table.items()}

@@ -1,19 +1,27 @@
 """What a training run does beside training: records, tables and figures."""
 
-from diffstack_mmv.callbacks.artifacts import CheckpointArtifact
-from diffstack_mmv.callbacks.compilation import CompiledSolver
-from diffstack_mmv.callbacks.csv_log import KeptRows, ResumableCSVLogger
-from diffstack_mmv.callbacks.dashboard import build_dashboard, dashboard
-from diffstack_mmv.callbacks.monitors import GradientNorms, LearnedParameters, Throughput, WallClock
-from diffstack_mmv.callbacks.plans import PlanTable, scenes_of
-from diffstack_mmv.callbacks.preemption import Preemption
-from diffstack_mmv.callbacks.reproducibility import (
-    EarlyStopping,
-    Provenance,
-    RandomState,
-    resume_point,
-)
-from diffstack_mmv.callbacks.results import WandbResults
+from dmmv_conventions.extras import needs
+
+with needs("stack", "diffstack_mmv.callbacks"):
+    from diffstack_mmv.callbacks.artifacts import CheckpointArtifact
+    from diffstack_mmv.callbacks.compilation import CompiledSolver
+    from diffstack_mmv.callbacks.csv_log import KeptRows, ResumableCSVLogger
+    from diffstack_mmv.callbacks.dashboard import build_dashboard, dashboard
+    from diffstack_mmv.callbacks.monitors import (
+        GradientNorms,
+        LearnedParameters,
+        Throughput,
+        WallClock,
+    )
+    from diffstack_mmv.callbacks.plans import PlanTable, scenes_of
+    from diffstack_mmv.callbacks.preemption import Preemption
+    from diffstack_mmv.callbacks.reproducibility import (
+        EarlyStopping,
+        Provenance,
+        RandomState,
+        resume_point,
+    )
+    from diffstack_mmv.callbacks.results import WandbResults
 
 __all__ = [
     "CheckpointArtifact",

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
-import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -55,16 +54,8 @@ class CurvatureForm(Protocol):
         """The expansion made of kernels; `shared` if all problems have the same dynamics."""
         ...
 
-    def completed(
-        self,
-        model: Model,
-        dynamics: Dynamics,
-        cost: Cost,
-        like: Float[Tensor, "*b"],
-        x: Float[Tensor, "T1 n N"],
-        u: Float[Tensor, "T m N"],
-    ) -> Model:
-        """A model that was asked for with no problem near its solution, with the exact Hessian."""
+    def is_exact(self, columns: int) -> bool:
+        """Whether every model of a state with so many columns has the exact Hessian."""
         ...
 
 
@@ -76,17 +67,9 @@ class ExactCurvature:
         """One kernel."""
         return kernel(expand)
 
-    def completed(
-        self,
-        model: Model,
-        dynamics: Dynamics,
-        cost: Cost,
-        like: Float[Tensor, "*b"],
-        x: Float[Tensor, "T1 n N"],
-        u: Float[Tensor, "T m N"],
-    ) -> Model:
-        """The model as it is."""
-        return model
+    def is_exact(self, columns: int) -> bool:
+        """Yes."""
+        return True
 
 
 @dataclass(frozen=True)
@@ -102,18 +85,9 @@ class DifferencedCurvature:
             return Chunked(kernel(pull, fixed_shapes=True), kernel(value_along), kernel(assemble))
         return kernel(expand_by_differences)
 
-    def completed(
-        self,
-        model: Model,
-        dynamics: Dynamics,
-        cost: Cost,
-        like: Float[Tensor, "*b"],
-        x: Float[Tensor, "T1 n N"],
-        u: Float[Tensor, "T m N"],
-    ) -> Model:
-        """A new model: this one has no curvature of the dynamics."""
-        with torch.no_grad():
-            return expand(dynamics, cost, like, x, u)
+    def is_exact(self, columns: int) -> bool:
+        """No: far from a solution a model goes without the curvature of the dynamics."""
+        return False
 
 
 @dataclass(frozen=True)
@@ -134,20 +108,11 @@ class CurvatureBySize:
         def chosen(
             dynamics: Dynamics, cost: Cost, like: Tensor, x: Tensor, u: Tensor, near: Tensor
         ) -> Model:
-            model = differenced if x.shape[1] >= self.large else exact
+            model = exact if self.is_exact(x.shape[1]) else differenced
             return model(dynamics, cost, like, x, u, near)
 
         return chosen
 
-    def completed(
-        self,
-        model: Model,
-        dynamics: Dynamics,
-        cost: Cost,
-        like: Float[Tensor, "*b"],
-        x: Float[Tensor, "T1 n N"],
-        u: Float[Tensor, "T m N"],
-    ) -> Model:
-        """As the form that was chosen."""
-        form = DifferencedCurvature() if x.shape[1] >= self.large else ExactCurvature()
-        return form.completed(model, dynamics, cost, like, x, u)
+    def is_exact(self, columns: int) -> bool:
+        """Of a small model."""
+        return columns < self.large

@@ -105,6 +105,7 @@ def conclude(call: Call, iterate: Iterate) -> tuple[Solution, StationaryPoint]:
     residual = (u - moved).abs().amax((0, 1)).nan_to_num(torch.inf)
     free = ~is_active(u, model.gradient, box)
     converged = iterate.status == SolverStatus.CONVERGED
-    point = StationaryPoint(x, u, free, converged, model, call.curvature.completed)
+    exact = call.curvature.is_exact(x.shape[1])
+    point = StationaryPoint(x, u, free, converged, model, exact)
     parts = (x, u, iterate.cost, residual, iterate.iterations, iterate.status)
     return Solution(*(from_batch_last(part, like) for part in parts)), point

@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last
-from diffstack_mmv.control.expansion import Model, pad_controls, step_all
+from diffstack_mmv.control.expansion import Model, expand, pad_controls, step_all
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.riccati import LinearQuadratic, Stationary, solve_free
 
@@ -38,7 +38,7 @@ class StationaryPoint(NamedTuple):
     free: Bool[Tensor, "T m N"]  # controls that are not active
     valid: Bool[Tensor, " N"]  # problems that carry a gradient
     model: Model
-    complete: Callable[..., Model]  # gives the model the exact Hessian, if a derivative asks for it
+    exact: bool  # whether the model has the exact Hessian already
 
 
 class Attached(NamedTuple):
@@ -113,8 +113,20 @@ def attach(
     residual = [to_batch_last(part, like) for part in (of_x, of_u, following)]
     if not any(part.requires_grad for part in residual):
         return None
-    model = point.complete(point.model, dynamics, cost, like, point.x, point.u)
-    point = point._replace(model=model)
+    if not point.exact:
+        with torch.no_grad():
+            point = point._replace(model=expand(dynamics, cost, like, point.x, point.u))
     x, u = (from_batch_last(part, like) for part in _Implicit.apply(*residual, point, solve))
+    return attached(state, x, u, each, valid)
+
+
+def attached(
+    state: Float[Tensor, "*b n"],
+    x: Float[Tensor, "*b T n"],
+    u: Float[Tensor, "*b T m"],
+    each: Float[Tensor, "*b"],
+    valid: Bool[Tensor, "*b"],
+) -> Attached:
+    """Join initial and following states; only valid problems have a derivative of the cost."""
     states = torch.cat([state.unsqueeze(-2), x], -2)
     return Attached(states, u, torch.where(valid, each, each.detach()))

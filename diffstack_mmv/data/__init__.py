@@ -1,32 +1,36 @@
 """From recordings to batches of an ego agent and its neighbors, in the frame of the ego."""
 
-from diffstack_mmv.data.augment import (
-    Augmentation,
-    Chain,
-    HistoryDropout,
-    Mirror,
-    PositionNoise,
-    Rotation,
-    SpeedScale,
-)
-from diffstack_mmv.data.batch import stack_batch
-from diffstack_mmv.data.corrections import HeldHeading, UpwardY
-from diffstack_mmv.data.datamodule import Splits, TrajdataModule
-from diffstack_mmv.data.dataset import DirectWindows, ExportedWindows, WindowDataset
-from diffstack_mmv.data.export import Export, ExportSettings, export_windows
-from diffstack_mmv.data.loading import LoaderSettings, WindowLoader
-from diffstack_mmv.data.sampling import Balance, EqualModes, SituationShare
-from diffstack_mmv.data.settings import WindowSettings
-from diffstack_mmv.data.situations import Situations, situations
-from diffstack_mmv.data.sources import ConvertedCache, NamedDataset, WindowSource
-from diffstack_mmv.data.tracks import (
-    read_controls,
-    read_interpolated,
-    read_leans,
-    read_sensors,
-    read_tracks,
-    recorded_noise,
-)
+from dmmv_conventions.extras import needs
+
+with needs("stack", "diffstack_mmv.data"):
+    from diffstack_mmv.data.augment import (
+        Augmentation,
+        Chain,
+        HistoryDropout,
+        Mirror,
+        PositionNoise,
+        Rotation,
+        SpeedScale,
+    )
+    from diffstack_mmv.data.batch import stack_batch
+    from diffstack_mmv.data.corrections import HeldHeading, UpwardY
+    from diffstack_mmv.data.datamodule import Splits, TrajdataModule
+    from diffstack_mmv.data.dataset import DirectWindows, ExportedWindows, WindowDataset
+    from diffstack_mmv.data.export import Export, ExportSettings, export_windows
+    from diffstack_mmv.data.loading import LoaderSettings, WindowLoader
+    from diffstack_mmv.data.recorded_scenes import RecordedScenes
+    from diffstack_mmv.data.sampling import Balance, EqualModes, SituationShare
+    from diffstack_mmv.data.settings import WindowSettings
+    from diffstack_mmv.data.situations import Situations, situations
+    from diffstack_mmv.data.sources import ConvertedCache, NamedDataset, WindowSource
+    from diffstack_mmv.data.tracks import (
+        read_controls,
+        read_interpolated,
+        read_leans,
+        read_sensors,
+        read_tracks,
+        recorded_noise,
+    )
 
 __all__ = [
     "Augmentation",
@@ -45,6 +49,7 @@ __all__ = [
     "NamedDataset",
     "PositionNoise",
     "Rotation",
+    "RecordedScenes",
     "SituationShare",
     "Situations",
     "SpeedScale",

@@ -13,6 +13,7 @@ import pandas as pd
 import torch
 from jaxtyping import Int
 from numpy.typing import NDArray
+from pyarrow.lib import ArrowException
 from torch import Tensor
 from torch.utils._pytree import tree_leaves
 from torch.utils.data import Dataset
@@ -77,8 +78,8 @@ class ExportedWindows(WindowDataset):
         self.folder = folder
         self.content = _marker(folder)
         self.windows = WindowSettings(**self.content["key"]["windows"])
-        self._usable = np.flatnonzero(np.load(folder / USABLE))
         layout = fields(self.windows)
+        self._usable = np.flatnonzero(self._map("usable", FieldLayout((), np.bool_)))
         self._fields = {name: self._map(name, shape) for name, shape in layout.items()}
 
     def _map(self, name: str, layout: FieldLayout) -> NDArray[Any]:
@@ -113,7 +114,13 @@ class ExportedWindows(WindowDataset):
     @cached_property
     def samples(self) -> pd.DataFrame:
         """One row per sample: dataset, scene, agent, row, mode and the situations."""
-        table = pd.read_parquet(self.folder / SAMPLES)
+        path = self.folder / SAMPLES
+        try:
+            table = pd.read_parquet(path)
+        except (OSError, ValueError, ArrowException) as error:
+            raise ValueError(_damaged(path, "be a table of the windows", error)) from error
+        if len(table) != self.content["windows"]:
+            raise ValueError(_damaged(path, "have a row per window", len(table)))
         return table.iloc[self._usable].reset_index(drop=True)
 
 

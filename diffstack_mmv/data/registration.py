@@ -17,11 +17,13 @@ from trajdata.data_structures.state import StateArray
 from trajdata.dataset_specific.raw_dataset import RawDataset
 from trajdata.utils import scene_utils
 
+from diffstack_mmv.data.damage import told_as_damage
 from diffstack_mmv.data.settings import WindowSettings
 from diffstack_mmv.data.window_counts import WindowCounts
 from dmmv_conventions.opening import CachedUnifiedDataset, encoded
 
 OBSERVED = "x,y,xd,yd,h"
+CONVERT_AGAIN = "Convert the recordings again."
 
 
 class SceneTable(DataFrameCache):
@@ -146,17 +148,18 @@ class TrajdataWindows(CachedUnifiedDataset):
     def _get_data_index(self, num_workers: int, scene_paths: list[Path]) -> list[Any]:
         index = []
         for scene_path in scene_paths:
-            entry: tuple[Any, ...] = self._get_data_index_agent(
-                scene_path,
-                incl_robot_future=False,
-                only_types=None,
-                only_predict=self.only_predict,
-                no_types=None,
-                history_sec=self.history_sec,
-                future_sec=self.future_sec,
-                desired_dt=self.desired_dt,
-                ret_scene_info=True,
-            )
+            with told_as_damage(Path(scene_path), CONVERT_AGAIN):
+                entry: tuple[Any, ...] = self._get_data_index_agent(
+                    scene_path,
+                    incl_robot_future=False,
+                    only_types=None,
+                    only_predict=self.only_predict,
+                    no_types=None,
+                    history_sec=self.history_sec,
+                    future_sec=self.future_sec,
+                    desired_dt=self.desired_dt,
+                    ret_scene_info=True,
+                )
             scene, path, elements, agents = entry
             modes = {agent.name: int(agent.type) for agent in scene.agents}
             for agent in scene.agents:
@@ -186,9 +189,10 @@ class TrajdataWindows(CachedUnifiedDataset):
         )
 
     def _open(self, path: str) -> _OpenScene:
-        scene = EnvCache.load(path)
-        scene_utils.enforce_desired_dt(scene, self.desired_dt)
-        table = SceneTable(self.cache_path, scene, self._corrections)
+        with told_as_damage(Path(path), CONVERT_AGAIN):
+            scene = EnvCache.load(path)
+            scene_utils.enforce_desired_dt(scene, self.desired_dt)
+            table = SceneTable(self.cache_path, scene, self._corrections)
         table.set_obs_format(self.obs_format)
         return _OpenScene(path, scene, table)
 

@@ -14,9 +14,16 @@ from trajdata.utils import env_utils
 
 from diffstack_mmv.checks import message, require
 from diffstack_mmv.data.corrections import HeldHeading, UpwardY
+from diffstack_mmv.data.damage import only_file
 from diffstack_mmv.data.registration import TrajdataWindows
 from diffstack_mmv.data.settings import WindowSettings
-from dmmv_conventions.cache import REPORT_FILE, STATE_FILE, read_state, require_own
+from dmmv_conventions.cache import (
+    REPORT_FILE,
+    STATE_FILE,
+    conversion_of,
+    read_state,
+    require_own,
+)
 from dmmv_conventions.opening import CachedEnvironment
 
 _USUAL_CORRECTIONS: dict[str, tuple[DatasetAugmentation, ...]] = {"sdd": (UpwardY(), HeldHeading())}
@@ -89,6 +96,14 @@ class ConvertedCache:
         """
         return self._chosen(self._state())["scenes"]
 
+    def dt_s(self) -> float:
+        """Step of the tracks in s.
+
+        Raises:
+            ValueError: The cache is absent, unfinished or of another version.
+        """
+        return float(self._state()["dt_s"])
+
     def report(self) -> dict[str, Any]:
         """The report of the conversion, empty if there is none."""
         path = self._path / REPORT_FILE
@@ -111,6 +126,13 @@ class ConvertedCache:
             f"for '{self.name}'",
         )
         _require_step(windows, state["dt_s"], f"in {self._path / STATE_FILE}")
+        for scene in state["scenes"]:
+            path = only_file(self._path / scene["name"], "scene_metadata_dt*.dill")
+            needs, remedy = (
+                "hold the files of its conversion",
+                conversion_of(self.name, Path(self.folder)),
+            )
+            require(path.is_file(), "cache", needs, "no such file", f"at {path}", remedy)
         environment = CachedEnvironment(Path(self.folder), state)
         return TrajdataWindows(f"{self.name}-{split}", windows, Path(self.folder), [environment])
 

@@ -11,9 +11,11 @@ import pandas as pd
 import torch
 from torch import Tensor
 from trajdata.caching.env_cache import EnvCache
+from trajdata.data_structures.scene_metadata import Scene
 
 from diffstack_mmv.checks import message, require
 from diffstack_mmv.data.batch import STANDSTILL_MPS, yaw_rate
+from diffstack_mmv.data.damage import only_file, told_as_damage
 from diffstack_mmv.data.sources import ConvertedCache, WindowSource
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.types import Mode, Motion
@@ -77,8 +79,7 @@ def read_interpolated(source: WindowSource, splits: Sequence[str], mode: str) ->
             wanted.label
         ):
             continue
-        table = pd.read_feather(next(_folder(cache, scene["name"]).glob("agent_data_dt*.feather")))
-        for agent, rows in table.sort_values("scene_ts").groupby("agent_id"):
+        for agent, rows in _agent_rows(cache, scene["name"]).groupby("agent_id"):
             mask = rows["interpolated"].to_numpy(dtype=bool)
             found[f"{scene['name']}/{agent}"] = torch.from_numpy(mask.copy())
     return found
@@ -96,7 +97,7 @@ def read_leans(source: WindowSource, splits: Sequence[str], mode: str) -> dict[s
     cache, found = _converted(source), {}
     for scene in cache.scenes():
         table = side_table(_folder(cache, scene["name"]), LEAN_TABLE)
-        if scene["split"] in splits and table.is_file():
+        if scene["split"] in splits and table.exists():
             found |= _scene_leans(cache, scene["name"], table, Mode.named(mode))
     return found
 
@@ -149,17 +150,48 @@ def _recorded(
     found, tables = {}, 0
     for scene in cache.scenes():
         path = side_table(_folder(cache, scene["name"]), table)
-        if scene["split"] not in splits or not path.is_file():
+        if scene["split"] not in splits or not path.exists():
             continue
-        tables, measured = tables + 1, pd.read_parquet(path)
-        for name in ("agent_id", "time_s", *names):
-            known = tuple(measured.columns)
-            require(name in known, table, f"be columns of {', '.join(known)}", name,
-                    f" in {path}")  # fmt: skip
+        tables, measured = tables + 1, _numbers(cache, path, names)
         found |= _scene_controls(cache, scene["name"], measured, mode, names)
     where, remedy = f" in '{cache.name}'", f"Write one beside the scenes, or drop `{table}`."
     require(tables > 0, table, f"be recorded in {table}.parquet", "no such file", where, remedy)
+    known = any(bool(torch.isfinite(values).any()) for values in found.values())
+    require(known, table, "hold a number at a time of a track", "none", where, remedy)
     return found
+
+
+def _numbers(cache: ConvertedCache, path: Path, names: Sequence[str]) -> pd.DataFrame:
+    """A table beside a scene: whose, when, and columns of numbers, NaN where there is none."""
+    table = _side_rows(cache, path)
+    columns, where = tuple(table.columns), f" in {path}"
+    for name in ("agent_id", "time_s", *names):
+        needs = f"be columns of {', '.join(columns)}"
+        require(name in columns, path.stem, needs, name, where)
+    for name in ("time_s", *names):
+        kind = table[name].dtype
+        require(kind.kind in "fiu", path.stem, f"be numbers in column {name}", kind, where)
+        finite = not np.isinf(table[name].to_numpy("float64")).any()
+        require(finite, path.stem, f"be finite in column {name}", "inf", where)
+    return table
+
+
+def _side_rows(cache: ConvertedCache, path: Path) -> pd.DataFrame:
+    with told_as_damage(path, conversion_of(cache.name, Path(cache.folder))):
+        return pd.read_parquet(path)
+
+
+def _agent_rows(cache: ConvertedCache, name: str) -> pd.DataFrame:
+    """All rows of a scene, in the order of time."""
+    path = only_file(_folder(cache, name), "agent_data_dt*.feather")
+    with told_as_damage(path, conversion_of(cache.name, Path(cache.folder))):
+        return pd.read_feather(path).sort_values("scene_ts")
+
+
+def _scene(cache: ConvertedCache, name: str) -> Scene:
+    path = only_file(_folder(cache, name), "scene_metadata_dt*.dill")
+    with told_as_damage(path, conversion_of(cache.name, Path(cache.folder))):
+        return EnvCache.load(path)
 
 
 def recorded_noise(source: WindowSource, mode: str, dt_s: float) -> RecordedNoise | None:
@@ -202,10 +234,9 @@ def _converted(source: WindowSource) -> ConvertedCache:
 
 
 def _scene_tracks(cache: ConvertedCache, name: str, mode: Mode) -> dict[str, Motion]:
-    folder = _folder(cache, name)
-    scene = EnvCache.load(next(folder.glob("scene_metadata_dt*.dill")))
+    scene = _scene(cache, name)
     chosen = [agent.name for agent in scene.agents or () if int(agent.type) == mode]
-    table = pd.read_feather(next(folder.glob("agent_data_dt*.feather")))
+    table = _agent_rows(cache, name)
     return {
         f"{name}/{agent}": _motion(table[table["agent_id"] == agent], scene.dt) for agent in chosen
     }
@@ -214,7 +245,7 @@ def _scene_tracks(cache: ConvertedCache, name: str, mode: Mode) -> dict[str, Mot
 def _scene_leans(cache: ConvertedCache, name: str, table: Path, mode: Mode) -> dict[str, Tensor]:
     """Lean at the steps of each track, between the times of measurement by straight lines."""
     found = {}
-    for track in _measured(cache, name, pd.read_parquet(table), mode):
+    for track in _measured(cache, name, _numbers(cache, table, ["lean"]), mode):
         known = (track.rows["time_s"].to_numpy(), track.rows["lean"].to_numpy())
         lean = np.interp(track.time_s, *known, left=np.nan, right=np.nan)
         found[track.name] = torch.from_numpy(lean)
@@ -254,7 +285,7 @@ def _measured(
     cache: ConvertedCache, name: str, table: pd.DataFrame, mode: Mode
 ) -> Iterator[_Measured]:
     """Rows of a table that stands beside a scene, by the tracks of a mode."""
-    scene = EnvCache.load(next(_folder(cache, name).glob("scene_metadata_dt*.dill")))
+    scene = _scene(cache, name)
     for agent in scene.agents or ():
         # a track that was split at gaps has one measurement for all its parts
         whose = table["agent_id"].isin([agent.name, agent.name.rpartition("_s")[0]])

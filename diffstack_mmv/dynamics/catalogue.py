@@ -2,16 +2,11 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
-from hydra import compose, initialize_config_dir
-from hydra.core.global_hydra import GlobalHydra
-from hydra.core.utils import JobRuntime
-from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
-
-from diffstack_mmv.checks import require_one_of, require_positive
+from diffstack_mmv.checks import require_positive
 from diffstack_mmv.dynamics.base import DynamicsModel
+from diffstack_mmv.dynamics.config_files import factory, names_in, settings_of
 from diffstack_mmv.vehicles import ParameterSpec, VehicleSpec, config_folder, load_vehicle
 
 INERTIAS = ("yaw_inertia", "roll_inertia")
@@ -28,7 +23,7 @@ class ModelFactory(Protocol):
 
 def dynamics_names() -> list[str]:
     """Names of the dynamics in `configs/dynamics`, sorted."""
-    return sorted(path.stem for path in (config_folder() / "dynamics").glob("*.yaml"))
+    return names_in(config_folder() / "dynamics")
 
 
 def load_dynamics(name: str) -> ModelFactory:
@@ -41,23 +36,10 @@ def load_dynamics(name: str) -> ModelFactory:
         What builds the model of a vehicle; vehicle and step of the file are left out.
 
     Raises:
-        ValueError: There is no such file.
+        ValueError: There is no such file, or a setting in it is left to the command line.
     """
-    require_one_of("dynamics", name, dynamics_names())
-    content: Any = OmegaConf.to_container(_composed(name), resolve=False)
-    settings = {key: value for key, value in content.items() if key not in ("spec", "dt_s")}
-    return instantiate(settings, _partial_=True)
-
-
-def _composed(name: str) -> DictConfig:
-    """The node of one dynamics; Hydra, which composes one thing at a time, may run a command."""
-    running, job = GlobalHydra.instance().hydra, JobRuntime.instance().get("name")
-    GlobalHydra.instance().clear()
-    try:
-        with initialize_config_dir(str(config_folder()), job_name=job, version_base="1.3"):
-            return compose(overrides=[f"+dynamics={name}"]).dynamics
-    finally:
-        GlobalHydra.instance().hydra = running
+    settings = settings_of(name, config_folder() / "dynamics")
+    return factory({key: each for key, each in settings.items() if key not in ("spec", "dt_s")})
 
 
 def model_of(

@@ -147,10 +147,14 @@ class RecordedControls:
         columns = ("acceleration_mps2", "steer_rad")
         try:
             with Path(self.path).open(newline="") as stream:
-                rows = [[float(row[name]) for name in columns] for row in csv.DictReader(stream)]
-        except (OSError, KeyError, TypeError, ValueError) as problem:
+                read = list(csv.DictReader(stream, strict=True))
+            rows = [[float(row[name]) for name in columns] for row in read]
+            ragged = [i + 1 for i, row in enumerate(read) if None in row]
+        except (OSError, KeyError, TypeError, ValueError, csv.Error) as problem:
             wanted = f"be a CSV file of numbers with the columns {', '.join(columns)}"
             raise ValueError(message("controls", wanted, f"{self.path} ({problem})")) from problem
+        told = f"more in row {ragged[0]}" if ragged else ""
+        require(not ragged, "controls", "have as many values in a row as names", told)
         values = torch.tensor(rows, dtype=torch.float64)
         where, remedy = f"in {self.path}", "Write one row per control step."
         require(len(rows) > 0, "controls", "hold at least one row", 0, where, remedy)

@@ -37,6 +37,7 @@ from diffstack_mmv.metrics.scores import (
     PREDICTED,
     Score,
 )
+from dmmv_conventions.extras import needs
 
 if TYPE_CHECKING:
     from diffstack_mmv.metrics.by_mode import MeanByMode
@@ -80,6 +81,7 @@ def __getattr__(name: str) -> Any:
     """`MeanByMode`, at its first use: torchmetrics takes as long to import as torch itself."""
     if name != "MeanByMode":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from diffstack_mmv.metrics.by_mode import MeanByMode
+    with needs("stack", "diffstack_mmv.metrics.MeanByMode"):
+        from diffstack_mmv.metrics.by_mode import MeanByMode
 
     return MeanByMode

@@ -1,14 +1,14 @@
 """Scores of closed-loop episodes: how often, how fast and how far from people."""
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from torchmetrics import Metric
 
-from diffstack_mmv.checks import message, require_positive
+from diffstack_mmv.checks import message, require, require_positive
+from diffstack_mmv.geometry import rotate
 from diffstack_mmv.types import EpisodeRecord, Outcome
 
 DISCOMFORT_M = 0.2
@@ -65,22 +65,51 @@ def uneasy_steps(record: EpisodeRecord) -> Bool[Tensor, "E T1"]:
     return during & (record.clearance >= 0) & (record.clearance < DISCOMFORT_M)
 
 
-class EpisodeMean(Metric):
+class Ride(NamedTuple):
+    """How comfortable episodes were to ride in; means over the square are taken per episode."""
+
+    acceleration: Float[Tensor, " E"]  # m/s², root mean square of the steps
+    jerk: Float[Tensor, " E"]  # m/s³
+
+
+def ride(record: EpisodeRecord) -> Ride:
+    """Root mean squares of the acceleration of the steps, and of its change from step to step.
+
+    Both are those of the velocity in the plane, so that braking and bends count alike.
+    """
+    velocity = rotate(record.motion.velocity, record.motion.heading)
+    acceleration = velocity.diff(dim=-2) / record.dt_s
+    jerk = acceleration.diff(dim=-2) / record.dt_s
+    row = torch.arange(acceleration.shape[-2], device=acceleration.device)
+    driven = row < record.steps[:, None]
+
+    def effective(vectors: Float[Tensor, "E T 2"], counts: Bool[Tensor, "E T"]) -> Tensor:
+        squared = vectors.square().sum(-1) * counts
+        return (squared.sum(-1) / counts.sum(-1).clamp(min=1)).sqrt()
+
+    return Ride(effective(acceleration, driven), effective(jerk, driven[:, 1:]))
+
+
+class EpisodeMean(ABC):
     """Quotient of two sums over episodes; a subclass says which.
 
     Titles, units and which sign is better stand in `scores.CLOSED_LOOP`.
     """
 
-    is_differentiable = False
-    full_state_update = False
-    total: Tensor
-    weight: Tensor
-
     def __init__(self) -> None:
-        super().__init__()
-        zero = torch.zeros((), dtype=torch.float64)
-        self.add_state("total", zero, dist_reduce_fx="sum")
-        self.add_state("weight", zero.clone(), dist_reduce_fx="sum")
+        self.total = torch.zeros((), dtype=torch.float64)
+        self.weight = torch.zeros((), dtype=torch.float64)
+
+    def merge_state(self, other: "EpisodeMean") -> None:
+        """Add what the same score has counted elsewhere.
+
+        Raises:
+            ValueError: It is another score.
+        """
+        same = type(other) is type(self)
+        require(same, "other", f"be a {type(self).__name__}", type(other).__name__)
+        self.total += other.total
+        self.weight += other.weight
 
     def update(self, record: EpisodeRecord) -> None:
         """Add the episodes of a record.
@@ -182,3 +211,17 @@ class EpisodeMinimumDistance(EpisodeMean):
 
     def _values(self, record: EpisodeRecord) -> Tensor:
         return record.clearance.amin(dim=1).clamp(min=0)
+
+
+class RideAcceleration(EpisodeMean):
+    """Mean over the episodes of the root mean square of the acceleration, see `ride`."""
+
+    def _values(self, record: EpisodeRecord) -> Tensor:
+        return ride(record).acceleration
+
+
+class RideJerk(EpisodeMean):
+    """Mean over the episodes of the root mean square of the jerk, see `ride`."""
+
+    def _values(self, record: EpisodeRecord) -> Tensor:
+        return ride(record).jerk

@@ -82,6 +82,8 @@ CLOSED_LOOP = _by_name(
     Score("discomfort_frequency", "discomfort", "1", True),
     Score("avg_min_dist_m", "distance in discomfort", "m", False),
     Score("mean_episode_min_dist_m", "mean smallest distance", "m", False),
+    Score("acceleration_mps2", "acceleration", "m/s²", True),
+    Score("jerk_mps3", "jerk", "m/s³", True),
     Score("control_time_ms", "decision median / p99", "ms", True),
 )
 """Scores of closed-loop episodes."""

@@ -4,6 +4,7 @@ from diffstack_mmv.planning.candidates import (
     CandidateFan,
     Candidates,
     CandidateSource,
+    Coasting,
     with_final_row,
 )
 from diffstack_mmv.planning.choice import CheapestSafe, PlanChoice, TakeOptimum
@@ -33,6 +34,7 @@ __all__ = [
     "Candidates",
     "CheapestSafe",
     "ClearanceMargin",
+    "Coasting",
     "CostScore",
     "DetourFan",
     "FutureGoal",

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
-from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.dynamics import DynamicsModel, rollout
 from diffstack_mmv.planning.problem import initial_state
 from diffstack_mmv.types import Motion, PlanningProblem
 
@@ -36,6 +36,17 @@ class CandidateSource(Protocol):
     def __call__(self, dynamics: DynamicsModel, problem: PlanningProblem, steps: int) -> Candidates:
         """Candidates of every problem over a number of steps of the dynamics."""
         ...
+
+
+class Coasting:
+    """Proposes nothing of its own: one plan without any control, where an optimiser may start."""
+
+    def __call__(self, dynamics: DynamicsModel, problem: PlanningProblem, steps: int) -> Candidates:
+        """Roll out zero controls for every problem over a number of steps."""
+        start = initial_state(dynamics, problem.ego).unsqueeze(-2)
+        controls = start.new_zeros(*start.shape[:-1], steps, dynamics.control_dim)
+        states = rollout(dynamics, start, controls)
+        return Candidates(states, controls, dynamics.motion(states, with_final_row(controls)))
 
 
 class CandidateFan:

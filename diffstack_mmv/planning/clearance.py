@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_between, require_positive
-from diffstack_mmv.geometry import direction, distance_to_segment
+from diffstack_mmv.geometry import direction
 from diffstack_mmv.types import Discs, Motion, Obstacles
 
 
@@ -35,10 +35,27 @@ def clearance_within_steps(
     """
     centre = disc_centres(motion, discs)[..., None, None, :, :]
     relative = obstacles.position[..., None, None, :, :, :, :] - centre
-    distance = distance_to_segment(relative[..., :-1, :], relative[..., 1:, :])
+    distance = _from_origin(relative).sqrt()
     reach = discs.radius.unsqueeze(-1) + obstacles.radius.unsqueeze(-2)
     clearance = (distance - reach[..., None, :, :, None, None]).amin(-4)
     return torch.where(obstacles.valid[..., None, :, None, None], clearance, torch.inf)
+
+
+def _from_origin(points: Float[Tensor, "*b T1 2"]) -> Float[Tensor, "*b T"]:
+    """Squared distance in m² of the origin to each straight piece of a path.
+
+    Plans are compared by it, many thousands at a time, so it is rounded as it comes; verdicts use
+    the correctly rounded `distance_to_segment`.
+    """
+    x, y = points.unbind(-1)
+    start_x, start_y, step_x, step_y = x[..., :-1], y[..., :-1], x.diff(dim=-1), y.diff(dim=-1)
+    squared = (step_x.square() + step_y.square()).clamp_min(torch.finfo(points.dtype).tiny)
+    along = -(start_x * step_x + start_y * step_y) / squared
+    along = along.clamp(0, 1)
+    return (
+        torch.addcmul(start_x, along, step_x).square()
+        + torch.addcmul(start_y, along, step_y).square()
+    )
 
 
 class Safety(NamedTuple):

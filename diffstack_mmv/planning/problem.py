@@ -117,6 +117,13 @@ def predicted_obstacles(
     )
 
 
+def likeliest(obstacles: Obstacles) -> Obstacles:
+    """The agents with the likeliest component of each alone, of weight one."""
+    best = obstacles.weight.argmax(-1, keepdim=True)
+    position = obstacles.position.take_along_dim(best[..., None, None], -3)
+    return obstacles._replace(position=position, weight=torch.ones_like(obstacles.weight[..., :1]))
+
+
 def observed_obstacles(past: Tracks, future: Tracks) -> Obstacles:
     """Obstacles whose future is known, for costs in hindsight.
 

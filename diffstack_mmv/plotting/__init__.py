@@ -1,28 +1,31 @@
 """Figures of plans, errors and runs."""
 
-from diffstack_mmv.plotting.closed_loop import (
-    Episode,
-    draw_episode,
-    episode_of,
-    save_animation,
-    save_stories,
-)
-from diffstack_mmv.plotting.figures import save_figure
-from diffstack_mmv.plotting.horizon import draw_error_over_horizon
-from diffstack_mmv.plotting.identification import (
-    Estimate,
-    FittedTrack,
-    draw_controls,
-    draw_estimates,
-    draw_lean,
-    draw_profiles,
-    draw_spectrum,
-    draw_tracks,
-    save_identification,
-)
-from diffstack_mmv.plotting.open_loop import draw_runs, draw_wheels
-from diffstack_mmv.plotting.plans import PlannedScene, draw_scene, draw_scenes
-from diffstack_mmv.plotting.reliability import draw_reliability
+from dmmv_conventions.extras import needs
+
+with needs("stack", "diffstack_mmv.plotting"):
+    from diffstack_mmv.plotting.closed_loop import (
+        Episode,
+        draw_episode,
+        episode_of,
+        save_animation,
+        save_stories,
+    )
+    from diffstack_mmv.plotting.figures import save_figure
+    from diffstack_mmv.plotting.horizon import draw_error_over_horizon
+    from diffstack_mmv.plotting.identification import (
+        Estimate,
+        FittedTrack,
+        draw_controls,
+        draw_estimates,
+        draw_lean,
+        draw_profiles,
+        draw_spectrum,
+        draw_tracks,
+        save_identification,
+    )
+    from diffstack_mmv.plotting.open_loop import draw_runs, draw_wheels
+    from diffstack_mmv.plotting.plans import PlannedScene, draw_scene, draw_scenes
+    from diffstack_mmv.plotting.reliability import draw_reliability
 
 __all__ = [
     "Episode",

@@ -1,39 +1,45 @@
 """Tables from saved results; nothing here runs a model."""
 
-from diffstack_mmv.reporting.closed_loop import closed_loop_table, write_closed_loop
-from diffstack_mmv.reporting.comparison import (
-    Comparison,
-    compare,
-    paired_tests,
-    read_runs,
-    write_comparison,
-)
-from diffstack_mmv.reporting.files import (
-    read_json,
-    read_parquet,
-    write_compact,
-    write_json,
-    write_parquet,
-    write_text,
-)
-from diffstack_mmv.reporting.identification import (
-    models_table,
-    write_identification,
-    write_tables,
-)
-from diffstack_mmv.reporting.metrics_table import summarise_modes, write_metrics
-from diffstack_mmv.reporting.paired import paired_cases, paired_table, paired_with_run
-from diffstack_mmv.reporting.paper_table import Run, paper_table, write_paper_table
-from diffstack_mmv.reporting.prediction_table import prediction_table
-from diffstack_mmv.reporting.scores import ScoreHeading, Scores
+from dmmv_conventions.extras import needs
+
+with needs("stack", "diffstack_mmv.reporting"):
+    from diffstack_mmv.reporting.closed_loop import closed_loop_table, write_closed_loop
+    from diffstack_mmv.reporting.comparison import (
+        Comparison,
+        compare,
+        paired_tests,
+        read_runs,
+        write_comparison,
+    )
+    from diffstack_mmv.reporting.files import (
+        read_json,
+        read_parquet,
+        write_compact,
+        write_json,
+        write_parquet,
+        write_text,
+    )
+    from diffstack_mmv.reporting.identification import (
+        models_table,
+        write_identification,
+        write_tables,
+    )
+    from diffstack_mmv.reporting.joint_table import DrivenRow, joint_table, write_joint_table
+    from diffstack_mmv.reporting.metrics_table import summarise_modes, write_metrics
+    from diffstack_mmv.reporting.paired import paired_cases, paired_table, paired_with_run
+    from diffstack_mmv.reporting.paper_table import Run, paper_table, write_paper_table
+    from diffstack_mmv.reporting.prediction_table import prediction_table
+    from diffstack_mmv.reporting.scores import ScoreHeading, Scores
 
 __all__ = [
     "Comparison",
+    "DrivenRow",
     "Run",
     "ScoreHeading",
     "Scores",
     "closed_loop_table",
     "compare",
+    "joint_table",
     "models_table",
     "paired_cases",
     "paired_table",
@@ -50,6 +56,7 @@ __all__ = [
     "write_comparison",
     "write_identification",
     "write_tables",
+    "write_joint_table",
     "write_json",
     "write_metrics",
     "write_paper_table",

@@ -54,14 +54,14 @@ def _row(numbers: Mapping[str, Any], scores: Scores) -> dict[str, str]:
     """The cells of one method."""
     cells = {"n": str(numbers["n"])}
     for name, score in scores.items():
-        cells[score.heading] = _cell(numbers[name])
+        cells[score.heading] = cell(numbers.get(name))
         if name in WITH_INTERVAL:
             low, high = numbers[f"{name}_ci95"]
             cells[score.heading] += f" [{low:.3f}, {high:.3f}]"
     return cells
 
 
-def _cell(value: float | Mapping[str, Any] | None) -> str:
+def cell(value: float | Mapping[str, Any] | None) -> str:
     """A number with three digits, a median and its quantile, or a dash."""
     if value is None:
         return "–"
@@ -96,6 +96,7 @@ def _summary(
         "Brackets: Wilson intervals of 95 %.\n\n"
     )
     table = closed_loop_table(result, baselines, scores).to_markdown()
+    table = f"{table}\n\n{_times(result)}" if "real_time_factor" in result else table
     failed = [case for case in result["cases"] if case["outcome"] != "success"]
     table = f"{table}\n\n{_feasible(result)}" if "feasible" in result else table
     return f"{title}{setting}{table}\n\n## Cases without success\n\n{_failures(failed)}"
@@ -105,11 +106,19 @@ def _feasible(result: Mapping[str, Any]) -> str:
     """Scores without the cases that nobody could have passed."""
     told = result["feasible"]
     return (
-        f"Feasible cases: {told['n']} of {result['n']}, success {_cell(told['success_rate'])}, "
-        f"collision {_cell(told['collision_rate'])}. A case is not feasible where the vehicle "
+        f"Feasible cases: {told['n']} of {result['n']}, success {cell(told['success_rate'])}, "
+        f"collision {cell(told['collision_rate'])}. A case is not feasible where the vehicle "
         "collides in each of many random drives that know the walks (`avoidable`: share without "
         "collision)."
     )
+
+
+def _times(result: Mapping[str, Any]) -> str:
+    """Whether the decisions keep up, and how many solves converge."""
+    told = "Real-time factor (time driven over processor time of the decisions): "
+    told += f"{result['real_time_factor']:.1f}."
+    solved = result.get("solved_share")
+    return told if solved is None else f"{told} Solves that converge: {cell(solved)}."
 
 
 def _model(name: str, model: Mapping[str, Any]) -> str:

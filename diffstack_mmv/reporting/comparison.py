@@ -12,8 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import wilcoxon
 
-from diffstack_mmv.checks import require
-from diffstack_mmv.reporting.files import read_json, read_parquet, write_text
+from diffstack_mmv.reporting.files import read_json, read_parquet, told_as_broken, write_text
 from diffstack_mmv.reporting.metrics_table import MISSING
 from diffstack_mmv.reporting.scores import ScoreHeading, Scores
 
@@ -44,19 +43,25 @@ def read_runs(folders: Sequence[Path]) -> pd.DataFrame:
             "`runs` must name at least one folder, but got []. Give those that evaluate.py wrote."
         )
     rows: list[dict[str, Any]] = []
+    baselines: list[dict[str, Any]] = []
     for folder in folders:
-        metrics = read_json(folder / "metrics.json")
-        common = {key: metrics[key] for key in ("data", "split", "goal", "seed")} | {
-            "run": str(folder)
-        }
-        for mode, scores in metrics["modes"].items():
-            own = {name: scores[name] for name in ("n", MISSING, "vehicle", *COMPARED)}
-            rows.append(common | {"mode": mode, "dynamics": metrics["dynamics"]} | own)
+        with told_as_broken(folder / "metrics.json"):
+            rows += _own_rows(folder)
+            baselines += _baseline_rows(folder)
     _require_different_seeds(rows)
-    baselines = [row for folder in folders for row in _baseline_rows(folder)]
     # runs of one seed share their baselines
     shared = [*GROUP, "seed", "ade"]
     return pd.concat([pd.DataFrame(rows), pd.DataFrame(baselines).drop_duplicates(shared)])
+
+
+def _own_rows(folder: Path) -> list[dict[str, Any]]:
+    metrics = read_json(folder / "metrics.json")
+    common = {key: metrics[key] for key in ("data", "split", "goal", "seed")} | {"run": str(folder)}
+    rows: list[dict[str, Any]] = []
+    for mode, scores in metrics["modes"].items():
+        own = {name: scores[name] for name in ("n", MISSING, "vehicle", *COMPARED)}
+        rows.append(common | {"mode": mode, "dynamics": metrics["dynamics"]} | own)
+    return rows
 
 
 def _baseline_rows(folder: Path) -> list[dict[str, Any]]:
@@ -76,9 +81,12 @@ def _require_different_seeds(rows: Sequence[Mapping[str, Any]]) -> None:
     for row in rows:
         key = tuple(row[name] for name in (*GROUP, "seed"))
         other = seen.setdefault(key, row["run"])
-        needs = "differ in seed, data, goal, mode, vehicle or dynamics"
-        told = f"seed {row['seed']} of {row['dynamics']} in {other} and {row['run']}"
-        require(other == row["run"], "runs", needs, told, "", "Leave one of both out.")
+        if other != row["run"]:
+            raise ValueError(
+                "`runs` must differ in seed, data, goal, mode, vehicle or dynamics, but got "
+                f"seed {row['seed']} of {row['dynamics']} in {other} and {row['run']}. "
+                "Leave one of both out."
+            )
 
 
 def compare(runs: pd.DataFrame, scores: Scores) -> Comparison:
@@ -141,7 +149,8 @@ def paired_tests(folders: Sequence[Path], score: ScoreHeading) -> pd.DataFrame:
     samples = []
     for folder in folders:
         metrics = read_json(folder / "metrics.json")
-        frame = read_parquet(folder / "samples.parquet")[["scene", "mode", score.name]]
+        with told_as_broken(folder / "samples.parquet"):
+            frame = read_parquet(folder / "samples.parquet")[["scene", "mode", score.name]]
         frame["vehicle"] = [metrics["modes"][mode]["vehicle"] for mode in frame["mode"]]
         samples.append(frame.assign(**{key: metrics[key] for key in ("data", "goal", "dynamics")}))
     scenes = (

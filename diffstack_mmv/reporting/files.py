@@ -1,11 +1,13 @@
 """Writing result files all or nothing."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from pyarrow.lib import ArrowException
 
 
 def write_text(path: Path, text: str) -> None:
@@ -46,7 +48,7 @@ def read_json(path: Path) -> dict[str, Any]:
         raise ValueError(
             f"`{path}` must exist, but there is no such file. Run the step that writes it."
         ) from missing
-    except json.JSONDecodeError as broken:
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as broken:
         raise ValueError(f"`{path}` must be JSON, but got: {broken}. Write it anew.") from broken
     if not isinstance(content, dict):
         raise ValueError(f"`{path}` must hold a JSON object, but got {type(content).__name__}.")
@@ -65,10 +67,34 @@ def read_parquet(path: Path) -> pd.DataFrame:
     """Read a Parquet table.
 
     Raises:
-        ValueError: The file is missing.
+        ValueError: The file is missing or broken.
     """
     if not path.is_file():
         raise ValueError(
             f"`{path}` must exist, but there is no such file. Run the step that writes it."
         )
-    return pd.read_parquet(path)
+    with told_as_broken(path):
+        return pd.read_parquet(path)
+
+
+# what pandas and our readers raise where a file holds something else than was written
+_BROKEN = (ArithmeticError, ArrowException, AttributeError, LookupError, TypeError, ValueError)
+
+
+@contextmanager
+def told_as_broken(place: Path) -> Iterator[None]:
+    """Tell what goes wrong while results are read as the fault of their file or folder.
+
+    Raises:
+        ValueError: They are not as this version writes them.
+    """
+    try:
+        yield
+    except _BROKEN as broken:
+        if isinstance(broken, ValueError) and str(broken).startswith("`"):
+            raise  # says already what is wrong
+        told = f"{type(broken).__name__}: {broken}".splitlines()[0]
+        raise ValueError(
+            f"`{place}` must be as this version writes it, but got {told}. Run the step that "
+            "writes it again."
+        ) from broken

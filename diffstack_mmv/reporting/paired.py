@@ -9,7 +9,7 @@ import pandas as pd
 from scipy.stats import binomtest
 
 from diffstack_mmv.reporting.comparison import signed_rank
-from diffstack_mmv.reporting.files import read_json
+from diffstack_mmv.reporting.files import read_json, told_as_broken
 from diffstack_mmv.reporting.scores import Scores
 
 SETTINGS = ("scenario", "humans", "phase", "limit_s", "dt_s", "verdict")
@@ -33,7 +33,13 @@ def paired_with_run(result: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         ValueError: The file is missing, has no case in common with the run, or was made under
             other settings.
     """
-    other = read_json(folder / "closed_loop.json")
+    with told_as_broken(folder / "closed_loop.json"):
+        return _paired_with(result, read_json(folder / "closed_loop.json"), folder)
+
+
+def _paired_with(
+    result: Mapping[str, Any], other: Mapping[str, Any], folder: Path
+) -> dict[str, Any]:
     for name in SETTINGS:
         if other[name] != result[name]:
             raise ValueError(

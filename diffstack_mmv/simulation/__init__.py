@@ -1,5 +1,6 @@
 """Closed-loop simulation: scenarios, pedestrians, robots, verdicts and the environment."""
 
+from diffstack_mmv.simulation.adaptation import AdaptiveController
 from diffstack_mmv.simulation.assembly import (
     SimulatedVehicle,
     actuation,
@@ -9,9 +10,10 @@ from diffstack_mmv.simulation.assembly import (
     vehicle_footprint,
     vehicle_robot,
 )
-from diffstack_mmv.simulation.benchmark import Chunk, Method, read_chunk, run
+from diffstack_mmv.simulation.benchmark import Chunk, Method, read_chunk, read_thoughts, run
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint, RectangleFootprint
 from diffstack_mmv.simulation.controller import DiffMPCController
+from diffstack_mmv.simulation.delay import DelayCompensation
 from diffstack_mmv.simulation.env import ENV_ID, CrowdNavEnv, register, robot_named
 from diffstack_mmv.simulation.episode import drive
 from diffstack_mmv.simulation.feasibility import AvoidanceSearch
@@ -21,21 +23,37 @@ from diffstack_mmv.simulation.forecasters import (
     PedestrianForecast,
     PedestrianForecaster,
 )
+from diffstack_mmv.simulation.hedging import MixedForecaster, StandingForecaster
 from diffstack_mmv.simulation.learned_forecaster import LearnedForecaster
 from diffstack_mmv.simulation.learning import imitation_loss, way_left_loss
 from diffstack_mmv.simulation.mppi import MPPIController
-from diffstack_mmv.simulation.pedestrians import OrcaCrowd, SocialForceCrowd
+from diffstack_mmv.simulation.pedestrians import (
+    OrcaCrowd,
+    ReactiveReplayCrowd,
+    ReplayCrowd,
+    SocialForceCrowd,
+    SuddenCrowd,
+)
 from diffstack_mmv.simulation.policies import (
     BlindDriver,
     Controller,
     Decided,
     OrcaPolicy,
+    StopAndGoDriver,
     StraightLine,
+)
+from diffstack_mmv.simulation.recorded import (
+    CrossingRules,
+    KnownFuture,
+    PassageRules,
+    RecordedCrossing,
 )
 from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
 from diffstack_mmv.simulation.scenario import CircleCrossing, Scenario, Scene, SquareCrossing
+from diffstack_mmv.simulation.sensing import LimitedSensing
 from diffstack_mmv.simulation.study import models_told, study_world, world_for
 from diffstack_mmv.simulation.summary import summarise
+from diffstack_mmv.simulation.tracking import PedestrianTracker, TrackingController
 from diffstack_mmv.simulation.vehicle_robot import Actuation, VehicleRobot
 from diffstack_mmv.simulation.verdict import (
     VERDICTS,
@@ -45,6 +63,7 @@ from diffstack_mmv.simulation.verdict import (
     Verdict,
     verdict_named,
 )
+from diffstack_mmv.simulation.wandering import WanderingCrossing
 from diffstack_mmv.simulation.world import Observation, World, WorldState
 from diffstack_mmv.simulation.zero_order_hold import ZeroOrderHold
 
@@ -52,6 +71,7 @@ __all__ = [
     "ENV_ID",
     "VERDICTS",
     "Actuation",
+    "AdaptiveController",
     "AvoidanceSearch",
     "BlindDriver",
     "Chunk",
@@ -59,6 +79,8 @@ __all__ = [
     "ConstantVelocityForecaster",
     "Controller",
     "Decided",
+    "CrossingRules",
+    "DelayCompensation",
     "CrowdNavEnv",
     "CrowdNavVerdict",
     "DiffMPCController",
@@ -67,16 +89,24 @@ __all__ = [
     "Footprint",
     "ZeroOrderHold",
     "HolonomicRobot",
+    "KnownFuture",
     "MPPIController",
+    "MixedForecaster",
     "Method",
     "Observation",
     "OrcaCrowd",
     "OrcaForecaster",
     "OrcaPolicy",
     "PedestrianForecast",
+    "PassageRules",
     "PedestrianForecaster",
+    "PedestrianTracker",
     "LearnedForecaster",
+    "ReactiveReplayCrowd",
+    "RecordedCrossing",
+    "LimitedSensing",
     "RectangleFootprint",
+    "ReplayCrowd",
     "Rewards",
     "Robot",
     "Scenario",
@@ -84,10 +114,15 @@ __all__ = [
     "SimulatedVehicle",
     "SocialForceCrowd",
     "SquareCrossing",
+    "StopAndGoDriver",
+    "StandingForecaster",
     "StraightLine",
+    "TrackingController",
+    "SuddenCrowd",
     "UnicycleRobot",
     "VehicleRobot",
     "Verdict",
+    "WanderingCrossing",
     "World",
     "WorldState",
     "actuation",
@@ -96,6 +131,7 @@ __all__ = [
     "imitation_loss",
     "models_told",
     "read_chunk",
+    "read_thoughts",
     "register",
     "require_stoppable",
     "robot_named",

@@ -17,7 +17,7 @@ from torch import Tensor
 from diffstack_mmv.checks import message, require, require_at_least
 from diffstack_mmv.simulation.episode import drive
 from diffstack_mmv.simulation.policies import Controller, Decided
-from diffstack_mmv.simulation.scenario import Scenario
+from diffstack_mmv.simulation.scenario import CaseSource
 from diffstack_mmv.simulation.world import Observation, World
 from diffstack_mmv.types import EpisodeRecord, Motion
 
@@ -55,7 +55,7 @@ class Chunk(NamedTuple):
 
     cases: list[int]
     record: EpisodeRecord
-    step_s: Float[np.ndarray, " steps"]  # time of each decision per running episode
+    step_s: Float[np.ndarray, " steps"]  # processor time of each decision per running episode
     diagnosis: dict[str, Float[np.ndarray, " E"]]  # per case, what the controller tells of itself
     # per case and decision, what it expected and planned; on disk only, empty when read back
     thoughts: dict[str, Float[np.ndarray, "E S *d"]]
@@ -63,11 +63,11 @@ class Chunk(NamedTuple):
 
 @dataclass
 class Timed:
-    """A controller under a stop-watch.
+    """A controller under a stop-watch of processor time: a busy machine does not count.
 
     Attributes:
         controller: The controller.
-        seconds: Time per decision and running episode in s, in the order of the calls.
+        seconds: Processor time per decision and running episode in s, in the order of the calls.
     """
 
     controller: Controller
@@ -79,16 +79,16 @@ class Timed:
 
     def act(self, state: Any, observation: Observation) -> Decided:
         """What the controller decides."""
-        start = time.perf_counter()
+        start = time.process_time()
         decided = self.controller.act(state, observation)
         running = max(int(observation.running.sum()), 1)
-        self.seconds.append((time.perf_counter() - start) / running)
+        self.seconds.append((time.process_time() - start) / running)
         return decided
 
 
 def run(
     method: Method,
-    scenario: Scenario,
+    scenario: CaseSource,
     cases: Sequence[int],
     folder: Path,
     chunk_size: int = 50,
@@ -126,7 +126,7 @@ def run(
         yield chunk
 
 
-def _driven(method: Method, scenario: Scenario, numbers: list[int], phase: str) -> Chunk:
+def _driven(method: Method, scenario: CaseSource, numbers: list[int], phase: str) -> Chunk:
     """DrivenEpisodes the cases as one batch."""
     controller = method.controller()
     timed = Timed(controller)
@@ -168,6 +168,26 @@ def read_chunk(file: Path) -> Chunk:
     if chunk is None:
         raise ValueError(message("file", "hold episodes of a benchmark", file))
     return chunk
+
+
+def read_thoughts(folder: Path, case: int) -> dict[str, Float[np.ndarray, "S ..."]]:
+    """What the controller expected and planned at each decision of a case, from stored episodes.
+
+    Args:
+        folder: Where `run` keeps the chunks.
+        case: Number of the case.
+
+    Returns:
+        Arrays by name, see `Thought`; empty where the controller tells nothing.
+    """
+    for file in sorted(folder.glob("*.npz")):
+        with np.load(file) as stored:
+            cases = stored["cases"].tolist()
+            if case in cases:
+                row = cases.index(case)
+                names = [name for name in stored.files if name.startswith("thoughts.")]
+                return {name.removeprefix("thoughts."): stored[name][row] for name in names}
+    return {}
 
 
 def _read(file: Path, origin: Origin | None) -> Chunk | None:

@@ -1,12 +1,15 @@
 """Pictures of a world for `render`; matplotlib is loaded with this module only."""
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Polygon
 
 from diffstack_mmv.geometry import position_from_frame
 from diffstack_mmv.simulation.world import World, WorldState
+from dmmv_conventions.extras import needs
+
+with needs("stack", "pictures of the environment"):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Circle, Polygon
 
 ROBOT, HUMAN, GOAL = "tab:orange", "tab:blue", "tab:red"
 MARGIN_M = 2.0

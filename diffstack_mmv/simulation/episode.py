@@ -77,7 +77,7 @@ def _record(world: World, states: list[WorldState], rows: list[_Row]) -> Episode
         motion=Motion(
             *(_extended(torch.stack(f, dim=1), row_of) for f in zip(*motions, strict=True))
         ),
-        pedestrians=_extended(torch.stack([s.pedestrians.position for s in states], dim=1), row_of),
+        pedestrians=_extended(torch.stack([_seen(s) for s in states], dim=1), row_of),
         controls=_extended(
             torch.stack([row.action for row in rows], dim=1), row_of[:, :-1].clamp(max=last)
         ),
@@ -87,6 +87,14 @@ def _record(world: World, states: list[WorldState], rows: list[_Row]) -> Episode
         steps=steps,
         duration=torch.where(outcome == Outcome.TIMEOUT, limit, time.squeeze(1)),
         dt_s=world.dt_s,
+    )
+
+
+def _seen(state: WorldState) -> Float[Tensor, "E h 2"]:
+    """Where the pedestrians are in m, NaN for those who are absent."""
+    place = state.pedestrians.position
+    return torch.where(
+        state.pedestrians.present[..., None], place, torch.full_like(place, torch.nan)
     )
 
 

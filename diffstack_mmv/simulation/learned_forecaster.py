@@ -24,6 +24,7 @@ class _Seen(NamedTuple):
     time: float  # s
     position: Float[Tensor, "*b h 2"]  # m
     velocity: Float[Tensor, "*b h 2"]  # m/s
+    present: Bool[Tensor, "*b h"]
 
 
 @dataclass(frozen=True)
@@ -31,8 +32,9 @@ class LearnedForecaster:
     """Everybody goes where a predictor expects it: its likeliest components for each pedestrian.
 
     What was observed is resampled to the step of the predictor (the pedestrians move straight
-    between two observations), rows before the first observation are not valid, and the forecast is
-    resampled to the step of the plan; beyond the predictor's horizon the last velocity holds on.
+    between two observations), what was seen of them before the start included. Rows before the
+    first observation of a pedestrian are not valid, and the forecast is resampled to the step of
+    the plan; beyond the predictor's horizon the last velocity holds on.
     The robot is no part of the scene, since the pedestrians do not see it. All episodes and
     pedestrians are one batch. A gradient reaches the predictor.
 
@@ -57,8 +59,21 @@ class LearnedForecaster:
         require_at_least("components", self.components, 1)
 
     def init(self, observation: Observation) -> tuple[_Seen, ...]:
-        """Nothing has been seen yet."""
-        return ()
+        """What was seen before the start."""
+        before = observation.history
+        if before is None:
+            return ()
+        rows = before.present.shape[-1]
+        now = float(observation.time.max())
+        return tuple(
+            _Seen(
+                now - (rows - row) * before.step_s,
+                before.position[..., row, :],
+                before.velocity[..., row, :],
+                before.present[..., row],
+            )
+            for row in range(rows)
+        )
 
     def __call__(
         self, state: tuple[_Seen, ...], observation: Observation, dt_s: float, steps: int
@@ -85,7 +100,11 @@ class LearnedForecaster:
         # one older observation is kept, from which the first row is interpolated
         old = [each for each in state if each.time <= oldest][-1:]
         recent = [each for each in state if each.time > oldest]
-        now = _Seen(time, observation.pedestrian_position, observation.pedestrian_velocity)
+        present = observation.seen
+        # who is absent is far away, which is nothing to interpolate with
+        nowhere = torch.zeros_like(observation.pedestrian_position)
+        position = torch.where(present[..., None], observation.pedestrian_position, nowhere)
+        now = _Seen(time, position, observation.pedestrian_velocity, present)
         return (*old, *recent, now)
 
     def _tracks(self, seen: tuple[_Seen, ...], observation: Observation) -> Tracks:
@@ -96,15 +115,17 @@ class LearnedForecaster:
         interval_s = (now - first) / max(len(seen) - 1, 1) or step_s
         time = now - step_s * torch.arange(rows - 1, -1, -1, dtype=torch.float64)
         place = (time - first) / interval_s
-        valid = place > -1e-6
+        known = place > -1e-6
         place = place.clamp(0, len(seen) - 1)
+        present = torch.stack([each.present for each in seen], -1)
+        lower, upper = (place + 1e-6).floor().long(), (place - 1e-6).ceil().long().clamp(min=0)
+        valid = present[..., lower] & present[..., upper] & known.to(present.device)
         position = _at(torch.stack([each.position for each in seen], -2), place)
         # a velocity holds up to the observation that tells of it
         velocities = torch.stack([each.velocity for each in seen], -2)
-        velocity = velocities[..., (place - 1e-6).ceil().long(), :]
+        velocity = velocities[..., upper, :]
         heading = last_heading(velocity, valid)
-        known = valid.expand(heading.shape)
-        turned = wrap_angle(heading.diff(dim=-1)) / step_s * (known[..., 1:] & known[..., :-1])
+        turned = wrap_angle(heading.diff(dim=-1)) / step_s * (valid[..., 1:] & valid[..., :-1])
         motion = Motion(
             position=position,
             heading=heading,
@@ -116,12 +137,12 @@ class LearnedForecaster:
             motion=Motion(*(entry.float() for entry in motion)),
             extent=torch.stack((size, size), -1).float(),
             mode=torch.full_like(size, int(Mode.PEDESTRIAN), dtype=torch.long),
-            valid=known,
+            valid=valid,
         )
 
 
 def last_heading(
-    velocity: Float[Tensor, "*b T 2"], valid: Bool[Tensor, " T"]
+    velocity: Float[Tensor, "*b T 2"], valid: Bool[Tensor, "*b T"] | Bool[Tensor, " T"]
 ) -> Float[Tensor, "*b T"]:
     """Course in rad, at rest the last one before; before the first motion that of the first motion.
 

@@ -4,12 +4,12 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.geometry import unit_vector
+from diffstack_mmv.geometry import rotate, unit_vector
 from diffstack_mmv.simulation.pedestrians import OrcaCrowd
 from diffstack_mmv.simulation.pedestrians.base import towards
 from diffstack_mmv.simulation.pedestrians.half_planes import Agents, Neighbors
@@ -120,7 +120,7 @@ class OrcaPolicy(_Memoryless):
             position=observation.pedestrian_position,
             velocity=observation.pedestrian_velocity,
             radius=radius,
-            valid=torch.ones_like(radius, dtype=torch.bool),
+            valid=observation.seen,
         )
         return Decided(self.orca.velocity(robot, pedestrians, self.dt_s), None)
 
@@ -156,3 +156,70 @@ class BlindDriver(_Memoryless):
         vehicle = self.dynamics.initial_state(motion)
         straight = torch.zeros_like(acceleration)
         return Decided(self.dynamics.control_for(vehicle, acceleration, straight), None)
+
+
+class StopAndGoDriver(BlindDriver):
+    """Drives a vehicle straight to the goal, and stops for whoever is in its way or about to be.
+
+    The way is a strip ahead as wide as the vehicle, as long as the way to a standstill and some
+    more. Who walks on at the present velocity into it within `ahead_s`, stops the vehicle as well.
+
+    Args:
+        dynamics: Model of the vehicle, whose step is the time between two decisions.
+        cruise_mps: Cruising speed.
+        braking_mps2: Deceleration towards the goal and before people.
+        margin_m: Clearance that is kept at the sides.
+        ahead_m: Clearance that is kept ahead.
+        ahead_s: How far the walks are continued.
+
+    Raises:
+        ValueError: A number is not positive.
+    """
+
+    def __init__(
+        self,
+        dynamics: DynamicsModel,
+        cruise_mps: float = 3.0,
+        braking_mps2: float = 2.8,
+        margin_m: float = 0.3,
+        ahead_m: float = 1.0,
+        ahead_s: float = 2.0,
+    ) -> None:
+        super().__init__(dynamics, cruise_mps, braking_mps2)
+        require_positive("margin_m", margin_m)
+        require_positive("ahead_m", ahead_m)
+        require_positive("ahead_s", ahead_s)
+        self.margin_m = margin_m
+        self.ahead_m = ahead_m
+        self.ahead_s = ahead_s
+
+    def act(self, state: None, observation: Observation) -> Decided:
+        """Control in SI units."""
+        like = self.dynamics.bounds.lower
+        motion = Motion(*(field.to(like) for field in observation.motion))
+        freely = super().act(state, observation).action
+        speed = motion.velocity[..., 0]
+        braking = -torch.minimum(
+            speed / self.dynamics.dt_s, torch.full_like(speed, self.braking_mps2)
+        )
+        vehicle = self.dynamics.initial_state(motion)
+        stop = self.dynamics.control_for(vehicle, braking, torch.zeros_like(braking))
+        return Decided(torch.where(self._blocked(observation)[..., None], stop, freely), None)
+
+    def _blocked(self, observation: Observation) -> Bool[Tensor, "*b"]:
+        """Whether somebody is in the strip ahead, or will be."""
+        speed = observation.motion.velocity[..., 0].clamp(min=0)
+        stopping = speed.square() / (2 * self.braking_mps2) + speed * self.dynamics.dt_s
+        steps = round(self.ahead_s / self.dynamics.dt_s) + 1
+        time = self.dynamics.dt_s * torch.arange(steps).to(speed)
+        walk = observation.pedestrian_velocity[..., None, :] * time[:, None]
+        offset = observation.pedestrian_position[..., None, :] + walk
+        offset = offset - observation.motion.position[..., None, None, :]
+        local = rotate(offset, -observation.motion.heading[..., None, None])
+        apart = observation.pedestrian_radius + observation.radius[..., None] + self.margin_m
+        beside = local[..., 1].abs() < apart[..., None]
+        ahead = (local[..., 0] > -observation.radius[..., None, None]) & (
+            local[..., 0] < (stopping + self.ahead_m)[..., None, None] + apart[..., None]
+        )
+        within = beside & ahead & observation.seen[..., None]
+        return within.flatten(-2).any(-1)

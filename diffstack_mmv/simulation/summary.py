@@ -24,11 +24,13 @@ def episode_scores() -> dict[str, Callable[[], Any]]:
         "discomfort_frequency": navigation.DiscomfortFrequency,
         "avg_min_dist_m": navigation.DiscomfortDistance,
         "mean_episode_min_dist_m": navigation.EpisodeMinimumDistance,
+        "acceleration_mps2": navigation.RideAcceleration,
+        "jerk_mps3": navigation.RideJerk,
     }
 
 
 def summarise(chunks: Sequence[Chunk]) -> dict[str, Any]:
-    """Scores, intervals of 95 %, time per decision and the cases one by one.
+    """Scores, intervals of 95 %, times of decisions, convergence and the cases one by one.
 
     Args:
         chunks: All chunks of one method.
@@ -59,8 +61,28 @@ def summarise(chunks: Sequence[Chunk]) -> dict[str, Any]:
             "p99": 1e3 * float(np.quantile(seconds, 0.99)),
             "per": "decision and episode, in a batch",
         },
+        "real_time_factor": _real_time_factor(chunks),
+        "solved_share": _solved_share(cases),
         "cases": cases,
     }
+
+
+def _real_time_factor(chunks: Sequence[Chunk]) -> float:
+    """Time driven over time spent in deciding, over all episodes: above one keeps up."""
+    driven = decided = 0.0
+    for chunk in chunks:
+        steps = chunk.record.steps.numpy()
+        running = (steps[:, None] > np.arange(len(chunk.step_s))).sum(0)
+        driven += chunk.record.dt_s * float(steps.sum())
+        decided += float((np.maximum(running, 1) * chunk.step_s).sum())
+    return driven / max(decided, 1e-9)
+
+
+def _solved_share(cases: Sequence[dict[str, Any]]) -> float | None:
+    """Share of the solves that converged, where the controller solves anything."""
+    weighed = [(case["solved_share"], case["steps"]) for case in cases if "solved_share" in case]
+    total = sum(steps for _, steps in weighed)
+    return sum(share * steps for share, steps in weighed) / total if total else None
 
 
 def _number(value: torch.Tensor) -> float | None:
@@ -71,11 +93,11 @@ def _number(value: torch.Tensor) -> float | None:
 
 def _cases(chunk: Chunk) -> list[dict[str, Any]]:
     """One entry per case."""
-    from diffstack_mmv.metrics.navigation import uneasy_steps
+    from diffstack_mmv.metrics.navigation import ride, uneasy_steps
 
     record = chunk.record
     nearest = record.clearance.amin(dim=1)
-    uneasy = uneasy_steps(record).sum(dim=1)
+    uneasy, comfort = uneasy_steps(record).sum(dim=1), ride(record)
     return [
         {
             "case": number,
@@ -84,6 +106,8 @@ def _cases(chunk: Chunk) -> list[dict[str, Any]]:
             "steps": int(record.steps[row]),
             "min_clearance_m": _number(nearest[row]),
             "discomfort_steps": int(uneasy[row]),
+            "acceleration_mps2": _number(comfort.acceleration[row]),
+            "jerk_mps3": _number(comfort.jerk[row]),
         }
         | {name: _number(torch.tensor(value[row])) for name, value in chunk.diagnosis.items()}
         for row, number in enumerate(chunk.cases)

@@ -12,7 +12,7 @@ from torch import Tensor
 from diffstack_mmv.checks import require_at_least, require_one_of, require_positive
 from diffstack_mmv.geometry import length
 from diffstack_mmv.simulation.collision import Approach, Footprint
-from diffstack_mmv.simulation.pedestrians import CrowdState
+from diffstack_mmv.simulation.pedestrians import AnyCrowdState
 from diffstack_mmv.types import Outcome
 
 EARLY_S = 1.0
@@ -34,7 +34,7 @@ class Encounter(NamedTuple):
     path: RobotPath
     footprint: Footprint  # of the robot
     velocity: Float[Tensor, "*b 2"]  # m/s, of the robot: constant over the step, to the same end
-    pedestrians: CrowdState  # before the step
+    pedestrians: AnyCrowdState  # before the step
     pedestrian_velocity: Float[Tensor, "*b h 2"]  # m/s, that holds during the step
     goal: Float[Tensor, "*b 2"]  # m
     time: Float[Tensor, "*b"]  # s, before the step
@@ -130,7 +130,7 @@ class Verdict(ABC):
 
     @staticmethod
     def at_rest(
-        path: RobotPath, footprint: Footprint, pedestrians: CrowdState
+        path: RobotPath, footprint: Footprint, pedestrians: AnyCrowdState
     ) -> Float[Tensor, "*b"]:
         """Clearance in m to the nearest pedestrian at the end of `path`, all standing still."""
         position, heading = path.position[..., -1:, :], path.heading[..., -1:]

@@ -1,7 +1,7 @@
 """The world of the episodes: a pure step from state and action to the next state and a verdict."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
@@ -14,7 +14,14 @@ from diffstack_mmv.checks import (
     require_multiple,
     require_positive,
 )
-from diffstack_mmv.simulation.pedestrians import Crowd, CrowdState
+from diffstack_mmv.simulation.pedestrians import (
+    AnyCrowdState,
+    Crowd,
+    CrowdState,
+    Itinerary,
+    PedestrianHistory,
+    RecordedCrowdState,
+)
 from diffstack_mmv.simulation.robot import Robot, seen_by_pedestrians
 from diffstack_mmv.simulation.scenario import Scene
 from diffstack_mmv.simulation.verdict import Encounter, Judgement, RobotPath, Verdict
@@ -25,9 +32,10 @@ class WorldState(NamedTuple):
     """Everything that a step depends on, for a batch `*b` of episodes."""
 
     robot: Any  # the record of the world's robot
-    pedestrians: CrowdState
+    pedestrians: AnyCrowdState
     goal: Float[Tensor, "*b 2"]  # m, of the robot
     time: Float[Tensor, "*b"]  # s
+    itinerary: Itinerary | None = None  # where the pedestrians go after their goals
 
 
 class Observation(NamedTuple):
@@ -41,8 +49,21 @@ class Observation(NamedTuple):
     pedestrian_position: Float[Tensor, "*b h 2"]  # m
     pedestrian_velocity: Float[Tensor, "*b h 2"]  # m/s
     pedestrian_radius: Float[Tensor, "*b h"]  # m
+    seen: Bool[Tensor, "*b h"]  # who is not is laid far away and no obstacle
     time: Float[Tensor, "*b"]  # s
     running: Bool[Tensor, "*b"]  # false where the episode has ended and its action counts no more
+    history: PedestrianHistory | None = None  # of the pedestrians, before the start
+    # *b h T 2 in m, one row per step of the world, where the world reveals it; never a controller's
+    future: Float[Tensor, "*b h T 2"] | None = None
+
+
+@runtime_checkable
+class Sensing(Protocol):
+    """What a robot sees of an observation, which holds the truth."""
+
+    def __call__(self, observation: Observation) -> Observation:
+        """The observation with what is hidden or disturbed."""
+        ...
 
 
 class WorldStep(NamedTuple):
@@ -62,9 +83,12 @@ class World:
         verdict: How a step is judged; it also knows the limit.
         dt_s: Length of a step, in which an action and the velocities of the pedestrians hold.
         robot_visible: Whether the pedestrians avoid the robot; in the benchmark they do not.
+        reveals_s: How far the observations tell what is recorded to come, for controllers that show
+            what a perfect forecast would be worth; 0 for all others.
+        sensing: What the robot sees of the pedestrians; everything if None.
 
     Raises:
-        ValueError: The step is not positive or the limit is no multiple of it.
+        ValueError: The step is not positive, or limit or `reveals_s` are no multiple of it.
     """
 
     robot: Robot
@@ -72,11 +96,15 @@ class World:
     verdict: Verdict
     dt_s: float = 0.25
     robot_visible: bool = False
+    reveals_s: float = 0.0
+    sensing: Sensing | None = None
 
     def __post_init__(self) -> None:
         """Check the times once, at the border."""
         require_positive("dt_s", self.dt_s)
         require_multiple("limit_s", self.verdict.limit_s, self.dt_s, "for the step `dt_s`")
+        if self.reveals_s:
+            require_multiple("reveals_s", self.reveals_s, self.dt_s, "for the step `dt_s`")
 
     @property
     def max_steps(self) -> int:
@@ -94,6 +122,7 @@ class World:
             pedestrians=scene.pedestrians,
             goal=scene.robot_goal,
             time=torch.zeros_like(scene.robot_heading),
+            itinerary=scene.itinerary,
         )
         clearance = self.clearance(state)
         bad = int((clearance < 0).sum())
@@ -140,12 +169,11 @@ class World:
                 dt_s=self.dt_s,
             )
         )
-        after = WorldState(
-            robot=travel.state,
-            pedestrians=state.pedestrians.moved(velocity, self.dt_s),
-            goal=state.goal,
-            time=state.time + self.dt_s,
-        )
+        time, itinerary = state.time + self.dt_s, state.itinerary
+        pedestrians = state.pedestrians.moved(velocity, self.dt_s)
+        if itinerary is not None and isinstance(pedestrians, CrowdState):
+            pedestrians, itinerary = itinerary.followed(pedestrians, state.time, time)
+        after = WorldState(travel.state, pedestrians, state.goal, time, itinerary)
         return WorldStep(after, judgement)
 
     def observe(self, state: WorldState) -> Observation:
@@ -155,7 +183,7 @@ class World:
             lambda field: field.to(seen.radius).expand(*seen.radius.shape, -1),
             self.robot.footprint.discs(),
         )
-        return Observation(
+        observation = Observation(
             motion=self.robot.motion(state.robot),
             velocity=seen.velocity,
             radius=seen.radius,
@@ -164,9 +192,27 @@ class World:
             pedestrian_position=state.pedestrians.position,
             pedestrian_velocity=state.pedestrians.velocity,
             pedestrian_radius=state.pedestrians.radius,
+            seen=state.pedestrians.present,
             time=state.time,
             running=torch.ones_like(state.time, dtype=torch.bool),
+            history=state.pedestrians.history(),
+            future=self._revealed(state.pedestrians),
         )
+        return observation if self.sensing is None else self.sensing(observation)
+
+    def _revealed(self, pedestrians: AnyCrowdState) -> Float[Tensor, "*b h T 2"] | None:
+        """What is recorded to come, in m, where the world reveals it.
+
+        Raises:
+            ValueError: There is no recording.
+        """
+        if not self.reveals_s:
+            return None
+        if isinstance(pedestrians, RecordedCrowdState):
+            return pedestrians.future(round(self.reveals_s / self.dt_s))
+        remedy = "Choose crowd=replay."
+        told = type(pedestrians).__name__
+        raise ValueError(message("reveals_s", "be 0 without a recording", told, "", remedy))
 
     def clearance(self, state: WorldState) -> Float[Tensor, "*b"]:
         """Clearance in m between the robot and the nearest pedestrian at this instant."""

@@ -1,5 +1,6 @@
 """Per-sample evaluation of a trained stack beside its trivial baselines."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -112,6 +113,7 @@ def evaluate_windows(
     batch_size: int = 64,
     plans: bool = True,
     calibration: Calibration | None = None,
+    compile_from: float = math.inf,
 ) -> Evaluation:
     """Score every sample, in order and without randomness, on the device of the stack.
 
@@ -122,6 +124,8 @@ def evaluate_windows(
         batch_size: How many at a time.
         plans: Whether anything is planned; without, only the prediction is judged.
         calibration: Corrects the regions whose coverage is told, see `fitted_calibration`.
+        compile_from: Number of samples from which on the kernels are compiled, which may change
+            scores in their last digit.
 
     Raises:
         ValueError: There is no sample.
@@ -129,6 +133,8 @@ def evaluate_windows(
     remedy = "Choose other modes or another split."
     require(len(windows) > 0, "windows", "hold at least one sample", 0, "", remedy)
     stack.eval()
+    if len(windows) >= compile_from:
+        stack.compile_kernels()
     scores: list[pd.DataFrame] = []
     errors: list[dict[str, np.ndarray]] = []
     levels: list[np.ndarray] = []
@@ -248,10 +254,11 @@ def _beside_baselines(
     """Scores of stack and baselines, and the distance to the human over time of each."""
     future, scores, paths = batch.ego_future, dict(judged.scores), dict(judged.paths)
     for name, baseline in baselines.items():
-        paths[name] = baseline(batch, judged.goal)
-        own = displacements(paths[name], future)
-        if isinstance(baseline, PredictedPath):
-            own["nll"] = negative_log_likelihood(baseline.forecast(batch), future)
+        forecast = baseline.forecast(batch) if isinstance(baseline, PredictedPath) else None
+        path = baseline(batch, judged.goal) if forecast is None else forecast.most_likely()
+        paths[name], own = path, displacements(path, future)
+        if forecast is not None:
+            own["nll"] = negative_log_likelihood(forecast, future)
         scores |= {f"{name}/{score}": value for score, value in own.items()}
     return scores, {name: displacement(path, future) for name, path in paths.items()}
 

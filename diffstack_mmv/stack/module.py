@@ -125,6 +125,11 @@ class DiffStackMMV(pl.LightningModule):
         self.obstacle_components = obstacle_components
         self.scores = MeanByMode(tuple(OPEN_LOOP) if loss.plans else OF_THE_PREDICTION)
 
+    def compile_kernels(self) -> None:
+        """Have solver and expensive parts of the predictor compiled at their next use."""
+        self.planner.compile_solver()
+        self.predictor.compile_kernels()
+
     def forward(self, batch: StackBatch) -> StackOutput:
         """Predict all agents, choose the goal, and plan."""
         return self.plan(batch, self.predictor.predict(batch))

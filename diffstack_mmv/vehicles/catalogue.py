@@ -7,13 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from omegaconf import OmegaConf
-
 from diffstack_mmv.checks import message
 from diffstack_mmv.vehicles.reading import config_from_spec
 from diffstack_mmv.vehicles.spec import VehicleSpec
 from dmmv_conventions.configs import config_folder
-from dmmv_conventions.yaml_files import read_mapping
+from dmmv_conventions.yaml_files import read_mapping, to_yaml
 
 
 def vehicle_names() -> list[str]:
@@ -61,5 +59,5 @@ def save_vehicle(
     with tempfile.NamedTemporaryFile(
         "w", dir=target.parent, suffix=".partial", delete=False
     ) as stream:
-        stream.write(OmegaConf.to_yaml(OmegaConf.create(config_from_spec(kept))))
+        stream.write(to_yaml(config_from_spec(kept)))
     os.replace(stream.name, target)

@@ -84,7 +84,7 @@ def test_tracks_before_the_filter_are_pixels_with_a_scale(written):
     table = pd.DataFrame({"id": 0, "x": 28.0 * times(23.98), "y": 14.0, "frame": range(264)})
     zipped(root / "raw" / "crossing_04_ped.csv.gz", table.to_csv(index=False))
     refused = DutDataset(root).read(DutDataset(root).scenes()[3], 0.1, strict=False).rejected
-    assert [item.reason for item in refused] == [RejectReason.MISSING_FIELD]
+    assert [item.reason for item in refused] == [RejectReason.SCALE]
     (root / "ratios.csv").write_text("clip,pixels_per_metre\ncrossing_04,28.0\n")
     track = read(DutDataset(root), 3).tracks[0]
     np.testing.assert_allclose(track.position[-1], [263 / 23.98, -0.5, 0.0])

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from trajdata.caching.env_cache import EnvCache
 
 from dmmv_conventions.cache import TRUSTED_VARIABLE
 from dmmv_conventions.opening import CachedEnvironment, environment
@@ -22,7 +23,7 @@ STATE = {"dataset": "toy", "dt_s": 0.1, "location": "here", "scenes": SCENES}
 def test_the_scenes_of_a_split_come_from_the_state(split, expected):
     opened = CachedEnvironment(Path("cache"), STATE)
     (tag,) = opened.get_matching_scene_tags({"toy", split})
-    scenes = opened._get_matching_scenes_from_cache(tag, None, env_cache=None)
+    scenes = opened._get_matching_scenes_from_cache(tag, None, EnvCache(Path("cache")))
     assert [(s.name, s.length_timesteps, s.raw_data_idx) for s in scenes] == expected
     assert all(scene.location == "here" for scene in scenes)
 

@@ -3,12 +3,12 @@
 import shutil
 
 import pytest
-from hydra import initialize_config_dir
-from hydra.core.global_hydra import GlobalHydra
-from hydra.core.utils import JobRuntime
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
 
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM, SoftplusFloor, catalogue
 from diffstack_mmv.dynamics.catalogue import dynamics_names, load_dynamics, model_of
+from diffstack_mmv.dynamics.config_files import factory, settings_of
 from diffstack_mmv.dynamics.gm3 import PaperBrush
 from diffstack_mmv.vehicles import config_folder, load_vehicle
 
@@ -40,15 +40,19 @@ def test_an_unknown_name_is_refused_with_all_names():
         load_dynamics("magic")
 
 
-def test_a_command_in_progress_is_left_alone(root):
-    GlobalHydra.instance().clear()
-    load_dynamics("gm3_fine")
-    assert not GlobalHydra.instance().is_initialized()
-    with initialize_config_dir(str(root / "configs"), version_base="1.3", job_name="mine"):
-        running = GlobalHydra.instance().hydra
-        load_dynamics("gm3_fine")
-        assert GlobalHydra.instance().hydra is running
-        assert JobRuntime.instance().get("name") == "mine"
+@pytest.mark.parametrize("name", dynamics_names())
+def test_files_are_composed_as_by_hydra(name):
+    with initialize_config_dir(str(config_folder()), version_base="1.3"):
+        composed = compose(overrides=[f"+dynamics={name}"]).dynamics
+    settings = settings_of(name, config_folder() / "dynamics")
+    assert settings == OmegaConf.to_container(composed, resolve=False)
+
+
+def test_a_setting_that_only_a_command_line_knows_is_refused(tmp_path):
+    (tmp_path / "mine.yaml").write_text("_target_: builtins.dict\nsubsteps: ${substeps}\n")
+    told = r"`substeps` must be a plain value, but got '\$\{substeps\}'"
+    with pytest.raises(ValueError, match=told):
+        factory(settings_of("mine", tmp_path))
 
 
 def test_installed_files_are_found_as_well(monkeypatch, tmp_path):

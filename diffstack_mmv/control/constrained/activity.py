@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.control.constrained.constraint import Rows
+from diffstack_mmv.control.constrained.constraint import ConstraintRows
 
 
 class Activity(NamedTuple):
@@ -30,7 +30,7 @@ class Activity(NamedTuple):
         return torch.where(self.held, values - yielded, torch.zeros_like(values))
 
 
-def classify(raw: Float[Tensor, "*b T1 K"], rows: Rows) -> Activity:
+def classify(raw: Float[Tensor, "*b T1 K"], rows: ConstraintRows) -> Activity:
     """Activity by the sign of raw = ν + κ g, κ any positive number."""
     zero = torch.zeros_like(raw)
     low = torch.where(rows.signed, -rows.linear, zero)

@@ -41,7 +41,7 @@ class Interior(NamedTuple):
         return Interior(*(own + size[..., None, None] * d for own, d, size in triples))
 
 
-class Residual(NamedTuple):
+class BarrierResidual(NamedTuple):
     """How far unknowns are from the equations."""
 
     defect: Float[Tensor, "*b T n"]  # f(x, u) - x⁺
@@ -71,12 +71,12 @@ class Barrier(NamedTuple):
         fixed = torch.where(low == high, torch.inf, 0.0).to(u)
         return u - low + fixed, high - u + fixed
 
-    def residual(self, point: Interior) -> Residual:
+    def residual(self, point: Interior) -> BarrierResidual:
         """Defects and constraints."""
         values = self.problem.rows.values(point.x, pad_controls(point.u))
         following = step_all(self.problem.dynamics, point.x[..., :-1, :], point.u)
         unequal = self.rows.inequalities(values) + point.s - point.sigma
-        return Residual(
+        return BarrierResidual(
             following - point.x[..., 1:, :],
             torch.where(self.rows.applies, unequal, torch.zeros_like(unequal)),
             values[..., self.rows.equality],
@@ -121,7 +121,7 @@ def newton(
     barrier: Barrier,
     local: Local,
     point: Interior,
-    residual: Residual,
+    residual: BarrierResidual,
     mu: Float[Tensor, "*b"],
     shift: Float[Tensor, "*b"],
     which: Bool[Tensor, "*b"],
@@ -143,9 +143,9 @@ def newton(
     around = point.lower / below + point.upper / above
     push = level / below - level / above
     parts = (stiff, constant, around, push, point.lower - point.upper, *residual)
-    flat = [part.reshape(mu.numel(), *part.shape[mu.dim() :]) for part in parts]
+    flat = [barrier.problem.flat(part) for part in parts]
     found, shifted = _solve(barrier, local, flat, shift.flatten().clone(), which.flatten())
-    dx, du, moved, dy = (part.view(*mu.shape, *part.shape[1:]) for part in found)
+    dx, du, moved, dy = (barrier.problem.unflat(part) for part in found)
     dz = stiff * moved + constant
     dsigma = torch.where(barrier.yields, pushed + point.sigma * give * dz, 0.0)
     ds = torch.where(rows.applies, dsigma - residual.unequal - moved, 0.0)

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from diffstack_mmv.control.constrained.activity import Activity, classify
-from diffstack_mmv.control.constrained.constraint import Rows
-from diffstack_mmv.control.constrained.implicit import Attached, KktPoint
+from diffstack_mmv.control.constrained.constraint import ConstraintRows
+from diffstack_mmv.control.constrained.implicit import AttachedRows, KktPoint
 from diffstack_mmv.control.constrained.local import Problem, expand_problem
 from diffstack_mmv.control.constrained.newton import free_controls
 from diffstack_mmv.control.constrained.phases import Progress
@@ -24,12 +24,12 @@ class Conclusion(NamedTuple):
     parts: tuple[Tensor, ...]
     multipliers: Tensor
 
-    def solution(self, widths: Sequence[int], attached: Attached | None) -> ConstrainedSolution:
+    def solution(self, widths: Sequence[int], attached: AttachedRows | None) -> ConstrainedSolution:
         """The result, with its derivatives if there are any; `widths` of each multiplier."""
         x, u, cost, *rest = self.parts
         multipliers = self.multipliers
         if attached is not None:
-            x, u, multipliers, cost = attached
+            (x, u, cost), multipliers = attached
         return ConstrainedSolution(*[x, u, cost, *rest, multipliers.split(list(widths), -1)])
 
 
@@ -52,8 +52,8 @@ def conclude(problem: Problem, progress: Progress) -> Conclusion:
     status = torch.where(bad, SolverStatus.NOT_FINITE, progress.status)
     valid = (status == SolverStatus.CONVERGED).reshape(-1)
     x = x.nan_to_num(0.0)
-    flat = (_flat(problem, part) for part in (x, u, multipliers, slack.nan_to_num(0.0)))
-    active = Activity(*(_flat(problem, part) for part in activity))
+    flat = (problem.flat(part) for part in (x, u, multipliers, slack.nan_to_num(0.0)))
+    active = Activity(*(problem.flat(part) for part in activity))
     free = free_controls(problem, u, local.gradient)
     point = KktPoint(*[*flat, active, problem.rows.signed, free, valid, local])
     violation = problem.rows.violation(values).nan_to_num(torch.inf)
@@ -62,12 +62,7 @@ def conclude(problem: Problem, progress: Progress) -> Conclusion:
     return Conclusion(point, parts, multipliers)
 
 
-def paid(rows: Rows, slack: Tensor) -> Tensor:
+def paid(rows: ConstraintRows, slack: Tensor) -> Tensor:
     """Price of the violations of soft rows."""
     linear = torch.where(rows.linear.isfinite(), rows.linear, torch.zeros_like(slack))
     return (linear * slack + 0.5 * rows.quadratic * slack.square()).sum((-2, -1))
-
-
-def _flat(problem: Problem, part: Tensor) -> Tensor:
-    leading = problem.state.shape[:-1]
-    return part.reshape(leading.numel(), *part.shape[len(leading) :])

@@ -17,6 +17,7 @@ from diffstack_mmv.control.constrained.activity import Activity
 from diffstack_mmv.control.constrained.condensed import Condensed, assemble, chunks, condense
 from diffstack_mmv.control.constrained.local import Local, Problem, adjoint_states
 from diffstack_mmv.control.expansion import pad_controls, step_all
+from diffstack_mmv.control.implicit import Attached, attached
 
 WEAK = 1e-6  # of the root of the cost that letting go of a row would save; below, it is inactive
 
@@ -35,13 +36,11 @@ class KktPoint(NamedTuple):
     local: Local
 
 
-class Attached(NamedTuple):
+class AttachedRows(NamedTuple):
     """The values of a solution with their derivatives."""
 
-    states: Float[Tensor, "*b T1 n"]
-    controls: Float[Tensor, "*b T m"]
+    trajectory: Attached
     multipliers: Float[Tensor, "*b T1 K"]
-    cost: Float[Tensor, "*b"]
 
 
 class Adjoint(NamedTuple):
@@ -54,7 +53,7 @@ class Adjoint(NamedTuple):
     bounds: Float[Tensor, "N T m"]
 
 
-class _Implicit(torch.autograd.Function):
+class _ImplicitRows(torch.autograd.Function):
     """(x, u, ν) as a function of the residual of the optimality conditions."""
 
     @staticmethod
@@ -124,7 +123,7 @@ def _pressing(
     return activity.held & ~(weak & ~point.signed & (activity.side == 0))
 
 
-def attach(problem: Problem, point: KktPoint) -> Attached | None:
+def attach(problem: Problem, point: KktPoint) -> AttachedRows | None:
     """Give solutions their derivatives in everything that the problem depends on.
 
     The problem comes with the graph of its prices and bounds. The derivative of the cost is that of
@@ -134,39 +133,27 @@ def attach(problem: Problem, point: KktPoint) -> Attached | None:
     Returns:
         The solutions with their graph, or None if nothing here requires a gradient.
     """
-    leading = problem.state.shape[:-1]
-    shaped = [part.reshape((*leading, *part.shape[1:])) for part in (point.x, point.u)]
-    x, u = shaped[0][..., 1:, :], shaped[1]
-    valid = point.valid.view(leading)
-    state = torch.where(valid.unsqueeze(-1), problem.state, shaped[0][..., 0, :])
+    whole, u, valid = (problem.unflat(part) for part in (point.x, point.u, point.valid))
+    state, x = torch.where(valid.unsqueeze(-1), problem.state, whole[..., 0, :]), whole[..., 1:, :]
     problem = problem._replace(state=state)
-    terms = _Terms(problem, point, leading)
+    terms = _Terms(problem, point)
     (of_x, of_u), (each, following, rows) = torch.func.grad(terms.lagrangian, (0, 1), has_aux=True)(
         x, u
     )
     bounds = u - terms.bound
-    residual = [
-        part.reshape((leading.numel(), *part.shape[len(leading) :]))
-        for part in (of_x, of_u, following, rows, bounds)
-    ]
+    residual = [problem.flat(part) for part in (of_x, of_u, following, rows, bounds)]
     if not any(part.requires_grad for part in (*residual, each)):
         return None
-    found = [
-        part.reshape((*leading, *part.shape[1:])) for part in _Implicit.apply(*residual, point)
-    ]
-    states = torch.cat([state.unsqueeze(-2), found[0]], -2)
-    multipliers = torch.where(terms.activity.held, found[2], terms.multipliers)
-    return Attached(states, found[1], multipliers, torch.where(valid, each, each.detach()))
+    x, u, rows = (problem.unflat(part) for part in _ImplicitRows.apply(*residual, point))
+    multipliers = torch.where(terms.activity.held, rows, terms.multipliers)
+    return AttachedRows(attached(state, x, u, each, valid), multipliers)
 
 
 class _Terms:
     """The Lagrangian of a problem with its graph, at constant multipliers."""
 
-    def __init__(self, problem: Problem, point: KktPoint, leading: torch.Size) -> None:
-        def shaped(part: Tensor) -> Tensor:
-            return part.reshape((*leading, *part.shape[1:]))
-
-        self.problem, rows = problem, problem.rows
+    def __init__(self, problem: Problem, point: KktPoint) -> None:
+        self.problem, rows, shaped = problem, problem.rows, problem.unflat
         self.valid = shaped(point.valid)[..., None, None]
         self.activity = Activity(*(shaped(part) for part in point.activity))
         side, beyond = self.activity.side, self.activity.offset != 0

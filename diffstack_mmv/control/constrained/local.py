@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from diffstack_mmv.control.constrained.constraint import Rows
+from diffstack_mmv.control.constrained.constraint import ConstraintRows
 from diffstack_mmv.control.expansion import (
     dynamics_curvature,
     expand_cost,
@@ -23,7 +23,7 @@ class Problem(NamedTuple):
 
     dynamics: Any  # a Dynamics
     cost: Any  # a Cost
-    rows: Rows
+    rows: ConstraintRows
     bounds: Bounds
     state: Float[Tensor, "*b n"]
 
@@ -58,6 +58,15 @@ class Problem(NamedTuple):
     def rollout(self, controls: Float[Tensor, "*b T m"]) -> Float[Tensor, "*b T1 n"]:
         """States of given controls."""
         return rollout(self.dynamics, self.state, controls)
+
+    def flat(self, part: Tensor) -> Tensor:
+        """(*b, ...) to (N, ...), the problems in one dimension."""
+        leading = self.state.shape[:-1]
+        return part.reshape((leading.numel(), *part.shape[len(leading) :]))
+
+    def unflat(self, part: Tensor) -> Tensor:
+        """(N, ...) back to (*b, ...)."""
+        return part.reshape((*self.state.shape[:-1], *part.shape[1:]))
 
 
 def rollout(
@@ -119,8 +128,7 @@ def expand_problem(
         magnitude,
         torch.finfo(x.dtype).eps * change,
     )
-    count, leading = problem.state[..., 0].numel(), problem.state.dim() - 1
-    return Local(*(part.reshape(count, *part.shape[leading:]) for part in parts))
+    return Local(*(problem.flat(part) for part in parts))
 
 
 def lagrangian(problem: Problem, multipliers: Float[Tensor, "*b T1 K"]) -> Cost:
@@ -145,7 +153,7 @@ def adjoint_states(
 
 
 def linearise_rows(
-    rows: Rows, x: Float[Tensor, "*b T1 n"], u: Float[Tensor, "*b T1 m"]
+    rows: ConstraintRows, x: Float[Tensor, "*b T1 n"], u: Float[Tensor, "*b T1 m"]
 ) -> tuple[Float[Tensor, "*b T1 K n"], Float[Tensor, "*b T1 K m"]]:
     """Jacobian of the constraints at each time, K cotangents pulled back in one call."""
     values, pull = torch.func.vjp(rows.values, x, u)[:2]

@@ -25,14 +25,14 @@ ROUNDING = 8.0  # units of the precision within which a control is on its bound
 GROWTH = 10.0  # of that number from step to step, above which the method has failed
 
 
-class Point(NamedTuple):
+class PrimalDual(NamedTuple):
     """Controls and multipliers."""
 
     u: Float[Tensor, "*b T m"]
     multipliers: Float[Tensor, "*b T1 K"]
 
 
-class Step(NamedTuple):
+class NewtonStep(NamedTuple):
     """One step and what it promises."""
 
     u: Float[Tensor, "N P"]
@@ -44,14 +44,14 @@ class Step(NamedTuple):
 class Polished(NamedTuple):
     """Where Newton's method ended."""
 
-    point: Point
+    point: PrimalDual
     solved: Bool[Tensor, "*b"]
     steps: Int[Tensor, "*b"]
 
 
 def polish(
     problem: Problem,
-    start: Point,
+    start: PrimalDual,
     activation: Float[Tensor, "*b 1 K"],
     chosen: Bool[Tensor, "*b"],
     accuracy: Float[Tensor, ""],
@@ -100,7 +100,9 @@ def polish(
     return Polished(point, solved, steps)
 
 
-def _moved(problem: Problem, point: Point, multipliers: Tensor, step: Step, which: Tensor) -> Point:
+def _moved(
+    problem: Problem, point: PrimalDual, multipliers: Tensor, step: NewtonStep, which: Tensor
+) -> PrimalDual:
     lower, upper = problem.bounds
     u = point.u + step.u.view(point.u.shape)
     near = ROUNDING * torch.finfo(u.dtype).eps
@@ -108,7 +110,7 @@ def _moved(problem: Problem, point: Point, multipliers: Tensor, step: Step, whic
     u = torch.where(u >= upper - near * upper.abs(), upper, u)
     pressed = multipliers + step.multipliers.view(multipliers.shape)
     mask = which[..., None, None]
-    return Point(torch.where(mask, u, point.u), torch.where(mask, pressed, point.multipliers))
+    return PrimalDual(torch.where(mask, u, point.u), torch.where(mask, pressed, point.multipliers))
 
 
 def free_controls(
@@ -138,7 +140,7 @@ def newton_step(
     multipliers: Float[Tensor, "*b T1 K"],
     values: Float[Tensor, "*b T1 K"],
     which: Bool[Tensor, "*b"],
-) -> Step:
+) -> NewtonStep:
     """The step of the problems `which`, zero for all others."""
     N, P = len(local.B), u.shape[-2] * u.shape[-1]
     flat = u.reshape(N, P)
@@ -162,4 +164,4 @@ def newton_step(
         size[index] = (weight * own_u.square()).sum(1) / local.magnitude[index].clamp_min(
             torch.finfo(u.dtype).tiny
         )
-    return Step(du, dv, size, convex)
+    return NewtonStep(du, dv, size, convex)

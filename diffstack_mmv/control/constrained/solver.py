@@ -9,7 +9,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require, require_at_least, require_positive
 from diffstack_mmv.control.constrained.conclusion import conclude
-from diffstack_mmv.control.constrained.constraint import Constraint, Rows, gather
+from diffstack_mmv.control.constrained.constraint import Constraint, ConstraintRows, gather
 from diffstack_mmv.control.constrained.implicit import attach
 from diffstack_mmv.control.constrained.local import Problem, rollout
 from diffstack_mmv.control.constrained.phases import Phases, begin
@@ -140,7 +140,7 @@ class ConstrainedILQR:
         return Phases(self.solver, self.max_iterations, max(self.tolerance, finest))
 
 
-def _given(multipliers: Sequence[Tensor] | None, rows: Rows) -> Tensor:
+def _given(multipliers: Sequence[Tensor] | None, rows: ConstraintRows) -> Tensor:
     """The given multipliers side by side, zero where there are none."""
     none = torch.zeros_like(rows.linear)
     if multipliers is None:

@@ -14,6 +14,7 @@ from diffstack_mmv.dynamics.gm3.drive import (
     Command,
     DifferentialYawDrive,
     Drive,
+    Rolling,
 )
 from diffstack_mmv.dynamics.gm3.lean import LeanLaw, PrescribedLean, camber_spin
 from diffstack_mmv.dynamics.gm3.load import GRAVITY, AccelerationLimits, LoadTransfer
@@ -163,7 +164,8 @@ class Chassis(ExactBuffers):
             physics.cornering,
             physics.contact_half_length,
         )
-        traction = self.drive(command, velocity, hub, tire, physics.yaw_inertia, axes)
+        rolling = Rolling(velocity, axes, hub, tire)
+        traction = self.drive(command, rolling, physics.yaw_inertia)
         camber = None
         if self.spec.leans:
             limit = self.spec.limits.lean_max_rad

@@ -41,6 +41,15 @@ class Command(NamedTuple):
     wheel_speed: Float[Tensor, "wheels n"] | None  # R Ω in m/s, for a `SpeedDrive`
 
 
+class Rolling(NamedTuple):
+    """How the wheels meet the ground at one instant."""
+
+    velocity: Float[Tensor, "3 n"]  # v_x, v_y in m/s, r in rad/s
+    axes: WheelAxes
+    hub: WheelVelocity
+    tire: TireProperties
+
+
 class Traction(NamedTuple):
     """Longitudinal state of the wheels, with the force as k · gain · (constant + row · v)."""
 
@@ -104,13 +113,7 @@ class Drive(ExactBuffers):
 
     @abstractmethod
     def forward(
-        self,
-        command: Command,
-        velocity: Float[Tensor, "3 n"],
-        hub: WheelVelocity,
-        tire: TireProperties,
-        yaw_inertia: Float[Tensor, ""],
-        axes: WheelAxes,
+        self, command: Command, rolling: Rolling, yaw_inertia: Float[Tensor, ""]
     ) -> Traction:
         """Slips and force demands of the wheels."""
 
@@ -144,51 +147,42 @@ class AccelerationDrive(Drive):
         return torch.addcmul(constant, per_speed, forward)
 
     def _shares(
-        self,
-        command: Command,
-        forward: Float[Tensor, " n"],
-        tire: TireProperties,
+        self, command: Command, rolling: Rolling
     ) -> tuple[Float[Tensor, "wheels n"], Float[Tensor, "wheels n"], Float[Tensor, "wheels n"]]:
         """Demand per wheel in N: constant, per v_x, and q of the wheels of the set."""
+        forward = rolling.velocity[0]
         constant, per_speed = self._fade(command, forward)
         wanted = torch.addcmul(constant, per_speed, forward)
         driving = wanted * forward >= 0 if self.spec.reverse else wanted > 0
         members = torch.where(driving, self.get_buffer("driven"), self.get_buffer("braked"))
-        grip = members * tire.grip
+        grip = members * rolling.tire.grip
         per_grip = self.spec.mass_kg / grip.sum(0)
         shares = grip * per_grip
         return shares * constant, shares * per_speed, per_grip * wanted * members
 
     def forward(
-        self,
-        command: Command,
-        velocity: Float[Tensor, "3 n"],
-        hub: WheelVelocity,
-        tire: TireProperties,
-        yaw_inertia: Float[Tensor, ""],
-        axes: WheelAxes,
+        self, command: Command, rolling: Rolling, yaw_inertia: Float[Tensor, ""]
     ) -> Traction:
         """Slips and force demands of the wheels."""
-        constant, per_speed, share = self._shares(command, velocity[0], tire)
+        constant, per_speed, share = self._shares(command, rolling)
         row = per_speed * self.get_buffer("axis_x")
-        return self._traction(share, constant, row, hub, tire)
+        return self._traction(share, constant, row, rolling)
 
     def _traction(
         self,
         share: Float[Tensor, "wheels n"],
         constant: Float[Tensor, "wheels n"],
         row: Float[Tensor, "3 wheels n"],
-        hub: WheelVelocity,
-        tire: TireProperties,
+        rolling: Rolling,
     ) -> Traction:
-        smoothing = self.spec.smoothing
+        smoothing, tire = self.spec.smoothing, rolling.tire
         inverse = slip_per_share(share, smoothing.friction_share)
         wanted = share * inverse * tire.onset
         limit = limiter_gain(wanted / SLIP_LIMIT)
         slip = wanted * limit
-        rolling = rolling_speed(hub.forward, slip, smoothing.slip_speed_mps)
-        reference = reference_speed(rolling, smoothing.slip_speed_mps)
-        return Traction(slip, rolling, reference, inverse * limit / tire.cornering, constant, row)
+        speed = rolling_speed(rolling.hub.forward, slip, smoothing.slip_speed_mps)
+        reference = reference_speed(speed, smoothing.slip_speed_mps)
+        return Traction(slip, speed, reference, inverse * limit / tire.cornering, constant, row)
 
 
 class DifferentialYawDrive(AccelerationDrive):
@@ -212,20 +206,14 @@ class DifferentialYawDrive(AccelerationDrive):
         return limiter_gain(moment * inverse / (self._reach * self._count))
 
     def forward(
-        self,
-        command: Command,
-        velocity: Float[Tensor, "3 n"],
-        hub: WheelVelocity,
-        tire: TireProperties,
-        yaw_inertia: Float[Tensor, ""],
-        axes: WheelAxes,
+        self, command: Command, rolling: Rolling, yaw_inertia: Float[Tensor, ""]
     ) -> Traction:
         """Slips and force demands of the wheels."""
-        forward = velocity[0]
-        constant, per_speed, share = self._shares(command, forward, tire)
+        tire, forward = rolling.tire, rolling.velocity[0]
+        constant, per_speed, share = self._shares(command, rolling)
         per_rate = yaw_inertia / self.servo.yaw_time_constant_s
         curvature = command.steer.tan() / self.servo.virtual_wheelbase_m
-        moment = per_rate * (curvature * forward - velocity[2])
+        moment = per_rate * (curvature * forward - rolling.velocity[2])
         allowed = self._yaw_gain(moment, tire)
         lever = self.get_buffer("lever")
         share = share - moment * allowed * lever / tire.grip
@@ -233,7 +221,7 @@ class DifferentialYawDrive(AccelerationDrive):
         axis_x, axis_yaw = self.get_buffer("axis_x"), self.get_buffer("axis_yaw")
         row = per_speed * axis_x
         row = row + turning * (axis_yaw - curvature * axis_x)
-        return self._traction(share, constant, row, hub, tire)
+        return self._traction(share, constant, row, rolling)
 
 
 class SpeedDrive(Drive):
@@ -262,18 +250,13 @@ class SpeedDrive(Drive):
         return (stiffness * slip).sum(0)
 
     def forward(
-        self,
-        command: Command,
-        velocity: Float[Tensor, "3 n"],
-        hub: WheelVelocity,
-        tire: TireProperties,
-        yaw_inertia: Float[Tensor, ""],
-        axes: WheelAxes,
+        self, command: Command, rolling: Rolling, yaw_inertia: Float[Tensor, ""]
     ) -> Traction:
         """Slips of the wheels at their given speeds."""
         driven, given = self.get_buffer("driven"), self._given(command)
-        rolling = torch.where(driven > 0, given, hub.forward)
-        reference = reference_speed(rolling, self.spec.smoothing.slip_speed_mps)
-        slip = (rolling - hub.forward) / reference
-        row = -axes.along * driven
-        return Traction(slip, rolling, reference, 1 / reference, driven * given, row)
+        hub = rolling.hub
+        speed = torch.where(driven > 0, given, hub.forward)
+        reference = reference_speed(speed, self.spec.smoothing.slip_speed_mps)
+        slip = (speed - hub.forward) / reference
+        row = -rolling.axes.along * driven
+        return Traction(slip, speed, reference, 1 / reference, driven * given, row)

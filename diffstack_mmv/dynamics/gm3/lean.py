@@ -32,17 +32,24 @@ class LeanCoefficients(NamedTuple):
     damp: Float[Tensor, "..."]  # 1/s
 
 
-def lean_coefficients(
-    lean: Float[Tensor, " n"],
-    mass_height: float,
-    roll_inertia: Float[Tensor, ""],
-    roll_damping: Float[Tensor, ""],
-) -> LeanCoefficients:
-    """Secant coefficients at a lean in rad; `mass_height` is m h in kg m."""
-    per_inertia = mass_height / roll_inertia
-    return LeanCoefficients(
-        per_inertia * lean.cos(), per_inertia * GRAVITY * sinc(lean), roll_damping / roll_inertia
-    )
+class RollBody(NamedTuple):
+    """What a pendulum is made of."""
+
+    mass_height: float  # m h in kg m
+    inertia: Float[Tensor, ""]  # I_x in kg m^2
+    damping: Float[Tensor, ""]  # d_roll in N m s
+
+
+class Pendulum(NamedTuple):
+    """γ'' = push · a_y cos γ - restore · sin γ - damp · γ'."""
+
+    push: Float[Tensor, ""] | float  # 1/m
+    restore: Float[Tensor, ""] | float  # 1/s^2
+    damp: Float[Tensor, ""]  # 1/s
+
+    def secant(self, lean: Float[Tensor, " n"]) -> LeanCoefficients:
+        """Coefficients of the equation that is linear in γ and agrees with this one at a lean."""
+        return LeanCoefficients(self.push * lean.cos(), self.restore * sinc(lean), self.damp)
 
 
 @runtime_checkable
@@ -54,14 +61,8 @@ class LeanLaw(Protocol):
         """By how much the lateral acceleration is taken ahead of its time, to first order."""
         ...
 
-    def coefficients(
-        self,
-        lean: Float[Tensor, " n"],
-        mass_height: float,
-        roll_inertia: Float[Tensor, ""],
-        roll_damping: Float[Tensor, ""],
-    ) -> LeanCoefficients:
-        """Secant coefficients at a lean in rad; `mass_height` is m h in kg m."""
+    def pendulum(self, body: RollBody) -> Pendulum:
+        """Equation of the lean for a body."""
         ...
 
 
@@ -74,15 +75,10 @@ class PrescribedLean:
         """None: nothing anticipates the turn."""
         return 0.0
 
-    def coefficients(
-        self,
-        lean: Float[Tensor, " n"],
-        mass_height: float,
-        roll_inertia: Float[Tensor, ""],
-        roll_damping: Float[Tensor, ""],
-    ) -> LeanCoefficients:
-        """Coefficients of the pendulum."""
-        return lean_coefficients(lean, mass_height, roll_inertia, roll_damping)
+    def pendulum(self, body: RollBody) -> Pendulum:
+        """The body's own."""
+        per_inertia = body.mass_height / body.inertia
+        return Pendulum(per_inertia, per_inertia * GRAVITY, body.damping / body.inertia)
 
 
 @dataclass(frozen=True)
@@ -113,17 +109,11 @@ class CoordinatedLean:
         """T."""
         return self.anticipation_s + 2.0 / self.bandwidth_radps
 
-    def coefficients(
-        self,
-        lean: Float[Tensor, " n"],
-        mass_height: float,
-        roll_inertia: Float[Tensor, ""],
-        roll_damping: Float[Tensor, ""],
-    ) -> LeanCoefficients:
-        """Coefficients that depend on neither mass nor damping."""
+    def pendulum(self, body: RollBody) -> Pendulum:
+        """One that depends on neither mass nor damping."""
         stiffness = self.bandwidth_radps**2
-        damp = torch.full_like(roll_damping, 2.0 * self.bandwidth_radps)
-        return LeanCoefficients(stiffness / GRAVITY * lean.cos(), stiffness * sinc(lean), damp)
+        damp = torch.full_like(body.damping, 2.0 * self.bandwidth_radps)
+        return Pendulum(stiffness / GRAVITY, stiffness, damp)
 
 
 def lean_acceleration(

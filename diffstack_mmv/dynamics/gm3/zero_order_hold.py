@@ -14,6 +14,7 @@ from diffstack_mmv.dynamics.gm3.drive import Command
 from diffstack_mmv.dynamics.gm3.lean import (
     Lean,
     LeanCoefficients,
+    RollBody,
     lean_acceleration,
 )
 from diffstack_mmv.dynamics.gm3.slip import WheelAxes
@@ -56,13 +57,9 @@ class ZeroOrderHoldDynamics:
 
     def lean_coefficients(self, lean: Float[Tensor, " n"]) -> LeanCoefficients:
         """Secant coefficients of the lean equation."""
-        spec = self.chassis.spec
-        return self.chassis.lean.coefficients(
-            lean,
-            spec.mass_kg * spec.height_m,
-            self.physics.roll_inertia,
-            self.physics.roll_damping,
-        )
+        spec, physics = self.chassis.spec, self.physics
+        body = RollBody(spec.mass_kg * spec.height_m, physics.roll_inertia, physics.roll_damping)
+        return self.chassis.lean.pendulum(body).secant(lean)
 
     def anticipated(
         self, lateral: Float[Tensor, " n"], change: Float[Tensor, " n"]

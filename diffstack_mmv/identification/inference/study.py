@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from diffstack_mmv.checks import require
+from diffstack_mmv.checks import require, require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.identification.inference.assumptions import TrackingAssumptions
 from diffstack_mmv.identification.inference.comparison import (
@@ -79,6 +79,9 @@ class IdentificationStudy:
         prediction_s: The end of a held-out segment that is predicted.
         parameters: Names of the parameters to learn; all learnable ones by default.
         profile: Names of the parameters whose profile likelihood is computed.
+
+    Raises:
+        ValueError: `prediction_s` is negative.
     """
 
     spec: VehicleSpec
@@ -94,6 +97,9 @@ class IdentificationStudy:
     prediction_s: float = 1.0
     parameters: Sequence[str] | None = None
     profile: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        require_at_least("prediction_s", self.prediction_s, 0.0)
 
     def __call__(self, recordings: Recordings, models: Mapping[str, ModelBuilder]) -> StudyResult:
         """Identify the first model, then the others, on the same segments.

@@ -108,7 +108,7 @@ class Trajectron(Predictor):
         ValueError: The models differ in their time step, or a number is out of its range.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - each is a part that can be exchanged
         self,
         ego_dynamics: DynamicsModel,
         vehicle_dynamics: DynamicsModel,

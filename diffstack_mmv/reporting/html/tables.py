@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from diffstack_mmv.reporting.files import told_as_broken
 from diffstack_mmv.reporting.html.blocks import Block, Chart, Section, frame_table
 
 TABLES = {"table.csv": "Comparison", "tests.csv": "Paired tests", "results.csv": "Results"}
@@ -21,10 +22,19 @@ def read_tables(folder: Path) -> list[Section]:
     return [Section("Tables", blocks)] if blocks else []
 
 
+def _trajectory(file: Path) -> pd.DataFrame:
+    with told_as_broken(file):
+        return pd.read_csv(file, dtype="float64")
+
+
 def read_trajectories(folder: Path) -> list[Section]:
     """What `simulate` wrote: each column over time, the models side by side."""
     files = sorted(folder.glob("trajectory_*.csv"))
-    frames = {file.stem.removeprefix("trajectory_"): pd.read_csv(file) for file in files}
+    frames = {file.stem.removeprefix("trajectory_"): _trajectory(file) for file in files}
+    if any(frame.empty for frame in frames.values()):
+        raise ValueError(
+            "`trajectory` must hold a row per step, but got none. Run simulate.py again."
+        )
     if not frames:
         return []
     columns = dict.fromkeys(name for frame in frames.values() for name in frame.columns[1:])

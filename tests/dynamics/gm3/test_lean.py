@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from diffstack_mmv.dynamics.gm3 import CoordinatedLean, DiffGM3, PrescribedLean
-from diffstack_mmv.dynamics.gm3.lean import Lean, lean_after
+from diffstack_mmv.dynamics.gm3.lean import Lean, RollBody, lean_after
 from diffstack_mmv.dynamics.rollout import rollout
 from diffstack_mmv.types import Motion
 from diffstack_mmv.vehicles import load_vehicle
@@ -16,12 +16,11 @@ LAWS = [PrescribedLean(), CoordinatedLean()]
 
 def response(law, lateral, step_s):
     """Lean under a lateral acceleration over time."""
-    inertia, damping = torch.tensor(99.0), torch.tensor(473.0)
+    pendulum = law.pendulum(RollBody(90.0, torch.tensor(99.0), torch.tensor(473.0)))
     lean, found = Lean(torch.zeros(1), torch.zeros(1)), []
     for before, after in zip(lateral[:-1], lateral[1:], strict=True):
         push = 0.5 * (before + after) + law.lead_s * (after - before) / step_s
-        coefficients = law.coefficients(lean.angle, 90.0, inertia, damping)
-        lean = lean_after(lean, push, coefficients, step_s)
+        lean = lean_after(lean, push, pendulum.secant(lean.angle), step_s)
         found.append(float(lean.angle))
     return torch.tensor(found)
 

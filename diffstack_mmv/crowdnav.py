@@ -1,0 +1,136 @@
+"""CrowdNav from Python: a vehicle that a controller drives through a crowd, with no command line.
+
+The settings are those of `scripts/navigate.py`, read from the same files, so the episodes are the
+same too.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import MappingProxyType
+from typing import Any
+
+from diffstack_mmv.dynamics.catalogue import load_dynamics
+from diffstack_mmv.dynamics.config_files import factory, settings_of
+from diffstack_mmv.simulation import (
+    Controller,
+    Method,
+    Scenario,
+    SimulatedVehicle,
+    World,
+    actuation,
+    controller_model,
+    run,
+    study_world,
+    summarise,
+    vehicle_robot,
+    world_for,
+)
+from diffstack_mmv.vehicles import VehicleSpec, config_folder, load_vehicle
+from diffstack_mmv.vehicles.reading import config_from_spec
+
+LIMITS: Mapping[str, float] = MappingProxyType(
+    {"speed_max_mps": 3.0, "acceleration_min_mps2": -3.0, "acceleration_max_mps2": 2.0}
+)
+"""Of the vehicle among people; the tighter of these and its own hold."""
+
+
+@dataclass(frozen=True)
+class CrowdNav:
+    """A vehicle, a crowd and a controller.
+
+    Each name is that of a file in the configuration group of the same name.
+
+    Attributes:
+        vehicle: The vehicle, its name, or the path of its YAML file.
+        dynamics: Its dynamics, which the controller believes in too.
+        scenario: Where pedestrians and robot start and want to go.
+        crowd: How the pedestrians walk.
+        controller: What drives.
+        people: How the controller forecasts the pedestrians.
+        footprint: Outline of the robot.
+        limit_s: Time limit of an episode.
+        dt_s: Time between two decisions.
+        limits: Largest speed (m/s) and accelerations (m/s²).
+
+    Raises:
+        ValueError: There is no such vehicle or file, or the times do not fit.
+    """
+
+    vehicle: str | Path | VehicleSpec = "bicycle"
+    dynamics: str = "kbm"
+    scenario: str = "circle_crossing"
+    crowd: str = "orca"
+    controller: str = "diffmpc"
+    people: str = "orca"
+    footprint: str = "disc"
+    limit_s: float = 10.0
+    dt_s: float = 0.25
+    limits: Mapping[str, float] = field(default_factory=lambda: LIMITS, hash=False)
+
+    def simulated(self) -> SimulatedVehicle:
+        """The vehicle as simulator and controller know it."""
+        known = self.vehicle
+        spec = known if isinstance(known, VehicleSpec) else load_vehicle(known)
+        content = config_from_spec(spec)
+        return SimulatedVehicle(
+            content, load_dynamics(self.dynamics), self.limits, name=self.dynamics
+        )
+
+    def cases(self) -> Scenario:
+        """Where the cases come from."""
+        return _built("scenario", self.scenario, {})
+
+    def world(self) -> World:
+        """The world in which the controller drives."""
+        outline = _built("footprint", self.footprint, {"actual": self.simulated()})
+        robot = vehicle_robot(self.simulated(), footprint=outline)
+        crowd = _built("crowd", self.crowd, {})
+        world = study_world(robot, crowd, "exact", self.limit_s, self.dt_s)
+        return world_for(world, type(self.driver()))
+
+    def driver(self) -> Controller:
+        """A fresh controller."""
+        vehicle = self.simulated()
+        content, limits = vehicle.vehicle, vehicle.spec().limits
+        wheelbase, steer = content["wheelbase"]["initial"], content["limits"]["steer_max_rad"]
+        given = {
+            "dt_s": self.dt_s,
+            "seed": 0,
+            "cruise_mps": limits.speed_max_mps,
+            "model": controller_model(vehicle, vehicle, self.dt_s),
+            "actuate": actuation(vehicle, vehicle),
+            "people": _built("people", self.people, {}),
+            "cost": _built(
+                "cost", "closed_loop", {"turning_radius_m": wheelbase / math.tan(steer)}
+            ),
+        }
+        return _built("controller", self.controller, given)
+
+    def drive(
+        self, cases: Sequence[int] = range(100), phase: str = "test", folder: Path | None = None
+    ) -> dict[str, Any]:
+        """Drive cases, all of them as one batch, and judge them.
+
+        Args:
+            cases: Their numbers.
+            phase: "train", "val" or "test".
+            folder: Where the episodes are kept, and found by a repeated call; nowhere if None.
+
+        Returns:
+            Rates, times (s) and distances (m) as in `closed_loop.json`, and the cases one by one.
+
+        Raises:
+            ValueError: A case does not exist, or the folder holds episodes of other settings.
+        """
+        method = Method(self.controller, self.world(), self.driver, repr(self))
+        with TemporaryDirectory() as passing:
+            kept = Path(passing) if folder is None else folder
+            return summarise(list(run(method, self.cases(), cases, kept, len(cases), phase)))
+
+
+def _built(group: str, name: str, given: Mapping[str, Any]) -> Any:
+    """What a file of a configuration group describes."""
+    return factory(settings_of(name, config_folder() / group), given)()

@@ -1,0 +1,89 @@
+"""Whole recorded scenes, everybody in them at once, for a replay."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+from trajdata.caching.env_cache import EnvCache
+
+from diffstack_mmv.checks import require
+from diffstack_mmv.data.batch import STANDSTILL_MPS, yaw_rate
+from diffstack_mmv.data.sources import ConvertedCache
+from diffstack_mmv.geometry import rotate
+from diffstack_mmv.types import Motion, RecordedScene, Tracks
+from dmmv_conventions.cache import conversion_of, require_own
+
+COLUMNS = ["x", "y", "vx", "vy", "heading"]
+
+
+@dataclass(frozen=True)
+class RecordedScenes:
+    """The scenes of a converted cache, as a replay wants them.
+
+    Attributes:
+        source: The cache.
+    """
+
+    source: ConvertedCache
+
+    def duration_s(self, split: str) -> dict[str, float]:
+        """Length in s of every scene of a split, by its name.
+
+        Args:
+            split: Split of the data set.
+
+        Raises:
+            ValueError: The cache cannot be used, or has no scene in the split.
+        """
+        scenes, dt_s = self.source.scenes(), self.source.dt_s()
+        found = {s["name"]: (s["steps"] - 1) * dt_s for s in scenes if s["split"] == split}
+        splits = sorted({scene["split"] for scene in scenes})
+        wanted = f"be one of {', '.join(splits)}"
+        require(len(found) > 0, "phase", wanted, f"'{split}'", f"for '{self.source.name}'")
+        return found
+
+    def read(self, name: str) -> RecordedScene:
+        """Everybody in a scene, padded to its whole length, in the world of the recording.
+
+        Args:
+            name: Name of the scene.
+
+        Raises:
+            ValueError: Another user wrote the cache.
+        """
+        folder = Path(self.source.folder)
+        require_own(folder / self.source.name, conversion_of(self.source.name, folder))
+        return _read(folder / self.source.name / name)
+
+
+@lru_cache(maxsize=64)
+def _read(folder: Path) -> RecordedScene:
+    """The agents of a scene folder; rows in which one is absent are zero."""
+    scene = EnvCache.load(next(folder.glob("scene_metadata_dt*.dill")))
+    table = pd.read_feather(next(folder.glob("agent_data_dt*.feather")))
+    agents = {agent.name: number for number, agent in enumerate(scene.agents or ())}
+    number = table["agent_id"].map(agents).to_numpy()
+    rows = np.zeros((len(agents), scene.length_timesteps, len(COLUMNS)))
+    valid = np.zeros(rows.shape[:2], dtype=bool)
+    rows[number, table["scene_ts"]] = table[COLUMNS].to_numpy("float64")
+    valid[number, table["scene_ts"]] = True
+    sizes = [(agent.extent.length, agent.extent.width) for agent in scene.agents or ()]
+    state = torch.from_numpy(rows)
+    velocity, heading = state[..., 2:4], state[..., 4]
+    moving = velocity.norm(dim=-1) >= STANDSTILL_MPS
+    motion = Motion(
+        position=state[..., :2],
+        heading=heading,
+        velocity=rotate(velocity, -heading),
+        yaw_rate=yaw_rate(heading, moving, scene.dt),
+    )
+    tracks = Tracks(
+        motion=motion,
+        extent=torch.tensor(sizes, dtype=torch.float64).reshape(-1, 2),
+        mode=torch.tensor([int(agent.type) for agent in scene.agents or ()]),
+        valid=torch.from_numpy(valid),
+    )
+    return RecordedScene(tracks, scene.dt)

@@ -1,0 +1,86 @@
+"""Files of a configuration group, composed and built without Hydra, which the core does not need.
+
+They are the files that the command lines compose. A file names what is built by `_target_`, and may
+build on others beside it (`defaults`).
+"""
+
+import re
+from collections.abc import Mapping
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from diffstack_mmv.checks import message, require_one_of
+from dmmv_conventions.yaml_files import load_plain
+
+SELF = "_self_"
+
+
+def names_in(folder: Path) -> list[str]:
+    """Names of the files of a group, sorted."""
+    return sorted(path.stem for path in folder.glob("*.yaml"))
+
+
+def settings_of(name: str, folder: Path) -> dict[str, Any]:
+    """Settings of one file over those of the files it builds on, as Hydra composes them.
+
+    Args:
+        name: Name of the file without its ending.
+        folder: The folder of the file and of those it builds on; its name is that of the group.
+
+    Returns:
+        Plain values; interpolations as they are written.
+
+    Raises:
+        ValueError: There is no such file.
+    """
+    require_one_of(folder.name, name, names_in(folder))
+    content = load_plain((folder / f"{name}.yaml").read_text(encoding="utf-8"))
+    bases = content.pop("defaults", [])
+    settings: dict[str, Any] = {}
+    for base in bases if SELF in bases else [*bases, SELF]:
+        settings = _merged(settings, content if base == SELF else settings_of(str(base), folder))
+    return settings
+
+
+def factory(settings: Mapping[str, Any], given: Mapping[str, Any] | None = None) -> partial[Any]:
+    """What builds the `_target_` of some settings, with everything inside built already.
+
+    Args:
+        settings: A mapping with `_target_`.
+        given: What stands for the interpolations `${name}`, or `${name:...}`, by their names.
+
+    Raises:
+        ValueError: An interpolation is not given; in a command line, others of its keys are.
+    """
+    arguments = {
+        key: _built(value, key, given or {}) for key, value in settings.items() if key[:1] != "_"
+    }
+    module, _, name = settings["_target_"].rpartition(".")
+    return partial(getattr(import_module(module), name), **arguments)
+
+
+def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of `above` over those of `below`, mapping by mapping."""
+    merged = dict(below)
+    for key, value in above.items():
+        both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
+        merged[key] = _merged(merged[key], value) if both else value
+    return merged
+
+
+def _built(content: Any, place: str, given: Mapping[str, Any]) -> Any:
+    if isinstance(content, Mapping):
+        if "_target_" in content:
+            build = factory(content, given)
+            return build if content.get("_partial_") else build()
+        return {key: _built(value, f"{place}.{key}", given) for key, value in content.items()}
+    if isinstance(content, list):
+        return [_built(value, place, given) for value in content]
+    if not (isinstance(content, str) and "${" in content):
+        return content
+    name = re.match(r"\$\{(\w+)[:}]", content)
+    if name is None or name[1] not in given:
+        raise ValueError(message(place, "be a plain value", repr(content), "", "Write the value."))
+    return given[name[1]]

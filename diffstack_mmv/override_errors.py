@@ -1,0 +1,116 @@
+"""What is wrong with a command line that Hydra cannot compose, told in one line."""
+
+import difflib
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from dmmv_conventions.checks import message
+
+PLACE = "on the command line"
+_ALL_KEYS = "`--cfg job` prints all keys."
+_EXTRAS = {"hydra/sweeper/optuna": "sweep", "hydra/launcher/submitit": "sweep"}
+_UNKNOWN_KEY = re.compile(r"Could not (?:override|delete from config\.|delete) '?([^'\s]+)'")
+
+_TWICE = re.compile(r"Multiple values for (\S+)\.")
+
+
+def told(
+    error: HydraException | OmegaConfBaseException,
+    arguments: Sequence[str],
+    folder: Path,
+    config_name: str,
+) -> str:
+    """One line for an error of Hydra's composition.
+
+    Args:
+        error: What Hydra raised.
+        arguments: The command line without its first word.
+        folder: The folder of the configuration groups.
+        config_name: File in it, without its ending.
+
+    Returns:
+        What is wrong, where, and what to do.
+    """
+    if isinstance(error, MissingConfigException) and error.missing_cfg_file:
+        return _unknown_option(error.missing_cfg_file, error.options or ())
+    if isinstance(error, OverrideParseException):
+        remedy = "Write key=value, and put quotes around values with brackets, commas or blanks."
+        return message("arguments", "read key=value", repr(error.override), PLACE, remedy)
+    if found := _TWICE.match(str(error)):
+        given = _given(found[1], arguments)
+        return message(found[1], "be given once", given, PLACE, "Leave out the `+`.")
+    if found := _UNKNOWN_KEY.match(str(error)):
+        return _unknown_key(found[1], arguments, folder, config_name)
+    return one_line(str(error))
+
+
+def one_line(text: str) -> str:
+    """The words of a text, however it was broken into lines."""
+    return " ".join(text.split())
+
+
+def _unknown_option(file: str, options: Sequence[str]) -> str:
+    group, _, name = file.rpartition("/")
+    extra = next((_EXTRAS[begin] for begin in _EXTRAS if file.startswith(begin)), None)
+    close = difflib.get_close_matches(name, options, 2, 0.5)
+    remedy = f"Did you mean {group}={' or '.join(close)}?" if close else ""
+    if extra is not None:
+        remedy = f"Install it: pip install 'diffstack_mmv[{extra}]'."
+    elif group == "vehicle":
+        remedy = f"{remedy} A vehicle of your own is the path of a YAML file.".lstrip()
+    return message(group, f"be one of {', '.join(options)}", repr(name), PLACE, remedy)
+
+
+def _unknown_key(key: str, arguments: Sequence[str], folder: Path, config_name: str) -> str:
+    bare = key.lstrip("+~")
+    keys = list(_keys(bare, arguments, folder, config_name))
+    last = [each for each in keys if each.rpartition(".")[2] == bare.rpartition(".")[2]]
+    close = difflib.get_close_matches(bare, last, 1, 0.0) or difflib.get_close_matches(
+        bare, keys, 1
+    )
+    remedy = f"Did you mean `{close[0]}`? {_ALL_KEYS}" if close else _ALL_KEYS
+    wanted = f"be a key of the configuration of {config_name}"
+    return message(bare, wanted, _given(bare, arguments), PLACE, remedy)
+
+
+def _keys(bad: str, arguments: Iterable[str], folder: Path, config_name: str) -> Iterator[str]:
+    """All dotted keys of a configuration, with the groups that the command line chooses."""
+    groups = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_dir()}
+    chosen = [
+        each
+        for each in arguments
+        if _key_of(each) in groups and "," not in each and "~" not in each
+    ]
+    for overrides in (chosen, []):
+        GlobalHydra.instance().clear()
+        try:
+            with initialize_config_dir(str(folder), version_base="1.3"):
+                config = compose(config_name, overrides)
+        except (HydraException, OmegaConfBaseException):
+            continue
+        yield from _dotted("", OmegaConf.to_container(config))
+        return
+
+
+def _dotted(place: str, content: Any) -> Iterator[str]:
+    if isinstance(content, Mapping):
+        for key, value in content.items():
+            inner = f"{place}.{key}" if place else str(key)
+            yield inner
+            yield from _dotted(inner, value)
+
+
+def _given(key: str, arguments: Iterable[str]) -> str:
+    return next((each for each in arguments if _key_of(each) == key), key)
+
+
+def _key_of(argument: str) -> str:
+    return argument.partition("=")[0].lstrip("+~")

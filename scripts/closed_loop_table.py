@@ -1,0 +1,96 @@
+"""A table of closed-loop drives by one command."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+from tqdm import tqdm
+
+from diffstack_mmv.cli import command
+from diffstack_mmv.jobs import Job, Launcher, expected_seconds
+from dmmv_conventions.checks import require
+from dmmv_conventions.configs import config_folder
+
+if TYPE_CHECKING:
+    from diffstack_mmv.reporting import DrivenRow
+
+logger = logging.getLogger(__name__)
+
+NAVIGATE = Path(__file__).resolve().parent / "navigate.py"
+ALONE = ("beside=[]", "wandb=none", "animate=0")
+"""Each drive is one row: baselines are rows of their own, and nothing is drawn."""
+
+
+def check(config: DictConfig) -> None:
+    """Refuse a choice of rows or places that the table does not have."""
+    for name in ("rows", "places"):
+        known = list(config.table[name])
+        unknown = sorted(set(config[name] or ()) - set(known))
+        require(not unknown, name, f"be some of {known}", unknown)
+
+
+@command(config_folder(), "closed_loop_table", check)
+def main(config: DictConfig) -> None:
+    """Drive whatever has not been driven yet, then write the table."""
+    from diffstack_mmv.metrics import CLOSED_LOOP
+    from diffstack_mmv.reporting import write_joint_table
+
+    out, launcher = Path(config.out), instantiate(config.launcher)
+    rows = list(_rows(config, out))
+    jobs = [_job(config, row, out) for row in rows]
+    still = [job for job in jobs if not job.done]
+    seconds = expected_seconds(jobs, jobs, {"drive": config.expected_s}, launcher.width)
+    logger.info("%d of %d drives to do, %d at a time: about %.1f hours.",
+                len(still), len(jobs), launcher.width, seconds / 3600)  # fmt: skip
+    if config.dry_run:
+        return
+    failed = _work(launcher, still)
+    remarks = [f"{job.name} failed: see {job.log}." for job in failed]
+    write_joint_table(out, config.table.title, rows, CLOSED_LOOP, remarks)
+    logger.info("\n%s", (out / "table.md").read_text(encoding="utf-8"))
+    if failed:
+        raise ValueError(f"{len(failed)} of {len(jobs)} drives failed. Read their logs, then give "
+                         "the same command again.")  # fmt: skip
+
+
+def _rows(config: DictConfig, out: Path) -> Iterator[DrivenRow]:
+    from diffstack_mmv.reporting import DrivenRow
+
+    table = config.table
+    for place in config.places or table.places:
+        driven = (table.get("drives") or {}).get(place, list(table.rows))
+        for name in (each for each in config.rows or table.rows if each in driven):
+            against = tuple((table.get("against") or {}).get(name) or ())
+            yield DrivenRow(str(place), str(name), out / "drives" / place / name, against)
+
+
+def _job(config: DictConfig, row: DrivenRow, out: Path) -> Job:
+    table = config.table
+    parts = table.settings, table.places[row.place], table.rows[row.name], config.overrides
+    settings = [setting for part in parts for setting in part]
+    # as they would be typed: a later setting of the same key replaces an earlier one
+    last = {setting.split("=", 1)[0]: setting for setting in settings}
+    drive = (sys.executable, str(NAVIGATE), *ALONE, *last.values(), f"out='{row.folder}'")
+    log = out / "logs" / f"{row.place}.{row.name}.log"
+    return Job(f"{row.place}, {row.name}", "drive", (drive,), row.result, log)
+
+
+def _work(launcher: Launcher, jobs: list[Job]) -> list[Job]:
+    """Run what is not done; returns what failed."""
+    failed = []
+    for outcome in tqdm(launcher(jobs), total=len(jobs), desc="table", unit="drive"):
+        logger.info("%s: %.0f s%s", outcome.job.name, outcome.seconds,
+                    "" if outcome.succeeded else ", FAILED")  # fmt: skip
+        if not outcome.succeeded:
+            failed.append(outcome.job)
+    return failed
+
+
+if __name__ == "__main__":
+    main()

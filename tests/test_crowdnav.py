@@ -1,0 +1,62 @@
+"""CrowdNav from Python drives as the command line does."""
+
+import math
+
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
+
+import diffstack_mmv.cli  # noqa: F401  registers the resolvers
+from diffstack_mmv.crowdnav import CrowdNav
+from diffstack_mmv.simulation import drive
+from diffstack_mmv.vehicles import config_folder, load_vehicle
+
+OTHER = {
+    "vehicle": "scooter", "dynamics": "gm3", "scenario": "square_crossing", "footprint": "vehicle",
+    "people": "constant_velocity", "controller": "diffmpc_crowded",
+}  # fmt: skip
+
+
+def composed(choices, limit_s):
+    """World, controller and scenario of the command line."""
+    given = [*(f"{group}={name}" for group, name in choices.items()), f"limit_s={limit_s}"]
+    with initialize_config_dir(str(config_folder()), version_base="1.3"):
+        config = compose("navigate", [*given, "wandb=none"], return_hydra_config=True)
+        HydraConfig.instance().set_config(config)
+    return tuple(instantiate(config[part]) for part in ("world", "controller", "scenario"))
+
+
+@pytest.mark.parametrize("choices", [{}, pytest.param(OTHER, marks=pytest.mark.slow)])
+def test_episodes_are_those_of_the_command_line(choices):
+    own = CrowdNav(**choices, limit_s=0.25)
+    world, controller, scenario = composed(choices, 0.25)
+    expected = drive(world, scenario.cases("test", [3]), controller).record
+    found = drive(own.world(), own.cases().cases("test", [3]), own.driver()).record
+    assert torch.equal(found.controls, expected.controls)
+    assert torch.equal(found.motion.position, expected.motion.position)
+    assert torch.equal(found.clearance, expected.clearance)
+
+
+def test_cases_are_driven_and_kept(tmp_path):
+    study = CrowdNav(load_vehicle("bicycle"), controller="straight", limit_s=1.0)
+    result = study.drive(range(2), folder=tmp_path)
+    assert result["n"] == 2
+    assert result["success_rate"] + result["collision_rate"] + result["incomplete_rate"] == 1
+    assert study.drive(range(2), folder=tmp_path)["cases"] == result["cases"]
+    assert math.isfinite(study.drive([0])["mean_episode_min_dist_m"])
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"controller": "diffmcp"}, "`controller` must be one of blind, diffmpc"),
+        ({"dynamics": "magic"}, "`dynamics` must be one of gm3"),
+        ({"people": "predictor"}, "`path` must be a plain value, but got '${people_checkpoint}'"),
+    ],
+)
+def test_names_of_nothing_are_refused(given, told):
+    with pytest.raises(ValueError, match="`") as raised:
+        CrowdNav(**given).driver()
+    assert told in str(raised.value)

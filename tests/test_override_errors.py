@@ -1,0 +1,66 @@
+"""Command lines that Hydra cannot compose: one line that names key, value, place and remedy."""
+
+import sys
+
+import pytest
+from hydra.core.global_hydra import GlobalHydra
+
+from scripts.train import main
+
+
+@pytest.fixture
+def answer(monkeypatch, capsys, tmp_path):
+    """What training answers to a command line it refuses."""
+
+    def run(*arguments):
+        GlobalHydra.instance().clear()
+        monkeypatch.setattr(sys, "argv", ["train.py", *arguments, f"out={tmp_path}"])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        GlobalHydra.instance().clear()
+        assert ended.value.code == 1
+        return capsys.readouterr().err
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["goal=futur"], "`goal` must be one of future, predicted, but got 'futur' on the command"
+         " line. Did you mean goal=future?"),
+        (["dynamics=kbmm"], "but got 'kbmm' on the command line. Did you mean dynamics=kbm"),
+        (["vehicle=bike"], "bicycle? A vehicle of your own is the path of a YAML file."),
+        (["epoch=3"], "`epoch` must be a key of the configuration of train, but got epoch=3 on the"
+         " command line. Did you mean `epochs`?"),
+        (["optim.lr=3"], "Did you mean `optim.optimizer.lr`?"),
+        (["data=csv", "data.columns.xx=a"], "Did you mean `data.columns.x`?"),
+        (["~goall"], "`goall` must be a key of the configuration of train, but got ~goall"),
+        (["a=[1"], "`arguments` must read key=value, but got 'a=[1' on the command line. Write"),
+        (["+goal=future"], "`goal` must be given once, but got +goal=future on the command line."),
+        (["seed=0,1"], "Ambiguous value for argument 'seed=0,1'"),
+        (["-m", "seed=0,1", "goal=futur"], "Did you mean goal=future?"),
+        (["hydra/launcher=submitit_none"], "pip install 'diffstack_mmv[sweep]'"),
+        (["data.cache=nowhere"], "`cache` must hold a finished conversion of 'thab_vru', but got"),
+    ],
+)  # fmt: skip
+def test_a_refused_command_line_is_told_in_one_line(arguments, told, answer):
+    line = answer(*arguments)
+    assert told in line
+    assert len(line.splitlines()) == 1
+
+
+def test_a_job_of_a_sweep_that_fails_is_named(answer):
+    lines = answer("-m", "data.cache=nowhere", "seed=0").splitlines()
+    assert lines[0].startswith(
+        "Error executing job with overrides: ['data.cache=nowhere', 'seed=0'"
+    )
+    assert lines[1].startswith("`cache` must hold a finished conversion")
+
+
+def test_the_traceback_is_shown_where_it_is_asked_for(monkeypatch, tmp_path):
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
+    monkeypatch.setattr(sys, "argv", ["train.py", "goal=futur", f"out={tmp_path}"])
+    with pytest.raises(OSError, match="Could not find 'goal/futur'"):
+        main()
+    GlobalHydra.instance().clear()
