@@ -151,9 +151,10 @@ class MultiAgentDataset(RecordingDataset):
         first, last = times.min().dropna(), times.max().dropna()
         if len(first) == 0 or last.max() - first.min() <= self.limits.span_s:
             return table
-        kept = on_one_clock(first.to_dict(), last.to_dict(), self.limits.span_s)
+        began, ended = ({str(k): float(v) for k, v in each.items()} for each in (first, last))
+        kept = on_one_clock(began, ended, self.limits.span_s)
         for name in first.index.difference(sorted(kept)):
-            source = str(table.loc[table["agent"] == name, "source"].iloc[0])
+            source = str(table["source"][table["agent"] == name].iloc[0])
             needs = f"be within {self.limits.span_s:g} s of the other agents"
             found = f"{first[name]:g} to {last[name]:g} s"
             remedy = "Correct the clock, or raise `span_s`."
