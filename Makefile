@@ -11,9 +11,10 @@ JOBS   ?= 2
 PEERS  ?= $(BIN)/python
 RESULTS := benchmarks/results
 REFERENCE := ../shared/reference/mpc
+DOCS   := .venv-docs
 LIMIT  := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help install quickstart test test-all results bench throughput profile lint lock faults audit sbom clean
+.PHONY: help install quickstart test test-all results docs bench throughput profile lint lock faults audit sbom clean
 help:            ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
 
@@ -35,14 +36,24 @@ quickstart: install ## Sample, conversion, training, per-mode table: about five 
 	@cat $(OUT)/report/metrics.md
 	@echo "Report: $(OUT)/report/metrics.md and the plots beside it."
 
+# by file: what a file prepares for its tests is then prepared once
 test: install ## Fast tests
-	$(LIMIT) $(BIN)/python -m pytest -n $(JOBS)
+	$(LIMIT) $(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
 test-all: install ## All tests that need no GPU, slow ones included
-	$(LIMIT) $(BIN)/python -m pytest -n $(JOBS) -m "not gpu"
+	$(LIMIT) $(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "not gpu"
 
 results: install ## The paper's table; SIZE=small|full, RAW=folder with one folder of recordings per data set
 	$(BIN)/python scripts/results.py size=$(SIZE) raw=$(RAW)
+
+$(DOCS)/.installed: requirements-docs.lock
+	test -x $(DOCS)/bin/python || $(PYTHON) -m venv $(DOCS)
+	$(DOCS)/bin/python -m pip install --quiet --require-hashes --no-deps --requirement requirements-docs.lock
+	touch $@
+
+docs: $(DOCS)/.installed ## The documentation as a site in outputs/site; a dead link fails
+	NO_MKDOCS_2_WARNING=1 $(DOCS)/bin/python -m mkdocs build --strict
+	@echo "Site: outputs/site/index.html"
 
 bench: install ## Benchmarks, results in benchmarks/results; PEERS=<python> of an environment with more peers
 	$(LIMIT) $(BIN)/python -m pytest benchmarks --jaxtyping-packages= --benchmark-only -m "slow or not slow"
@@ -80,4 +91,4 @@ lock:            ## Write requirements.lock anew from the ranges of pyproject.to
 	sh scripts/lock.sh $(PYTHON)
 
 clean: ## Remove the environment and all outputs
-	rm -rf $(VENV) outputs build *.egg-info
+	rm -rf $(VENV) $(DOCS) outputs build *.egg-info

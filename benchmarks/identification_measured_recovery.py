@@ -20,7 +20,7 @@ from diffstack_mmv.identification.measured import (
     MeasuredFitter,
     MeasurementNoise,
     RideSimulator,
-    WindowSettings,
+    RideWindowSettings,
     cut_windows,
 )
 from diffstack_mmv.identification.measured.synthetic import record_rides
@@ -40,7 +40,7 @@ def recover(dynamics, seed, recordings, steps):
     vector = ParameterVector(model, spec)
     simulator = RideSimulator(model, vector, REAL, spec)
     found = record_rides(simulator, priors, recordings, steps, generator)
-    windows = cut_windows(found.rides, replace(WindowSettings(), jump_m=9.0))
+    windows = cut_windows(found.rides, replace(RideWindowSettings(), jump_m=9.0))
     fit = MeasuredFitter(priors)(simulator, windows)
     count = len(vector)
     values = [vector.values(each[:count]) for each in (fit.point.shared, found.shared)]

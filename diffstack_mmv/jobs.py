@@ -28,7 +28,7 @@ class Job(NamedTuple):
         return self.result.is_file()
 
 
-class Outcome(NamedTuple):
+class JobOutcome(NamedTuple):
     """How a job ended."""
 
     job: Job
@@ -36,7 +36,7 @@ class Outcome(NamedTuple):
     succeeded: bool
 
 
-def run_job(job: Job) -> Outcome:
+def run_job(job: Job) -> JobOutcome:
     """Run the commands of a job, one thread each, until one fails; all they say goes to its log."""
     start = time.monotonic()
     job.log.parent.mkdir(parents=True, exist_ok=True)
@@ -52,7 +52,7 @@ def run_job(job: Job) -> Outcome:
     if job.done:
         spent = {"kind": job.kind, "seconds": seconds}
         job.log.with_suffix(".json").write_text(json.dumps(spent), encoding="utf-8")
-    return Outcome(job, seconds, job.done)
+    return JobOutcome(job, seconds, job.done)
 
 
 @runtime_checkable
@@ -64,7 +64,7 @@ class Launcher(Protocol):
         """How many run at the same time."""
         ...
 
-    def __call__(self, jobs: Sequence[Job]) -> Iterator[Outcome]:
+    def __call__(self, jobs: Sequence[Job]) -> Iterator[JobOutcome]:
         """Run all, and yield each one as soon as it ended."""
         ...
 
@@ -87,7 +87,7 @@ class LocalProcesses:
         """The number of processes."""
         return self.processes
 
-    def __call__(self, jobs: Sequence[Job]) -> Iterator[Outcome]:
+    def __call__(self, jobs: Sequence[Job]) -> Iterator[JobOutcome]:
         """Run all, and yield each one as soon as it ended."""
         with ThreadPoolExecutor(self.processes) as pool:
             yield from _ended([pool.submit(run_job, job) for job in jobs])
@@ -115,7 +115,7 @@ class Slurm:
         """As many as the cluster takes: for an estimate of time, ten."""
         return 10
 
-    def __call__(self, jobs: Sequence[Job]) -> Iterator[Outcome]:
+    def __call__(self, jobs: Sequence[Job]) -> Iterator[JobOutcome]:
         """Submit all, and yield each one as soon as it ended."""
         import submitit  # an extra  # pyright: ignore[reportMissingImports]
 
@@ -127,7 +127,7 @@ class Slurm:
             yield from _ended([waiting.submit(job.result) for job in submitted])
 
 
-def _ended(futures: list[Future[Outcome]]) -> Iterator[Outcome]:
+def _ended(futures: list[Future[JobOutcome]]) -> Iterator[JobOutcome]:
     for future in as_completed(futures):
         yield future.result()
 

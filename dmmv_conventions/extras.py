@@ -31,7 +31,7 @@ def needs(extra: str, part: str) -> Iterator[None]:
         package = (missing.name or "").partition(".")[0]
         if package in OURS:
             raise
-        remedy = f"pip install 'diffstack_mmv[{extra}]'"
+        remedy = f"Run: pip install 'diffstack_mmv[{extra}]'"
         wanted = f"be installed for {part}"
         raise MissingExtraError(
             message(package, wanted, "nothing of that name", "", remedy), name=missing.name

@@ -37,7 +37,11 @@ def check(config: DictConfig) -> None:
 
 @command(config_folder(), "closed_loop_table", check)
 def main(config: DictConfig) -> None:
-    """Drive whatever has not been driven yet, then write the table."""
+    """Drive whatever has not been driven yet, then write the table.
+
+    Raises:
+        ValueError: A drive failed.
+    """
     from diffstack_mmv.metrics import CLOSED_LOOP
     from diffstack_mmv.reporting import write_joint_table
 
@@ -64,7 +68,8 @@ def _rows(config: DictConfig, out: Path) -> Iterator[DrivenRow]:
 
     table = config.table
     for place in config.places or table.places:
-        for name in config.rows or table.rows:
+        driven = (table.get("drives") or {}).get(place, list(table.rows))
+        for name in (each for each in config.rows or table.rows if each in driven):
             against = tuple((table.get("against") or {}).get(name) or ())
             yield DrivenRow(str(place), str(name), out / "drives" / place / name, against)
 

@@ -2,7 +2,7 @@
 
 import logging
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
@@ -19,6 +19,11 @@ from dmmv_conventions.checks import message, require_one_of
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.versions import code_version, file_hash
 
+if TYPE_CHECKING:
+    from diffstack_mmv.data import TrajdataModule
+    from diffstack_mmv.metrics import Calibration
+    from diffstack_mmv.stack import DiffStackMMV
+
 logger = logging.getLogger(__name__)
 
 
@@ -26,16 +31,29 @@ def check(config: DictConfig) -> None:
     """Refuse an evaluation without checkpoint or recordings."""
     require_checkpoint("checkpoint", config.checkpoint)
     require_windows(
-        config.modes, config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
+        config.modes or [], config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
     )
     require_recordings(config.data.module.source)
+
+
+def _calibration(
+    config: DictConfig, stack: "DiffStackMMV", data: "TrajdataModule"
+) -> "Calibration | None":
+    """Levels of the regions, fitted to the split that the configuration names."""
+    from diffstack_mmv.stack import fitted_calibration
+
+    split = config.calibration.split
+    if split is None:
+        return None
+    data.prepare_splits([split])
+    return fitted_calibration(stack, data.dataset(split), config.batch_size)
 
 
 @command(config_folder(), "evaluate", check)
 def main(config: DictConfig) -> None:
     """Score every window of a split; write tables and plots."""
     from diffstack_mmv.data import Situations
-    from diffstack_mmv.metrics import CLOSED_LOOP, EVALUATED
+    from diffstack_mmv.metrics import CLOSED_LOOP, EVALUATED, PREDICTED
     from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
     from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.stack import evaluate_windows, load_stack
@@ -44,6 +62,8 @@ def main(config: DictConfig) -> None:
         require_one_of("situations", name, Situations._fields)
     stack, trained = load_stack(Path(config.checkpoint), _device(config.device))
     require_same_horizon(config, trained)
+    if config.modes is None:
+        config.modes = config.data.module.windows.ego_modes = trained["modes"]
     if "goal" in config:
         stack.goal = instantiate(config.goal)
     if "solver" in config:
@@ -54,11 +74,15 @@ def main(config: DictConfig) -> None:
     baselines = dict(instantiate(config.baselines.simple))
     if stack.goal.uses_future:
         baselines |= instantiate(config.baselines.to_goal)
-    evaluation = evaluate_windows(stack, baselines, windows, config.batch_size)
+    calibration = _calibration(config, stack, data)
+    evaluation = evaluate_windows(
+        stack, baselines, windows, config.batch_size, config.plans, calibration, config.compile_from
+    )
+    scores = EVALUATED if config.plans else PREDICTED
     vehicle = trained["vehicle"]["name"]
     for mode in other_modes(config.modes, trained["vehicle"]):
         logger.warning("Agents of mode '%s' are driven with the vehicle '%s'.", mode, vehicle)
-    metrics = summarise_modes(evaluation.samples, config.situations, vehicle, EVALUATED)
+    metrics = summarise_modes(evaluation.samples, config.situations, vehicle, scores)
     for mode in set(config.modes) - set(metrics["modes"]):
         logger.warning(
             "No sample of mode '%s' in split '%s'; the tables leave it out.", mode, config.split
@@ -71,6 +95,7 @@ def main(config: DictConfig) -> None:
         "split": config.split,
         "seed": trained["seed"],
         "smoother": data.source.smoother(),
+        "calibrated_on": config.calibration.split,
         "checkpoint": str(config.checkpoint),
         "checkpoint_sha256": file_hash(Path(config.checkpoint)),
         "data_sha256": windows.digest(),
@@ -78,27 +103,35 @@ def main(config: DictConfig) -> None:
     }
     out = Path(config.out)
     write_parquet(out / "samples.parquet", evaluation.samples)
-    write_metrics(out, header | metrics, EVALUATED)
+    write_metrics(out, header | metrics, scores)
     if config.plots:
         _draw(config, stack, windows, evaluation)
     if config.get("wandb"):
-        instantiate(config.wandb)(read_record(out, Titles(EVALUATED, CLOSED_LOOP)))
+        instantiate(config.wandb)(read_record(out, Titles(scores, CLOSED_LOOP)))
     logger.info("Report: %s; as a page: dmmv-report %s", out / "metrics.md", out)
 
 
 def _draw(config: DictConfig, stack: Any, windows: Any, evaluation: Any) -> None:
     from diffstack_mmv.callbacks import scenes_of
     from diffstack_mmv.metrics import DISPLACEMENT
-    from diffstack_mmv.plotting import draw_error_over_horizon, draw_scenes, save_figure
+    from diffstack_mmv.plotting import (
+        draw_error_over_horizon,
+        draw_reliability,
+        draw_scenes,
+        save_figure,
+    )
     from diffstack_mmv.reporting import write_compact
     from diffstack_mmv.reporting.html import HORIZON_FILE, SCENES_FILE, horizon_content
     from diffstack_mmv.stack import outputs_of, representative, scene_records
 
     out, heading = Path(config.out), DISPLACEMENT.heading
+    save_figure(draw_reliability(evaluation.levels), out / "reliability.png")
     figure = draw_error_over_horizon(evaluation.errors, config.dt_s, heading)
     save_figure(figure, out / "error_over_horizon.png")
     curves = horizon_content(evaluation.errors, config.dt_s, heading)
     write_compact(out / HORIZON_FILE, curves)
+    if not config.plans:
+        return
     records = []
     for mode, chosen in representative(evaluation.samples).items():
         shown = outputs_of(stack, windows, list(chosen.values()))

@@ -40,6 +40,7 @@ def main(config: DictConfig) -> None:
         Chunk,
         Method,
         models_told,
+        read_thoughts,
         require_stoppable,
         run,
         summarise,
@@ -76,10 +77,13 @@ def main(config: DictConfig) -> None:
     pairs = [{"other": name} | paired_cases(result["cases"], rows[name]["cases"]) for name in rows]
     pairs += [paired_with_run(result, Path(folder)) for folder in config.against]
     write_closed_loop(out, result, rows, CLOSED_LOOP, published, pairs)
-    records, goal_m = [chunk.record for chunk in chunks], (0.0, scenario.circle_radius_m)
+    records = [chunk.record for chunk in chunks]
     radius_m = scenario.pedestrian_radius_m
     outline = world.robot.footprint.outline()
-    save_stories(out, numbers, records, radius_m, config.animate, goal_m, config.show, outline)
+    told = partial(read_thoughts, out / "episodes" / config.names.controller)
+    save_stories(
+        out, numbers, records, radius_m, config.animate, scenario.goal_m, config.show, outline, told
+    )
     _tell_times(result)
     if config.get("wandb"):
         instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))

@@ -30,7 +30,8 @@ def report(config: DictConfig) -> None:
     from diffstack_mmv.reporting.html import Titles, read_page, write_page
 
     titles = Titles(EVALUATED, CLOSED_LOOP)
-    pages = [read_page(Path(run), titles, config.episodes) for run in config.runs]
+    beside = None if config.beside is None else Path(config.beside)
+    pages = [read_page(Path(run), titles, config.episodes, beside) for run in config.runs]
     write_page(Path(config.page), pages)
     logger.info("Page: %s", config.page)
 

@@ -1,11 +1,14 @@
-"""Fixtures shared by all tests: the reference data beside the project, and seeds."""
+"""Fixtures shared by all tests: the reference data beside the project, seeds, and commands."""
 
 import os
+import runpy
+import sys
 from pathlib import Path
 
 import jaxtyping
 import pytest
 import torch
+from hydra.core.global_hydra import GlobalHydra
 from hypothesis import HealthCheck, settings
 
 from tests import shape_checks
@@ -62,3 +65,48 @@ def double():
     torch.set_default_dtype(torch.float64)
     yield
     torch.set_default_dtype(before)
+
+
+@pytest.fixture
+def command(root, monkeypatch, unchecked):
+    """Run a command of scripts/ as users do, but in this process; its exit status."""
+
+    def run(script, *arguments):
+        GlobalHydra.instance().clear()
+        monkeypatch.setattr(sys, "argv", [f"{script}.py", *map(str, arguments)])
+        try:
+            runpy.run_path(str(root / "scripts" / f"{script}.py"), run_name="__main__")
+        except SystemExit as end:
+            return end.code or 0
+        finally:
+            GlobalHydra.instance().clear()
+        return 0
+
+    return run
+
+
+@pytest.fixture
+def succeed(command, capfd):
+    """Run a command that must succeed; what it told."""
+
+    def run(script, *arguments):
+        status = command(script, *arguments)
+        told = capfd.readouterr()
+        assert status == 0, told.err
+        return told.out
+
+    return run
+
+
+@pytest.fixture
+def refusal(command, capfd):
+    """Run a command that must fail with one message and no traceback; the message."""
+
+    def run(script, *arguments):
+        status = command(script, *arguments)
+        told = capfd.readouterr().err
+        assert status == 1, told
+        assert "Traceback" not in told
+        return told
+
+    return run

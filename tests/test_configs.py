@@ -39,6 +39,7 @@ OPTIONS = [
 def composed(name, *overrides):
     with initialize_config_dir(str(CONFIGS), version_base="1.3"):
         known = ["data.cache=CACHE"] if "- data:" in (CONFIGS / f"{name}.yaml").read_text() else []
+        known += ["data=dut", "data.cache=CACHE"] if any("=replay" in e for e in overrides) else []
         config = compose(name, [*known, *overrides], return_hydra_config=True)
         HydraConfig.instance().set_config(config)
         OmegaConf.set_struct(config, False)

@@ -105,7 +105,7 @@ for part in {parts}:
 """
     told = without_the_stack(code.format(parts=list(PARTS))).stdout.splitlines()
     for part, line in zip(PARTS.values(), told, strict=True):
-        assert f"must be installed for {part}, but got nothing of that name. pip install" in line
+        assert f"must be installed for {part}, but got nothing of that name. Run: pip" in line
         assert line.endswith("'diffstack_mmv[stack]'")
 
 

@@ -28,7 +28,7 @@ def composed(choices, limit_s):
     return tuple(instantiate(config[part]) for part in ("world", "controller", "scenario"))
 
 
-@pytest.mark.parametrize("choices", [{}, OTHER], ids=["defaults", "others"])
+@pytest.mark.parametrize("choices", [{}, pytest.param(OTHER, marks=pytest.mark.slow)])
 def test_episodes_are_those_of_the_command_line(choices):
     own = CrowdNav(**choices, limit_s=0.25)
     world, controller, scenario = composed(choices, 0.25)

@@ -48,6 +48,7 @@ CONVENTIONS = {
         "dmmv_conventions.modes",
     },
     "override_errors": {"dmmv_conventions.checks"},
+    "jobs": {"dmmv_conventions.checks"},
     "types": {"dmmv_conventions.modes"},
     "dynamics": {"dmmv_conventions.yaml_files"},
     "data": {"dmmv_conventions.cache", "dmmv_conventions.disk", "dmmv_conventions.opening"},

@@ -34,7 +34,7 @@ def answer(monkeypatch, capsys, tmp_path):
         (["epoch=3"], "`epoch` must be a key of the configuration of train, but got epoch=3 on the"
          " command line. Did you mean `epochs`?"),
         (["optim.lr=3"], "Did you mean `optim.optimizer.lr`?"),
-        (["data=csv", "data.colum.x=a"], "Did you mean `data.columns.x`?"),
+        (["data=csv", "data.columns.xx=a"], "Did you mean `data.columns.x`?"),
         (["~goall"], "`goall` must be a key of the configuration of train, but got ~goall"),
         (["a=[1"], "`arguments` must read key=value, but got 'a=[1' on the command line. Write"),
         (["+goal=future"], "`goal` must be given once, but got +goal=future on the command line."),

@@ -35,6 +35,20 @@ def test_most_likely_path_is_that_of_the_heaviest_component():
         assert torch.equal(forecast.most_likely()[i], forecast.mean[i, best[i]])
 
 
+def test_median_path_follows_the_majority_and_its_gradient_reaches_all_weights():
+    ends = torch.tensor([[0.0, 0.0], [0.1, 0.0], [10.0, 0.0]])
+    weight = torch.tensor([0.4, 0.3, 0.3], requires_grad=True)
+    mean = ends.unsqueeze(1).expand(3, 5, 2)
+    forecast = Forecast(weight.log(), mean, torch.eye(2).expand(3, 5, 2, 2))
+    median = forecast.median(iterations=50)
+    assert (median[:, 0] >= 0).all()
+    assert (median[:, 0] <= 0.11).all()
+    median.sum().backward()
+    assert (weight.grad != 0).all()
+    alone = Forecast(torch.zeros(1), mean[2:], forecast.scale_tril[2:])
+    assert torch.equal(alone.median(), mean[2])
+
+
 def test_mapping_reaches_every_tensor_and_keeps_the_rest():
     record = (Bounds(torch.zeros(2), torch.ones(2)), 0.1)
     mapped = map_tensors(lambda tensor: tensor + 1, record[0])

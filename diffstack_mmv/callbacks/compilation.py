@@ -31,5 +31,4 @@ class CompiledSolver(Callback):
         """Compile, if it pays and there is a compiler."""
         stack: Any = pl_module
         if trainer.estimated_stepping_batches >= self.steps:
-            stack.planner.compile_solver()
-            stack.predictor.compile_kernels()
+            stack.compile_kernels()

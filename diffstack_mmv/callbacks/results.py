@@ -9,7 +9,7 @@ import wandb
 
 
 @runtime_checkable
-class Rows(Protocol):
+class TableLike(Protocol):
     """A table."""
 
     @property
@@ -33,7 +33,7 @@ class Results(Protocol):
         ...
 
     @property
-    def tables(self) -> Mapping[str, Rows]:
+    def tables(self) -> Mapping[str, TableLike]:
         """Title -> table."""
         ...
 

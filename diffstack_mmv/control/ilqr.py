@@ -188,8 +188,9 @@ class ILQR:
         return self.gradient(self.minimise, call)
 
     def compiled(self) -> Self:
-        """The same solver with its kernels compiled, or itself where there is no compiler."""
-        return replace(self, compile=True) if can_compile() else self
+        """The same solver with its kernels compiled; itself without a compiler or if `Unrolled`."""
+        able = not self.gradient.through_iterations and can_compile()
+        return replace(self, compile=True) if able else self
 
     def settings(self, bounds: Bounds, state: Float[Tensor, "*b n"]) -> Settings:
         """The numbers of this solver and the box, in the precision of the state."""

@@ -34,9 +34,22 @@ class LinearQuadratic(NamedTuple):
     final: Float[Tensor, "F N"]  # gradient and Hessian in x_T
 
 
-def stage_shapes(n: int, m: int) -> tuple[tuple[int, ...], ...]:
-    """Shapes of the parts of a stage, in order: A, B, c_x, c_u, H_xx, H_ux, H_uu, control."""
-    return (n, n), (n, m), (n,), (m,), (n, n), (m, n), (m, m), (m,)
+class StageShapes(NamedTuple):
+    """Shapes of the parts of a stage, in their order."""
+
+    A: tuple[int, int]
+    B: tuple[int, int]
+    c_x: tuple[int]
+    c_u: tuple[int]
+    H_xx: tuple[int, int]
+    H_ux: tuple[int, int]
+    H_uu: tuple[int, int]
+    control: tuple[int]
+
+
+def stage_shapes(n: int, m: int) -> StageShapes:
+    """Shapes of a stage with n states and m controls."""
+    return StageShapes((n, n), (n, m), (n,), (m,), (n, n), (m, n), (m, m), (m,))
 
 
 def final_shapes(n: int) -> tuple[tuple[int, ...], ...]:

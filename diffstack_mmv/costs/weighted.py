@@ -27,7 +27,7 @@ class WeightedCost(nn.Module):
 
     Raises:
         ValueError: Terms and weights have different names, a weight is not positive, or a frozen
-        name is unknown.
+            name is unknown.
     """
 
     def __init__(

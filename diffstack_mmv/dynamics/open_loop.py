@@ -14,7 +14,7 @@ from diffstack_mmv.geometry import direction
 from diffstack_mmv.types import Motion
 
 
-class Run(NamedTuple):
+class OpenLoopRun(NamedTuple):
     """What one model did: T + 1 states, T controls, and the motion of its centre of gravity."""
 
     states: Float[Tensor, "T1 n"]
@@ -23,7 +23,7 @@ class Run(NamedTuple):
     lean: Float[Tensor, " T1"] | None  # rad, where the model has one
 
 
-def drive(model: DynamicsModel, inputs: DriverInput, speed_mps: float) -> Run:
+def drive(model: DynamicsModel, inputs: DriverInput, speed_mps: float) -> OpenLoopRun:
     """Drive a model with its centre of gravity at the origin, heading east.
 
     Args:
@@ -55,16 +55,16 @@ def drive(model: DynamicsModel, inputs: DriverInput, speed_mps: float) -> Run:
     shifted = motion.position + ahead * direction(motion.heading)
     columns, whole = model.State._fields, torch.stack(states)
     lean = whole[:, columns.index("lean")] if "lean" in columns else None
-    return Run(whole, torch.stack(controls), motion._replace(position=shifted), lean)
+    return OpenLoopRun(whole, torch.stack(controls), motion._replace(position=shifted), lean)
 
 
-def wheel_history(model: DynamicsModel, run: Run) -> WheelForces | None:
+def wheel_history(model: DynamicsModel, run: OpenLoopRun) -> WheelForces | None:
     """What happened at the wheels, at the start of every step; None for a model without wheels."""
     with torch.no_grad():
         return model.wheel_forces(run.states[:-1], run.controls)
 
 
-def save_run(path: Path, model: DynamicsModel, run: Run) -> None:
+def save_run(path: Path, model: DynamicsModel, run: OpenLoopRun) -> None:
     """Write states and controls as CSV, one row per time, the last one without a control."""
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(path.name + ".part")

@@ -29,8 +29,8 @@ from diffstack_mmv.identification.report import (
 )
 from diffstack_mmv.identification.shooting import (
     BilevelFit,
-    EarlyStopping,
     EstimationData,
+    HeldoutStopping,
     LevenbergMarquardt,
     MultipleShooting,
     ParameterFit,
@@ -58,7 +58,7 @@ from diffstack_mmv.identification.tracks import (
 __all__ = [
     "BilevelFit",
     "DataSplit",
-    "EarlyStopping",
+    "HeldoutStopping",
     "EstimationData",
     "ExcitationSelection",
     "FittedMotion",

@@ -2,7 +2,12 @@
 
 from typing import TYPE_CHECKING, Any
 
-from diffstack_mmv.metrics.calibration import coverages
+from diffstack_mmv.metrics.calibration import (
+    Calibration,
+    DensityLevels,
+    coverages,
+    judged_levels,
+)
 from diffstack_mmv.metrics.displacement import (
     average_displacement,
     best_average_displacement,
@@ -21,6 +26,7 @@ from diffstack_mmv.metrics.planning import (
     solved,
     total_cost,
 )
+from diffstack_mmv.metrics.sampling import best_of_samples, sampled_paths
 from diffstack_mmv.metrics.scores import (
     CALIBRATION,
     CLOSED_LOOP,
@@ -28,6 +34,7 @@ from diffstack_mmv.metrics.scores import (
     EVALUATED,
     OF_THE_PREDICTION,
     OPEN_LOOP,
+    PREDICTED,
     Score,
 )
 from dmmv_conventions.extras import needs
@@ -42,21 +49,27 @@ __all__ = [
     "EVALUATED",
     "OF_THE_PREDICTION",
     "OPEN_LOOP",
+    "PREDICTED",
+    "Calibration",
+    "DensityLevels",
     "MeanByMode",
     "Score",
     "average_displacement",
     "best_average_displacement",
+    "best_of_samples",
     "collided",
     "coverages",
     "displacement",
     "displacements",
     "final_displacement",
     "human_collided",
+    "judged_levels",
     "masked_mean",
     "mean_square_displacement",
     "missed",
     "negative_log_likelihood",
     "planning_loss",
+    "sampled_paths",
     "solved",
     "time_mean",
     "total_cost",
@@ -65,7 +78,11 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """`MeanByMode`, at its first use: torchmetrics takes as long to import as torch itself."""
+    """`MeanByMode`, at its first use: torchmetrics takes as long to import as torch itself.
+
+    Raises:
+        AttributeError: Another name is asked for.
+    """
     if name != "MeanByMode":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     with needs("stack", "diffstack_mmv.metrics.MeanByMode"):

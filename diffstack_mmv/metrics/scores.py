@@ -47,11 +47,31 @@ OF_THE_PREDICTION = ("ade", "fde", "nll", "min_ade", "miss_rate")
 CALIBRATION = _by_name(
     Score("coverage_50", "in the 50 % region", "1", False),
     Score("coverage_90", "in the 90 % region", "1", False),
+    Score("area_50", "area of the 50 % region", "m²", True),
+    Score("area_90", "area of the 90 % region", "m²", True),
 )
-"""Scores that only an evaluation computes, since they take samples; best are 0.5 and 0.9."""
+"""Scores that only an evaluation computes, since they take samples.
 
-EVALUATED: Mapping[str, Score] = MappingProxyType({**OPEN_LOOP, **CALIBRATION})
+The best coverages are 0.5 and 0.9; of two calibrated forecasts the sharper has smaller areas.
+"""
+
+SAMPLED = _by_name(
+    Score("best_of_20_ade", "ADE best of 20", "m", True),
+    Score("best_of_20_fde", "FDE best of 20", "m", True),
+)
+"""Scores of paths drawn from the prediction, see `best_of_samples`."""
+
+EVALUATED: Mapping[str, Score] = MappingProxyType({**OPEN_LOOP, **CALIBRATION, **SAMPLED})
 """Everything that an evaluation tells of a sample."""
+
+PREDICTED: Mapping[str, Score] = MappingProxyType(
+    {
+        name: score
+        for name, score in EVALUATED.items()
+        if name in (*OF_THE_PREDICTION, *CALIBRATION, *SAMPLED)
+    }
+)
+"""What an evaluation tells of a sample for which nothing is planned."""
 
 CLOSED_LOOP = _by_name(
     Score("success_rate", "success", "1", False),

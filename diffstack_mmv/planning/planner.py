@@ -16,7 +16,7 @@ from diffstack_mmv.planning.choice import PlanChoice, TakeOptimum
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
 from diffstack_mmv.planning.objective import batched_objective
 from diffstack_mmv.planning.pricing import CostScore, PlanScore, ScoredPlans
-from diffstack_mmv.planning.problem import initial_state
+from diffstack_mmv.planning.problem import initial_state, likeliest
 from diffstack_mmv.types import Motion, Obstacles, Plan, PlanningProblem, Solution, map_tensors
 
 UNSAFE = 1e4
@@ -62,9 +62,12 @@ class MPCPlanner(Planner):
         starts: Number of starts of the optimiser, each in another homotopy class where there are
             enough; with 0 the best proposal is chosen.
         choice: Which plan is driven.
+        solved_components: Where agents have more components than this, the optimiser sees the
+            likeliest one alone, while the score sees all; None shows it all.
 
     Raises:
-        ValueError: The horizon is shorter than one step, or the number of starts negative.
+        ValueError: The horizon is shorter than one step, the number of starts negative, or no
+            component left.
     """
 
     def __init__(
@@ -77,9 +80,11 @@ class MPCPlanner(Planner):
         score: PlanScore | None = None,
         starts: int = 1,
         choice: PlanChoice | None = None,
+        solved_components: int | None = None,
     ) -> None:
         super().__init__()
         require_at_least("steps", steps, 1)
+        require_at_least("solved_components", solved_components or 1, 1)
         require_at_least("starts", starts, 0)
         self.dynamics = dynamics
         self.cost = cost
@@ -89,6 +94,7 @@ class MPCPlanner(Planner):
         self.score = score or CostScore()
         self.starts = starts
         self.choice = choice or TakeOptimum()
+        self.solved_components = solved_components
 
     def forward(self, problem: PlanningProblem, state: PlannerState | None = None) -> Plan:
         """Plan for every problem, `*b`; see `Planner`.
@@ -172,14 +178,16 @@ class MPCPlanner(Planner):
         price = torch.where(plans.safe, plans.cost, plans.cost + UNSAFE * (1 + plans.shortfall))
         if self.starts <= 1:
             return price.argmin(-1, keepdim=True)[..., : self.starts]
-        likeliest = obstacles.weight.argmax(-1)[..., None, None, None]
-        agents = obstacles.position.take_along_dim(likeliest, -3).squeeze(-3)
+        agents = likeliest(obstacles).position.squeeze(-3)
         classes = homotopy_class(plans.motion.position, agents)
         return best_of_each(price, classes, self.starts)
 
     def _solve(self, problem: PlanningProblem, guess: Float[Tensor, "*b k T m"]) -> Solution:
         """Optimise from every guess; all are one batch, so that finished ones are left behind."""
         shape, batch_dims = guess.shape[:-2], guess.dim() - 3
+        obstacles, most = problem.obstacles, self.solved_components
+        if most is not None and obstacles.weight.shape[-1] > most:
+            problem = problem._replace(obstacles=likeliest(obstacles))
 
         def repeated(entry: Tensor) -> Tensor:
             wide = entry.unsqueeze(batch_dims).expand(*shape, *entry.shape[batch_dims:])

@@ -7,7 +7,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.geometry import rotate
 from diffstack_mmv.types import (
     Discs,
     Ego,
@@ -53,13 +52,17 @@ def present(tracks: Tracks) -> Tracks:
     return tracks._replace(motion=motion, valid=tracks.valid[..., -1])
 
 
-def tracked_ego(past: Tracks, goal: Float[Tensor, "*b 2"]) -> Ego:
-    """The ego at the end of its track, *b H, whose heading is its course.
+def tracked_ego(motion: Motion, extent: Float[Tensor, "*b 2"], goal: Float[Tensor, "*b 2"]) -> Ego:
+    """The ego at the end of its track, whose heading is its course.
 
     The heading of a rider at rest is not observed: it then faces the goal.
+
+    Args:
+        motion: How it moves now, *b.
+        extent: Length and width in m.
+        goal: In m.
     """
-    motion = facing_the_goal(present(past).motion, goal)
-    return Ego(motion, Heading.COURSE, end_discs(past.extent))
+    return Ego(facing_the_goal(motion, goal), Heading.COURSE, end_discs(extent))
 
 
 def end_discs(extent: Float[Tensor, "*b 2"]) -> Discs:
@@ -114,6 +117,13 @@ def predicted_obstacles(
     )
 
 
+def likeliest(obstacles: Obstacles) -> Obstacles:
+    """The agents with the likeliest component of each alone, of weight one."""
+    best = obstacles.weight.argmax(-1, keepdim=True)
+    position = obstacles.position.take_along_dim(best[..., None, None], -3)
+    return obstacles._replace(position=position, weight=torch.ones_like(obstacles.weight[..., :1]))
+
+
 def observed_obstacles(past: Tracks, future: Tracks) -> Obstacles:
     """Obstacles whose future is known, for costs in hindsight.
 
@@ -148,33 +158,24 @@ def predicted_reference(
     motion: Motion, path: Float[Tensor, "*b T 2"], goal: Float[Tensor, "*b 2"], dt_s: float
 ) -> Reference:
     """Along a predicted path (m) to the goal, at the mean speed along it; see `bent_to_goal`."""
-    reference = bent_to_goal(motion, path, goal, dt_s)
+    reference = torch.cat([motion.position.unsqueeze(-2), bent_to_goal(path, goal)], -2)
     steps = reference[..., 1:, :] - reference[..., :-1, :]
     speed = steps.square().sum(-1).clamp_min(1e-8).sqrt().mean(-1) / dt_s
     return Reference(reference, speed)
 
 
 def bent_to_goal(
-    motion: Motion, path: Float[Tensor, "*b T 2"], goal: Float[Tensor, "*b 2"], dt_s: float
-) -> Float[Tensor, "*b T1 2"]:
-    """Where an undisturbed rider would go, in m, from the present position to the goal.
+    path: Float[Tensor, "*b T 2"], goal: Float[Tensor, "*b 2"]
+) -> Float[Tensor, "*b T 2"]:
+    """A path that ends at the goal, in m, instead of where it ends.
 
-    The present velocity is trusted at first, the predicted path p later: with s = t / T,
+        p(s) + ½ (3 s² - s³) (g - p(1)),    s = t / T
 
-        p_ref(s) = (1 - s/2) bent(p₀ + v₀ t) + s/2 bent(p),   bent(q) = q + ½ (3 s² - s³) (g - q(1))
-
-    where bending adds the least squared acceleration that leads to the goal g, free at its end. The
-    bent constant velocity is the cubic Hermite spline to the goal.
+    which adds the least squared acceleration that leads to the goal g, free at its end. Bent
+    constant velocity is the cubic Hermite spline to the goal.
     """
     steps = path.shape[-2]
     count = torch.arange(1, steps + 1, device=path.device, dtype=path.dtype).unsqueeze(-1)
     share = count / steps
-    velocity = rotate(motion.velocity, motion.heading)
-    coast = motion.position.unsqueeze(-2) + dt_s * count * velocity.unsqueeze(-2)
     shape = 0.5 * share.square() * (3 - share)
-
-    def bent(line: Tensor) -> Tensor:
-        return line + shape * (goal - line[..., -1, :]).unsqueeze(-2)
-
-    reference = torch.lerp(bent(coast), bent(path), 0.5 * share)
-    return torch.cat([motion.position.unsqueeze(-2), reference], -2)
+    return path + shape * (goal - path[..., -1, :]).unsqueeze(-2)

@@ -25,6 +25,7 @@ with needs("stack", "diffstack_mmv.plotting"):
     )
     from diffstack_mmv.plotting.open_loop import draw_runs, draw_wheels
     from diffstack_mmv.plotting.plans import PlannedScene, draw_scene, draw_scenes
+    from diffstack_mmv.plotting.reliability import draw_reliability
 
 __all__ = [
     "Episode",
@@ -37,6 +38,7 @@ __all__ = [
     "draw_estimates",
     "draw_lean",
     "draw_profiles",
+    "draw_reliability",
     "draw_runs",
     "draw_scene",
     "draw_scenes",

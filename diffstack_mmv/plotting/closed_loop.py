@@ -1,13 +1,15 @@
 """Pictures and animations of closed-loop episodes."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import torch
 from jaxtyping import Float
 from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Polygon
 from torch import Tensor
 
@@ -28,6 +30,7 @@ class Episode(NamedTuple):
     pedestrian_radius_m: float
     goal_m: tuple[float, float] | None = None  # of the robot
     outline: Float[Tensor, "corners 2"] | None = None  # m, of the robot; a disc of 0.3 m if None
+    thoughts: Mapping[str, Any] = {}  # per decision: candidates, plan, forecast in m
 
 
 def episode_of(
@@ -72,17 +75,27 @@ def draw_episode(episode: Episode) -> Figure:
 
 
 def save_animation(episode: Episode, path: Path) -> None:
-    """Write an animated GIF of an episode in real time, atomically."""
-    figure = new_figure(4.5, 4.5)
-    axes = _axes(figure, episode)
+    """Write an animated GIF of an episode in real time, atomically.
+
+    Beside the picture run clearance and controls; where the controller tells of them, its
+    candidates, forecasts and plan are drawn at every decision.
+    """
+    figure = new_figure(8.5, 4.5)
+    places = figure.add_gridspec(2, 2, width_ratios=(1.4, 1.0))
+    axes = _axes(figure, episode, figure.add_subplot(places[:, 0]))
     record = episode.record
+    cursors = _curves(figure.add_subplot(places[0, 1]), figure.add_subplot(places[1, 1]), record)
+    thinking: list[Any] = []
 
     def show(step: int) -> list[Any]:
-        for patch in list(axes.patches):
-            patch.remove()
+        for artist in [*axes.patches, *thinking]:
+            artist.remove()
+        thinking[:] = _thinking(axes, episode.thoughts, step)
         _outlines(axes, episode, step, 0.8)
         clearance = float(record.clearance[step])
         axes.set_title(f"{step * record.dt_s:.2f} s, clearance {clearance:.2f} m")
+        for cursor in cursors:
+            cursor.set_xdata([step * record.dt_s] * 2)
         return list(axes.patches)
 
     animation = FuncAnimation(figure, show, frames=len(record.clearance))
@@ -90,6 +103,36 @@ def save_animation(episode: Episode, path: Path) -> None:
     unfinished = path.with_name(path.stem + ".part" + path.suffix)
     animation.save(unfinished, writer=PillowWriter(fps=round(1 / record.dt_s)), dpi=90)
     unfinished.replace(path)
+
+
+def _curves(above: Axes, below: Axes, record: EpisodeRecord) -> list[Line2D]:
+    """Clearance and controls over time; the cursors in both pictures."""
+    time = record.dt_s * torch.arange(len(record.clearance))
+    above.plot(time, record.clearance, color=PEOPLE)
+    above.axhline(0.0, color="black", linewidth=0.8)
+    above.set_ylabel("clearance [m]")
+    for column, values in enumerate(record.controls[: len(time) - 1].unbind(-1)):
+        label = f"control {column + 1}"
+        below.step(time[: len(values)], values, where="post", color=PALETTE[column], label=label)
+    below.legend(fontsize="small")
+    below.set_xlabel("time [s]")
+    return [each.axvline(0.0, color=ROBOT) for each in (above, below)]
+
+
+def _thinking(axes: Axes, thoughts: Mapping[str, Any], step: int) -> list[Line2D]:
+    """Lines of candidates, forecasts and plan at a decision."""
+    styles = {
+        "candidates": {"color": "0.75", "linewidth": 0.6, "zorder": 1},
+        "forecast": {"color": PEOPLE, "linewidth": 1.0, "linestyle": ":"},
+        "plan": {"color": ROBOT, "linewidth": 1.6, "linestyle": "--"},
+    }
+    lines = []
+    for name, style in styles.items():
+        if step < len(thoughts.get(name, ())):
+            told = thoughts[name][step]
+            for path in told.reshape(-1, *told.shape[-2:]):
+                lines += axes.plot(path[:, 0], path[:, 1], **style)
+    return lines
 
 
 def save_stories(
@@ -101,6 +144,7 @@ def save_stories(
     goal_m: tuple[float, float] | None = None,
     chosen: Sequence[int] = (),
     outline: Float[Tensor, "corners 2"] | None = None,
+    thoughts_of: Callable[[int], Mapping[str, Any]] | None = None,
 ) -> None:
     """Draw and animate some episodes: those asked for, then failures, then the others.
 
@@ -113,6 +157,7 @@ def save_stories(
         goal_m: Goal of the robot in m.
         chosen: Cases asked for.
         outline: Polygon of the robot around its reference point in m; a disc of 0.3 m if None.
+        thoughts_of: Number of a case -> what the controller expected and planned in it.
 
     Raises:
         ValueError: A case asked for is none of these.
@@ -129,13 +174,15 @@ def save_stories(
     for index in [*asked, *rest[:count]]:
         record, row = places[index]
         episode = episode_of(record, row, cases[index], radius_m, goal_m, outline)
+        if thoughts_of is not None:
+            episode = episode._replace(thoughts=thoughts_of(episode.case))
         save_figure(draw_episode(episode), folder / "plots" / f"case_{episode.case}.png")
         save_animation(episode, folder / "plots" / f"case_{episode.case}.gif")
 
 
-def _axes(figure: Figure, episode: Episode) -> Axes:
+def _axes(figure: Figure, episode: Episode, given: Axes | None = None) -> Axes:
     """Axes in m that hold everybody."""
-    axes = figure.add_subplot()
+    axes = figure.add_subplot() if given is None else given
     reach = float(episode.record.pedestrians.nan_to_num().abs().max())
     reach = max(reach, float(episode.record.motion.position.abs().max()))
     if episode.goal_m is not None:

@@ -19,6 +19,7 @@ from diffstack_mmv.prediction.baselines import (
     without_dynamics,
 )
 from diffstack_mmv.prediction.ctra import ConstantTurnRateAcceleration
+from diffstack_mmv.prediction.current import fitted_motion
 from diffstack_mmv.prediction.goal_baselines import (
     constant_acceleration,
     hermite_spline,
@@ -43,6 +44,7 @@ __all__ = [
     "all_agents",
     "constant_acceleration",
     "ego_forecast",
+    "fitted_motion",
     "hermite_spline",
     "neighbors_forecast",
     "single_component",

@@ -11,11 +11,17 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.geometry import rotate
-from diffstack_mmv.types import Tracks
+from diffstack_mmv.types import Motion, Tracks
 
 # weights of the prior of position, velocity and acceleration in units of one present row; they
 # decide only where rows are missing
 _PRIOR = (0.01, 0.001, 0.0001)
+
+
+MEMORY_S = 0.7
+"""Of the fit to a track, the best one on cyclists."""
+SLOW_MPS = 0.3
+"""Speed below which the course is not observable."""
 
 
 class Trend(NamedTuple):
@@ -83,3 +89,18 @@ def trend(tracks: Tracks, memory_s: float, dt_s: float) -> Trend:
     )
     solution = torch.linalg.solve(weighted.mT @ powers + pull, weighted.mT @ offset + pull @ prior)
     return Trend(solution[..., 1, :], solution[..., 2, :])
+
+
+def fitted_motion(tracks: Tracks, dt_s: float) -> Motion:
+    """Motion at the last row, `*b`, with the velocity of the fit to the track, see `trend`.
+
+    Whoever moves is on the course of that velocity; below walking speed the heading of the track
+    holds, as the course is not observable.
+    """
+    velocity = trend(tracks, MEMORY_S, dt_s).velocity
+    speed = velocity.norm(dim=-1)
+    moves = speed >= SLOW_MPS
+    safe = torch.where(moves.unsqueeze(-1), velocity, torch.ones_like(velocity))
+    heading = torch.where(moves, torch.atan2(safe[..., 1], safe[..., 0]), current_heading(tracks))
+    ahead = torch.stack([speed, torch.zeros_like(speed)], -1)
+    return Motion(current_position(tracks), heading, ahead, torch.zeros_like(speed))

@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 from scipy.stats import wilcoxon
 
-from diffstack_mmv.checks import require
 from diffstack_mmv.reporting.files import read_json, read_parquet, told_as_broken, write_text
 from diffstack_mmv.reporting.metrics_table import MISSING
 from diffstack_mmv.reporting.scores import ScoreHeading, Scores
@@ -82,9 +81,12 @@ def _require_different_seeds(rows: Sequence[Mapping[str, Any]]) -> None:
     for row in rows:
         key = tuple(row[name] for name in (*GROUP, "seed"))
         other = seen.setdefault(key, row["run"])
-        needs = "differ in seed, data, goal, mode, vehicle or dynamics"
-        told = f"seed {row['seed']} of {row['dynamics']} in {other} and {row['run']}"
-        require(other == row["run"], "runs", needs, told, "", "Leave one of both out.")
+        if other != row["run"]:
+            raise ValueError(
+                "`runs` must differ in seed, data, goal, mode, vehicle or dynamics, but got "
+                f"seed {row['seed']} of {row['dynamics']} in {other} and {row['run']}. "
+                "Leave one of both out."
+            )
 
 
 def compare(runs: pd.DataFrame, scores: Scores) -> Comparison:

@@ -102,14 +102,16 @@ def baseline_table(metrics: Mapping[str, Any], scores: Scores) -> pd.DataFrame:
     for mode, told in metrics["modes"].items():
         for name, title in titles.items():
             rows["prediction"][f"{mode} {title}"] = told[name]
-            rows["plan"][f"{mode} {title}"] = told[f"plan_{name}"]
+            if f"plan_{name}" in told:
+                rows["plan"][f"{mode} {title}"] = told[f"plan_{name}"]
     for method, per_mode in metrics["baselines"].items():
         rows[method] = {
             f"{mode} {title}": told[name]
             for mode, told in per_mode.items()
             for name, title in titles.items()
         }
-    frame = pd.DataFrame.from_dict(rows, orient="index")
+    planned = {method: told for method, told in rows.items() if told}
+    frame = pd.DataFrame.from_dict(planned, orient="index")
     frame.index.name = "method"
     return frame
 
@@ -127,7 +129,8 @@ def situation_table(metrics: Mapping[str, Any]) -> pd.DataFrame:
     for mode, situations in metrics["situations"].items():
         for situation, told in situations.items():
             row = {"mode": mode, "situation": situation, "n": told["n"]}
-            row |= {"prediction": told["ade"], "plan": told["plan_ade"]}
+            row |= {"prediction": told["ade"]}
+            row |= {"plan": told["plan_ade"]} if "plan_ade" in told else {}
             rows.append(row | {name: value["ade"] for name, value in told["baselines"].items()})
     return pd.DataFrame(rows)
 

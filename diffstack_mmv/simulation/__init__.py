@@ -1,5 +1,6 @@
 """Closed-loop simulation: scenarios, pedestrians, robots, verdicts and the environment."""
 
+from diffstack_mmv.simulation.adaptation import AdaptiveController
 from diffstack_mmv.simulation.assembly import (
     SimulatedVehicle,
     actuation,
@@ -9,9 +10,10 @@ from diffstack_mmv.simulation.assembly import (
     vehicle_footprint,
     vehicle_robot,
 )
-from diffstack_mmv.simulation.benchmark import Chunk, Method, read_chunk, run
+from diffstack_mmv.simulation.benchmark import Chunk, Method, read_chunk, read_thoughts, run
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint, RectangleFootprint
 from diffstack_mmv.simulation.controller import DiffMPCController
+from diffstack_mmv.simulation.delay import DelayCompensation
 from diffstack_mmv.simulation.env import ENV_ID, CrowdNavEnv, register, robot_named
 from diffstack_mmv.simulation.episode import drive
 from diffstack_mmv.simulation.feasibility import AvoidanceSearch
@@ -21,6 +23,7 @@ from diffstack_mmv.simulation.forecasters import (
     PedestrianForecast,
     PedestrianForecaster,
 )
+from diffstack_mmv.simulation.hedging import MixedForecaster, StandingForecaster
 from diffstack_mmv.simulation.learned_forecaster import LearnedForecaster
 from diffstack_mmv.simulation.learning import imitation_loss, way_left_loss
 from diffstack_mmv.simulation.mppi import MPPIController
@@ -29,6 +32,7 @@ from diffstack_mmv.simulation.pedestrians import (
     ReactiveReplayCrowd,
     ReplayCrowd,
     SocialForceCrowd,
+    SuddenCrowd,
 )
 from diffstack_mmv.simulation.policies import (
     BlindDriver,
@@ -46,8 +50,10 @@ from diffstack_mmv.simulation.recorded import (
 )
 from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
 from diffstack_mmv.simulation.scenario import CircleCrossing, Scenario, Scene, SquareCrossing
+from diffstack_mmv.simulation.sensing import LimitedSensing
 from diffstack_mmv.simulation.study import models_told, study_world, world_for
 from diffstack_mmv.simulation.summary import summarise
+from diffstack_mmv.simulation.tracking import PedestrianTracker, TrackingController
 from diffstack_mmv.simulation.vehicle_robot import Actuation, VehicleRobot
 from diffstack_mmv.simulation.verdict import (
     VERDICTS,
@@ -57,6 +63,7 @@ from diffstack_mmv.simulation.verdict import (
     Verdict,
     verdict_named,
 )
+from diffstack_mmv.simulation.wandering import WanderingCrossing
 from diffstack_mmv.simulation.world import Observation, World, WorldState
 from diffstack_mmv.simulation.zero_order_hold import ZeroOrderHold
 
@@ -64,6 +71,7 @@ __all__ = [
     "ENV_ID",
     "VERDICTS",
     "Actuation",
+    "AdaptiveController",
     "AvoidanceSearch",
     "BlindDriver",
     "Chunk",
@@ -72,6 +80,7 @@ __all__ = [
     "Controller",
     "Decided",
     "CrossingRules",
+    "DelayCompensation",
     "CrowdNavEnv",
     "CrowdNavVerdict",
     "DiffMPCController",
@@ -82,6 +91,7 @@ __all__ = [
     "HolonomicRobot",
     "KnownFuture",
     "MPPIController",
+    "MixedForecaster",
     "Method",
     "Observation",
     "OrcaCrowd",
@@ -90,9 +100,11 @@ __all__ = [
     "PedestrianForecast",
     "PassageRules",
     "PedestrianForecaster",
+    "PedestrianTracker",
     "LearnedForecaster",
     "ReactiveReplayCrowd",
     "RecordedCrossing",
+    "LimitedSensing",
     "RectangleFootprint",
     "ReplayCrowd",
     "Rewards",
@@ -103,10 +115,14 @@ __all__ = [
     "SocialForceCrowd",
     "SquareCrossing",
     "StopAndGoDriver",
+    "StandingForecaster",
     "StraightLine",
+    "TrackingController",
+    "SuddenCrowd",
     "UnicycleRobot",
     "VehicleRobot",
     "Verdict",
+    "WanderingCrossing",
     "World",
     "WorldState",
     "actuation",
@@ -115,6 +131,7 @@ __all__ = [
     "imitation_loss",
     "models_told",
     "read_chunk",
+    "read_thoughts",
     "register",
     "require_stoppable",
     "robot_named",

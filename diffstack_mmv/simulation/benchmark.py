@@ -17,7 +17,7 @@ from torch import Tensor
 from diffstack_mmv.checks import message, require, require_at_least
 from diffstack_mmv.simulation.episode import drive
 from diffstack_mmv.simulation.policies import Controller, Decided
-from diffstack_mmv.simulation.scenario import Scenario
+from diffstack_mmv.simulation.scenario import CaseSource
 from diffstack_mmv.simulation.world import Observation, World
 from diffstack_mmv.types import EpisodeRecord, Motion
 
@@ -88,7 +88,7 @@ class Timed:
 
 def run(
     method: Method,
-    scenario: Scenario,
+    scenario: CaseSource,
     cases: Sequence[int],
     folder: Path,
     chunk_size: int = 50,
@@ -126,7 +126,7 @@ def run(
         yield chunk
 
 
-def _driven(method: Method, scenario: Scenario, numbers: list[int], phase: str) -> Chunk:
+def _driven(method: Method, scenario: CaseSource, numbers: list[int], phase: str) -> Chunk:
     """DrivenEpisodes the cases as one batch."""
     controller = method.controller()
     timed = Timed(controller)
@@ -168,6 +168,26 @@ def read_chunk(file: Path) -> Chunk:
     if chunk is None:
         raise ValueError(message("file", "hold episodes of a benchmark", file))
     return chunk
+
+
+def read_thoughts(folder: Path, case: int) -> dict[str, Float[np.ndarray, "S ..."]]:
+    """What the controller expected and planned at each decision of a case, from stored episodes.
+
+    Args:
+        folder: Where `run` keeps the chunks.
+        case: Number of the case.
+
+    Returns:
+        Arrays by name, see `Thought`; empty where the controller tells nothing.
+    """
+    for file in sorted(folder.glob("*.npz")):
+        with np.load(file) as stored:
+            cases = stored["cases"].tolist()
+            if case in cases:
+                row = cases.index(case)
+                names = [name for name in stored.files if name.startswith("thoughts.")]
+                return {name.removeprefix("thoughts."): stored[name][row] for name in names}
+    return {}
 
 
 def _read(file: Path, origin: Origin | None) -> Chunk | None:

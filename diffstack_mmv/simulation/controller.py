@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
@@ -16,6 +16,7 @@ from diffstack_mmv.planning import (
     predicted_obstacles,
     straight_reference,
 )
+from diffstack_mmv.simulation.delay import DelayCompensation
 from diffstack_mmv.simulation.forecasters import PedestrianForecaster
 from diffstack_mmv.simulation.policies import Decided, unbatched
 from diffstack_mmv.simulation.thoughts import Thought, joined, thought
@@ -66,6 +67,7 @@ class DiffMPCController:
         cruise_mps: Cruising speed.
         dt_s: Time between two decisions.
         actuate: Turns controls of the planner's model into those of the robot.
+        delay: Makes up for the time until a command acts, where it is known.
 
     Raises:
         ValueError: A number is not positive.
@@ -78,6 +80,7 @@ class DiffMPCController:
         cruise_mps: float = 3.0,
         dt_s: float = 0.25,
         actuate: Callable[[Tensor], Tensor] | None = None,
+        delay: DelayCompensation | None = None,
     ) -> None:
         require_positive("cruise_mps", cruise_mps)
         require_positive("dt_s", dt_s)
@@ -86,6 +89,7 @@ class DiffMPCController:
         self.cruise_mps = cruise_mps
         self.dt_s = dt_s
         self.actuate = actuate
+        self.delay = delay
 
     def init(self, observation: Observation) -> DiffMPCState:
         """State at the start of episodes: no plan, no waiting."""
@@ -115,8 +119,13 @@ class DiffMPCController:
         """
         if observation.time.dim() == 0:
             return unbatched(self, state, observation)
-        planner = self.planner
-        told = self.forecaster(state.forecaster, observation, planner.dynamics.dt_s, planner.steps)
+        planner, delay = self.planner, self.delay
+        steps = planner.steps + (delay is not None)
+        told = self.forecaster(state.forecaster, observation, planner.dynamics.dt_s, steps)
+        if delay is not None:
+            later = delay.forecast(told.forecast, observation.pedestrian_position)
+            told = told._replace(forecast=later)
+            observation = delay.observation(observation, state.plan[:, 0])
         problem = self.problem(observation, told.forecast)
         state = self._progressed(state, problem)._replace(forecaster=told.state)
         rows = observation.running.nonzero().squeeze(-1)
@@ -133,14 +142,16 @@ class DiffMPCController:
     def problem(self, observation: Observation, forecast: Forecast) -> PlanningProblem:
         """The planning problem of an observation, `*b`, in the precision of the dynamics."""
         like = self.planner.dynamics.bounds.lower
-        seen = map_tensors(lambda entry: entry.to(like), observation)
-        told = map_tensors(lambda entry: entry.to(like), forecast)
-        everybody = seen.pedestrian_present.bool()
+        seen, told = map_tensors(
+            lambda entry: entry.to(like) if entry.is_floating_point() else entry,
+            (observation, forecast),
+        )
+        people = _present_first(seen, told)
         return build_problem(
             Ego(seen.motion, Heading.BODY, seen.discs),
             seen.goal,
             straight_reference(seen.motion, seen.goal, self.planner.steps, self.cruise_mps),
-            predicted_obstacles(seen.pedestrian_position, seen.pedestrian_radius, everybody, told),
+            predicted_obstacles(*people),
         )
 
     def diagnosis(self, state: DiffMPCState) -> dict[str, Float[Tensor, " E"]]:
@@ -178,6 +189,35 @@ class DiffMPCController:
         steps = controls.shape[-2]
         ahead = torch.arange(steps, device=controls.device) + self.dt_s / self.planner.dynamics.dt_s
         return controls[..., ahead.floor().long().clamp(max=steps - 1), :]
+
+
+class _People(NamedTuple):
+    """What obstacles are made of."""
+
+    position: Float[Tensor, "*b n 2"]  # m
+    radius: Float[Tensor, "*b n"]  # m
+    present: Bool[Tensor, "*b n"]
+    forecast: Forecast  # *b n K T
+
+
+def _present_first(seen: Observation, forecast: Forecast) -> _People:
+    """The pedestrians, without room for those who are absent in all episodes.
+
+    The cost of planning grows with the number of obstacles, whether they are there or not.
+    """
+    present = seen.seen.bool()
+    everybody = _People(seen.pedestrian_position, seen.pedestrian_radius, present, forecast)
+    most = int(present.sum(-1).max()) if present.numel() else 0
+    if most == present.shape[-1]:
+        return everybody
+    order = (~present).long().argsort(dim=-1, stable=True)[..., : max(most, 1)]
+    dim = present.dim() - 1
+
+    def chosen(entry: Tensor) -> Tensor:
+        index = order.reshape(*order.shape, *(1 for _ in entry.shape[dim + 1 :]))
+        return torch.take_along_dim(entry, index, dim)
+
+    return map_tensors(chosen, everybody)
 
 
 def _decision(plan: Plan, forecast: Forecast, rows: Int[Tensor, " r"]) -> Decision:

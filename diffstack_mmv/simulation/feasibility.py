@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_between
-from diffstack_mmv.simulation.scenario import Scenario, Scene
+from diffstack_mmv.simulation.scenario import CaseSource, Scene
 from diffstack_mmv.simulation.world import World
 from diffstack_mmv.types import Outcome, map_tensors
 
@@ -40,7 +40,7 @@ class AvoidanceSearch:
         require_at_least("samples", self.samples, 1)
 
     def judge(
-        self, world: World, scenario: Scenario, phase: str, cases: Sequence[dict[str, Any]]
+        self, world: World, scenario: CaseSource, phase: str, cases: Sequence[dict[str, Any]]
     ) -> dict[str, Any]:
         """Say of each collision whether it could have been avoided, and leave out the others.
 

@@ -97,7 +97,8 @@ class TriedGoals(NamedTuple):
 class BelievedCrowd(NamedTuple):
     """What is kept of the pedestrians from one observation to the next, `*b h`."""
 
-    crowd: CrowdState  # as it was observed, with the goals believed in
+    crowd: CrowdState  # as it was observed, with the goals and speeds believed in
+    seen: Bool[Tensor, "*b h"]
     dt_s: float
 
 
@@ -119,7 +120,8 @@ class OrcaForecaster:
     Attributes:
         crowd: Settings of ORCA.
         far_m: Distance of the guessed goal of somebody who is not arriving.
-        preferred_speed_mps: Preferred speed of everybody.
+        preferred_speed_mps: Preferred speed of everybody, or of who has not walked yet.
+        observed_speed: Whether the preferred speed of who has walked is the largest that was seen.
         tolerance_mps: Largest error of the velocity under which a goal explains it.
         courses: Number of courses in the fan; the best of them is refined once by as many within
             its neighbors.
@@ -138,6 +140,7 @@ class OrcaForecaster:
     courses: int = 16
     directions: int = 24
     stays: float = 0.1
+    observed_speed: bool = False
     spread: Spread = field(default_factory=Spread)
 
     def __post_init__(self) -> None:
@@ -166,7 +169,7 @@ class OrcaForecaster:
         forecast = _with_spread(mean, believed.velocity, self.spread, dt_s)
         if state is None:
             forecast = self._walking_off(forecast, believed, dt_s)
-        return PedestrianForecast(forecast, BelievedCrowd(believed, dt_s))
+        return PedestrianForecast(forecast, BelievedCrowd(believed, observation.seen, dt_s))
 
     def _walking_off(self, forecast: Forecast, crowd: CrowdState, dt_s: float) -> Forecast:
         """A forecast of one component, and one more per direction for who is at rest."""
@@ -187,19 +190,37 @@ class OrcaForecaster:
     def _believed(self, state: BelievedCrowd | None, observation: Observation) -> CrowdState:
         """The observed crowd with the goals believed in after this observation."""
         position, velocity = observation.pedestrian_position, observation.pedestrian_velocity
-        preferred = torch.full_like(observation.pedestrian_radius, self.preferred_speed_mps)
-        if state is None:
-            goal = self._at_first_sight(position, velocity)
-        else:
-            goal = self._inferred(state, velocity)
+        preferred = self._preferred(state, observation)
+        goal = self._at_first_sight(position, velocity, preferred)
+        if state is not None:
+            known = (observation.seen & state.seen)[..., None]
+            goal = torch.where(known, self._inferred(state, velocity), goal)
         return CrowdState(position, velocity, goal, observation.pedestrian_radius, preferred)
 
+    def _preferred(
+        self, state: BelievedCrowd | None, observation: Observation
+    ) -> Float[Tensor, "*b h"]:
+        """Preferred speeds in m/s that are believed in."""
+        speed = length(observation.pedestrian_velocity)
+        usual = torch.full_like(speed, self.preferred_speed_mps)
+        if not self.observed_speed:
+            return usual
+        walked = speed > RESTING_MPS
+        if state is None:
+            return torch.where(walked, speed, usual)
+        before = state.crowd.preferred_speed
+        first = ~state.seen | (length(state.crowd.velocity) < RESTING_MPS) & (before == usual)
+        return torch.where(walked, torch.where(first, speed, torch.maximum(speed, before)), before)
+
     def _at_first_sight(
-        self, position: Float[Tensor, "*b h 2"], velocity: Float[Tensor, "*b h 2"]
+        self,
+        position: Float[Tensor, "*b h 2"],
+        velocity: Float[Tensor, "*b h 2"],
+        preferred: Float[Tensor, "*b h"],
     ) -> Float[Tensor, "*b h 2"]:
         """Goal in m that the velocity alone suggests; somebody at rest is there already."""
         speed = length(velocity)[..., None]
-        full = speed > 0.95 * self.preferred_speed_mps
+        full = speed > 0.95 * preferred[..., None]
         ahead = torch.where(full, self.far_m / speed.clamp(min=0.1), torch.full_like(speed, 1.0))
         return position + velocity * ahead
 

@@ -100,7 +100,7 @@ class LearnedForecaster:
         # one older observation is kept, from which the first row is interpolated
         old = [each for each in state if each.time <= oldest][-1:]
         recent = [each for each in state if each.time > oldest]
-        present = observation.pedestrian_present
+        present = observation.seen
         # who is absent is far away, which is nothing to interpolate with
         nowhere = torch.zeros_like(observation.pedestrian_position)
         position = torch.where(present[..., None], observation.pedestrian_position, nowhere)

@@ -120,13 +120,14 @@ class MPPIController:
         self, seen: Observation, plans: Float[Tensor, "r K T m"], forecast: Forecast
     ) -> Float[Tensor, "r K"]:
         """Price of every sampled plan, lack of clearance and collision in expectation."""
-        seen, forecast = map_tensors(lambda entry: entry.to(plans), (seen, forecast))
+        seen, forecast = map_tensors(
+            lambda entry: entry.to(plans) if entry.is_floating_point() else entry, (seen, forecast)
+        )
         start = self.dynamics.initial_state(seen.motion)
         states = rollout(self.dynamics, start.unsqueeze(1).expand(-1, self.samples, -1), plans)
         motion = self.dynamics.motion(states, with_final_row(plans))
-        everybody = seen.pedestrian_present.bool()
         obstacles = predicted_obstacles(
-            seen.pedestrian_position, seen.pedestrian_radius, everybody, forecast
+            seen.pedestrian_position, seen.pedestrian_radius, seen.seen, forecast
         )
         clearance = clearance_within_steps(motion, seen.discs, obstacles)
         likely = obstacles.weight[:, None, :, :, None]

@@ -120,7 +120,7 @@ class OrcaPolicy(_Memoryless):
             position=observation.pedestrian_position,
             velocity=observation.pedestrian_velocity,
             radius=radius,
-            valid=observation.pedestrian_present,
+            valid=observation.seen,
         )
         return Decided(self.orca.velocity(robot, pedestrians, self.dt_s), None)
 
@@ -168,7 +168,8 @@ class StopAndGoDriver(BlindDriver):
         dynamics: Model of the vehicle, whose step is the time between two decisions.
         cruise_mps: Cruising speed.
         braking_mps2: Deceleration towards the goal and before people.
-        margin_m: Clearance that is kept ahead and at the sides.
+        margin_m: Clearance that is kept at the sides.
+        ahead_m: Clearance that is kept ahead.
         ahead_s: How far the walks are continued.
 
     Raises:
@@ -181,12 +182,15 @@ class StopAndGoDriver(BlindDriver):
         cruise_mps: float = 3.0,
         braking_mps2: float = 2.8,
         margin_m: float = 0.3,
+        ahead_m: float = 1.0,
         ahead_s: float = 2.0,
     ) -> None:
         super().__init__(dynamics, cruise_mps, braking_mps2)
         require_positive("margin_m", margin_m)
+        require_positive("ahead_m", ahead_m)
         require_positive("ahead_s", ahead_s)
         self.margin_m = margin_m
+        self.ahead_m = ahead_m
         self.ahead_s = ahead_s
 
     def act(self, state: None, observation: Observation) -> Decided:
@@ -215,7 +219,7 @@ class StopAndGoDriver(BlindDriver):
         apart = observation.pedestrian_radius + observation.radius[..., None] + self.margin_m
         beside = local[..., 1].abs() < apart[..., None]
         ahead = (local[..., 0] > -observation.radius[..., None, None]) & (
-            local[..., 0] < (stopping + self.margin_m)[..., None, None] + apart[..., None]
+            local[..., 0] < (stopping + self.ahead_m)[..., None, None] + apart[..., None]
         )
-        within = beside & ahead & observation.pedestrian_present[..., None]
+        within = beside & ahead & observation.seen[..., None]
         return within.flatten(-2).any(-1)

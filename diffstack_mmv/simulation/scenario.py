@@ -5,9 +5,9 @@ global generator of numpy is left alone.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -21,7 +21,7 @@ from diffstack_mmv.checks import (
     require_one_of,
     require_positive,
 )
-from diffstack_mmv.simulation.pedestrians import AnyCrowdState, CrowdState
+from diffstack_mmv.simulation.pedestrians import AnyCrowdState, CrowdState, Itinerary
 
 MAX_TRIES = 200_000
 """Draws for one pedestrian before a scenario counts as too crowded."""
@@ -34,6 +34,16 @@ class Scene(NamedTuple):
     robot_heading: Float[Tensor, "*b"]
     robot_goal: Float[Tensor, "*b 2"]
     pedestrians: AnyCrowdState
+    itinerary: Itinerary | None = None  # where the pedestrians go after their goals; else they stay
+
+
+@runtime_checkable
+class CaseSource(Protocol):
+    """Gives the start of a case by its number."""
+
+    def cases(self, phase: str, numbers: Iterable[int]) -> Scene:
+        """Several cases of a phase as one batch."""
+        ...
 
 
 class Phase(NamedTuple):
@@ -92,6 +102,11 @@ class Scenario(ABC):
         require_positive("robot_radius_m", self.robot_radius_m)
         require_at_least("clearance_m", self.clearance_m, 0)
 
+    @property
+    def goal_m(self) -> tuple[float, float] | None:
+        """The goal of the robot in m, where it is the same in all cases."""
+        return (0.0, self.circle_radius_m)
+
     def case(self, phase: str, number: int) -> Scene:
         """One case without leading dimensions.
 
@@ -122,15 +137,7 @@ class Scenario(ABC):
         """
         scenes = [self.case(phase, number) for number in numbers]
         require(bool(scenes), "numbers", "name at least one case", "none")
-        pedestrians = CrowdState(
-            *(torch.stack(field) for field in zip(*(s.pedestrians for s in scenes), strict=True))
-        )
-        return Scene(
-            robot_position=torch.stack([scene.robot_position for scene in scenes]),
-            robot_heading=torch.stack([scene.robot_heading for scene in scenes]),
-            robot_goal=torch.stack([scene.robot_goal for scene in scenes]),
-            pedestrians=pedestrians,
-        )
+        return _stacked(scenes)
 
     def sample(self, random: np.random.RandomState) -> Scene:
         """Draw a scene.
@@ -204,7 +211,11 @@ class CircleCrossing(Scenario):
     def _place(
         self, placed: _Placed, random: np.random.RandomState
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Draw an angle and a displacement until the place is free."""
+        """Draw an angle and a displacement until the place is free.
+
+        Raises:
+            ValueError: None is found.
+        """
         for _ in range(MAX_TRIES):
             angle = random.random_sample() * np.pi * 2
             shift_x = (random.random_sample() - 0.5) * self.pedestrian_speed_mps
@@ -249,7 +260,11 @@ class SquareCrossing(Scenario):
     def _free_place(
         self, others: np.ndarray, side: int, random: np.random.RandomState
     ) -> np.ndarray:
-        """Draw a free place in m in the half with this sign of x."""
+        """Draw a free place in m in the half with this sign of x.
+
+        Raises:
+            ValueError: None is found.
+        """
         width = self.square_width_m
         for _ in range(MAX_TRIES):
             x = random.random_sample() * width * 0.5 * side
@@ -257,6 +272,16 @@ class SquareCrossing(Scenario):
             if self._is_free(place, others):
                 return place
         raise ValueError(f"{self._too_crowded(len(others))}")
+
+
+def _stacked(records: Sequence[Any]) -> Any:
+    """One record whose tensors have a leading dimension, from equal (nested) records."""
+    first = records[0]
+    if isinstance(first, Tensor):
+        return torch.stack(list(records))
+    if first is None:
+        return None
+    return type(first)(*(_stacked(fields) for fields in zip(*records, strict=True)))
 
 
 SCENARIOS: dict[str, type[Scenario]] = {

@@ -10,7 +10,7 @@ from diffstack_mmv.simulation.pedestrians import Crowd
 from diffstack_mmv.simulation.robot import HolonomicRobot
 from diffstack_mmv.simulation.vehicle_robot import VehicleRobot
 from diffstack_mmv.simulation.verdict import verdict_named
-from diffstack_mmv.simulation.world import World
+from diffstack_mmv.simulation.world import Sensing, World
 
 
 def study_world(
@@ -21,6 +21,7 @@ def study_world(
     dt_s: float,
     robot_visible: bool = False,
     reveals_s: float = 0.0,
+    sensing: Sensing | None = None,
 ) -> World:
     """The world of a study.
 
@@ -32,6 +33,7 @@ def study_world(
         dt_s: Length of a step.
         robot_visible: Whether the pedestrians avoid the robot; those of a reactive crowd always do.
         reveals_s: How far the observations tell what is recorded to come.
+        sensing: What the robot sees of the pedestrians; everything if None.
 
     Returns:
         The world.
@@ -40,7 +42,8 @@ def study_world(
         ValueError: There is no such verdict, or the times do not fit.
     """
     visible = robot_visible or bool(getattr(crowd, "reactive", False))
-    return World(robot, crowd, verdict_named(verdict, limit_s), dt_s, visible, reveals_s)
+    judge = verdict_named(verdict, limit_s)
+    return World(robot, crowd, judge, dt_s, visible, reveals_s, sensing)
 
 
 def world_for(world: World, controller: type) -> World:

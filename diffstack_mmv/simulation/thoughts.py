@@ -17,11 +17,16 @@ class Thought(NamedTuple):
     rows: Int[Tensor, " r"]  # number of the episode
     plan: Float[Tensor, "r T1 2"]  # m
     forecast: Float[Tensor, "r h T 5"]  # m, m²: x, y, and the covariance xx, xy, yy
+    candidates: Float[Tensor, "r c T1 2"]  # m, some of the proposals
+
+
+CANDIDATES = 24
+"""At most about so many of the proposals are kept."""
 
 
 @torch.no_grad()
 def thought(plan: Plan, forecast: Forecast, rows: Int[Tensor, " r"]) -> Thought:
-    """The path that was planned, and the most likely component of each pedestrian, in float32.
+    """The planned path, the likeliest component of each pedestrian, some proposals, in float32.
 
     Args:
         plan: Of the running episodes.
@@ -33,7 +38,9 @@ def thought(plan: Plan, forecast: Forecast, rows: Int[Tensor, " r"]) -> Thought:
     mean = mean.take_along_dim(best, -3).squeeze(-3)
     scale = scale.take_along_dim(best.unsqueeze(-1), -4).squeeze(-4)
     spread = (scale @ scale.mT)[..., [0, 0, 1], [0, 1, 1]]
-    return Thought(rows, plan.motion.position.float(), torch.cat([mean, spread], -1))
+    proposed = plan.candidates.position.detach().float()
+    some = proposed[:, :: max(1, -(-proposed.shape[1] // CANDIDATES))]
+    return Thought(rows, plan.motion.position.float(), torch.cat([mean, spread], -1), some)
 
 
 def joined(thoughts: Sequence[Thought], episodes: int) -> dict[str, Float[np.ndarray, "E S *d"]]:
@@ -47,10 +54,11 @@ def joined(thoughts: Sequence[Thought], episodes: int) -> dict[str, Float[np.nda
         Half precision is enough for a picture: millimetres near the origin.
     """
     arrays = {}
-    for name in ("plan", "forecast"):
+    for name in ("plan", "forecast", "candidates"):
         told = [getattr(each, name).cpu().numpy() for each in thoughts]
-        shape = (episodes, len(thoughts), *told[0].shape[1:])
+        most = max(each.shape[1] for each in told)
+        shape = (episodes, len(thoughts), most, *told[0].shape[2:])
         arrays[name] = np.full(shape, np.nan, np.float16)
         for step, each in enumerate(thoughts):
-            arrays[name][each.rows.cpu().numpy(), step] = told[step]
+            arrays[name][each.rows.cpu().numpy(), step, : told[step].shape[1]] = told[step]
     return arrays

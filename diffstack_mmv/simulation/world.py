@@ -1,7 +1,7 @@
 """The world of the episodes: a pure step from state and action to the next state and a verdict."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
@@ -17,6 +17,8 @@ from diffstack_mmv.checks import (
 from diffstack_mmv.simulation.pedestrians import (
     AnyCrowdState,
     Crowd,
+    CrowdState,
+    Itinerary,
     PedestrianHistory,
     RecordedCrowdState,
 )
@@ -33,6 +35,7 @@ class WorldState(NamedTuple):
     pedestrians: AnyCrowdState
     goal: Float[Tensor, "*b 2"]  # m, of the robot
     time: Float[Tensor, "*b"]  # s
+    itinerary: Itinerary | None = None  # where the pedestrians go after their goals
 
 
 class Observation(NamedTuple):
@@ -46,12 +49,21 @@ class Observation(NamedTuple):
     pedestrian_position: Float[Tensor, "*b h 2"]  # m
     pedestrian_velocity: Float[Tensor, "*b h 2"]  # m/s
     pedestrian_radius: Float[Tensor, "*b h"]  # m
-    pedestrian_present: Bool[Tensor, "*b h"]  # who is absent is far away and no obstacle
+    seen: Bool[Tensor, "*b h"]  # who is not is laid far away and no obstacle
     time: Float[Tensor, "*b"]  # s
     running: Bool[Tensor, "*b"]  # false where the episode has ended and its action counts no more
     history: PedestrianHistory | None = None  # of the pedestrians, before the start
     # *b h T 2 in m, one row per step of the world, where the world reveals it; never a controller's
     future: Float[Tensor, "*b h T 2"] | None = None
+
+
+@runtime_checkable
+class Sensing(Protocol):
+    """What a robot sees of an observation, which holds the truth."""
+
+    def __call__(self, observation: Observation) -> Observation:
+        """The observation with what is hidden or disturbed."""
+        ...
 
 
 class WorldStep(NamedTuple):
@@ -73,6 +85,7 @@ class World:
         robot_visible: Whether the pedestrians avoid the robot; in the benchmark they do not.
         reveals_s: How far the observations tell what is recorded to come, for controllers that show
             what a perfect forecast would be worth; 0 for all others.
+        sensing: What the robot sees of the pedestrians; everything if None.
 
     Raises:
         ValueError: The step is not positive, or limit or `reveals_s` are no multiple of it.
@@ -84,6 +97,7 @@ class World:
     dt_s: float = 0.25
     robot_visible: bool = False
     reveals_s: float = 0.0
+    sensing: Sensing | None = None
 
     def __post_init__(self) -> None:
         """Check the times once, at the border."""
@@ -108,6 +122,7 @@ class World:
             pedestrians=scene.pedestrians,
             goal=scene.robot_goal,
             time=torch.zeros_like(scene.robot_heading),
+            itinerary=scene.itinerary,
         )
         clearance = self.clearance(state)
         bad = int((clearance < 0).sum())
@@ -154,12 +169,11 @@ class World:
                 dt_s=self.dt_s,
             )
         )
-        after = WorldState(
-            robot=travel.state,
-            pedestrians=state.pedestrians.moved(velocity, self.dt_s),
-            goal=state.goal,
-            time=state.time + self.dt_s,
-        )
+        time, itinerary = state.time + self.dt_s, state.itinerary
+        pedestrians = state.pedestrians.moved(velocity, self.dt_s)
+        if itinerary is not None and isinstance(pedestrians, CrowdState):
+            pedestrians, itinerary = itinerary.followed(pedestrians, state.time, time)
+        after = WorldState(travel.state, pedestrians, state.goal, time, itinerary)
         return WorldStep(after, judgement)
 
     def observe(self, state: WorldState) -> Observation:
@@ -169,7 +183,7 @@ class World:
             lambda field: field.to(seen.radius).expand(*seen.radius.shape, -1),
             self.robot.footprint.discs(),
         )
-        return Observation(
+        observation = Observation(
             motion=self.robot.motion(state.robot),
             velocity=seen.velocity,
             radius=seen.radius,
@@ -178,12 +192,13 @@ class World:
             pedestrian_position=state.pedestrians.position,
             pedestrian_velocity=state.pedestrians.velocity,
             pedestrian_radius=state.pedestrians.radius,
-            pedestrian_present=state.pedestrians.present,
+            seen=state.pedestrians.present,
             time=state.time,
             running=torch.ones_like(state.time, dtype=torch.bool),
             history=state.pedestrians.history(),
             future=self._revealed(state.pedestrians),
         )
+        return observation if self.sensing is None else self.sensing(observation)
 
     def _revealed(self, pedestrians: AnyCrowdState) -> Float[Tensor, "*b h T 2"] | None:
         """What is recorded to come, in m, where the world reveals it.

@@ -18,6 +18,7 @@ with needs("stack", "diffstack_mmv.stack"):
         PredictedPath,
         Windows,
         evaluate_windows,
+        fitted_calibration,
         outputs_of,
         representative,
     )
@@ -43,6 +44,7 @@ __all__ = [
     "Windows",
     "assemble",
     "evaluate_windows",
+    "fitted_calibration",
     "load_predictor",
     "load_stack",
     "load_weights",

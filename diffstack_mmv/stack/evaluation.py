@@ -1,5 +1,6 @@
 """Per-sample evaluation of a trained stack beside its trivial baselines."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -12,15 +13,18 @@ from tqdm import tqdm
 
 from diffstack_mmv.checks import require
 from diffstack_mmv.metrics import (
+    Calibration,
+    best_of_samples,
     coverages,
     displacement,
     displacements,
+    judged_levels,
     negative_log_likelihood,
     where_known,
 )
 from diffstack_mmv.planning import present
 from diffstack_mmv.prediction import Predictor, ego_forecast
-from diffstack_mmv.stack.module import DiffStackMMV, StackOutput
+from diffstack_mmv.stack.module import DiffStackMMV, StackOutput, prediction_scores
 from diffstack_mmv.types import Forecast, Mode, Motion, StackBatch, map_tensors
 
 COST = "cost/"
@@ -93,16 +97,35 @@ class Evaluation(NamedTuple):
             cost/TERM, and NAME/ade, NAME/fde of each baseline, NAME/nll where it is a forecast.
         errors: Mode -> method -> mean distance (T,) to the human in m, NaN where nobody was
             recorded.
+        levels: Mode -> levels of the truths, all samples and judged times in a row: the smallest
+            region of highest density that holds each.
     """
 
     samples: pd.DataFrame
     errors: dict[str, dict[str, np.ndarray]]
+    levels: dict[str, np.ndarray]
 
 
 def evaluate_windows(
-    stack: DiffStackMMV, baselines: Mapping[str, Baseline], windows: Windows, batch_size: int = 64
+    stack: DiffStackMMV,
+    baselines: Mapping[str, Baseline],
+    windows: Windows,
+    batch_size: int = 64,
+    plans: bool = True,
+    calibration: Calibration | None = None,
+    compile_from: float = math.inf,
 ) -> Evaluation:
     """Score every sample, in order and without randomness, on the device of the stack.
+
+    Args:
+        stack: The trained stack.
+        baselines: Trivial answers by their names.
+        windows: The samples.
+        batch_size: How many at a time.
+        plans: Whether anything is planned; without, only the prediction is judged.
+        calibration: Corrects the regions whose coverage is told, see `fitted_calibration`.
+        compile_from: Number of samples from which on the kernels are compiled, which may change
+            scores in their last digit.
 
     Raises:
         ValueError: There is no sample.
@@ -110,12 +133,20 @@ def evaluate_windows(
     remedy = "Choose other modes or another split."
     require(len(windows) > 0, "windows", "hold at least one sample", 0, "", remedy)
     stack.eval()
+    if len(windows) >= compile_from:
+        stack.compile_kernels()
     scores: list[pd.DataFrame] = []
     errors: list[dict[str, np.ndarray]] = []
+    levels: list[np.ndarray] = []
     for start in tqdm(range(0, len(windows), batch_size), desc="evaluate", unit="batch"):
         numbers = range(start, min(start + batch_size, len(windows)))
         batch = map_tensors(lambda tensor: tensor.to(stack.device), windows[numbers])
-        row, error = _evaluate_batch(stack, baselines, batch)
+        judge = _judged_plans if plans else _judged_predictions
+        judged = judge(stack, batch)
+        found = judged_levels(judged.forecast, batch.ego_future)
+        row, error = _beside_baselines(judged, baselines, batch)
+        row |= coverages(found, calibration)
+        levels.append(where_known(found.level, found.valid).cpu().numpy())
         scores.append(pd.DataFrame({name: value.cpu().numpy() for name, value in row.items()}))
         errors.append({name: value.cpu().numpy() for name, value in error.items()})
     samples = windows.samples.reset_index(drop=True)
@@ -125,7 +156,33 @@ def evaluate_windows(
         str(mode): {name: _known_mean(error[rows]) for name, error in joined.items()}
         for mode, rows in samples.groupby("mode", sort=True).indices.items()
     }
-    return Evaluation(pd.concat([samples, pd.concat(scores, ignore_index=True)], axis=1), by_mode)
+    table = pd.concat([samples, pd.concat(scores, ignore_index=True)], axis=1)
+    return Evaluation(table, by_mode, _levels_by_mode(samples["mode"], np.concatenate(levels)))
+
+
+def _levels_by_mode(modes: pd.Series, levels: np.ndarray) -> dict[str, np.ndarray]:
+    return {
+        mode: levels[modes == mode][~np.isnan(levels[modes == mode])] for mode in sorted(set(modes))
+    }
+
+
+@torch.no_grad()
+def fitted_calibration(stack: DiffStackMMV, windows: Windows, batch_size: int = 64) -> Calibration:
+    """Fit the regions of the forecasts of a stack to windows that it was not trained on.
+
+    Raises:
+        ValueError: There is no window.
+    """
+    require(len(windows) > 0, "windows", "hold at least one sample", 0)
+    stack.eval()
+    found = []
+    for start in range(0, len(windows), batch_size):
+        numbers = range(start, min(start + batch_size, len(windows)))
+        batch = map_tensors(lambda tensor: tensor.to(stack.device), windows[numbers])
+        ego = ego_forecast(stack.predictor.predict(batch))
+        found.append(judged_levels(ego, batch.ego_future))
+    level, valid = (torch.cat([part[field] for part in found]) for field in (0, 1))
+    return Calibration.fitted(level, valid)
 
 
 def representative(samples: pd.DataFrame, score: str = "plan_ade") -> dict[str, dict[str, int]]:
@@ -160,27 +217,48 @@ def outputs_of(
     return batch, stack(batch)
 
 
+class _Judged(NamedTuple):
+    """Scores and paths of the stack, and the goal that baselines are given."""
+
+    scores: dict[str, Tensor]
+    paths: dict[str, Tensor]
+    goal: Float[Tensor, "B 2"]
+    forecast: Forecast  # of the ego
+
+
 @torch.no_grad()
-def _evaluate_batch(
-    stack: DiffStackMMV, baselines: Mapping[str, Baseline], batch: StackBatch
-) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+def _judged_plans(stack: DiffStackMMV, batch: StackBatch) -> _Judged:
     output = stack(batch)
     terms = stack.hindsight_costs(batch, output)
-    scores = stack.score(batch, output)
-    scores |= coverages(ego_forecast(output.forecast), batch.ego_future)
+    ego = ego_forecast(output.forecast)
+    scores = stack.score(batch, output) | best_of_samples(ego, batch.ego_future)
     scores |= {f"{COST}{term}": cost for term, cost in terms.items()}
-    paths = {
-        "prediction": ego_forecast(output.forecast).median(),
-        "plan": output.plan.motion.position[..., 1:, :],
-    }
-    future = batch.ego_future
+    paths = {"prediction": ego.median(), "plan": output.plan.motion.position[..., 1:, :]}
     # whoever rides to a goal that was not recorded cannot be judged
     goal = where_known(output.goal, stack.goal_known(batch).unsqueeze(-1))
+    return _Judged(scores, paths, goal, ego)
+
+
+@torch.no_grad()
+def _judged_predictions(stack: DiffStackMMV, batch: StackBatch) -> _Judged:
+    forecast = stack.predictor.predict(batch)
+    ego = ego_forecast(forecast)
+    scores = prediction_scores(batch, forecast) | best_of_samples(ego, batch.ego_future)
+    return _Judged(scores, {"prediction": ego.median()}, batch.goal, ego)
+
+
+@torch.no_grad()
+def _beside_baselines(
+    judged: _Judged, baselines: Mapping[str, Baseline], batch: StackBatch
+) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """Scores of stack and baselines, and the distance to the human over time of each."""
+    future, scores, paths = batch.ego_future, dict(judged.scores), dict(judged.paths)
     for name, baseline in baselines.items():
-        paths[name] = baseline(batch, goal)
-        own = displacements(paths[name], future)
-        if isinstance(baseline, PredictedPath):
-            own["nll"] = negative_log_likelihood(baseline.forecast(batch), future)
+        forecast = baseline.forecast(batch) if isinstance(baseline, PredictedPath) else None
+        path = baseline(batch, judged.goal) if forecast is None else forecast.most_likely()
+        paths[name], own = path, displacements(path, future)
+        if forecast is not None:
+            own["nll"] = negative_log_likelihood(forecast, future)
         scores |= {f"{name}/{score}": value for score, value in own.items()}
     return scores, {name: displacement(path, future) for name, path in paths.items()}
 

@@ -45,6 +45,7 @@ from diffstack_mmv.prediction import (
     Predictor,
     all_agents,
     ego_forecast,
+    fitted_motion,
     neighbors_forecast,
     strongest,
 )
@@ -124,6 +125,11 @@ class DiffStackMMV(pl.LightningModule):
         self.obstacle_components = obstacle_components
         self.scores = MeanByMode(tuple(OPEN_LOOP) if loss.plans else OF_THE_PREDICTION)
 
+    def compile_kernels(self) -> None:
+        """Have solver and expensive parts of the predictor compiled at their next use."""
+        self.planner.compile_solver()
+        self.predictor.compile_kernels()
+
     def forward(self, batch: StackBatch) -> StackOutput:
         """Predict all agents, choose the goal, and plan."""
         return self.plan(batch, self.predictor.predict(batch))
@@ -139,10 +145,11 @@ class DiffStackMMV(pl.LightningModule):
             neighbors.valid,
             strongest(neighbors_forecast(forecast), self.obstacle_components),
         )
-        motion = present(batch.ego_past).motion
+        motion = fitted_motion(batch.ego_past, batch.dt_s)
         path = self.goal.expected_path(ego, goal)
         reference = predicted_reference(motion, path, goal, batch.dt_s)
-        problem = build_problem(tracked_ego(batch.ego_past, goal), goal, reference, obstacles)
+        tracked = tracked_ego(motion, batch.ego_past.extent, goal)
+        problem = build_problem(tracked, goal, reference, obstacles)
         return StackOutput(forecast, goal, problem, self.planner(problem))
 
     def planning_losses(
@@ -224,7 +231,7 @@ class DiffStackMMV(pl.LightningModule):
         if self.loss_weights.plans:
             scores = self.sample_scores(batch)
         else:
-            scores = _prediction_scores(batch, self.predictor.predict(batch))
+            scores = prediction_scores(batch, self.predictor.predict(batch))
         self.scores.update(scores, batch.ego_past.mode)
 
     def on_validation_epoch_end(self) -> None:
@@ -246,7 +253,7 @@ class DiffStackMMV(pl.LightningModule):
 
         NaN where a sample cannot be judged.
         """
-        scores = _prediction_scores(batch, output.forecast) | self._plan_scores(batch, output)
+        scores = prediction_scores(batch, output.forecast) | self._plan_scores(batch, output)
         return {name: scores[name] for name in OPEN_LOOP}
 
     def _plan_scores(
@@ -280,7 +287,7 @@ class DiffStackMMV(pl.LightningModule):
         return {"optimizer": optimizer, "lr_scheduler": self.scheduler(optimizer=optimizer)}
 
 
-def _prediction_scores(batch: StackBatch, forecast: Forecast) -> dict[str, Float[Tensor, " B"]]:
+def prediction_scores(batch: StackBatch, forecast: Forecast) -> dict[str, Float[Tensor, " B"]]:
     """Scores that need no plan, by the names of `OF_THE_PREDICTION`."""
     future, ego = batch.ego_future, ego_forecast(forecast)
     predicted = ego.median()

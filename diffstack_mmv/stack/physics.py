@@ -2,13 +2,25 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from diffstack_mmv.checks import require, require_positive
-from diffstack_mmv.dynamics import DynamicsModel
+
+
+@runtime_checkable
+class PhysicalModel(Protocol):
+    """What is asked of a dynamics model here."""
+
+    def physical_parameters(self) -> dict[str, Tensor]:
+        """Values by name."""
+        ...
+
+    def get_submodule(self, target: str) -> nn.Module:
+        """The module that holds the parameter of this name."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -33,7 +45,7 @@ class PhysicsLearning:
     def __post_init__(self) -> None:
         require_positive("physics.rate", self.rate)
 
-    def freeze(self, dynamics: DynamicsModel) -> None:
+    def freeze(self, dynamics: PhysicalModel) -> None:
         """Stop the gradient of whatever is not learned.
 
         Raises:
@@ -53,7 +65,7 @@ class PhysicsLearning:
         self,
         make: Callable[..., torch.optim.Optimizer],
         module: nn.Module,
-        dynamics: DynamicsModel,
+        dynamics: PhysicalModel,
     ) -> torch.optim.Optimizer:
         """Build the optimizer of a module with the learned physical parameters in their own group.
 

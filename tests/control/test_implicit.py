@@ -171,3 +171,4 @@ def test_gradient_is_exact_where_the_iterations_difference_the_curvature(limit):
 def test_unrolled_gradient_of_compiled_kernels_is_refused():
     with pytest.raises(ValueError, match=r"`compile` must be false with Unrolled\(\)"):
         ILQR(gradient=Unrolled(), compile=True)
+    assert ILQR(gradient=Unrolled()).compiled() == ILQR(gradient=Unrolled())

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from diffstack_mmv.metrics import coverages
+from diffstack_mmv.metrics import Calibration, coverages, judged_levels
 from diffstack_mmv.metrics.calibration import density_level
 from diffstack_mmv.types import Forecast
 from tests.stack.test_module import straight_tracks
@@ -39,7 +39,7 @@ def test_coverage_tells_a_forecast_that_is_too_sure_or_not_sure_enough(scale, lo
     future = straight_tracks(torch.zeros(count, 2), torch.ones(count, 2), 6, 0)
     position = drawn + noise @ truth.scale_tril[0, 0, 0].T
     future = future._replace(motion=future.motion._replace(position=position))
-    found = coverages(forecast(count, components=2, scale=scale), future)
+    found = coverages(judged_levels(forecast(count, components=2, scale=scale), future))
     assert low <= found["coverage_50"].mean().item() <= high
     assert (found["coverage_90"] >= found["coverage_50"]).all()
 
@@ -47,5 +47,35 @@ def test_coverage_tells_a_forecast_that_is_too_sure_or_not_sure_enough(scale, lo
 def test_who_has_no_future_is_not_judged():
     future = straight_tracks(torch.zeros(2, 2), torch.ones(2, 2), 6, 0)
     future = future._replace(valid=torch.tensor([[True] * 6, [False] * 6]))
-    found = coverages(forecast(2), future)
+    found = coverages(judged_levels(forecast(2), future))
     assert found["coverage_50"].isnan().tolist() == [False, True]
+
+
+def truths_of(count, seed):
+    torch.manual_seed(seed)
+    future = straight_tracks(torch.zeros(count, 2), torch.ones(count, 2), 6, 0)
+    position = torch.randn(count, 6, 2) @ forecast(1).scale_tril[0, 0, 0].T
+    return future._replace(motion=future.motion._replace(position=position))
+
+
+@pytest.mark.parametrize("scale", [0.6, 1.0, 3.0])
+def test_conformal_levels_hold_what_they_should_on_other_samples(scale):
+    count = 600
+    sure = forecast(count, scale=scale)
+    held_out = judged_levels(sure, truths_of(count, 1))
+    calibration = Calibration.fitted(held_out.level, held_out.valid)
+    found = coverages(judged_levels(sure, truths_of(count, 2)), calibration)
+    for region in (50, 90):
+        assert found[f"coverage_{region}"].mean().item() == pytest.approx(region / 100, abs=0.05)
+
+
+def test_area_of_a_gaussian_region_is_that_of_its_ellipse():
+    levels = judged_levels(forecast(4), truths_of(4, 0), samples=4000)
+    area = levels.area(torch.tensor([0.5]))
+    expected = math.pi * 2 * math.log(2) * 2.0  # determinant of the root is 2
+    assert area.mean().item() == pytest.approx(expected, rel=0.05)
+
+
+def test_without_held_out_truths_a_region_is_the_whole_plane():
+    nobody = torch.zeros(0, 2)
+    assert Calibration.fitted(nobody, nobody > 0).levels.isinf().all()

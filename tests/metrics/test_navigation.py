@@ -13,7 +13,10 @@ from diffstack_mmv.metrics.navigation import (
     IncompleteRate,
     NavigationTime,
     NavigationTimeOfAll,
+    RideAcceleration,
+    RideJerk,
     SuccessRate,
+    ride,
     uneasy_steps,
     wilson_interval,
 )
@@ -29,6 +32,8 @@ METRICS = [
     DiscomfortFrequency,
     DiscomfortDistance,
     EpisodeMinimumDistance,
+    RideAcceleration,
+    RideJerk,
 ]
 
 
@@ -160,3 +165,18 @@ def test_a_rate_comes_with_the_interval_around_it():
 def test_a_quantile_that_is_not_positive_is_refused():
     with pytest.raises(ValueError, match="`quantile` must be positive"):
         wilson_interval(torch.tensor(1.0), torch.tensor(2.0), quantile=0.0)
+
+
+def test_a_ride_is_as_rough_as_its_changes_of_velocity():
+    record = record_of(steps=torch.tensor([4, 8, 8, 8, 8, 8]))
+    time = 0.25 * torch.arange(9, dtype=torch.float64)
+    turning = torch.stack((torch.full_like(time, 2.0), torch.zeros_like(time)), -1)
+    motion = record.motion._replace(
+        velocity=record.motion.velocity.clone(), heading=record.motion.heading.clone()
+    )
+    motion.velocity[0, :, 0] = 3 * time  # 3 m/s² straight on
+    motion.velocity[0, 5:] = 100.0  # after the end
+    motion.velocity[1], motion.heading[1] = turning, 0.4 * time  # a bend at 2 m/s and 0.4 rad/s
+    rough = ride(record._replace(motion=motion))
+    assert rough.acceleration[:3].tolist() == pytest.approx([3.0, 0.8, 0.0], abs=1e-3)
+    assert rough.jerk[:3].tolist() == pytest.approx([0.0, 0.32, 0.0], abs=1e-3)

@@ -17,7 +17,7 @@ def test_names_and_headings_are_unique(registry):
 
 @pytest.mark.parametrize("score", ALL, ids=lambda score: score.name)
 def test_unit_is_a_unit_and_agrees_with_the_name(score):
-    assert score.unit in ("m", "s", "ms", "nats", "1")
+    assert score.unit in ("m", "s", "ms", "m/s²", "m/s³", "nats", "1")
     *_, ending = score.name.split("_")
     assert ending not in ("m", "s", "ms") or ending == score.unit
 

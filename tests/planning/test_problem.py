@@ -36,14 +36,15 @@ def tracks(*shape, rows):
 
 def problem_of(ego, path, goal, obstacles):
     """As the stack builds its problems."""
-    reference = predicted_reference(present(ego).motion, path, goal, 0.1)
-    return build_problem(tracked_ego(ego, goal), goal, reference, obstacles)
+    motion = present(ego).motion
+    reference = predicted_reference(motion, path, goal, 0.1)
+    return build_problem(tracked_ego(motion, ego.extent, goal), goal, reference, obstacles)
 
 
 def test_reference_ends_at_the_goal_and_starts_where_the_ego_is():
     motion = Motion(*(field[:, 0] for field in tracks(3, rows=1).motion))
     goal = torch.randn(3, 2)
-    reference = bent_to_goal(motion, torch.randn(3, 30, 2), goal, 0.1)
+    reference = predicted_reference(motion, torch.randn(3, 30, 2), goal, 0.1).path
     assert reference.shape == (3, 31, 2)
     assert torch.allclose(reference[:, 0], motion.position)
     assert torch.allclose(reference[:, -1], goal, atol=1e-5)
@@ -54,15 +55,13 @@ def test_reference_of_constant_velocity_is_the_hermite_spline():
     path = velocity * 0.1 * torch.arange(1, 31).unsqueeze(-1)
     motion = Motion(torch.zeros(2), torch.tensor(0.0), velocity, torch.tensor(0.0))
     expected = hermite_spline(motion, goal, 30, 0.1)
-    assert torch.allclose(bent_to_goal(motion, path, goal, 0.1)[1:], expected, atol=1e-5)
+    assert torch.allclose(bent_to_goal(path, goal), expected, atol=1e-5)
 
 
 def test_reference_turns_with_the_scene():
-    motion = Motion(torch.zeros(2), torch.tensor(0.0), torch.tensor([3.0, 0.2]), torch.tensor(0.0))
     path, goal, angle = torch.randn(30, 2), torch.randn(2), torch.tensor(0.7)
-    turned = motion._replace(heading=angle)
-    again = bent_to_goal(turned, rotate(path, angle.expand(30)), rotate(goal, angle), 0.1)
-    expected = rotate(bent_to_goal(motion, path, goal, 0.1), angle.expand(31))
+    again = bent_to_goal(rotate(path, angle.expand(30)), rotate(goal, angle))
+    expected = rotate(bent_to_goal(path, goal), angle.expand(30))
     assert torch.allclose(again, expected, atol=1e-5)
 
 
@@ -145,4 +144,5 @@ def test_a_plan_begins_in_the_state_that_its_heading_is_that_of(heading):
 
 
 def test_the_heading_of_a_track_is_its_course():
-    assert tracked_ego(tracks(2, rows=3), torch.randn(2, 2)).heading is Heading.COURSE
+    now = present(tracks(2, rows=3))
+    assert tracked_ego(now.motion, now.extent, torch.randn(2, 2)).heading is Heading.COURSE

@@ -1,12 +1,12 @@
 """The command line of the benchmark: it writes what it promises, and refuses with one message."""
 
 import json
-import runpy
-import sys
 
 import numpy as np
 import pytest
-from hydra.core.global_hydra import GlobalHydra
+
+from diffstack_mmv.types import Mode
+from tests.data.conftest import ToyAgent, write_cache
 
 QUICK = [
     "cases=2", "chunk=1", "controller.planner.starts=0", "animate=0", "~controller@baselines.mppi",
@@ -15,21 +15,9 @@ QUICK = [
 
 
 @pytest.fixture
-def navigate(root, monkeypatch, tmp_path):
+def navigate(command, tmp_path):
     """Run the script in this process; the exit status."""
-
-    def run(*arguments, out=tmp_path):
-        GlobalHydra.instance().clear()
-        monkeypatch.setattr(sys, "argv", ["navigate.py", *arguments, f"out={out}"])
-        try:
-            runpy.run_path(str(root / "scripts" / "navigate.py"), run_name="__main__")
-        except SystemExit as end:
-            return end.code
-        finally:
-            GlobalHydra.instance().clear()
-        return 0
-
-    return run
+    return lambda *arguments, out=tmp_path: command("navigate", *arguments, f"out={out}")
 
 
 def test_it_writes_results_baselines_and_paired_tests_and_resumes(navigate, tmp_path):
@@ -74,8 +62,34 @@ def test_a_controller_may_believe_in_dynamics_of_another_name(navigate, tmp_path
         (["dynamics=unicycle", "actual.dynamics=gm3"], "share its controls with the robot's"),
     ],
 )
-def test_bad_input_ends_with_one_clear_message(navigate, capfd, arguments, message):
-    assert navigate(*QUICK, "cases=20", *arguments) == 1
-    told = capfd.readouterr().err
-    assert message in told
-    assert "Traceback" not in told
+def test_bad_input_ends_with_one_clear_message(refusal, arguments, message, tmp_path):
+    assert message in refusal("navigate", *QUICK, "cases=20", *arguments, f"out={tmp_path}")
+
+
+@pytest.mark.parametrize("crowd", ["replay", "replay_reactive"])
+def test_a_recorded_crowd_is_crossed(navigate, tmp_path, crowd):
+    walkers = [
+        ToyAgent(
+            f"walker_{k}", Mode.PEDESTRIAN, 150, first=5 * k, start=(-6.0, 0.4 * k, 0.0), speed=1.1
+        )
+        for k in range(8)
+    ]
+    write_cache(tmp_path / "cache", {"one": ("test", walkers)}, "dut")
+    data = [
+        f"crowd={crowd}",
+        "data=dut",
+        f"data.cache={tmp_path / 'cache'}",
+        "limit_s=10",
+        "scenario.blind_mps=0.0",
+    ]
+    rest = ["cases=1", "search=null", "animate=0", "controller=stop_and_go"]
+    gone = ["~controller@baselines.stop_and_go", *QUICK[4:], "~controller@baselines.straight"]
+    assert navigate(*data, *rest, *gone) == 0
+    found = json.loads((tmp_path / "closed_loop.json").read_text())
+    assert (found["n"], found["scenario"], found["crowd"], found["data"]) == (
+        1,
+        "replay",
+        crowd,
+        "dut",
+    )
+    assert found["cases"][0]["acceleration_mps2"] > 0

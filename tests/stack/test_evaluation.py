@@ -48,6 +48,14 @@ def test_rows_hold_every_score_and_those_of_the_baselines():
         assert curves[name].mean() == pytest.approx(evaluation.samples[score].mean(), abs=1e-6)
 
 
+@pytest.mark.parametrize(("compile_from", "compiled"), [(3, 1), (4, 0)])
+def test_kernels_are_compiled_for_many_windows_only(compile_from, compiled, monkeypatch):
+    stack, calls = stack_of(PredictedGoal()), []
+    monkeypatch.setattr(stack, "compile_kernels", lambda: calls.append("compiled"))
+    evaluate_windows(stack, {}, Recorded(batch_of()), 3, compile_from)
+    assert len(calls) == compiled
+
+
 @pytest.mark.parametrize(
     ("goal", "spline"),
     [(PredictedGoal(), True), (FutureGoal(), False)],

@@ -254,3 +254,11 @@ def test_validation_counts_what_it_could_not_judge():
     stack.on_validation_epoch_end()
     assert logged["val/n_missing"] == logged["val/bicycle/n_missing"] == 1
     assert logged["val/ade"] < 0.01
+
+
+def test_kernels_are_those_of_planner_and_predictor(monkeypatch):
+    stack, calls = stack_of(PredictedGoal()), []
+    monkeypatch.setattr(stack.planner, "compile_solver", lambda: calls.append("planner"))
+    monkeypatch.setattr(stack.predictor, "compile_kernels", lambda: calls.append("predictor"))
+    stack.compile_kernels()
+    assert calls == ["planner", "predictor"]

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from diffstack_mmv.control.constrained.constraint import Rows
+from diffstack_mmv.control.constrained.constraint import ConstraintRows
 
 
 class BarrierRows(NamedTuple):
@@ -45,7 +45,7 @@ class BarrierRows(NamedTuple):
         return whole.index_add_(-1, self.equality, y)
 
 
-def barrier_rows(rows: Rows) -> BarrierRows:
+def barrier_rows(rows: ConstraintRows) -> BarrierRows:
     """Sort the columns of the constraints."""
     K = len(rows.signed)
     hard = (rows.linear.isinf() | ~rows.applies).reshape(-1, K).all(0)

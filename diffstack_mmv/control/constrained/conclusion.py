@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from diffstack_mmv.control.constrained.activity import Activity, classify
-from diffstack_mmv.control.constrained.constraint import Rows
+from diffstack_mmv.control.constrained.constraint import ConstraintRows
 from diffstack_mmv.control.constrained.implicit import AttachedRows, KktPoint
 from diffstack_mmv.control.constrained.local import Problem, expand_problem
 from diffstack_mmv.control.constrained.newton import free_controls
@@ -62,7 +62,7 @@ def conclude(problem: Problem, progress: Progress) -> Conclusion:
     return Conclusion(point, parts, multipliers)
 
 
-def paid(rows: Rows, slack: Tensor) -> Tensor:
+def paid(rows: ConstraintRows, slack: Tensor) -> Tensor:
     """Price of the violations of soft rows."""
     linear = torch.where(rows.linear.isfinite(), rows.linear, torch.zeros_like(slack))
     return (linear * slack + 0.5 * rows.quadratic * slack.square()).sum((-2, -1))

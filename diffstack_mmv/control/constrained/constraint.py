@@ -69,7 +69,7 @@ def listed(constraints: Constraints) -> list[Constraint]:
     return both
 
 
-class Rows(NamedTuple):
+class ConstraintRows(NamedTuple):
     """All constraints side by side: K values at each time.
 
     A multiplier is at most `linear` and grows beyond it only by `quadratic` times the violation.
@@ -89,7 +89,7 @@ class Rows(NamedTuple):
         """Values of all constraints, zero where they do not apply."""
         return joined(self.functions, states, controls) * self.applies.to(states)
 
-    def select(self, index: Int[Tensor, " k"]) -> "Rows":
+    def select(self, index: Int[Tensor, " k"]) -> "ConstraintRows":
         """The rows of some problems; all functions have to be selectable."""
         functions = tuple(
             part.select(index) for part in self.functions if isinstance(part, Selectable)
@@ -118,7 +118,7 @@ def gather(
     constraints: Sequence[Constraint],
     states: Float[Tensor, "*b T1 n"],
     controls: Float[Tensor, "*b T m"],
-) -> Rows:
+) -> ConstraintRows:
     """Lay constraints out as rows, their sizes taken from the values along a trajectory.
 
     Raises:
@@ -145,7 +145,7 @@ def gather(
     columns = (torch.cat(part, -1) for part in zip(*parts, strict=True))
     widths = tuple(applies.shape[1] for *_, applies in parts)
     functions = tuple(constraint.function for constraint in constraints)
-    return Rows(*[functions, *columns, widths])
+    return ConstraintRows(*[functions, *columns, widths])
 
 
 def _priced(price: float | Tensor, values: Tensor, applies: Tensor, name: str) -> Tensor:

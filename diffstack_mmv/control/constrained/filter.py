@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.control.constrained.barrier import Barrier, Interior, Residual
+from diffstack_mmv.control.constrained.barrier import Barrier, BarrierResidual, Interior
 
 BOUNDARY = 0.99  # of the way to the boundary that a step may go
 SIZES = 12  # step sizes, halved each time
@@ -44,7 +44,7 @@ def search(
     visited: Visited,
     point: Interior,
     step: Interior,
-    residual: Residual,
+    residual: BarrierResidual,
     mu: Float[Tensor, "*b"],
     which: Bool[Tensor, "*b"],
 ) -> Accepted:

@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from diffstack_mmv.control.constrained.barrier import Barrier, Interior, Residual, newton
+from diffstack_mmv.control.constrained.barrier import Barrier, BarrierResidual, Interior, newton
 from diffstack_mmv.control.constrained.barrier_rows import barrier_rows
 from diffstack_mmv.control.constrained.filter import Accepted, Visited, search
 from diffstack_mmv.control.constrained.local import Local, Problem, expand_problem
@@ -175,7 +175,7 @@ def _scaled(barrier: Barrier) -> Problem:
 
 
 def _errors(
-    barrier: Barrier, local: Local, point: Interior, residual: Residual
+    barrier: Barrier, local: Local, point: Interior, residual: BarrierResidual
 ) -> tuple[Tensor, list[Tensor]]:
     """Largest residual of the equations without μ, and the products that have to be μ."""
     slope = local.gradient.view(point.u.shape) - point.lower + point.upper

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from diffstack_mmv.control.constrained.constraint import Rows
+from diffstack_mmv.control.constrained.constraint import ConstraintRows
 from diffstack_mmv.control.expansion import (
     dynamics_curvature,
     expand_cost,
@@ -23,7 +23,7 @@ class Problem(NamedTuple):
 
     dynamics: Any  # a Dynamics
     cost: Any  # a Cost
-    rows: Rows
+    rows: ConstraintRows
     bounds: Bounds
     state: Float[Tensor, "*b n"]
 
@@ -153,7 +153,7 @@ def adjoint_states(
 
 
 def linearise_rows(
-    rows: Rows, x: Float[Tensor, "*b T1 n"], u: Float[Tensor, "*b T1 m"]
+    rows: ConstraintRows, x: Float[Tensor, "*b T1 n"], u: Float[Tensor, "*b T1 m"]
 ) -> tuple[Float[Tensor, "*b T1 K n"], Float[Tensor, "*b T1 K m"]]:
     """Jacobian of the constraints at each time, K cotangents pulled back in one call."""
     values, pull = torch.func.vjp(rows.values, x, u)[:2]

@@ -25,14 +25,14 @@ ROUNDING = 8.0  # units of the precision within which a control is on its bound
 GROWTH = 10.0  # of that number from step to step, above which the method has failed
 
 
-class Point(NamedTuple):
+class PrimalDual(NamedTuple):
     """Controls and multipliers."""
 
     u: Float[Tensor, "*b T m"]
     multipliers: Float[Tensor, "*b T1 K"]
 
 
-class Step(NamedTuple):
+class NewtonStep(NamedTuple):
     """One step and what it promises."""
 
     u: Float[Tensor, "N P"]
@@ -44,14 +44,14 @@ class Step(NamedTuple):
 class Polished(NamedTuple):
     """Where Newton's method ended."""
 
-    point: Point
+    point: PrimalDual
     solved: Bool[Tensor, "*b"]
     steps: Int[Tensor, "*b"]
 
 
 def polish(
     problem: Problem,
-    start: Point,
+    start: PrimalDual,
     activation: Float[Tensor, "*b 1 K"],
     chosen: Bool[Tensor, "*b"],
     accuracy: Float[Tensor, ""],
@@ -100,7 +100,9 @@ def polish(
     return Polished(point, solved, steps)
 
 
-def _moved(problem: Problem, point: Point, multipliers: Tensor, step: Step, which: Tensor) -> Point:
+def _moved(
+    problem: Problem, point: PrimalDual, multipliers: Tensor, step: NewtonStep, which: Tensor
+) -> PrimalDual:
     lower, upper = problem.bounds
     u = point.u + step.u.view(point.u.shape)
     near = ROUNDING * torch.finfo(u.dtype).eps
@@ -108,7 +110,7 @@ def _moved(problem: Problem, point: Point, multipliers: Tensor, step: Step, whic
     u = torch.where(u >= upper - near * upper.abs(), upper, u)
     pressed = multipliers + step.multipliers.view(multipliers.shape)
     mask = which[..., None, None]
-    return Point(torch.where(mask, u, point.u), torch.where(mask, pressed, point.multipliers))
+    return PrimalDual(torch.where(mask, u, point.u), torch.where(mask, pressed, point.multipliers))
 
 
 def free_controls(
@@ -117,8 +119,8 @@ def free_controls(
     """Which controls no bound holds: one holds that is reached, with pressure on it."""
     lower, upper = (bound.detach().to(u) for bound in problem.bounds)
     u = u.reshape(gradient.shape)
-    held = ((u <= lower) & (gradient > 0)) | ((u >= upper) & (gradient < 0)) | (lower == upper)
-    return ~held.flatten(1)
+    active = ((u <= lower) & (gradient > 0)) | ((u >= upper) & (gradient < 0)) | (lower == upper)
+    return ~active.flatten(1)
 
 
 def _reached_bound(problem: Problem, u: Tensor, gradient: Tensor, weight: Tensor) -> Tensor:
@@ -138,12 +140,12 @@ def newton_step(
     multipliers: Float[Tensor, "*b T1 K"],
     values: Float[Tensor, "*b T1 K"],
     which: Bool[Tensor, "*b"],
-) -> Step:
+) -> NewtonStep:
     """The step of the problems `which`, zero for all others."""
     N, P = len(local.B), u.shape[-2] * u.shape[-1]
     flat = u.reshape(N, P)
     residual = activity.residual(values, multipliers).reshape(N, -1)
-    held, compliance = activity.held.reshape(N, -1), activity.compliance.reshape(N, -1)
+    active, compliance = activity.active.reshape(N, -1), activity.compliance.reshape(N, -1)
     du, dv = local.B.new_zeros(N, P), torch.zeros_like(residual)
     size, convex = local.B.new_zeros(N), torch.zeros(N, dtype=torch.bool, device=u.device)
     for index in chunks(which.reshape(N)):
@@ -152,7 +154,7 @@ def newton_step(
         gradient = local.gradient[index].flatten(1)
         goal = _reached_bound(problem, flat[index], gradient, weight)
         fixed = torch.where(goal.isnan(), 0.0, goal - flat[index])
-        kept = goal.isnan(), held[index], compliance[index]
+        kept = goal.isnan(), active[index], compliance[index]
         system = assemble(condensed, *kept)
         pull = (condensed.hessian @ fixed.unsqueeze(-1)).squeeze(-1)
         along = (condensed.jacobian @ fixed.unsqueeze(-1)).squeeze(-1)
@@ -162,4 +164,4 @@ def newton_step(
         size[index] = (weight * own_u.square()).sum(1) / local.magnitude[index].clamp_min(
             torch.finfo(u.dtype).tiny
         )
-    return Step(du, dv, size, convex)
+    return NewtonStep(du, dv, size, convex)

@@ -7,10 +7,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from diffstack_mmv.control.constrained.constraint import Rows
+from diffstack_mmv.control.constrained.constraint import ConstraintRows
 from diffstack_mmv.control.constrained.interior import COARSE, FINE, Found, enter, follow
 from diffstack_mmv.control.constrained.local import Problem, linearise_rows
-from diffstack_mmv.control.constrained.newton import Point, polish
+from diffstack_mmv.control.constrained.newton import PrimalDual, polish
 from diffstack_mmv.control.expansion import expand_cost, pad_controls
 from diffstack_mmv.control.ilqr import ILQR
 from diffstack_mmv.control.iteration import OPEN
@@ -35,7 +35,9 @@ class Progress(NamedTuple):
         """Which problems are still being solved."""
         return self.status == OPEN
 
-    def where(self, mask: Bool[Tensor, "*b"], point: Point, status: SolverStatus) -> "Progress":
+    def where(
+        self, mask: Bool[Tensor, "*b"], point: PrimalDual, status: SolverStatus
+    ) -> "Progress":
         """With the problems of the mask finished at a point."""
         wide = mask[..., None, None]
         return self._replace(
@@ -68,7 +70,7 @@ class Phases:
         guess = progress.u
         activation = activation_weight(problem, problem.rollout(guess), guess)
         if warm:
-            start = Point(guess, progress.multipliers)
+            start = PrimalDual(guess, progress.multipliers)
             progress = self._polished(problem, progress, start, activation, progress.is_open)
         if bool(progress.is_open.any()):
             progress = self._unconstrained(problem, progress, guess)
@@ -89,7 +91,7 @@ class Phases:
         clear = torch.where(rows.signed, values == 0, values < 0) | ~rows.applies
         free = plain.converged & clear.flatten(-2).all(-1)
         progress = progress.counted(plain.iterations)
-        point = Point(plain.controls, torch.zeros_like(values))
+        point = PrimalDual(plain.controls, torch.zeros_like(values))
         return progress.where(progress.is_open & free, point, SolverStatus.CONVERGED)
 
     def _interior(
@@ -98,9 +100,9 @@ class Phases:
         found = self._followed(problem, guess, progress.is_open)
         progress = progress.counted(found.iterations)
         lost = progress.is_open & ~found.started
-        at_guess = Point(guess, torch.zeros_like(progress.multipliers))
+        at_guess = PrimalDual(guess, torch.zeros_like(progress.multipliers))
         progress = progress.where(lost, at_guess, SolverStatus.NOT_FINITE)
-        start = Point(found.u, found.multipliers)
+        start = PrimalDual(found.u, found.multipliers)
         chosen = progress.is_open & found.solved
         return self._polished(problem, progress, start, activation, chosen)
 
@@ -118,7 +120,7 @@ class Phases:
         elastic = problem._replace(rows=_soft(problem.rows, price / scale[..., None, None]))
         found = self._followed(elastic, guess, progress.is_open, COARSE if last else FINE)
         progress = progress.counted(found.iterations)
-        start = Point(found.u, found.multipliers)
+        start = PrimalDual(found.u, found.multipliers)
         chosen = progress.is_open & found.solved
         progress = self._polished(problem, progress, start, activation, chosen)
         if not last:
@@ -126,7 +128,7 @@ class Phases:
         u = found.u.clamp(*problem.bounds)
         values = problem.rows.values(problem.rollout(u), pad_controls(u))
         stuck = chosen & progress.is_open & (problem.rows.violation(values) > self.tolerance)
-        return progress.where(stuck, Point(u, found.multipliers), SolverStatus.INFEASIBLE)
+        return progress.where(stuck, PrimalDual(u, found.multipliers), SolverStatus.INFEASIBLE)
 
     def _followed(
         self, problem: Problem, guess: Tensor, which: Tensor, accuracy: float = FINE
@@ -145,7 +147,7 @@ class Phases:
         self,
         problem: Problem,
         progress: Progress,
-        start: Point,
+        start: PrimalDual,
         activation: Tensor,
         chosen: Bool[Tensor, "*b"],
     ) -> Progress:
@@ -158,7 +160,7 @@ class Phases:
         return progress.where(polished.solved, polished.point, SolverStatus.CONVERGED)
 
 
-def _soft(rows: Rows, price: Float[Tensor, "*b 1 1"]) -> Rows:
+def _soft(rows: ConstraintRows, price: Float[Tensor, "*b 1 1"]) -> ConstraintRows:
     """Hard rows at a price, soft ones as they are."""
     hard = rows.linear.isinf() & rows.applies
     return rows._replace(linear=torch.where(hard, price.expand_as(rows.linear), rows.linear))

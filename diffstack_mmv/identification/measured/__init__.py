@@ -11,7 +11,7 @@ from diffstack_mmv.identification.measured.report import measured_result, measur
 from diffstack_mmv.identification.measured.rides import (
     MeasuredRide,
     RideWindows,
-    WindowSettings,
+    RideWindowSettings,
     cut_windows,
     measured_rides,
 )
@@ -36,7 +36,7 @@ __all__ = [
     "MeasurementNoise",
     "RideSimulator",
     "RideWindows",
-    "WindowSettings",
+    "RideWindowSettings",
     "cut_windows",
     "held_out_errors",
     "measured_result",

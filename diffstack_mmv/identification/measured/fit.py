@@ -31,7 +31,7 @@ from diffstack_mmv.identification.shooting import ParameterVector
 STEPS_BACK = 9
 
 
-class Point(NamedTuple):
+class RideUnknowns(NamedTuple):
     """Values of all unknowns."""
 
     shared: Float[Tensor, " s"]
@@ -43,9 +43,9 @@ class Point(NamedTuple):
         own = self.recording[owner]
         return torch.cat([self.window[:, :POSE], own, self.window[:, POSE:]], -1)
 
-    def moved(self, step: "Point") -> "Point":
+    def moved(self, step: "RideUnknowns") -> "RideUnknowns":
         """A step away."""
-        return Point(*(value + way for value, way in zip(self, step, strict=True)))
+        return RideUnknowns(*(value + way for value, way in zip(self, step, strict=True)))
 
 
 class Reduced(NamedTuple):
@@ -73,7 +73,7 @@ class MeasuredFit(NamedTuple):
         sizes: Deviations of noise that explain its residuals and errors better than the assumed.
     """
 
-    point: Point
+    point: RideUnknowns
     shared_std: Float[Tensor, " s"]
     covariance: Float[Tensor, "s s"]
     recording_std: Float[Tensor, "r 4"]
@@ -110,7 +110,7 @@ class MeasuredFitter:
     with_gyro: bool = False
 
     def __call__(
-        self, simulator: RideSimulator, windows: RideWindows, start: Point | None = None
+        self, simulator: RideSimulator, windows: RideWindows, start: RideUnknowns | None = None
     ) -> MeasuredFit:
         """Fit the parameters of the simulator to windows that do not overlap."""
         point = start or self.first_point(simulator, windows)
@@ -129,20 +129,22 @@ class MeasuredFitter:
                 break
         return problem.result(state, taken)
 
-    def first_point(self, simulator: RideSimulator, windows: RideWindows) -> Point:
+    def first_point(self, simulator: RideSimulator, windows: RideWindows) -> RideUnknowns:
         """Priors, and poses as recorded."""
         mean, _ = self.priors.recording()
         each = mean.expand(len(windows.names), -1).clone()
         local = start_values(windows, simulator, each[windows.recording])
         antenna, _ = self.priors.antenna()
         window = torch.cat([local[:, :POSE], local[:, POSE + RECORDING :]], -1)
-        return Point(torch.cat([simulator.parameters.start().double(), antenna]), each, window)
+        return RideUnknowns(
+            torch.cat([simulator.parameters.start().double(), antenna]), each, window
+        )
 
 
 class _State(NamedTuple):
     """A point with its linearised system."""
 
-    point: Point
+    point: RideUnknowns
     system: WindowSystem
     cost: float
 
@@ -156,7 +158,7 @@ class _Problem:
         windows: RideWindows,
         priors: InstrumentPriors,
         with_gyro: bool,
-        start: Point,
+        start: RideUnknowns,
     ) -> None:
         self.simulator, self.windows, self.with_gyro = simulator, windows, with_gyro
         self.mean, self.std = priors.recording()
@@ -174,7 +176,7 @@ class _Problem:
         """The learned parameters."""
         return self.simulator.parameters
 
-    def penalties(self, point: Point) -> list[Tensor]:
+    def penalties(self, point: RideUnknowns) -> list[Tensor]:
         """Residuals of the priors of shared and recordings' unknowns, in deviations."""
         theta, antenna = point.shared[:-ANTENNA], point.shared[-ANTENNA:]
         return [
@@ -183,7 +185,7 @@ class _Problem:
             ((point.recording - self.mean) / self.std).flatten(),
         ]
 
-    def cost(self, point: Point) -> float:
+    def cost(self, point: RideUnknowns) -> float:
         """Half the sum of all squares."""
         found = self.simulator.simulate(
             self.windows, point.shared, point.local(self.windows.recording)
@@ -195,24 +197,24 @@ class _Problem:
         )
         return self._cost(point, system.residual)
 
-    def state(self, point: Point) -> _State:
+    def state(self, point: RideUnknowns) -> _State:
         """Linearise."""
         local = point.local(self.windows.recording)
         found = self.simulator.linearise(self.windows, point.shared, local)
         system = residuals(self.windows, found, self.simulator.noise, self.with_gyro)
         return _State(point, system, self._cost(point, system.residual))
 
-    def _cost(self, point: Point, residual: Tensor) -> float:
+    def _cost(self, point: RideUnknowns, residual: Tensor) -> float:
         gap = point.window - self.window_mean
         inner = torch.einsum("wi,wij,wj->", gap, self.window_precision, gap)
         total = residual.square().sum() + inner
         return 0.5 * float(total + sum(part.square().sum() for part in self.penalties(point)))
 
-    def within(self, point: Point) -> Point:
+    def within(self, point: RideUnknowns) -> RideUnknowns:
         """Keep θ where the soft clamp has a slope."""
         theta = point.shared[:-ANTENNA]
-        held = self.parameters.theta_for(self.parameters.values(theta))
-        return point._replace(shared=torch.cat([held, point.shared[-ANTENNA:]]))
+        kept = self.parameters.theta_for(self.parameters.values(theta))
+        return point._replace(shared=torch.cat([kept, point.shared[-ANTENNA:]]))
 
     def shared_prior(self, shared: Tensor) -> tuple[Tensor, Tensor]:
         """Gradient and information of the prior of the shared unknowns."""
@@ -248,7 +250,7 @@ class _Problem:
         gradient_r = push[:, :shared] - (side[..., :-1].mT @ rest[..., -1:]).squeeze(-1)
         return _Eliminated(Reduced(information, gradient_r), solved, hessian, corner, rest)
 
-    def step(self, state: _State, damping: float) -> Point:
+    def step(self, state: _State, damping: float) -> RideUnknowns:
         """Levenberg-Marquardt step of all unknowns."""
         parts = self.eliminated(state, damping)
         push, prior = self.shared_prior(state.point.shared)
@@ -259,7 +261,7 @@ class _Problem:
             [shared.expand(len(self.windows.recording), -1), recording[self.windows.recording]], -1
         )
         window = -(parts.solved[..., :-1] @ outer.unsqueeze(-1)).squeeze(-1) - parts.solved[..., -1]
-        return Point(shared, recording, window)
+        return RideUnknowns(shared, recording, window)
 
     def result(self, state: _State, iterations: int) -> MeasuredFit:
         """Deviations and evidence at the end."""

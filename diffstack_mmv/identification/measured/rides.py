@@ -75,7 +75,7 @@ class RideWindows(NamedTuple):
 
 
 @dataclass(frozen=True)
-class WindowSettings:
+class RideWindowSettings:
     """How windows are cut.
 
     Attributes:
@@ -132,7 +132,7 @@ def measured_rides(
     ]
 
 
-def cut_windows(rides: Sequence[MeasuredRide], settings: WindowSettings) -> RideWindows:
+def cut_windows(rides: Sequence[MeasuredRide], settings: RideWindowSettings) -> RideWindows:
     """All windows of the rides that are complete.
 
     Raises:
@@ -163,7 +163,7 @@ def chord_course(position: Float[Tensor, "*b T1 2"], reach: int = 4) -> Float[Te
     return torch.atan2(way[..., 1], way[..., 0])
 
 
-def _starts(ride: MeasuredRide, settings: WindowSettings) -> list[int]:
+def _starts(ride: MeasuredRide, settings: RideWindowSettings) -> list[int]:
     """First rows of the windows of a ride."""
     whole = ride.steer.isfinite() & (ride.speed > settings.speed_min_mps)
     found, start, length = [], 0, settings.steps + 1

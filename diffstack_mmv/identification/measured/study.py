@@ -8,12 +8,12 @@ import torch
 from torch import Tensor
 
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.identification.measured.fit import MeasuredFit, MeasuredFitter, Point
+from diffstack_mmv.identification.measured.fit import MeasuredFit, MeasuredFitter, RideUnknowns
 from diffstack_mmv.identification.measured.instruments import MeasurementNoise
 from diffstack_mmv.identification.measured.rides import (
     MeasuredRide,
     RideWindows,
-    WindowSettings,
+    RideWindowSettings,
     cut_windows,
 )
 from diffstack_mmv.identification.measured.simulator import ANTENNA, RideSimulator
@@ -86,7 +86,7 @@ class MeasuredStudy:
     fitter: MeasuredFitter = MeasuredFitter()
     noise: MeasurementNoise = MeasurementNoise()
     noise_rounds: int = 4
-    fitted: WindowSettings = WindowSettings()
+    fitted: RideWindowSettings = RideWindowSettings()
     history_s: float = 2.0
     horizon_s: float = 3.0
     every_s: float = 1.0
@@ -133,7 +133,7 @@ class MeasuredStudy:
         model: Callable[[], DynamicsModel],
         windows: RideWindows,
         noise: MeasurementNoise,
-        start: Point | None,
+        start: RideUnknowns | None,
     ) -> tuple[RideSimulator, MeasuredFit]:
         built = model().double()
         parameters = ParameterVector(built, self.spec)

@@ -7,9 +7,18 @@ import torch
 from jaxtyping import Float
 from torch import Generator, Tensor
 
-from diffstack_mmv.identification.measured.instruments import GRAVITY, InstrumentPriors
+from diffstack_mmv.identification.measured.instruments import (
+    GRAVITY,
+    InstrumentPriors,
+    MeasurementNoise,
+)
 from diffstack_mmv.identification.measured.rides import MeasuredRide, RideWindows
-from diffstack_mmv.identification.measured.simulator import ANTENNA, POSE, RECORDING, RideSimulator
+from diffstack_mmv.identification.measured.simulator import (
+    ANTENNA,
+    POSE,
+    RECORDING,
+    RideSimulator,
+)
 
 KNOWN_SHARE = 0.97
 """Share of the positions that are measured; the others are bridged."""
@@ -48,33 +57,50 @@ def record_rides(
         steps: Steps of each.
         generator: Of the random numbers.
     """
+    noise = simulator.noise
+    windows = _gentle_curves(recordings, steps, simulator.model.dt_s, generator)
+    mean, std = priors.recording()
+    instruments = mean + std * _normal(generator, recordings, RECORDING)
+    count = simulator.knots(steps)
+    errors = [
+        noise.steer_rad * _normal(generator, recordings, count),
+        noise.speed_share * _normal(generator, recordings, count),
+    ]
+    pose = torch.zeros(recordings, POSE, dtype=torch.float64)
+    local = torch.cat([pose, instruments, *errors], -1)
+    shared = draw_shared(simulator, priors, generator)
+    true = simulator.simulate(windows, shared, local)
+    position = _with_noise(true.position, noise, generator)
+    known = torch.rand(recordings, steps + 1, generator=generator) < KNOWN_SHARE
+    bias = noise.yaw_rate_bias.mean + noise.yaw_rate_bias.std * _normal(generator, recordings, 1)
+    gyro = true.yaw_rate + bias + noise.yaw_rate_radps * _normal(generator, recordings, steps)
+    lean = torch.atan(_lateral(true.yaw_rate, windows.speed) / GRAVITY)
+    # the rows of a ride are means over steps, from which `cut_windows` takes the ends
+    steer, speed, gyro = _held(windows.steer), _means(windows.speed), _held(gyro)
+    rides = [
+        MeasuredRide(f"{name}/bicycle", *columns)
+        for name, *columns in zip(
+            windows.names, position, known, steer, speed, gyro, lean, strict=True
+        )
+    ]
+    return SyntheticRides(rides, shared, instruments)
 
-    def normal(*shape: int) -> Tensor:
-        return torch.randn(*shape, generator=generator, dtype=torch.float64)
 
-    noise, dt_s = simulator.noise, simulator.model.dt_s
+def _normal(generator: Generator, *shape: int) -> Tensor:
+    return torch.randn(*shape, generator=generator, dtype=torch.float64)
+
+
+def _gentle_curves(recordings: int, steps: int, dt_s: float, generator: Generator) -> RideWindows:
+    """Steering and speed as sums of slow waves, and nothing that was measured."""
     time = dt_s * torch.arange(steps + 1, dtype=torch.float64)
     waves = 2 * math.pi * torch.tensor([0.03, 0.08, 0.2, 0.4], dtype=torch.float64)
     phase = 2 * math.pi * torch.rand(recordings, 2, 4, generator=generator, dtype=torch.float64)
     swing = (waves * time[:, None] + phase.unsqueeze(2)).sin()
     steer = (swing[:, 0] @ torch.tensor([0.1, 0.08, 0.05, 0.02], dtype=torch.float64))[:, :-1]
     speed = 2.9 + 0.15 * swing[:, 1, :, :2].sum(-1)
-    mean, std = priors.recording()
-    instruments = mean + std * normal(recordings, RECORDING)
-    count = simulator.knots(steps)
-    errors = torch.cat(
-        [
-            noise.steer_rad * normal(recordings, count),
-            noise.speed_share * normal(recordings, count),
-        ],
-        -1,
-    )
-    pose = torch.zeros(recordings, POSE, dtype=torch.float64)
-    local = torch.cat([pose, instruments, errors], -1)
-    shared = draw_shared(simulator, priors, generator)
     (rate,) = torch.gradient(steer, spacing=dt_s, dim=-1)
     nothing = torch.zeros_like(speed)
-    windows = RideWindows(
+    return RideWindows(
         torch.arange(recordings),
         tuple(f"synthetic_{number}" for number in range(recordings)),
         torch.zeros(recordings, 2, dtype=torch.float64),
@@ -87,37 +113,30 @@ def record_rides(
         nothing[:, 1:],
         nothing,
     )
-    true = simulator.simulate(windows, shared, local)
-    way = true.position.diff(dim=1)
+
+
+def _with_noise(
+    position: Float[Tensor, "r T1 2"], noise: MeasurementNoise, generator: Generator
+) -> Float[Tensor, "r T1 2"]:
+    """Positions with errors along and across the way."""
+    way = position.diff(dim=1)
     way = torch.cat([way, way[:, -1:]], 1)
     along = way / way.norm(dim=-1, keepdim=True)
     across = torch.stack([-along[..., 1], along[..., 0]], -1)
-    measured = true.position + noise.along_m * normal(recordings, steps + 1, 1) * along
-    measured = measured + noise.across_m * normal(recordings, steps + 1, 1) * across
-    known = torch.rand(recordings, steps + 1, generator=generator) < KNOWN_SHARE
-    bias = noise.yaw_rate_bias.mean + noise.yaw_rate_bias.std * normal(recordings, 1)
-    gyro = true.yaw_rate + bias + noise.yaw_rate_radps * normal(recordings, steps)
-    rides = []
-    for number, name in enumerate(windows.names):
-        # the rows of a ride are means over steps, from which `cut_windows` takes the ends
-        rides.append(
-            MeasuredRide(
-                f"{name}/bicycle",
-                measured[number],
-                known[number],
-                torch.cat([steer[number], steer[number, -1:]]),
-                _means(speed[number]),
-                torch.cat([gyro[number], gyro[number, -1:]]),
-                torch.atan(_lateral(true.yaw_rate, speed)[number] / GRAVITY),
-            )
-        )
-    return SyntheticRides(rides, shared, instruments)
+    shape = (*position.shape[:2], 1)
+    measured = position + noise.along_m * _normal(generator, *shape) * along
+    return measured + noise.across_m * _normal(generator, *shape) * across
 
 
-def _means(speed: Float[Tensor, " T1"]) -> Float[Tensor, " T1"]:
-    """Means over the steps from the speeds at their ends; the last step goes on as it is."""
-    return torch.cat([0.5 * (speed[1:] + speed[:-1]), speed[-1:]])
+def _held(values: Float[Tensor, "r T"]) -> Float[Tensor, "r T1"]:
+    """One more column; the last step goes on as it is."""
+    return torch.cat([values, values[:, -1:]], -1)
+
+
+def _means(speed: Float[Tensor, "r T1"]) -> Float[Tensor, "r T1"]:
+    """Means over the steps from the speeds at their ends."""
+    return torch.cat([0.5 * (speed[:, 1:] + speed[:, :-1]), speed[:, -1:]], -1)
 
 
 def _lateral(yaw_rate: Float[Tensor, "r T"], speed: Float[Tensor, "r T1"]) -> Tensor:
-    return torch.cat([yaw_rate, yaw_rate[:, -1:]], -1) * speed
+    return _held(yaw_rate) * speed

@@ -26,11 +26,11 @@ from diffstack_mmv.identification.shooting.condensing import (
     node_corrections,
 )
 from diffstack_mmv.identification.shooting.fit import (
-    EarlyStopping,
     EstimationData,
     FitMethod,
     FitProgress,
     HeldoutMonitor,
+    HeldoutStopping,
     ParameterFit,
     heldout_cost,
     in_prior_deviations,
@@ -100,7 +100,7 @@ __all__ = [
     "BlockArrowheadStep",
     "COMMAND_DIM",
     "CondensedJacobian",
-    "EarlyStopping",
+    "HeldoutStopping",
     "EstimationData",
     "EstimationTask",
     "EvaluatedStep",

@@ -19,9 +19,9 @@ from torch.nn.functional import pad
 from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.control import ILQR, Batched, Bounds, Solution
 from diffstack_mmv.identification.shooting.fit import (
-    EarlyStopping,
     EstimationData,
     HeldoutMonitor,
+    HeldoutStopping,
     ParameterFit,
 )
 from diffstack_mmv.identification.shooting.linearisation import TrackSimulator
@@ -123,7 +123,7 @@ class BilevelFit:
     max_iterations: int = 20
     tolerance: float = 1e-6
     solver: ILQR = ILQR(max_iterations=40, tolerance=1e-9)
-    stopping: EarlyStopping = EarlyStopping()
+    stopping: HeldoutStopping = HeldoutStopping()
 
     def __post_init__(self) -> None:
         require_at_least("max_iterations", self.max_iterations, 1)

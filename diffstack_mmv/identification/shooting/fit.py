@@ -59,7 +59,7 @@ class FitMethod(Protocol):
 
 
 @dataclass(frozen=True)
-class EarlyStopping:
+class HeldoutStopping:
     """Ends a fit when it explains held-out tracks significantly worse.
 
     Args:
@@ -82,7 +82,7 @@ class EarlyStopping:
 class HeldoutMonitor:
     """The iterate to return: the latest that is not worse on held-out tracks than any before."""
 
-    stopping: EarlyStopping
+    stopping: HeldoutStopping
     best: ParameterFit
     reference: ParameterFit | None = None  # the one that explains held-out tracks best
     history: list[FitProgress] = field(default_factory=list)

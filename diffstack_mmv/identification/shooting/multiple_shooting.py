@@ -10,9 +10,9 @@ from torch import Tensor
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.identification.shooting.block_arrowhead import StepBounds, solve_arrowhead
 from diffstack_mmv.identification.shooting.fit import (
-    EarlyStopping,
     EstimationData,
     HeldoutMonitor,
+    HeldoutStopping,
     ParameterFit,
     in_prior_deviations,
     total_cost,
@@ -88,7 +88,7 @@ class MultipleShooting:
 
     max_iterations: int = 40
     tolerance: float = 1e-6
-    stopping: EarlyStopping = EarlyStopping()
+    stopping: HeldoutStopping = HeldoutStopping()
     heldout_iterations: int = 1
     restart: bool = True
 

@@ -7,11 +7,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from diffstack_mmv.geometry import motion_in_frame, rotate
-from diffstack_mmv.prediction.current import current_heading, current_position, trend
+from diffstack_mmv.prediction.current import MEMORY_S, current_heading, current_position, trend
 from diffstack_mmv.types import Mode, Motion, Tracks, map_tensors
 
 PEDESTRIANS = (Mode.UNKNOWN, Mode.PEDESTRIAN, Mode.STROLLER)
-MEMORY_S = 0.7  # of the fit to the track, the best one on cyclists
 EGO, VEHICLE, PEDESTRIAN = (
     0,
     1,

@@ -27,8 +27,6 @@ COLUMNS = 512
 """Number of columns that the compiled kernel sees."""
 ROWS = 256
 """Rows whose second derivatives are computed at once, at all times; bounds the memory."""
-ROWS = 256
-"""Rows whose second derivatives are computed at once, at all times; bounds the memory."""
 
 
 def linearised_rollout(

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from diffstack_mmv.checks import require
+from diffstack_mmv.checks import require, require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.prediction.base import Predictor, all_agents
 from diffstack_mmv.prediction.gaussian import log_density, log_of_sum, scale_from_covariance
@@ -94,22 +94,21 @@ class Trajectron(Predictor):
         pedestrian_dynamics: Dynamics of those who walk.
         horizon_steps: Number of predicted time steps T.
         components: Number K of components of the ego.
-        neighbor_components: Number of components of each neighbor.
+        neighbor_components: Number of components of each neighbor; with 0 neighbors are only seen:
+            their forecast is that they stay, and nothing is learned from them. For benchmarks in
+            which every agent is an ego once.
         sizes: Sizes of the networks.
         annealing: Weight of the divergence of the posterior from the prior.
         hold_steps: Steps over which a decoded control is held.
         jacobians: Linearises the dynamics: `linearise` at every point, or `linearise_shared` at the
             mean of the components, for models whose step is expensive; `linearise_compiled` is
             `linearise` with compiled steps.
-        forecast_neighbors: Whether neighbors are forecast and learned from; else they are only
-            seen, and their forecast is that they stay. For benchmarks in which every agent is an
-            ego once.
 
     Raises:
         ValueError: The models differ in their time step, or a number is out of its range.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - each is a part that can be exchanged
         self,
         ego_dynamics: DynamicsModel,
         vehicle_dynamics: DynamicsModel,
@@ -121,10 +120,10 @@ class Trajectron(Predictor):
         annealing: Annealing | None = None,
         hold_steps: int = 1,
         jacobians: Jacobians = linearise,
-        forecast_neighbors: bool = True,
     ) -> None:
         super().__init__(horizon_steps, ego_dynamics.dt_s)
-        self.forecast_neighbors = forecast_neighbors
+        require_at_least("neighbor_components", neighbor_components, 0)
+        self.forecast_neighbors = neighbor_components > 0
         models = {EGO: ego_dynamics, VEHICLE: vehicle_dynamics, PEDESTRIAN: pedestrian_dynamics}
         steps = [model.dt_s for model in models.values()]
         require(len(set(steps)) == 1, "dt_s", "be the same for all three dynamics", steps)
@@ -141,7 +140,7 @@ class Trajectron(Predictor):
         context = self.scene_encoder.outputs
         self.branches = nn.ModuleList()
         for role, model in models.items():
-            count = components if role == EGO else neighbor_components
+            count = components if role == EGO else max(neighbor_components, 1)
             decoder = ControlDecoder(
                 model,
                 context,

@@ -1,6 +1,6 @@
 """Scores, failures and playable episodes of a drive through a crowd."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from diffstack_mmv.reporting.html.blocks import (
     facts,
     frame_table,
 )
-from diffstack_mmv.reporting.html.scenes import Surroundings, driven_scene
+from diffstack_mmv.reporting.html.scenes import Surroundings, driven_scene, side_by_side
 from diffstack_mmv.reporting.paired import paired_table
 from diffstack_mmv.reporting.scores import Scores
 
@@ -26,13 +26,17 @@ RADIUS_M = 0.3  # of a pedestrian, where the run does not say
 COLUMNS = ("case", "outcome", "time_s", "min_clearance_m", "discomfort_steps")
 
 
-def read_closed_loop(folder: Path, scores: Scores, episodes: int) -> list[Section]:
+def read_closed_loop(
+    folder: Path, scores: Scores, episodes: int, beside: Path | None = None
+) -> list[Section]:
     """What `navigate` wrote; nothing without `closed_loop.json`.
 
     Args:
         folder: The folder.
         scores: Titles and units.
         episodes: How many can be played, failures first.
+        beside: Another drive over the same cases, which is shown to the right of this one; cases
+            that end differently come first.
     """
     if not (folder / "closed_loop.json").is_file():
         return []
@@ -54,16 +58,37 @@ def read_closed_loop(folder: Path, scores: Scores, episodes: int) -> list[Sectio
     nearest = cases["min_clearance_m"].astype(float).tolist()
     lines = {"smallest clearance": (numbers, nearest)}
     blocks.append(Chart("Smallest clearance by case", "case", "m", lines, marks=True))
-    scenes = list(_episodes(folder, result, episodes))
+    order = sorted(result["cases"], key=lambda case: case["outcome"] == "success")
+    if beside is None:
+        scenes = list(_episodes(folder, result, order[:episodes]).values())
+    else:
+        scenes = list(_pairs(folder, result, beside, episodes))
     played = [Section("Episodes", [Scenes("", scenes)])] if scenes else []
     return [Section("Closed loop", blocks), *played]
 
 
-def _episodes(folder: Path, result: Mapping[str, Any], count: int) -> Iterator[dict[str, Any]]:
-    """The scenes of the first failures, then of the first successes."""
+def _pairs(
+    folder: Path, result: Mapping[str, Any], beside: Path, count: int
+) -> Iterator[dict[str, Any]]:
+    """The scenes of both drives side by side, first of the cases that end differently."""
+    other = read_json(beside / "closed_loop.json")
+    theirs = {case["case"]: case for case in other["cases"]}
+    shared = [case for case in result["cases"] if case["case"] in theirs]
+    shared.sort(key=lambda case: case["outcome"] == theirs[case["case"]]["outcome"])
+    left = _episodes(folder, result, shared[:count])
+    right = _episodes(beside, other, [theirs[case["case"]] for case in shared[:count]])
+    names = f"{result['controller']} (left), {other['controller']} (right)"
+    for case in left:
+        ends = f"{left[case]['title']} / {right[case]['title'].split(': ')[1]}"
+        yield side_by_side(f"{ends}: {names}", left[case], right[case])
+
+
+def _episodes(
+    folder: Path, result: Mapping[str, Any], cases: Sequence[Mapping[str, Any]]
+) -> dict[int, dict[str, Any]]:
+    """The scenes of some cases by their numbers, in their order."""
     around = _surroundings(folder, result)
-    order = sorted(result["cases"], key=lambda case: case["outcome"] == "success")
-    wanted = {case["case"]: case for case in order[:count]}
+    wanted = {case["case"]: case for case in cases}
     found: dict[int, dict[str, Any]] = {}
     for file in sorted((folder / "episodes" / result["controller"]).glob("*.npz")):
         with np.load(file) as stored:
@@ -74,7 +99,7 @@ def _episodes(folder: Path, result: Mapping[str, Any], count: int) -> Iterator[d
             title = f"case {case}: {told['outcome']} after {told['time_s']:.2f} s"
             row = arrays["cases"].tolist().index(case)
             found[case] = driven_scene(title, arrays, row, around)
-    yield from (found[case] for case in wanted if case in found)
+    return {case: found[case] for case in wanted if case in found}
 
 
 def _surroundings(folder: Path, result: Mapping[str, Any]) -> Surroundings:
@@ -82,7 +107,8 @@ def _surroundings(folder: Path, result: Mapping[str, Any]) -> Surroundings:
     file = folder / "config.yaml"
     config = yaml.safe_load(file.read_text(encoding="utf-8")) if file.is_file() else {}
     scenario = config.get("scenario", {})
-    reach = scenario.get("circle_radius_m")
+    drawn = "arena_m" in scenario  # then every case has a goal of its own
+    reach = None if drawn else scenario.get("circle_radius_m")
     model = result.get("actual_model", {})
     return Surroundings(
         dt_s=result["dt_s"],

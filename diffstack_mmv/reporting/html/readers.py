@@ -30,20 +30,23 @@ class RunPage(NamedTuple):
     sections: list[Section]
 
 
-def read_page(folder: Path, titles: Titles, episodes: int = 6) -> RunPage:
+def read_page(
+    folder: Path, titles: Titles, episodes: int = 6, beside: Path | None = None
+) -> RunPage:
     """Read whatever kinds of results a folder holds; what is absent is left out.
 
     Args:
         folder: Folder of a training, an evaluation, a drive, an identification, a comparison, ...
         titles: Titles and units of scores.
         episodes: How many closed-loop episodes the page can play, failures first.
+        beside: Another closed-loop drive over the same cases, shown to the right of this one.
 
     Raises:
         ValueError: The folder holds none of these, or a file of it is broken.
     """
     readers: Sequence[Callable[[], list[Section]]] = (
         lambda: read_evaluation(folder, titles.open_loop),
-        lambda: read_closed_loop(folder, titles.closed_loop, episodes),
+        lambda: read_closed_loop(folder, titles.closed_loop, episodes, beside),
         lambda: read_identification(folder),
         lambda: read_tables(folder),
         lambda: read_trajectories(folder),

@@ -5,7 +5,7 @@ unknown, and a shape in m), ellipses (x, y, and the covariance xx, xy, yy in m²
 lines of that time; lines that stay; and series of numbers below the picture.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from diffstack_mmv.reporting.html.blocks import plain
 
 Array = NDArray[Any]
 FAINT = 0.1  # weight of an ellipse among many
+GAP_M = 3.0  # between two scenes side by side
 DISC_M = 0.3  # radius of a robot whose outline nobody told
 
 
@@ -138,9 +139,78 @@ def _thought(arrays: Mapping[str, Array], row: int, step: int) -> dict[str, Any]
     plans, forecasts = arrays.get("thoughts.plan"), arrays.get("thoughts.forecast")
     if plans is not None and step < plans.shape[1] and np.isfinite(plans[row, step]).all():
         told["lines"].append({"role": "intent", "points": plain(plans[row, step], 2)})
+    proposed = arrays.get("thoughts.candidates")
+    if proposed is not None and step < proposed.shape[1]:
+        paths = (path for path in proposed[row, step] if np.isfinite(path).all())
+        told["lines"] += [{"role": "candidate", "points": plain(path, 2)} for path in paths]
     if forecasts is not None and step < forecasts.shape[1]:
         # every third time is enough to see where somebody goes
         expected = forecasts[row, step, :, 2::3].reshape(-1, 5)
         known = expected[np.isfinite(expected).all(1)]
         told["ellipses"] = [[*each, FAINT] for each in plain(known, 3)]
     return told
+
+
+def side_by_side(title: str, left: Mapping[str, Any], right: Mapping[str, Any]) -> dict[str, Any]:
+    """Two driven scenes in one picture under one slider, the second one laid to the right.
+
+    Args:
+        title: What the list shows.
+        left: A scene of `driven_scene`.
+        right: Another one of the same step; the shorter one waits at its end.
+    """
+    longer = max(left, right, key=lambda scene: len(scene["times"]))
+    shift = GAP_M + _reach(left, max) - _reach(right, min)
+    both = [_waiting(left, len(longer["times"]), 0.0), _waiting(right, len(longer["times"]), shift)]
+    frames = [
+        {key: [*one[key], *other[key]] for key in ("ellipses", "lines")}
+        for one, other in zip(both[0]["frames"], both[1]["frames"], strict=True)
+    ]
+    return {
+        "title": title,
+        "times": longer["times"],
+        "start": 0,
+        "goal": None,
+        "goals": [scene["goal"] for scene in both if scene["goal"]],
+        "bodies": [body for scene in both for body in scene["bodies"]],
+        "lines": [line for scene in both for line in scene["lines"]],
+        "frames": frames,
+        "series": [
+            {"name": f"{side} {series['name']}", "values": series["values"]}
+            for side, scene in zip(("left:", "right:"), both, strict=True)
+            for series in scene["series"]
+        ],
+    }
+
+
+def _reach(scene: Mapping[str, Any], extreme: Callable[..., float]) -> float:
+    """Where everybody of a scene is at most or at least, along x in m."""
+    return extreme(place[0] for body in scene["bodies"] for place in body["path"] if place)
+
+
+def _waiting(scene: Mapping[str, Any], steps: int, shift: float) -> dict[str, Any]:
+    """A scene of so many steps, laid to the right by `shift` m."""
+    more = steps - len(scene["times"])
+
+    def moved(points: Sequence[Any]) -> list[Any]:
+        return [point and [point[0] + shift, *point[1:]] for point in points]
+
+    def line(told: Mapping[str, Any]) -> dict[str, Any]:
+        return {**told, "points": moved(told["points"])}
+
+    frames = [*scene["frames"], *[{"ellipses": [], "lines": []}] * more]
+    return {
+        "goal": moved([scene["goal"]])[0] if scene["goal"] else None,
+        "bodies": [
+            {**body, "path": moved([*body["path"], *[body["path"][-1]] * more])}
+            for body in scene["bodies"]
+        ],
+        "lines": [line(each) for each in scene["lines"]],
+        "frames": [
+            {"ellipses": moved(each["ellipses"]), "lines": [line(told) for told in each["lines"]]}
+            for each in frames
+        ],
+        "series": [
+            {**each, "values": [*each["values"], *[None] * more]} for each in scene["series"]
+        ],
+    }

@@ -1,9 +1,9 @@
 """What every pedestrian model gets and gives: the interface behind which models are exchanged."""
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from diffstack_mmv.geometry import length
@@ -41,6 +41,39 @@ class CrowdState(NamedTuple):
         return self._replace(position=self.position + velocity * dt_s, velocity=velocity)
 
 
+class Itinerary(NamedTuple):
+    """Where pedestrians go after their present goals: drawn beforehand, one after the other.
+
+    Who has come to its goal takes the next one, and at each of M times some give up theirs for the
+    next one. The last goal of the list is kept.
+    """
+
+    goals: Float[Tensor, "*b h L 2"]  # m
+    taken: Int[Tensor, "*b h"]  # how many of them have been taken
+    gives_up: Bool[Tensor, "*b h M"]  # whether the goal of then is given up at each of the times
+    times: Float[Tensor, "*b M"]  # s
+
+    def followed(
+        self, crowd: CrowdState, before: Float[Tensor, "*b"], after: Float[Tensor, "*b"]
+    ) -> tuple[CrowdState, "Itinerary"]:
+        """The crowd with its goals at a time, and the itinerary from then on.
+
+        Args:
+            crowd: The pedestrians at the time `after`, with the goals they had until then.
+            before: Time of the step before in s.
+            after: Present time in s.
+        """
+        arrived = length(crowd.goal - crowd.position) < crowd.radius
+        due = (self.times > before[..., None]) & (self.times <= after[..., None])
+        due = due & (self.times > 0)
+        changes = arrived | (self.gives_up & due[..., None, :]).any(-1)
+        last = self.goals.shape[-2] - 1
+        index = self.taken.clamp(max=last)[..., None, None]
+        following = self.goals.take_along_dim(index, -2).squeeze(-2)
+        goal = torch.where(changes[..., None], following, crowd.goal)
+        return crowd._replace(goal=goal), self._replace(taken=self.taken + changes.long())
+
+
 class VisibleRobot(NamedTuple):
     """A robot that the pedestrians see; position in m, velocity in m/s, radius in m."""
 
@@ -54,7 +87,10 @@ class Crowd(Protocol):
     """A pedestrian model: all pedestrians of all episodes choose their next velocity at once."""
 
     def __call__(
-        self, crowd: CrowdState, dt_s: float, robot: VisibleRobot | None = None
+        self,
+        crowd: Any,  # `CrowdState`, or the state of a recorded crowd: what its scenario starts with
+        dt_s: float,
+        robot: VisibleRobot | None = None,
     ) -> Float[Tensor, "*b h 2"]:
         """Velocities in m/s that hold for the next `dt_s`, from the present state of everybody."""
         ...

@@ -8,6 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.planning import disc_radius
 from diffstack_mmv.types import RecordedScene
 
 WALKING_MPS = 0.4
@@ -20,14 +21,23 @@ FLOW_M = 4.0
 """The direction of the flow is that of the people within this distance."""
 
 
-class Rows(NamedTuple):
-    """Recorded people at the times of the world's steps."""
+class RecordedRows(NamedTuple):
+    """Recorded people at the times of the world's steps; who is never there is left out."""
 
     position: NDArray[np.float64]  # people, rows, 2: m
     inside: NDArray[np.bool_]  # people, rows: recorded in this row and in the one before
+    radius: NDArray[np.float64]  # people: m, of the disc with the area of the box
+
+    def of(self, chosen: NDArray[np.int64] | NDArray[np.bool_]) -> "RecordedRows":
+        """Some of the people."""
+        return RecordedRows(self.position[chosen], self.inside[chosen], self.radius[chosen])
+
+    def later(self, first: int, end: int | None = None) -> "RecordedRows":
+        """Some of the rows."""
+        return RecordedRows(self.position[:, first:end], self.inside[:, first:end], self.radius)
 
 
-def rows_of(scene: RecordedScene, time_s: NDArray[np.float64]) -> Rows:
+def rows_of(scene: RecordedScene, time_s: NDArray[np.float64]) -> RecordedRows:
     """People at equally distant times; between two recorded rows they move straight.
 
     Args:
@@ -37,21 +47,24 @@ def rows_of(scene: RecordedScene, time_s: NDArray[np.float64]) -> Rows:
     Returns:
         Positions; nobody is inside before and after the recording.
     """
-    position = scene.tracks.motion.position.numpy()
-    valid = scene.tracks.valid.numpy()
+    radius = disc_radius(scene.tracks.extent).numpy()
     place = time_s / scene.dt_s
     lower = np.floor(place + 1e-9).astype(int)
     share = np.clip(place - lower, 0, 1)
     upper = np.where(share > 1e-9, lower + 1, lower)
-    within = (lower >= 0) & (upper < valid.shape[1])
-    lower, upper = (np.clip(each, 0, valid.shape[1] - 1) for each in (lower, upper))
+    steps = scene.tracks.valid.shape[1]
+    within = (lower >= 0) & (upper < steps)
+    lower, upper = (np.clip(each, 0, steps - 1) for each in (lower, upper))
+    there = scene.tracks.valid[:, lower[0] : upper[-1] + 1].any(-1).numpy()
+    position = scene.tracks.motion.position[there].numpy()
+    valid = scene.tracks.valid[there].numpy()
     between = position[:, lower] + share[:, None] * (position[:, upper] - position[:, lower])
     known = valid[:, lower] & valid[:, upper] & within
     step = np.linalg.norm(np.diff(between, axis=1), axis=-1)
     smooth = step < FASTEST_MPS * (time_s[1] - time_s[0])
     inside = np.zeros_like(known)
     inside[:, 1:] = known[:, 1:] & known[:, :-1] & smooth
-    return Rows(between, inside)
+    return RecordedRows(between, inside, radius[there])
 
 
 class Crossing(NamedTuple):
@@ -92,7 +105,7 @@ class CrossingRules:
         require_at_least("turn_deg", self.turn_deg, 0)
 
     def draw(
-        self, rows: Rows, start: int, step_s: float, random: np.random.RandomState
+        self, rows: RecordedRows, start: int, step_s: float, random: np.random.RandomState
     ) -> Crossing | None:
         """A crossing through a place with many people, the more of them the likelier.
 

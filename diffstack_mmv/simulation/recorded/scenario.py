@@ -14,10 +14,14 @@ from diffstack_mmv.checks import (
     require_multiple,
     require_positive,
 )
-from diffstack_mmv.planning import disc_radius
 from diffstack_mmv.simulation.pedestrians import RecordedCrowdState
 from diffstack_mmv.simulation.pedestrians.recorded import far_away
-from diffstack_mmv.simulation.recorded.crossing import CrossingRules, Rows, as_tensor, rows_of
+from diffstack_mmv.simulation.recorded.crossing import (
+    CrossingRules,
+    RecordedRows,
+    as_tensor,
+    rows_of,
+)
 from diffstack_mmv.simulation.recorded.passage import PassageRules, Walks
 from diffstack_mmv.simulation.scenario import Scene, generator
 from diffstack_mmv.types import RecordedScene
@@ -49,8 +53,10 @@ class RecordedCrossing:
 
     The phases are the splits of the recordings. A case is drawn from the seed of its number: a
     recording (the longer, the likelier), a time, a place and a direction. It is taken if the start
-    is free, some people are met, and the way is passable for somebody who knows where they will
-    be; otherwise the draw is repeated. The scene is turned so that the vehicle starts at
+    is free, some people are met, a straight drive hits somebody, nobody's track begins beside the
+    way while the vehicle is on it,
+    and the way is passable for somebody who knows where they will be; otherwise the draw is
+    repeated. The scene is turned so that the vehicle starts at
     (0, -way / 2) and its goal lies at (0, way / 2). Nothing of a recording is stored.
 
     Attributes:
@@ -58,6 +64,9 @@ class RecordedCrossing:
         way_m: Length of the way.
         humans: At most so many agents, those that come nearest to the way.
         met: Smallest number of agents that come within 2 m of the way within `least_s`.
+        blind_mps: Who drives straight on at this speed from rest, at the acceleration of `passage`,
+            hits somebody: there is something to avoid. 0 takes all cases.
+        entry_m: Nobody's track begins nearer to the way than this within `cover_s`.
         reach_m: Who never comes nearer to the way is left out.
         dt_s: Step of the world.
         history_s: What is seen before the start; no case starts earlier in a recording.
@@ -77,6 +86,8 @@ class RecordedCrossing:
     way_m: float = 14.0
     humans: int = 24
     met: int = 3
+    blind_mps: float = 3.0
+    entry_m: float = 4.0
     reach_m: float = 10.0
     dt_s: float = 0.25
     history_s: float = 4.0
@@ -87,6 +98,7 @@ class RecordedCrossing:
     clearance_m: float = 0.3
     crossing: CrossingRules = field(default_factory=CrossingRules)
     passage: PassageRules = field(default_factory=PassageRules)
+    _known: dict[tuple[str, int], Scene] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Check the numbers once, at the border."""
@@ -94,6 +106,8 @@ class RecordedCrossing:
             require_positive(name, getattr(self, name))
         require_at_least("humans", self.humans, 1)
         require_at_least("met", self.met, 0)
+        require_at_least("blind_mps", self.blind_mps, 0)
+        require_at_least("entry_m", self.entry_m, 0)
         require_at_least("clearance_m", self.clearance_m, 0)
         require_at_least("cover_s", self.cover_s, self.least_s)
         require_multiple("history_s", self.history_s, self.dt_s, "for the step `dt_s`")
@@ -122,7 +136,7 @@ class RecordedCrossing:
         Raises:
             ValueError: As in `case`, or there are no numbers.
         """
-        scenes = [self.case(phase, number) for number in numbers]
+        scenes = [self._remembered(phase, number) for number in numbers]
         require(bool(scenes), "numbers", "name at least one case", "none")
         crowds = zip(*(scene.pedestrians for scene in scenes), strict=True)
         return Scene(
@@ -131,6 +145,12 @@ class RecordedCrossing:
             robot_goal=torch.stack([scene.robot_goal for scene in scenes]),
             pedestrians=RecordedCrowdState(*(torch.stack(field) for field in crowds)),
         )
+
+    def _remembered(self, phase: str, number: int) -> Scene:
+        """A case, which is drawn once: every controller of a study drives it."""
+        if (phase, number) not in self._known:
+            self._known[phase, number] = self.case(phase, number)
+        return self._known[phase, number]
 
     def case(self, phase: str, number: int) -> Scene:
         """One case without leading dimensions.
@@ -180,31 +200,31 @@ class RecordedCrossing:
         crossing = self.crossing.draw(rows, lead, self.dt_s, random)
         if crossing is None:
             return None
-        seen = Rows(crossing.seen_from(rows.position), rows.inside)
-        radius = disc_radius(recorded.tracks.extent).numpy()
-        kept = self._nearest(seen, lead)
-        seen, radius = Rows(seen.position[kept], seen.inside[kept]), radius[kept]
-        walks = Walks(seen.position[:, lead:], seen.inside[:, lead:], radius, self.dt_s)
-        return self._scene(seen, radius, lead) if self._is_case(walks) else None
+        seen = rows._replace(position=crossing.seen_from(rows.position))
+        seen = seen.of(self._nearest(seen.later(lead)))
+        return self._scene(seen, lead) if self._is_case(seen.later(lead)) else None
 
-    def _nearest(self, rows: Rows, lead: int) -> np.ndarray:
+    def _nearest(self, rows: RecordedRows) -> np.ndarray:
         """Numbers of the agents that come nearest to the way, no more than there is room for."""
-        apart = self._from_way(rows)[:, lead:].min(-1, initial=np.inf)
+        apart = self._from_way(rows).min(-1, initial=np.inf)
         order = np.argsort(apart, kind="stable")[: self.humans]
         return order[apart[order] < self.reach_m]
 
-    def _from_way(self, rows: Rows) -> np.ndarray:
+    def _from_way(self, rows: RecordedRows) -> np.ndarray:
         """Distance from the way in m, (people, rows); infinite for those who are absent."""
         beyond = np.maximum(np.abs(rows.position[..., 1]) - self.way_m / 2, 0)
         apart = np.hypot(rows.position[..., 0], beyond)
         return np.where(rows.inside, apart, np.inf)
 
-    def _is_case(self, walks: Walks) -> bool:
-        """Whether the start is free, enough people are met, and the way is passable."""
+    def _is_case(self, rows: RecordedRows) -> bool:
+        """Whether people are in the way, nobody appears, and there is a way past them."""
         soon = round(self.least_s / self.dt_s)
-        way = self._from_way(Rows(walks.position[:, :soon], walks.inside[:, :soon]))
+        way = self._from_way(rows.later(0, soon))
         if int((way.min(-1, initial=np.inf) < NEAR_WAY_M).sum()) < self.met:
             return False
+        if self._somebody_appears(rows) or self._is_clear(rows):
+            return False
+        walks = Walks(rows.position, rows.inside, rows.radius, self.dt_s)
         at_start = round(0.5 / self.dt_s) + 1
         start = np.array([[0.0, -self.way_m / 2]])
         free = walks.free(start, self.robot_radius_m + self.clearance_m)
@@ -212,14 +232,37 @@ class RecordedCrossing:
             return False
         return self.passage.passable(walks, self.way_m, self.robot_radius_m)
 
-    def _scene(self, rows: Rows, radius: np.ndarray, lead: int) -> Scene:
+    def _is_clear(self, rows: RecordedRows) -> bool:
+        """Whether a straight drive that looks at nobody hits nobody."""
+        if not self.blind_mps:
+            return False
+        time = self.dt_s * np.arange(rows.inside.shape[1])
+        ramp = self.blind_mps / self.passage.acceleration_mps2
+        way = np.where(
+            time < ramp,
+            0.5 * self.passage.acceleration_mps2 * time**2,
+            self.blind_mps * (time - 0.5 * ramp),
+        )
+        under_way = way < self.way_m
+        path = np.stack((np.zeros_like(way), way - self.way_m / 2), -1)
+        apart = np.linalg.norm(rows.position - path, axis=-1) - rows.radius[:, None]
+        hit = (apart < self.robot_radius_m) & rows.inside
+        return not bool(hit[:, under_way].any())
+
+    def _somebody_appears(self, rows: RecordedRows) -> bool:
+        """Whether a track begins beside the way after the start: nobody could know of it."""
+        covered = rows.later(0, round(self.cover_s / self.dt_s))
+        entered = ~covered.inside[:, :-1] & covered.inside[:, 1:]
+        return bool((self._from_way(covered)[:, 1:][entered] < self.entry_m).any())
+
+    def _scene(self, rows: RecordedRows, lead: int) -> Scene:
         """The scene of a case, padded to the largest number of agents."""
         count, steps = rows.inside.shape
         track = np.zeros((self.humans, steps, 2))
         inside = np.zeros((self.humans, steps), dtype=bool)
         track[:count], inside[:count] = rows.position, rows.inside
         sizes = np.full(self.humans, self.pedestrian_radius_m)
-        sizes[:count] = radius
+        sizes[:count] = rows.radius
         position, present = as_tensor(track[:, lead]), torch.from_numpy(inside[:, lead])[:, None]
         velocity = as_tensor(track[:, lead] - track[:, lead - 1]) / self.dt_s
         last = np.where(inside.any(-1), steps - 1 - inside[:, ::-1].argmax(-1), 0)

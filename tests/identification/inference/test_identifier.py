@@ -7,14 +7,14 @@ import pytest
 from diffstack_mmv.control import ILQR
 from diffstack_mmv.identification import (
     BilevelFit,
-    EarlyStopping,
+    HeldoutStopping,
     Identifiability,
     Identifier,
     MultipleShooting,
 )
 from tests.identification.conftest import LAZY, LIVELY, synthetic_problem
 
-PATIENT = EarlyStopping(patience=100)
+PATIENT = HeldoutStopping(patience=100)
 
 
 def identified(setup, method=None):

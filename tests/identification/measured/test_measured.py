@@ -14,7 +14,7 @@ from diffstack_mmv.identification.measured import (
     MeasuredStudy,
     MeasurementNoise,
     RideSimulator,
-    WindowSettings,
+    RideWindowSettings,
     cut_windows,
     measured_result,
     measured_tables,
@@ -24,7 +24,7 @@ from diffstack_mmv.identification.measured.synthetic import record_rides
 from diffstack_mmv.identification.measured.validation import folds_by
 from diffstack_mmv.vehicles import load_vehicle
 
-SETTINGS = WindowSettings(jump_m=9.0)
+SETTINGS = RideWindowSettings(jump_m=9.0)
 
 
 def simulator_of(spec):

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from diffstack_mmv.identification import EarlyStopping, ParameterFit
+from diffstack_mmv.identification import HeldoutStopping, ParameterFit
 from diffstack_mmv.identification.shooting.fit import HeldoutMonitor
 from diffstack_mmv.identification.shooting.tracking import TrackingSolution
 from tests.identification.conftest import LAZY, double_precision, synthetic_problem
@@ -26,7 +26,7 @@ def with_costs(blank, costs):
 
 def test_fit_ends_at_the_last_iterate_before_all_held_out_tracks_get_worse(blank):
     fits = [with_costs(blank, [cost] * 9) for cost in (3.0, 2.0, 2.5, 2.6, 2.7)]
-    monitor = HeldoutMonitor(EarlyStopping(patience=3), fits[0])
+    monitor = HeldoutMonitor(HeldoutStopping(patience=3), fits[0])
     goes_on = [monitor.observe(fit, 0.0) for fit in fits]
     assert goes_on == [True, True, True, True, False]
     assert monitor.best is fits[1]
@@ -34,6 +34,6 @@ def test_fit_ends_at_the_last_iterate_before_all_held_out_tracks_get_worse(blank
 
 def test_held_out_tracks_that_disagree_stop_nothing(blank):
     fits = [with_costs(blank, costs) for costs in ([3.0, 3.0, 3.0], [2.0, 3.5, 4.5])]
-    monitor = HeldoutMonitor(EarlyStopping(patience=1), fits[0])
+    monitor = HeldoutMonitor(HeldoutStopping(patience=1), fits[0])
     assert all(monitor.observe(fit, 0.0) for fit in fits)
     assert monitor.best is fits[1]

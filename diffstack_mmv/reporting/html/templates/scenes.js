@@ -72,8 +72,9 @@ class Player {
   draw() {
     const stage = this.box.querySelector(".stage");
     stage.replaceChildren();
+    const goals = this.scene.goals ?? (this.scene.goal ? [this.scene.goal] : []);
     const places = this.scene.lines.flatMap((line) => line.points)
-      .concat(this.scene.goal ? [this.scene.goal] : [])
+      .concat(goals)
       .concat(this.scene.bodies.filter((body) => body.role !== "agent").flatMap((body) => body.path).filter(Boolean));
     if (this.scene.series.length) places.push(...this.scene.bodies.flatMap((body) => body.path).filter(Boolean));
     const xs = range(places.map((place) => place[0])), ys = range(places.map((place) => place[1]));
@@ -85,8 +86,8 @@ class Player {
     this.grid(xs, ys, margin);
     const still = svg("g", {}, this.picture);
     for (const line of this.scene.lines) this.line(still, line, line.role === "candidate" ? 0.8 : 1.6);
-    if (this.scene.goal) {
-      svg("circle", { cx: this.scene.goal[0], cy: -this.scene.goal[1], r: 5 * this.unit, "stroke-width": this.unit, class: "goal" }, still);
+    for (const [x, y] of goals) {
+      svg("circle", { cx: x, cy: -y, r: 5 * this.unit, "stroke-width": this.unit, class: "goal" }, still);
     }
     this.moving = svg("g", { class: "moving" }, this.picture);
     this.series();
@@ -149,7 +150,7 @@ class Player {
     this.output.textContent = `${times[step].toFixed(2)} s`;
     this.moving.replaceChildren();
     for (const each of frames[step].ellipses) this.ellipse(this.moving, each);
-    for (const line of frames[step].lines) this.line(this.moving, line, 2.2);
+    for (const line of frames[step].lines) this.line(this.moving, line, line.role === "candidate" ? 0.8 : 2.2);
     for (const body of bodies) this.body(this.moving, body, step);
     for (const cursor of this.cursors) cursor.move(times[step]);
   }

@@ -1,0 +1,127 @@
+"""Driving by the model that has explained the motion best so far, e.g. the friction of the road."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from diffstack_mmv.checks import require_between, require_positive
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.planning import MPCPlanner
+from diffstack_mmv.simulation.controller import DiffMPCController, DiffMPCState
+from diffstack_mmv.simulation.policies import Decided, unbatched
+from diffstack_mmv.simulation.world import Observation
+from diffstack_mmv.types import Motion
+
+ARM_M = 0.5
+"""An error of the yaw rate counts as that of the speed of a point so far from the centre."""
+
+
+class AdaptiveState(NamedTuple):
+    """What an adaptive controller remembers, `b` episodes and `k` models."""
+
+    inner: DiffMPCState
+    before: Motion | None  # where the last decision was taken
+    error: Float[Tensor, "b k"]  # (m/s)², discounted sum of the errors of each model
+    chosen: Int[Tensor, " b"]
+
+
+class AdaptiveController:
+    """DiffMPC with several models of the vehicle; each episode drives by the one that fits it best.
+
+    After every decision each model foretells the velocity and yaw rate that its command leads to;
+    the squared errors are summed with older ones discounted. The first model is driven by until
+    another one explains the motion better by more than a tolerance.
+
+    Args:
+        controller: Decides; its own model is the first.
+        models: The other models, with the same step and controls, e.g. with less friction.
+        discount: Weight of an error one decision later.
+        tolerance_mps: A model replaces the first one if its error is smaller by the square of this.
+
+    Raises:
+        ValueError: The discount is outside of (0, 1], or the tolerance not positive.
+    """
+
+    def __init__(
+        self,
+        controller: DiffMPCController,
+        models: Sequence[DynamicsModel],
+        discount: float = 0.9,
+        tolerance_mps: float = 0.1,
+    ) -> None:
+        require_between("discount", discount, 0, 1)
+        require_positive("tolerance_mps", tolerance_mps)
+        self.models = [controller.planner.dynamics, *models]
+        self.controllers = [controller, *(_with(controller, model) for model in models)]
+        self.discount = discount
+        self.tolerance_mps = tolerance_mps
+
+    def init(self, observation: Observation) -> AdaptiveState:
+        """State at the start of episodes: the first model, and no error yet."""
+        inner = self.controllers[0].init(observation)
+        error = inner.waited.new_zeros(len(inner.plan), len(self.models))
+        chosen = torch.zeros(len(inner.plan), dtype=torch.long)
+        return AdaptiveState(inner, None, error, chosen)
+
+    def act(self, state: AdaptiveState, observation: Observation) -> Decided:
+        """Action in the units of the robot, by the chosen model of each episode."""
+        if observation.time.dim() == 0:
+            return unbatched(self, state, observation)
+        error = self._errors(state, observation)
+        first = torch.arange(len(self.models)) == 0
+        chosen = (error - self.tolerance_mps**2 * first.to(error)).argmin(-1)
+        after, action = state.inner, observation.goal.new_zeros(0)
+        for number, controller in enumerate(self.controllers):
+            keep = chosen == number
+            mine = observation.running & keep
+            if bool(mine.any()):
+                own, known = controller.act(state.inner, observation._replace(running=mine))
+                action = torch.where(keep[:, None], own, action) if len(action) else own
+                after = _joined(after, known, keep)
+        return Decided(action, AdaptiveState(after, observation.motion, error, chosen))
+
+    def _errors(self, state: AdaptiveState, observation: Observation) -> Float[Tensor, "b k"]:
+        """Discounted errors of all models after the last command."""
+        if state.before is None:
+            return state.error
+        like = self.models[0].bounds.lower
+        before = Motion(*(field.to(like) for field in state.before))
+        now = Motion(*(field.to(like) for field in observation.motion))
+        command, errors = state.inner.plan[:, 0].to(like), []
+        for model in self.models:
+            told = model.motion(model(model.initial_state(before), command), command)
+            turned = ARM_M * (told.yaw_rate - now.yaw_rate)
+            errors.append((told.velocity - now.velocity).square().sum(-1) + turned.square())
+        fresh = torch.stack(errors, -1).to(state.error)
+        return torch.where(fresh.isfinite(), self.discount * state.error + fresh, torch.inf)
+
+    def diagnosis(self, state: AdaptiveState) -> dict[str, Float[Tensor, " E"]]:
+        """Per episode: what the controller tells of itself, and the number of the last model."""
+        told = self.controllers[0].diagnosis(state.inner)
+        return told | {"model": state.chosen.float()}
+
+
+def _with(controller: DiffMPCController, model: DynamicsModel) -> DiffMPCController:
+    """The same controller with another model."""
+    old = controller.planner
+    planner = MPCPlanner(
+        model, old.cost, old.solver, old.candidates, old.steps, old.score, old.starts, old.choice,
+        old.solved_components,
+    )  # fmt: skip
+    return DiffMPCController(
+        planner, controller.forecaster, controller.cruise_mps, controller.dt_s, controller.actuate
+    )
+
+
+def _joined(state: DiffMPCState, known: DiffMPCState, keep: Tensor) -> DiffMPCState:
+    """What is known after decisions by several models."""
+    return DiffMPCState(
+        forecaster=known.forecaster,
+        plan=torch.where(keep[:, None, None], known.plan, state.plan),
+        waited=torch.where(keep, known.waited, state.waited),
+        nearest=torch.where(keep, known.nearest, state.nearest),
+        decisions=(*state.decisions, known.decisions[-1]),
+    )

@@ -1,0 +1,58 @@
+"""One table from many drives."""
+
+import json
+
+import pytest
+
+from diffstack_mmv.metrics import CLOSED_LOOP
+from diffstack_mmv.reporting import DrivenRow, joint_table, write_joint_table
+
+
+def told(outcomes):
+    """What a drive over cases with these outcomes writes."""
+    rate = outcomes.count("success") / len(outcomes)
+    cases = [
+        {"case": number, "outcome": outcome, "time_s": 3.0 + number, "steps": 10,
+         "min_clearance_m": 0.1, "discomfort_steps": number}
+        for number, outcome in enumerate(outcomes)
+    ]  # fmt: skip
+    rates = {"success_rate": rate, "collision_rate": 1 - rate, "incomplete_rate": 0.0}
+    intervals = {f"{name}_ci95": [0.1, 0.9] for name in ("success_rate", "collision_rate")}
+    return rates | intervals | {
+        "nav_time_s": 3.5, "discomfort_frequency": 0.1, "mean_episode_min_dist_m": 0.3,
+        "n": len(outcomes), "phase": "val", "first_case": 0, "footprint": "disc",
+        "real_time_factor": 12.3, "solved_share": None, "cases": cases,
+        "feasible": {"n": 1, "success_rate": 1.0, "collision_rate": 0.0},
+    }  # fmt: skip
+
+
+@pytest.fixture
+def rows(tmp_path):
+    """Two drives over the same cases, and one that has not ended."""
+    driven = {"first": ["success", "collision"], "second": ["collision", "collision"]}
+    for name, outcomes in driven.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "closed_loop.json").write_text(json.dumps(told(outcomes)))
+    against = {"second": ("first", "absent")}
+    names = (*driven, "absent")
+    return [DrivenRow("circle", name, tmp_path / name, against.get(name, ())) for name in names]
+
+
+def test_every_drive_is_a_row_and_one_under_way_has_no_numbers(rows):
+    table = joint_table(rows, CLOSED_LOOP).set_index("row")
+    assert table.loc["first", "success"] == "0.500 [0.100, 0.900]"
+    assert table.loc["first", "cases"] == "val 0–1"
+    assert table.loc["first", "feasible: n, success, collision"] == "1, 1.000, 0.000"
+    assert table.loc["first", "real-time factor"] == "12.3"
+    assert table.loc["absent", "success"] == "–"
+
+
+def test_the_files_hold_table_pairs_and_failures(rows, tmp_path):
+    write_joint_table(tmp_path / "out", "A title", rows, CLOSED_LOOP, ["remark"])
+    text = (tmp_path / "out" / "table.md").read_text()
+    assert "# A title" in text
+    assert "- remark" in text
+    assert "0 / 1" in text.split("Paired")[1]
+    assert (tmp_path / "out" / "table.tex").is_file()
+    assert len((tmp_path / "out" / "table.csv").read_text().splitlines()) == 4
+    assert len((tmp_path / "out" / "failures.csv").read_text().splitlines()) == 4

@@ -1,0 +1,58 @@
+"""The controller among people who come and go."""
+
+import torch
+
+from diffstack_mmv.simulation import (
+    BlindDriver,
+    ConstantVelocityForecaster,
+    CrossingRules,
+    DiscFootprint,
+    ExactVerdict,
+    RecordedCrossing,
+    ReplayCrowd,
+    StopAndGoDriver,
+    World,
+    controller_model,
+    drive,
+    vehicle_robot,
+)
+from diffstack_mmv.types import Outcome
+from tests.simulation.recorded.conftest import Reader, recorded
+
+TIME = 0.1 * torch.arange(251, dtype=torch.float64)
+
+
+def test_who_is_absent_is_no_obstacle_and_takes_no_room(crossing, controller_for, driven):
+    controller = controller_for()
+    world = World(vehicle_robot(driven()), ReplayCrowd(), ExactVerdict(8.0))
+    seen = world.observe(world.start(crossing(humans=20).cases("test", range(3))))
+    dynamics = controller.planner.dynamics
+    told = ConstantVelocityForecaster()(None, seen, dynamics.dt_s, controller.planner.steps)
+    obstacles = controller.problem(seen, told.forecast).obstacles
+    count = seen.seen.sum(-1)
+    assert obstacles.radius.shape[-1] == int(count.max()) < 20
+    assert torch.equal(obstacles.valid.sum(-1), count)
+    for case in range(3):
+        there = seen.pedestrian_position[case][seen.seen[case]].float()
+        now = obstacles.position[case][obstacles.valid[case]][:, 0, 0]
+        assert torch.equal(now, there)
+
+
+def test_stop_and_go_stops_for_who_walks_in_front(driven):
+    walker = recorded(torch.stack((1.2 * (TIME - 12.5), 0 * TIME), -1)[None])
+    scenario = RecordedCrossing(
+        Reader({"test": {"one": walker}}),
+        history_s=2.0,
+        met=0,
+        blind_mps=0.0,
+        crossing=CrossingRules(turn_deg=0.0),
+    )
+    scene = scenario.cases("test", [0])
+    robot = vehicle_robot(driven(), footprint=DiscFootprint())
+    world = World(robot, ReplayCrowd(), ExactVerdict(20.0))
+    model = controller_model(driven(), driven())
+    record = drive(world, scene, StopAndGoDriver(model)).record
+    blind = drive(world, scene, BlindDriver(model)).record
+    assert record.outcome.tolist() == [Outcome.SUCCESS]
+    assert float(record.clearance.min()) > 0
+    assert record.steps >= blind.steps

@@ -1,0 +1,106 @@
+"""Cases in recorded crowds: reproducible, across the flow, and passable."""
+
+import numpy as np
+import pytest
+import torch
+
+from diffstack_mmv.simulation import CrossingRules, PassageRules, RecordedCrossing
+from diffstack_mmv.simulation.recorded.crossing import rows_of
+from diffstack_mmv.simulation.recorded.passage import Walks
+from diffstack_mmv.types import map_tensors
+from tests.simulation.recorded.conftest import Reader, recorded, stream
+
+WAY_M = 14.0
+
+
+def same(first, second):
+    pairs = zip(*(torch.utils._pytree.tree_leaves(each) for each in (first, second)), strict=True)
+    return all(torch.equal(*pair) for pair in pairs)
+
+
+def test_a_number_is_always_the_same_case(crossing):
+    first = crossing().cases("test", [3, 1])
+    assert same(first, crossing().cases("test", [3, 1]))
+    assert same(map_tensors(lambda part: part[1], first), crossing().case("test", 1))
+    assert not same(first, crossing().cases("train", [3, 1]))
+    assert not same(crossing().case("test", 3), crossing().case("test", 1))
+
+
+def test_the_way_crosses_the_flow_and_starts_free(crossing):
+    scene = crossing(crossing=CrossingRules(turn_deg=0.0)).cases("test", range(6))
+    crowd = scene.pedestrians
+    assert torch.equal(scene.robot_goal, -scene.robot_position)
+    assert torch.allclose(scene.robot_goal, torch.tensor([0.0, WAY_M / 2]).double())
+    flow = crowd.track[..., 1:, :].diff(dim=-2)[crowd.inside[..., 2:]]
+    assert flow[:, 0].abs().sum() > 3 * flow[:, 1].abs().sum()
+    apart = (crowd.position - scene.robot_position[:, None]).norm(dim=-1) - crowd.radius
+    assert (apart > 0.6).all()
+    assert (crowd.radius <= 0.31).all()
+
+
+def test_people_come_near_the_way(crossing):
+    scene = crossing(met=4).cases("test", range(4))
+    crowd = scene.pedestrians
+    beyond = (crowd.track[..., 1].abs() - WAY_M / 2).clamp(min=0)
+    apart = torch.where(crowd.inside, crowd.track[..., 0].hypot(beyond), torch.inf)
+    assert ((apart[..., 8:32].amin(-1) < 2).sum(-1) >= 4).all()
+
+
+def test_rows_between_two_recorded_ones_are_between_them():
+    scene = recorded(torch.tensor([[[0.0, 0.0], [1.0, 0.0], [1.0, 2.0], [9.0, 9.0]]]).double())
+    scene.tracks.valid[0, 3] = False
+    rows = rows_of(scene, np.array([-0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.25]))
+    expected = [[0.0, 0.0], [0.5, 0.0], [1.0, 0.0], [1.0, 1.0], [1.0, 2.0]]
+    assert np.allclose(rows.position[0, 1:6], expected)
+    # nobody is there before the second known row, nor after the last one
+    assert rows.inside[0].tolist() == [False, False, True, True, False, False, False]
+
+
+def walks(*positions, rows=60):
+    place = np.tile(np.array(positions, dtype=float)[:, None], (1, rows, 1))
+    inside = np.ones(place.shape[:2], dtype=bool)
+    return Walks(place, inside, np.full(len(positions), 0.3), 0.25)
+
+
+def test_nobody_is_in_the_way_of_who_is_alone():
+    assert PassageRules().passable(walks((50.0, 50.0)), WAY_M, 0.3)
+
+
+def test_a_wall_of_people_is_not_passable_until_it_opens():
+    wall = walks(*[(x, 0.0) for x in np.arange(-8, 8, 0.5)])
+    assert not PassageRules().passable(wall, WAY_M, 0.3)
+    wall.inside[:, 30:] = False
+    assert PassageRules().passable(wall, WAY_M, 0.3)
+
+
+def test_somebody_in_the_middle_is_passed_by_a_bend():
+    standing = walks((0.0, 0.0))
+    assert PassageRules().passable(standing, WAY_M, 0.3)
+    assert not PassageRules(bulges_m=(0.0,)).passable(standing, WAY_M, 0.3)
+
+
+def test_a_straight_drive_hits_somebody(crossing):
+    scene = crossing(blind_mps=1.0).cases("test", range(3))
+    crowd, time = scene.pedestrians, 0.25 * torch.arange(33, dtype=torch.float64)
+    way = torch.where(time < 0.5, time.square(), time - 0.25)
+    robot = torch.stack((torch.zeros_like(way), way - WAY_M / 2), -1)
+    apart = (crowd.track[:, :, 8:41] - robot).norm(dim=-1) - crowd.radius[..., None]
+    hit = (apart < 0.3) & crowd.inside[:, :, 8:41]
+    assert hit.flatten(1).any(-1).all()
+
+
+def test_nobody_appears_beside_the_way(crossing):
+    crowd = crossing(entry_m=4.0).cases("test", range(4)).pedestrians
+    beyond = (crowd.track[..., 1].abs() - WAY_M / 2).clamp(min=0)
+    apart = crowd.track[..., 0].hypot(beyond)
+    entered = crowd.inside[..., 9:32] & ~crowd.inside[..., 8:31]
+    assert (apart[..., 9:32][entered] >= 4).all()
+
+
+def test_recordings_that_are_too_short_or_too_empty_are_refused():
+    short = RecordedCrossing(Reader({"test": {"one": stream(rows=60)}}), history_s=2.0)
+    with pytest.raises(ValueError, match="`least_s` must leave recordings of 8 s"):
+        short.case("test", 0)
+    still = recorded(torch.zeros(1, 200, 2).double())
+    with pytest.raises(ValueError, match="`met` must leave a passable crossing"):
+        RecordedCrossing(Reader({"test": {"one": still}})).case("test", 0)
