@@ -37,11 +37,12 @@ quickstart: install ## Sample, conversion, training, per-mode table: about five 
 	@cat $(OUT)/report/metrics.md
 	@echo "Report: $(OUT)/report/metrics.md and the plots beside it."
 
+# by file: what a file prepares for its tests is then prepared once
 test: install ## Fast tests
-	$(LIMIT) $(BIN)/python -m pytest -n $(JOBS)
+	$(LIMIT) $(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
 test-all: install ## All tests that need no GPU, slow ones included
-	$(LIMIT) $(BIN)/python -m pytest -n $(JOBS) -m "not gpu"
+	$(LIMIT) $(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "not gpu"
 
 results: install ## The paper's table; SIZE=small|full, RAW=folder with one folder of recordings per data set
 	$(BIN)/python scripts/results.py size=$(SIZE) raw=$(RAW)
