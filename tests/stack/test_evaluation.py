@@ -52,7 +52,7 @@ def test_rows_hold_every_score_and_those_of_the_baselines():
 def test_kernels_are_compiled_for_many_windows_only(compile_from, compiled, monkeypatch):
     stack, calls = stack_of(PredictedGoal()), []
     monkeypatch.setattr(stack, "compile_kernels", lambda: calls.append("compiled"))
-    evaluate_windows(stack, {}, Recorded(batch_of()), 3, compile_from)
+    evaluate_windows(stack, {}, Recorded(batch_of()), 3, compile_from=compile_from)
     assert len(calls) == compiled
 
 
