@@ -5,6 +5,9 @@
 Every row is a process of its own on one thread, end to end: loading, forward, losses, backward,
 clipping and the optimizer's step; processor time, so that a busy machine counts little. A peer is a
 checkout whose `train` configuration has the same groups (an older commit). Prints Markdown.
+
+How fast a training step is depends on how much the predictor has learned, since components that a
+loss does not see are left out of its backward pass: `--variant trained=start=CHECKPOINT`.
 """
 
 import argparse
@@ -45,7 +48,12 @@ def composed(arguments):
     with open_dict(config):
         config.pop("hydra")
     OmegaConf.resolve(config)
-    return instantiate(config.stack), instantiate(config.data.module)
+    stack, data = instantiate(config.stack), instantiate(config.data.module)
+    if config.get("start"):
+        from diffstack_mmv.stack import start_from
+
+        start_from(stack, Path(config.start))
+    return stack, data
 
 
 def training(stack, optimizer, batch):

@@ -57,7 +57,11 @@ def _require_option(group: str, name: str) -> None:
 
 @command(config_folder(), "results", check)
 def main(config: DictConfig) -> None:
-    """Convert, train and evaluate whatever is not done yet, then write table and figures."""
+    """Convert, train and evaluate whatever is not done yet, then write table and figures.
+
+    Raises:
+        ValueError: A job failed.
+    """
     from diffstack_mmv.metrics import OPEN_LOOP
     from diffstack_mmv.reporting import paper_table, prediction_table, write_paper_table
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
+from hydra.errors import HydraException
 from hydra.utils import instantiate
 from torch import Tensor
 
@@ -52,7 +53,13 @@ def load_stack(path: Path, device: torch.device | str = "cpu") -> TrainedStack:
     """
     config = read_checkpoint(path)["provenance"]["config"]
     require_buildable(config["stack"], OF_A_STACK, f"in {path}")
-    stack = instantiate(config["stack"])
+    try:
+        stack = instantiate(config["stack"])
+    except HydraException as fault:
+        cause = fault.__cause__ or fault
+        told = f"{type(cause).__name__}: {cause}".splitlines()[0]
+        wanted = "describe a stack that this version builds"
+        raise ValueError(message("checkpoint", wanted, told, f"in {path}", _REMEDY)) from fault
     found = type(stack).__name__
     requirement = "describe a stack"
     require(isinstance(stack, DiffStackMMV), "checkpoint", requirement, found, f"in {path}")

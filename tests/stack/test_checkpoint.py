@@ -84,6 +84,21 @@ def test_a_cut_or_damaged_checkpoint_is_refused(tmp_path):
             read_checkpoint(tmp_path / "cut.ckpt")
 
 
+def test_a_changed_bit_is_no_other_weight(tmp_path):
+    whole = saved(tmp_path / "a.ckpt", state_dict={"a": torch.zeros(500)}).read_bytes()
+    place = whole.index(bytes(1500)) + 700
+    changed = whole[:place] + b"\x3f" + whole[place + 1 :]
+    (tmp_path / "a.ckpt").write_bytes(changed)
+    with pytest.raises(ValueError, match="must be readable, but got a wrong checksum"):
+        read_checkpoint(tmp_path / "a.ckpt")
+
+
+def test_a_stack_that_cannot_be_built_is_told(tmp_path):
+    node = {"_target_": "diffstack_mmv.stack.assemble", "horse": 1}
+    with pytest.raises(ValueError, match="`checkpoint` must describe a stack that this version"):
+        load_stack(building(tmp_path / "a.ckpt", node))
+
+
 def test_weights_that_are_lost_are_refused(tmp_path):
     built = stack_of(PredictedGoal())
     weights = {name: torch.full_like(each, torch.nan) for name, each in built.state_dict().items()}
