@@ -1,4 +1,4 @@
-"""Recordings made by hand: people who walk to and fro along x, at many y."""
+"""Recordings made by hand: people who walk back and forth along x, at many y."""
 
 from dataclasses import dataclass
 
