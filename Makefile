@@ -8,13 +8,14 @@ DATA   ?= imptc
 SIZE   ?= small
 RAW    ?= data
 JOBS   ?= 2
+TABLE  ?= crowdnav
 PEERS  ?= $(BIN)/python
 RESULTS := benchmarks/results
 REFERENCE := ../shared/reference/mpc
 DOCS   := .venv-docs
 LIMIT  := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help install quickstart test test-all results docs bench throughput profile lint lock faults audit sbom clean
+.PHONY: help install quickstart test test-all results tables docs bench throughput profile lint lock faults audit sbom clean
 help:            ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
 
@@ -36,14 +37,18 @@ quickstart: install ## Sample, conversion, training, per-mode table: about five 
 	@cat $(OUT)/report/metrics.md
 	@echo "Report: $(OUT)/report/metrics.md and the plots beside it."
 
+# by file: what a file prepares for its tests is then prepared once
 test: install ## Fast tests
-	$(LIMIT) $(BIN)/python -m pytest -n $(JOBS)
+	$(LIMIT) $(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
 test-all: install ## All tests that need no GPU, slow ones included
-	$(LIMIT) $(BIN)/python -m pytest -n $(JOBS) -m "not gpu"
+	$(LIMIT) $(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "not gpu"
 
 results: install ## The paper's table; SIZE=small|full, RAW=folder with one folder of recordings per data set
 	$(BIN)/python scripts/results.py size=$(SIZE) raw=$(RAW)
+
+tables: install  ## A table of closed-loop drives; TABLE=crowdnav|paper|ablation|published|dense|robustness, JOBS=processes
+	$(BIN)/python scripts/closed_loop_table.py table=$(TABLE) launcher.processes=$(JOBS)
 
 $(DOCS)/.installed: requirements-docs.lock
 	test -x $(DOCS)/bin/python || $(PYTHON) -m venv $(DOCS)

@@ -151,19 +151,20 @@ class MultiAgentDataset(RecordingDataset):
         first, last = times.min().dropna(), times.max().dropna()
         if len(first) == 0 or last.max() - first.min() <= self.limits.span_s:
             return table
-        kept = on_one_clock(first.to_dict(), last.to_dict(), self.limits.span_s)
-        for name in first.index.difference(sorted(kept)):
-            source = str(table.loc[table["agent"] == name, "source"].iloc[0])
+        begin, end = ({str(n): float(t) for n, t in each.items()} for each in (first, last))
+        kept = on_one_clock(begin, end, self.limits.span_s)
+        for name in sorted(begin.keys() - kept):
+            source = str(table["source"][table["agent"] == name].iloc[0])
             needs = f"be within {self.limits.span_s:g} s of the other agents"
-            found = f"{first[name]:g} to {last[name]:g} s"
+            found = f"{begin[name]:g} to {end[name]:g} s"
             remedy = "Correct the clock, or raise `span_s`."
             try:
                 where = f"{source}, agent {name}"
                 refuse_track(RejectReason.TIME_SPAN, "time_s", needs, found, where, remedy)
             except TrackError as error:
-                raw.reject(str(name), source, error, strict=strict)
-        unclocked = ~table["agent"].isin(first.index)
-        return table[table["agent"].isin(kept) | unclocked]
+                raw.reject(name, source, error, strict=strict)
+        # without a clock an agent is refused by itself
+        return table[~table["agent"].isin(begin.keys() - kept)]
 
     @cached_property
     def _index(self) -> dict[str, Recording]:

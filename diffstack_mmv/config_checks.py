@@ -12,6 +12,7 @@ from typing import Any
 from dmmv_conventions.cache import read_state
 from dmmv_conventions.checks import message, require, require_multiple
 from dmmv_conventions.modes import Mode
+from dmmv_conventions.pretrained import PRETRAINED, checkpoint_path
 
 
 def require_complete(content: Any) -> None:
@@ -122,9 +123,10 @@ def require_checkpoint(argument: str, file: str | None) -> None:
     Raises:
         ValueError: There is no such checkpoint.
     """
-    remedy = "Give the path of a checkpoint that scripts/train.py wrote."
-    require_file(argument, file, remedy)
-    whole = file is not None and zipfile.is_zipfile(file)
+    remedy = f"Give the path of a checkpoint that scripts/train.py wrote, or {PRETRAINED}."
+    path = None if file is None else str(checkpoint_path(file))
+    require_file(argument, path, remedy)
+    whole = path is not None and zipfile.is_zipfile(path)
     require(whole, argument, "be readable", "no archive", f"in {file}", remedy)
 
 

@@ -27,7 +27,11 @@ class _Loader(yaml.SafeLoader):
     }
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """A mapping in which no key stands twice."""
+        """A mapping in which no key stands twice.
+
+        Raises:
+            yaml.constructor.ConstructorError: One does.
+        """
         keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
         twice = next((key for index, key in enumerate(keys) if key in keys[:index]), None)
         if twice is not None:

@@ -37,7 +37,11 @@ def check(config: DictConfig) -> None:
 
 @command(config_folder(), "closed_loop_table", check)
 def main(config: DictConfig) -> None:
-    """Drive whatever has not been driven yet, then write the table."""
+    """Drive whatever has not been driven yet, then write the table.
+
+    Raises:
+        ValueError: A drive failed.
+    """
     from diffstack_mmv.metrics import CLOSED_LOOP
     from diffstack_mmv.reporting import write_joint_table
 

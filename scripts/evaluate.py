@@ -17,6 +17,7 @@ from diffstack_mmv.config_checks import (
 )
 from dmmv_conventions.checks import message, require_one_of
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.versions import code_version, file_hash
 
 if TYPE_CHECKING:
@@ -60,7 +61,8 @@ def main(config: DictConfig) -> None:
 
     for name in config.situations:
         require_one_of("situations", name, Situations._fields)
-    stack, trained = load_stack(Path(config.checkpoint), _device(config.device))
+    path = checkpoint_path(config.checkpoint)
+    stack, trained = load_stack(path, _device(config.device))
     require_same_horizon(config, trained)
     if config.modes is None:
         config.modes = config.data.module.windows.ego_modes = trained["modes"]
@@ -97,7 +99,7 @@ def main(config: DictConfig) -> None:
         "smoother": data.source.smoother(),
         "calibrated_on": config.calibration.split,
         "checkpoint": str(config.checkpoint),
-        "checkpoint_sha256": file_hash(Path(config.checkpoint)),
+        "checkpoint_sha256": file_hash(path),
         "data_sha256": windows.digest(),
         "code": code_version(),
     }

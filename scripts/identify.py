@@ -27,7 +27,11 @@ def check(config: DictConfig) -> None:
 
 @command(config_folder(), "identify", check)
 def main(config: DictConfig) -> None:
-    """Identify the model, and write the calibrated vehicle, its table and its figures."""
+    """Identify the model, and write the calibrated vehicle, its table and its figures.
+
+    Raises:
+        ValueError: The tracks do not inform the problem.
+    """
     if config.controls == MEASURED:
         identify_measured(config)
         return

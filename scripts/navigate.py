@@ -13,6 +13,7 @@ from diffstack_mmv.cli import command
 from diffstack_mmv.config_checks import require_checkpoint
 from dmmv_conventions.checks import require_at_least
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.versions import code_version, file_hash
 
 logger = logging.getLogger(__name__)
@@ -54,7 +55,7 @@ def main(config: DictConfig) -> None:
     numbers, out = range(config.first_case, config.first_case + config.cases), Path(config.out)
 
     learned = config.people_checkpoint
-    weights = {"people_checkpoint": file_hash(Path(learned)) if learned else None}
+    weights = {"people_checkpoint": file_hash(checkpoint_path(learned)) if learned else None}
 
     def driven(name: str, controller: DictConfig) -> list[Chunk]:
         settings = OmegaConf.to_yaml(OmegaConf.create([controller, config.world, weights]))

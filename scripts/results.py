@@ -57,13 +57,18 @@ def _require_option(group: str, name: str) -> None:
 
 @command(config_folder(), "results", check)
 def main(config: DictConfig) -> None:
-    """Convert, train and evaluate whatever is not done yet, then write table and figures."""
-    from diffstack_mmv.metrics import OPEN_LOOP
-    from diffstack_mmv.reporting import paper_table, write_paper_table
+    """Convert, train and evaluate whatever is not done yet, then write table and figures.
 
-    out = Path(config.out)
-    available = {name for name, told in config.sets.items() if _is_there(told.root)}
-    absent = [f"{name}: no recordings in {config.sets[name].root}." for name in config.sets
+    Raises:
+        ValueError: A job failed.
+    """
+    from diffstack_mmv.metrics import OPEN_LOOP
+    from diffstack_mmv.reporting import paper_table, prediction_table, write_paper_table
+
+    out, models = Path(config.out), _models(config)
+    wanted = {str(name): told for name, told in config.sets.items() if told is not None}
+    available = {name for name, told in wanted.items() if _is_there(told.root)}
+    absent = [f"{name}: no recordings in {told.root}." for name, told in wanted.items()
               if name not in available]  # fmt: skip
     runs = list(_runs(config, out))
     converted = [_conversion(config, name, out) for name in sorted(available)]
@@ -75,15 +80,24 @@ def main(config: DictConfig) -> None:
     failed = [*_work(launcher, converted), *_work(launcher, trained)]
     remarks = [*absent, *(f"{job.name} failed: see {job.log}." for job in failed)]
     shown = [run for run in runs if run.data in available]
-    table = paper_table(shown, config.models, OPEN_LOOP, config.resamples)
+    if config.plans:
+        table = paper_table(shown, models, OPEN_LOOP, config.resamples)
+    else:
+        table = prediction_table(shown, models)
     write_paper_table(out, table, remarks)
-    for data, mode, goal in dict.fromkeys((run.data, run.mode, run.goal) for run in shown):
+    drawn = shown if config.plans else []
+    for data, mode, goal in dict.fromkeys((run.data, run.mode, run.goal) for run in drawn):
         side = [run for run in shown if (run.data, run.mode, run.goal) == (data, mode, goal)]
         _draw(config, [run for run in side if run.seed == config.size.seeds[0]], out)
     logger.info("\n%s", (out / "results.md").read_text(encoding="utf-8"))
     if failed:
         raise ValueError(f"{len(failed)} of {len(converted) + len(trained)} jobs failed. " +
                          "Read their logs, then give the same command again.")  # fmt: skip
+
+
+def _models(config: DictConfig) -> dict[str, str]:
+    """Models in the table; those set to null are left out."""
+    return {str(name): title for name, title in config.models.items() if title is not None}
 
 
 def _is_there(root: str | None) -> bool:
@@ -94,8 +108,11 @@ def _is_there(root: str | None) -> bool:
 def _runs(config: DictConfig, out: Path) -> Iterator[Run]:
     from diffstack_mmv.reporting import Run
 
+    goals = config.size.goals if config.plans else config.size.goals[:1]
     for name, told in config.sets.items():
-        places = product(told.modes, config.models, config.size.goals, config.size.seeds)
+        if told is None:
+            continue
+        places = product(told.modes, _models(config), goals, config.size.seeds)
         for mode, model, goal, seed in places:
             folder = out / "runs" / name / mode / model / goal / str(seed)
             yield Run(str(name), mode, model, goal, seed, folder / "report")
@@ -112,7 +129,10 @@ def _conversion(config: DictConfig, name: str, out: Path) -> Job:
         root = out / "data" / name / "recordings"
         commands.append(_script("generate_sample", f"out={root}", "seed=0"))
     data = f"data={told.data}", f"data.root={root}", f"data.cache={cache}"
-    commands.append(_script("convert", *data, f"out={out / 'data' / name / 'conversion'}"))
+    settings = *told.get("settings", []), *config.conversion
+    commands.append(
+        _script("convert", *data, *settings, f"out={out / 'data' / name / 'conversion'}")
+    )
     result = cache / "conversion_report.json"
     log = out / "logs" / f"{name}.convert.log"
     return Job(f"convert {name}", "conversion", tuple(commands), result, log)
@@ -121,7 +141,9 @@ def _conversion(config: DictConfig, name: str, out: Path) -> Job:
 def _training(config: DictConfig, run: Run, out: Path) -> Job:
     told, folder = config.sets[run.data], run.report.parent
     data = f"data={told.data}", f"data.cache={out / 'data' / run.data / 'cache'}"
-    settings = [f"epochs={config.size.epochs}", *config.size.overrides, *config.overrides]
+    windows = *told.get("settings", []), *config.windows
+    small = config.size.overrides if config.plans else []
+    settings = [f"epochs={config.size.epochs}", *small, *windows, *config.overrides]
     train = _script(
         "train",
         *data,
@@ -135,7 +157,7 @@ def _training(config: DictConfig, run: Run, out: Path) -> Job:
     )
     best = folder / "checkpoints" / "best.ckpt"
     asked = f"checkpoint={best}", f"modes=[{run.mode}]", f"out={run.report}"
-    evaluate = _script("evaluate", *data, *asked)
+    evaluate = _script("evaluate", *data, *asked, *windows, f"plans={str(config.plans).lower()}")
     name = "/".join(map(str, run[:-1]))
     log = out / "logs" / f"{name.replace('/', '.')}.log"
     return Job(name, run.model, (train, evaluate), run.report / "metrics.json", log)

@@ -15,6 +15,7 @@ from diffstack_mmv.config_checks import (
     require_windows,
 )
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.pretrained import checkpoint_path
 
 
 def check(config: DictConfig) -> None:
@@ -57,7 +58,7 @@ def main(config: DictConfig) -> float | None:
     resume = resumed(config)
     stack, data = instantiate(config.stack), instantiate(config.data.module)
     if config.start is not None and resume is None:
-        start_from(stack, Path(config.start))
+        start_from(stack, checkpoint_path(config.start))
     callbacks = [instantiate(each) for each in config.callbacks.values() if each is not None]
     loggers = [instantiate(each) for each in config.logger.values() if each is not None]
     trainer = instantiate(

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 import torch
+import yaml
 from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
@@ -93,7 +94,12 @@ def test_predictor_and_planner_share_one_dynamics_model():
     "experiment", sorted(path.stem for path in (CONFIGS / "experiment").glob("*.yaml"))
 )
 def test_experiments_only_override(experiment):
-    assert composed("train", f"experiment={experiment}").epochs > 0
+    """Each is for training, or for the tables of many trainings."""
+    content = yaml.safe_load((CONFIGS / "experiment" / f"{experiment}.yaml").read_text())
+    if "sets" in content:
+        assert set(composed("results", f"experiment={experiment}", "raw=recordings").sets)
+    else:
+        assert composed("train", f"experiment={experiment}").epochs > 0
 
 
 def test_horizon_that_is_no_multiple_of_the_step_is_refused():
@@ -119,6 +125,9 @@ USED = [
     ("navigate", "footprint", "world"),
     ("navigate", "people", "controller"),
     ("navigate", "scenario", "scenario"),
+    ("navigate", "sensing", "world"),
+    ("closed_loop_table", "launcher", "launcher"),
+    ("closed_loop_table", "table", "launcher"),
     ("results", "launcher", "launcher"),
     ("results", "size", "launcher"),
     ("simulate", "dynamics", "dynamics"),

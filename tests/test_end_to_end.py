@@ -14,10 +14,22 @@ import torch
 from omegaconf import OmegaConf
 
 from data_converters import generate_sample
+from diffstack_mmv.data import ConvertedCache, RecordedScenes
+from diffstack_mmv.simulation import (
+    ExactVerdict,
+    HolonomicRobot,
+    OrcaPolicy,
+    RecordedCrossing,
+    ReplayCrowd,
+    World,
+    drive,
+)
 from diffstack_mmv.types import Mode
 from tests.data.conftest import ToyAgent, write_cache
 
 ROOT = Path(__file__).resolve().parents[1]
+# how riders act is given: finding it takes most of the time of an identification
+RIDER = ("tracking.jerk_mps3=2.0", "tracking.curvature_rate=0.4", "starts=1")
 # small enough for seconds: everything is there, nothing is trained to any purpose
 SMALL = (
     "modes=[bicycle,scooter,motorcycle]",
@@ -123,7 +135,9 @@ def test_identification_calibrates_a_vehicle_that_other_commands_accept(
     succeed, workplace, tmp_path
 ):
     options = ["dynamics=kbm", "tracks=3", "heldout=2", "stretch.max_s=4.0", "others.unicycle=null"]
-    succeed("identify", *data_of(workplace), *options, "profile=[wheelbase]", f"out={tmp_path}")
+    succeed(
+        "identify", *data_of(workplace), *options, *RIDER, "profile=[wheelbase]", f"out={tmp_path}"
+    )
     result = json.loads((tmp_path / "identification.json").read_text())
     assert result["tracks"] == 3
     assert {"loss_before", "loss_after", "heldout_before", "heldout_after"} <= set(result)
@@ -162,7 +176,7 @@ def test_recorded_controls_tell_the_wheelbase(succeed, circles, tmp_path):
         "heldout=2",
         "controls={acceleration: 0.1, steer: 0.002}",
     ]
-    succeed("identify", *circles, *options, f"out={tmp_path / 'out'}")
+    succeed("identify", *circles, *options, *RIDER, f"out={tmp_path / 'out'}")
     result = json.loads((tmp_path / "out" / "identification.json").read_text())
     wheelbase = result["parameters"]["wheelbase"]
     assert wheelbase["estimate"] == pytest.approx(1.1, rel=0.01)
@@ -213,6 +227,7 @@ def test_resumed_run_ends_where_an_uninterrupted_one_does(workplace, tmp_path):
         ("compare", ["runs=[]"], "`runs` must name at least one folder"),
         ("identify", ["vehicle=skateboard"], "`mode` must have tracks"),
         ("identify", ["dynamics=kbm", "parameters=[grip]"], "must be one of wheelbase, but got"),
+        ("identify", ["dynamics=kbm", "profile=[grip]"], "`profile` must be one of wheelbase"),
         ("identify", ["stretch.min_s=90", "stretch.max_s=90"], "`tracks` must hold a segment"),
     ],
 )
@@ -291,3 +306,12 @@ def test_two_processes_score_as_one(workplace, tmp_path):
         for name in ("one", "two")
     )
     pd.testing.assert_series_equal(one, two, check_names=False, rtol=1e-5)
+
+
+def test_a_vehicle_can_cross_the_people_of_the_sample(workplace):
+    scenes = RecordedScenes(ConvertedCache("imptc", str(workplace / "cache")))
+    world = World(HolonomicRobot(), ReplayCrowd(), ExactVerdict(4.0))
+    scenario = RecordedCrossing(scenes, history_s=2.0, limit_s=4.0, met=1, blind_mps=0.0)
+    record = drive(world, scenario.cases("train", [0, 1]), OrcaPolicy()).record
+    assert record.pedestrians.isfinite().any()
+    assert (record.steps > 0).all()

@@ -8,16 +8,26 @@ from collections import Counter
 
 from benchmarks.faults import (
     archives,
+    caches,
     checkpoints,
     configuration,
+    crowds,
     interruptions,
     json_files,
+    logs,
+    own_tables,
+    replays,
+    results_files,
+    scales,
     solving,
     tables,
 )  # fmt: skip
 from benchmarks.faults.trial import Result, Told, Trial, attempt
 
-SOURCES = (interruptions, tables, json_files, archives, checkpoints, solving, configuration)
+SOURCES = (
+    interruptions, tables, json_files, crowds, scales, own_tables, logs, archives, caches,
+    checkpoints, replays, results_files, solving, configuration,
+)  # fmt: skip
 NEVER = (Result.LOST, Result.SILENT, Result.TRACEBACK)
 
 

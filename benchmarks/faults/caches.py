@@ -23,8 +23,11 @@ from diffstack_mmv.data import (
     read_tracks,
 )
 from diffstack_mmv.data.export import Export, export_windows
-from diffstack_mmv.identification.measured import cut_windows, measured_rides
-from diffstack_mmv.identification.measured.rides import WindowSettings as RideSettings
+from diffstack_mmv.identification.measured import (
+    RideWindowSettings,
+    cut_windows,
+    measured_rides,
+)
 from tests.data_converters.synthetic import autobike_log
 
 NAME, PLACE = "autobike", (("train", "val", "test"), "bicycle")
@@ -94,7 +97,7 @@ def read_rides(folder: Path) -> Result:
         read_leans(source, *PLACE),
         read_interpolated(source, *PLACE),
     )
-    cut_windows(rides, RideSettings())
+    cut_windows(rides, RideWindowSettings())
     return Result.SILENT
 
 

@@ -66,8 +66,8 @@ WRONG: dict[str, tuple[str, ...]] = {
         "nowhere", "page=.",
     ),
     "results": (
-        "size=horse", "launcher=horse", "size.seeds=[]", "size.goals=[horse]", "models={}", "models={car: x}",
-        "sets.sample.modes={horse: bicycle}", "sets.sample.modes={bicycle: horse}", "sets.sample.data=horse", "sets={}",
+        "size=horse", "launcher=horse", "size.seeds=[]", "size.goals=[horse]", "models={car: x}",
+        "sets.sample.modes={horse: bicycle}", "sets.sample.modes={bicycle: horse}", "sets.sample.data=horse",
         "raw=nowhere sets={thab: {data: thab_vru, root: nowhere, modes: {bicycle: bicycle}}}", "resamples=0", "size.epochs=0",
         "overrides=7", "launcher.processes=0", "launcher._target_=os.system",
     ),

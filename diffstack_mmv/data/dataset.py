@@ -113,7 +113,11 @@ class ExportedWindows(WindowDataset):
 
     @cached_property
     def samples(self) -> pd.DataFrame:
-        """One row per sample: dataset, scene, agent, row, mode and the situations."""
+        """One row per sample: dataset, scene, agent, row, mode and the situations.
+
+        Raises:
+            ValueError: The file is damaged, or of another export.
+        """
         path = self.folder / SAMPLES
         try:
             table = pd.read_parquet(path)

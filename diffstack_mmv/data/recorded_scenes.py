@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -70,7 +71,8 @@ def _read(folder: Path) -> RecordedScene:
     valid = np.zeros(rows.shape[:2], dtype=bool)
     rows[number, table["scene_ts"]] = table[COLUMNS].to_numpy("float64")
     valid[number, table["scene_ts"]] = True
-    sizes = [(agent.extent.length, agent.extent.width) for agent in scene.agents or ()]
+    boxes: list[Any] = [agent.extent for agent in scene.agents or ()]
+    sizes = [(box.length, box.width) for box in boxes]
     state = torch.from_numpy(rows)
     velocity, heading = state[..., 2:4], state[..., 4]
     moving = velocity.norm(dim=-1) >= STANDSTILL_MPS

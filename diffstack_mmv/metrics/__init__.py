@@ -78,7 +78,11 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """`MeanByMode`, at its first use: torchmetrics takes as long to import as torch itself."""
+    """`MeanByMode`, at its first use: torchmetrics takes as long to import as torch itself.
+
+    Raises:
+        AttributeError: Another name is asked for.
+    """
     if name != "MeanByMode":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     with needs("stack", "diffstack_mmv.metrics.MeanByMode"):

@@ -1,4 +1,4 @@
-"""Predictors that learn nothing: the lines that a learned one is held against."""
+"""Predictors that learn nothing: what a learned one is compared with."""
 
 from abc import abstractmethod
 from dataclasses import dataclass

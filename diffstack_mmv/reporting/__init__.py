@@ -28,6 +28,7 @@ with needs("stack", "diffstack_mmv.reporting"):
     from diffstack_mmv.reporting.metrics_table import summarise_modes, write_metrics
     from diffstack_mmv.reporting.paired import paired_cases, paired_table, paired_with_run
     from diffstack_mmv.reporting.paper_table import Run, paper_table, write_paper_table
+    from diffstack_mmv.reporting.prediction_table import prediction_table
     from diffstack_mmv.reporting.scores import ScoreHeading, Scores
 
 __all__ = [
@@ -45,6 +46,7 @@ __all__ = [
     "paired_tests",
     "paired_with_run",
     "paper_table",
+    "prediction_table",
     "read_json",
     "read_parquet",
     "read_runs",

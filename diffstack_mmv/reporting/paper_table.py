@@ -20,7 +20,7 @@ SHOWN = (
     "solved",
 )
 TRIVIAL = ("ade", "plan_ade")
-"""Scores that a trivial path is held against: it is prediction and plan at once."""
+"""Scores that a trivial path is compared by: it is prediction and plan at once."""
 LEVEL = 95.0
 
 
@@ -38,7 +38,7 @@ class Run(NamedTuple):
 def paper_table(
     runs: Sequence[Run], models: Mapping[str, str], scores: Scores, resamples: int = 1000
 ) -> pd.DataFrame:
-    """One row per data set, goal, mode and model; the first model is what others are held against.
+    """One row per data set, goal, mode and model; the others are compared with the first model.
 
     A cell is `mean [low, high] (± deviation over seeds, difference in %)`: the interval holds 95 %
     of the means over recordings drawn with replacement, since windows of one recording resemble

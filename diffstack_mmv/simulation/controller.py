@@ -17,7 +17,7 @@ from diffstack_mmv.planning import (
     straight_reference,
 )
 from diffstack_mmv.simulation.delay import DelayCompensation
-from diffstack_mmv.simulation.forecasters import PedestrianForecaster
+from diffstack_mmv.simulation.forecasters import PedestrianForecast, PedestrianForecaster
 from diffstack_mmv.simulation.policies import Decided, unbatched
 from diffstack_mmv.simulation.thoughts import Thought, joined, thought
 from diffstack_mmv.simulation.world import Observation
@@ -135,7 +135,7 @@ class DiffMPCController:
         action = controls[:, 0] if self.actuate is None else self.actuate(controls[:, 0])
         state = state._replace(
             plan=controls.detach(),
-            decisions=(*state.decisions, _decision(plan, told.forecast, rows)),
+            decisions=(*state.decisions, _decision(plan, _of_present(observation, told), rows)),
         )
         return Decided(action, state)
 
@@ -218,6 +218,13 @@ def _present_first(seen: Observation, forecast: Forecast) -> _People:
         return torch.take_along_dim(entry, index, dim)
 
     return map_tensors(chosen, everybody)
+
+
+def _of_present(seen: Observation, told: PedestrianForecast) -> Forecast:
+    """A forecast to look at: NaN for those who are absent."""
+    mean = told.forecast.mean
+    present = seen.seen[..., None, None, None]
+    return told.forecast._replace(mean=torch.where(present, mean, torch.full_like(mean, torch.nan)))
 
 
 def _decision(plan: Plan, forecast: Forecast, rows: Int[Tensor, " r"]) -> Decision:

@@ -211,7 +211,11 @@ class CircleCrossing(Scenario):
     def _place(
         self, placed: _Placed, random: np.random.RandomState
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Draw an angle and a displacement until the place is free."""
+        """Draw an angle and a displacement until the place is free.
+
+        Raises:
+            ValueError: None is found.
+        """
         for _ in range(MAX_TRIES):
             angle = random.random_sample() * np.pi * 2
             shift_x = (random.random_sample() - 0.5) * self.pedestrian_speed_mps
@@ -256,7 +260,11 @@ class SquareCrossing(Scenario):
     def _free_place(
         self, others: np.ndarray, side: int, random: np.random.RandomState
     ) -> np.ndarray:
-        """Draw a free place in m in the half with this sign of x."""
+        """Draw a free place in m in the half with this sign of x.
+
+        Raises:
+            ValueError: None is found.
+        """
         width = self.square_width_m
         for _ in range(MAX_TRIES):
             x = random.random_sample() * width * 0.5 * side

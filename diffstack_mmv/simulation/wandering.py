@@ -1,5 +1,6 @@
 """Crowds whose members walk on to new goals, as those of DS-RNN and CrowdNav++ do."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +48,7 @@ class WanderingCrossing(Scenario):
     radius_max_m: float = 0.3
     speed_min_mps: float = 1.0
     speed_max_mps: float = 1.0
-    shift_m: tuple[float, float] = (-0.5, 0.5)
+    shift_m: Sequence[float] = (-0.5, 0.5)
     change_every_s: float = 5.0
     change_chance: float = 0.0
 
@@ -108,10 +109,11 @@ class WanderingCrossing(Scenario):
     ) -> np.ndarray:
         """A start in m that keeps clear of everybody placed so far and of the robot's goal."""
         others, reach = np.array(places), np.array(sizes) + radius + self.clearance_m
+        least, most = self.shift_m
         for _ in range(MAX_TRIES):
             angle = random.uniform(0, 2 * np.pi)
             start = self.circle_radius_m * np.array((np.cos(angle), np.sin(angle)))
-            start = start + random.uniform(*self.shift_m, 2)
+            start = start + random.uniform(least, most, 2)
             if (np.linalg.norm(others - start, axis=1) >= reach).all():
                 return start
         raise ValueError(self._too_crowded(len(places) - 1))

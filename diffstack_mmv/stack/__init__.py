@@ -10,6 +10,7 @@ with needs("stack", "diffstack_mmv.stack"):
         load_weights,
         read_checkpoint,
         start_from,
+        write_lean,
     )
     from diffstack_mmv.stack.evaluation import (
         Baseline,
@@ -54,4 +55,5 @@ __all__ = [
     "representative",
     "scene_records",
     "start_from",
+    "write_lean",
 ]

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
+from hydra.errors import HydraException
 from hydra.utils import instantiate
 from torch import Tensor
 
@@ -13,10 +14,23 @@ from diffstack_mmv.checks import message, require
 from diffstack_mmv.prediction import Predictor
 from diffstack_mmv.stack.module import DiffStackMMV
 from dmmv_conventions.checkpoints import read_plain
+from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.targets import OF_A_STACK, require_buildable
 
 _logger = logging.getLogger(__name__)
 
+BUILT_FROM = (
+    "stack",
+    "vehicle",
+    "modes",
+    "names",
+    "seed",
+    "dt_s",
+    "history_s",
+    "horizon_s",
+    "horizon_steps",
+)
+"""Parts of the configuration of a training that a lean checkpoint keeps."""
 _REMEDY = "Give the path of a checkpoint that scripts/train.py wrote."
 
 
@@ -39,7 +53,13 @@ def load_stack(path: Path, device: torch.device | str = "cpu") -> TrainedStack:
     """
     config = read_checkpoint(path)["provenance"]["config"]
     require_buildable(config["stack"], OF_A_STACK, f"in {path}")
-    stack = instantiate(config["stack"])
+    try:
+        stack = instantiate(config["stack"])
+    except HydraException as fault:
+        cause = fault.__cause__ or fault
+        told = f"{type(cause).__name__}: {cause}".splitlines()[0]
+        wanted = "describe a stack that this version builds"
+        raise ValueError(message("checkpoint", wanted, told, f"in {path}", _REMEDY)) from fault
     found = type(stack).__name__
     requirement = "describe a stack"
     require(isinstance(stack, DiffStackMMV), "checkpoint", requirement, found, f"in {path}")
@@ -48,14 +68,14 @@ def load_stack(path: Path, device: torch.device | str = "cpu") -> TrainedStack:
 
 
 def load_predictor(path: Path | str | None) -> Predictor:
-    """Return the predictor of a trained stack, in evaluation mode.
+    """Return the predictor of a trained stack, or of a shipped one, in evaluation mode.
 
     Raises:
         ValueError: No path is given, or there is no usable checkpoint, see `load_stack`.
     """
     if path is None:
         raise ValueError(message("checkpoint", "be given for the predictor", path, "", _REMEDY))
-    return load_stack(Path(path)).stack.predictor
+    return load_stack(checkpoint_path(path)).stack.predictor
 
 
 def load_weights(stack: DiffStackMMV, path: Path) -> None:
@@ -125,6 +145,27 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     found = "none" if config is None else "another"
     require(plain, "checkpoint", "hold its configuration and weights", found, f"in {path}", _REMEDY)
     return content
+
+
+def write_lean(source: Path, target: Path) -> None:
+    """Write a checkpoint with nothing but its weights and what tells how to build the stack.
+
+    The state of the optimizer, of schedules and callbacks is left out, and so are paths of the
+    machine it was trained on. Such a file can be evaluated and started from, not continued.
+
+    Args:
+        source: A checkpoint that scripts/train.py wrote.
+        target: The file to write.
+
+    Raises:
+        ValueError: The source is missing, broken, or of another program.
+    """
+    content = read_checkpoint(source)
+    provenance = content["provenance"]
+    kept = {name: provenance["config"][name] for name in BUILT_FROM}
+    lean = {"state_dict": content["state_dict"], "provenance": provenance | {"config": kept}}
+    target.parent.mkdir(parents=True, exist_ok=True)
+    torch.save(lean, target)
 
 
 def _within(content: Any, key: str) -> Any:

@@ -169,6 +169,8 @@ def fields_from_config(mapping: Mapping[str, Any]) -> dict[str, Any]:
     """
     where = f"for vehicle '{mapping.get('name', '?')}'" if isinstance(mapping, Mapping) else ""
     _require_keys(mapping, _REQUIRED, _OPTIONAL, "", where)
+    for key in ("name", "mode"):
+        require(isinstance(mapping[key], str | int), key, "be text", repr(mapping[key]), where)
     for group in ("wheels", "parameters"):
         require(
             isinstance(mapping[group], Mapping),

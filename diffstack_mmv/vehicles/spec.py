@@ -86,8 +86,6 @@ class VehicleSpec:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        named = isinstance(self.name, str) and bool(self.name)
-        require(named, "name", "be text", self.name, "of a vehicle", "Give it a name.")
         where = f"for vehicle '{self.name}'"
         require_positive("mass_kg", self.mass_kg, where, "Give the mass with the rider.")
         require_positive("height_m", self.height_m, where)

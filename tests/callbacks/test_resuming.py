@@ -169,6 +169,8 @@ KILLS = {
     "while best is written": {"prepare": in_a_write(3, 0.5)},
     "between best and last": {"prepare": in_a_write(4, 0.0)},
     "before the first last": {"prepare": in_a_write(2, 0.9)},
+    "while last of an epoch that improved nothing is written": {"prepare": in_a_write(5, 0.5)},
+    "in the epoch that stops": {"extra": [Killed("on_train_batch_end", 3, 0)]},
 }
 
 

@@ -21,6 +21,7 @@ TERMS = [
     costs.OutlineClearance(),
     costs.TurningCircleBarrier(),
     costs.SpeedLimit(),
+    costs.Reversing(),
     costs.GoalOutsideTurn(),
 ]
 each_term = pytest.mark.parametrize("term", TERMS, ids=lambda term: type(term).__name__)

@@ -5,7 +5,7 @@ import torch
 
 from diffstack_mmv import costs
 from diffstack_mmv.control import ILQR, ilqr
-from diffstack_mmv.dynamics import DiffKBM
+from diffstack_mmv.dynamics import DiffKBM, ExtendedUnicycle
 from diffstack_mmv.planning import (
     CandidateFan,
     CheapestSafe,
@@ -221,3 +221,27 @@ def test_the_optimum_is_the_best_of_several_starts():
     best = plan.solution.cost.argmin(-1)
     expected = plan.solution.controls[torch.arange(4), best]
     assert torch.equal(plan.controls, expected)
+
+
+@pytest.mark.parametrize("priced", [True, False])
+def test_a_unicycle_at_rest_does_not_back_up_to_a_goal_behind_it(priced):
+    terms = {"goal": costs.FinalGoal(), "effort": costs.ControlEffort()}
+    weights = {"goal": 1.0, "effort": 0.1}
+    if priced:
+        terms, weights = terms | {"back": costs.Reversing()}, weights | {"back": 10.0}
+    model = ExtendedUnicycle(load_vehicle("bicycle"))
+    planner = MPCPlanner(model, costs.WeightedCost(terms, weights), ILQR(), CandidateFan(), 20)
+    zero, origin = torch.zeros(1), torch.zeros(1, 2)
+    rest = Motion(origin, zero, origin, zero)
+    ego = Ego(rest, Heading.COURSE, Discs(torch.zeros(1, 1), torch.full((1, 1), 0.3)))
+    goal = torch.tensor([[-0.8, 0.0]])
+    nobody = Obstacles(
+        torch.zeros(1, 0, 1, 21, 2),
+        torch.zeros(1, 0, 1),
+        torch.zeros(1, 0),
+        torch.zeros(1, 0, dtype=torch.bool),
+    )
+    reference = straight_reference(rest, goal, 20, 1.0)
+    plan = planner(build_problem(ego, goal, reference, nobody))
+    slowest = plan.motion.velocity[..., 0].min()
+    assert slowest > -0.1 if priced else slowest < -0.3

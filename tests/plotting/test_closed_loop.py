@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from matplotlib.patches import Polygon
+from matplotlib.patches import Circle, Polygon
 
 from diffstack_mmv.plotting import draw_episode, episode_of, save_stories
 from diffstack_mmv.types import EpisodeRecord, Motion, Outcome
@@ -27,6 +27,14 @@ def record():
 
 def test_an_episode_is_cut_at_its_end(record):
     assert episode_of(record, 1, 7, 0.3).record.pedestrians.shape == (3, 3, 2)
+
+
+def test_who_is_absent_is_not_drawn(record):
+    record.pedestrians[0, :2, 1] = torch.nan
+    (axes,) = draw_episode(episode_of(record, 0, 4, 0.3)).axes
+    assert torch.tensor(axes.get_xlim()).isfinite().all()
+    circles = [patch for patch in axes.patches if isinstance(patch, Circle)]
+    assert all(torch.tensor(circle.center).isfinite().all() for circle in circles)
 
 
 def test_failures_are_shown_first(record, tmp_path):

@@ -66,7 +66,9 @@ def test_bad_input_ends_with_one_clear_message(refusal, arguments, message, tmp_
     assert message in refusal("navigate", *QUICK, "cases=20", *arguments, f"out={tmp_path}")
 
 
-@pytest.mark.parametrize("crowd", ["replay", "replay_reactive"])
+@pytest.mark.parametrize(
+    "crowd", ["replay", pytest.param("replay_reactive", marks=pytest.mark.slow)]
+)
 def test_a_recorded_crowd_is_crossed(navigate, tmp_path, crowd):
     walkers = [
         ToyAgent(

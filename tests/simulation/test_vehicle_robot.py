@@ -11,6 +11,7 @@ from diffstack_mmv.vehicles import load_vehicle
 
 SCENE = CircleCrossing().cases("test", range(3))
 SPEC = load_vehicle("bicycle")
+SLOW, OTHERS = pytest.mark.slow, ("scooter", "tricycle")
 
 
 def command(acceleration, steer):
@@ -37,7 +38,9 @@ def test_a_step_is_the_rollout_of_its_fine_steps():
     assert torch.allclose(robot.step(start, action, 0.25).state.model, expected[:, -1])
 
 
-@pytest.mark.parametrize("vehicle", ["bicycle", "scooter", "wheelchair", "tricycle"])
+@pytest.mark.parametrize(
+    "vehicle", ["bicycle", "wheelchair", *(pytest.param(v, marks=SLOW) for v in OTHERS)]
+)
 def test_ten_milliseconds_are_fine_enough_for_the_true_motion(vehicle):
     actions = [command(2.0, 0.2), command(1.0, -0.3), command(-3.0, 0.0)]
     ends = [

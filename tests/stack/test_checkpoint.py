@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from diffstack_mmv.planning import PredictedGoal
-from diffstack_mmv.stack import load_stack, load_weights, read_checkpoint
+from diffstack_mmv.stack import load_stack, load_weights, read_checkpoint, write_lean
+from dmmv_conventions.pretrained import FOLDER, checkpoint_path
 from tests.stack.test_module import stack_of
 
 
@@ -83,9 +84,57 @@ def test_a_cut_or_damaged_checkpoint_is_refused(tmp_path):
             read_checkpoint(tmp_path / "cut.ckpt")
 
 
+def test_a_changed_bit_is_no_other_weight(tmp_path):
+    whole = saved(tmp_path / "a.ckpt", state_dict={"a": torch.zeros(500)}).read_bytes()
+    place = whole.index(bytes(1500)) + 700
+    changed = whole[:place] + b"\x3f" + whole[place + 1 :]
+    (tmp_path / "a.ckpt").write_bytes(changed)
+    with pytest.raises(ValueError, match="must be readable, but got a wrong checksum"):
+        read_checkpoint(tmp_path / "a.ckpt")
+
+
+def test_a_stack_that_cannot_be_built_is_told(tmp_path):
+    node = {"_target_": "diffstack_mmv.stack.assemble", "horse": 1}
+    with pytest.raises(ValueError, match="`checkpoint` must describe a stack that this version"):
+        load_stack(building(tmp_path / "a.ckpt", node))
+
+
 def test_weights_that_are_lost_are_refused(tmp_path):
     built = stack_of(PredictedGoal())
     weights = {name: torch.full_like(each, torch.nan) for name, each in built.state_dict().items()}
     path = saved(tmp_path / "a.ckpt", state_dict=weights)
     with pytest.raises(ValueError, match="`checkpoint` must hold no NaN"):
         load_weights(built, path)
+
+
+@pytest.mark.parametrize("name", ["unicycle", "kbm", "gm3"])
+def test_a_shipped_checkpoint_is_small_lean_and_loads(name):
+    path = checkpoint_path(f"pretrained/{name}")
+    assert path.stat().st_size < 5e6
+    content = read_checkpoint(path)
+    assert set(content) == {"state_dict", "provenance"}
+    assert "/" not in str(content["provenance"]["config"]["names"])
+    stack, config = load_stack(path)
+    assert config["names"]["dynamics"] == name
+    assert not stack.training
+
+
+def test_the_default_of_the_shipped_is_diffkbm_and_others_are_told(tmp_path, monkeypatch):
+    assert checkpoint_path("pretrained") == FOLDER / "kbm.ckpt"
+    assert checkpoint_path("runs/last.ckpt").name == "last.ckpt"
+    with pytest.raises(ValueError, match="`checkpoint` must be one of gm3, kbm, unicycle"):
+        checkpoint_path("pretrained/tank")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "pretrained").mkdir()
+    assert str(checkpoint_path("pretrained")) == "pretrained"
+
+
+def test_a_lean_checkpoint_keeps_weights_and_what_it_is_built_from(tmp_path):
+    whole = read_checkpoint(checkpoint_path("pretrained"))
+    config = whole["provenance"]["config"] | {"out": "somewhere", "data": {"cache": "there"}}
+    state = {"provenance": whole["provenance"] | {"config": config}, "optimizer_states": [1]}
+    torch.save(whole | state, tmp_path / "whole.ckpt")
+    write_lean(tmp_path / "whole.ckpt", tmp_path / "lean.ckpt")
+    lean = read_checkpoint(tmp_path / "lean.ckpt")
+    assert lean["provenance"]["config"] == whole["provenance"]["config"]
+    assert "optimizer_states" not in lean

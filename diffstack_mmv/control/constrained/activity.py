@@ -12,22 +12,22 @@ from diffstack_mmv.control.constrained.constraint import ConstraintRows
 class Activity(NamedTuple):
     """What each row does: nothing, hold, give way in proportion, or press with a constant force."""
 
-    held: Bool[Tensor, "*b T1 K"]  # the multiplier is an unknown
+    active: Bool[Tensor, "*b T1 K"]  # the multiplier is an unknown
     saturated: Bool[Tensor, "*b T1 K"]  # the multiplier is its linear price
-    compliance: Float[Tensor, "*b T1 K"]  # 1 / price where a held row gives way, else 0
+    compliance: Float[Tensor, "*b T1 K"]  # 1 / price where an active row gives way, else 0
     side: Float[Tensor, "*b T1 K"]  # sign of the violation of a row that gives way or is saturated
     offset: Float[Tensor, "*b T1 K"]  # multiplier at which it began to
 
     def multipliers(self, found: Float[Tensor, "*b T1 K"]) -> Float[Tensor, "*b T1 K"]:
-        """Those found for the held rows, and what the others press with."""
-        return torch.where(self.held, found, torch.where(self.saturated, self.offset, 0.0))
+        """Those found for the active rows, and what the others press with."""
+        return torch.where(self.active, found, torch.where(self.saturated, self.offset, 0.0))
 
     def residual(
         self, values: Float[Tensor, "*b T1 K"], multipliers: Float[Tensor, "*b T1 K"]
     ) -> Float[Tensor, "*b T1 K"]:
-        """What has to vanish on a held row: g less the slack of its multiplier."""
+        """What has to vanish on an active row: g less the slack of its multiplier."""
         yielded = self.compliance * (multipliers - self.offset)
-        return torch.where(self.held, values - yielded, torch.zeros_like(values))
+        return torch.where(self.active, values - yielded, torch.zeros_like(values))
 
 
 def classify(raw: Float[Tensor, "*b T1 K"], rows: ConstraintRows) -> Activity:

@@ -199,11 +199,11 @@ def _solve_some(
     free = (low < high).repeat(N, P // len(low))
     diagonal = condensed.hessian.diagonal(dim1=1, dim2=2).abs()
     diagonal = torch.maximum(diagonal, 1e-3 * diagonal.mean(1, keepdim=True))
-    held = torch.ones_like(wanted, dtype=torch.bool) & (H.abs().amax(-1) > 0)
+    active = torch.ones_like(wanted, dtype=torch.bool) & (H.abs().amax(-1) > 0)
     whole = condensed._replace(hessian=hessian, jacobian=H)
-    shift = _lifting(whole, diagonal, free, held, shift)
+    shift = _lifting(whole, diagonal, free, active, shift)
     whole = whole._replace(hessian=hessian + torch.diag_embed(shift.unsqueeze(1) * diagonal))
-    system = assemble(whole, free, held, torch.zeros_like(wanted))
+    system = assemble(whole, free, active, torch.zeros_like(wanted))
     du, dy = system.solve(right, wanted)
     dx = (G @ du[:, None, :, None]).squeeze(-1) + offset
     moved = (J @ du.unsqueeze(-1)).view(drift.shape) + drift
@@ -211,14 +211,14 @@ def _solve_some(
 
 
 def _lifting(
-    condensed: Condensed, diagonal: Tensor, free: Tensor, held: Tensor, shift: Tensor
+    condensed: Condensed, diagonal: Tensor, free: Tensor, active: Tensor, shift: Tensor
 ) -> Tensor:
     """A multiple of the diagonal, from the given one on, with which the Hessian is convex."""
     shift, bad = shift.clone(), torch.arange(len(shift), device=shift.device)
     for _ in range(SHIFTS):
         part = Condensed(*(matrix[bad] for matrix in condensed))
         lift = torch.diag_embed(shift[bad].unsqueeze(1) * diagonal[bad])
-        part, rows = part._replace(hessian=part.hessian + lift), held[bad]
+        part, rows = part._replace(hessian=part.hessian + lift), active[bad]
         bad = bad[~is_convex(part, free[bad], rows, torch.zeros_like(rows, dtype=shift.dtype))]
         if len(bad) == 0:
             break

@@ -7,7 +7,7 @@ are held there. What is left is one symmetric system per problem,
     [ M  J' ] [δu]
     [ J  -D ] [δν]
 
-over the free controls and the rows that are held; D is 1 / price where a row may give way. Problems
+over the free controls and the active rows; D is 1 / price where a row may give way. Problems
 differ in both numbers: the system is padded with rows of the identity to the size of the largest.
 """
 
@@ -88,13 +88,13 @@ class System(NamedTuple):
     pivots: Int[Tensor, "N S"]
     scale: Float[Tensor, "N S"]
     free: Bool[Tensor, "N P"]
-    index: Int[Tensor, "N H"]  # rows that are held, filled up with others
-    held: Bool[Tensor, "N H"]
+    index: Int[Tensor, "N H"]  # active rows, filled up with others
+    active: Bool[Tensor, "N H"]
 
     def solve(
         self, of_u: Float[Tensor, "N P"], of_rows: Float[Tensor, "N R"]
     ) -> tuple[Float[Tensor, "N P"], Float[Tensor, "N R"]]:
-        """δu and δν for a right-hand side; zero for held controls and rows that are not held.
+        """δu and δν for a right-hand side; zero for controls on a bound and inactive rows.
 
         The shift of the factorised matrix decides between the multipliers of rows that depend on
         one another; refinement takes its effect away from all else.
@@ -103,7 +103,7 @@ class System(NamedTuple):
         wanted = torch.cat(
             [
                 torch.where(self.free, of_u, torch.zeros_like(of_u)),
-                torch.where(self.held, chosen, torch.zeros_like(chosen)),
+                torch.where(self.active, chosen, torch.zeros_like(chosen)),
             ],
             1,
         )
@@ -124,13 +124,13 @@ class _Scaled(NamedTuple):
     D: Float[Tensor, "N H"]
     scale: Float[Tensor, "N S"]
     index: Int[Tensor, "N H"]
-    held: Bool[Tensor, "N H"]
+    active: Bool[Tensor, "N H"]
 
 
-def _scaled(condensed: Condensed, free: Tensor, held: Tensor, compliance: Tensor) -> _Scaled:
-    most = int(held.sum(1).amax()) if held.numel() else 0
-    index = held.to(torch.uint8).argsort(dim=1, descending=True, stable=True)[:, :most]
-    chosen = held.gather(1, index)
+def _scaled(condensed: Condensed, free: Tensor, active: Tensor, compliance: Tensor) -> _Scaled:
+    most = int(active.sum(1).amax()) if active.numel() else 0
+    index = active.to(torch.uint8).argsort(dim=1, descending=True, stable=True)[:, :most]
+    chosen = active.gather(1, index)
     rows = condensed.jacobian.gather(1, index.unsqueeze(-1).expand(-1, -1, free.shape[1]))
     M, J = _held_out(condensed.hessian, rows, free, chosen)
     scale_u = _inverse_root(M.diagonal(dim1=1, dim2=2).abs())
@@ -145,11 +145,11 @@ def _scaled(condensed: Condensed, free: Tensor, held: Tensor, compliance: Tensor
 def assemble(
     condensed: Condensed,
     free: Bool[Tensor, "N P"],
-    held: Bool[Tensor, "N R"],
+    active: Bool[Tensor, "N R"],
     compliance: Float[Tensor, "N R"],
 ) -> System:
-    """Factorise the system of the free controls and the held rows; `compliance` is D."""
-    M, J, D, scale, index, chosen = _scaled(condensed, free, held, compliance)
+    """Factorise the system of the free controls and the active rows; `compliance` is D."""
+    M, J, D, scale, index, chosen = _scaled(condensed, free, active, compliance)
     top, bottom = torch.cat([M, J.mT], 2), torch.cat([J, -torch.diag_embed(D)], 2)
     matrix = torch.cat([top, bottom], 1).nan_to_num(0.0, 0.0, 0.0)
     shift = torch.zeros_like(scale)
@@ -161,21 +161,21 @@ def assemble(
 def is_convex(
     condensed: Condensed,
     free: Bool[Tensor, "N P"],
-    held: Bool[Tensor, "N R"],
+    active: Bool[Tensor, "N R"],
     compliance: Float[Tensor, "N R"],
 ) -> Bool[Tensor, " N"]:
-    """Where M is positive definite along the held rows: with a high price on leaving them."""
-    M, J, D, *_ = _scaled(condensed, free, held, compliance)
+    """Where M is positive definite along the active rows: with a high price on leaving them."""
+    M, J, D, *_ = _scaled(condensed, free, active, compliance)
     M = M + J.mT @ (J / (D + torch.finfo(M.dtype).eps ** 0.375).unsqueeze(-1))
     finite = M.isfinite().flatten(1).all(1)
     return finite & (torch.linalg.cholesky_ex(M.nan_to_num(0.0, 0.0, 0.0))[1] == 0)
 
 
-def _held_out(M: Tensor, J: Tensor, free: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
-    """The matrices with held controls and idle rows cut out, ones on the diagonal instead."""
+def _held_out(M: Tensor, J: Tensor, free: Tensor, active: Tensor) -> tuple[Tensor, Tensor]:
+    """The matrices with controls on a bound and idle rows cut out, ones on the diagonal instead."""
     both = free.unsqueeze(1) & free.unsqueeze(2)
     M = torch.where(both, M, torch.diag_embed((~free).to(M.dtype)))
-    return M, torch.where(held.unsqueeze(2) & free.unsqueeze(1), J, torch.zeros_like(J))
+    return M, torch.where(active.unsqueeze(2) & free.unsqueeze(1), J, torch.zeros_like(J))
 
 
 def _inverse_root(size: Tensor) -> Tensor:

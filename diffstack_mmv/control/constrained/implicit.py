@@ -1,7 +1,7 @@
-"""Derivatives of a constrained solution by the implicit function theorem, the active set held.
+"""Derivatives of a constrained solution by the implicit function theorem, the active set fixed.
 
 As in `diffstack_mmv.control.implicit`, with two kinds of equations more in the residual: the rows
-of constraints that are held, g(x, u) less the slack of their multiplier, and the active bounds,
+of active constraints, g(x, u) less the slack of their multiplier, and the active bounds,
 u - bound. The KKT matrix is symmetric, so that the backward pass is one linear-quadratic problem
 with homogeneous constraints. A row that is weakly active, without a multiplier that counts, is
 treated as inactive: the derivative is that of the side on which it does not act.
@@ -89,13 +89,13 @@ def _adjoint(
     activity = Activity(*(part[index] for part in point.activity))
     condensed = condense(local)
     N, _, _, P = condensed.sensitivity.shape
-    held = _pressing(point, index, activity, condensed, local).flatten(1)
-    system = assemble(condensed, free, held, activity.compliance.flatten(1))
+    active = _pressing(point, index, activity, condensed, local).flatten(1)
+    system = assemble(condensed, free, active, activity.compliance.flatten(1))
     G = condensed.sensitivity[:, 1:].reshape(N, -1, P)
     of_u = grad_u.flatten(1) + (G * grad_x.reshape(N, -1, 1)).sum(1)
-    grad_v = torch.where(held, grad_v.flatten(1), 0.0)
+    grad_v = torch.where(active, grad_v.flatten(1), 0.0)
     du, dv = system.solve(-of_u, -grad_v)
-    w_u, w_v = du.view_as(grad_u), dv.view(N, *activity.held.shape[1:])
+    w_u, w_v = du.view_as(grad_u), dv.view(N, *activity.active.shape[1:])
     w_x = (G @ du.unsqueeze(-1)).view_as(grad_x)
     whole = torch.cat([torch.zeros_like(w_x[:, :1]), w_x], 1)
     curved = _apply(local.xx, whole) + _apply(local.values_x.mT, w_v)
@@ -120,7 +120,7 @@ def _pressing(
     multipliers = point.multipliers[index]
     saved = multipliers.abs() * leverage.view_as(multipliers)
     weak = saved <= WEAK * local.magnitude.sqrt()[:, None, None]
-    return activity.held & ~(weak & ~point.signed & (activity.side == 0))
+    return activity.active & ~(weak & ~point.signed & (activity.side == 0))
 
 
 def attach(problem: Problem, point: KktPoint) -> AttachedRows | None:
@@ -145,7 +145,7 @@ def attach(problem: Problem, point: KktPoint) -> AttachedRows | None:
     if not any(part.requires_grad for part in (*residual, each)):
         return None
     x, u, rows = (problem.unflat(part) for part in _ImplicitRows.apply(*residual, point))
-    multipliers = torch.where(terms.activity.held, rows, terms.multipliers)
+    multipliers = torch.where(terms.activity.active, rows, terms.multipliers)
     return AttachedRows(attached(state, x, u, each, valid), multipliers)
 
 
@@ -192,5 +192,5 @@ class _Terms:
             + torch.where(self.valid, pressed, 0.0).sum((-2, -1))
         )
         yielded = self.compliance * (self.multipliers - self.offset)
-        rows = torch.where(self.activity.held & self.valid, values - yielded, 0.0)
+        rows = torch.where(self.activity.active & self.valid, values - yielded, 0.0)
         return each.sum(), (each, following, rows)

@@ -119,8 +119,8 @@ def free_controls(
     """Which controls no bound holds: one holds that is reached, with pressure on it."""
     lower, upper = (bound.detach().to(u) for bound in problem.bounds)
     u = u.reshape(gradient.shape)
-    held = ((u <= lower) & (gradient > 0)) | ((u >= upper) & (gradient < 0)) | (lower == upper)
-    return ~held.flatten(1)
+    active = ((u <= lower) & (gradient > 0)) | ((u >= upper) & (gradient < 0)) | (lower == upper)
+    return ~active.flatten(1)
 
 
 def _reached_bound(problem: Problem, u: Tensor, gradient: Tensor, weight: Tensor) -> Tensor:
@@ -145,7 +145,7 @@ def newton_step(
     N, P = len(local.B), u.shape[-2] * u.shape[-1]
     flat = u.reshape(N, P)
     residual = activity.residual(values, multipliers).reshape(N, -1)
-    held, compliance = activity.held.reshape(N, -1), activity.compliance.reshape(N, -1)
+    active, compliance = activity.active.reshape(N, -1), activity.compliance.reshape(N, -1)
     du, dv = local.B.new_zeros(N, P), torch.zeros_like(residual)
     size, convex = local.B.new_zeros(N), torch.zeros(N, dtype=torch.bool, device=u.device)
     for index in chunks(which.reshape(N)):
@@ -154,7 +154,7 @@ def newton_step(
         gradient = local.gradient[index].flatten(1)
         goal = _reached_bound(problem, flat[index], gradient, weight)
         fixed = torch.where(goal.isnan(), 0.0, goal - flat[index])
-        kept = goal.isnan(), held[index], compliance[index]
+        kept = goal.isnan(), active[index], compliance[index]
         system = assemble(condensed, *kept)
         pull = (condensed.hessian @ fixed.unsqueeze(-1)).squeeze(-1)
         along = (condensed.jacobian @ fixed.unsqueeze(-1)).squeeze(-1)

@@ -31,7 +31,7 @@ class ConstrainedILQR:
 
     Where the solution of `solver` touches no constraint, it is the answer. All other problems go
     through a primal-dual interior-point method with free states (multiple shooting) from the given
-    guess, and then through Newton's method on the optimality conditions with the active set held,
+    guess, and then through Newton's method on the optimality conditions with the active set fixed,
     which leaves violations of the order of the rounding. Problems that do not come through are
     solved once more with all constraints at a high price (elastic): that gives a solution, or a
     violation that no step lowers, `SolverStatus.INFEASIBLE`. Finished problems are frozen, and left
@@ -43,7 +43,7 @@ class ConstrainedILQR:
 
     The solution, its multipliers and its cost are differentiable, exactly, in the initial state,
     the bounds and every tensor that the callables and prices depend on, the active constraints
-    held (see `implicit`). A weakly active inequality, reached but without a multiplier, is treated
+    fixed (see `implicit`). A weakly active inequality, reached but without a multiplier, is treated
     as inactive. A problem that did not converge contributes a gradient of exactly zero.
 
     Args:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from diffstack_mmv.checks import require, require_at_least
+from diffstack_mmv.checks import require, require_at_least, require_one_of
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.identification.inference.assumptions import TrackingAssumptions
 from diffstack_mmv.identification.inference.comparison import (
@@ -19,6 +19,7 @@ from diffstack_mmv.identification.inference.profile_likelihood import (
     ProfileLikelihood,
     profile_likelihoods,
 )
+from diffstack_mmv.identification.shooting.parameters import ParameterVector
 from diffstack_mmv.identification.shooting.settings import TrackingSettings
 from diffstack_mmv.identification.tracks.cutting import Recordings, SegmentSettings, cut_tracks
 from diffstack_mmv.identification.tracks.selection import ExcitationSelection, SegmentSelection
@@ -113,7 +114,7 @@ class IdentificationStudy:
                 hold enough segments, or a name of a parameter is unknown.
         """
         (name, build), *others = models.items()
-        self._require_controls(build())
+        self._require_names(build())
         segments = cut_tracks(recordings, self.segments)
         split = split_segments(segments, self.selection, self.tracks, self.heldout, self.seed)
         settings = self.assumptions.settings(recordings, self.spec, split.fitted, self.dt_s)
@@ -129,11 +130,14 @@ class IdentificationStudy:
         profiles = profile_likelihoods(problem.simulator, problem.data, found, method, self.profile)
         return StudyResult(results, split, settings, profiles)
 
-    def _require_controls(self, model: DynamicsModel) -> None:
-        """Refuse recorded controls that are not those of the model."""
+    def _require_names(self, model: DynamicsModel) -> None:
+        """Refuse controls and parameters that the model does not have, before the work begins."""
         own, known = model.Control._fields, tuple(self.assumptions.controls or ())
         expected = f"name {', '.join(own)} in this order"
         require(not known or own == known, "controls", expected, ", ".join(known))
+        learned = ParameterVector(model, self.spec, self.parameters).names
+        for each in self.profile:
+            require_one_of("profile", each, learned)
 
     def _comparable(self, model: DynamicsModel) -> bool:
         """Whether the recorded controls, if there are any, are those of a model."""

@@ -213,8 +213,8 @@ class _Problem:
     def within(self, point: RideUnknowns) -> RideUnknowns:
         """Keep θ where the soft clamp has a slope."""
         theta = point.shared[:-ANTENNA]
-        held = self.parameters.theta_for(self.parameters.values(theta))
-        return point._replace(shared=torch.cat([held, point.shared[-ANTENNA:]]))
+        kept = self.parameters.theta_for(self.parameters.values(theta))
+        return point._replace(shared=torch.cat([kept, point.shared[-ANTENNA:]]))
 
     def shared_prior(self, shared: Tensor) -> tuple[Tensor, Tensor]:
         """Gradient and information of the prior of the shared unknowns."""

@@ -9,7 +9,7 @@ from torch import Generator, Tensor
 from diffstack_mmv.checks import require, require_positive
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.dynamics.manoeuvres import Braking, Slalom, Turn
-from diffstack_mmv.dynamics.open_loop import Run, drive
+from diffstack_mmv.dynamics.open_loop import OpenLoopRun, drive
 from diffstack_mmv.identification.tracks.segments import TrackSegment
 from diffstack_mmv.vehicles import VehicleSpec
 
@@ -59,7 +59,7 @@ class MeasurementModel:
             require_positive("controls", deviation)
 
     def record(
-        self, name: str, model: DynamicsModel, run: Run, generator: Generator
+        self, name: str, model: DynamicsModel, run: OpenLoopRun, generator: Generator
     ) -> TrackSegment:
         """Record a run; course and speed, of which only the initial guess is made, are exact.
 

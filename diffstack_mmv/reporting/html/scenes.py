@@ -104,7 +104,7 @@ def driven_scene(
     robot = np.concatenate([place, heading[:, None]], 1)
     people = arrays["pedestrians"][row, :end]
     bodies = [{"name": "robot", "role": "plan", "path": plain(robot, 3), "shape": _shape(around)}]
-    for number in range(people.shape[1]):
+    for number in np.flatnonzero(np.isfinite(people).any((0, 2))):
         path = np.concatenate([people[:, number], np.full((end, 1), np.nan)], 1)
         walked = {"name": f"pedestrian {number + 1}", "role": "agent", "path": plain(path, 3)}
         bodies.append(walked | {"shape": {"radius": around.radius_m}})

@@ -87,12 +87,12 @@ class Crowd(Protocol):
     """A pedestrian model: all pedestrians of all episodes choose their next velocity at once."""
 
     def __call__(
-        self,
-        crowd: Any,  # `CrowdState`, or the state of a recorded crowd: what its scenario starts with
-        dt_s: float,
-        robot: VisibleRobot | None = None,
+        self, crowd: Any, dt_s: float, robot: VisibleRobot | None = None
     ) -> Float[Tensor, "*b h 2"]:
-        """Velocities in m/s that hold for the next `dt_s`, from the present state of everybody."""
+        """Velocities in m/s that hold for the next `dt_s`, from the present state of everybody.
+
+        The state is the one that the scenario begins with, a `CrowdState` or one with a recording.
+        """
         ...
 
 

@@ -114,9 +114,19 @@ class RecordedCrossing:
         require_multiple("limit_s", self.limit_s, self.dt_s, "for the step `dt_s`")
 
     @property
+    def goal_m(self) -> tuple[float, float]:
+        """Goal of the vehicle."""
+        return (0.0, self.way_m / 2)
+
+    @property
     def circle_radius_m(self) -> float:
         """Half of the way, as the scenarios of the benchmark call it."""
         return self.way_m / 2
+
+    @property
+    def goal_m(self) -> tuple[float, float]:
+        """The goal of the robot in m, the same in all cases."""
+        return (0.0, self.way_m / 2)
 
     @property
     def pedestrian_radius_m(self) -> float:

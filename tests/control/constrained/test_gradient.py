@@ -1,4 +1,4 @@
-"""Gradients of constrained solutions are those of the solutions, the active constraints held."""
+"""Gradients of constrained solutions are those of the solutions, the active constraints fixed."""
 
 import pytest
 import torch

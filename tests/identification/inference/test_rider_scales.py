@@ -23,7 +23,9 @@ def rides(jerk, curvature_rate, noise_m, count=8, steps=50, dt_s=0.1):
     return rides
 
 
-@pytest.mark.parametrize(("jerk", "curvature_rate"), [(1.0, 0.1), (2.0, 0.04)])
+@pytest.mark.parametrize(
+    ("jerk", "curvature_rate"), [(1.0, 0.1), pytest.param(2.0, 0.04, marks=pytest.mark.slow)]
+)
 def test_scales_of_a_known_rider_are_found_from_elsewhere(bicycle, jerk, curvature_rate):
     settings = TrackingSettings(0.03, 0.03)
     found = estimate_rider_scales(settings, bicycle, rides(jerk, curvature_rate, 0.03), 0.1)

@@ -67,7 +67,7 @@ def builders(*names):
 def finished():
     with double_precision():
         whole = study(profile=["wheelbase"])
-        return whole, whole(recordings(), builders("kbm", "gm3", "unicycle"))
+        return whole, whole(recordings(), builders("kbm", "kbm_smooth", "unicycle"))
 
 
 def test_wheelbase_is_found_from_recorded_controls(finished):
@@ -77,12 +77,13 @@ def test_wheelbase_is_found_from_recorded_controls(finished):
 
 
 def test_only_models_with_the_recorded_controls_are_compared(finished):
-    assert list(finished[1].models) == ["kbm", "gm3"]
+    assert list(finished[1].models) == ["kbm", "kbm_smooth"]
 
 
 def test_result_tells_all_models_and_assumptions(finished):
     content = identification_result(finished[0], recordings(), finished[1])
-    assert set(content["models"]) == set(content["validation"]["models"]) == {"kbm", "gm3"}
+    names = {"kbm", "kbm_smooth"}
+    assert set(content["models"]) == set(content["validation"]["models"]) == names
     assert content["assumed"]["control_noise"] == (0.1, 0.002)
     assert set(content["profiles"]) == {"wheelbase"}
     assert (content["tracks"], content["heldout_tracks"]) == (3, 1)

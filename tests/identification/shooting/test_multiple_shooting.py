@@ -12,7 +12,7 @@ from diffstack_mmv.identification import (
 )
 from diffstack_mmv.identification.shooting.fit import total_cost
 from diffstack_mmv.identification.shooting.tracking import infer_controls_with_gaps
-from tests.identification.conftest import LIVELY, synthetic_problem
+from tests.identification.conftest import LIVELY, double_precision, synthetic_problem
 
 LONG_TURN = (Turn(7.0, -0.9, 10.0, 0.5, 2.5),)
 
@@ -26,15 +26,21 @@ def fitted(setup, method=None):
     return Identifier(method or MultipleShooting(), starts=0)(setup.simulator, setup.data).after
 
 
-@pytest.mark.parametrize("steps", [1, 4, 1000])
-def test_every_cut_has_the_optimum_of_single_shooting(steps):
+@pytest.fixture(scope="module")
+def single_shooting():
+    """Optimum without cuts, and its cost."""
+    with double_precision():
+        whole = synthetic_problem("kbm", {"wheelbase": 1.15}, segment_steps=None)
+        found = fitted(whole)
+        return found.theta, total_cost(whole.simulator, found)
+
+
+@pytest.mark.parametrize("steps", [1, 4, pytest.param(1000, marks=pytest.mark.slow)])
+def test_every_cut_has_the_optimum_of_single_shooting(single_shooting, steps):
     cut = synthetic_problem("kbm", {"wheelbase": 1.15}, segment_steps=steps)
-    whole = synthetic_problem("kbm", {"wheelbase": 1.15}, segment_steps=None)
-    one, two = fitted(cut), fitted(whole)
-    torch.testing.assert_close(one.theta, two.theta, rtol=1e-4, atol=1e-5)
-    assert total_cost(cut.simulator, one) == pytest.approx(
-        total_cost(whole.simulator, two), rel=1e-6
-    )
+    found = fitted(cut)
+    torch.testing.assert_close(found.theta, single_shooting[0], rtol=1e-4, atol=1e-5)
+    assert total_cost(cut.simulator, found) == pytest.approx(single_shooting[1], rel=1e-6)
 
 
 def test_one_segment_has_no_node_and_no_gap():

@@ -1,0 +1,69 @@
+"""The table of a benchmark of predictions: ADE / FDE per data set and on average."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from diffstack_mmv.reporting.files import read_json
+from diffstack_mmv.reporting.paper_table import Run
+
+METHODS: Mapping[str, tuple[str, str]] = {
+    "one path": ("ade", "fde"),
+    "best of 20 paths": ("best_of_20_ade", "best_of_20_fde"),
+}
+"""Rows of each model: what they are called, and the scores in them."""
+MEAN = "mean"
+
+
+def prediction_table(runs: Sequence[Run], models: Mapping[str, str]) -> pd.DataFrame:
+    """One row per method, one column `ADE / FDE` in m per data set, and their mean.
+
+    Several seeds are averaged. A data set in which a run is missing has a dash; so has the mean.
+
+    Args:
+        runs: Evaluated runs; those that have not ended are told by dashes.
+        models: Name of the dynamics -> title, in order.
+    """
+    names = list(dict.fromkeys(run.data for run in runs))
+    rows: dict[str, dict[str, np.ndarray]] = {}
+    for run in runs:
+        told = read_json(run.report / "metrics.json") if _ended(run) else None
+        for method, value in _values(run, told, models).items():
+            known = rows.setdefault(method, {}).get(run.data)
+            both = value[None] if known is None else np.concatenate([known, value[None]])
+            rows[method][run.data] = both
+    table = []
+    for method, per_set in rows.items():
+        row: dict[str, Any] = {"method": method}
+        means = {name: per_set[name].mean(0) for name in names if name in per_set}
+        row |= {name: _pair(means.get(name, np.full(2, np.nan))) for name in names}
+        complete = len(means) == len(names)
+        row[MEAN] = _pair(np.mean(list(means.values()), 0) if complete else np.full(2, np.nan))
+        table.append(row)
+    return pd.DataFrame(table)
+
+
+def _ended(run: Run) -> bool:
+    return (run.report / "metrics.json").is_file()
+
+
+def _values(run: Run, told: Any, models: Mapping[str, str]) -> dict[str, np.ndarray]:
+    """ADE and FDE of each method of a run, NaN for one that has not ended."""
+    titles = {method: f"{models[run.model]}, {method}" for method in METHODS}
+    if told is None:
+        return dict.fromkeys(titles.values(), np.full(2, np.nan))
+    own = told["modes"][run.mode]
+    values = {
+        titles[method]: np.array([own[name] for name in names], np.float64)
+        for method, names in METHODS.items()
+    }
+    for name, per_mode in told["baselines"].items():
+        trivial = [per_mode[run.mode][score] for score in ("ade", "fde")]
+        values[name.replace("_", " ")] = np.array(trivial, np.float64)
+    return values
+
+
+def _pair(values: np.ndarray) -> str:
+    return "-" if np.isnan(values).any() else " / ".join(f"{value:.2f}" for value in values)

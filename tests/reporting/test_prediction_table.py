@@ -1,0 +1,39 @@
+"""The table of predictions: data sets side by side, seeds averaged, gaps told."""
+
+import pytest
+
+from diffstack_mmv.metrics import PREDICTED
+from diffstack_mmv.reporting import Run, prediction_table, write_json
+
+MODELS = {"unicycle": "Trajectron++"}
+
+
+def write_scores(folder, shift):
+    modes = {"pedestrian": dict.fromkeys(PREDICTED, 1.0 + shift)}
+    baselines = {"constant_velocity": {"pedestrian": {"ade": 2.0, "fde": 4.0}}}
+    write_json(folder / "metrics.json", {"modes": modes, "baselines": baselines})
+
+
+@pytest.fixture
+def runs(tmp_path):
+    made = []
+    for data in ("eth", "hotel"):
+        for seed in (0, 1):
+            folder = tmp_path / data / str(seed)
+            write_scores(folder, 0.2 * seed)
+            made.append(Run(data, "pedestrian", "unicycle", "predicted", seed, folder))
+    return made
+
+
+def test_seeds_and_data_sets_are_averaged(runs):
+    table = prediction_table(runs, MODELS).set_index("method")
+    assert list(table.columns) == ["eth", "hotel", "mean"]
+    assert set(table.loc["Trajectron++, best of 20 paths"]) == {"1.10 / 1.10"}
+    assert table.loc["constant velocity", "mean"] == "2.00 / 4.00"
+
+
+def test_a_run_that_has_not_ended_is_no_part_of_a_mean(runs):
+    (runs[3].report / "metrics.json").unlink()
+    row = prediction_table(runs, MODELS).set_index("method").loc["Trajectron++, one path"]
+    assert row["eth"] == "1.10 / 1.10"
+    assert row["hotel"] == row["mean"] == "-"

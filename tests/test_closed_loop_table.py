@@ -1,0 +1,68 @@
+"""The command that drives the rows of a table."""
+
+import runpy
+import sys
+
+import pytest
+from hydra.core.global_hydra import GlobalHydra
+from omegaconf import OmegaConf
+
+from dmmv_conventions.configs import config_folder
+
+TABLES = sorted(path.stem for path in (config_folder() / "table").glob("*.yaml"))
+
+
+@pytest.fixture
+def table(root, monkeypatch, tmp_path, capfd):
+    """Run the script in this process; exit status and what it says."""
+
+    def run(*arguments):
+        GlobalHydra.instance().clear()
+        monkeypatch.setattr(sys, "argv", ["table.py", *arguments, f"out={tmp_path}"])
+        try:
+            runpy.run_path(str(root / "scripts" / "closed_loop_table.py"), run_name="__main__")
+            status = 0
+        except SystemExit as end:
+            status = end.code
+        finally:
+            GlobalHydra.instance().clear()
+        told = capfd.readouterr()
+        return status, told.out + told.err
+
+    return run
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_every_row_of_every_table_can_be_named_and_compared(name):
+    told = OmegaConf.load(config_folder() / "table" / f"{name}.yaml")
+    rows, places = set(told.rows), set(told.places)
+    assert rows
+    assert places
+    for row, others in (told.get("against") or {}).items():
+        assert {row, *others} <= rows
+    for place, driven in (told.get("drives") or {}).items():
+        assert place in places
+        assert set(driven) <= rows
+
+
+def test_a_dry_run_tells_what_is_left(table):
+    status, told = table("table=paper", "dry_run=true", "rows=[ours]")
+    assert status == 0
+    assert "5 of 5 drives to do" in told
+
+
+def test_rows_that_a_table_does_not_have_are_refused(table):
+    status, told = table("rows=[unicorn]", "dry_run=true")
+    assert status == 1
+    assert "`rows` must be some of" in told
+
+
+@pytest.mark.slow
+def test_drives_are_done_once_and_told_in_one_table(table, tmp_path):
+    part = ["table=crowdnav", "places=[circle]", "rows=[straight,blind driver]"]
+    less = 'overrides=["cases=2","chunk=2"]'
+    assert table(*part, less)[0] == 0
+    assert "blind driver" in (tmp_path / "table.md").read_text()
+    status, told = table(*part, less)
+    assert status == 0
+    assert "0 of 2 drives to do" in told

@@ -1,0 +1,33 @@
+"""Settings that were once taken as they were, or refused without being named."""
+
+import pytest
+
+from benchmarks.faults.configuration import words
+from benchmarks.faults.workplace import base, said
+
+WRONG = [
+    ("train", "seed=-1", "`seed` must lie in"),
+    ("train", "vehicle.name=[1]", "`name` must be text"),
+    ("train", "validation.share=2.5", "`validation.share` must lie in (0, 1]"),
+    ("evaluate", "device=9", "`device` must be auto, cpu, or a device of this machine"),
+    ("evaluate", "horizon_s=x", "`horizon_s` must be a number"),
+    ("evaluate", "situations=[horse]", "`situations` must be one of moving"),
+    ("compare", "score=horse", "`score` must be one of"),
+    ("identify", "tracks=0", "`tracks` must be at least 1"),
+    ("identify", "parameters=[grip]", "`parameters` must be one of wheelbase"),
+    ("identify", "foresee_s=-1", "`prediction_s` must be at least 0"),
+    ("navigate", "animate=-1", "`animate` must be at least 0"),
+    ("simulate", "speed_mps=nan", "`speed_mps` must be at least 0"),
+    ("report", "episodes=-1", "`episodes` must be at least 0"),
+    ("report", "page=.", "`page` must be a file"),
+    ("results", "size.goals=[horse]", "`goal` must be one of future"),
+    ("results", "size.seeds=[]", "`size.seeds` must name at least one"),
+    ("results", "launcher.processes=0", "`processes` must be at least 1"),
+]
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(("script", "setting", "told"), WRONG)
+def test_a_setting_that_cannot_be_is_named(script, setting, told, tmp_path):
+    arguments = [*base(script), f"out={tmp_path / 'out'}", *words(setting)]
+    assert told in (said(script, arguments) or "nothing")
