@@ -46,6 +46,7 @@ CONVENTIONS = {
         "dmmv_conventions.cache",
         "dmmv_conventions.checks",
         "dmmv_conventions.modes",
+        "dmmv_conventions.pretrained",
     },
     "override_errors": {"dmmv_conventions.checks"},
     "jobs": {"dmmv_conventions.checks"},
@@ -58,7 +59,11 @@ CONVENTIONS = {
         "dmmv_conventions.yaml_files",
     },
     "vehicles": {"dmmv_conventions.configs", "dmmv_conventions.yaml_files"},
-    "stack": {"dmmv_conventions.checkpoints", "dmmv_conventions.targets"},
+    "stack": {
+        "dmmv_conventions.checkpoints",
+        "dmmv_conventions.pretrained",
+        "dmmv_conventions.targets",
+    },
     "callbacks": {"dmmv_conventions.checkpoints", "dmmv_conventions.versions"},
 }
 
