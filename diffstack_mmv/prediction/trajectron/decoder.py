@@ -89,8 +89,7 @@ class ControlDecoder(nn.Module):
     def forward(self, context: Float[Tensor, "R c"], rows: AgentBatch) -> PositionMoments:
         """Mean and covariance of the positions `R K T` of the agents, in their own frames.
 
-        The backward pass leaves out components without a gradient: the GRU by what it has kept,
-        the dynamics by computing the others again, see `recomputed`.
+        The backward pass leaves out components without a gradient, see `recomputed`.
         """
         motion = present_motion(rows)
         context = self.dropout(context)
@@ -100,24 +99,23 @@ class ControlDecoder(nn.Module):
             field.unsqueeze(1).expand(*hidden.shape[:2], *field.shape[1:])
             for field in (self._base_controls(motion, rows), *motion)
         ]
-        parts = (*self._emitted(constant, hidden), hidden, *repeated)
         if self.jacobians is linearise_shared:
-            return PositionMoments(*self._moments(*parts))
+            return PositionMoments(*self._moments(constant, hidden, *repeated))
         kind = self.gate_hidden.weight.dtype
-        each = [field.flatten(0, 1).to(kind) for field in parts]
+        each = [field.flatten(0, 1).to(kind) for field in (constant, hidden, *repeated)]
         moments = recomputed(self._moments, tuple(each), self.parameters())
         return PositionMoments(*(field.unflatten(0, hidden.shape[:2]) for field in moments))
 
     def _moments(
         self,
-        deviation: Float[Tensor, "*r T m"],
-        raw_scale: Float[Tensor, "*r T s"],
+        constant: Float[Tensor, "*r g"],
         hidden: Float[Tensor, "*r h"],
         base: Float[Tensor, "*r T m"],
         *motion: Tensor,
     ) -> tuple[Float[Tensor, "*r T 2"], Float[Tensor, "*r T 2 2"]]:
-        """Mean and covariance, from what the GRU emits and its first state."""
+        """Mean and covariance, from the constant input and the first state of the GRU."""
         width = 0.25 * (self.dynamics.bounds.upper - self.dynamics.bounds.lower)
+        deviation, raw_scale = self._emitted(constant, hidden)
         spread = self.start_deviation * torch.exp(soft_clamp(self.start_head(hidden), LOG_RANGE))
         moments = integrate(
             self.dynamics,

@@ -117,7 +117,7 @@ def _unrolled(
 
 
 class _Emissions(torch.autograd.Function):
-    """`emissions` with its gradient; rows whose emissions have none are left out."""
+    """`emissions` with its gradient."""
 
     @staticmethod
     def forward(ctx: Any, constant: Tensor, hidden: Tensor, steps: int, *tensors: Tensor) -> Tensor:
@@ -130,18 +130,7 @@ class _Emissions(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         *tensors, result = ctx.saved_tensors
-        live = (grad != 0).any(0).any(-1)  # NaN is not zero
-        index = live.nonzero().squeeze(-1) if grad.device.type == "cpu" else None
-        if index is None or len(index) == len(live):
-            constant, hidden, slopes = _pulled_back(grad, result, ctx.kept, Weights(*tensors))
-            return constant, hidden, None, *slopes
-        kept = [Step(*(field[index] for field in step)) for step in ctx.kept]
-        some = (tensor.index_select(1, index) for tensor in (grad, result))
-        *found, slopes = _pulled_back(*some, kept, Weights(*tensors))
-        constant, hidden = (
-            slope.new_zeros(len(live), slope.shape[-1]).index_copy_(0, index, slope)
-            for slope in found
-        )
+        constant, hidden, slopes = _pulled_back(grad, result, ctx.kept, Weights(*tensors))
         return constant, hidden, None, *slopes
 
 

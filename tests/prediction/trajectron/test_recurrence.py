@@ -53,7 +53,6 @@ def test_value_and_gradient_are_those_of_the_equations(rows, chunk, monkeypatch)
     with torch.no_grad():
         assert torch.allclose(unrolled(*inputs), expected)
     toward = torch.randn_like(expected)
-    toward[:, ::2] = 0  # rows without a gradient are left out
     slopes = torch.autograd.grad(found, inputs, toward)
     for slope, right in zip(slopes, torch.autograd.grad(expected, inputs, toward), strict=True):
         assert torch.allclose(slope, right)
