@@ -79,6 +79,8 @@ class StackBatch(NamedTuple):
 
 NEAR_MEDIAN_M = 0.02
 """Distance in m below which a component counts as if it were that far from the median."""
+COUNTING_SHARE = 0.02
+"""Share in the median from which on a component's path gets a gradient from it."""
 
 
 class Forecast(NamedTuple):
@@ -109,17 +111,22 @@ class Forecast(NamedTuple):
         """Path in m with the least expected mean distance to the paths of the components.
 
         The geometric median of the components' means by Weiszfeld's iteration: the answer of one
-        path to the question that the ADE asks. Its gradient is that of the last iteration and
-        reaches weights and means of all components.
+        path to the question that the ADE asks. Its gradient is that of the last iteration, and
+        reaches the means of those components that have at least `COUNTING_SHARE` in it: the decoder
+        leaves out whatever has no gradient.
         """
         weight = self.log_weight.exp()
-        path = (weight[..., None, None] * self.mean).sum(-3)
+        known = self.mean.detach()
+        path = (weight[..., None, None] * known).sum(-3)
+        share = weight
         for _ in range(iterations):
-            distance = (self.mean - path.unsqueeze(-3)).norm(dim=-1).mean(-1).detach()
+            distance = (known - path.unsqueeze(-3)).norm(dim=-1).mean(-1).detach()
             share = weight / distance.clamp_min(NEAR_MEDIAN_M)
             share = share / share.sum(-1, keepdim=True)
-            path = (share[..., None, None] * self.mean).sum(-3)
-        return path
+            path = (share[..., None, None] * known).sum(-3)
+        counts = (share >= COUNTING_SHARE)[..., None, None]
+        means = torch.where(counts, self.mean, known)
+        return (share[..., None, None] * means).sum(-3)
 
 
 class Obstacles(NamedTuple):

@@ -49,6 +49,15 @@ def test_median_path_follows_the_majority_and_its_gradient_reaches_all_weights()
     assert torch.equal(alone.median(), mean[2])
 
 
+def test_components_that_hardly_count_get_no_gradient_from_the_median():
+    weight = torch.tensor([0.495, 0.495, 0.01]).log()
+    mean = torch.tensor([0.0, 1.0, 5.0])[:, None, None].repeat(1, 4, 2).requires_grad_()
+    scale = torch.eye(2).expand(3, 4, 2, 2)
+    Forecast(weight, mean, scale).median().sum().backward()
+    reached = mean.grad.abs().amax((1, 2)) > 0
+    assert reached.tolist() == [True, True, False]
+
+
 def test_mapping_reaches_every_tensor_and_keeps_the_rest():
     record = (Bounds(torch.zeros(2), torch.ones(2)), 0.1)
     mapped = map_tensors(lambda tensor: tensor + 1, record[0])
