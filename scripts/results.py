@@ -39,9 +39,10 @@ def check(config: DictConfig) -> None:
     require_at_least("resamples", config.resamples, 1)
     for goal in size.goals:
         _require_option("goal", goal)
-    for model in config.models:
-        _require_option("dynamics", str(model))
-    for told in config.sets.values():
+    for model in _models(config):
+        _require_option("dynamics", model)
+    # a set or model of null is left out
+    for told in (each for each in config.sets.values() if each is not None):
         _require_option("data", told.data)
         for vehicle in told.modes.values():
             _require_option("vehicle", vehicle)

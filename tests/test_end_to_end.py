@@ -310,8 +310,8 @@ def test_two_processes_score_as_one(workplace, tmp_path):
 
 def test_a_vehicle_can_cross_the_people_of_the_sample(workplace):
     scenes = RecordedScenes(ConvertedCache("imptc", str(workplace / "cache")))
-    world = World(HolonomicRobot(), ReplayCrowd(), ExactVerdict(4.0))
-    scenario = RecordedCrossing(scenes, history_s=2.0, limit_s=4.0, met=1, blind_mps=0.0)
+    world = World(HolonomicRobot(), ReplayCrowd(), ExactVerdict(8.0))
+    scenario = RecordedCrossing(scenes, history_s=2.0, limit_s=8.0, met=1, blind_mps=0.0)
     record = drive(world, scenario.cases("train", [0, 1]), OrcaPolicy()).record
     assert record.pedestrians.isfinite().any()
     assert (record.steps > 0).all()

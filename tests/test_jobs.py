@@ -59,3 +59,9 @@ def test_jobs_run_through_the_launcher_of_clusters(tmp_path):
     ended = {outcome.job.name: outcome.succeeded for outcome in instantiate(config)(jobs)}
     assert ended == {"good": True, "bad": False}
     assert list((tmp_path / "slurm").glob("*_log.out"))
+
+
+def test_sets_and_models_of_null_are_left_out(succeed, tmp_path):
+    arguments = ["experiment=eth_ucy", f"raw={tmp_path}", "dry_run=true", f"out={tmp_path / 'out'}"]
+    (tmp_path / "eth_ucy").mkdir()
+    assert "10 of 10 jobs to do" in succeed("results", *arguments)

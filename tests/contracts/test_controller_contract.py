@@ -26,7 +26,9 @@ def options(group):
     return sorted(path.stem for path in (Path(config_folder()) / group).glob("*.yaml"))
 
 
-CONTROLLERS, PEOPLE = options("controller"), options("people")
+CONTROLLERS = options("controller")
+# `known` reads a recording, see tests/simulation/recorded
+PEOPLE = [name for name in options("people") if name != "known"]
 SETTINGS = {"predictor": {"predictor": ConstantVelocity(30, 0.1)}}  # in the place of a checkpoint
 
 

@@ -180,7 +180,8 @@ class RecordedCrossing:
             if scene is not None:
                 return scene
         wanted = f"leave a passable crossing with {self.met} people in {MAX_TRIES} draws"
-        raise ValueError(message("met", wanted, self.met, f"in '{phase}'", "Lower it."))
+        remedy = "Lower it, or raise `limit_s`: the way takes its time."
+        raise ValueError(message("met", wanted, self.met, f"in '{phase}'", remedy))
 
     def _long_enough(self, phase: str) -> tuple[list[str], dict[str, float]]:
         """Names and lengths in s of the recordings in which a case fits."""
