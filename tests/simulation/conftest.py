@@ -1,5 +1,6 @@
 """Recordings of the original simulators, and worlds to compare with them."""
 
+import importlib.util
 from collections.abc import Callable
 from pathlib import Path
 
@@ -127,3 +128,10 @@ def composed_navigate(*overrides):
         config.pop("hydra")
     OmegaConf.resolve(config)
     return config
+
+
+@pytest.fixture
+def social_force_library():
+    """Skip where the library is missing; it is not imported, which would leave a file behind."""
+    if importlib.util.find_spec("pysocialforce") is None:
+        pytest.skip("needs the extra `crowd`")

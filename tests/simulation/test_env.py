@@ -130,9 +130,9 @@ def test_any_world_becomes_an_environment(world_with):
     assert observation["humans"].shape == (9, 5)
 
 
+@pytest.mark.usefixtures("social_force_library")
 @pytest.mark.slow
 def test_social_force_pedestrians_walk_in_the_environment(world_with):
-    pytest.importorskip("pysocialforce")
     usual = world_with()
     world = World(usual.robot, SocialForceCrowd(), usual.verdict)
     env = CrowdNavEnv.from_world(world, CircleCrossing())

@@ -3,6 +3,7 @@
 import importlib
 import logging
 from dataclasses import dataclass
+from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
@@ -15,6 +16,8 @@ from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.simulation.pedestrians.base import CrowdState, VisibleRobot
 
 PACKAGE = "pysocialforce"
+LEFT_BEHIND = "file.log"
+"""Empty log that the library leaves in the working folder when it is imported."""
 
 
 class _Agents(NamedTuple):
@@ -113,6 +116,7 @@ def _library() -> ModuleType:
     """Import the optional library; it sets up logging of its own, which is undone."""
     root = logging.getLogger()
     level, handlers, disabled = root.level, list(root.handlers), root.manager.disable
+    was_there = Path(LEFT_BEHIND).exists()
     logging.disable(logging.INFO)
     try:
         return importlib.import_module(PACKAGE)
@@ -124,4 +128,9 @@ def _library() -> ModuleType:
     finally:
         logging.disable(disabled)
         root.setLevel(level)
+        added = [handler for handler in root.handlers if handler not in handlers]
         root.handlers[:] = handlers
+        for handler in added:
+            handler.close()
+        if any(isinstance(handler, logging.FileHandler) for handler in added) and not was_there:
+            Path(LEFT_BEHIND).unlink(missing_ok=True)

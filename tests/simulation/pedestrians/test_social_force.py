@@ -2,6 +2,7 @@
 
 import importlib
 import logging
+import sys
 
 import pytest
 import torch
@@ -24,37 +25,41 @@ def test_a_missing_library_is_named_with_its_remedy(monkeypatch):
         SocialForceCrowd()
 
 
+@pytest.mark.usefixtures("social_force_library")
 @pytest.mark.slow
 def test_pedestrians_reach_their_goals_without_a_robot(crowd):
-    pytest.importorskip("pysocialforce")
     model = SocialForceCrowd()
     for _ in range(60):
         crowd = crowd.moved(model(crowd, 0.25), 0.25)
     assert ((crowd.position - crowd.goal).norm(dim=-1) < 0.5).all()
 
 
+@pytest.mark.usefixtures("social_force_library")
 @pytest.mark.slow
 def test_pedestrians_are_pushed_by_a_robot_that_they_see(crowd):
-    pytest.importorskip("pysocialforce")
     place = crowd.position[:, 0] * 0.8
     robot = VisibleRobot(place, torch.zeros_like(place), torch.full((2,), 0.3, dtype=torch.float64))
     change = SocialForceCrowd()(crowd, 0.25, robot) - SocialForceCrowd()(crowd, 0.25)
     assert (change[:, 0].norm(dim=-1) > 0.01).all()
 
 
+@pytest.mark.usefixtures("social_force_library")
 @pytest.mark.slow
 def test_a_scene_alone_equals_the_scene_in_a_batch(crowd):
-    pytest.importorskip("pysocialforce")
     alone = SocialForceCrowd()(type(crowd)(*(field[1] for field in crowd)), 0.25)
     assert torch.equal(alone, SocialForceCrowd()(crowd, 0.25)[1])
 
 
-@pytest.mark.slow
-def test_loading_the_library_leaves_logging_alone():
-    pytest.importorskip("pysocialforce")
-    before = logging.getLogger().level
+@pytest.mark.usefixtures("social_force_library")
+def test_loading_the_library_leaves_logging_and_the_folder_alone(monkeypatch, tmp_path):
+    for name in [name for name in sys.modules if name.partition(".")[0] == "pysocialforce"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.chdir(tmp_path)
+    root = logging.getLogger()
+    before = root.level, list(root.handlers)
     SocialForceCrowd()
-    assert logging.getLogger().level == before
+    assert (root.level, list(root.handlers)) == before
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(("setting", "value"), [("max_step_s", 0.0), ("speed_margin", 0.5)])

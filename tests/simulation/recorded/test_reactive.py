@@ -70,9 +70,9 @@ def test_without_a_robot_everybody_walks_as_recorded(crossing):
     assert torch.equal(ReactiveReplayCrowd()(crowd, 0.25), ReplayCrowd()(crowd, 0.25))
 
 
+@pytest.mark.usefixtures("social_force_library")
 @pytest.mark.slow
 def test_social_forces_can_do_it_as_well(walker):
-    pytest.importorskip("pysocialforce")
     from diffstack_mmv.simulation import SocialForceCrowd
 
     apart, _ = walked(ReactiveReplayCrowd(SocialForceCrowd()), walker(0.0), steps=16)
