@@ -14,8 +14,6 @@ from diffstack_mmv.types import Discs, Ego, Heading, Motion, Obstacles, Planning
 class PlanCost(Protocol):
     """What an objective needs of a planner."""
 
-    dynamics: DynamicsModel
-
     def cost_of(
         self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
     ) -> Float[Tensor, "*b t"]:
@@ -23,7 +21,9 @@ class PlanCost(Protocol):
         ...
 
 
-def batched_objective(planner: PlanCost, problem: PlanningProblem) -> Batched:
+def batched_objective(
+    planner: PlanCost, dynamics: DynamicsModel, problem: PlanningProblem
+) -> Batched:
     """The cost (states, controls) -> cost at each time of problems with one leading dimension.
 
     The tensors of the problem are named to the solver, which leaves finished problems behind by
@@ -32,7 +32,7 @@ def batched_objective(planner: PlanCost, problem: PlanningProblem) -> Batched:
     heading = problem.ego.heading
 
     def cost(states: Tensor, controls: Tensor, *tensors: Tensor) -> Tensor:
-        motion = planner.dynamics.motion(states, controls)
+        motion = dynamics.motion(states, controls)
         return planner.cost_of(motion, controls, _joined(heading, tensors))
 
     return Batched(cost, *_parted(problem))

@@ -196,7 +196,7 @@ class MPCPlanner(Planner):
         each = map_tensors(repeated, problem)
         solution = self.solver(
             Batched(self.dynamics),
-            batched_objective(self, each),
+            batched_objective(self, self.dynamics, each),
             self.dynamics.bounds,
             initial_state(self.dynamics, each.ego),
             guess.flatten(0, batch_dims),
