@@ -88,7 +88,7 @@ faults: install  ## Try every kind of fault, table in docs/results/faults.md
 sbom: install    ## List of dependencies with licences: outputs/sbom.json (CycloneDX) and outputs/licences.md
 	$(BIN)/python scripts/sbom.py outputs
 
-audit:           ## Look up known vulnerabilities of the locked versions; needs https://pypi.org
+audit:           ## Look up known vulnerabilities of the locked versions; needs the network
 	sh scripts/audit.sh $(PYTHON)
 
 lock:            ## Write requirements.lock anew from the ranges of pyproject.toml
