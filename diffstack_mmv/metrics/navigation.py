@@ -1,4 +1,4 @@
-"""Scores of closed-loop episodes: how often, how fast and how far from people."""
+"""Scores of closed-loop episodes: how often, how fast and how far from pedestrians."""
 
 from abc import ABC, abstractmethod
 from typing import NamedTuple

@@ -17,7 +17,7 @@ from diffstack_mmv.geometry import position_from_frame
 from diffstack_mmv.plotting.figures import PALETTE, new_figure, save_figure
 from diffstack_mmv.types import EpisodeRecord, Outcome, map_tensors
 
-ROBOT, PEOPLE, GOAL = PALETTE[1], PALETTE[0], PALETTE[2]
+ROBOT, PEDESTRIANS, GOAL = PALETTE[1], PALETTE[0], PALETTE[2]
 MARGIN_M = 1.0
 ROBOT_RADIUS_M = 0.3
 
@@ -52,20 +52,20 @@ def episode_of(
 
 
 def draw_episode(episode: Episode) -> Figure:
-    """Paths of the robot and of the people with outlines once per second, darkest at the end."""
+    """Paths of robot and pedestrians with outlines once per second, darkest at the end."""
     figure = new_figure(5.0, 5.0)
     axes = _axes(figure, episode)
     record = episode.record
     axes.plot(*record.motion.position.T.numpy(), color=ROBOT)
     for pedestrian in record.pedestrians.unbind(1):
-        axes.plot(*pedestrian.T.numpy(), color=PEOPLE, linewidth=0.8)
+        axes.plot(*pedestrian.T.numpy(), color=PEDESTRIANS, linewidth=0.8)
     last = len(record.clearance) - 1
     for step in range(0, last, max(round(1 / record.dt_s), 1)):
         _outlines(axes, episode, step, 0.15 + 0.4 * step / last)
     _outlines(axes, episode, last, 0.8)
     handles = [
         Patch(color=ROBOT, label="robot, each second"),
-        Patch(color=PEOPLE, label="people"),
+        Patch(color=PEDESTRIANS, label="pedestrians"),
         Patch(color=GOAL, label="goal"),
     ]
     axes.legend(handles=handles, loc="lower right", fontsize="small")
@@ -108,7 +108,7 @@ def save_animation(episode: Episode, path: Path) -> None:
 def _curves(above: Axes, below: Axes, record: EpisodeRecord) -> list[Line2D]:
     """Clearance and controls over time; the cursors in both pictures."""
     time = record.dt_s * torch.arange(len(record.clearance))
-    above.plot(time, record.clearance, color=PEOPLE)
+    above.plot(time, record.clearance, color=PEDESTRIANS)
     above.axhline(0.0, color="black", linewidth=0.8)
     above.set_ylabel("clearance [m]")
     for column, values in enumerate(record.controls[: len(time) - 1].unbind(-1)):
@@ -123,7 +123,7 @@ def _thinking(axes: Axes, thoughts: Mapping[str, Any], step: int) -> list[Line2D
     """Lines of candidates, forecasts and plan at a decision."""
     styles = {
         "candidates": {"color": "0.75", "linewidth": 0.6, "zorder": 1},
-        "forecast": {"color": PEOPLE, "linewidth": 1.0, "linestyle": ":"},
+        "forecast": {"color": PEDESTRIANS, "linewidth": 1.0, "linestyle": ":"},
         "plan": {"color": ROBOT, "linewidth": 1.6, "linestyle": "--"},
     }
     lines = []
@@ -200,9 +200,11 @@ def _axes(figure: Figure, episode: Episode, given: Axes | None = None) -> Axes:
 
 def _outlines(axes: Axes, episode: Episode, step: int, alpha: float) -> None:
     """Outlines of everybody at one step."""
-    people = episode.record.pedestrians[step]
-    for place in people[people.isfinite().all(-1)].tolist():
-        axes.add_patch(Circle(tuple(place), episode.pedestrian_radius_m, color=PEOPLE, alpha=alpha))
+    pedestrians = episode.record.pedestrians[step]
+    for place in pedestrians[pedestrians.isfinite().all(-1)].tolist():
+        axes.add_patch(
+            Circle(tuple(place), episode.pedestrian_radius_m, color=PEDESTRIANS, alpha=alpha)
+        )
     motion = episode.record.motion
     centre = motion.position[step].tolist()
     if episode.outline is None:

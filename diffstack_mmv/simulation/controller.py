@@ -146,12 +146,12 @@ class DiffMPCController:
             lambda entry: entry.to(like) if entry.is_floating_point() else entry,
             (observation, forecast),
         )
-        people = _present_first(seen, told)
+        seen_agents = _present_first(seen, told)
         return build_problem(
             Ego(seen.motion, Heading.BODY, seen.discs),
             seen.goal,
             straight_reference(seen.motion, seen.goal, self.planner.steps, self.cruise_mps),
-            predicted_obstacles(*people),
+            predicted_obstacles(*seen_agents),
         )
 
     def diagnosis(self, state: DiffMPCState) -> dict[str, Float[Tensor, " E"]]:

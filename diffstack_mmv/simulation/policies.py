@@ -167,7 +167,7 @@ class StopAndGoDriver(BlindDriver):
     Args:
         dynamics: Model of the vehicle, whose step is the time between two decisions.
         cruise_mps: Cruising speed.
-        braking_mps2: Deceleration towards the goal and before people.
+        braking_mps2: Deceleration towards the goal and before pedestrians.
         margin_m: Clearance that is kept at the sides.
         ahead_m: Clearance that is kept ahead.
         ahead_s: How far the walks are continued.

@@ -137,7 +137,7 @@ class Scenario(ABC):
         """
         scenes = [self.case(phase, number) for number in numbers]
         require(bool(scenes), "numbers", "name at least one case", "none")
-        return _stacked(scenes)
+        return stacked(scenes)
 
     def sample(self, random: np.random.RandomState) -> Scene:
         """Draw a scene.
@@ -274,14 +274,14 @@ class SquareCrossing(Scenario):
         raise ValueError(f"{self._too_crowded(len(others))}")
 
 
-def _stacked(records: Sequence[Any]) -> Any:
+def stacked(records: Sequence[Any]) -> Any:
     """One record whose tensors have a leading dimension, from equal (nested) records."""
     first = records[0]
     if isinstance(first, Tensor):
         return torch.stack(list(records))
     if first is None:
         return None
-    return type(first)(*(_stacked(fields) for fields in zip(*records, strict=True)))
+    return type(first)(*(stacked(fields) for fields in zip(*records, strict=True)))
 
 
 SCENARIOS: dict[str, type[Scenario]] = {

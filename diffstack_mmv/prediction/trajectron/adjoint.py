@@ -23,7 +23,7 @@ def rolled_out(
     parameters = [each for each in dynamics.parameters() if each.requires_grad]
     learning = any(tensor.requires_grad for tensor in (state, controls, *parameters))
     if torch.is_grad_enabled() and learning and has_closed_form(dynamics):
-        states: Tensor = _Rollout.apply(dynamics, state, controls, *parameters)  # type: ignore[no-untyped-call]
+        states: Tensor = _AdjointRollout.apply(dynamics, state, controls, *parameters)  # type: ignore[no-untyped-call]
         return states
     return time_outermost(rollout(dynamics, state, controls))
 
@@ -33,7 +33,7 @@ def time_outermost(values: Float[Tensor, "*b T c"]) -> Float[Tensor, "*b T c"]:
     return values.movedim(-2, 0).contiguous().movedim(0, -2)
 
 
-class _Rollout(torch.autograd.Function):
+class _AdjointRollout(torch.autograd.Function):
     """`rolled_out` for a model with Jacobians in closed form."""
 
     @staticmethod

@@ -40,13 +40,13 @@ def linearised_rollout(
     start = state.expand(*shape, n).flatten(0, -2).mT
     acting = controls.flatten(0, -3).permute(1, 2, 0)
     learned = [each for each in dynamics.parameters() if each.requires_grad]
-    columns, jacobians = _Rollout.apply(dynamics, start, acting, *learned)  # type: ignore[no-untyped-call]
+    columns, jacobians = _LinearisedRollout.apply(dynamics, start, acting, *learned)  # type: ignore[no-untyped-call]
     states = columns.movedim(-1, 0).unflatten(0, shape)
     whole = jacobians.permute(3, 0, 2, 1).unflatten(0, shape)
     return states, Linearisation(whole[..., :n], whole[..., n:])
 
 
-class _Rollout(torch.autograd.Function):
+class _LinearisedRollout(torch.autograd.Function):
     """`linearised_rollout` with the batch last, and with its adjoint.
 
     With the gradient G in the Jacobians J = (A, B) the recursion is λ_t = g_t + ∂(G · J)/∂x_t +

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 
-class Step(NamedTuple):
+class LSTMStep(NamedTuple):
     """What the backward pass needs of one row of time."""
 
     memory: Float[Tensor, "h R"]  # before the step
@@ -67,7 +67,7 @@ class _Last(torch.autograd.Function):
             added = torch.addcmul(begin * candidate, forget, memory)
             squashed = added.tanh()
             if needed:
-                ctx.steps.append(Step(memory, gates, squashed))
+                ctx.steps.append(LSTMStep(memory, gates, squashed))
             before, after = joined[time : time + 2, inputs + 1 :]
             torch.lerp(before, output * squashed, keep[time], out=after)
             memory = torch.lerp(memory, added, keep[time])
@@ -95,7 +95,7 @@ class _Last(torch.autograd.Function):
         return torch.stack(by_features[::-1]) if needed else None, None, by_weight
 
 
-def _into_gates(slopes: Tensor, by_state: Tensor, by_memory: Tensor, step: Step) -> Tensor:
+def _into_gates(slopes: Tensor, by_state: Tensor, by_memory: Tensor, step: LSTMStep) -> Tensor:
     """Fill the gradient in what enters the gates of a step; return the one in its memory."""
     size = len(by_state)
     begin, forget, candidate, output = step.gates.split(size)

@@ -26,7 +26,7 @@ class Weights(NamedTuple):
     head_bias: Float[Tensor, " e"]
 
 
-class Step(NamedTuple):
+class GRUStep(NamedTuple):
     """What the backward pass needs of one step."""
 
     before: Float[Tensor, "N h"]  # state the step starts from
@@ -83,7 +83,7 @@ def _unrolled(
     hidden: Float[Tensor, "N h"],
     weights: Weights,
     steps: int,
-    kept: list[Step] | None,
+    kept: list[GRUStep] | None,
 ) -> Float[Tensor, "S N e"]:
     """Emissions; `kept` receives what the backward pass needs.
 
@@ -106,7 +106,7 @@ def _unrolled(
             entering = torch.addmm(constant[:, 2 * size :], result[step - 1, :, :fed], control.mT)
         candidate = torch.addcmul(entering, both[:, :size], own).tanh_()
         if kept is not None:
-            kept.append(Step(hidden, gates, candidate))
+            kept.append(GRUStep(hidden, gates, candidate))
         hidden = torch.lerp(candidate, hidden, both[:, size:])
         torch.addmm(weights.head_bias, hidden, weights.head.mT, out=result[step])
         if step == 0:
@@ -135,7 +135,10 @@ class _Emissions(torch.autograd.Function):
 
 
 def _pulled_back(
-    grad: Float[Tensor, "S N e"], result: Float[Tensor, "S N e"], kept: list[Step], weights: Weights
+    grad: Float[Tensor, "S N e"],
+    result: Float[Tensor, "S N e"],
+    kept: list[GRUStep],
+    weights: Weights,
 ) -> tuple[Tensor, Tensor, Weights]:
     """Gradients in the constant input, the first state and the weights."""
     rows, size = kept[0].candidate.shape

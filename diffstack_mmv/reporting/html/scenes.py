@@ -90,7 +90,7 @@ class Surroundings(NamedTuple):
 def driven_scene(
     title: str, arrays: Mapping[str, Array], row: int, around: Surroundings
 ) -> dict[str, Any]:
-    """An episode: robot, people, what the controller expected and planned, clearance, controls.
+    """An episode: robot, agents, what the controller expected and planned, clearance, controls.
 
     Args:
         title: What the list shows.
@@ -102,10 +102,10 @@ def driven_scene(
     end = steps + 1
     place, heading = arrays["motion.position"][row, :end], arrays["motion.heading"][row, :end]
     robot = np.concatenate([place, heading[:, None]], 1)
-    people = arrays["pedestrians"][row, :end]
+    agents = arrays["pedestrians"][row, :end]
     bodies = [{"name": "robot", "role": "plan", "path": plain(robot, 3), "shape": _shape(around)}]
-    for number in np.flatnonzero(np.isfinite(people).any((0, 2))):
-        path = np.concatenate([people[:, number], np.full((end, 1), np.nan)], 1)
+    for number in np.flatnonzero(np.isfinite(agents).any((0, 2))):
+        path = np.concatenate([agents[:, number], np.full((end, 1), np.nan)], 1)
         walked = {"name": f"pedestrian {number + 1}", "role": "agent", "path": plain(path, 3)}
         bodies.append(walked | {"shape": {"radius": around.radius_m}})
     series = [{"name": "clearance [m]", "values": plain(arrays["clearance"][row, :end], 3)}]

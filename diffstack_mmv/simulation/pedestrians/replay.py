@@ -1,4 +1,4 @@
-"""People who walk as they were recorded, and those who leave their recorded way near the robot."""
+"""Agents who move as they were recorded, and those who leave their recorded way near the robot."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar

@@ -1,4 +1,4 @@
-"""Recorded crowds: a vehicle crosses the way of people as they were recorded."""
+"""Recorded crowds: a vehicle crosses the way of agents as they were recorded."""
 
 from diffstack_mmv.simulation.recorded.crossing import CrossingRules
 from diffstack_mmv.simulation.recorded.foresight import KnownFuture

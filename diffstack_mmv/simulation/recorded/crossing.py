@@ -18,18 +18,18 @@ FASTEST_MPS = 12.0
 BUSY_M = 2.0
 """Others within this distance make a place busy."""
 FLOW_M = 4.0
-"""The direction of the flow is that of the people within this distance."""
+"""The direction of the flow is that of the agents within this distance."""
 
 
 class RecordedRows(NamedTuple):
-    """Recorded people at the times of the world's steps; who is never there is left out."""
+    """Recorded agents at the times of the world's steps; who is never there is left out."""
 
-    position: NDArray[np.float64]  # people, rows, 2: m
-    inside: NDArray[np.bool_]  # people, rows: recorded in this row and in the one before
-    radius: NDArray[np.float64]  # people: m, of the disc with the area of the box
+    position: NDArray[np.float64]  # agents, rows, 2: m
+    inside: NDArray[np.bool_]  # agents, rows: recorded in this row and in the one before
+    radius: NDArray[np.float64]  # agents: m, of the disc with the area of the box
 
     def of(self, chosen: NDArray[np.int64] | NDArray[np.bool_]) -> "RecordedRows":
-        """Some of the people."""
+        """Some of the agents."""
         return RecordedRows(self.position[chosen], self.inside[chosen], self.radius[chosen])
 
     def later(self, first: int, end: int | None = None) -> "RecordedRows":
@@ -38,7 +38,7 @@ class RecordedRows(NamedTuple):
 
 
 def rows_of(scene: RecordedScene, time_s: NDArray[np.float64]) -> RecordedRows:
-    """People at equally distant times; between two recorded rows they move straight.
+    """Agents at equally distant times; between two recorded rows they move straight.
 
     Args:
         scene: The recording.
@@ -107,10 +107,10 @@ class CrossingRules:
     def draw(
         self, rows: RecordedRows, start: int, step_s: float, random: np.random.RandomState
     ) -> Crossing | None:
-        """A crossing through a place with many people, the more of them the likelier.
+        """A crossing through a place with many agents, the more of them the likelier.
 
         Args:
-            rows: The people.
+            rows: The agents.
             start: Row in which the vehicle starts.
             step_s: From one row to the next.
             random: Generator, which is advanced.

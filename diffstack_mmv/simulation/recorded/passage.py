@@ -1,4 +1,4 @@
-"""Whether a way among people is passable for a vehicle that knows where they will be."""
+"""Whether a way among agents is passable for a vehicle that knows where they will be."""
 
 from dataclasses import dataclass, field
 
@@ -41,7 +41,7 @@ class PassageRules:
         """Whether some drive from (0, -way / 2) to (0, way / 2) keeps clear of everybody.
 
         Args:
-            walks: The people from the start on.
+            walks: The agents from the start on.
             way_m: Length of the straight way.
             radius_m: Radius of the vehicle.
         """
@@ -57,12 +57,12 @@ class PassageRules:
 
 @dataclass(frozen=True)
 class Walks:
-    """Where people are, row by row.
+    """Where agents are, row by row.
 
     Attributes:
-        position: In m, (people, rows, 2).
-        inside: Who is there in which row, (people, rows).
-        radius: In m, (people,).
+        position: In m, (agents, rows, 2).
+        inside: Who is there in which row, (agents, rows).
+        radius: In m, (agents,).
         step_s: From one row to the next.
     """
 

@@ -23,7 +23,7 @@ from diffstack_mmv.simulation.recorded.crossing import (
     rows_of,
 )
 from diffstack_mmv.simulation.recorded.passage import PassageRules, Walks
-from diffstack_mmv.simulation.scenario import Scene, generator
+from diffstack_mmv.simulation.scenario import Scene, generator, stacked
 from diffstack_mmv.types import RecordedScene
 
 MAX_TRIES = 2000
@@ -53,7 +53,7 @@ class RecordedCrossing:
 
     The phases are the splits of the recordings. A case is drawn from the seed of its number: a
     recording (the longer, the likelier), a time, a place and a direction. It is taken if the start
-    is free, some people are met, a straight drive hits somebody, nobody's track begins beside the
+    is free, some agents are met, a straight drive hits somebody, nobody's track begins beside the
     way while the vehicle is on it,
     and the way is passable for somebody who knows where they will be; otherwise the draw is
     repeated. The scene is turned so that the vehicle starts at
@@ -143,13 +143,7 @@ class RecordedCrossing:
         """
         scenes = [self._remembered(phase, number) for number in numbers]
         require(bool(scenes), "numbers", "name at least one case", "none")
-        crowds = zip(*(scene.pedestrians for scene in scenes), strict=True)
-        return Scene(
-            robot_position=torch.stack([scene.robot_position for scene in scenes]),
-            robot_heading=torch.stack([scene.robot_heading for scene in scenes]),
-            robot_goal=torch.stack([scene.robot_goal for scene in scenes]),
-            pedestrians=RecordedCrowdState(*(torch.stack(field) for field in crowds)),
-        )
+        return stacked(scenes)
 
     def _remembered(self, phase: str, number: int) -> Scene:
         """A case, which is drawn once: every controller of a study drives it."""
@@ -179,7 +173,7 @@ class RecordedCrossing:
             scene = self._drawn(self.recordings.read(name), longest[name], random)
             if scene is not None:
                 return scene
-        wanted = f"leave a passable crossing with {self.met} people in {MAX_TRIES} draws"
+        wanted = f"leave a passable crossing with {self.met} agents in {MAX_TRIES} draws"
         remedy = "Lower it, or raise `limit_s`: the way takes its time."
         raise ValueError(message("met", wanted, self.met, f"in '{phase}'", remedy))
 
@@ -217,13 +211,13 @@ class RecordedCrossing:
         return order[apart[order] < self.reach_m]
 
     def _from_way(self, rows: RecordedRows) -> np.ndarray:
-        """Distance from the way in m, (people, rows); infinite for those who are absent."""
+        """Distance from the way in m, (agents, rows); infinite for those who are absent."""
         beyond = np.maximum(np.abs(rows.position[..., 1]) - self.way_m / 2, 0)
         apart = np.hypot(rows.position[..., 0], beyond)
         return np.where(rows.inside, apart, np.inf)
 
     def _is_case(self, rows: RecordedRows) -> bool:
-        """Whether people are in the way, nobody appears, and there is a way past them."""
+        """Whether agents are in the way, nobody appears, and there is a way past them."""
         soon = round(self.least_s / self.dt_s)
         way = self._from_way(rows.later(0, soon))
         if int((way.min(-1, initial=np.inf) < NEAR_WAY_M).sum()) < self.met:
