@@ -32,7 +32,8 @@ class Refusals(NamedTuple):
 
 
 @functools.cache
-def _refusals() -> Refusals:
+def refusals() -> Refusals:
+    """The exceptions of the installed compiler."""
     # imported here as everywhere in this file: the compiler takes twice as long to import as torch
     from torch._dynamo.exc import FailOnRecompileLimitHit, TorchDynamoException
     from torch._inductor.exc import InductorError
@@ -98,11 +99,11 @@ class Kernel:
         try:
             with self.context():
                 return self.compiled(*arguments)
-        except _refusals().too_many_graphs:
+        except refusals().too_many_graphs:
             # many shapes in one process: begin with an empty list of graphs
             self.compiled = None
             return self(*arguments)
-        except _refusals().failed as failure:
+        except refusals().failed as failure:
             reason = next(iter(str(failure).strip().splitlines()), type(failure).__name__)
             LOGGER.warning(
                 "`%s` could not be compiled (%s) and runs eagerly. "
@@ -120,7 +121,7 @@ class Kernel:
         name = self.function.__name__
         LOGGER.info("Compiling the solver for %s: %s", self.problem, name)
         began_s = time.perf_counter()
-        self.compiled = torch.compile(_copy(self.function), fullgraph=True, options=self.options)
+        self.compiled = torch.compile(copied(self.function), fullgraph=True, options=self.options)
         result = self(*arguments)
         if self.compiled is not self.function:
             LOGGER.info("Compiled %s in %.1f s", name, time.perf_counter() - began_s)
@@ -292,7 +293,7 @@ def _parts(value: Any) -> Iterable[Any]:
     return [cell.cell_contents for cell in cells]
 
 
-def _copy(function: Callable[..., Any]) -> Callable[..., Any]:
+def copied(function: Callable[..., Any]) -> Callable[..., Any]:
     """The same function with a code object of its own."""
     code = function.__code__.replace()
     copy = types.FunctionType(

@@ -176,6 +176,15 @@ class ILQR:
         require_tensors(bounds, state, controls)
         check_problem(bounds, state, controls)
         require_fitting(dynamics, cost, state, controls)
+        if self.compile:
+            # imported here: most programs compile nothing
+            from diffstack_mmv.control import native
+
+            exact = self.curvature.is_exact(state.shape[-1])
+            numbers = native.Numbers(self.settings(bounds, state), self.max_iterations, exact)
+            solution = native.solve(dynamics, cost, numbers, state, controls)
+            if solution is not None:
+                return solution
         call = Call(
             self._kernels(dynamics, cost, state, controls),
             dynamics,
