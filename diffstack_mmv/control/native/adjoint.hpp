@@ -64,8 +64,8 @@ struct Adjoint : Solver<P> {
       Dual<Real> x[n], u[m], l[n];
       for (int i = 0; i < n; ++i) x[i] = {this->x[t][i], dx[t][i]};
       for (int i = 0; i < m; ++i) u[i] = {t < T ? this->u[t][i] : Real(0), du[t][i]};
-      P::cost_numbers_gradient(t, x, u, l, q_cost[t], out);
-      for (int i = 0; i < P::count_of_cost(t); ++i) w[P::cost_numbers[t][i]] += g_cost * out[i].v - out[i].d;
+      P::cost_numbers_gradient(t, x, u, q_cost[t], out);
+      for (int i = 0; i < P::kind_numbers[P::cost_kind[t]]; ++i) w[P::cost_numbers[t][i]] += g_cost * out[i].v - out[i].d;
       if (t == T) continue;
       for (int i = 0; i < n; ++i) l[i] = {costate[t][i], dl[t][i]};
       P::step_numbers_gradient(x, u, l, q_step, out);
@@ -88,6 +88,7 @@ struct Adjoint : Solver<P> {
 
 }  // namespace dmmv
 
+#pragma GCC visibility push(default)
 extern "C" {
 
 // Gradient by parameters and initial state for that by x, u and cost; zero for problems that are not valid.
@@ -115,3 +116,4 @@ void dmmv_adjoint(long count, const Real* parameters, const Real* bounds, const 
 }
 
 }  // extern "C"
+#pragma GCC visibility pop

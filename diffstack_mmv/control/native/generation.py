@@ -10,6 +10,7 @@ from diffstack_mmv.control.native.scalar import Node, Program
 from diffstack_mmv.control.native.stages import Sizes, Stage, StagedProblem
 from diffstack_mmv.types import SolverStatus
 
+TEMPLATE, POINT = "template <class V> static", "const V* x, const V* u"
 HEADERS = ("numbers", "small", "stage", "solver")
 ENTRIES = {"solve": ("solve",), "adjoint": ("adjoint",)}
 """Headers that each library has besides, with its functions for the caller."""
@@ -40,16 +41,19 @@ def source(problem: StagedProblem, library: str, real: str) -> str:
         "#include <utility>",
         f"typedef {real} Real;",
         *(f"#define DMMV_{name} {value}" for name, value in status.items()),
-        *map(_header, HEADERS),
+        *map(header, HEADERS),
         *_problem(problem, library == "adjoint"),
-        *map(_header, ENTRIES[library]),
+        *map(header, ENTRIES[library]),
     ]
     return "\n".join(parts) + "\n"
 
 
-def _header(name: str) -> str:
+def header(name: str) -> str:
+    """A fixed part of every source, without its own inclusions."""
     text = files(__package__).joinpath(f"{name}.hpp").read_text()
-    return "\n".join(line for line in text.splitlines() if not line.startswith(('#include "', "#pragma")))
+    return "\n".join(
+        line for line in text.splitlines() if not line.startswith(('#include "', "#pragma once"))
+    )
 
 
 def _problem(problem: StagedProblem, adjoint: bool) -> list[str]:
@@ -67,9 +71,8 @@ def _problem(problem: StagedProblem, adjoint: bool) -> list[str]:
         _table("int", "cost_kind", problem.kinds),
         _rows("cost_numbers", problem.cost_numbers, widest),
         _prelude(problem),
-        *_step(step, problem.sizes),
-        *(part for kind, cost in enumerate(costs) for part in _cost(kind, cost, problem.sizes)),
-        *_by_kind(len(costs)),
+        *_step(step),
+        *_costs(costs),
     ]
     if adjoint:
         lines += [_prelude_adjoint(problem), *_number_gradients(step, costs)]
@@ -107,69 +110,45 @@ def weighted(program: Program, outputs: Iterable[Node], name: str) -> dict[Node,
     return weights
 
 
-def _step(step: Derived, sizes: Sizes) -> list[str]:
-    n, m, *_ = sizes
-    program, outputs = step.stage.program, step.stage.outputs
-    value = "template <class V> static void step(const V* x, const V* u, const Real* q, V* y)"
-    slope = (
-        "template <class V> static void step_gradient"
-        "(const V* x, const V* u, const Real* l, const Real* q, V* y)"
-    )
+def _step(step: Derived) -> list[str]:
+    program = step.stage.program
+    value = f"{TEMPLATE} void step({POINT}, const Real* q, V* y)"
+    slope = f"{TEMPLATE} void step_gradient({POINT}, const Real* l, const Real* q, V* y)"
     return [
-        function(value, program, "q", _into("y", outputs)),
+        function(value, program, "q", _into("y", step.stage.outputs)),
         function(slope, program, "ql", _into("y", step.gradient)),
-        _table("int", "step_active", step.active or (-1,)),
+        f"static constexpr int STEP_ACTIVE = {len(step.active)};",
+        _table("int", "step_active", step.active),
         _table("Real", "step_constant", [entry for row in step.constants for entry in row]),
-        f"""
-static void step_jacobian(const Real* x, const Real* u, const Real* q, Real* A, Real* B) {{
-  Real J[n * (n + m)], y[n];
-  std::memcpy(J, step_constant, sizeof(J));
-  dmmv::columns<n, m, n>(x, u, step_active, [&](const auto* x, const auto* u, auto* y) {{ step(x, u, q, y); }}, y, J);
-  dmmv::split_jacobian<n, m>(J, A, B);
-}}
-static void add_step_hessian(const Real* x, const Real* u, const Real* l, const Real* q, Real* xx, Real* ux, Real* uu) {{
-  Real H[{(n + m) ** 2}] = {{}}, g[{n + m}];
-  dmmv::columns<n, m, {n + m}>(x, u, step_active, [&](const auto* x, const auto* u, auto* y) {{ step_gradient(x, u, l, q, y); }}, g, H);
-  dmmv::add_blocks<n, m>(H, xx, ux, uu);
-}}""",
     ]
 
 
-def _cost(kind: int, cost: Derived, sizes: Sizes) -> list[str]:
-    n, m, *_ = sizes
-    program, outputs = cost.stage.program, cost.stage.outputs
-    value = f"template <class V> static V cost_{kind}(const V* x, const V* u, const Real* q)"
-    slope = f"template <class V> static void cost_gradient_{kind}(const V* x, const V* u, const Real* q, V* y)"
-    both = [*_into("y", cost.gradient), (f"y[{n + m}]", outputs[0])]
+def _costs(costs: Sequence[Derived]) -> list[str]:
+    parts = []
+    for kind, cost in enumerate(costs):
+        program, (output,) = cost.stage.program, cost.stage.outputs
+        value = f"{TEMPLATE} void cost_{kind}({POINT}, const Real* q, V* y)"
+        slope = f"{TEMPLATE} void cost_gradient_{kind}({POINT}, const Real* q, V* y)"
+        both = [*cost.gradient, output]
+        parts.append(function(value, program, "q", [("*y", output)]))
+        parts.append(function(slope, program, "q", _into("y", both)))
+    widest = max(len(cost.active) for cost in costs)
     return [
-        function(value, program, "q", [("const V y", outputs[0])])[:-1] + "  return y;\n}",
-        function(slope, program, "q", both),
-        _table("int", f"cost_active_{kind}", cost.active or (-1,)),
-        f"""
-static Real cost_model_{kind}(const Real* x, const Real* u, const Real* q, Real* c_x, Real* c_u, Real* xx, Real* ux, Real* uu) {{
-  Real H[{(n + m + 1) * (n + m)}] = {{}}, g[{n + m + 1}];
-  dmmv::columns<n, m, {n + m + 1}>(x, u, cost_active_{kind}, [&](const auto* x, const auto* u, auto* y) {{ cost_gradient_{kind}(x, u, q, y); }}, g, H);
-  std::memset(xx, 0, n * n * sizeof(Real));
-  std::memset(ux, 0, m * n * sizeof(Real));
-  std::memset(uu, 0, m * m * sizeof(Real));
-  dmmv::add_blocks<n, m>(H, xx, ux, uu);
-  std::memcpy(c_x, g, n * sizeof(Real));
-  std::memcpy(c_u, g + n, m * sizeof(Real));
-  return g[{n + m}];
-}}""",
+        *parts,
+        _by_kind("cost", "cost_{}", len(costs)),
+        _by_kind("cost_gradient", "cost_gradient_{}", len(costs)),
+        _table("int", "cost_columns", [len(cost.active) for cost in costs]),
+        _rows("cost_active", [cost.active for cost in costs], widest),
     ]
 
 
-def _by_kind(count: int) -> list[str]:
-    model = "x, u, q, c_x, c_u, xx, ux, uu"
-    return [
-        "template <class V> static V cost(int t, const V* x, const V* u, const Real* q) {",
-        *(f"  if (cost_kind[t] == {kind}) return cost_{kind}(x, u, q);" for kind in range(count - 1)),
-        f"  return cost_{count - 1}(x, u, q);\n}}",
-        "static Real cost_model(int t, const Real* x, const Real* u, const Real* q, Real* c_x, Real* c_u, Real* xx, Real* ux, Real* uu) {",
-        *(f"  if (cost_kind[t] == {kind}) return cost_model_{kind}({model});" for kind in range(count - 1)),
-        f"  return cost_model_{count - 1}({model});\n}}",
-    ]
+def _by_kind(name: str, each: str, count: int) -> str:
+    """A function that calls that of the kind of its time."""
+    calls = "\n".join(
+        f"  if (cost_kind[t] == {kind}) return {each.format(kind)}(x, u, q, y);"
+        for kind in range(count)
+    )
+    return f"{TEMPLATE} void {name}(int t, {POINT}, const Real* q, V* y) {{\n{calls}\n}}"
 
 
 def _prelude(problem: StagedProblem) -> str:
@@ -191,26 +170,21 @@ def _prelude_adjoint(problem: StagedProblem) -> str:
 
 def _number_gradients(step: Derived, costs: Sequence[Derived]) -> list[str]:
     """Gradients of the stages by their numbers q."""
+    signatures = [
+        f"{TEMPLATE} void step_numbers_gradient({POINT}, const V* l, const Real* q, V* y)"
+    ]
+    for kind, _ in enumerate(costs):
+        signatures.append(f"{TEMPLATE} void cost_{kind}_numbers({POINT}, const Real* q, V* y)")
     parts = []
-    stages = [("step", step.stage), *((f"cost_{k}", cost.stage) for k, cost in enumerate(costs))]
-    for name, stage in stages:
-        leaves = [stage.program.leaf("q", k) for k in range(stage.numbers)]
-        slopes = weighted_gradient(stage, leaves)
-        signature = (
-            f"template <class V> static void {name}_numbers{'_gradient' if name == 'step' else ''}"
-            "(const V* x, const V* u, const V* l, const Real* q, V* y)"
-        )
-        parts.append(function(signature, stage.program, "q", _into("y", slopes)))
-    kinds = len(stages) - 1
-    arguments = "x, u, l, q, y"
-    counts = [cost.stage.numbers for cost in costs]
+    for signature, each in zip(signatures, [step, *costs], strict=True):
+        program = each.stage.program
+        leaves = [program.leaf("q", k) for k in range(each.stage.numbers)]
+        slopes = weighted_gradient(each.stage, leaves)
+        parts.append(function(signature, program, "q", _into("y", slopes)))
     return [
         *parts,
-        _table("int", "kind_numbers", counts),
-        "static int count_of_cost(int t) { return kind_numbers[cost_kind[t]]; }",
-        "template <class V> static void cost_numbers_gradient(int t, const V* x, const V* u, const V* l, const Real* q, V* y) {",
-        *(f"  if (cost_kind[t] == {kind}) return cost_{kind}_numbers({arguments});" for kind in range(kinds)),
-        "}",
+        _table("int", "kind_numbers", [cost.stage.numbers for cost in costs]),
+        _by_kind("cost_numbers_gradient", "cost_{}_numbers", len(costs)),
     ]
 
 

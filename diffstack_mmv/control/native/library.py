@@ -14,8 +14,11 @@ import torch
 from torch import Tensor
 
 REALS = {torch.float32: "float", torch.float64: "double"}
-FLAGS = ("-std=c++20", "-O2", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi")
-"""No flag lets the compiler assume that numbers are finite: what is not is a status."""
+FLAGS = (
+    *("-std=c++20", "-O2", "-fPIC", "-shared", "-Wno-psabi"),
+    *("-fno-math-errno", "-fno-trapping-math"),  # but not: that all numbers are finite
+    "-fvisibility=hidden",  # all libraries have the same names inside, which must not meet
+)
 
 LIMIT_S = 300
 """Seconds that a compiler may take."""
@@ -44,8 +47,17 @@ def build(source: str, target: Path, machine: str = "native") -> None:
         written, library = Path(folder, "source.cpp"), Path(folder, target.name)
         written.write_text(source)
         try:
-            command = [get_cpp_compiler(), *FLAGS, f"-march={machine}", str(written), "-o", str(library)]
-            done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+            command = [
+                get_cpp_compiler(),
+                *FLAGS,
+                f"-march={machine}",
+                str(written),
+                "-o",
+                str(library),
+            ]
+            done = subprocess.run(
+                command, capture_output=True, text=True, timeout=LIMIT_S, check=False
+            )
         except (InvalidCxxCompiler, OSError, subprocess.TimeoutExpired) as failure:
             raise CannotBuildError(str(failure)) from failure
         if done.returncode:

@@ -52,7 +52,7 @@ class Lowering:
                 known[node] = self._called(node, known)
         raise CannotLowerError("a graph without output")
 
-    def constants(self, value: Tensor | float | bool) -> Entries:
+    def constants(self, value: Tensor | float | bool | list[Any]) -> Entries:
         """Constant nodes of numbers."""
         flat = value.detach().tolist() if isinstance(value, Tensor) else value
         array = np.array(flat, dtype=object)
@@ -83,7 +83,7 @@ class Lowering:
         return values
 
     def _called(self, node: torch.fx.Node, known: dict[Any, Any]) -> Any:
-        name = str(node.target).removeprefix("aten.").split(".")[0]
+        name = str(node.target).removeprefix("aten.").split(".", maxsplit=1)[0]
         handler = self.handlers.get(name)
         if handler is None:
             raise CannotLowerError(str(node.target))

@@ -1,12 +1,15 @@
 """What each core tensor operation is in scalars."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
+import torch
 
 from diffstack_mmv.control.native.lowering import CannotLowerError, Entries, Lowering
+from diffstack_mmv.control.native.scalar import FOLDS
+from diffstack_mmv.control.native.views import VIEWS, as_list
 
 Handler = Callable[..., Any]
 
@@ -104,7 +107,7 @@ def _sigmoid(low: Lowering, a: Any) -> Entries:
 def _reduced(a: Entries, dims: Any, keepdim: bool, combine: Callable[[list[Any]], Any]) -> Entries:
     """Combine the entries along some dimensions, all if none are told."""
     rank = a.ndim
-    chosen = range(rank) if dims is None or dims == [] else _as_list(dims)
+    chosen = range(rank) if dims is None or dims == [] else as_list(dims)
     axes = sorted(each % rank for each in chosen) if rank else []
     rest = [axis for axis in range(rank) if axis not in axes]
     rows = a.transpose([*rest, *axes]).reshape([*(a.shape[axis] for axis in rest), -1])
@@ -113,10 +116,6 @@ def _reduced(a: Entries, dims: Any, keepdim: bool, combine: Callable[[list[Any]]
         result[index] = combine(list(rows[index]))
     shape = [1 if axis in axes else a.shape[axis] for axis in range(rank)]
     return result.reshape(shape) if keepdim else result
-
-
-def _as_list(value: Any) -> list[int]:
-    return list(value) if isinstance(value, list | tuple) else [value]
 
 
 def _sum(low: Lowering, a: Any, dims: Any = None, keepdim: bool = False, **_: Any) -> Entries:
@@ -154,140 +153,33 @@ def _matrix_product(low: Lowering, a: Entries, b: Entries) -> Entries:
     return _sum(low, low.map("mul", a[..., :, :, None], b[..., None, :, :]), [-2])
 
 
-# views and copies
-
-
-def _slice(
-    low: Lowering,
-    a: Entries,
-    dim: int = 0,
-    start: int | None = None,
-    end: int | None = None,
-    step: int = 1,
-) -> Entries:
-    cut: list[Any] = [slice(None)] * a.ndim
-    cut[dim] = slice(start, end, step)
-    return a[tuple(cut)]
-
-
-def _select(low: Lowering, a: Entries, dim: int, index: int) -> Entries:
-    return np.asarray(a.take(index, dim), dtype=object)
-
-
-def _unsqueeze(low: Lowering, a: Entries, dim: int) -> Entries:
-    return np.expand_dims(a, dim)
-
-
-def _squeeze(low: Lowering, a: Entries, dims: Any = None) -> Entries:
-    chosen = range(a.ndim) if dims is None else [each % a.ndim for each in _as_list(dims)]
-    return a.squeeze(tuple(axis for axis in chosen if a.shape[axis] == 1))
-
-
-def _expand(low: Lowering, a: Entries, shape: Sequence[int], **_: Any) -> Entries:
-    old = (1,) * (len(shape) - a.ndim) + a.shape
-    wanted = [had if want == -1 else want for want, had in zip(shape, old, strict=True)]
-    return np.broadcast_to(a, wanted)
-
-
-def _cat(low: Lowering, parts: Sequence[Entries], dim: int = 0) -> Entries:
-    return np.concatenate([part for part in parts if part.shape != (0,)], dim)
-
-
-def _stack(low: Lowering, parts: Sequence[Entries], dim: int = 0) -> Entries:
-    return np.stack(parts, dim)
-
-
-def _unbind(low: Lowering, a: Entries, dim: int = 0) -> list[Entries]:
-    return [_select(low, a, dim, index) for index in range(a.shape[dim])]
-
-
-def _split(low: Lowering, a: Entries, sizes: Any, dim: int = 0) -> list[Entries]:
-    cuts = np.cumsum(sizes)[:-1] if isinstance(sizes, list | tuple) else range(sizes, a.shape[dim], sizes)
-    return np.split(a, list(cuts), dim)
-
-
-def _pad(low: Lowering, a: Entries, padding: Sequence[int], value: float = 0) -> Entries:
-    widths = [(0, 0)] * a.ndim
-    for axis, pair in enumerate(zip(padding[::2], padding[1::2], strict=True)):
-        widths[a.ndim - 1 - axis] = pair
-    if any(low_ < 0 or high < 0 for low_, high in widths):
-        raise CannotLowerError("padding by less than nothing")
-    fill = low.program.constant(float(value or 0))
-    return np.pad(a, widths, constant_values=fill)
-
-
-def _index_select(low: Lowering, a: Entries, dim: int, index: Entries) -> Entries:
-    return a.take([int(value) for value in low.values(index)], dim)
-
-
-def _index(low: Lowering, a: Entries, indices: Sequence[Entries | None]) -> Entries:
-    chosen = tuple(
-        slice(None) if each is None else np.array(low.values(each), dtype=int).reshape(each.shape)
-        for each in indices
-    )
-    return a[chosen]
-
-
-def _gather(low: Lowering, a: Entries, dim: int, index: Entries, **_: Any) -> Entries:
-    chosen = np.array(low.values(index), dtype=int).reshape(index.shape)
-    return np.take_along_axis(a, chosen, dim)
-
-
-def _like(value: float | None, low: Lowering, a: Any, fill: float = 0.0, **_: Any) -> Entries:
-    return np.full(np.shape(a), low.program.constant(fill if value is None else value), object)
-
-
-def _filled(value: float | None, low: Lowering, shape: Any, fill: Any = 0.0, **_: Any) -> Entries:
-    return np.full(shape, low.program.constant(fill if value is None else value), object)
-
-
-def _arange(low: Lowering, start: float, end: float, step: float = 1, **_: Any) -> Entries:
-    return low.constants(np.arange(start, end, step).tolist())
-
-
 def _copy(low: Lowering, a: Any, dtype: Any = None, **_: Any) -> Entries:
     if dtype is not None and dtype.is_floating_point:
         return low.numbers(a)
-    if dtype is not None and str(dtype) == "torch.bool":
+    if dtype == torch.bool:
         return _truths(low, a)
-    return a
-
-
-def _permute(low: Lowering, a: Entries, order: Sequence[int]) -> Entries:
-    return a.transpose(order)
-
-
-def _transpose(low: Lowering, a: Entries, first: int, second: int) -> Entries:
-    return a.swapaxes(first, second)
-
-
-def _view(low: Lowering, a: Entries, shape: Sequence[int]) -> Entries:
-    return a.reshape(shape)
-
-
-def _flip(low: Lowering, a: Entries, dims: Sequence[int]) -> Entries:
-    return np.flip(a, dims)
-
-
-def _reflect(low: Lowering, a: Any, *_: Any, **__: Any) -> Any:
-    return a
+    return (
+        a if dtype is None else low.constants([int(v) for v in low.values(a)]).reshape(np.shape(a))
+    )
 
 
 def _cumsum(low: Lowering, a: Entries, dim: int, **_: Any) -> Entries:
-    parts = _unbind(low, low.numbers(a), dim)
+    parts = list(np.moveaxis(low.numbers(a), dim, 0))
     for index in range(1, len(parts)):
         parts[index] = low.map("add", parts[index - 1], parts[index])
     return np.stack(parts, dim)
 
 
+OWN = frozenset({"add", "sub", "div", "pow", "where", "max", "min", "and", "or", "not"})
+"""Scalar operations that tensors do in another way, or under another name."""
+
 HANDLERS: dict[str, Handler] = {
     **{
         name: _direct(scalar)
         for name, scalar in {
-            **{each: each for each in "mul neg abs sqrt exp log sin cos tan atan asin".split()},
-            **{each: each for each in "acos sinh cosh tanh log1p expm1 erf floor ceil".split()},
-            **{each: each for each in "lt le gt ge eq ne atan2 fmod".split()},
-            **{"maximum": "max", "minimum": "min", "sign": "sign"},
+            **{each: each for each in FOLDS if each not in OWN},
+            "maximum": "max",
+            "minimum": "min",
         }.items()
     },
     "add": _scaled("add"),
@@ -303,7 +195,11 @@ HANDLERS: dict[str, Handler] = {
     "clamp_min": _clamp,
     "clamp_max": lambda low, a, most: _clamp(low, a, None, most),
     "where": _where,
-    **{f"{kind}_{name}": _logical(name) for kind in ("bitwise", "logical") for name in ("and", "or", "not")},
+    **{
+        f"{kind}_{name}": _logical(name)
+        for kind in ("bitwise", "logical")
+        for name in ("and", "or", "not")
+    },
     "sum": _sum,
     "mean": _mean,
     "amax": partial(_folded, "max"),
@@ -314,33 +210,6 @@ HANDLERS: dict[str, Handler] = {
     "cumsum": _cumsum,
     "mm": _matrix_product,
     "bmm": _matrix_product,
-    "slice": _slice,
-    "select": _select,
-    "unsqueeze": _unsqueeze,
-    "squeeze": _squeeze,
-    "expand": _expand,
-    "cat": _cat,
-    "stack": _stack,
-    "unbind": _unbind,
-    "split": _split,
-    "split_with_sizes": _split,
-    "constant_pad_nd": _pad,
-    "index_select": _index_select,
-    "index": _index,
-    "gather": _gather,
-    "full_like": partial(_like, None),
-    "zeros_like": partial(_like, 0.0),
-    "ones_like": partial(_like, 1.0),
-    "full": partial(_filled, None),
-    "zeros": partial(_filled, 0.0),
-    "ones": partial(_filled, 1.0),
-    "arange": _arange,
-    "permute": _permute,
-    "transpose": _transpose,
-    "view": _view,
-    "reshape": _view,
-    "_unsafe_view": _view,
-    "flip": _flip,
-    **dict.fromkeys(("clone", "alias", "detach", "lift_fresh_copy", "contiguous"), _reflect),
     "_to_copy": _copy,
+    **VIEWS,
 }

@@ -1,4 +1,5 @@
 // What a caller of the library sees.
+#pragma GCC visibility push(default)
 extern "C" {
 
 struct dmmv_sizes {
@@ -27,3 +28,4 @@ void dmmv_solve(long count, const Real* parameters, const Real* bounds, const Re
 }
 
 }  // extern "C"
+#pragma GCC visibility pop

@@ -4,7 +4,7 @@
 #pragma once
 #include <algorithm>
 
-#include "small.hpp"
+#include "stage.hpp"
 
 namespace dmmv {
 
@@ -61,21 +61,21 @@ struct Solver {
     Real change = 0;
     for (int i = 0; i < m; ++i) u[T][i] = 0;
     for (int t = 0; t <= T; ++t) {
-      const Real c = P::cost_model(t, x[t], u[t], q_cost[t], c_x[t], c_u[t], H_xx[t], H_ux[t], H_uu[t]);
+      const Real c = cost_model<P>(t, x[t], u[t], q_cost[t], c_x[t], c_u[t], H_xx[t], H_ux[t], H_uu[t]);
       magnitude += std::fabs(c);
       for (int i = 0; i < n; ++i) change += std::fabs(x[t][i] * c_x[t][i]);
       if (t < T)
         for (int i = 0; i < m; ++i) change += std::fabs(u[t][i] * c_u[t][i]);
     }
     noise = std::numeric_limits<Real>::epsilon() * (magnitude + change);
-    for (int t = 0; t < T; ++t) P::step_jacobian(x[t], u[t], q_step, A[t], B[t]);
+    for (int t = 0; t < T; ++t) step_jacobian<P>(x[t], u[t], q_step, A[t], B[t]);
     std::memcpy(costate[T - 1], c_x[T], sizeof(costate[0]));
     for (int t = T - 1; t > 0; --t) {
       std::memcpy(costate[t - 1], c_x[t], sizeof(costate[0]));
       add_transposed_apply<n, n>(A[t], costate[t], costate[t - 1]);
     }
     for (int t = 0; t < T; ++t) {
-      if (with_curvature) P::add_step_hessian(x[t], u[t], costate[t], q_step, H_xx[t], H_ux[t], H_uu[t]);
+      if (with_curvature) add_step_hessian<P>(x[t], u[t], costate[t], q_step, H_xx[t], H_ux[t], H_uu[t]);
       std::memcpy(gradient[t], c_u[t], sizeof(gradient[0]));
       add_transposed_apply<n, m>(B[t], costate[t], gradient[t]);
     }
@@ -173,7 +173,6 @@ struct Solver {
   // all step sizes 1, 1/2, 1/4, ... at once; the longest of those that the noise cannot tell apart
   void search(int sizes, Real noise_) {
     Real costs[MOST_SIZES], least = INFINITY;
-    Real keep_x[T + 1][n], keep_u[T][m];
     for (int first = 0; first < sizes; first += S) {
       roll(first, std::min(S, sizes - first), costs + first);
       for (int s = first; s < std::min(first + S, sizes); ++s) least = std::min(least, costs[s]);
@@ -188,11 +187,10 @@ struct Solver {
       for (int i = 0; i < m; ++i) best_u[t][i] = all_u[t][i][lane];
     trial_cost = costs[trial_lane];
     trial_size = std::ldexp(Real(1), -trial_lane);
-    (void)keep_x; (void)keep_u;
   }
 
   void roll(int first, int count, Real* costs) {
-    Pack size, total = {}, nothing[m] = {}, state[n], control[m];
+    Pack size, each, total = {}, nothing[m] = {}, state[n], control[m];
     for (int s = 0; s < S; ++s) size[s] = std::ldexp(Real(1), -(first + s));
     for (int i = 0; i < n; ++i) state[i] = all_x[0][i] = Pack{} + x[0][i];
     for (int t = 0; t < T; ++t) {
@@ -204,11 +202,13 @@ struct Solver {
         c = c < low ? low : c;
         control[i] = all_u[t][i] = c > high ? high : c;
       }
-      total += P::cost(t, state, control, q_cost[t]);
+      P::cost(t, state, control, q_cost[t], &each);
+      total += each;
       P::step(state, control, q_step, all_x[t + 1]);
       for (int i = 0; i < n; ++i) state[i] = all_x[t + 1][i];
     }
-    total += P::cost(T, state, nothing, q_cost[T]);
+    P::cost(T, state, nothing, q_cost[T], &each);
+    total += each;
     if (costs)
       for (int s = 0; s < count; ++s) costs[s] = finite(total[s]) ? total[s] : Real(INFINITY);
   }

@@ -152,18 +152,17 @@ def library(problem: StagedProblem, name: str, dtype: torch.dtype) -> Any:
     return _SOURCES[key][1]
 
 
-@functools.lru_cache(maxsize=64)
-def _zeros(shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
-    return torch.zeros(shape, dtype=dtype)
-
-
 def _anywhere(state: Tensor, controls: Tensor) -> Trajectory:
     """Trajectories of the right shape for one problem."""
-    (*_, steps, m), n = controls.shape, state.shape[-1]
     lead = (1,) * (state.dim() - 1)
-    return Trajectory(
-        _zeros((*lead, steps + 1, n), state.dtype), _zeros((*lead, steps + 1, m), state.dtype)
-    )
+    return _zero_trajectory(lead, *controls.shape[-2:], state.shape[-1], state.dtype)
+
+
+@functools.lru_cache(maxsize=64)
+def _zero_trajectory(
+    lead: tuple[int, ...], steps: int, m: int, n: int, dtype: torch.dtype
+) -> Trajectory:
+    return Trajectory(*(torch.zeros(*lead, steps + 1, size, dtype=dtype) for size in (n, m)))
 
 
 def _first(function: Any, originals: dict[int, Tensor]) -> Any:
