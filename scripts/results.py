@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 SCRIPTS = Path(__file__).resolve().parent
+BEST = Path("checkpoints", "best.ckpt")
+PREDICTOR = "predictor"
 
 
 def check(config: DictConfig) -> None:
@@ -36,6 +38,9 @@ def check(config: DictConfig) -> None:
     ):  # fmt: skip
         require(len(parts) > 0, name, "name at least one", "none")
     require_at_least("size.epochs", size.epochs, 1)
+    if size.pretraining is not None:
+        require_at_least("size.pretraining.epochs", size.pretraining.epochs, 1)
+        _require_option("dynamics", size.pretraining.dynamics)
     require_at_least("resamples", config.resamples, 1)
     for goal in size.goals:
         _require_option("goal", goal)
@@ -73,12 +78,13 @@ def main(config: DictConfig) -> None:
               if name not in available]  # fmt: skip
     runs = list(_runs(config, out))
     converted = [_conversion(config, name, out) for name in sorted(available)]
+    begun = _pretrainings(config, [run for run in runs if run.data in available], out)
     trained = [_training(config, run, out) for run in runs if run.data in available]
     launcher: Launcher = instantiate(config.launcher)
-    _tell(config, [*converted, *trained], launcher.width)
+    _tell(config, [*converted, *begun, *trained], launcher.width)
     if config.dry_run:
         return
-    failed = [*_work(launcher, converted), *_work(launcher, trained)]
+    failed = [job for jobs in (converted, begun, trained) for job in _work(launcher, jobs)]
     remarks = [*absent, *(f"{job.name} failed: see {job.log}." for job in failed)]
     shown = [run for run in runs if run.data in available]
     if config.plans:
@@ -92,7 +98,8 @@ def main(config: DictConfig) -> None:
         _draw(config, [run for run in side if run.seed == config.size.seeds[0]], out)
     logger.info("\n%s", (out / "results.md").read_text(encoding="utf-8"))
     if failed:
-        raise ValueError(f"{len(failed)} of {len(converted) + len(trained)} jobs failed. " +
+        count = len(converted) + len(begun) + len(trained)
+        raise ValueError(f"{len(failed)} of {count} jobs failed. " +
                          "Read their logs, then give the same command again.")  # fmt: skip
 
 
@@ -139,29 +146,53 @@ def _conversion(config: DictConfig, name: str, out: Path) -> Job:
     return Job(f"convert {name}", "conversion", tuple(commands), result, log)
 
 
+def _pretrainings(config: DictConfig, runs: Sequence[Run], out: Path) -> list[Job]:
+    """The predictor alone, once for all models and goals of a data set, mode and seed."""
+    told = config.size.pretraining
+    if told is None or not config.plans:
+        return []
+    jobs = {}
+    for run in runs:
+        first = run._replace(model=PREDICTOR, report=_pretrained(run) / "report")
+        settings = (f"dynamics={told.dynamics}", "loss=prediction", f"epochs={told.epochs}")
+        jobs[first.report] = _job(config, first, out, settings, plans=False)
+    return list(jobs.values())
+
+
+def _pretrained(run: Run) -> Path:
+    """Folder of the predictor that a run starts from, beside those of the models."""
+    return run.report.parents[3] / PREDICTOR / str(run.seed)
+
+
 def _training(config: DictConfig, run: Run, out: Path) -> Job:
+    settings = [f"dynamics={run.model}", f"epochs={config.size.epochs}"]
+    if config.plans:
+        settings += config.size.end_to_end
+        if config.size.pretraining is not None:
+            settings.append(f"start={_pretrained(run) / BEST}")
+    return _job(config, run, out, settings, plans=config.plans)
+
+
+def _job(
+    config: DictConfig, run: Run, out: Path, settings: Sequence[str], *, plans: bool
+) -> Job:  # fmt: skip
+    """Training with these settings, and evaluation of its best epoch."""
     told, folder = config.sets[run.data], run.report.parent
     data = f"data={told.data}", f"data.cache={out / 'data' / run.data / 'cache'}"
     windows = *told.get("settings", []), *config.windows
     small = config.size.overrides if config.plans else []
-    settings = [f"epochs={config.size.epochs}", *small, *windows, *config.overrides]
+    who = f"modes=[{run.mode}]"
+    asked = f"vehicle={told.modes[run.mode]}", f"goal={run.goal}", f"seed={run.seed}"
     train = _script(
-        "train",
-        *data,
-        f"modes=[{run.mode}]",
-        f"vehicle={told.modes[run.mode]}",
-        f"dynamics={run.model}",
-        f"goal={run.goal}",
-        f"seed={run.seed}",
-        f"out={folder}",
-        *settings,
+        "train", *data, who, *asked, f"out={folder}", *small, *windows, *config.overrides, *settings
     )
-    best = folder / "checkpoints" / "best.ckpt"
-    asked = f"checkpoint={best}", f"modes=[{run.mode}]", f"out={run.report}"
-    evaluate = _script("evaluate", *data, *asked, *windows, f"plans={str(config.plans).lower()}")
-    name = "/".join(map(str, run[:-1]))
-    log = out / "logs" / f"{name.replace('/', '.')}.log"
-    return Job(name, run.model, (train, evaluate), run.report / "metrics.json", log)
+    judged = f"checkpoint={folder / BEST}", f"out={run.report}", f"plans={str(plans).lower()}"
+    evaluate = _script("evaluate", *data, who, *judged, *windows)
+    name = ".".join(folder.relative_to(out / "runs").parts)
+    return Job(
+        name.replace(".", "/"), run.model, (train, evaluate), run.report / "metrics.json",
+        out / "logs" / f"{name}.log",
+    )  # fmt: skip
 
 
 def _tell(config: DictConfig, jobs: Sequence[Job], width: int) -> None:
