@@ -3,6 +3,13 @@
 from dmmv_conventions.extras import needs
 
 with needs("stack", "diffstack_mmv.reporting"):
+    from diffstack_mmv.reporting.by_excitation import (
+        HEADINGS,
+        PairedSamples,
+        by_excitation,
+        paired_samples,
+        write_by_excitation,
+    )
     from diffstack_mmv.reporting.closed_loop import closed_loop_table, write_closed_loop
     from diffstack_mmv.reporting.comparison import (
         Comparison,
@@ -32,16 +39,20 @@ with needs("stack", "diffstack_mmv.reporting"):
     from diffstack_mmv.reporting.scores import ScoreHeading, Scores
 
 __all__ = [
+    "HEADINGS",
     "Comparison",
     "DrivenRow",
+    "PairedSamples",
     "Run",
     "ScoreHeading",
     "Scores",
+    "by_excitation",
     "closed_loop_table",
     "compare",
     "joint_table",
     "models_table",
     "paired_cases",
+    "paired_samples",
     "paired_table",
     "paired_tests",
     "paired_with_run",
@@ -51,6 +62,7 @@ __all__ = [
     "read_parquet",
     "read_runs",
     "summarise_modes",
+    "write_by_excitation",
     "write_closed_loop",
     "write_compact",
     "write_comparison",
