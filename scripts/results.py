@@ -37,7 +37,7 @@ def check(config: DictConfig) -> None:
         ("sets", config.sets),
     ):  # fmt: skip
         require(len(parts) > 0, name, "name at least one", "none")
-    require_at_least("size.epochs", size.epochs, 1)
+    require_at_least("size.epochs", size.epochs, 0)
     if size.pretraining is not None:
         require_at_least("size.pretraining.epochs", size.pretraining.epochs, 1)
         _require_option("dynamics", size.pretraining.dynamics)

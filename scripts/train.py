@@ -14,6 +14,7 @@ from diffstack_mmv.config_checks import (
     require_share,
     require_windows,
 )
+from dmmv_conventions.checks import require_at_least
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 
@@ -24,6 +25,7 @@ def check(config: DictConfig) -> None:
         config.modes, config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
     )
     require_share("validation.share", config.validation.share)
+    require_at_least("epochs", config.epochs, 0)
     require_own_vehicle(config.modes, config.vehicle, shared=config.shared_vehicle)
     require_recordings(config.data.module.source)
     if config.start is not None:
@@ -66,6 +68,9 @@ def main(config: DictConfig) -> float | None:
     )
     with own_processes():
         trainer.fit(stack, data, ckpt_path=resume)
+    if config.epochs == 0:
+        for name in ("best", "last"):
+            trainer.save_checkpoint(Path(config.out) / "checkpoints" / f"{name}.ckpt")
     best = trainer.checkpoint_callback
     score = getattr(best, "best_model_score", None)
     return None if score is None else float(score)
