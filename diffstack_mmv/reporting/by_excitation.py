@@ -10,8 +10,10 @@ import numpy as np
 import pandas as pd
 
 from diffstack_mmv.metrics import LATERAL, SPEED
+from diffstack_mmv.plotting import draw_by_excitation, save_figure
 from diffstack_mmv.reporting.files import read_json, read_parquet, told_as_broken, write_text
 from diffstack_mmv.reporting.paper_table import bootstrap
+from diffstack_mmv.reporting.scores import ScoreHeading
 
 logger = logging.getLogger(__name__)
 
@@ -100,9 +102,12 @@ def _pair(part: pd.DataFrame, first: str, second: str, resamples: int) -> dict[s
     }
 
 
-def write_by_excitation(folder: Path, table: pd.DataFrame) -> None:
-    """Write `excitation.md` and `excitation.csv`; nothing where no two models can be compared."""
+def write_by_excitation(folder: Path, paired: PairedSamples, score: ScoreHeading) -> None:
+    """Write `excitation.md`, `.csv` and `.png`; nothing where no two models can be compared."""
+    table = by_excitation(paired)
     if table.empty:
         return
     write_text(folder / "excitation.md", f"{table.to_markdown(index=False, floatfmt='.4f')}\n")
     write_text(folder / "excitation.csv", str(table.to_csv(index=False)))
+    figure = draw_by_excitation(paired.table, paired.models, HEADINGS, score.heading)
+    save_figure(figure, folder / "excitation.png")
