@@ -217,6 +217,8 @@ def _tell(config: DictConfig, jobs: Sequence[Job], width: int) -> None:
 def _work(launcher: Launcher, jobs: Sequence[Job]) -> list[Job]:
     """Run what is not done; returns what failed."""
     still, failed = [job for job in jobs if not job.done], []
+    if not still:
+        return failed
     for outcome in tqdm(launcher(still), total=len(still), desc="results", unit="job"):
         logger.info("%s: %.0f s%s", outcome.job.name, outcome.seconds,
                     "" if outcome.succeeded else ", FAILED")  # fmt: skip
