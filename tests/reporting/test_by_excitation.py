@@ -35,6 +35,14 @@ def test_the_difference_is_where_the_human_rode_hard(tmp_path):
     assert (bicycles["n"].sum(), table["low"].isna().any()) == (40, False)
 
 
+def test_few_scenes_have_no_interval(tmp_path):
+    frame = ridden().assign(scene=np.arange(60) % 3)
+    folders = [write_run(tmp_path / name, name, 0, frame=frame) for name in ("kbm", "gm3")]
+    table = by_excitation(paired_samples(folders, "plan_ade"))
+    assert set(table["scenes"]) <= {1, 2, 3}
+    assert table[["low", "high"]].isna().all(None)
+
+
 def test_samples_that_one_cannot_judge_count_for_none(tmp_path):
     frame = ridden()
     frame.loc[frame.index[:6], "plan_ade"] = np.nan
