@@ -72,7 +72,8 @@ def by_excitation(paired: PairedSamples, resamples: int = 1000) -> pd.DataFrame:
 
     Returns:
         One row per setting, range and pair: number of samples and scenes, the mean of both, the
-        mean difference with its interval of 95 % where there are scenes enough. No row where there are no two models.
+        mean difference with its interval of 95 % where there are scenes enough. No row where there
+        are no two models.
     """
     if len(paired.models) < 2:
         return pd.DataFrame()
