@@ -26,13 +26,22 @@ def check(config: DictConfig) -> None:
 def main(config: DictConfig) -> None:
     """Read what evaluate.py wrote and write one table."""
     from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
-    from diffstack_mmv.reporting import compare, paired_tests, read_runs, write_comparison
+    from diffstack_mmv.reporting import (
+        compare,
+        paired_samples,
+        paired_tests,
+        read_runs,
+        write_by_excitation,
+        write_comparison,
+    )
     from diffstack_mmv.reporting.html import Titles, read_record
 
     folders = [Path(run) for run in config.runs]
     comparison = compare(read_runs(folders), OPEN_LOOP)
     tests = paired_tests(folders, OPEN_LOOP[config.score])
     write_comparison(Path(config.out), comparison, tests)
+    score = OPEN_LOOP[config.score]
+    write_by_excitation(Path(config.out), paired_samples(folders, config.score), score)
     logger.info("\n%s", comparison.table.to_markdown(index=False))
     if config.get("wandb"):
         instantiate(config.wandb)(read_record(Path(config.out), Titles(OPEN_LOOP, CLOSED_LOOP)))

@@ -10,6 +10,7 @@ with needs("stack", "diffstack_mmv.plotting"):
         save_animation,
         save_stories,
     )
+    from diffstack_mmv.plotting.excitation import draw_by_excitation
     from diffstack_mmv.plotting.figures import save_figure
     from diffstack_mmv.plotting.horizon import draw_error_over_horizon
     from diffstack_mmv.plotting.identification import (
@@ -32,6 +33,7 @@ __all__ = [
     "Estimate",
     "FittedTrack",
     "PlannedScene",
+    "draw_by_excitation",
     "draw_controls",
     "draw_episode",
     "draw_error_over_horizon",
