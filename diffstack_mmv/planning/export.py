@@ -5,7 +5,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from diffstack_mmv.checks import require, require_at_least
+from diffstack_mmv.checks import message, require_at_least
 from diffstack_mmv.control import ILQR, Batched
 from diffstack_mmv.control.native.export import Export, Exported
 from diffstack_mmv.planning.objective import NAMES, batched_objective
@@ -49,7 +49,8 @@ def export_planner(
         The files, and the entries of the parameters.
 
     Raises:
-        ValueError: A number is not positive, or the solver is no `ILQR`.
+        ValueError: A number is not positive.
+        TypeError: The solver is no `ILQR`.
         CannotLowerError: Dynamics or cost have an operation that has no scalar form.
         CannotBuildError: There is no C++ compiler.
     """
@@ -57,7 +58,7 @@ def export_planner(
         require_at_least(name, value, 1)
     solver = planner.solver
     if not isinstance(solver, ILQR):
-        require(False, "planner.solver", "be an ILQR", type(solver).__name__)
+        raise TypeError(message("planner.solver", "be an ILQR", type(solver).__name__))
     dynamics = planner.dynamics
     problem = _example(planner, agents, components, discs)
     cost = batched_objective(planner, dynamics, problem)

@@ -33,16 +33,15 @@ class Captured:
 
     def __init__(self, graph: torch.fx.GraphModule) -> None:
         self.graph = graph
-        self.places: tuple[int | None, int | None] = (None, None)
+        self.places: list[int | None] = []  # of states and controls among the inputs
         self.problem: StagedProblem | None = None
         self.outputs: tuple[Tensor, ...] = ()
 
     def take(self, inputs: Sequence[Tensor], at: Trajectory) -> StagedProblem:
         """The stages, from the graph at the first call."""
         if self.problem is None:
-            self.places = tuple(
-                next((i for i, each in enumerate(inputs) if each is wanted), None) for wanted in at
-            )
+            found = {id(each): position for position, each in enumerate(inputs)}
+            self.places = [found.get(id(wanted)) for wanted in at]
             self.problem = self._staged(inputs, at)
         return self.problem
 
@@ -54,7 +53,7 @@ class Captured:
         from torch._decomp import core_aten_decompositions
         from torch.fx.experimental.proxy_tensor import make_fx
 
-        table = core_aten_decompositions()
+        table: Any = core_aten_decompositions()
         with torch.no_grad():
             core = make_fx(self.graph.forward, decomposition_table=table)(*inputs)
             self.outputs = tuple(self.graph(*inputs))
@@ -113,7 +112,7 @@ class Recorder:
     """
 
     def __init__(self, function: Callable[..., Any] = evaluate) -> None:
-        self._at: Trajectory | None = None
+        self._at = Trajectory(torch.empty(0), torch.empty(0))
         self._taken: Taken | None = None
         self._call = torch.compile(function, backend=self._backend, fullgraph=True, dynamic=False)
 

@@ -21,6 +21,8 @@ from diffstack_mmv.control.optimizer import Dynamics
 from diffstack_mmv.control.selection import Batched
 from diffstack_mmv.types import Bounds, SolverStatus
 
+FILES = ("libplanner.so", "planner.h", "planner.cpp")
+
 
 class Entry(NamedTuple):
     """A tensor among the parameters of a library."""
@@ -90,9 +92,8 @@ class Export:
         known = {id(tensor): name for name, tensor in names.items()}
         entries = _entries(taken.parameters, known)
         folder.mkdir(parents=True, exist_ok=True)
-        written = Exported(
-            *(folder / each for each in ("libplanner.so", "planner.h", "planner.cpp")), entries
-        )
+        library, declared_in, generated = (folder / name for name in FILES)
+        written = Exported(library, declared_in, generated, entries)
         real = REALS[state.dtype]
         declared = _declarations(taken, entries, real)
         code = source(taken.problem, "solve", real)
@@ -107,7 +108,8 @@ class Export:
 def _taken(dynamics: Dynamics, cost: Batched, state: Tensor, controls: Tensor) -> Taken:
     (_, steps, m), n = controls.shape, state.shape[-1]
     at = Trajectory(state.new_zeros(1, steps + 1, n), state.new_zeros(1, steps + 1, m))
-    return Recorder(copied(evaluate))(dynamics, cost, at)
+    record = Recorder(copied(evaluate))
+    return record(dynamics, cost, at)
 
 
 def _entries(parameters: Sequence[Tensor], known: dict[int, str]) -> tuple[Entry, ...]:

@@ -50,7 +50,7 @@ def source(problem: StagedProblem, library: str, real: str) -> str:
 
 def header(name: str) -> str:
     """A fixed part of every source, without its own inclusions."""
-    text = files(__package__).joinpath(f"{name}.hpp").read_text()
+    text = files("diffstack_mmv.control.native").joinpath(f"{name}.hpp").read_text()
     return "\n".join(
         line for line in text.splitlines() if not line.startswith(('#include "', "#pragma once"))
     )

@@ -15,7 +15,7 @@ from torch import Tensor
 
 REALS = {torch.float32: "float", torch.float64: "double"}
 FLAGS = (
-    *("-std=c++20", "-O2", "-fPIC", "-shared", "-Wno-psabi"),
+    *("-std=c++20", "-O2", "-fPIC", "-shared", "-Wno-psabi", "-pthread"),
     *("-fno-math-errno", "-fno-trapping-math"),  # but not: that all numbers are finite
     "-fvisibility=hidden",  # all libraries have the same names inside, which must not meet
 )

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.fx import GraphModule
+from torch.fx.node import map_arg
 
 from diffstack_mmv.control.native.scalar import Node, Program
 
@@ -87,8 +88,8 @@ class Lowering:
         handler = self.handlers.get(name)
         if handler is None:
             raise CannotLowerError(str(node.target))
-        arguments = torch.fx.node.map_arg(node.args, lambda each: known[each])
-        options = torch.fx.node.map_arg(node.kwargs, lambda each: known[each])
+        arguments = map_arg(node.args, lambda each: known[each])
+        options = map_arg(node.kwargs, lambda each: known[each])
         return handler(self, *arguments, **options)
 
 

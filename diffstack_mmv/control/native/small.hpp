@@ -1,5 +1,9 @@
 // Products of small matrices, and small quadratic programs in a box; row-major arrays of known size.
 #pragma once
+#include <atomic>
+#include <thread>
+#include <vector>
+
 #include "numbers.hpp"
 
 namespace dmmv {
@@ -240,6 +244,19 @@ inline void solve_box_qp(const Real* H, const Real* g, const Real* low, const Re
   else
     box_qp_by_pivoting<M>(H, g, low, high, k);
   for (int i = 0; i < M; ++i) is_free[i] = k[i] > low[i] && k[i] < high[i];
+}
+
+// f(i) for all i < count, shared among threads
+template <class F>
+inline void for_each(long count, long threads, F f) {
+  std::atomic<long> next{0};
+  auto work = [&] {
+    for (long i = next++; i < count; i = next++) f(i);
+  };
+  std::vector<std::thread> helpers;
+  for (long k = 1; k < (threads < count ? threads : count); ++k) helpers.emplace_back(work);
+  work();
+  for (auto& helper : helpers) helper.join();
 }
 
 }  // namespace dmmv

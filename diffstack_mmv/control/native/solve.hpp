@@ -10,12 +10,12 @@ dmmv_sizes dmmv_describe() { return {Problem::n, Problem::m, Problem::T, Problem
 
 // Solves `count` problems, row-major arrays: parameters (count, parameters), bounds (2, control), state (count, state),
 // controls (count, steps, control), x (count, steps + 1, state), u (count, steps, control), all others (count).
-void dmmv_solve(long count, const Real* parameters, const Real* bounds, const Real* state, const Real* controls,
+void dmmv_solve(long count, long threads, const Real* parameters, const Real* bounds, const Real* state, const Real* controls,
                 const dmmv::Settings* settings, Real* x, Real* u, Real* cost, Real* residual, long* iterations,
                 long* status) {
   using P = Problem;
-  thread_local dmmv::Solver<P> solver;
-  for (long i = 0; i < count; ++i) {
+  dmmv::for_each(count, threads, [=](long i) {
+    thread_local dmmv::Solver<P> solver;
     solver.prepare(parameters + i * P::PARAMETERS, bounds);
     solver.solve(state + i * P::n, controls + i * P::T * P::m, *settings);
     residual[i] = solver.conclude();
@@ -24,7 +24,7 @@ void dmmv_solve(long count, const Real* parameters, const Real* bounds, const Re
     cost[i] = solver.cost;
     iterations[i] = solver.iterations;
     status[i] = solver.status;
-  }
+  });
 }
 
 }  // extern "C"

@@ -8,7 +8,7 @@ import ctypes
 import functools
 import logging
 import time
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 from typing import Any, NamedTuple
 
 import torch
@@ -33,7 +33,6 @@ from diffstack_mmv.control.selection import Batched, is_shared
 from diffstack_mmv.types import Solution, SolverStatus
 
 LOGGER = logging.getLogger(__name__)
-FEW = 16  # problems up to which each is solved on its own
 MOST_SIZES = 64  # step sizes that a library tries
 MOST_RENEWALS = 2
 """Times that a kind of problem may outgrow the compiler's list of graphs, 8 shapes each time."""
@@ -45,6 +44,7 @@ class Numbers(NamedTuple):
     settings: Settings
     max_iterations: int
     always_exact: bool  # whether the dynamics are differentiated twice at every iteration
+    most: int  # problems up to which each is solved on its own
 
 
 def solve(
@@ -60,12 +60,14 @@ def solve(
     sizes = state.dtype, state.dim(), state.shape[-1], *controls.shape[-2:]
     key = kind(dynamics), kind(cost), *sizes
     workshop = _workshop(key, label(dynamics))
+    if workshop.is_refused:
+        return None
     return workshop.solve(dynamics, cost, numbers, state, controls)
 
 
 def _is_possible(dynamics: Dynamics, cost: Cost, numbers: Numbers, state: Tensor) -> bool:
     count = state[..., 0].numel()
-    fits = 0 < count <= FEW and state.device.type == "cpu" and state.dtype in REALS
+    fits = 0 < count <= numbers.most and state.device.type == "cpu" and state.dtype in REALS
     fits = fits and numbers.settings.sizes.numel() <= MOST_SIZES
     if count <= 1:
         return fits
@@ -88,56 +90,50 @@ class Workshop:
     def __init__(self, problem: str) -> None:
         self.problem = problem
         self.renewals = 0
-        self.recorder: Recorder | None = Recorder(copied(evaluate))
+        self.recorder = Recorder(copied(evaluate))
         self.known: set[int] = set()
+        self.is_refused = False
 
     def solve(
         self, dynamics: Dynamics, cost: Cost, numbers: Numbers, state: Tensor, controls: Tensor
     ) -> Solution | None:
         """The solution, None where there is no library."""
-        if self.recorder is None:
-            return None
         try:
             taken, parameters = self._taken(dynamics, cost, state, controls)
-            solve = self._prepared(taken.problem, state.dtype)
+            self._prepare(taken.problem, state.dtype)
         except (CannotLowerError, CannotBuildError, *refusals().failed) as failure:
-            self.recorder = None
+            self.is_refused = True
             reason = next(iter(str(failure).strip().splitlines()), type(failure).__name__)
             LOGGER.info("No library for %s (%s): kernels on tensors", self.problem, reason)
             return None
-        return solve(taken.problem, parameters, numbers, state, controls)
+        return solved(taken.problem, parameters, numbers, state, controls)
 
     def _taken(
         self, dynamics: Dynamics, cost: Cost, state: Tensor, controls: Tensor
     ) -> tuple[Taken, Tensor]:
         """The problem, and its parameters (count, P) with their graph."""
         count, originals = state[..., 0].numel(), {}
-        first = [_first(each, originals) for each in (dynamics, cost)]
+        first = _first(dynamics, originals), _first(cost, originals)
+        record, at = self.recorder, _anywhere(state, controls)
         try:
-            taken = self._record(*first, _anywhere(state, controls))
+            taken = record(*first, at)
         except refusals().too_many_graphs as failure:
             self.renewals += 1
             if self.renewals > MOST_RENEWALS:
                 raise CannotLowerError("too many shapes") from failure
-            self.recorder = Recorder(copied(evaluate))
-            taken = self._record(*first, _anywhere(state, controls))
+            record = self.recorder = Recorder(copied(evaluate))
+            taken = record(*first, at)
         rows = [_row(each, originals.get(id(each)), count, state) for each in taken.parameters]
         empty = state.new_zeros(count, 0)
         return taken, torch.cat([empty, *rows], 1).contiguous()
 
-    def _record(self, dynamics: Any, cost: Any, at: Trajectory) -> Taken:
-        if self.recorder is None:
-            raise CannotLowerError("no recorder")
-        return self.recorder(dynamics, cost, at)
-
-    def _prepared(self, problem: StagedProblem, dtype: torch.dtype) -> Callable[..., Solution]:
+    def _prepare(self, problem: StagedProblem, dtype: torch.dtype) -> None:
         if id(problem) not in self.known:
             began_s = time.perf_counter()
             LOGGER.info("Compiling the solver for %s: one library", self.problem)
             library(problem, "solve", dtype)
             LOGGER.info("Compiled it in %.1f s", time.perf_counter() - began_s)
             self.known.add(id(problem))
-        return solved
 
 
 _SOURCES: dict[tuple[int, str, torch.dtype], tuple[StagedProblem, Any]] = {}
@@ -192,6 +188,11 @@ def solved(
     return Solution(*(result.reshape(batch + result.shape[1:]) for result in results))
 
 
+def _counts(problems: int) -> tuple[Any, Any]:
+    """Numbers of problems and of threads."""
+    return ctypes.c_long(problems), ctypes.c_long(torch.get_num_threads())
+
+
 class _Solve(torch.autograd.Function):
     """The solution as a function of parameters and initial state."""
 
@@ -220,7 +221,7 @@ class _Solve(torch.autograd.Function):
         given = parameters.detach(), box, state.contiguous(), controls.contiguous()
         results = x, u, cost, residual, iterations, status
         call = library(problem, "solve", state.dtype).dmmv_solve
-        call(ctypes.c_long(count), *pointers(*given), ctypes.byref(record), *pointers(*results))
+        call(*_counts(count), *pointers(*given), ctypes.byref(record), *pointers(*results))
         ctx.problem = problem
         ctx.save_for_backward(parameters, box, x, u, status)
         ctx.mark_non_differentiable(residual, iterations, status)
@@ -234,5 +235,5 @@ class _Solve(torch.autograd.Function):
         by_parameters, by_state = torch.empty_like(parameters), torch.empty_like(x[:, 0])
         given = parameters.detach(), box, x, u, valid, *(each.contiguous() for each in slopes[:3])
         call = library(ctx.problem, "adjoint", x.dtype).dmmv_adjoint
-        call(ctypes.c_long(len(x)), *pointers(*given), *pointers(by_parameters, by_state))
+        call(*_counts(len(x)), *pointers(*given), *pointers(by_parameters, by_state))
         return None, None, by_parameters, by_state, None

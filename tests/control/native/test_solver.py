@@ -16,7 +16,9 @@ EXACT = ILQR(tolerance=1e-12)
 def natively(solver, dynamics, cost, bounds, state, controls):
     """The solution of the generated library, which must be there."""
     exact = solver.curvature.is_exact(state.shape[-1])
-    numbers = native.Numbers(solver.settings(bounds, state), solver.max_iterations, exact)
+    numbers = native.Numbers(
+        solver.settings(bounds, state), solver.max_iterations, exact, solver.one_by_one
+    )
     return native.solve(dynamics, cost, numbers, state, controls)
 
 
