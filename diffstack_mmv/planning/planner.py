@@ -7,13 +7,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from diffstack_mmv.checks import require_at_least
+from diffstack_mmv.checks import message, require_at_least
 from diffstack_mmv.control import ILQR, Batched, TrajectoryOptimizer
 from diffstack_mmv.costs import WeightedCost
 from diffstack_mmv.dynamics import DynamicsModel, rollout
 from diffstack_mmv.planning.candidates import CandidateSource, with_final_row
 from diffstack_mmv.planning.choice import PlanChoice, TakeOptimum
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
+from diffstack_mmv.planning.limits import PlanConstraints
 from diffstack_mmv.planning.objective import batched_objective
 from diffstack_mmv.planning.pricing import CostScore, PlanScore, ScoredPlans
 from diffstack_mmv.planning.problem import initial_state, likeliest
@@ -64,8 +65,10 @@ class MPCPlanner(Planner):
         choice: Which plan is driven.
         solved_components: Where agents have more components than this, the optimiser sees the
             likeliest one alone, while the score sees all; None shows it all.
+        constraints: What the optimiser keeps to besides the box of the controls; None: nothing.
 
     Raises:
+        TypeError: There are constraints, but the solver is no `ILQR`.
         ValueError: The horizon is shorter than one step, the number of starts negative, or no
             component left.
     """
@@ -81,6 +84,7 @@ class MPCPlanner(Planner):
         starts: int = 1,
         choice: PlanChoice | None = None,
         solved_components: int | None = None,
+        constraints: PlanConstraints | None = None,
     ) -> None:
         super().__init__()
         require_at_least("steps", steps, 1)
@@ -95,6 +99,10 @@ class MPCPlanner(Planner):
         self.starts = starts
         self.choice = choice or TakeOptimum()
         self.solved_components = solved_components
+        self.constraints = constraints
+        if constraints is not None and constraints.limits and not isinstance(solver, ILQR):
+            found = type(solver).__name__
+            raise TypeError(message("solver", "be an ILQR where there are constraints", found))
 
     def forward(self, problem: PlanningProblem, state: PlannerState | None = None) -> Plan:
         """Plan for every problem, `*b`; see `Planner`.
@@ -194,13 +202,15 @@ class MPCPlanner(Planner):
             return wide.flatten(0, batch_dims)
 
         each = map_tensors(repeated, problem)
-        solution = self.solver(
-            Batched(self.dynamics),
-            batched_objective(self, self.dynamics, each),
-            self.dynamics.bounds,
-            initial_state(self.dynamics, each.ego),
-            guess.flatten(0, batch_dims),
-        )
+        cost, controls = batched_objective(self, self.dynamics, each), guess.flatten(0, batch_dims)
+        state = initial_state(self.dynamics, each.ego)
+        limited = self.constraints is not None and self.constraints.limits and len(controls)
+        if limited and isinstance(self.solver, ILQR):
+            solve = self.constraints.solve
+            solution = solve(self.solver, self.dynamics, each, cost, controls, state)
+        else:
+            model = Batched(self.dynamics)
+            solution = self.solver(model, cost, self.dynamics.bounds, state, controls)
         return map_tensors(lambda entry: entry.unflatten(0, shape), solution)
 
     def _relative(self, controls: Float[Tensor, "*b t m"]) -> Float[Tensor, "*b t m"]:
