@@ -222,9 +222,12 @@ def _options(device: str) -> dict[str, Any]:
     """
     import torch._inductor.config
 
+    from diffstack_mmv.control.separate_lanes import SeparateLanes
+
     options: dict[str, Any] = {"loop_ordering_after_fusion": False}  # slow, and finds nothing here
     if device == "cpu":
         options["cpp_wrapper"] = True
+        options["post_grad_custom_post_pass"] = SeparateLanes()
     if hasattr(torch._inductor.config, "unsafe_marked_cacheable_functions"):
         loops = {f"torch.ops.higher_order.{name}": "body hashed" for name in ("scan", "while_loop")}
         options["unsafe_marked_cacheable_functions"] = loops
