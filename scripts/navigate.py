@@ -6,10 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hydra.utils import get_class, instantiate
-from omegaconf import DictConfig, OmegaConf
-
-from diffstack_mmv.cli import command
+from diffstack_mmv.cli import DictConfig, OmegaConf, command, get_class, instantiate
 from diffstack_mmv.config_checks import require_checkpoint
 from dmmv_conventions.checks import require_at_least
 from dmmv_conventions.configs import config_folder

@@ -8,6 +8,7 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
 from diffstack_mmv.cli import admit_any, command, save_config
+from dmmv_conventions.extras import needs
 from dmmv_conventions.locks import alone_in
 
 CONTENT = """
@@ -79,6 +80,16 @@ def test_a_failure_shows_no_traceback(run):
 
     _, told = run("needed=1", task=fail)
     assert "KeyError: 'key'" in told
+    assert "Traceback" not in told
+
+
+def test_a_part_that_is_not_installed_shows_no_traceback(run):
+    def lack(config):
+        with needs("dashboard", "the dashboard"):
+            import nowhere_to_be_found  # noqa: F401
+
+    _, told = run("needed=1", task=lack)
+    assert told.startswith("`nowhere_to_be_found` must be installed for the dashboard")
     assert "Traceback" not in told
 
 
