@@ -7,6 +7,7 @@ import functools
 import math
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -120,7 +121,7 @@ def command(
                 with alone_in(Path(config.out), "out"), _single_job():
                     admit(config)
                     save_config(config, Path(config.out))
-                    with shown_by(Bars()):
+                    with shown_by(Bars()), _quiet_dependencies():
                         return task(config)
 
         entry = hydra.main(
@@ -136,6 +137,16 @@ def command(
         return main
 
     return decorate
+
+
+@contextmanager
+def _quiet_dependencies() -> Iterator[None]:
+    """Keep what packages deprecate from people who use none of it; PYTHONWARNINGS shows it."""
+    with warnings.catch_warnings():
+        if not sys.warnoptions:
+            for category in (DeprecationWarning, PendingDeprecationWarning, FutureWarning):
+                warnings.simplefilter("ignore", category)
+        yield
 
 
 @contextmanager
