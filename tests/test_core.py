@@ -123,6 +123,23 @@ def test_a_command_of_a_checkout_says_in_one_line_what_is_missing(name):
     assert line.startswith("`hydra` must be installed for the command lines, but got nothing")
 
 
+@pytest.mark.parametrize(
+    ("extra", "package", "script", "arguments"),
+    [
+        ("sweep", "submitit", "results", ["launcher=slurm"]),
+        ("dashboard", "wandb_workspaces", "dashboard", ["entity=team"]),
+        ("crowd", "pysocialforce", "navigate", ["crowd=social_force", "cases=1", "beside=[]"]),
+    ],
+)
+def test_a_command_names_the_extra_of_a_part(
+    extra, package, script, arguments, refusal, monkeypatch, tmp_path
+):
+    monkeypatch.setitem(sys.modules, package, None)
+    told = refusal(script, *arguments, f"out={tmp_path}")
+    assert f"`{package}` must be installed" in told
+    assert f"diffstack_mmv[{extra}]" in told
+
+
 @pytest.mark.parametrize("extra", ["dashboard", "sweep", "test"])
 def test_extras_bring_the_stack_they_need(extra):
     assert "diffstack_mmv[stack]" in PROJECT["optional-dependencies"][extra]
