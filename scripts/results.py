@@ -9,15 +9,12 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hydra.utils import instantiate
-from omegaconf import DictConfig
-from tqdm import tqdm
-
-from diffstack_mmv.cli import command
+from diffstack_mmv.cli import DictConfig, command, instantiate
 from diffstack_mmv.config_checks import require_modes
 from diffstack_mmv.jobs import Job, Launcher, expected_seconds
 from dmmv_conventions.checks import require, require_at_least, require_one_of
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.progress import counted
 
 if TYPE_CHECKING:
     from diffstack_mmv.reporting import Run
@@ -219,7 +216,7 @@ def _work(launcher: Launcher, jobs: Sequence[Job]) -> list[Job]:
     still, failed = [job for job in jobs if not job.done], []
     if not still:
         return failed
-    for outcome in tqdm(launcher(still), total=len(still), desc="results", unit="job"):
+    for outcome in counted(launcher(still), "results", "job", len(still)):
         logger.info("%s: %.0f s%s", outcome.job.name, outcome.seconds,
                     "" if outcome.succeeded else ", FAILED")  # fmt: skip
         if not outcome.succeeded:

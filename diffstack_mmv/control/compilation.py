@@ -17,6 +17,7 @@ from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.riccati import Policy, Stationary, box_policy, solve_free
 from diffstack_mmv.control.selection import Batched, is_shared
 from diffstack_mmv.control.shape_polymorphic import ShapePolymorphic
+from dmmv_conventions.progress import waiting
 
 LOGGER = logging.getLogger(__name__)
 LARGEST_ROW = 8  # a size beyond it may be a batch or a horizon, not a row of controls or step sizes
@@ -121,7 +122,8 @@ class Kernel:
         LOGGER.info("Compiling the solver for %s: %s", self.problem, name)
         began_s = time.perf_counter()
         self.compiled = torch.compile(_copy(self.function), fullgraph=True, options=self.options)
-        result = self(*arguments)
+        with waiting(f"compile the solver for {self.problem}: {name}"):
+            result = self(*arguments)
         if self.compiled is not self.function:
             LOGGER.info("Compiled %s in %.1f s", name, time.perf_counter() - began_s)
         return result
