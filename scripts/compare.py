@@ -26,10 +26,7 @@ def check(config: DictConfig) -> None:
 def main(config: DictConfig) -> None:
     """Read what evaluate.py wrote and write one table."""
     from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
-    from diffstack_mmv.plotting import draw_by_excitation, save_figure
     from diffstack_mmv.reporting import (
-        HEADINGS,
-        by_excitation,
         compare,
         paired_samples,
         paired_tests,
@@ -43,12 +40,8 @@ def main(config: DictConfig) -> None:
     comparison = compare(read_runs(folders), OPEN_LOOP)
     tests = paired_tests(folders, OPEN_LOOP[config.score])
     write_comparison(Path(config.out), comparison, tests)
-    paired = paired_samples(folders, config.score)
-    write_by_excitation(Path(config.out), by_excitation(paired))
-    if not paired.table.empty:
-        heading = OPEN_LOOP[config.score].heading
-        figure = draw_by_excitation(paired.table, paired.models, HEADINGS, heading)
-        save_figure(figure, Path(config.out) / "excitation.png")
+    score = OPEN_LOOP[config.score]
+    write_by_excitation(Path(config.out), paired_samples(folders, config.score), score)
     logger.info("\n%s", comparison.table.to_markdown(index=False))
     if config.get("wandb"):
         instantiate(config.wandb)(read_record(Path(config.out), Titles(OPEN_LOOP, CLOSED_LOOP)))

@@ -69,7 +69,13 @@ def main(config: DictConfig) -> None:
         ValueError: A job failed.
     """
     from diffstack_mmv.metrics import OPEN_LOOP
-    from diffstack_mmv.reporting import paper_table, prediction_table, write_paper_table
+    from diffstack_mmv.reporting import (
+        paired_samples,
+        paper_table,
+        prediction_table,
+        write_by_excitation,
+        write_paper_table,
+    )
 
     out, models = Path(config.out), _models(config)
     wanted = {str(name): told for name, told in config.sets.items() if told is not None}
@@ -93,6 +99,8 @@ def main(config: DictConfig) -> None:
         table = prediction_table(shown, models)
     write_paper_table(out, table, remarks)
     drawn = shown if config.plans else []
+    judged = [run.report for run in drawn if (run.report / "metrics.json").is_file()]
+    write_by_excitation(out, paired_samples(judged, "plan_ade"), OPEN_LOOP["plan_ade"])
     for data, mode, goal in dict.fromkeys((run.data, run.mode, run.goal) for run in drawn):
         side = [run for run in shown if (run.data, run.mode, run.goal) == (data, mode, goal)]
         _draw(config, [run for run in side if run.seed == config.size.seeds[0]], out)
@@ -187,7 +195,7 @@ def _job(
         "train", *data, who, *asked, f"out={folder}", *small, *windows, *config.overrides, *settings
     )
     judged = f"checkpoint={folder / BEST}", f"out={run.report}", f"plans={str(plans).lower()}"
-    evaluate = _script("evaluate", *data, who, *judged, *windows)
+    evaluate = _script("evaluate", *data, who, *judged, f"split={config.split}", *windows)
     name = ".".join(folder.relative_to(out / "runs").parts)
     return Job(
         name.replace(".", "/"), run.model, (train, evaluate), run.report / "metrics.json",
@@ -209,6 +217,8 @@ def _tell(config: DictConfig, jobs: Sequence[Job], width: int) -> None:
 def _work(launcher: Launcher, jobs: Sequence[Job]) -> list[Job]:
     """Run what is not done; returns what failed."""
     still, failed = [job for job in jobs if not job.done], []
+    if not still:
+        return failed
     for outcome in tqdm(launcher(still), total=len(still), desc="results", unit="job"):
         logger.info("%s: %.0f s%s", outcome.job.name, outcome.seconds,
                     "" if outcome.succeeded else ", FAILED")  # fmt: skip
@@ -220,6 +230,7 @@ def _work(launcher: Launcher, jobs: Sequence[Job]) -> list[Job]:
 def _draw(config: DictConfig, runs: Sequence[Run], out: Path) -> None:
     """The sample that is the median of the first model, as every model plans it."""
     from diffstack_mmv.callbacks import scenes_of
+    from diffstack_mmv.data import split_windows
     from diffstack_mmv.plotting import draw_scenes, save_figure
     from diffstack_mmv.reporting import read_parquet
     from diffstack_mmv.stack import load_stack, outputs_of, representative
@@ -234,8 +245,7 @@ def _draw(config: DictConfig, runs: Sequence[Run], out: Path) -> None:
         path = run.report.parent / "checkpoints" / "best.ckpt"
         stack, trained = load_stack(path)
         data = instantiate(trained["data"]["module"])
-        data.prepare_splits(["test"])
-        planned = outputs_of(stack, data.dataset("test"), [number])
+        planned = outputs_of(stack, split_windows(data, config.split), [number])
         scenes += scenes_of(*planned, [config.models[run.model]])
     first = ended[0]
     name = f"{first.data}_{first.mode}_{first.goal}.png"

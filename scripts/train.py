@@ -1,7 +1,9 @@
 """Train the stack end to end by imitation."""
 
+from __future__ import annotations
+
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
@@ -17,6 +19,11 @@ from diffstack_mmv.config_checks import (
 from dmmv_conventions.checks import require_at_least
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
+
+if TYPE_CHECKING:
+    import pytorch_lightning as pl
+
+    from diffstack_mmv.stack import DiffStackMMV
 
 
 def check(config: DictConfig) -> None:
@@ -66,14 +73,21 @@ def main(config: DictConfig) -> float | None:
     trainer = instantiate(
         config.trainer, callbacks=[*callbacks, Provenance(content)], logger=loggers
     )
+    if config.epochs == 0:
+        _save_as_it_is(trainer, stack, Path(config.out) / "checkpoints")
+        return None
     with own_processes():
         trainer.fit(stack, data, ckpt_path=resume)
-    if config.epochs == 0:
-        for name in ("best", "last"):
-            trainer.save_checkpoint(Path(config.out) / "checkpoints" / f"{name}.ckpt")
     best = trainer.checkpoint_callback
     score = getattr(best, "best_model_score", None)
     return None if score is None else float(score)
+
+
+def _save_as_it_is(trainer: pl.Trainer, stack: DiffStackMMV, folder: Path) -> None:
+    """Write the checkpoints of a training that learns nothing, so that it can be evaluated."""
+    trainer.strategy.connect(stack)
+    for name in ("best", "last"):
+        trainer.save_checkpoint(folder / f"{name}.ckpt")
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@ from dmmv_conventions.extras import needs
 
 with needs("stack", "diffstack_mmv.reporting"):
     from diffstack_mmv.reporting.by_excitation import (
-        HEADINGS,
         PairedSamples,
         by_excitation,
         paired_samples,
@@ -39,7 +38,6 @@ with needs("stack", "diffstack_mmv.reporting"):
     from diffstack_mmv.reporting.scores import ScoreHeading, Scores
 
 __all__ = [
-    "HEADINGS",
     "Comparison",
     "DrivenRow",
     "PairedSamples",

@@ -10,12 +10,15 @@ import numpy as np
 import pandas as pd
 
 from diffstack_mmv.metrics import LATERAL, SPEED
+from diffstack_mmv.plotting import draw_by_excitation, save_figure
 from diffstack_mmv.reporting.files import read_json, read_parquet, told_as_broken, write_text
 from diffstack_mmv.reporting.paper_table import bootstrap
+from diffstack_mmv.reporting.scores import ScoreHeading
 
 logger = logging.getLogger(__name__)
 
 EDGES = {LATERAL: (0.0, 0.5, 1.0, 2.0, 3.0, np.inf), SPEED: (0.0, 2.0, 4.0, 6.0, 8.0, np.inf)}
+FEWEST_SCENES = 4  # with fewer, drawing them with replacement tells nothing of an interval
 HEADINGS = {LATERAL: "lateral acceleration [m/s²]", SPEED: "speed [m/s]"}
 PLACE = ["data", "goal", "mode", "vehicle"]
 SAMPLE = ["scene", "agent", "row", LATERAL, SPEED]
@@ -69,7 +72,8 @@ def by_excitation(paired: PairedSamples, resamples: int = 1000) -> pd.DataFrame:
 
     Returns:
         One row per setting, range and pair: number of samples and scenes, the mean of both, the
-        mean difference with its interval of 95 %. No row where there are no two models.
+        mean difference with its interval of 95 % where there are scenes enough. No row where there
+        are no two models.
     """
     if len(paired.models) < 2:
         return pd.DataFrame()
@@ -86,12 +90,13 @@ def by_excitation(paired: PairedSamples, resamples: int = 1000) -> pd.DataFrame:
 
 
 def _pair(part: pd.DataFrame, first: str, second: str, resamples: int) -> dict[str, object]:
-    difference = part[first] - part[second]
-    low, high = bootstrap(difference, part["scene"], resamples)
+    difference, scenes = part[first] - part[second], part["scene"].nunique()
+    known = scenes >= FEWEST_SCENES
+    low, high = bootstrap(difference, part["scene"], resamples) if known else (np.nan, np.nan)
     return {
         "pair": f"{first} - {second}",
         "n": len(part),
-        "scenes": part["scene"].nunique(),
+        "scenes": scenes,
         "first": part[first].mean(),
         "second": part[second].mean(),
         "Δ": difference.mean(),
@@ -100,9 +105,12 @@ def _pair(part: pd.DataFrame, first: str, second: str, resamples: int) -> dict[s
     }
 
 
-def write_by_excitation(folder: Path, table: pd.DataFrame) -> None:
-    """Write `excitation.md` and `excitation.csv`; nothing where no two models can be compared."""
+def write_by_excitation(folder: Path, paired: PairedSamples, score: ScoreHeading) -> None:
+    """Write `excitation.md`, `.csv` and `.png`; nothing where no two models can be compared."""
+    table = by_excitation(paired)
     if table.empty:
         return
     write_text(folder / "excitation.md", f"{table.to_markdown(index=False, floatfmt='.4f')}\n")
     write_text(folder / "excitation.csv", str(table.to_csv(index=False)))
+    figure = draw_by_excitation(paired.table, paired.models, HEADINGS, score.heading)
+    save_figure(figure, folder / "excitation.png")

@@ -53,7 +53,6 @@ from diffstack_mmv.stack.physics import PhysicsLearning
 from diffstack_mmv.stack.precision import MixedPrecision
 from diffstack_mmv.types import Forecast, Plan, PlanningProblem, StackBatch, Tracks
 
-
 PathError = Callable[[Float[Tensor, "*b T 2"], Tracks], Float[Tensor, "*b"]]
 
 
