@@ -10,6 +10,16 @@ from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.planning.coordinates import ControlCoordinates
 from diffstack_mmv.types import Discs, Ego, Heading, Motion, Obstacles, PlanningProblem
 
+NAMES = (
+    *Motion._fields,
+    *(f"ego_disc_{name}" for name in Discs._fields),
+    "goal",
+    "reference",
+    "reference_speed",
+    *(f"obstacle_{name}" for name in Obstacles._fields),
+)
+"""Names of the tensors of a problem, in their order."""
+
 
 @runtime_checkable
 class PlanCost(Protocol):
