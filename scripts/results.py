@@ -67,10 +67,8 @@ def main(config: DictConfig) -> None:
     """
     from diffstack_mmv.metrics import OPEN_LOOP
     from diffstack_mmv.reporting import (
-        paired_samples,
         paper_table,
         prediction_table,
-        write_by_excitation,
         write_paper_table,
     )
 
@@ -97,7 +95,7 @@ def main(config: DictConfig) -> None:
     write_paper_table(out, table, remarks)
     drawn = shown if config.plans else []
     judged = [run.report for run in drawn if (run.report / "metrics.json").is_file()]
-    write_by_excitation(out, paired_samples(judged, "plan_ade"), OPEN_LOOP["plan_ade"])
+    _write_excitation(judged, out)
     for data, mode, goal in dict.fromkeys((run.data, run.mode, run.goal) for run in drawn):
         side = [run for run in shown if (run.data, run.mode, run.goal) == (data, mode, goal)]
         _draw(config, [run for run in side if run.seed == config.size.seeds[0]], out)
@@ -222,6 +220,21 @@ def _work(launcher: Launcher, jobs: Sequence[Job]) -> list[Job]:
         if not outcome.succeeded:
             failed.append(outcome.job)
     return failed
+
+
+def _write_excitation(reports: Sequence[Path], out: Path) -> None:
+    """The models by how hard the human rode."""
+    from diffstack_mmv.metrics import EXCITATION, OPEN_LOOP
+    from diffstack_mmv.plotting import save_by_excitation
+    from diffstack_mmv.reporting import paired_samples, write_by_excitation
+
+    paired = paired_samples(reports, "plan_ade", EXCITATION)
+    write_by_excitation(out, paired)
+    titles, heading = (
+        {each.name: each.heading for each in EXCITATION},
+        OPEN_LOOP["plan_ade"].heading,
+    )
+    save_by_excitation(out / "excitation.png", paired.table, paired.models, titles, heading)
 
 
 def _draw(config: DictConfig, runs: Sequence[Run], out: Path) -> None:
