@@ -13,6 +13,7 @@ from diffstack_mmv.costs import WeightedCost
 from diffstack_mmv.dynamics import DynamicsModel, rollout
 from diffstack_mmv.planning.candidates import CandidateSource, with_final_row
 from diffstack_mmv.planning.choice import PlanChoice, TakeOptimum
+from diffstack_mmv.planning.coordinates import Coordinates, PhysicalControls
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
 from diffstack_mmv.planning.objective import batched_objective
 from diffstack_mmv.planning.pricing import CostScore, PlanScore, ScoredPlans
@@ -64,6 +65,7 @@ class MPCPlanner(Planner):
         choice: Which plan is driven.
         solved_components: Where agents have more components than this, the optimiser sees the
             likeliest one alone, while the score sees all; None shows it all.
+        coordinates: In which the optimiser sees the controls; the controls themselves by default.
 
     Raises:
         ValueError: The horizon is shorter than one step, the number of starts negative, or no
@@ -81,6 +83,7 @@ class MPCPlanner(Planner):
         starts: int = 1,
         choice: PlanChoice | None = None,
         solved_components: int | None = None,
+        coordinates: Coordinates = PhysicalControls,
     ) -> None:
         super().__init__()
         require_at_least("steps", steps, 1)
@@ -95,6 +98,7 @@ class MPCPlanner(Planner):
         self.starts = starts
         self.choice = choice or TakeOptimum()
         self.solved_components = solved_components
+        self.coordinates = coordinates
 
     def forward(self, problem: PlanningProblem, state: PlannerState | None = None) -> Plan:
         """Plan for every problem, `*b`; see `Planner`.
@@ -193,14 +197,19 @@ class MPCPlanner(Planner):
             wide = entry.unsqueeze(batch_dims).expand(*shape, *entry.shape[batch_dims:])
             return wide.flatten(0, batch_dims)
 
-        each = map_tensors(repeated, problem)
+        each, coordinates = map_tensors(repeated, problem), self.coordinates(self.dynamics)
+        start = initial_state(self.dynamics, each.ego)
+        with torch.no_grad():
+            first = coordinates.coordinates(start, guess.flatten(0, batch_dims))
         solution = self.solver(
-            Batched(self.dynamics),
-            batched_objective(self, self.dynamics, each),
-            self.dynamics.bounds,
-            initial_state(self.dynamics, each.ego),
-            guess.flatten(0, batch_dims),
+            Batched(coordinates.step),
+            batched_objective(self, self.dynamics, each, coordinates),
+            coordinates.bounds,
+            start,
+            first,
         )
+        controls = coordinates.controls(solution.states[..., :-1, :], solution.controls)
+        solution = solution._replace(controls=controls)
         return map_tensors(lambda entry: entry.unflatten(0, shape), solution)
 
     def _relative(self, controls: Float[Tensor, "*b t m"]) -> Float[Tensor, "*b t m"]:

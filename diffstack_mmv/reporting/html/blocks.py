@@ -89,7 +89,7 @@ class Gallery:
 
     def pictures(self) -> list[tuple[str, str]]:
         """Name and address (with the whole content) of each picture."""
-        return [(file.stem.replace("_", " "), _address(file)) for file in self.files]
+        return [(_caption(file), _address(file)) for file in self.files]
 
 
 @dataclass(frozen=True)
@@ -157,6 +157,11 @@ def _without_nan(values: Any) -> Any:
     if isinstance(values, list):
         return [_without_nan(value) for value in values]
     return None if math.isnan(values) else values
+
+
+def _caption(file: Path) -> str:
+    moving = ", animated" if file.suffix == ".gif" else ""
+    return file.stem.replace("_", " ") + moving
 
 
 def _address(file: Path) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffstack_mmv.reporting.html.blocks import plain
+from diffstack_mmv.reporting.html.quantities import quantity
 
 Array = NDArray[Any]
 FAINT = 0.1  # weight of an ellipse among many
@@ -113,7 +114,7 @@ def driven_scene(
     series.append({"name": "speed [m/s]", "values": plain(speed, 3)})
     for column, values in enumerate(arrays["controls"][row, :steps].T):
         named = around.controls[column] if column < len(around.controls) else f"control {column}"
-        series.append({"name": named, "values": [*plain(values, 3), None]})
+        series.append({"name": quantity(named), "values": [*plain(values, 3), None]})
     return {
         "title": title,
         "times": plain(around.dt_s * np.arange(end)),

@@ -6,6 +6,7 @@ import pandas as pd
 
 from diffstack_mmv.reporting.files import told_as_broken
 from diffstack_mmv.reporting.html.blocks import Block, Chart, Section, frame_table
+from diffstack_mmv.reporting.html.quantities import quantity
 
 TABLES = {"table.csv": "Comparison", "tests.csv": "Paired tests", "results.csv": "Results"}
 """File -> title."""
@@ -40,9 +41,9 @@ def read_trajectories(folder: Path) -> list[Section]:
     columns = dict.fromkeys(name for frame in frames.values() for name in frame.columns[1:])
     charts = [
         Chart(
-            column,
-            str(next(iter(frames.values())).columns[0]),
-            column,
+            column.replace("_", " "),
+            quantity(str(next(iter(frames.values())).columns[0])),
+            quantity(column),
             {
                 name: (frame.iloc[:, 0].tolist(), frame[column].tolist())
                 for name, frame in frames.items()
