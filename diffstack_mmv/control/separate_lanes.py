@@ -25,15 +25,15 @@ class SeparateLanes(CustomGraphPass):
 
     def __call__(self, graph: fx.Graph) -> None:
         """Change the graph in place."""
-        for node in list(graph.nodes):
-            if node.op == "call_function" and node.target in SINES:
-                self._replace(graph, node)
+        for sine in SINES:
+            for node in graph.find_nodes(op="call_function", target=sine):
+                self._replace(graph, node, sine)
 
     def uuid(self) -> Any:
         """Hash of this file: graphs that are kept on disk belong to one form of it."""
         return get_hash_for_files((__file__,))
 
-    def _replace(self, graph: fx.Graph, node: fx.Node) -> None:
+    def _replace(self, graph: fx.Graph, node: fx.Node, sine: Callable[..., Any]) -> None:
         angle = node.args[0]
         fast = FAST.get(node.meta["val"].dtype)
         if fast is None:
@@ -43,7 +43,7 @@ class SeparateLanes(CustomGraphPass):
             return graph.call_function(function, arguments)
 
         with graph.inserting_before(node):
-            result = separate(insert, node.target, angle, fast)
+            result = separate(insert, sine, angle, fast)
         node.replace_all_uses_with(result)
         graph.erase_node(node)
 
