@@ -66,11 +66,8 @@ class MPCPlanner(Planner):
         choice: Which plan is driven.
         solved_components: Where agents have more components than this, the optimiser sees the
             likeliest one alone, while the score sees all; None shows it all.
-<<<<<<< HEAD
         coordinates: In which the optimiser sees the controls; the controls themselves by default.
-=======
         constraints: What the optimiser keeps to besides the box of the controls; None: nothing.
->>>>>>> work_e
 
     Raises:
         TypeError: There are constraints, but the solver is no `ILQR`.
@@ -78,7 +75,7 @@ class MPCPlanner(Planner):
             component left.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - each is a part that can be exchanged
         self,
         dynamics: DynamicsModel,
         cost: WeightedCost,
@@ -89,11 +86,8 @@ class MPCPlanner(Planner):
         starts: int = 1,
         choice: PlanChoice | None = None,
         solved_components: int | None = None,
-<<<<<<< HEAD
         coordinates: Coordinates = PhysicalControls,
-=======
         constraints: PlanConstraints | None = None,
->>>>>>> work_e
     ) -> None:
         super().__init__()
         require_at_least("steps", steps, 1)
@@ -108,14 +102,11 @@ class MPCPlanner(Planner):
         self.starts = starts
         self.choice = choice or TakeOptimum()
         self.solved_components = solved_components
-<<<<<<< HEAD
         self.coordinates = coordinates
-=======
         self.constraints = constraints
         if constraints is not None and constraints.limits and not isinstance(solver, ILQR):
             found = type(solver).__name__
             raise TypeError(message("solver", "be an ILQR where there are constraints", found))
->>>>>>> work_e
 
     def forward(self, problem: PlanningProblem, state: PlannerState | None = None) -> Plan:
         """Plan for every problem, `*b`; see `Planner`.
@@ -214,32 +205,22 @@ class MPCPlanner(Planner):
             wide = entry.unsqueeze(batch_dims).expand(*shape, *entry.shape[batch_dims:])
             return wide.flatten(0, batch_dims)
 
-<<<<<<< HEAD
-        each, coordinates = map_tensors(repeated, problem), self.coordinates(self.dynamics)
+        each, proposed = map_tensors(repeated, problem), guess.flatten(0, batch_dims)
+        # the limits are those of controls in SI units
+        limited = self.constraints is not None and self.constraints.limits and len(proposed)
+        coordinates = (PhysicalControls if limited else self.coordinates)(self.dynamics)
+        cost = batched_objective(self, self.dynamics, each, coordinates)
         start = initial_state(self.dynamics, each.ego)
         with torch.no_grad():
-            first = coordinates.coordinates(start, guess.flatten(0, batch_dims))
-        solution = self.solver(
-            Batched(coordinates.step),
-            batched_objective(self, self.dynamics, each, coordinates),
-            coordinates.bounds,
-            start,
-            first,
-        )
+            first = coordinates.coordinates(start, proposed)
+        if self.constraints is not None and limited and isinstance(self.solver, ILQR):
+            solve = self.constraints.solve
+            solution = solve(self.solver, self.dynamics, each, cost, first, start)
+        else:
+            model = Batched(coordinates.step)
+            solution = self.solver(model, cost, coordinates.bounds, start, first)
         controls = coordinates.controls(solution.states[..., :-1, :], solution.controls)
         solution = solution._replace(controls=controls)
-=======
-        each = map_tensors(repeated, problem)
-        cost, controls = batched_objective(self, self.dynamics, each), guess.flatten(0, batch_dims)
-        state = initial_state(self.dynamics, each.ego)
-        limited = self.constraints is not None and self.constraints.limits and len(controls)
-        if limited and isinstance(self.solver, ILQR):
-            solve = self.constraints.solve
-            solution = solve(self.solver, self.dynamics, each, cost, controls, state)
-        else:
-            model = Batched(self.dynamics)
-            solution = self.solver(model, cost, self.dynamics.bounds, state, controls)
->>>>>>> work_e
         return map_tensors(lambda entry: entry.unflatten(0, shape), solution)
 
     def _relative(self, controls: Float[Tensor, "*b t m"]) -> Float[Tensor, "*b t m"]:
