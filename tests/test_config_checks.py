@@ -25,6 +25,8 @@ from diffstack_mmv.config_checks import (
         (["a"], "a", "a list"),
         (["a"], 1, "a list"),
         ({"b": {"c": 1}}, {"b": {"c": "x"}}, "a number"),
+        ({"b": {"c": 1}}, {"b": 2}, "settings, each with its name"),
+        ({"b": 1}, [2], "settings, each with its name"),
     ],
 )
 def test_a_value_of_another_type_is_refused(default, value, wanted):

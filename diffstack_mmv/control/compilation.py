@@ -17,6 +17,7 @@ from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.riccati import Policy, Stationary, box_policy, solve_free
 from diffstack_mmv.control.selection import Batched, is_shared
 from diffstack_mmv.control.shape_polymorphic import ShapePolymorphic
+from dmmv_conventions.progress import waiting
 
 LOGGER = logging.getLogger(__name__)
 LARGEST_ROW = 8  # a size beyond it may be a batch or a horizon, not a row of controls or step sizes
@@ -59,6 +60,7 @@ def label(function: Any) -> str:
     if isinstance(function, Batched):
         return label(function.function)
     owner = getattr(function, "__self__", function)
+    owner = getattr(owner, "dynamics", owner)  # of coordinates: the model
     return getattr(owner, "__qualname__", type(owner).__name__)
 
 
@@ -122,7 +124,8 @@ class Kernel:
         LOGGER.info("Compiling the solver for %s: %s", self.problem, name)
         began_s = time.perf_counter()
         self.compiled = torch.compile(copied(self.function), fullgraph=True, options=self.options)
-        result = self(*arguments)
+        with waiting(f"compile the solver for {self.problem}: {name}"):
+            result = self(*arguments)
         if self.compiled is not self.function:
             LOGGER.info("Compiled %s in %.1f s", name, time.perf_counter() - began_s)
         return result
@@ -223,9 +226,12 @@ def _options(device: str) -> dict[str, Any]:
     """
     import torch._inductor.config
 
+    from diffstack_mmv.control.separate_lanes import SeparateLanes
+
     options: dict[str, Any] = {"loop_ordering_after_fusion": False}  # slow, and finds nothing here
     if device == "cpu":
         options["cpp_wrapper"] = True
+        options["post_grad_custom_post_pass"] = SeparateLanes()
     if hasattr(torch._inductor.config, "unsafe_marked_cacheable_functions"):
         loops = {f"torch.ops.higher_order.{name}": "body hashed" for name in ("scan", "while_loop")}
         options["unsafe_marked_cacheable_functions"] = loops

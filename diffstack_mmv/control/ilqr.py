@@ -42,8 +42,10 @@ class ILQR:
     batch, keeping the cheapest. Where the exact Hessian of the Lagrangian gives an indefinite Q_uu,
     that problem takes the step of a convex model instead: the diagonal of the Hessian over
     (x_t, u_t) is raised at every time until it dominates its rows. Damping of Q_uu grows after a
-    refused step and decays after a long one. Problems converge one by one; a finished one is
-    frozen, and its answer does not depend on its batch mates.
+    refused step and decays after a long one. Problems converge one by one, and a finished one is
+    frozen. What the batch mates of a problem are, NaN and infinity included, changes no bit of its
+    answer, eager or compiled (see `separate_lanes`); another size of the batch may round it
+    differently.
 
     A problem has converged when two conditions hold. Its model promises a decrease of the cost that
     is below ζ = `tolerance` · Σ|c|, or below what the precision resolves:

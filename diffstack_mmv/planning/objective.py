@@ -7,6 +7,7 @@ from torch import Tensor
 
 from diffstack_mmv.control import Batched
 from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.planning.coordinates import ControlCoordinates
 from diffstack_mmv.types import Discs, Ego, Heading, Motion, Obstacles, PlanningProblem
 
 NAMES = (
@@ -32,16 +33,20 @@ class PlanCost(Protocol):
 
 
 def batched_objective(
-    planner: PlanCost, dynamics: DynamicsModel, problem: PlanningProblem
+    planner: PlanCost,
+    dynamics: DynamicsModel,
+    problem: PlanningProblem,
+    coordinates: ControlCoordinates,
 ) -> Batched:
-    """The cost (states, controls) -> cost at each time of problems with one leading dimension.
+    """Cost at each time, of states and coordinates of controls, of a batch of problems.
 
     The tensors of the problem are named to the solver, which leaves finished problems behind by
     selecting the rows of those that are still open; dynamics and weights are shared by all.
     """
     heading = problem.ego.heading
 
-    def cost(states: Tensor, controls: Tensor, *tensors: Tensor) -> Tensor:
+    def cost(states: Tensor, given: Tensor, *tensors: Tensor) -> Tensor:
+        controls = coordinates.padded_controls(states, given)
         motion = dynamics.motion(states, controls)
         return planner.cost_of(motion, controls, joined(heading, tensors))
 

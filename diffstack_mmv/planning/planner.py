@@ -13,6 +13,7 @@ from diffstack_mmv.costs import WeightedCost
 from diffstack_mmv.dynamics import DynamicsModel, rollout
 from diffstack_mmv.planning.candidates import CandidateSource, with_final_row
 from diffstack_mmv.planning.choice import PlanChoice, TakeOptimum
+from diffstack_mmv.planning.coordinates import Coordinates, PhysicalControls
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
 from diffstack_mmv.planning.limits import PlanConstraints
 from diffstack_mmv.planning.objective import batched_objective
@@ -65,6 +66,7 @@ class MPCPlanner(Planner):
         choice: Which plan is driven.
         solved_components: Where agents have more components than this, the optimiser sees the
             likeliest one alone, while the score sees all; None shows it all.
+        coordinates: In which the optimiser sees the controls; the controls themselves by default.
         constraints: What the optimiser keeps to besides the box of the controls; None: nothing.
 
     Raises:
@@ -73,7 +75,7 @@ class MPCPlanner(Planner):
             component left.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - each is a part that can be exchanged
         self,
         dynamics: DynamicsModel,
         cost: WeightedCost,
@@ -84,6 +86,7 @@ class MPCPlanner(Planner):
         starts: int = 1,
         choice: PlanChoice | None = None,
         solved_components: int | None = None,
+        coordinates: Coordinates = PhysicalControls,
         constraints: PlanConstraints | None = None,
     ) -> None:
         super().__init__()
@@ -99,6 +102,7 @@ class MPCPlanner(Planner):
         self.starts = starts
         self.choice = choice or TakeOptimum()
         self.solved_components = solved_components
+        self.coordinates = coordinates
         self.constraints = constraints
         if constraints is not None and constraints.limits and not isinstance(solver, ILQR):
             found = type(solver).__name__
@@ -201,16 +205,22 @@ class MPCPlanner(Planner):
             wide = entry.unsqueeze(batch_dims).expand(*shape, *entry.shape[batch_dims:])
             return wide.flatten(0, batch_dims)
 
-        each = map_tensors(repeated, problem)
-        cost, controls = batched_objective(self, self.dynamics, each), guess.flatten(0, batch_dims)
-        state = initial_state(self.dynamics, each.ego)
-        limited = self.constraints is not None and self.constraints.limits and len(controls)
-        if limited and isinstance(self.solver, ILQR):
+        each, proposed = map_tensors(repeated, problem), guess.flatten(0, batch_dims)
+        # the limits are those of controls in SI units
+        limited = self.constraints is not None and self.constraints.limits and len(proposed)
+        coordinates = (PhysicalControls if limited else self.coordinates)(self.dynamics)
+        cost = batched_objective(self, self.dynamics, each, coordinates)
+        start = initial_state(self.dynamics, each.ego)
+        with torch.no_grad():
+            first = coordinates.coordinates(start, proposed)
+        if self.constraints is not None and limited and isinstance(self.solver, ILQR):
             solve = self.constraints.solve
-            solution = solve(self.solver, self.dynamics, each, cost, controls, state)
+            solution = solve(self.solver, self.dynamics, each, cost, first, start)
         else:
-            model = Batched(self.dynamics)
-            solution = self.solver(model, cost, self.dynamics.bounds, state, controls)
+            model = Batched(coordinates.step)
+            solution = self.solver(model, cost, coordinates.bounds, start, first)
+        controls = coordinates.controls(solution.states[..., :-1, :], solution.controls)
+        solution = solution._replace(controls=controls)
         return map_tensors(lambda entry: entry.unflatten(0, shape), solution)
 
     def _relative(self, controls: Float[Tensor, "*b t m"]) -> Float[Tensor, "*b t m"]:

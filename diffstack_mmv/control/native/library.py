@@ -20,6 +20,7 @@ FLAGS = (
     "-fvisibility=hidden",  # all libraries have the same names inside, which must not meet
 )
 
+ADMINISTRATOR = 0  # whose files everyone trusts anyway
 LIMIT_S = 300
 """Seconds that a compiler may take."""
 
@@ -70,7 +71,7 @@ def load(source: str) -> ctypes.CDLL:
     """The library of a source, built at its first use on a machine.
 
     Raises:
-        CannotBuildError: It cannot be built.
+        CannotBuildError: It cannot be built, or another user wrote it.
     """
     from torch._inductor.runtime.cache_dir_utils import cache_dir
 
@@ -79,10 +80,22 @@ def load(source: str) -> ctypes.CDLL:
     path = Path(cache_dir(), "dmmv", f"{name}.so")
     if not path.exists():
         build(source, path)
+    _require_own(path)
     try:
         return ctypes.CDLL(str(path))
     except OSError as failure:
         raise CannotBuildError(str(failure)) from failure
+
+
+def _require_own(path: Path) -> None:
+    """Refuse a library of another user: the compiler's folder may lie where everyone writes.
+
+    Raises:
+        CannotBuildError: The file or one of its folders is of another user.
+    """
+    for place in (path, path.parent, path.parents[1]):
+        if place.stat().st_uid not in (ADMINISTRATOR, os.geteuid()):
+            raise CannotBuildError(f"{place} belongs to another user")
 
 
 def pointers(*tensors: Tensor) -> list[Any]:
