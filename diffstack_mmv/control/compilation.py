@@ -60,6 +60,7 @@ def label(function: Any) -> str:
     if isinstance(function, Batched):
         return label(function.function)
     owner = getattr(function, "__self__", function)
+    owner = getattr(owner, "dynamics", owner)  # of coordinates: the model
     return getattr(owner, "__qualname__", type(owner).__name__)
 
 

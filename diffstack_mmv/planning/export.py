@@ -8,6 +8,7 @@ from torch import Tensor
 from diffstack_mmv.checks import message, require_at_least
 from diffstack_mmv.control import ILQR, Batched
 from diffstack_mmv.control.native.export import Export, Exported
+from diffstack_mmv.planning.coordinates import PhysicalControls
 from diffstack_mmv.planning.objective import NAMES, batched_objective
 from diffstack_mmv.planning.planner import MPCPlanner
 from diffstack_mmv.planning.problem import (
@@ -61,7 +62,8 @@ def export_planner(
         raise TypeError(message("planner.solver", "be an ILQR", type(solver).__name__))
     dynamics = planner.dynamics
     problem = _example(planner, agents, components, discs)
-    cost = batched_objective(planner, dynamics, problem)
+    # what the library takes and returns are controls in SI units, whatever the planner optimises in
+    cost = batched_objective(planner, dynamics, problem, PhysicalControls(dynamics))
     cost = Batched(cost.function, *(each.contiguous() for each in cost.tensors))
     named: dict[str, Tensor] = dict(zip(NAMES, cost.tensors, strict=True))
     learned = {name: tensor for name, tensor in planner.named_parameters()}

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from diffstack_mmv.control import ILQR, Batched
-from diffstack_mmv.planning import initial_state
+from diffstack_mmv.planning import PhysicalControls, initial_state
 from diffstack_mmv.planning.export import export_planner
 from diffstack_mmv.planning.objective import NAMES, batched_objective
 from tests.planning.test_planner import problem, training
@@ -41,7 +41,7 @@ def test_a_c_program_finds_the_plan_of_the_solver(tmp_path):
     planned = [each.double() if each.is_floating_point() else each for each in flat(problem(1))]
     one = unflat(planned, problem(1))
     written = export_planner(planner, tmp_path, agents=1, components=2)
-    cost = batched_objective(planner, planner.dynamics, one)
+    cost = batched_objective(planner, planner.dynamics, one, PhysicalControls(planner.dynamics))
     state, guess = (
         initial_state(planner.dynamics, one.ego),
         torch.zeros(1, planner.steps, 2).double(),

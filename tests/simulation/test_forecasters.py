@@ -116,7 +116,7 @@ def test_what_is_remembered_goes_in_and_comes_out(observed, scenario_of):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("far_m", 0.0), ("preferred_speed_mps", 0.0), ("tolerance_mps", 0.0), ("courses", 0)],
+    [("preferred_speed_mps", 0.0), ("directions", 0), ("stays", 2.0)],
 )
 def test_numbers_out_of_range_are_refused(name, value):
     with pytest.raises(ValueError, match=name):

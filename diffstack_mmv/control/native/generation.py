@@ -6,9 +6,14 @@ from typing import NamedTuple
 
 from diffstack_mmv.control.native.code import function, literal
 from diffstack_mmv.control.native.derivative import gradient
-from diffstack_mmv.control.native.scalar import Node, Program
+from diffstack_mmv.control.native.scalar import Node, Program, needed
 from diffstack_mmv.control.native.stages import Sizes, Stage, StagedProblem
 from diffstack_mmv.types import SolverStatus
+
+LANES = 8  # of the numbers with slopes, as in numbers.hpp
+SLOPES_COST = 3  # operations on packs that one on numbers with slopes takes
+LONGEST_GRADIENT = 1500
+"""Operations of a gradient beyond which its derivatives are not even tried to be written out."""
 
 TEMPLATE, POINT = "template <class V> static", "const V* x, const V* u"
 HEADERS = ("numbers", "small", "stage", "solver")
@@ -21,6 +26,8 @@ class Derived(NamedTuple):
 
     stage: Stage
     gradient: tuple[Node, ...]
+    jacobian: tuple[Node, ...]  # (outputs, n + m)
+    hessian: tuple[Node, ...] | None  # of the weighted sum of the outputs; None: too long
     active: tuple[int, ...]  # columns of the Jacobian of the stage that are not constant
     constants: tuple[tuple[float, ...], ...]  # that Jacobian, zero where it is not constant
 
@@ -89,7 +96,27 @@ def derived(stage: Stage, sizes: Sizes) -> Derived:
     values = [[program.value(entry) for entry in row] for row in jacobian]
     constants = tuple(tuple(0.0 if v is None else v for v in row) for row in values)
     active = tuple(i for i in range(n + m) if any(row[i] is None for row in values))
-    return Derived(stage, tuple(weighted_gradient(stage, inputs)), active, constants)
+    slopes = tuple(weighted_gradient(stage, inputs))
+    flat = tuple(entry for row in jacobian for entry in row)
+    return Derived(stage, slopes, flat, _hessian(stage, slopes, inputs), active, constants)
+
+
+def _hessian(
+    stage: Stage, slopes: Sequence[Node], inputs: Sequence[Node]
+) -> tuple[Node, ...] | None:
+    program = stage.program
+    if len(needed(program, slopes)) > LONGEST_GRADIENT:
+        return None
+    one = program.constant(1.0)
+    return tuple(entry for slope in slopes for entry in gradient(program, {slope: one}, inputs))
+
+
+def _is_short(program: Program, written: Sequence[Node] | None, instead: Sequence[Node]) -> bool:
+    """Whether derivatives take less when written out than by numbers with eight slopes each."""
+    if written is None:
+        return False
+    columns = -(-(len(written) // max(len(instead), 1)) // LANES)
+    return len(needed(program, written)) <= SLOPES_COST * columns * len(needed(program, instead))
 
 
 def weighted_gradient(stage: Stage, inputs: Sequence[Node]) -> list[Node]:
@@ -114,7 +141,21 @@ def _step(step: Derived) -> list[str]:
     program = step.stage.program
     value = f"{TEMPLATE} void step({POINT}, const Real* q, V* y)"
     slope = f"{TEMPLATE} void step_gradient({POINT}, const Real* l, const Real* q, V* y)"
+    jacobian_written = _is_short(program, step.jacobian, step.stage.outputs)
+    hessian_written = _is_short(program, step.hessian, step.gradient)
+    entries = step.jacobian if jacobian_written else ()
+    curvature = step.hessian if hessian_written and step.hessian else ()
+    point = POINT.replace("V", "Real")
     return [
+        _flag("JACOBIAN_WRITTEN", jacobian_written),
+        _flag("HESSIAN_WRITTEN", hessian_written),
+        _plain(f"step_jacobian({point}, const Real* q, Real* y)", program, "q", entries),
+        _plain(
+            f"step_hessian({point}, const Real* l, const Real* q, Real* y)",
+            program,
+            "ql",
+            curvature,
+        ),
         function(value, program, "q", _into("y", step.stage.outputs)),
         function(slope, program, "ql", _into("y", step.gradient)),
         f"static constexpr int STEP_ACTIVE = {len(step.active)};",
@@ -133,10 +174,17 @@ def _costs(costs: Sequence[Derived]) -> list[str]:
         parts.append(function(value, program, "q", [("*y", output)]))
         parts.append(function(slope, program, "q", _into("y", both)))
     widest = max(len(cost.active) for cost in costs)
+    written = all(_is_short(cost.stage.program, cost.hessian, cost.gradient) for cost in costs)
+    for kind, cost in enumerate(costs):
+        signature = f"{TEMPLATE} void cost_hessian_{kind}({POINT}, const Real* q, V* y)"
+        entries = _into("y", cost.hessian or ()) if written else []
+        parts.append(function(signature, cost.stage.program, "q", entries))
     return [
         *parts,
         _by_kind("cost", "cost_{}", len(costs)),
         _by_kind("cost_gradient", "cost_gradient_{}", len(costs)),
+        _by_kind("cost_hessian", "cost_hessian_{}", len(costs)),
+        _flag("COST_WRITTEN", written),
         _table("int", "cost_columns", [len(cost.active) for cost in costs]),
         _rows("cost_active", [cost.active for cost in costs], widest),
     ]
@@ -152,9 +200,17 @@ def _by_kind(name: str, each: str, count: int) -> str:
 
 
 def _prelude(problem: StagedProblem) -> str:
-    outputs = _into("y", problem.numbers)
-    body = function("static void prelude(const Real* p, Real* y)", problem.parameters, "p", outputs)
+    return _plain("prelude(const Real* p, Real* y)", problem.parameters, "p", problem.numbers)
+
+
+def _plain(signature: str, program: Program, numbers: str, nodes: Sequence[Node]) -> str:
+    """A function of plain numbers."""
+    body = function(f"static void {signature}", program, numbers, _into("y", nodes))
     return body.replace("{\n", "{\n  using V = Real;\n", 1)
+
+
+def _flag(name: str, value: bool) -> str:
+    return f"static constexpr bool {name} = {literal(value)};"
 
 
 def _prelude_adjoint(problem: StagedProblem) -> str:

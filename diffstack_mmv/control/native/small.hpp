@@ -105,6 +105,24 @@ inline Real smallest_eigenvalue(const Real* Q) {
   return least;
 }
 
+// whether Q - shift I is positive definite, by its Cholesky factorisation
+template <int M>
+inline bool is_definite(const Real* Q, Real shift) {
+  Real L[M][M];
+  for (int j = 0; j < M; ++j) {
+    Real pivot = Q[j * M + j] - shift;
+    for (int k = 0; k < j; ++k) pivot -= L[j][k] * L[j][k];
+    if (!(pivot > 0)) return false;
+    L[j][j] = std::sqrt(pivot);
+    for (int i = j + 1; i < M; ++i) {
+      Real sum = Q[i * M + j];
+      for (int k = 0; k < j; ++k) sum -= L[i][k] * L[j][k];
+      L[i][j] = sum / L[j][j];
+    }
+  }
+  return true;
+}
+
 // what to add to the diagonal of a symmetric Q to make it positive definite
 template <int M>
 inline void positive_lift(const Real* Q, Real* lift) {
@@ -118,7 +136,7 @@ inline void positive_lift(const Real* Q, Real* lift) {
     lift[0] = Q[0] >= Q[3] ? first : second;
     lift[1] = Q[0] >= Q[3] ? second : first;
   } else {
-    const Real lack = clipped(floor - smallest_eigenvalue<M>(Q), 0, INFINITY);
+    const Real lack = is_definite<M>(Q, floor) ? Real(0) : clipped(floor - smallest_eigenvalue<M>(Q), 0, INFINITY);
     for (int i = 0; i < M; ++i) lift[i] = lack;
   }
 }

@@ -48,6 +48,10 @@ template <class P>
 inline void step_jacobian(const Real* x, const Real* u, const Real* q, Real* A, Real* B) {
   constexpr int n = P::n, m = P::m;
   Real J[n * (n + m)], y[n];
+  if constexpr (P::JACOBIAN_WRITTEN) {
+    P::step_jacobian(x, u, q, J);
+    return split_jacobian<n, m>(J, A, B);
+  }
   std::memcpy(J, P::step_constant, sizeof(J));
   auto f = [&](const auto* x, const auto* u, auto* y) { P::step(x, u, q, y); };
   columns<n, m, n>(x, u, P::step_active, P::STEP_ACTIVE, f, y, J);
@@ -59,6 +63,10 @@ template <class P>
 inline void add_step_hessian(const Real* x, const Real* u, const Real* l, const Real* q, Real* xx, Real* ux, Real* uu) {
   constexpr int n = P::n, m = P::m, k = n + m;
   Real H[k * k] = {}, g[k];
+  if constexpr (P::HESSIAN_WRITTEN) {
+    P::step_hessian(x, u, l, q, H);
+    return add_blocks<n, m>(H, xx, ux, uu);
+  }
   auto f = [&](const auto* x, const auto* u, auto* y) { P::step_gradient(x, u, l, q, y); };
   columns<n, m, k>(x, u, P::step_active, P::STEP_ACTIVE, f, g, H);
   add_blocks<n, m>(H, xx, ux, uu);
@@ -72,7 +80,12 @@ inline Real cost_model(int t, const Real* x, const Real* u, const Real* q, Real*
   Real H[(k + 1) * k] = {}, g[k + 1];
   auto f = [&](const auto* x, const auto* u, auto* y) { P::cost_gradient(t, x, u, q, y); };
   const int kind = P::cost_kind[t];
-  columns<n, m, k + 1>(x, u, P::cost_active[kind], P::cost_columns[kind], f, g, H);
+  if constexpr (P::COST_WRITTEN) {
+    P::cost_gradient(t, x, u, q, g);
+    P::cost_hessian(t, x, u, q, H);
+  } else {
+    columns<n, m, k + 1>(x, u, P::cost_active[kind], P::cost_columns[kind], f, g, H);
+  }
   std::memset(xx, 0, n * n * sizeof(Real));
   std::memset(ux, 0, m * n * sizeof(Real));
   std::memset(uu, 0, m * m * sizeof(Real));

@@ -85,6 +85,8 @@ class _LinearisedRollout(torch.autograd.Function):
             pulled = (jacobians[step] * slope).sum(1)
             slope = grad[step] + of_state[step] + pulled[:n]
             of_control[step] += pulled[n:]
+        if not learned:
+            return None, slope, of_control
         with torch.enable_grad():
             after = ctx.dynamics(before.mT, controls.mT).mT
         moved = torch.autograd.grad(

@@ -104,7 +104,7 @@ def driven_scene(
     place, heading = arrays["motion.position"][row, :end], arrays["motion.heading"][row, :end]
     robot = np.concatenate([place, heading[:, None]], 1)
     agents = arrays["pedestrians"][row, :end]
-    bodies = [{"name": "robot", "role": "plan", "path": plain(robot, 3), "shape": _shape(around)}]
+    bodies = [{"name": "robot", "role": "robot", "path": plain(robot, 3), "shape": _shape(around)}]
     for number in np.flatnonzero(np.isfinite(agents).any((0, 2))):
         path = np.concatenate([agents[:, number], np.full((end, 1), np.nan)], 1)
         walked = {"name": f"pedestrian {number + 1}", "role": "agent", "path": plain(path, 3)}
@@ -121,7 +121,7 @@ def driven_scene(
         "start": 0,
         "goal": list(around.goal_m) if around.goal_m else None,
         "bodies": bodies,
-        "lines": [{"role": "plan", "points": plain(place, 3)}],
+        "lines": [{"role": "robot", "points": plain(place, 3)}],
         "frames": [_thought(arrays, row, step) for step in range(end)],
         "series": series,
     }

@@ -1,5 +1,6 @@
 """Tables of comparisons and of the paper, and trajectories of open-loop runs."""
 
+import re
 from pathlib import Path
 
 import pandas as pd
@@ -10,6 +11,7 @@ from diffstack_mmv.reporting.html.quantities import quantity
 
 TABLES = {"table.csv": "Comparison", "tests.csv": "Paired tests", "results.csv": "Results"}
 """File -> title."""
+LONG = re.compile(r"-?\d+\.\d{5,}(e-?\d+)?")
 
 
 def read_tables(folder: Path) -> list[Section]:
@@ -19,8 +21,16 @@ def read_tables(folder: Path) -> list[Section]:
         file = folder / name
         # a comparison without a pair has no test, and a file without a column
         if file.is_file() and file.read_text(encoding="utf-8").strip():
-            blocks.append(frame_table(title, pd.read_csv(file, dtype=object)))
+            # as text, so that what `compare` has rounded stays as it is
+            blocks.append(frame_table(title, pd.read_csv(file, dtype=object).map(_rounded)))
     return [Section("Tables", blocks)] if blocks else []
+
+
+def _rounded(told: object) -> object:
+    """A number with more digits than anybody reads, with four."""
+    if not isinstance(told, str) or not LONG.fullmatch(told):
+        return told
+    return f"{float(told):.4g}"
 
 
 def _trajectory(file: Path) -> pd.DataFrame:

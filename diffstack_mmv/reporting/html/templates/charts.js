@@ -132,7 +132,7 @@ function drawBars(figure) {
   const content = read(figure);
   const names = Object.keys(content.values);
   const longest = Math.max(...content.groups.map((name) => name.length));
-  const needed = Math.max(names.length * 10 + 14, longest * 6.5);
+  const needed = Math.max(names.length * 10 + 14, longest * 6);
   const size = { ...SIZE, width: Math.max(SIZE.width, SIZE.left + SIZE.right + content.groups.length * needed) };
   const picture = svg("svg", { width: size.width, height: size.height, viewBox: `0 0 ${size.width} ${size.height}` }, figure);
   const [low, high] = range(Object.values(content.values).flat().concat(0));
