@@ -28,7 +28,6 @@ MODELS = {
     "DiffGM3": ["dynamics=gm3"],
 }
 TRAINING, EVALUATION = "training", "evaluation"
-BUDGET_S = 20.0
 WARM_UP_PAIRS = 10
 
 
@@ -76,7 +75,7 @@ def evaluation(stack, optimizer, batch):
         return float(sum(value.nansum() for value in stack.sample_scores(batch).values()))
 
 
-def measure(work, arguments):
+def measure(work, budget_s, arguments):
     """Warm up, then steps until the budget is spent; prints one line of JSON."""
     import torch
 
@@ -98,7 +97,7 @@ def measure(work, arguments):
         if _steady(step, stack, optimizer, batches):
             break
     windows, start = 0, time.process_time()
-    while time.process_time() - start < BUDGET_S:
+    while time.process_time() - start < budget_s:
         batch = next(batches)
         step(stack, optimizer, batch)
         windows += len(batch.goal)
@@ -117,10 +116,10 @@ def _steady(step, stack, optimizer, batches):
     return seconds[1] < 4 / 3 * seconds[0] or seconds[1] < 0.2
 
 
-def row(checkout, work, arguments):
+def row(checkout, work, budget_s, arguments):
     """Measure in a process that sees only this checkout."""
     environment = os.environ | {"PYTHONPATH": str(checkout), "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, __file__, "--measure", work, *arguments]
+    command = [sys.executable, __file__, "--measure", work, str(budget_s), *arguments]
     done = subprocess.run(
         command, env=environment, cwd=checkout, capture_output=True, text=True, check=False
     )
@@ -131,11 +130,12 @@ def row(checkout, work, arguments):
 
 def main():
     if sys.argv[1:2] == ["--measure"]:
-        return measure(sys.argv[2], sys.argv[3:])
+        return measure(sys.argv[2], float(sys.argv[3]), sys.argv[4:])
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("cache", type=Path)
     parser.add_argument("--data", default="thab_vru")
     parser.add_argument("--batch", type=int, default=64)
+    parser.add_argument("--budget", type=float, default=20.0, help="seconds of each measurement")
     parser.add_argument("--models", nargs="+", default=list(MODELS), choices=list(MODELS))
     parser.add_argument("--peer", action="append", default=[], metavar="NAME=CHECKOUT")
     parser.add_argument("--variant", action="append", default=[], metavar="NAME=OVERRIDE,OVERRIDE")
@@ -156,8 +156,8 @@ def main():
         for name, checkout, more in codes:
             common = [f"data={given.data}", f"data.cache={given.cache.resolve()}"]
             arguments = [*common, *MODELS[model], f"batch_size={given.batch}", *more]
-            trained = row(checkout, TRAINING, arguments)
-            judged = row(checkout, EVALUATION, arguments)
+            trained = row(checkout, TRAINING, given.budget, arguments)
+            judged = row(checkout, EVALUATION, given.budget, arguments)
             print(
                 f"| {model} | {name} | {trained['rate']:.0f} | {judged['rate']:.0f} |"
                 f" {trained['first_s']:.1f} | {trained['peak_mib']:.0f} |",

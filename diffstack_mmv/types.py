@@ -66,6 +66,14 @@ class RecordedScene(NamedTuple):
     dt_s: float
 
 
+class Pose(NamedTuple):
+    """Where a frame lies in the world of its recording."""
+
+    position: Float[Tensor, "*b 2"]  # m
+    heading: Float[Tensor, "*b"]  # rad
+    known: Bool[Tensor, "*b"]  # false where no place in the world looks like it, as in a mirror
+
+
 class StackBatch(NamedTuple):
     """Samples in the frame of the ego at the last row of its past (position 0, heading 0)."""
 
@@ -75,6 +83,7 @@ class StackBatch(NamedTuple):
     neighbors_future: Tracks  # B N T
     goal: Float[Tensor, "B 2"]  # m, the position of the human at the horizon
     dt_s: float
+    frame: Pose | None = None  # B, of the samples in the world; None: not known of any
 
 
 NEAR_MEDIAN_M = 0.02

@@ -4,10 +4,7 @@ import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hydra.utils import instantiate
-from omegaconf import DictConfig
-
-from diffstack_mmv.cli import command
+from diffstack_mmv.cli import DictConfig, command, instantiate
 from diffstack_mmv.config_checks import (
     other_modes,
     require_checkpoint,
@@ -53,7 +50,7 @@ def _calibration(
 @command(config_folder(), "evaluate", check)
 def main(config: DictConfig) -> None:
     """Score every window of a split; write tables and plots."""
-    from diffstack_mmv.data import Situations
+    from diffstack_mmv.data import Situations, split_windows
     from diffstack_mmv.metrics import CLOSED_LOOP, EVALUATED, PREDICTED
     from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
     from diffstack_mmv.reporting.html import Titles, read_record
@@ -71,8 +68,7 @@ def main(config: DictConfig) -> None:
     if "solver" in config:
         stack.planner.solver = instantiate(config.solver)
     data = instantiate(config.data.module)
-    data.prepare_splits([config.split])
-    windows = data.dataset(config.split)
+    windows = split_windows(data, config.split)
     baselines = dict(instantiate(config.baselines.simple))
     if stack.goal.uses_future:
         baselines |= instantiate(config.baselines.to_goal)

@@ -9,15 +9,12 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hydra.utils import instantiate
-from omegaconf import DictConfig
-from tqdm import tqdm
-
-from diffstack_mmv.cli import command
+from diffstack_mmv.cli import DictConfig, command, instantiate
 from diffstack_mmv.config_checks import require_modes
 from diffstack_mmv.jobs import Job, Launcher, expected_seconds
 from dmmv_conventions.checks import require, require_at_least, require_one_of
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.progress import counted
 
 if TYPE_CHECKING:
     from diffstack_mmv.reporting import Run
@@ -25,6 +22,8 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 SCRIPTS = Path(__file__).resolve().parent
+BEST = Path("checkpoints", "best.ckpt")
+PREDICTOR = "predictor"
 
 
 def check(config: DictConfig) -> None:
@@ -35,7 +34,10 @@ def check(config: DictConfig) -> None:
         ("sets", config.sets),
     ):  # fmt: skip
         require(len(parts) > 0, name, "name at least one", "none")
-    require_at_least("size.epochs", size.epochs, 1)
+    require_at_least("size.epochs", size.epochs, 0)
+    if size.pretraining is not None:
+        require_at_least("size.pretraining.epochs", size.pretraining.epochs, 1)
+        _require_option("dynamics", size.pretraining.dynamics)
     require_at_least("resamples", config.resamples, 1)
     for goal in size.goals:
         _require_option("goal", goal)
@@ -64,7 +66,11 @@ def main(config: DictConfig) -> None:
         ValueError: A job failed.
     """
     from diffstack_mmv.metrics import OPEN_LOOP
-    from diffstack_mmv.reporting import paper_table, prediction_table, write_paper_table
+    from diffstack_mmv.reporting import (
+        paper_table,
+        prediction_table,
+        write_paper_table,
+    )
 
     out, models = Path(config.out), _models(config)
     wanted = {str(name): told for name, told in config.sets.items() if told is not None}
@@ -73,12 +79,13 @@ def main(config: DictConfig) -> None:
               if name not in available]  # fmt: skip
     runs = list(_runs(config, out))
     converted = [_conversion(config, name, out) for name in sorted(available)]
+    begun = _pretrainings(config, [run for run in runs if run.data in available], out)
     trained = [_training(config, run, out) for run in runs if run.data in available]
     launcher: Launcher = instantiate(config.launcher)
-    _tell(config, [*converted, *trained], launcher.width)
+    _tell(config, [*converted, *begun, *trained], launcher.width)
     if config.dry_run:
         return
-    failed = [*_work(launcher, converted), *_work(launcher, trained)]
+    failed = [job for jobs in (converted, begun, trained) for job in _work(launcher, jobs)]
     remarks = [*absent, *(f"{job.name} failed: see {job.log}." for job in failed)]
     shown = [run for run in runs if run.data in available]
     if config.plans:
@@ -87,12 +94,15 @@ def main(config: DictConfig) -> None:
         table = prediction_table(shown, models)
     write_paper_table(out, table, remarks)
     drawn = shown if config.plans else []
+    judged = [run.report for run in drawn if (run.report / "metrics.json").is_file()]
+    _write_excitation(judged, out)
     for data, mode, goal in dict.fromkeys((run.data, run.mode, run.goal) for run in drawn):
         side = [run for run in shown if (run.data, run.mode, run.goal) == (data, mode, goal)]
         _draw(config, [run for run in side if run.seed == config.size.seeds[0]], out)
     logger.info("\n%s", (out / "results.md").read_text(encoding="utf-8"))
     if failed:
-        raise ValueError(f"{len(failed)} of {len(converted) + len(trained)} jobs failed. " +
+        count = len(converted) + len(begun) + len(trained)
+        raise ValueError(f"{len(failed)} of {count} jobs failed. " +
                          "Read their logs, then give the same command again.")  # fmt: skip
 
 
@@ -139,29 +149,53 @@ def _conversion(config: DictConfig, name: str, out: Path) -> Job:
     return Job(f"convert {name}", "conversion", tuple(commands), result, log)
 
 
+def _pretrainings(config: DictConfig, runs: Sequence[Run], out: Path) -> list[Job]:
+    """The predictor alone, once for all models and goals of a data set, mode and seed."""
+    told = config.size.pretraining
+    if told is None or not config.plans:
+        return []
+    jobs = {}
+    for run in runs:
+        first = run._replace(model=PREDICTOR, report=_pretrained(run) / "report")
+        settings = (f"dynamics={told.dynamics}", "loss=prediction", f"epochs={told.epochs}")
+        jobs[first.report] = _job(config, first, out, settings, plans=False)
+    return list(jobs.values())
+
+
+def _pretrained(run: Run) -> Path:
+    """Folder of the predictor that a run starts from, beside those of the models."""
+    return run.report.parents[3] / PREDICTOR / str(run.seed)
+
+
 def _training(config: DictConfig, run: Run, out: Path) -> Job:
+    settings = [f"dynamics={run.model}", f"epochs={config.size.epochs}"]
+    if config.plans:
+        settings += config.size.end_to_end
+        if config.size.pretraining is not None:
+            settings.append(f"start={_pretrained(run) / BEST}")
+    return _job(config, run, out, settings, plans=config.plans)
+
+
+def _job(
+    config: DictConfig, run: Run, out: Path, settings: Sequence[str], *, plans: bool
+) -> Job:  # fmt: skip
+    """Training with these settings, and evaluation of its best epoch."""
     told, folder = config.sets[run.data], run.report.parent
     data = f"data={told.data}", f"data.cache={out / 'data' / run.data / 'cache'}"
     windows = *told.get("settings", []), *config.windows
     small = config.size.overrides if config.plans else []
-    settings = [f"epochs={config.size.epochs}", *small, *windows, *config.overrides]
+    who = f"modes=[{run.mode}]"
+    asked = f"vehicle={told.modes[run.mode]}", f"goal={run.goal}", f"seed={run.seed}"
     train = _script(
-        "train",
-        *data,
-        f"modes=[{run.mode}]",
-        f"vehicle={told.modes[run.mode]}",
-        f"dynamics={run.model}",
-        f"goal={run.goal}",
-        f"seed={run.seed}",
-        f"out={folder}",
-        *settings,
+        "train", *data, who, *asked, f"out={folder}", *small, *windows, *config.overrides, *settings
     )
-    best = folder / "checkpoints" / "best.ckpt"
-    asked = f"checkpoint={best}", f"modes=[{run.mode}]", f"out={run.report}"
-    evaluate = _script("evaluate", *data, *asked, *windows, f"plans={str(config.plans).lower()}")
-    name = "/".join(map(str, run[:-1]))
-    log = out / "logs" / f"{name.replace('/', '.')}.log"
-    return Job(name, run.model, (train, evaluate), run.report / "metrics.json", log)
+    judged = f"checkpoint={folder / BEST}", f"out={run.report}", f"plans={str(plans).lower()}"
+    evaluate = _script("evaluate", *data, who, *judged, f"split={config.split}", *windows)
+    name = ".".join(folder.relative_to(out / "runs").parts)
+    return Job(
+        name.replace(".", "/"), run.model, (train, evaluate), run.report / "metrics.json",
+        out / "logs" / f"{name}.log",
+    )  # fmt: skip
 
 
 def _tell(config: DictConfig, jobs: Sequence[Job], width: int) -> None:
@@ -178,7 +212,9 @@ def _tell(config: DictConfig, jobs: Sequence[Job], width: int) -> None:
 def _work(launcher: Launcher, jobs: Sequence[Job]) -> list[Job]:
     """Run what is not done; returns what failed."""
     still, failed = [job for job in jobs if not job.done], []
-    for outcome in tqdm(launcher(still), total=len(still), desc="results", unit="job"):
+    if not still:
+        return failed
+    for outcome in counted(launcher(still), "results", "job", len(still)):
         logger.info("%s: %.0f s%s", outcome.job.name, outcome.seconds,
                     "" if outcome.succeeded else ", FAILED")  # fmt: skip
         if not outcome.succeeded:
@@ -186,9 +222,25 @@ def _work(launcher: Launcher, jobs: Sequence[Job]) -> list[Job]:
     return failed
 
 
+def _write_excitation(reports: Sequence[Path], out: Path) -> None:
+    """The models by how hard the human rode."""
+    from diffstack_mmv.metrics import EXCITATION, OPEN_LOOP
+    from diffstack_mmv.plotting import save_by_excitation
+    from diffstack_mmv.reporting import paired_samples, write_by_excitation
+
+    paired = paired_samples(reports, "plan_ade", EXCITATION)
+    write_by_excitation(out, paired)
+    titles, heading = (
+        {each.name: each.heading for each in EXCITATION},
+        OPEN_LOOP["plan_ade"].heading,
+    )
+    save_by_excitation(out / "excitation.png", paired.table, paired.models, titles, heading)
+
+
 def _draw(config: DictConfig, runs: Sequence[Run], out: Path) -> None:
     """The sample that is the median of the first model, as every model plans it."""
     from diffstack_mmv.callbacks import scenes_of
+    from diffstack_mmv.data import split_windows
     from diffstack_mmv.plotting import draw_scenes, save_figure
     from diffstack_mmv.reporting import read_parquet
     from diffstack_mmv.stack import load_stack, outputs_of, representative
@@ -203,8 +255,7 @@ def _draw(config: DictConfig, runs: Sequence[Run], out: Path) -> None:
         path = run.report.parent / "checkpoints" / "best.ckpt"
         stack, trained = load_stack(path)
         data = instantiate(trained["data"]["module"])
-        data.prepare_splits(["test"])
-        planned = outputs_of(stack, data.dataset("test"), [number])
+        planned = outputs_of(stack, split_windows(data, config.split), [number])
         scenes += scenes_of(*planned, [config.models[run.model]])
     first = ended[0]
     name = f"{first.data}_{first.mode}_{first.goal}.png"

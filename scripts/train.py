@@ -1,12 +1,11 @@
 """Train the stack end to end by imitation."""
 
+from __future__ import annotations
+
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
-
-from diffstack_mmv.cli import command
+from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
 from diffstack_mmv.config_checks import (
     require_checkpoint,
     require_own_vehicle,
@@ -14,8 +13,14 @@ from diffstack_mmv.config_checks import (
     require_share,
     require_windows,
 )
+from dmmv_conventions.checks import require_at_least
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
+
+if TYPE_CHECKING:
+    import pytorch_lightning as pl
+
+    from diffstack_mmv.stack import DiffStackMMV
 
 
 def check(config: DictConfig) -> None:
@@ -24,6 +29,7 @@ def check(config: DictConfig) -> None:
         config.modes, config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
     )
     require_share("validation.share", config.validation.share)
+    require_at_least("epochs", config.epochs, 0)
     require_own_vehicle(config.modes, config.vehicle, shared=config.shared_vehicle)
     require_recordings(config.data.module.source)
     if config.start is not None:
@@ -64,11 +70,21 @@ def main(config: DictConfig) -> float | None:
     trainer = instantiate(
         config.trainer, callbacks=[*callbacks, Provenance(content)], logger=loggers
     )
+    if config.epochs == 0:
+        _save_as_it_is(trainer, stack, Path(config.out) / "checkpoints")
+        return None
     with own_processes():
         trainer.fit(stack, data, ckpt_path=resume)
     best = trainer.checkpoint_callback
     score = getattr(best, "best_model_score", None)
     return None if score is None else float(score)
+
+
+def _save_as_it_is(trainer: pl.Trainer, stack: DiffStackMMV, folder: Path) -> None:
+    """Write the checkpoints of a training that learns nothing, so that it can be evaluated."""
+    trainer.strategy.connect(stack)
+    for name in ("best", "last"):
+        trainer.save_checkpoint(folder / f"{name}.ckpt")
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ with needs("stack", "diffstack_mmv.data"):
     from diffstack_mmv.data.datamodule import Splits, TrajdataModule
     from diffstack_mmv.data.dataset import DirectWindows, ExportedWindows, WindowDataset
     from diffstack_mmv.data.export import Export, ExportSettings, export_windows
+    from diffstack_mmv.data.joined import JoinedWindows, split_windows
     from diffstack_mmv.data.loading import LoaderSettings, WindowLoader
     from diffstack_mmv.data.recorded_scenes import RecordedScenes
     from diffstack_mmv.data.sampling import Balance, EqualModes, SituationShare
@@ -44,6 +45,7 @@ __all__ = [
     "ExportedWindows",
     "HeldHeading",
     "HistoryDropout",
+    "JoinedWindows",
     "LoaderSettings",
     "Mirror",
     "NamedDataset",
@@ -68,5 +70,6 @@ __all__ = [
     "read_tracks",
     "recorded_noise",
     "situations",
+    "split_windows",
     "stack_batch",
 ]

@@ -65,7 +65,11 @@ class Mirror:
             position, velocity = motion.position * flip, motion.velocity * flip
             return Motion(position, motion.heading * factor, velocity, motion.yaw_rate * factor)
 
-        return _map_motions(batch, mirrored)
+        changed = _map_motions(batch, mirrored)
+        if batch.frame is None:
+            return changed
+        frame = batch.frame._replace(known=batch.frame.known & ~chosen)
+        return changed._replace(frame=frame)
 
 
 @dataclass(frozen=True)
@@ -96,7 +100,11 @@ class Rotation:
             position = rotate(motion.position, turn.expand_as(motion.heading))
             return motion._replace(position=position, heading=wrap_angle(motion.heading + turn))
 
-        return _keep_absent_zero(_map_motions(batch, rotated))
+        changed = _keep_absent_zero(_map_motions(batch, rotated))
+        if batch.frame is None:
+            return changed
+        frame = batch.frame._replace(heading=wrap_angle(batch.frame.heading - angle))
+        return changed._replace(frame=frame)
 
 
 @dataclass(frozen=True)
@@ -241,4 +249,7 @@ def _all_tracks(batch: StackBatch) -> list[Tracks]:
 def _joined(batch: StackBatch, tracks: Sequence[Tracks]) -> StackBatch:
     ego_past, ego_future, neighbors_past, neighbors_future = tracks
     goal = ego_future.motion.position[..., -1, :]
-    return StackBatch(ego_past, ego_future, neighbors_past, neighbors_future, goal, batch.dt_s)
+    return batch._replace(
+        ego_past=ego_past, ego_future=ego_future, neighbors_past=neighbors_past,
+        neighbors_future=neighbors_future, goal=goal,
+    )  # fmt: skip

@@ -8,7 +8,7 @@ from trajdata.data_structures.batch import AgentBatch
 
 from diffstack_mmv.data.settings import WindowSettings
 from diffstack_mmv.geometry import rotate, wrap_angle
-from diffstack_mmv.types import Motion, StackBatch, Tracks
+from diffstack_mmv.types import Motion, Pose, StackBatch, Tracks
 
 STANDSTILL_MPS = (
     0.5  # above the speed below which headings are held, so that no jump on starting counts
@@ -39,7 +39,18 @@ def stack_batch(batch: AgentBatch, windows: WindowSettings) -> StackBatch:
     ego_past, ego_future = _split(ego_tracks, past)
     neighbors_past, neighbors_future = _split(other_tracks, past)
     goal = ego_future.motion.position[..., -1, :]
-    return StackBatch(ego_past, ego_future, neighbors_past, neighbors_future, goal, windows.dt_s)
+    frame = _pose(batch.agents_from_world_tf)
+    return StackBatch(
+        ego_past, ego_future, neighbors_past, neighbors_future, goal, windows.dt_s, frame
+    )
+
+
+def _pose(agents_from_world: Float[Tensor, "B 3 3"]) -> Pose:
+    """Pose of frames in the world, from the transformations into them."""
+    turn, offset = agents_from_world[:, :2, :2], agents_from_world[:, :2, 2:]
+    position = -(turn.transpose(-1, -2) @ offset).squeeze(-1).float()
+    heading = torch.atan2(turn[:, 0, 1], turn[:, 0, 0]).float()
+    return Pose(position, heading, torch.ones_like(heading, dtype=torch.bool))
 
 
 def _states(

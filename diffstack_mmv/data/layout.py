@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffstack_mmv.data.settings import WindowSettings
-from diffstack_mmv.types import Motion, StackBatch, Tracks
+from diffstack_mmv.types import Motion, Pose, StackBatch, Tracks
 
 MOTION_COLUMNS = 6  # x, y, heading, forward and left velocity, yaw rate
+FRAME_COLUMNS = 3  # x, y, heading of the ego at present, in the world of the recording
 PER_NEIGHBOR = ("neighbors", "neighbors_valid", "neighbors_extent", "neighbors_mode")
 
 
@@ -30,6 +31,7 @@ def fields(windows: WindowSettings) -> dict[str, FieldLayout]:
         "ego": FieldLayout((rows, MOTION_COLUMNS), np.float32),
         "ego_extent": FieldLayout((2,), np.float32),
         "ego_mode": FieldLayout((), np.int16),
+        "frame": FieldLayout((FRAME_COLUMNS,), np.float32),
         "neighbors": FieldLayout((neighbors, rows, MOTION_COLUMNS), np.float32),
         "neighbors_valid": FieldLayout((neighbors, rows), np.bool_),
         "neighbors_extent": FieldLayout((neighbors, 2), np.float32),
@@ -72,6 +74,7 @@ def pack(batch: StackBatch) -> dict[str, NDArray[np.generic]]:
         "ego": _pack_motion(ego.motion, batch.ego_future.motion),
         "ego_extent": ego.extent,
         "ego_mode": ego.mode,
+        "frame": _pack_frame(batch.frame),
         "neighbors": _pack_motion(neighbors.motion, batch.neighbors_future.motion),
         "neighbors_valid": valid,
         "neighbors_extent": neighbors.extent,
@@ -95,7 +98,15 @@ def unpack(packed: dict[str, Tensor], windows: WindowSettings) -> StackBatch:
         windows.past_rows,
     )
     goal = ego[1].motion.position[..., -1, :].clone()
-    return StackBatch(*ego, *neighbors, goal, windows.dt_s)
+    position, heading = packed["frame"].split([2, 1], -1)
+    frame = Pose(position, heading.squeeze(-1), present[..., 0])
+    return StackBatch(*ego, *neighbors, goal, windows.dt_s, frame)
+
+
+def _pack_frame(frame: Pose | None) -> Float[Tensor, "*b 3"]:
+    if frame is None:
+        raise TypeError("Only samples of a recording are exported: they know their frame.")
+    return torch.cat([frame.position, frame.heading[..., None]], -1)
 
 
 def _pack_motion(past: Motion, future: Motion) -> Float[Tensor, "*b T 6"]:

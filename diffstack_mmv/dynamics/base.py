@@ -141,6 +141,13 @@ class DynamicsModel(nn.Module, ABC):
         """
         return True
 
+    def acceleration_to_rest(self, state: Float[Tensor, "*b n"]) -> Float[Tensor, "*b"] | None:
+        """Acceleration in m/s² that stops within one step, beyond which braking changes nothing.
+
+        None, the default, for a model without a floor at rest.
+        """
+        return None
+
     def control_for_driver(
         self, state: Float[Tensor, "*b n"], driver: DriverInput
     ) -> Float[Tensor, "*b m"]:

@@ -136,6 +136,10 @@ class DiffKBM(DynamicsModel):
         steer = torch.atan(self.wheelbase() * curvature)
         return self.within_bounds(torch.stack([acceleration.expand_as(steer), steer], -1))
 
+    def acceleration_to_rest(self, state: Float[Tensor, "*b 4"]) -> Float[Tensor, "*b"] | None:
+        """-v / dt in m/s² with the sharp floor; a smooth one is never reached."""
+        return -state[..., 3] / self.dt_s if self.floor is floor_at_zero else None
+
     @property
     def driver_input_needs_state(self) -> bool:
         """An acceleration and an angle mean the same at every state."""

@@ -17,6 +17,7 @@ from diffstack_mmv.metrics.displacement import (
     mean_square_displacement,
     missed,
 )
+from diffstack_mmv.metrics.excitation import EXCITATION, LATERAL, SPEED, Excited, excitation
 from diffstack_mmv.metrics.likelihood import negative_log_likelihood
 from diffstack_mmv.metrics.means import masked_mean, time_mean, where_known
 from diffstack_mmv.metrics.planning import (
@@ -47,11 +48,15 @@ __all__ = [
     "CLOSED_LOOP",
     "DISPLACEMENT",
     "EVALUATED",
+    "EXCITATION",
+    "LATERAL",
     "OF_THE_PREDICTION",
     "OPEN_LOOP",
     "PREDICTED",
+    "SPEED",
     "Calibration",
     "DensityLevels",
+    "Excited",
     "MeanByMode",
     "Score",
     "average_displacement",
@@ -61,6 +66,7 @@ __all__ = [
     "coverages",
     "displacement",
     "displacements",
+    "excitation",
     "final_displacement",
     "human_collided",
     "judged_levels",

@@ -9,9 +9,23 @@ from diffstack_mmv.planning.candidates import (
 )
 from diffstack_mmv.planning.choice import CheapestSafe, PlanChoice, TakeOptimum
 from diffstack_mmv.planning.clearance import ClearanceMargin, clearance_within_steps
+from diffstack_mmv.planning.coordinates import (
+    ControlCoordinates,
+    Coordinates,
+    PhysicalControls,
+    SharesAboveRest,
+    above_rest,
+)
 from diffstack_mmv.planning.detours import DetourFan
 from diffstack_mmv.planning.goal import FutureGoal, GoalSource, PredictedGoal
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
+from diffstack_mmv.planning.limits import (
+    ClearanceKept,
+    FrictionCircle,
+    PlanConstraints,
+    PlanLimit,
+    SpeedWithin,
+)
 from diffstack_mmv.planning.planner import MPCPlanner, Planner, PlannerState
 from diffstack_mmv.planning.pricing import CostScore, PlanPrice, PlanScore, ScoredPlans
 from diffstack_mmv.planning.problem import (
@@ -33,13 +47,21 @@ __all__ = [
     "CandidateSource",
     "Candidates",
     "CheapestSafe",
+    "ClearanceKept",
+    "FrictionCircle",
+    "PlanConstraints",
+    "PlanLimit",
+    "SpeedWithin",
     "ClearanceMargin",
     "Coasting",
+    "ControlCoordinates",
+    "Coordinates",
     "CostScore",
     "DetourFan",
     "FutureGoal",
     "GoalSource",
     "MPCPlanner",
+    "PhysicalControls",
     "PlanChoice",
     "PlanPrice",
     "PlanScore",
@@ -48,7 +70,9 @@ __all__ = [
     "PredictedGoal",
     "Reference",
     "ScoredPlans",
+    "SharesAboveRest",
     "TakeOptimum",
+    "above_rest",
     "best_of_each",
     "build_problem",
     "clearance_within_steps",

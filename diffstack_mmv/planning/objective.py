@@ -7,7 +7,18 @@ from torch import Tensor
 
 from diffstack_mmv.control import Batched
 from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.planning.coordinates import ControlCoordinates
 from diffstack_mmv.types import Discs, Ego, Heading, Motion, Obstacles, PlanningProblem
+
+NAMES = (
+    *Motion._fields,
+    *(f"ego_disc_{name}" for name in Discs._fields),
+    "goal",
+    "reference",
+    "reference_speed",
+    *(f"obstacle_{name}" for name in Obstacles._fields),
+)
+"""Names of the tensors of a problem, in their order."""
 
 
 @runtime_checkable
@@ -22,30 +33,34 @@ class PlanCost(Protocol):
 
 
 def batched_objective(
-    planner: PlanCost, dynamics: DynamicsModel, problem: PlanningProblem
+    planner: PlanCost,
+    dynamics: DynamicsModel,
+    problem: PlanningProblem,
+    coordinates: ControlCoordinates,
 ) -> Batched:
-    """The cost (states, controls) -> cost at each time of problems with one leading dimension.
+    """Cost at each time, of states and coordinates of controls, of a batch of problems.
 
     The tensors of the problem are named to the solver, which leaves finished problems behind by
     selecting the rows of those that are still open; dynamics and weights are shared by all.
     """
     heading = problem.ego.heading
 
-    def cost(states: Tensor, controls: Tensor, *tensors: Tensor) -> Tensor:
+    def cost(states: Tensor, given: Tensor, *tensors: Tensor) -> Tensor:
+        controls = coordinates.padded_controls(states, given)
         motion = dynamics.motion(states, controls)
-        return planner.cost_of(motion, controls, _joined(heading, tensors))
+        return planner.cost_of(motion, controls, joined(heading, tensors))
 
-    return Batched(cost, *_parted(problem))
+    return Batched(cost, *parted(problem))
 
 
-def _parted(problem: PlanningProblem) -> tuple[Tensor, ...]:
-    """All tensors of a problem, in the order of `_joined`."""
+def parted(problem: PlanningProblem) -> tuple[Tensor, ...]:
+    """All tensors of a problem, in the order of `joined`."""
     ego = problem.ego
     own = (problem.goal, problem.reference, problem.reference_speed)
     return (*ego.motion, *ego.discs, *own, *problem.obstacles)
 
 
-def _joined(heading: Heading, tensors: tuple[Tensor, ...]) -> PlanningProblem:
+def joined(heading: Heading, tensors: tuple[Tensor, ...]) -> PlanningProblem:
     """The problem of these tensors."""
     ego = Ego(Motion(*tensors[:4]), heading, Discs(*tensors[4:6]))
     goal, reference, speed = tensors[6:9]

@@ -9,6 +9,9 @@ from matplotlib.figure import Figure
 
 from diffstack_mmv.plotting.figures import PALETTE, new_figure
 
+ASPECT = 0.75  # height of a panel by its width
+MARGIN_M = 1.0
+
 
 class PlannedScene(NamedTuple):
     """One sample to draw, positions in m in the frame of the ego."""
@@ -52,11 +55,14 @@ def draw_scene(axes: Axes, scene: PlannedScene) -> None:
 
 
 def _frame(axes: Axes, scene: PlannedScene) -> None:
-    seen = np.concatenate([scene.past, scene.human, scene.plan])
+    """Show all of past, human, plan and goal, in one shape for all scenes."""
+    seen = np.concatenate([scene.past, scene.human, scene.plan, scene.goal[None]])
+    seen = seen[np.isfinite(seen).all(-1)]
     centre = 0.5 * (seen.min(0) + seen.max(0))
-    half = 0.5 * np.ptp(seen, axis=0).max() + 1.0
+    wide, high = 0.5 * np.ptp(seen, axis=0) + MARGIN_M
+    half = max(wide, high / ASPECT)
     axes.set_xlim(centre[0] - half, centre[0] + half)
-    axes.set_ylim(centre[1] - 0.75 * half, centre[1] + 0.75 * half)
+    axes.set_ylim(centre[1] - ASPECT * half, centre[1] + ASPECT * half)
 
 
 def draw_scenes(scenes: Sequence[PlannedScene], columns: int = 3) -> Figure:

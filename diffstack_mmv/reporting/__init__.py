@@ -3,6 +3,12 @@
 from dmmv_conventions.extras import needs
 
 with needs("stack", "diffstack_mmv.reporting"):
+    from diffstack_mmv.reporting.by_excitation import (
+        PairedSamples,
+        by_excitation,
+        paired_samples,
+        write_by_excitation,
+    )
     from diffstack_mmv.reporting.closed_loop import closed_loop_table, write_closed_loop
     from diffstack_mmv.reporting.comparison import (
         Comparison,
@@ -34,14 +40,17 @@ with needs("stack", "diffstack_mmv.reporting"):
 __all__ = [
     "Comparison",
     "DrivenRow",
+    "PairedSamples",
     "Run",
     "ScoreHeading",
     "Scores",
+    "by_excitation",
     "closed_loop_table",
     "compare",
     "joint_table",
     "models_table",
     "paired_cases",
+    "paired_samples",
     "paired_table",
     "paired_tests",
     "paired_with_run",
@@ -51,6 +60,7 @@ __all__ = [
     "read_parquet",
     "read_runs",
     "summarise_modes",
+    "write_by_excitation",
     "write_closed_loop",
     "write_compact",
     "write_comparison",

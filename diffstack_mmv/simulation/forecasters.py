@@ -69,14 +69,27 @@ class ConstantVelocityForecaster:
         """Nothing to remember."""
         return
 
+    def velocity(self, observation: Observation) -> Float[Tensor, "*b h 2"]:
+        """Velocity in m/s that everybody is taken to keep."""
+        return observation.pedestrian_velocity
+
     def __call__(
         self, state: None, observation: Observation, dt_s: float, steps: int
     ) -> PedestrianForecast:
         """One component along straight lines."""
-        position, velocity = observation.pedestrian_position, observation.pedestrian_velocity
+        position, velocity = observation.pedestrian_position, self.velocity(observation)
         ahead = dt_s * torch.arange(1, steps + 1, dtype=position.dtype, device=position.device)
         mean = position.unsqueeze(-2) + velocity.unsqueeze(-2) * ahead[:, None]
         return PedestrianForecast(_with_spread(mean, velocity, self.spread, dt_s), None)
+
+
+@dataclass(frozen=True)
+class StandingForecaster(ConstantVelocityForecaster):
+    """Everybody stops at once and stays."""
+
+    def velocity(self, observation: Observation) -> Float[Tensor, "*b h 2"]:
+        """None, in m/s."""
+        return torch.zeros_like(observation.pedestrian_velocity)
 
 
 class BelievedCrowd(NamedTuple):

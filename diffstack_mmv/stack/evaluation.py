@@ -18,6 +18,7 @@ from diffstack_mmv.metrics import (
     coverages,
     displacement,
     displacements,
+    excitation,
     judged_levels,
     negative_log_likelihood,
     where_known,
@@ -94,7 +95,8 @@ class Evaluation(NamedTuple):
 
     Attributes:
         samples: One row per sample: identity, scores, the hindsight cost of the plan by term as
-            cost/TERM, and NAME/ade, NAME/fde of each baseline, NAME/nll where it is a forecast.
+            cost/TERM, NAME/ade, NAME/fde of each baseline, NAME/nll where it is a forecast, and how
+            hard the human rode.
         errors: Mode -> method -> mean distance (T,) to the human in m, NaN where nobody was
             recorded.
         levels: Mode -> levels of the truths, all samples and judged times in a row: the smallest
@@ -145,7 +147,7 @@ def evaluate_windows(
         judged = judge(stack, batch)
         found = judged_levels(judged.forecast, batch.ego_future)
         row, error = _beside_baselines(judged, baselines, batch)
-        row |= coverages(found, calibration)
+        row |= coverages(found, calibration) | excitation(batch)
         levels.append(where_known(found.level, found.valid).cpu().numpy())
         scores.append(pd.DataFrame({name: value.cpu().numpy() for name, value in row.items()}))
         errors.append({name: value.cpu().numpy() for name, value in error.items()})

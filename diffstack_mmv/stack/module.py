@@ -51,11 +51,13 @@ from diffstack_mmv.prediction import (
 )
 from diffstack_mmv.stack.physics import PhysicsLearning
 from diffstack_mmv.stack.precision import MixedPrecision
-from diffstack_mmv.types import Forecast, Plan, PlanningProblem, StackBatch
+from diffstack_mmv.types import Forecast, Plan, PlanningProblem, StackBatch, Tracks
+
+PathError = Callable[[Float[Tensor, "*b T 2"], Tracks], Float[Tensor, "*b"]]
 
 
 class LossWeights(NamedTuple):
-    """Weights of the parts of the training loss, dimensionless.
+    """Weights of the parts of the training loss, dimensionless, and what L_ctrl is.
 
     L = prediction · L_pred + planning · (CE + hindsight · C) + control · L_ctrl
     """
@@ -64,6 +66,7 @@ class LossWeights(NamedTuple):
     planning: float = 1.0
     hindsight: float = 0.01
     control: float = 1.0
+    imitation: PathError = mean_square_displacement
 
     @property
     def plans(self) -> bool:
@@ -155,7 +158,7 @@ class DiffStackMMV(pl.LightningModule):
     def planning_losses(
         self, batch: StackBatch, output: StackOutput
     ) -> dict[str, Float[Tensor, " B"]]:
-        """Losses of each sample: `planning_ce` in nats, `planning_cost` (1), `control` in m².
+        """Losses of each sample: `planning_ce` in nats, `planning_cost` (1), `control` in m² or m.
 
         The hindsight cost is that of the plan under the true futures of the other agents. NaN where
         the human's future or the goal of the plan was not recorded.
@@ -168,7 +171,7 @@ class DiffStackMMV(pl.LightningModule):
         losses = {
             "planning_ce": cross_entropy(plan.logits, target),
             "planning_cost": total_cost(self.hindsight_costs(batch, output)),
-            "control": mean_square_displacement(plan.motion.position[..., 1:, :], future),
+            "control": self.loss_weights.imitation(plan.motion.position[..., 1:, :], future),
         }
         judged = self._plan_judged(batch)
         return {name: where_known(value, judged) for name, value in losses.items()}

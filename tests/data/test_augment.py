@@ -13,7 +13,7 @@ from diffstack_mmv.data import (
     SpeedScale,
     stack_batch,
 )
-from diffstack_mmv.geometry import rotate, wrap_angle
+from diffstack_mmv.geometry import position_from_frame, rotate, wrap_angle
 
 CHAIN = Chain([Mirror(0.5), Rotation(0.3), SpeedScale()])
 EVERY = [Mirror(0.5), Rotation(0.3), SpeedScale(), PositionNoise(), HistoryDropout(0.5), CHAIN]
@@ -68,8 +68,25 @@ def test_velocity_and_yaw_rate_remain_the_derivatives_of_the_track(batch, augmen
 
 
 def test_mirroring_twice_changes_nothing(batch):
-    twice = Chain([Mirror(1.0), Mirror(1.0)])(batch, generator())
+    twice = Chain([Mirror(1.0), Mirror(1.0)])(batch, generator())._replace(frame=batch.frame)
     assert all(torch.equal(a, b) for a, b in zip(tensors(batch), tensors(twice), strict=True))
+
+
+def test_the_world_has_no_place_that_looks_like_a_mirrored_sample(batch):
+    assert batch.frame.known.all()
+    assert not Mirror(1.0)(batch, generator()).frame.known.any()
+
+
+def test_a_turned_frame_leaves_the_agents_where_they_are_in_the_world(batch):
+    def in_the_world(given):
+        frame = given.frame
+        return position_from_frame(
+            given.ego_future.motion.position, frame.position[:, None], frame.heading[:, None]
+        )
+
+    turned = Rotation(0.5)(batch, generator())
+    assert (turned.frame.heading - batch.frame.heading).abs().max() > 0.1
+    torch.testing.assert_close(in_the_world(turned), in_the_world(batch))
 
 
 def test_a_mirrored_neighbor_changes_sides(batch):

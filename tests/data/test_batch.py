@@ -5,6 +5,7 @@ import torch
 
 from diffstack_mmv.data import ConvertedCache, WindowSettings, stack_batch
 from diffstack_mmv.data.batch import yaw_rate
+from diffstack_mmv.geometry import wrap_angle
 from diffstack_mmv.types import Mode
 
 from .conftest import ToyAgent, write_cache
@@ -23,6 +24,16 @@ def test_the_ego_is_the_origin_of_its_own_frame_at_the_present(source, windows):
     assert batch.ego_past.motion.position[:, -1].abs().max() < 1e-5
     assert batch.ego_past.motion.heading[:, -1].abs().max() < 1e-6
     torch.testing.assert_close(batch.goal, batch.ego_future.motion.position[:, -1])
+
+
+@pytest.mark.parametrize("start", [(9.0, 9.0, 3.0), (-4.0, 2.0, -1.0)])
+def test_the_frame_is_told_in_the_world(tmp_path, start):
+    agent = ToyAgent("a", Mode.BICYCLE, 80, start=start, yaw_rate=0.3)
+    frame, table = read(tmp_path, agent).frame, agent.table().iloc[40]
+    torch.testing.assert_close(frame.position[0].tolist(), [table.x, table.y], atol=1e-4, rtol=0)
+    turn = wrap_angle(frame.heading - table.heading)
+    assert turn.abs().max() < 1e-4
+    assert frame.known.all()
 
 
 def test_shapes_are_those_of_the_settings(source, windows):

@@ -72,11 +72,13 @@ def test_nothing_hides_below_the_top(content):
         require_buildable(content, OF_A_RUN, "in a.ckpt")
 
 
-def test_a_plain_file_builds_nothing_at_all(monkeypatch):
+@pytest.mark.parametrize(
+    "target", ["diffstack_mmv.dynamics.DiffKBM", "torch.optim.AdamW", "mine.Model"]
+)
+def test_a_plain_file_builds_nothing_at_all(monkeypatch, target):
     monkeypatch.setenv(TRUSTED_VARIABLE, "mine")
-    for target in ("diffstack_mmv.dynamics.DiffKBM", "torch.optim.AdamW", "mine.Model"):
-        with pytest.raises(ValueError, match="_target_"):
-            require_buildable({"_target_": target}, NOTHING, "in mine.yaml")
+    with pytest.raises(ValueError, match="_target_"):
+        require_buildable({"_target_": target}, NOTHING, "in mine.yaml")
 
 
 def test_a_package_of_ones_own_is_allowed_by_name(monkeypatch):
@@ -112,11 +114,19 @@ def _mappings(content):
             yield from _mappings(part)
 
 
-@pytest.mark.parametrize("predictor", ["trajectron_shared", "trajectron_compiled", "kalman"])
-def test_the_stack_of_a_run_can_be_read_back(predictor, tmp_path):
+OF_THE_STACK = ("goal", "loss", "optim", "physics", "planner", "predictor", "stack")
+OPTIONS = [
+    (group, path.stem)
+    for group in OF_THE_STACK
+    for path in sorted((config_folder() / group).glob("*.yaml"))
+]
+
+
+@pytest.mark.parametrize(("group", "option"), OPTIONS)
+def test_the_stack_of_a_run_can_be_read_back(group, option, tmp_path):
     with initialize_config_dir(str(config_folder()), version_base="1.3"):
-        overrides = [f"predictor={predictor}", f"data.cache={tmp_path}", "out=out"]
+        overrides = [f"{group}={option}", f"data.cache={tmp_path}", "out=out"]
         config = compose("train", overrides, return_hydra_config=True)
-    names = {"dynamics": "kbm", "predictor": predictor}
+    names = {"dynamics": "kbm", "predictor": "any"}
     stack = OmegaConf.to_container(OmegaConf.merge(config, {"names": names}).stack, resolve=True)
     require_buildable(stack, OF_A_STACK, "in last.ckpt")

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from diffstack_mmv.metrics import EVALUATED
+from diffstack_mmv.metrics import EVALUATED, LATERAL, SPEED
 from diffstack_mmv.planning import FutureGoal, PredictedGoal
 from diffstack_mmv.prediction import StandStill
 from diffstack_mmv.prediction.goal_baselines import hermite_spline
@@ -37,7 +37,7 @@ def test_rows_hold_every_score_and_those_of_the_baselines():
     evaluation = evaluate_windows(stack_of(PredictedGoal()), BASELINES, Recorded(batch_of()), 2)
     expected = {f"{name}/{score}" for name in BASELINES for score in ("ade", "fde")}
     costs = {name for name in evaluation.samples.columns if name.startswith("cost/")}
-    expected |= {"scene", "mode", "stand_still/nll", *EVALUATED}
+    expected |= {"scene", "mode", "stand_still/nll", LATERAL, SPEED, *EVALUATED}
     assert set(evaluation.samples.columns) - costs == expected
     terms = evaluation.samples[sorted(costs)].sum(axis=1)
     assert terms.to_numpy() == pytest.approx(evaluation.samples["planning_cost"], rel=1e-5)

@@ -4,9 +4,11 @@ from diffstack_mmv.prediction.trajectron.jacobians import linearise, linearise_s
 from diffstack_mmv.prediction.trajectron.latent import Annealing
 from diffstack_mmv.prediction.trajectron.linearised_step import linearise_compiled
 from diffstack_mmv.prediction.trajectron.model import Sizes, Trajectron
+from diffstack_mmv.prediction.trajectron.site import Site
 
 __all__ = [
     "Annealing",
+    "Site",
     "Sizes",
     "Trajectron",
     "linearise",

@@ -6,9 +6,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from diffstack_mmv.geometry import motion_in_frame, rotate
+from diffstack_mmv.geometry import motion_in_frame, position_from_frame, rotate
 from diffstack_mmv.prediction.current import MEMORY_S, current_heading, current_position, trend
-from diffstack_mmv.types import Mode, Motion, Tracks, map_tensors
+from diffstack_mmv.types import Mode, Motion, Pose, Tracks, map_tensors
 
 PEDESTRIANS = (Mode.UNKNOWN, Mode.PEDESTRIAN, Mode.STROLLER)
 EGO, VEHICLE, PEDESTRIAN = (
@@ -29,14 +29,16 @@ class AgentBatch(NamedTuple):
     past: Tracks  # R H, in the own frame
     velocity: Float[Tensor, "R 2"]  # m/s now, in the own frame, from the fit to the track
     acceleration: Float[Tensor, "R 2"]  # m/s² now, in the own frame
+    place: Pose  # R, of the own frame in the world of the recording
 
 
-def agent_batch(agents: Tracks, dt_s: float) -> AgentBatch:
+def agent_batch(agents: Tracks, dt_s: float, frame: Pose | None = None) -> AgentBatch:
     """Gather the present agents of scenes `B A`.
 
     Args:
         agents: Observed agents `B A H`, the ego of each scene first.
         dt_s: Length of one step in s.
+        frame: Where the scenes lie in the world, `B`; None if that is not known.
     """
     index = agents.valid[..., -1].flatten().nonzero().squeeze(-1)
     scene_tracks = take_rows(agents, index)
@@ -53,7 +55,21 @@ def agent_batch(agents: Tracks, dt_s: float) -> AgentBatch:
         past=in_own_frame(scene_tracks, origin, heading),
         velocity=rotate(now.velocity, -heading),
         acceleration=rotate(now.acceleration, -heading),
+        place=_place(frame, index // agents.mode.shape[1], origin, heading),
     )
+
+
+def _place(
+    frame: Pose | None,
+    scene: Int[Tensor, " R"],
+    origin: Float[Tensor, "R 2"],
+    heading: Float[Tensor, " R"],
+) -> Pose:
+    """Poses in the world of frames in the frames of their scenes."""
+    if frame is None:
+        return Pose(origin, heading, torch.zeros_like(scene, dtype=torch.bool))
+    position, turn, known = (field[scene] for field in frame)
+    return Pose(position_from_frame(origin, position, turn), turn + heading, known)
 
 
 def agent_kind(mode: Int[Tensor, "*b"]) -> Int[Tensor, "*b"]:

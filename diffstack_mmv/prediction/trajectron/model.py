@@ -34,7 +34,8 @@ from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
 from diffstack_mmv.prediction.trajectron.output import nobody, placed, scenes
 from diffstack_mmv.prediction.trajectron.scene import SceneEncoder
-from diffstack_mmv.types import Forecast, StackBatch, Tracks
+from diffstack_mmv.prediction.trajectron.site import Site
+from diffstack_mmv.types import Forecast, Pose, StackBatch, Tracks
 
 
 class Sizes(NamedTuple):
@@ -103,6 +104,8 @@ class Trajectron(Predictor):
         jacobians: Linearises the dynamics: `linearise` at every point, or `linearise_shared` at the
             mean of the components, for models whose step is expensive; `linearise_compiled` is
             `linearise` with compiled steps.
+        site: Encoder of where in the world an agent is, for a predictor that is used where it was
+            trained; None: it holds everywhere. Forecasts of tracks alone do without its code.
 
     Raises:
         ValueError: The models differ in their time step, or a number is out of its range.
@@ -120,6 +123,7 @@ class Trajectron(Predictor):
         annealing: Annealing | None = None,
         hold_steps: int = 1,
         jacobians: Jacobians = linearise,
+        site: Site | None = None,
     ) -> None:
         super().__init__(horizon_steps, ego_dynamics.dt_s)
         require_at_least("neighbor_components", neighbor_components, 0)
@@ -130,7 +134,7 @@ class Trajectron(Predictor):
         sizes = sizes if sizes is not None else Sizes()
         self.annealing = (annealing if annealing is not None else Annealing()).checked()
         self.scene_encoder = SceneEncoder(
-            sizes.history, sizes.edge, sizes.dropout, sizes.reach_m, sizes.fade_m
+            sizes.history, sizes.edge, sizes.dropout, sizes.reach_m, sizes.fade_m, site
         )
         self.future_encoder = PerKind(
             {kind: MaskedLSTM(TRACK_FEATURES, sizes.future) for kind in (VEHICLE, PEDESTRIAN)},
@@ -163,9 +167,15 @@ class Trajectron(Predictor):
 
     def forward(self, past: Tracks, neighbors: Tracks) -> Forecast:
         """Forecast all agents, `*b 1+N`; an agent that is not observed now stays where it is."""
-        agents = all_agents(past, neighbors)
+        return self._forward(all_agents(past, neighbors), None)
+
+    def predict(self, batch: StackBatch) -> Forecast:
+        """Forecast the agents of a batch, `B 1+N`, at their place in the world if that is known."""
+        return self._forward(all_agents(batch.ego_past, batch.neighbors_past), batch.frame)
+
+    def _forward(self, agents: Tracks, frame: Pose | None) -> Forecast:
         flat = scenes(agents)
-        parts = self._decoded(agent_batch(flat, self.dt_s), flat.mode.shape[1])
+        parts = self._decoded(agent_batch(flat, self.dt_s, frame), flat.mode.shape[1])
         return self._forecast(agents, parts)
 
     def loss(self, batch: StackBatch) -> Float[Tensor, "*b"]:
@@ -196,7 +206,7 @@ class Trajectron(Predictor):
         """Decode the agents of a batch, and compute the loss of each sample."""
         agents = scenes(all_agents(batch.ego_past, batch.neighbors_past))
         futures = scenes(all_agents(batch.ego_future, batch.neighbors_future))
-        rows = agent_batch(agents, self.dt_s)
+        rows = agent_batch(agents, self.dt_s, batch.frame)
         future = in_own_frame(take_rows(futures, rows.index), rows.origin, rows.heading)
         parts = list(self._decoded(rows, agents.mode.shape[1]))
         loss = rows.origin.new_zeros(agents.mode.numel())

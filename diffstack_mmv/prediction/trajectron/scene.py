@@ -14,13 +14,14 @@ from diffstack_mmv.prediction.trajectron.encoder import (
 )
 from diffstack_mmv.prediction.trajectron.interaction import Interaction
 from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
+from diffstack_mmv.prediction.trajectron.site import Site
 from diffstack_mmv.types import Mode
 
 MOTION_FEATURES = 4
 
 
 class SceneEncoder(nn.Module):
-    """Context of every agent: history LSTM, interaction, velocity and acceleration, mode.
+    """Context of every agent: history LSTM, interaction, velocity and acceleration, mode, site.
 
     Args:
         history: Size of the encoding of the history.
@@ -28,6 +29,7 @@ class SceneEncoder(nn.Module):
         dropout: Share of units dropped in training.
         reach_m: Distance at which the influence of another agent is halved.
         fade_m: Distance over which it fades.
+        site: Encoder of the place in the world; None: what is learned holds everywhere.
 
     Raises:
         ValueError: The share is no share, or a distance is not positive.
@@ -40,6 +42,7 @@ class SceneEncoder(nn.Module):
         dropout: float = 0.1,
         reach_m: float = 15.0,
         fade_m: float = 2.0,
+        site: Site | None = None,
     ) -> None:
         super().__init__()
         require_between("dropout", dropout, 0.0, 0.9)
@@ -47,7 +50,9 @@ class SceneEncoder(nn.Module):
             {kind: MaskedLSTM(TRACK_FEATURES, history) for kind in (VEHICLE, PEDESTRIAN)}, history
         )
         self.interaction = Interaction(history, edge, reach_m, fade_m, dropout)
+        self.site = site
         self.outputs = history + edge + MOTION_FEATURES + len(Mode)
+        self.outputs += site.outputs if site is not None else 0
 
     def forward(
         self, rows: AgentBatch, agents: int, wanted: Bool[Tensor, " R"] | None = None
@@ -59,6 +64,7 @@ class SceneEncoder(nn.Module):
         node = self.history(rows.kind, track_features(rows.past), rows.past.valid)
         around = self.interaction(rows, agents, node, wanted)
         mode = nn.functional.one_hot(rows.past.mode, len(Mode)).to(node.dtype)
+        site = [self.site(rows.place)] if self.site is not None else []
         return torch.cat(
-            [node, around, rows.velocity / SPEED_SCALE_MPS, rows.acceleration, mode], -1
+            [node, around, rows.velocity / SPEED_SCALE_MPS, rows.acceleration, mode, *site], -1
         )

@@ -10,6 +10,7 @@ from diffstack_mmv.prediction.trajectron.interaction import (
     gather_by_attention,
     neighboring_rows,
 )
+from diffstack_mmv.types import map_tensors
 from tests.prediction.samples import DT_S, scene
 
 
@@ -67,18 +68,7 @@ def test_order_of_the_neighbors_does_not_matter():
     interaction, rows = Interaction(8, 8), rows_of(batch)
     node = torch.randn(len(rows.index), 8)
     order = torch.tensor([0, 2, 1, 3, 5, 4, 6, 8, 7])
-    shuffled = type(rows)(
-        rows.index,
-        *(
-            type(field)(
-                type(field.motion)(*(part[order] for part in field.motion)),
-                *(part[order] for part in field[1:]),
-            )
-            if isinstance(field, tuple)
-            else field[order]
-            for field in rows[1:]
-        ),
-    )
+    shuffled = map_tensors(lambda field: field[order], rows)._replace(index=rows.index)
     assert torch.allclose(
         interaction(rows, 3, node)[order], interaction(shuffled, 3, node[order]), atol=1e-5
     )

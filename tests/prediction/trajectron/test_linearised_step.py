@@ -65,8 +65,11 @@ def test_a_rollout_has_the_gradient_of_its_value():
 
 
 @pytest.mark.usefixtures("interpreted")
-def test_compiled_steps_change_nothing():
+@pytest.mark.parametrize("learned", [True, False])
+def test_compiled_steps_change_nothing(learned):
     dynamics, motion = model(), moving(2)
+    for parameter in sources(dynamics):
+        parameter.requires_grad_(learned)
     controls = (0.2 * torch.randn(2, 4, 2, dtype=DOUBLE)).requires_grad_()
     factor = 0.3 * torch.eye(2, dtype=DOUBLE).expand(2, 4, 2, 2)
     spread = torch.full((2, 4), 0.1, dtype=DOUBLE, requires_grad=True)

@@ -1,0 +1,173 @@
+"""Coordinates in which an optimiser sees the controls of a plan."""
+
+from collections.abc import Callable
+from typing import Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.types import Bounds
+
+SHORT_OF_REST = 4e-6
+"""Share of its speed that a vehicle keeps in the hardest step: rounding must not stop it sooner."""
+
+
+@runtime_checkable
+class ControlCoordinates(Protocol):
+    """Coordinates of the controls of a model, with a box of their own."""
+
+    @property
+    def bounds(self) -> Bounds:
+        """Box of the coordinates."""
+        ...
+
+    @property
+    def step(self) -> Callable[[Tensor, Tensor], Tensor]:
+        """One step of the model: (state, coordinates) -> next state."""
+        ...
+
+    def controls(
+        self, states: Float[Tensor, "*b n"], coordinates: Float[Tensor, "*b m"]
+    ) -> Float[Tensor, "*b m"]:
+        """Controls in SI units at some states."""
+        ...
+
+    def padded_controls(
+        self, states: Float[Tensor, "*b T1 n"], coordinates: Float[Tensor, "*b T1 m"]
+    ) -> Float[Tensor, "*b T1 m"]:
+        """Controls along a plan, with a last row of zeros."""
+        ...
+
+    def coordinates(
+        self, start: Float[Tensor, "*b n"], controls: Float[Tensor, "*b T m"]
+    ) -> Float[Tensor, "*b T m"]:
+        """Coordinates of the controls of a plan from a state."""
+        ...
+
+
+Coordinates = Callable[[DynamicsModel], ControlCoordinates]
+
+
+class PhysicalControls:
+    """The controls themselves.
+
+    Args:
+        dynamics: The model.
+    """
+
+    def __init__(self, dynamics: DynamicsModel) -> None:
+        self.dynamics = dynamics
+
+    @property
+    def bounds(self) -> Bounds:
+        """Box of the controls."""
+        return self.dynamics.bounds
+
+    @property
+    def step(self) -> Callable[[Tensor, Tensor], Tensor]:
+        """The model."""
+        return self.dynamics
+
+    def controls(
+        self, states: Float[Tensor, "*b n"], coordinates: Float[Tensor, "*b m"]
+    ) -> Float[Tensor, "*b m"]:
+        """What was given."""
+        return coordinates
+
+    def padded_controls(
+        self, states: Float[Tensor, "*b T1 n"], coordinates: Float[Tensor, "*b T1 m"]
+    ) -> Float[Tensor, "*b T1 m"]:
+        """What was given."""
+        return coordinates
+
+    def coordinates(
+        self, start: Float[Tensor, "*b n"], controls: Float[Tensor, "*b T m"]
+    ) -> Float[Tensor, "*b T m"]:
+        """What was given."""
+        return controls
+
+
+class SharesAboveRest:
+    """The acceleration as its share s of the way from stopping within the step to the limit.
+
+        a = a₀(v) + s (a_max - a₀(v)),    0 ≤ s ≤ 1,    a₀(v) = max(a_min, -v / dt)
+
+    A model that is kept from backing up by a floor has a kink where it comes to rest, and a plan
+    that brakes to rest ends on it: no derivative tells which way the cost falls. Braking harder
+    than to rest only costs effort, so nothing is lost by leaving it out. In these coordinates the
+    kink is the bound s = 0, which the optimiser holds like any other, and whose pressure has a
+    derivative.
+
+    Args:
+        dynamics: A model with `acceleration_to_rest`, and an acceleration among its controls.
+    """
+
+    def __init__(self, dynamics: DynamicsModel) -> None:
+        self.dynamics = dynamics
+        self.column = dynamics.Control._fields.index("acceleration")
+
+    @property
+    def bounds(self) -> Bounds:
+        """Box of the controls, with the shares in place of the acceleration."""
+        lower, upper = (bound.clone() for bound in self.dynamics.bounds)
+        lower[self.column], upper[self.column] = 0.0, 1.0
+        return Bounds(lower, upper)
+
+    @property
+    def step(self) -> Callable[[Tensor, Tensor], Tensor]:
+        """The model, given shares."""
+        return self._step
+
+    def _step(
+        self, state: Float[Tensor, "*b n"], coordinates: Float[Tensor, "*b m"]
+    ) -> Float[Tensor, "*b n"]:
+        return self.dynamics(state, self.controls(state, coordinates))
+
+    def controls(
+        self, states: Float[Tensor, "*b n"], coordinates: Float[Tensor, "*b m"]
+    ) -> Float[Tensor, "*b m"]:
+        """Controls in SI units at some states."""
+        columns = list(coordinates.unbind(-1))
+        least, most = self._range(states)
+        columns[self.column] = torch.lerp(least, most, columns[self.column])
+        return torch.stack(columns, -1)
+
+    def padded_controls(
+        self, states: Float[Tensor, "*b T1 n"], coordinates: Float[Tensor, "*b T1 m"]
+    ) -> Float[Tensor, "*b T1 m"]:
+        """Controls along a plan, with a last row of zeros."""
+        steps = torch.arange(states.shape[-2], device=states.device)
+        acting = (steps < states.shape[-2] - 1).to(states.dtype)
+        return self.controls(states, coordinates) * acting.unsqueeze(-1)
+
+    def coordinates(
+        self, start: Float[Tensor, "*b n"], controls: Float[Tensor, "*b T m"]
+    ) -> Float[Tensor, "*b T m"]:
+        """Shares along the motion from a state; braking beyond rest is braking to rest."""
+        state, rows = start, []
+        for control in controls.unbind(-2):
+            columns = list(control.unbind(-1))
+            least, most = self._range(state)
+            columns[self.column] = ((columns[self.column] - least) / (most - least)).clamp(0, 1)
+            rows.append(torch.stack(columns, -1))
+            state = self._step(state, rows[-1])
+        return torch.stack(rows, -2)
+
+    def _range(
+        self, states: Float[Tensor, "*b n"]
+    ) -> tuple[Float[Tensor, "*b"], Float[Tensor, "*b"]]:
+        """Acceleration (m/s²) of the shares zero and one."""
+        rest = self.dynamics.acceleration_to_rest(states)
+        if rest is None:
+            rest = torch.full_like(states[..., 0], -torch.inf)
+        lower, upper = (bound[self.column] for bound in self.dynamics.bounds)
+        return torch.maximum(lower, (1 - SHORT_OF_REST) * rest), upper.expand_as(rest)
+
+
+def above_rest(dynamics: DynamicsModel) -> ControlCoordinates:
+    """Shares above rest for a model with a floor at rest, the controls themselves for any other."""
+    state = torch.zeros(dynamics.state_dim, device=dynamics.bounds.lower.device)
+    kinked = dynamics.acceleration_to_rest(state) is not None
+    return SharesAboveRest(dynamics) if kinked else PhysicalControls(dynamics)

@@ -1,0 +1,54 @@
+"""Speed and lateral acceleration of the recorded human."""
+
+import pytest
+import torch
+
+from diffstack_mmv.metrics import LATERAL, SPEED, excitation
+from diffstack_mmv.types import Motion
+from tests.prediction.samples import at_rest, scene
+
+
+def on_a_circle(speed, rate, batch=2, history=21, horizon=30, dt_s=0.1):
+    """The ego of every sample on a circle of that speed (m/s) and yaw rate (rad/s)."""
+    given = scene(batch=(batch,), history=history, horizon=horizon)
+
+    def ride(tracks, first):
+        time = dt_s * (first + torch.arange(tracks.valid.shape[-1]))
+        radius = speed / rate
+        path = torch.stack([(rate * time).sin(), 1 - (rate * time).cos()], -1) * radius
+        motion = tracks.motion._replace(position=path.expand_as(tracks.motion.position))
+        return tracks._replace(motion=Motion(*motion))
+
+    past, future = ride(given.ego_past, 1 - history), ride(given.ego_future, 1)
+    return given._replace(ego_past=past, ego_future=future)
+
+
+@pytest.mark.parametrize(("speed", "rate"), [(4.0, 0.5), (4.0, -0.5), (8.0, 0.3), (2.0, 1.0)])
+def test_a_circle_is_ridden_at_its_speed_and_lateral_acceleration(speed, rate):
+    found = excitation(on_a_circle(speed, rate))
+    assert torch.allclose(found[SPEED], torch.full((2,), speed), rtol=0.02)
+    assert torch.allclose(found[LATERAL], torch.full((2,), abs(speed * rate)), rtol=0.03)
+
+
+def test_whoever_stands_has_none():
+    found = excitation(at_rest(scene(batch=(3,), horizon=30)))
+    assert found[SPEED].tolist() == [0.0] * 3
+    assert found[LATERAL].tolist() == [0.0] * 3
+
+
+def test_what_was_not_recorded_does_not_count():
+    batch = on_a_circle(4.0, 0.5)
+    far = batch.ego_future.motion.position.clone()
+    far[:, 10:] = 1e6
+    valid = batch.ego_future.valid.clone()
+    valid[:, 10:] = False
+    future = batch.ego_future._replace(
+        motion=batch.ego_future.motion._replace(position=far), valid=valid
+    )
+    assert excitation(batch._replace(ego_future=future))[SPEED].max() < 4.1
+
+
+def test_a_horizon_of_one_step_has_no_acceleration():
+    found = excitation(scene(batch=(2,), horizon=1))
+    assert torch.isfinite(found[SPEED]).all()
+    assert found[LATERAL].tolist() == [0.0, 0.0]

@@ -1,0 +1,90 @@
+"""Coordinates of the controls: plans that brake to rest."""
+
+import pytest
+import torch
+
+from diffstack_mmv.control import ILQR
+from diffstack_mmv.dynamics import DiffKBM, ExtendedUnicycle, SoftplusFloor, rollout
+from diffstack_mmv.planning import PhysicalControls, SharesAboveRest, above_rest
+from diffstack_mmv.types import map_tensors
+from diffstack_mmv.vehicles import load_vehicle
+from tests.planning.test_planner import problem, training
+
+SPEEDS = torch.tensor([0.0, 0.15, 0.5, 1.2])
+LEFT_M = torch.tensor([-0.05, 0.02, 0.05, 0.3])
+
+
+def kbm():
+    return DiffKBM(load_vehicle("bicycle"), dt_s=0.25)
+
+
+def braking(shift_m=0.0):
+    """Egos that are almost at their goals, some of which they cannot but overrun."""
+    problems = map_tensors(lambda e: e.double() if e.is_floating_point() else e, problem())
+    problems.ego.motion.velocity[:, 0] = SPEEDS.double()
+    problems.goal[:, 0] = LEFT_M.double() + shift_m
+    problems.goal[:, 1] = 0.03
+    return problems
+
+
+def planner(coordinates):
+    made = training(coordinates=coordinates).double()
+    made.solver = ILQR(max_iterations=60, tolerance=1e-10)
+    return made
+
+
+def test_a_step_with_the_acceleration_to_rest_ends_at_rest():
+    model = kbm()
+    state = torch.nn.functional.pad(SPEEDS.unsqueeze(-1), (3, 0))
+    rest = model.acceleration_to_rest(state)
+    after = model.step(state[:2], torch.nn.functional.pad(rest[:2, None], (0, 1)))
+    assert after[:, 3].abs().max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("model", "kind"),
+    [
+        (kbm(), SharesAboveRest),
+        (DiffKBM(load_vehicle("bicycle"), floor=SoftplusFloor()), PhysicalControls),
+        (ExtendedUnicycle(load_vehicle("bicycle")), PhysicalControls),
+    ],
+)
+def test_only_a_model_with_a_kink_at_rest_gets_other_coordinates(model, kind):
+    assert isinstance(above_rest(model), kind)
+
+
+def test_coordinates_and_controls_are_each_others_inverse_but_for_braking_beyond_rest():
+    generator = torch.Generator().manual_seed(0)
+    coordinates, model = SharesAboveRest(kbm().double()), kbm().double()
+    start = torch.nn.functional.pad(SPEEDS.double().unsqueeze(-1), (3, 0))
+    controls = torch.rand(4, 10, 2, generator=generator, dtype=torch.double) - 0.6
+    states = rollout(model, start, controls)
+    shares = coordinates.coordinates(start, controls)
+    again = coordinates.controls(states[:, :-1], shares)
+    assert torch.allclose(rollout(model, start, again), states, atol=1e-5)
+    beyond = controls[..., 0] < model.acceleration_to_rest(states[:, :-1])
+    assert beyond.any()
+    assert torch.allclose(again[~beyond], controls[~beyond], atol=1e-4)
+
+
+def test_plans_that_brake_to_rest_are_solved_and_cost_no_more():
+    problems = braking()
+    with torch.no_grad():
+        shares, physical = (planner(kind)(problems) for kind in (above_rest, PhysicalControls))
+    assert shares.converged.all()
+    assert (shares.motion.velocity[..., 0] >= 0).all()
+    assert (shares.motion.velocity[..., -1, 0] < 1e-3).any()
+    assert (shares.solution.cost <= physical.solution.cost * (1 + 1e-5)).all()
+    assert shares.solution.iterations.max() < 25
+
+
+def test_their_gradient_is_that_of_differences():
+    made, step = planner(above_rest), 1e-5
+    problems = braking()
+    goal = problems.goal.requires_grad_()
+    plan = made(problems)
+    plan.motion.position[..., -1, 0].sum().backward()
+    with torch.no_grad():
+        ends = [made(braking(shift)).motion.position[..., -1, 0] for shift in (step, -step)]
+    difference = (ends[0] - ends[1]) / (2 * step)
+    assert torch.allclose(goal.grad[:, 0], difference, atol=1e-3)

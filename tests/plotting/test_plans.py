@@ -1,0 +1,35 @@
+"""What a drawn plan shows."""
+
+import numpy as np
+import pytest
+
+from diffstack_mmv.plotting import PlannedScene, draw_scenes
+
+
+def heading_for(goal):
+    """A straight ride to a goal, with a prediction that goes far beyond it."""
+    line = np.linspace(0.0, 1.0, 31)[1:, None] * np.asarray(goal, float)
+    return PlannedScene(
+        title="one",
+        past=np.zeros((5, 2)),
+        human=line,
+        plan=line,
+        prediction=3 * line[None],
+        weights=np.ones(1),
+        goal=np.asarray(goal, float),
+        candidates=np.zeros((0, 30, 2)),
+        neighbors=np.zeros((0, 30, 2)),
+    )
+
+
+@pytest.mark.parametrize("goal", [(12.0, 0.0), (0.0, 12.0), (-3.0, -9.0), (0.0, 0.0)])
+def test_all_of_the_ride_and_its_goal_is_in_view(goal):
+    axes = draw_scenes([heading_for(goal)]).axes[0]
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    assert left < min(goal[0], 0.0) <= max(goal[0], 0.0) < right
+    assert bottom < min(goal[1], 0.0) <= max(goal[1], 0.0) < top
+
+
+def test_a_goal_that_was_not_recorded_is_left_out_of_the_view():
+    scene = heading_for((4.0, 1.0))._replace(goal=np.full(2, np.nan))
+    assert np.isfinite(draw_scenes([scene]).axes[0].get_xlim()).all()
