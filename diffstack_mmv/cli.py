@@ -146,6 +146,8 @@ def _quiet_dependencies() -> Iterator[None]:
         if not sys.warnoptions:
             for category in (DeprecationWarning, PendingDeprecationWarning, FutureWarning):
                 warnings.simplefilter("ignore", category)
+            # scores are added up over the processes before they are logged
+            warnings.filterwarnings("ignore", r".*self\.log\(.*sync_dist=True")
         yield
 
 

@@ -56,12 +56,17 @@ def test_every_value_that_must_be_given_is_named():
         require_complete({"a": {"b": "???"}, "c": "???", "d": "${a.b}"})
 
 
-def test_windows_of_unknown_modes_or_broken_steps_are_refused():
+@pytest.mark.parametrize(
+    ("mode", "horizon_s", "told"),
+    [
+        ("bike", 3.0, "`mode` must be one of"),
+        ("bicycle", 2.95, "`horizon_s` must be a multiple"),
+    ],
+)
+def test_windows_of_unknown_modes_or_broken_steps_are_refused(mode, horizon_s, told):
     require_windows(["bicycle"], 0.1, horizon_s=3.0)
-    with pytest.raises(ValueError, match="`mode` must be one of"):
-        require_windows(["bike"], 0.1)
-    with pytest.raises(ValueError, match="`horizon_s` must be a multiple"):
-        require_windows(["bicycle"], 0.1, horizon_s=2.95)
+    with pytest.raises(ValueError, match=told):
+        require_windows([mode], 0.1, horizon_s=horizon_s)
 
 
 def test_a_checkpoint_is_an_archive(tmp_path):

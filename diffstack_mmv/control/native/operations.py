@@ -1,5 +1,6 @@
 """What each core tensor operation is in scalars."""
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -110,7 +111,9 @@ def _reduced(a: Entries, dims: Any, keepdim: bool, combine: Callable[[list[Any]]
     chosen = range(rank) if dims is None or dims == [] else as_list(dims)
     axes = sorted(each % rank for each in chosen) if rank else []
     rest = [axis for axis in range(rank) if axis not in axes]
-    rows = a.transpose([*rest, *axes]).reshape([*(a.shape[axis] for axis in rest), -1])
+    # not left to numpy to find: it cannot where there is nothing, as without agents
+    length = math.prod(a.shape[axis] for axis in axes)
+    rows = a.transpose([*rest, *axes]).reshape([*(a.shape[axis] for axis in rest), length])
     result = np.empty(rows.shape[:-1], dtype=object)
     for index in np.ndindex(*result.shape):
         result[index] = combine(list(rows[index]))

@@ -7,6 +7,7 @@ second is faster by two orders of magnitude, and needs no iteration beyond its o
 import ctypes
 import functools
 import logging
+import math
 import time
 from collections.abc import Hashable
 from typing import Any, NamedTuple
@@ -172,7 +173,9 @@ def _first(function: Any, originals: dict[int, Tensor]) -> Any:
 
 def _row(taken: Tensor, original: Tensor | None, count: int, like: Tensor) -> Tensor:
     """A parameter as one row per problem."""
-    each = taken.reshape(1, -1) if original is None else original.reshape(len(original), -1)
+    own = taken.unsqueeze(0) if original is None else original
+    # flattened by its sizes: an empty one has no length that could be found
+    each = own.reshape(len(own), math.prod(own.shape[1:]))
     if each.is_floating_point() and each.dtype != like.dtype and taken.dim() > 0:
         raise CannotLowerError(f"a parameter of {each.dtype} beside a state of {like.dtype}")
     return each.to(like.dtype).expand(count, -1)

@@ -132,7 +132,7 @@ def plain(values: Any, digits: int = 4) -> Any:
 
 def frame_table(title: str, frame: pd.DataFrame, index: bool = False, digits: int = 3) -> Table:
     """A table from a data frame; unknown numbers are dashes."""
-    shown = frame.rename_axis(index=frame.index.name or "").reset_index() if index else frame
+    shown = frame.rename_axis(index=str(frame.index.name or "")).reset_index() if index else frame
     rows = [[cell(value, digits) for value in row] for row in shown.itertuples(index=False)]
     return Table(title, [str(name) for name in shown.columns], rows)
 

@@ -22,6 +22,7 @@ FUNCTIONS = {
     "largest": lambda a: a.amax(-1) - a.amin(0, keepdim=True).sum(),
     "choices": lambda a: torch.where((a > 0) & ~(a >= 0.9) | (a == 0), a.sin(), a.square()),
     "truths": lambda a: a * (a > 0) + (a < 0).to(a).sum(),
+    "nothing": lambda a: a + a[:, :0].sum(-1, keepdim=True) + a[:0].sum(0),
     "sums": lambda a: a.sum(-1) + a.mean() + a.prod(-1) + a.norm(dim=-1),
     "rounding": lambda a: torch.fmod(a, 0.3) + a.floor() * a + a.ceil(),
     "softmax": lambda a: torch.softmax(a, -1) * a,
