@@ -10,8 +10,6 @@ RAW    ?= data
 JOBS   ?= 2
 TABLE  ?= crowdnav
 PEERS  ?= $(BIN)/python
-RESULTS := benchmarks/results
-REFERENCE := ../shared/reference/mpc
 DOCS   := .venv-docs
 LIMIT  := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
 
@@ -59,15 +57,8 @@ docs: $(DOCS)/.installed ## The documentation as a site in outputs/site; a dead 
 	NO_MKDOCS_2_WARNING=1 $(DOCS)/bin/python -m mkdocs build --strict
 	@echo "Site: outputs/site/index.html"
 
-bench: install ## Benchmarks, results in benchmarks/results; PEERS=<python> of an environment with more peers
-	$(LIMIT) $(BIN)/python -m pytest benchmarks --jaxtyping-packages= --benchmark-only -m "slow or not slow"
-	for name in solver solver_free; do \
-		$(LIMIT) $(BIN)/python benchmarks/bench_$$name.py --python $(PEERS) || exit 1; done
-	for name in models memory profile; do \
-		$(LIMIT) $(BIN)/python benchmarks/bench_solver_$$name.py > $(RESULTS)/solver_$$name.md || exit 1; done
-	if test -d $(REFERENCE); then for name in gradients convergence; do \
-		$(LIMIT) $(BIN)/python benchmarks/bench_solver_$$name.py > $(RESULTS)/$$name.md || exit 1; done; \
-	else echo "Skipped gradients and convergence: no reference solutions in $(REFERENCE)."; fi
+bench: install ## Benchmarks, results in benchmarks/results: tells needs and times, resumes; PEERS=<python> of an environment with more peers
+	$(BIN)/python benchmarks/run_all.py --peers $(PEERS) $(if $(DRY),--dry-run)
 
 throughput: install ## Windows/s of training and evaluation per model; CACHE=, DATA= converted recordings, PEER=name=checkout
 	$(LIMIT) $(BIN)/python benchmarks/bench_throughput.py $(CACHE) --data $(DATA) $(if $(PEER),--peer $(PEER))

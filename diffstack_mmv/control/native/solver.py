@@ -32,6 +32,7 @@ from diffstack_mmv.control.native.stages import StagedProblem
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.selection import Batched, is_shared
 from diffstack_mmv.types import Solution, SolverStatus
+from dmmv_conventions.progress import waiting
 
 LOGGER = logging.getLogger(__name__)
 MOST_SIZES = 64  # step sizes that a library tries
@@ -132,7 +133,8 @@ class Workshop:
         if id(problem) not in self.known:
             began_s = time.perf_counter()
             LOGGER.info("Compiling the solver for %s: one library", self.problem)
-            library(problem, "solve", dtype)
+            with waiting(f"compile the solver for {self.problem}: library"):
+                library(problem, "solve", dtype)
             LOGGER.info("Compiled it in %.1f s", time.perf_counter() - began_s)
             self.known.add(id(problem))
 

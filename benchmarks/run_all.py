@@ -1,0 +1,155 @@
+"""All benchmarks, one after the other: tells what they need and how long they take, resumes, marks what ran under load.
+
+    python benchmarks/run_all.py                 # `make bench`: what is not done yet
+    python benchmarks/run_all.py --dry-run       # tell, and stop
+    python benchmarks/run_all.py --again lqr     # measure one again
+    python benchmarks/run_all.py --fresh         # all again
+
+What is done is kept in outputs/bench/done.json. A table is written when it is whole; the last line tells the load of the
+machine meanwhile, and says so where other work has disturbed the times.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS, DONE = ROOT / "benchmarks" / "results", ROOT / "outputs" / "bench" / "done.json"
+REFERENCE = ROOT.parent / "shared" / "reference" / "mpc"
+BUSY = 1.5  # processes that want to run, this one included, above which times are disturbed
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+class Job(NamedTuple):
+    """One benchmark."""
+
+    name: str
+    minutes: float  # on an idle core
+    command: tuple[str, ...]
+    packages: tuple[str, ...] = ()  # without them it cannot run
+    better_with: tuple[str, ...] = ()  # peers, skipped row by row
+    writes: bool = False  # whether it writes its tables itself
+    reference: bool = False  # whether it needs the reference solutions
+
+
+PEERS = ("mpc", "casadi", "crocoddyl", "trajax", "pypose", "diffmpc")
+JOBS = (
+    Job("dynamics", 3, ("-m", "pytest", "benchmarks", "--jaxtyping-packages=", "--benchmark-only",
+                        "-m", "slow or not slow"), ("pytest_benchmark",), writes=True),
+    Job("solver", 25, ("benchmarks/bench_solver.py",), better_with=PEERS, writes=True),
+    Job("solver_free", 25, ("benchmarks/bench_solver_free.py",), better_with=PEERS, writes=True),
+    Job("solver_models", 12, ("benchmarks/bench_solver_models.py",)),
+    Job("solver_memory", 2, ("benchmarks/bench_solver_memory.py",)),
+    Job("solver_profile", 3, ("benchmarks/bench_solver_profile.py",)),
+    Job("single", 3, ("benchmarks/bench_single.py",)),
+    Job("lqr", 10, ("benchmarks/bench_lqr.py", str(REFERENCE / "acados_lqr")),
+        better_with=("casadi", "mpc"), reference=True),
+    Job("constrained", 3, ("benchmarks/bench_constrained.py",), ("casadi",)),
+    Job("gradients", 15, ("benchmarks/bench_solver_gradients.py",), reference=True),
+    Job("convergence", 10, ("benchmarks/bench_solver_convergence.py",), reference=True),
+)  # fmt: skip
+
+
+def lacking(job):
+    """What a job cannot run without and is not there."""
+    missing = [name for name in job.packages if find_spec(name) is None]
+    return [*missing, *([str(REFERENCE)] if job.reference and not REFERENCE.is_dir() else [])]
+
+
+def plan(jobs, done):
+    """Tell what will run, what it needs and how long it takes; the jobs that can run."""
+    ready = []
+    for job in jobs:
+        if job.name in done:
+            print(f"{job.name:16s} done {done[job.name]}")
+        elif missing := lacking(job):
+            print(f"{job.name:16s} skipped, not there: {', '.join(missing)}")
+        else:
+            absent = [name for name in job.better_with if find_spec(name) is None]
+            note = f"; rows left out: {', '.join(absent)}" if absent else ""
+            print(f"{job.name:16s} about {job.minutes:g} min{note}")
+            ready.append(job)
+    total, load = sum(job.minutes for job in ready), os.getloadavg()[0]
+    print(
+        f"{len(ready)} to run, about {total:.0f} min of an idle core; load now {load:.1f}.",
+        flush=True,
+    )
+    return ready
+
+
+def watch(loads, stop):
+    """Note how many processes want to run, every few seconds."""
+    while not stop.wait(5):
+        loads.append(float(Path("/proc/loadavg").read_text().split()[3].split("/")[0]))
+
+
+def remark(loads):
+    """The last line of a table."""
+    mean = sum(loads) / len(loads) if loads else os.getloadavg()[0]
+    disturbed = (
+        " **Measured under load:** other work has disturbed the times." if mean > BUSY else ""
+    )
+    return (
+        f"\nProcesses that ran meanwhile, mean: {mean:.1f} on {os.cpu_count()} cores.{disturbed}\n"
+    )
+
+
+def run(job, python):
+    """Run a job; whether it succeeded."""
+    loads, stop = [], threading.Event()
+    watcher = threading.Thread(target=watch, args=(loads, stop), daemon=True)
+    watcher.start()
+    paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]
+    environment = os.environ | ONE_THREAD | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    output = None if job.writes else subprocess.PIPE
+    command = [python, *job.command]
+    process = subprocess.run(
+        command, cwd=ROOT, env=environment, stdout=output, text=True, check=False
+    )
+    stop.set()
+    watcher.join()
+    if process.returncode == 0 and not job.writes:
+        (RESULTS / f"{job.name}.md").write_text(process.stdout.rstrip() + "\n" + remark(loads))
+    return process.returncode == 0
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--dry-run", action="store_true")
+    parser.add_argument("--fresh", action="store_true", help="forget what is done")
+    parser.add_argument("--again", nargs="+", default=[], choices=[job.name for job in JOBS])
+    parser.add_argument("--only", nargs="+", default=[], choices=[job.name for job in JOBS])
+    parser.add_argument("--peers", help="interpreter of an environment with more peers")
+    arguments = parser.parse_args()
+    done = json.loads(DONE.read_text()) if DONE.exists() and not arguments.fresh else {}
+    done = {name: when for name, when in done.items() if name not in arguments.again}
+    chosen = [job for job in JOBS if not arguments.only or job.name in arguments.only]
+    ready = plan(chosen, done)
+    if arguments.dry_run:
+        return
+    failed = []
+    for job in ready:
+        if arguments.peers and job.name in ("solver", "solver_free"):
+            job = job._replace(command=(*job.command, "--python", arguments.peers))
+        began = time.monotonic()
+        if run(job, sys.executable):
+            done[job.name] = time.strftime("%Y-%m-%d %H:%M")
+            DONE.parent.mkdir(parents=True, exist_ok=True)
+            DONE.write_text(json.dumps(done, indent=1))
+            print(f"{job.name}: done in {(time.monotonic() - began) / 60:.1f} min", flush=True)
+        else:
+            failed.append(job.name)
+            print(f"{job.name}: failed; the others go on", flush=True)
+    if failed:
+        raise SystemExit(f"Failed: {', '.join(failed)}. The same command tries them again.")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,36 @@
+"""The list of all benchmarks: what is told before, what is resumed, what is marked."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+spec = importlib.util.spec_from_file_location("run_all", ROOT / "benchmarks" / "run_all.py")
+run_all = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(run_all)
+
+
+def test_the_plan_tells_times_and_what_is_missing_and_leaves_out_what_is_done(capsys):
+    jobs = [
+        run_all.Job("first", 2, ("first.py",)),
+        run_all.Job("second", 3, ("second.py",), better_with=("no_such_package",)),
+        run_all.Job("third", 4, ("third.py",), ("no_such_package",)),
+    ]
+    ready = run_all.plan(jobs, {"first": "2026-01-01 12:00"})
+    told = capsys.readouterr().out
+    assert [job.name for job in ready] == ["second"]
+    assert "first            done 2026-01-01 12:00" in told
+    assert "about 3 min; rows left out: no_such_package" in told
+    assert "skipped, not there: no_such_package" in told
+    assert "1 to run, about 3 min" in told
+
+
+@pytest.mark.parametrize(("loads", "marked"), [([1.0, 1.0], False), ([1.0, 5.0], True)])
+def test_a_table_that_other_work_disturbed_says_so(loads, marked):
+    assert ("Measured under load" in run_all.remark(loads)) == marked
+
+
+def test_every_benchmark_of_the_list_exists():
+    scripts = [job.command[0] for job in run_all.JOBS if job.command[0] != "-m"]
+    assert all((ROOT / script).is_file() for script in scripts)
