@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from data_converters.errors import ConversionError, RejectReason, TrackError, refuse_track
+from data_converters.plain_files import require_plain
 
 
 def read_numbers(source: Path | io.BytesIO, columns: Sequence[str], where: object) -> pd.DataFrame:
@@ -41,9 +42,12 @@ def told_as_fault(where: object) -> Iterator[None]:
     """Tell what goes wrong while pandas reads the file `where` as a fault of its track.
 
     Raises:
-        TrackError: If it is no table, or cut off.
+        TrackError: If it is no table, cut off, no plain file or too large; the last two are looked
+            for where `where` is a path.
     """
     try:
+        if isinstance(where, Path):
+            require_plain(where)
         yield
     except gzip.BadGzipFile as error:
         reason, remedy = RejectReason.MISSING_FIELD, "Copy the file again."

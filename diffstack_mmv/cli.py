@@ -7,18 +7,20 @@ import functools
 import math
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, NoReturn
 
-from dmmv_conventions.extras import needs
+from dmmv_conventions.extras import MissingExtraError, needs_to_run
 from dmmv_conventions.locks import alone_in
+from dmmv_conventions.progress import shown_by
 from dmmv_conventions.targets import OF_A_RUN, require_buildable
 from dmmv_conventions.yaml_files import read_mapping
 
-with needs("stack", "the command lines"):
+with needs_to_run("stack", "the command lines"):
     import hydra
     from hydra import compose
     from hydra.core.hydra_config import HydraConfig
@@ -26,11 +28,26 @@ with needs("stack", "the command lines"):
     from hydra.core.override_parser.types import OverrideType
     from hydra.errors import CompactHydraException, HydraException
     from hydra.types import RunMode
+    from hydra.utils import get_class, instantiate
     from omegaconf import DictConfig, OmegaConf, read_write
     from omegaconf.errors import OmegaConfBaseException
 
     from diffstack_mmv.config_checks import require_complete, require_same_type, require_seed
     from diffstack_mmv.override_errors import one_line, told
+    from dmmv_conventions.bars import Bars
+
+# what commands use of Hydra is taken from here, so that all of them say in one line what is missing
+__all__ = [
+    "CommandError",
+    "DictConfig",
+    "OmegaConf",
+    "admit_any",
+    "command",
+    "folders_as",
+    "get_class",
+    "instantiate",
+    "save_config",
+]
 
 # `${smaller:a,b}`, and the smallest turning radius of a vehicle
 OmegaConf.register_new_resolver("smaller", min, replace=True)
@@ -40,7 +57,15 @@ OmegaConf.register_new_resolver(
     replace=True,
 )
 
-EXPECTED = (ValueError, TypeError, LookupError, OSError, HydraException, OmegaConfBaseException)
+EXPECTED = (
+    ValueError,
+    TypeError,
+    LookupError,
+    OSError,
+    MissingExtraError,
+    HydraException,
+    OmegaConfBaseException,
+)
 FULL_ERROR = "HYDRA_FULL_ERROR"
 """Environment variable that asks for the traceback of a failure (1)."""
 _RAISING = ContextVar("raising", default=False)
@@ -96,7 +121,8 @@ def command(
                 with alone_in(Path(config.out), "out"), _single_job():
                     admit(config)
                     save_config(config, Path(config.out))
-                    return task(config)
+                    with shown_by(Bars()), _quiet_dependencies():
+                        return task(config)
 
         entry = hydra.main(
             version_base="1.3", config_path=str(config_folder), config_name=config_name
@@ -111,6 +137,18 @@ def command(
         return main
 
     return decorate
+
+
+@contextmanager
+def _quiet_dependencies() -> Iterator[None]:
+    """Keep what packages deprecate from people who use none of it; PYTHONWARNINGS shows it."""
+    with warnings.catch_warnings():
+        if not sys.warnoptions:
+            for category in (DeprecationWarning, PendingDeprecationWarning, FutureWarning):
+                warnings.simplefilter("ignore", category)
+            # scores are added up over the processes before they are logged
+            warnings.filterwarnings("ignore", r".*self\.log\(.*sync_dist=True")
+        yield
 
 
 @contextmanager

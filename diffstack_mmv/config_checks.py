@@ -41,12 +41,12 @@ def _leaves(place: str, content: Any) -> Iterable[tuple[str, Any]]:
 def require_same_type(key: str, default: Any, value: Any) -> None:
     """Refuse a value that cannot stand where its default does.
 
-    Text may stand for a mapping (the name of a file in its place), and a list for a number (one
+    Text may stand for a mapping (the name of a file in its place), a list for a number (one
     entry per wheel). Where there is no default, and for none, anything goes.
 
     Raises:
         ValueError: Text instead of a number, a truth value or a list; a number instead of a list of
-            text; a fraction instead of a whole number.
+            text or of a mapping; a fraction instead of a whole number.
     """
     if isinstance(default, Mapping) and isinstance(value, Mapping):
         for name in default.keys() & value.keys():
@@ -62,6 +62,8 @@ def _refusal(default: Any, value: Any) -> str:
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if isinstance(default, bool):
         return "" if isinstance(value, bool | int) else "true or false"
+    if isinstance(default, Mapping):
+        return "" if isinstance(value, str | Mapping) else "settings, each with its name"
     if isinstance(default, int) and isinstance(value, float):
         return "" if value.is_integer() else "a whole number"
     if isinstance(default, int | float):

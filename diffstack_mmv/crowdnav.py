@@ -103,6 +103,7 @@ class CrowdNav:
             "model": controller_model(vehicle, vehicle, self.dt_s),
             "actuate": actuation(vehicle, vehicle),
             "people": _built("people", self.people, {}),
+            "constraints": _built("constraints", "none", {}),
             "cost": _built(
                 "cost", "closed_loop", {"turning_radius_m": wheelbase / math.tan(steer)}
             ),

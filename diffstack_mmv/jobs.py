@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from dmmv_conventions.checks import require_at_least
+from dmmv_conventions.extras import needs
 
 
 class Job(NamedTuple):
@@ -103,12 +104,16 @@ class Slurm:
         cluster: `local` runs them here in submitit's own processes, to try it; null finds SLURM.
 
     Raises:
-        ImportError: submitit is not installed.
+        MissingExtraError: submitit is not installed.
     """
 
     folder: str
     parameters: Mapping[str, Any]
     cluster: str | None = None
+
+    def __post_init__(self) -> None:
+        with needs("sweep", "launcher=slurm"):
+            import submitit  # pyright: ignore[reportMissingImports]  # noqa: F401
 
     @property
     def width(self) -> int:

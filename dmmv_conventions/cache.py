@@ -107,7 +107,17 @@ def require_own(folder: Path, remedy: str) -> None:
 
 @remembered
 def _foreign(folder: Path) -> Path | None:
-    """The first file or folder of another user."""
+    """The first file or folder of another user, also behind links."""
     own = {ADMINISTRATOR, os.geteuid()}
-    places = (Path(place, name) for place, _, files in os.walk(folder) for name in ("", *files))
-    return next((place for place in places if place.stat().st_uid not in own), None)
+    pending, seen = [folder], set()
+    while pending:
+        place = pending.pop()
+        place = place.resolve() if place.is_symlink() else place
+        if place in seen or not place.exists():  # nothing is read from a link to nowhere
+            continue
+        seen.add(place)
+        if place.stat().st_uid not in own:
+            return place
+        if place.is_dir():
+            pending += place.iterdir()
+    return None

@@ -1,6 +1,7 @@
 """Reading of a checkpoint without running code that stands in it."""
 
 import pickle
+import re
 import struct
 import zipfile
 import zlib
@@ -29,6 +30,9 @@ _BROKEN = (
     zlib.error,
 )
 
+_FOREIGN = re.compile(r"\bGLOBAL ([\w.]+)")
+"""How torch names what a pickle would call."""
+
 
 def read_plain(path: Path, remedy: str) -> Any:
     """Content of a checkpoint on the CPU: tensors and plain values only.
@@ -45,10 +49,17 @@ def read_plain(path: Path, remedy: str) -> Any:
         _require_sums(path)
         return torch.load(path, map_location="cpu", weights_only=True)
     except _BROKEN as broken:
-        told = (str(broken).splitlines() or [type(broken).__name__])[0]
-        raise ValueError(
-            message("checkpoint", "be readable", told, f"in {path}", remedy)
-        ) from broken
+        needed, told = _told(str(broken) or type(broken).__name__)
+        raise ValueError(message("checkpoint", needed, told, f"in {path}", remedy)) from broken
+
+
+def _told(broken: str) -> tuple[str, str]:
+    """Requirement and finding; torch itself would advise to run the code all the same."""
+    foreign = _FOREIGN.search(broken)
+    if foreign:
+        return "be readable without running code", f"{foreign[1]} in it"
+    first = broken.splitlines()[0]
+    return "be readable", "no checkpoint" if first.startswith("Weights only") else first
 
 
 def _require_sums(path: Path) -> None:

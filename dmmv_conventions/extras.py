@@ -31,8 +31,26 @@ def needs(extra: str, part: str) -> Iterator[None]:
         package = (missing.name or "").partition(".")[0]
         if package in OURS:
             raise
-        remedy = f"Run: pip install 'diffstack_mmv[{extra}]'"
+        remedy = f"Run: pip install 'diffstack_mmv[{extra}]', in a checkout: '.[{extra}]'"
         wanted = f"be installed for {part}"
         raise MissingExtraError(
             message(package, wanted, "nothing of that name", "", remedy), name=missing.name
         ) from missing
+
+
+@contextmanager
+def needs_to_run(extra: str, part: str) -> Iterator[None]:
+    """The same for a command: it ends with that line.
+
+    Args:
+        extra: Name of the extra.
+        part: What needs it.
+
+    Raises:
+        SystemExit: A package of others is not installed.
+    """
+    try:
+        with needs(extra, part):
+            yield
+    except MissingExtraError as missing:
+        raise SystemExit(str(missing)) from missing

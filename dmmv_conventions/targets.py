@@ -48,6 +48,7 @@ OF_A_STACK = Buildable(
     _of("diffstack_mmv.checks", "require_multiple")
     | _of("diffstack_mmv.vehicles", "VehicleSpec.from_config load_vehicle")
     | _of("diffstack_mmv.stack", "assemble")
+    | _of("diffstack_mmv.planning", "above_rest")
     | _of("diffstack_mmv.metrics", "average_displacement mean_square_displacement")
     | _of("diffstack_mmv.planning", "above_rest")
     | _of(

@@ -4,10 +4,20 @@ set -eu
 python="$1"
 folder="$(mktemp -d)"
 trap 'rm -rf "$folder"' EXIT
-reach="import urllib.request as u; u.urlopen('https://pypi.org/pypi/pip/json', timeout=10).read(1)"
-if ! "$python" -c "$reach" > /dev/null 2>&1; then
-  echo "make audit needs https://pypi.org, which tells the known vulnerabilities and cannot be reached from here." >&2
-  echo "Nothing was audited. Run it again where there is a network." >&2
+# what pip-audit will ask for each package; a mirror of the registry may know the package and not this
+if ! told="$("$python" - requirements.lock 2>&1 <<'CODE'
+import json, re, sys, urllib.request
+text = open(sys.argv[1], encoding="utf-8").read()
+url = "https://pypi.org/pypi/{}/{}/json".format(*re.search(r"^([\w.-]+)==([\w.]+)", text, re.M).groups())
+try:
+    with urllib.request.urlopen(url, timeout=10) as answer:
+        json.load(answer)["vulnerabilities"]
+except (OSError, ValueError, KeyError) as error:
+    sys.exit(f"make audit needs {url}, which tells known vulnerabilities, but got {error!r}.")
+CODE
+)"; then
+  echo "$told" >&2
+  echo "Nothing was audited. Run it again where the advisory service of PyPI can be reached." >&2
   exit 1
 fi
 "$python" -m venv "$folder/venv"

@@ -8,14 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hydra.utils import instantiate
-from omegaconf import DictConfig
-from tqdm import tqdm
-
-from diffstack_mmv.cli import command
+from diffstack_mmv.cli import DictConfig, command, instantiate
 from diffstack_mmv.jobs import Job, Launcher, expected_seconds
 from dmmv_conventions.checks import require
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.progress import counted
 
 if TYPE_CHECKING:
     from diffstack_mmv.reporting import DrivenRow
@@ -88,7 +85,7 @@ def _job(config: DictConfig, row: DrivenRow, out: Path) -> Job:
 def _work(launcher: Launcher, jobs: list[Job]) -> list[Job]:
     """Run what is not done; returns what failed."""
     failed = []
-    for outcome in tqdm(launcher(jobs), total=len(jobs), desc="table", unit="drive"):
+    for outcome in counted(launcher(jobs), "table", "drive", len(jobs)):
         logger.info("%s: %.0f s%s", outcome.job.name, outcome.seconds,
                     "" if outcome.succeeded else ", FAILED")  # fmt: skip
         if not outcome.succeeded:

@@ -3,10 +3,7 @@
 import logging
 from pathlib import Path
 
-from hydra.utils import instantiate
-from omegaconf import DictConfig
-
-from diffstack_mmv.cli import command
+from diffstack_mmv.cli import DictConfig, command, instantiate
 from diffstack_mmv.config_checks import require_reports
 from dmmv_conventions.checks import require_one_of
 from dmmv_conventions.configs import config_folder
@@ -25,7 +22,8 @@ def check(config: DictConfig) -> None:
 @command(config_folder(), "compare", check)
 def main(config: DictConfig) -> None:
     """Read what evaluate.py wrote and write one table."""
-    from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
+    from diffstack_mmv.metrics import CLOSED_LOOP, EXCITATION, OPEN_LOOP
+    from diffstack_mmv.plotting import save_by_excitation
     from diffstack_mmv.reporting import (
         compare,
         paired_samples,
@@ -40,8 +38,11 @@ def main(config: DictConfig) -> None:
     comparison = compare(read_runs(folders), OPEN_LOOP)
     tests = paired_tests(folders, OPEN_LOOP[config.score])
     write_comparison(Path(config.out), comparison, tests)
-    score = OPEN_LOOP[config.score]
-    write_by_excitation(Path(config.out), paired_samples(folders, config.score), score)
+    paired = paired_samples(folders, config.score, EXCITATION)
+    write_by_excitation(Path(config.out), paired)
+    titles = {each.name: each.heading for each in EXCITATION}
+    heading, picture = OPEN_LOOP[config.score].heading, Path(config.out) / "excitation.png"
+    save_by_excitation(picture, paired.table, paired.models, titles, heading)
     logger.info("\n%s", comparison.table.to_markdown(index=False))
     if config.get("wandb"):
         instantiate(config.wandb)(read_record(Path(config.out), Titles(OPEN_LOOP, CLOSED_LOOP)))

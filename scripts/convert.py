@@ -4,10 +4,7 @@ import json
 import logging
 from pathlib import Path
 
-from hydra.utils import instantiate
-from omegaconf import DictConfig
-
-from diffstack_mmv.cli import command
+from diffstack_mmv.cli import DictConfig, command, instantiate
 from diffstack_mmv.config_checks import require_folder
 from dmmv_conventions.checks import require
 from dmmv_conventions.configs import config_folder

@@ -2,9 +2,7 @@
 
 import logging
 
-from omegaconf import DictConfig
-
-from diffstack_mmv.cli import command
+from diffstack_mmv.cli import DictConfig, command
 from diffstack_mmv.config_checks import require_modes
 from dmmv_conventions.checks import require
 from dmmv_conventions.configs import config_folder

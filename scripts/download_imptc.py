@@ -3,9 +3,7 @@
 import logging
 from pathlib import Path
 
-from omegaconf import DictConfig
-
-from diffstack_mmv.cli import command
+from diffstack_mmv.cli import DictConfig, command
 from dmmv_conventions.checks import require_one_of
 from dmmv_conventions.configs import config_folder
 

@@ -5,10 +5,7 @@ from datetime import date
 from functools import partial
 from pathlib import Path
 
-from hydra.utils import instantiate
-from omegaconf import DictConfig
-
-from diffstack_mmv.cli import command
+from diffstack_mmv.cli import DictConfig, command, instantiate
 from diffstack_mmv.config_checks import require_tracks
 from dmmv_conventions.checks import message
 from dmmv_conventions.configs import config_folder

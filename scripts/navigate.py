@@ -6,12 +6,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hydra.utils import get_class, instantiate
-from omegaconf import DictConfig, OmegaConf
-
-from diffstack_mmv.cli import command
+from diffstack_mmv.cli import DictConfig, OmegaConf, command, get_class, instantiate
 from diffstack_mmv.config_checks import require_checkpoint
-from dmmv_conventions.checks import require_at_least
+from dmmv_conventions.checks import require, require_at_least
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.versions import code_version, file_hash
@@ -24,6 +21,9 @@ def check(config: DictConfig) -> None:
     if "predictor" in config.people:
         require_checkpoint("people_checkpoint", config.people.predictor.path)
     require_at_least("animate", config.animate, 0)
+    remedy = "Add search=null, or search.samples=NUMBER."
+    named = isinstance(config.search, str)
+    require(not named, "search", "be settings of a search or none", config.search, "", remedy)
     for part in (config.scenario, config.world, config.controller):
         instantiate(part)
 

@@ -9,15 +9,12 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hydra.utils import instantiate
-from omegaconf import DictConfig
-from tqdm import tqdm
-
-from diffstack_mmv.cli import command
+from diffstack_mmv.cli import DictConfig, command, instantiate
 from diffstack_mmv.config_checks import require_modes
 from diffstack_mmv.jobs import Job, Launcher, expected_seconds
 from dmmv_conventions.checks import require, require_at_least, require_one_of
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.progress import counted
 
 if TYPE_CHECKING:
     from diffstack_mmv.reporting import Run
@@ -70,10 +67,8 @@ def main(config: DictConfig) -> None:
     """
     from diffstack_mmv.metrics import OPEN_LOOP
     from diffstack_mmv.reporting import (
-        paired_samples,
         paper_table,
         prediction_table,
-        write_by_excitation,
         write_paper_table,
     )
 
@@ -100,7 +95,7 @@ def main(config: DictConfig) -> None:
     write_paper_table(out, table, remarks)
     drawn = shown if config.plans else []
     judged = [run.report for run in drawn if (run.report / "metrics.json").is_file()]
-    write_by_excitation(out, paired_samples(judged, "plan_ade"), OPEN_LOOP["plan_ade"])
+    _write_excitation(judged, out)
     for data, mode, goal in dict.fromkeys((run.data, run.mode, run.goal) for run in drawn):
         side = [run for run in shown if (run.data, run.mode, run.goal) == (data, mode, goal)]
         _draw(config, [run for run in side if run.seed == config.size.seeds[0]], out)
@@ -219,12 +214,27 @@ def _work(launcher: Launcher, jobs: Sequence[Job]) -> list[Job]:
     still, failed = [job for job in jobs if not job.done], []
     if not still:
         return failed
-    for outcome in tqdm(launcher(still), total=len(still), desc="results", unit="job"):
+    for outcome in counted(launcher(still), "results", "job", len(still)):
         logger.info("%s: %.0f s%s", outcome.job.name, outcome.seconds,
                     "" if outcome.succeeded else ", FAILED")  # fmt: skip
         if not outcome.succeeded:
             failed.append(outcome.job)
     return failed
+
+
+def _write_excitation(reports: Sequence[Path], out: Path) -> None:
+    """The models by how hard the human rode."""
+    from diffstack_mmv.metrics import EXCITATION, OPEN_LOOP
+    from diffstack_mmv.plotting import save_by_excitation
+    from diffstack_mmv.reporting import paired_samples, write_by_excitation
+
+    paired = paired_samples(reports, "plan_ade", EXCITATION)
+    write_by_excitation(out, paired)
+    titles, heading = (
+        {each.name: each.heading for each in EXCITATION},
+        OPEN_LOOP["plan_ade"].heading,
+    )
+    save_by_excitation(out / "excitation.png", paired.table, paired.models, titles, heading)
 
 
 def _draw(config: DictConfig, runs: Sequence[Run], out: Path) -> None:

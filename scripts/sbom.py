@@ -88,4 +88,4 @@ def main(out: Path, root: Path) -> None:
 
 if __name__ == "__main__":
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    main(Path(sys.argv[1]), Path(__file__).resolve().parents[1])
+    main(Path((sys.argv[1:] or ["outputs"])[0]), Path(__file__).resolve().parents[1])

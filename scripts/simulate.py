@@ -3,10 +3,7 @@
 import logging
 from pathlib import Path
 
-from hydra.utils import instantiate
-from omegaconf import DictConfig
-
-from diffstack_mmv.cli import command
+from diffstack_mmv.cli import DictConfig, command, instantiate
 from diffstack_mmv.config_checks import require_file
 from dmmv_conventions.checks import require_at_least, require_positive
 from dmmv_conventions.configs import config_folder

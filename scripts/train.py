@@ -5,10 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
-
-from diffstack_mmv.cli import command
+from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
 from diffstack_mmv.config_checks import (
     require_checkpoint,
     require_own_vehicle,

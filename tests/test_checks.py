@@ -23,19 +23,30 @@ def test_a_horizon_that_is_no_multiple_of_the_step_is_refused(value):
         checks.require_multiple("horizon_s", value, 0.1)
 
 
-def test_columns_are_named_in_the_refusal():
-    with pytest.raises(ValueError, match=r"3 columns \(a, b, c\).*shape \(2, 2\)"):
-        checks.require_columns("state", torch.zeros(2, 2), 3, ("a", "b", "c"))
-
-
-def test_not_finite_entries_are_counted():
-    with pytest.raises(ValueError, match="2 of 3 entries"):
-        checks.require_finite("state", torch.tensor([float("nan"), 1.0, float("inf")]))
-
-
-def test_unknown_name_lists_the_known_ones():
-    with pytest.raises(ValueError, match="be one of bicycle, scooter, but got 'bike'"):
-        checks.require_one_of("mode", "bike", ["scooter", "bicycle"])
+@pytest.mark.parametrize(
+    ("check", "arguments", "told"),
+    [
+        (
+            checks.require_columns,
+            ("state", torch.zeros(2, 2), 3, ("a", "b", "c")),
+            r"3 columns \(a, b, c\).*shape \(2, 2\)",
+        ),
+        (
+            checks.require_finite,
+            ("state", torch.tensor([float("nan"), 1.0, float("inf")])),
+            "2 of 3 entries",
+        ),
+        (
+            checks.require_one_of,
+            ("mode", "bike", ["scooter", "bicycle"]),
+            "be one of bicycle, scooter, but got 'bike'",
+        ),
+    ],
+    ids=["columns are named", "not finite entries are counted", "known names are listed"],
+)
+def test_a_refusal_tells_what_is_wrong(check, arguments, told):
+    with pytest.raises(ValueError, match=told):
+        check(*arguments)
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,14 @@
 
 import contextlib
 import sys
+import warnings
 
 import pytest
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
 from diffstack_mmv.cli import admit_any, command, save_config
+from dmmv_conventions.extras import needs
 from dmmv_conventions.locks import alone_in
 
 CONTENT = """
@@ -80,6 +82,26 @@ def test_a_failure_shows_no_traceback(run):
     _, told = run("needed=1", task=fail)
     assert "KeyError: 'key'" in told
     assert "Traceback" not in told
+
+
+def test_a_part_that_is_not_installed_shows_no_traceback(run):
+    def lack(config):
+        with needs("dashboard", "the dashboard"):
+            import nowhere_to_be_found  # noqa: F401
+
+    _, told = run("needed=1", task=lack)
+    assert told.startswith("`nowhere_to_be_found` must be installed for the dashboard")
+    assert "Traceback" not in told
+
+
+@pytest.mark.parametrize("category", [DeprecationWarning, FutureWarning])
+@pytest.mark.parametrize(("options", "shown"), [([], 0), (["default"], 1)])
+def test_deprecations_of_packages_are_shown_to_who_asks(run, monkeypatch, category, options, shown):
+    monkeypatch.setattr(sys, "warnoptions", options)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        run("needed=1", task=lambda config: warnings.warn("old", category, stacklevel=1))
+    assert sum(each.category is category for each in caught) == shown
 
 
 def test_a_bug_is_not_hidden_behind_a_message(run):

@@ -45,16 +45,18 @@ def test_every_row_of_every_table_can_be_named_and_compared(name):
         assert set(driven) <= rows
 
 
-def test_a_dry_run_tells_what_is_left(table):
-    status, told = table("table=paper", "dry_run=true", "rows=[ours]")
-    assert status == 0
-    assert "5 of 5 drives to do" in told
-
-
-def test_rows_that_a_table_does_not_have_are_refused(table):
-    status, told = table("rows=[unicorn]", "dry_run=true")
-    assert status == 1
-    assert "`rows` must be some of" in told
+@pytest.mark.parametrize(
+    ("arguments", "ended", "line"),
+    [
+        (["table=paper", "rows=[ours]"], 0, "5 of 5 drives to do"),
+        (["rows=[unicorn]"], 1, "`rows` must be some of"),
+    ],
+    ids=["rows of the table", "rows it does not have"],
+)
+def test_a_dry_run_tells_what_is_left_or_wrong(table, arguments, ended, line):
+    status, told = table(*arguments, "dry_run=true")
+    assert status == ended
+    assert line in told
 
 
 @pytest.mark.slow

@@ -25,6 +25,8 @@ from diffstack_mmv.config_checks import (
         (["a"], "a", "a list"),
         (["a"], 1, "a list"),
         ({"b": {"c": 1}}, {"b": {"c": "x"}}, "a number"),
+        ({"b": {"c": 1}}, {"b": 2}, "settings, each with its name"),
+        ({"b": 1}, [2], "settings, each with its name"),
     ],
 )
 def test_a_value_of_another_type_is_refused(default, value, wanted):
@@ -54,12 +56,17 @@ def test_every_value_that_must_be_given_is_named():
         require_complete({"a": {"b": "???"}, "c": "???", "d": "${a.b}"})
 
 
-def test_windows_of_unknown_modes_or_broken_steps_are_refused():
+@pytest.mark.parametrize(
+    ("mode", "horizon_s", "told"),
+    [
+        ("bike", 3.0, "`mode` must be one of"),
+        ("bicycle", 2.95, "`horizon_s` must be a multiple"),
+    ],
+)
+def test_windows_of_unknown_modes_or_broken_steps_are_refused(mode, horizon_s, told):
     require_windows(["bicycle"], 0.1, horizon_s=3.0)
-    with pytest.raises(ValueError, match="`mode` must be one of"):
-        require_windows(["bike"], 0.1)
-    with pytest.raises(ValueError, match="`horizon_s` must be a multiple"):
-        require_windows(["bicycle"], 0.1, horizon_s=2.95)
+    with pytest.raises(ValueError, match=told):
+        require_windows([mode], 0.1, horizon_s=horizon_s)
 
 
 def test_a_checkpoint_is_an_archive(tmp_path):

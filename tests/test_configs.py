@@ -1,5 +1,6 @@
 """Every configuration file composes, and what it describes can be built."""
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -137,7 +138,9 @@ USED = [
     ("train", "trainer", "trainer"),
 ]
 # options that need something a test does not have, and what they then say
+SLURM = ("closed_loop_table", "results") if find_spec("submitit") is None else ()
 NEEDS = {
+    **{(command, "launcher", "slurm"): "`submitit` must be installed" for command in SLURM},
     ("navigate", "people", "predictor"): "`checkpoint` must be given for the predictor",
     ("train", "trainer", "gpu"): "gpu backend|CUDA",
 }

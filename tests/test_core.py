@@ -106,7 +106,38 @@ for part in {parts}:
     told = without_the_stack(code.format(parts=list(PARTS))).stdout.splitlines()
     for part, line in zip(PARTS.values(), told, strict=True):
         assert f"must be installed for {part}, but got nothing of that name. Run: pip" in line
-        assert line.endswith("'diffstack_mmv[stack]'")
+        assert line.endswith("'diffstack_mmv[stack]', in a checkout: '.[stack]'")
+
+
+COMMANDS = sorted(
+    path.name for path in (ROOT / "scripts").glob("*.py") if "@command" in path.read_text()
+)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_of_a_checkout_says_in_one_line_what_is_missing(name):
+    run = f"import runpy; runpy.run_path('scripts/{name}', run_name='__main__')"
+    done = without_the_stack(run)
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("`hydra` must be installed for the command lines, but got nothing")
+
+
+@pytest.mark.parametrize(
+    ("extra", "package", "script", "arguments"),
+    [
+        ("sweep", "submitit", "results", ["launcher=slurm"]),
+        ("dashboard", "wandb_workspaces", "dashboard", ["entity=team"]),
+        ("crowd", "pysocialforce", "navigate", ["crowd=social_force", "cases=1", "beside=[]"]),
+    ],
+)
+def test_a_command_names_the_extra_of_a_part(
+    extra, package, script, arguments, refusal, monkeypatch, tmp_path
+):
+    monkeypatch.setitem(sys.modules, package, None)
+    told = refusal(script, *arguments, f"out={tmp_path}")
+    assert f"`{package}` must be installed" in told
+    assert f"diffstack_mmv[{extra}]" in told
 
 
 @pytest.mark.parametrize("extra", ["dashboard", "sweep", "test"])

@@ -1,5 +1,8 @@
 """What is installed: every package of the tree, and commands that find their scripts."""
 
+import os
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -28,3 +31,13 @@ def test_every_command_has_its_script(name):
     assert package in INSTALLED["packages"]
     script = ROOT / INSTALLED["package-dir"][package] / f"{stem}.py"
     assert f"def {function}(" in script.read_text()
+
+
+def test_an_audit_without_its_service_says_that_nothing_was_audited(root):
+    surroundings = os.environ | {"https_proxy": "http://127.0.0.1:9", "no_proxy": ""}
+    command = ["sh", "scripts/audit.sh", sys.executable]
+    done = subprocess.run(command, cwd=root, env=surroundings, capture_output=True, text=True)
+    needs, nothing = done.stderr.splitlines()
+    assert done.returncode == 1
+    assert needs.startswith("make audit needs https://pypi.org/pypi/")
+    assert nothing.startswith("Nothing was audited.")

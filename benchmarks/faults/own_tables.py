@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from benchmarks.faults.tables import NO_FILES, Content, put
+from benchmarks.faults.tables import ENDLESS, NO_FILES, Content, put
 from benchmarks.faults.trial import Result, Trial, converted, each
 from data_converters import (
     ConversionSettings,
@@ -54,6 +54,7 @@ def damaged() -> Iterator[tuple[str, Content]]:
     yield "a length of its end changed", whole[:-8] + b"\xff\xff\xff\x7f" + whole[-4:]
     yield "text", b"time,x,y,agent,type\n0,0,0,b,bicycle\n"
     yield from NO_FILES.items()
+    yield from ENDLESS.items()
 
 
 def strange() -> Iterator[tuple[str, bytes]]:

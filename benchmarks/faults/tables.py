@@ -1,5 +1,6 @@
 """Recordings in CSV files: TH-AB tracks and two-wheeler rides, whole and broken."""
 
+import os
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -146,19 +147,30 @@ def put(path: Path, content: Content) -> None:
         path.write_text(content)
 
 
+def truncated(path: Path, size: int) -> None:
+    """A file of zeros that takes no space."""
+    path.touch()
+    os.truncate(path, size)
+
+
 NO_FILES: dict[str, bytes | Callable[[Path], object]] = {
     "a folder": Path.mkdir,
     "a dangling link": lambda path: path.symlink_to("nowhere"),
     "a link to itself": lambda path: path.symlink_to(path.name),
     "no UTF-8": b"\xff\xfe\x00" * 99,
 }
+ENDLESS: dict[str, Callable[[Path], object]] = {
+    "a pipe": os.mkfifo,
+    "a link to zeros without end": lambda path: path.symlink_to("/dev/zero"),
+    "a large file of zeros": partial(truncated, size=1 << 40),
+}
 
 
 def trials() -> Iterator[Trial]:
     """All faults of these files."""
-    contents = {**spoiled(Layout(THAB), thab_rows(9.0), 1, 2), **NO_FILES}
+    contents = {**spoiled(Layout(THAB), thab_rows(9.0), 1, 2), **NO_FILES, **ENDLESS}
     yield from each("TH-AB tracks", ((n, partial(thab, c)) for n, c in contents.items()))
-    contents = {**spoiled(Layout(BOXES), box_rows(), 0, 4), **NO_FILES}
+    contents = {**spoiled(Layout(BOXES), box_rows(), 0, 4), **NO_FILES, **ENDLESS}
     for name, part in {
         "zero": (0.0,) * 4,
         "long": (0.0, 0.0, 0.0, 9.0),

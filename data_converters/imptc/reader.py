@@ -11,10 +11,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from data_converters.errors import ConversionError, RejectReason, fault, refuse_track, require
+from data_converters.errors import (
+    ConversionError,
+    RejectReason,
+    TrackError,
+    fault,
+    refuse_track,
+    require,
+)
 from data_converters.imptc.cuboid import measure_cuboids
 from data_converters.imptc.modes import CLASS_MODES
 from data_converters.limits import USUAL, RecordingLimits
+from data_converters.plain_files import require_plain
 from dmmv_conventions.modes import Mode
 
 if TYPE_CHECKING:
@@ -63,10 +71,14 @@ def load_json(path: Path) -> Any:
     """Content of a JSON file.
 
     Raises:
-        TrackError: If the file is absent, cut off, nested too deep or no JSON.
+        TrackError: If the file is absent, no plain file, too large, cut off, nested too deep or no
+            JSON.
     """
     try:
+        require_plain(path)
         return json.loads(path.read_text(encoding="utf-8"))
+    except TrackError:
+        raise
     except OSError as error:
         remedy = "Unpack the archive again."
         refuse_track(RejectReason.UNREADABLE, "file", "be a file", error, path, remedy)

@@ -22,6 +22,7 @@ from data_converters.imptc.reader import (
     refuse_unfinished,
     time_span_us,
 )
+from data_converters.plain_files import require_plain
 from data_converters.recordings import (
     RawScene,
     RecordingDataset,
@@ -260,8 +261,9 @@ def _present(base: Path, name: str) -> bool:
 def _first_line(path: Path) -> str:
     """Content of a small text file, "" where there is none."""
     try:
+        require_plain(path)
         return path.read_text(encoding="utf-8", errors="replace").strip().strip('"')
-    except OSError:
+    except (OSError, TrackError):
         return ""
 
 

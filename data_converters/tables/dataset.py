@@ -23,6 +23,7 @@ from data_converters.errors import (
     require,
 )
 from data_converters.multi_agent import MultiAgentDataset, Recording, modes_of
+from data_converters.plain_files import require_plain
 from data_converters.recordings import RawScene
 from data_converters.tables.columns import TableColumns
 from data_converters.tables.units import Plausibility, TableUnits
@@ -239,7 +240,10 @@ def _read(path: Path) -> pd.DataFrame:
     from pyarrow.lib import ArrowException
 
     try:
+        require_plain(path)
         return pd.read_parquet(path)
+    except TrackError:
+        raise
     except (OSError, ValueError, TypeError, ArrowException) as error:
         remedy = "Write the file again."
         refuse_track(RejectReason.MISSING_FIELD, "file", "be a table", error, path, remedy)

@@ -16,6 +16,7 @@ from data_converters.archives import reaches_outside, whole_tar
 from data_converters.csv_table import read_numbers
 from data_converters.errors import RejectReason, TrackError, fault, refuse_track, require
 from data_converters.limits import USUAL, RecordingLimits
+from data_converters.plain_files import LARGEST_BYTES, require_plain
 from data_converters.thab.modes import FOLDER_MODES, PHASES
 
 COLUMNS = ("timestamp", "x", "y")
@@ -67,7 +68,10 @@ def _read_group(root: Path, group: str) -> Iterator[ThabFile]:
 def _content(path: Path) -> bytes | TrackError:
     """The bytes of a file, or why it has none: a folder, a dangling link, no permission."""
     try:
+        require_plain(path)
         return path.read_bytes()
+    except TrackError as refused:
+        return refused
     except OSError as error:
         return _refused(RejectReason.UNREADABLE, "be a readable file", error, path)
 
@@ -103,6 +107,8 @@ def _member(tar: tarfile.TarFile, member: tarfile.TarInfo, where: str) -> bytes 
     if not member.isreg():
         found = f"a link to {member.linkname!r}" if member.linkname else "no file"
         return _refused(reason, "be a plain file", found, where)
+    if member.size > LARGEST_BYTES:
+        return _refused(reason, f"have at most {LARGEST_BYTES} bytes", member.size, where)
     stream = tar.extractfile(member)
     return b"" if stream is None else stream.read()
 

@@ -22,6 +22,7 @@ with needs("stack", "diffstack_mmv.callbacks"):
         resume_point,
     )
     from diffstack_mmv.callbacks.results import WandbResults
+    from diffstack_mmv.callbacks.wandb_log import QuietWandbLogger
 
 __all__ = [
     "CheckpointArtifact",
@@ -33,6 +34,7 @@ __all__ = [
     "PlanTable",
     "Preemption",
     "Provenance",
+    "QuietWandbLogger",
     "RandomState",
     "ResumableCSVLogger",
     "Throughput",

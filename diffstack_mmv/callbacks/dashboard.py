@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
+from dmmv_conventions.extras import needs
 
 PANELS: dict[str, tuple[str, ...]] = {
     "Losses": (
@@ -52,7 +53,7 @@ def build_dashboard(entity: str, project: str, modes: Sequence[str]) -> str:
         The address of the saved view.
 
     Raises:
-        ImportError: The extra `dashboard` is not installed.
+        MissingExtraError: The extra `dashboard` is not installed.
     """
     return dashboard(entity, project, modes).save().url
 
@@ -69,16 +70,11 @@ def dashboard(entity: str, project: str, modes: Sequence[str]) -> Any:
         The workspace of `wandb_workspaces`, which is not saved yet.
 
     Raises:
-        ImportError: The extra `dashboard` is not installed.
+        MissingExtraError: The extra `dashboard` is not installed.
     """
-    try:
+    with needs("dashboard", "dmmv-dashboard"):
         import wandb_workspaces.reports.v2 as panels  # pyright: ignore[reportMissingImports]
         import wandb_workspaces.workspaces as workspaces  # pyright: ignore[reportMissingImports]
-    except ImportError as missing:
-        raise ImportError(
-            "`wandb-workspaces` must be installed to build a dashboard. "
-            "Run: pip install 'diffstack_mmv[dashboard]'"
-        ) from missing
     content: dict[str, list[Any]] = {
         name: [panels.LinePlot(title=panel_title(key), y=[key]) for key in keys]
         for name, keys in _curves(modes).items()

@@ -40,12 +40,7 @@ class Preemption(Callback):
         self._before = {each: signal.signal(each, self._receive) for each in self.signals}
 
     def on_train_batch_end(
-        self,
-        trainer: pl.Trainer,
-        pl_module: pl.LightningModule,
-        outputs: Any,
-        batch: Any,
-        batch_idx: int,
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, *batch: Any
     ) -> None:
         """Save and end, all processes together, if one of them was told to.
 

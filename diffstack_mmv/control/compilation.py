@@ -17,6 +17,7 @@ from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.riccati import Policy, Stationary, box_policy, solve_free
 from diffstack_mmv.control.selection import Batched, is_shared
 from diffstack_mmv.control.shape_polymorphic import ShapePolymorphic
+from dmmv_conventions.progress import waiting
 
 LOGGER = logging.getLogger(__name__)
 LARGEST_ROW = 8  # a size beyond it may be a batch or a horizon, not a row of controls or step sizes
@@ -32,7 +33,8 @@ class Refusals(NamedTuple):
 
 
 @functools.cache
-def _refusals() -> Refusals:
+def refusals() -> Refusals:
+    """The exceptions of the installed compiler."""
     # imported here as everywhere in this file: the compiler takes twice as long to import as torch
     from torch._dynamo.exc import FailOnRecompileLimitHit, TorchDynamoException
     from torch._inductor.exc import InductorError
@@ -99,11 +101,11 @@ class Kernel:
         try:
             with self.context():
                 return self.compiled(*arguments)
-        except _refusals().too_many_graphs:
+        except refusals().too_many_graphs:
             # many shapes in one process: begin with an empty list of graphs
             self.compiled = None
             return self(*arguments)
-        except _refusals().failed as failure:
+        except refusals().failed as failure:
             reason = next(iter(str(failure).strip().splitlines()), type(failure).__name__)
             LOGGER.warning(
                 "`%s` could not be compiled (%s) and runs eagerly. "
@@ -121,8 +123,9 @@ class Kernel:
         name = self.function.__name__
         LOGGER.info("Compiling the solver for %s: %s", self.problem, name)
         began_s = time.perf_counter()
-        self.compiled = torch.compile(_copy(self.function), fullgraph=True, options=self.options)
-        result = self(*arguments)
+        self.compiled = torch.compile(copied(self.function), fullgraph=True, options=self.options)
+        with waiting(f"compile the solver for {self.problem}: {name}"):
+            result = self(*arguments)
         if self.compiled is not self.function:
             LOGGER.info("Compiled %s in %.1f s", name, time.perf_counter() - began_s)
         return result
@@ -223,9 +226,12 @@ def _options(device: str) -> dict[str, Any]:
     """
     import torch._inductor.config
 
+    from diffstack_mmv.control.separate_lanes import SeparateLanes
+
     options: dict[str, Any] = {"loop_ordering_after_fusion": False}  # slow, and finds nothing here
     if device == "cpu":
         options["cpp_wrapper"] = True
+        options["post_grad_custom_post_pass"] = SeparateLanes()
     if hasattr(torch._inductor.config, "unsafe_marked_cacheable_functions"):
         loops = {f"torch.ops.higher_order.{name}": "body hashed" for name in ("scan", "while_loop")}
         options["unsafe_marked_cacheable_functions"] = loops
@@ -293,7 +299,7 @@ def _parts(value: Any) -> Iterable[Any]:
     return [cell.cell_contents for cell in cells]
 
 
-def _copy(function: Callable[..., Any]) -> Callable[..., Any]:
+def copied(function: Callable[..., Any]) -> Callable[..., Any]:
     """The same function with a code object of its own."""
     code = function.__code__.replace()
     copy = types.FunctionType(

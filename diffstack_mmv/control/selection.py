@@ -86,7 +86,12 @@ class Workload(NamedTuple):
     def narrowed(self) -> "Workload":
         """Only the problems that are still open, if the callables can follow and it is worth it."""
         able = isinstance(self.dynamics, Selectable) and isinstance(self.cost, Selectable)
-        if not able or self.like.dim() != 1 or len(self.like) <= SMALLEST or self.like.is_cuda:
+        if (
+            not able
+            or self.like.dim() != 1
+            or len(self.like) <= SMALLEST
+            or self.like.device.type != "cpu"
+        ):
             return self
         keep = (self.iterate.status == OPEN).nonzero().squeeze(-1)
         size = len(self.like)

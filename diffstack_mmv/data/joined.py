@@ -53,7 +53,7 @@ class JoinedWindows(WindowDataset):
         return pd.concat([part.samples for part in self.parts], ignore_index=True)
 
 
-def split_windows(data: TrajdataModule, split: str) -> JoinedWindows:
+def split_windows(data: TrajdataModule, split: str) -> WindowDataset:
     """Samples of a split, or of `ALL` of them, exported where they are not yet.
 
     Raises:

@@ -57,6 +57,16 @@ class WindowCounts:
             for mode, counts in sorted(self._counts.items())
         }
 
+    def _rows_told(self) -> str:
+        """What became of the rows of the ego modes, and of which modes there are others."""
+        counts = self.as_dict()
+        own = {mode: counts.pop(mode, {}) for mode in self._windows.ego_modes}
+        fates = [
+            f"{mode} ({', '.join(f'{n} rows {fate}' for fate, n in told.items()) or 'no row'})"
+            for mode, told in own.items()
+        ]
+        return f"{', '.join(fates)}; other modes: {', '.join(counts) or 'none'}"
+
     def require_windows(self, query: str) -> None:
         """Refuse a data set without a single window.
 
@@ -68,7 +78,7 @@ class WindowCounts:
             found > 0,
             "ego_modes",
             f"have at least one window of {self._windows.rows} rows",
-            f"none for {', '.join(self._windows.ego_modes)} ({self.as_dict()})",
+            f"none for {self._rows_told()}",
             f"in '{query}'",
             "Choose other modes, or a shorter history or horizon.",
         )

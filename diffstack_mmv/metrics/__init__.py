@@ -17,7 +17,7 @@ from diffstack_mmv.metrics.displacement import (
     mean_square_displacement,
     missed,
 )
-from diffstack_mmv.metrics.excitation import LATERAL, SPEED, excitation
+from diffstack_mmv.metrics.excitation import EXCITATION, LATERAL, SPEED, Excited, excitation
 from diffstack_mmv.metrics.likelihood import negative_log_likelihood
 from diffstack_mmv.metrics.means import masked_mean, time_mean, where_known
 from diffstack_mmv.metrics.planning import (
@@ -48,6 +48,7 @@ __all__ = [
     "CLOSED_LOOP",
     "DISPLACEMENT",
     "EVALUATED",
+    "EXCITATION",
     "LATERAL",
     "OF_THE_PREDICTION",
     "OPEN_LOOP",
@@ -55,6 +56,7 @@ __all__ = [
     "SPEED",
     "Calibration",
     "DensityLevels",
+    "Excited",
     "MeanByMode",
     "Score",
     "average_displacement",

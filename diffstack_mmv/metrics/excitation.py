@@ -1,5 +1,8 @@
 """How hard the human rides over a window: what tells one vehicle model from another."""
 
+import math
+from typing import NamedTuple
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -8,7 +11,21 @@ from diffstack_mmv.types import StackBatch
 
 CHORD_S = 0.5  # s; over shorter times the noise of the positions would count as acceleration
 SLOWEST_MPS = 0.5  # m/s, below which a lateral acceleration has no direction
+
+
+class Excited(NamedTuple):
+    """A quantity by which errors are told, and the ranges of their table."""
+
+    name: str
+    heading: str
+    edges: tuple[float, ...]
+
+
 SPEED, LATERAL = "human_speed_mps", "human_lateral_mps2"
+EXCITATION = (
+    Excited(LATERAL, "lateral acceleration [m/s²]", (0.0, 0.5, 1.0, 2.0, 3.0, math.inf)),
+    Excited(SPEED, "speed [m/s]", (0.0, 2.0, 4.0, 6.0, 8.0, math.inf)),
+)
 
 
 def excitation(batch: StackBatch) -> dict[str, Float[Tensor, " B"]]:

@@ -19,6 +19,13 @@ from diffstack_mmv.planning.coordinates import (
 from diffstack_mmv.planning.detours import DetourFan
 from diffstack_mmv.planning.goal import FutureGoal, GoalSource, PredictedGoal
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
+from diffstack_mmv.planning.limits import (
+    ClearanceKept,
+    FrictionCircle,
+    PlanConstraints,
+    PlanLimit,
+    SpeedWithin,
+)
 from diffstack_mmv.planning.planner import MPCPlanner, Planner, PlannerState
 from diffstack_mmv.planning.pricing import CostScore, PlanPrice, PlanScore, ScoredPlans
 from diffstack_mmv.planning.problem import (
@@ -40,6 +47,11 @@ __all__ = [
     "CandidateSource",
     "Candidates",
     "CheapestSafe",
+    "ClearanceKept",
+    "FrictionCircle",
+    "PlanConstraints",
+    "PlanLimit",
+    "SpeedWithin",
     "ClearanceMargin",
     "Coasting",
     "ControlCoordinates",

@@ -64,6 +64,7 @@ class Safety(NamedTuple):
     safe: Bool[Tensor, "*b C"]
     penalty: Float[Tensor, "*b C"]  # m² s, expected lack of comfortable clearance, squared
     shortfall: Float[Tensor, "*b C"]  # m, largest lack of clearance with near times weighing most
+    risk: Float[Tensor, "*b C"]  # s, expected time of contact
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,11 @@ class ClearanceMargin:
         saturation_m: Way from which on both margins stay.
         horizon_s: Refusal looks no further ahead than this.
         probability_min: Components less likely than this refuse no plan.
+        spread_growth: Standard deviation of an agent's position per metre walked, without end, for
+            the risk: at a clearance c and a deviation σ the probability of contact is about
+            r² / (r² + 2 σ²) exp(-c² / (2 σ²)), one or none for a sure forecast, and for a vague one
+            the density of agents times the area of contact.
+        reach_m: r, the distance of the centres at contact.
 
     Raises:
         ValueError: A margin is negative, the way or the time not positive, or the probability
@@ -95,6 +101,8 @@ class ClearanceMargin:
     saturation_m: float = 1.5
     horizon_s: float = 2.0
     probability_min: float = 0.05
+    spread_growth: float = 0.25
+    reach_m: float = 0.6
 
     def __post_init__(self) -> None:
         """Check the numbers once, at the border."""
@@ -102,6 +110,8 @@ class ClearanceMargin:
             require_at_least(name, getattr(self, name), 0)
         require_positive("saturation_m", self.saturation_m)
         require_positive("horizon_s", self.horizon_s)
+        require_at_least("spread_growth", self.spread_growth, 0)
+        require_positive("reach_m", self.reach_m)
         require_between("probability_min", self.probability_min, 0, 1)
 
     def __call__(
@@ -131,7 +141,16 @@ class ClearanceMargin:
             safe=(lack == 0).flatten(-3).all(-1),
             penalty=(weight * discomfort.square()).sum(everything) * dt_s,
             shortfall=_largest(lack / (1 + time)),
+            risk=(weight * self._contact(clearance, gone.unsqueeze(-4))).sum(everything) * dt_s,
         )
+
+    def _contact(
+        self, clearance: Float[Tensor, "*b C N K T"], gone: Float[Tensor, "*b 1 N K T"]
+    ) -> Float[Tensor, "*b C N K T"]:
+        """Probability of contact with agents who have gone so far (m), at a clearance in m."""
+        variance = (self.spread_growth * gone).square().clamp_min(1e-4)
+        certain = self.reach_m**2 / (self.reach_m**2 + 2 * variance)
+        return certain * (-0.5 * clearance.clamp_min(0).square() / variance).exp()
 
 
 def _largest(lack: Float[Tensor, "*b C N K T"]) -> Float[Tensor, "*b C"]:

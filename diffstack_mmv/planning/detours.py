@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_between, require_positive
@@ -19,11 +19,34 @@ CREEP_MPS = 1.0
 
 
 class Detour(NamedTuple):
-    """First phase of each candidate; afterwards it makes for the goal at full speed."""
+    """Legs of each candidate, one after the other; then it makes for the goal at full speed."""
 
-    offset: Float[Tensor, " C"]  # rad, course relative to the direction of the goal
-    speed_share: Float[Tensor, " C"]  # of the cruising speed
-    duration: Float[Tensor, " C"]  # s
+    offset: Float[Tensor, "C legs"]  # rad, course relative to the direction of the goal
+    speed_share: Float[Tensor, "C legs"]  # of the cruising speed
+    until: Float[Tensor, "C legs"]  # s, end of the leg, not before that of the leg before
+
+
+class Leg(NamedTuple):
+    """What each candidate does in one step."""
+
+    offset: Float[Tensor, " C"]  # rad
+    speed_share: Float[Tensor, " C"]
+    detours: Bool[Tensor, " C"]  # false: it makes for the goal
+
+
+def drawn_detours(count: int, until_s: float) -> Detour:
+    """Two legs per candidate in any direction, at any speed, that end by a time: Sobol's points.
+
+    A third of the legs are at rest and a third at full speed, so that waiting and fleeing are among
+    few draws already.
+    """
+    points = torch.quasirandom.SobolEngine(6).draw(count + 1)[1:]
+    share = (1.5 * points[:, 2:4] - 0.25).clamp(0, 1)
+    return Detour(
+        offset=math.pi * (2 * points[:, :2] - 1),
+        speed_share=share,
+        until=until_s * points[:, 4:].sort(-1).values,
+    )
 
 
 class DetourFan:
@@ -31,8 +54,10 @@ class DetourFan:
 
     Courses to the left and right of the goal at several speeds, zero among them, span the ways
     around the agents: before or behind each of them, left or right, wait or go. All are driven
-    through the dynamics by pure pursuit, so each is feasible for the vehicle. The last candidate
-    is maximal braking with the steering that keeps the path straight.
+    through the dynamics by pure pursuit, so each is feasible for the vehicle. Among many agents who
+    are as fast as the vehicle that is not enough: `drawn` adds candidates with two such legs, which
+    may lead back. The last candidate is maximal braking with the steering that keeps the path
+    straight.
 
     Args:
         offsets_deg: Courses to one side of the goal; the other side mirrors them, zero is added.
@@ -41,6 +66,8 @@ class DetourFan:
         turn_time_s: Time in which an error of the course is steered out.
         lateral_mps2: Largest lateral acceleration of a turn.
         braking_mps2: Deceleration towards the goal.
+        drawn: Number of candidates with two legs; the same ones for every problem.
+        drawn_until_s: Time at which the last of their legs ends.
 
     Raises:
         ValueError: A list is empty or a number out of range.
@@ -54,6 +81,8 @@ class DetourFan:
         turn_time_s: float = 0.3,
         lateral_mps2: float = 4.0,
         braking_mps2: float = 2.5,
+        drawn: int = 0,
+        drawn_until_s: float = 4.0,
     ) -> None:
         for name, values in (
             ("offsets_deg", offsets_deg),
@@ -68,10 +97,14 @@ class DetourFan:
         require_positive("turn_time_s", turn_time_s)
         require_positive("lateral_mps2", lateral_mps2)
         require_positive("braking_mps2", braking_mps2)
+        require_at_least("drawn", drawn, 0)
+        require_positive("drawn_until_s", drawn_until_s)
         one_side = [math.radians(offset) for offset in offsets_deg]
         both = torch.tensor([-offset for offset in reversed(one_side)] + [0.0] + one_side)
         grid = torch.cartesian_prod(both, torch.tensor(speed_shares), torch.tensor(durations_s))
-        self.detour = Detour(*grid.unbind(-1))
+        legs = (field[:, None].expand(-1, 2) for field in grid.unbind(-1))
+        pairs = zip(Detour(*legs), drawn_detours(drawn, drawn_until_s), strict=True)
+        self.detour = Detour(*map(torch.cat, pairs))
         self.turn_time_s = turn_time_s
         self.lateral_mps2 = lateral_mps2
         self.braking_mps2 = braking_mps2
@@ -113,14 +146,14 @@ class DetourFan:
         motion = dynamics.motion(state, none.expand(*state.shape[:-1], len(none)))
         way = problem.goal.unsqueeze(-2) - motion.position
         distance = way.square().sum(-1).sqrt()
-        first = step * dynamics.dt_s < detour.duration - 1e-6
-        bearing = torch.atan2(way[..., 1], way[..., 0]) + torch.where(first, detour.offset, 0.0)
+        leg = _leg(detour, step * dynamics.dt_s)
+        bearing = torch.atan2(way[..., 1], way[..., 0]) + torch.where(leg.detours, leg.offset, 0.0)
         error = wrap_angle(bearing - motion.heading)
         speed = motion.velocity[..., 0]
         cruise = problem.reference_speed.unsqueeze(-1)
         # on the way to the goal no faster than its arc allows, or a fast vehicle would circle it
         turning = self._arc_speed(distance, error)
-        target = torch.where(first, cruise * detour.speed_share, torch.minimum(cruise, turning))
+        target = torch.where(leg.detours, cruise * leg.speed_share, torch.minimum(cruise, turning))
         stopping = (2 * self.braking_mps2 * distance).sqrt()
         # at the start of the step the target must be one that the step can still brake for
         target = torch.minimum(target, stopping)
@@ -140,3 +173,11 @@ class DetourFan:
         sine = torch.where(error.abs() < 0.5 * math.pi, error.abs().sin(), 1.0)
         radius = 0.5 * distance / sine.clamp_min(1e-3)
         return (self.lateral_mps2 * radius).sqrt().clamp_min(CREEP_MPS)
+
+
+def _leg(detour: Detour, time_s: float) -> Leg:
+    """The leg of each candidate in the step that begins at this time."""
+    left = time_s < detour.until - 1e-6
+    second = ~left[:, 0]
+    offset, share = (torch.where(second, field[:, 1], field[:, 0]) for field in detour[:2])
+    return Leg(offset, share, left.any(-1))

@@ -10,6 +10,16 @@ from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.planning.coordinates import ControlCoordinates
 from diffstack_mmv.types import Discs, Ego, Heading, Motion, Obstacles, PlanningProblem
 
+NAMES = (
+    *Motion._fields,
+    *(f"ego_disc_{name}" for name in Discs._fields),
+    "goal",
+    "reference",
+    "reference_speed",
+    *(f"obstacle_{name}" for name in Obstacles._fields),
+)
+"""Names of the tensors of a problem, in their order."""
+
 
 @runtime_checkable
 class PlanCost(Protocol):
@@ -38,19 +48,19 @@ def batched_objective(
     def cost(states: Tensor, given: Tensor, *tensors: Tensor) -> Tensor:
         controls = coordinates.padded_controls(states, given)
         motion = dynamics.motion(states, controls)
-        return planner.cost_of(motion, controls, _joined(heading, tensors))
+        return planner.cost_of(motion, controls, joined(heading, tensors))
 
-    return Batched(cost, *_parted(problem))
+    return Batched(cost, *parted(problem))
 
 
-def _parted(problem: PlanningProblem) -> tuple[Tensor, ...]:
-    """All tensors of a problem, in the order of `_joined`."""
+def parted(problem: PlanningProblem) -> tuple[Tensor, ...]:
+    """All tensors of a problem, in the order of `joined`."""
     ego = problem.ego
     own = (problem.goal, problem.reference, problem.reference_speed)
     return (*ego.motion, *ego.discs, *own, *problem.obstacles)
 
 
-def _joined(heading: Heading, tensors: tuple[Tensor, ...]) -> PlanningProblem:
+def joined(heading: Heading, tensors: tuple[Tensor, ...]) -> PlanningProblem:
     """The problem of these tensors."""
     ego = Ego(Motion(*tensors[:4]), heading, Discs(*tensors[4:6]))
     goal, reference, speed = tensors[6:9]

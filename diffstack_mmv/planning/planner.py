@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from diffstack_mmv.checks import require_at_least
+from diffstack_mmv.checks import message, require_at_least
 from diffstack_mmv.control import ILQR, Batched, TrajectoryOptimizer
 from diffstack_mmv.costs import WeightedCost
 from diffstack_mmv.dynamics import DynamicsModel, rollout
@@ -15,6 +15,7 @@ from diffstack_mmv.planning.candidates import CandidateSource, with_final_row
 from diffstack_mmv.planning.choice import PlanChoice, TakeOptimum
 from diffstack_mmv.planning.coordinates import Coordinates, PhysicalControls
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
+from diffstack_mmv.planning.limits import PlanConstraints
 from diffstack_mmv.planning.objective import batched_objective
 from diffstack_mmv.planning.pricing import CostScore, PlanScore, ScoredPlans
 from diffstack_mmv.planning.problem import initial_state, likeliest
@@ -66,13 +67,15 @@ class MPCPlanner(Planner):
         solved_components: Where agents have more components than this, the optimiser sees the
             likeliest one alone, while the score sees all; None shows it all.
         coordinates: In which the optimiser sees the controls; the controls themselves by default.
+        constraints: What the optimiser keeps to besides the box of the controls; None: nothing.
 
     Raises:
+        TypeError: There are constraints, but the solver is no `ILQR`.
         ValueError: The horizon is shorter than one step, the number of starts negative, or no
             component left.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - each is a part that can be exchanged
         self,
         dynamics: DynamicsModel,
         cost: WeightedCost,
@@ -84,6 +87,7 @@ class MPCPlanner(Planner):
         choice: PlanChoice | None = None,
         solved_components: int | None = None,
         coordinates: Coordinates = PhysicalControls,
+        constraints: PlanConstraints | None = None,
     ) -> None:
         super().__init__()
         require_at_least("steps", steps, 1)
@@ -99,6 +103,10 @@ class MPCPlanner(Planner):
         self.choice = choice or TakeOptimum()
         self.solved_components = solved_components
         self.coordinates = coordinates
+        self.constraints = constraints
+        if constraints is not None and constraints.limits and not isinstance(solver, ILQR):
+            found = type(solver).__name__
+            raise TypeError(message("solver", "be an ILQR where there are constraints", found))
 
     def forward(self, problem: PlanningProblem, state: PlannerState | None = None) -> Plan:
         """Plan for every problem, `*b`; see `Planner`.
@@ -197,17 +205,20 @@ class MPCPlanner(Planner):
             wide = entry.unsqueeze(batch_dims).expand(*shape, *entry.shape[batch_dims:])
             return wide.flatten(0, batch_dims)
 
-        each, coordinates = map_tensors(repeated, problem), self.coordinates(self.dynamics)
+        each, proposed = map_tensors(repeated, problem), guess.flatten(0, batch_dims)
+        # the limits are those of controls in SI units
+        limited = self.constraints is not None and self.constraints.limits and len(proposed)
+        coordinates = (PhysicalControls if limited else self.coordinates)(self.dynamics)
+        cost = batched_objective(self, self.dynamics, each, coordinates)
         start = initial_state(self.dynamics, each.ego)
         with torch.no_grad():
-            first = coordinates.coordinates(start, guess.flatten(0, batch_dims))
-        solution = self.solver(
-            Batched(coordinates.step),
-            batched_objective(self, self.dynamics, each, coordinates),
-            coordinates.bounds,
-            start,
-            first,
-        )
+            first = coordinates.coordinates(start, proposed)
+        if self.constraints is not None and limited and isinstance(self.solver, ILQR):
+            solve = self.constraints.solve
+            solution = solve(self.solver, self.dynamics, each, cost, first, start)
+        else:
+            model = Batched(coordinates.step)
+            solution = self.solver(model, cost, coordinates.bounds, start, first)
         controls = coordinates.controls(solution.states[..., :-1, :], solution.controls)
         solution = solution._replace(controls=controls)
         return map_tensors(lambda entry: entry.unflatten(0, shape), solution)

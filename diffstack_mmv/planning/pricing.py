@@ -99,15 +99,18 @@ class CostScore:
 class PlanPrice:
     """The planner's cost up to the arrival, time, lack of comfortable clearance, and impatience.
 
-        S = Σ_t [t ≤ arrival] (c_t + w_time dt) + q w_comfort P + (1 - q) w_left ‖p_T - g‖
+        S = Σ_t [t ≤ arrival] (c_t + w_time dt) + w_risk R + q w_comfort P
+            + (1 - q) w_left ‖p_T - g‖
 
-    with P of `ClearanceMargin` and the patience q in (0, 1] of a vehicle that gets no closer to its
-    goal: comfort then counts less and getting ahead more. The safe clearance is asked for ever. A
-    price ranks plans and carries no gradient.
+    with R and P of `ClearanceMargin` and the patience q in (0, 1] of a vehicle that gets no closer
+    to its goal: comfort then counts less and getting ahead more. The safe clearance is asked for
+    ever, and the risk R keeps the vehicle away from where many may come later than plans are
+    refused for. A price ranks plans and carries no gradient.
 
     Attributes:
         margin: Clearance asked of a plan.
         comfort_weight: Price of the lack of comfortable clearance in 1/(m² s).
+        risk_weight: Price of a second of expected contact at any time of the plan in 1/s.
         time_weight: Price of a second before the arrival in 1/s.
         left_weight: Price of a metre left to the goal at the horizon, without patience, in 1/m.
         patience_s: Time without progress in which patience halves.
@@ -119,6 +122,7 @@ class PlanPrice:
 
     margin: ClearanceMargin = field(default_factory=ClearanceMargin)
     comfort_weight: float = 300.0
+    risk_weight: float = 0.0
     time_weight: float = 2.0
     left_weight: float = 10.0
     patience_s: float = 1.0
@@ -128,7 +132,7 @@ class PlanPrice:
 
     def __post_init__(self) -> None:
         """Check the numbers once, at the border."""
-        for name in ("comfort_weight", "time_weight", "left_weight"):
+        for name in ("comfort_weight", "risk_weight", "time_weight", "left_weight"):
             require_at_least(name, getattr(self, name), 0)
         require_positive("patience_s", self.patience_s)
         require_positive("goal_tolerance_m", self.goal_tolerance_m)
@@ -152,6 +156,7 @@ class PlanPrice:
         safety = self.margin(clearance, problem.obstacles, dt_s)
         patience = 0.5 ** (waited.unsqueeze(-1) / self.patience_s)
         total = (running * under_way).sum(-1) + patience * self.comfort_weight * safety.penalty
+        total = total + self.risk_weight * safety.risk
         total = total + (1 - patience) * self.left_weight * way[..., -1]
         usable = total.isfinite()
         return ScoredPlans(

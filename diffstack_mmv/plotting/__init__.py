@@ -10,7 +10,7 @@ with needs("stack", "diffstack_mmv.plotting"):
         save_animation,
         save_stories,
     )
-    from diffstack_mmv.plotting.excitation import draw_by_excitation
+    from diffstack_mmv.plotting.excitation import draw_by_excitation, save_by_excitation
     from diffstack_mmv.plotting.figures import save_figure
     from diffstack_mmv.plotting.horizon import draw_error_over_horizon
     from diffstack_mmv.plotting.identification import (
@@ -49,6 +49,7 @@ __all__ = [
     "draw_wheels",
     "episode_of",
     "save_animation",
+    "save_by_excitation",
     "save_figure",
     "save_identification",
     "save_stories",

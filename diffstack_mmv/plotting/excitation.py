@@ -1,10 +1,20 @@
 """Errors of the models against how hard the human rode."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from diffstack_mmv.plotting.figures import PALETTE, new_figure
+from diffstack_mmv.plotting.figures import PALETTE, new_figure, save_figure
+
+
+def save_by_excitation(
+    path: Path, samples: pd.DataFrame, models: list[str], axes_of: dict[str, str], heading: str
+) -> None:
+    """Save `draw_by_excitation`, where there are two models or more to compare."""
+    if len(models) > 1:
+        save_figure(draw_by_excitation(samples, models, axes_of, heading), path)
 
 
 def draw_by_excitation(

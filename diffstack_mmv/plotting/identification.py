@@ -86,8 +86,8 @@ def draw_estimates(estimates: Sequence[Estimate]) -> Figure:
     ends = [f"{e.name} [{e.unit}]\n{e.low:.3g} … {e.high:.3g}" for e in estimates]
     axes.set_yticks(range(len(estimates)), labels=ends, fontsize=6)
     axes.set(xlim=(-0.02, 1.02), xlabel="position in the range")
+    axes.set_ylim(len(estimates) - 0.5, -0.5)  # the first on top, and room around a single one
     axes.set_title("prior (circle), estimate (square: identifiable), 2 deviations", fontsize=8)
-    axes.invert_yaxis()
     return figure
 
 

@@ -4,24 +4,39 @@ import logging
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import pandas as pd
 
-from diffstack_mmv.metrics import LATERAL, SPEED
-from diffstack_mmv.plotting import draw_by_excitation, save_figure
 from diffstack_mmv.reporting.files import read_json, read_parquet, told_as_broken, write_text
 from diffstack_mmv.reporting.paper_table import bootstrap
-from diffstack_mmv.reporting.scores import ScoreHeading
 
 logger = logging.getLogger(__name__)
 
-EDGES = {LATERAL: (0.0, 0.5, 1.0, 2.0, 3.0, np.inf), SPEED: (0.0, 2.0, 4.0, 6.0, 8.0, np.inf)}
 FEWEST_SCENES = 4  # with fewer, drawing them with replacement tells nothing of an interval
-HEADINGS = {LATERAL: "lateral acceleration [m/s²]", SPEED: "speed [m/s]"}
 PLACE = ["data", "goal", "mode", "vehicle"]
-SAMPLE = ["scene", "agent", "row", LATERAL, SPEED]
+SAMPLE = ["scene", "agent", "row"]
+
+
+@runtime_checkable
+class Quantity(Protocol):
+    """What a table of reports has in a column of that name, with its title and ranges."""
+
+    @property
+    def name(self) -> str:
+        """Column."""
+        ...
+
+    @property
+    def heading(self) -> str:
+        """Title with the unit."""
+        ...
+
+    @property
+    def edges(self) -> tuple[float, ...]:
+        """Ends of the ranges, ascending."""
+        ...
 
 
 class PairedSamples(NamedTuple):
@@ -30,37 +45,42 @@ class PairedSamples(NamedTuple):
     Attributes:
         table: One row per sample of each setting, one column per model: its score, mean over seeds.
         models: Names of these columns.
+        quantities: How hard the human rode.
     """
 
     table: pd.DataFrame
     models: list[str]
+    quantities: Sequence[Quantity]
 
 
-def paired_samples(folders: Sequence[Path], score: str) -> PairedSamples:
+def paired_samples(
+    folders: Sequence[Path], score: str, quantities: Sequence[Quantity]
+) -> PairedSamples:
     """Scores of the same samples by several models.
 
     Samples that a model could not judge are left out for all. Reports of before there was an
     excitation are left out too, and named in the log.
     """
-    parts = []
+    names, parts = [each.name for each in quantities], []
     for folder in folders:
         metrics = read_json(folder / "metrics.json")
         with told_as_broken(folder / "samples.parquet"):
             whole = read_parquet(folder / "samples.parquet")
-            if LATERAL not in whole:
+            if not set(names) <= set(whole):
                 logger.warning("%s has no excitation: evaluate it again for that table.", folder)
                 continue
-            part = whole[["mode", score, *SAMPLE]]
+            part = whole[["mode", score, *SAMPLE, *names]]
         vehicles = [metrics["modes"][mode]["vehicle"] for mode in part["mode"]]
         place = {key: metrics[key] for key in ("data", "goal", "dynamics")}
         parts.append(part.assign(vehicle=vehicles, **place))
     if not parts:
-        return PairedSamples(pd.DataFrame(), [])
+        return PairedSamples(pd.DataFrame(), [], quantities)
     joined = pd.concat(parts)
     # the same sample has the same excitation up to rounding in every run
-    joined[[LATERAL, SPEED]] = joined[[LATERAL, SPEED]].round(3)
-    wide = joined.groupby([*PLACE, *SAMPLE, "dynamics"])[score].mean().unstack()
-    return PairedSamples(wide.dropna().reset_index(), [str(name) for name in wide.columns])
+    joined[names] = joined[names].round(3)
+    wide = joined.groupby([*PLACE, *SAMPLE, *names, "dynamics"])[score].mean().unstack()
+    models = [str(name) for name in wide.columns]
+    return PairedSamples(wide.dropna().reset_index(), models, quantities)
 
 
 def by_excitation(paired: PairedSamples, resamples: int = 1000) -> pd.DataFrame:
@@ -79,11 +99,11 @@ def by_excitation(paired: PairedSamples, resamples: int = 1000) -> pd.DataFrame:
         return pd.DataFrame()
     rows = []
     for place, group in paired.table.groupby(PLACE):
-        for name, edges in EDGES.items():
-            ranges = pd.cut(group[name], edges, right=False)
+        for quantity in paired.quantities:
+            ranges = pd.cut(group[quantity.name], list(quantity.edges), right=False)
             for span, part in group.groupby(ranges, observed=True):
                 where = dict(zip(PLACE, place, strict=True))
-                where |= {"by": HEADINGS[name], "range": f"{span.left:g} to {span.right:g}"}
+                where |= {"by": quantity.heading, "range": f"{span.left:g} to {span.right:g}"}
                 pairs = combinations(paired.models, 2)
                 rows += [where | _pair(part, *pair, resamples) for pair in pairs]
     return pd.DataFrame(rows)
@@ -105,12 +125,10 @@ def _pair(part: pd.DataFrame, first: str, second: str, resamples: int) -> dict[s
     }
 
 
-def write_by_excitation(folder: Path, paired: PairedSamples, score: ScoreHeading) -> None:
-    """Write `excitation.md`, `.csv` and `.png`; nothing where no two models can be compared."""
+def write_by_excitation(folder: Path, paired: PairedSamples) -> None:
+    """Write `excitation.md` and `.csv`; nothing where no two models can be compared."""
     table = by_excitation(paired)
     if table.empty:
         return
     write_text(folder / "excitation.md", f"{table.to_markdown(index=False, floatfmt='.4f')}\n")
     write_text(folder / "excitation.csv", str(table.to_csv(index=False)))
-    figure = draw_by_excitation(paired.table, paired.models, HEADINGS, score.heading)
-    save_figure(figure, folder / "excitation.png")

@@ -22,8 +22,9 @@ from diffstack_mmv.simulation.forecasters import (
     OrcaForecaster,
     PedestrianForecast,
     PedestrianForecaster,
+    StandingForecaster,
 )
-from diffstack_mmv.simulation.hedging import MixedForecaster, StandingForecaster
+from diffstack_mmv.simulation.hedging import MixedForecaster
 from diffstack_mmv.simulation.learned_forecaster import LearnedForecaster
 from diffstack_mmv.simulation.learning import imitation_loss, way_left_loss
 from diffstack_mmv.simulation.mppi import MPPIController

@@ -11,6 +11,7 @@ from diffstack_mmv.simulation.scenario import Scene
 from diffstack_mmv.simulation.verdict import Judgement
 from diffstack_mmv.simulation.world import World, WorldState
 from diffstack_mmv.types import EpisodeRecord, Motion, Outcome
+from dmmv_conventions.progress import counted
 
 
 class _Row(NamedTuple):
@@ -47,7 +48,7 @@ def drive(world: World, scene: Scene, controller: Controller) -> DrivenEpisodes:
     states, rows = [state], []
     running = torch.ones_like(state.time, dtype=torch.bool)
     known = controller.init(world.observe(state))
-    for _ in range(world.max_steps):
+    for _ in counted(range(world.max_steps), "drive", "step"):
         seen = world.observe(state)._replace(running=running)
         action, known = controller.act(known, seen)
         state, judgement = world.step(state, action)

@@ -12,6 +12,7 @@ from diffstack_mmv.checks import require_at_least, require_between
 from diffstack_mmv.simulation.scenario import CaseSource, Scene
 from diffstack_mmv.simulation.world import World
 from diffstack_mmv.types import Outcome, map_tensors
+from dmmv_conventions.progress import counted
 
 BEYOND_S = 0.75
 """How much longer than up to the collision a drive has to stay free of one."""
@@ -54,7 +55,7 @@ class AvoidanceSearch:
             Number of feasible cases, and success and collision rate among them.
         """
         collided = [case for case in cases if case["outcome"] == Outcome.COLLISION.label]
-        for case in collided:
+        for case in counted(collided, "search avoidable collisions", "case"):
             scene = scenario.cases(phase, [case["case"]])
             until = min(case["time_s"] + BEYOND_S, world.verdict.limit_s)
             case["avoidable"] = self(world, scene, until)

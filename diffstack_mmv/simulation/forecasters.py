@@ -11,6 +11,7 @@ from torch import Tensor
 from diffstack_mmv.checks import require_at_least, require_between, require_positive
 from diffstack_mmv.geometry import length, unit_vector
 from diffstack_mmv.prediction import Spread, single_component
+from diffstack_mmv.simulation.goals import GoalInference
 from diffstack_mmv.simulation.pedestrians import CrowdState, OrcaCrowd
 from diffstack_mmv.simulation.world import Observation
 from diffstack_mmv.types import Forecast
@@ -68,30 +69,27 @@ class ConstantVelocityForecaster:
         """Nothing to remember."""
         return
 
+    def velocity(self, observation: Observation) -> Float[Tensor, "*b h 2"]:
+        """Velocity in m/s that everybody is taken to keep."""
+        return observation.pedestrian_velocity
+
     def __call__(
         self, state: None, observation: Observation, dt_s: float, steps: int
     ) -> PedestrianForecast:
         """One component along straight lines."""
-        position, velocity = observation.pedestrian_position, observation.pedestrian_velocity
+        position, velocity = observation.pedestrian_position, self.velocity(observation)
         ahead = dt_s * torch.arange(1, steps + 1, dtype=position.dtype, device=position.device)
         mean = position.unsqueeze(-2) + velocity.unsqueeze(-2) * ahead[:, None]
         return PedestrianForecast(_with_spread(mean, velocity, self.spread, dt_s), None)
 
 
-class TriedGoals(NamedTuple):
-    """Goals tried for each pedestrian, `*b h k`, and how well each explains what was observed."""
+@dataclass(frozen=True)
+class StandingForecaster(ConstantVelocityForecaster):
+    """Everybody stops at once and stays."""
 
-    goal: Float[Tensor, "*b h k 2"]  # m
-    error: Float[Tensor, "*b h k"]  # m/s, of the velocity
-
-    def best(self) -> Float[Tensor, "*b h 2"]:
-        """The goal in m with the smallest error."""
-        index = self.error.argmin(-1)[..., None, None]
-        return self.goal.take_along_dim(index, -2).squeeze(-2)
-
-    def fits(self, tolerance_mps: float) -> Bool[Tensor, "*b h 1"]:
-        """Whether some goal explains the velocity within the tolerance."""
-        return self.error.amin(-1, keepdim=True) < tolerance_mps
+    def velocity(self, observation: Observation) -> Float[Tensor, "*b h 2"]:
+        """None, in m/s."""
+        return torch.zeros_like(observation.pedestrian_velocity)
 
 
 class BelievedCrowd(NamedTuple):
@@ -100,18 +98,15 @@ class BelievedCrowd(NamedTuple):
     crowd: CrowdState  # as it was observed, with the goals and speeds believed in
     seen: Bool[Tensor, "*b h"]
     dt_s: float
+    doubt: Float[Tensor, "*b h c"]  # (m/s)², discounted sum of what each course leaves unexplained
 
 
 @dataclass(frozen=True)
 class OrcaForecaster:
     """Everybody avoids everybody else by ORCA, towards a goal inferred from the walk so far.
 
-    What is observed of a pedestrian's velocity is explained by a goal: ORCA is asked what the
-    pedestrian would have done with each of many goals in the situation before. The goal believed in
-    so far is kept as long as it explains the velocity; then comes the course of the velocity
-    itself, then the best of a fan of far goals, and only where none of these explains it, the
-    pedestrian is taken to be slowing down before its goal, which `towards` lays at
-    p + v (1 s - dt). The robot is no part of it.
+    Goals are inferred by `GoalInference`: ORCA is asked what a pedestrian would have done with each
+    of many goals in the situation before. The robot is no part of it.
 
     At first sight nobody's goal is known. Who is at rest then may walk off in any direction: beside
     the component in which it stays there is one for each of `directions`, straight at the preferred
@@ -119,12 +114,9 @@ class OrcaForecaster:
 
     Attributes:
         crowd: Settings of ORCA.
-        far_m: Distance of the guessed goal of somebody who is not arriving.
         preferred_speed_mps: Preferred speed of everybody, or of who has not walked yet.
         observed_speed: Whether the preferred speed of who has walked is the largest that was seen.
-        tolerance_mps: Largest error of the velocity under which a goal explains it.
-        courses: Number of courses in the fan; the best of them is refined once by as many within
-            its neighbors.
+        inference: How goals are inferred.
         directions: Number of directions in which somebody at rest at first sight may walk off.
         stays: Probability that it stays.
         spread: How the uncertainty grows.
@@ -134,10 +126,8 @@ class OrcaForecaster:
     """
 
     crowd: OrcaCrowd = field(default_factory=OrcaCrowd)
-    far_m: float = 8.0
     preferred_speed_mps: float = 1.0
-    tolerance_mps: float = 0.05
-    courses: int = 16
+    inference: GoalInference = field(default_factory=GoalInference)
     directions: int = 24
     stays: float = 0.1
     observed_speed: bool = False
@@ -147,10 +137,7 @@ class OrcaForecaster:
         """Check the numbers once, at the border."""
         require_at_least("directions", self.directions, 1)
         require_between("stays", self.stays, 0, 1)
-        require_positive("far_m", self.far_m)
         require_positive("preferred_speed_mps", self.preferred_speed_mps)
-        require_positive("tolerance_mps", self.tolerance_mps)
-        require_at_least("courses", self.courses, 3)
 
     def init(self, observation: Observation) -> None:
         """Nothing has been seen yet."""
@@ -160,7 +147,8 @@ class OrcaForecaster:
         self, state: BelievedCrowd | None, observation: Observation, dt_s: float, steps: int
     ) -> PedestrianForecast:
         """One component, the crowd rolled forward; at first sight also walking off."""
-        believed = crowd = self._believed(state, observation)
+        believed, doubt = self._believed(state, observation)
+        crowd = believed
         positions = []
         for _ in range(steps):
             crowd = crowd.moved(self.crowd(crowd, dt_s), dt_s)
@@ -169,7 +157,7 @@ class OrcaForecaster:
         forecast = _with_spread(mean, believed.velocity, self.spread, dt_s)
         if state is None:
             forecast = self._walking_off(forecast, believed, dt_s)
-        return PedestrianForecast(forecast, BelievedCrowd(believed, observation.seen, dt_s))
+        return PedestrianForecast(forecast, BelievedCrowd(believed, observation.seen, dt_s, doubt))
 
     def _walking_off(self, forecast: Forecast, crowd: CrowdState, dt_s: float) -> Forecast:
         """A forecast of one component, and one more per direction for who is at rest."""
@@ -187,15 +175,21 @@ class OrcaForecaster:
             scale.expand(*scale.shape[:-4], 1 + count, *scale.shape[-3:]),
         )
 
-    def _believed(self, state: BelievedCrowd | None, observation: Observation) -> CrowdState:
-        """The observed crowd with the goals believed in after this observation."""
+    def _believed(
+        self, state: BelievedCrowd | None, observation: Observation
+    ) -> tuple[CrowdState, Float[Tensor, "*b h c"]]:
+        """The observed crowd with the goals believed in now, and the doubt of each course."""
         position, velocity = observation.pedestrian_position, observation.pedestrian_velocity
         preferred = self._preferred(state, observation)
         goal = self._at_first_sight(position, velocity, preferred)
+        doubt = position.new_zeros(*position.shape[:-1], self.inference.courses)
         if state is not None:
             known = (observation.seen & state.seen)[..., None]
-            goal = torch.where(known, self._inferred(state, velocity), goal)
-        return CrowdState(position, velocity, goal, observation.pedestrian_radius, preferred)
+            told = self.inference(self.crowd, state.crowd, velocity, state.doubt, state.dt_s)
+            goal = torch.where(known, told.goal, goal)
+            doubt = torch.where(known, told.doubt, doubt)
+        crowd = CrowdState(position, velocity, goal, observation.pedestrian_radius, preferred)
+        return crowd, doubt
 
     def _preferred(
         self, state: BelievedCrowd | None, observation: Observation
@@ -221,42 +215,10 @@ class OrcaForecaster:
         """Goal in m that the velocity alone suggests; somebody at rest is there already."""
         speed = length(velocity)[..., None]
         full = speed > 0.95 * preferred[..., None]
-        ahead = torch.where(full, self.far_m / speed.clamp(min=0.1), torch.full_like(speed, 1.0))
+        ahead = torch.where(
+            full, self.inference.far_m / speed.clamp(min=0.1), torch.full_like(speed, 1.0)
+        )
         return position + velocity * ahead
-
-    def _inferred(
-        self, state: BelievedCrowd, velocity: Float[Tensor, "*b h 2"]
-    ) -> Float[Tensor, "*b h 2"]:
-        """Goals in m that explain the velocities after the situation before."""
-        before = state.crowd
-        course = torch.atan2(velocity[..., 1], velocity[..., 0])[..., None]
-        spacing = 2 * math.pi / self.courses
-        turns = spacing * torch.arange(self.courses).to(course)
-        fan = self._tried(before, self._far(before, course + turns), velocity, state.dt_s)
-        best = course + turns[fan.error.argmin(-1, keepdim=True)]
-        finer = best + spacing * torch.linspace(-0.5, 0.5, self.courses).to(course)
-        refined = self._tried(before, self._far(before, finer), velocity, state.dt_s)
-        kept = self._tried(before, before.goal.unsqueeze(-2), velocity, state.dt_s)
-        arriving = before.position + velocity
-        goal = torch.where(refined.fits(self.tolerance_mps), refined.best(), arriving)
-        ahead = TriedGoals(fan.goal[..., :1, :], fan.error[..., :1])
-        goal = torch.where(ahead.fits(self.tolerance_mps), ahead.best(), goal)
-        return torch.where(kept.fits(self.tolerance_mps), kept.best(), goal)
-
-    def _tried(
-        self,
-        before: CrowdState,
-        goals: Float[Tensor, "*b h k 2"],
-        velocity: Float[Tensor, "*b h 2"],
-        dt_s: float,
-    ) -> TriedGoals:
-        """Try goals in the situation before."""
-        response = self.crowd.responses(before, goals, dt_s)
-        return TriedGoals(goals, length(response - velocity.unsqueeze(-2)))
-
-    def _far(self, crowd: CrowdState, course: Float[Tensor, "*b h k"]) -> Float[Tensor, "*b h k 2"]:
-        """Far goals on courses (rad)."""
-        return crowd.position.unsqueeze(-2) + self.far_m * unit_vector(course)
 
 
 def _with_spread(

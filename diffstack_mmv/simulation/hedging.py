@@ -2,42 +2,14 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 
 from diffstack_mmv.checks import require, require_positive
-from diffstack_mmv.prediction import Spread, single_component
 from diffstack_mmv.simulation.forecasters import PedestrianForecast, PedestrianForecaster
 from diffstack_mmv.simulation.world import Observation
 from diffstack_mmv.types import Forecast
-
-
-@dataclass(frozen=True)
-class StandingForecaster:
-    """Everybody stops at once and stays; it remembers nothing.
-
-    Attributes:
-        spread: How the uncertainty grows.
-    """
-
-    spread: Spread = field(default_factory=Spread)
-
-    def init(self, observation: Observation) -> None:
-        """Nothing to remember."""
-        return
-
-    def __call__(
-        self, state: None, observation: Observation, dt_s: float, steps: int
-    ) -> PedestrianForecast:
-        """One component that stays."""
-        position = observation.pedestrian_position
-        mean = position[..., None, :].expand(*position.shape[:-1], steps, 2)
-        time = dt_s * torch.arange(1, steps + 1, dtype=mean.dtype, device=mean.device)
-        still = torch.zeros_like(position[..., 0])
-        scale = self.spread.scale_tril(still, still, time)
-        return PedestrianForecast(single_component(mean, scale), None)
 
 
 class MixedForecaster:

@@ -119,7 +119,9 @@ def _load(stack: DiffStackMMV, weights: Mapping[str, Tensor], path: Path) -> Non
     try:
         stack.load_state_dict(weights)
     except RuntimeError as mismatch:
-        told = "; ".join(line.strip() for line in str(mismatch).splitlines()[1:4])
+        faults = [line.strip().rstrip(".") for line in str(mismatch).splitlines()[1:]]
+        more = f", and {len(faults) - 1} more like it" if len(faults) > 1 else ""
+        told = f"{faults[0]}{more}"
         raise ValueError(
             message(
                 "checkpoint",

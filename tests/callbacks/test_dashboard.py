@@ -47,11 +47,13 @@ def test_every_mode_gets_a_section_and_so_do_learned_values_and_results(stand_in
     assert "success" in {panel.title for panel in stand_in["Closed loop"]}
 
 
-def test_learned_values_are_found_under_the_keys_that_are_logged(stand_in):
+@pytest.mark.parametrize(
+    "key", ["cost_weight/final_goal", "physical/wheelbase", "physical/friction/0"]
+)
+def test_learned_values_are_found_under_the_keys_that_are_logged(stand_in, key):
     build_dashboard("team", "project", [])
     patterns = [panel.metric_regex for panel in stand_in["Learned"]]
-    for key in ("cost_weight/final_goal", "physical/wheelbase", "physical/friction/0"):
-        assert any(re.fullmatch(pattern, key) for pattern in patterns)
+    assert any(re.fullmatch(pattern, key) for pattern in patterns)
 
 
 def test_the_real_package_takes_the_layout():

@@ -7,10 +7,9 @@ import pytorch_lightning as pl
 import wandb
 import yaml
 from hydra import compose, initialize_config_dir
-from pytorch_lightning.loggers import WandbLogger
 
 import diffstack_mmv.cli  # noqa: F401  registers the resolvers
-from diffstack_mmv.callbacks import CheckpointArtifact, WandbResults
+from diffstack_mmv.callbacks import CheckpointArtifact, QuietWandbLogger, WandbResults
 from diffstack_mmv.reporting.html import read_record
 from tests.reporting.html import runs
 
@@ -69,12 +68,13 @@ def test_nothing_is_logged_where_the_environment_says_so(tmp_path):
     assert not (folder / "wandb").exists()
 
 
-def test_checkpoints_become_artifacts_of_an_offline_run(offline, tmp_path):
+def test_checkpoints_become_artifacts_of_an_offline_run(offline, tmp_path, capfd):
     (tmp_path / "best.ckpt").write_bytes(b"weights")
-    logger = WandbLogger(project="project", save_dir=str(tmp_path), offline=True)
+    logger = QuietWandbLogger(project="project", save_dir=str(tmp_path), offline=True)
     trainer = pl.Trainer(logger=logger, accelerator="cpu", enable_checkpointing=False)
     CheckpointArtifact(str(tmp_path)).on_fit_end(trainer, pl.LightningModule())
     wandb.finish()
+    assert "WARNING" not in capfd.readouterr().err
     record = written(tmp_path, b"best.ckpt")
     assert b"best.ckpt" in record
     assert b"last.ckpt" not in record

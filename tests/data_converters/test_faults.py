@@ -3,13 +3,13 @@
 import gzip
 import io
 import json
-import os
 import shutil
 import tarfile
 
 import numpy as np
 import pytest
 
+from benchmarks.faults.tables import ENDLESS
 from data_converters import (
     ConversionError,
     ConversionSettings,
@@ -88,8 +88,8 @@ def test_a_track_that_cannot_be_is_rejected_and_the_rest_converted(cyclists, con
 
 @pytest.mark.parametrize(
     "make",
-    [lambda path: path.mkdir(), lambda path: path.symlink_to("nowhere.csv"), os.mkfifo][:2],
-    ids=["folder", "dangling link"],
+    [lambda path: path.mkdir(), lambda path: path.symlink_to("nowhere.csv"), *ENDLESS.values()],
+    ids=["a folder", "a dangling link", *ENDLESS],
 )
 def test_what_is_named_like_a_file_and_is_none_is_rejected(cyclists, make):
     assert cyclists("1.csv", make) == ({"unreadable_file": 1}, 1)

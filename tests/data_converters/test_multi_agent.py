@@ -103,14 +103,14 @@ def test_what_is_seen_after_being_lost_is_another_agent(written):
     assert raw.notes["rows_lost"] == 5
 
 
-def test_a_guessed_scale_is_refused_unless_it_is_asked_for(written):
+@pytest.mark.parametrize(("smallest", "reasons"), [(0.5, [RejectReason.LOW_CERTAINTY]), (0.0, [])])
+def test_a_guessed_scale_is_refused_unless_it_is_asked_for(written, smallest, reasons):
     dataset = written("sdd")
     scales = dataset.root / "scales.csv"
     scales.write_text(scales.read_text().replace("video1,0.04,1.0", "video1,0.04,0.0"))
-    for smallest, reasons in ((0.5, [RejectReason.LOW_CERTAINTY]), (0.0, [])):
-        dataset = SddDataset(dataset.root, min_certainty=smallest)
-        raw = dataset.read(dataset.scenes()[1], 0.1, strict=False)
-        assert [item.reason for item in raw.rejected] == reasons
+    dataset = SddDataset(dataset.root, min_certainty=smallest)
+    raw = dataset.read(dataset.scenes()[1], 0.1, strict=False)
+    assert [item.reason for item in raw.rejected] == reasons
 
 
 @pytest.mark.parametrize(

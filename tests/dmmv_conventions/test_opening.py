@@ -1,5 +1,6 @@
 """Environments and their splits as trajdata sees them."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -52,3 +53,25 @@ def test_pickles_of_another_user_are_refused_with_a_way_to_make_them_anew(foreig
 def test_the_cache_of_a_trusted_user_is_read(foreign, monkeypatch):
     monkeypatch.setenv(TRUSTED_VARIABLE, f"/elsewhere:{foreign}")
     assert CachedEnvironment(foreign, STATE).name == "toy"
+
+
+@pytest.mark.parametrize("name", ["theirs", "theirs/scene", "nowhere"])
+def test_links_are_followed_to_the_files_of_another_user(tmp_path, monkeypatch, name):
+    (tmp_path / "theirs" / "scene").mkdir(parents=True)
+    (tmp_path / "toy").mkdir()
+    (tmp_path / "toy" / "a").symlink_to(tmp_path / name)
+    (tmp_path / "toy" / "again").symlink_to(tmp_path / "toy")  # a loop
+    plain = Path.stat
+
+    def stat(path, **options):
+        found = plain(path, **options)
+        changed = (found.st_mode, 0, 0, 0, found.st_uid + 1, *(0,) * 5)
+        return os.stat_result(changed) if "theirs" in path.parts else found
+
+    monkeypatch.setattr(Path, "stat", stat)
+    monkeypatch.setattr("dmmv_conventions.cache.ADMINISTRATOR", os.geteuid())
+    if name == "nowhere":
+        assert CachedEnvironment(tmp_path, STATE).name == "toy"
+    else:
+        with pytest.raises(ValueError, match=name):
+            CachedEnvironment(tmp_path, STATE)

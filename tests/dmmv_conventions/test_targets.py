@@ -72,11 +72,13 @@ def test_nothing_hides_below_the_top(content):
         require_buildable(content, OF_A_RUN, "in a.ckpt")
 
 
-def test_a_plain_file_builds_nothing_at_all(monkeypatch):
+@pytest.mark.parametrize(
+    "target", ["diffstack_mmv.dynamics.DiffKBM", "torch.optim.AdamW", "mine.Model"]
+)
+def test_a_plain_file_builds_nothing_at_all(monkeypatch, target):
     monkeypatch.setenv(TRUSTED_VARIABLE, "mine")
-    for target in ("diffstack_mmv.dynamics.DiffKBM", "torch.optim.AdamW", "mine.Model"):
-        with pytest.raises(ValueError, match="_target_"):
-            require_buildable({"_target_": target}, NOTHING, "in mine.yaml")
+    with pytest.raises(ValueError, match="_target_"):
+        require_buildable({"_target_": target}, NOTHING, "in mine.yaml")
 
 
 def test_a_package_of_ones_own_is_allowed_by_name(monkeypatch):

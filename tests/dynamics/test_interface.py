@@ -141,12 +141,14 @@ def test_a_model_that_is_not_steered_by_an_angle_refuses_a_driver(method):
         getattr(model, method)(torch.zeros(4), given)
 
 
-def test_the_reference_point_is_the_centre_of_gravity_or_the_axle_that_does_not_steer():
-    for name, expected in (("bicycle", -0.45), ("skateboard", 0.0), ("wheelchair", -0.15)):
-        spec = load_vehicle(name)
-        assert DiffGM3(spec).reference_ahead_m == 0
-        assert DiffKBM(spec).reference_ahead_m == pytest.approx(expected)
-        assert ExtendedUnicycle(spec).reference_ahead_m == pytest.approx(expected)
+@pytest.mark.parametrize(
+    ("name", "axle_m"), [("bicycle", -0.45), ("skateboard", 0.0), ("wheelchair", -0.15)]
+)
+def test_the_reference_point_is_the_centre_of_gravity_or_the_axle_that_does_not_steer(name, axle_m):
+    spec = load_vehicle(name)
+    assert DiffGM3(spec).reference_ahead_m == 0
+    assert DiffKBM(spec).reference_ahead_m == pytest.approx(axle_m)
+    assert ExtendedUnicycle(spec).reference_ahead_m == pytest.approx(axle_m)
 
 
 def test_only_an_explicit_scheme_bounds_its_step():

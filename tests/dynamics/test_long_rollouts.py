@@ -6,10 +6,12 @@ import pytest
 import torch
 
 from diffstack_mmv.types import Motion
-from diffstack_mmv.vehicles import vehicle_names
+from diffstack_mmv.vehicles import config_folder, vehicle_names
 from tests.contracts.test_dynamics_contract import build
 
 STEPS = 10_000
+CALIBRATED = config_folder() / "vehicle" / "calibrated"
+VEHICLES = [*vehicle_names(), *(f"calibrated/{path.stem}" for path in CALIBRATED.glob("*.yaml"))]
 REST, FULL, SLALOM, NOISE = range(4)
 
 
@@ -33,7 +35,7 @@ def driven(model, step, generator):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["unicycle", "kbm", "gm3"])
-@pytest.mark.parametrize("vehicle", vehicle_names())
+@pytest.mark.parametrize("vehicle", VEHICLES)
 @torch.no_grad()
 def test_a_long_ride_stays_finite_and_a_rest_stays_a_rest(name, vehicle, unchecked):
     model, generator = build(name, vehicle), torch.Generator().manual_seed(0)

@@ -121,8 +121,25 @@ def test_nobody_around_is_safe():
 
 
 @pytest.mark.parametrize(
-    "name", ["hard_m", "comfort_growth", "saturation_m", "horizon_s", "probability_min"]
+    "name", ["hard_m", "comfort_growth", "saturation_m", "horizon_s", "probability_min", "reach_m"]
 )
 def test_numbers_out_of_range_are_refused(name):
     with pytest.raises(ValueError, match=name):
         ClearanceMargin(**{name: -1.0})
+
+
+def test_the_risk_of_a_sure_overlap_is_its_time():
+    clearance = torch.tensor([1.0, 1.0, -0.1, -0.2]).reshape(1, 1, 1, 1, 4)
+    assert float(ClearanceMargin()(clearance, walking(0.0), 0.25).risk) == pytest.approx(0.5, 0.01)
+
+
+def test_who_has_walked_far_is_a_smaller_risk_where_expected_and_a_larger_one_beside():
+    def risk(clearance, walked):
+        return float(judged(clearance, walked).risk)
+
+    assert risk(-0.1, 4.0) < 0.7 * risk(-0.1, 0.5)
+    assert risk(0.8, 4.0) > 2 * risk(0.8, 0.5)
+
+
+def test_absent_agents_are_no_risk():
+    assert float(judged(torch.inf, 1.0).risk) == 0

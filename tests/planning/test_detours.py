@@ -60,8 +60,28 @@ def test_a_goal_beside_a_fast_vehicle_is_not_circled(model):
     assert float(distance.min()) < 0.3
 
 
+def test_drawn_candidates_come_beside_the_others_and_some_lead_back(model):
+    with torch.no_grad():
+        plain = DetourFan()(model, problem(), 20)
+        more = DetourFan(drawn=64)(model, problem(), 20)
+    assert more.controls.shape[1] == plain.controls.shape[1] + 64
+    before, now = plain.motion.position, more.motion.position
+    assert torch.allclose(now[:, :108], before[:, :108], atol=1e-3)
+    assert torch.allclose(now[:, -1], before[:, -1], atol=1e-3)
+    assert torch.equal(model.within_bounds(more.controls), more.controls)
+    drawn = more.motion.position[0, 108:-1]
+    assert float(drawn[:, 14, 0].min()) < 0 < 3.0 < float(drawn[:, 14, 0].max())
+
+
 @pytest.mark.parametrize(
-    ("name", "value"), [("offsets_deg", ()), ("speed_shares", (1.5,)), ("turn_time_s", 0.0)]
+    ("name", "value"),
+    [
+        ("offsets_deg", ()),
+        ("speed_shares", (1.5,)),
+        ("turn_time_s", 0.0),
+        ("drawn", -1),
+        ("drawn_until_s", 0.0),
+    ],
 )
 def test_numbers_out_of_range_are_refused(name, value):
     with pytest.raises(ValueError, match=name):

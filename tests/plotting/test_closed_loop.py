@@ -37,16 +37,15 @@ def test_who_is_absent_is_not_drawn(record):
     assert all(torch.tensor(circle.center).isfinite().all() for circle in circles)
 
 
-def test_failures_are_shown_first(record, tmp_path):
-    save_stories(tmp_path, [4, 7], [record], 0.3, 1)
+@pytest.mark.parametrize(
+    ("animate", "chosen", "shown"),
+    [(1, (), 7), (0, [4], 4)],
+    ids=["failures first", "as asked for"],
+)
+def test_failures_and_cases_asked_for_are_shown(record, tmp_path, animate, chosen, shown):
+    save_stories(tmp_path, [4, 7], [record], 0.3, animate, goal_m=(0.0, 4.0), chosen=chosen)
     names = sorted(path.name for path in (tmp_path / "plots").iterdir())
-    assert names == ["case_7.gif", "case_7.png"]
-
-
-def test_cases_asked_for_are_shown_besides(record, tmp_path):
-    save_stories(tmp_path, [4, 7], [record], 0.3, 0, goal_m=(0.0, 4.0), chosen=[4])
-    names = sorted(path.name for path in (tmp_path / "plots").iterdir())
-    assert names == ["case_4.gif", "case_4.png"]
+    assert names == [f"case_{shown}.gif", f"case_{shown}.png"]
 
 
 def test_the_outline_of_the_robot_turns_with_its_heading(record):

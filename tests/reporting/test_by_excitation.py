@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from diffstack_mmv.metrics import LATERAL, OPEN_LOOP, SPEED
+from diffstack_mmv.metrics import EXCITATION, LATERAL, SPEED
+from diffstack_mmv.plotting import save_by_excitation
 from diffstack_mmv.reporting import by_excitation, paired_samples, write_by_excitation
-from diffstack_mmv.reporting.by_excitation import HEADINGS
 from tests.reporting.runs import samples, write_run
+
+TITLES = {each.name: each.heading for each in EXCITATION}
 
 
 def ridden(gain=0.0):
@@ -27,8 +29,8 @@ def runs(folder, gain=0.3):
 
 
 def test_the_difference_is_where_the_human_rode_hard(tmp_path):
-    table = by_excitation(paired_samples(runs(tmp_path), "plan_ade"))
-    bicycles = table[(table["mode"] == "bicycle") & (table["by"] == HEADINGS[LATERAL])]
+    table = by_excitation(paired_samples(runs(tmp_path), "plan_ade", EXCITATION))
+    bicycles = table[(table["mode"] == "bicycle") & (table["by"] == TITLES[LATERAL])]
     shift = dict(zip(bicycles["range"], bicycles["Δ"], strict=True))
     assert shift == pytest.approx({"0 to 0.5": 0.0, "2 to 3": -0.3})
     assert set(bicycles["pair"]) == {"gm3 - kbm"}
@@ -38,7 +40,7 @@ def test_the_difference_is_where_the_human_rode_hard(tmp_path):
 def test_few_scenes_have_no_interval(tmp_path):
     frame = ridden().assign(scene=np.arange(60) % 3)
     folders = [write_run(tmp_path / name, name, 0, frame=frame) for name in ("kbm", "gm3")]
-    table = by_excitation(paired_samples(folders, "plan_ade"))
+    table = by_excitation(paired_samples(folders, "plan_ade", EXCITATION))
     assert set(table["scenes"]) <= {1, 2, 3}
     assert table[["low", "high"]].isna().all(None)
 
@@ -47,21 +49,22 @@ def test_samples_that_one_cannot_judge_count_for_none(tmp_path):
     frame = ridden()
     frame.loc[frame.index[:6], "plan_ade"] = np.nan
     folders = [runs(tmp_path)[0], write_run(tmp_path / "other", "gm3", 0, frame=frame)]
-    assert len(paired_samples(folders, "plan_ade").table) == len(frame) - 6
+    assert len(paired_samples(folders, "plan_ade", EXCITATION).table) == len(frame) - 6
 
 
 def test_reports_without_excitation_are_named(tmp_path, caplog):
     old = write_run(tmp_path / "old", "kbm", 0)
-    paired = paired_samples([old], "plan_ade")
+    paired = paired_samples([old], "plan_ade", EXCITATION)
     assert paired.models == []
     assert f"{old} has no excitation" in caplog.text
     assert by_excitation(paired).empty
-    write_by_excitation(tmp_path, paired, OPEN_LOOP["plan_ade"])
+    write_by_excitation(tmp_path, paired)
     assert not (tmp_path / "excitation.md").exists()
 
 
 def test_it_is_written_and_drawn(tmp_path):
-    paired = paired_samples(runs(tmp_path), "plan_ade")
-    write_by_excitation(tmp_path, paired, OPEN_LOOP["plan_ade"])
+    paired = paired_samples(runs(tmp_path), "plan_ade", EXCITATION)
+    write_by_excitation(tmp_path, paired)
     assert "gm3 - kbm" in (tmp_path / "excitation.md").read_text()
+    save_by_excitation(tmp_path / "excitation.png", paired.table, paired.models, TITLES, "ADE [m]")
     assert (tmp_path / "excitation.png").stat().st_size > 10_000

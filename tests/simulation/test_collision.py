@@ -59,18 +59,16 @@ def test_discs_that_pass_between_two_instants_are_noticed():
     assert torch.allclose(clearance, torch.tensor([-0.5]).double())
 
 
-def test_a_long_rectangle_reaches_further_ahead_than_aside():
-    ahead, aside = torch.tensor([[2.0, 0.0], [0.0, 2.0]]).double()
+@pytest.mark.parametrize(
+    ("place", "heading", "reach_m"),
+    [([2.0, 0.0], 0.0, 0.9), ([0.0, 2.0], 0.0, 0.3), ([0.0, 2.0], math.pi / 2, 0.9)],
+    ids=["ahead", "aside", "turned to the side"],
+)
+def test_a_long_rectangle_reaches_further_ahead_than_aside(place, heading, reach_m):
+    away = torch.tensor(place).double()
     footprint = RectangleFootprint(length_m=1.8, width_m=0.6)
-    assert math.isclose(footprint.clearance(approach_of(ahead, ahead)), 2.0 - 0.9 - 0.3)
-    assert math.isclose(footprint.clearance(approach_of(aside, aside)), 2.0 - 0.3 - 0.3)
-
-
-def test_the_rectangle_turns_with_the_heading():
-    aside = torch.tensor([0.0, 2.0]).double()
-    footprint = RectangleFootprint(length_m=1.8, width_m=0.6)
-    clearance = footprint.clearance(approach_of(aside, aside, heading=math.pi / 2))
-    assert math.isclose(clearance, 2.0 - 0.9 - 0.3)
+    clearance = footprint.clearance(approach_of(away, away, heading=heading))
+    assert math.isclose(clearance, 2.0 - reach_m - 0.3)
 
 
 def test_the_disc_around_a_rectangle_never_has_more_clearance():

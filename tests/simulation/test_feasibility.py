@@ -14,6 +14,8 @@ from diffstack_mmv.simulation import (
 )
 from diffstack_mmv.simulation.verdict import ExactVerdict
 from diffstack_mmv.types import Outcome
+from dmmv_conventions.progress import shown_by
+from tests.heard import Heard
 
 SCENARIO = SquareCrossing()
 
@@ -26,7 +28,9 @@ def world_with(speed_mps):
 def collided():
     """The cases among the first of the training phase in which driving straight collides."""
     numbers = list(range(12))
-    record = drive(world_with(1.0), SCENARIO.cases("train", numbers), StraightLine()).record
+    with shown_by(heard := Heard()):
+        record = drive(world_with(1.0), SCENARIO.cases("train", numbers), StraightLine()).record
+    assert "drive: step 1" in heard.titles
     rows = (record.outcome == Outcome.COLLISION).nonzero().flatten().tolist()
     return [
         {"case": numbers[row], "outcome": "collision", "time_s": float(record.duration[row])}
@@ -37,7 +41,11 @@ def collided():
 def test_collisions_of_somebody_who_could_go_elsewhere_are_avoidable(collided):
     assert collided
     cases = [dict(case) for case in collided] + [{"case": 99, "outcome": "success", "time_s": 9.0}]
-    told = AvoidanceSearch(64).judge(world_with(1.0), SCENARIO, "train", cases)
+    with shown_by(heard := Heard()):
+        told = AvoidanceSearch(64).judge(world_with(1.0), SCENARIO, "train", cases)
+    assert heard.titles == [
+        f"search avoidable collisions: case {number}" for number in range(1, len(cases))
+    ]
     assert all(0 < case["avoidable"] <= 1 for case in cases[:-1])
     assert "avoidable" not in cases[-1]
     assert told["n"] == len(cases)

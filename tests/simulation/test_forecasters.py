@@ -3,7 +3,12 @@
 import pytest
 import torch
 
-from diffstack_mmv.simulation import ConstantVelocityForecaster, OrcaCrowd, OrcaForecaster
+from diffstack_mmv.simulation import (
+    ConstantVelocityForecaster,
+    OrcaCrowd,
+    OrcaForecaster,
+    StandingForecaster,
+)
 from diffstack_mmv.types import map_tensors
 
 
@@ -15,13 +20,20 @@ def paths(forecaster, *observations, dt_s=0.25, steps=4):
     return torch.cat((seen.pedestrian_position.unsqueeze(-2), forecast.most_likely()), -2)
 
 
-def test_constant_velocity_is_a_straight_line(observed, scene_with):
+@pytest.mark.parametrize(
+    ("forecaster", "share"), [(ConstantVelocityForecaster(), 1.0), (StandingForecaster(), 0.0)]
+)
+def test_who_walks_on_or_stays_keeps_one_velocity(observed, scene_with, forecaster, share):
     seen = observed(scene_with((3.0, 0.0), (-6.0, 0.0)), 2)[-1]
-    path = paths(ConstantVelocityForecaster(), seen)
-    assert torch.allclose(path.diff(dim=-2), 0.25 * seen.pedestrian_velocity.unsqueeze(-2))
+    assert seen.pedestrian_velocity.abs().max() > 0
+    path = paths(forecaster, seen)
+    moved = 0.25 * share * seen.pedestrian_velocity.unsqueeze(-2)
+    assert torch.allclose(path.diff(dim=-2), moved.expand(*path.shape[:-2], 4, 2))
 
 
-@pytest.mark.parametrize("forecaster", [ConstantVelocityForecaster(), OrcaForecaster()])
+@pytest.mark.parametrize(
+    "forecaster", [ConstantVelocityForecaster(), StandingForecaster(), OrcaForecaster()]
+)
 def test_the_forecast_is_one_proper_component_per_pedestrian(observed, scenario_of, forecaster):
     before, seen = observed(scenario_of("circle").cases("test", [0, 1]), 3)[-2:]
     _, state = forecaster(forecaster.init(before), before, 0.25, 4)
@@ -104,7 +116,7 @@ def test_what_is_remembered_goes_in_and_comes_out(observed, scenario_of):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("far_m", 0.0), ("preferred_speed_mps", 0.0), ("tolerance_mps", 0.0), ("courses", 0)],
+    [("preferred_speed_mps", 0.0), ("directions", 0), ("stays", 2.0)],
 )
 def test_numbers_out_of_range_are_refused(name, value):
     with pytest.raises(ValueError, match=name):

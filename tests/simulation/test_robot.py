@@ -14,20 +14,19 @@ def action_of(first, second):
     return torch.tensor((first, second), dtype=torch.float64).expand(3, 2)
 
 
-def test_a_holonomic_robot_moves_by_its_velocity_and_keeps_its_heading():
-    robot = HolonomicRobot()
-    travel = robot.step(robot.start(SCENE), action_of(0.5, -1.0), 0.2)
+@pytest.mark.parametrize(
+    ("robot", "action", "step_s", "way", "turn"),
+    [
+        (HolonomicRobot(), (0.5, -1.0), 0.2, (0.1, -0.2), 0.0),
+        (UnicycleRobot(), (1.0, math.pi / 2), 0.5, (-0.5, 0.0), math.pi / 2),
+    ],
+    ids=["by its velocity, the heading kept", "turned first, then driven"],
+)
+def test_a_robot_moves_as_its_kind_does(robot, action, step_s, way, turn):
+    travel = robot.step(robot.start(SCENE), action_of(*action), step_s)
     moved = travel.state.position - SCENE.robot_position
-    assert torch.allclose(moved, action_of(0.1, -0.2))
-    assert torch.equal(travel.state.heading, SCENE.robot_heading)
-
-
-def test_a_unicycle_turns_first_and_then_drives():
-    robot = UnicycleRobot()
-    travel = robot.step(robot.start(SCENE), action_of(1.0, math.pi / 2), 0.5)
-    moved = travel.state.position - SCENE.robot_position
-    assert torch.allclose(moved, action_of(-0.5, 0.0))
-    assert torch.allclose(travel.state.heading, torch.tensor(math.pi).double())
+    assert torch.allclose(moved, action_of(*way))
+    assert torch.allclose(travel.state.heading, SCENE.robot_heading + turn)
 
 
 def test_the_heading_of_a_unicycle_stays_within_a_full_turn():

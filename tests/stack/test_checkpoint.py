@@ -55,10 +55,16 @@ def test_a_pickle_runs_nothing(tmp_path):
     mark = tmp_path / "mark"
     (tmp_path / "plain.ckpt").write_bytes(pickle.dumps(Runs(mark)))
     torch.save({"state_dict": Runs(mark)}, tmp_path / "zip.ckpt")
-    for name in ("plain.ckpt", "zip.ckpt"):
-        with pytest.raises(ValueError, match="`checkpoint` must be readable"):
-            read_checkpoint(tmp_path / name)
+    for name, found in (("plain", "no checkpoint"), ("zip", r"[\w.]*eval in it")):
+        with pytest.raises(ValueError, match=f"must be readable.*, but got {found}"):
+            read_checkpoint(tmp_path / f"{name}.ckpt")
     assert not mark.exists()
+
+
+def test_what_is_none_is_told_without_the_advice_of_torch(tmp_path):
+    (tmp_path / "a.ckpt").write_bytes(pickle.dumps({"a": (1, 2)})[:-3] + b"x..")
+    with pytest.raises(ValueError, match="must be readable, but got no checkpoint in"):
+        read_checkpoint(tmp_path / "a.ckpt")
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,8 @@ from diffstack_mmv.prediction.goal_baselines import hermite_spline
 from diffstack_mmv.stack import DiffStackMMV, LossWeights, PathToGoal, PredictedPath
 from diffstack_mmv.types import Mode, Motion, StackBatch, Tracks, map_tensors
 from diffstack_mmv.vehicles import load_vehicle
+from dmmv_conventions.progress import shown_by
+from tests.heard import Heard
 
 STEPS = 8
 
@@ -163,9 +165,10 @@ def test_training_goes_on_where_nothing_can_be_compiled(monkeypatch, caplog):
     stack.log_dict = lambda *args, **kwargs: None
     expected = stack.training_step(batch_of(), 0)
     stack.planner.solver = ILQR(compile=True)
-    with caplog.at_level("INFO"):
+    with caplog.at_level("INFO"), shown_by(heard := Heard()):
         loss = stack.training_step(batch_of(), 0)
         loss.backward()
+    assert "compile the solver for DiffKBM: attempt" in heard.titles
     assert loss.item() == pytest.approx(expected.item(), rel=1e-5)
     assert stack.planner.cost.log_weight.grad.abs().max() > 0
     assert "Compiling the solver for DiffKBM" in caplog.text

@@ -88,7 +88,6 @@ def test_a_truck_is_a_whole_number_however_it_is_written(content):
     assert [repr(wheel.truck) for wheel in wheels] == ["0", "0"]
 
 
-def test_optional_parameters_are_neutral(content):
-    parameters = VehicleSpec.from_config(content).parameters
-    assert parameters["length_scale"].initial == 1.0
-    assert parameters["drag"].initial == 0.0
+@pytest.mark.parametrize(("name", "neutral"), [("length_scale", 1.0), ("drag", 0.0)])
+def test_optional_parameters_are_neutral(content, name, neutral):
+    assert VehicleSpec.from_config(content).parameters[name].initial == neutral

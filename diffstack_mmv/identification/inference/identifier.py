@@ -33,6 +33,7 @@ from diffstack_mmv.identification.shooting.fit import (
 from diffstack_mmv.identification.shooting.linearisation import TrackSimulator
 from diffstack_mmv.identification.shooting.multiple_shooting import MultipleShooting
 from diffstack_mmv.identification.shooting.tracking import LevenbergMarquardt, infer_controls
+from dmmv_conventions.progress import counted, waiting
 
 logger = logging.getLogger(__name__)
 
@@ -85,7 +86,8 @@ class Identifier:
             data: Tracks to fit and tracks to judge by.
         """
         theta = simulator.parameters.start()
-        before = self._tracked(simulator, data, theta, None)
+        with waiting("track with the prior"):
+            before = self._tracked(simulator, data, theta, None)
         logger.info("Tracked with the prior: cost %.3f", float(before.fitted.simulated.cost.sum()))
         prior = analyse_optimum(simulator, data.fitted, before).sensitivity
         informed = prior.conditional_ratio <= self.thresholds.informed
@@ -123,7 +125,8 @@ class Identifier:
         found = [first]
         if not bool(active.any()):
             return (first,)
-        for theta in sobol_starts(simulator.parameters, self.starts):
+        starts = sobol_starts(simulator.parameters, self.starts)
+        for theta in counted(starts, "search other optima", "start"):
             start = torch.where(active, theta, first.fit.theta)
             before = self._from(simulator, data, first.fit, start)
             fit = self._fitted(self.search, simulator, data, before, active)

@@ -7,6 +7,7 @@ serves any number of agents, and what it computes in between stays in the cache.
 import functools
 import logging
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import torch
@@ -21,6 +22,7 @@ from diffstack_mmv.prediction.trajectron.jacobians import (
     linearise,
     linearised_columns,
 )
+from dmmv_conventions.progress import waiting
 
 LOGGER = logging.getLogger(__name__)
 COLUMNS = 512
@@ -210,6 +212,7 @@ class Compiled:
         from torch._dynamo.exc import TorchDynamoException
         from torch._inductor.exc import InductorError
 
+        first = self.run is None
         if self.run is None:
             options: dict[str, Any] = {"loop_ordering_after_fusion": False}
             if tensors[0].device.type == "cpu":
@@ -217,7 +220,8 @@ class Compiled:
             LOGGER.info("Compiling the decoder of the predictor: %s", self.function.__name__)
             self.run = torch.compile(self.function, fullgraph=True, dynamic=False, options=options)
         try:
-            with torch.no_grad():
+            wait = waiting("compile the decoder of the predictor") if first else nullcontext()
+            with wait, torch.no_grad():
                 plain = (tensor.detach() for tensor in tensors)
                 found: tuple[Tensor, ...] = self.run(dynamics, *plain)
                 return found

@@ -87,9 +87,9 @@ class Gallery:
     title: str
     files: Sequence[Path]
 
-    def pictures(self) -> list[tuple[str, str]]:
-        """Name and address (with the whole content) of each picture."""
-        return [(file.stem.replace("_", " "), _address(file)) for file in self.files]
+    def pictures(self) -> list[tuple[str, str, bool]]:
+        """Name and address (with the whole content) of each picture, and whether it is wide."""
+        return [(_caption(file), _address(file), _is_wide(file)) for file in self.files]
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def plain(values: Any, digits: int = 4) -> Any:
 
 def frame_table(title: str, frame: pd.DataFrame, index: bool = False, digits: int = 3) -> Table:
     """A table from a data frame; unknown numbers are dashes."""
-    shown = frame.reset_index() if index else frame
+    shown = frame.rename_axis(index=str(frame.index.name or "")).reset_index() if index else frame
     rows = [[cell(value, digits) for value in row] for row in shown.itertuples(index=False)]
     return Table(title, [str(name) for name in shown.columns], rows)
 
@@ -157,6 +157,18 @@ def _without_nan(values: Any) -> Any:
     if isinstance(values, list):
         return [_without_nan(value) for value in values]
     return None if math.isnan(values) else values
+
+
+def _caption(file: Path) -> str:
+    moving = ", animated" if file.suffix == ".gif" else ""
+    return file.stem.replace("_", " ") + moving
+
+
+def _is_wide(file: Path) -> bool:
+    """Whether a PNG has panels side by side, which are too small to read at half the width."""
+    head = file.read_bytes()[:24]
+    width, height = int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
+    return head.startswith(b"\x89PNG") and width > 2 * height
 
 
 def _address(file: Path) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffstack_mmv.reporting.html.blocks import plain
+from diffstack_mmv.reporting.html.quantities import quantity
 
 Array = NDArray[Any]
 FAINT = 0.1  # weight of an ellipse among many
@@ -103,7 +104,7 @@ def driven_scene(
     place, heading = arrays["motion.position"][row, :end], arrays["motion.heading"][row, :end]
     robot = np.concatenate([place, heading[:, None]], 1)
     agents = arrays["pedestrians"][row, :end]
-    bodies = [{"name": "robot", "role": "plan", "path": plain(robot, 3), "shape": _shape(around)}]
+    bodies = [{"name": "robot", "role": "robot", "path": plain(robot, 3), "shape": _shape(around)}]
     for number in np.flatnonzero(np.isfinite(agents).any((0, 2))):
         path = np.concatenate([agents[:, number], np.full((end, 1), np.nan)], 1)
         walked = {"name": f"pedestrian {number + 1}", "role": "agent", "path": plain(path, 3)}
@@ -113,14 +114,14 @@ def driven_scene(
     series.append({"name": "speed [m/s]", "values": plain(speed, 3)})
     for column, values in enumerate(arrays["controls"][row, :steps].T):
         named = around.controls[column] if column < len(around.controls) else f"control {column}"
-        series.append({"name": named, "values": [*plain(values, 3), None]})
+        series.append({"name": quantity(named), "values": [*plain(values, 3), None]})
     return {
         "title": title,
         "times": plain(around.dt_s * np.arange(end)),
         "start": 0,
         "goal": list(around.goal_m) if around.goal_m else None,
         "bodies": bodies,
-        "lines": [{"role": "plan", "points": plain(place, 3)}],
+        "lines": [{"role": "robot", "points": plain(place, 3)}],
         "frames": [_thought(arrays, row, step) for step in range(end)],
         "series": series,
     }

@@ -1,14 +1,17 @@
 """Tables of comparisons and of the paper, and trajectories of open-loop runs."""
 
+import re
 from pathlib import Path
 
 import pandas as pd
 
 from diffstack_mmv.reporting.files import told_as_broken
 from diffstack_mmv.reporting.html.blocks import Block, Chart, Section, frame_table
+from diffstack_mmv.reporting.html.quantities import quantity
 
 TABLES = {"table.csv": "Comparison", "tests.csv": "Paired tests", "results.csv": "Results"}
 """File -> title."""
+LONG = re.compile(r"-?\d+\.\d{5,}(e-?\d+)?")
 
 
 def read_tables(folder: Path) -> list[Section]:
@@ -18,8 +21,16 @@ def read_tables(folder: Path) -> list[Section]:
         file = folder / name
         # a comparison without a pair has no test, and a file without a column
         if file.is_file() and file.read_text(encoding="utf-8").strip():
-            blocks.append(frame_table(title, pd.read_csv(file, dtype=object)))
+            # as text, so that what `compare` has rounded stays as it is
+            blocks.append(frame_table(title, pd.read_csv(file, dtype=object).map(_rounded)))
     return [Section("Tables", blocks)] if blocks else []
+
+
+def _rounded(told: object) -> object:
+    """A number with more digits than anybody reads, with four."""
+    if not isinstance(told, str) or not LONG.fullmatch(told):
+        return told
+    return f"{float(told):.4g}"
 
 
 def _trajectory(file: Path) -> pd.DataFrame:
@@ -40,9 +51,9 @@ def read_trajectories(folder: Path) -> list[Section]:
     columns = dict.fromkeys(name for frame in frames.values() for name in frame.columns[1:])
     charts = [
         Chart(
-            column,
-            str(next(iter(frames.values())).columns[0]),
-            column,
+            column.replace("_", " "),
+            quantity(str(next(iter(frames.values())).columns[0])),
+            quantity(column),
             {
                 name: (frame.iloc[:, 0].tolist(), frame[column].tolist())
                 for name, frame in frames.items()

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.simulation.pedestrians.base import CrowdState, VisibleRobot
+from dmmv_conventions.extras import needs
 
 PACKAGE = "pysocialforce"
 LEFT_BEHIND = "file.log"
@@ -119,12 +120,8 @@ def _library() -> ModuleType:
     was_there = Path(LEFT_BEHIND).exists()
     logging.disable(logging.INFO)
     try:
-        return importlib.import_module(PACKAGE)
-    except ModuleNotFoundError as missing:
-        raise ModuleNotFoundError(
-            f"The social force crowd needs the package `{PACKAGE}`, but got none. "
-            "Install it with: pip install 'diffstack_mmv[crowd]'"
-        ) from missing
+        with needs("crowd", "crowd=social_force"):
+            return importlib.import_module(PACKAGE)
     finally:
         logging.disable(disabled)
         root.setLevel(level)

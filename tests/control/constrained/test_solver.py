@@ -127,18 +127,18 @@ def test_what_the_box_does_not_allow_is_infeasible():
     assert brought([far], weak).infeasible.all()
 
 
-def test_a_state_that_is_given_cannot_be_constrained():
-    late, always = slice(1, None), slice(None)
+@pytest.mark.parametrize(
+    ("times", "status"),
+    [(slice(None), SolverStatus.INFEASIBLE), (slice(1, None), SolverStatus.CONVERGED)],
+)
+def test_a_state_that_is_given_cannot_be_constrained(times, status):
     moving = torch.tensor([[1.5, 1.2]])
 
     def limit(states, forces):
         return states[..., 1:] - 1
 
-    for times, status in ((always, SolverStatus.INFEASIBLE), (late, SolverStatus.CONVERGED)):
-        found = SOLVER(
-            cart, reach, [Inequality(limit, times=times)], BOX, moving, torch.zeros(1, 9, 1)
-        )
-        assert found.status.tolist() == [status]
+    found = SOLVER(cart, reach, [Inequality(limit, times=times)], BOX, moving, torch.zeros(1, 9, 1))
+    assert found.status.tolist() == [status]
 
 
 def test_redundant_constraints_do_no_harm():
@@ -245,13 +245,21 @@ def test_too_few_iterations_are_a_status():
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_arguments_that_do_not_fit_are_refused():
-    with pytest.raises(ValueError, match=r"constraints\[0\].*must return values of shape"):
-        brought([Inequality(lambda x, u: x[..., 1:, :1])])
-    with pytest.raises(ValueError, match=r"slack.linear.*must be zero or positive"):
-        brought([Inequality(wall, Slack(linear=-1.0))])
-    with pytest.raises(ValueError, match=r"slack.quadratic.*must broadcast"):
-        brought([Inequality(wall, Slack(quadratic=torch.ones(7, 5)))])
+@pytest.mark.parametrize(
+    ("limit", "given", "told"),
+    [
+        (lambda x, u: x[..., 1:, :1], {}, r"constraints\[0\].*must return values of shape"),
+        (wall, {"slack": Slack(linear=-1.0)}, r"slack.linear.*must be zero or positive"),
+        (wall, {"slack": Slack(quadratic=torch.ones(7, 5))}, r"slack.quadratic.*must broadcast"),
+    ],
+)
+def test_constraints_that_do_not_fit_are_refused(limit, given, told):
+    with pytest.raises(ValueError, match=told):
+        brought([Inequality(limit, **given)])
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_multipliers_and_a_tolerance_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="multipliers.*must have shape"):
         brought([Inequality(wall)], multipliers=[torch.zeros(3, 16, 2)])
     with pytest.raises(ValueError, match="tolerance.*must be positive"):

@@ -53,10 +53,10 @@ def test_consistent_force_never_leaves_the_friction_circle(slip_x, slip_y, load,
     assert torch.hypot(force_x, force_y) <= 0.8 * load * (1 + 1e-9) + 1e-4
 
 
-def test_printed_laws_leave_the_friction_circle_in_combined_slip():
-    for law in (PaperBrush(), SharpBrush()):
-        force_x, force_y, _ = bicycle_forces(law, 1.0, 1.0)
-        assert torch.hypot(force_x, force_y) > 1.2 * 0.8 * 500
+@pytest.mark.parametrize("law", [PaperBrush(), SharpBrush()])
+def test_printed_laws_leave_the_friction_circle_in_combined_slip(law):
+    force_x, force_y, _ = bicycle_forces(law, 1.0, 1.0)
+    assert torch.hypot(force_x, force_y) > 1.2 * 0.8 * 500
 
 
 def test_small_slip_gives_the_cornering_stiffness():

@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import pytest
 
 from diffstack_mmv.reporting.html import read_page, render, write_page
-from diffstack_mmv.reporting.html.blocks import cell, plain
+from diffstack_mmv.reporting.html.blocks import Gallery, cell, plain
 from tests.reporting.html import runs
 
 VOID = {"meta", "link", "img", "input", "br"}
@@ -132,6 +132,21 @@ def test_a_report_of_an_earlier_version_is_shown_as_far_as_it_goes(tmp_path):
 def test_a_folder_without_results_is_refused(tmp_path):
     with pytest.raises(ValueError, match="`runs` must name folders with results, but got none in"):
         page_of(tmp_path)
+
+
+def test_a_table_tells_no_more_digits_than_anybody_reads(tmp_path):
+    (tmp_path / "tests.csv").write_text("pair,Δ,n\na - b,-0.10888412594795227,2\nc,0.1,-\n")
+    (section,) = read_page(tmp_path, runs.TITLES).sections
+    assert section.blocks[0].rows == [["a - b", "-0.1089", "2"], ["c", "0.1", "-"]]
+
+
+@pytest.mark.parametrize(("width", "height", "wide"), [(300, 100, True), (300, 200, False)])
+def test_a_picture_of_panels_side_by_side_gets_the_whole_width(tmp_path, width, height, wide):
+    head = b"\x89PNG\r\n\x1a\n" + bytes([0, 0, 0, 13]) + b"IHDR"
+    file = tmp_path / "plans_bicycle.png"
+    file.write_bytes(head + width.to_bytes(4, "big") + height.to_bytes(4, "big"))
+    ((name, _, found),) = Gallery("", [file]).pictures()
+    assert (name, found) == ("plans bicycle", wide)
 
 
 def test_unknown_numbers_are_none_in_records_and_dashes_in_tables():

@@ -18,7 +18,7 @@ def crowd():
 
 def test_a_missing_library_is_named_with_its_remedy(monkeypatch):
     def refuse(name):
-        raise ModuleNotFoundError(f"No module named {name!r}")
+        raise ModuleNotFoundError(name=name)
 
     monkeypatch.setattr(importlib, "import_module", refuse)
     with pytest.raises(ModuleNotFoundError, match=r"pysocialforce.*diffstack_mmv\[crowd\]"):

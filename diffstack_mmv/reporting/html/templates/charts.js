@@ -23,11 +23,11 @@ function read(element) {
   return JSON.parse(element.querySelector("script").textContent);
 }
 
-// about `count` round numbers in [low, high]
-function ticks(low, high, count = 5) {
+// about `count` round numbers in [low, high], no closer than `least`
+function ticks(low, high, count = 5, least = 0) {
   const rough = (high - low) / count;
   const power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].map((factor) => factor * power).find((each) => each >= rough);
+  const step = [1, 2, 5, 10].map((factor) => factor * power).find((each) => each >= Math.max(rough, least)) ?? least;
   const found = [];
   for (let value = Math.ceil(low / step) * step; value <= high + 1e-9 * step; value += step) found.push(value);
   return found;
@@ -52,15 +52,15 @@ function range(values) {
   return [low - 0.5 * reach, high + 0.5 * reach];
 }
 
-// frame, grid and titles; returns both scales
-function axes(picture, size, xs, ys, xTitle, yTitle) {
+// frame, grid and titles; returns both scales. Numbers of epochs and cases are told as whole ones
+function axes(picture, size, xs, ys, xTitle, yTitle, whole = false) {
   const x = scale(...xs, size.left, size.width - size.right);
   const y = scale(...ys, size.height - size.bottom, size.top);
   for (const value of ticks(...ys)) {
     svg("line", { x1: size.left, x2: size.width - size.right, y1: y(value), y2: y(value), stroke: "#e6e9ec" }, picture);
     svg("text", { x: size.left - 5, y: y(value) + 4, "text-anchor": "end" }, picture).textContent = told(value);
   }
-  for (const value of xTitle === null ? [] : ticks(...xs, 6)) {
+  for (const value of xTitle === null ? [] : ticks(...xs, 6, whole ? 1 : 0)) {
     svg("text", { x: x(value), y: size.height - size.bottom + 14, "text-anchor": "middle" }, picture).textContent = told(value);
   }
   const middle = (size.left + size.width - size.right) / 2;
@@ -74,7 +74,8 @@ function legend(figure, names, toggle) {
   const box = html("div", figure, "", "legend");
   names.forEach((name, index) => {
     const entry = html("span", box);
-    html("i", entry).style.background = PALETTE[index % PALETTE.length];
+    const swatch = html("i", entry, "", index >= PALETTE.length ? "dashed" : "");
+    swatch.style.color = PALETTE[index % PALETTE.length];
     entry.appendChild(document.createTextNode(name));
     entry.addEventListener("click", () => toggle(index, entry.classList.toggle("off")));
   });
@@ -94,7 +95,8 @@ function drawLines(figure) {
   const picture = svg("svg", { width: SIZE.width, height: SIZE.height, viewBox: `0 0 ${SIZE.width} ${SIZE.height}` }, figure);
   const xs = range(content.lines.flatMap((line) => line.x));
   const ys = range(content.lines.flatMap((line) => line.y));
-  const place = axes(picture, SIZE, xs, ys, content.x, content.y);
+  const whole = content.lines.every((line) => line.x.every(Number.isInteger));
+  const place = axes(picture, SIZE, xs, ys, content.x, content.y, whole);
   const groups = content.lines.map((line, index) => {
     const color = PALETTE[index % PALETTE.length];
     const group = svg("g", { stroke: color, fill: "none", "stroke-width": 1.7 }, picture);
@@ -130,8 +132,8 @@ function drawBars(figure) {
   const content = read(figure);
   const names = Object.keys(content.values);
   const longest = Math.max(...content.groups.map((name) => name.length));
-  const needed = Math.max(names.length * 12 + 18, longest * 6.5);
-  const size = { ...SIZE, width: Math.max(SIZE.width, 70 + content.groups.length * needed) };
+  const needed = Math.max(names.length * 10 + 14, longest * 6);
+  const size = { ...SIZE, width: Math.max(SIZE.width, SIZE.left + SIZE.right + content.groups.length * needed) };
   const picture = svg("svg", { width: size.width, height: size.height, viewBox: `0 0 ${size.width} ${size.height}` }, figure);
   const [low, high] = range(Object.values(content.values).flat().concat(0));
   const place = axes(picture, size, [0, content.groups.length], [Math.min(low, 0), high], null, content.y);

@@ -2,7 +2,7 @@
 // Scenes that play: a slider over time, layers that can be hidden, and series under the picture.
 const LAYERS = {
   candidate: "candidates", prediction: "prediction", ellipse: "forecast, 90 %", agent: "agents", human: "human", plan: "plan",
-  intent: "plan of the moment",
+  robot: "robot and its way", intent: "plan of the moment",
 };
 const NINETY = 4.605; // 90 % of a planar Gaussian lie within this squared distance in deviations
 
@@ -40,7 +40,8 @@ class Player {
       if (tick.checked) this.hidden.delete(role); else this.hidden.add(role);
       this.draw();
     });
-    label.appendChild(document.createTextNode(` ${name}`));
+    html("i", label, "", role === "ellipse" ? "prediction" : role);
+    label.appendChild(document.createTextNode(name));
   }
 
   choose(number) {
@@ -158,7 +159,7 @@ class Player {
   series() {
     const box = this.box.querySelector(".series");
     box.replaceChildren();
-    const size = { width: 340, height: 130, left: 48, right: 8, top: 8, bottom: 32 };
+    const size = { width: 270, height: 130, left: 48, right: 8, top: 8, bottom: 32 };
     this.cursors = this.scene.series.map((each) => {
       const picture = svg("svg", { width: size.width, height: size.height }, box);
       const place = axes(picture, size, range(this.scene.times), range(each.values), "time [s]", each.name);

@@ -1,0 +1,140 @@
+"""Takes down a problem as tensor operations, with the tensors that its callables hide as inputs."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffstack_mmv.control.native.lowering import CannotLowerError, Lowering
+from diffstack_mmv.control.native.operations import HANDLERS
+from diffstack_mmv.control.native.scalar import Program
+from diffstack_mmv.control.native.stages import Sizes, StagedProblem, staged
+from diffstack_mmv.control.optimizer import Cost, Dynamics
+
+
+def evaluate(
+    dynamics: Dynamics, cost: Cost, states: Tensor, controls: Tensor
+) -> tuple[Tensor, Tensor]:
+    """The state after the first one, and the cost of all times: all that a problem is."""
+    return dynamics(states[..., 0, :], controls[..., 0, :]), cost(states, controls)
+
+
+class Trajectory(NamedTuple):
+    """Where a problem is taken down; only the shapes matter."""
+
+    states: Tensor
+    controls: Tensor
+
+
+class Captured:
+    """A problem as a graph, and as stages once it has been called."""
+
+    def __init__(self, graph: torch.fx.GraphModule) -> None:
+        self.graph = graph
+        self.places: list[int | None] = []  # of states and controls among the inputs
+        self.problem: StagedProblem | None = None
+        self.outputs: tuple[Tensor, ...] = ()
+
+    def take(self, inputs: Sequence[Tensor], at: Trajectory) -> StagedProblem:
+        """The stages, from the graph at the first call."""
+        if self.problem is None:
+            found = {id(each): position for position, each in enumerate(inputs)}
+            self.places = [found.get(id(wanted)) for wanted in at]
+            self.problem = self._staged(inputs, at)
+        return self.problem
+
+    def parameters(self, inputs: Sequence[Tensor]) -> list[Tensor]:
+        """What the callables hide, in the order of the leaves ("p", k)."""
+        return [each for i, each in enumerate(inputs) if i not in self.places]
+
+    def _staged(self, inputs: Sequence[Tensor], at: Trajectory) -> StagedProblem:
+        from torch._decomp import core_aten_decompositions
+        from torch.fx.experimental.proxy_tensor import make_fx
+
+        table: Any = core_aten_decompositions()
+        with torch.no_grad():
+            core = make_fx(self.graph.forward, decomposition_table=table)(*inputs)
+            self.outputs = tuple(self.graph(*inputs))
+        program = Program()
+        following, costs = Lowering(program, HANDLERS)(core, self._leaves(program, inputs))
+        count = sum(each.numel() for each in self.parameters(inputs))
+        (rows, n), m = at.states.shape[-2:], at.controls.shape[-1]
+        sizes = Sizes(n, m, rows - 1, count)
+        shapes = (following.size, costs.size)
+        if shapes != (n, rows):
+            raise CannotLowerError(f"{shapes} results instead of {(n, rows)}")
+        return staged(program, list(following.flat), list(costs.flat), sizes)
+
+    def _leaves(self, program: Program, inputs: Sequence[Tensor]) -> list[np.ndarray]:
+        leaves, count = [], 0
+        for position, each in enumerate(inputs):
+            if position in self.places:
+                kind = "xu"[self.places.index(position)]
+                leaves.append(_trajectory(program, kind, each))
+            else:
+                numbers = (program.leaf("p", count + k) for k in range(each.numel()))
+                entries = np.fromiter(numbers, dtype=object).reshape(each.shape)
+                leaves.append(_typed(program, entries, each.dtype))
+                count += each.numel()
+        return leaves
+
+
+def _trajectory(program: Program, kind: str, like: Tensor) -> np.ndarray:
+    entries = np.empty(like.shape, dtype=object)
+    for index in np.ndindex(*like.shape):
+        entries[index] = program.leaf(kind, index[-2], index[-1])
+    return entries
+
+
+def _typed(program: Program, entries: np.ndarray, dtype: torch.dtype) -> np.ndarray:
+    if dtype.is_floating_point:
+        return entries
+    if dtype != torch.bool:
+        raise CannotLowerError(f"a tensor of {dtype}")
+    return np.frompyfunc(program.truth, 1, 1)(entries)
+
+
+class Taken(NamedTuple):
+    """A problem with the numbers of one call."""
+
+    captured: Captured
+    problem: StagedProblem
+    parameters: list[Tensor]
+
+
+class Recorder:
+    """Takes down problems of one kind; new closures of the same code reuse what is known.
+
+    Args:
+        function: `evaluate`, or a copy of it with a cache of its own.
+    """
+
+    def __init__(self, function: Callable[..., Any] = evaluate) -> None:
+        self._at = Trajectory(torch.empty(0), torch.empty(0))
+        self._taken: Taken | None = None
+        self._call = torch.compile(function, backend=self._backend, fullgraph=True, dynamic=False)
+
+    def __call__(self, dynamics: Dynamics, cost: Cost, at: Trajectory) -> Taken:
+        """The stages of a problem, and its parameters.
+
+        Raises:
+            CannotLowerError: It has no scalar form.
+        """
+        self._at, self._taken = at, None
+        with torch.no_grad():
+            self._call(dynamics, cost, *at)
+        if self._taken is None:
+            raise CannotLowerError("a problem without operations")
+        return self._taken
+
+    def _backend(self, graph: torch.fx.GraphModule, _: Sequence[Any]) -> Callable[..., Any]:
+        captured = Captured(graph)
+
+        def take(*inputs: Tensor) -> tuple[Tensor, ...]:
+            problem = captured.take(inputs, self._at)
+            self._taken = Taken(captured, problem, captured.parameters(inputs))
+            return captured.outputs
+
+        return take

@@ -1,0 +1,99 @@
+"""C++ functions of scalar programs."""
+
+import math
+from collections.abc import Iterable, Sequence
+
+from diffstack_mmv.control.native.scalar import CONSTANT, LEAF, Node, Program, needed
+
+SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+BINARY_FUNCTIONS = frozenset({"max", "min", "pow", "atan2", "fmod"})
+
+
+def literal(value: float | bool) -> str:
+    """A constant in C++, exact."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if math.isfinite(value):
+        return f"Real({value!r})"
+    limits = "std::numeric_limits<Real>"
+    if math.isnan(value):
+        return f"{limits}::quiet_NaN()"
+    return f"{'-' if value < 0 else ''}{limits}::infinity()"
+
+
+class Writer:
+    """Writes the operations of one function.
+
+    Args:
+        program: The program.
+        numbers: Names of the leaves that are plain numbers; all others are of type V.
+    """
+
+    def __init__(self, program: Program, numbers: str) -> None:
+        self.program = program
+        self.numbers = numbers
+        self.plain: set[Node] = set()  # of the type Real (or bool) whatever V is
+
+    def lines(self, wanted: Iterable[Node]) -> list[str]:
+        """Definitions of all that some nodes need."""
+        return [
+            f"  const {self._type(node)} {self.name(node)} = {self._expression(node)};"
+            for node in needed(self.program, wanted)
+            if self.program.operations[node][0] != CONSTANT
+        ]
+
+    def name(self, node: Node) -> str:
+        """A node in an expression."""
+        operation = self.program.operations[node]
+        return literal(operation[1]) if operation[0] == CONSTANT else f"v{node}"
+
+    def lifted(self, node: Node) -> str:
+        """The same with the type V."""
+        is_plain = node in self.plain or self.program.operations[node][0] == CONSTANT
+        return f"lift<V>({self.name(node)})" if is_plain else self.name(node)
+
+    def _type(self, node: Node) -> str:
+        operation = self.program.operations[node]
+        truth = self.program.is_truth(node)
+        if self._is_plain(operation):
+            self.plain.add(node)
+            return "bool" if truth else "Real"
+        return "TruthOf<V>" if truth else "V"
+
+    def _is_plain(self, operation: tuple) -> bool:
+        if operation[0] == LEAF:
+            return operation[1] in self.numbers
+        return all(
+            each in self.plain or self.program.operations[each][0] == CONSTANT
+            for each in operation[1:]
+        )
+
+    def _expression(self, node: Node) -> str:
+        name, *arguments = self.program.operations[node]
+        if name == LEAF:
+            return f"{arguments[0]}[{arguments[1]}]"
+        plain = node in self.plain
+        if name in SIGNS:
+            a, b = map(self.name, arguments)
+            return f"{a} {SIGNS[name]} {b}"
+        if name == "neg":
+            return f"-{self.name(arguments[0])}"
+        if name == "where" and self.program.is_truth(node):
+            c, a, b = map(self.name, arguments)
+            return f"op_or(op_and({c}, {a}), op_and(op_not({c}), {b}))"
+        one_type = name == "where" or name in BINARY_FUNCTIONS
+        written = self.name if plain or not one_type else self.lifted
+        if name == "where":
+            condition, a, b = arguments
+            return f"choose({self.name(condition)}, {written(a)}, {written(b)})"
+        return f"op_{name}({', '.join(map(written, arguments))})"
+
+
+def function(
+    signature: str, program: Program, numbers: str, outputs: Sequence[tuple[str, Node]]
+) -> str:
+    """A function that computes outputs (where to, what) of a type V."""
+    writer = Writer(program, numbers)
+    lines = writer.lines([node for _, node in outputs])
+    ends = [f"  {place} = {writer.lifted(node)};" for place, node in outputs]
+    return "\n".join([f"{signature} {{", *lines, *ends, "}"])

@@ -1,0 +1,259 @@
+"""The C++ source of a solver for one problem."""
+
+from collections.abc import Iterable, Sequence
+from importlib.resources import files
+from typing import NamedTuple
+
+from diffstack_mmv.control.native.code import function, literal
+from diffstack_mmv.control.native.derivative import gradient
+from diffstack_mmv.control.native.scalar import Node, Program, needed
+from diffstack_mmv.control.native.stages import Sizes, Stage, StagedProblem
+from diffstack_mmv.types import SolverStatus
+
+LANES = 8  # of the numbers with slopes, as in numbers.hpp
+SLOPES_COST = 3  # operations on packs that one on numbers with slopes takes
+LONGEST_GRADIENT = 1500
+"""Operations of a gradient beyond which its derivatives are not even tried to be written out."""
+
+TEMPLATE, POINT = "template <class V> static", "const V* x, const V* u"
+HEADERS = ("numbers", "small", "stage", "solver")
+ENTRIES = {"solve": ("solve",), "adjoint": ("adjoint",)}
+"""Headers that each library has besides, with its functions for the caller."""
+
+
+class Derived(NamedTuple):
+    """A stage with its gradient by state and control, weighted by leaves ("l", i)."""
+
+    stage: Stage
+    gradient: tuple[Node, ...]
+    jacobian: tuple[Node, ...]  # (outputs, n + m)
+    hessian: tuple[Node, ...] | None  # of the weighted sum of the outputs; None: too long
+    active: tuple[int, ...]  # columns of the Jacobian of the stage that are not constant
+    constants: tuple[tuple[float, ...], ...]  # that Jacobian, zero where it is not constant
+
+
+def source(problem: StagedProblem, library: str, real: str) -> str:
+    """A whole library: the generated functions of the problem between fixed headers.
+
+    Args:
+        problem: The stages.
+        library: "solve" or "adjoint".
+        real: "float" or "double".
+    """
+    status = {name: int(SolverStatus[name]) for name in ("CONVERGED", "STALLED", "NOT_FINITE")}
+    status["LIMIT"] = int(SolverStatus.ITERATION_LIMIT)
+    parts = [
+        "#include <cmath>",
+        "#include <type_traits>",
+        "#include <utility>",
+        f"typedef {real} Real;",
+        *(f"#define DMMV_{name} {value}" for name, value in status.items()),
+        *map(header, HEADERS),
+        *_problem(problem, library == "adjoint"),
+        *map(header, ENTRIES[library]),
+    ]
+    return "\n".join(parts) + "\n"
+
+
+def header(name: str) -> str:
+    """A fixed part of every source, without its own inclusions."""
+    text = files("diffstack_mmv.control.native").joinpath(f"{name}.hpp").read_text()
+    return "\n".join(
+        line for line in text.splitlines() if not line.startswith(('#include "', "#pragma once"))
+    )
+
+
+def _problem(problem: StagedProblem, adjoint: bool) -> list[str]:
+    n, m, steps, parameters = problem.sizes
+    widest = max(len(numbers) for numbers in problem.cost_numbers)
+    step = derived(problem.step, problem.sizes)
+    costs = [derived(cost, problem.sizes) for cost in problem.costs]
+    lines = [
+        "using namespace dmmv;",
+        "struct Problem {",
+        f"static constexpr int n = {n}, m = {m}, T = {steps}, PARAMETERS = {parameters};",
+        f"static constexpr int NUMBERS = {len(problem.numbers)}, COST_NUMBERS = {widest};",
+        f"static constexpr int STEP_NUMBERS = {len(problem.step_numbers)};",
+        _table("int", "step_numbers", problem.step_numbers),
+        _table("int", "cost_kind", problem.kinds),
+        _rows("cost_numbers", problem.cost_numbers, widest),
+        _prelude(problem),
+        *_step(step),
+        *_costs(costs),
+    ]
+    if adjoint:
+        lines += [_prelude_adjoint(problem), *_number_gradients(step, costs)]
+    return [*lines, "};"]
+
+
+def derived(stage: Stage, sizes: Sizes) -> Derived:
+    """Differentiate a stage."""
+    n, m, *_ = sizes
+    program = stage.program
+    inputs = [program.leaf("x", i) for i in range(n)] + [program.leaf("u", j) for j in range(m)]
+    one = program.constant(1.0)
+    jacobian = [gradient(program, {output: one}, inputs) for output in stage.outputs]
+    values = [[program.value(entry) for entry in row] for row in jacobian]
+    constants = tuple(tuple(0.0 if v is None else v for v in row) for row in values)
+    active = tuple(i for i in range(n + m) if any(row[i] is None for row in values))
+    slopes = tuple(weighted_gradient(stage, inputs))
+    flat = tuple(entry for row in jacobian for entry in row)
+    return Derived(stage, slopes, flat, _hessian(stage, slopes, inputs), active, constants)
+
+
+def _hessian(
+    stage: Stage, slopes: Sequence[Node], inputs: Sequence[Node]
+) -> tuple[Node, ...] | None:
+    program = stage.program
+    if len(needed(program, slopes)) > LONGEST_GRADIENT:
+        return None
+    one = program.constant(1.0)
+    return tuple(entry for slope in slopes for entry in gradient(program, {slope: one}, inputs))
+
+
+def _is_short(program: Program, written: Sequence[Node] | None, instead: Sequence[Node]) -> bool:
+    """Whether derivatives take less when written out than by numbers with eight slopes each."""
+    if written is None:
+        return False
+    columns = -(-(len(written) // max(len(instead), 1)) // LANES)
+    return len(needed(program, written)) <= SLOPES_COST * columns * len(needed(program, instead))
+
+
+def weighted_gradient(stage: Stage, inputs: Sequence[Node]) -> list[Node]:
+    """Gradient of Σ l_i y_i by some leaves; of a cost, which has no weight, of its value."""
+    program, outputs = stage.program, stage.outputs
+    if stage.is_cost:
+        return gradient(program, {outputs[0]: program.constant(1.0)}, inputs)
+    return gradient(program, weighted(program, outputs, "l"), inputs)
+
+
+def weighted(program: Program, outputs: Iterable[Node], name: str) -> dict[Node, Node]:
+    """A weight, leaf (name, i), of each output; those of one node are added."""
+    weights: dict[Node, Node] = {}
+    for index, output in enumerate(outputs):
+        weight = program.leaf(name, index)
+        before = weights.get(output)
+        weights[output] = weight if before is None else program.apply("add", before, weight)
+    return weights
+
+
+def _step(step: Derived) -> list[str]:
+    program = step.stage.program
+    value = f"{TEMPLATE} void step({POINT}, const Real* q, V* y)"
+    slope = f"{TEMPLATE} void step_gradient({POINT}, const Real* l, const Real* q, V* y)"
+    jacobian_written = _is_short(program, step.jacobian, step.stage.outputs)
+    hessian_written = _is_short(program, step.hessian, step.gradient)
+    entries = step.jacobian if jacobian_written else ()
+    curvature = step.hessian if hessian_written and step.hessian else ()
+    point = POINT.replace("V", "Real")
+    return [
+        _flag("JACOBIAN_WRITTEN", jacobian_written),
+        _flag("HESSIAN_WRITTEN", hessian_written),
+        _plain(f"step_jacobian({point}, const Real* q, Real* y)", program, "q", entries),
+        _plain(
+            f"step_hessian({point}, const Real* l, const Real* q, Real* y)",
+            program,
+            "ql",
+            curvature,
+        ),
+        function(value, program, "q", _into("y", step.stage.outputs)),
+        function(slope, program, "ql", _into("y", step.gradient)),
+        f"static constexpr int STEP_ACTIVE = {len(step.active)};",
+        _table("int", "step_active", step.active),
+        _table("Real", "step_constant", [entry for row in step.constants for entry in row]),
+    ]
+
+
+def _costs(costs: Sequence[Derived]) -> list[str]:
+    parts = []
+    for kind, cost in enumerate(costs):
+        program, (output,) = cost.stage.program, cost.stage.outputs
+        value = f"{TEMPLATE} void cost_{kind}({POINT}, const Real* q, V* y)"
+        slope = f"{TEMPLATE} void cost_gradient_{kind}({POINT}, const Real* q, V* y)"
+        both = [*cost.gradient, output]
+        parts.append(function(value, program, "q", [("*y", output)]))
+        parts.append(function(slope, program, "q", _into("y", both)))
+    widest = max(len(cost.active) for cost in costs)
+    written = all(_is_short(cost.stage.program, cost.hessian, cost.gradient) for cost in costs)
+    for kind, cost in enumerate(costs):
+        signature = f"{TEMPLATE} void cost_hessian_{kind}({POINT}, const Real* q, V* y)"
+        entries = _into("y", cost.hessian or ()) if written else []
+        parts.append(function(signature, cost.stage.program, "q", entries))
+    return [
+        *parts,
+        _by_kind("cost", "cost_{}", len(costs)),
+        _by_kind("cost_gradient", "cost_gradient_{}", len(costs)),
+        _by_kind("cost_hessian", "cost_hessian_{}", len(costs)),
+        _flag("COST_WRITTEN", written),
+        _table("int", "cost_columns", [len(cost.active) for cost in costs]),
+        _rows("cost_active", [cost.active for cost in costs], widest),
+    ]
+
+
+def _by_kind(name: str, each: str, count: int) -> str:
+    """A function that calls that of the kind of its time."""
+    calls = "\n".join(
+        f"  if (cost_kind[t] == {kind}) return {each.format(kind)}(x, u, q, y);"
+        for kind in range(count)
+    )
+    return f"{TEMPLATE} void {name}(int t, {POINT}, const Real* q, V* y) {{\n{calls}\n}}"
+
+
+def _prelude(problem: StagedProblem) -> str:
+    return _plain("prelude(const Real* p, Real* y)", problem.parameters, "p", problem.numbers)
+
+
+def _plain(signature: str, program: Program, numbers: str, nodes: Sequence[Node]) -> str:
+    """A function of plain numbers."""
+    body = function(f"static void {signature}", program, numbers, _into("y", nodes))
+    return body.replace("{\n", "{\n  using V = Real;\n", 1)
+
+
+def _flag(name: str, value: bool) -> str:
+    return f"static constexpr bool {name} = {literal(value)};"
+
+
+def _prelude_adjoint(problem: StagedProblem) -> str:
+    """Gradient of Σ w_k (number k) by the parameters, added to what is there."""
+    program = problem.parameters
+    weights = weighted(program, problem.numbers, "w")
+    leaves = [program.leaf("p", k) for k in range(problem.sizes.parameters)]
+    slopes = gradient(program, weights, leaves)
+    signature = "static void prelude_adjoint(const Real* p, const Real* w, Real* y)"
+    outputs = [(place, node) for place, node in _into("y", slopes) if program.value(node) != 0]
+    return function(signature, program, "pw", outputs).replace("{\n", "{\n  using V = Real;\n", 1)
+
+
+def _number_gradients(step: Derived, costs: Sequence[Derived]) -> list[str]:
+    """Gradients of the stages by their numbers q."""
+    signatures = [
+        f"{TEMPLATE} void step_numbers_gradient({POINT}, const V* l, const Real* q, V* y)"
+    ]
+    for kind, _ in enumerate(costs):
+        signatures.append(f"{TEMPLATE} void cost_{kind}_numbers({POINT}, const Real* q, V* y)")
+    parts = []
+    for signature, each in zip(signatures, [step, *costs], strict=True):
+        program = each.stage.program
+        leaves = [program.leaf("q", k) for k in range(each.stage.numbers)]
+        slopes = weighted_gradient(each.stage, leaves)
+        parts.append(function(signature, program, "q", _into("y", slopes)))
+    return [
+        *parts,
+        _table("int", "kind_numbers", [cost.stage.numbers for cost in costs]),
+        _by_kind("cost_numbers_gradient", "cost_{}_numbers", len(costs)),
+    ]
+
+
+def _into(array: str, nodes: Iterable[Node]) -> list[tuple[str, Node]]:
+    return [(f"{array}[{index}]", node) for index, node in enumerate(nodes)]
+
+
+def _table(kind: str, name: str, values: Sequence[float]) -> str:
+    entries = ", ".join(str(v) if kind == "int" else literal(v) for v in values) or "0"
+    return f"static constexpr {kind} {name}[] = {{{entries}}};"
+
+
+def _rows(name: str, rows: Sequence[Sequence[int]], width: int) -> str:
+    padded = ([*row, *[0] * (width - len(row))] or [0] for row in rows)
+    body = ", ".join("{" + ", ".join(map(str, row)) + "}" for row in padded)
+    return f"static constexpr int {name}[{len(rows)}][{max(width, 1)}] = {{{body}}};"

@@ -1,0 +1,112 @@
+"""Builds generated sources, once per source, and calls them."""
+
+import ctypes
+import functools
+import hashlib
+import os
+import platform
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+REALS = {torch.float32: "float", torch.float64: "double"}
+FLAGS = (
+    *("-std=c++20", "-O2", "-fPIC", "-shared", "-Wno-psabi", "-pthread"),
+    *("-fno-math-errno", "-fno-trapping-math"),  # but not: that all numbers are finite
+    "-fvisibility=hidden",  # all libraries have the same names inside, which must not meet
+)
+
+ADMINISTRATOR = 0  # whose files everyone trusts anyway
+LIMIT_S = 300
+"""Seconds that a compiler may take."""
+
+
+class CannotBuildError(Exception):
+    """There is no compiler, or it refuses the source."""
+
+
+def build(source: str, target: Path, machine: str = "native") -> None:
+    """Compile a source to a shared library.
+
+    Args:
+        source: C++.
+        target: The library, written as a whole or not at all.
+        machine: Processor as the compiler calls it; "native" is this one.
+
+    Raises:
+        CannotBuildError: There is no compiler, it refuses the source, or it takes too long.
+    """
+    from torch._inductor.cpp_builder import get_cpp_compiler
+    from torch._inductor.exc import InvalidCxxCompiler
+
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=target.parent) as folder:
+        written, library = Path(folder, "source.cpp"), Path(folder, target.name)
+        written.write_text(source)
+        try:
+            command = [
+                get_cpp_compiler(),
+                *FLAGS,
+                f"-march={machine}",
+                str(written),
+                "-o",
+                str(library),
+            ]
+            done = subprocess.run(
+                command, capture_output=True, text=True, timeout=LIMIT_S, check=False
+            )
+        except (InvalidCxxCompiler, OSError, subprocess.TimeoutExpired) as failure:
+            raise CannotBuildError(str(failure)) from failure
+        if done.returncode:
+            raise CannotBuildError(next(iter(done.stderr.splitlines()), "no message"))
+        os.replace(library, target)
+
+
+@functools.cache
+def load(source: str) -> ctypes.CDLL:
+    """The library of a source, built at its first use on a machine.
+
+    Raises:
+        CannotBuildError: It cannot be built, or another user wrote it.
+    """
+    from torch._inductor.runtime.cache_dir_utils import cache_dir
+
+    told = (source, " ".join(FLAGS), platform.machine(), torch.backends.cpu.get_cpu_capability())
+    name = hashlib.sha256("\n".join(told).encode()).hexdigest()
+    path = Path(cache_dir(), "dmmv", f"{name}.so")
+    if not path.exists():
+        build(source, path)
+    _require_own(path)
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError as failure:
+        raise CannotBuildError(str(failure)) from failure
+
+
+def _require_own(path: Path) -> None:
+    """Refuse a library of another user: the compiler's folder may lie where everyone writes.
+
+    Raises:
+        CannotBuildError: The file or one of its folders is of another user.
+    """
+    for place in (path, path.parent, path.parents[1]):
+        if place.stat().st_uid not in (ADMINISTRATOR, os.geteuid()):
+            raise CannotBuildError(f"{place} belongs to another user")
+
+
+def pointers(*tensors: Tensor) -> list[Any]:
+    """Addresses of contiguous tensors."""
+    return [ctypes.c_void_p(tensor.data_ptr()) for tensor in tensors]
+
+
+@functools.cache
+def settings_record(dtype: torch.dtype) -> type[ctypes.Structure]:
+    """The numbers of a solver as the library reads them, in one precision."""
+    real = ctypes.c_float if dtype == torch.float32 else ctypes.c_double
+    counts = [(name, ctypes.c_int) for name in ("max_iterations", "sizes", "curvature")]
+    fields = [*counts, ("tolerance", real), ("regularisation", real)]
+    return type("Settings", (ctypes.Structure,), {"_fields_": fields})

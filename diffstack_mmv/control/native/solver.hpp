@@ -1,0 +1,297 @@
+// Control-limited DDP for one problem: the iterations of `ILQR`, number by number.
+//
+// The generated `Problem` has the sizes n, m, T, and the functions of its stages.
+#pragma once
+#include <algorithm>
+
+#include "stage.hpp"
+
+namespace dmmv {
+
+enum Status { OPEN = -1, CONVERGED = DMMV_CONVERGED, LIMIT = DMMV_LIMIT, STALLED = DMMV_STALLED, NOT_FINITE = DMMV_NOT_FINITE };
+constexpr Real NEAR_ = Real(0.3), NOISE = 8, DAMPING_MAX = Real(1e8), GROWTH = 8, DECAY = Real(0.2), FAR = Real(3e-2);
+constexpr int MOST_SIZES = 64;
+
+struct Settings {
+  int max_iterations;
+  int sizes;
+  int curvature;  // 0: exact at every iteration, 1: of the dynamics only near the solution
+  Real tolerance;
+  Real regularisation;
+};
+
+template <class P>
+struct Solver {
+  static constexpr int n = P::n, m = P::m, T = P::T, S = LANES;
+
+  // numbers of the problem, see `prepare`
+  Real numbers[P::NUMBERS + 1], q_step[P::STEP_NUMBERS + 1], q_cost[T + 1][P::COST_NUMBERS + 1];
+  Real box[2][m];
+
+  // where the problem stands
+  Real x[T + 1][n], u[T + 1][m], cost, damping;
+  int status, iterations;
+  bool near_;
+
+  // local model
+  Real A[T][n * n], B[T][n * m], c_x[T + 1][n], c_u[T + 1][m];
+  Real H_xx[T + 1][n * n], H_ux[T + 1][m * n], H_uu[T + 1][m * m];
+  Real costate[T][n], gradient[T][m], magnitude, noise;
+
+  // policy
+  Real k[T][m], K[T][m * n], decrease, slope;
+  bool lifted, lifted_free;
+
+  // trial
+  Pack all_x[T + 1][n], all_u[T][m];
+  Real trial_cost, trial_size;
+  int trial_lane;
+  Real best_x[T + 1][n], best_u[T][m];
+
+  void prepare(const Real* parameters, const Real* bounds) {
+    P::prelude(parameters, numbers);
+    for (int i = 0; i < P::STEP_NUMBERS; ++i) q_step[i] = numbers[P::step_numbers[i]];
+    for (int t = 0; t <= T; ++t)
+      for (int i = 0; i < P::COST_NUMBERS; ++i) q_cost[t][i] = numbers[P::cost_numbers[t][i]];
+    std::memcpy(box, bounds, sizeof(box));
+  }
+
+  void expand(bool with_curvature) {
+    magnitude = 0;
+    Real change = 0;
+    for (int i = 0; i < m; ++i) u[T][i] = 0;
+    for (int t = 0; t <= T; ++t) {
+      const Real c = cost_model<P>(t, x[t], u[t], q_cost[t], c_x[t], c_u[t], H_xx[t], H_ux[t], H_uu[t]);
+      magnitude += std::fabs(c);
+      for (int i = 0; i < n; ++i) change += std::fabs(x[t][i] * c_x[t][i]);
+      if (t < T)
+        for (int i = 0; i < m; ++i) change += std::fabs(u[t][i] * c_u[t][i]);
+    }
+    noise = std::numeric_limits<Real>::epsilon() * (magnitude + change);
+    for (int t = 0; t < T; ++t) step_jacobian<P>(x[t], u[t], q_step, A[t], B[t]);
+    std::memcpy(costate[T - 1], c_x[T], sizeof(costate[0]));
+    for (int t = T - 1; t > 0; --t) {
+      std::memcpy(costate[t - 1], c_x[t], sizeof(costate[0]));
+      add_transposed_apply<n, n>(A[t], costate[t], costate[t - 1]);
+    }
+    for (int t = 0; t < T; ++t) {
+      if (with_curvature) add_step_hessian<P>(x[t], u[t], costate[t], q_step, H_xx[t], H_ux[t], H_uu[t]);
+      std::memcpy(gradient[t], c_u[t], sizeof(gradient[0]));
+      add_transposed_apply<n, m>(B[t], costate[t], gradient[t]);
+    }
+  }
+
+  bool held(int t, int i) const {
+    const Real g = gradient[t][i], low = box[0][i], high = box[1][i];
+    return (u[t][i] <= low && g > 0) || (u[t][i] >= high && g < 0) || low == high;
+  }
+
+  void backward(bool convex) {
+    const Real infinity = std::sqrt(std::sqrt(std::numeric_limits<Real>::max()));
+    Real V_x[n], V_xx[n * n];
+    std::memcpy(V_x, c_x[T], sizeof(V_x));
+    std::memcpy(V_xx, H_xx[T], sizeof(V_xx));
+    if (convex) add_dominance<n>(V_xx, nullptr);
+    decrease = slope = 0;
+    lifted = lifted_free = false;
+    for (int t = T - 1; t >= 0; --t) {
+      Real xx[n * n], ux[m * n], uu[m * m], Q_x[n], Q_u[m], VA[n * n], VB[n * m];
+      std::memcpy(xx, H_xx[t], sizeof(xx));
+      std::memcpy(ux, H_ux[t], sizeof(ux));
+      std::memcpy(uu, H_uu[t], sizeof(uu));
+      if (convex) dominate(xx, ux, uu);
+      std::memcpy(Q_x, c_x[t], sizeof(Q_x));
+      std::memcpy(Q_u, c_u[t], sizeof(Q_u));
+      add_transposed_apply<n, n>(A[t], V_x, Q_x);
+      add_transposed_apply<n, m>(B[t], V_x, Q_u);
+      product<n, n, n>(V_xx, A[t], VA);
+      product<n, n, m>(V_xx, B[t], VB);
+      add_transposed_product<n, n, n>(A[t], VA, xx);
+      add_transposed_product<n, m, n>(B[t], VA, ux);
+      add_transposed_product<n, m, m>(B[t], VB, uu);
+      make_symmetric<m>(uu);
+      act(t, infinity, uu, ux, Q_u);
+      // V_x = Q_x + K'(Q_uu k + Q_u) + Q_ux'k,  V_xx = Q_xx + K'Q_uu K + K'Q_ux + Q_ux'K
+      Real Qk[m] = {}, QK[m * n];
+      add_product<m, m>(uu, k[t], Qk);
+      product<m, m, n>(uu, K[t], QK);
+      for (int i = 0; i < m; ++i) {
+        decrease -= k[t][i] * (Real(0.5) * Qk[i] + Q_u[i]);
+        Qk[i] += Q_u[i];
+      }
+      for (int i = 0; i < m * n; ++i) QK[i] += ux[i];
+      std::memcpy(V_x, Q_x, sizeof(V_x));
+      add_transposed_apply<m, n>(K[t], Qk, V_x);
+      add_transposed_apply<m, n>(ux, k[t], V_x);
+      std::memcpy(V_xx, xx, sizeof(V_xx));
+      add_transposed_product<m, n, n>(K[t], QK, V_xx);
+      add_transposed_product<m, n, n>(ux, K[t], V_xx);
+      make_symmetric<n>(V_xx);
+    }
+  }
+
+  void dominate(Real* xx, const Real* ux, Real* uu) const {
+    Real beside_x[n] = {}, beside_u[m] = {};
+    for (int i = 0; i < m; ++i)
+      for (int j = 0; j < n; ++j) {
+        beside_x[j] += std::fabs(ux[i * n + j]);
+        beside_u[i] += std::fabs(ux[i * n + j]);
+      }
+    add_dominance<n>(xx, beside_x);
+    add_dominance<m>(uu, beside_u);
+  }
+
+  // k and K of one time; damps and lifts Q_uu
+  void act(int t, Real infinity, Real* uu, const Real* ux, const Real* Q_u) {
+    Real lift[m], low[m], high[m], inverse[m * m], product_[m * n];
+    bool is_free[m];
+    positive_lift<m>(uu, lift);
+    const Real weight = damping * largest<m>(uu);
+    for (int i = 0; i < m; ++i) {
+      const Real curvature = uu[i * m + i] + lift[i];
+      uu[i * m + i] = uu[i * m + i] + (lift[i] + weight);
+      low[i] = clipped(box[0][i], -infinity, infinity) - u[t][i];
+      high[i] = clipped(box[1][i], -infinity, infinity) - u[t][i];
+      slope -= gradient[t][i] * clipped(-gradient[t][i] / curvature, low[i], high[i]);
+      if (held(t, i)) low[i] = high[i] = 0;
+    }
+    solve_box_qp<m>(uu, Q_u, low, high, k[t], is_free);
+    free_inverse<m>(uu, is_free, inverse);
+    product<m, m, n>(inverse, ux, product_);
+    for (int i = 0; i < m * n; ++i) K[t][i] = -product_[i];
+    for (int i = 0; i < m; ++i) {
+      lifted = lifted || lift[i] > 0;
+      lifted_free = lifted_free || (lift[i] > 0 && is_free[i]);
+    }
+  }
+
+  void policy() {
+    backward(false);
+    if (lifted_free || (lifted && decrease > FAR * magnitude)) backward(true);
+  }
+
+  // all step sizes 1, 1/2, 1/4, ... at once; the longest of those that the noise cannot tell apart
+  void search(int sizes, Real noise_) {
+    Real costs[MOST_SIZES], least = INFINITY;
+    for (int first = 0; first < sizes; first += S) {
+      roll(first, std::min(S, sizes - first), costs + first);
+      for (int s = first; s < std::min(first + S, sizes); ++s) least = std::min(least, costs[s]);
+    }
+    trial_lane = 0;
+    while (!(costs[trial_lane] <= least + noise_)) ++trial_lane;
+    if (sizes > S) roll(trial_lane / S * S, S, nullptr);
+    const int lane = trial_lane % S;
+    for (int t = 0; t <= T; ++t)
+      for (int i = 0; i < n; ++i) best_x[t][i] = all_x[t][i][lane];
+    for (int t = 0; t < T; ++t)
+      for (int i = 0; i < m; ++i) best_u[t][i] = all_u[t][i][lane];
+    trial_cost = costs[trial_lane];
+    trial_size = std::ldexp(Real(1), -trial_lane);
+  }
+
+  void roll(int first, int count, Real* costs) {
+    Pack size, each, total = {}, nothing[m] = {}, state[n], control[m];
+    for (int s = 0; s < S; ++s) size[s] = std::ldexp(Real(1), -(first + s));
+    for (int i = 0; i < n; ++i) state[i] = all_x[0][i] = Pack{} + x[0][i];
+    for (int t = 0; t < T; ++t) {
+      for (int i = 0; i < m; ++i) {
+        Pack c = u[t][i] + size * k[t][i], change = {};
+        for (int j = 0; j < n; ++j) change += K[t][i * n + j] * (state[j] - x[t][j]);
+        c += change;
+        const Pack low = Pack{} + box[0][i], high = Pack{} + box[1][i];
+        c = c < low ? low : c;
+        control[i] = all_u[t][i] = c > high ? high : c;
+      }
+      P::cost(t, state, control, q_cost[t], &each);
+      total += each;
+      P::step(state, control, q_step, all_x[t + 1]);
+      for (int i = 0; i < n; ++i) state[i] = all_x[t + 1][i];
+    }
+    P::cost(T, state, nothing, q_cost[T], &each);
+    total += each;
+    if (costs)
+      for (int s = 0; s < count; ++s) costs[s] = finite(total[s]) ? total[s] : Real(INFINITY);
+  }
+
+  void accept() {
+    std::memcpy(x, best_x, sizeof(x));
+    std::memcpy(u, best_u, sizeof(best_u));
+    cost = trial_cost;
+  }
+
+  // as attempt() of iteration.py
+  void attempt(const Settings& settings) {
+    const Real much = NOISE * noise;
+    search(settings.sizes, much);
+    const Real enough = op_max(settings.tolerance * magnitude, much);
+    const bool lower = trial_cost < cost;
+    bool flat = decrease <= enough && damping < 1;
+    flat = flat || (!lower && decrease <= NOISE * much);
+    const bool settled = flat && slope <= std::sqrt(enough * magnitude);
+    const bool accepted = lower || (flat && trial_cost <= cost + much);
+    if (accepted) {
+      damping = trial_size >= Real(0.5) ? damping * DECAY : damping;
+      if (damping < Real(0.1) * settings.regularisation) damping = 0;
+      accept();
+    } else {
+      damping = std::max(damping * GROWTH, settings.regularisation);
+    }
+    if (damping > DAMPING_MAX) status = STALLED;
+    if (settled) status = CONVERGED;
+    if (!finite(decrease)) status = NOT_FINITE;
+    ++iterations;
+    near_ = decrease <= NEAR_ * magnitude;
+  }
+
+  void start(const Real* state, const Real* controls) {
+    std::memcpy(x[0], state, sizeof(x[0]));
+    std::memcpy(u, controls, sizeof(best_u));
+    for (int t = 1; t <= T; ++t) std::memcpy(x[t], state, sizeof(x[0]));
+    std::memset(k, 0, sizeof(k));
+    std::memset(K, 0, sizeof(K));
+    cost = INFINITY;
+    damping = 0;
+    iterations = 0;
+    near_ = false;
+    search(1, 0);
+    if (trial_cost < cost) accept();
+    bool is_finite = finite(cost);
+    for (int t = 0; t <= T; ++t)
+      for (int i = 0; i < n; ++i) is_finite = is_finite && finite(x[t][i]);
+    status = is_finite ? OPEN : NOT_FINITE;
+  }
+
+  void solve(const Real* state, const Real* controls, const Settings& settings) {
+    start(state, controls);
+    for (int i = 0; i < settings.max_iterations && status == OPEN; ++i) {
+      expand(settings.curvature == 0 || near_);
+      policy();
+      attempt(settings);
+    }
+    if (status == OPEN) status = LIMIT;
+  }
+
+  // projected gradient at the end; nothing of a problem is NaN any more
+  Real conclude() {
+    for (auto& row : x)
+      for (Real& entry : row) entry = plain(entry);
+    for (auto& row : u)
+      for (Real& entry : row) entry = plain(entry);
+    expand(false);
+    Real residual = 0;
+    for (int t = 0; t < T; ++t)
+      for (int i = 0; i < m; ++i) {
+        const Real moved = clipped(u[t][i] - gradient[t][i], box[0][i], box[1][i]);
+        const Real off = std::fabs(u[t][i] - moved);
+        residual = off != off ? Real(INFINITY) : std::max(residual, off);
+      }
+    return residual;
+  }
+
+  static Real plain(Real a) {
+    const Real most = std::numeric_limits<Real>::max();
+    return a != a ? Real(0) : clipped(a, -most, most);
+  }
+};
+
+}  // namespace dmmv

@@ -1,0 +1,242 @@
+"""Solves a few problems each on its own, in one call of a library generated for their kind.
+
+A tensor program pays for every operation, a scalar one for every number: for few problems the
+second is faster by two orders of magnitude, and needs no iteration beyond its own.
+"""
+
+import ctypes
+import functools
+import logging
+import math
+import time
+from collections.abc import Hashable
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.control.compilation import copied, kind, label, refusals
+from diffstack_mmv.control.iteration import Settings
+from diffstack_mmv.control.native.capture import Recorder, Taken, Trajectory, evaluate
+from diffstack_mmv.control.native.generation import source
+from diffstack_mmv.control.native.library import (
+    REALS,
+    CannotBuildError,
+    load,
+    pointers,
+    settings_record,
+)
+from diffstack_mmv.control.native.lowering import CannotLowerError
+from diffstack_mmv.control.native.stages import StagedProblem
+from diffstack_mmv.control.optimizer import Cost, Dynamics
+from diffstack_mmv.control.selection import Batched, is_shared
+from diffstack_mmv.types import Solution, SolverStatus
+
+LOGGER = logging.getLogger(__name__)
+MOST_SIZES = 64  # step sizes that a library tries
+MOST_RENEWALS = 2
+"""Times that a kind of problem may outgrow the compiler's list of graphs, 8 shapes each time."""
+
+
+class Numbers(NamedTuple):
+    """What a solver is set to."""
+
+    settings: Settings
+    max_iterations: int
+    always_exact: bool  # whether the dynamics are differentiated twice at every iteration
+    most: int  # problems up to which each is solved on its own
+
+
+def solve(
+    dynamics: Dynamics,
+    cost: Cost,
+    numbers: Numbers,
+    state: Float[Tensor, "*b n"],
+    controls: Float[Tensor, "*b T m"],
+) -> Solution | None:
+    """The solution with its derivatives, as that of `ILQR`; None if there is no library for it."""
+    if not _is_possible(dynamics, cost, numbers, state):
+        return None
+    sizes = state.dtype, state.dim(), state.shape[-1], *controls.shape[-2:]
+    key = kind(dynamics), kind(cost), *sizes
+    workshop = _workshop(key, label(dynamics))
+    if workshop.is_refused:
+        return None
+    return workshop.solve(dynamics, cost, numbers, state, controls)
+
+
+def _is_possible(dynamics: Dynamics, cost: Cost, numbers: Numbers, state: Tensor) -> bool:
+    count = state[..., 0].numel()
+    fits = 0 < count <= numbers.most and state.device.type == "cpu" and state.dtype in REALS
+    fits = fits and numbers.settings.sizes.numel() <= MOST_SIZES
+    if count <= 1:
+        return fits
+    apart = isinstance(cost, Batched) and (isinstance(dynamics, Batched) or is_shared(dynamics))
+    return fits and apart and state.dim() == 2
+
+
+@functools.cache
+def _workshop(key: Hashable, name: str) -> "Workshop":
+    return Workshop(name)
+
+
+class Workshop:
+    """Libraries for the problems of one kind, or the knowledge that there can be none.
+
+    Args:
+        problem: What they are for, told to people.
+    """
+
+    def __init__(self, problem: str) -> None:
+        self.problem = problem
+        self.renewals = 0
+        self.recorder = Recorder(copied(evaluate))
+        self.known: set[int] = set()
+        self.is_refused = False
+
+    def solve(
+        self, dynamics: Dynamics, cost: Cost, numbers: Numbers, state: Tensor, controls: Tensor
+    ) -> Solution | None:
+        """The solution, None where there is no library."""
+        try:
+            taken, parameters = self._taken(dynamics, cost, state, controls)
+            self._prepare(taken.problem, state.dtype)
+        except (CannotLowerError, CannotBuildError, *refusals().failed) as failure:
+            self.is_refused = True
+            reason = next(iter(str(failure).strip().splitlines()), type(failure).__name__)
+            LOGGER.info("No library for %s (%s): kernels on tensors", self.problem, reason)
+            return None
+        return solved(taken.problem, parameters, numbers, state, controls)
+
+    def _taken(
+        self, dynamics: Dynamics, cost: Cost, state: Tensor, controls: Tensor
+    ) -> tuple[Taken, Tensor]:
+        """The problem, and its parameters (count, P) with their graph."""
+        count, originals = state[..., 0].numel(), {}
+        first = _first(dynamics, originals), _first(cost, originals)
+        record, at = self.recorder, _anywhere(state, controls)
+        try:
+            taken = record(*first, at)
+        except refusals().too_many_graphs as failure:
+            self.renewals += 1
+            if self.renewals > MOST_RENEWALS:
+                raise CannotLowerError("too many shapes") from failure
+            record = self.recorder = Recorder(copied(evaluate))
+            taken = record(*first, at)
+        rows = [_row(each, originals.get(id(each)), count, state) for each in taken.parameters]
+        empty = state.new_zeros(count, 0)
+        return taken, torch.cat([empty, *rows], 1).contiguous()
+
+    def _prepare(self, problem: StagedProblem, dtype: torch.dtype) -> None:
+        if id(problem) not in self.known:
+            began_s = time.perf_counter()
+            LOGGER.info("Compiling the solver for %s: one library", self.problem)
+            library(problem, "solve", dtype)
+            LOGGER.info("Compiled it in %.1f s", time.perf_counter() - began_s)
+            self.known.add(id(problem))
+
+
+_SOURCES: dict[tuple[int, str, torch.dtype], tuple[StagedProblem, Any]] = {}
+
+
+def library(problem: StagedProblem, name: str, dtype: torch.dtype) -> Any:
+    """The library "solve" or "adjoint" of a problem."""
+    key = id(problem), name, dtype
+    if key not in _SOURCES:
+        # the problem is kept, so that no other one gets its identity
+        _SOURCES[key] = problem, load(source(problem, name, REALS[dtype]))
+    return _SOURCES[key][1]
+
+
+def _anywhere(state: Tensor, controls: Tensor) -> Trajectory:
+    """Trajectories of the right shape for one problem."""
+    lead = (1,) * (state.dim() - 1)
+    return _zero_trajectory(lead, *controls.shape[-2:], state.shape[-1], state.dtype)
+
+
+@functools.lru_cache(maxsize=64)
+def _zero_trajectory(
+    lead: tuple[int, ...], steps: int, m: int, n: int, dtype: torch.dtype
+) -> Trajectory:
+    return Trajectory(*(torch.zeros(*lead, steps + 1, size, dtype=dtype) for size in (n, m)))
+
+
+def _first(function: Any, originals: dict[int, Tensor]) -> Any:
+    """A callable for the first problem of a batch; tells where its tensors come from."""
+    if not isinstance(function, Batched):
+        return function
+    slices = [each.detach()[:1].contiguous() for each in function.tensors]
+    originals.update(zip(map(id, slices), function.tensors, strict=True))
+    return Batched(function.function, *slices)
+
+
+def _row(taken: Tensor, original: Tensor | None, count: int, like: Tensor) -> Tensor:
+    """A parameter as one row per problem."""
+    own = taken.unsqueeze(0) if original is None else original
+    # flattened by its sizes: an empty one has no length that could be found
+    each = own.reshape(len(own), math.prod(own.shape[1:]))
+    if each.is_floating_point() and each.dtype != like.dtype and taken.dim() > 0:
+        raise CannotLowerError(f"a parameter of {each.dtype} beside a state of {like.dtype}")
+    return each.to(like.dtype).expand(count, -1)
+
+
+def solved(
+    problem: StagedProblem, parameters: Tensor, numbers: Numbers, state: Tensor, controls: Tensor
+) -> Solution:
+    """Call the library, with derivatives where they are asked for."""
+    batch = state.shape[:-1]
+    flat = state.reshape(-1, state.shape[-1]), controls.reshape(-1, *controls.shape[-2:])
+    results = _Solve.apply(problem, numbers, parameters, *flat)
+    return Solution(*(result.reshape(batch + result.shape[1:]) for result in results))
+
+
+def _counts(problems: int) -> tuple[Any, Any]:
+    """Numbers of problems and of threads."""
+    return ctypes.c_long(problems), ctypes.c_long(torch.get_num_threads())
+
+
+class _Solve(torch.autograd.Function):
+    """The solution as a function of parameters and initial state."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        problem: StagedProblem,
+        numbers: Numbers,
+        parameters: Tensor,
+        state: Tensor,
+        controls: Tensor,
+    ) -> tuple[Tensor, ...]:
+        count, (n, m, steps, _) = len(state), problem.sizes
+        x, u = state.new_empty(count, steps + 1, n), state.new_empty(count, steps, m)
+        cost, residual = state.new_empty(count), state.new_empty(count)
+        iterations = torch.empty(count, dtype=torch.long)
+        status = torch.empty_like(iterations)
+        box = numbers.settings.box.contiguous()
+        record = settings_record(state.dtype)(
+            numbers.max_iterations,
+            numbers.settings.sizes.numel(),
+            int(not numbers.always_exact),
+            float(numbers.settings.tolerance),
+            float(numbers.settings.regularisation),
+        )
+        given = parameters.detach(), box, state.contiguous(), controls.contiguous()
+        results = x, u, cost, residual, iterations, status
+        call = library(problem, "solve", state.dtype).dmmv_solve
+        call(*_counts(count), *pointers(*given), ctypes.byref(record), *pointers(*results))
+        ctx.problem = problem
+        ctx.save_for_backward(parameters, box, x, u, status)
+        ctx.mark_non_differentiable(residual, iterations, status)
+        return results
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor | None, ...]:
+        parameters, box, x, u, status = ctx.saved_tensors
+        valid = status == SolverStatus.CONVERGED
+        by_parameters, by_state = torch.empty_like(parameters), torch.empty_like(x[:, 0])
+        given = parameters.detach(), box, x, u, valid, *(each.contiguous() for each in slopes[:3])
+        call = library(ctx.problem, "adjoint", x.dtype).dmmv_adjoint
+        call(*_counts(len(x)), *pointers(*given), *pointers(by_parameters, by_state))
+        return None, None, by_parameters, by_state, None

@@ -1,0 +1,186 @@
+"""A problem as stages: one step of the dynamics, and what each time costs.
+
+The costs of all times come from one graph. Times whose costs are the same function of their state,
+their control and numbers of their own share it, so that the code is as long as one time.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from diffstack_mmv.control.native.lowering import CannotLowerError
+from diffstack_mmv.control.native.scalar import (
+    CONSTANT,
+    LEAF,
+    Node,
+    Program,
+    arguments_of,
+    needed,
+)
+
+MOST_KINDS = 8
+"""Different cost functions along a horizon; more are no function of the time."""
+
+
+class Sizes(NamedTuple):
+    """Numbers of states, controls, steps and parameters of a problem."""
+
+    n: int
+    m: int
+    steps: int
+    parameters: int
+
+
+class Stage(NamedTuple):
+    """A function of a state, a control and numbers q: leaves ("x", i), ("u", j), ("q", k)."""
+
+    program: Program
+    outputs: tuple[Node, ...]
+    numbers: int  # of q
+    is_cost: bool
+
+
+class Placed(NamedTuple):
+    """A stage at one time, and where its numbers q stand among those of the problem."""
+
+    key: tuple[Any, ...]
+    origins: tuple[Node, ...]  # nodes of the problem that depend on its parameters alone
+
+
+class StagedProblem(NamedTuple):
+    """A problem ready for code."""
+
+    sizes: Sizes
+    parameters: Program  # what is computed from the parameters alone, once per solve
+    numbers: tuple[Node, ...]  # nodes of it that the stages read
+    step: Stage  # n outputs
+    step_numbers: tuple[int, ...]  # positions of its q in `numbers`
+    costs: tuple[Stage, ...]  # one output each
+    kinds: tuple[int, ...]  # which of them each time has
+    cost_numbers: tuple[tuple[int, ...], ...]  # positions of their q in `numbers`, for each time
+
+
+def staged(
+    program: Program, following: Sequence[Node], costs: Sequence[Node], sizes: Sizes
+) -> StagedProblem:
+    """Split a program with leaves ("x", t, i), ("u", t, j) and ("p", k) into stages.
+
+    Raises:
+        CannotLowerError: The cost of one time sees the state of another, or there are too many
+            kinds of costs.
+    """
+    own = _known_before(program)
+    step = _placed(program, following, 0, own)
+    placed = [_placed(program, [cost], time, own) for time, cost in enumerate(costs)]
+    keys = list(dict.fromkeys(each.key for each in placed))
+    if len(keys) > MOST_KINDS:
+        raise CannotLowerError(f"{len(keys)} different costs along the horizon")
+    origins = list(dict.fromkeys(node for each in [step, *placed] for node in each.origins))
+    before, numbers = _copied(program, origins)
+    position = {node: index for index, node in enumerate(origins)}
+
+    def positions(each: Placed) -> tuple[int, ...]:
+        return tuple(position[node] for node in each.origins)
+
+    return StagedProblem(
+        sizes,
+        before,
+        numbers,
+        _stage(step, False),
+        positions(step),
+        tuple(_stage(placed[[each.key for each in placed].index(key)], True) for key in keys),
+        tuple(keys.index(each.key) for each in placed),
+        tuple(positions(each) for each in placed),
+    )
+
+
+def _known_before(program: Program) -> np.ndarray:
+    """Which nodes depend on parameters and constants alone."""
+    known = np.zeros(len(program), dtype=bool)
+    for node, operation in enumerate(program.operations):
+        if operation[0] == LEAF:
+            known[node] = operation[1] == "p"
+        else:
+            known[node] = all(known[argument] for argument in arguments_of(program, node))
+    return known
+
+
+def _placed(program: Program, outputs: Sequence[Node], time: int, own: np.ndarray) -> Placed:
+    """The operations from outputs down to leaves, numbered in the order of their discovery."""
+    names: dict[Node, int] = {}
+    lines: list[tuple[Any, ...]] = []
+    origins: list[Node] = []
+    stack = list(reversed(outputs))
+    while stack:
+        node = stack[-1]
+        operation = program.operations[node]
+        if node in names:
+            stack.pop()
+            continue
+        is_end = operation[0] in (LEAF, CONSTANT) or own[node]
+        missing = [] if is_end else [each for each in operation[1:] if each not in names]
+        if missing:
+            stack.extend(reversed(missing))
+            continue
+        stack.pop()
+        names[node] = len(lines)
+        lines.append(_line(program, node, time, own, names, origins))
+    return Placed((*lines, tuple(names[node] for node in outputs)), tuple(origins))
+
+
+def _line(
+    program: Program,
+    node: Node,
+    time: int,
+    own: np.ndarray,
+    names: dict[Node, int],
+    origins: list[Node],
+) -> tuple[Any, ...]:
+    operation = program.operations[node]
+    if operation[0] == CONSTANT:
+        return operation
+    if own[node]:
+        origins.append(node)
+        return (LEAF, "q", len(origins) - 1, program.is_truth(node))
+    if operation[0] != LEAF:
+        return (operation[0], *(names[argument] for argument in operation[1:]))
+    _, kind, when, index = operation
+    if when != time:
+        raise CannotLowerError(f"the cost of time {time} sees time {when}")
+    return (LEAF, kind, index)
+
+
+def _stage(placed: Placed, is_cost: bool) -> Stage:
+    """The program of a key."""
+    program, nodes = Program(), []
+    *lines, outputs = placed.key
+    for line in lines:
+        nodes.append(_rebuilt(program, line, nodes))
+    return Stage(program, tuple(nodes[index] for index in outputs), len(placed.origins), is_cost)
+
+
+def _rebuilt(program: Program, line: tuple[Any, ...], nodes: list[Node]) -> Node:
+    if line[0] == CONSTANT:
+        return program.constant(line[1])
+    if line[0] != LEAF:
+        return program.apply(line[0], *(nodes[index] for index in line[1:]))
+    if line[1] != "q":
+        return program.leaf(*line[1:])
+    number = program.leaf("q", line[2])
+    return program.truth(number) if line[3] else number
+
+
+def _copied(program: Program, wanted: Iterable[Node]) -> tuple[Program, tuple[Node, ...]]:
+    """A program with what some nodes need alone, truths as numbers at its end."""
+    copy, names = Program(), {}
+    wanted = list(wanted)
+    for node in needed(program, wanted):
+        operation = program.operations[node]
+        if operation[0] == LEAF:
+            names[node] = copy.leaf(*operation[1:])
+        elif operation[0] == CONSTANT:
+            names[node] = copy.constant(operation[1])
+        else:
+            names[node] = copy.apply(operation[0], *(names[each] for each in operation[1:]))
+    return copy, tuple(copy.number(names[node]) for node in wanted)

@@ -1,0 +1,174 @@
+"""What a plan must keep to, as constraints of the optimiser instead of terms of its cost."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.control import ILQR, Batched, Bounds, Solution
+from diffstack_mmv.control.constrained import HARD, ConstrainedILQR, Inequality, Slack
+from diffstack_mmv.control.optimizer import Cost, Dynamics
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.geometry import distance_to_axis
+from diffstack_mmv.planning.objective import joined, parted
+from diffstack_mmv.types import Motion, PlanningProblem
+
+GRAVITY = 9.81  # m/s²
+ABSENT = -1.0
+"""Value of a limit for agents that are not there."""
+
+
+@runtime_checkable
+class PlanLimit(Protocol):
+    """A quantity of a plan that must not be positive."""
+
+    def __call__(
+        self, motion: Motion, acceleration: Float[Tensor, "*b t"], problem: PlanningProblem
+    ) -> Float[Tensor, "*b t k"]:
+        """Values at each time; entry t depends on motion and control at t alone.
+
+        Args:
+            motion: The plan.
+            acceleration: Commanded, in m/s²; zero for a model without such a control.
+            problem: Its leading dimensions are those of the motion without time.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class SpeedWithin:
+    """v - v_ref - excess ≤ 0, in m/s.
+
+    Args:
+        excess_mps: How far the reference speed may be exceeded, in m/s.
+    """
+
+    excess_mps: float = 0.0
+
+    def __call__(
+        self, motion: Motion, acceleration: Float[Tensor, "*b t"], problem: PlanningProblem
+    ) -> Float[Tensor, "*b t one"]:
+        """Value in m/s."""
+        most = problem.reference_speed.unsqueeze(-1) + self.excess_mps
+        return (motion.velocity[..., 0] - most).unsqueeze(-1)
+
+
+@dataclass(frozen=True)
+class FrictionCircle:
+    """(a² + (v r)²) / (μ g)² - 1 ≤ 0, dimensionless: all tyres together within their grip.
+
+    Args:
+        friction: μ.
+
+    Raises:
+        ValueError: The friction is not positive.
+    """
+
+    friction: float = 0.8
+
+    def __post_init__(self) -> None:
+        require_positive("friction", self.friction)
+
+    def __call__(
+        self, motion: Motion, acceleration: Float[Tensor, "*b t"], problem: PlanningProblem
+    ) -> Float[Tensor, "*b t one"]:
+        """Value, -1 without any force."""
+        lateral = motion.velocity[..., 0] * motion.yaw_rate
+        grip = (self.friction * GRAVITY) ** 2
+        return ((acceleration.square() + lateral.square()) / grip - 1).unsqueeze(-1)
+
+
+@dataclass(frozen=True)
+class ClearanceKept:
+    """r_ego + r_i + margin - d_ikt ≤ 0, in m, for every agent i and component k.
+
+    d is the distance of the agent to the axis of the vehicle between its first and its last disc.
+
+    Args:
+        margin_m: Clearance that is kept, in m.
+
+    Raises:
+        ValueError: The margin is negative.
+    """
+
+    margin_m: float = 0.2
+
+    def __post_init__(self) -> None:
+        require_at_least("margin_m", self.margin_m, 0.0)
+
+    def __call__(
+        self, motion: Motion, acceleration: Float[Tensor, "*b t"], problem: PlanningProblem
+    ) -> Float[Tensor, "*b t k"]:
+        """Value in m."""
+        obstacles, discs = problem.obstacles, problem.ego.discs
+        distance = distance_to_axis(
+            obstacles.position,
+            motion.position[..., None, None, :, :],
+            motion.heading[..., None, None, :],
+            discs.ahead.amin(-1)[..., None, None, None],
+            discs.ahead.amax(-1)[..., None, None, None],
+            epsilon=1e-6,
+        )
+        reach = discs.radius.amax(-1)[..., None] + obstacles.radius + self.margin_m
+        lack = reach[..., None, None] - distance
+        lack = torch.where(obstacles.valid[..., None, None], lack, torch.full_like(lack, ABSENT))
+        return lack.flatten(-3, -2).movedim(-1, -2)
+
+
+@dataclass(frozen=True)
+class PlanConstraints:
+    """Limits of all plans, which the optimiser keeps to from the first step on.
+
+    Args:
+        limits: By name; without any the optimiser is as it is.
+        linear: Price of a violation per unit of a limit; infinite: there must be none.
+        max_iterations: Limit of iterations of each phase of the constrained solver.
+        tolerance: Largest violation of a hard limit.
+    """
+
+    limits: Mapping[str, PlanLimit]
+    linear: float = float("inf")
+    max_iterations: int = 40
+    tolerance: float = 1e-3
+
+    def solve(
+        self,
+        solver: ILQR,
+        dynamics: DynamicsModel,
+        problem: PlanningProblem,
+        cost: Cost,
+        controls: Float[Tensor, "B T m"],
+        state: Float[Tensor, "B n"],
+    ) -> Solution:
+        """Solve problems with one leading dimension under the limits.
+
+        A problem whose limits cannot be met has the status INFEASIBLE, and the least violation.
+        """
+        constraints = [self._constraint(each, dynamics, problem) for each in self.limits.values()]
+        constrained = ConstrainedILQR(solver, self.max_iterations, self.tolerance)
+        step: Dynamics = Batched(dynamics)
+        box: Bounds = dynamics.bounds
+        return constrained(step, cost, constraints, box, state, controls).solution
+
+    def _constraint(
+        self, limit: PlanLimit, dynamics: DynamicsModel, problem: PlanningProblem
+    ) -> Inequality:
+        heading, column = problem.ego.heading, _acceleration_column(dynamics)
+
+        def values(states: Tensor, controls: Tensor, *tensors: Tensor) -> Tensor:
+            motion = dynamics.motion(states, controls)
+            command = controls[..., column] if column is not None else 0 * controls[..., 0]
+            return limit(motion, command, joined(heading, tensors))
+
+        slack = HARD if self.linear == float("inf") else Slack(self.linear)
+        # the present state is as it is
+        return Inequality(Batched(values, *parted(problem)), slack, slice(1, None))
+
+
+def _acceleration_column(dynamics: DynamicsModel) -> int | None:
+    fields = dynamics.Control._fields
+    return fields.index("acceleration") if "acceleration" in fields else None

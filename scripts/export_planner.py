@@ -1,0 +1,42 @@
+"""Export the optimiser of a planner as a shared library that needs no Python."""
+
+import logging
+from pathlib import Path
+
+from diffstack_mmv.cli import DictConfig, command, instantiate
+from diffstack_mmv.config_checks import require_checkpoint
+from dmmv_conventions.checks import require_at_least, require_positive
+from dmmv_conventions.configs import config_folder
+from dmmv_conventions.pretrained import checkpoint_path
+
+logger = logging.getLogger(__name__)
+
+
+def check(config: DictConfig) -> None:
+    """Refuse sizes that are none, and a checkpoint that is not there."""
+    for name in ("agents", "components", "discs", "steps"):
+        require_at_least(name, config[name], 1)
+    require_positive("dt_s", config.dt_s)
+    if config.checkpoint:
+        require_checkpoint("checkpoint", config.checkpoint)
+
+
+@command(config_folder(), "export_planner", check)
+def main(config: DictConfig) -> None:
+    """Build the planner, or load it from a checkpoint; write library, header and source."""
+    from diffstack_mmv.planning.export import export_planner
+
+    if config.checkpoint:
+        from diffstack_mmv.stack import load_stack
+
+        planner = load_stack(checkpoint_path(config.checkpoint), "cpu")[0].planner
+    else:
+        planner = instantiate(config.planner)
+    planner = planner.double() if config.double else planner.float()
+    sizes = config.agents, config.components, config.discs
+    written = export_planner(planner, Path(config.out), *sizes, machine=config.machine)
+    logger.info("Library %s, declared in %s", written.library, written.header)
+
+
+if __name__ == "__main__":
+    main()

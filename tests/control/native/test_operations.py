@@ -1,0 +1,126 @@
+"""Every tensor operation and its derivative in scalars are what torch says, kinks included."""
+
+import pytest
+import torch
+
+from diffstack_mmv.control.native.capture import HANDLERS
+from diffstack_mmv.control.native.derivative import RULES, gradient
+from diffstack_mmv.control.native.lowering import CannotLowerError, Lowering
+from diffstack_mmv.control.native.scalar import CONSTANT, FOLDS, LEAF, Program, needed
+
+VALUES = [[-0.7, 0.0, 0.4], [0.9, 0.4, -0.2]]
+FUNCTIONS = {
+    "arithmetic": lambda a: 2 - a * (a + 1) / (a.square() + 1) - a.neg(),
+    "powers": lambda a: (a + 2) ** 3 - (a + 2) ** 1.7 + (a + 2) ** -0.5 + (a + 2).rsqrt() + a**4,
+    "circular": lambda a: a.sin() * a.cos() + a.tan() + torch.atan2(a, a + 3),
+    "inverse": lambda a: (0.5 * a).asin() + (0.5 * a).acos() + a.atan(),
+    "hyperbolic": lambda a: a.sinh() - a.cosh() * a.tanh() + a.sigmoid(),
+    "logarithms": lambda a: (a + 2).log() + (a + 2).log1p() + a.exp() + a.expm1() + a.erf(),
+    "softplus": lambda a: torch.nn.functional.softplus(a / 0.05),
+    "kinks": lambda a: a.abs() + a.relu() + a.sign() + a.clamp(-0.2, 0.4) + a.clamp_min(0.4),
+    "extremes": lambda a: torch.maximum(a[0], a[1]) * torch.minimum(a[0], a[1]),
+    "largest": lambda a: a.amax(-1) - a.amin(0, keepdim=True).sum(),
+    "choices": lambda a: torch.where((a > 0) & ~(a >= 0.9) | (a == 0), a.sin(), a.square()),
+    "truths": lambda a: a * (a > 0) + (a < 0).to(a).sum(),
+    "nothing": lambda a: a + a[:, :0].sum(-1, keepdim=True) + a[:0].sum(0),
+    "sums": lambda a: a.sum(-1) + a.mean() + a.prod(-1) + a.norm(dim=-1),
+    "rounding": lambda a: torch.fmod(a, 0.3) + a.floor() * a + a.ceil(),
+    "softmax": lambda a: torch.softmax(a, -1) * a,
+    "products": lambda a: a @ a.mT @ a,
+    "views": lambda a: torch.cat([a[:, 1:], a.unsqueeze(0).flip(-1)[0, :, :2]], -1).mT.reshape(
+        4, 2
+    ),
+    "parts": lambda a: (
+        torch.stack(a.unbind(-1)[:2], -1) * torch.stack(a.split(1, -1)[1:], -1)[:, 0]
+    ),
+    "padded": lambda a: torch.nn.functional.pad(a, (0, 1, 1, 0)) + 1,
+    "chosen": lambda a: a[:, torch.tensor([2, 0])] + a.index_select(-1, torch.tensor([1, 1])),
+    "rolled": lambda a: a.cumsum(-1) + torch.arange(3) + torch.full_like(a, 2.0) + a.expand(2, 3),
+}
+
+
+def run(program, wanted, leaves):
+    """Values of nodes."""
+    values = {}
+    for node in needed(program, wanted):
+        name, *arguments = program.operations[node]
+        if name == LEAF:
+            values[node] = leaves[tuple(arguments)]
+        elif name == CONSTANT:
+            values[node] = arguments[0]
+        else:
+            values[node] = FOLDS[name](*(values[each] for each in arguments))
+    return [values[node] for node in wanted]
+
+
+def lowered(function, argument):
+    """Program, leaves and outputs of a function of one tensor."""
+    from torch._decomp import core_aten_decompositions
+    from torch.fx.experimental.proxy_tensor import make_fx
+
+    graph = make_fx(lambda a: (function(a),), core_aten_decompositions())(argument)
+    program = Program()
+    entries = Lowering(program, HANDLERS).constants(argument)
+    for index, _ in enumerate(entries.flat):
+        entries.flat[index] = program.leaf("p", index)
+    (result,) = Lowering(program, HANDLERS)(graph, [entries])
+    return program, list(entries.flat), result
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_an_operation_and_its_derivative_are_those_of_torch(name):
+    argument = torch.tensor(VALUES, dtype=torch.float64, requires_grad=True)
+    expected = FUNCTIONS[name](argument)
+    weights = torch.linspace(0.5, 1.5, expected.numel(), dtype=torch.float64)
+    (slopes,) = torch.autograd.grad((expected.flatten() * weights).sum(), argument)
+    program, leaves, result = lowered(FUNCTIONS[name], argument.detach())
+    assert result.shape == expected.shape
+    given = {("p", i): value for i, value in enumerate(argument.flatten().tolist())}
+    weighted: dict = {}
+    for node, weight in zip(result.flat, weights.tolist(), strict=True):
+        before = weighted.get(node, program.constant(0.0))
+        weighted[node] = program.apply("add", before, program.constant(weight))
+    values = torch.tensor(run(program, list(result.flat), given), dtype=torch.float64)
+    torch.testing.assert_close(values, expected.detach().flatten())
+    found = torch.tensor(run(program, gradient(program, weighted, leaves), given)).to(slopes)
+    torch.testing.assert_close(found, slopes.flatten())
+
+
+def test_a_choice_hides_the_infinite_slope_of_what_is_not_taken():
+    program, leaves, result = lowered(
+        lambda a: torch.where(a > 0, a.sqrt(), torch.zeros_like(a)), torch.zeros(1)
+    )
+    slopes = gradient(program, {result[0]: program.constant(1.0)}, leaves)
+    assert run(program, slopes, {("p", 0): 0.0}) == [0.0]
+
+
+def test_an_unknown_operation_is_named():
+    with pytest.raises(CannotLowerError, match="sort"):
+        lowered(lambda a: a.sort().values, torch.tensor(VALUES))
+
+
+def test_an_index_that_depends_on_the_problem_is_refused():
+    with pytest.raises(CannotLowerError, match="not constant"):
+        lowered(lambda a: a.index_select(-1, a[0, :1].long()), torch.tensor(VALUES))
+
+
+def test_every_operation_has_a_derivative():
+    assert set(RULES) == set(FOLDS)
+
+
+def test_equal_operations_are_one_and_zeros_are_gone():
+    program = Program()
+    a, b, zero, one = (
+        program.leaf("p", 0),
+        program.leaf("p", 1),
+        program.constant(0.0),
+        program.constant(1.0),
+    )
+    product = program.apply("mul", a, b)
+    assert program.apply("mul", b, a) == product
+    assert (
+        program.apply("add", program.apply("mul", product, zero), program.apply("mul", b, one)) == b
+    )
+    assert program.apply("neg", program.apply("neg", a)) == a
+    assert program.value(program.apply("div", one, zero)) == float("inf")
+    assert program.constant(0.0) != program.constant(-0.0) != program.constant(False)

@@ -1,0 +1,151 @@
+"""A generated library does what the eager solver does, step by step."""
+
+import pytest
+import torch
+
+from diffstack_mmv.control import ILQR, Batched, Bounds, SolverStatus, native
+from diffstack_mmv.control.native import solver as native_solver
+from diffstack_mmv.control.native.lowering import CannotLowerError
+from diffstack_mmv.control.native.scalar import Program
+from diffstack_mmv.control.native.stages import Sizes, staged
+from tests.control.problems import driving, goal_cost, rate_model, solve
+
+EXACT = ILQR(tolerance=1e-12)
+
+
+def natively(solver, dynamics, cost, bounds, state, controls):
+    """The solution of the generated library, which must be there."""
+    exact = solver.curvature.is_exact(state.shape[-1])
+    numbers = native.Numbers(
+        solver.settings(bounds, state), solver.max_iterations, exact, solver.one_by_one
+    )
+    return native.solve(dynamics, cost, numbers, state, controls)
+
+
+def goal_term(states, controls, goal, weight):
+    """A cost whose first tensor has one entry per problem."""
+    return goal_cost(goal, weight)(states, controls)
+
+
+def problem(count):
+    """Callables with hidden tensors that require gradients, and the rest of a call."""
+    torch.set_default_dtype(torch.float64)
+    try:
+        hidden, box, controls = driving(batch=(count,), limit=1.0)
+    finally:
+        torch.set_default_dtype(torch.float32)
+    leaves = [hidden[name].requires_grad_() for name in ("state", "wheelbase", "weight", "goal")]
+    weight = hidden["weight"]
+
+    def term(states, controls, goal):
+        return goal_term(states, controls, goal, weight)
+
+    dynamics = Batched(rate_model(hidden["wheelbase"]))
+    return (dynamics, Batched(term, hidden["goal"]), box, hidden["state"], controls), leaves
+
+
+def outcome(solution, leaves):
+    """A solution and its gradients by the leaves."""
+    loss = (
+        solution.states.sin().sum() + solution.controls.square().sum() + 0.3 * solution.cost.sum()
+    )
+    return solution, torch.autograd.grad(loss, leaves)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_solutions_and_gradients_equal_the_eager_ones_to_rounding(count):
+    arguments, leaves = problem(count)
+    expected, slopes = outcome(EXACT(*arguments), leaves)
+    found, others = outcome(natively(EXACT, *arguments), leaves)
+    assert torch.equal(found.status, expected.status)
+    assert torch.equal(found.iterations, expected.iterations)
+    torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-10)
+    torch.testing.assert_close(others, slopes, rtol=1e-8, atol=1e-9)
+    assert (expected.controls.abs().amax((1, 2)) == 1.0).all()  # some bounds are active
+
+
+def test_a_problem_without_batch_and_new_closures_use_the_same_library(monkeypatch):
+    arguments, _ = problem(1)
+    natively(EXACT, *arguments)
+    monkeypatch.setattr(native_solver, "source", None)  # nothing is generated any more
+    (dynamics, cost, box, state, controls), leaves = problem(1)
+    with torch.no_grad():
+        leaves[3] += 0.2
+    expected = EXACT(dynamics, cost, box, state, controls)
+    found = natively(EXACT, dynamics, cost, box, state, controls)
+    torch.testing.assert_close(found.controls, expected.controls, rtol=1e-9, atol=1e-10)
+
+
+def test_what_is_not_finite_or_not_finished_says_so_and_has_no_gradient():
+    arguments, leaves = problem(3)
+    with torch.no_grad():
+        arguments[3][1, 0] = torch.nan
+    solver = ILQR(max_iterations=2)
+    expected, found = solver(*arguments), natively(solver, *arguments)
+    limit, lost = SolverStatus.ITERATION_LIMIT, SolverStatus.NOT_FINITE
+    assert found.status.tolist() == expected.status.tolist() == [limit, lost, limit]
+    torch.testing.assert_close(found.states, expected.states)
+    assert all((slope == 0).all() for slope in outcome(found, leaves)[1])
+
+
+def test_any_number_of_controls_is_boxed():
+    """An unstable linear system whose three controls meet their bounds."""
+    generator = torch.Generator().manual_seed(3)
+    draw = torch.randn(4, 9, generator=generator, dtype=torch.float64)
+    A, B, b = torch.eye(4) + 0.4 * draw[:, :4], draw[:, 4:7], draw[:, 7]
+
+    def linear(state, control):
+        return (state.unsqueeze(-2) * A).sum(-1) + (control.unsqueeze(-2) * B).sum(-1) + b
+
+    def square(states, controls):
+        return states.square().sum(-1) + 0.5 * controls.square().sum(-1)
+
+    box = Bounds(torch.full((3,), -0.5), torch.full((3,), 0.5))
+    start, guess = draw[:, 8].unsqueeze(0), torch.zeros(1, 8, 3).double()
+    expected = EXACT(linear, square, box, start, guess)
+    found = natively(EXACT, linear, square, box, start, guess)
+    assert expected.converged.all()
+    assert (expected.controls.abs() == 0.5).sum() > 3
+    assert torch.equal(found.iterations, expected.iterations)
+    torch.testing.assert_close(found.controls, expected.controls, rtol=1e-9, atol=1e-9)
+
+
+def test_a_problem_that_has_no_scalar_form_is_left_to_the_tensor_kernels(caplog):
+    arguments, _ = problem(1)
+
+    def sorted_cost(states, controls):
+        return states.sort(-1).values[..., 0] + controls.square().sum(-1)
+
+    with caplog.at_level("INFO"):
+        assert natively(EXACT, arguments[0], sorted_cost, *arguments[2:]) is None
+    assert "aten.sort" in caplog.text
+    assert natively(EXACT, arguments[0], sorted_cost, *arguments[2:]) is None
+
+
+@pytest.mark.parametrize("count", [0, 17])
+def test_many_problems_are_left_to_the_tensor_kernels(count):
+    (dynamics, cost, box, state, controls), _ = problem(1)
+    many = state.repeat(count, 1), controls.repeat(count, 1, 1)
+    assert natively(EXACT, dynamics, cost, box, *many) is None
+
+
+def test_closures_over_a_batch_are_left_to_the_tensor_kernels():
+    (_, _, box, state, controls), (_, wheelbase, weight, goal) = problem(3)
+    closed = goal_cost(goal, weight)
+    assert natively(EXACT, rate_model(wheelbase), closed, box, state, controls) is None
+
+
+def test_the_compiled_solver_uses_the_library_for_one_problem(monkeypatch):
+    hidden, box, controls = driving(batch=(1,))
+    asked = []
+    monkeypatch.setattr(native, "solve", lambda *arguments: asked.append(arguments) or "solved")
+    assert solve(ILQR(compile=True), hidden, box, controls) == "solved"
+    assert len(asked) == 1
+
+
+def test_a_cost_that_sees_another_time_is_refused():
+    program = Program()
+    x = [program.leaf("x", time, 0) for time in range(3)]
+    costs = [x[0], program.apply("mul", x[1], x[0]), x[2]]
+    with pytest.raises(CannotLowerError, match="time 1 sees time 0"):
+        staged(program, [x[0]], costs, Sizes(1, 1, 2, 0))

@@ -1,0 +1,133 @@
+"""A C program without Python plans with an exported library as the planner does."""
+
+import ctypes
+import shutil
+import subprocess
+
+import pytest
+import torch
+
+from diffstack_mmv.control import ILQR, Batched
+from diffstack_mmv.planning import PhysicalControls, initial_state
+from diffstack_mmv.planning.export import export_planner
+from diffstack_mmv.planning.objective import NAMES, batched_objective
+from tests.planning.test_planner import problem, training
+
+COMPILER = shutil.which("cc") or shutil.which("gcc")
+PROGRAM = """
+#include <stdio.h>
+#include <string.h>
+#include "planner.h"
+int main(void) {
+  static dmmv_real parameters[DMMV_PARAMETERS];
+  dmmv_real state[DMMV_STATES] = {0, 0, 0, 2}, guess[DMMV_STEPS * DMMV_CONTROLS] = {0};
+  dmmv_plan_result plan;
+  memcpy(parameters, dmmv_defaults(), sizeof parameters);
+  for (int i = 0; i < DMMV_PARAMETERS; ++i)
+    if (scanf("%lf", parameters + i) != 1) return 1;
+  int status = dmmv_plan(parameters, state, guess, &plan);
+  printf("%d %d\\n", status, plan.iterations);
+  for (int t = 0; t < DMMV_STEPS; ++t)
+    printf("%.17g %.17g\\n", plan.controls[t][0], plan.controls[t][1]);
+  return status != DMMV_CONVERGED;
+}
+"""
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C compiler is installed")
+def test_a_c_program_finds_the_plan_of_the_solver(tmp_path):
+    planner = training().double()
+    planner.solver = ILQR(tolerance=1e-10)
+    planned = [each.double() if each.is_floating_point() else each for each in flat(problem(1))]
+    one = unflat(planned, problem(1))
+    written = export_planner(planner, tmp_path, agents=1, components=2)
+    cost = batched_objective(planner, planner.dynamics, one, PhysicalControls(planner.dynamics))
+    state, guess = (
+        initial_state(planner.dynamics, one.ego),
+        torch.zeros(1, planner.steps, 2).double(),
+    )
+    with torch.no_grad():
+        expected = planner.solver(
+            Batched(planner.dynamics), cost, planner.dynamics.bounds, state, guess
+        )
+    numbers = parameters(written, dict(zip(NAMES, cost.tensors, strict=True)))
+    status, iterations, controls = run_program(tmp_path, numbers)
+    assert status == 0
+    assert iterations == int(expected.iterations)
+    torch.testing.assert_close(controls, expected.controls[0], rtol=1e-9, atol=1e-9)
+
+
+def flat(record):
+    """All tensors of a problem."""
+    parts = []
+    for each in record:
+        parts += (
+            [each]
+            if isinstance(each, torch.Tensor)
+            else flat(each)
+            if isinstance(each, tuple)
+            else []
+        )
+    return parts
+
+
+def unflat(tensors, like):
+    """A problem with other tensors."""
+    rest = list(tensors)
+
+    def build(record):
+        fields = []
+        for each in record:
+            if isinstance(each, torch.Tensor):
+                fields.append(rest.pop(0))
+            else:
+                fields.append(build(each) if isinstance(each, tuple) else each)
+        return type(record)(*fields)
+
+    return build(like)
+
+
+def parameters(written, values):
+    """The defaults of the library with the tensors of a problem in their places."""
+    library = ctypes.CDLL(str(written.library))
+    library.dmmv_defaults.restype = ctypes.POINTER(ctypes.c_double)
+    last = written.entries[-1]
+    count = last.offset + torch.Size(last.shape).numel()
+    numbers = torch.tensor(library.dmmv_defaults()[:count], dtype=torch.float64)
+    for entry in written.entries:
+        if entry.name in values:
+            value = values[entry.name].double().flatten()
+            numbers[entry.offset : entry.offset + value.numel()] = value
+    return numbers
+
+
+def run_program(folder, numbers):
+    """Compile the program, link it with the library, and give it the parameters."""
+    (folder / "main.c").write_text(PROGRAM)
+    command = [COMPILER, "main.c", "-L.", "-lplanner", "-Wl,-rpath,.", "-o", "main"]
+    subprocess.run(command, cwd=folder, check=True)
+    given = "\n".join(map(repr, numbers.tolist()))
+    done = subprocess.run(
+        ["./main"], cwd=folder, input=given, capture_output=True, text=True, check=True
+    )
+    first, *rows = done.stdout.splitlines()
+    status, iterations = map(int, first.split())
+    controls = torch.tensor([list(map(float, row.split())) for row in rows], dtype=torch.float64)
+    return status, iterations, controls
+
+
+def test_entries_are_named_and_follow_one_another(tmp_path, monkeypatch):
+    monkeypatch.setattr("diffstack_mmv.control.native.export.build", lambda *arguments: None)
+    written = export_planner(training(), tmp_path, agents=2)
+    names = [entry.name for entry in written.entries]
+    assert {"goal", "obstacle_position", "cost_log_weight", "dynamics_wheelbase_raw"} <= set(names)
+    assert not any(name.startswith("other") for name in names)
+    offsets = [entry.offset + torch.Size(entry.shape).numel() for entry in written.entries]
+    assert [0, *offsets[:-1]] == [entry.offset for entry in written.entries]
+    assert "#define DMMV_AT_GOAL" in written.header.read_text()
+
+
+@pytest.mark.parametrize("name", ["agents", "components", "discs"])
+def test_sizes_are_positive(name, tmp_path):
+    with pytest.raises(ValueError, match=f"`{name}` must be at least 1"):
+        export_planner(training(), tmp_path, **{name: 0})

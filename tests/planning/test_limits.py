@@ -1,0 +1,122 @@
+"""Limits as constraints of the optimiser: what they say, and that plans keep to them."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from diffstack_mmv.control import ILQR
+from diffstack_mmv.planning import ClearanceKept, FrictionCircle, PlanConstraints, SpeedWithin
+from diffstack_mmv.types import Motion, SolverStatus
+from tests.planning.test_planner import STEPS, problem, training
+
+LIMITS = {
+    "speed": SpeedWithin(),
+    "friction": FrictionCircle(0.3),
+    "clearance": ClearanceKept(0.1),
+}
+
+
+def motion(speed, yaw_rate, x=0.0):
+    """Two problems at two times, all alike."""
+    shape = torch.zeros(2, 2)
+    velocity = torch.stack([shape + speed, shape], -1)
+    return Motion(torch.stack([shape + x, shape], -1), shape, velocity, shape + yaw_rate)
+
+
+def cut(problems):
+    """A problem for two times."""
+    obstacles = problems.obstacles._replace(position=problems.obstacles.position[..., :2, :])
+    return problems._replace(obstacles=obstacles)
+
+
+def test_the_speed_limit_is_the_reference_speed_and_its_excess():
+    problems = problem(2)._replace(reference_speed=torch.tensor([3.0, 4.0]))
+    values = SpeedWithin(0.5)(motion(4.0, 0.0), torch.zeros(2, 2), problems)
+    assert values.squeeze(-1).tolist() == [[0.5, 0.5], [-0.5, -0.5]]
+
+
+def test_the_friction_circle_is_reached_by_braking_and_turning_together():
+    grip = 0.8 * 9.81
+    values = FrictionCircle(0.8)(
+        motion(2.0, 0.3 * grip), torch.full((2, 2), -0.8 * grip), problem(2)
+    )
+    torch.testing.assert_close(values, torch.zeros(2, 2, 1), atol=1e-6, rtol=0)
+
+
+def test_clearance_is_told_for_every_agent_and_component_and_only_for_those_present():
+    problems = cut(problem(2))
+    values = ClearanceKept(0.1)(motion(2.0, 0.0, x=1.0), torch.zeros(2, 2), problems)
+    reach = problems.ego.discs.radius.amax(-1) + problems.obstacles.radius[:, 0] + 0.1
+    expected = (
+        reach[:, None, None]
+        - (problems.obstacles.position[:, 0] - torch.tensor([1.0, 0.0])).norm(dim=-1).mT
+    )
+    assert values.shape == (2, 2, 2)
+    torch.testing.assert_close(values, expected, atol=1e-4, rtol=1e-4)
+    gone = problems.obstacles._replace(valid=torch.zeros(2, 1, dtype=torch.bool))
+    values = ClearanceKept(0.1)(
+        motion(2.0, 0.0), torch.zeros(2, 2), problems._replace(obstacles=gone)
+    )
+    assert (values == -1).all()
+
+
+@pytest.mark.parametrize(("kind", "argument"), [(FrictionCircle, 0.0), (ClearanceKept, -0.1)])
+def test_numbers_of_limits_are_checked(kind, argument):
+    with pytest.raises(ValueError, match="must be"):
+        kind(argument)
+
+
+def limited(linear=float("inf")):
+    """A planner whose optimiser keeps to all limits, in float64."""
+    planner = training()
+    planner.solver = ILQR(max_iterations=60, tolerance=1e-8)
+    planner.constraints = PlanConstraints(LIMITS, linear, tolerance=1e-6)
+    return planner.double()
+
+
+def doubled(record):
+    """The same problem in float64."""
+    fields = [
+        each.double()
+        if isinstance(each, torch.Tensor) and each.is_floating_point()
+        else doubled(each)
+        if isinstance(each, tuple)
+        else each
+        for each in record
+    ]
+    return type(record)(*fields)
+
+
+@pytest.mark.parametrize("linear", [float("inf"), 100.0])
+def test_plans_keep_to_limits_that_the_plain_optimum_breaks(linear):
+    problems = doubled(problem(2))
+    problems = problems._replace(reference_speed=torch.tensor([2.2, 2.5]).double())
+
+    def worst(planner):
+        plan = planner(problems)
+        command = torch.nn.functional.pad(plan.controls[..., 0], (0, 1))
+        values = [limit(plan.motion, command, problems) for limit in LIMITS.values()]
+        return plan, torch.cat(values, -1)[:, 1:].amax((1, 2))
+
+    planner = limited(linear)
+    plan, lack = worst(planner)
+    assert plan.solution.converged.all()
+    assert (lack < 1e-4).all()
+    planner.constraints = dataclasses.replace(planner.constraints, limits={})
+    assert (worst(planner)[1] > 0.1).all()
+
+
+def test_what_cannot_be_kept_to_is_told():
+    problems = doubled(problem(1))
+    inside = problems.obstacles._replace(radius=problems.obstacles.radius + 40)
+    plan = limited()(problems._replace(obstacles=inside))
+    assert plan.solution.status.tolist() == [[SolverStatus.INFEASIBLE]]
+    assert plan.controls.shape == (1, STEPS, 2)
+
+
+def test_another_optimiser_cannot_keep_to_limits():
+    planner = training()
+    arguments = {"constraints": PlanConstraints(LIMITS), "solver": print}
+    with pytest.raises(TypeError, match="`solver` must be an ILQR"):
+        type(planner)(planner.dynamics, planner.cost, candidates=planner.candidates, **arguments)
