@@ -54,7 +54,8 @@ OF_A_STACK = Buildable(
     | _of(
         "diffstack_mmv.prediction",
         "without_dynamics straight_line constant_acceleration hermite_spline"
-        " trajectron.linearise_compiled trajectron.linearise_shared",
+        " trajectron.linearise_compiled trajectron.linearise_compiled_twice"
+        " trajectron.linearise_shared",
     )
     | _of("torch.optim", "Adam AdamW NAdam RAdam RMSprop SGD")
     | _of(

@@ -66,6 +66,10 @@ class Predictor(nn.Module, ABC):
         """Have expensive parts compiled at their next use; by default there is nothing to do."""
         return
 
+    def compile_second_derivatives(self) -> None:
+        """Have those of a backward pass compiled too, which takes minutes; by default nothing."""
+        return
+
 
 def all_agents(ego: Tracks, neighbors: Tracks) -> Tracks:
     """Join the ego (`*b H`) and its neighbors (`*b N H`) to agents `*b 1+N H`, the ego first.

@@ -133,6 +133,10 @@ class DiffStackMMV(pl.LightningModule):
         self.planner.compile_solver()
         self.predictor.compile_kernels()
 
+    def compile_second_derivatives(self) -> None:
+        """Have those of the predictor's backward pass compiled too, for trainings of hours."""
+        self.predictor.compile_second_derivatives()
+
     def forward(self, batch: StackBatch) -> StackOutput:
         """Predict all agents, choose the goal, and plan."""
         return self.plan(batch, self.predictor.predict(batch))

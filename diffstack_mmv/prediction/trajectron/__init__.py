@@ -2,7 +2,10 @@
 
 from diffstack_mmv.prediction.trajectron.jacobians import linearise, linearise_shared
 from diffstack_mmv.prediction.trajectron.latent import Annealing
-from diffstack_mmv.prediction.trajectron.linearised_step import linearise_compiled
+from diffstack_mmv.prediction.trajectron.linearised_step import (
+    linearise_compiled,
+    linearise_compiled_twice,
+)
 from diffstack_mmv.prediction.trajectron.model import Sizes, Trajectron
 from diffstack_mmv.prediction.trajectron.site import Site
 
@@ -13,5 +16,6 @@ __all__ = [
     "Trajectron",
     "linearise",
     "linearise_compiled",
+    "linearise_compiled_twice",
     "linearise_shared",
 ]

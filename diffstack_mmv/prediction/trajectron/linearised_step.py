@@ -32,9 +32,15 @@ ROWS = 256
 
 
 def linearised_rollout(
-    dynamics: DynamicsModel, state: Float[Tensor, "*b n"], controls: Float[Tensor, "*b T m"]
+    dynamics: DynamicsModel,
+    state: Float[Tensor, "*b n"],
+    controls: Float[Tensor, "*b T m"],
+    twice: bool = False,
 ) -> tuple[Float[Tensor, "*b T1 n"], Linearisation]:
     """States x_0 .. x_T and Jacobians at all times, each step by a compiled kernel.
+
+    With `twice` the second derivatives of a backward pass are one, too, where no parameter of the
+    model is learned.
 
     Can be differentiated once; a second derivative is refused.
     """
@@ -42,7 +48,7 @@ def linearised_rollout(
     start = state.expand(*shape, n).flatten(0, -2).mT
     acting = controls.flatten(0, -3).permute(1, 2, 0)
     learned = [each for each in dynamics.parameters() if each.requires_grad]
-    columns, jacobians = _LinearisedRollout.apply(dynamics, start, acting, *learned)  # type: ignore[no-untyped-call]
+    columns, jacobians = _LinearisedRollout.apply(dynamics, twice, start, acting, *learned)  # type: ignore[no-untyped-call]
     states = columns.movedim(-1, 0).unflatten(0, shape)
     whole = jacobians.permute(3, 0, 2, 1).unflatten(0, shape)
     return states, Linearisation(whole[..., :n], whole[..., n:])
@@ -59,17 +65,18 @@ class _LinearisedRollout(torch.autograd.Function):
     def forward(
         ctx: Any,
         dynamics: DynamicsModel,
+        twice: bool,
         start: Float[Tensor, "n N"],
         controls: Float[Tensor, "T m N"],
         *learned: Tensor,
     ) -> tuple[Float[Tensor, "T1 n N"], Float[Tensor, "T k n N"]]:
         states, jacobians = [start], []
         for control in controls:
-            following, jacobian = _by_kernel(dynamics, states[-1], control)
+            following, jacobian = _by_kernel(KERNEL, dynamics, states[-1], control)
             states.append(following)
             jacobians.append(jacobian)
         found = torch.stack(states), torch.stack(jacobians)
-        ctx.dynamics = dynamics
+        ctx.dynamics, ctx.twice = dynamics, twice
         ctx.save_for_backward(controls, *found, *learned)
         return found
 
@@ -78,7 +85,10 @@ class _LinearisedRollout(torch.autograd.Function):
     def backward(ctx: Any, grad: Tensor, of_jacobians: Tensor) -> tuple[Tensor | None, ...]:
         controls, states, jacobians, *learned = ctx.saved_tensors
         n, before = states.shape[1], states[:-1]
-        of_state, of_control, *bent = _pulled(ctx.dynamics, before, controls, of_jacobians, learned)
+        pulled_back = _pulled_by_kernel if ctx.twice and not learned else _pulled
+        of_state, of_control, *bent = pulled_back(
+            ctx.dynamics, before, controls, of_jacobians, learned
+        )
         slope, slopes = grad[-1], []
         for step in range(len(controls) - 1, -1, -1):
             slopes.append(slope)
@@ -86,28 +96,44 @@ class _LinearisedRollout(torch.autograd.Function):
             slope = grad[step] + of_state[step] + pulled[:n]
             of_control[step] += pulled[n:]
         if not learned:
-            return None, slope, of_control
+            return None, None, slope, of_control
         with torch.enable_grad():
             after = ctx.dynamics(before.mT, controls.mT).mT
         moved = torch.autograd.grad(
             after, learned, torch.stack(slopes[::-1]), materialize_grads=True, allow_unused=True
         )
         totals = [first + second for first, second in zip(bent, moved, strict=True)]
-        return None, slope, of_control, *totals
+        return None, None, slope, of_control, *totals
 
 
 def _by_kernel(
-    dynamics: DynamicsModel, state: Float[Tensor, "n N"], control: Float[Tensor, "m N"]
-) -> tuple[Float[Tensor, "n N"], Float[Tensor, "k n N"]]:
-    """Step and Jacobian of any number of columns by the kernel, which sees a fixed number."""
-    missing = -state.shape[-1] % COLUMNS
-    fields = [
-        torch.cat([field, field[:, -1:].expand(-1, missing)], -1) for field in (state, control)
+    kernel: "Compiled", dynamics: DynamicsModel, *fields: Float[Tensor, "... N"]
+) -> tuple[Tensor, ...]:
+    """Results for any number of columns by a kernel, which sees a fixed number."""
+    count = fields[0].shape[-1]
+    missing = -count % COLUMNS
+    filled = [
+        torch.cat([field, field[..., -1:].expand(*field.shape[:-1], missing)], -1)
+        for field in fields
     ]
-    split = zip(*(field.split(COLUMNS, -1) for field in fields), strict=True)
-    parts = [KERNEL(dynamics, *(field.contiguous() for field in pair)) for pair in split]
-    following, jacobian = (torch.cat(part, -1) for part in zip(*parts, strict=True))
-    return following[..., : state.shape[-1]], jacobian[..., : state.shape[-1]]
+    split = zip(*(field.split(COLUMNS, -1) for field in filled), strict=True)
+    parts = [kernel(dynamics, *(field.contiguous() for field in part)) for part in split]
+    return tuple(torch.cat(part, -1)[..., :count] for part in zip(*parts, strict=True))
+
+
+def bent_columns(
+    dynamics: DynamicsModel,
+    state: Float[Tensor, "n N"],
+    control: Float[Tensor, "m N"],
+    toward: Float[Tensor, "k n N"],
+) -> tuple[Float[Tensor, "n N"], Float[Tensor, "m N"]]:
+    """Gradient of Σ G · J in states and controls, with the Jacobian J of a step and weights G."""
+
+    def along(state: Tensor, control: Tensor) -> Tensor:
+        return (linearised_columns(dynamics, state, control)[1] * toward).sum()
+
+    found: tuple[Tensor, Tensor] = torch.func.grad(along, (0, 1))(state, control)
+    return found
 
 
 def _pulled(
@@ -135,10 +161,31 @@ def _pulled(
     return [*joined, *(functools.reduce(torch.add, each) for each in gathered[2:])]
 
 
+def _pulled_by_kernel(
+    dynamics: DynamicsModel,
+    states: Float[Tensor, "T n N"],
+    controls: Float[Tensor, "T m N"],
+    of_jacobians: Float[Tensor, "T k n N"],
+    learned: Sequence[Tensor],
+) -> list[Tensor]:
+    """The same without parameters, by a kernel."""
+    shape = states.shape[0], states.shape[-1]
+    fields = (part.movedim(0, -2).flatten(-2) for part in (states, controls, of_jacobians))
+    bent = _by_kernel(BENT_KERNEL, dynamics, *fields)
+    return [part.unflatten(-1, shape).movedim(-2, 0) for part in bent]
+
+
 def linearise_compiled(
     dynamics: DynamicsModel, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
 ) -> Linearisation:
     """`linearise`; a roll-out that asks for it is computed by compiled steps where that gains."""
+    return linearise(dynamics, state, control)
+
+
+def linearise_compiled_twice(
+    dynamics: DynamicsModel, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
+) -> Linearisation:
+    """`linearise_compiled`, the second derivatives of the backward pass compiled as well."""
     return linearise(dynamics, state, control)
 
 
@@ -191,3 +238,4 @@ class Compiled:
 
 
 KERNEL = Compiled(linearised_columns)
+BENT_KERNEL = Compiled(bent_columns)

@@ -14,6 +14,7 @@ from diffstack_mmv.prediction.trajectron.jacobians import Linearisation, jacobia
 from diffstack_mmv.prediction.trajectron.linearised_step import (
     gains_from_compiling,
     linearise_compiled,
+    linearise_compiled_twice,
     linearised_rollout,
 )
 from diffstack_mmv.types import Motion
@@ -144,13 +145,15 @@ def integrate(
         control_scale: Cholesky factors of their covariances.
         start_deviation: Standard deviations of the present position along and across in m, heading
             in rad, speed in m/s.
-        jacobians: `linearise` or `linearise_compiled` at every point, or `linearise_shared` where
-            that is too slow.
+        jacobians: `linearise` or one of its compiled forms at every point, or `linearise_shared`
+            where that is too slow.
     """
     state = dynamics.state_on_course(motion)
     controls = time_outermost(controls)
-    if jacobians is linearise_compiled and gains_from_compiling(dynamics, state):
-        states, linearisation = linearised_rollout(dynamics, state, controls)
+    compiled = jacobians in (linearise_compiled, linearise_compiled_twice)
+    if compiled and gains_from_compiling(dynamics, state):
+        twice = jacobians is linearise_compiled_twice
+        states, linearisation = linearised_rollout(dynamics, state, controls, twice)
     else:
         states = rolled_out(dynamics, state, controls)
         linearisation = jacobians(dynamics, states[..., :-1, :], controls)

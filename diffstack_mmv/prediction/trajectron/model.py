@@ -29,7 +29,10 @@ from diffstack_mmv.prediction.trajectron.encoder import (
 )
 from diffstack_mmv.prediction.trajectron.jacobians import linearise
 from diffstack_mmv.prediction.trajectron.latent import Annealing, Latent, divergence
-from diffstack_mmv.prediction.trajectron.linearised_step import linearise_compiled
+from diffstack_mmv.prediction.trajectron.linearised_step import (
+    linearise_compiled,
+    linearise_compiled_twice,
+)
 from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
 from diffstack_mmv.prediction.trajectron.output import nobody, placed, scenes
@@ -164,6 +167,12 @@ class Trajectron(Predictor):
         for branch in self.branches:
             if isinstance(branch, Branch) and branch.decoder.jacobians is linearise:
                 branch.decoder.jacobians = linearise_compiled
+
+    def compile_second_derivatives(self) -> None:
+        """Have those of models with compiled steps compiled too, where no parameter is learned."""
+        for branch in self.branches:
+            if isinstance(branch, Branch) and branch.decoder.jacobians is linearise_compiled:
+                branch.decoder.jacobians = linearise_compiled_twice
 
     def forward(self, past: Tracks, neighbors: Tracks) -> Forecast:
         """Forecast all agents, `*b 1+N`; an agent that is not observed now stays where it is."""

@@ -5,9 +5,18 @@ import torch
 from torch.autograd import gradcheck
 
 from diffstack_mmv.dynamics import DiffGM3
-from diffstack_mmv.prediction.trajectron import linearise, linearise_compiled, linearised_step
+from diffstack_mmv.prediction.trajectron import (
+    linearise,
+    linearise_compiled,
+    linearise_compiled_twice,
+    linearised_step,
+)
 from diffstack_mmv.prediction.trajectron.jacobians import linearise_forward, linearised_columns
-from diffstack_mmv.prediction.trajectron.linearised_step import Compiled, linearised_rollout
+from diffstack_mmv.prediction.trajectron.linearised_step import (
+    Compiled,
+    bent_columns,
+    linearised_rollout,
+)
 from diffstack_mmv.prediction.trajectron.mixture import integrate
 from diffstack_mmv.vehicles import load_vehicle
 from tests.prediction.trajectron.test_mixture import moving
@@ -27,10 +36,11 @@ def points(count):
 
 @pytest.fixture
 def interpreted(monkeypatch):
-    """The kernel as if compiled, for three columns."""
-    kernel = Compiled(linearised_columns)
-    kernel.run = kernel.function
-    monkeypatch.setattr(linearised_step, "KERNEL", kernel)
+    """The kernels as if compiled, for three columns."""
+    for name, function in (("KERNEL", linearised_columns), ("BENT_KERNEL", bent_columns)):
+        kernel = Compiled(function)
+        kernel.run = kernel.function
+        monkeypatch.setattr(linearised_step, name, kernel)
     monkeypatch.setattr(linearised_step, "COLUMNS", 3)
     monkeypatch.setattr(linearised_step, "ROWS", 1)
 
@@ -75,8 +85,10 @@ def test_compiled_steps_change_nothing(learned):
     spread = torch.full((2, 4), 0.1, dtype=DOUBLE, requires_grad=True)
     inputs = [controls, spread, *sources(dynamics)]
     found = []
-    for jacobians in (linearise, linearise_compiled):
+    for jacobians in (linearise, linearise_compiled, linearise_compiled_twice):
         moments = integrate(dynamics, motion, controls, factor, spread, jacobians)
         toward = [torch.cos(moment.detach() + 1) for moment in moments]
         found.append([*moments, *torch.autograd.grad(moments, inputs, toward)])
-    assert all(torch.allclose(*pair) for pair in zip(*found, strict=True))
+    expected, *others = found
+    for other in others:
+        assert all(torch.allclose(*pair) for pair in zip(expected, other, strict=True))
