@@ -36,6 +36,11 @@ from dmmv_conventions.progress import waiting
 
 LOGGER = logging.getLogger(__name__)
 MOST_SIZES = 64  # step sizes that a library tries
+MOST_LIBRARIES = 3
+"""Shapes of a kind of problem that get a library; more, as of changing neighbors, take too long."""
+LONGEST_SOURCE = 450_000
+"""Characters of a library, beyond which a compiler takes half a minute and more: DiffGM3 has three
+quarters of it, and DiffKBM beside four agents of five components as much."""
 MOST_RENEWALS = 2
 """Times that a kind of problem may outgrow the compiler's list of graphs, 8 shapes each time."""
 
@@ -131,6 +136,8 @@ class Workshop:
 
     def _prepare(self, problem: StagedProblem, dtype: torch.dtype) -> None:
         if id(problem) not in self.known:
+            if len(self.known) >= MOST_LIBRARIES:
+                raise CannotLowerError(f"more than {MOST_LIBRARIES} shapes")
             began_s = time.perf_counter()
             LOGGER.info("Compiling the solver for %s: one library", self.problem)
             with waiting(f"compile the solver for {self.problem}: library"):
@@ -146,8 +153,11 @@ def library(problem: StagedProblem, name: str, dtype: torch.dtype) -> Any:
     """The library "solve" or "adjoint" of a problem."""
     key = id(problem), name, dtype
     if key not in _SOURCES:
+        code = source(problem, name, REALS[dtype])
+        if name == "solve" and len(code) > LONGEST_SOURCE:
+            raise CannotBuildError(f"a source of {len(code)} characters takes too long")
         # the problem is kept, so that no other one gets its identity
-        _SOURCES[key] = problem, load(source(problem, name, REALS[dtype]))
+        _SOURCES[key] = problem, load(code)
     return _SOURCES[key][1]
 
 

@@ -149,3 +149,18 @@ def test_a_cost_that_sees_another_time_is_refused():
     costs = [x[0], program.apply("mul", x[1], x[0]), x[2]]
     with pytest.raises(CannotLowerError, match="time 1 sees time 0"):
         staged(program, [x[0]], costs, Sizes(1, 1, 2, 0))
+
+
+@pytest.mark.parametrize(
+    ("limit", "value", "told"),
+    [("LONGEST_SOURCE", 100, "takes too long"), ("MOST_LIBRARIES", 0, "more than 0 shapes")],
+)
+def test_what_would_compile_too_long_is_left_to_tensors(monkeypatch, caplog, limit, value, told):
+    caplog.set_level("INFO")
+    monkeypatch.setattr(native_solver, limit, value)
+    monkeypatch.setattr(native_solver, "_SOURCES", {})
+    native_solver._workshop.cache_clear()
+    arguments, _ = problem(2)
+    assert natively(EXACT, *arguments) is None
+    assert told in caplog.text
+    native_solver._workshop.cache_clear()
