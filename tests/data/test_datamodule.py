@@ -61,7 +61,9 @@ def module(source, windows, exporting):
 
 
 def batches(loader):
-    return [tree_flatten(batch)[0][:-1] for batch in loader]
+    """The tensors of every batch."""
+    leaves = [tree_flatten(batch)[0] for batch in loader]
+    return [[part for part in each if isinstance(part, torch.Tensor)] for each in leaves]
 
 
 def equal(first, second):
