@@ -68,7 +68,7 @@ WRONG: dict[str, tuple[str, ...]] = {
     "results": (
         "size=horse", "launcher=horse", "size.seeds=[]", "size.goals=[horse]", "models={car: x}",
         "sets.sample.modes={horse: bicycle}", "sets.sample.modes={bicycle: horse}", "sets.sample.data=horse",
-        "raw=nowhere sets={thab: {data: thab_vru, root: nowhere, modes: {bicycle: bicycle}}}", "resamples=0", "size.epochs=0",
+        "raw=nowhere sets={thab: {data: thab_vru, root: nowhere, modes: {bicycle: bicycle}}}", "resamples=0", "size.epochs=-1",
         "overrides=7", "launcher.processes=0", "launcher._target_=os.system",
     ),
     "dashboard": ("modes=[bike]", "entity=null", "modes=7", "entity=e modes=[horse]"),
