@@ -58,7 +58,8 @@ class Captured:
             core = make_fx(self.graph.forward, decomposition_table=table)(*inputs)
             self.outputs = tuple(self.graph(*inputs))
         program = Program()
-        following, costs = Lowering(program, HANDLERS)(core, self._leaves(program, inputs))
+        lowering = Lowering(program, HANDLERS)
+        following, costs = lowering(core, self._leaves(lowering, inputs))
         count = sum(each.numel() for each in self.parameters(inputs))
         (rows, n), m = at.states.shape[-2:], at.controls.shape[-1]
         sizes = Sizes(n, m, rows - 1, count)
@@ -67,8 +68,8 @@ class Captured:
             raise CannotLowerError(f"{shapes} results instead of {(n, rows)}")
         return staged(program, list(following.flat), list(costs.flat), sizes)
 
-    def _leaves(self, program: Program, inputs: Sequence[Tensor]) -> list[np.ndarray]:
-        leaves, count = [], 0
+    def _leaves(self, lowering: Lowering, inputs: Sequence[Tensor]) -> list[np.ndarray]:
+        program, leaves, count = lowering.program, [], 0
         for position, each in enumerate(inputs):
             if position in self.places:
                 kind = "xu"[self.places.index(position)]
@@ -76,7 +77,7 @@ class Captured:
             else:
                 numbers = (program.leaf("p", count + k) for k in range(each.numel()))
                 entries = np.fromiter(numbers, dtype=object).reshape(each.shape)
-                leaves.append(_typed(program, entries, each.dtype))
+                leaves.append(_typed(lowering, entries, each.dtype))
                 count += each.numel()
         return leaves
 
@@ -88,12 +89,12 @@ def _trajectory(program: Program, kind: str, like: Tensor) -> np.ndarray:
     return entries
 
 
-def _typed(program: Program, entries: np.ndarray, dtype: torch.dtype) -> np.ndarray:
+def _typed(lowering: Lowering, entries: np.ndarray, dtype: torch.dtype) -> np.ndarray:
     if dtype.is_floating_point:
         return entries
     if dtype != torch.bool:
         raise CannotLowerError(f"a tensor of {dtype}")
-    return np.frompyfunc(program.truth, 1, 1)(entries)
+    return lowering.truths(entries)
 
 
 class Taken(NamedTuple):

@@ -72,6 +72,10 @@ class Lowering:
         """Truths as numbers."""
         return _each(self.program.number, self.entries(value))
 
+    def truths(self, value: Any) -> Entries:
+        """Numbers as truths."""
+        return _each(self.program.truth, self.entries(value))
+
     def values(self, entries: Entries) -> list[Any]:
         """Values of entries that have to be constant.
 

@@ -73,17 +73,13 @@ _POWERS: dict[float, Handler] = {
 
 
 def _where(low: Lowering, condition: Any, a: Any, b: Any) -> Entries:
-    truths = _truths(low, condition)
+    truths = low.truths(condition)
     return low.map("where", truths, a, b)
-
-
-def _truths(low: Lowering, value: Any) -> Entries:
-    return np.frompyfunc(low.program.truth, 1, 1)(low.entries(value)).reshape(np.shape(value))
 
 
 def _logical(name: str) -> Handler:
     def handler(low: Lowering, *arguments: Any) -> Entries:
-        return low.map(name, *(_truths(low, argument) for argument in arguments))
+        return low.map(name, *(low.truths(argument) for argument in arguments))
 
     return handler
 
@@ -160,7 +156,7 @@ def _copy(low: Lowering, a: Any, dtype: Any = None, **_: Any) -> Entries:
     if dtype is not None and dtype.is_floating_point:
         return low.numbers(a)
     if dtype == torch.bool:
-        return _truths(low, a)
+        return low.truths(a)
     return (
         a if dtype is None else low.constants([int(v) for v in low.values(a)]).reshape(np.shape(a))
     )

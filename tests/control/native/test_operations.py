@@ -21,6 +21,9 @@ FUNCTIONS = {
     "extremes": lambda a: torch.maximum(a[0], a[1]) * torch.minimum(a[0], a[1]),
     "largest": lambda a: a.amax(-1) - a.amin(0, keepdim=True).sum(),
     "choices": lambda a: torch.where((a > 0) & ~(a >= 0.9) | (a == 0), a.sin(), a.square()),
+    "one number": lambda a: (
+        torch.where(a[0, 0] < 0, a[0, 1].cos(), a[1, 0]) + a[1, 1] * (a[0, 2] > 0).to(torch.bool)
+    ),
     "truths": lambda a: a * (a > 0) + (a < 0).to(a).sum(),
     "nothing": lambda a: a + a[:, :0].sum(-1, keepdim=True) + a[:0].sum(0),
     "sums": lambda a: a.sum(-1) + a.mean() + a.prod(-1) + a.norm(dim=-1),

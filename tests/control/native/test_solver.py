@@ -8,6 +8,8 @@ from diffstack_mmv.control.native import solver as native_solver
 from diffstack_mmv.control.native.lowering import CannotLowerError
 from diffstack_mmv.control.native.scalar import Program
 from diffstack_mmv.control.native.stages import Sizes, staged
+from diffstack_mmv.dynamics import DiffKBM
+from diffstack_mmv.vehicles import load_vehicle
 from tests.control.problems import driving, goal_cost, rate_model, solve
 
 EXACT = ILQR(tolerance=1e-12)
@@ -62,6 +64,26 @@ def test_solutions_and_gradients_equal_the_eager_ones_to_rounding(count):
     torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-10)
     torch.testing.assert_close(others, slopes, rtol=1e-8, atol=1e-9)
     assert (expected.controls.abs().amax((1, 2)) == 1.0).all()  # some bounds are active
+
+
+def test_one_vehicle_without_any_batch_dimension():
+    """A kink of the vehicle then chooses by a truth that is no array."""
+    torch.set_default_dtype(torch.float64)
+    try:
+        bicycle = DiffKBM(load_vehicle("bicycle"), 0.1)
+        goal = torch.tensor([4.0, 1.5])
+
+        def to_goal(states, controls):
+            return (states[..., :2] - goal).square().sum(-1) + 0.1 * controls.square().sum(-1)
+
+        state, guess = torch.tensor([0.0, 0.0, 0.0, 2.0]), torch.zeros(15, 2)
+        arguments = bicycle, to_goal, bicycle.bounds, state, guess
+        expected, found = EXACT(*arguments), natively(EXACT, *arguments)
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert found.converged
+    assert torch.equal(found.iterations, expected.iterations)
+    torch.testing.assert_close(found.states, expected.states, rtol=1e-8, atol=1e-8)
 
 
 def test_a_problem_without_batch_and_new_closures_use_the_same_library(monkeypatch):
