@@ -10,6 +10,7 @@ import logging
 import math
 import time
 from collections.abc import Hashable
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import torch
@@ -36,6 +37,9 @@ MOST_LIBRARIES = 3
 LONGEST_SOURCE = 450_000
 """Characters of a library, beyond which a compiler takes half a minute and more: DiffGM3 has three
 quarters of it, and DiffKBM beside four agents of five components as much."""
+LONG_ADJOINT = 300_000
+"""Characters of an adjoint, which runs once per solve, beyond which the compiler takes less effort:
+that of DiffGM3 is no slower for it, and built in two thirds of the time."""
 MOST_RENEWALS = 2
 """Times that a kind of problem may outgrow the compiler's list of graphs, 8 shapes each time."""
 
@@ -102,7 +106,8 @@ class Workshop:
         """The solution, None where there is no library."""
         try:
             taken, parameters = self._taken(dynamics, cost, state, controls)
-            self._prepare(taken.problem, state.dtype)
+            hidden = parameters.requires_grad or state.requires_grad
+            self._prepare(taken.problem, state.dtype, hidden and torch.is_grad_enabled())
         except (CannotLowerError, CannotBuildError, *refusals().failed) as failure:
             self.is_refused = True
             reason = next(iter(str(failure).strip().splitlines()), type(failure).__name__)
@@ -129,32 +134,47 @@ class Workshop:
         empty = state.new_zeros(count, 0)
         return taken, torch.cat([empty, *rows], 1).contiguous()
 
-    def _prepare(self, problem: StagedProblem, dtype: torch.dtype) -> None:
+    def _prepare(self, problem: StagedProblem, dtype: torch.dtype, differentiates: bool) -> None:
+        """Have the solver at hand; that of derivatives is built meanwhile, if they are asked for."""
         if id(problem) not in self.known:
             if len(self.known) >= MOST_LIBRARIES:
                 raise CannotLowerError(f"more than {MOST_LIBRARIES} shapes")
             began_s = time.perf_counter()
             LOGGER.info("Compiling the solver for %s: one library", self.problem)
             with waiting(f"compile the solver for {self.problem}: library"):
-                library(problem, "solve", dtype)
+                solver = _begun(problem, "solve", dtype)
+                if differentiates:
+                    _begun(problem, "adjoint", dtype)
+                solver.result()
             LOGGER.info("Compiled it in %.1f s", time.perf_counter() - began_s)
             self.known.add(id(problem))
 
 
-_SOURCES: dict[tuple[int, str, torch.dtype], tuple[StagedProblem, Any]] = {}
+_LIBRARIES: dict[tuple[int, str, torch.dtype], tuple[StagedProblem, Future[Any]]] = {}
 
 
 def library(problem: StagedProblem, name: str, dtype: torch.dtype) -> Any:
     """The library "solve" or "adjoint" of a problem."""
+    return _begun(problem, name, dtype).result()
+
+
+def _begun(problem: StagedProblem, name: str, dtype: torch.dtype) -> Future[Any]:
+    """A library that is there, or being built."""
     key = id(problem), name, dtype
-    if key not in _SOURCES:
+    if key not in _LIBRARIES:
         retain_freed_memory()
         code = source(problem, name, REALS[dtype])
         if name == "solve" and len(code) > LONGEST_SOURCE:
             raise CannotBuildError(f"a source of {len(code)} characters takes too long")
         # the problem is kept, so that no other one gets its identity
-        _SOURCES[key] = problem, load(code)
-    return _SOURCES[key][1]
+        effort = ["-O1"] if name == "adjoint" and len(code) > LONG_ADJOINT else []
+        _LIBRARIES[key] = problem, _builders().submit(load, code, *effort)
+    return _LIBRARIES[key][1]
+
+
+@functools.cache
+def _builders() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(2, "build")
 
 
 def _anywhere(state: Tensor, controls: Tensor) -> Trajectory:
@@ -181,12 +201,15 @@ def _first(function: Any, originals: dict[int, Tensor]) -> Any:
 
 def _row(taken: Tensor, original: Tensor | None, count: int, like: Tensor) -> Tensor:
     """A parameter as one row per problem."""
-    own = taken.unsqueeze(0) if original is None else original
-    # flattened by its sizes: an empty one has no length that could be found
-    each = own.reshape(len(own), math.prod(own.shape[1:]))
+    own = taken if original is None else original
+    # flattened by its sizes: an empty one has no length that could be found; in one step, for
+    # which a single problem with many parameters pays less
+    rows = 1 if original is None else len(own)
+    each = own.reshape(rows, own.numel() if original is None else math.prod(own.shape[1:]))
     if each.is_floating_point() and each.dtype != like.dtype and taken.dim() > 0:
         raise CannotLowerError(f"a parameter of {each.dtype} beside a state of {like.dtype}")
-    return each.to(like.dtype).expand(count, -1)
+    each = each.to(like.dtype)
+    return each if rows == count else each.expand(count, -1)
 
 
 def solved(
