@@ -23,12 +23,15 @@ from diffstack_mmv.simulation.forecasters import (
     PedestrianForecast,
     PedestrianForecaster,
     StandingForecaster,
+    TurningForecaster,
 )
 from diffstack_mmv.simulation.hedging import MixedForecaster
 from diffstack_mmv.simulation.learned_forecaster import LearnedForecaster
+from diffstack_mmv.simulation.learned_policy import LearnedPolicy
 from diffstack_mmv.simulation.learning import imitation_loss, way_left_loss
 from diffstack_mmv.simulation.mppi import MPPIController
 from diffstack_mmv.simulation.pedestrians import (
+    AbruptCrowd,
     OrcaCrowd,
     ReactiveReplayCrowd,
     ReplayCrowd,
@@ -55,6 +58,7 @@ from diffstack_mmv.simulation.sensing import LimitedSensing
 from diffstack_mmv.simulation.study import models_told, study_world, world_for
 from diffstack_mmv.simulation.summary import summarise
 from diffstack_mmv.simulation.tracking import PedestrianTracker, TrackingController
+from diffstack_mmv.simulation.vector_env import CrowdNavVectorEnv
 from diffstack_mmv.simulation.vehicle_robot import Actuation, VehicleRobot
 from diffstack_mmv.simulation.verdict import (
     VERDICTS,
@@ -64,6 +68,7 @@ from diffstack_mmv.simulation.verdict import (
     Verdict,
     verdict_named,
 )
+from diffstack_mmv.simulation.views import EgoView, WorldView
 from diffstack_mmv.simulation.wandering import WanderingCrossing
 from diffstack_mmv.simulation.world import Observation, World, WorldState
 from diffstack_mmv.simulation.zero_order_hold import ZeroOrderHold
@@ -71,6 +76,7 @@ from diffstack_mmv.simulation.zero_order_hold import ZeroOrderHold
 __all__ = [
     "ENV_ID",
     "VERDICTS",
+    "AbruptCrowd",
     "Actuation",
     "AdaptiveController",
     "AvoidanceSearch",
@@ -83,9 +89,11 @@ __all__ = [
     "CrossingRules",
     "DelayCompensation",
     "CrowdNavEnv",
+    "CrowdNavVectorEnv",
     "CrowdNavVerdict",
     "DiffMPCController",
     "DiscFootprint",
+    "EgoView",
     "ExactVerdict",
     "Footprint",
     "ZeroOrderHold",
@@ -103,6 +111,7 @@ __all__ = [
     "PedestrianForecaster",
     "PedestrianTracker",
     "LearnedForecaster",
+    "LearnedPolicy",
     "ReactiveReplayCrowd",
     "RecordedCrossing",
     "LimitedSensing",
@@ -119,6 +128,7 @@ __all__ = [
     "StandingForecaster",
     "StraightLine",
     "TrackingController",
+    "TurningForecaster",
     "SuddenCrowd",
     "UnicycleRobot",
     "VehicleRobot",
@@ -126,6 +136,7 @@ __all__ = [
     "WanderingCrossing",
     "World",
     "WorldState",
+    "WorldView",
     "actuation",
     "controller_model",
     "drive",
