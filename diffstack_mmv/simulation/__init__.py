@@ -10,7 +10,14 @@ from diffstack_mmv.simulation.assembly import (
     vehicle_footprint,
     vehicle_robot,
 )
-from diffstack_mmv.simulation.benchmark import Chunk, Method, read_chunk, read_thoughts, run
+from diffstack_mmv.simulation.benchmark import (
+    Chunk,
+    Method,
+    read_chunk,
+    read_episode,
+    read_thoughts,
+    run,
+)
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint, RectangleFootprint
 from diffstack_mmv.simulation.controller import DiffMPCController
 from diffstack_mmv.simulation.delay import DelayCompensation
@@ -143,6 +150,7 @@ __all__ = [
     "imitation_loss",
     "models_told",
     "read_chunk",
+    "read_episode",
     "read_thoughts",
     "register",
     "require_stoppable",
