@@ -80,7 +80,12 @@ def load(source: str, *flags: str) -> ctypes.CDLL:
     """
     from torch._inductor.runtime.cache_dir_utils import cache_dir
 
-    told = (source, " ".join(FLAGS + flags), platform.machine(), torch.backends.cpu.get_cpu_capability())
+    told = (
+        source,
+        " ".join(FLAGS + flags),
+        platform.machine(),
+        torch.backends.cpu.get_cpu_capability(),
+    )
     name = hashlib.sha256("\n".join(told).encode()).hexdigest()
     path = Path(cache_dir(), "dmmv", f"{name}.so")
     if not path.exists():

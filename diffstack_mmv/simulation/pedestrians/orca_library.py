@@ -85,7 +85,10 @@ def respond(
     crowd: CrowdState, rules: Rules, margin_m: float, goals: Float[Tensor, "*b h k 2"]
 ) -> Float[Tensor, "*b h k 2"]:
     """Velocity in m/s of each pedestrian for each of its goals (m)."""
-    (*_, h, k, _), result = goals.shape, torch.empty_like(goals, memory_format=torch.contiguous_format)
+    (*_, h, k, _), result = (
+        goals.shape,
+        torch.empty_like(goals, memory_format=torch.contiguous_format),
+    )
     fields = crowd.position, crowd.velocity, crowd.radius, crowd.preferred_speed, goals
     given = _contiguous(fields)
     call = getattr(library(), f"orca_respond_{NAMES[goals.dtype]}")

@@ -38,7 +38,7 @@ class GradientTuner:
 
     Attributes:
         rounds: Losses that are evaluated.
-        learning_rate: Of the logarithms.
+        learning_rate: Of the logarithms; it falls to zero over the rounds.
         largest: Norm to which gradients are clipped; one contact must not decide.
 
     Raises:
@@ -46,7 +46,7 @@ class GradientTuner:
     """
 
     rounds: int = 30
-    learning_rate: float = 0.1
+    learning_rate: float = 0.2
     largest: float = 1.0
 
     def __post_init__(self) -> None:
@@ -67,7 +67,8 @@ class GradientTuner:
         """
         optimizer = torch.optim.Adam([cost.log_weight], lr=self.learning_rate)
         began = time.process_time()
-        for _ in range(self.rounds):
+        for number in range(self.rounds):
+            optimizer.param_groups[0]["lr"] = self.learning_rate * (1 - number / self.rounds)
             weights, value = weights_of(cost), loss()
             optimizer.zero_grad()
             value.backward()
