@@ -167,6 +167,11 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         self._ended = False
 
     @property
+    def scenario(self) -> Scenario:
+        """Where the episodes start."""
+        return self._scenario
+
+    @property
     def state(self) -> WorldState:
         """State of the world, without leading dimensions, SI units.
 
@@ -275,4 +280,8 @@ def _scenario_named(scenario: str | Scenario, humans: int) -> Scenario:
 def register() -> None:
     """Make the environment known to gymnasium, once."""
     if ENV_ID not in gymnasium.registry:
-        gymnasium.register(ENV_ID, entry_point="diffstack_mmv.simulation.env:CrowdNavEnv")
+        gymnasium.register(
+            ENV_ID,
+            entry_point="diffstack_mmv.simulation.env:CrowdNavEnv",
+            vector_entry_point="diffstack_mmv.simulation.vector_env:crowd_nav_vector",
+        )

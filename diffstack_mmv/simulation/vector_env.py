@@ -13,6 +13,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require, require_at_least, require_one_of
 from diffstack_mmv.geometry import length
+from diffstack_mmv.simulation.env import CrowdNavEnv
 from diffstack_mmv.simulation.scenario import PHASES, CaseSource
 from diffstack_mmv.simulation.views import View, WorldView
 from diffstack_mmv.simulation.world import World, WorldState
@@ -161,3 +162,17 @@ class CrowdNavVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
     def _shown(self, state: WorldState) -> Any:
         return self.view(self.world.observe(state))
+
+
+def crowd_nav_vector(num_envs: int = 1, **settings: Any) -> CrowdNavVectorEnv:
+    """What `gymnasium.make_vec("diffstack_mmv/CrowdNav-v0", num_envs=...)` makes.
+
+    Args:
+        num_envs: Number of episodes at once.
+        **settings: Those of `CrowdNavEnv`.
+
+    Raises:
+        ValueError: As `CrowdNavEnv`, or there is no episode.
+    """
+    single = CrowdNavEnv(**settings)
+    return CrowdNavVectorEnv(single.world, single.scenario, num_envs)

@@ -1,10 +1,12 @@
 """Many crowds as one vectorised environment."""
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
 
 from diffstack_mmv.simulation import (
+    ENV_ID,
     CircleCrossing,
     CrowdNavEnv,
     CrowdNavVectorEnv,
@@ -93,6 +95,13 @@ def test_the_view_from_the_robot_is_of_its_space_and_turns_with_it(crowds, neare
     gaps = seen[:, 7:].reshape(3, nearest, 6)[:, : min(nearest, 5), -1]
     assert (np.diff(gaps, axis=1) >= 0).all()
     assert not seen[:, 7 + 6 * 5 :].any()
+
+
+def test_gymnasium_makes_it_by_its_name():
+    env = gymnasium.make_vec(ENV_ID, num_envs=2, robot="unicycle", scenario="square_crossing")
+    assert isinstance(env, CrowdNavVectorEnv)
+    seen, _ = env.reset(seed=1)
+    assert env.observation_space.contains(seen)
 
 
 @pytest.mark.parametrize("options", [{"cases": [1]}, {"case": [1, 2, 3]}])
