@@ -1,5 +1,6 @@
 """DiffMPC in a receding horizon among pedestrians."""
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -34,6 +35,10 @@ from diffstack_mmv.types import (
 
 PROGRESS_M = 0.05
 """A vehicle that comes closer to its goal than ever by less than this per decision is waiting."""
+
+
+ROOM = 8
+"""Obstacles are planned for in multiples of this."""
 
 
 class Decision(NamedTuple):
@@ -203,14 +208,16 @@ class _People(NamedTuple):
 def _present_first(seen: Observation, forecast: Forecast) -> _People:
     """The pedestrians, without room for those who are absent in all episodes.
 
-    The cost of planning grows with the number of obstacles, whether they are there or not.
+    The cost of planning grows with the number of obstacles, whether they are there or not; but each
+    number of them asks for a compiled solver of its own, so it is rounded up.
     """
     present = seen.seen.bool()
     everybody = _People(seen.pedestrian_position, seen.pedestrian_radius, present, forecast)
     most = int(present.sum(-1).max()) if present.numel() else 0
-    if most == present.shape[-1]:
+    room = max(math.ceil(most / ROOM), 1) * ROOM
+    if room >= present.shape[-1]:
         return everybody
-    order = (~present).long().argsort(dim=-1, stable=True)[..., : max(most, 1)]
+    order = (~present).long().argsort(dim=-1, stable=True)[..., :room]
     dim = present.dim() - 1
 
     def chosen(entry: Tensor) -> Tensor:
