@@ -172,7 +172,7 @@ class DetourFan:
     def _pursued(
         self,
         dynamics: DynamicsModel,
-        state: Float[Tensor, "*b C n"],
+        state: Float[Tensor, "*b n"],
         leg: Leg,
         goal: Float[Tensor, "*#b 2"],
         cruise: Float[Tensor, "*#b"],
@@ -198,8 +198,8 @@ class DetourFan:
         return Arc((target - speed) / dynamics.dt_s, curvature)
 
     def _arc_speed(
-        self, distance: Float[Tensor, "*b C"], error: Float[Tensor, "*b C"]
-    ) -> Float[Tensor, "*b C"]:
+        self, distance: Float[Tensor, "*b"], error: Float[Tensor, "*b"]
+    ) -> Float[Tensor, "*b"]:
         """Speed in m/s on the arc to the goal, of radius d / (2 sin β), or d / 2 to a goal behind.
 
         Not below `CREEP_MPS`: in tighter turns the steering is the limit.

@@ -1,6 +1,5 @@
 """DiffMPC in a receding horizon among pedestrians."""
 
-import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -37,8 +36,8 @@ PROGRESS_M = 0.05
 """A vehicle that comes closer to its goal than ever by less than this per decision is waiting."""
 
 
-ROOM = 8
-"""Obstacles are planned for in multiples of this."""
+FEWEST = 5
+"""Pedestrians that there is always room for."""
 
 
 class Decision(NamedTuple):
@@ -206,15 +205,16 @@ class _People(NamedTuple):
 
 
 def _present_first(seen: Observation, forecast: Forecast) -> _People:
-    """The pedestrians, without room for those who are absent in all episodes.
+    """The pedestrians, without much room for those who are absent in all episodes.
 
-    The cost of planning grows with the number of obstacles, whether they are there or not; but each
-    number of them asks for a compiled solver of its own, so it is rounded up.
+    The cost of planning grows with the number of obstacles, whether they are there or not, but a
+    compiled solver belongs to one number: there is room for 5, 10, 20 and so on.
     """
     present = seen.seen.bool()
     everybody = _People(seen.pedestrian_position, seen.pedestrian_radius, present, forecast)
-    most = int(present.sum(-1).max()) if present.numel() else 0
-    room = max(math.ceil(most / ROOM), 1) * ROOM
+    room = FEWEST
+    while room < (int(present.sum(-1).max()) if present.numel() else 0):
+        room *= 2
     if room >= present.shape[-1]:
         return everybody
     order = (~present).long().argsort(dim=-1, stable=True)[..., :room]

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.control.compilation import copied, kind, label, refusals
+from diffstack_mmv.control.compilation import copied, kind, label, refusals, retain_freed_memory
 from diffstack_mmv.control.iteration import Settings
 from diffstack_mmv.control.native.capture import Recorder, Taken, Trajectory, evaluate
 from diffstack_mmv.control.native.generation import source
@@ -148,6 +148,7 @@ def library(problem: StagedProblem, name: str, dtype: torch.dtype) -> Any:
     """The library "solve" or "adjoint" of a problem."""
     key = id(problem), name, dtype
     if key not in _SOURCES:
+        retain_freed_memory()
         code = source(problem, name, REALS[dtype])
         if name == "solve" and len(code) > LONGEST_SOURCE:
             raise CannotBuildError(f"a source of {len(code)} characters takes too long")
