@@ -135,7 +135,7 @@ class Workshop:
         return taken, torch.cat([empty, *rows], 1).contiguous()
 
     def _prepare(self, problem: StagedProblem, dtype: torch.dtype, differentiates: bool) -> None:
-        """Have the solver at hand; that of derivatives is built meanwhile, if they are asked for."""
+        """Have the solver at hand, and the derivatives begun if they are asked for."""
         if id(problem) not in self.known:
             if len(self.known) >= MOST_LIBRARIES:
                 raise CannotLowerError(f"more than {MOST_LIBRARIES} shapes")
