@@ -7,9 +7,8 @@ second is faster by two orders of magnitude, and needs no iteration beyond its o
 import ctypes
 import functools
 import logging
-import math
 import time
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -106,20 +105,20 @@ class Workshop:
         """The solution, None where there is no library."""
         try:
             taken, parameters = self._taken(dynamics, cost, state, controls)
-            hidden = parameters.requires_grad or state.requires_grad
+            hidden = any(each.requires_grad for each in (state, *parameters))
             self._prepare(taken.problem, state.dtype, hidden and torch.is_grad_enabled())
         except (CannotLowerError, CannotBuildError, *refusals().failed) as failure:
             self.is_refused = True
             reason = next(iter(str(failure).strip().splitlines()), type(failure).__name__)
             LOGGER.info("No library for %s (%s): kernels on tensors", self.problem, reason)
             return None
-        return solved(taken.problem, parameters, numbers, state, controls)
+        return solved(taken, parameters, numbers, state, controls)
 
     def _taken(
         self, dynamics: Dynamics, cost: Cost, state: Tensor, controls: Tensor
-    ) -> tuple[Taken, Tensor]:
-        """The problem, and its parameters (count, P) with their graph."""
-        count, originals = state[..., 0].numel(), {}
+    ) -> tuple[Taken, list[Tensor]]:
+        """The problem, and its parameters: of all problems (count, ...), or shared."""
+        originals: dict[int, Tensor] = {}
         first = _first(dynamics, originals), _first(cost, originals)
         record, at = self.recorder, _anywhere(state, controls)
         try:
@@ -130,9 +129,13 @@ class Workshop:
                 raise CannotLowerError("too many shapes") from failure
             record = self.recorder = Recorder(copied(evaluate))
             taken = record(at, *first)
-        rows = [_row(each, originals.get(id(each)), count, state) for each in taken.parameters]
-        empty = state.new_zeros(count, 0)
-        return taken, torch.cat([empty, *rows], 1).contiguous()
+        each = [originals.get(id(one), one) for one in taken.parameters]
+        for one in taken.parameters:
+            if one.is_floating_point() and one.dtype != state.dtype and one.dim() > 0:
+                raise CannotLowerError(
+                    f"a parameter of {one.dtype} beside a state of {state.dtype}"
+                )
+        return taken, each
 
     def _prepare(self, problem: StagedProblem, dtype: torch.dtype, differentiates: bool) -> None:
         """Have the solver at hand, and the derivatives begun if they are asked for."""
@@ -199,26 +202,34 @@ def _first(function: Any, originals: dict[int, Tensor]) -> Any:
     return Batched(function.function, *slices)
 
 
-def _row(taken: Tensor, original: Tensor | None, count: int, like: Tensor) -> Tensor:
-    """A parameter as one row per problem."""
-    own = taken if original is None else original
-    # flattened by its sizes: an empty one has no length that could be found; in one step, for
-    # which a single problem with many parameters pays less
-    rows = 1 if original is None else len(own)
-    each = own.reshape(rows, own.numel() if original is None else math.prod(own.shape[1:]))
-    if each.is_floating_point() and each.dtype != like.dtype and taken.dim() > 0:
-        raise CannotLowerError(f"a parameter of {each.dtype} beside a state of {like.dtype}")
-    each = each.to(like.dtype)
-    return each if rows == count else each.expand(count, -1)
+def _in_rows(problem: Taken, tensors: Sequence[Tensor], count: int, like: Tensor) -> Tensor:
+    """Parameters as one row per problem."""
+    rows = [like.new_empty(count, 0)]
+    for one, each in zip(problem.parameters, tensors, strict=True):
+        # by its size: an empty one has no length that could be found
+        flat = each.detach().reshape(len(each) if each is not one else 1, one.numel())
+        rows.append(flat.to(like.dtype).expand(count, -1))
+    return torch.cat(rows, 1)
+
+
+def _from_rows(
+    rows: Tensor, tensors: Sequence[Tensor], sizes: Sequence[int], wanted: Sequence[bool]
+) -> list[Tensor | None]:
+    """Slopes of the parameters where they are wanted; of a shared one the sum over the problems."""
+    slopes: list[Tensor | None] = []
+    for each, part, is_wanted in zip(tensors, rows.split(list(sizes), 1), wanted, strict=True):
+        whole = part if each.numel() == part.numel() else part.sum(0)
+        slopes.append(whole.reshape(each.shape).to(each.dtype) if is_wanted else None)
+    return slopes
 
 
 def solved(
-    problem: StagedProblem, parameters: Tensor, numbers: Numbers, state: Tensor, controls: Tensor
+    taken: Taken, parameters: Sequence[Tensor], numbers: Numbers, state: Tensor, controls: Tensor
 ) -> Solution:
     """Call the library, with derivatives where they are asked for."""
     batch = state.shape[:-1]
     flat = state.reshape(-1, state.shape[-1]), controls.reshape(-1, *controls.shape[-2:])
-    results = _Solve.apply(problem, numbers, parameters, *flat)
+    results = _Solve.apply(taken, numbers, *flat, *parameters)
     return Solution(*(result.reshape(batch + result.shape[1:]) for result in results))
 
 
@@ -233,13 +244,15 @@ class _Solve(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any,
-        problem: StagedProblem,
+        taken: Taken,
         numbers: Numbers,
-        parameters: Tensor,
         state: Tensor,
         controls: Tensor,
+        *tensors: Tensor,
     ) -> tuple[Tensor, ...]:
+        problem: StagedProblem = taken.problem
         count, (n, m, steps, _) = len(state), problem.sizes
+        parameters = _in_rows(taken, tensors, count, state)
         x, u = state.new_empty(count, steps + 1, n), state.new_empty(count, steps, m)
         cost, residual = state.new_empty(count), state.new_empty(count)
         iterations = torch.empty(count, dtype=torch.long)
@@ -252,25 +265,26 @@ class _Solve(torch.autograd.Function):
             float(numbers.settings.tolerance),
             float(numbers.settings.regularisation),
         )
-        given = parameters.detach(), box, state.contiguous(), controls.contiguous()
+        given = parameters, box, state.contiguous(), controls.contiguous()
         results = x, u, cost, residual, iterations, status
         call = library(problem, "solve", state.dtype).dmmv_solve
         call(*_counts(count), *pointers(*given), ctypes.byref(record), *pointers(*results))
-        ctx.problem = problem
-        ctx.save_for_backward(parameters, box, x, u, status)
+        ctx.problem, ctx.sizes = problem, [one.numel() for one in taken.parameters]
+        ctx.save_for_backward(parameters, box, x, u, status, *tensors)
         ctx.mark_non_differentiable(residual, iterations, status)
         return results
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor | None, ...]:
-        parameters, box, x, u, status = ctx.saved_tensors
+        parameters, box, x, u, status, *tensors = ctx.saved_tensors
         valid = status == SolverStatus.CONVERGED
         by_parameters, by_state = torch.empty_like(parameters), torch.empty_like(x[:, 0])
-        given = parameters.detach(), box, x, u, valid, *(each.contiguous() for each in slopes[:3])
+        given = parameters, box, x, u, valid, *(each.contiguous() for each in slopes[:3])
         call = library(ctx.problem, "adjoint", x.dtype).dmmv_adjoint
         call(*_counts(len(x)), *pointers(*given), *pointers(by_parameters, by_state))
-        return None, None, by_parameters, by_state, None
+        wanted = ctx.needs_input_grad[4:]
+        return None, None, by_state, None, *_from_rows(by_parameters, tensors, ctx.sizes, wanted)
 
 
 @functools.cache
