@@ -13,7 +13,7 @@ PEERS  ?= $(BIN)/python
 DOCS   := .venv-docs
 LIMIT  := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help install quickstart test test-all results tables docs bench throughput profile lint lock faults audit sbom clean
+.PHONY: help install quickstart test test-all results tables docs bench peers throughput profile lint lock faults audit sbom clean
 help:            ## Show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
 
@@ -57,8 +57,11 @@ docs: $(DOCS)/.installed ## The documentation as a site in outputs/site; a dead 
 	NO_MKDOCS_2_WARNING=1 $(DOCS)/bin/python -m mkdocs build --strict
 	@echo "Site: outputs/site/index.html"
 
-bench: install ## Benchmarks, results in benchmarks/results: tells needs and times, resumes; PEERS=<python> of an environment with more peers
+bench: install ## Benchmarks, results in benchmarks/results: tells needs and times, resumes; PEERS=<python> of an environment with more peers; make peers first
 	$(BIN)/python benchmarks/run_all.py --peers $(PEERS) $(if $(DRY),--dry-run)
+
+peers: install  ## Solvers to compare with that are Python packages, in outputs/peers, where make bench finds them
+	$(BIN)/python -m pip install --quiet --no-deps --target outputs/peers mpc
 
 throughput: install ## Windows/s of training and evaluation per model; CACHE=, DATA= converted recordings, PEER=name=checkout
 	$(LIMIT) $(BIN)/python benchmarks/bench_throughput.py $(CACHE) --data $(DATA) $(if $(PEER),--peer $(PEER))

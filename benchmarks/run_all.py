@@ -24,6 +24,7 @@ ROOT = Path(__file__).resolve().parents[1]
 RESULTS, DONE = ROOT / "benchmarks" / "results", ROOT / "outputs" / "bench" / "done.json"
 REFERENCE = ROOT.parent / "shared" / "reference" / "mpc"
 BUSY = 1.5  # processes that want to run, this one included, above which times are disturbed
+PACKAGES = ROOT / "outputs" / "peers"  # of `make peers`
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
@@ -57,9 +58,14 @@ JOBS = (
 )  # fmt: skip
 
 
+def is_there(name):
+    """Whether a package is installed, or among those of `make peers`."""
+    return find_spec(name) is not None or (PACKAGES / name).is_dir()
+
+
 def lacking(job):
     """What a job cannot run without and is not there."""
-    missing = [name for name in job.packages if find_spec(name) is None]
+    missing = [name for name in job.packages if not is_there(name)]
     return [*missing, *([str(REFERENCE)] if job.reference and not REFERENCE.is_dir() else [])]
 
 
@@ -72,7 +78,7 @@ def plan(jobs, done):
         elif missing := lacking(job):
             print(f"{job.name:16s} skipped, not there: {', '.join(missing)}")
         else:
-            absent = [name for name in job.better_with if find_spec(name) is None]
+            absent = [name for name in job.better_with if not is_there(name)]
             note = f"; rows left out: {', '.join(absent)}" if absent else ""
             print(f"{job.name:16s} about {job.minutes:g} min{note}")
             ready.append(job)
@@ -106,7 +112,8 @@ def run(job, python):
     loads, stop = [], threading.Event()
     watcher = threading.Thread(target=watch, args=(loads, stop), daemon=True)
     watcher.start()
-    paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]
+    # last, so that a peer replaces nothing of ours
+    paths = [str(ROOT), os.environ.get("PYTHONPATH", ""), str(PACKAGES)]
     environment = os.environ | ONE_THREAD | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
     output = None if job.writes else subprocess.PIPE
     command = [python, *job.command]
