@@ -18,23 +18,17 @@ class CompiledSolver(Callback):
     Args:
         steps: Steps of the optimiser from which on compiling pays. Estimated: a minute or two of
             compiling is won back in about fifty steps of 64 windows of DiffKBM.
-        second_derivatives: Steps from which on the second derivatives of a decoder through DiffGM3
-            are compiled too: about six minutes, won back in 250 steps of 64 windows.
 
     Raises:
         ValueError: The number is negative.
     """
 
-    def __init__(self, steps: int = 150, second_derivatives: int = 1000) -> None:
+    def __init__(self, steps: int = 150) -> None:
         require_at_least("steps", steps, 0)
-        require_at_least("second_derivatives", second_derivatives, 0)
         self.steps = steps
-        self.second_derivatives = second_derivatives
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Compile, if it pays and there is a compiler."""
         stack: Any = pl_module
         if trainer.estimated_stepping_batches >= self.steps:
             stack.compile_kernels()
-        if trainer.estimated_stepping_batches >= max(self.steps, self.second_derivatives):
-            stack.compile_second_derivatives()
