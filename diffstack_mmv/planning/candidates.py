@@ -29,6 +29,26 @@ class Arc(NamedTuple):
     curvature: Float[Tensor, "*b C"]  # 1/m
 
 
+ArcStep = Callable[[Tensor, Arc], tuple[Tensor, Tensor]]
+"""(states, arcs) -> (next states, controls)."""
+
+
+def eager_arc_step(dynamics: DynamicsModel) -> ArcStep:
+    """Steps of the model itself."""
+
+    def arc_step(state: Tensor, arc: Arc) -> tuple[Tensor, Tensor]:
+        control = dynamics.control_for(state, *arc)
+        return dynamics(state, control), control
+
+    return arc_step
+
+
+class ArcFan:
+    """A fan of candidates on arcs; how its steps are computed can be exchanged."""
+
+    arc_step: Callable[[DynamicsModel], ArcStep] = staticmethod(eager_arc_step)
+
+
 @runtime_checkable
 class CandidateSource(Protocol):
     """Proposes plans; where nothing else is left, a controller drives the last of them."""
@@ -49,7 +69,7 @@ class Coasting:
         return Candidates(states, controls, dynamics.motion(states, with_final_row(controls)))
 
 
-class CandidateFan:
+class CandidateFan(ArcFan):
     """Lattice of terminal speeds and lateral offsets, rolled out through the selected dynamics.
 
     A terminal speed fixes a constant acceleration, a lateral offset y at the end of the path of
@@ -95,7 +115,10 @@ class CandidateFan:
         horizon_s = steps * dynamics.dt_s
         lattice, to_goal = self._lattice(problem, horizon_s), self._to_goal(problem, horizon_s)
         arc = Arc(*(torch.cat(pair, -1) for pair in zip(lattice, to_goal, strict=True)))
-        return follow(dynamics, problem, lambda state, step: arc, arc.curvature.shape[-1], steps)
+        count = arc.curvature.shape[-1]
+        return follow(
+            dynamics, problem, lambda state, step: arc, count, steps, self.arc_step(dynamics)
+        )
 
     def _lattice(self, problem: PlanningProblem, horizon_s: float) -> Arc:
         speed = problem.ego.motion.velocity[..., 0].clamp_min(0).unsqueeze(-1)
@@ -131,6 +154,7 @@ def follow(
     arc_at: Callable[[Float[Tensor, "*b C n"], int], Arc],
     count: int,
     steps: int,
+    arc_step: ArcStep,
 ) -> Candidates:
     """Drive `count` candidates of every problem, in each step on the arc asked for at its state.
 
@@ -140,13 +164,15 @@ def follow(
         arc_at: (states, number of the step) -> arcs of that step.
         count: Number of candidates C.
         steps: Length of the horizon in steps of the dynamics.
+        arc_step: One step of the dynamics on an arc.
     """
     start = initial_state(dynamics, problem.ego)
     state = start.unsqueeze(-2).expand(*start.shape[:-1], count, start.shape[-1])
     states, controls = [state], []
     for step in range(steps):
-        controls.append(dynamics.control_for(states[-1], *arc_at(states[-1], step)))
-        states.append(dynamics(states[-1], controls[-1]))
+        following, control = arc_step(states[-1], arc_at(states[-1], step))
+        controls.append(control)
+        states.append(following)
     all_states, all_controls = torch.stack(states, -2), torch.stack(controls, -2)
     motion = dynamics.motion(all_states, with_final_row(all_controls))
     return Candidates(all_states, all_controls, motion)

@@ -11,7 +11,7 @@ from torch import Tensor
 from diffstack_mmv.checks import require_at_least, require_between, require_positive
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import wrap_angle
-from diffstack_mmv.planning.candidates import Arc, Candidates, follow
+from diffstack_mmv.planning.candidates import Arc, ArcFan, Candidates, follow
 from diffstack_mmv.types import PlanningProblem
 
 CREEP_MPS = 1.0
@@ -49,7 +49,7 @@ def drawn_detours(count: int, until_s: float) -> Detour:
     )
 
 
-class DetourFan:
+class DetourFan(ArcFan):
     """Every candidate holds a course and a speed for a while and then makes for the goal.
 
     Courses to the left and right of the goal at several speeds, zero among them, span the ways
@@ -131,7 +131,8 @@ class DetourFan:
                 *(torch.cat(pair, -1) for pair in zip(pursued, (hardest, straight), strict=True))
             )
 
-        return follow(dynamics, problem, arc_at, detour.offset.shape[0] + 1, steps)
+        count = detour.offset.shape[0] + 1
+        return follow(dynamics, problem, arc_at, count, steps, self.arc_step(dynamics))
 
     def _pursued(
         self,

@@ -11,9 +11,10 @@ from diffstack_mmv.checks import message, require_at_least
 from diffstack_mmv.control import ILQR, Batched, TrajectoryOptimizer
 from diffstack_mmv.costs import WeightedCost
 from diffstack_mmv.dynamics import DynamicsModel, rollout
-from diffstack_mmv.planning.candidates import CandidateSource, with_final_row
+from diffstack_mmv.planning.candidates import ArcFan, CandidateSource, with_final_row
 from diffstack_mmv.planning.choice import PlanChoice, TakeOptimum
 from diffstack_mmv.planning.coordinates import Coordinates, PhysicalControls
+from diffstack_mmv.planning.generated import generated_arc_step
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
 from diffstack_mmv.planning.limits import PlanConstraints
 from diffstack_mmv.planning.objective import batched_objective
@@ -135,9 +136,11 @@ class MPCPlanner(Planner):
         return Plan(*chosen, solution, proposals.motion, -proposals.cost)
 
     def compile_solver(self) -> None:
-        """Have the solver compiled at its next call, if it can be; it takes a minute or two."""
+        """Have solver and candidates compiled at their next use, if they can be."""
         if isinstance(self.solver, ILQR):
             self.solver = self.solver.compiled()
+        if isinstance(self.candidates, ArcFan):
+            self.candidates.arc_step = generated_arc_step
 
     def cost_of(
         self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem

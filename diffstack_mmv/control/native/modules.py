@@ -1,16 +1,26 @@
-"""Takes down one step of a model that is a module, with its parameters and buffers as inputs."""
+"""Libraries of models that are modules: one step, with parameters and buffers as its numbers."""
 
-from typing import NamedTuple
+import ctypes
+import logging
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from diffstack_mmv.control.native.library import REALS, CannotBuildError, load
 from diffstack_mmv.control.native.lowering import CannotLowerError, Lowering
 from diffstack_mmv.control.native.operations import HANDLERS
 from diffstack_mmv.control.native.scalar import Program
 from diffstack_mmv.control.native.stages import Sizes, StagedProblem, staged
+from dmmv_conventions.progress import waiting
+
+LOGGER = logging.getLogger(__name__)
+Source = Callable[[StagedProblem, bool, str], str]
+"""(step without costs, whether its numbers are learned, "float" or "double") -> C++."""
 
 
 class TakenModule(NamedTuple):
@@ -78,3 +88,72 @@ def _leaves(program: Program, inputs: list[Tensor]) -> list[np.ndarray]:
         count += each.numel() if position >= 2 else 0
         leaves.append(entries.reshape(each.shape))
     return leaves
+
+
+class Ready(NamedTuple):
+    """A library, what it is of, and the present numbers of the model."""
+
+    library: Any
+    problem: StagedProblem
+    numbers: Float[Tensor, " P"]
+
+
+class Workshop:
+    """Libraries of one model, or the knowledge that there can be none.
+
+    Args:
+        purpose: What they are for, told to people.
+    """
+
+    def __init__(self, purpose: str) -> None:
+        self.purpose = purpose
+        self.taken: TakenModule | None = None
+        self.is_refused = False
+
+    def library(
+        self, module: nn.Module, n: int, m: int, dtype: torch.dtype, source: Source
+    ) -> Ready | None:
+        """The library of a step (state, control) -> next state, None where there is none.
+
+        Args:
+            module: The step.
+            n: Number of states.
+            m: Number of controls.
+            dtype: Of all tensors.
+            source: Makes the C++ from the step, whether its numbers are learned, and its type.
+        """
+        if self.is_refused or dtype not in REALS:
+            return None
+        try:
+            if self.taken is None or not self.taken.is_of(module):
+                self.taken = taken(module, n, m, dtype)
+            numbers = self.taken.numbers()
+            problem = self.taken.problem
+            built = self._built(problem, source, numbers.requires_grad, dtype)
+        except (CannotLowerError, CannotBuildError) as failure:
+            self.is_refused = True
+            reason = next(iter(str(failure).strip().splitlines()), type(failure).__name__)
+            LOGGER.info("No library for %s (%s)", self.purpose, reason)
+            return None
+        return Ready(built, problem, numbers)
+
+    def _built(
+        self, problem: StagedProblem, source: Source, learns: bool, dtype: torch.dtype
+    ) -> Any:
+        key = id(problem), source, learns, dtype
+        if key not in _LIBRARIES:
+            began_s = time.perf_counter()
+            LOGGER.info("Compiling %s: one library", self.purpose)
+            with waiting(f"compile {self.purpose}"):
+                # the problem is kept, so that no other one gets its identity
+                _LIBRARIES[key] = problem, load(source(problem, learns, REALS[dtype]))
+            LOGGER.info("Compiled it in %.1f s", time.perf_counter() - began_s)
+        return _LIBRARIES[key][1]
+
+
+_LIBRARIES: dict[tuple[int, Source, bool, torch.dtype], tuple[StagedProblem, Any]] = {}
+
+
+def counts(*numbers: int) -> list[Any]:
+    """Whole numbers as a library takes them."""
+    return [ctypes.c_long(number) for number in numbers]

@@ -5,9 +5,6 @@ in the backward pass, is one call here: a row at a time, eight directions of dif
 once.
 """
 
-import ctypes
-import logging
-import time
 import weakref
 from typing import Any
 
@@ -27,13 +24,10 @@ from diffstack_mmv.control.native.generation import (
     _table,
     header,
 )
-from diffstack_mmv.control.native.library import REALS, CannotBuildError, load, pointers
-from diffstack_mmv.control.native.lowering import CannotLowerError
-from diffstack_mmv.control.native.modules import TakenModule, taken
+from diffstack_mmv.control.native.library import pointers
+from diffstack_mmv.control.native.modules import Ready, Workshop, counts
 from diffstack_mmv.control.native.stages import StagedProblem
-from dmmv_conventions.progress import waiting
 
-LOGGER = logging.getLogger(__name__)
 Moments = tuple[Float[Tensor, "N T 2"], Float[Tensor, "N T 2 2"]]
 
 
@@ -56,62 +50,21 @@ def moments(
         controls: Mean controls.
         scale: Cholesky factors L of their covariances.
     """
-    if start.device.type != "cpu" or start.dtype not in REALS or controls.numel() == 0:
+    if start.device.type != "cpu" or controls.numel() == 0:
         return None
     workshop = _WORKSHOPS.get(dynamics)
     if workshop is None:
-        workshop = _WORKSHOPS[dynamics] = Workshop(type(dynamics).__name__)
-    return workshop(dynamics, start, covariance, controls, scale)
-
-
-class Workshop:
-    """The library of one model, or the knowledge that there can be none.
-
-    Args:
-        name: Of the model, told to people.
-    """
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.taken: TakenModule | None = None
-        self.is_refused = False
-
-    def __call__(self, dynamics: nn.Module, start: Tensor, *rest: Tensor) -> Moments | None:
-        """The moments, None where there is no library."""
-        if self.is_refused:
-            return None
-        try:
-            own = self._taken(dynamics, start, rest[1].shape[-1])
-            numbers = own.numbers()
-            built = self._library(own.problem, numbers.requires_grad, start.dtype)
-        except (CannotLowerError, CannotBuildError) as failure:
-            self.is_refused = True
-            reason = next(iter(str(failure).strip().splitlines()), type(failure).__name__)
-            LOGGER.info("No library for the decoder of %s (%s)", self.name, reason)
-            return None
-        flat = (each.contiguous() for each in (start, *rest))
-        found: Moments = _Moments.apply(built, own.problem.sizes, numbers, *flat)  # type: ignore[no-untyped-call]
-        return found
-
-    def _taken(self, dynamics: nn.Module, start: Tensor, m: int) -> TakenModule:
-        if self.taken is None or not self.taken.is_of(dynamics):
-            self.taken = taken(dynamics, start.shape[-1], m, start.dtype)
-        return self.taken
-
-    def _library(self, problem: StagedProblem, learns: bool, dtype: torch.dtype) -> Any:
-        key = id(problem), learns, dtype
-        if key not in _LIBRARIES:
-            began_s = time.perf_counter()
-            LOGGER.info("Compiling the decoder for %s", self.name)
-            with waiting(f"compile the decoder for {self.name}"):
-                # the problem is kept, so that no other one gets its identity
-                _LIBRARIES[key] = problem, load(source(problem, learns, REALS[dtype]))
-            LOGGER.info("Compiled it in %.1f s", time.perf_counter() - began_s)
-        return _LIBRARIES[key][1]
+        workshop = _WORKSHOPS[dynamics] = Workshop(f"the decoder for {type(dynamics).__name__}")
+    sizes = start.shape[-1], controls.shape[-1]
+    ready = workshop.library(dynamics, *sizes, start.dtype, source)
+    if ready is None:
+        return None
+    flat = (each.contiguous() for each in (start, covariance, controls, scale))
+    found: Moments = _Moments.apply(ready, ready.numbers, *flat)  # type: ignore[no-untyped-call]
+    return found
 
 
 _WORKSHOPS: weakref.WeakKeyDictionary[nn.Module, Workshop] = weakref.WeakKeyDictionary()
-_LIBRARIES: dict[tuple[int, bool, torch.dtype], tuple[StagedProblem, Any]] = {}
 
 
 def source(problem: StagedProblem, learns: bool, real: str) -> str:
@@ -170,41 +123,36 @@ def _problem(problem: StagedProblem, learns: bool) -> list[str]:
 
 
 class _Moments(torch.autograd.Function):
-    """`moments` as a function of parameters and rows."""
+    """`moments` as a function of the numbers of the model and rows."""
 
     @staticmethod
-    def forward(
-        ctx: Any, library: Any, sizes: Any, parameters: Tensor, *rows: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    def forward(ctx: Any, ready: Ready, numbers: Tensor, *rows: Tensor) -> tuple[Tensor, Tensor]:
         start, _, controls, scale = rows
-        (count, steps, _), n, m = controls.shape, sizes.n, sizes.m
+        (count, steps, m), n = controls.shape, start.shape[-1]
         found = start.new_empty(count, steps, 2), start.new_empty(count, steps, 2, 2)
         keeps = any(ctx.needs_input_grad)
-        kept = start.new_empty(count, steps, n * (1 + n + n + m) if keeps else 0)
-        given = [each.detach() for each in (parameters, *rows)]
-        places = pointers(*given, *found)
-        library.dmmv_moments(
-            *_counts(count, steps), *places, *(pointers(kept) if keeps else [None])
-        )
-        ctx.library, ctx.states = library, n
-        if keeps:
-            ctx.save_for_backward(parameters, controls, scale, kept)
+        kept = start.new_empty(count, steps, n * (1 + n + n + m)) if keeps else None
+        given = pointers(*(each.detach() for each in (numbers, *rows)), *found)
+        each = counts(count, torch.get_num_threads(), steps)
+        ready.library.dmmv_moments(*each, *given, *([None] if kept is None else pointers(kept)))
+        if kept is not None:
+            ctx.library, ctx.states = ready.library, n
+            ctx.save_for_backward(numbers, controls, scale, kept)
         return found
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor | None, ...]:
-        parameters, controls, scale, kept = ctx.saved_tensors
+        numbers, controls, scale, kept = ctx.saved_tensors
         (count, steps, _), n = controls.shape, ctx.states
-        by_start, by_covariance = kept.new_empty(count, n), kept.new_empty(count, n, n)
-        found = torch.zeros_like(parameters), by_start, by_covariance
-        found = *found, torch.empty_like(controls), torch.empty_like(scale)
-        given = parameters.detach(), controls, scale, kept, *(each.contiguous() for each in slopes)
-        ctx.library.dmmv_moments_adjoint(*_counts(count, steps), *pointers(*given, *found))
-        learns = ctx.needs_input_grad[2]
-        return None, None, found[0] if learns else None, *found[1:]
-
-
-def _counts(rows: int, steps: int) -> tuple[Any, Any, Any]:
-    """Numbers of rows, threads and steps."""
-    return ctypes.c_long(rows), ctypes.c_long(torch.get_num_threads()), ctypes.c_long(steps)
+        found = (
+            torch.zeros_like(numbers),
+            kept.new_empty(count, n),
+            kept.new_empty(count, n, n),
+            torch.empty_like(controls),
+            torch.empty_like(scale),
+        )
+        given = numbers.detach(), controls, scale, kept, *(each.contiguous() for each in slopes)
+        each = counts(count, torch.get_num_threads(), steps)
+        ctx.library.dmmv_moments_adjoint(*each, *pointers(*given, *found))
+        return None, *found

@@ -56,6 +56,12 @@ def _reciprocal(low: Lowering, a: Any) -> Entries:
     return low.map("div", 1.0, low.numbers(a))
 
 
+def _atanh(low: Lowering, a: Any) -> Entries:
+    a = low.numbers(a)
+    below = low.map("log1p", low.map("neg", a))
+    return low.map("mul", 0.5, low.map("sub", low.map("log1p", a), below))
+
+
 def _rsqrt(low: Lowering, a: Any) -> Entries:
     return _reciprocal(low, low.map("sqrt", low.numbers(a)))
 
@@ -188,6 +194,7 @@ HANDLERS: dict[str, Handler] = {
     "square": _square,
     "reciprocal": _reciprocal,
     "rsqrt": _rsqrt,
+    "atanh": _atanh,
     "sigmoid": _sigmoid,
     "relu": _relu,
     "clamp": _clamp,
