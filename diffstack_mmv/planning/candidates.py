@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.control.native.scan import scan
 from diffstack_mmv.dynamics import DynamicsModel, rollout
 from diffstack_mmv.planning.problem import initial_state
 from diffstack_mmv.types import Motion, PlanningProblem
@@ -27,26 +28,6 @@ class Arc(NamedTuple):
 
     acceleration: Float[Tensor, "*b C"]  # m/s²
     curvature: Float[Tensor, "*b C"]  # 1/m
-
-
-ArcStep = Callable[[Tensor, Arc], tuple[Tensor, Tensor]]
-"""(states, arcs) -> (next states, controls)."""
-
-
-def eager_arc_step(dynamics: DynamicsModel) -> ArcStep:
-    """Steps of the model itself."""
-
-    def arc_step(state: Tensor, arc: Arc) -> tuple[Tensor, Tensor]:
-        control = dynamics.control_for(state, *arc)
-        return dynamics(state, control), control
-
-    return arc_step
-
-
-class ArcFan:
-    """A fan of candidates on arcs; how its steps are computed can be exchanged."""
-
-    arc_step: Callable[[DynamicsModel], ArcStep] = staticmethod(eager_arc_step)
 
 
 @runtime_checkable
@@ -69,7 +50,7 @@ class Coasting:
         return Candidates(states, controls, dynamics.motion(states, with_final_row(controls)))
 
 
-class CandidateFan(ArcFan):
+class CandidateFan:
     """Lattice of terminal speeds and lateral offsets, rolled out through the selected dynamics.
 
     A terminal speed fixes a constant acceleration, a lateral offset y at the end of the path of
@@ -83,6 +64,7 @@ class CandidateFan(ArcFan):
         speed_change_mps: Largest change of speed over the horizon in m/s.
         offset_share: Largest lateral offset as a share of the length of the path.
         speed_max_mps: Speed that no candidate exceeds, in m/s.
+        compile: Roll out in a generated library, on a CPU with a compiler.
 
     Raises:
         ValueError: A number is below 1, or a range is not positive.
@@ -95,6 +77,7 @@ class CandidateFan(ArcFan):
         speed_change_mps: float = 3.0,
         offset_share: float = 0.5,
         speed_max_mps: float = 12.0,
+        compile: bool = False,
     ) -> None:
         require_at_least("speeds", speeds, 1)
         require_at_least("offsets", offsets, 1)
@@ -109,6 +92,7 @@ class CandidateFan(ArcFan):
         self.speed_change_mps = speed_change_mps
         self.offset_share = offset_share
         self.speed_max_mps = speed_max_mps
+        self.compile = compile
 
     def __call__(self, dynamics: DynamicsModel, problem: PlanningProblem, steps: int) -> Candidates:
         """Roll out the fan of every problem over a number of steps."""
@@ -116,9 +100,11 @@ class CandidateFan(ArcFan):
         lattice, to_goal = self._lattice(problem, horizon_s), self._to_goal(problem, horizon_s)
         arc = Arc(*(torch.cat(pair, -1) for pair in zip(lattice, to_goal, strict=True)))
         count = arc.curvature.shape[-1]
-        return follow(
-            dynamics, problem, lambda state, step: arc, count, steps, self.arc_step(dynamics)
-        )
+        if self.compile:
+            found = _in_library(dynamics, problem, arc, steps)
+            if found is not None:
+                return found
+        return follow(dynamics, problem, lambda state, step: arc, count, steps)
 
     def _lattice(self, problem: PlanningProblem, horizon_s: float) -> Arc:
         speed = problem.ego.motion.velocity[..., 0].clamp_min(0).unsqueeze(-1)
@@ -148,13 +134,32 @@ class CandidateFan(ArcFan):
         return Arc(acceleration.unsqueeze(-1), curvature.unsqueeze(-1))
 
 
+def _in_library(
+    dynamics: DynamicsModel, problem: PlanningProblem, arc: Arc, steps: int
+) -> Candidates | None:
+    """Drive on an arc each, all candidates of all problems as rows; None if there is no library."""
+
+    def driven(state: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
+        control = dynamics.control_for(state, row[..., 0], row[..., 1])
+        return dynamics.step(state, control), control
+
+    start = initial_state(dynamics, problem.ego)
+    rows = torch.stack(arc, -1)
+    state = start.unsqueeze(-2).expand(*rows.shape[:-1], start.shape[-1])
+    each = rows.flatten(0, -2).unsqueeze(-2).expand(-1, steps, -1)
+    found = scan(driven, state.flatten(0, -2), each)
+    if found is None:
+        return None
+    states, controls = (part.unflatten(0, rows.shape[:-1]) for part in found)
+    return Candidates(states, controls, dynamics.motion(states, with_final_row(controls)))
+
+
 def follow(
     dynamics: DynamicsModel,
     problem: PlanningProblem,
     arc_at: Callable[[Float[Tensor, "*b C n"], int], Arc],
     count: int,
     steps: int,
-    arc_step: ArcStep,
 ) -> Candidates:
     """Drive `count` candidates of every problem, in each step on the arc asked for at its state.
 
@@ -164,15 +169,13 @@ def follow(
         arc_at: (states, number of the step) -> arcs of that step.
         count: Number of candidates C.
         steps: Length of the horizon in steps of the dynamics.
-        arc_step: One step of the dynamics on an arc.
     """
     start = initial_state(dynamics, problem.ego)
     state = start.unsqueeze(-2).expand(*start.shape[:-1], count, start.shape[-1])
     states, controls = [state], []
     for step in range(steps):
-        following, control = arc_step(states[-1], arc_at(states[-1], step))
-        controls.append(control)
-        states.append(following)
+        controls.append(dynamics.control_for(states[-1], *arc_at(states[-1], step)))
+        states.append(dynamics(states[-1], controls[-1]))
     all_states, all_controls = torch.stack(states, -2), torch.stack(controls, -2)
     motion = dynamics.motion(all_states, with_final_row(all_controls))
     return Candidates(all_states, all_controls, motion)

@@ -9,12 +9,12 @@ from torch import Tensor, nn
 
 from diffstack_mmv.checks import message, require_at_least
 from diffstack_mmv.control import ILQR, Batched, TrajectoryOptimizer
+from diffstack_mmv.control.native.scan import RowStep, scan
 from diffstack_mmv.costs import WeightedCost
 from diffstack_mmv.dynamics import DynamicsModel, rollout
-from diffstack_mmv.planning.candidates import ArcFan, CandidateSource, with_final_row
+from diffstack_mmv.planning.candidates import CandidateFan, CandidateSource, with_final_row
 from diffstack_mmv.planning.choice import PlanChoice, TakeOptimum
 from diffstack_mmv.planning.coordinates import Coordinates, PhysicalControls
-from diffstack_mmv.planning.generated import generated_arc_step
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
 from diffstack_mmv.planning.limits import PlanConstraints
 from diffstack_mmv.planning.objective import batched_objective
@@ -123,9 +123,13 @@ class MPCPlanner(Planner):
 
         with torch.no_grad():
             fan = self.candidates(self.dynamics, problem, self.steps)
-        proposals = scored(fan.controls, fan.motion)
+        controls, motion = fan.controls, fan.motion
         if state is not None:
-            proposals = proposals.beside(scored(*self._continued(problem, state)))
+            more = self._continued(problem, state)
+            controls = torch.cat([controls, more[0]], -3)
+            plans = problem.goal.dim() - 1
+            motion = Motion(*(torch.cat(pair, plans) for pair in zip(motion, more[1], strict=True)))
+        proposals = scored(controls, motion)
         with torch.no_grad():
             starts = self._best_starts(proposals, problem.obstacles)
         guess = proposals.controls.take_along_dim(starts[..., None, None], -3)
@@ -139,8 +143,8 @@ class MPCPlanner(Planner):
         """Have solver and candidates compiled at their next use, if they can be."""
         if isinstance(self.solver, ILQR):
             self.solver = self.solver.compiled()
-        if isinstance(self.candidates, ArcFan):
-            self.candidates.arc_step = generated_arc_step
+        if isinstance(self.candidates, CandidateFan):
+            self.candidates.compile = True
 
     def cost_of(
         self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
@@ -185,8 +189,18 @@ class MPCPlanner(Planner):
         """The rest of the previous plan from the present state, as one more proposal."""
         controls = state.controls.unsqueeze(-3)
         start = initial_state(self.dynamics, problem.ego).unsqueeze(-2)
-        states = rollout(self.dynamics, start, controls)
+        states = self._rolled(start, controls)
         return controls, self.dynamics.motion(states, with_final_row(controls))
+
+    def _rolled(
+        self, start: Float[Tensor, "*b n"], controls: Float[Tensor, "*b T m"]
+    ) -> Float[Tensor, "*b T1 n"]:
+        """States from controls, in a library where the solver is compiled."""
+        if isinstance(self.solver, ILQR) and self.solver.compile:
+            found = scan(_stepping(self.dynamics), start.flatten(0, -2), controls.flatten(0, -3))
+            if found is not None:
+                return found.states.unflatten(0, start.shape[:-1])
+        return rollout(self.dynamics, start, controls)
 
     def _best_starts(self, plans: ScoredPlans, obstacles: Obstacles) -> Int[Tensor, "*b k"]:
         """The best plan of each of the best homotopy classes around the likeliest futures."""
@@ -229,3 +243,12 @@ class MPCPlanner(Planner):
     def _relative(self, controls: Float[Tensor, "*b t m"]) -> Float[Tensor, "*b t m"]:
         lower, upper = self.dynamics.bounds
         return controls / torch.maximum(upper, -lower)
+
+
+def _stepping(dynamics: DynamicsModel) -> RowStep:
+    """A step that tells nothing besides the state."""
+
+    def step(state: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
+        return dynamics.step(state, control), control[..., :0]
+
+    return step

@@ -148,12 +148,7 @@ class OrcaForecaster:
     ) -> PedestrianForecast:
         """One component, the crowd rolled forward; at first sight also walking off."""
         believed, doubt = self._believed(state, observation)
-        crowd = believed
-        positions = []
-        for _ in range(steps):
-            crowd = crowd.moved(self.crowd(crowd, dt_s), dt_s)
-            positions.append(crowd.position)
-        mean = torch.stack(positions, dim=-2)
+        mean = self.crowd.positions(believed, dt_s, steps)
         forecast = _with_spread(mean, believed.velocity, self.spread, dt_s)
         if state is None:
             forecast = self._walking_off(forecast, believed, dt_s)

@@ -11,22 +11,23 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from diffstack_mmv.control.native.library import REALS, CannotBuildError, load
 from diffstack_mmv.control.native.lowering import CannotLowerError, Lowering
 from diffstack_mmv.control.native.operations import HANDLERS
 from diffstack_mmv.control.native.scalar import Program
-from diffstack_mmv.control.native.stages import Sizes, StagedProblem, staged
+from diffstack_mmv.control.native.solver import REALS
+from diffstack_mmv.control.native.stages import StagedStep, staged_step
+from dmmv_conventions.libraries import CannotBuildError, load
 from dmmv_conventions.progress import waiting
 
 LOGGER = logging.getLogger(__name__)
-Source = Callable[[StagedProblem, bool, str], str]
-"""(step without costs, whether its numbers are learned, "float" or "double") -> C++."""
+Source = Callable[[StagedStep, bool, str], str]
+"""(step, whether its numbers are learned, "float" or "double") -> C++."""
 
 
 class TakenModule(NamedTuple):
     """A step as scalars, and the tensors of the module that it reads."""
 
-    problem: StagedProblem  # without costs
+    problem: StagedStep
     tensors: tuple[Tensor, ...]
 
     def is_of(self, module: nn.Module) -> bool:
@@ -74,8 +75,9 @@ def taken(module: nn.Module, n: int, m: int, dtype: torch.dtype) -> TakenModule:
     (following,) = Lowering(program, HANDLERS)(graph, _leaves(program, inputs))
     if following.size != n:
         raise CannotLowerError(f"{following.size} results instead of {n}")
-    sizes = Sizes(n, m, 1, sum(each.numel() for each in named.values()))
-    return TakenModule(staged(program, list(following.flat), [], sizes), tuple(named.values()))
+    count = sum(each.numel() for each in named.values())
+    step_taken = staged_step(program, list(following.flat), n, m, count)
+    return TakenModule(step_taken, tuple(named.values()))
 
 
 def _leaves(program: Program, inputs: list[Tensor]) -> list[np.ndarray]:
@@ -94,7 +96,7 @@ class Ready(NamedTuple):
     """A library, what it is of, and the present numbers of the model."""
 
     library: Any
-    problem: StagedProblem
+    problem: StagedStep
     numbers: Float[Tensor, " P"]
 
 
@@ -137,9 +139,7 @@ class Workshop:
             return None
         return Ready(built, problem, numbers)
 
-    def _built(
-        self, problem: StagedProblem, source: Source, learns: bool, dtype: torch.dtype
-    ) -> Any:
+    def _built(self, problem: StagedStep, source: Source, learns: bool, dtype: torch.dtype) -> Any:
         key = id(problem), source, learns, dtype
         if key not in _LIBRARIES:
             began_s = time.perf_counter()
@@ -151,7 +151,7 @@ class Workshop:
         return _LIBRARIES[key][1]
 
 
-_LIBRARIES: dict[tuple[int, Source, bool, torch.dtype], tuple[StagedProblem, Any]] = {}
+_LIBRARIES: dict[tuple[int, Source, bool, torch.dtype], tuple[StagedStep, Any]] = {}
 
 
 def counts(*numbers: int) -> list[Any]:

@@ -18,15 +18,16 @@ from diffstack_mmv.control.native.derivative import gradient
 from diffstack_mmv.control.native.generation import (
     POINT,
     TEMPLATE,
-    _into,
-    _prelude,
-    _prelude_adjoint,
-    _table,
     header,
+    into,
+    opening,
+    plain,
+    prelude_adjoint,
+    table,
 )
-from diffstack_mmv.control.native.library import pointers
 from diffstack_mmv.control.native.modules import Ready, Workshop, counts
-from diffstack_mmv.control.native.stages import StagedProblem
+from diffstack_mmv.control.native.stages import StagedStep
+from dmmv_conventions.libraries import pointers
 
 Moments = tuple[Float[Tensor, "N T 2"], Float[Tensor, "N T 2 2"]]
 
@@ -67,22 +68,18 @@ def moments(
 _WORKSHOPS: weakref.WeakKeyDictionary[nn.Module, Workshop] = weakref.WeakKeyDictionary()
 
 
-def source(problem: StagedProblem, learns: bool, real: str) -> str:
+def source(problem: StagedStep, learns: bool, real: str) -> str:
     """A whole library.
 
     Args:
-        problem: A step without costs.
+        problem: A step.
         learns: Whether the parameters have a gradient.
         real: "float" or "double".
     """
     fixed, entry = header("moments").split("#pragma GCC visibility push(default)")
     return "\n".join(
         [
-            "#include <cmath>",
-            "#include <type_traits>",
-            "#include <utility>",
-            f"typedef {real} Real;",
-            *map(header, ("numbers", "small", "stage")),
+            *opening(real, "numbers", "small", "stage"),
             fixed,
             "using namespace dmmv;",
             *_problem(problem, learns),
@@ -92,32 +89,33 @@ def source(problem: StagedProblem, learns: bool, real: str) -> str:
     )
 
 
-def _problem(problem: StagedProblem, learns: bool) -> list[str]:
-    (n, m, _, parameters), stage = problem.sizes, problem.step
+def _problem(problem: StagedStep, learns: bool) -> list[str]:
+    n, m, stage = problem.state, problem.inputs, problem.step
     program, one = stage.program, stage.program.constant(1.0)
     inputs = [program.leaf("x", i) for i in range(n)] + [program.leaf("u", j) for j in range(m)]
     jacobian = [gradient(program, {output: one}, inputs) for output in stage.outputs]
     values = [[program.value(entry) for entry in row] for row in jacobian]
     active = [column for column in range(n + m) if any(row[column] is None for row in values)]
     constants = [0.0 if value is None else value for row in values for value in row]
+    known = problem.prelude, problem.numbers, problem.parameters
     nothing = "static void prelude_adjoint(const Real*, const Real*, Real*) {}"
     return [
         "struct Problem {",
-        f"static constexpr int n = {n}, m = {m}, PARAMETERS = {parameters};",
+        f"static constexpr int n = {n}, m = {m}, PARAMETERS = {problem.parameters};",
         f"static constexpr int NUMBERS = {len(problem.numbers)}, STEP_ACTIVE = {len(active)};",
         f"static constexpr bool LEARNS = {literal(learns)};",
-        _table("int", "step_active", active),
-        _table("Real", "step_constant", constants),
-        _prelude(problem),
+        table("int", "step_active", active),
+        table("Real", "step_constant", constants),
+        plain("prelude(const Real* p, Real* y)", problem.prelude, "p", problem.numbers),
         function(
             f"{TEMPLATE} void step({POINT}, const Real* q, V* y)",
             program,
             "q",
-            _into("y", stage.outputs),
+            into("y", stage.outputs),
         ),
         bend(stage, inputs, active, learns),
         weigh_numbers(stage, learns),
-        _prelude_adjoint(problem) if learns else nothing,
+        prelude_adjoint(*known) if learns else nothing,
         "};",
     ]
 
