@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from diffstack_mmv.control.native.code import function, literal
 from diffstack_mmv.control.native.derivative import gradient
-from diffstack_mmv.control.native.scalar import Node, Program, needed
+from diffstack_mmv.control.native.scalar import LEAF, Node, Program, needed
 from diffstack_mmv.control.native.stages import Sizes, Stage, StagedProblem
 from diffstack_mmv.types import SolverStatus
 
@@ -16,7 +16,7 @@ LONGEST_GRADIENT = 1500
 """Operations of a gradient beyond which its derivatives are not even tried to be written out."""
 
 TEMPLATE, POINT = "template <class V> static", "const V* x, const V* u"
-HEADERS = ("numbers", "small", "stage", "solver")
+HEADERS = ("numbers", "small", "stage", "pivoting", "solver")
 ENTRIES = {"solve": ("solve",), "adjoint": ("adjoint",)}
 """Headers that each library has besides, with its functions for the caller."""
 
@@ -87,6 +87,7 @@ def _problem(problem: StagedProblem, adjoint: bool) -> list[str]:
         _prelude(problem),
         *_step(step),
         *_costs(costs),
+        _flag("LINEAR_QUADRATIC", _is_linear_quadratic(step, costs)),
     ]
     if adjoint:
         known = problem.parameters, problem.numbers, parameters
@@ -125,6 +126,20 @@ def _is_short(program: Program, written: Sequence[Node] | None, instead: Sequenc
         return False
     columns = -(-(len(written) // max(len(instead), 1)) // LANES)
     return len(needed(program, written)) <= SLOPES_COST * columns * len(needed(program, instead))
+
+
+def _is_linear_quadratic(step: Derived, costs: Sequence[Derived]) -> bool:
+    """Whether derivatives depend on parameters alone: the Jacobian of a step, Hessians of costs."""
+    curvatures = [cost.hessian for cost in costs]
+    if None in curvatures:
+        return False
+    each = [(step, step.jacobian), *((cost, cost.hessian or ()) for cost in costs)]
+    return not any(_sees_trajectory(stage.stage.program, nodes) for stage, nodes in each)
+
+
+def _sees_trajectory(program: Program, nodes: Iterable[Node]) -> bool:
+    operations = (program.operations[node] for node in needed(program, nodes))
+    return any(operation[0] == LEAF and operation[1] in "xu" for operation in operations)
 
 
 def weighted_gradient(stage: Stage, inputs: Sequence[Node]) -> list[Node]:

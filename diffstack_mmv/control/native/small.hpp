@@ -186,6 +186,36 @@ inline void free_inverse(const Real* H, const bool* is_free, Real* inverse) {
   }
 }
 
+// the same for a positive definite matrix, faster; false if it is not definite
+template <int M>
+inline bool definite_inverse(const Real* H, const bool* is_free, Real* inverse) {
+  Real L[M][M], W[M][M], pivot[M];
+  for (int j = 0; j < M; ++j) {
+    pivot[j] = is_free[j] ? H[j * M + j] : Real(1);
+    for (int k = 0; k < j; ++k) pivot[j] -= L[j][k] * L[j][k] * pivot[k];
+    if (!(pivot[j] > 0)) return false;
+    const Real scale = 1 / pivot[j];
+    for (int i = j + 1; i < M; ++i) {
+      Real sum = is_free[i] && is_free[j] ? H[i * M + j] : Real(0);
+      for (int k = 0; k < j; ++k) sum -= L[i][k] * L[j][k] * pivot[k];
+      L[i][j] = sum * scale;
+    }
+  }
+  for (int j = 0; j < M; ++j)
+    for (int i = j; i < M; ++i) {  // W = inverse of L
+      Real sum = i == j;
+      for (int k = j; k < i; ++k) sum -= L[i][k] * W[k][j];
+      W[i][j] = sum;
+    }
+  for (int i = 0; i < M; ++i)
+    for (int j = 0; j <= i; ++j) {
+      Real sum = 0;
+      for (int k = i; k < M; ++k) sum += W[k][i] * W[k][j] / pivot[k];
+      inverse[i * M + j] = inverse[j * M + i] = is_free[i] && is_free[j] ? sum : Real(0);
+    }
+  return true;
+}
+
 inline void edge(Real k0, Real k1, const Real* H, const Real* g, Real* best, Real& value) {
   const Real v = k0 * (Real(0.5) * H[0] * k0 + H[1] * k1 + g[0]) + k1 * (Real(0.5) * H[3] * k1 + g[1]);
   if (v < value) {
@@ -226,7 +256,7 @@ inline void box_qp_by_pivoting(const Real* H, const Real* g, const Real* low, co
       fixed[i] = side[i] < 0 ? low[i] : side[i] > 0 ? high[i] : Real(0);
       rest[i] = g[i];
     }
-    free_inverse<M>(H, is_free, inverse);
+    if (!definite_inverse<M>(H, is_free, inverse)) free_inverse<M>(H, is_free, inverse);
     add_product<M, M>(H, fixed, rest);
     for (int i = 0; i < M; ++i) {
       k[i] = fixed[i];

@@ -4,6 +4,7 @@
 #pragma once
 #include <algorithm>
 
+#include "pivoting.hpp"
 #include "stage.hpp"
 
 namespace dmmv {
@@ -156,7 +157,7 @@ struct Solver {
       if (held(t, i)) low[i] = high[i] = 0;
     }
     solve_box_qp<m>(uu, Q_u, low, high, k[t], is_free);
-    free_inverse<m>(uu, is_free, inverse);
+    if (m < 3 || !definite_inverse<m>(uu, is_free, inverse)) free_inverse<m>(uu, is_free, inverse);
     product<m, m, n>(inverse, ux, product_);
     for (int i = 0; i < m * n; ++i) K[t][i] = -product_[i];
     for (int i = 0; i < m; ++i) {
@@ -261,10 +262,33 @@ struct Solver {
     status = is_finite ? OPEN : NOT_FINITE;
   }
 
+  // goes to the solution of a linear-quadratic problem, if it is found; the local model is that of where it stands
+  void jump() {
+    static thread_local Pivoting<P> pivoting;
+    for (int t = 0; t < T; ++t)
+      for (int i = 0; i < m; ++i) pivoting.side[t][i] = held(t, i) ? (u[t][i] <= box[0][i] ? -1 : 1) : 0;
+    iterations += pivoting(*this);
+    if (!pivoting.found) return;
+    const Real damping_before = damping, cost_before = cost;
+    const int iterations_before = iterations;
+    Real state[n], before[T][m], controls[T][m];
+    std::memcpy(state, x[0], sizeof(state));
+    std::memcpy(before, u, sizeof(before));
+    for (int t = 0; t < T; ++t)
+      for (int i = 0; i < m; ++i) controls[t][i] = clipped(u[t][i] + pivoting.change[t][i], box[0][i], box[1][i]);
+    start(state, controls[0]);
+    if (!(cost <= cost_before)) start(state, before[0]);
+    damping = damping_before;
+    iterations = iterations_before;
+    expand(false);
+  }
+
   void solve(const Real* state, const Real* controls, const Settings& settings) {
     start(state, controls);
-    for (int i = 0; i < settings.max_iterations && status == OPEN; ++i) {
+    for (int i = 0; iterations < settings.max_iterations && status == OPEN; ++i) {
       expand(settings.curvature == 0 || near_);
+      if constexpr (P::LINEAR_QUADRATIC)
+        if (i == 0) jump();
       policy();
       attempt(settings);
     }
