@@ -19,7 +19,7 @@ from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
 from diffstack_mmv.planning.limits import PlanConstraints
 from diffstack_mmv.planning.objective import batched_objective
 from diffstack_mmv.planning.pricing import CostScore, PlanScore, ScoredPlans
-from diffstack_mmv.planning.problem import initial_state, likeliest
+from diffstack_mmv.planning.problem import filled_up, initial_state, likeliest
 from diffstack_mmv.types import Motion, Obstacles, Plan, PlanningProblem, Solution, map_tensors
 
 UNSAFE = 1e4
@@ -217,6 +217,9 @@ class MPCPlanner(Planner):
         obstacles, most = problem.obstacles, self.solved_components
         if most is not None and obstacles.weight.shape[-1] > most:
             problem = problem._replace(obstacles=likeliest(obstacles))
+        compiled = isinstance(self.solver, ILQR) and self.solver.compile
+        if compiled and guess.shape[:-3].numel() > 1:
+            problem = problem._replace(obstacles=filled_up(problem.obstacles))
 
         def repeated(entry: Tensor) -> Tensor:
             wide = entry.unsqueeze(batch_dims).expand(*shape, *entry.shape[batch_dims:])
