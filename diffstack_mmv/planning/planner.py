@@ -18,6 +18,7 @@ from diffstack_mmv.planning.coordinates import Coordinates, PhysicalControls
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
 from diffstack_mmv.planning.limits import PlanConstraints
 from diffstack_mmv.planning.objective import batched_objective
+from diffstack_mmv.planning.parts import cost_in_parts
 from diffstack_mmv.planning.pricing import CostScore, PlanScore, ScoredPlans
 from diffstack_mmv.planning.problem import filled_up, initial_state, likeliest
 from diffstack_mmv.types import Motion, Obstacles, Plan, PlanningProblem, Solution, map_tensors
@@ -177,7 +178,7 @@ class MPCPlanner(Planner):
         per_plan = map_tensors(lambda entry: entry.unsqueeze(batch_dims), problem)
 
         def cost(motion: Motion, controls: Tensor) -> Tensor:
-            return self.cost_of(motion, with_final_row(controls), per_plan)
+            return cost_in_parts(self.cost_of, motion, with_final_row(controls), per_plan)
 
         with torch.set_grad_enabled(torch.is_grad_enabled() and self.score.differentiable):
             return self.score(cost, problem, controls, motion, waited, self.dynamics.dt_s)
