@@ -9,7 +9,8 @@ import functools
 import logging
 import math
 import time
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import torch
@@ -102,7 +103,8 @@ class Workshop:
         """The solution, None where there is no library."""
         try:
             taken, parameters = self._taken(dynamics, cost, state, controls)
-            self._prepare(taken.problem, state.dtype)
+            learns = torch.is_grad_enabled() and (parameters.requires_grad or state.requires_grad)
+            self._prepare(taken.problem, state.dtype, learns)
         except (CannotLowerError, CannotBuildError, *refusals().failed) as failure:
             self.is_refused = True
             reason = next(iter(str(failure).strip().splitlines()), type(failure).__name__)
@@ -129,14 +131,15 @@ class Workshop:
         empty = state.new_zeros(count, 0)
         return taken, torch.cat([empty, *rows], 1).contiguous()
 
-    def _prepare(self, problem: StagedProblem, dtype: torch.dtype) -> None:
+    def _prepare(self, problem: StagedProblem, dtype: torch.dtype, learns: bool) -> None:
         if id(problem) not in self.known:
             if len(self.known) >= MOST_LIBRARIES:
                 raise CannotLowerError(f"more than {MOST_LIBRARIES} shapes")
             began_s = time.perf_counter()
             LOGGER.info("Compiling the solver for %s: one library", self.problem)
             with waiting(f"compile the solver for {self.problem}: library"):
-                library(problem, "solve", dtype)
+                names = ("solve", "adjoint") if learns else ("solve",)
+                _load_libraries(problem, names, dtype)
             LOGGER.info("Compiled it in %.1f s", time.perf_counter() - began_s)
             self.known.add(id(problem))
 
@@ -148,13 +151,20 @@ def library(problem: StagedProblem, name: str, dtype: torch.dtype) -> Any:
     """The library "solve" or "adjoint" of a problem."""
     key = id(problem), name, dtype
     if key not in _SOURCES:
-        retain_freed_memory()
-        code = source(problem, name, REALS[dtype])
-        if name == "solve" and len(code) > LONGEST_SOURCE:
-            raise CannotBuildError(f"a source of {len(code)} characters takes too long")
-        # the problem is kept, so that no other one gets its identity
-        _SOURCES[key] = problem, load(code)
+        _load_libraries(problem, (name,), dtype)
     return _SOURCES[key][1]
+
+
+def _load_libraries(problem: StagedProblem, names: Sequence[str], dtype: torch.dtype) -> None:
+    """Build libraries at the same time, after one another in the generator, which has a state."""
+    retain_freed_memory()
+    codes = [source(problem, name, REALS[dtype]) for name in names]
+    if "solve" in names and len(codes[0]) > LONGEST_SOURCE:
+        raise CannotBuildError(f"a source of {len(codes[0])} characters takes too long")
+    with ThreadPoolExecutor(len(codes)) as pool:
+        for name, built in zip(names, pool.map(load, codes), strict=True):
+            # the problem is kept, so that no other one gets its identity
+            _SOURCES[id(problem), name, dtype] = problem, built
 
 
 def _anywhere(state: Tensor, controls: Tensor) -> Trajectory:
