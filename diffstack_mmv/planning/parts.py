@@ -18,9 +18,9 @@ PlanCosts = Callable[[Motion, Tensor, PlanningProblem], Tensor]
 def cost_in_parts(
     cost: PlanCosts,
     motion: Motion,
-    controls: Float[Tensor, "b C t m"],
+    controls: Float[Tensor, "*b C t m"],
     problem: PlanningProblem,
-) -> Float[Tensor, "b C t"]:
+) -> Float[Tensor, "*b C t"]:
     """The cost of plans at each time, computed again in the backward pass where it is large.
 
     Nothing is then kept of the distances between all plans and all agents: memory is bounded, and a

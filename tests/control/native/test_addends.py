@@ -1,5 +1,6 @@
 """Sums of like terms: found, and written as a loop that gives what the sum gives."""
 
+import numpy as np
 import pytest
 import torch
 
@@ -21,9 +22,8 @@ def test_addends_of_a_sum_keep_factors_and_conditions():
     whole = apply(
         "sub", w, apply("where", condition, apply("mul", p, inner), program.constant(0.0))
     )
-    own = [name[1] != "x" if name[0] == "leaf" else False for name in program.operations]
-    own = [each or node in (condition, p) for node, each in enumerate(own)]
-    own[program.constant(0.0)] = True
+    own = np.zeros(len(program), dtype=bool)
+    own[[p, w, condition, program.constant(0.0)]] = True
     assert len(addends(program, whole, own)) == 3
 
 
