@@ -1,7 +1,7 @@
-"""Time of one decision of the closed-loop controller per episode, batched and single, on one core.
+"""Time of one decision of the closed-loop controller per episode, one alone and fifty at once, on one core.
 
-Processor time of the one thread, so that a busy machine does not count. The first decision of each
-drive is left out. Run: OMP_NUM_THREADS=1 python benchmarks/bench_closed_loop.py
+Processor time of the one thread, so that a busy machine does not count. The settings are those of `scripts/navigate.py`; a
+drive before builds the libraries. Run: OMP_NUM_THREADS=1 python benchmarks/bench_closed_loop.py
 """
 
 import time
@@ -16,8 +16,11 @@ from omegaconf import OmegaConf
 
 import diffstack_mmv.cli  # noqa: F401  registers the resolvers
 from diffstack_mmv.simulation import ExactVerdict, OrcaCrowd, World, drive
+from diffstack_mmv.types import SolverStatus
 
 CONFIGS = str(Path(__file__).resolve().parents[1] / "configs")
+CASES = 15
+BEFORE = range(100, 101)
 
 
 def composed(dynamics):
@@ -34,7 +37,7 @@ class Timed:
     """A controller under a stop-watch of processor time, per running episode."""
 
     def __init__(self, controller):
-        self.controller, self.seconds = controller, []
+        self.controller, self.seconds, self.statuses = controller, [], []
 
     def init(self, observation):
         return self.controller.init(observation)
@@ -44,25 +47,36 @@ class Timed:
         decided = self.controller.act(state, observation)
         running = max(int(observation.running.sum()), 1)
         self.seconds.append((time.process_time() - start) / running)
+        self.statuses.append(decided.state.decisions[-1].status.flatten())
         return decided
 
 
 def measure(dynamics, episodes, repeats):
     config = composed(dynamics)
     world = World(instantiate(config.robot), OrcaCrowd(), ExactVerdict(10.0))
-    scenario, seconds = instantiate(config.scenario), []
-    for repeat in range(repeats):
+    scenario, seconds, first, statuses = instantiate(config.scenario), [], [], []
+    for repeat in range(-1, repeats):
         timed = Timed(instantiate(config.controller))
-        numbers = range(repeat * episodes, (repeat + 1) * episodes)
+        numbers = range(repeat * episodes, (repeat + 1) * episodes) if repeat >= 0 else BEFORE
         drive(world, scenario.cases("train", numbers), timed)
-        seconds += timed.seconds[1:]
-    middle, high = np.quantile(1e3 * np.array(seconds), (0.5, 0.99))
-    print(f"{dynamics:4s} {episodes:4d} episodes: {middle:8.1f} ms, p99 {high:8.1f} ms per decision"
-          f" and episode, {len(seconds)} decisions", flush=True)  # fmt: skip
+        if repeat >= 0:
+            seconds += timed.seconds
+            first.append(timed.seconds[0])
+            statuses += timed.statuses
+    middle, high, highest = np.quantile(1e3 * np.array(seconds), (0.5, 0.9, 0.99))
+    solved = (torch.cat(statuses) == SolverStatus.CONVERGED).float().mean()
+    print(
+        f"| {dynamics} | {episodes} | {middle:.1f} | {high:.1f} | {highest:.1f} | {1e3 * np.median(first):.1f} "
+        f"| {float(solved):.0%} | {len(seconds)} |",
+        flush=True,
+    )
 
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
+    print(
+        "| model | episodes | median, ms | 90 % | 99 % | first | converged | decisions |\n|---|---|---|---|---|---|---|---|"
+    )
     for name in ("kbm", "gm3"):
-        for count, times in ((1, 6), (50, 1)):
+        for count, times in ((1, CASES), (50, 1)):
             measure(name, count, times)

@@ -5,7 +5,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from diffstack_mmv.checks import message, require_at_least
+from diffstack_mmv.checks import message, require, require_at_least
 from diffstack_mmv.control import ILQR, Batched
 from diffstack_mmv.control.native.export import Export, Exported
 from diffstack_mmv.planning.coordinates import PhysicalControls
@@ -50,7 +50,7 @@ def export_planner(
         The files, and the entries of the parameters.
 
     Raises:
-        ValueError: A number is not positive.
+        ValueError: A number is not positive, or the planner has constraints.
         TypeError: The solver is no `ILQR`.
         CannotLowerError: Dynamics or cost have an operation that has no scalar form.
         CannotBuildError: There is no C++ compiler.
@@ -60,6 +60,9 @@ def export_planner(
     solver = planner.solver
     if not isinstance(solver, ILQR):
         raise TypeError(message("planner.solver", "be an ILQR", type(solver).__name__))
+    limits = {} if planner.constraints is None else planner.constraints.limits
+    remedy = "Export the planner without them: their optimiser has no library."
+    require(not limits, "planner.constraints", "be none", list(limits), "", remedy)
     dynamics = planner.dynamics
     problem = _example(planner, agents, components, discs)
     # what the library takes and returns are controls in SI units, whatever the planner optimises in

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from diffstack_mmv.control import ILQR, Batched
-from diffstack_mmv.planning import PhysicalControls, initial_state
+from diffstack_mmv.planning import PhysicalControls, PlanConstraints, SpeedWithin, initial_state
 from diffstack_mmv.planning.export import export_planner
 from diffstack_mmv.planning.objective import NAMES, batched_objective
 from tests.planning.test_planner import problem, training
@@ -131,3 +131,10 @@ def test_entries_are_named_and_follow_one_another(tmp_path, monkeypatch):
 def test_sizes_are_positive(name, tmp_path):
     with pytest.raises(ValueError, match=f"`{name}` must be at least 1"):
         export_planner(training(), tmp_path, **{name: 0})
+
+
+def test_a_planner_with_constraints_is_refused(tmp_path):
+    planner = training()
+    planner.constraints = PlanConstraints({"speed": SpeedWithin()})
+    with pytest.raises(ValueError, match="`planner.constraints` must be none"):
+        export_planner(planner, tmp_path)

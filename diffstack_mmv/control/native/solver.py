@@ -7,10 +7,9 @@ second is faster by two orders of magnitude, and needs no iteration beyond its o
 import ctypes
 import functools
 import logging
-import math
 import time
 from collections.abc import Hashable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import torch
@@ -37,6 +36,9 @@ MOST_LIBRARIES = 5
 LONGEST_SOURCE = 450_000
 """Characters of a library, beyond which a compiler takes half a minute and more: DiffGM3 has three
 quarters of it, and DiffKBM beside four agents of five components as much."""
+LONG_ADJOINT = 300_000
+"""Characters of an adjoint, which runs once per solve, beyond which the compiler takes less effort:
+that of DiffGM3 is no slower for it, and built in two thirds of the time."""
 MOST_RENEWALS = 2
 """Times that a kind of problem may outgrow the compiler's list of graphs, 8 shapes each time."""
 
@@ -103,20 +105,20 @@ class Workshop:
         """The solution, None where there is no library."""
         try:
             taken, parameters = self._taken(dynamics, cost, state, controls)
-            learns = torch.is_grad_enabled() and (parameters.requires_grad or state.requires_grad)
-            self._prepare(taken.problem, state.dtype, learns)
+            hidden = any(each.requires_grad for each in (state, *parameters))
+            self._prepare(taken.problem, state.dtype, hidden and torch.is_grad_enabled())
         except (CannotLowerError, CannotBuildError, *refusals().failed) as failure:
             self.is_refused = True
             reason = next(iter(str(failure).strip().splitlines()), type(failure).__name__)
             LOGGER.info("No library for %s (%s): kernels on tensors", self.problem, reason)
             return None
-        return solved(taken.problem, parameters, numbers, state, controls)
+        return solved(taken, parameters, numbers, state, controls)
 
     def _taken(
         self, dynamics: Dynamics, cost: Cost, state: Tensor, controls: Tensor
-    ) -> tuple[Taken, Tensor]:
-        """The problem, and its parameters (count, P) with their graph."""
-        count, originals = state[..., 0].numel(), {}
+    ) -> tuple[Taken, list[Tensor]]:
+        """The problem, and its parameters: of all problems (count, ...), or shared."""
+        originals: dict[int, Tensor] = {}
         first = _first(dynamics, originals), _first(cost, originals)
         record, at = self.recorder, _anywhere(state, controls)
         try:
@@ -127,44 +129,55 @@ class Workshop:
                 raise CannotLowerError("too many shapes") from failure
             record = self.recorder = Recorder(copied(evaluate))
             taken = record(at, *first)
-        rows = [_row(each, originals.get(id(each)), count, state) for each in taken.parameters]
-        empty = state.new_zeros(count, 0)
-        return taken, torch.cat([empty, *rows], 1).contiguous()
+        each = [originals.get(id(one), one) for one in taken.parameters]
+        for one in taken.parameters:
+            if one.is_floating_point() and one.dtype != state.dtype and one.dim() > 0:
+                raise CannotLowerError(
+                    f"a parameter of {one.dtype} beside a state of {state.dtype}"
+                )
+        return taken, each
 
-    def _prepare(self, problem: StagedProblem, dtype: torch.dtype, learns: bool) -> None:
+    def _prepare(self, problem: StagedProblem, dtype: torch.dtype, differentiates: bool) -> None:
+        """Have the solver at hand, and the derivatives begun if they are asked for."""
         if id(problem) not in self.known:
             if len(self.known) >= MOST_LIBRARIES:
                 raise CannotLowerError(f"more than {MOST_LIBRARIES} shapes")
             began_s = time.perf_counter()
             LOGGER.info("Compiling the solver for %s: one library", self.problem)
             with waiting(f"compile the solver for {self.problem}: library"):
-                names = ("solve", "adjoint") if learns else ("solve",)
-                _load_libraries(problem, names, dtype)
+                solver = _begun(problem, "solve", dtype)
+                if differentiates:
+                    _begun(problem, "adjoint", dtype)
+                solver.result()
             LOGGER.info("Compiled it in %.1f s", time.perf_counter() - began_s)
             self.known.add(id(problem))
 
 
-_SOURCES: dict[tuple[int, str, torch.dtype], tuple[StagedProblem, Any]] = {}
+_LIBRARIES: dict[tuple[int, str, torch.dtype], tuple[StagedProblem, Future[Any]]] = {}
 
 
 def library(problem: StagedProblem, name: str, dtype: torch.dtype) -> Any:
     """The library "solve" or "adjoint" of a problem."""
+    return _begun(problem, name, dtype).result()
+
+
+def _begun(problem: StagedProblem, name: str, dtype: torch.dtype) -> Future[Any]:
+    """A library that is there, or being built."""
     key = id(problem), name, dtype
-    if key not in _SOURCES:
-        _load_libraries(problem, (name,), dtype)
-    return _SOURCES[key][1]
+    if key not in _LIBRARIES:
+        retain_freed_memory()
+        code = source(problem, name, REALS[dtype])
+        if name == "solve" and len(code) > LONGEST_SOURCE:
+            raise CannotBuildError(f"a source of {len(code)} characters takes too long")
+        # the problem is kept, so that no other one gets its identity
+        effort = ["-O1"] if name == "adjoint" and len(code) > LONG_ADJOINT else []
+        _LIBRARIES[key] = problem, _builders().submit(load, code, *effort)
+    return _LIBRARIES[key][1]
 
 
-def _load_libraries(problem: StagedProblem, names: Sequence[str], dtype: torch.dtype) -> None:
-    """Build libraries at the same time, after one another in the generator, which has a state."""
-    retain_freed_memory()
-    codes = [source(problem, name, REALS[dtype]) for name in names]
-    if "solve" in names and len(codes[0]) > LONGEST_SOURCE:
-        raise CannotBuildError(f"a source of {len(codes[0])} characters takes too long")
-    with ThreadPoolExecutor(len(codes)) as pool:
-        for name, built in zip(names, pool.map(load, codes), strict=True):
-            # the problem is kept, so that no other one gets its identity
-            _SOURCES[id(problem), name, dtype] = problem, built
+@functools.cache
+def _builders() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(2, "build")
 
 
 def _anywhere(state: Tensor, controls: Tensor) -> Trajectory:
@@ -189,23 +202,34 @@ def _first(function: Any, originals: dict[int, Tensor]) -> Any:
     return Batched(function.function, *slices)
 
 
-def _row(taken: Tensor, original: Tensor | None, count: int, like: Tensor) -> Tensor:
-    """A parameter as one row per problem."""
-    own = taken.unsqueeze(0) if original is None else original
-    # flattened by its sizes: an empty one has no length that could be found
-    each = own.reshape(len(own), math.prod(own.shape[1:]))
-    if each.is_floating_point() and each.dtype != like.dtype and taken.dim() > 0:
-        raise CannotLowerError(f"a parameter of {each.dtype} beside a state of {like.dtype}")
-    return each.to(like.dtype).expand(count, -1)
+def _in_rows(problem: Taken, tensors: Sequence[Tensor], count: int, like: Tensor) -> Tensor:
+    """Parameters as one row per problem."""
+    rows = [like.new_empty(count, 0)]
+    for one, each in zip(problem.parameters, tensors, strict=True):
+        # by its size: an empty one has no length that could be found
+        flat = each.detach().reshape(len(each) if each is not one else 1, one.numel())
+        rows.append(flat.to(like.dtype).expand(count, -1))
+    return torch.cat(rows, 1)
+
+
+def _from_rows(
+    rows: Tensor, tensors: Sequence[Tensor], sizes: Sequence[int], wanted: Sequence[bool]
+) -> list[Tensor | None]:
+    """Slopes of the parameters where they are wanted; of a shared one the sum over the problems."""
+    slopes: list[Tensor | None] = []
+    for each, part, is_wanted in zip(tensors, rows.split(list(sizes), 1), wanted, strict=True):
+        whole = part if each.numel() == part.numel() else part.sum(0)
+        slopes.append(whole.reshape(each.shape).to(each.dtype) if is_wanted else None)
+    return slopes
 
 
 def solved(
-    problem: StagedProblem, parameters: Tensor, numbers: Numbers, state: Tensor, controls: Tensor
+    taken: Taken, parameters: Sequence[Tensor], numbers: Numbers, state: Tensor, controls: Tensor
 ) -> Solution:
     """Call the library, with derivatives where they are asked for."""
     batch = state.shape[:-1]
     flat = state.reshape(-1, state.shape[-1]), controls.reshape(-1, *controls.shape[-2:])
-    results = _Solve.apply(problem, numbers, parameters, *flat)
+    results = _Solve.apply(taken, numbers, *flat, *parameters)
     return Solution(*(result.reshape(batch + result.shape[1:]) for result in results))
 
 
@@ -220,13 +244,15 @@ class _Solve(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any,
-        problem: StagedProblem,
+        taken: Taken,
         numbers: Numbers,
-        parameters: Tensor,
         state: Tensor,
         controls: Tensor,
+        *tensors: Tensor,
     ) -> tuple[Tensor, ...]:
+        problem: StagedProblem = taken.problem
         count, (n, m, steps, _) = len(state), problem.sizes
+        parameters = _in_rows(taken, tensors, count, state)
         x, u = state.new_empty(count, steps + 1, n), state.new_empty(count, steps, m)
         cost, residual = state.new_empty(count), state.new_empty(count)
         iterations = torch.empty(count, dtype=torch.long)
@@ -239,25 +265,26 @@ class _Solve(torch.autograd.Function):
             float(numbers.settings.tolerance),
             float(numbers.settings.regularisation),
         )
-        given = parameters.detach(), box, state.contiguous(), controls.contiguous()
+        given = parameters, box, state.contiguous(), controls.contiguous()
         results = x, u, cost, residual, iterations, status
         call = library(problem, "solve", state.dtype).dmmv_solve
         call(*_counts(count), *pointers(*given), ctypes.byref(record), *pointers(*results))
-        ctx.problem = problem
-        ctx.save_for_backward(parameters, box, x, u, status)
+        ctx.problem, ctx.sizes = problem, [one.numel() for one in taken.parameters]
+        ctx.save_for_backward(parameters, box, x, u, status, *tensors)
         ctx.mark_non_differentiable(residual, iterations, status)
         return results
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor | None, ...]:
-        parameters, box, x, u, status = ctx.saved_tensors
+        parameters, box, x, u, status, *tensors = ctx.saved_tensors
         valid = status == SolverStatus.CONVERGED
         by_parameters, by_state = torch.empty_like(parameters), torch.empty_like(x[:, 0])
-        given = parameters.detach(), box, x, u, valid, *(each.contiguous() for each in slopes[:3])
+        given = parameters, box, x, u, valid, *(each.contiguous() for each in slopes[:3])
         call = library(ctx.problem, "adjoint", x.dtype).dmmv_adjoint
         call(*_counts(len(x)), *pointers(*given), *pointers(by_parameters, by_state))
-        return None, None, by_parameters, by_state, None
+        wanted = ctx.needs_input_grad[4:]
+        return None, None, by_state, None, *_from_rows(by_parameters, tensors, ctx.sizes, wanted)
 
 
 @functools.cache

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch._functorch import pyfunctorch
 
 from diffstack_mmv.simulation.pedestrians.base import CrowdState, VisibleRobot
 from dmmv_conventions.libraries import CannotBuildError, load, pointers
@@ -55,7 +56,7 @@ def is_possible(tensors: Sequence[Tensor]) -> bool:
     """Whether the library can read these tensors, and is there."""
     like = tensors[0]
     plain = like.dtype in NAMES and not torch.compiler.is_compiling()
-    if not plain or torch._C._functorch.peek_interpreter_stack() is not None:
+    if not plain or pyfunctorch.retrieve_all_functorch_interpreters():
         return False
     same = all(each.dtype == like.dtype and each.device.type == "cpu" for each in tensors)
     return same and library() is not None

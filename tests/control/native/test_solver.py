@@ -182,7 +182,7 @@ def test_a_cost_that_sees_another_time_is_refused():
 def test_what_would_compile_too_long_is_left_to_tensors(monkeypatch, caplog, limit, value, told):
     caplog.set_level("INFO")
     monkeypatch.setattr(native_solver, limit, value)
-    monkeypatch.setattr(native_solver, "_SOURCES", {})
+    monkeypatch.setattr(native_solver, "_LIBRARIES", {})
     native_solver._workshop.cache_clear()
     arguments, _ = problem(2)
     assert natively(EXACT, *arguments) is None
