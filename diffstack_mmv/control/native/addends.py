@@ -15,22 +15,22 @@ class Addend(NamedTuple):
     """A node under operations that commute with a sum, the outermost first."""
 
     node: Node
-    wrapped: tuple[tuple[str, Node | None], ...] = ()  # operation, and its other argument
+    wrapped: tuple[tuple[str, tuple[Node, ...]], ...] = ()  # operation, its other arguments
 
-    def under(self, node: Node, name: str, other: Node | None = None) -> "Addend":
+    def under(self, node: Node, name: str, *others: Node) -> "Addend":
         """The same wrapping and one more, of an argument of this node."""
-        return Addend(node, (*self.wrapped, (name, other)))
+        return Addend(node, (*self.wrapped, (name, others)))
 
     def built(self, program: Program) -> Node:
         """The whole as a node."""
         node, zero = self.node, program.constant(0.0)
-        for name, other in reversed(self.wrapped):
+        for name, others in reversed(self.wrapped):
             if name == "neg":
                 node = program.apply("neg", node)
             elif name == "where":
-                node = program.apply("where", other, node, zero)
+                node = program.apply("where", *others, node, zero)
             else:
-                node = program.apply(name, node, other)
+                node = program.apply(name, node, *others)
         return node
 
 

@@ -59,6 +59,7 @@ def taken(module: nn.Module, n: int, m: int, dtype: torch.dtype) -> TakenModule:
     from torch._decomp import core_aten_decompositions
     from torch.fx.experimental.proxy_tensor import make_fx
 
+    table: Any = core_aten_decompositions()
     named = floating_tensors(module)
     if any(each.dtype != dtype for each in named.values()) or not named:
         raise CannotLowerError(f"tensors of another type than {dtype}")
@@ -70,7 +71,7 @@ def taken(module: nn.Module, n: int, m: int, dtype: torch.dtype) -> TakenModule:
     inputs = [torch.zeros(1, size, dtype=dtype) for size in (n, m)]
     inputs += [each.detach() for each in named.values()]
     with torch.no_grad():
-        graph = make_fx(step, decomposition_table=core_aten_decompositions())(*inputs)
+        graph = make_fx(step, decomposition_table=table)(*inputs)
     program = Program()
     (following,) = Lowering(program, HANDLERS)(graph, _leaves(program, inputs))
     if following.size != n:
