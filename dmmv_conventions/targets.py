@@ -48,13 +48,11 @@ OF_A_STACK = Buildable(
     _of("diffstack_mmv.checks", "require_multiple")
     | _of("diffstack_mmv.vehicles", "VehicleSpec.from_config load_vehicle")
     | _of("diffstack_mmv.stack", "assemble")
-    | _of("diffstack_mmv.planning", "above_rest")
+    | _of("diffstack_mmv.planning", "above_rest generated_moments")
     | _of("diffstack_mmv.metrics", "average_displacement mean_square_displacement")
-    | _of("diffstack_mmv.planning", "above_rest")
     | _of(
         "diffstack_mmv.prediction",
         "without_dynamics straight_line constant_acceleration hermite_spline"
-        " trajectron.linearise_compiled trajectron.linearise_compiled_twice"
         " trajectron.linearise_shared",
     )
     | _of("torch.optim", "Adam AdamW NAdam RAdam RMSprop SGD")

@@ -17,6 +17,7 @@ from diffstack_mmv.planning.coordinates import (
     above_rest,
 )
 from diffstack_mmv.planning.detours import DetourFan
+from diffstack_mmv.planning.generated import generated_moments
 from diffstack_mmv.planning.goal import FutureGoal, GoalSource, PredictedGoal
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
 from diffstack_mmv.planning.limits import (
@@ -79,6 +80,7 @@ __all__ = [
     "closest_candidate",
     "cross_entropy",
     "disc_radius",
+    "generated_moments",
     "homotopy_class",
     "initial_state",
     "observed_obstacles",

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.control.native.scan import scan
 from diffstack_mmv.dynamics import DynamicsModel, rollout
 from diffstack_mmv.planning.problem import initial_state
 from diffstack_mmv.types import Motion, PlanningProblem
@@ -63,6 +64,7 @@ class CandidateFan:
         speed_change_mps: Largest change of speed over the horizon in m/s.
         offset_share: Largest lateral offset as a share of the length of the path.
         speed_max_mps: Speed that no candidate exceeds, in m/s.
+        compile: Roll out in a generated library, on a CPU with a compiler.
 
     Raises:
         ValueError: A number is below 1, or a range is not positive.
@@ -75,6 +77,7 @@ class CandidateFan:
         speed_change_mps: float = 3.0,
         offset_share: float = 0.5,
         speed_max_mps: float = 12.0,
+        compile: bool = False,
     ) -> None:
         require_at_least("speeds", speeds, 1)
         require_at_least("offsets", offsets, 1)
@@ -89,13 +92,19 @@ class CandidateFan:
         self.speed_change_mps = speed_change_mps
         self.offset_share = offset_share
         self.speed_max_mps = speed_max_mps
+        self.compile = compile
 
     def __call__(self, dynamics: DynamicsModel, problem: PlanningProblem, steps: int) -> Candidates:
         """Roll out the fan of every problem over a number of steps."""
         horizon_s = steps * dynamics.dt_s
         lattice, to_goal = self._lattice(problem, horizon_s), self._to_goal(problem, horizon_s)
         arc = Arc(*(torch.cat(pair, -1) for pair in zip(lattice, to_goal, strict=True)))
-        return follow(dynamics, problem, lambda state, step: arc, arc.curvature.shape[-1], steps)
+        count = arc.curvature.shape[-1]
+        if self.compile:
+            found = _in_library(dynamics, problem, arc, steps)
+            if found is not None:
+                return found
+        return follow(dynamics, problem, lambda state, step: arc, count, steps)
 
     def _lattice(self, problem: PlanningProblem, horizon_s: float) -> Arc:
         speed = problem.ego.motion.velocity[..., 0].clamp_min(0).unsqueeze(-1)
@@ -123,6 +132,26 @@ class CandidateFan:
         acceleration = 2 * (length - motion.velocity[..., 0] * horizon_s) / horizon_s**2
         curvature = 2 * half_turn.sin() / chord.sqrt().clamp_min(0.5)
         return Arc(acceleration.unsqueeze(-1), curvature.unsqueeze(-1))
+
+
+def _in_library(
+    dynamics: DynamicsModel, problem: PlanningProblem, arc: Arc, steps: int
+) -> Candidates | None:
+    """Drive on an arc each, all candidates of all problems as rows; None if there is no library."""
+
+    def driven(state: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
+        control = dynamics.control_for(state, row[..., 0], row[..., 1])
+        return dynamics.step(state, control), control
+
+    start = initial_state(dynamics, problem.ego)
+    rows = torch.stack(arc, -1)
+    state = start.unsqueeze(-2).expand(*rows.shape[:-1], start.shape[-1])
+    each = rows.flatten(0, -2).unsqueeze(-2).expand(-1, steps, -1)
+    found = scan(driven, state.flatten(0, -2), each)
+    if found is None:
+        return None
+    states, controls = (part.unflatten(0, rows.shape[:-1]) for part in found)
+    return Candidates(states, controls, dynamics.motion(states, with_final_row(controls)))
 
 
 def follow(

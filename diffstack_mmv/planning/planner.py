@@ -12,14 +12,15 @@ from diffstack_mmv.control import ILQR, Batched, TrajectoryOptimizer
 from diffstack_mmv.control.native.scan import RowStep, scan
 from diffstack_mmv.costs import WeightedCost
 from diffstack_mmv.dynamics import DynamicsModel, rollout
-from diffstack_mmv.planning.candidates import CandidateSource, with_final_row
+from diffstack_mmv.planning.candidates import CandidateFan, CandidateSource, with_final_row
 from diffstack_mmv.planning.choice import PlanChoice, TakeOptimum
 from diffstack_mmv.planning.coordinates import Coordinates, PhysicalControls
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
 from diffstack_mmv.planning.limits import PlanConstraints
 from diffstack_mmv.planning.objective import batched_objective
+from diffstack_mmv.planning.parts import cost_in_parts
 from diffstack_mmv.planning.pricing import CostScore, PlanScore, ScoredPlans
-from diffstack_mmv.planning.problem import initial_state, likeliest
+from diffstack_mmv.planning.problem import filled_up, initial_state, likeliest
 from diffstack_mmv.types import Motion, Obstacles, Plan, PlanningProblem, Solution, map_tensors
 
 UNSAFE = 1e4
@@ -140,9 +141,11 @@ class MPCPlanner(Planner):
         return Plan(*chosen, solution, proposals.motion, -proposals.cost)
 
     def compile_solver(self) -> None:
-        """Have the solver compiled at its next call, if it can be; it takes a minute or two."""
+        """Have solver and candidates compiled at their next use, if they can be."""
         if isinstance(self.solver, ILQR):
             self.solver = self.solver.compiled()
+        if isinstance(self.candidates, CandidateFan):
+            self.candidates.compile = True
 
     def cost_of(
         self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
@@ -175,7 +178,7 @@ class MPCPlanner(Planner):
         per_plan = map_tensors(lambda entry: entry.unsqueeze(batch_dims), problem)
 
         def cost(motion: Motion, controls: Tensor) -> Tensor:
-            return self.cost_of(motion, with_final_row(controls), per_plan)
+            return cost_in_parts(self.cost_of, motion, with_final_row(controls), per_plan)
 
         with torch.set_grad_enabled(torch.is_grad_enabled() and self.score.differentiable):
             return self.score(cost, problem, controls, motion, waited, self.dynamics.dt_s)
@@ -215,6 +218,9 @@ class MPCPlanner(Planner):
         obstacles, most = problem.obstacles, self.solved_components
         if most is not None and obstacles.weight.shape[-1] > most:
             problem = problem._replace(obstacles=likeliest(obstacles))
+        compiled = isinstance(self.solver, ILQR) and self.solver.compile
+        if compiled and guess.shape[:-3].numel() > 1:
+            problem = problem._replace(obstacles=filled_up(problem.obstacles))
 
         def repeated(entry: Tensor) -> Tensor:
             wide = entry.unsqueeze(batch_dims).expand(*shape, *entry.shape[batch_dims:])

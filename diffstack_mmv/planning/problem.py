@@ -124,6 +124,25 @@ def likeliest(obstacles: Obstacles) -> Obstacles:
     return obstacles._replace(position=position, weight=torch.ones_like(obstacles.weight[..., :1]))
 
 
+def filled_up(obstacles: Obstacles) -> Obstacles:
+    """The agents, with absent ones up to 4, 8, 16, ...: batches then have few shapes to compile."""
+    count = obstacles.valid.shape[-1]
+    missing = (max(4, 1 << (count - 1).bit_length()) if count else 0) - count
+    if missing == 0:
+        return obstacles
+    batch, (_, *rest) = obstacles.valid.shape[:-1], obstacles.position.shape[-4:]
+    absent = Obstacles(
+        obstacles.position.new_zeros(*batch, missing, *rest),
+        obstacles.weight.new_zeros(*batch, missing, rest[0]),
+        obstacles.radius.new_zeros(*batch, missing),
+        obstacles.valid.new_zeros(*batch, missing),
+    )
+    dims = -4, -2, -1, -1
+    return Obstacles(
+        *(torch.cat(pair, dim) for *pair, dim in zip(obstacles, absent, dims, strict=True))
+    )
+
+
 def observed_obstacles(past: Tracks, future: Tracks) -> Obstacles:
     """Obstacles whose future is known, for costs in hindsight.
 

@@ -5,13 +5,22 @@ the agent, 0 is the ego and 1 .. N are the neighbors in the order in which they 
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from diffstack_mmv.checks import require, require_at_least, require_positive
+from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.types import Forecast, Motion, StackBatch, Tracks
+
+GaussianRollout = Callable[
+    [DynamicsModel, Tensor, Tensor, Tensor, Tensor], tuple[Tensor, Tensor] | None
+]
+"""(dynamics, first state `N n`, its covariance `N n n`, controls `N T m`, Cholesky factors of their
+covariances `N T m m`) -> mean and covariance of the positions, `N T 2` and `N T 2 2`; None where it
+cannot."""
 
 
 class Predictor(nn.Module, ABC):
@@ -62,12 +71,12 @@ class Predictor(nn.Module, ABC):
         total = torch.where(seen, log_prob, torch.zeros_like(log_prob)).sum((-2, -1))
         return -total / seen.sum((-2, -1)).clamp_min(1)
 
-    def compile_kernels(self) -> None:
-        """Have expensive parts compiled at their next use; by default there is nothing to do."""
-        return
+    def compile_kernels(self, moments: GaussianRollout) -> None:
+        """Have expensive parts compiled at their next use; by default there is nothing to do.
 
-    def compile_second_derivatives(self) -> None:
-        """Have those of a backward pass compiled too, which takes minutes; by default nothing."""
+        Args:
+            moments: Integrates Gaussian controls through a model in one call.
+        """
         return
 
 

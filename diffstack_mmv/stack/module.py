@@ -35,6 +35,7 @@ from diffstack_mmv.planning import (
     closest_candidate,
     cross_entropy,
     disc_radius,
+    generated_moments,
     observed_obstacles,
     predicted_obstacles,
     predicted_reference,
@@ -131,11 +132,7 @@ class DiffStackMMV(pl.LightningModule):
     def compile_kernels(self) -> None:
         """Have solver and expensive parts of the predictor compiled at their next use."""
         self.planner.compile_solver()
-        self.predictor.compile_kernels()
-
-    def compile_second_derivatives(self) -> None:
-        """Have those of the predictor's backward pass compiled too, for trainings of hours."""
-        self.predictor.compile_second_derivatives()
+        self.predictor.compile_kernels(generated_moments)
 
     def forward(self, batch: StackBatch) -> StackOutput:
         """Predict all agents, choose the goal, and plan."""

@@ -10,6 +10,7 @@ from diffstack_mmv.planning.problem import (
     build_problem,
     disc_radius,
     facing_the_goal,
+    filled_up,
     initial_state,
     observed_obstacles,
     predicted_obstacles,
@@ -19,7 +20,7 @@ from diffstack_mmv.planning.problem import (
     tracked_ego,
 )
 from diffstack_mmv.prediction.goal_baselines import hermite_spline
-from diffstack_mmv.types import Discs, Ego, Forecast, Heading, Motion, Tracks
+from diffstack_mmv.types import Discs, Ego, Forecast, Heading, Motion, Obstacles, Tracks
 from diffstack_mmv.vehicles import load_vehicle
 
 
@@ -146,3 +147,17 @@ def test_a_plan_begins_in_the_state_that_its_heading_is_that_of(heading):
 def test_the_heading_of_a_track_is_its_course():
     now = present(tracks(2, rows=3))
     assert tracked_ego(now.motion, now.extent, torch.randn(2, 2)).heading is Heading.COURSE
+
+
+@pytest.mark.parametrize(("agents", "filled"), [(0, 0), (1, 4), (4, 4), (5, 8), (9, 16)])
+def test_absent_agents_fill_a_batch_up(agents, filled):
+    obstacles = Obstacles(
+        torch.randn(2, agents, 3, 5, 2),
+        torch.rand(2, agents, 3),
+        torch.rand(2, agents),
+        torch.ones(2, agents, dtype=torch.bool),
+    )
+    found = filled_up(obstacles)
+    assert found.valid.sum() == 2 * agents
+    assert [each.shape[1] for each in found] == [filled] * 4
+    assert torch.equal(found.position[:, :agents], obstacles.position)

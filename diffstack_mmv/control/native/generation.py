@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from diffstack_mmv.control.native.code import function, literal
 from diffstack_mmv.control.native.derivative import gradient
+from diffstack_mmv.control.native.repetition import OF_A_TERM, with_entries, with_sums
 from diffstack_mmv.control.native.scalar import LEAF, Node, Program, needed
 from diffstack_mmv.control.native.stages import Sizes, Stage, StagedProblem
 from diffstack_mmv.types import SolverStatus
@@ -86,11 +87,12 @@ def _problem(problem: StagedProblem, adjoint: bool) -> list[str]:
         _rows("cost_numbers", problem.cost_numbers, widest),
         _prelude(problem),
         *_step(step),
-        *_costs(costs),
+        *_costs(costs, problem.sizes),
         _flag("LINEAR_QUADRATIC", _is_linear_quadratic(step, costs)),
     ]
     if adjoint:
-        lines += [_prelude_adjoint(problem), *_number_gradients(step, costs)]
+        known = problem.parameters, problem.numbers, parameters
+        lines += [prelude_adjoint(*known), *_number_gradients(step, costs)]
     return [*lines, "};"]
 
 
@@ -103,10 +105,14 @@ def derived(stage: Stage, sizes: Sizes) -> Derived:
     jacobian = [gradient(program, {output: one}, inputs) for output in stage.outputs]
     values = [[program.value(entry) for entry in row] for row in jacobian]
     constants = tuple(tuple(0.0 if v is None else v for v in row) for row in values)
-    active = tuple(i for i in range(n + m) if any(row[i] is None for row in values))
+    active = {i for i in range(n + m) if any(row[i] is None for row in values)}
     slopes = tuple(weighted_gradient(stage, inputs))
     flat = tuple(entry for row in jacobian for entry in row)
-    return Derived(stage, slopes, flat, _hessian(stage, slopes, inputs), active, constants)
+    hessian = None if stage.repeated else _hessian(stage, slopes, inputs)
+    if stage.repeated:
+        term = derived(stage.repeated.term, sizes)
+        active |= set(term.active)
+    return Derived(stage, slopes, flat, hessian, tuple(sorted(active)), constants)
 
 
 def _hessian(
@@ -186,15 +192,17 @@ def _step(step: Derived) -> list[str]:
     ]
 
 
-def _costs(costs: Sequence[Derived]) -> list[str]:
+def _costs(costs: Sequence[Derived], sizes: Sizes) -> list[str]:
     parts = []
     for kind, cost in enumerate(costs):
         program, (output,) = cost.stage.program, cost.stage.outputs
         value = f"{TEMPLATE} void cost_{kind}({POINT}, const Real* q, V* y)"
         slope = f"{TEMPLATE} void cost_gradient_{kind}({POINT}, const Real* q, V* y)"
         both = [*cost.gradient, output]
-        parts.append(function(value, program, "q", [("*y", output)]))
-        parts.append(function(slope, program, "q", into("y", both)))
+        added = _of_each_term(cost.stage, sizes)
+        whole = function(value, program, "q", into("y", [output]))
+        parts.append(with_sums(whole, cost.stage, added[-1:]))
+        parts.append(with_sums(function(slope, program, "q", into("y", both)), cost.stage, added))
     widest = max(len(cost.active) for cost in costs)
     written = all(_is_short(cost.stage.program, cost.hessian, cost.gradient) for cost in costs)
     for kind, cost in enumerate(costs):
@@ -212,6 +220,14 @@ def _costs(costs: Sequence[Derived]) -> list[str]:
     ]
 
 
+def _of_each_term(stage: Stage, sizes: Sizes) -> list[Node]:
+    """Gradient and value of a like term."""
+    if stage.repeated is None:
+        return []
+    term = derived(stage.repeated.term, sizes)
+    return [*term.gradient, *term.stage.outputs]
+
+
 def _by_kind(name: str, each: str, count: int) -> str:
     """A function that calls that of the kind of its time."""
     calls = "\n".join(
@@ -222,7 +238,32 @@ def _by_kind(name: str, each: str, count: int) -> str:
 
 
 def _prelude(problem: StagedProblem) -> str:
-    return plain("prelude(const Real* p, Real* y)", problem.parameters, "p", problem.numbers)
+    """The numbers of a solve; those that are parameters, thousands for many agents, by a table."""
+    program, signature = problem.parameters, "prelude(const Real* p, Real* y)"
+    copied = _copied_parameters(program, problem.numbers)
+    others = [
+        (place, node)
+        for k, (place, node) in enumerate(into("y", problem.numbers))
+        if k not in copied
+    ]
+    body = function(f"static void {signature}", program, "p", others)
+    body = body.replace("{\n", "{\n  using V = Real;\n", 1).removesuffix("}")
+    return "\n".join(
+        [
+            f"static constexpr int COPIED = {len(copied)};",
+            table("int", "copied_to", list(copied)),
+            table("int", "copied_from", list(copied.values())),
+            body,
+            "  for (int i = 0; i < COPIED; ++i) y[copied_to[i]] = p[copied_from[i]];",
+            "}",
+        ]
+    )
+
+
+def _copied_parameters(program: Program, numbers: Sequence[Node]) -> dict[int, int]:
+    """Which number is which parameter."""
+    operations = (program.operations[node] for node in numbers)
+    return {k: each[2] for k, each in enumerate(operations) if each[0] == LEAF}
 
 
 def plain(signature: str, program: Program, numbers: str, nodes: Sequence[Node]) -> str:
@@ -235,15 +276,29 @@ def _flag(name: str, value: bool) -> str:
     return f"static constexpr bool {name} = {literal(value)};"
 
 
-def _prelude_adjoint(problem: StagedProblem) -> str:
+def prelude_adjoint(program: Program, numbers: Sequence[Node], parameters: int) -> str:
     """Gradient of Σ w_k (number k) by the parameters, added to what is there."""
-    program = problem.parameters
-    weights = weighted(program, problem.numbers, "w")
-    leaves = [program.leaf("p", k) for k in range(problem.sizes.parameters)]
+    copied = _copied_parameters(program, numbers)
+    weights: dict[Node, Node] = {}
+    for k, number in enumerate(numbers):
+        if k not in copied:
+            weight = program.leaf("w", k)
+            before = weights.get(number)
+            weights[number] = weight if before is None else program.apply("add", before, weight)
+    leaves = [program.leaf("p", k) for k in range(parameters)]
     slopes = gradient(program, weights, leaves)
     signature = "static void prelude_adjoint(const Real* p, const Real* w, Real* y)"
     outputs = [(place, node) for place, node in into("y", slopes) if program.value(node) != 0]
-    return function(signature, program, "pw", outputs).replace("{\n", "{\n  using V = Real;\n", 1)
+    body = function(signature, program, "pw", outputs)
+    return "\n".join(
+        [
+            table("int", "weighed", list(copied)),
+            table("int", "weighed_for", list(copied.values())),
+            body.replace("{\n", "{\n  using V = Real;\n", 1).removesuffix("}"),
+            f"  for (int i = 0; i < {len(copied)}; ++i) y[weighed_for[i]] += w[weighed[i]];",
+            "}",
+        ]
+    )
 
 
 def _number_gradients(step: Derived, costs: Sequence[Derived]) -> list[str]:
@@ -255,15 +310,23 @@ def _number_gradients(step: Derived, costs: Sequence[Derived]) -> list[str]:
         signatures.append(f"{TEMPLATE} void cost_{kind}_numbers({POINT}, const Real* q, V* y)")
     parts = []
     for signature, each in zip(signatures, [step, *costs], strict=True):
-        program = each.stage.program
-        leaves = [program.leaf("q", k) for k in range(each.stage.numbers)]
-        slopes = weighted_gradient(each.stage, leaves)
-        parts.append(function(signature, program, "q", into("y", slopes)))
+        whole = function(
+            signature, each.stage.program, "q", into("y", _by_numbers(each.stage, "q"))
+        )
+        like = each.stage.repeated
+        added = [] if like is None else _by_numbers(like.term, OF_A_TERM)
+        parts.append(with_entries(whole, each.stage, added))
     return [
         *parts,
         table("int", "kind_numbers", [cost.stage.numbers for cost in costs]),
         _by_kind("cost_numbers_gradient", "cost_{}_numbers", len(costs)),
     ]
+
+
+def _by_numbers(stage: Stage, name: str) -> list[Node]:
+    """Gradient of a stage by its own numbers, leaves of this name."""
+    leaves = [stage.program.leaf(name, k) for k in range(stage.own_numbers)]
+    return weighted_gradient(stage, leaves)
 
 
 def into(array: str, nodes: Iterable[Node]) -> list[tuple[str, Node]]:

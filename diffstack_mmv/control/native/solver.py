@@ -31,7 +31,7 @@ from dmmv_conventions.progress import waiting
 LOGGER = logging.getLogger(__name__)
 REALS = {torch.float32: "float", torch.float64: "double"}
 MOST_SIZES = 64  # step sizes that a library tries
-MOST_LIBRARIES = 3
+MOST_LIBRARIES = 5
 """Shapes of a kind of problem that get a library; more, as of changing neighbors, take too long."""
 LONGEST_SOURCE = 450_000
 """Characters of a library, beyond which a compiler takes half a minute and more: DiffGM3 has three

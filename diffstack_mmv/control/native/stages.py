@@ -4,11 +4,13 @@ The costs of all times come from one graph. Times whose costs are the same funct
 their control and numbers of their own share it, so that the code is as long as one time.
 """
 
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from diffstack_mmv.control.native.addends import FEWEST, addends
 from diffstack_mmv.control.native.lowering import CannotLowerError
 from diffstack_mmv.control.native.scalar import (
     CONSTANT,
@@ -39,6 +41,24 @@ class Stage(NamedTuple):
     outputs: tuple[Node, ...]
     numbers: int  # of q
     is_cost: bool
+    repeated: "Repeated | None" = None  # what is added to the output
+
+    @property
+    def own_numbers(self) -> int:
+        """Numbers before those of the repeated terms."""
+        return self.numbers - (self.repeated.total if self.repeated else 0)
+
+
+class Repeated(NamedTuple):
+    """A sum of like terms: leaves ("r", i) are the numbers of each, which follow one another."""
+
+    term: Stage
+    count: int
+
+    @property
+    def total(self) -> int:
+        """Numbers of all terms."""
+        return self.count * self.term.numbers
 
 
 class Placed(NamedTuple):
@@ -90,9 +110,10 @@ def staged(
         CannotLowerError: The cost of one time sees the state of another, or there are too many
             kinds of costs.
     """
+    parts = _parts(program, costs)
     own = _known_before(program)
     step = _placed(program, following, 0, own)
-    placed = [_placed(program, [cost], time, own) for time, cost in enumerate(costs)]
+    placed = [_placed_cost(program, *part, time, own) for time, part in enumerate(parts)]
     keys = list(dict.fromkeys(each.key for each in placed))
     if len(keys) > MOST_KINDS:
         raise CannotLowerError(f"{len(keys)} different costs along the horizon")
@@ -109,16 +130,65 @@ def staged(
         numbers,
         _stage(step, False),
         positions(step),
-        tuple(_stage(placed[[each.key for each in placed].index(key)], True) for key in keys),
+        tuple(_cost_stage(placed[[each.key for each in placed].index(key)]) for key in keys),
         tuple(keys.index(each.key) for each in placed),
         tuple(positions(each) for each in placed),
     )
 
 
-def _known_before(program: Program) -> np.ndarray:
-    """Which nodes depend on parameters and constants alone."""
+def _parts(program: Program, costs: Sequence[Node]) -> list[tuple[Node, list[Node]]]:
+    """What each cost is beside its like terms, and these."""
+    own, parts = _known_before(program), []
+    for time, cost in enumerate(costs):
+        every = addends(program, cost, own)
+        if len(every) < FEWEST:
+            parts.append((cost, []))
+            continue
+        groups = defaultdict(list)
+        own = _known_before(program, own)  # the terms under their factors are new nodes
+        for node in every:
+            groups[_placed(program, [node], time, own).key].append(node)
+        like = max(groups.values(), key=len)
+        if len(like) < FEWEST:
+            parts.append((cost, []))
+            continue
+        chosen = set(like)
+        parts.append((program.total(node for node in every if node not in chosen), like))
+    return parts
+
+
+def _placed_cost(
+    program: Program, base: Node, like: Sequence[Node], time: int, own: np.ndarray
+) -> Placed:
+    """A cost with its like terms, whose numbers follow its own."""
+    own_part = _placed(program, [base], time, own)
+    if not like:
+        return own_part
+    terms = [_placed(program, [node], time, own) for node in like]
+    origins = (node for term in terms for node in term.origins)
+    key = (own_part.key, len(own_part.origins), terms[0].key, len(terms))
+    return Placed(key, (*own_part.origins, *origins))
+
+
+def _cost_stage(placed: Placed) -> Stage:
+    """The program of the key of a cost."""
+    *_, last = placed.key
+    if isinstance(last, tuple):  # the outputs: there are no like terms
+        return _stage(placed, True)
+    base, own_numbers, term, count = placed.key
+    per_term = (len(placed.origins) - own_numbers) // count
+    each = _stage(Placed(term, placed.origins[:per_term]), True, "r")
+    stage = _stage(Placed(base, placed.origins[:own_numbers]), True)
+    return stage._replace(numbers=len(placed.origins), repeated=Repeated(each, count))
+
+
+def _known_before(program: Program, begun: np.ndarray | None = None) -> np.ndarray:
+    """Which nodes depend on parameters and constants alone; `begun` tells it of the first ones."""
     known = np.zeros(len(program), dtype=bool)
-    for node, operation in enumerate(program.operations):
+    first = 0 if begun is None else len(begun)
+    known[:first] = False if begun is None else begun
+    for node in range(first, len(program)):
+        operation = program.operations[node]
         if operation[0] == LEAF:
             known[node] = operation[1] == "p"
         else:
@@ -171,23 +241,23 @@ def _line(
     return (LEAF, kind, index)
 
 
-def _stage(placed: Placed, is_cost: bool) -> Stage:
-    """The program of a key."""
+def _stage(placed: Placed, is_cost: bool, numbers: str = "q") -> Stage:
+    """The program of a key, whose numbers are leaves of some name."""
     program, nodes = Program(), []
     *lines, outputs = placed.key
     for line in lines:
-        nodes.append(_rebuilt(program, line, nodes))
+        nodes.append(_rebuilt(program, line, nodes, numbers))
     return Stage(program, tuple(nodes[index] for index in outputs), len(placed.origins), is_cost)
 
 
-def _rebuilt(program: Program, line: tuple[Any, ...], nodes: list[Node]) -> Node:
+def _rebuilt(program: Program, line: tuple[Any, ...], nodes: list[Node], numbers: str) -> Node:
     if line[0] == CONSTANT:
         return program.constant(line[1])
     if line[0] != LEAF:
         return program.apply(line[0], *(nodes[index] for index in line[1:]))
     if line[1] != "q":
         return program.leaf(*line[1:])
-    number = program.leaf("q", line[2])
+    number = program.leaf(numbers, line[2])
     return program.truth(number) if line[3] else number
 
 

@@ -2,10 +2,6 @@
 
 from diffstack_mmv.prediction.trajectron.jacobians import linearise, linearise_shared
 from diffstack_mmv.prediction.trajectron.latent import Annealing
-from diffstack_mmv.prediction.trajectron.linearised_step import (
-    linearise_compiled,
-    linearise_compiled_twice,
-)
 from diffstack_mmv.prediction.trajectron.model import Sizes, Trajectron
 from diffstack_mmv.prediction.trajectron.site import Site
 
@@ -15,7 +11,5 @@ __all__ = [
     "Sizes",
     "Trajectron",
     "linearise",
-    "linearise_compiled",
-    "linearise_compiled_twice",
     "linearise_shared",
 ]

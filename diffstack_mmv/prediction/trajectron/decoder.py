@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.prediction.base import GaussianRollout
 from diffstack_mmv.prediction.trajectron.agent_batch import AgentBatch
 from diffstack_mmv.prediction.trajectron.jacobians import (
     Linearisation,
@@ -47,6 +48,7 @@ class ControlDecoder(nn.Module):
         fade_s: τ, for acceleration and turn alike.
         dropout: Share of units of the context dropped in training.
         jacobians: Linearises the dynamics, see `integrate`.
+        generated: Integrates in one call where it can, see `integrate`.
 
     Raises:
         ValueError: A number of steps is below one.
@@ -63,11 +65,12 @@ class ControlDecoder(nn.Module):
         fade_s: float = 0.3,
         dropout: float = 0.0,
         jacobians: Jacobians = linearise,
+        generated: GaussianRollout | None = None,
     ) -> None:
         super().__init__()
         require_at_least("horizon_steps", horizon_steps, 1)
         require_at_least("hold_steps", hold_steps, 1)
-        self.dynamics, self.jacobians = dynamics, jacobians
+        self.dynamics, self.jacobians, self.generated = dynamics, jacobians, generated
         self.horizon_steps, self.hold_steps, self.fade_s = horizon_steps, hold_steps, fade_s
         size = dynamics.control_dim
         self.dropout = nn.Dropout(dropout)
@@ -124,6 +127,7 @@ class ControlDecoder(nn.Module):
             width.unsqueeze(-1) * self._scale(raw_scale),
             spread,
             self.jacobians,
+            self.generated,
         )
         return moments.mean, moments.covariance
 

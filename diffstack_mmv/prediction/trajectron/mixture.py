@@ -9,14 +9,9 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.prediction.base import GaussianRollout
 from diffstack_mmv.prediction.trajectron.adjoint import rolled_out, time_outermost
 from diffstack_mmv.prediction.trajectron.jacobians import Linearisation, jacobian, linearise
-from diffstack_mmv.prediction.trajectron.linearised_step import (
-    gains_from_compiling,
-    linearise_compiled,
-    linearise_compiled_twice,
-    linearised_rollout,
-)
 from diffstack_mmv.types import Motion
 
 
@@ -131,6 +126,7 @@ def integrate(
     control_scale: Float[Tensor, "*b T m m"],
     start_deviation: Float[Tensor, "*b 4"],
     jacobians: Callable[[DynamicsModel, Tensor, Tensor], Linearisation] = linearise,
+    generated: GaussianRollout | None = None,
 ) -> PositionMoments:
     """Integrate Gaussian controls through the dynamics of an agent.
 
@@ -145,18 +141,19 @@ def integrate(
         control_scale: Cholesky factors of their covariances.
         start_deviation: Standard deviations of the present position along and across in m, heading
             in rad, speed in m/s.
-        jacobians: `linearise` or one of its compiled forms at every point, or `linearise_shared`
-            where that is too slow.
+        jacobians: `linearise` at every point, or `linearise_shared` where that is too slow.
+        generated: Does all of it in one call where it can, with `linearise`.
     """
     state = dynamics.state_on_course(motion)
-    controls = time_outermost(controls)
-    compiled = jacobians in (linearise_compiled, linearise_compiled_twice)
-    if compiled and gains_from_compiling(dynamics, state):
-        twice = jacobians is linearise_compiled_twice
-        states, linearisation = linearised_rollout(dynamics, state, controls, twice)
-    else:
-        states = rolled_out(dynamics, state, controls)
-        linearisation = jacobians(dynamics, states[..., :-1, :], controls)
     start_factor = start_sensitivity(dynamics, motion) * start_deviation.unsqueeze(-2)
+    if generated is not None:
+        rows = state, start_factor @ start_factor.mT, controls, control_scale
+        leading = state.shape[:-1]
+        found = generated(dynamics, *(row.reshape(-1, *row.shape[len(leading) :]) for row in rows))
+        if found is not None:
+            return PositionMoments(*(moment.unflatten(0, leading) for moment in found))
+    controls = time_outermost(controls)
+    states = rolled_out(dynamics, state, controls)
+    linearisation = jacobians(dynamics, states[..., :-1, :], controls)
     covariance = propagate(linearisation, start_factor, control_scale)
     return PositionMoments(states[..., 1:, :2], covariance[..., :2, :2])

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from diffstack_mmv.checks import require, require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.prediction.base import Predictor, all_agents
+from diffstack_mmv.prediction.base import GaussianRollout, Predictor, all_agents
 from diffstack_mmv.prediction.gaussian import log_density, log_of_sum, scale_from_covariance
 from diffstack_mmv.prediction.trajectron.agent_batch import (
     EGO,
@@ -29,10 +29,6 @@ from diffstack_mmv.prediction.trajectron.encoder import (
 )
 from diffstack_mmv.prediction.trajectron.jacobians import linearise
 from diffstack_mmv.prediction.trajectron.latent import Annealing, Latent, divergence
-from diffstack_mmv.prediction.trajectron.linearised_step import (
-    linearise_compiled,
-    linearise_compiled_twice,
-)
 from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
 from diffstack_mmv.prediction.trajectron.output import nobody, placed, scenes
@@ -105,8 +101,8 @@ class Trajectron(Predictor):
         annealing: Weight of the divergence of the posterior from the prior.
         hold_steps: Steps over which a decoded control is held.
         jacobians: Linearises the dynamics: `linearise` at every point, or `linearise_shared` at the
-            mean of the components, for models whose step is expensive; `linearise_compiled` is
-            `linearise` with compiled steps.
+            mean of the components, for models whose step is expensive.
+        generated: Integrates the controls in one call where it can, see `integrate`.
         site: Encoder of where in the world an agent is, for a predictor that is used where it was
             trained; None: it holds everywhere. Forecasts of tracks alone do without its code.
 
@@ -126,6 +122,7 @@ class Trajectron(Predictor):
         annealing: Annealing | None = None,
         hold_steps: int = 1,
         jacobians: Jacobians = linearise,
+        generated: GaussianRollout | None = None,
         site: Site | None = None,
     ) -> None:
         super().__init__(horizon_steps, ego_dynamics.dt_s)
@@ -157,22 +154,17 @@ class Trajectron(Predictor):
                 hold_steps,
                 dropout=sizes.dropout,
                 jacobians=jacobians,
+                generated=generated,
             )
             self.branches.append(Branch(Latent(context, sizes.future, count), decoder))
         self.register_buffer("training_step", torch.zeros((), dtype=torch.long))
         self.training_step: Tensor
 
-    def compile_kernels(self) -> None:
-        """Have the steps of models without Jacobians in closed form compiled at their next use."""
+    def compile_kernels(self, moments: GaussianRollout) -> None:
+        """Integrate the controls of all agents in one call from now on, where that is possible."""
         for branch in self.branches:
             if isinstance(branch, Branch) and branch.decoder.jacobians is linearise:
-                branch.decoder.jacobians = linearise_compiled
-
-    def compile_second_derivatives(self) -> None:
-        """Have those of models with compiled steps compiled too, where no parameter is learned."""
-        for branch in self.branches:
-            if isinstance(branch, Branch) and branch.decoder.jacobians is linearise_compiled:
-                branch.decoder.jacobians = linearise_compiled_twice
+                branch.decoder.generated = moments
 
     def forward(self, past: Tracks, neighbors: Tracks) -> Forecast:
         """Forecast all agents, `*b 1+N`; an agent that is not observed now stays where it is."""

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from diffstack_mmv.dynamics import DiffKBM, SingleIntegrator, SoftplusFloor
+from diffstack_mmv.dynamics import DiffGM3, DiffKBM, SingleIntegrator, SoftplusFloor
 from diffstack_mmv.prediction.trajectron import jacobians
 from diffstack_mmv.prediction.trajectron.jacobians import (
     has_closed_form,
@@ -61,3 +61,20 @@ def test_a_model_with_another_step_has_no_closed_form_of_its_parent(monkeypatch)
     state, control = torch.randn(3, 4), torch.randn(3, 2)
     whole = linearise(SingleIntegrator(), state, control)
     assert torch.allclose(linearise(Slow(), state, control).state, 0.5 * whole.state)
+
+
+@pytest.mark.parametrize("name", ["bicycle", "scooter", "tricycle"])
+def test_jacobians_with_a_known_pose_are_those_of_forward_mode(name):
+    dynamics = DiffGM3(load_vehicle(name)).double()
+    state = 0.2 * torch.randn(4, 8, dtype=torch.float64)
+    state[:, 2] += 4
+    point = state, 0.3 * torch.randn(4, 2, dtype=torch.float64)
+    found, expected = (form(dynamics, *point) for form in (linearise, linearise_forward))
+    toward = [torch.randn_like(matrix) for matrix in expected]
+    sources = [each for each in dynamics.parameters() if each.requires_grad]
+    slopes = [
+        torch.autograd.grad(form, sources, toward, materialize_grads=True)
+        for form in (found, expected)
+    ]
+    for first, second in ((found, expected), slopes):
+        assert all(torch.allclose(*pair) for pair in zip(first, second, strict=True))

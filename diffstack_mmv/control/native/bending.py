@@ -1,0 +1,88 @@
+"""C++ for second derivatives of a step, weighted differently along each of eight directions."""
+
+from collections.abc import Iterable, Sequence
+
+from diffstack_mmv.control.native.code import Writer, function
+from diffstack_mmv.control.native.derivative import gradient
+from diffstack_mmv.control.native.generation import weighted
+from diffstack_mmv.control.native.scalar import CONSTANT, LEAF, Node, Program, needed
+from diffstack_mmv.control.native.stages import Stage
+
+WEIGHTS = "l"
+
+
+class MixedWriter(Writer):
+    """Writes operations whose types the compiler finds: see `Weighted` in moments.hpp.
+
+    Args:
+        program: The program.
+    """
+
+    def __init__(self, program: Program) -> None:
+        super().__init__(program, "q")
+        self.weighted: set[Node] = set()
+
+    def lines(self, wanted: Iterable[Node]) -> list[str]:
+        """Definitions of all that some nodes need."""
+        lines = []
+        for node in needed(self.program, wanted):
+            name, *arguments = self.program.operations[node]
+            if name == CONSTANT:
+                continue
+            self._type(node)  # notes which nodes are plain numbers
+            if name == LEAF:
+                depends = arguments[0] == WEIGHTS
+            else:
+                depends = any(each in self.weighted for each in arguments)
+            if depends:
+                self.weighted.add(node)
+            lines.append(f"  const auto {self.name(node)} = {self._expression(node)};")
+        return lines
+
+    def _expression(self, node: Node) -> str:
+        name, *arguments = self.program.operations[node]
+        if name == "where" and node in self.weighted:
+            return f"either({', '.join(map(self.name, arguments))})"
+        return super()._expression(node)
+
+
+def bend(stage: Stage, inputs: Sequence[Node], active: Sequence[int], learns: bool) -> str:
+    """The function `bend`: adds Σ_d ∂/∂d (weights of direction d · gradient of the outputs).
+
+    Args:
+        stage: A step.
+        inputs: Its states and controls, as leaves.
+        active: Those by which it is differentiated.
+        learns: Whether its numbers are differentiated by as well.
+    """
+    program = stage.program
+    numbers = [program.leaf("q", k) for k in range(stage.numbers)] if learns else []
+    wanted = [inputs[column] for column in active] + numbers
+    places = [f"z[{column}]" for column in active]
+    places += [f"numbers[{k}]" for k in range(len(numbers))]
+    slopes = gradient(program, weighted(program, stage.outputs, WEIGHTS), wanted)
+    writer = MixedWriter(program)
+    lines = writer.lines(slopes)
+    ends = [
+        f"  {place} += slopes({writer.name(slope)});"
+        for place, slope in zip(places, slopes, strict=True)
+        if slope in writer.weighted
+    ]
+    point = "const Dual<Pack>* x, const Dual<Pack>* u, const Pack* l, const Real* q"
+    head = f"static void bend({point}, Real* z, Real* numbers) {{\n  using V = Dual<Pack>;"
+    return "\n".join([head, *lines, *ends, "}"])
+
+
+def weigh_numbers(stage: Stage, learns: bool) -> str:
+    """The function `weigh_numbers`: adds the gradient of l · outputs by the numbers."""
+    program = stage.program
+    leaves = [program.leaf("q", k) for k in range(stage.numbers)] if learns else []
+    slopes = gradient(program, weighted(program, stage.outputs, WEIGHTS), leaves)
+    point = "const Real* x, const Real* u, const Real* l, const Real* q, Real* numbers"
+    outputs = [
+        (f"numbers[{k}]", program.apply("add", program.leaf("numbers", k), each))
+        for k, each in enumerate(slopes)
+        if program.value(each) != 0
+    ]
+    body = function(f"static void weigh_numbers({point})", program, "q", outputs)
+    return body.replace("{\n", "{\n  using V = Real;\n", 1)

@@ -1,0 +1,105 @@
+"""Moments of Gaussian controls from a library, against the first-order rules in tensors."""
+
+import pytest
+import torch
+
+from diffstack_mmv.control.native import modules
+from diffstack_mmv.control.native.moments import moments
+from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle, SingleIntegrator, rollout
+from diffstack_mmv.vehicles import load_vehicle
+
+DOUBLE, ROWS, STEPS = torch.float64, 3, 5
+
+
+def model(kind, learned):
+    made = kind(dt_s=0.1) if kind is SingleIntegrator else kind(load_vehicle("bicycle"), 0.1)
+    for parameter in made.parameters():
+        parameter.requires_grad_(learned)
+    return made.to(DOUBLE)
+
+
+def rows(dynamics):
+    """First states, factors of their covariances, controls, and factors of theirs."""
+    torch.manual_seed(0)
+    n, m = dynamics.state_dim, dynamics.control_dim
+    state = 0.2 * torch.randn(ROWS, n, dtype=DOUBLE)
+    state[:, 2:4] += 3
+    factor = 0.1 * torch.randn(ROWS, n, n, dtype=DOUBLE)
+    controls = 0.3 * torch.randn(ROWS, STEPS, m, dtype=DOUBLE)
+    scale = 0.2 * torch.randn(ROWS, STEPS, m, m, dtype=DOUBLE).tril()
+    return [each.requires_grad_() for each in (state, factor, controls, scale)]
+
+
+def by_tensors(dynamics, state, factor, controls, scale):
+    """Mean and covariance of the first two states, one row and step at a time."""
+    means, covariances = rollout(dynamics, state, controls), []
+    for row in range(ROWS):
+        covariance = factor[row] @ factor[row].mT
+        for step in range(STEPS):
+            point = means[row, step], controls[row, step]
+            a, b = torch.autograd.functional.jacobian(dynamics, point, create_graph=True)
+            driven = b @ scale[row, step]
+            covariance = a @ covariance @ a.mT + driven @ driven.mT
+            covariances.append(covariance[:2, :2])
+    return means[:, 1:, :2], torch.stack(covariances).unflatten(0, (ROWS, STEPS))
+
+
+def by_library(dynamics, state, factor, controls, scale):
+    return moments(dynamics, state, factor @ factor.mT, controls, scale)
+
+
+@pytest.mark.parametrize("learned", [False, True])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        DiffKBM,
+        *(
+            pytest.param(kind, marks=pytest.mark.slow)
+            for kind in (ExtendedUnicycle, SingleIntegrator, DiffGM3)
+        ),
+    ],
+)
+def test_moments_and_gradients_are_those_of_tensors(kind, learned):
+    dynamics = model(kind, learned)
+    inputs = rows(dynamics)
+    sources = inputs + [each for each in dynamics.parameters() if each.requires_grad]
+    found = []
+    for form in (by_tensors, by_library):
+        results = form(dynamics, *inputs)
+        toward = [torch.cos(result.detach() + 1) for result in results]
+        slopes = torch.autograd.grad(
+            results, sources, toward, allow_unused=True, materialize_grads=True
+        )
+        found.append([*results, *slopes])
+    for expected, other in zip(*found, strict=True):
+        torch.testing.assert_close(other, expected, rtol=1e-10, atol=1e-12)
+
+
+def test_changed_numbers_of_a_model_reach_its_library():
+    dynamics = model(DiffKBM, True)
+    inputs = rows(dynamics)
+    before = by_library(dynamics, *inputs)[0]
+    with torch.no_grad():
+        next(dynamics.parameters()).add_(0.3)
+    after = by_library(dynamics, *inputs)[0]
+    assert not torch.equal(before, after)
+    torch.testing.assert_close(after, rollout(dynamics, *inputs[::2])[:, 1:, :2])
+
+
+@pytest.mark.parametrize("reason", ["no compiler", "no scalar form"])
+def test_without_a_library_there_are_no_moments(monkeypatch, reason):
+    def refuse(*_):
+        raise modules.CannotBuildError(reason)
+
+    class Sorted(torch.nn.Module):
+        def forward(self, state, control):
+            return state.sort(-1).values + control.sum(-1, keepdim=True)
+
+    dynamics = model(DiffKBM, False)
+    if reason == "no compiler":
+        monkeypatch.setattr(modules, "load", refuse)
+        assert by_library(dynamics, *rows(dynamics)) is None
+    else:
+        step = Sorted()
+        step.register_buffer("unused", torch.zeros(1, dtype=DOUBLE))
+        assert by_library(step, *rows(dynamics)) is None
