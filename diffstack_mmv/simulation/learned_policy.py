@@ -1,7 +1,9 @@
 """A controller whose decisions a trained network makes."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -28,11 +30,12 @@ class LearnedPolicy:
     actuate: Actuate
     view: EgoView = field(default_factory=EgoView)
 
-    def __post_init__(self) -> None:
-        """Read the policy."""
+    @cached_property
+    def _policy(self) -> Any:
+        """The policy, read at the first decision."""
         from diffstack_mmv.simulation.reinforcement import load_policy
 
-        self._policy = load_policy(Path(self.path))
+        return load_policy(Path(self.path))
 
     def init(self, observation: Observation) -> None:
         """Nothing to remember."""
