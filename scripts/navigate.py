@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from diffstack_mmv.cli import DictConfig, OmegaConf, command, get_class, instantiate
-from diffstack_mmv.config_checks import require_checkpoint
+from diffstack_mmv.config_checks import require_checkpoint, require_file
 from dmmv_conventions.checks import require, require_at_least, require_one_of
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
@@ -20,6 +20,10 @@ def check(config: DictConfig) -> None:
     """Refuse a world or a controller that cannot be built, before any baseline has driven."""
     if "predictor" in config.people:
         require_checkpoint("people_checkpoint", config.people.predictor.path)
+    if config.names.controller == "ppo":
+        require_file(
+            "policy", config.policy, "Train one: dmmv-train-policy, policy=DIR/policy.zip."
+        )
     require_at_least("animate", config.animate, 0)
     require_one_of("movie", config.movie, ("gif", "mp4"))
     remedy = "Add search=null, or search.samples=NUMBER."

@@ -20,7 +20,7 @@ def check(config: DictConfig) -> None:
     require(named, "names", "be one per run, or none", list(config.names))
     for run in config.runs:
         settings = Path(run).parent.parent / "config.yaml"
-        require_file("runs", settings, "Give folders DIR/episodes/NAME that navigate wrote.")
+        require_file("runs", str(settings), "Give folders DIR/episodes/NAME that navigate wrote.")
 
 
 @command(config_folder(), "side_by_side", check)

@@ -44,6 +44,8 @@ def main(config: DictConfig) -> None:
         (out / "rounds.json").write_text(json.dumps(told, indent=1), encoding="utf-8")
     chosen = best(rounds)
     lines = [f"cost.weights.{name}={weight:.6g}" for name, weight in chosen.weights.items()]
+    steps = config.controller.planner.solver.max_iterations
+    lines.append(f"controller.planner.solver.max_iterations={steps}")
     (out / "settings.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     logger.info("Drive it: dmmv-navigate ... $(cat %s)", out / "settings.txt")
 

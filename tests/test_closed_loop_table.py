@@ -4,6 +4,7 @@ import runpy
 import sys
 
 import pytest
+from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
@@ -43,6 +44,13 @@ def test_every_row_of_every_table_can_be_named_and_compared(name):
     for place, driven in (told.get("drives") or {}).items():
         assert place in places
         assert set(driven) <= rows
+
+
+def test_every_place_of_the_disturbances_is_a_setting_of_navigate():
+    told = OmegaConf.load(config_folder() / "table" / "robustness.yaml")
+    with initialize_config_dir(str(config_folder()), version_base="1.3"):
+        for place in told.places.values():
+            compose("navigate", [*told.settings, *place])
 
 
 @pytest.mark.parametrize(

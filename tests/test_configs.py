@@ -141,6 +141,7 @@ USED = [
 SLURM = ("closed_loop_table", "results") if find_spec("submitit") is None else ()
 NEEDS = {
     **{(command, "launcher", "slurm"): "`submitit` must be installed" for command in SLURM},
+    ("navigate", "controller", "ppo"): "`policy` must be given",
     ("navigate", "people", "predictor"): "`checkpoint` must be given for the predictor",
     ("train", "trainer", "gpu"): "gpu backend|CUDA",
 }

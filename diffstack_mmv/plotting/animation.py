@@ -23,7 +23,6 @@ from diffstack_mmv.plotting.episodes import (
 )
 from diffstack_mmv.plotting.figures import PALETTE, new_figure
 from diffstack_mmv.types import EpisodeRecord
-from dmmv_conventions.checks import require_one_of
 from dmmv_conventions.extras import needs
 
 FORMATS = (".gif", ".mp4")
@@ -124,7 +123,9 @@ def _write(
     figure: Figure, step: Callable[[int], list[Any]], frames: int, dt_s: float, path: Path
 ) -> None:
     """Write a moving picture in real time, atomically."""
-    require_one_of("path.suffix", path.suffix, FORMATS)
+    if path.suffix not in FORMATS:
+        wanted = " or ".join(FORMATS)
+        raise ValueError(f"`path` must end in {wanted}, but got {path.name}. Choose a format.")
     animation = FuncAnimation(figure, step, frames=frames)
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(path.stem + ".part" + path.suffix)

@@ -1,10 +1,13 @@
 """A controller whose decisions a trained network makes."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import torch
 
+from diffstack_mmv.checks import require
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.simulation.assembly import Actuate
 from diffstack_mmv.simulation.policies import Decided
@@ -21,18 +24,27 @@ class LearnedPolicy:
         dynamics: Model of the vehicle, for the bounds of its controls.
         actuate: Turns controls of the model into those of the robot.
         view: What the policy is shown, as in its training.
+
+    Raises:
+        ValueError: There is no policy.
     """
 
-    path: str | Path
+    path: str | Path | None
     dynamics: DynamicsModel
     actuate: Actuate
     view: EgoView = field(default_factory=EgoView)
 
     def __post_init__(self) -> None:
-        """Read the policy."""
+        """Ask for a policy."""
+        remedy = "Train one: dmmv-train-policy, then policy=DIR/policy.zip."
+        require(self.path is not None, "policy", "be given", self.path, "", remedy)
+
+    @cached_property
+    def _policy(self) -> Any:
+        """The policy, read at the first decision."""
         from diffstack_mmv.simulation.reinforcement import load_policy
 
-        self._policy = load_policy(Path(self.path))
+        return load_policy(Path(str(self.path)))
 
     def init(self, observation: Observation) -> None:
         """Nothing to remember."""

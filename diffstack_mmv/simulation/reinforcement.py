@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from gymnasium import spaces
 
 from diffstack_mmv.checks import require_at_least, require_positive
@@ -167,6 +166,6 @@ class PPOTraining:
         return clock.curve
 
 
-def load_policy(path: Path) -> torch.nn.Module:
+def load_policy(path: Path) -> Any:
     """The trained policy in a file."""
     return PPO.load(path, device="cpu").policy

@@ -142,8 +142,9 @@ class CrowdNavVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             told |= {"final_obs": self._shown(after), "_final_obs": ended.numpy()}
             after = self._begun_anew(after, ended.nonzero().squeeze(-1))
         self._state = after
-        columns = (entry.numpy() for entry in (reward, terminated, truncated))
-        return VectorStep(self._shown(after), *columns, told)
+        return VectorStep(
+            self._shown(after), reward.numpy(), terminated.numpy(), truncated.numpy(), told
+        )
 
     def _begun_anew(self, state: WorldState, rows: Int[Tensor, " r"]) -> WorldState:
         """The state with other cases in some of its rows."""

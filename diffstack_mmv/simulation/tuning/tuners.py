@@ -3,20 +3,31 @@
 import logging
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
-from diffstack_mmv.costs import WeightedCost
 from dmmv_conventions.extras import needs
 
 LOGGER = logging.getLogger(__name__)
 Loss = Callable[[], Float[Tensor, ""]]
+
+
+@runtime_checkable
+class LearnableWeights(Protocol):
+    """Positive weights by name, of which some are learned by their logarithms."""
+
+    log_weight: torch.nn.Parameter
+    learned: list[str]
+
+    def weights(self) -> Mapping[str, Tensor | float]:
+        """Present weight of every term."""
+        ...
 
 
 class Round(NamedTuple):
@@ -55,7 +66,7 @@ class GradientTuner:
         require_positive("learning_rate", self.learning_rate)
         require_positive("largest", self.largest)
 
-    def __call__(self, cost: WeightedCost, loss: Loss) -> Iterator[Round]:
+    def __call__(self, cost: LearnableWeights, loss: Loss) -> Iterator[Round]:
         """Change the weights of a cost round by round.
 
         Args:
@@ -102,7 +113,7 @@ class OptunaTuner:
         require_at_least("rounds", self.rounds, 1)
         require_positive("factor - 1", self.factor - 1)
 
-    def __call__(self, cost: WeightedCost, loss: Loss) -> Iterator[Round]:
+    def __call__(self, cost: LearnableWeights, loss: Loss) -> Iterator[Round]:
         """Try weights of a cost round by round.
 
         Args:
@@ -129,7 +140,7 @@ class OptunaTuner:
             yield Round(weights_of(cost), value, time.process_time() - began)
 
 
-def weights_of(cost: WeightedCost) -> dict[str, float]:
+def weights_of(cost: LearnableWeights) -> dict[str, float]:
     """Present weights of a cost as numbers."""
     return {
         name: float(torch.as_tensor(weight).detach()) for name, weight in cost.weights().items()

@@ -1,0 +1,52 @@
+"""A policy is trained in the vectorised crowd, kept, and driven; needs the extra `rl`."""
+
+import numpy as np
+import pytest
+import torch
+
+from diffstack_mmv.simulation import (
+    CircleCrossing,
+    CrowdNavVectorEnv,
+    DiscFootprint,
+    EgoView,
+    LearnedPolicy,
+    drive,
+    vehicle_robot,
+)
+
+pytest.importorskip("stable_baselines3")
+
+
+@pytest.fixture
+def env(world_with, driven):
+    world = world_with(vehicle_robot(driven(), footprint=DiscFootprint()), exact=True, limit_s=2.0)
+    return CrowdNavVectorEnv(world, CircleCrossing(), 4, EgoView())
+
+
+def test_a_trained_policy_drives(env, driven, tmp_path):
+    from diffstack_mmv.simulation.reinforcement import PPOTraining
+
+    training = PPOTraining(seconds=2.0, steps=8, minibatch=16, epochs=1, layers=(8,))
+    training(env, tmp_path / "policy.zip")
+    policy = LearnedPolicy(tmp_path / "policy.zip", driven().model(0.05), lambda control: control)
+    record, _ = drive(env.world, env.scenario.cases("val", range(2)), policy)
+    lower, upper = env.world.robot.bounds
+    assert bool(((record.controls >= lower) & (record.controls <= upper)).all())
+
+
+def test_shares_of_the_bounds_become_controls(env):
+    from diffstack_mmv.simulation.reinforcement import StableBaselinesEnv
+
+    adapted = StableBaselinesEnv(env)
+    adapted.seed(3)
+    first = adapted.reset()
+    assert not np.array_equal(first, adapted.reset())
+    # full braking at rest moves nobody
+    place = env.world.robot.motion(env.state.robot).position
+    adapted.step(-np.ones((4, 2)))
+    assert torch.allclose(env.world.robot.motion(env.state.robot).position, place, atol=0.2)
+    for _ in range(7):
+        *_, ended, told = adapted.step(-np.ones((4, 2)))
+    assert ended.all()
+    assert all(each["TimeLimit.truncated"] for each in told)
+    assert told[0]["terminal_observation"].shape == first[0].shape
