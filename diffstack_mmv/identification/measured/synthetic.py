@@ -14,7 +14,7 @@ from diffstack_mmv.identification.measured.instruments import (
 )
 from diffstack_mmv.identification.measured.rides import MeasuredRide, RideWindows
 from diffstack_mmv.identification.measured.simulator import (
-    ANTENNA,
+    INSTALLED,
     POSE,
     RECORDING,
     RideSimulator,
@@ -36,8 +36,8 @@ def draw_shared(simulator: RideSimulator, priors: InstrumentPriors, generator: G
     """Vehicle and antenna drawn from their priors."""
     vector = simulator.parameters
     theta = vector.theta_for(vector.prior.draw_values(generator))
-    mean, std = priors.antenna()
-    drawn = mean + 0.5 * std * torch.randn(ANTENNA, generator=generator, dtype=torch.float64)
+    mean, std = priors.installed()
+    drawn = mean + 0.5 * std * torch.randn(INSTALLED, generator=generator, dtype=torch.float64)
     return torch.cat([theta, drawn])
 
 
@@ -63,7 +63,7 @@ def record_rides(
     instruments = mean + std * _normal(generator, recordings, RECORDING)
     count = simulator.knots(steps)
     errors = [
-        noise.steer_rad * _normal(generator, recordings, count),
+        noise.curvature * _normal(generator, recordings, count),
         noise.speed_share * _normal(generator, recordings, count),
     ]
     pose = torch.zeros(recordings, POSE, dtype=torch.float64)
