@@ -23,7 +23,6 @@ from diffstack_mmv.identification.measured.simulator import (
 )
 from diffstack_mmv.identification.shooting import ReducedSystem, bounded_newton_step
 
-
 LEAST = 1e-3
 """Least damping after a bad step."""
 
@@ -35,6 +34,12 @@ class RideUnknowns(NamedTuple):
     recording: Float[Tensor, "r 4"]
     window: Float[Tensor, "w k"]  # pose, freewheel, errors of the controls
     coasting: Bool[Tensor, " w"]  # whether the vehicle outruns its wheel
+
+    def without(self, recordings: Tensor, owner: Tensor) -> "RideUnknowns":
+        """Unknowns of other recordings than these (r, mask), as `RideWindows.without`."""
+        kept = ~recordings
+        window, coasting = self.window[kept[owner]], self.coasting[kept[owner]]
+        return RideUnknowns(self.shared, self.recording[kept], window, coasting)
 
     def local(self, owner: Tensor) -> Float[Tensor, "w l"]:
         """Unknowns of windows in one row."""

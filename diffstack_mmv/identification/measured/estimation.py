@@ -224,11 +224,16 @@ def estimate_windows(
         iterations: Steps of Levenberg and Marquardt.
         coasting: Which windows coast; what has more evidence by default.
     """
-    search = _Search(simulator, windows, shared, given, with_gyro)
     if coasting is not None:
+        search = _Search(simulator, windows, shared, given, with_gyro)
         return search.estimate(coasting, iterations)
-    none = torch.zeros(len(given.mean), dtype=torch.bool)
-    driven, coasts = (search.estimate(mask, iterations) for mask in (none, ~none))
+    # both in one batch
+    count = len(given.mean)
+    twice = torch.arange(count).repeat(2)
+    both = given._replace(mean=given.mean[twice], precision=given.precision[twice])
+    search = _Search(simulator, windows.select(twice), shared, both, with_gyro)
+    found = search.estimate(torch.arange(2 * count) >= count, iterations)
+    driven, coasts = (WindowEstimate(*(part.split(count)[i] for part in found)) for i in (0, 1))
     return driven.replaced(coasts, coasts.evidence > driven.evidence)
 
 

@@ -76,9 +76,9 @@ class InstrumentPriors:
 class MeasurementNoise:
     """Standard deviations of what is measured, the same for every model.
 
-    Path curvature and speed have errors at knots every `knot_steps` steps, which stand for all that
-    lies between a measured control and the path: play, slope, wind. Were they errors of the steering
-    angle, a shorter wheelbase would make them smaller, and the best fit would shorten it.
+    Path curvature and speed have errors at knots every `knot_steps` steps, which stand for all
+    that lies between a measured control and the path: play, slope, wind. Were they errors of the
+    steering angle, a shorter wheelbase would make them smaller, and the best fit would shorten it.
 
     Attributes:
         along_m: Of a position along the course, where the time of a fix counts too.

@@ -178,10 +178,7 @@ def _tests(identified: str, result: MeasuredStudyResult) -> dict[str, dict[str, 
             text = f"{identified} - {name}"
             others[text] = (own.by_recording.plain, found.by_recording.plain)
             others[f"{text}, session left out"] = (own.by_session.plain, found.by_session.plain)
-    return {
-        text: _paired(first, second, owner)
-        for text, (first, second) in others.items()
-    }
+    return {text: _paired(first, second, owner) for text, (first, second) in others.items()}
 
 
 def _paired(first: RolloutErrors, second: RolloutErrors, owner: Tensor) -> dict[str, float]:

@@ -63,7 +63,9 @@ class RideWindows(NamedTuple):
         """The windows of other recordings than these (r, mask), whose names are forgotten."""
         number = torch.cumsum((~recordings).long(), 0) - 1
         kept = self.select(~recordings[self.recording])
-        names = tuple(n for n, left in zip(self.names, recordings.tolist(), strict=True) if not left)
+        names = tuple(
+            n for n, left in zip(self.names, recordings.tolist(), strict=True) if not left
+        )
         return kept._replace(names=names, recording=number[kept.recording])
 
     def head(self, steps: int) -> "RideWindows":

@@ -63,9 +63,7 @@ class SharedUnknowns:
         )
         return StepBounds(torch.cat([box.lower, -far]), torch.cat([box.upper, far]))
 
-    def moved(
-        self, shared: Float[Tensor, " s"], step: Float[Tensor, " s"]
-    ) -> Float[Tensor, " s"]:
+    def moved(self, shared: Float[Tensor, " s"], step: Float[Tensor, " s"]) -> Float[Tensor, " s"]:
         """A step in prior deviations away, within the ranges."""
         theta, installed = self.split(shared)
         values = self.parameters.values(theta) + self.parameters.prior.std * step[:-INSTALLED]

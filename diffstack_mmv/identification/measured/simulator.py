@@ -89,6 +89,7 @@ class _Stepper(torch.nn.Module):
         path = torch.stack(states, 1)
         return path, model.motion(path, idle.unsqueeze(1).expand(-1, path.shape[1], -1)).heading
 
+
 def freewheeling(
     wheel: Float[Tensor, "w T1"], excess: Float[Tensor, " w"], loss: Float[Tensor, " w"]
 ) -> Float[Tensor, "w T1"]:

@@ -6,9 +6,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.identification.measured.baselines import Baselines
+from diffstack_mmv.identification.measured.elimination import RideUnknowns
 from diffstack_mmv.identification.measured.fit import MeasuredFit, MeasuredFitter
 from diffstack_mmv.identification.measured.instruments import InstrumentPriors, MeasurementNoise
 from diffstack_mmv.identification.measured.rides import (
@@ -39,6 +41,9 @@ class Fitted(NamedTuple):
 
     simulator: RideSimulator
     fit: MeasuredFit
+
+
+Fits = Mapping[str, Fitted]
 
 
 class HeldOut(NamedTuple):
@@ -140,16 +145,21 @@ class MeasuredStudy:
             "%d windows are fitted, %d are rolled out", len(windows.origin), len(rollouts.origin)
         )
         noise, fits = self._fits(windows, models)
+        sessions = self._by_session(windows, rollouts, models, fits)
         recordings = folds_by(rollouts.names, sessions=False)
-        sessions = self._by_session(windows, rollouts, models)
-        found = {}
-        for name, (simulator, fit) in fits.items():
-            plain, gyro = (
-                held_out_errors(simulator, fit, rollouts, self.history_steps, recordings, with_gyro)
-                for with_gyro in (False, True)
-            )
-            found[name] = ModelFit(simulator, fit, HeldOut(plain, gyro), sessions[name])
+        found: dict[str, ModelFit] = {}
+        coasting: dict[bool, Tensor] = {}
+        for name in self._ordered(models):
+            simulator, fit = fits[name]
+            errors = []
+            for gyro in (False, True):
+                steps, known = self.history_steps, coasting.get(gyro)
+                judged = held_out_errors(simulator, fit, rollouts, steps, recordings, gyro, known)
+                coasting.setdefault(gyro, judged.coasting)
+                errors.append(judged)
+            found[name] = ModelFit(simulator, fit, HeldOut(*errors), sessions[name])
             logger.info("%s is judged", name)
+        found = {name: found[name] for name in models}
         baselines = self._baselines().errors(rollouts, windows, folds_by(windows.names, False))
         priors = next(iter(fits.values())).fit.instruments.given
         return MeasuredStudyResult(windows, rollouts, found, baselines, noise, priors)
@@ -159,31 +169,44 @@ class MeasuredStudy:
         every = round(self.every_s / self.fitted.dt_s)
         return replace(self.fitted, steps=steps, stride=every, jump_m=NO_JUMPS_LEFT_OUT)
 
+    def _ordered(self, models: Models) -> list[str]:
+        """The reference first."""
+        return sorted(models, key=lambda name: name != self.reference)
+
     def _fits(
-        self, windows: RideWindows, models: Models
+        self,
+        windows: RideWindows,
+        models: Models,
+        starts: Mapping[str, RideUnknowns] | None = None,
     ) -> tuple[MeasurementNoise, dict[str, Fitted]]:
-        """Fit all models; noise and priors are learned with the reference."""
-        reference = self.reference if self.reference in models else next(iter(models))
-        noise, fitter = self.noise, self.fitter
-        first = self._simulator(models[reference], noise)
-        fit = fitter(first, windows)
+        """Fit all models; noise and priors are learned with the reference.
+
+        Args:
+            windows: The windows.
+            models: Makes each model.
+            starts: Where each fit begins; only a start, all is learned from the windows.
+        """
+        reference, *others = self._ordered(models)
+        noise, fitter, starts = self.noise, self.fitter, starts or {}
+        simulator = self._simulator(models[reference], noise)
+        fit = fitter(simulator, windows, starts.get(reference))
         for _ in range(self.noise_rounds):
             noise, fitter = replace(noise, **fit.sizes), replace(fitter, priors=fit.priors)
-            first = self._simulator(models[reference], noise)
-            fit = fitter(first, windows, fit.point)
-        found = {reference: Fitted(first, fit)}
-        for name in models:
-            if name != reference:
-                simulator = self._simulator(models[name], noise)
+            simulator = self._simulator(models[reference], noise)
+            fit = fitter(simulator, windows, fit.point)
+        found = {reference: Fitted(simulator, fit)}
+        for name in others:
+            simulator, point = self._simulator(models[name], noise), starts.get(name)
+            if point is None:
                 start = simulator.parameters.start().double()
                 shared = torch.cat([start, fit.point.shared[-INSTALLED:]])
                 point = fitter.first_point(simulator, windows, shared, fit.point)
-                found[name] = Fitted(simulator, fitter(simulator, windows, point))
-                logger.info("%s: %d iterations", name, found[name].fit.iterations)
+            found[name] = Fitted(simulator, fitter(simulator, windows, point))
+            logger.info("%s: %d iterations", name, found[name].fit.iterations)
         return noise, {name: found[name] for name in models}
 
     def _by_session(
-        self, windows: RideWindows, rollouts: RideWindows, models: Models
+        self, windows: RideWindows, rollouts: RideWindows, models: Models, whole: Fits
     ) -> dict[str, HeldOut]:
         """Errors of each session under everything learned on the others."""
         nothing = RolloutErrors.unknown(rollouts)
@@ -192,13 +215,18 @@ class MeasuredStudy:
             chosen = fold[rollouts.recording]
             if bool(fold.all()) or not bool(chosen.any()):
                 continue
-            _, fits = self._fits(windows.without(fold), models)
+            starts = {
+                name: fit.point.without(fold, windows.recording) for name, (_, fit) in whole.items()
+            }
+            _, fits = self._fits(windows.without(fold), models, starts)
             part = rollouts.select(chosen)
-            for name, (simulator, fit) in fits.items():
-                priors, shared = fit.priors, fit.point.shared
+            coasting: dict[int, Tensor] = {}
+            for name in self._ordered(models):
+                simulator, fit = fits[name]
                 for index, gyro in enumerate((False, True)):
-                    steps = self.history_steps
-                    errors = future_errors(simulator, part, shared, priors, steps, gyro)
+                    given = (fit.point.shared, fit.priors, self.history_steps, gyro)
+                    errors = future_errors(simulator, part, *given, coasting.get(index))
+                    coasting.setdefault(index, errors.coasting)
                     found[name][index] = found[name][index].filled(chosen, errors)
         return {name: HeldOut(*errors) for name, errors in found.items()}
 

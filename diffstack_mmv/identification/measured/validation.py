@@ -22,7 +22,6 @@ from diffstack_mmv.identification.measured.simulator import (
     RideSimulator,
 )
 
-
 ITERATIONS = 8
 """Steps of the estimation from a history."""
 
@@ -32,12 +31,13 @@ class RolloutErrors(NamedTuple):
 
     ade: Float[Tensor, " w"]  # m
     fde: Float[Tensor, " w"]  # m
+    coasting: Bool[Tensor, " w"]  # whether the vehicle was taken to outrun its wheel
 
     @classmethod
     def unknown(cls, windows: RideWindows) -> "RolloutErrors":
         """No errors yet."""
         nothing = torch.full((len(windows.recording),), torch.nan, dtype=torch.float64)
-        return cls(nothing, nothing)
+        return cls(nothing, nothing, torch.zeros_like(nothing, dtype=torch.bool))
 
     def filled(self, chosen: Bool[Tensor, " w"], errors: "RolloutErrors") -> "RolloutErrors":
         """With the errors of some windows."""
@@ -65,7 +65,7 @@ def errors_of(
 ) -> RolloutErrors:
     """Errors after the history."""
     apart = (predicted - windows.position)[:, history + 1 :].norm(dim=-1)
-    return RolloutErrors(apart.mean(-1), apart[:, -1])
+    return RolloutErrors(apart.mean(-1), apart[:, -1], torch.zeros(len(apart), dtype=torch.bool))
 
 
 def rolled_out(
@@ -87,6 +87,7 @@ def held_out_errors(
     history: int,
     folds: Sequence[Tensor],
     with_gyro: bool = False,
+    coasting: Bool[Tensor, " w"] | None = None,
 ) -> RolloutErrors:
     """Errors of every window under vehicle and priors that the other folds tell.
 
@@ -97,6 +98,7 @@ def held_out_errors(
         history: Steps of the history.
         folds: Masks of recordings, together all of them.
         with_gyro: Whether the yaw rates of the history are used.
+        coasting: Which windows coast; what the history says by default.
     """
     found = RolloutErrors.unknown(windows)
     for fold in folds:
@@ -104,7 +106,8 @@ def held_out_errors(
         if bool(chosen.any()):
             part = windows.select(chosen)
             shared, priors = fit.shared_without(fold), fit.instruments.priors(fold)
-            errors = future_errors(simulator, part, shared, priors, history, with_gyro)
+            known = None if coasting is None else coasting[chosen]
+            errors = future_errors(simulator, part, shared, priors, history, with_gyro, known)
             found = found.filled(chosen, errors)
     return found
 
@@ -116,13 +119,14 @@ def future_errors(
     priors: InstrumentPriors,
     history: int,
     with_gyro: bool,
+    coasting: Bool[Tensor, " w"] | None = None,
 ) -> RolloutErrors:
     """Errors of roll-outs, all but the vehicle and the priors taken from the history."""
     given = InstrumentsGiven.of(priors, len(windows.recording))
-    found = estimate_windows(
-        simulator, windows.head(history), shared, given, with_gyro, iterations=ITERATIONS
-    )
-    return errors_of(rolled_out(simulator, windows, shared, found), windows, history)
+    past = windows.head(history)
+    found = estimate_windows(simulator, past, shared, given, with_gyro, ITERATIONS, coasting)
+    errors = errors_of(rolled_out(simulator, windows, shared, found), windows, history)
+    return errors._replace(coasting=found.coasting)
 
 
 class PairedTest(NamedTuple):
