@@ -48,7 +48,7 @@ def record_rides(
     steps: int,
     generator: Generator,
 ) -> SyntheticRides:
-    """Drive gentle random curves at about 3 m/s and measure them.
+    """Drive gentle random curves at about 3 m/s, the wheel always driving, and measure them.
 
     Args:
         simulator: Of the true vehicle; its noise is that of the measurements.
@@ -67,7 +67,8 @@ def record_rides(
         noise.speed_share * _normal(generator, recordings, count),
     ]
     pose = torch.zeros(recordings, POSE, dtype=torch.float64)
-    local = torch.cat([pose, instruments, *errors], -1)
+    driven = priors.freewheel(False)[0].expand(recordings, -1)
+    local = torch.cat([pose, instruments, driven, *errors], -1)
     shared = draw_shared(simulator, priors, generator)
     true = simulator.simulate(windows, shared, local)
     position = _with_noise(true.position, noise, generator)
