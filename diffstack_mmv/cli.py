@@ -165,6 +165,10 @@ def _composition_told(folder: Path, config_name: str) -> Iterator[None]:
         _exit(str(error))
     except (HydraException, OmegaConfBaseException) as error:
         _exit(told(error, arguments, folder, config_name))
+    except BrokenPipeError:
+        # whoever reads has seen enough, as in `--help | head`; nothing is left to be flushed either
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
     finally:
         del os.environ[FULL_ERROR]
         _RAISING.reset(before)

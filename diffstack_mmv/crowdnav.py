@@ -99,6 +99,7 @@ class CrowdNav:
         given = {
             "dt_s": self.dt_s,
             "seed": 0,
+            "compile": True,
             "cruise_mps": limits.speed_max_mps,
             "model": controller_model(vehicle, vehicle, self.dt_s),
             "actuate": actuation(vehicle, vehicle),

@@ -8,7 +8,7 @@ from typing import Any
 
 from diffstack_mmv.cli import DictConfig, OmegaConf, command, get_class, instantiate
 from diffstack_mmv.config_checks import require_checkpoint
-from dmmv_conventions.checks import require, require_at_least
+from dmmv_conventions.checks import require, require_at_least, require_one_of
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.versions import code_version, file_hash
@@ -21,6 +21,7 @@ def check(config: DictConfig) -> None:
     if "predictor" in config.people:
         require_checkpoint("people_checkpoint", config.people.predictor.path)
     require_at_least("animate", config.animate, 0)
+    require_one_of("movie", config.movie, ("gif", "mp4"))
     remedy = "Add search=null, or search.samples=NUMBER."
     named = isinstance(config.search, str)
     require(not named, "search", "be settings of a search or none", config.search, "", remedy)
@@ -83,8 +84,9 @@ def main(config: DictConfig) -> None:
     outline = world.robot.footprint.outline()
     told = partial(read_thoughts, out / "episodes" / config.names.controller)
     save_stories(
-        out, numbers, records, radius_m, config.animate, scenario.goal_m, config.show, outline, told
-    )
+        out, numbers, records, radius_m, config.animate, scenario.goal_m, config.show, outline,
+        told, config.movie,
+    )  # fmt: skip
     _tell_times(result)
     if config.get("wandb"):
         instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))

@@ -187,8 +187,9 @@ def _job(
     who = f"modes=[{run.mode}]"
     asked = f"vehicle={told.modes[run.mode]}", f"goal={run.goal}", f"seed={run.seed}"
     train = _script(
-        "train", *data, who, *asked, f"out={folder}", *small, *windows, *config.overrides, *settings
-    )
+        "train", *data, who, *asked, f"out={folder}", *small, *windows, *config.overrides,
+        *told.get("training", []), *settings,
+    )  # fmt: skip
     judged = f"checkpoint={folder / BEST}", f"out={run.report}", f"plans={str(plans).lower()}"
     evaluate = _script("evaluate", *data, who, *judged, f"split={config.split}", *windows)
     name = ".".join(folder.relative_to(out / "runs").parts)

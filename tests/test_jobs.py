@@ -2,13 +2,16 @@
 
 import json
 import sys
+from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
 from diffstack_mmv.jobs import Job, LocalProcesses, expected_seconds
+from diffstack_mmv.reporting import Run
 from dmmv_conventions.configs import config_folder
+from scripts.results import _training
 
 
 def job(folder, name, code):
@@ -72,3 +75,13 @@ def test_sets_and_models_of_null_are_left_out(succeed, tmp_path):
     arguments = ["experiment=eth_ucy", f"raw={tmp_path}", "dry_run=true", f"out={tmp_path / 'out'}"]
     (tmp_path / "eth_ucy").mkdir()
     assert "10 of 10 jobs to do" in succeed("results", *arguments)
+
+
+def test_settings_of_a_set_for_its_training_are_given_to_that_alone():
+    with initialize_config_dir(str(config_folder()), version_base="1.3"):
+        config = compose("results", ["experiment=shared_space", "raw=recordings", "out=out"])
+    run = Run("dut_people", "pedestrian", "kbm", "predicted", 0, Path("out/runs/a/report"))
+    train, evaluate = _training(config, run, Path("out")).commands
+    assert "predictor=trajectron_pedestrian" in train
+    assert not [told for told in evaluate if "predictor" in told or "history_s" in told]
+    assert {"data.neighbors=6", "data=dut"} <= set(train) & set(evaluate)

@@ -64,3 +64,16 @@ def test_answers_without_work_import_nothing_heavy(script, arguments, told, tmp_
 def test_the_solver_is_imported_without_the_compiler_of_torch():
     code = "import sys, diffstack_mmv.control; print('torch._dynamo' in sys.modules)"
     assert run(code).stdout.strip() == "False"
+
+
+def test_a_reader_that_has_seen_enough_shows_no_traceback():
+    """As `--help | head -1` does."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    told = subprocess.run(
+        [sys.executable, ROOT / "scripts" / "train.py", "--help"],
+        stdout=writing, stderr=subprocess.PIPE, text=True, check=False,
+    )  # fmt: skip
+    os.close(writing)
+    assert told.returncode == 1
+    assert told.stderr == ""

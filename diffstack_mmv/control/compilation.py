@@ -170,7 +170,7 @@ def _recursions(n: int, m: int, single: bool, device: str) -> tuple[Kernel, Kern
     """
     options = _options(device)
     if device == "cpu":
-        _retain_freed_memory()
+        retain_freed_memory()
     return Kernel(box_policy, options), Kernel(solve_free, options)
 
 
@@ -239,7 +239,7 @@ def _options(device: str) -> dict[str, Any]:
 
 
 @functools.cache
-def _retain_freed_memory() -> None:
+def retain_freed_memory() -> None:
     """Free one large block, so that the C library keeps what the kernels free for their next call.
 
     It would otherwise return the memory of every local model to the system and have it mapped and

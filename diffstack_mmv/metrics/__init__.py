@@ -27,7 +27,7 @@ from diffstack_mmv.metrics.planning import (
     solved,
     total_cost,
 )
-from diffstack_mmv.metrics.sampling import best_of_samples, sampled_paths
+from diffstack_mmv.metrics.sampling import best_of_samples, energy_score, sampled_paths
 from diffstack_mmv.metrics.scores import (
     CALIBRATION,
     CLOSED_LOOP,
@@ -62,6 +62,7 @@ __all__ = [
     "average_displacement",
     "best_average_displacement",
     "best_of_samples",
+    "energy_score",
     "collided",
     "coverages",
     "displacement",

@@ -64,7 +64,6 @@ class Safety(NamedTuple):
     safe: Bool[Tensor, "*b C"]
     penalty: Float[Tensor, "*b C"]  # m² s, expected lack of comfortable clearance, squared
     shortfall: Float[Tensor, "*b C"]  # m, largest lack of clearance with near times weighing most
-    risk: Float[Tensor, "*b C"]  # s, expected time of contact
 
 
 @dataclass(frozen=True)
@@ -129,20 +128,24 @@ class ClearanceMargin:
         """
         steps = clearance.shape[-1]
         time = dt_s * torch.arange(1, steps + 1, dtype=clearance.dtype, device=clearance.device)
-        gone = obstacles.position.diff(dim=-2).square().sum(-1).sqrt().cumsum(-1)
-        way = gone.clamp(max=self.saturation_m).unsqueeze(-4)
+        way = _gone(obstacles).clamp(max=self.saturation_m).unsqueeze(-4)
         weight = obstacles.weight[..., None, :, :, None]
         lack = self.hard_m + self.hard_growth * way - clearance
         counts = (time <= self.horizon_s + 1e-6) & (weight >= self.probability_min)
         lack = torch.where(counts, lack, -torch.inf).clamp_min(0)
         discomfort = (self.comfort_m + self.comfort_growth * way - clearance).clamp_min(0)
-        everything = (-3, -2, -1)
         return Safety(
             safe=(lack == 0).flatten(-3).all(-1),
-            penalty=(weight * discomfort.square()).sum(everything) * dt_s,
+            penalty=(weight * discomfort.square()).sum((-3, -2, -1)) * dt_s,
             shortfall=_largest(lack / (1 + time)),
-            risk=(weight * self._contact(clearance, gone.unsqueeze(-4))).sum(everything) * dt_s,
         )
+
+    def risk(
+        self, clearance: Float[Tensor, "*b C N K T"], obstacles: Obstacles, dt_s: float
+    ) -> Float[Tensor, "*b C"]:
+        """Expected time of contact in s; arguments as above."""
+        contact = self._contact(clearance, _gone(obstacles).unsqueeze(-4))
+        return (obstacles.weight[..., None, :, :, None] * contact).sum((-3, -2, -1)) * dt_s
 
     def _contact(
         self, clearance: Float[Tensor, "*b C N K T"], gone: Float[Tensor, "*b 1 N K T"]
@@ -151,6 +154,11 @@ class ClearanceMargin:
         variance = (self.spread_growth * gone).square().clamp_min(1e-4)
         certain = self.reach_m**2 / (self.reach_m**2 + 2 * variance)
         return certain * (-0.5 * clearance.clamp_min(0).square() / variance).exp()
+
+
+def _gone(obstacles: Obstacles) -> Float[Tensor, "*b N K T"]:
+    """Way in m that each component of each agent has gone after each step."""
+    return obstacles.position.diff(dim=-2).square().sum(-1).sqrt().cumsum(-1)
 
 
 def _largest(lack: Float[Tensor, "*b C N K T"]) -> Float[Tensor, "*b C"]:

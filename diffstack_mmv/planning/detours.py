@@ -9,9 +9,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_between, require_positive
+from diffstack_mmv.control.native.scan import scan
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import wrap_angle
-from diffstack_mmv.planning.candidates import Arc, Candidates, follow
+from diffstack_mmv.planning.candidates import Arc, Candidates, follow, with_final_row
+from diffstack_mmv.planning.problem import initial_state
 from diffstack_mmv.types import PlanningProblem
 
 CREEP_MPS = 1.0
@@ -68,6 +70,7 @@ class DetourFan:
         braking_mps2: Deceleration towards the goal.
         drawn: Number of candidates with two legs; the same ones for every problem.
         drawn_until_s: Time at which the last of their legs ends.
+        compile: Roll out in a generated library, on a CPU with a compiler.
 
     Raises:
         ValueError: A list is empty or a number out of range.
@@ -83,6 +86,7 @@ class DetourFan:
         braking_mps2: float = 2.5,
         drawn: int = 0,
         drawn_until_s: float = 4.0,
+        compile: bool = False,
     ) -> None:
         for name, values in (
             ("offsets_deg", offsets_deg),
@@ -108,6 +112,7 @@ class DetourFan:
         self.turn_time_s = turn_time_s
         self.lateral_mps2 = lateral_mps2
         self.braking_mps2 = braking_mps2
+        self.compile = compile
 
     def __call__(self, dynamics: DynamicsModel, problem: PlanningProblem, steps: int) -> Candidates:
         """Roll out the fan of every problem over a number of steps.
@@ -121,10 +126,16 @@ class DetourFan:
             The candidates `*b C`, maximal braking last.
         """
         detour = Detour(*(field.to(problem.goal) for field in self.detour))
+        if self.compile:
+            found = self._in_library(dynamics, problem, detour, steps)
+            if found is not None:
+                return found
         braking = dynamics.bounds.lower[0].to(problem.goal)
+        goal, cruise = problem.goal.unsqueeze(-2), problem.reference_speed.unsqueeze(-1)
 
         def arc_at(state: Tensor, step: int) -> Arc:
-            pursued = self._pursued(dynamics, state[..., :-1, :], detour, problem, step)
+            leg = _leg(detour, step * dynamics.dt_s)
+            pursued = self._pursued(dynamics, state[..., :-1, :], leg, goal, cruise)
             hardest = braking.expand(state[..., -1:, 0].shape)
             straight = torch.zeros_like(hardest)
             return Arc(
@@ -133,24 +144,47 @@ class DetourFan:
 
         return follow(dynamics, problem, arc_at, detour.offset.shape[0] + 1, steps)
 
+    def _in_library(
+        self, dynamics: DynamicsModel, problem: PlanningProblem, detour: Detour, steps: int
+    ) -> Candidates | None:
+        """The same fan, all candidates of all problems as rows; None if there is no library."""
+
+        def driven(state: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
+            goal, cruise, offset, share, detours, brakes = row.split([2, 1, 1, 1, 1, 1], -1)
+            leg = Leg(offset[..., 0], share[..., 0], detours[..., 0] > 0)
+            arc = self._pursued(dynamics, state, leg, goal, cruise[..., 0])
+            hardest = brakes[..., 0] > 0
+            acceleration = torch.where(hardest, dynamics.bounds.lower[0], arc.acceleration)
+            curvature = torch.where(hardest, torch.zeros_like(arc.curvature), arc.curvature)
+            control = dynamics.control_for(state, acceleration, curvature)
+            return dynamics.step(state, control), control
+
+        start = initial_state(dynamics, problem.ego)
+        rows = _rows(problem, [_leg(detour, step * dynamics.dt_s) for step in range(steps)])
+        state = start.unsqueeze(-2).expand(*rows.shape[:-2], start.shape[-1])
+        found = scan(driven, state.flatten(0, -2), rows.flatten(0, -3))
+        if found is None:
+            return None
+        states, controls = (part.unflatten(0, rows.shape[:-2]) for part in found)
+        motion = dynamics.motion(states, with_final_row(controls))
+        return Candidates(states, controls, motion)
+
     def _pursued(
         self,
         dynamics: DynamicsModel,
-        state: Float[Tensor, "*b C n"],
-        detour: Detour,
-        problem: PlanningProblem,
-        step: int,
+        state: Float[Tensor, "*b n"],
+        leg: Leg,
+        goal: Float[Tensor, "*#b 2"],
+        cruise: Float[Tensor, "*#b"],
     ) -> Arc:
         """Arcs of all candidates but the braking in one step."""
         none = torch.zeros_like(dynamics.bounds.lower).to(state)
         motion = dynamics.motion(state, none.expand(*state.shape[:-1], len(none)))
-        way = problem.goal.unsqueeze(-2) - motion.position
+        way = goal - motion.position
         distance = way.square().sum(-1).sqrt()
-        leg = _leg(detour, step * dynamics.dt_s)
         bearing = torch.atan2(way[..., 1], way[..., 0]) + torch.where(leg.detours, leg.offset, 0.0)
         error = wrap_angle(bearing - motion.heading)
         speed = motion.velocity[..., 0]
-        cruise = problem.reference_speed.unsqueeze(-1)
         # on the way to the goal no faster than its arc allows, or a fast vehicle would circle it
         turning = self._arc_speed(distance, error)
         target = torch.where(leg.detours, cruise * leg.speed_share, torch.minimum(cruise, turning))
@@ -164,8 +198,8 @@ class DetourFan:
         return Arc((target - speed) / dynamics.dt_s, curvature)
 
     def _arc_speed(
-        self, distance: Float[Tensor, "*b C"], error: Float[Tensor, "*b C"]
-    ) -> Float[Tensor, "*b C"]:
+        self, distance: Float[Tensor, "*b"], error: Float[Tensor, "*b"]
+    ) -> Float[Tensor, "*b"]:
         """Speed in m/s on the arc to the goal, of radius d / (2 sin β), or d / 2 to a goal behind.
 
         Not below `CREEP_MPS`: in tighter turns the steering is the limit.
@@ -181,3 +215,13 @@ def _leg(detour: Detour, time_s: float) -> Leg:
     second = ~left[:, 0]
     offset, share = (torch.where(second, field[:, 1], field[:, 0]) for field in detour[:2])
     return Leg(offset, share, left.any(-1))
+
+
+def _rows(problem: PlanningProblem, legs: Sequence[Leg]) -> Float[Tensor, "*b C T 7"]:
+    """What each candidate is told in each step: goal, cruise, its leg, and whether it brakes."""
+    told = [torch.stack([field.to(problem.goal) for field in leg], -1) for leg in legs]
+    each = torch.nn.functional.pad(torch.stack(told, -2), (0, 1, 0, 0, 0, 1))
+    each[-1, :, -1] = 1  # the last candidate
+    common = torch.cat([problem.goal, problem.reference_speed.unsqueeze(-1)], -1)
+    shape = *common.shape[:-1], *each.shape[:-1]
+    return torch.cat([common[..., None, None, :].expand(*shape, 3), each.expand(*shape, 4)], -1)

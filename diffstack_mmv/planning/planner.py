@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from diffstack_mmv.checks import message, require_at_least
 from diffstack_mmv.control import ILQR, Batched, TrajectoryOptimizer
+from diffstack_mmv.control.native.scan import RowStep, scan
 from diffstack_mmv.costs import WeightedCost
 from diffstack_mmv.dynamics import DynamicsModel, rollout
 from diffstack_mmv.planning.candidates import CandidateSource, with_final_row
@@ -122,9 +123,13 @@ class MPCPlanner(Planner):
 
         with torch.no_grad():
             fan = self.candidates(self.dynamics, problem, self.steps)
-        proposals = scored(fan.controls, fan.motion)
+        controls, motion = fan.controls, fan.motion
         if state is not None:
-            proposals = proposals.beside(scored(*self._continued(problem, state)))
+            more = self._continued(problem, state)
+            controls = torch.cat([controls, more[0]], -3)
+            plans = problem.goal.dim() - 1
+            motion = Motion(*(torch.cat(pair, plans) for pair in zip(motion, more[1], strict=True)))
+        proposals = scored(controls, motion)
         with torch.no_grad():
             starts = self._best_starts(proposals, problem.obstacles)
         guess = proposals.controls.take_along_dim(starts[..., None, None], -3)
@@ -182,8 +187,18 @@ class MPCPlanner(Planner):
         """The rest of the previous plan from the present state, as one more proposal."""
         controls = state.controls.unsqueeze(-3)
         start = initial_state(self.dynamics, problem.ego).unsqueeze(-2)
-        states = rollout(self.dynamics, start, controls)
+        states = self._rolled(start, controls)
         return controls, self.dynamics.motion(states, with_final_row(controls))
+
+    def _rolled(
+        self, start: Float[Tensor, "*b n"], controls: Float[Tensor, "*b T m"]
+    ) -> Float[Tensor, "*b T1 n"]:
+        """States from controls, in a library where the solver is compiled."""
+        if isinstance(self.solver, ILQR) and self.solver.compile:
+            found = scan(_stepping(self.dynamics), start.flatten(0, -2), controls.flatten(0, -3))
+            if found is not None:
+                return found.states.unflatten(0, start.shape[:-1])
+        return rollout(self.dynamics, start, controls)
 
     def _best_starts(self, plans: ScoredPlans, obstacles: Obstacles) -> Int[Tensor, "*b k"]:
         """The best plan of each of the best homotopy classes around the likeliest futures."""
@@ -226,3 +241,12 @@ class MPCPlanner(Planner):
     def _relative(self, controls: Float[Tensor, "*b t m"]) -> Float[Tensor, "*b t m"]:
         lower, upper = self.dynamics.bounds
         return controls / torch.maximum(upper, -lower)
+
+
+def _stepping(dynamics: DynamicsModel) -> RowStep:
+    """A step that tells nothing besides the state."""
+
+    def step(state: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
+        return dynamics.step(state, control), control[..., :0]
+
+    return step

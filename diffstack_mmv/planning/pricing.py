@@ -156,7 +156,9 @@ class PlanPrice:
         safety = self.margin(clearance, problem.obstacles, dt_s)
         patience = 0.5 ** (waited.unsqueeze(-1) / self.patience_s)
         total = (running * under_way).sum(-1) + patience * self.comfort_weight * safety.penalty
-        total = total + self.risk_weight * safety.risk
+        if self.risk_weight > 0:
+            risk = self.margin.risk(clearance, problem.obstacles, dt_s)
+            total = total + self.risk_weight * risk
         total = total + (1 - patience) * self.left_weight * way[..., -1]
         usable = total.isfinite()
         return ScoredPlans(

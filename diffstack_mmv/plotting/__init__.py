@@ -3,13 +3,13 @@
 from dmmv_conventions.extras import needs
 
 with needs("stack", "diffstack_mmv.plotting"):
-    from diffstack_mmv.plotting.closed_loop import (
-        Episode,
-        draw_episode,
-        episode_of,
+    from diffstack_mmv.plotting.animation import (
+        draw_side_by_side,
         save_animation,
-        save_stories,
+        save_side_by_side,
     )
+    from diffstack_mmv.plotting.closed_loop import save_stories
+    from diffstack_mmv.plotting.episodes import Episode, draw_episode, episode_of
     from diffstack_mmv.plotting.excitation import draw_by_excitation, save_by_excitation
     from diffstack_mmv.plotting.figures import save_figure
     from diffstack_mmv.plotting.horizon import draw_error_over_horizon
@@ -45,6 +45,7 @@ __all__ = [
     "draw_scene",
     "draw_scenes",
     "draw_spectrum",
+    "draw_side_by_side",
     "draw_tracks",
     "draw_wheels",
     "episode_of",
@@ -52,5 +53,6 @@ __all__ = [
     "save_by_excitation",
     "save_figure",
     "save_identification",
+    "save_side_by_side",
     "save_stories",
 ]

@@ -10,7 +10,14 @@ from diffstack_mmv.simulation.assembly import (
     vehicle_footprint,
     vehicle_robot,
 )
-from diffstack_mmv.simulation.benchmark import Chunk, Method, read_chunk, read_thoughts, run
+from diffstack_mmv.simulation.benchmark import (
+    Chunk,
+    Method,
+    read_chunk,
+    read_episode,
+    read_thoughts,
+    run,
+)
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint, RectangleFootprint
 from diffstack_mmv.simulation.controller import DiffMPCController
 from diffstack_mmv.simulation.delay import DelayCompensation
@@ -23,12 +30,15 @@ from diffstack_mmv.simulation.forecasters import (
     PedestrianForecast,
     PedestrianForecaster,
     StandingForecaster,
+    TurningForecaster,
 )
 from diffstack_mmv.simulation.hedging import MixedForecaster
 from diffstack_mmv.simulation.learned_forecaster import LearnedForecaster
+from diffstack_mmv.simulation.learned_policy import LearnedPolicy
 from diffstack_mmv.simulation.learning import imitation_loss, way_left_loss
 from diffstack_mmv.simulation.mppi import MPPIController
 from diffstack_mmv.simulation.pedestrians import (
+    AbruptCrowd,
     OrcaCrowd,
     ReactiveReplayCrowd,
     ReplayCrowd,
@@ -55,6 +65,7 @@ from diffstack_mmv.simulation.sensing import LimitedSensing
 from diffstack_mmv.simulation.study import models_told, study_world, world_for
 from diffstack_mmv.simulation.summary import summarise
 from diffstack_mmv.simulation.tracking import PedestrianTracker, TrackingController
+from diffstack_mmv.simulation.vector_env import CrowdNavVectorEnv
 from diffstack_mmv.simulation.vehicle_robot import Actuation, VehicleRobot
 from diffstack_mmv.simulation.verdict import (
     VERDICTS,
@@ -64,6 +75,7 @@ from diffstack_mmv.simulation.verdict import (
     Verdict,
     verdict_named,
 )
+from diffstack_mmv.simulation.views import EgoView, WorldView
 from diffstack_mmv.simulation.wandering import WanderingCrossing
 from diffstack_mmv.simulation.world import Observation, World, WorldState
 from diffstack_mmv.simulation.zero_order_hold import ZeroOrderHold
@@ -71,6 +83,7 @@ from diffstack_mmv.simulation.zero_order_hold import ZeroOrderHold
 __all__ = [
     "ENV_ID",
     "VERDICTS",
+    "AbruptCrowd",
     "Actuation",
     "AdaptiveController",
     "AvoidanceSearch",
@@ -83,9 +96,11 @@ __all__ = [
     "CrossingRules",
     "DelayCompensation",
     "CrowdNavEnv",
+    "CrowdNavVectorEnv",
     "CrowdNavVerdict",
     "DiffMPCController",
     "DiscFootprint",
+    "EgoView",
     "ExactVerdict",
     "Footprint",
     "ZeroOrderHold",
@@ -103,6 +118,7 @@ __all__ = [
     "PedestrianForecaster",
     "PedestrianTracker",
     "LearnedForecaster",
+    "LearnedPolicy",
     "ReactiveReplayCrowd",
     "RecordedCrossing",
     "LimitedSensing",
@@ -119,6 +135,7 @@ __all__ = [
     "StandingForecaster",
     "StraightLine",
     "TrackingController",
+    "TurningForecaster",
     "SuddenCrowd",
     "UnicycleRobot",
     "VehicleRobot",
@@ -126,12 +143,14 @@ __all__ = [
     "WanderingCrossing",
     "World",
     "WorldState",
+    "WorldView",
     "actuation",
     "controller_model",
     "drive",
     "imitation_loss",
     "models_told",
     "read_chunk",
+    "read_episode",
     "read_thoughts",
     "register",
     "require_stoppable",

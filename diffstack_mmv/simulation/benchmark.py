@@ -190,6 +190,31 @@ def read_thoughts(folder: Path, case: int) -> dict[str, Float[np.ndarray, "S ...
     return {}
 
 
+class StoredEpisode(NamedTuple):
+    """Where an episode stands among stored ones."""
+
+    record: EpisodeRecord
+    row: int
+
+
+def read_episode(folder: Path, case: int) -> StoredEpisode:
+    """Find a case among stored episodes.
+
+    Args:
+        folder: Where `run` keeps the chunks.
+        case: Number of the case.
+
+    Raises:
+        ValueError: The case was not driven there.
+    """
+    for file in sorted(folder.glob("*.npz")):
+        chunk = read_chunk(file)
+        if case in chunk.cases:
+            return StoredEpisode(chunk.record, chunk.cases.index(case))
+    remedy = "Give a folder DIR/episodes/NAME that navigate wrote, and a case that it drove."
+    raise ValueError(message("folder", f"hold case {case}", folder, "", remedy))
+
+
 def _read(file: Path, origin: Origin | None) -> Chunk | None:
     """A chunk of this origin, if the file holds one; of any if none is given.
 

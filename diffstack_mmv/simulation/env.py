@@ -8,7 +8,6 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
-from torch import Tensor
 
 from diffstack_mmv.checks import (
     require,
@@ -24,12 +23,11 @@ from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
 from diffstack_mmv.simulation.scenario import PHASES, SCENARIOS, Scenario, Scene
 from diffstack_mmv.simulation.vehicle_robot import FINEST_NEEDED_S, VehicleRobot
 from diffstack_mmv.simulation.verdict import verdict_named
+from diffstack_mmv.simulation.views import WorldView
 from diffstack_mmv.simulation.world import World, WorldState
 from diffstack_mmv.types import Outcome
 
 ENV_ID = "diffstack_mmv/CrowdNav-v0"
-FAR = 1e4
-"""Bound of all observed numbers, which no vehicle reaches within a time limit."""
 POINT_ROBOTS: dict[str, Callable[[], Robot]] = {
     "holonomic": HolonomicRobot,
     "unicycle": UnicycleRobot,
@@ -79,8 +77,7 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
 
     An action holds for one step, in the units of the robot: (v_x, v_y) in m/s for "holonomic",
     (v in m/s, turn in rad) for "unicycle", the controls of the dynamics model for a vehicle.
-    An observation has `robot` (x, y, heading, world velocity v_x, v_y, yaw rate, radius, goal x, y)
-    and `humans` (one row per pedestrian: x, y, v_x, v_y, radius), SI units, world frame.
+    An observation has `robot` and `humans` in SI units and in the world frame, see `WorldView`.
     `reset(options={"phase": "test", "case": 7})` starts a case of the benchmark; without options
     the environment's generator draws a case of the training phase.
 
@@ -164,14 +161,15 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         self.metadata = {**type(self).metadata, "render_fps": round(1 / world.dt_s)}
         lower, upper = (bound.double().numpy() for bound in world.robot.bounds)
         self.action_space = spaces.Box(lower, upper, dtype=np.float64)
-        self.observation_space = spaces.Dict(
-            {
-                "robot": spaces.Box(-FAR, FAR, (9,), dtype=np.float64),
-                "humans": spaces.Box(-FAR, FAR, (self._scenario.humans, 5), dtype=np.float64),
-            }
-        )
+        self._view = WorldView()
+        self.observation_space = self._view.space(self._scenario.humans)
         self._state: WorldState | None = None
         self._ended = False
+
+    @property
+    def scenario(self) -> Scenario:
+        """Where the episodes start."""
+        return self._scenario
 
     @property
     def state(self) -> WorldState:
@@ -268,26 +266,7 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
 
     def _observation(self) -> dict[str, np.ndarray]:
         """What a policy may know, SI units."""
-        seen = self.world.observe(self.state)
-        robot = (
-            seen.motion.position,
-            seen.motion.heading[..., None],
-            seen.velocity,
-            seen.motion.yaw_rate[..., None],
-            seen.radius[..., None],
-            seen.goal,
-        )
-        pedestrians = (
-            seen.pedestrian_position,
-            seen.pedestrian_velocity,
-            seen.pedestrian_radius[..., None],
-        )
-        return {"robot": _joined(robot), "humans": _joined(pedestrians)}
-
-
-def _joined(columns: tuple[Tensor, ...]) -> np.ndarray:
-    """Columns side by side."""
-    return torch.cat(columns, dim=-1).double().numpy()
+        return self._view(self.world.observe(self.state))
 
 
 def _scenario_named(scenario: str | Scenario, humans: int) -> Scenario:
@@ -301,4 +280,8 @@ def _scenario_named(scenario: str | Scenario, humans: int) -> Scenario:
 def register() -> None:
     """Make the environment known to gymnasium, once."""
     if ENV_ID not in gymnasium.registry:
-        gymnasium.register(ENV_ID, entry_point="diffstack_mmv.simulation.env:CrowdNavEnv")
+        gymnasium.register(
+            ENV_ID,
+            entry_point="diffstack_mmv.simulation.env:CrowdNavEnv",
+            vector_entry_point="diffstack_mmv.simulation.vector_env:crowd_nav_vector",
+        )

@@ -92,6 +92,27 @@ class StandingForecaster(ConstantVelocityForecaster):
         return torch.zeros_like(observation.pedestrian_velocity)
 
 
+@dataclass(frozen=True)
+class TurningForecaster(ConstantVelocityForecaster):
+    """Everybody turns off by an angle at once and walks on, at no less than a speed.
+
+    Attributes:
+        spread: How the uncertainty grows.
+        turn_deg: To the left; negative: to the right.
+        speed_mps: Who stands walks off so fast, facing along its last step or, at rest, along x.
+    """
+
+    turn_deg: float = 90.0
+    speed_mps: float = 0.0
+
+    def velocity(self, observation: Observation) -> Float[Tensor, "*b h 2"]:
+        """The present velocity, turned, in m/s."""
+        speed = length(observation.pedestrian_velocity)
+        course = _course(observation.pedestrian_velocity)
+        turned = unit_vector(course + math.radians(self.turn_deg))
+        return speed.clamp_min(self.speed_mps)[..., None] * turned
+
+
 class BelievedCrowd(NamedTuple):
     """What is kept of the pedestrians from one observation to the next, `*b h`."""
 
@@ -148,12 +169,7 @@ class OrcaForecaster:
     ) -> PedestrianForecast:
         """One component, the crowd rolled forward; at first sight also walking off."""
         believed, doubt = self._believed(state, observation)
-        crowd = believed
-        positions = []
-        for _ in range(steps):
-            crowd = crowd.moved(self.crowd(crowd, dt_s), dt_s)
-            positions.append(crowd.position)
-        mean = torch.stack(positions, dim=-2)
+        mean = self.crowd.positions(believed, dt_s, steps)
         forecast = _with_spread(mean, believed.velocity, self.spread, dt_s)
         if state is None:
             forecast = self._walking_off(forecast, believed, dt_s)
@@ -221,10 +237,13 @@ class OrcaForecaster:
         return position + velocity * ahead
 
 
+def _course(velocity: Float[Tensor, "*b h 2"]) -> Float[Tensor, "*b h"]:
+    return torch.atan2(velocity[..., 1], velocity[..., 0])
+
+
 def _with_spread(
     mean: Float[Tensor, "*b h T 2"], velocity: Float[Tensor, "*b h 2"], spread: Spread, dt_s: float
 ) -> Forecast:
     """One component of positions in m whose uncertainty grows along and across the course."""
     time = dt_s * torch.arange(1, mean.shape[-2] + 1, dtype=mean.dtype, device=mean.device)
-    course = torch.atan2(velocity[..., 1], velocity[..., 0])
-    return single_component(mean, spread.scale_tril(course, length(velocity), time))
+    return single_component(mean, spread.scale_tril(_course(velocity), length(velocity), time))

@@ -18,6 +18,7 @@ from diffstack_mmv.metrics import (
     coverages,
     displacement,
     displacements,
+    energy_score,
     excitation,
     judged_levels,
     negative_log_likelihood,
@@ -26,7 +27,7 @@ from diffstack_mmv.metrics import (
 from diffstack_mmv.planning import present
 from diffstack_mmv.prediction import Predictor, ego_forecast
 from diffstack_mmv.stack.module import DiffStackMMV, StackOutput, prediction_scores
-from diffstack_mmv.types import Forecast, Mode, Motion, StackBatch, map_tensors
+from diffstack_mmv.types import Forecast, Mode, Motion, StackBatch, Tracks, map_tensors
 
 COST = "cost/"
 """Prefix of the columns that hold the cost of a plan by term."""
@@ -233,7 +234,7 @@ def _judged_plans(stack: DiffStackMMV, batch: StackBatch) -> _Judged:
     output = stack(batch)
     terms = stack.hindsight_costs(batch, output)
     ego = ego_forecast(output.forecast)
-    scores = stack.score(batch, output) | best_of_samples(ego, batch.ego_future)
+    scores = stack.score(batch, output) | _sampled_scores(ego, batch.ego_future)
     scores |= {f"{COST}{term}": cost for term, cost in terms.items()}
     paths = {"prediction": ego.median(), "plan": output.plan.motion.position[..., 1:, :]}
     # whoever rides to a goal that was not recorded cannot be judged
@@ -245,8 +246,13 @@ def _judged_plans(stack: DiffStackMMV, batch: StackBatch) -> _Judged:
 def _judged_predictions(stack: DiffStackMMV, batch: StackBatch) -> _Judged:
     forecast = stack.predictor.predict(batch)
     ego = ego_forecast(forecast)
-    scores = prediction_scores(batch, forecast) | best_of_samples(ego, batch.ego_future)
+    scores = prediction_scores(batch, forecast) | _sampled_scores(ego, batch.ego_future)
     return _Judged(scores, {"prediction": ego.median()}, batch.goal, ego)
+
+
+def _sampled_scores(forecast: Forecast, future: Tracks) -> dict[str, Tensor]:
+    best = best_of_samples(forecast, future)
+    return best | {"energy_score": energy_score(forecast, future)}
 
 
 @torch.no_grad()

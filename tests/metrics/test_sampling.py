@@ -1,8 +1,11 @@
 """Paths drawn from a forecast, and the best of them."""
 
+import math
+
+import pytest
 import torch
 
-from diffstack_mmv.metrics import best_of_samples, sampled_paths
+from diffstack_mmv.metrics import best_of_samples, energy_score, sampled_paths
 from diffstack_mmv.types import Forecast, Motion, Tracks
 
 
@@ -51,3 +54,37 @@ def test_times_that_were_not_recorded_do_not_count():
     best = best_of_samples(forecast, future)
     assert best["best_of_20_ade"].isfinite().all()
     assert best["best_of_20_fde"].isnan().tolist() == [True, False]
+
+
+def gaussian(spread, count=3000, steps=2):
+    """Many equal forecasts around the origin."""
+    return Forecast(
+        torch.zeros(count, 1),
+        torch.zeros(count, 1, steps, 2),
+        spread * torch.eye(2).expand(count, 1, steps, 2, 2),
+    )
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.7])
+def test_the_energy_score_of_a_gaussian_is_the_closed_form(offset):
+    """Of one that is as wide as it should be: σ √π (1 - 1/2) in two dimensions; a sure one: |y|."""
+    future = future_of(torch.tensor([offset, 0.0]).expand(3000, 2, 2))
+    assert torch.allclose(energy_score(gaussian(1e-6), future), torch.tensor(offset), atol=1e-4)
+    if offset == 0:
+        at_the_mean = math.sqrt(math.pi / 2) - math.sqrt(math.pi) / 2
+        assert abs(energy_score(gaussian(1.0), future).mean() - at_the_mean) < 0.02
+
+
+def test_no_forecast_has_a_better_energy_score_than_the_truth():
+    drawn = torch.randn(3000, 2, 2, generator=torch.Generator().manual_seed(1))
+    true, narrow, wide = (
+        energy_score(gaussian(spread), future_of(drawn)).mean() for spread in (1.0, 0.5, 2.0)
+    )
+    assert true < min(narrow, wide) - 0.02
+
+
+def test_the_energy_score_leaves_out_what_was_not_recorded():
+    forecast = forecast_of()
+    future = future_of(forecast.mean[:, 0])
+    future.valid[0, 3:], future.valid[1] = False, False
+    assert energy_score(forecast, future).isnan().tolist() == [False, True]

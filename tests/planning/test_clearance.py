@@ -130,16 +130,18 @@ def test_numbers_out_of_range_are_refused(name):
 
 def test_the_risk_of_a_sure_overlap_is_its_time():
     clearance = torch.tensor([1.0, 1.0, -0.1, -0.2]).reshape(1, 1, 1, 1, 4)
-    assert float(ClearanceMargin()(clearance, walking(0.0), 0.25).risk) == pytest.approx(0.5, 0.01)
+    assert float(ClearanceMargin().risk(clearance, walking(0.0), 0.25)) == pytest.approx(0.5, 0.01)
 
 
 def test_who_has_walked_far_is_a_smaller_risk_where_expected_and_a_larger_one_beside():
     def risk(clearance, walked):
-        return float(judged(clearance, walked).risk)
+        near = torch.full((1, 1, 1, 1, 4), clearance)
+        return float(ClearanceMargin().risk(near, walking(walked), 0.25))
 
     assert risk(-0.1, 4.0) < 0.7 * risk(-0.1, 0.5)
     assert risk(0.8, 4.0) > 2 * risk(0.8, 0.5)
 
 
 def test_absent_agents_are_no_risk():
-    assert float(judged(torch.inf, 1.0).risk) == 0
+    nowhere = torch.full((1, 1, 1, 1, 4), torch.inf)
+    assert float(ClearanceMargin().risk(nowhere, walking(1.0), 0.25)) == 0

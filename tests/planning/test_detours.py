@@ -86,3 +86,12 @@ def test_drawn_candidates_come_beside_the_others_and_some_lead_back(model):
 def test_numbers_out_of_range_are_refused(name, value):
     with pytest.raises(ValueError, match=name):
         DetourFan(**{name: value})
+
+
+def test_the_library_drives_the_same_fan(model):
+    with torch.no_grad():
+        expected = DetourFan(drawn=3)(model, problem(), 12)
+        found = DetourFan(drawn=3, compile=True)(model, problem(), 12)
+    torch.testing.assert_close(found.states, expected.states, rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(found.controls, expected.controls, rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(found.motion, expected.motion, rtol=1e-3, atol=1e-3)

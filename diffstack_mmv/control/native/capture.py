@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffstack_mmv.control.native.lowering import CannotLowerError, Lowering
+from diffstack_mmv.control.native.lowering import CannotLowerError, Entries, Lowering
 from diffstack_mmv.control.native.operations import HANDLERS
 from diffstack_mmv.control.native.scalar import Program
 from diffstack_mmv.control.native.stages import Sizes, StagedProblem, staged
@@ -28,28 +28,50 @@ class Trajectory(NamedTuple):
     controls: Tensor
 
 
+Arrange = Callable[[Program, Sequence[Entries], Trajectory, int], Any]
+"""(program, entries of the results, where it was taken down, number of parameters) -> stages."""
+
+
+def problem_stages(
+    program: Program, results: Sequence[Entries], at: Trajectory, parameters: int
+) -> StagedProblem:
+    """The results of `evaluate` as stages.
+
+    Raises:
+        CannotLowerError: There are not as many as a problem has.
+    """
+    following, costs = results
+    (rows, n), m = at.states.shape[-2:], at.controls.shape[-1]
+    shapes = (following.size, costs.size)
+    if shapes != (n, rows):
+        raise CannotLowerError(f"{shapes} results instead of {(n, rows)}")
+    sizes = Sizes(n, m, rows - 1, parameters)
+    return staged(program, list(following.flat), list(costs.flat), sizes)
+
+
 class Captured:
     """A problem as a graph, and as stages once it has been called."""
 
-    def __init__(self, graph: torch.fx.GraphModule) -> None:
+    def __init__(self, graph: torch.fx.GraphModule, arrange: Arrange) -> None:
         self.graph = graph
+        self.arrange = arrange
         self.places: list[int | None] = []  # of states and controls among the inputs
-        self.problem: StagedProblem | None = None
+        self.problem: Any = None
         self.outputs: tuple[Tensor, ...] = ()
 
-    def take(self, inputs: Sequence[Tensor], at: Trajectory) -> StagedProblem:
+    def take(self, inputs: Sequence[Tensor], at: Trajectory) -> Any:
         """The stages, from the graph at the first call."""
         if self.problem is None:
             found = {id(each): position for position, each in enumerate(inputs)}
             self.places = [found.get(id(wanted)) for wanted in at]
-            self.problem = self._staged(inputs, at)
+            self.problem = self._arranged(inputs, at)
         return self.problem
 
     def parameters(self, inputs: Sequence[Tensor]) -> list[Tensor]:
         """What the callables hide, in the order of the leaves ("p", k)."""
         return [each for i, each in enumerate(inputs) if i not in self.places]
 
-    def _staged(self, inputs: Sequence[Tensor], at: Trajectory) -> StagedProblem:
+    def _arranged(self, inputs: Sequence[Tensor], at: Trajectory) -> Any:
         from torch._decomp import core_aten_decompositions
         from torch.fx.experimental.proxy_tensor import make_fx
 
@@ -59,14 +81,9 @@ class Captured:
             self.outputs = tuple(self.graph(*inputs))
         program = Program()
         lowering = Lowering(program, HANDLERS)
-        following, costs = lowering(core, self._leaves(lowering, inputs))
+        results = lowering(core, self._leaves(lowering, inputs))
         count = sum(each.numel() for each in self.parameters(inputs))
-        (rows, n), m = at.states.shape[-2:], at.controls.shape[-1]
-        sizes = Sizes(n, m, rows - 1, count)
-        shapes = (following.size, costs.size)
-        if shapes != (n, rows):
-            raise CannotLowerError(f"{shapes} results instead of {(n, rows)}")
-        return staged(program, list(following.flat), list(costs.flat), sizes)
+        return self.arrange(program, results, at, count)
 
     def _leaves(self, lowering: Lowering, inputs: Sequence[Tensor]) -> list[np.ndarray]:
         program, leaves, count = lowering.program, [], 0
@@ -101,7 +118,7 @@ class Taken(NamedTuple):
     """A problem with the numbers of one call."""
 
     captured: Captured
-    problem: StagedProblem
+    problem: Any  # its stages
     parameters: list[Tensor]
 
 
@@ -110,28 +127,36 @@ class Recorder:
 
     Args:
         function: `evaluate`, or a copy of it with a cache of its own.
+        arrange: What becomes of its results.
     """
 
-    def __init__(self, function: Callable[..., Any] = evaluate) -> None:
+    def __init__(
+        self, function: Callable[..., Any] = evaluate, arrange: Arrange = problem_stages
+    ) -> None:
+        self._arrange = arrange
         self._at = Trajectory(torch.empty(0), torch.empty(0))
         self._taken: Taken | None = None
         self._call = torch.compile(function, backend=self._backend, fullgraph=True, dynamic=False)
 
-    def __call__(self, dynamics: Dynamics, cost: Cost, at: Trajectory) -> Taken:
+    def __call__(self, at: Trajectory, *callables: Callable[..., Any]) -> Taken:
         """The stages of a problem, and its parameters.
+
+        Args:
+            at: Where it is taken down.
+            callables: What the function is called with before states and controls.
 
         Raises:
             CannotLowerError: It has no scalar form.
         """
         self._at, self._taken = at, None
         with torch.no_grad():
-            self._call(dynamics, cost, *at)
+            self._call(*callables, *at)
         if self._taken is None:
             raise CannotLowerError("a problem without operations")
         return self._taken
 
     def _backend(self, graph: torch.fx.GraphModule, _: Sequence[Any]) -> Callable[..., Any]:
-        captured = Captured(graph)
+        captured = Captured(graph, self._arrange)
 
         def take(*inputs: Tensor) -> tuple[Tensor, ...]:
             problem = captured.take(inputs, self._at)

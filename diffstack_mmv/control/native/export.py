@@ -16,10 +16,11 @@ from diffstack_mmv.control.ilqr import ILQR, check_problem
 from diffstack_mmv.control.native.capture import Recorder, Taken, Trajectory, evaluate
 from diffstack_mmv.control.native.code import literal
 from diffstack_mmv.control.native.generation import header, source
-from diffstack_mmv.control.native.library import REALS, build
+from diffstack_mmv.control.native.solver import REALS
 from diffstack_mmv.control.optimizer import Dynamics
 from diffstack_mmv.control.selection import Batched
 from diffstack_mmv.types import Bounds, SolverStatus
+from dmmv_conventions.libraries import build
 
 FILES = ("libplanner.so", "planner.h", "planner.cpp")
 
@@ -109,7 +110,7 @@ def _taken(dynamics: Dynamics, cost: Batched, state: Tensor, controls: Tensor) -
     (_, steps, m), n = controls.shape, state.shape[-1]
     at = Trajectory(state.new_zeros(1, steps + 1, n), state.new_zeros(1, steps + 1, m))
     record = Recorder(copied(evaluate))
-    return record(dynamics, cost, at)
+    return record(at, dynamics, cost)
 
 
 def _entries(parameters: Sequence[Tensor], known: dict[int, str]) -> tuple[Entry, ...]:

@@ -32,6 +32,17 @@ class Derived(NamedTuple):
     constants: tuple[tuple[float, ...], ...]  # that Jacobian, zero where it is not constant
 
 
+def opening(real: str, *headers: str) -> list[str]:
+    """What every library begins with, in one precision."""
+    return [
+        "#include <cmath>",
+        "#include <type_traits>",
+        "#include <utility>",
+        f"typedef {real} Real;",
+        *map(header, headers),
+    ]
+
+
 def source(problem: StagedProblem, library: str, real: str) -> str:
     """A whole library: the generated functions of the problem between fixed headers.
 
@@ -43,12 +54,8 @@ def source(problem: StagedProblem, library: str, real: str) -> str:
     status = {name: int(SolverStatus[name]) for name in ("CONVERGED", "STALLED", "NOT_FINITE")}
     status["LIMIT"] = int(SolverStatus.ITERATION_LIMIT)
     parts = [
-        "#include <cmath>",
-        "#include <type_traits>",
-        "#include <utility>",
-        f"typedef {real} Real;",
         *(f"#define DMMV_{name} {value}" for name, value in status.items()),
-        *map(header, HEADERS),
+        *opening(real, *HEADERS),
         *_problem(problem, library == "adjoint"),
         *map(header, ENTRIES[library]),
     ]
@@ -74,8 +81,8 @@ def _problem(problem: StagedProblem, adjoint: bool) -> list[str]:
         f"static constexpr int n = {n}, m = {m}, T = {steps}, PARAMETERS = {parameters};",
         f"static constexpr int NUMBERS = {len(problem.numbers)}, COST_NUMBERS = {widest};",
         f"static constexpr int STEP_NUMBERS = {len(problem.step_numbers)};",
-        _table("int", "step_numbers", problem.step_numbers),
-        _table("int", "cost_kind", problem.kinds),
+        table("int", "step_numbers", problem.step_numbers),
+        table("int", "cost_kind", problem.kinds),
         _rows("cost_numbers", problem.cost_numbers, widest),
         _prelude(problem),
         *_step(step),
@@ -149,18 +156,18 @@ def _step(step: Derived) -> list[str]:
     return [
         _flag("JACOBIAN_WRITTEN", jacobian_written),
         _flag("HESSIAN_WRITTEN", hessian_written),
-        _plain(f"step_jacobian({point}, const Real* q, Real* y)", program, "q", entries),
-        _plain(
+        plain(f"step_jacobian({point}, const Real* q, Real* y)", program, "q", entries),
+        plain(
             f"step_hessian({point}, const Real* l, const Real* q, Real* y)",
             program,
             "ql",
             curvature,
         ),
-        function(value, program, "q", _into("y", step.stage.outputs)),
-        function(slope, program, "ql", _into("y", step.gradient)),
+        function(value, program, "q", into("y", step.stage.outputs)),
+        function(slope, program, "ql", into("y", step.gradient)),
         f"static constexpr int STEP_ACTIVE = {len(step.active)};",
-        _table("int", "step_active", step.active),
-        _table("Real", "step_constant", [entry for row in step.constants for entry in row]),
+        table("int", "step_active", step.active),
+        table("Real", "step_constant", [entry for row in step.constants for entry in row]),
     ]
 
 
@@ -172,12 +179,12 @@ def _costs(costs: Sequence[Derived]) -> list[str]:
         slope = f"{TEMPLATE} void cost_gradient_{kind}({POINT}, const Real* q, V* y)"
         both = [*cost.gradient, output]
         parts.append(function(value, program, "q", [("*y", output)]))
-        parts.append(function(slope, program, "q", _into("y", both)))
+        parts.append(function(slope, program, "q", into("y", both)))
     widest = max(len(cost.active) for cost in costs)
     written = all(_is_short(cost.stage.program, cost.hessian, cost.gradient) for cost in costs)
     for kind, cost in enumerate(costs):
         signature = f"{TEMPLATE} void cost_hessian_{kind}({POINT}, const Real* q, V* y)"
-        entries = _into("y", cost.hessian or ()) if written else []
+        entries = into("y", cost.hessian or ()) if written else []
         parts.append(function(signature, cost.stage.program, "q", entries))
     return [
         *parts,
@@ -185,7 +192,7 @@ def _costs(costs: Sequence[Derived]) -> list[str]:
         _by_kind("cost_gradient", "cost_gradient_{}", len(costs)),
         _by_kind("cost_hessian", "cost_hessian_{}", len(costs)),
         _flag("COST_WRITTEN", written),
-        _table("int", "cost_columns", [len(cost.active) for cost in costs]),
+        table("int", "cost_columns", [len(cost.active) for cost in costs]),
         _rows("cost_active", [cost.active for cost in costs], widest),
     ]
 
@@ -200,12 +207,12 @@ def _by_kind(name: str, each: str, count: int) -> str:
 
 
 def _prelude(problem: StagedProblem) -> str:
-    return _plain("prelude(const Real* p, Real* y)", problem.parameters, "p", problem.numbers)
+    return plain("prelude(const Real* p, Real* y)", problem.parameters, "p", problem.numbers)
 
 
-def _plain(signature: str, program: Program, numbers: str, nodes: Sequence[Node]) -> str:
+def plain(signature: str, program: Program, numbers: str, nodes: Sequence[Node]) -> str:
     """A function of plain numbers."""
-    body = function(f"static void {signature}", program, numbers, _into("y", nodes))
+    body = function(f"static void {signature}", program, numbers, into("y", nodes))
     return body.replace("{\n", "{\n  using V = Real;\n", 1)
 
 
@@ -220,7 +227,7 @@ def _prelude_adjoint(problem: StagedProblem) -> str:
     leaves = [program.leaf("p", k) for k in range(problem.sizes.parameters)]
     slopes = gradient(program, weights, leaves)
     signature = "static void prelude_adjoint(const Real* p, const Real* w, Real* y)"
-    outputs = [(place, node) for place, node in _into("y", slopes) if program.value(node) != 0]
+    outputs = [(place, node) for place, node in into("y", slopes) if program.value(node) != 0]
     return function(signature, program, "pw", outputs).replace("{\n", "{\n  using V = Real;\n", 1)
 
 
@@ -236,19 +243,21 @@ def _number_gradients(step: Derived, costs: Sequence[Derived]) -> list[str]:
         program = each.stage.program
         leaves = [program.leaf("q", k) for k in range(each.stage.numbers)]
         slopes = weighted_gradient(each.stage, leaves)
-        parts.append(function(signature, program, "q", _into("y", slopes)))
+        parts.append(function(signature, program, "q", into("y", slopes)))
     return [
         *parts,
-        _table("int", "kind_numbers", [cost.stage.numbers for cost in costs]),
+        table("int", "kind_numbers", [cost.stage.numbers for cost in costs]),
         _by_kind("cost_numbers_gradient", "cost_{}_numbers", len(costs)),
     ]
 
 
-def _into(array: str, nodes: Iterable[Node]) -> list[tuple[str, Node]]:
+def into(array: str, nodes: Iterable[Node]) -> list[tuple[str, Node]]:
+    """Nodes and the entries of an array that they go to."""
     return [(f"{array}[{index}]", node) for index, node in enumerate(nodes)]
 
 
-def _table(kind: str, name: str, values: Sequence[float]) -> str:
+def table(kind: str, name: str, values: Sequence[float]) -> str:
+    """An array of constants."""
     entries = ", ".join(str(v) if kind == "int" else literal(v) for v in values) or "0"
     return f"static constexpr {kind} {name}[] = {{{entries}}};"
 

@@ -41,6 +41,22 @@ def _div(low: Lowering, a: Any, b: Any, rounding_mode: str | None = None) -> Ent
     return low.map("floor", quotient)
 
 
+def _remainder(low: Lowering, a: Any, b: Any) -> Entries:
+    """That of a division rounded down: it has the sign of the divisor."""
+    rest = low.map("fmod", low.numbers(a), low.numbers(b))
+    other_sign = low.map("lt", low.map("mul", rest, b), 0.0)
+    return low.map("where", other_sign, low.map("add", rest, b), rest)
+
+
+def _atanh(low: Lowering, a: Any) -> Entries:
+    twice = low.map("sub", low.map("log1p", a), low.map("log1p", low.map("neg", a)))
+    return low.map("mul", twice, 0.5)
+
+
+def _scalar(low: Lowering, value: float, **_: Any) -> Entries:
+    return low.constants(value)
+
+
 def _pow(low: Lowering, base: Any, exponent: Any) -> Entries:
     base = low.numbers(base)
     if isinstance(exponent, int | float) and exponent in _POWERS:
@@ -184,6 +200,9 @@ HANDLERS: dict[str, Handler] = {
     "add": _scaled("add"),
     "sub": _scaled("sub"),
     "div": _div,
+    "remainder": _remainder,
+    "atanh": _atanh,
+    "scalar_tensor": _scalar,
     "pow": _pow,
     "square": _square,
     "reciprocal": _reciprocal,

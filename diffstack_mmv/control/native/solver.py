@@ -16,25 +16,20 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.control.compilation import copied, kind, label, refusals
+from diffstack_mmv.control.compilation import copied, kind, label, refusals, retain_freed_memory
 from diffstack_mmv.control.iteration import Settings
 from diffstack_mmv.control.native.capture import Recorder, Taken, Trajectory, evaluate
 from diffstack_mmv.control.native.generation import source
-from diffstack_mmv.control.native.library import (
-    REALS,
-    CannotBuildError,
-    load,
-    pointers,
-    settings_record,
-)
 from diffstack_mmv.control.native.lowering import CannotLowerError
 from diffstack_mmv.control.native.stages import StagedProblem
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.selection import Batched, is_shared
 from diffstack_mmv.types import Solution, SolverStatus
+from dmmv_conventions.libraries import CannotBuildError, load, pointers
 from dmmv_conventions.progress import waiting
 
 LOGGER = logging.getLogger(__name__)
+REALS = {torch.float32: "float", torch.float64: "double"}
 MOST_SIZES = 64  # step sizes that a library tries
 MOST_LIBRARIES = 3
 """Shapes of a kind of problem that get a library; more, as of changing neighbors, take too long."""
@@ -123,13 +118,13 @@ class Workshop:
         first = _first(dynamics, originals), _first(cost, originals)
         record, at = self.recorder, _anywhere(state, controls)
         try:
-            taken = record(*first, at)
+            taken = record(at, *first)
         except refusals().too_many_graphs as failure:
             self.renewals += 1
             if self.renewals > MOST_RENEWALS:
                 raise CannotLowerError("too many shapes") from failure
             record = self.recorder = Recorder(copied(evaluate))
-            taken = record(*first, at)
+            taken = record(at, *first)
         rows = [_row(each, originals.get(id(each)), count, state) for each in taken.parameters]
         empty = state.new_zeros(count, 0)
         return taken, torch.cat([empty, *rows], 1).contiguous()
@@ -153,6 +148,7 @@ def library(problem: StagedProblem, name: str, dtype: torch.dtype) -> Any:
     """The library "solve" or "adjoint" of a problem."""
     key = id(problem), name, dtype
     if key not in _SOURCES:
+        retain_freed_memory()
         code = source(problem, name, REALS[dtype])
         if name == "solve" and len(code) > LONGEST_SOURCE:
             raise CannotBuildError(f"a source of {len(code)} characters takes too long")
@@ -252,3 +248,12 @@ class _Solve(torch.autograd.Function):
         call = library(ctx.problem, "adjoint", x.dtype).dmmv_adjoint
         call(*_counts(len(x)), *pointers(*given), *pointers(by_parameters, by_state))
         return None, None, by_parameters, by_state, None
+
+
+@functools.cache
+def settings_record(dtype: torch.dtype) -> type[ctypes.Structure]:
+    """The numbers of a solver as the library reads them, in one precision."""
+    real = ctypes.c_float if dtype == torch.float32 else ctypes.c_double
+    counts = [(name, ctypes.c_int) for name in ("max_iterations", "sizes", "curvature")]
+    fields = [*counts, ("tolerance", real), ("regularisation", real)]
+    return type("Settings", (ctypes.Structure,), {"_fields_": fields})

@@ -61,6 +61,26 @@ class StagedProblem(NamedTuple):
     cost_numbers: tuple[tuple[int, ...], ...]  # positions of their q in `numbers`, for each time
 
 
+class StagedStep(NamedTuple):
+    """One step of a row ready for code: leaves ("x", i), ("u", j), ("q", k) of its stage."""
+
+    state: int  # n of its results are the following state
+    inputs: int
+    parameters: int
+    prelude: Program  # what is computed from the parameters alone
+    numbers: tuple[Node, ...]  # nodes of it that the stage reads, in the order of its q
+    step: Stage
+
+
+def staged_step(
+    program: Program, results: Sequence[Node], state: int, inputs: int, parameters: int
+) -> StagedStep:
+    """A program with leaves ("x", 0, i), ("u", 0, j) and ("p", k) as one stage."""
+    step = _placed(program, results, 0, _known_before(program))
+    prelude, numbers = _copied(program, step.origins)
+    return StagedStep(state, inputs, parameters, prelude, numbers, _stage(step, False))
+
+
 def staged(
     program: Program, following: Sequence[Node], costs: Sequence[Node], sizes: Sizes
 ) -> StagedProblem:

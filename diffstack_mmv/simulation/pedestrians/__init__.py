@@ -1,5 +1,6 @@
 """Pedestrian models behind one interface."""
 
+from diffstack_mmv.simulation.pedestrians.abrupt import AbruptCrowd
 from diffstack_mmv.simulation.pedestrians.base import (
     Crowd,
     CrowdState,
@@ -14,6 +15,7 @@ from diffstack_mmv.simulation.pedestrians.social_force import SocialForceCrowd
 from diffstack_mmv.simulation.pedestrians.sudden import SuddenCrowd
 
 __all__ = [
+    "AbruptCrowd",
     "AnyCrowdState",
     "Crowd",
     "CrowdState",

@@ -16,13 +16,15 @@ from diffstack_mmv.simulation.pedestrians.half_planes import (
     nearest,
 )
 from diffstack_mmv.simulation.pedestrians.linear_program import safest_velocity
+from diffstack_mmv.simulation.pedestrians.orca_library import Rules, is_possible, respond, roll
 
 
 @dataclass(frozen=True)
 class OrcaCrowd:
     """Optimal reciprocal collision avoidance, vectorised over episodes x pedestrians.
 
-    Computes in float32 with the rounding of the RVO2 library and reproduces it bit for bit. The
+    Computes in float32 with the rounding of the RVO2 library and reproduces it bit for bit, in a
+    library of its own (`orca_library`) where there is a compiler and in tensors elsewhere. The
     velocities carry no gradient.
 
     Attributes:
@@ -66,8 +68,30 @@ class OrcaCrowd:
         """
         if crowd.radius.shape[-1] == 0:
             return crowd.velocity
+        if is_possible((*crowd, *(robot or ()))):
+            rolled = roll(crowd, self._rules(dt_s), self.margin_m, dt_s, 1, robot)
+            return rolled.velocity.squeeze(-2)
         agents = _as_agents(crowd, towards(crowd.position, crowd.goal))
         return self.velocity(agents, _everybody_else(crowd, robot), dt_s)
+
+    def positions(self, crowd: CrowdState, dt_s: float, steps: int) -> Float[Tensor, "*b h T 2"]:
+        """Where all pedestrians are after 1 .. `steps` steps with nobody else around.
+
+        Args:
+            crowd: The pedestrians of all episodes.
+            dt_s: Length of a step in s.
+            steps: Number of steps T, at least one.
+
+        Returns:
+            Positions in m.
+        """
+        if crowd.radius.shape[-1] and is_possible(crowd):
+            return roll(crowd, self._rules(dt_s), self.margin_m, dt_s, steps).position
+        positions = []
+        for _ in range(steps):
+            crowd = crowd.moved(self(crowd, dt_s), dt_s)
+            positions.append(crowd.position)
+        return torch.stack(positions, dim=-2)
 
     @torch.no_grad()
     def responses(
@@ -85,6 +109,8 @@ class OrcaCrowd:
         """
         if crowd.radius.shape[-1] == 0:
             return goals
+        if is_possible((*crowd, goals)):
+            return respond(crowd, self._rules(dt_s), self.margin_m, goals)
         agents = _as_agents(crowd, towards(crowd.position.unsqueeze(-2), goals))
         preferred = agents.preferred_velocity.float()
         planes = self._planes(agents, _everybody_else(crowd, None), dt_s)
@@ -114,6 +140,10 @@ class OrcaCrowd:
             planes, agents.max_speed.float(), agents.preferred_velocity.float()
         )
         return chosen.to(agents.position.dtype)
+
+    def _rules(self, dt_s: float) -> Rules:
+        """The settings for a step of `dt_s`."""
+        return Rules(self.neighbor_distance_m, self.time_horizon_s, dt_s, self.max_neighbors)
 
     def _planes(self, agents: Agents, neighbors: Neighbors, dt_s: float) -> HalfPlanes:
         """Half-planes of the nearest neighbors, in float32."""

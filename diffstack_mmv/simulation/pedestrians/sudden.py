@@ -64,7 +64,19 @@ class SuddenCrowd:
         return torch.where(stops[..., None], torch.zeros_like(velocity), velocity)
 
     def _drawn(self, crowd: CrowdState, number: int) -> Float[Tensor, "*b h"]:
-        """Numbers in [0, 1) that look random, from the positions in micrometres."""
-        x, y = crowd.position.double().unbind(-1)
-        mixed = 12.9898 * x + 78.233 * y + 37.719 * number + 0.6180339887 * self.seed
-        return (mixed.sin() * 43758.5453).remainder(1.0)
+        return random_looking(crowd.position, number, self.seed)
+
+
+def random_looking(
+    position: Float[Tensor, "*b h 2"], number: int, seed: int
+) -> Float[Tensor, "*b h"]:
+    """Numbers in [0, 1) that look random, from positions in micrometres.
+
+    Args:
+        position: Where everybody stands, m.
+        number: Which of several draws at the same place.
+        seed: Of all draws.
+    """
+    x, y = position.double().unbind(-1)
+    mixed = 12.9898 * x + 78.233 * y + 37.719 * number + 0.6180339887 * seed
+    return (mixed.sin() * 43758.5453).remainder(1.0)

@@ -14,7 +14,7 @@ FUNCTIONS = {
     "powers": lambda a: (a + 2) ** 3 - (a + 2) ** 1.7 + (a + 2) ** -0.5 + (a + 2).rsqrt() + a**4,
     "circular": lambda a: a.sin() * a.cos() + a.tan() + torch.atan2(a, a + 3),
     "inverse": lambda a: (0.5 * a).asin() + (0.5 * a).acos() + a.atan(),
-    "hyperbolic": lambda a: a.sinh() - a.cosh() * a.tanh() + a.sigmoid(),
+    "hyperbolic": lambda a: a.sinh() - a.cosh() * a.tanh() + a.sigmoid() + a.atanh(),
     "logarithms": lambda a: (a + 2).log() + (a + 2).log1p() + a.exp() + a.expm1() + a.erf(),
     "softplus": lambda a: torch.nn.functional.softplus(a / 0.05),
     "kinks": lambda a: a.abs() + a.relu() + a.sign() + a.clamp(-0.2, 0.4) + a.clamp_min(0.4),
@@ -27,7 +27,7 @@ FUNCTIONS = {
     "truths": lambda a: a * (a > 0) + (a < 0).to(a).sum(),
     "nothing": lambda a: a + a[:, :0].sum(-1, keepdim=True) + a[:0].sum(0),
     "sums": lambda a: a.sum(-1) + a.mean() + a.prod(-1) + a.norm(dim=-1),
-    "rounding": lambda a: torch.fmod(a, 0.3) + a.floor() * a + a.ceil(),
+    "rounding": lambda a: torch.fmod(a, 0.3) + torch.remainder(a, 0.3) + a.floor() * a + a.ceil(),
     "softmax": lambda a: torch.softmax(a, -1) * a,
     "products": lambda a: a @ a.mT @ a,
     "views": lambda a: torch.cat([a[:, 1:], a.unsqueeze(0).flip(-1)[0, :, :2]], -1).mT.reshape(

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from diffstack_mmv.simulation import CircleCrossing, OrcaCrowd
-from diffstack_mmv.simulation.pedestrians import CrowdState, VisibleRobot
+from diffstack_mmv.simulation.pedestrians import CrowdState, VisibleRobot, orca, orca_library
 
 RECORDINGS = [
     f"{scenario}_crossing_{size}"
@@ -17,6 +17,12 @@ RECORDINGS = [
         "h20_dt025_cases000-049",
     )
 ] + ["circle_crossing_h20_r6_dt025_cases000-049"]
+
+
+@pytest.fixture
+def in_tensors(monkeypatch):
+    """Without the library."""
+    monkeypatch.setattr(orca, "is_possible", lambda tensors: False)
 
 
 @pytest.fixture
@@ -49,6 +55,42 @@ def follow(recorded, steps):
 )
 def test_trajectories_are_reproduced_bit_for_bit(recording, name, steps):
     follow(recording(name), steps)
+
+
+@pytest.mark.usefixtures("in_tensors")
+def test_tensors_reproduce_them_as_well(recording):
+    follow(recording("square_crossing_h10_dt025_cases000-049"), 30)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("most", [2, 30])
+def test_library_and_tensors_agree_bit_by_bit(monkeypatch, dtype, most):
+    """In a throng with somebody at the place of another, where no course is free."""
+    draw = torch.Generator().manual_seed(3)
+    crowd = CircleCrossing(humans=9).cases("test", range(8)).pedestrians
+    crowd = CrowdState(*(field.to(dtype) for field in crowd))
+    velocity = 0.5 * torch.randn(8, 9, 2, generator=draw, dtype=dtype)
+    place = 0.3 * crowd.position
+    place[:, 1] = place[:, 0]
+    crowd = crowd._replace(position=place, velocity=velocity)
+    goals = 4 * torch.randn(8, 9, 5, 2, generator=draw, dtype=dtype)
+    robot = VisibleRobot(goals[:, 0, 0], velocity[:, 0], crowd.radius[:, 0])
+    model = OrcaCrowd(max_neighbors=most)
+
+    def answers():
+        steps = model.positions(crowd, 0.25, 12)
+        return (
+            model(crowd, 0.25),
+            model(crowd, 0.25, robot),
+            model.responses(crowd, goals, 1),
+            steps,
+        )
+
+    assert orca_library.is_possible(crowd)
+    found = answers()
+    monkeypatch.setattr(orca, "is_possible", lambda tensors: False)
+    for here, there in zip(found, answers(), strict=True):
+        assert torch.equal(here.nan_to_num(7.0), there.nan_to_num(7.0))
 
 
 @pytest.mark.slow

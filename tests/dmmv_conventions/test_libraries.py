@@ -4,18 +4,18 @@ from pathlib import Path
 
 import pytest
 
-from diffstack_mmv.control.native import library
-from diffstack_mmv.control.native.library import CannotBuildError
+from dmmv_conventions import libraries
+from dmmv_conventions.libraries import CannotBuildError
 
 
 def test_a_library_of_another_user_is_not_loaded(tmp_path, monkeypatch):
     monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(library, "build", lambda source, path: planted(path))
+    monkeypatch.setattr(libraries, "build", lambda source, path, *_: planted(path))
     user = tmp_path.stat().st_uid + 1
     monkeypatch.setattr("os.geteuid", lambda: user)
-    monkeypatch.setattr(library, "ADMINISTRATOR", user)
+    monkeypatch.setattr(libraries, "ADMINISTRATOR", user)
     with pytest.raises(CannotBuildError, match="belongs to another user"):
-        library.load("int main() {}")
+        libraries.load("int main() {}")
 
 
 def planted(path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Builds generated sources, once per source, and calls them."""
+"""Builds libraries in C++, once per source and machine, and calls them."""
 
 import ctypes
 import functools
@@ -13,7 +13,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-REALS = {torch.float32: "float", torch.float64: "double"}
 FLAGS = (
     *("-std=c++20", "-O2", "-fPIC", "-shared", "-Wno-psabi", "-pthread"),
     *("-fno-math-errno", "-fno-trapping-math"),  # but not: that all numbers are finite
@@ -29,13 +28,14 @@ class CannotBuildError(Exception):
     """There is no compiler, or it refuses the source."""
 
 
-def build(source: str, target: Path, machine: str = "native") -> None:
+def build(source: str, target: Path, machine: str = "native", *flags: str) -> None:
     """Compile a source to a shared library.
 
     Args:
         source: C++.
         target: The library, written as a whole or not at all.
         machine: Processor as the compiler calls it; "native" is this one.
+        flags: Options of the compiler besides `FLAGS`.
 
     Raises:
         CannotBuildError: There is no compiler, it refuses the source, or it takes too long.
@@ -51,6 +51,7 @@ def build(source: str, target: Path, machine: str = "native") -> None:
             command = [
                 get_cpp_compiler(),
                 *FLAGS,
+                *flags,
                 f"-march={machine}",
                 str(written),
                 "-o",
@@ -67,19 +68,28 @@ def build(source: str, target: Path, machine: str = "native") -> None:
 
 
 @functools.cache
-def load(source: str) -> ctypes.CDLL:
+def load(source: str, *flags: str) -> ctypes.CDLL:
     """The library of a source, built at its first use on a machine.
+
+    Args:
+        source: C++.
+        flags: Options of the compiler besides `FLAGS`.
 
     Raises:
         CannotBuildError: It cannot be built, or another user wrote it.
     """
     from torch._inductor.runtime.cache_dir_utils import cache_dir
 
-    told = (source, " ".join(FLAGS), platform.machine(), torch.backends.cpu.get_cpu_capability())
+    told = (
+        source,
+        " ".join(FLAGS + flags),
+        platform.machine(),
+        torch.backends.cpu.get_cpu_capability(),
+    )
     name = hashlib.sha256("\n".join(told).encode()).hexdigest()
     path = Path(cache_dir(), "dmmv", f"{name}.so")
     if not path.exists():
-        build(source, path)
+        build(source, path, "native", *flags)
     _require_own(path)
     try:
         return ctypes.CDLL(str(path))
@@ -101,12 +111,3 @@ def _require_own(path: Path) -> None:
 def pointers(*tensors: Tensor) -> list[Any]:
     """Addresses of contiguous tensors."""
     return [ctypes.c_void_p(tensor.data_ptr()) for tensor in tensors]
-
-
-@functools.cache
-def settings_record(dtype: torch.dtype) -> type[ctypes.Structure]:
-    """The numbers of a solver as the library reads them, in one precision."""
-    real = ctypes.c_float if dtype == torch.float32 else ctypes.c_double
-    counts = [(name, ctypes.c_int) for name in ("max_iterations", "sizes", "curvature")]
-    fields = [*counts, ("tolerance", real), ("regularisation", real)]
-    return type("Settings", (ctypes.Structure,), {"_fields_": fields})

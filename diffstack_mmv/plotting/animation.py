@@ -1,0 +1,166 @@
+"""Episodes as moving pictures: GIF, or MP4 with the extra `video`."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from matplotlib import rc_context
+from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, FuncAnimation, PillowWriter
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from diffstack_mmv.plotting.episodes import (
+    PEDESTRIANS,
+    ROBOT,
+    Episode,
+    draw_outlines,
+    draw_paths,
+    draw_thoughts,
+    set_range,
+    told,
+)
+from diffstack_mmv.plotting.figures import PALETTE, new_figure
+from diffstack_mmv.types import EpisodeRecord
+from dmmv_conventions.checks import require_one_of
+from dmmv_conventions.extras import needs
+
+FORMATS = (".gif", ".mp4")
+
+
+def save_animation(episode: Episode, path: Path) -> None:
+    """Write an episode in real time, atomically, as the ending of the path says.
+
+    Beside the picture run clearance and controls; where the controller tells of them, its
+    candidates, forecasts and plan are drawn at every decision.
+
+    Args:
+        episode: The episode.
+        path: A .gif, or a .mp4, which needs the extra `video`.
+
+    Raises:
+        ValueError: The path ends otherwise.
+    """
+    figure = new_figure(8.5, 4.5)
+    places = figure.add_gridspec(2, 2, width_ratios=(1.4, 1.0))
+    axes = figure.add_subplot(places[:, 0])
+    above, below = figure.add_subplot(places[0, 1]), figure.add_subplot(places[1, 1])
+    record = episode.record
+    cursors = _curves(above, below, record)
+    show = _frame(axes, episode, "")
+
+    def step(number: int) -> list[Any]:
+        for cursor in cursors:
+            cursor.set_xdata([number * record.dt_s] * 2)
+        return show(number)
+
+    _write(figure, step, len(record.clearance), record.dt_s, path)
+
+
+def draw_side_by_side(names: Sequence[str], episodes: Sequence[Episode]) -> Figure:
+    """Several controllers in the same case: their paths in a row, each under its name."""
+    figure = new_figure(4.6 * len(episodes), 5.0)
+    for number, (name, episode) in enumerate(zip(names, episodes, strict=True)):
+        axes = figure.add_subplot(1, len(episodes), number + 1)
+        draw_paths(axes, episode)
+        axes.set_title(f"{name}: {told(episode)}")
+    return figure
+
+
+def save_side_by_side(names: Sequence[str], episodes: Sequence[Episode], path: Path) -> None:
+    """Write several controllers in the same case as one moving picture, clearance below.
+
+    Who has ended stays where it was until all have.
+
+    Args:
+        names: What to call the controllers.
+        episodes: One per controller.
+        path: A .gif, or a .mp4, which needs the extra `video`.
+
+    Raises:
+        ValueError: The path ends otherwise.
+    """
+    figure = new_figure(4.6 * len(episodes), 6.2)
+    places = figure.add_gridspec(2, len(episodes), height_ratios=(3.2, 1.0))
+    dt_s, shows, cursors = episodes[0].record.dt_s, [], []
+    frames = max(len(episode.record.clearance) for episode in episodes)
+    for column, (name, episode) in enumerate(zip(names, episodes, strict=True)):
+        shows.append(_frame(figure.add_subplot(places[0, column]), episode, f"{name}\n"))
+        below = figure.add_subplot(places[1, column])
+        cursors.append(_clearance(below, episode.record))
+        below.set_xlim(0, frames * dt_s)
+        below.set_xlabel("time [s]")
+
+    def step(number: int) -> list[Any]:
+        for cursor in cursors:
+            cursor.set_xdata([number * dt_s] * 2)
+        return [artist for show in shows for artist in show(number)]
+
+    _write(figure, step, frames, dt_s, path)
+
+
+def _frame(axes: Axes, episode: Episode, heading: str) -> Callable[[int], list[Any]]:
+    """What draws an episode at a step, over whatever was drawn before."""
+    set_range(axes, episode)
+    record, thinking = episode.record, []
+
+    def show(number: int) -> list[Any]:
+        for artist in [*axes.patches, *thinking]:
+            artist.remove()
+        step = min(number, len(record.clearance) - 1)
+        thinking[:] = draw_thoughts(axes, episode.thoughts, step)
+        draw_outlines(axes, episode, step, 0.8)
+        clearance = float(record.clearance[step])
+        ended = step < number or step == len(record.clearance) - 1
+        now = told(episode) if ended else f"{step * record.dt_s:.2f} s, {clearance:.2f} m clear"
+        axes.set_title(heading + now)
+        return list(axes.patches)
+
+    return show
+
+
+def _write(
+    figure: Figure, step: Callable[[int], list[Any]], frames: int, dt_s: float, path: Path
+) -> None:
+    """Write a moving picture in real time, atomically."""
+    require_one_of("path.suffix", path.suffix, FORMATS)
+    animation = FuncAnimation(figure, step, frames=frames)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(path.stem + ".part" + path.suffix)
+    fps = round(1 / dt_s)
+    if path.suffix == ".gif":
+        _save(animation, unfinished, PillowWriter(fps=fps))
+    else:
+        with needs("video", "moving pictures as MP4"):
+            from imageio_ffmpeg import get_ffmpeg_exe  # pyright: ignore[reportMissingImports]
+        with rc_context({"animation.ffmpeg_path": get_ffmpeg_exe()}):
+            # players want even sizes and colours at half resolution
+            even = ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"]
+            _save(animation, unfinished, FFMpegWriter(fps=fps, codec="libx264", extra_args=even))
+    unfinished.replace(path)
+
+
+def _save(animation: FuncAnimation, path: Path, writer: AbstractMovieWriter) -> None:
+    animation.save(path, writer=writer, dpi=90)
+
+
+def _curves(above: Axes, below: Axes, record: EpisodeRecord) -> list[Line2D]:
+    """Clearance and controls over time; the cursors in both pictures."""
+    time = record.dt_s * torch.arange(len(record.clearance))
+    for column, values in enumerate(record.controls[: len(time) - 1].unbind(-1)):
+        label = f"control {column + 1}"
+        below.step(time[: len(values)], values, where="post", color=PALETTE[column], label=label)
+    below.legend(fontsize="small")
+    below.set_xlabel("time [s]")
+    return [_clearance(above, record), below.axvline(0.0, color=ROBOT)]
+
+
+def _clearance(axes: Axes, record: EpisodeRecord) -> Line2D:
+    """Clearance over time; the cursor."""
+    axes.plot(
+        record.dt_s * torch.arange(len(record.clearance)), record.clearance, color=PEDESTRIANS
+    )
+    axes.axhline(0.0, color="black", linewidth=0.8)
+    axes.set_ylabel("clearance [m]")
+    return axes.axvline(0.0, color=ROBOT)

@@ -1,0 +1,134 @@
+"""One closed-loop episode, and how it is drawn into a picture."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch, Polygon
+from torch import Tensor
+
+from diffstack_mmv.geometry import position_from_frame
+from diffstack_mmv.plotting.figures import PALETTE, new_figure
+from diffstack_mmv.types import EpisodeRecord, Outcome, map_tensors
+
+ROBOT, PEDESTRIANS, GOAL = PALETTE[1], PALETTE[0], PALETTE[2]
+MARGIN_M = 1.0
+ROBOT_RADIUS_M = 0.3
+
+
+class Episode(NamedTuple):
+    """One case of a benchmark."""
+
+    case: int
+    record: EpisodeRecord  # without leading dimensions
+    pedestrian_radius_m: float
+    goal_m: tuple[float, float] | None = None  # of the robot
+    outline: Float[Tensor, "corners 2"] | None = None  # m, of the robot; a disc of 0.3 m if None
+    thoughts: Mapping[str, Any] = {}  # per decision: candidates, plan, forecast in m
+
+
+def episode_of(
+    record: EpisodeRecord,
+    row: int,
+    case: int,
+    pedestrian_radius_m: float,
+    goal_m: tuple[float, float] | None = None,
+    outline: Float[Tensor, "corners 2"] | None = None,
+) -> Episode:
+    """One episode of a batch, cut at its end; radius of the pedestrians, goal and outline in m."""
+    single = map_tensors(lambda field: field[row], record)
+    end = int(single.steps) + 1
+    motion = type(single.motion)(*(field[:end] for field in single.motion))
+    cut = single._replace(
+        motion=motion, pedestrians=single.pedestrians[:end], clearance=single.clearance[:end]
+    )
+    return Episode(case, cut, pedestrian_radius_m, goal_m, outline)
+
+
+def told(episode: Episode) -> str:
+    """How it ended."""
+    record = episode.record
+    return f"{Outcome(int(record.outcome)).label} after {float(record.duration):.2f} s"
+
+
+def draw_episode(episode: Episode) -> Figure:
+    """Paths of robot and pedestrians with outlines once per second, darkest at the end."""
+    figure = new_figure(5.0, 5.0)
+    axes = figure.add_subplot()
+    draw_paths(axes, episode)
+    axes.set_title(f"case {episode.case}: {told(episode)}")
+    return figure
+
+
+def draw_paths(axes: Axes, episode: Episode) -> None:
+    """The picture of `draw_episode` without a title."""
+    set_range(axes, episode)
+    record = episode.record
+    axes.plot(*record.motion.position.T.numpy(), color=ROBOT)
+    for pedestrian in record.pedestrians.unbind(1):
+        axes.plot(*pedestrian.T.numpy(), color=PEDESTRIANS, linewidth=0.8)
+    last = len(record.clearance) - 1
+    for step in range(0, last, max(round(1 / record.dt_s), 1)):
+        draw_outlines(axes, episode, step, 0.15 + 0.4 * step / last)
+    draw_outlines(axes, episode, last, 0.8)
+    handles = [
+        Patch(color=ROBOT, label="robot, each second"),
+        Patch(color=PEDESTRIANS, label="pedestrians"),
+        Patch(color=GOAL, label="goal"),
+    ]
+    axes.legend(handles=handles, loc="lower right", fontsize="small")
+
+
+def draw_thoughts(axes: Axes, thoughts: Mapping[str, Any], step: int) -> list[Line2D]:
+    """Lines of candidates, forecasts and plan at a decision."""
+    styles = {
+        "candidates": {"color": "0.75", "linewidth": 0.6, "zorder": 1},
+        "forecast": {"color": PEDESTRIANS, "linewidth": 1.0, "linestyle": ":"},
+        "plan": {"color": ROBOT, "linewidth": 1.6, "linestyle": "--"},
+    }
+    lines = []
+    for name, style in styles.items():
+        if step < len(thoughts.get(name, ())):
+            told = thoughts[name][step]
+            for path in told.reshape(-1, *told.shape[-2:]):
+                lines += axes.plot(path[:, 0], path[:, 1], **style)
+    return lines
+
+
+def set_range(axes: Axes, episode: Episode) -> None:
+    """Axes in m that hold everybody."""
+    reach = float(episode.record.pedestrians.nan_to_num().abs().max())
+    reach = max(reach, float(episode.record.motion.position.abs().max()))
+    if episode.goal_m is not None:
+        reach = max(reach, *(abs(entry) for entry in episode.goal_m))
+    reach += MARGIN_M
+    axes.set_xlim(-reach, reach)
+    axes.set_ylim(-reach, reach)
+    axes.set_aspect("equal")
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    if episode.goal_m is not None:
+        axes.plot(*episode.goal_m, marker="*", markersize=12, color=GOAL, linestyle="none")
+
+
+def draw_outlines(axes: Axes, episode: Episode, step: int, alpha: float) -> None:
+    """Outlines of everybody at one step."""
+    pedestrians = episode.record.pedestrians[step]
+    for place in pedestrians[pedestrians.isfinite().all(-1)].tolist():
+        axes.add_patch(
+            Circle(tuple(place), episode.pedestrian_radius_m, color=PEDESTRIANS, alpha=alpha)
+        )
+    motion = episode.record.motion
+    centre = motion.position[step].tolist()
+    if episode.outline is None:
+        axes.add_patch(Circle(tuple(centre), ROBOT_RADIUS_M, color=ROBOT, alpha=alpha))
+    else:
+        place = (motion.position[step], motion.heading[step])
+        corners = position_from_frame(episode.outline.to(place[0]), *place)
+        axes.add_patch(Polygon(corners.numpy(), color=ROBOT, alpha=alpha))
+    nose = motion.heading[step]
+    tip = [centre[0] + float(nose.cos()) * 0.3, centre[1] + float(nose.sin()) * 0.3]
+    axes.add_patch(Circle(tuple(tip), 0.06, color="black", alpha=alpha))

@@ -1,0 +1,46 @@
+"""A controller whose decisions a trained network makes."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import torch
+
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.simulation.assembly import Actuate
+from diffstack_mmv.simulation.policies import Decided
+from diffstack_mmv.simulation.views import EgoView
+from diffstack_mmv.simulation.world import Observation
+
+
+@dataclass
+class LearnedPolicy:
+    """Drives by a policy that `scripts/train_policy.py` has trained; it remembers nothing.
+
+    Attributes:
+        path: The policy, a file of stable-baselines3 (extra `rl`).
+        dynamics: Model of the vehicle, for the bounds of its controls.
+        actuate: Turns controls of the model into those of the robot.
+        view: What the policy is shown, as in its training.
+    """
+
+    path: str | Path
+    dynamics: DynamicsModel
+    actuate: Actuate
+    view: EgoView = field(default_factory=EgoView)
+
+    def __post_init__(self) -> None:
+        """Read the policy."""
+        from diffstack_mmv.simulation.reinforcement import load_policy
+
+        self._policy = load_policy(Path(self.path))
+
+    def init(self, observation: Observation) -> None:
+        """Nothing to remember."""
+        return
+
+    def act(self, state: None, observation: Observation) -> Decided:
+        """The mean of the policy, in the units of the robot."""
+        share, _ = self._policy.predict(self.view(observation), deterministic=True)
+        lower, upper = (bound.double() for bound in self.dynamics.bounds)
+        share = torch.as_tensor(share, dtype=torch.float64).clamp(-1, 1)
+        return Decided(self.actuate(lower + 0.5 * (share + 1) * (upper - lower)), None)

@@ -1,0 +1,172 @@
+"""Driving policies learned by reinforcement, with stable-baselines3 (extra `rl`)."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+
+from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.simulation.vector_env import CrowdNavVectorEnv
+from dmmv_conventions.extras import needs
+
+with needs("rl", "reinforcement learning"):
+    from stable_baselines3 import PPO  # pyright: ignore[reportMissingImports]
+    from stable_baselines3.common.callbacks import (  # pyright: ignore[reportMissingImports]
+        BaseCallback,
+    )
+    from stable_baselines3.common.vec_env import VecEnv  # pyright: ignore[reportMissingImports]
+
+
+class StableBaselinesEnv(VecEnv):
+    """A vectorised crowd as stable-baselines3 sees it; actions are shares of the bounds in [-1, 1].
+
+    Args:
+        env: The crowd, whose view is one row of numbers.
+    """
+
+    def __init__(self, env: CrowdNavVectorEnv) -> None:
+        self.env = env
+        columns = len(env.world.robot.bounds.lower)
+        actions = spaces.Box(-1.0, 1.0, (columns,), dtype=np.float32)
+        super().__init__(env.num_envs, env.single_observation_space, actions)
+        self._actions = np.zeros((env.num_envs, columns))
+
+    def reset(self) -> np.ndarray:
+        """Start all episodes."""
+        # the seed of `seed()` counts for the first reset alone
+        seed, self._seeds = self._seeds[0], [None] * self.num_envs
+        return self.env.reset(seed=seed)[0]
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Keep the actions for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """Step all episodes: observations, rewards, who ended, and what is told of each."""
+        lower, upper = (bound.double().numpy() for bound in self.env.world.robot.bounds)
+        controls = lower + 0.5 * (np.clip(self._actions, -1, 1) + 1) * (upper - lower)
+        seen, reward, terminated, truncated, told = self.env.step(controls)
+        ended = terminated | truncated
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for row in np.flatnonzero(ended):
+            infos[row]["terminal_observation"] = told["final_obs"][row]
+            infos[row]["TimeLimit.truncated"] = bool(truncated[row])
+            infos[row]["outcome"] = int(told["outcome"][row])
+        return seen, reward.astype(np.float32), ended, infos
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of the batch, once per episode asked for."""
+        return [getattr(self.env, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set an attribute of the batch; all episodes share it."""
+        setattr(self.env, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call a method of the batch, once."""
+        answer = getattr(self.env, method_name)(*method_args, **method_kwargs)
+        return [answer for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        """No episode is wrapped."""
+        return [False for _ in self._get_indices(indices)]
+
+
+class _Clock(BaseCallback):
+    """Ends a training after a processor time, and counts outcomes per update."""
+
+    def __init__(self, seconds: float) -> None:
+        super().__init__()
+        self.seconds = seconds
+        self.began = time.process_time()
+        self.outcomes: list[int] = []
+        self.curve: list[dict[str, Any]] = []
+
+    def _on_step(self) -> bool:
+        """Note who has ended; go on while there is time."""
+        self.outcomes += [told["outcome"] for told in self.locals["infos"] if "outcome" in told]
+        return time.process_time() - self.began < self.seconds
+
+    def _on_rollout_end(self) -> None:
+        counts = np.bincount(self.outcomes, minlength=5)
+        row = {"steps": self.num_timesteps, "seconds": time.process_time() - self.began}
+        self.curve.append(row | {"outcomes": counts.tolist()})
+        self.outcomes = []
+
+
+@dataclass(frozen=True)
+class PPOTraining:
+    """Proximal policy optimisation with a small network, for a given processor time.
+
+    Attributes:
+        seconds: Processor time.
+        steps: Per episode and update.
+        minibatch: Steps per gradient.
+        epochs: Passes over the steps of an update.
+        learning_rate: Of Adam; falls to zero with the time.
+        discount: Of rewards one step later.
+        layers: Widths of the hidden layers of actor and critic.
+        seed: Of weights, actions and cases.
+
+    Raises:
+        ValueError: A number is not positive.
+
+    Source:
+        Schulman et al., Proximal Policy Optimization Algorithms (2017).
+    """
+
+    seconds: float = 600.0
+    steps: int = 64
+    minibatch: int = 1024
+    epochs: int = 6
+    learning_rate: float = 5e-4
+    discount: float = 0.985
+    layers: Sequence[int] = (128, 128)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Check the numbers once, at the border."""
+        require_at_least("steps", self.steps, 1)
+        for name in ("seconds", "minibatch", "epochs", "learning_rate", "discount"):
+            require_positive(name, getattr(self, name))
+
+    def __call__(self, env: CrowdNavVectorEnv, path: Path) -> list[dict[str, Any]]:
+        """Train, and keep the policy in a file.
+
+        Args:
+            env: Where it drives.
+            path: The file, .zip.
+
+        Returns:
+            Per update: steps so far, processor seconds, and how often each outcome was met.
+        """
+        clock = _Clock(self.seconds)
+
+        def rate(_: float) -> float:
+            left = 1 - (time.process_time() - clock.began) / self.seconds
+            return self.learning_rate * max(left, 0.02)
+
+        model = PPO(
+            "MlpPolicy", StableBaselinesEnv(env), learning_rate=rate, n_steps=self.steps,
+            batch_size=self.minibatch, n_epochs=self.epochs, gamma=self.discount, device="cpu",
+            policy_kwargs={"net_arch": list(self.layers), "log_std_init": -0.5}, seed=self.seed,
+        )  # fmt: skip
+        model.learn(2**40, callback=clock)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        model.save(path)
+        return clock.curve
+
+
+def load_policy(path: Path) -> torch.nn.Module:
+    """The trained policy in a file."""
+    return PPO.load(path, device="cpu").policy

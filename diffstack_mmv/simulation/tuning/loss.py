@@ -1,0 +1,80 @@
+"""What whole episodes cost, as a number whose gradient runs through `World.step`."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.geometry import length
+from diffstack_mmv.simulation.policies import Controller
+from diffstack_mmv.simulation.scenario import Scene
+from diffstack_mmv.simulation.world import World
+
+
+@dataclass(frozen=True)
+class DrivingLoss:
+    """Time on the way and lack of clearance, until the goal.
+
+        L = Σ_t [not arrived] dt (d_t / d_0 + w (max(0, m - c_t) / m)²)
+
+    with the distance d to the goal and the smallest clearance c of the step. An episode goes on
+    after a contact, so that the loss has no jump there.
+
+    Attributes:
+        clearance_m: m, below which clearance is lacking.
+        clearance_weight: w; 1 makes a second of contact as bad as a second at the start.
+        steps: Decisions after which an episode is cut.
+        arrived_m: Who is nearer to the goal has arrived.
+
+    Raises:
+        ValueError: A number is not positive, or the weight negative.
+    """
+
+    clearance_m: float = 0.35
+    clearance_weight: float = 40.0
+    steps: int = 28
+    arrived_m: float = 0.3
+
+    def __post_init__(self) -> None:
+        """Check the numbers once, at the border."""
+        require_positive("clearance_m", self.clearance_m)
+        require_positive("arrived_m", self.arrived_m)
+        require_at_least("clearance_weight", self.clearance_weight, 0)
+        require_at_least("steps", self.steps, 1)
+
+    def __call__(
+        self, world: World, scene: Scene, controller: Controller
+    ) -> Float[Tensor, " episodes"]:
+        """The loss of each episode in s.
+
+        Args:
+            world: Where it drives; for a gradient its robot must be a `VehicleRobot`.
+            scene: Starts of the episodes, one leading dimension.
+            controller: For a gradient a `DiffMPCController` whose planner takes the optimum.
+
+        Raises:
+            ValueError: A pedestrian stands in the robot at the start.
+        """
+        state = world.start(scene)
+        seen = world.observe(state)
+        known, total = controller.init(seen), torch.zeros_like(state.time)
+        start = self._way(world, state)
+        running = torch.ones_like(state.time, dtype=torch.bool)
+        for _ in range(self.steps):
+            seen = world.observe(state)._replace(running=running)
+            action, known = controller.act(known, seen)
+            state, judgement = world.step(state, action)
+            way = self._way(world, state)
+            lack = (1 - judgement.clearance / self.clearance_m).clamp_min(0)
+            cost = world.dt_s * (way / start + self.clearance_weight * lack.square())
+            total = total + torch.where(running, cost, 0.0)
+            running = running & (way.detach() >= self.arrived_m)
+            if not bool(running.any()):
+                break
+        return total
+
+    @staticmethod
+    def _way(world: World, state) -> Float[Tensor, " episodes"]:  # noqa: ANN001
+        return length(state.goal - world.robot.motion(state.robot).position)

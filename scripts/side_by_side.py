@@ -1,0 +1,58 @@
+"""Show several controllers in the same cases, side by side."""
+
+import logging
+from pathlib import Path
+
+from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
+from diffstack_mmv.config_checks import require_file
+from dmmv_conventions.checks import require, require_at_least, require_one_of
+from dmmv_conventions.configs import config_folder
+
+logger = logging.getLogger(__name__)
+
+
+def check(config: DictConfig) -> None:
+    """Refuse folders that are no episodes of a run, and an unknown format."""
+    require_at_least("len(runs)", len(config.runs), 2)
+    require_at_least("len(cases)", len(config.cases), 1)
+    require_one_of("movie", config.movie, ("gif", "mp4"))
+    named = len(config.names) in (0, len(config.runs))
+    require(named, "names", "be one per run, or none", list(config.names))
+    for run in config.runs:
+        settings = Path(run).parent.parent / "config.yaml"
+        require_file("runs", settings, "Give folders DIR/episodes/NAME that navigate wrote.")
+
+
+@command(config_folder(), "side_by_side", check)
+def main(config: DictConfig) -> None:
+    """Write a picture and a moving picture of every case."""
+    from diffstack_mmv.plotting import (
+        Episode,
+        draw_side_by_side,
+        episode_of,
+        save_figure,
+        save_side_by_side,
+    )
+    from diffstack_mmv.simulation import read_episode, read_thoughts
+
+    runs, out = [Path(run) for run in config.runs], Path(config.out)
+    names = list(config.names) or [run.name for run in runs]
+
+    def episode(run: Path, case: int) -> Episode:
+        settings = OmegaConf.load(run.parent.parent / "config.yaml")
+        scenario, robot = instantiate(settings.scenario), instantiate(settings.robot)
+        record, row = read_episode(run, case)
+        outline = robot.footprint.outline()
+        radius_m = scenario.pedestrian_radius_m
+        drawn = episode_of(record, row, case, radius_m, scenario.goal_m, outline)
+        return drawn._replace(thoughts=read_thoughts(run, case))
+
+    for case in config.cases:
+        episodes = [episode(run, case) for run in runs]
+        save_figure(draw_side_by_side(names, episodes), out / f"case_{case}.png")
+        save_side_by_side(names, episodes, out / f"case_{case}.{config.movie}")
+        logger.info("%s", out / f"case_{case}.{config.movie}")
+
+
+if __name__ == "__main__":
+    main()

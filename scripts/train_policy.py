@@ -1,0 +1,44 @@
+"""Train a driving policy by reinforcement, in many crowds side by side."""
+
+import json
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+from diffstack_mmv.cli import DictConfig, command, instantiate
+from dmmv_conventions.checks import require_at_least
+from dmmv_conventions.configs import config_folder
+
+logger = logging.getLogger(__name__)
+
+
+def check(config: DictConfig) -> None:
+    """Refuse a world that cannot be built, before anything is trained."""
+    require_at_least("envs", config.envs, 1)
+    for part in (config.scenario, config.world, config.view):
+        instantiate(part)
+
+
+@command(config_folder(), "train_policy", check)
+def main(config: DictConfig) -> None:
+    """Train for a given processor time; write the policy and the curve of its outcomes."""
+    import torch
+
+    from diffstack_mmv.simulation import CrowdNavVectorEnv
+
+    torch.manual_seed(config.seed)
+    world, out = instantiate(config.world), Path(config.out)
+    rewards = replace(world.verdict.rewards, collision=config.collision_reward)
+    world = replace(world, verdict=replace(world.verdict, rewards=rewards))
+    scenario, view = instantiate(config.scenario), instantiate(config.view)
+    env = CrowdNavVectorEnv(world, scenario, config.envs, view, config.progress_reward)
+    curve = instantiate(config.training)(env, out / "policy.zip")
+    (out / "curve.json").write_text(json.dumps(curve, indent=1), encoding="utf-8")
+    steps = curve[-1]["steps"] if curve else 0
+    logger.info(
+        "%d steps. Drive it: dmmv-navigate controller=ppo policy=%s", steps, out / "policy.zip"
+    )
+
+
+if __name__ == "__main__":
+    main()

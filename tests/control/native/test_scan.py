@@ -1,0 +1,55 @@
+"""Rows stepped forward in a library are those of the loop in tensors."""
+
+import pytest
+import torch
+
+from diffstack_mmv.control.native.scan import scan
+from diffstack_mmv.dynamics import DiffKBM, rollout
+from diffstack_mmv.vehicles import load_vehicle
+
+
+def stepping(model):
+    """A step whose output is the speed before it."""
+
+    def step(state, control):
+        return model.step(state, control), state[..., 3:]
+
+    return step
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("rows", [1, 11])
+@pytest.mark.parametrize("steps", [1, 6])
+def test_every_row_is_rolled_out(dtype, rows, steps):
+    model = DiffKBM(load_vehicle("bicycle"), 0.1).to(dtype)
+    draw = torch.Generator().manual_seed(rows)
+    state = torch.rand(rows, 4, generator=draw, dtype=dtype)
+    controls = torch.randn(rows, steps, 2, generator=draw, dtype=dtype)
+    found = scan(stepping(model), state, controls)
+    expected = rollout(model, state, controls)
+    torch.testing.assert_close(found.states, expected)
+    torch.testing.assert_close(found.outputs[..., 0], expected[:, :-1, 3])
+
+
+def test_the_tensors_that_a_step_hides_may_change():
+    scale = torch.tensor([2.0])
+    state, inputs = torch.ones(3, 1), torch.ones(3, 2, 1)
+
+    def step(state, row):
+        return state * scale + row, state
+
+    assert torch.equal(scan(step, state, inputs).states[0, :, 0], torch.tensor([1.0, 3.0, 7.0]))
+    scale += 1
+    assert torch.equal(scan(step, state, inputs).states[0, :, 0], torch.tensor([1.0, 4.0, 13.0]))
+
+
+def test_what_has_no_scalar_form_or_no_rows_has_no_library():
+    def sorts(state, row):
+        return state.sort(-1).values, row
+
+    def plain(state, row):
+        return state, row
+
+    assert scan(sorts, torch.ones(3, 2), torch.ones(3, 2, 1)) is None
+    assert scan(plain, torch.ones(0, 2), torch.ones(0, 2, 1)) is None
+    assert scan(plain, torch.ones(3, 2, dtype=torch.half), torch.ones(3, 2, 1).half()) is None

@@ -1,0 +1,55 @@
+"""Moving pictures of episodes."""
+
+import pytest
+import torch
+from PIL import Image
+
+from diffstack_mmv.plotting import draw_side_by_side, episode_of, save_animation, save_side_by_side
+from diffstack_mmv.types import EpisodeRecord, Motion, Outcome
+
+
+@pytest.fixture
+def episode():
+    """The robot drives along x for some steps past one pedestrian."""
+
+    def build(steps=2, outcome=Outcome.SUCCESS):
+        rows = steps + 1
+        way = torch.linspace(0, 1, rows)[None, :, None] * torch.tensor([1.0, 0.0])
+        flat = torch.zeros(1, rows)
+        record = EpisodeRecord(
+            motion=Motion(way, flat, torch.zeros(1, rows, 2), flat),
+            pedestrians=torch.ones(1, rows, 1, 2),
+            controls=torch.zeros(1, steps, 2),
+            reward=torch.zeros(1, steps),
+            clearance=torch.ones(1, rows),
+            outcome=torch.tensor([int(outcome)]),
+            steps=torch.tensor([steps]),
+            duration=torch.tensor([0.25 * steps]),
+            dt_s=0.25,
+        )
+        return episode_of(record, 0, 4, 0.3, (1.0, 0.0))
+
+    return build
+
+
+def test_controllers_stand_in_a_row_under_their_names(episode):
+    figure = draw_side_by_side(["ours", "MPPI"], [episode(), episode(3, Outcome.COLLISION)])
+    titles = [axes.get_title() for axes in figure.axes]
+    assert titles == ["ours: success after 0.50 s", "MPPI: collision after 0.75 s"]
+
+
+def test_the_one_who_has_ended_waits_for_the_other(episode, tmp_path):
+    save_side_by_side(["a", "b"], [episode(1), episode(4)], tmp_path / "both.gif")
+    with Image.open(tmp_path / "both.gif") as picture:
+        assert picture.n_frames == 5
+
+
+def test_an_episode_becomes_an_mp4(episode, tmp_path):
+    pytest.importorskip("imageio_ffmpeg")
+    save_animation(episode(), tmp_path / "case.mp4")
+    assert (tmp_path / "case.mp4").read_bytes()[4:8] == b"ftyp"
+
+
+def test_other_formats_are_refused(episode, tmp_path):
+    with pytest.raises(ValueError, match=r"gif.*mp4"):
+        save_animation(episode(), tmp_path / "case.avi")

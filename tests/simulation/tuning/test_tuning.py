@@ -1,0 +1,93 @@
+"""Cost weights tuned by what driving with them comes to."""
+
+import pytest
+import torch
+
+from diffstack_mmv.control import ILQR
+from diffstack_mmv.costs import ControlEffort, RunningGoal, WeightedCost
+from diffstack_mmv.planning import TakeOptimum
+from diffstack_mmv.simulation import BlindDriver, DiscFootprint, vehicle_robot
+from diffstack_mmv.simulation.tuning import DrivingLoss, GradientTuner, OptunaTuner, best
+
+
+@pytest.fixture
+def cost():
+    terms = {"position": RunningGoal(), "effort": ControlEffort()}
+    return WeightedCost(terms, {"position": 1.0, "effort": 1.0})
+
+
+@pytest.fixture
+def circle(world_with, driven, scenario_of):
+    world = world_with(vehicle_robot(driven(), footprint=DiscFootprint()), exact=True, limit_s=10.0)
+    return world, scenario_of("circle").cases("train", range(3))
+
+
+def wanted(cost):
+    """Smallest where positions weigh e times as much as effort."""
+    return lambda: (cost.log_weight[0] - cost.log_weight[1] - 1.0).square()
+
+
+def test_the_gradient_leads_to_the_weights_wanted(cost):
+    rounds = list(GradientTuner(rounds=60)(cost, wanted(cost)))
+    chosen = best(rounds)
+    assert len(rounds) == 60
+    assert chosen.weights["position"] / chosen.weights["effort"] == pytest.approx(2.718, rel=0.05)
+    assert rounds[0].weights == pytest.approx({"position": 1.0, "effort": 1.0})
+
+
+def test_a_round_without_a_finite_gradient_keeps_the_weights(cost, caplog):
+    rounds = list(GradientTuner(rounds=2)(cost, lambda: cost.log_weight.sum() * torch.nan))
+    assert rounds[0].weights == rounds[1].weights
+    assert "not finite" in caplog.text
+
+
+def test_optuna_begins_with_the_weights_given(cost):
+    pytest.importorskip("optuna")
+    rounds = list(OptunaTuner(rounds=12)(cost, wanted(cost)))
+    assert rounds[0].weights == pytest.approx({"position": 1.0, "effort": 1.0})
+    assert best(rounds).loss < rounds[0].loss
+
+
+def test_who_stands_has_the_whole_way_left(circle, driven):
+    class Standing:
+        def init(self, observation):
+            return
+
+        def act(self, state, observation):
+            return torch.zeros(len(observation.time), 2), None
+
+    loss = DrivingLoss(clearance_weight=0.0, steps=8)(*circle, Standing())
+    assert loss.tolist() == pytest.approx([2.0] * 3)
+
+
+def test_contact_costs_and_arrival_ends_the_count(circle, driven):
+    driver = BlindDriver(driven().model(0.05), 3.0)
+    free = DrivingLoss(clearance_weight=0.0, steps=40)(*circle, driver)
+    longer = DrivingLoss(clearance_weight=0.0, steps=60)(*circle, driver)
+    paid = DrivingLoss(clearance_weight=40.0, steps=40)(*circle, driver)
+    assert torch.equal(free, longer)
+    assert bool((paid >= free).all())
+
+
+def test_the_loss_has_a_gradient_in_the_weights(circle, controller_for):
+    controller = controller_for()
+    controller.planner.solver = ILQR(max_iterations=60, tolerance=1e-5)
+    controller.planner.choice = TakeOptimum()
+    loss = DrivingLoss(steps=2)(*circle, controller).mean()
+    (gradient,) = torch.autograd.grad(loss, controller.planner.cost.log_weight)
+    assert bool(gradient.isfinite().all())
+    assert float(gradient.abs().max()) > 0
+
+
+@pytest.mark.parametrize(
+    ("build", "name"),
+    [
+        (lambda: GradientTuner(rounds=0), "rounds"),
+        (lambda: OptunaTuner(factor=1.0), "factor"),
+        (lambda: DrivingLoss(steps=0), "steps"),
+        (lambda: DrivingLoss(clearance_m=0.0), "clearance_m"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(build, name):
+    with pytest.raises(ValueError, match=name):
+        build()
