@@ -29,7 +29,7 @@ from diffstack_mmv.vehicles import load_vehicle
 
 WITHIN = 1.96
 ROWS = Path(__file__).parent / "results" / "identification_measured.jsonl"
-REAL = MeasurementNoise(along_m=0.021, across_m=0.011, steer_rad=0.0065, speed_share=0.04)
+REAL = MeasurementNoise(along_m=0.021, across_m=0.011, curvature=0.0068, speed_share=0.024)
 
 
 def recover(dynamics, seed, recordings, steps):
@@ -45,10 +45,14 @@ def recover(dynamics, seed, recordings, steps):
     count = len(vector)
     values = [vector.values(each[:count]) for each in (fit.point.shared, found.shared)]
     errors = torch.cat([values[0] - values[1], (fit.point.shared - found.shared)[count:]])
-    names = [*vector.names, "antenna_ahead", "antenna_height"]
+    names = [*vector.names, "antenna_ahead", "antenna_height", "steer_gain"]
     order = [int(name.rpartition("_")[2]) for name in windows.names]
     own = (fit.point.recording - found.recording[order]) / fit.recording_std
-    return dict(zip(names, (errors / fit.shared_std).tolist(), strict=True)), own, fit
+    found_errors = dict(zip(names, (errors / fit.shared_std).tolist(), strict=True))
+    quantity = simulator.steer_per_curvature
+    apart = quantity(fit.point.shared) - quantity(found.shared)
+    found_errors["steer_per_curvature"] = float(apart) / fit.std_of(quantity)
+    return found_errors, own, fit
 
 
 def main():

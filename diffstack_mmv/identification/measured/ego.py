@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least
-from diffstack_mmv.identification.measured.estimation import estimate_windows
+from diffstack_mmv.identification.measured.estimation import InstrumentsGiven, estimate_windows
 from diffstack_mmv.identification.measured.instruments import InstrumentPriors
 from diffstack_mmv.identification.measured.rides import RideWindows, chord_course
 from diffstack_mmv.identification.measured.simulator import POSE, RECORDING, RideSimulator
@@ -66,7 +66,7 @@ class EgoEstimator:
         steps: Length T of the horizon.
         with_gyro: Whether yaw rates are used.
         drift: Deviation of the instruments from one horizon to the next, in prior deviations.
-        iterations: Gauss-Newton steps per measurement.
+        iterations: Steps of Levenberg and Marquardt per measurement.
     """
 
     simulator: RideSimulator
@@ -75,7 +75,7 @@ class EgoEstimator:
     steps: int = 20
     with_gyro: bool = False
     drift: float = 0.2
-    iterations: int = 3
+    iterations: int = 4
 
     def __post_init__(self) -> None:
         require_at_least("steps", self.steps, 5)
@@ -107,8 +107,7 @@ class EgoEstimator:
             self.simulator,
             windows,
             self.shared,
-            horizon.mean,
-            horizon.precision,
+            InstrumentsGiven(horizon.mean, horizon.precision, self.priors),
             self.with_gyro,
             self.iterations,
         )

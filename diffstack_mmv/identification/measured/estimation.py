@@ -1,15 +1,17 @@
-"""Unknowns of single windows for a given vehicle: maximum a posteriori by Gauss-Newton."""
+"""Unknowns of single windows for a given vehicle: maximum a posteriori by least squares."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.geometry import direction
-from diffstack_mmv.identification.measured.instruments import MeasurementNoise
+from diffstack_mmv.identification.measured.instruments import InstrumentPriors, MeasurementNoise
 from diffstack_mmv.identification.measured.rides import RideWindows
 from diffstack_mmv.identification.measured.simulator import (
+    COASTING,
     POSE,
     RECORDING,
     Linearised,
@@ -18,6 +20,13 @@ from diffstack_mmv.identification.measured.simulator import (
 
 START_M, START_RAD = 1.0, 1.0
 """Prior deviations of the pose at the start of a window."""
+
+FIRST_DAMPING, AFTER_FAILURE = 1e-4, 1e-2
+"""Share of the diagonal that Levenberg's damping adds at first, and least after a failed step."""
+
+PLAIN, ROBUST = 1e6, 3.0
+"""Deviations beyond which the cost of a position grows linearly: none, and Huber's,
+as receivers jump."""
 
 
 class LocalPrior(NamedTuple):
@@ -35,12 +44,27 @@ class WindowSystem(NamedTuple):
     local: Float[Tensor, "w o l"]
 
 
+def chosen(
+    where: Bool[Tensor, " w"], first: Sequence[Tensor], second: Sequence[Tensor]
+) -> list[Tensor]:
+    """Rows of the first where it is chosen, of the second elsewhere."""
+    return [
+        torch.where(where.view(-1, *(1,) * (one.dim() - 1)), one, other)
+        for one, other in zip(first, second, strict=True)
+    ]
+
+
 class WindowEstimate(NamedTuple):
     """Unknowns of each window with their covariance."""
 
     local: Float[Tensor, "w l"]
     covariance: Float[Tensor, "w l l"]
-    cost: Float[Tensor, " w"]
+    evidence: Float[Tensor, " w"]  # logarithm
+    coasting: Bool[Tensor, " w"]
+
+    def replaced(self, other: "WindowEstimate", where: Bool[Tensor, " w"]) -> "WindowEstimate":
+        """The other's in some windows."""
+        return WindowEstimate(*chosen(where, other, self))
 
     @property
     def recording(self) -> Float[Tensor, "w 4"]:
@@ -49,16 +73,24 @@ class WindowEstimate(NamedTuple):
 
 
 def start_values(
-    windows: RideWindows, simulator: RideSimulator, mean: Float[Tensor, "w 4"]
+    windows: RideWindows,
+    simulator: RideSimulator,
+    mean: Float[Tensor, "w 4"],
+    priors: InstrumentPriors,
+    coasting: Bool[Tensor, " w"],
 ) -> Float[Tensor, "w l"]:
-    """Unknowns with the pose of the recorded positions and no errors of the controls."""
+    """Unknowns with pose and excess of speed as recorded, and no errors of the controls."""
     ahead = min(windows.steps, 10)
     way = windows.position[:, ahead] - windows.position[:, 0]
     turned = 0.5 * windows.speed[:, 0] * (windows.steer[:, :ahead] + mean[:, :1]).mean(-1)
     course = torch.atan2(way[:, 1], way[:, 0]) - turned * ahead * simulator.model.dt_s
     rest = way.new_zeros(len(way), 2 * simulator.knots(windows.steps))
     at_axle = windows.position[:, 0] - 0.3 * direction(course)
-    return torch.cat([at_axle, course.unsqueeze(-1), mean, rest], -1)
+    wheel = mean[:, 2] * windows.speed[:, :ahead].mean(-1)
+    excess = way.norm(dim=-1) / (ahead * simulator.model.dt_s) - wheel
+    freewheel, _ = _freewheel(priors, coasting)
+    freewheel[:, 0] = torch.where(coasting, excess.clamp_min(0.0), freewheel[:, 0])
+    return torch.cat([at_axle, course.unsqueeze(-1), mean, freewheel, rest], -1)
 
 
 def local_prior(
@@ -66,24 +98,40 @@ def local_prior(
     mean: Float[Tensor, "w 4"],
     precision: Float[Tensor, "w 4 4"],
     noise: MeasurementNoise,
+    priors: InstrumentPriors,
+    coasting: Bool[Tensor, " w"],
 ) -> LocalPrior:
     """Prior of all unknowns of windows from that of their recordings; the pose is nearly free."""
-    count = (start.shape[-1] - POSE - RECORDING) // 2
+    known = POSE + RECORDING + COASTING
+    count = (start.shape[-1] - known) // 2
+    freewheel, spread = _freewheel(priors, coasting)
     pose = torch.tensor([START_M, START_M, START_RAD], dtype=start.dtype)
-    steer, pace = (
-        torch.full((count,), value, dtype=start.dtype)
-        for value in (noise.steer_rad, noise.speed_share)
-    )
-    deviation = torch.cat([pose, torch.ones(RECORDING, dtype=start.dtype), steer, pace])
-    whole = torch.diag_embed(deviation**-2).repeat(len(start), 1, 1)
+    errors = torch.tensor([noise.curvature, noise.speed_share], dtype=start.dtype)
+    fixed = torch.cat([pose, torch.ones(RECORDING, dtype=start.dtype)]).expand(len(start), -1)
+    knots = errors.repeat_interleave(count).expand(len(start), -1)
+    whole = torch.diag_embed(torch.cat([fixed, spread, knots], -1) ** -2)
     own = slice(POSE, POSE + RECORDING)
     whole[:, own, own] = precision
-    middle = torch.cat([start[:, :POSE], mean, torch.zeros_like(start[:, POSE + RECORDING :])], -1)
+    rest = torch.zeros_like(start[:, known:])
+    middle = torch.cat([start[:, :POSE], mean, freewheel, rest], -1)
     return LocalPrior(middle, whole)
 
 
+def _freewheel(
+    priors: InstrumentPriors, coasting: Bool[Tensor, " w"]
+) -> tuple[Float[Tensor, "w 2"], Float[Tensor, "w 2"]]:
+    """Means and deviations of excess and loss of speed."""
+    pairs = zip(priors.freewheel(True), priors.freewheel(False), strict=True)
+    mean, std = (torch.where(coasting.unsqueeze(-1), one, other) for one, other in pairs)
+    return mean, std
+
+
 def residuals(
-    windows: RideWindows, found: Linearised, noise: MeasurementNoise, with_gyro: bool
+    windows: RideWindows,
+    found: Linearised,
+    noise: MeasurementNoise,
+    with_gyro: bool,
+    robust: float = ROBUST,
 ) -> WindowSystem:
     """Residuals in units of their noise; without gyro those of the yaw rate have no weight.
 
@@ -93,7 +141,8 @@ def residuals(
     distance = (found.outputs[:, :count] - windows.position.flatten(1)).unsqueeze(-1)
     rows = [distance, found.shared[:, :count], found.local[:, :count]]
     first, *others = [_along_and_across(windows, row, noise) for row in rows]
-    parts = [first.squeeze(-1), *others]
+    value, slope = _robust(first.squeeze(-1), robust)
+    parts = [value, *(slope.unsqueeze(-1) * other for other in others)]
     if with_gyro:
         known = windows.yaw_rate.isfinite()
         measured = torch.where(known, windows.yaw_rate - noise.yaw_rate_bias.mean, 0.0)
@@ -107,6 +156,15 @@ def residuals(
             for part, row in zip(parts, rows, strict=True)
         ]
     return WindowSystem(*parts)
+
+
+def _robust(residual: Float[Tensor, "w o"], bound: float) -> tuple[Tensor, Tensor]:
+    """Values whose half squares are Huber's cost of the residuals, and their derivatives."""
+    size = residual.abs().clamp_min(bound)
+    root = (2 * bound * size - bound**2).sqrt()
+    far = residual.abs() > bound
+    value = torch.where(far, residual.sign() * root, residual)
+    return value, torch.where(far, bound / root, 1.0)
 
 
 def _along_and_across(
@@ -131,38 +189,117 @@ def _without_bias(weight: Tensor, bias_std: float) -> Float[Tensor, "w T T"]:
     return inner * weight.unsqueeze(-2)
 
 
+class InstrumentsGiven(NamedTuple):
+    """Gaussian prior of the instruments of each window."""
+
+    mean: Float[Tensor, "w 4"]
+    precision: Float[Tensor, "w 4 4"]
+    priors: InstrumentPriors  # of the freewheel
+
+    @classmethod
+    def of(cls, priors: InstrumentPriors, count: int) -> "InstrumentsGiven":
+        """The same priors for so many windows."""
+        mean, std = priors.recording()
+        precision = std.pow(-2).diag().expand(count, -1, -1)
+        return cls(mean.expand(count, -1), precision, priors)
+
+
 def estimate_windows(
     simulator: RideSimulator,
     windows: RideWindows,
     shared: Float[Tensor, " s"],
-    mean: Float[Tensor, "w 4"],
-    precision: Float[Tensor, "w 4 4"],
+    given: InstrumentsGiven,
     with_gyro: bool = False,
-    iterations: int = 3,
-    start: Float[Tensor, "w l"] | None = None,
+    iterations: int = 10,
+    coasting: Bool[Tensor, " w"] | None = None,
 ) -> WindowEstimate:
-    """Most probable unknowns of each window by itself.
+    """Most probable unknowns of each window by itself, and whether it coasts.
 
     Args:
         simulator: Of the vehicle.
         windows: The windows.
         shared: θ of the vehicle and place of the antenna.
-        mean: Prior mean of the unknowns of the recordings.
-        precision: Its precision.
+        given: What is known of the instruments.
         with_gyro: Whether the yaw rates are used.
-        iterations: Gauss-Newton steps; the problem is nearly linear.
-        start: Where to begin; the recorded positions by default.
+        iterations: Steps of Levenberg and Marquardt.
+        coasting: Which windows coast; what has more evidence by default.
     """
-    first = start_values(windows, simulator, mean)
-    local = first if start is None else start
-    prior = local_prior(first, mean, precision, simulator.noise)
-    hessian, residual = prior.precision, first.new_zeros(len(first), 1)
-    for _ in range(iterations):
-        found = simulator.linearise(windows, shared, local, by_shared=False)
-        system = residuals(windows, found, simulator.noise, with_gyro)
-        hessian = system.local.mT @ system.local + prior.precision
+    if coasting is not None:
+        search = _Search(simulator, windows, shared, given, with_gyro)
+        return search.estimate(coasting, iterations)
+    # both in one batch
+    count = len(given.mean)
+    twice = torch.arange(count).repeat(2)
+    both = given._replace(mean=given.mean[twice], precision=given.precision[twice])
+    search = _Search(simulator, windows.select(twice), shared, both, with_gyro)
+    found = search.estimate(torch.arange(2 * count) >= count, iterations)
+    driven, coasts = (WindowEstimate(*(part.split(count)[i] for part in found)) for i in (0, 1))
+    return driven.replaced(coasts, coasts.evidence > driven.evidence)
+
+
+def _estimate(
+    at: "_Point", prior: LocalPrior, priors: InstrumentPriors, coasting: Bool[Tensor, " w"]
+) -> WindowEstimate:
+    """With the evidence by Laplace's approximation, the share of coasting windows in it."""
+    volume = torch.logdet(prior.precision) - torch.logdet(at.hessian)
+    share = torch.where(coasting, priors.coasting_share, 1 - priors.coasting_share)
+    evidence = 0.5 * volume - at.cost + share.double().log()
+    return WindowEstimate(at.local, torch.linalg.inv(at.hessian), evidence, coasting)
+
+
+class _Point(NamedTuple):
+    """Unknowns with the quadratic model of their cost."""
+
+    local: Float[Tensor, "w l"]
+    cost: Float[Tensor, " w"]
+    gradient: Float[Tensor, "w l"]
+    hessian: Float[Tensor, "w l l"]
+
+    def replaced(self, other: "_Point", where: Bool[Tensor, " w"]) -> "_Point":
+        """The other's values in some windows."""
+        return _Point(*chosen(where, other, self))
+
+
+class _Search(NamedTuple):
+    """Searches the lowest cost of single windows by Levenberg and Marquardt."""
+
+    simulator: RideSimulator
+    windows: RideWindows
+    shared: Float[Tensor, " s"]
+    given: InstrumentsGiven
+    with_gyro: bool
+
+    def estimate(self, coasting: Bool[Tensor, " w"], iterations: int) -> WindowEstimate:
+        """Estimate for windows that coast or do not."""
+        mean, precision, priors = self.given
+        first = start_values(self.windows, self.simulator, mean, priors, coasting)
+        noise = self.simulator.noise
+        prior = local_prior(first, mean, precision, noise, priors, coasting)
+        # Huber's cost is flat far from the optimum, so the plain one leads there first
+        near = self._lowest(self._point(first, prior, PLAIN), prior, PLAIN, iterations // 2)
+        at = self._point(near.local, prior, ROBUST)
+        at = self._lowest(at, prior, ROBUST, iterations - iterations // 2)
+        return _estimate(at, prior, priors, coasting)
+
+    def _lowest(self, at: _Point, prior: LocalPrior, robust: float, iterations: int) -> _Point:
+        """Where each window costs least after some steps."""
+        damping = torch.full_like(at.cost, FIRST_DAMPING)
+        for _ in range(iterations):
+            diagonal = at.hessian.diagonal(dim1=-2, dim2=-1) * damping.unsqueeze(-1)
+            step = torch.linalg.solve(at.hessian + torch.diag_embed(diagonal), at.gradient)
+            trial = self._point(at.local - step, prior, robust)
+            better = trial.cost < at.cost
+            damping = torch.where(better, 0.1 * damping, (10 * damping).clamp_min(AFTER_FAILURE))
+            at = at.replaced(trial, better)
+        return at
+
+    def _point(self, local: Float[Tensor, "w l"], prior: LocalPrior, robust: float) -> _Point:
+        """Linearise."""
+        found = self.simulator.linearise(self.windows, self.shared, local, by_shared=False)
+        system = residuals(self.windows, found, self.simulator.noise, self.with_gyro, robust)
         gap = (local - prior.mean).unsqueeze(-1)
-        gradient = system.local.mT @ system.residual.unsqueeze(-1) + prior.precision @ gap
-        residual = system.residual
-        local = local - torch.linalg.solve(hessian, gradient).squeeze(-1)
-    return WindowEstimate(local, torch.linalg.inv(hessian), 0.5 * residual.square().sum(-1))
+        push = prior.precision @ gap
+        gradient = system.local.mT @ system.residual.unsqueeze(-1) + push
+        square = system.residual.square().sum(-1) + (gap * push).sum((-2, -1))
+        hessian = system.local.mT @ system.local + prior.precision
+        return _Point(local, 0.5 * square, gradient.squeeze(-1), hessian)

@@ -1,58 +1,44 @@
-"""Joint fit of a vehicle, its instruments and all windows: Gauss-Newton with elimination.
+"""Joint fit of a vehicle, its instruments and all windows."""
 
-The unknowns of a window are eliminated first, then those of its recording, as tracks are in
-multiple shooting; what remains is the information about the vehicle and the antenna.
-"""
-
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
+from diffstack_mmv.identification.measured.elimination import (
+    Damping,
+    Linearisation,
+    Reduced,
+    RideEquations,
+    RideUnknowns,
+    without_recording,
+)
 from diffstack_mmv.identification.measured.estimation import (
-    WindowSystem,
-    local_prior,
-    residuals,
-    start_values,
+    InstrumentsGiven,
+    WindowEstimate,
+    estimate_windows,
 )
-from diffstack_mmv.identification.measured.instruments import SIZES, InstrumentPriors
+from diffstack_mmv.identification.measured.evidence import (
+    LearnedInstruments,
+    NoiseSizes,
+    learned_instruments,
+    noise_sizes,
+)
+from diffstack_mmv.identification.measured.instruments import InstrumentPriors
 from diffstack_mmv.identification.measured.rides import RideWindows
-from diffstack_mmv.identification.measured.simulator import (
-    ANTENNA,
-    POSE,
-    RECORDING,
-    Linearised,
-    RideSimulator,
-)
-from diffstack_mmv.identification.shooting import ParameterVector
+from diffstack_mmv.identification.measured.shared import SharedUnknowns
+from diffstack_mmv.identification.measured.simulator import RideSimulator
+from diffstack_mmv.identification.shooting import ReducedSystem, bounded_newton_step
 
 STEPS_BACK = 9
+FIRST_DAMPING = 1e-4
+NEAR = 0.02
 
-
-class RideUnknowns(NamedTuple):
-    """Values of all unknowns."""
-
-    shared: Float[Tensor, " s"]
-    recording: Float[Tensor, "r 4"]
-    window: Float[Tensor, "w k"]  # pose, errors of the controls
-
-    def local(self, owner: Tensor) -> Float[Tensor, "w l"]:
-        """Unknowns of windows in one row."""
-        own = self.recording[owner]
-        return torch.cat([self.window[:, :POSE], own, self.window[:, POSE:]], -1)
-
-    def moved(self, step: "RideUnknowns") -> "RideUnknowns":
-        """A step away."""
-        return RideUnknowns(*(value + way for value, way in zip(self, step, strict=True)))
-
-
-class Reduced(NamedTuple):
-    """Quadratic cost of the shared unknowns per recording, all else eliminated."""
-
-    information: Float[Tensor, "r s s"]
-    gradient: Float[Tensor, "r s"]
+SURE = 1e4
+"""Factor on the precision of instruments that are given."""
 
 
 class MeasuredFit(NamedTuple):
@@ -60,21 +46,26 @@ class MeasuredFit(NamedTuple):
 
     Attributes:
         point: All unknowns.
-        shared_std: Deviations of the shared ones, those of the vehicle in physical units.
-        covariance: In those units.
+        unknowns: What the shared ones are.
+        laplace_std: Deviations of the shared ones by Laplace's approximation, physical units.
+        jackknife_std: The same from fits that leave one recording out, which trusts neither the
+            noise nor that windows of a recording are independent.
+        covariance: Of the shared ones by Laplace, in prior deviations.
         recording_std: Deviations of the unknowns of the recordings.
-        reduced: What each recording says about the shared unknowns, in θ.
+        reduced: What each recording says about the shared unknowns, in prior deviations.
         log_evidence: By Laplace's approximation.
         rms_m: Root mean square distance between positions and fit.
         noise_factor: Residuals over assumed noise, at least 1.
         iterations: Steps of Levenberg and Marquardt.
-        prior: Information of the prior of the shared unknowns, in θ.
-        prior_gradient: Gradient of that prior.
+        converged: Whether the cost ceased to fall before the iterations were over.
         sizes: Deviations of noise that explain its residuals and errors better than the assumed.
+        instruments: What the recordings tell about the priors of their instruments.
     """
 
     point: RideUnknowns
-    shared_std: Float[Tensor, " s"]
+    unknowns: SharedUnknowns
+    laplace_std: Float[Tensor, " s"]
+    jackknife_std: Float[Tensor, " s"]
     covariance: Float[Tensor, "s s"]
     recording_std: Float[Tensor, "r 4"]
     reduced: Reduced
@@ -82,249 +73,186 @@ class MeasuredFit(NamedTuple):
     rms_m: float
     noise_factor: float
     iterations: int
-    prior: Float[Tensor, "s s"]
-    prior_gradient: Float[Tensor, " s"]
-    sizes: dict[str, float]
+    converged: bool
+    sizes: NoiseSizes
+    instruments: LearnedInstruments
+
+    @property
+    def priors(self) -> InstrumentPriors:
+        """Priors of the instruments that explain its recordings better than the assumed."""
+        return self.instruments.priors(torch.zeros(len(self.point.recording), dtype=torch.bool))
+
+    @property
+    def shared_std(self) -> Float[Tensor, " s"]:
+        """The larger of both deviations of the shared unknowns, physical units."""
+        return torch.maximum(self.laplace_std, self.jackknife_std)
+
+    def std_of(self, quantity: Callable[[Tensor], Tensor]) -> float:
+        """Deviation of a number that the shared unknowns determine, likewise the larger of two."""
+        shared, ways = self.point.shared, NEAR * torch.eye(len(self.covariance)).double()
+        moved = [quantity(self.unknowns.moved(shared, way)) for way in ways]
+        back = [quantity(self.unknowns.moved(shared, -way)) for way in ways]
+        slope = (torch.stack(moved) - torch.stack(back)) / (2 * NEAR)
+        laplace = float((slope @ self.covariance @ slope).sqrt())
+        other = float(_jackknife(quantity, self.unknowns, shared, self.reduced))
+        return max(laplace, other)
 
     def shared_without(self, recordings: Tensor) -> Float[Tensor, " s"]:
         """Shared unknowns had some recordings (r, mask) been left out: one Newton step."""
-        kept = self.reduced.information[~recordings].sum(0) + self.prior
-        push = self.reduced.gradient[~recordings].sum(0) + self.prior_gradient
-        return self.point.shared - torch.linalg.solve(kept, push)
+        return without(self.unknowns, self.point.shared, self.reduced, recordings)
+
+
+def without(
+    unknowns: SharedUnknowns, shared: Float[Tensor, " s"], reduced: Reduced, left_out: Tensor
+) -> Float[Tensor, " s"]:
+    """Shared unknowns after one Newton step without the information of some recordings."""
+    information = reduced.information[~left_out].sum(0)
+    eye = torch.eye(len(shared), dtype=shared.dtype)
+    push = reduced.gradient[~left_out].sum(0) + unknowns.penalty(shared)
+    step = bounded_newton_step(ReducedSystem(information + eye, push), unknowns.bounds(shared))
+    return unknowns.moved(shared, step)
 
 
 @dataclass(frozen=True)
 class MeasuredFitter:
-    """Least squares over all unknowns.
+    """Least squares over all unknowns: Levenberg and Marquardt with elimination.
 
     Attributes:
         priors: Of the instruments.
-        iterations: Largest number of Gauss-Newton steps.
+        iterations: Largest number of steps.
         tolerance: Change of the cost at which it ends.
         with_gyro: Whether yaw rates are used beside positions.
     """
 
     priors: InstrumentPriors = InstrumentPriors()
-    iterations: int = 10
-    tolerance: float = 0.3
+    iterations: int = 40
+    tolerance: float = 0.05
     with_gyro: bool = False
 
     def __call__(
         self, simulator: RideSimulator, windows: RideWindows, start: RideUnknowns | None = None
     ) -> MeasuredFit:
-        """Fit the parameters of the simulator to windows that do not overlap."""
+        """Fit the parameters of the simulator to windows that do not overlap.
+
+        Args:
+            simulator: Of the model.
+            windows: The windows.
+            start: Where to begin; the priors and the recorded positions by default.
+        """
         point = start or self.first_point(simulator, windows)
-        problem = _Problem(simulator, windows, self.priors, self.with_gyro, point)
-        state, taken = problem.state(point), 0
-        damping = 1e-4
-        for _ in range(self.iterations):
-            taken, before = taken + 1, state.cost
+        equations = RideEquations(simulator, windows, self.priors, self.with_gyro, point)
+        at, taken, fell = equations.linearised(point), 0, True
+        damping = Damping(FIRST_DAMPING, torch.full_like(at.cost.window, FIRST_DAMPING))
+        while fell and taken < self.iterations:
+            taken, before = taken + 1, at.cost
             for _ in range(STEPS_BACK):
-                trial = problem.within(state.point.moved(problem.step(state, damping)))
-                if problem.cost(trial) < before:
-                    state, damping = problem.state(trial), 0.1 * damping
+                trial = equations.trial(at, damping)
+                cost = equations.cost(trial)
+                damping = damping.after(before, cost)
+                if cost.total < before.total:
+                    at = equations.linearised(trial)
                     break
-                damping = max(10 * damping, 1e-3)
-            if before - state.cost < self.tolerance:
-                break
-        return problem.result(state, taken)
+            fell = before.total - at.cost.total >= self.tolerance
+        return self._result(equations, at, taken, not fell)
 
-    def first_point(self, simulator: RideSimulator, windows: RideWindows) -> RideUnknowns:
-        """Priors, and poses as recorded."""
-        mean, _ = self.priors.recording()
-        each = mean.expand(len(windows.names), -1).clone()
-        local = start_values(windows, simulator, each[windows.recording])
-        antenna, _ = self.priors.antenna()
-        window = torch.cat([local[:, :POSE], local[:, POSE + RECORDING :]], -1)
-        return RideUnknowns(
-            torch.cat([simulator.parameters.start().double(), antenna]), each, window
-        )
-
-
-class _State(NamedTuple):
-    """A point with its linearised system."""
-
-    point: RideUnknowns
-    system: WindowSystem
-    cost: float
-
-
-class _Problem:
-    """Cost and Newton steps at points."""
-
-    def __init__(
+    def first_point(
         self,
         simulator: RideSimulator,
         windows: RideWindows,
-        priors: InstrumentPriors,
-        with_gyro: bool,
-        start: RideUnknowns,
-    ) -> None:
-        self.simulator, self.windows, self.with_gyro = simulator, windows, with_gyro
-        self.mean, self.std = priors.recording()
-        self.antenna_mean, self.antenna_std = priors.antenna()
-        owner = windows.recording
-        free = torch.zeros(len(owner), RECORDING, RECORDING, dtype=torch.float64)
-        local = start.local(owner)
-        prior = local_prior(local, start.recording[owner], free, simulator.noise)
-        self.window_mean = _without_recording(prior.mean)
-        both = _without_recording(prior.precision)
-        self.window_precision = _without_recording(both.mT).mT
+        shared: Float[Tensor, " s"] | None = None,
+        near: RideUnknowns | None = None,
+    ) -> RideUnknowns:
+        """Each window fitted for itself, vehicle and instruments given.
 
-    @property
-    def parameters(self) -> ParameterVector:
-        """The learned parameters."""
-        return self.simulator.parameters
+        Args:
+            simulator: Of the model.
+            windows: The windows.
+            shared: Vehicle and antenna; the priors by default.
+            near: Fit of another model, whose instruments are taken; the priors by default.
+        """
+        vector = SharedUnknowns(simulator.parameters, self.priors)
+        shared = vector.start() if shared is None else shared
+        mean, std = self.priors.recording()
+        precision = std.pow(-2).diag()
+        if near is None:
+            each = mean.expand(len(windows.names), -1)
+            found = self._windows(simulator, windows, shared, each, precision)
+            recording, coasting = _means(found.recording, windows, mean), None
+        else:
+            recording, coasting = near.recording, near.coasting
+        found = self._windows(simulator, windows, shared, recording, SURE * precision, coasting)
+        return RideUnknowns(shared, recording, without_recording(found.local), found.coasting)
 
-    def penalties(self, point: RideUnknowns) -> list[Tensor]:
-        """Residuals of the priors of shared and recordings' unknowns, in deviations."""
-        theta, antenna = point.shared[:-ANTENNA], point.shared[-ANTENNA:]
-        return [
-            self.parameters.penalty(theta),
-            (antenna - self.antenna_mean) / self.antenna_std,
-            ((point.recording - self.mean) / self.std).flatten(),
-        ]
-
-    def cost(self, point: RideUnknowns) -> float:
-        """Half the sum of all squares."""
-        found = self.simulator.simulate(
-            self.windows, point.shared, point.local(self.windows.recording)
+    def _windows(
+        self,
+        simulator: RideSimulator,
+        windows: RideWindows,
+        shared: Float[Tensor, " s"],
+        recording: Float[Tensor, "r 4"],
+        precision: Float[Tensor, "4 4"],
+        coasting: Bool[Tensor, " w"] | None = None,
+    ) -> WindowEstimate:
+        own = recording[windows.recording]
+        sure = precision.expand(len(own), -1, -1)
+        prior = InstrumentsGiven(own, sure, self.priors)
+        return estimate_windows(
+            simulator, windows, shared, prior, self.with_gyro, coasting=coasting
         )
-        outputs = torch.cat([found.position.flatten(1), found.yaw_rate], -1)
-        none = outputs.new_zeros(*outputs.shape, 0)
-        system = residuals(
-            self.windows, Linearised(outputs, none, none), self.simulator.noise, self.with_gyro
-        )
-        return self._cost(point, system.residual)
 
-    def state(self, point: RideUnknowns) -> _State:
-        """Linearise."""
-        local = point.local(self.windows.recording)
-        found = self.simulator.linearise(self.windows, point.shared, local)
-        system = residuals(self.windows, found, self.simulator.noise, self.with_gyro)
-        return _State(point, system, self._cost(point, system.residual))
-
-    def _cost(self, point: RideUnknowns, residual: Tensor) -> float:
-        gap = point.window - self.window_mean
-        inner = torch.einsum("wi,wij,wj->", gap, self.window_precision, gap)
-        total = residual.square().sum() + inner
-        return 0.5 * float(total + sum(part.square().sum() for part in self.penalties(point)))
-
-    def within(self, point: RideUnknowns) -> RideUnknowns:
-        """Keep θ where the soft clamp has a slope."""
-        theta = point.shared[:-ANTENNA]
-        kept = self.parameters.theta_for(self.parameters.values(theta))
-        return point._replace(shared=torch.cat([kept, point.shared[-ANTENNA:]]))
-
-    def shared_prior(self, shared: Tensor) -> tuple[Tensor, Tensor]:
-        """Gradient and information of the prior of the shared unknowns."""
-        theta, antenna = shared[:-ANTENNA], shared[-ANTENNA:]
-        slope = self.parameters.slope(theta) / self.parameters.prior.std
-        gradient = [slope * self.parameters.penalty(theta)]
-        gradient.append((antenna - self.antenna_mean) / self.antenna_std**2)
-        return torch.cat(gradient), torch.cat([slope, 1 / self.antenna_std]).square().diag()
-
-    def eliminated(self, state: _State, damping: float = 0.0) -> "_Eliminated":
-        """Eliminate windows, then recordings; the diagonals of both may be damped."""
-        own = slice(POSE, POSE + RECORDING)
-        system = state.system
-        inner = _without_recording(system.local)
-        outer = torch.cat([system.shared, system.local[..., own]], -1)
-        hessian = _damped(inner.mT @ inner + self.window_precision, damping)
-        gap = (state.point.window - self.window_mean).unsqueeze(-1)
-        gradient = inner.mT @ system.residual.unsqueeze(-1) + self.window_precision @ gap
-        cross = inner.mT @ outer
-        solved = torch.linalg.solve(hessian, torch.cat([cross, gradient], -1))
-        block = outer.mT @ outer - cross.mT @ solved[..., :-1]
-        slope = outer.mT @ system.residual.unsqueeze(-1) - cross.mT @ solved[..., -1:]
-        count, size = len(self.windows.names), outer.shape[-1]
-        owner = self.windows.recording
-        whole = block.new_zeros(count, size, size).index_add(0, owner, block)
-        push = block.new_zeros(count, size).index_add(0, owner, slope.squeeze(-1))
-        shared = system.shared.shape[-1]
-        away = (state.point.recording - self.mean) / self.std**2
-        corner = _damped(whole[:, shared:, shared:] + self.std.pow(-2).diag(), damping)
-        side = torch.cat([whole[:, shared:, :shared], (push[:, shared:] + away).unsqueeze(-1)], -1)
-        rest = torch.linalg.solve(corner, side)
-        information = whole[:, :shared, :shared] - side[..., :-1].mT @ rest[..., :-1]
-        gradient_r = push[:, :shared] - (side[..., :-1].mT @ rest[..., -1:]).squeeze(-1)
-        return _Eliminated(Reduced(information, gradient_r), solved, hessian, corner, rest)
-
-    def step(self, state: _State, damping: float) -> RideUnknowns:
-        """Levenberg-Marquardt step of all unknowns."""
-        parts = self.eliminated(state, damping)
-        push, prior = self.shared_prior(state.point.shared)
-        whole = _damped(parts.reduced.information.sum(0) + prior, damping)
-        shared = -torch.linalg.solve(whole, parts.reduced.gradient.sum(0) + push)
-        recording = -(parts.rest[..., :-1] @ shared) - parts.rest[..., -1]
-        outer = torch.cat(
-            [shared.expand(len(self.windows.recording), -1), recording[self.windows.recording]], -1
-        )
-        window = -(parts.solved[..., :-1] @ outer.unsqueeze(-1)).squeeze(-1) - parts.solved[..., -1]
-        return RideUnknowns(shared, recording, window)
-
-    def result(self, state: _State, iterations: int) -> MeasuredFit:
+    def _result(
+        self, equations: RideEquations, at: Linearisation, taken: int, converged: bool
+    ) -> MeasuredFit:
         """Deviations and evidence at the end."""
-        parts, point = self.eliminated(state), state.point
-        push, prior = self.shared_prior(point.shared)
-        known = self.windows.known.sum() * 2
-        square = state.system.residual.square().sum()
-        factor = max(1.0, float((square / known).sqrt()))
-        whole = parts.reduced.information.sum(0) / factor**2 + prior
-        covariance = torch.linalg.inv(whole)
-        ones = torch.ones_like(self.antenna_std)
-        slope = torch.cat([self.parameters.slope(point.shared[:-ANTENNA]), ones])
-        covariance = covariance * slope * slope.unsqueeze(-1)
-        gain = parts.rest[..., :-1] / slope
+        parts, point, windows = equations.eliminated(at), at.point, equations.windows
+        square = at.system.residual.square().sum()
+        factor = max(1.0, float((square / (2 * windows.known.sum())).sqrt()))
+        information = parts.reduced.information.sum(0)
+        eye = torch.eye(len(information), dtype=information.dtype)
+        whole = information / factor**2 + eye
+        covariance, gain = torch.linalg.inv(whole), parts.rest[..., :-1]
         spread = torch.linalg.inv(parts.corner) * factor**2 + gain @ covariance @ gain.mT
-        local = point.local(self.windows.recording)
-        found = self.simulator.simulate(self.windows, point.shared, local).position
-        apart = (found - self.windows.position).square().sum(-1)[self.windows.known]
+        found = equations.simulator.simulate(windows, point.shared, point.local(windows.recording))
+        apart = (found.position - windows.position).square().sum(-1)[windows.known]
         volume = [torch.logdet(part).sum() for part in (parts.hessian, parts.corner)]
-        evidence = -state.cost - 0.5 * (sum(volume) + torch.logdet(whole))
-        spread_window = torch.linalg.inv(parts.hessian)
+        unknowns, recording_std = equations.shared, spread.diagonal(dim1=-2, dim2=-1).sqrt()
         return MeasuredFit(
             point,
-            covariance.diagonal().sqrt(),
+            unknowns,
+            unknowns.std * covariance.diagonal().sqrt(),
+            _jackknife(unknowns.values, unknowns, point.shared, parts.reduced),
             covariance,
-            spread.diagonal(dim1=-2, dim2=-1).sqrt(),
+            recording_std,
             parts.reduced,
-            float(evidence + 0.5 * torch.logdet(prior)),
+            float(-at.cost.total - 0.5 * (sum(volume) + torch.logdet(whole))),
             float(apart.mean().sqrt()),
             factor,
-            iterations,
-            prior,
-            push,
-            self.sizes(state, spread_window),
+            taken,
+            converged,
+            noise_sizes(equations, at, parts),
+            learned_instruments(equations, at, parts, recording_std, self.priors),
         )
 
-    def sizes(self, state: _State, covariance: Tensor) -> dict[str, float]:
-        """Deviations of maximal evidence (one step of expectation and maximisation)."""
-        noise, inner = self.simulator.noise, _without_recording(state.system.local)
-        count = 2 * self.windows.position.shape[1]
-        explained = ((inner @ covariance) * inner).sum(-1)[:, :count]
-        square = (state.system.residual[:, :count].square() + explained).unflatten(1, (-1, 2))
-        mean = square[self.windows.known].mean(0).sqrt()
-        errors = state.point.window[:, POSE:].square()
-        errors = errors + covariance.diagonal(dim1=-2, dim2=-1)[:, POSE:]
-        knots = errors.unflatten(1, (2, -1)).mean((0, 2)).sqrt()
-        along, across = noise.along_m * mean[0], noise.across_m * mean[1]
-        return dict(zip(SIZES, map(float, (along, across, *knots)), strict=True))
+
+def _means(
+    values: Float[Tensor, "w 4"], windows: RideWindows, otherwise: Float[Tensor, " 4"]
+) -> Float[Tensor, "r 4"]:
+    """Means of the windows of each recording; a recording without windows has another value."""
+    count = torch.bincount(windows.recording, minlength=len(windows.names)).unsqueeze(-1)
+    total = values.new_zeros(len(windows.names), values.shape[-1])
+    total = total.index_add(0, windows.recording, values)
+    return torch.where(count > 0, total / count.clamp_min(1), otherwise)
 
 
-class _Eliminated(NamedTuple):
-    reduced: Reduced
-    solved: Tensor  # of the windows, by shared and recordings' unknowns, and the gradient
-    hessian: Tensor  # of the windows
-    corner: Tensor  # of the recordings
-    rest: Tensor  # of the recordings, by shared unknowns, and the gradient
-
-
-def _damped(matrix: Float[Tensor, "*b n n"], damping: float) -> Float[Tensor, "*b n n"]:
-    """Matrix with its diagonal enlarged."""
-    return matrix + damping * torch.diag_embed(matrix.diagonal(dim1=-2, dim2=-1))
-
-
-def _without_recording(values: Float[Tensor, "*b l"]) -> Float[Tensor, "*b k"]:
-    """Columns of the unknowns of windows alone."""
-    return torch.cat([values[..., :POSE], values[..., POSE + RECORDING :]], -1)
+def _jackknife(
+    quantity: Callable[[Tensor], Tensor],
+    unknowns: SharedUnknowns,
+    shared: Float[Tensor, " s"],
+    reduced: Reduced,
+) -> Float[Tensor, "*q"]:
+    """Deviations from leaving out one recording at a time; zero with a single one."""
+    count = len(reduced.gradient)
+    names = torch.arange(count)
+    values = torch.stack(
+        [quantity(without(unknowns, shared, reduced, names == each)) for each in names]
+    )
+    return ((count - 1) / count * (values - values.mean(0)).square().sum(0)).sqrt()

@@ -11,7 +11,7 @@ from diffstack_mmv.identification.inference import IdentifiabilityThresholds
 from diffstack_mmv.identification.measured.fit import MeasuredFit
 from diffstack_mmv.identification.measured.instruments import GRAVITY
 from diffstack_mmv.identification.measured.rides import RideWindows
-from diffstack_mmv.identification.measured.simulator import RideSimulator
+from diffstack_mmv.identification.measured.simulator import INSTALLED, RideSimulator
 from diffstack_mmv.identification.measured.study import MeasuredStudy, MeasuredStudyResult, ModelFit
 from diffstack_mmv.identification.measured.validation import (
     RolloutErrors,
@@ -22,8 +22,9 @@ from diffstack_mmv.identification.measured.validation import (
 WITHIN = 1.96
 """Deviations of an interval that holds 95 %."""
 
-SPEEDS = (0.0, 2.5, 3.0, 99.0)
-LATERAL = (0.0, 0.2, 0.6, 1.2, 99.0)
+SPEEDS = (0.0, 2.8, 3.0, 3.2, 99.0)
+LATERAL = (0.0, 0.2, 0.6, 1.0, 99.0)
+INSTALLED_NAMES = ("antenna_ahead_m", "antenna_height_m", "steer_gain")
 RECORDING_UNKNOWNS = ("steer_offset", "steer_scale", "speed_scale", "delay_s")
 
 
@@ -37,7 +38,7 @@ def measured_result(
     """
     name, first = next(iter(result.models.items()))
     every = torch.ones(len(result.rollouts.recording), dtype=torch.bool)
-    nominal = result.baselines["nominal kinematic bicycle"].mean(every)["ade"]
+    nominal = result.baselines["nominal wheelbase, raw speed"].mean(every)["ade"]
     return {
         "tracks": len(result.windows.recording),
         "heldout_tracks": len(result.rollouts.recording),
@@ -45,7 +46,7 @@ def measured_result(
         "loss_before": nominal,
         "loss_after": first.fit.rms_m,
         "heldout_before": nominal,
-        "heldout_after": first.by_recording.mean(every)["ade"],
+        "heldout_after": first.by_recording.plain.mean(every)["ade"],
         "parameters": fitted_parameters(first.simulator, first.fit, thresholds),
         "models": {each: _model(found, thresholds) for each, found in result.models.items()},
         "recordings": _recordings(result.windows.names, first.fit),
@@ -53,7 +54,8 @@ def measured_result(
         "tests": _tests(name, result),
         "assumed": {
             "noise": asdict(result.noise),
-            "priors": asdict(study.fitter.priors),
+            "priors_to_begin_with": asdict(study.fitter.priors),
+            "priors": asdict(result.priors),
             "window_s": study.fitted.steps * study.fitted.dt_s,
             "history_s": study.history_s,
             "horizon_s": study.horizon_s,
@@ -78,6 +80,8 @@ def fitted_parameters(
             "high": float(prior.high[index]),
             "unit": vector.units[index],
             "std": std,
+            "std_laplace": float(fit.laplace_std[index]),
+            "std_jackknife": float(fit.jackknife_std[index]),
             "prior_std": float(prior.std[index]),
             "interval_95": [value - WITHIN * std, value + WITHIN * std],
             "identifiability": max(0.0, 1 - ratio),
@@ -87,19 +91,31 @@ def fitted_parameters(
 
 
 def _model(found: ModelFit, thresholds: IdentifiabilityThresholds) -> dict[str, Any]:
-    fit = found.fit
-    ahead, height = fit.point.shared[-2:].tolist()
+    fit, per_curvature = found.fit, found.simulator.steer_per_curvature
+    value, std = float(per_curvature(fit.point.shared)), fit.std_of(per_curvature)
+    installed = zip(INSTALLED_NAMES, fit.point.shared[-INSTALLED:], strict=True)
     return {
         "loss_after": fit.rms_m,
         "log_evidence": fit.log_evidence,
         "noise_factor": fit.noise_factor,
         "iterations": fit.iterations,
+        "converged": fit.converged,
+        "coasting_windows": int(fit.point.coasting.sum()),
         "parameters": fitted_parameters(found.simulator, fit, thresholds),
-        "antenna": {
-            "ahead_m": ahead,
-            "ahead_std": float(fit.shared_std[-2]),
-            "height_m": height,
-            "height_std": float(fit.shared_std[-1]),
+        "steer_per_curvature_at_3_mps": {
+            "estimate": value,
+            "std": std,
+            "interval_95": [value - WITHIN * std, value + WITHIN * std],
+            "unit": "m",
+        },
+        "installed": {
+            name: {
+                "estimate": float(each),
+                "std": float(fit.shared_std[index - INSTALLED]),
+                "std_laplace": float(fit.laplace_std[index - INSTALLED]),
+                "std_jackknife": float(fit.jackknife_std[index - INSTALLED]),
+            }
+            for index, (name, each) in enumerate(installed)
         },
     }
 
@@ -120,9 +136,9 @@ def rollout_table(result: MeasuredStudyResult) -> dict[str, dict[str, dict[str, 
     """ADE and FDE (m) of all models and baselines, by session, speed and lateral acceleration."""
     lines = dict(result.baselines)
     for name, found in result.models.items():
-        lines[name] = found.by_recording
-        lines[f"{name}, session left out"] = found.by_session
-        lines[f"{name}, with gyro"] = found.with_gyro
+        for left_out, errors in (("recording", found.by_recording), ("session", found.by_session)):
+            lines[f"{name}, {left_out} left out"] = errors.plain
+            lines[f"{name}, {left_out} left out, with gyro"] = errors.with_gyro
     groups = rollout_groups(result.rollouts)
     return {
         group: {"n": {"windows": float(chosen.sum())}}
@@ -150,19 +166,26 @@ def rollout_groups(windows: RideWindows) -> dict[str, Tensor]:
 
 
 def _tests(identified: str, result: MeasuredStudyResult) -> dict[str, dict[str, float]]:
-    """Identified model against the others, by recording."""
-    owner = result.rollouts.recording
-
-    def errors(name: str) -> RolloutErrors:
-        return result.models[name].by_recording
-
-    return {
-        f"{identified} - {other}": paired_by_recording(
-            errors(identified).ade, errors(other).ade, owner
-        )._asdict()
-        for other in result.models
-        if other != identified
+    """Identified model against the others and against the gyro, paired by recording."""
+    owner, own = result.rollouts.recording, result.models[identified]
+    gyro = "gyro, speed scaled"
+    others: dict[str, tuple[RolloutErrors, RolloutErrors]] = {
+        f"{identified} - {gyro}": (own.by_recording.plain, result.baselines[gyro]),
+        f"{identified} - {gyro}, session left out": (own.by_session.plain, result.baselines[gyro]),
     }
+    for name, found in result.models.items():
+        if name != identified:
+            text = f"{identified} - {name}"
+            others[text] = (own.by_recording.plain, found.by_recording.plain)
+            others[f"{text}, session left out"] = (own.by_session.plain, found.by_session.plain)
+    return {text: _paired(first, second, owner) for text, (first, second) in others.items()}
+
+
+def _paired(first: RolloutErrors, second: RolloutErrors, owner: Tensor) -> dict[str, float]:
+    known = first.ade.isfinite() & second.ade.isfinite()
+    if not bool(known.any()):
+        return {}
+    return paired_by_recording(first.ade[known], second.ade[known], owner[known])._asdict()
 
 
 def measured_tables(content: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:

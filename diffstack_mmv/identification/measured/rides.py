@@ -59,6 +59,15 @@ class RideWindows(NamedTuple):
         rest = {name: value[chosen] for name, value in self._asdict().items() if name != "names"}
         return RideWindows(names=self.names, **rest)
 
+    def without(self, recordings: Tensor) -> "RideWindows":
+        """The windows of other recordings than these (r, mask), whose names are forgotten."""
+        number = torch.cumsum((~recordings).long(), 0) - 1
+        kept = self.select(~recordings[self.recording])
+        names = tuple(
+            n for n, left in zip(self.names, recordings.tolist(), strict=True) if not left
+        )
+        return kept._replace(names=names, recording=number[kept.recording])
+
     def head(self, steps: int) -> "RideWindows":
         """The first `steps` steps."""
         ends, each = slice(0, steps + 1), slice(0, steps)

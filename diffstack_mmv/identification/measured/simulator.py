@@ -16,8 +16,15 @@ from diffstack_mmv.identification.shooting import ParameterVector
 from diffstack_mmv.types import Motion
 from diffstack_mmv.vehicles import VehicleSpec, turning_axle_m
 
-POSE, RECORDING, ANTENNA = 3, 4, 2
-"""Numbers of unknowns: pose at the start, of a recording, place of the antenna."""
+POSE, RECORDING, COASTING, INSTALLED = 3, 4, 2, 3
+"""Numbers of unknowns: pose at the start, of a recording, freewheel, antenna and gain of the
+encoder."""
+
+SMALL = 1e-3
+"""Curvature in 1/m at which the steering per curvature is taken."""
+
+ENGAGING_MPS = 0.04
+"""Width of the smooth maximum of the speeds of wheel and coasting vehicle."""
 
 
 class Simulated(NamedTuple):
@@ -36,6 +43,20 @@ class Linearised(NamedTuple):
     local: Float[Tensor, "w o l"]  # by the unknowns of recording and window
 
 
+class _SteerPerCurvature(torch.nn.Module):
+    """Steering angle that a model needs for a small curvature, in m: a wheelbase and more."""
+
+    def __init__(self, model: DynamicsModel) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, state: Float[Tensor, "w n"]) -> Float[Tensor, " w"]:
+        """At states."""
+        small = torch.full_like(state[:, 0], SMALL)
+        control = self.model.control_for(state, torch.zeros_like(small), small)
+        return self.model.driver_input(state, control).steer / SMALL
+
+
 class _Stepper(torch.nn.Module):
     """A model driven by speed and steering, as one module for a functional call."""
 
@@ -43,14 +64,24 @@ class _Stepper(torch.nn.Module):
         super().__init__()
         self.model, self.wheelbase_m = model, wheelbase_m
 
-    def forward(self, start: Tensor, speed: Tensor, steer: Tensor) -> tuple[Tensor, Tensor]:
-        """States and headings from a start (x, y, course), speeds (w T1) and angles (w T)."""
+    def per_curvature(self, state: Float[Tensor, "w n"]) -> Float[Tensor, " w"]:
+        """Steering angle per curvature at states, m."""
+        return _SteerPerCurvature(self.model)(state)
+
+    def forward(
+        self, start: Tensor, speed: Tensor, steer: Tensor, bend: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """States and headings from a start (x, y, course), speeds (w T1), angles and bends (w T).
+
+        A bend is a path curvature in 1/m that the steering does not explain.
+        """
         model = self.model
         turn = speed[:, 0] * steer[:, 0].tan() / self.wheelbase_m
         velocity = torch.stack([speed[:, 0], torch.zeros_like(turn)], -1)
         states = [model.state_on_course(Motion(start[:, :2], start[:, 2], velocity, turn))]
         idle = states[0].new_zeros(*steer.shape[:1], model.control_dim)
         forward = model.motion(states[0], idle).velocity[..., 0]
+        steer = steer + self.per_curvature(states[0]).unsqueeze(-1) * bend
         for step in range(steer.shape[-1]):
             driver = DriverInput((speed[:, step + 1] - forward) / model.dt_s, steer[:, step])
             states.append(model.step(states[-1], model.control_for_driver(states[-1], driver)))
@@ -59,11 +90,30 @@ class _Stepper(torch.nn.Module):
         return path, model.motion(path, idle.unsqueeze(1).expand(-1, path.shape[1], -1)).heading
 
 
+def freewheeling(
+    wheel: Float[Tensor, "w T1"], excess: Float[Tensor, " w"], loss: Float[Tensor, " w"]
+) -> Float[Tensor, "w T1"]:
+    """Speed of a vehicle that its wheel can push but not hold: max(wheel, start + excess - loss t).
+
+    The maximum is smooth. That a wheel may be outrun again within a window is neglected.
+
+    Args:
+        wheel: Speed of the driven wheel, m/s.
+        excess: Of the vehicle over the wheel at the start, m/s.
+        loss: Of speed in a step while coasting, m/s.
+    """
+    steps = torch.arange(wheel.shape[-1], dtype=wheel.dtype)
+    coasting = wheel[:, :1] + excess.unsqueeze(-1) - loss.unsqueeze(-1) * steps
+    over = (coasting - wheel) / ENGAGING_MPS
+    return wheel + ENGAGING_MPS * torch.nn.functional.softplus(over)
+
+
 class RideSimulator:
     """Simulates windows of rides.
 
     The unknowns of a window stand in one row: pose of the reference point (m, m, rad), steering
-    offset and scale, speed scale, delay, then the errors of steering and speed per knot. Shared
+    offset and scale, speed scale, delay, excess and loss of speed of the freewheel, then the errors
+    of curvature and speed per knot. Shared
     unknowns are θ of the vehicle, then ahead and height of the antenna in m. The antenna is moved
     sideways by the coordinated lean atan(v r / g).
 
@@ -82,6 +132,7 @@ class RideSimulator:
         spec: VehicleSpec,
     ) -> None:
         self.model, self.parameters, self.noise = model, parameters, noise
+        self._steering = _SteerPerCurvature(model)
         self._stepper = _Stepper(model, spec.wheelbase.entries()[0][0])
         self._axle_m = turning_axle_m(spec.wheels)
 
@@ -91,17 +142,18 @@ class RideSimulator:
 
     def local_size(self, steps: int) -> int:
         """Number of unknowns of a window, those of its recording included."""
-        return POSE + RECORDING + 2 * self.knots(steps)
+        return POSE + RECORDING + COASTING + 2 * self.knots(steps)
 
     def simulate(
         self, windows: RideWindows, shared: Float[Tensor, " s"], local: Float[Tensor, "w l"]
     ) -> Simulated:
         """Simulate all windows."""
-        speed, steer = self._driven(windows, local)
-        theta, (ahead, height) = shared[:-ANTENNA], shared[-ANTENNA:].unbind()
+        theta, (ahead, height, gain) = shared[:-INSTALLED], shared[-INSTALLED:].unbind()
+        driven = self._driven(windows, local, gain)
+        speed = driven[0]
         weights = self.parameters.tensors(theta, "model.")
         start = local[:, :POSE]
-        states, heading = functional_call(self._stepper, weights, (start, speed, steer))
+        states, heading = functional_call(self._stepper, weights, (start, *driven))
         yaw_rate = heading.diff(dim=-1) / self.model.dt_s
         ends = torch.cat([yaw_rate[:, :1], yaw_rate, yaw_rate[:, -1:]], -1)
         lateral = 0.5 * (ends[:, 1:] + ends[:, :-1]) * speed
@@ -113,6 +165,16 @@ class RideSimulator:
         place = self.model.motion(states, idle).position
         position = place + ahead * along + aside.unsqueeze(-1) * across
         return Simulated(position, yaw_rate, states)
+
+    def steer_per_curvature(
+        self, shared: Float[Tensor, " s"], speed_mps: float = 3.0
+    ) -> Float[Tensor, ""]:
+        """Measured steering angle per path curvature in m: what wheelbase, tyres and encoder do."""
+        weights = self.parameters.tensors(shared[:-INSTALLED], "model.")
+        pose, speed = shared.new_zeros(1, POSE), shared.new_full((1, 1), speed_mps)
+        way = Motion(pose[:, :2], pose[:, 2], torch.cat([speed, 0 * speed], -1), 0 * pose[:, 2])
+        state = self.model.state_on_course(way)
+        return functional_call(self._steering, weights, (state,)).squeeze(0) / shared[-1]
 
     def linearise(
         self,
@@ -146,15 +208,19 @@ class RideSimulator:
         value, slope = every(ways[:, :count], ways[:, count:])
         return Linearised(value, slope[..., :count], slope[..., count:])
 
-    def _driven(self, windows: RideWindows, local: Tensor) -> tuple[Tensor, Tensor]:
-        """Speed (w T1) and steering (w T) after the corrections of a window."""
+    def _driven(
+        self, windows: RideWindows, local: Tensor, gain: Float[Tensor, ""]
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Speed (w T1), steering and bend (w T) after the corrections of a window."""
         count = self.knots(windows.steps)
         offset, scale, pace, delay = local[:, POSE : POSE + RECORDING].T.unsqueeze(-1)
-        errors = local[:, POSE + RECORDING :]
-        steer = scale * (windows.steer - delay * windows.steer_rate) + offset
+        excess, loss = local[:, POSE + RECORDING :][:, :COASTING].T
+        errors = local[:, POSE + RECORDING + COASTING :]
+        steer = gain * scale * (windows.steer - delay * windows.steer_rate) + offset
         ends = torch.arange(windows.steps + 1, dtype=errors.dtype)
-        steer = steer + self._between(errors[:, :count], ends[:-1] + 0.5)
-        return windows.speed * (pace + self._between(errors[:, count:], ends)), steer
+        bend = self._between(errors[:, :count], ends[:-1] + 0.5)
+        wheel = windows.speed * (pace + self._between(errors[:, count:], ends))
+        return freewheeling(wheel, excess, loss * self.model.dt_s), steer, bend
 
     def _between(
         self, knots: Float[Tensor, "w k"], steps: Float[Tensor, " t"]

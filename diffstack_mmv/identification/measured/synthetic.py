@@ -14,7 +14,7 @@ from diffstack_mmv.identification.measured.instruments import (
 )
 from diffstack_mmv.identification.measured.rides import MeasuredRide, RideWindows
 from diffstack_mmv.identification.measured.simulator import (
-    ANTENNA,
+    INSTALLED,
     POSE,
     RECORDING,
     RideSimulator,
@@ -36,8 +36,8 @@ def draw_shared(simulator: RideSimulator, priors: InstrumentPriors, generator: G
     """Vehicle and antenna drawn from their priors."""
     vector = simulator.parameters
     theta = vector.theta_for(vector.prior.draw_values(generator))
-    mean, std = priors.antenna()
-    drawn = mean + 0.5 * std * torch.randn(ANTENNA, generator=generator, dtype=torch.float64)
+    mean, std = priors.installed()
+    drawn = mean + 0.5 * std * torch.randn(INSTALLED, generator=generator, dtype=torch.float64)
     return torch.cat([theta, drawn])
 
 
@@ -48,7 +48,7 @@ def record_rides(
     steps: int,
     generator: Generator,
 ) -> SyntheticRides:
-    """Drive gentle random curves at about 3 m/s and measure them.
+    """Drive gentle random curves at about 3 m/s, the wheel always driving, and measure them.
 
     Args:
         simulator: Of the true vehicle; its noise is that of the measurements.
@@ -63,11 +63,12 @@ def record_rides(
     instruments = mean + std * _normal(generator, recordings, RECORDING)
     count = simulator.knots(steps)
     errors = [
-        noise.steer_rad * _normal(generator, recordings, count),
+        noise.curvature * _normal(generator, recordings, count),
         noise.speed_share * _normal(generator, recordings, count),
     ]
     pose = torch.zeros(recordings, POSE, dtype=torch.float64)
-    local = torch.cat([pose, instruments, *errors], -1)
+    driven = priors.freewheel(False)[0].expand(recordings, -1)
+    local = torch.cat([pose, instruments, driven, *errors], -1)
     shared = draw_shared(simulator, priors, generator)
     true = simulator.simulate(windows, shared, local)
     position = _with_noise(true.position, noise, generator)

@@ -1,18 +1,29 @@
 """Roll-outs of windows that took no part in the fit: from a history, with the measured controls."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.geometry import direction
-from diffstack_mmv.identification.measured.estimation import WindowEstimate, estimate_windows
+from diffstack_mmv.identification.measured.estimation import (
+    InstrumentsGiven,
+    WindowEstimate,
+    estimate_windows,
+)
 from diffstack_mmv.identification.measured.fit import MeasuredFit
 from diffstack_mmv.identification.measured.instruments import InstrumentPriors
 from diffstack_mmv.identification.measured.rides import RideWindows
-from diffstack_mmv.identification.measured.simulator import POSE, RECORDING, RideSimulator
+from diffstack_mmv.identification.measured.simulator import (
+    COASTING,
+    POSE,
+    RECORDING,
+    RideSimulator,
+)
+
+ITERATIONS = 8
+"""Steps of the estimation from a history."""
 
 
 class RolloutErrors(NamedTuple):
@@ -20,6 +31,18 @@ class RolloutErrors(NamedTuple):
 
     ade: Float[Tensor, " w"]  # m
     fde: Float[Tensor, " w"]  # m
+    coasting: Bool[Tensor, " w"]  # whether the vehicle was taken to outrun its wheel
+
+    @classmethod
+    def unknown(cls, windows: RideWindows) -> "RolloutErrors":
+        """No errors yet."""
+        nothing = torch.full((len(windows.recording),), torch.nan, dtype=torch.float64)
+        return cls(nothing, nothing, torch.zeros_like(nothing, dtype=torch.bool))
+
+    def filled(self, chosen: Bool[Tensor, " w"], errors: "RolloutErrors") -> "RolloutErrors":
+        """With the errors of some windows."""
+        pairs = zip(self, errors, strict=True)
+        return RolloutErrors(*(old.masked_scatter(chosen, new) for old, new in pairs))
 
     def mean(self, chosen: Tensor) -> dict[str, float]:
         """Means over some windows."""
@@ -42,7 +65,7 @@ def errors_of(
 ) -> RolloutErrors:
     """Errors after the history."""
     apart = (predicted - windows.position)[:, history + 1 :].norm(dim=-1)
-    return RolloutErrors(apart.mean(-1), apart[:, -1])
+    return RolloutErrors(apart.mean(-1), apart[:, -1], torch.zeros(len(apart), dtype=torch.bool))
 
 
 def rolled_out(
@@ -50,9 +73,10 @@ def rolled_out(
 ) -> Float[Tensor, "w T1 2"]:
     """Positions of the antenna over whole windows, the errors of the controls zero at the end."""
     local, count = found.local, simulator.knots(windows.steps)
-    steer, pace = local[:, POSE + RECORDING :].unflatten(1, (2, -1)).unbind(1)
+    known = POSE + RECORDING + COASTING
+    steer, pace = local[:, known:].unflatten(1, (2, -1)).unbind(1)
     rest = steer.new_zeros(len(steer), count - steer.shape[-1])
-    whole = [local[:, : POSE + RECORDING], steer, rest, pace, rest]
+    whole = [local[:, :known], steer, rest, pace, rest]
     return simulator.simulate(windows, shared, torch.cat(whole, -1)).position
 
 
@@ -60,78 +84,49 @@ def held_out_errors(
     simulator: RideSimulator,
     fit: MeasuredFit,
     windows: RideWindows,
-    priors: InstrumentPriors,
     history: int,
     folds: Sequence[Tensor],
     with_gyro: bool = False,
+    coasting: Bool[Tensor, " w"] | None = None,
 ) -> RolloutErrors:
-    """Errors of every window under the vehicle fitted to the recordings of other folds.
+    """Errors of every window under vehicle and priors that the other folds tell.
 
     Args:
         simulator: Of the fitted model.
-        fit: A fit of all recordings, from which each fold is taken out.
+        fit: A fit of all recordings, from which each fold is taken out by a Newton step.
         windows: History and future; the unknowns of its recording are estimated from the history.
-        priors: Of the instruments.
         history: Steps of the history.
         folds: Masks of recordings, together all of them.
         with_gyro: Whether the yaw rates of the history are used.
+        coasting: Which windows coast; what the history says by default.
     """
-    mean, std = priors.recording()
-    ade, fde = torch.zeros(2, len(windows.recording), dtype=torch.float64).unbind()
+    found = RolloutErrors.unknown(windows)
     for fold in folds:
         chosen = fold[windows.recording]
-        if not bool(chosen.any()):
-            continue
-        part = windows.select(chosen)
-        shared = fit.shared_without(fold)
-        count = len(part.recording)
-        prior = (mean.expand(count, -1), std.pow(-2).diag().expand(count, -1, -1))
-        found = estimate_windows(simulator, part.head(history), shared, *prior, with_gyro)
-        errors = errors_of(rolled_out(simulator, part, shared, found), part, history)
-        ade[chosen], fde[chosen] = errors.ade, errors.fde
-    return RolloutErrors(ade, fde)
+        if bool(chosen.any()):
+            part = windows.select(chosen)
+            shared, priors = fit.shared_without(fold), fit.instruments.priors(fold)
+            known = None if coasting is None else coasting[chosen]
+            errors = future_errors(simulator, part, shared, priors, history, with_gyro, known)
+            found = found.filled(chosen, errors)
+    return found
 
 
-def baseline_errors(
-    windows: RideWindows, history: int, dt_s: float, wheelbase_m: float
-) -> Mapping[str, RolloutErrors]:
-    """Constant velocity, the nominal kinematic bicycle, and dead reckoning by the gyro.
-
-    They start at the last position, in the direction of the last half second (in a turn corrected
-    by the yaw rate), and take the measured speed as it is.
-    """
-    last = windows.position[:, history]
-    way = last - windows.position[:, history - 5]
-    constant = last.unsqueeze(1) + _ahead(windows, history).unsqueeze(-1) * way.unsqueeze(1) / 5
-    steering = windows.speed[:, :-1] * windows.steer.tan() / wheelbase_m
-    found = {"constant velocity": constant}
-    turns = {"nominal kinematic bicycle": steering, "gyro dead reckoning": windows.yaw_rate}
-    for name, yaw_rate in turns.items():
-        found[name] = _reckoned(windows, yaw_rate, history, dt_s)
-    return {name: errors_of(path, windows, history) for name, path in found.items()}
-
-
-def _ahead(windows: RideWindows, history: int) -> Float[Tensor, "1 T1"]:
-    return (torch.arange(windows.steps + 1, dtype=torch.float64) - history).unsqueeze(0)
-
-
-def _reckoned(
-    windows: RideWindows, yaw_rate: Float[Tensor, "w T"], history: int, dt_s: float
-) -> Float[Tensor, "w T1 2"]:
-    """Path from yaw rates and measured speed; the direction at the start fits the last second."""
-    turned = torch.cat([yaw_rate[:, :1] * 0, yaw_rate.cumsum(-1)], -1) * dt_s
-    turned = turned - turned[:, history : history + 1]
-    pace = 0.5 * (windows.speed[:, 1:] + windows.speed[:, :-1]).unsqueeze(-1) * dt_s
-    steps = pace * direction(0.5 * (turned[:, 1:] + turned[:, :-1]))
-    path = torch.cat([steps[:, :1] * 0, steps.cumsum(1)], 1)
-    path = path - path[:, history : history + 1]
-    before = history - 10
-    own, seen = -path[:, before], windows.position[:, history] - windows.position[:, before]
-    turn = torch.atan2(seen[:, 1], seen[:, 0]) - torch.atan2(own[:, 1], own[:, 0])
-    cosine, sine = turn.cos()[:, None], turn.sin()[:, None]
-    east = cosine * path[..., 0] - sine * path[..., 1]
-    north = sine * path[..., 0] + cosine * path[..., 1]
-    return torch.stack([east, north], -1) + windows.position[:, history : history + 1]
+def future_errors(
+    simulator: RideSimulator,
+    windows: RideWindows,
+    shared: Float[Tensor, " s"],
+    priors: InstrumentPriors,
+    history: int,
+    with_gyro: bool,
+    coasting: Bool[Tensor, " w"] | None = None,
+) -> RolloutErrors:
+    """Errors of roll-outs, all but the vehicle and the priors taken from the history."""
+    given = InstrumentsGiven.of(priors, len(windows.recording))
+    past = windows.head(history)
+    found = estimate_windows(simulator, past, shared, given, with_gyro, ITERATIONS, coasting)
+    errors = errors_of(rolled_out(simulator, windows, shared, found), windows, history)
+    return errors._replace(coasting=found.coasting)
 
 
 class PairedTest(NamedTuple):

@@ -53,6 +53,10 @@ def test_wheelbase_and_offsets_are_within_their_intervals(recorded, fitted):
     vector = simulator.parameters
     error = vector.values(fit.point.shared[:1]) - vector.values(synthetic.shared[:1])
     assert abs(float(error)) < 3 * float(fit.shared_std[0]) < 0.3
+    assert fit.converged
+    per_curvature = simulator.steer_per_curvature
+    apart = float(per_curvature(fit.point.shared) - per_curvature(synthetic.shared))
+    assert abs(apart) < 4 * fit.std_of(per_curvature)
     apart = (fit.point.recording - synthetic.recording) / fit.recording_std
     assert float(apart.abs().max()) < 4
     assert float(fit.recording_std[:, 0].max()) < 0.02  # the prior has 0.05
