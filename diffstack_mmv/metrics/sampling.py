@@ -1,5 +1,7 @@
 """Scores of sampled paths: the best of several, as for pedestrians, and all of them together."""
 
+from typing import Any
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -73,5 +75,6 @@ def energy_score(
 
     paths = sampled_paths(forecast, count, seed)
     truth = future.motion.position
-    each = es_ensemble(truth, paths, m_axis=-3, v_axis=-1, estimator="fair", backend="torch")
+    score: Any = es_ensemble  # its type speaks of arrays of other packages
+    each = score(truth, paths, m_axis=-3, v_axis=-1, estimator="fair", backend="torch")
     return time_mean(each, future.valid)
