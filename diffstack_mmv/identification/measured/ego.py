@@ -75,7 +75,7 @@ class EgoEstimator:
     steps: int = 20
     with_gyro: bool = False
     drift: float = 0.2
-    iterations: int = 4
+    iterations: int = 6
 
     def __post_init__(self) -> None:
         require_at_least("steps", self.steps, 5)

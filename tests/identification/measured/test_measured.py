@@ -87,9 +87,7 @@ def test_windows_do_not_share_steps_and_skip_what_is_slow_or_bridged(recorded):
 @pytest.mark.parametrize("with_gyro", [False, True])
 def test_ego_estimate_finds_offset_and_place_from_the_past(recorded, with_gyro):
     _, simulator, synthetic = recorded
-    estimator = EgoEstimator(
-        simulator, synthetic.shared, steps=12, with_gyro=with_gyro, iterations=1
-    )
+    estimator = EgoEstimator(simulator, synthetic.shared, steps=12, with_gyro=with_gyro)
     rides = synthetic.rides[:2]
 
     def at(step):
