@@ -96,7 +96,7 @@ class Workshop:
         self.problem = problem
         self.renewals = 0
         self.recorder = Recorder(copied(evaluate))
-        self.known: set[int] = set()
+        self.known: dict[str, set[int]] = {"solve": set(), "adjoint": set()}
         self.is_refused = False
 
     def solve(
@@ -138,19 +138,26 @@ class Workshop:
         return taken, each
 
     def _prepare(self, problem: StagedProblem, dtype: torch.dtype, differentiates: bool) -> None:
-        """Have the solver at hand, and the derivatives begun if they are asked for."""
-        if id(problem) not in self.known:
-            if len(self.known) >= MOST_LIBRARIES:
-                raise CannotLowerError(f"more than {MOST_LIBRARIES} shapes")
-            began_s = time.perf_counter()
-            LOGGER.info("Compiling the solver for %s: one library", self.problem)
-            with waiting(f"compile the solver for {self.problem}: library"):
-                solver = _begun(problem, "solve", dtype)
-                if differentiates:
-                    _begun(problem, "adjoint", dtype)
-                solver.result()
-            LOGGER.info("Compiled it in %.1f s", time.perf_counter() - began_s)
-            self.known.add(id(problem))
+        """Have the solver at hand, and its derivatives if they are asked for.
+
+        Both before the first solution: what cannot be built backward could not be solved otherwise
+        any more.
+        """
+        wanted = ("solve", "adjoint") if differentiates else ("solve",)
+        missing = [name for name in wanted if id(problem) not in self.known[name]]
+        if not missing:
+            return
+        if "solve" in missing and len(self.known["solve"]) >= MOST_LIBRARIES:
+            raise CannotLowerError(f"more than {MOST_LIBRARIES} shapes")
+        began_s = time.perf_counter()
+        told = " and ".join(missing)
+        LOGGER.info("Compiling the solver for %s: one library (%s)", self.problem, told)
+        with waiting(f"compile the solver for {self.problem}: library"):
+            for library in [_begun(problem, name, dtype) for name in missing]:
+                library.result()
+        LOGGER.info("Compiled it in %.1f s", time.perf_counter() - began_s)
+        for name in missing:
+            self.known[name].add(id(problem))
 
 
 _LIBRARIES: dict[tuple[int, str, torch.dtype], tuple[StagedProblem, Future[Any]]] = {}

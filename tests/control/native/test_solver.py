@@ -188,3 +188,24 @@ def test_what_would_compile_too_long_is_left_to_tensors(monkeypatch, caplog, lim
     assert natively(EXACT, *arguments) is None
     assert told in caplog.text
     native_solver._workshop.cache_clear()
+
+
+def test_derivatives_that_cannot_be_built_are_left_to_tensors_before_the_first_solution(
+    monkeypatch, caplog
+):
+    """A training would otherwise end at its first step backward."""
+    right = native_solver.source
+    monkeypatch.setattr(
+        native_solver,
+        "source",
+        lambda problem, name, real: "no C++" if name == "adjoint" else right(problem, name, real),
+    )
+    monkeypatch.setattr(native_solver, "_LIBRARIES", {})
+    native_solver._workshop.cache_clear()
+    arguments, _ = problem(2)
+    with torch.no_grad():
+        assert natively(EXACT, *arguments) is not None
+    with caplog.at_level("INFO"):
+        assert natively(EXACT, *arguments) is None
+    assert "No library" in caplog.text
+    native_solver._workshop.cache_clear()
