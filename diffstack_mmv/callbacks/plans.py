@@ -13,6 +13,7 @@ from pytorch_lightning.utilities import rank_zero_only
 from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.metrics import OPEN_LOOP
 from diffstack_mmv.plotting import PlannedScene, draw_scenes
+from diffstack_mmv.prediction import ego_forecast
 from diffstack_mmv.types import Mode, StackBatch, Tracks, map_tensors
 
 SHOWN = ("ade", "plan_ade")
@@ -33,6 +34,7 @@ def scenes_of(
         batch.ego_past.motion.position,
         batch.ego_future.motion.position,
         output.plan.motion.position,
+        ego_forecast(forecast).median(),
         mean,
         weight,
         output.goal,

@@ -20,7 +20,8 @@ class PlannedScene(NamedTuple):
     past: np.ndarray  # H 2
     human: np.ndarray  # T 2
     plan: np.ndarray  # T 2
-    prediction: np.ndarray  # K T 2, the most likely first
+    prediction: np.ndarray  # T 2, the one path of the forecast, which is scored
+    components: np.ndarray  # K T 2
     weights: np.ndarray  # K
     goal: np.ndarray  # 2
     candidates: np.ndarray  # C T 2
@@ -31,7 +32,7 @@ def draw_scene(axes: Axes, scene: PlannedScene) -> None:
     """Draw one sample into a pair of axes."""
     for path in scene.candidates:
         axes.plot(*path.T, color="0.85", linewidth=0.6, zorder=1)
-    for path, weight in zip(scene.prediction, scene.weights, strict=True):
+    for path, weight in zip(scene.components, scene.weights, strict=True):
         axes.plot(
             *path.T,
             color=PALETTE[5],
@@ -44,7 +45,7 @@ def draw_scene(axes: Axes, scene: PlannedScene) -> None:
         axes.plot(*path[0], "s", color=PALETTE[3], markersize=3)
     axes.plot(*scene.past.T, color="0.4", linewidth=1.2, label="past", zorder=3)
     axes.plot(*scene.human.T, color=PALETTE[6], linewidth=2.2, label="human", zorder=4)
-    axes.plot(*scene.prediction[0].T, color=PALETTE[0], linewidth=1.4, label="prediction", zorder=5)
+    axes.plot(*scene.prediction.T, color=PALETTE[0], linewidth=1.4, label="prediction", zorder=5)
     axes.plot(*scene.plan.T, color=PALETTE[1], linewidth=1.8, label="plan", zorder=6)
     axes.plot(*scene.goal, "*", color=PALETTE[2], markersize=10, label="goal", zorder=7)
     axes.set_title(scene.title, fontsize=8)
