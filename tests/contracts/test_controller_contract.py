@@ -26,7 +26,8 @@ def options(group):
     return sorted(path.stem for path in (Path(config_folder()) / group).glob("*.yaml"))
 
 
-CONTROLLERS = options("controller")
+# `ppo` reads a trained policy, see tests/simulation/test_learned_policy.py
+CONTROLLERS = [name for name in options("controller") if name != "ppo"]
 # `known` reads a recording, see tests/simulation/recorded
 PEOPLE = [name for name in options("people") if name != "known"]
 SETTINGS = {"predictor": {"predictor": ConstantVelocity(30, 0.1)}}  # in the place of a checkpoint
@@ -42,6 +43,8 @@ def forecaster(request):
 def setting(request):
     """A controller, and the world with the robot that it commands."""
     config = composed_navigate(f"controller={request.param}")
+    if "planner" in config.controller:
+        config.controller.planner.solver.max_iterations = 8
     controller = instantiate(config.controller)
     robot = HolonomicRobot() if is_massless(type(controller)) else instantiate(config.robot)
     return controller, World(robot, OrcaCrowd(), ExactVerdict(10.0))

@@ -119,8 +119,10 @@ def controller_for(driven):
 
 
 def composed_navigate(*overrides):
-    """The configuration of the benchmark."""
+    """The configuration of the benchmark, eager unless told: libraries would take minutes."""
     folder = Path(__file__).resolve().parents[2] / "configs"
+    if not any(told.startswith("compile=") for told in overrides):
+        overrides = (*overrides, "compile=false")
     with initialize_config_dir(str(folder), version_base="1.3"):
         config = compose("navigate", list(overrides), return_hydra_config=True)
         HydraConfig.instance().set_config(config)
