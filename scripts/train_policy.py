@@ -3,6 +3,7 @@
 import json
 import logging
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 from diffstack_mmv.cli import DictConfig, command, instantiate
@@ -17,6 +18,7 @@ def check(config: DictConfig) -> None:
     require_at_least("envs", config.envs, 1)
     for part in (config.scenario, config.world, config.view):
         instantiate(part)
+    import_module("diffstack_mmv.simulation.reinforcement")  # tells the extra that it needs
 
 
 @command(config_folder(), "train_policy", check)

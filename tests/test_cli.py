@@ -3,6 +3,7 @@
 import contextlib
 import sys
 import warnings
+from importlib.util import find_spec
 
 import pytest
 from hydra.core.global_hydra import GlobalHydra
@@ -152,3 +153,10 @@ def test_two_commands_never_share_a_folder(run, tmp_path):
     assert config is None
     assert "`out` must be a folder that no other process writes to" in told
     assert run("needed=1")[0] is not None
+
+
+@pytest.mark.skipif(find_spec("stable_baselines3") is not None, reason="the extra `rl` is there")
+def test_a_training_by_reinforcement_names_the_extra_that_it_needs(refusal, tmp_path):
+    told = refusal("train_policy", f"out={tmp_path / 'policy'}")
+    assert told.startswith("`stable_baselines3` must be installed")
+    assert "diffstack_mmv[rl]" in told
