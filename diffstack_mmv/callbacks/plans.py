@@ -13,7 +13,6 @@ from pytorch_lightning.utilities import rank_zero_only
 from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.metrics import OPEN_LOOP
 from diffstack_mmv.plotting import PlannedScene, draw_scenes
-from diffstack_mmv.prediction import ego_forecast
 from diffstack_mmv.types import Mode, StackBatch, Tracks, map_tensors
 
 SHOWN = ("ade", "plan_ade")
@@ -24,17 +23,17 @@ def scenes_of(
     batch: StackBatch, output: Any, titles: list[str], shown_components: int = 5
 ) -> list[PlannedScene]:
     """What a stack made of a batch, ready to draw; positions in m."""
-    forecast = output.forecast
-    order = forecast.log_weight[:, 0].argsort(-1, descending=True)[:, :shown_components]
-    mean = forecast.mean[:, 0].take_along_dim(order[:, :, None, None], 1)
-    weight = forecast.log_weight[:, 0].take_along_dim(order, 1).exp()
+    own = map_tensors(lambda field: field[:, 0], output.forecast)  # that of the ego
+    order = own.log_weight.argsort(-1, descending=True)[:, :shown_components]
+    mean = own.mean.take_along_dim(order[:, :, None, None], 1)
+    weight = own.log_weight.take_along_dim(order, 1).exp()
     neighbors = _paths(batch.neighbors_future)
     present = batch.neighbors_past.valid[..., -1]
     columns = (
         batch.ego_past.motion.position,
         batch.ego_future.motion.position,
         output.plan.motion.position,
-        ego_forecast(forecast).median(),
+        own.median(),
         mean,
         weight,
         output.goal,
