@@ -104,9 +104,7 @@ def test_problems_do_not_see_their_batch_mates(planner):
     asked = problem(planner, batch=3)
     asked.goal[1] = torch.tensor([2.0, -2.0])
     with torch.no_grad():
-        together = planner(asked, memory(planner, 3))
+        together = planner(asked, memory(planner, 3)).controls[1]
         row = map_tensors(lambda entry: entry[1:2], asked)
-        alone = planner(row, memory(planner, 1))
-    # where the cost is flat a hundred iterations make more of the rounding of sums than of motions
-    assert torch.allclose(together.controls[1], alone.controls[0], atol=1e-2)
-    assert torch.allclose(together.motion.position[1], alone.motion.position[0], atol=2e-3)
+        alone = planner(row, memory(planner, 1)).controls[0]
+    assert torch.allclose(together, alone, atol=2e-3)
