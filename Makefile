@@ -57,8 +57,8 @@ docs: $(DOCS)/.installed ## The documentation as a site in outputs/site; a dead 
 	NO_MKDOCS_2_WARNING=1 $(DOCS)/bin/python -m mkdocs build --strict
 	@echo "Site: outputs/site/index.html"
 
-bench: install ## Benchmarks, results in benchmarks/results: tells needs and times, resumes; PEERS=<python> of an environment with more peers; make peers first
-	$(BIN)/python benchmarks/run_all.py --peers $(PEERS) $(if $(DRY),--dry-run)
+bench: install ## Benchmarks, a look in outputs/bench/small or SIZE=full in benchmarks/results: tells needs and times, resumes; make peers first
+	$(BIN)/python benchmarks/run_all.py --size $(or $(SIZE),small) --peers $(PEERS) $(if $(DRY),--dry-run)
 
 peers: install  ## Solvers to compare with that are Python packages, in outputs/peers, where make bench finds them
 	$(BIN)/python -m pip install --quiet --no-deps --target outputs/peers mpc

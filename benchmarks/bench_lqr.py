@@ -10,35 +10,25 @@ Processor time of one thread, the smallest of the repetitions. A peer that is no
 import argparse
 import contextlib
 import io
-import os
 import subprocess
 import sys
-import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from diffstack_mmv.control import ILQR, Batched, Bounds
+sys.path.insert(0, str(Path(__file__).parent))
+from peers import lqr  # noqa: E402
+from peers.lqr import STEPS, M, fastest  # noqa: E402
 
-STEPS, N, M = 20, 8, 4
 SETS = ("test_umax10000", "test_umax1", "second_umax1")
 SOLVED = 1e-7  # largest error of a control of a solved problem
 
 
-def fastest(work, limit_s=20.0, most=10):
-    """Smallest processor time of the repetitions after the first call, in ms, and the last result."""
-    result, times, began = work(), [], time.monotonic()
-    while not times or (len(times) < most and time.monotonic() - began < limit_s):
-        start = time.process_time()
-        result = work()
-        times.append(1e3 * (time.process_time() - start))
-    return min(times), result
-
-
 def linear(of_state, of_control, offset):
     """Dynamics that all problems share."""
+
+    from diffstack_mmv.control import Batched
 
     def dynamics(state, control):
         moved = (of_state * state.unsqueeze(-2)).sum(-1)
@@ -50,6 +40,8 @@ def linear(of_state, of_control, offset):
 def quadratic(hessian):
     """Cost that all problems share."""
 
+    from diffstack_mmv.control import Batched
+
     def cost(states, controls):
         both = torch.cat([states, controls], -1)
         return 0.5 * ((both.unsqueeze(-2) * hessian).sum(-1) * both).sum(-1)
@@ -57,8 +49,10 @@ def quadratic(hessian):
     return Batched(cost)
 
 
-def ours(file, **settings):
+def ours(file, limit_s, **settings):
     """Time of the solution, with the adjoint, controls, and the gradient of the published loss."""
+    from diffstack_mmv.control import ILQR, Bounds  # not there where peers have their own packages
+
     A, B, b, H, start = (torch.tensor(file[key]) for key in ("A", "B", "b", "H", "x0"))
     leaves = [each.requires_grad_() for each in (A, B, b, H)]
     limit = torch.full((M,), float(file["u_max"]), dtype=start.dtype)
@@ -71,118 +65,28 @@ def ours(file, **settings):
         return torch.autograd.grad(solve().controls[:, 0].sum(), leaves)
 
     with torch.no_grad():
-        alone, solution = fastest(solve)
-    both, slopes = fastest(differentiate)
+        alone, solution = fastest(solve, limit_s)
+    both, slopes = fastest(differentiate, limit_s)
     columns = [each.T.flatten() if each.dim() == 2 else each for each in slopes]
     return alone, both, solution.controls.numpy(), torch.cat(columns).numpy()
 
 
 def compiled(file, arguments):
     """Each problem in the generated library."""
-    return ours(file, compile=True, one_by_one=1000, tolerance=1e-14, max_iterations=300)
+    return ours(
+        file, arguments.limit, compile=True, one_by_one=1000, tolerance=1e-14, max_iterations=300
+    )
 
 
 def eager(file, arguments):
     """All as one batch, in eager tensors."""
-    return ours(file, tolerance=1e-14, max_iterations=300)
-
-
-def hpipm(file, arguments):
-    """HPIPM, the solver inside of acados, with the tightest tolerance at which it converges."""
-    prefix = arguments.hpipm
-    if prefix is None:
-        raise ModuleNotFoundError("hpipm")
-    given = (file["A"].T, file["B"].T, file["b"], file["x0"])
-    flat = "\n".join(map(repr, np.concatenate([part.ravel() for part in given]).tolist()))
-    tolerance = 1e-10 if "test" in arguments.name else 1e-8
-    head = f"{STEPS} {N} {M} {len(file['x0'])} {float(file['u_max'])} {tolerance} 2\n"
-    with tempfile.TemporaryDirectory() as folder:
-        program = str(Path(folder, "hpipm"))
-        source = Path(__file__).parent / "peers" / "hpipm.c"
-        command = ["gcc", "-O2", "-march=native", str(source), f"-I{prefix}/include"]
-        command += [f"-L{prefix}/lib", "-lhpipm", "-lblasfeo", "-lm", "-o", program]
-        subprocess.run(command, check=True)
-        done = subprocess.run(
-            [program], input=head + flat, capture_output=True, text=True, check=True
-        )
-    alone, both, *rest = map(float, done.stdout.split())
-    return alone, both, np.array(rest[2:]).reshape(-1, STEPS, M), None
-
-
-def by_casadi(plugin, **options):
-    """A solver of sparse quadratic programs in CasADi; what it does not solve counts as it is."""
-    options |= {"error_on_fail": False}
-
-    def solve(file, arguments):
-        import casadi
-
-        count, limit = len(file["x0"]), float(file["u_max"])
-        width = M + N
-        rows = np.zeros((STEPS * N, STEPS * width))  # stages (u_t, x_t+1)
-        for t in range(STEPS):
-            block = rows[t * N : (t + 1) * N]
-            block[:, t * width : t * width + M] = -file["B"]
-            block[:, t * width + M : (t + 1) * width] = np.eye(N)
-            if t:
-                block[:, (t - 1) * width + M : t * width] = -file["A"]
-        H, A = casadi.DM.eye(STEPS * width), casadi.sparsify(casadi.DM(rows))
-        qp = casadi.conic("qp", plugin, {"h": H.sparsity(), "a": A.sparsity()}, options)
-        low = np.tile(np.r_[np.full(M, -limit), np.full(N, -np.inf)], STEPS)
-        offsets = np.tile(file["b"], (count, STEPS))
-        offsets[:, :N] += file["x0"] @ file["A"].T
-
-        def all_of_them():
-            solutions = [
-                qp(h=H, a=A, lba=offset, uba=offset, lbx=low, ubx=-low)["x"].full().ravel()
-                for offset in offsets
-            ]
-            return np.array(solutions).reshape(count, STEPS, width)[..., :M]
-
-        return *(fastest(all_of_them, 10.0, 3)), None
-
-    def row(file, arguments):
-        alone, controls, slopes = solve(file, arguments)
-        return alone, None, controls, slopes
-
-    return row
-
-
-def mpc_pytorch(file, arguments):
-    """The package mpc: all problems as one batch, through its analytic gradient."""
-    from mpc import mpc
-
-    A, B, b, H, start = (torch.tensor(file[key]) for key in ("A", "B", "b", "H", "x0"))
-    count, limit = len(start), float(file["u_max"])
-    leaves = [each.requires_grad_() for each in (A, B, b, H)]
-
-    def solve():
-        F, f = torch.cat([A, B], 1).expand(STEPS, count, -1, -1), b.expand(STEPS, count, -1)
-        C, c = H.expand(STEPS + 1, count, -1, -1), start.new_zeros(STEPS + 1, count, N + M)
-        solver = mpc.MPC(
-            N, M, STEPS + 1, u_lower=-limit, u_upper=limit, lqr_iter=50, eps=1e-10, n_batch=count,
-            verbose=-1, exit_unconverged=False, detach_unconverged=False, backprop=True,
-        )  # fmt: skip
-        return solver(start, mpc.QuadCost(C, c), mpc.LinDx(F, f))[1]
-
-    def differentiate():
-        return torch.autograd.grad(solve()[0].sum(), leaves)
-
-    with torch.no_grad():
-        alone, controls = fastest(solve, 5.0, 3)
-    both, slopes = fastest(differentiate, 5.0, 3)
-    columns = [each.T.flatten() if each.dim() == 2 else each for each in slopes]
-    return alone, both, controls[:-1].movedim(0, 1).numpy(), torch.cat(columns).numpy()
+    return ours(file, arguments.limit, tolerance=1e-14, max_iterations=300)
 
 
 SOLVERS = {
     "ours, compiled one by one": compiled,
     "ours, eager batch": eager,
-    "HPIPM (inside of acados)": hpipm,
-    "DAQP (CasADi)": by_casadi("daqp"),
-    "OSQP (CasADi)": by_casadi(
-        "osqp", osqp={"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 50000, "verbose": False}
-    ),
-    "mpc.pytorch": mpc_pytorch,
+    **lqr.SOLVERS,
 }
 
 
@@ -197,17 +101,41 @@ def row(name, found, file):
     return " | ".join([*cells, "-" if relative is None else f"{relative:.0e}"])
 
 
+def measured(name, arguments):
+    """A line in a process of its own, which may be stopped."""
+    python = sys.executable if name.startswith("ours") else arguments.python
+    command = [python, __file__, str(arguments.folder), "--row", arguments.name, name]
+    for option in ("hpipm", "packages"):
+        if getattr(arguments, option):
+            command += [f"--{option}", str(getattr(arguments, option))]
+    command += ["--limit", str(arguments.limit)]
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=arguments.timeout, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return f"{name} | stopped after {arguments.timeout:.0f} s | | | | "
+    lines = [line for line in done.stdout.splitlines() if line.startswith(name)]
+    reason = next(iter(done.stderr.strip().splitlines()[::-1]), "no message")
+    return lines[-1] if lines else f"{name} | {reason} | | | | "
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, help="with the reference solutions")
     parser.add_argument("--hpipm", type=Path, help="prefix with lib and include")
     parser.add_argument("--packages", type=Path, help="folder with packages of peers")
+    parser.add_argument("--python", default=sys.executable, help="interpreter of the peers")
     parser.add_argument("--solvers", nargs="+", choices=SOLVERS, default=list(SOLVERS))
+    parser.add_argument("--limit", type=float, default=20.0, help="seconds of repetitions per cell")
+    parser.add_argument("--timeout", type=float, default=120.0, help="seconds per row")
+    parser.add_argument("--row", nargs=2, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.packages:
         sys.path.append(str(arguments.packages))
-    torch.set_default_dtype(torch.float64)
-    torch.set_num_threads(1)
+    if arguments.row:
+        one_row(arguments)
+        return
     print(
         "128 bounded LQRs (N = 20, 8 states, 4 controls; acados' differentiable NMPC paper), float64, one core; processor "
         f"time for all, smallest of the repetitions. Solved: all controls within {SOLVED:g}. `adjoint`: with the gradient of "
@@ -218,16 +146,23 @@ def main():
     )
     print("|---|---|---|---|---|---|---|")
     for arguments.name in SETS:
-        file = np.load(arguments.folder / f"reference_{arguments.name}.npz")
         for name in arguments.solvers:
-            try:
-                with contextlib.redirect_stdout(io.StringIO()):  # what peers warn of
-                    found = SOLVERS[name](file, arguments)
-            except ModuleNotFoundError as missing:
-                print(f"| {arguments.name} | {name} | not installed: {missing.name} | | | | |")
-                continue
-            print(f"| {arguments.name} | {row(name, found, file)} |", flush=True)
-    print(f"\nLoad of the machine at the end: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores.")
+            print(f"| {arguments.name} | {measured(name, arguments)} |", flush=True)
+
+
+def one_row(arguments):
+    """Measure and print one row."""
+    torch.set_default_dtype(torch.float64)
+    torch.set_num_threads(1)
+    arguments.name, name = arguments.row
+    file = np.load(arguments.folder / f"reference_{arguments.name}.npz")
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):  # what peers warn of
+            found = SOLVERS[name](file, arguments)
+    except ModuleNotFoundError as missing:
+        print(f"{name} | not installed: {missing.name} | | | | ")
+        return
+    print(row(name, found, file))
 
 
 if __name__ == "__main__":

@@ -142,6 +142,7 @@ def arguments_of(description, solvers, sizes):
     parser.add_argument("--limit", type=float, default=20.0, help="seconds of repetitions per size")
     parser.add_argument("--timeout", type=float, default=900.0, help="seconds per optimiser")
     parser.add_argument("--cold", action="store_true", help="compile with an empty cache")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the tables")
     parser.add_argument("--rows", type=Path, help="rows with all costs, read and written")
     return parser.parse_args()
 
@@ -170,7 +171,7 @@ def main():
         "Ours, mpc.pytorch and trajax in float32, the others in float64. `best`: share of problems "
         "within 1e-4 relative cost of the cheapest solution that any of these found. `first call`: "
         "with tracing and generating code, without the C++ compiler's own time, sizes in the order "
-        "256, 64, 16, T = 10, T = 100, 1. `peak`: of the process up to that size. The box of trajax "
+        f"{', '.join(arguments.sizes)} (batch:T). `peak`: of the process up to that size. The box of trajax "
         "is a penalty; crocoddyl is called with a model in Python, which dominates its time."
     )
     columns = [
@@ -178,8 +179,8 @@ def main():
         ("first call s", ".1f", "first_s"),
         ("peak MiB", ".0f", "memory_mib"),
     ]
-    write(RESULTS / "solver.md", table(rows, notes, introduction, columns))
-    plot(rows, RESULTS / "solver.png")
+    write(arguments.results / "solver.md", table(rows, notes, introduction, columns))
+    plot(rows, arguments.results / "solver.png")
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@
 Needs the reference solutions in ../shared, see tests/control/test_reference.py, which holds the numbers.
 """
 
+import argparse
 import time
 
 import numpy as np
@@ -24,13 +25,13 @@ def in_precision(problem, dtype):
     return *narrow, Bounds(*(bound.to(dtype) for bound in box)), states.to(dtype)
 
 
-def statuses(given, name, dtype):
-    """Share converged of 1,000 problems from zero controls, NaNs, and iterations."""
+def statuses(given, name, dtype, count):
+    """Share converged of random problems from zero controls, NaNs, and iterations."""
     module, _ = given
     problem = in_precision(
-        test_reference.posed(module, name, module.instances(name, 1000, seed=7)), dtype
+        test_reference.posed(module, name, module.instances(name, count, seed=7)), dtype
     )
-    solution = ILQR()(*problem, torch.zeros(1000, 30, 2, dtype=dtype))
+    solution = ILQR()(*problem, torch.zeros(count, 30, 2, dtype=dtype))
     numbers = sum(int(part.isnan().sum()) for part in solution)
     steps = solution.iterations.double()
     return solution.converged.double().mean(), numbers, steps.median(), steps.quantile(0.99)
@@ -73,14 +74,14 @@ def published():
         )
 
 
-def main():
+def main(count):
     given = reference()
-    print("1,000 random problems (seed 7), T = 30, from zero controls.\n")
+    print(f"{count:,} random problems (seed 7), T = 30, from zero controls.\n")
     print("| problem | precision | converged | NaN | iterations: median | iterations: 99 % |")
     print("|---|---|---|---|---|---|")
     for name in test_reference.PROBLEMS:
         for dtype in (torch.float32, torch.float64):
-            share, numbers, middle, high = statuses(given, name, dtype)
+            share, numbers, middle, high = statuses(given, name, dtype, count)
             kind = str(dtype).removeprefix("torch.")
             print(
                 f"| {name} | {kind} | {share:.1%} | {numbers} | {middle:.0f} | {high:.0f} |",
@@ -105,7 +106,10 @@ def main():
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=1000, help="random problems")
+    arguments = parser.parse_args()
     torch.set_num_threads(1)
     torch.set_default_dtype(torch.float64)
-    main()
+    main(arguments.count)
     published()

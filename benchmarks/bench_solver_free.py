@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-from bench_solver import RESULTS, arguments_of, collect, judge, surroundings, table, write  # noqa: E402
+from bench_solver import arguments_of, collect, judge, surroundings, table, write  # noqa: E402
 from bench_solver_worker import EXACT  # noqa: E402
 
 SOLVERS = (
@@ -65,7 +65,7 @@ def main():
         ("first call s", ".1f", "first_s"),
         ("peak MiB", ".0f", "memory_mib"),
     ]
-    write(RESULTS / "solver_free.md", table(shown, notes, introduction, columns))
+    write(arguments.results / "solver_free.md", table(shown, notes, introduction, columns))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Where the time of a compiled solve goes, with the work that has to be done beside it.
+"""Where the time of a solve in kernels on tensors goes, with the work that has to be done beside it.
 
     python benchmarks/bench_solver_profile.py > benchmarks/results/solver_profile.md
 
@@ -80,7 +80,7 @@ def main():
         return result
 
     states, parameters = driving.instances(BATCH, STEPS)
-    solve = ours.solver(states, ours.leaves_of(parameters), STEPS, True)
+    solve = ours.solver(states, ours.leaves_of(parameters), STEPS, True, one_by_one=0)
     with torch.no_grad():
         solve()
         whole = smallest(solve)

@@ -1,11 +1,13 @@
 """All benchmarks, one after the other: tells what they need and how long they take, resumes, marks what ran under load.
 
-    python benchmarks/run_all.py                 # `make bench`: what is not done yet
+    python benchmarks/run_all.py                 # `make bench`: what is not done yet, in a quarter of an hour
+    python benchmarks/run_all.py --size full     # `make bench SIZE=full`: all sizes and repetitions
     python benchmarks/run_all.py --dry-run       # tell, and stop
     python benchmarks/run_all.py --again lqr     # measure one again
     python benchmarks/run_all.py --fresh         # all again
 
-What is done is kept in outputs/bench/done.json. A table is written when it is whole; the last line tells the load of the
+The small size is a look at the same tables with fewer sizes and problems, in outputs/bench/small; the full one
+writes benchmarks/results. What is done is kept in outputs/bench. A table is written when it is whole; the last line tells the load of the
 machine meanwhile, and says so where other work has disturbed the times.
 """
 
@@ -21,7 +23,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
-RESULTS, DONE = ROOT / "benchmarks" / "results", ROOT / "outputs" / "bench" / "done.json"
+RESULTS, KEPT = ROOT / "benchmarks" / "results", ROOT / "outputs" / "bench"
 REFERENCE = ROOT.parent / "shared" / "reference" / "mpc"
 BUSY = 1.5  # processes that want to run, this one included, above which times are disturbed
 PACKAGES = ROOT / "outputs" / "peers"  # of `make peers`
@@ -37,25 +39,43 @@ class Job(NamedTuple):
     packages: tuple[str, ...] = ()  # without them it cannot run
     better_with: tuple[str, ...] = ()  # peers, skipped row by row
     writes: bool = False  # whether it writes its tables itself
+    tells_where: bool = False  # whether it takes `--results`, the folder of its tables
+    small: tuple[float, tuple[str, ...]] | None = None  # minutes, arguments besides; None: the same
     reference: bool = False  # whether it needs the reference solutions
 
 
 PEERS = ("mpc", "casadi", "crocoddyl", "trajax", "pypose", "diffmpc")
+FEW = ("--sizes", "64:30", "1:30", "--limit", "3", "--timeout", "300")
 JOBS = (
-    Job("dynamics", 3, ("-m", "pytest", "benchmarks", "--jaxtyping-packages=", "--benchmark-only",
-                        "-m", "slow or not slow"), ("pytest_benchmark",), writes=True),
-    Job("solver", 25, ("benchmarks/bench_solver.py",), better_with=PEERS, writes=True),
-    Job("solver_free", 25, ("benchmarks/bench_solver_free.py",), better_with=PEERS, writes=True),
-    Job("solver_models", 12, ("benchmarks/bench_solver_models.py",)),
+    Job("dynamics", 3, ("-m", "pytest", "benchmarks/bench_dynamics.py", "--jaxtyping-packages=", "--benchmark-only",
+                        "-m", "slow or not slow"), ("pytest_benchmark",), writes=True,
+        small=(1, ("-k", "eager and bicycle or rollout"))),
+    Job("solver", 25, ("benchmarks/bench_solver.py",), better_with=PEERS, writes=True,
+        tells_where=True, small=(4, FEW)),
+    Job("solver_free", 25, ("benchmarks/bench_solver_free.py",), better_with=PEERS, writes=True,
+        tells_where=True, small=(5, FEW)),
+    Job("models", 4, ("benchmarks/bench_models.py",),
+        small=(2, ("--batches", "1", "64", "--limit", "3"))),
     Job("solver_memory", 2, ("benchmarks/bench_solver_memory.py",)),
     Job("solver_profile", 3, ("benchmarks/bench_solver_profile.py",)),
-    Job("single", 3, ("benchmarks/bench_single.py",)),
+    Job("library_profile", 1, ("benchmarks/bench_library_profile.py",)),
     Job("lqr", 10, ("benchmarks/bench_lqr.py", str(REFERENCE / "acados_lqr")),
-        better_with=("casadi", "mpc"), reference=True),
-    Job("constrained", 3, ("benchmarks/bench_constrained.py",), ("casadi",)),
-    Job("gradients", 15, ("benchmarks/bench_solver_gradients.py",), reference=True),
-    Job("convergence", 10, ("benchmarks/bench_solver_convergence.py",), reference=True),
+        better_with=("casadi", "mpc"), reference=True, small=(2, ("--limit", "4"))),
+    Job("constrained", 4, ("benchmarks/bench_constrained.py",), ("casadi",),
+        small=(1, ("--count", "200"))),
+    Job("gradients", 15, ("benchmarks/bench_solver_gradients.py",), reference=True,
+        small=(2, ("--vehicles", "bicycle"))),
+    Job("convergence", 10, ("benchmarks/bench_solver_convergence.py",), reference=True,
+        small=(2, ("--count", "200"))),
 )  # fmt: skip
+
+
+def of_size(job, size):
+    """A job with the arguments and the minutes of a size."""
+    if size == "full" or job.small is None:
+        return job
+    minutes, more = job.small
+    return job._replace(minutes=minutes, command=(*job.command, *more))
 
 
 def is_there(name):
@@ -107,7 +127,12 @@ def remark(loads):
     )
 
 
-def run(job, python):
+def folder_of(size):
+    """Where the tables of a size go."""
+    return RESULTS if size == "full" else KEPT / size
+
+
+def run(job, python, results):
     """Run a job; whether it succeeded."""
     loads, stop = [], threading.Event()
     watcher = threading.Thread(target=watch, args=(loads, stop), daemon=True)
@@ -116,14 +141,14 @@ def run(job, python):
     paths = [str(ROOT), os.environ.get("PYTHONPATH", ""), str(PACKAGES)]
     environment = os.environ | ONE_THREAD | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
     output = None if job.writes else subprocess.PIPE
-    command = [python, *job.command]
+    command = [python, *job.command, *(["--results", str(results)] if job.tells_where else [])]
     process = subprocess.run(
         command, cwd=ROOT, env=environment, stdout=output, text=True, check=False
     )
     stop.set()
     watcher.join()
     if process.returncode == 0 and not job.writes:
-        (RESULTS / f"{job.name}.md").write_text(process.stdout.rstrip() + "\n" + remark(loads))
+        (results / f"{job.name}.md").write_text(process.stdout.rstrip() + "\n" + remark(loads))
     return process.returncode == 0
 
 
@@ -133,23 +158,27 @@ def main():
     parser.add_argument("--fresh", action="store_true", help="forget what is done")
     parser.add_argument("--again", nargs="+", default=[], choices=[job.name for job in JOBS])
     parser.add_argument("--only", nargs="+", default=[], choices=[job.name for job in JOBS])
+    parser.add_argument("--size", choices=("small", "full"), default="small")
     parser.add_argument("--peers", help="interpreter of an environment with more peers")
     arguments = parser.parse_args()
-    done = json.loads(DONE.read_text()) if DONE.exists() and not arguments.fresh else {}
+    known, results = KEPT / f"{arguments.size}.json", folder_of(arguments.size)
+    done = json.loads(known.read_text()) if known.exists() and not arguments.fresh else {}
     done = {name: when for name, when in done.items() if name not in arguments.again}
-    chosen = [job for job in JOBS if not arguments.only or job.name in arguments.only]
+    wanted = [job for job in JOBS if not arguments.only or job.name in arguments.only]
+    chosen = [of_size(job, arguments.size) for job in wanted]
     ready = plan(chosen, done)
     if arguments.dry_run:
         return
     failed = []
+    results.mkdir(parents=True, exist_ok=True)
+    KEPT.mkdir(parents=True, exist_ok=True)
     for job in ready:
         if arguments.peers and job.name in ("solver", "solver_free"):
             job = job._replace(command=(*job.command, "--python", arguments.peers))
         began = time.monotonic()
-        if run(job, sys.executable):
+        if run(job, sys.executable, results):
             done[job.name] = time.strftime("%Y-%m-%d %H:%M")
-            DONE.parent.mkdir(parents=True, exist_ok=True)
-            DONE.write_text(json.dumps(done, indent=1))
+            known.write_text(json.dumps(done, indent=1))
             print(f"{job.name}: done in {(time.monotonic() - began) / 60:.1f} min", flush=True)
         else:
             failed.append(job.name)

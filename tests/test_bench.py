@@ -34,3 +34,15 @@ def test_a_table_that_other_work_disturbed_says_so(loads, marked):
 def test_every_benchmark_of_the_list_exists():
     scripts = [job.command[0] for job in run_all.JOBS if job.command[0] != "-m"]
     assert all((ROOT / script).is_file() for script in scripts)
+
+
+@pytest.mark.parametrize(("size", "minutes", "more"), [("full", 9, ()), ("small", 2, ("--few",))])
+def test_a_size_has_its_own_arguments_and_folder(size, minutes, more):
+    job = run_all.of_size(run_all.Job("any", 9, ("any.py",), small=(2, ("--few",))), size)
+    assert (job.minutes, job.command) == (minutes, ("any.py", *more))
+    assert (run_all.folder_of(size) == run_all.RESULTS) == (size == "full")
+
+
+def test_the_small_size_takes_less_than_half_an_hour():
+    jobs = [run_all.of_size(job, "small") for job in run_all.JOBS]
+    assert sum(job.minutes for job in jobs) < 30

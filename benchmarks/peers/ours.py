@@ -7,6 +7,8 @@ from diffstack_mmv.control import ILQR, Batched, Bounds
 from peers import driving
 from peers.in_torch import Space
 
+ONE_BY_ONE = 4096  # all of a batch in a generated library, as the planner has it
+
 
 def callables(parameters, wheelbase, variant=driving.OBSTACLE):
     """Dynamics and cost with one row of parameters per problem; the wheelbase is shared."""
@@ -29,11 +31,13 @@ def leaves_of(parameters, dtype=torch.float32):
     return p, torch.tensor(driving.WHEELBASE, dtype=dtype, requires_grad=True)
 
 
-def solver(states, leaves, steps, compile, variant=driving.OBSTACLE, tolerance=1e-4):
+def solver(
+    states, leaves, steps, compile, variant=driving.OBSTACLE, tolerance=1e-4, one_by_one=ONE_BY_ONE
+):
     """A function that solves the problems, differentiable in the leaves and in their precision."""
     box = Bounds(torch.tensor(variant.lower), torch.tensor(variant.upper))
     state = torch.tensor(states, dtype=leaves[0].dtype)
-    ilqr = ILQR(compile=compile, tolerance=tolerance)
+    ilqr = ILQR(compile=compile, tolerance=tolerance, one_by_one=one_by_one)
     controls = state.new_zeros(len(state), steps, 2)
 
     def solve():

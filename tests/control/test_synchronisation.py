@@ -13,7 +13,12 @@ from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle
 from diffstack_mmv.vehicles import load_vehicle
 from tests.control.test_linear_quadratic import affine, quadratic
 
-WAITING = {"_local_scalar_dense", "nonzero", "masked_select", "unique", "repeat_interleave"}
+WAITING = {
+    *("_local_scalar_dense", "is_nonzero", "equal"),  # .item(), bool(), ==
+    *("nonzero", "nonzero_numpy", "masked_select", "repeat_interleave"),
+    *("unique", "_unique2", "unique_dim", "unique_consecutive", "bincount"),
+    "_linalg_check_errors",
+}
 """Operations whose result, or its shape, the host has to wait for."""
 EVERY = 4  # iterations between two questions on a device
 
@@ -28,9 +33,10 @@ class Waits(TorchDispatchMode):
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         name = func.overloadpacket.__name__
         by_mask = name in ("index", "index_put", "index_put_") and any(
-            each is not None and each.dtype == torch.bool for each in args[1]
+            each is not None and each.dtype in (torch.bool, torch.uint8) for each in args[1]
         )
-        if name not in WAITING and not by_mask:
+        fetched = name == "_to_copy" and (kwargs or {}).get("device") == torch.device("cpu")
+        if name not in WAITING and not by_mask and not fetched:
             return func(*args, **(kwargs or {}))
         self.seen.append(name)
         if name != "_local_scalar_dense":
@@ -92,12 +98,27 @@ def test_the_only_question_is_whether_all_are_finished(name, monkeypatch):
     assert waits.seen == ["_local_scalar_dense"] * -(-iterations // EVERY)
 
 
-def test_a_wait_is_seen():
-    values = torch.empty(4, device="meta")
+WAITS = {
+    "index": lambda values: values[values > 0],
+    "index_put_": lambda values: values.__setitem__(values > 0, 0.0),
+    "nonzero": lambda values: torch.where(values > 0),
+    "masked_select": lambda values: values.masked_select(values > 0),
+    "equal": lambda values: torch.equal(values, values + 1),
+    "_unique2": lambda values: values.unique(),
+    "repeat_interleave": lambda values: values.repeat_interleave(values.long()),
+    "_to_copy": lambda values: values.to("cpu"),
+}
+
+
+@pytest.mark.parametrize("name", WAITS)
+def test_a_wait_is_seen(name):
+    with Waits() as waits, pytest.raises(AssertionError, match=f"{name} waits"):
+        WAITS[name](torch.empty(4, device="meta"))
+    assert waits.seen == [name]
+
+
+@pytest.mark.parametrize("ask", [bool, float, torch.Tensor.item])
+def test_a_question_is_counted(ask):
     with Waits() as waits:
-        assert bool((values > 0).any())
-        with pytest.raises(AssertionError, match="nonzero"):
-            values.nonzero()
-        with pytest.raises(AssertionError, match="index"):
-            values[values > 0]
-    assert waits.seen == ["_local_scalar_dense", "nonzero", "index"]
+        ask(torch.empty((), device="meta"))
+    assert waits.seen == ["_local_scalar_dense"]

@@ -9,7 +9,7 @@ SIAM 2014, Algorithm 4.1; Howell et al., ALTRO, IROS 2019, for trajectories.
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -42,9 +42,9 @@ class Place(NamedTuple):
     penalty: Float[Tensor, " B"]
     error: Float[Tensor, " B"]  # of the round before
 
-    def select(self, index: Int[Tensor, " k"]) -> Self:
+    def select(self, index: Int[Tensor, " k"]) -> "Place":
         """Some of the problems."""
-        return self._make(part[index] for part in self)
+        return Place(*(part[index] for part in self))
 
 
 class Approach(NamedTuple):

@@ -125,7 +125,7 @@ def _hessian(
     return tuple(entry for slope in slopes for entry in gradient(program, {slope: one}, inputs))
 
 
-def _is_short(program: Program, written: Sequence[Node] | None, instead: Sequence[Node]) -> bool:
+def is_short(program: Program, written: Sequence[Node] | None, instead: Sequence[Node]) -> bool:
     """Whether derivatives take less when written out than by numbers with eight slopes each."""
     if written is None:
         return False
@@ -169,8 +169,8 @@ def _step(step: Derived) -> list[str]:
     program = step.stage.program
     value = f"{TEMPLATE} void step({POINT}, const Real* q, V* y)"
     slope = f"{TEMPLATE} void step_gradient({POINT}, const Real* l, const Real* q, V* y)"
-    jacobian_written = _is_short(program, step.jacobian, step.stage.outputs)
-    hessian_written = _is_short(program, step.hessian, step.gradient)
+    jacobian_written = is_short(program, step.jacobian, step.stage.outputs)
+    hessian_written = is_short(program, step.hessian, step.gradient)
     entries = step.jacobian if jacobian_written else ()
     curvature = step.hessian if hessian_written and step.hessian else ()
     point = POINT.replace("V", "Real")
@@ -204,7 +204,7 @@ def _costs(costs: Sequence[Derived], sizes: Sizes) -> list[str]:
         parts.append(with_sums(whole, cost.stage, added[-1:]))
         parts.append(with_sums(function(slope, program, "q", into("y", both)), cost.stage, added))
     widest = max(len(cost.active) for cost in costs)
-    written = all(_is_short(cost.stage.program, cost.hessian, cost.gradient) for cost in costs)
+    written = all(is_short(cost.stage.program, cost.hessian, cost.gradient) for cost in costs)
     for kind, cost in enumerate(costs):
         signature = f"{TEMPLATE} void cost_hessian_{kind}({POINT}, const Real* q, V* y)"
         entries = into("y", cost.hessian or ()) if written else []

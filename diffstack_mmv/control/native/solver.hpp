@@ -3,6 +3,9 @@
 // The generated `Problem` has the sizes n, m, T, and the functions of its stages.
 #pragma once
 #include <algorithm>
+#ifdef DMMV_CLOCK
+#include <time.h>
+#endif
 
 #include "pivoting.hpp"
 #include "stage.hpp"
@@ -19,6 +22,22 @@ struct Settings {
   int curvature;  // 0: exact at every iteration, 1: of the dynamics only near the solution
   Real tolerance;
   Real regularisation;
+};
+
+// processor seconds in each part of the iterations, for benchmarks, which define DMMV_CLOCK
+enum Part { EXPAND, RECURSION, SEARCH, PARTS };
+struct Timed {
+  Part part;
+#ifdef DMMV_CLOCK
+  static inline double seconds[PARTS];
+  static double now() {
+    timespec at;
+    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &at);
+    return double(at.tv_sec) + 1e-9 * double(at.tv_nsec);
+  }
+  double began = now();
+  ~Timed() { seconds[part] += now() - began; }
+#endif
 };
 
 template <class P>
@@ -58,6 +77,7 @@ struct Solver {
   }
 
   void expand(bool with_curvature) {
+    [[maybe_unused]] const Timed timed{EXPAND};
     magnitude = 0;
     Real change = 0;
     for (int i = 0; i < m; ++i) u[T][i] = 0;
@@ -167,12 +187,14 @@ struct Solver {
   }
 
   void policy() {
+    [[maybe_unused]] const Timed timed{RECURSION};
     backward(false);
     if (lifted_free || (lifted && decrease > FAR * magnitude)) backward(true);
   }
 
   // all step sizes 1, 1/2, 1/4, ... at once; the longest of those that the noise cannot tell apart
   void search(int sizes, Real noise_) {
+    [[maybe_unused]] const Timed timed{SEARCH};
     Real costs[MOST_SIZES], least = INFINITY;
     for (int first = 0; first < sizes; first += S) {
       roll(first, std::min(S, sizes - first), costs + first);

@@ -129,13 +129,11 @@ class Workshop:
                 raise CannotLowerError("too many shapes") from failure
             record = self.recorder = Recorder(copied(evaluate))
             taken = record(at, *first)
-        each = [originals.get(id(one), one) for one in taken.parameters]
+        real = state.dtype
         for one in taken.parameters:
-            if one.is_floating_point() and one.dtype != state.dtype and one.dim() > 0:
-                raise CannotLowerError(
-                    f"a parameter of {one.dtype} beside a state of {state.dtype}"
-                )
-        return taken, each
+            if one.dtype != real and one.dim() > 0 and one.is_floating_point():
+                raise CannotLowerError(f"a parameter of {one.dtype} beside a state of {real}")
+        return taken, [originals.get(id(one), one) for one in taken.parameters]
 
     def _prepare(self, problem: StagedProblem, dtype: torch.dtype, differentiates: bool) -> None:
         """Have the solver at hand, and its derivatives if they are asked for.
@@ -211,22 +209,44 @@ def _first(function: Any, originals: dict[int, Tensor]) -> Any:
 
 def _in_rows(problem: Taken, tensors: Sequence[Tensor], count: int, like: Tensor) -> Tensor:
     """Parameters as one row per problem."""
+    real = like.dtype
+    plain = [each if each.dtype == real else each.to(real) for each in tensors]
+    if count == 1:
+        return torch.cat([each.reshape(-1) for each in plain] or [like.new_empty(0)]).unsqueeze(0)
     rows = [like.new_empty(count, 0)]
-    for one, each in zip(problem.parameters, tensors, strict=True):
+    for one, each, whole in zip(problem.parameters, plain, tensors, strict=True):
         # by its size: an empty one has no length that could be found
-        flat = each.detach().reshape(len(each) if each is not one else 1, one.numel())
-        rows.append(flat.to(like.dtype).expand(count, -1))
+        flat = each.reshape(len(each) if whole is not one else 1, one.numel())
+        rows.append(flat.expand(count, -1))
     return torch.cat(rows, 1)
 
 
-def _from_rows(
-    rows: Tensor, tensors: Sequence[Tensor], sizes: Sequence[int], wanted: Sequence[bool]
-) -> list[Tensor | None]:
+class Wanted(NamedTuple):
+    """A parameter whose slope is wanted."""
+
+    position: int  # among all parameters
+    columns: slice  # of a row
+    shape: torch.Size
+    dtype: torch.dtype
+
+
+def _wanted(tensors: Sequence[Tensor], sizes: Sequence[int], asked: Sequence[bool]) -> list[Wanted]:
+    found, first = [], 0
+    for position, (each, size, is_asked) in enumerate(zip(tensors, sizes, asked, strict=True)):
+        if is_asked:
+            columns = slice(first, first + size)
+            found.append(Wanted(position, columns, each.shape, each.dtype))
+        first += size
+    return found
+
+
+def _from_rows(rows: Tensor, wanted: Sequence[Wanted], count: int) -> list[Tensor | None]:
     """Slopes of the parameters where they are wanted; of a shared one the sum over the problems."""
-    slopes: list[Tensor | None] = []
-    for each, part, is_wanted in zip(tensors, rows.split(list(sizes), 1), wanted, strict=True):
-        whole = part if each.numel() == part.numel() else part.sum(0)
-        slopes.append(whole.reshape(each.shape).to(each.dtype) if is_wanted else None)
+    slopes: list[Tensor | None] = [None] * count
+    for position, columns, shape, dtype in wanted:
+        part = rows[:, columns]
+        whole = part if shape.numel() == part.numel() else part.sum(0)
+        slopes[position] = whole.reshape(shape).to(dtype)
     return slopes
 
 
@@ -276,22 +296,26 @@ class _Solve(torch.autograd.Function):
         results = x, u, cost, residual, iterations, status
         call = library(problem, "solve", state.dtype).dmmv_solve
         call(*_counts(count), *pointers(*given), ctypes.byref(record), *pointers(*results))
-        ctx.problem, ctx.sizes = problem, [one.numel() for one in taken.parameters]
-        ctx.save_for_backward(parameters, box, x, u, status, *tensors)
+        asked = ctx.needs_input_grad[4:]
+        if any(ctx.needs_input_grad):
+            sizes = [one.numel() for one in taken.parameters]
+            ctx.problem, ctx.wanted = problem, _wanted(tensors, sizes, asked)
+            ctx.count = len(tensors)
+            ctx.save_for_backward(parameters, box, x, u, status)
         ctx.mark_non_differentiable(residual, iterations, status)
         return results
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor | None, ...]:
-        parameters, box, x, u, status, *tensors = ctx.saved_tensors
+        parameters, box, x, u, status = ctx.saved_tensors
         valid = status == SolverStatus.CONVERGED
         by_parameters, by_state = torch.empty_like(parameters), torch.empty_like(x[:, 0])
         given = parameters, box, x, u, valid, *(each.contiguous() for each in slopes[:3])
         call = library(ctx.problem, "adjoint", x.dtype).dmmv_adjoint
         call(*_counts(len(x)), *pointers(*given), *pointers(by_parameters, by_state))
-        wanted = ctx.needs_input_grad[4:]
-        return None, None, by_state, None, *_from_rows(by_parameters, tensors, ctx.sizes, wanted)
+        slopes = _from_rows(by_parameters, ctx.wanted, ctx.count)
+        return None, None, by_state, None, *slopes
 
 
 @functools.cache

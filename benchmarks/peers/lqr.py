@@ -1,0 +1,118 @@
+"""Peers on the bounded LQRs of bench_lqr.py: time, time with the adjoint, controls, gradient."""
+
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+STEPS, N, M = 20, 8, 4
+
+
+def fastest(work, limit_s=20.0, most=10):
+    """Smallest processor time of the repetitions after the first call, in ms, and the last result."""
+    result, times, began = work(), [], time.monotonic()
+    while not times or (len(times) < most and time.monotonic() - began < limit_s):
+        start = time.process_time()
+        result = work()
+        times.append(1e3 * (time.process_time() - start))
+    return min(times), result
+
+
+def hpipm(file, arguments):
+    """HPIPM, the solver inside of acados, with the tightest tolerance at which it converges."""
+    prefix = arguments.hpipm
+    if prefix is None:
+        raise ModuleNotFoundError("hpipm")
+    given = (file["A"].T, file["B"].T, file["b"], file["x0"])
+    flat = "\n".join(map(repr, np.concatenate([part.ravel() for part in given]).tolist()))
+    tolerance = 1e-10 if "test" in arguments.name else 1e-8
+    head = f"{STEPS} {N} {M} {len(file['x0'])} {float(file['u_max'])} {tolerance} 2\n"
+    with tempfile.TemporaryDirectory() as folder:
+        program = str(Path(folder, "hpipm"))
+        source = Path(__file__).parent / "hpipm.c"
+        command = ["gcc", "-O2", "-march=native", str(source), f"-I{prefix}/include"]
+        command += [f"-L{prefix}/lib", "-lhpipm", "-lblasfeo", "-lm", "-o", program]
+        subprocess.run(command, check=True)
+        done = subprocess.run(
+            [program], input=head + flat, capture_output=True, text=True, check=True
+        )
+    alone, both, *rest = map(float, done.stdout.split())
+    return alone, both, np.array(rest[2:]).reshape(-1, STEPS, M), None
+
+
+def by_casadi(plugin, **options):
+    """A solver of sparse quadratic programs in CasADi; what it does not solve counts as it is."""
+    options |= {"error_on_fail": False}
+
+    def solve(file, arguments):
+        import casadi
+
+        count, limit = len(file["x0"]), float(file["u_max"])
+        width = M + N
+        rows = np.zeros((STEPS * N, STEPS * width))  # stages (u_t, x_t+1)
+        for t in range(STEPS):
+            block = rows[t * N : (t + 1) * N]
+            block[:, t * width : t * width + M] = -file["B"]
+            block[:, t * width + M : (t + 1) * width] = np.eye(N)
+            if t:
+                block[:, (t - 1) * width + M : t * width] = -file["A"]
+        H, A = casadi.DM.eye(STEPS * width), casadi.sparsify(casadi.DM(rows))
+        qp = casadi.conic("qp", plugin, {"h": H.sparsity(), "a": A.sparsity()}, options)
+        low = np.tile(np.r_[np.full(M, -limit), np.full(N, -np.inf)], STEPS)
+        offsets = np.tile(file["b"], (count, STEPS))
+        offsets[:, :N] += file["x0"] @ file["A"].T
+
+        def all_of_them():
+            solutions = [
+                qp(h=H, a=A, lba=offset, uba=offset, lbx=low, ubx=-low)["x"].full().ravel()
+                for offset in offsets
+            ]
+            return np.array(solutions).reshape(count, STEPS, width)[..., :M]
+
+        return *(fastest(all_of_them, 10.0, 3)), None
+
+    def row(file, arguments):
+        alone, controls, slopes = solve(file, arguments)
+        return alone, None, controls, slopes
+
+    return row
+
+
+def mpc_pytorch(file, arguments):
+    """The package mpc: all problems as one batch, through its analytic gradient."""
+    import torch
+    from mpc import mpc
+
+    A, B, b, H, start = (torch.tensor(file[key]) for key in ("A", "B", "b", "H", "x0"))
+    count, limit = len(start), float(file["u_max"])
+    leaves = [each.requires_grad_() for each in (A, B, b, H)]
+
+    def solve():
+        F, f = torch.cat([A, B], 1).expand(STEPS, count, -1, -1), b.expand(STEPS, count, -1)
+        C, c = H.expand(STEPS + 1, count, -1, -1), start.new_zeros(STEPS + 1, count, N + M)
+        solver = mpc.MPC(
+            N, M, STEPS + 1, u_lower=-limit, u_upper=limit, lqr_iter=50, eps=1e-10, n_batch=count,
+            verbose=-1, exit_unconverged=False, detach_unconverged=False, backprop=True,
+        )  # fmt: skip
+        return solver(start, mpc.QuadCost(C, c), mpc.LinDx(F, f))[1]
+
+    def differentiate():
+        return torch.autograd.grad(solve()[0].sum(), leaves)
+
+    with torch.no_grad():
+        alone, controls = fastest(solve, 5.0, 3)
+    both, slopes = fastest(differentiate, 5.0, 3)
+    columns = [each.T.flatten() if each.dim() == 2 else each for each in slopes]
+    return alone, both, controls[:-1].movedim(0, 1).numpy(), torch.cat(columns).numpy()
+
+
+SOLVERS = {
+    "HPIPM (inside of acados)": hpipm,
+    "DAQP (CasADi)": by_casadi("daqp"),
+    "OSQP (CasADi)": by_casadi(
+        "osqp", osqp={"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 50000, "verbose": False}
+    ),
+    "mpc.pytorch": mpc_pytorch,
+}
