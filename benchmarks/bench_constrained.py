@@ -2,7 +2,7 @@
 
     python benchmarks/bench_constrained.py > benchmarks/results/constrained.md
 
-Takes about three minutes of one core. `--count` sets the number of drives.
+Takes about four minutes of one core. `--count` sets the number of drives.
 """
 
 import argparse
@@ -97,18 +97,19 @@ def weakly_active():
     print(f"| farthest place by the goal | {found:.8f} | {sides[0]:.8f} | {sides[1]:.8f} |\n")
 
 
-def robustness(count, compared):
-    drive = problems.drives(count)
-    guess = problems.braking(drive)
-    began = time.process_time()
+def told(title, drive, guess, solver, once):
+    """The solution, after a table of its statuses, accuracy and time."""
+    count = len(drive.state)
     with torch.no_grad():
-        solution = problems.solve(ConstrainedILQR(ILQR()), drive, guess)
-    spent = time.process_time() - began
+        if once:  # libraries are built
+            few = problems.drives(2)
+            problems.solve(once, few, problems.braking(few))
+        began = time.process_time()
+        solution = problems.solve(solver, drive, guess)
+        spent = time.process_time() - began
     converged = solution.converged
     names = Counter(SolverStatus(int(status)).name for status in solution.status)
-    print(
-        f"{count} random drives (T = 30, three moving discs, speed limit, friction circle, box), from braking:\n"
-    )
+    print(f"\n{title}:\n")
     print("| status | problems |\n|---|---|")
     for name, number in names.most_common():
         print(f"| {name} | {number} |")
@@ -120,31 +121,68 @@ def robustness(count, compared):
     print(
         f"| iterations: median, 99 %, most | {steps.median():.0f}, {steps.quantile(0.99):.0f}, {steps.max():.0f} |"
     )
-    print(f"| CPU time per problem, eager, one batch | {1e3 * spent / count:.1f} ms |")
-    beside_ipopt(drive, guess, solution, compared)
+    print(f"| CPU time per problem, one batch | {1e3 * spent / count:.1f} ms |")
+    return solution
 
 
-def beside_ipopt(drive, guess, solution, compared):
+def robustness(count, compared):
+    drive = problems.drives(count)
+    guess = problems.braking(drive)
+    print(
+        f"{count} random drives (T = 30, three moving discs, speed limit, friction circle, box), from braking."
+    )
+    library = ILQR(compile=True, one_by_one=5000)
+    quick = ConstrainedILQR(library, persistent=False)
+    eager = told("Eager", drive, guess, ConstrainedILQR(ILQR()), None)
+    whole = told(
+        "Compiled: rounds in a library, the rest as eager",
+        drive,
+        guess,
+        ConstrainedILQR(library),
+        quick,
+    )
+    told("Compiled, the rounds alone (`persistent=False`)", drive, guess, quick, None)
+    beside_ipopt(drive, guess, {"eager": eager, "compiled": whole}, compared)
+
+
+def beside_ipopt(drive, guess, solutions, compared):
     from tests.control.constrained.reference import by_ipopt
 
     states = rollout(lambda x, u: problems.step(x, u, drive.wheelbase), drive.state, guess).numpy()
     began = time.process_time()
     found = [by_ipopt(drive, i, guess[i].numpy(), states[i]) for i in range(compared)]
     spent = time.process_time() - began
-    ours = solution.converged[:compared].numpy()
     theirs = np.array([one.solved for one in found])
+    print(f"\nBeside IPOPT (CasADi, same guess, {compared} of the drives):\n")
+    print("| | " + " | ".join(solutions) + " |\n|---" + "|---" * len(solutions) + "|")
+    columns = [compare(each, compared, theirs, found) for each in solutions.values()]
+    for title, *cells in zip(ROWS, *columns, strict=True):
+        print(f"| {title} | {' | '.join(cells)} |")
+    print(f"\nCPU time per problem of IPOPT: {1e3 * spent / compared:.1f} ms.")
+    for name, solution in solutions.items():
+        other = theirs & ~solution.converged[:compared].numpy()
+        print(f"Solved by IPOPT alone, {name}: {np.flatnonzero(other).tolist()}.")
+
+
+ROWS = (
+    *("solved by both, by ours alone, by IPOPT alone, by none", "same cost within 1e-6"),
+    *("ours cheaper (another local optimum)", "IPOPT cheaper", "ours / IPOPT: median, mean"),
+)
+
+
+def compare(solution, compared, theirs, found):
+    """The cells of one solution, in the order of `ROWS`."""
+    ours = solution.converged[:compared].numpy()
     ratio = solution.cost[:compared].numpy() / np.array([one.cost for one in found])
     both = ratio[ours & theirs]
-    print(f"\nBeside IPOPT (CasADi, same guess, {compared} of the drives):\n")
-    print("| | |\n|---|---|")
-    print(
-        f"| solved by both, by ours alone, by IPOPT alone, by none | {(ours & theirs).sum()}, {(ours & ~theirs).sum()}, {(~ours & theirs).sum()}, {(~ours & ~theirs).sum()} |"
+    counts = ours & theirs, ours & ~theirs, ~ours & theirs, ~ours & ~theirs
+    return (
+        ", ".join(str(each.sum()) for each in counts),
+        f"{(abs(both - 1) <= 1e-6).mean():.1%}",
+        f"{(both < 1 - 1e-6).mean():.1%}",
+        f"{(both > 1 + 1e-6).mean():.1%}",
+        f"{np.median(both):.6f}, {both.mean():.4f}",
     )
-    print(f"| same cost within 1e-6 | {(abs(both - 1) <= 1e-6).mean():.1%} |")
-    print(f"| ours cheaper (another local optimum) | {(both < 1 - 1e-6).mean():.1%} |")
-    print(f"| IPOPT cheaper | {(both > 1 + 1e-6).mean():.1%} |")
-    print(f"| ours / IPOPT: median, mean | {np.median(both):.6f}, {both.mean():.4f} |")
-    print(f"| CPU time per problem of IPOPT | {1e3 * spent / compared:.1f} ms |")
 
 
 def main():

@@ -1,5 +1,6 @@
 """Peers on the bounded LQRs of bench_lqr.py: time, time with the adjoint, controls, gradient."""
 
+import os
 import subprocess
 import tempfile
 import time
@@ -20,26 +21,38 @@ def fastest(work, limit_s=20.0, most=10):
     return min(times), result
 
 
-def hpipm(file, arguments):
-    """HPIPM, the solver inside of acados, with the tightest tolerance at which it converges."""
-    prefix = arguments.hpipm
-    if prefix is None:
-        raise ModuleNotFoundError("hpipm")
-    given = (file["A"].T, file["B"].T, file["b"], file["x0"])
-    flat = "\n".join(map(repr, np.concatenate([part.ravel() for part in given]).tolist()))
-    tolerance = 1e-10 if "test" in arguments.name else 1e-8
-    head = f"{STEPS} {N} {M} {len(file['x0'])} {float(file['u_max'])} {tolerance} 2\n"
-    with tempfile.TemporaryDirectory() as folder:
-        program = str(Path(folder, "hpipm"))
-        source = Path(__file__).parent / "hpipm.c"
-        command = ["gcc", "-O2", "-march=native", str(source), f"-I{prefix}/include"]
-        command += [f"-L{prefix}/lib", "-lhpipm", "-lblasfeo", "-lm", "-o", program]
-        subprocess.run(command, check=True)
-        done = subprocess.run(
-            [program], input=head + flat, capture_output=True, text=True, check=True
-        )
-    alone, both, *rest = map(float, done.stdout.split())
-    return alone, both, np.array(rest[2:]).reshape(-1, STEPS, M), None
+def in_c(program, library, tolerances, mode):
+    """A program of this folder that is linked with an installed solver."""
+
+    def row(file, arguments):
+        prefix = arguments.hpipm
+        if prefix is None:
+            raise ModuleNotFoundError(program, name=program)
+        given = (file["A"].T, file["B"].T, file["b"], file["x0"])
+        flat = "\n".join(map(repr, np.concatenate([part.ravel() for part in given]).tolist()))
+        tolerance = tolerances["test" not in arguments.name]
+        head = f"{STEPS} {N} {M} {len(file['x0'])} {float(file['u_max'])} {tolerance} {mode}\n"
+        include = [
+            f"-I{prefix}/include{each}" for each in ("", "/blasfeo/include", "/hpipm/include")
+        ]
+        with tempfile.TemporaryDirectory() as folder:
+            binary, source = str(Path(folder, program)), Path(__file__).parent / f"{program}.c"
+            command = ["gcc", "-O2", "-march=native", str(source), *include]
+            command += [f"-L{prefix}/lib", *library, "-lhpipm", "-lblasfeo", "-lm", "-o", binary]
+            command += ["-Wl,--unresolved-symbols=ignore-in-shared-libs"]
+            subprocess.run(command, check=True, capture_output=True)
+            done = subprocess.run(
+                [binary],
+                input=head + flat,
+                capture_output=True,
+                text=True,
+                check=True,
+                env=os.environ | {"LD_LIBRARY_PATH": f"{prefix}/lib"},
+            )
+        alone, both, *rest = map(float, done.stdout.split())
+        return alone, both, np.array(rest[2:]).reshape(-1, STEPS, M), None
+
+    return row
 
 
 def by_casadi(plugin, **options):
@@ -108,11 +121,53 @@ def mpc_pytorch(file, arguments):
     return alone, both, controls[:-1].movedim(0, 1).numpy(), torch.cat(columns).numpy()
 
 
+def qpth(file, arguments):
+    """The package qpth: dense quadratic programs in the controls, one batch."""
+    import torch
+    from qpth.qp import QPFunction
+
+    A, B, b, H, start = (torch.tensor(file[key]) for key in ("A", "B", "b", "H", "x0"))
+    leaves = [each.requires_grad_() for each in (A, B, b, H)]
+    wide = STEPS * M
+    box, none = torch.cat([torch.eye(wide), -torch.eye(wide)]), torch.Tensor()
+    limits = torch.full((2 * wide,), float(file["u_max"]))
+
+    def solve():
+        states, inputs = [start], [torch.zeros(N, wide)]
+        for t in range(STEPS):
+            states.append(states[-1] @ A.T + b)
+            placed = torch.nn.functional.pad(B, (t * M, wide - (t + 1) * M))
+            inputs.append(A @ inputs[-1] + placed)
+        free, slope = torch.stack(states, 1), torch.stack(inputs)
+        Q, R, S = H[:N, :N], H[N:, N:], H[:N, N:]
+        hessian = torch.einsum("tip,ij,tjq->pq", slope, Q, slope) + torch.block_diag(*[R] * STEPS)
+        cross = torch.einsum("tip,tij->ptj", slope[:-1], S.expand(STEPS, N, M)).reshape(wide, wide)
+        linear = torch.einsum("cti,ij,tjp->cp", free, Q, slope)
+        linear = linear + (free[:, :-1] @ S).flatten(1)
+        found = QPFunction(eps=1e-11, verbose=-1, maxIter=60)(
+            hessian + cross + cross.T, linear, box, limits, none, none
+        )
+        return found.reshape(-1, STEPS, M)
+
+    def differentiate():
+        return torch.autograd.grad(solve()[:, 0].sum(), leaves)
+
+    with torch.no_grad():
+        alone, controls = fastest(solve, 5.0, 3)
+    both, slopes = fastest(differentiate, 5.0, 3)
+    columns = [each.T.flatten() if each.dim() == 2 else each for each in slopes]
+    return alone, both, controls.numpy(), torch.cat(columns).numpy()
+
+
 SOLVERS = {
-    "HPIPM (inside of acados)": hpipm,
+    "HPIPM (inside of acados)": in_c("hpipm", (), (1e-10, 1e-8), 1),
+    "acados' QP module, partial condensing to 5 blocks": in_c(
+        "acados", ("-lacados",), (1e-10, 1e-8), 5
+    ),
     "DAQP (CasADi)": by_casadi("daqp"),
     "OSQP (CasADi)": by_casadi(
         "osqp", osqp={"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 50000, "verbose": False}
     ),
     "mpc.pytorch": mpc_pytorch,
+    "qpth": qpth,
 }

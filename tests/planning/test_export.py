@@ -8,9 +8,11 @@ import pytest
 import torch
 
 from diffstack_mmv.control import ILQR, Batched
+from diffstack_mmv.dynamics import DiffGM3, DiffKBM
 from diffstack_mmv.planning import PhysicalControls, PlanConstraints, SpeedWithin, initial_state
 from diffstack_mmv.planning.export import export_planner
 from diffstack_mmv.planning.objective import NAMES, batched_objective
+from diffstack_mmv.vehicles import load_vehicle
 from tests.planning.test_planner import problem, training
 
 COMPILER = shutil.which("cc") or shutil.which("gcc")
@@ -20,11 +22,13 @@ PROGRAM = """
 #include "planner.h"
 int main(void) {
   static dmmv_real parameters[DMMV_PARAMETERS];
-  dmmv_real state[DMMV_STATES] = {0, 0, 0, 2}, guess[DMMV_STEPS * DMMV_CONTROLS] = {0};
+  dmmv_real state[DMMV_STATES], guess[DMMV_STEPS * DMMV_CONTROLS] = {0};
   dmmv_plan_result plan;
   memcpy(parameters, dmmv_defaults(), sizeof parameters);
   for (int i = 0; i < DMMV_PARAMETERS; ++i)
     if (scanf("%lf", parameters + i) != 1) return 1;
+  for (int i = 0; i < DMMV_STATES; ++i)
+    if (scanf("%lf", state + i) != 1) return 1;
   int status = dmmv_plan(parameters, state, guess, &plan);
   printf("%d %d\\n", status, plan.iterations);
   for (int t = 0; t < DMMV_STEPS; ++t)
@@ -34,10 +38,25 @@ int main(void) {
 """
 
 
-@pytest.mark.skipif(COMPILER is None, reason="no C compiler is installed")
-def test_a_c_program_finds_the_plan_of_the_solver(tmp_path):
+def of_model(model):
+    """A planner of a model, in double precision."""
     planner = training().double()
+    planner.dynamics = model(load_vehicle("bicycle"), dt_s=0.25).double()
     planner.solver = ILQR(tolerance=1e-10)
+    return planner
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C compiler is installed")
+@pytest.mark.parametrize("model", [DiffKBM, pytest.param(DiffGM3, marks=pytest.mark.slow)])
+def test_a_c_program_finds_the_plan_of_the_solver(model, tmp_path):
+    """With the learned numbers of a checkpoint."""
+    trained = of_model(model)
+    with torch.no_grad():
+        for parameter in trained.parameters():
+            parameter += 0.05
+    torch.save(trained.state_dict(), tmp_path / "checkpoint.pt")
+    planner = of_model(model)
+    planner.load_state_dict(torch.load(tmp_path / "checkpoint.pt", weights_only=True))
     planned = [each.double() if each.is_floating_point() else each for each in flat(problem(1))]
     one = unflat(planned, problem(1))
     written = export_planner(planner, tmp_path, agents=1, components=2)
@@ -51,7 +70,7 @@ def test_a_c_program_finds_the_plan_of_the_solver(tmp_path):
             Batched(planner.dynamics), cost, planner.dynamics.bounds, state, guess
         )
     numbers = parameters(written, dict(zip(NAMES, cost.tensors, strict=True)))
-    status, iterations, controls = run_program(tmp_path, numbers)
+    status, iterations, controls = run_program(tmp_path, torch.cat([numbers, state[0]]))
     assert status == 0
     assert iterations == int(expected.iterations)
     torch.testing.assert_close(controls, expected.controls[0], rtol=1e-9, atol=1e-9)

@@ -66,17 +66,22 @@ def test_solutions_and_gradients_equal_the_eager_ones_to_rounding(count):
     assert (expected.controls.abs().amax((1, 2)) == 1.0).all()  # some bounds are active
 
 
-def test_one_vehicle_without_any_batch_dimension():
-    """A kink of the vehicle then chooses by a truth that is no array."""
+@pytest.mark.parametrize(("steps", "agents"), [(15, 0), (1, 0), (1, 2)])
+def test_one_vehicle_without_any_batch_dimension(steps, agents):
+    """A kink of the vehicle then chooses by a truth that is no array; nobody may be there."""
     torch.set_default_dtype(torch.float64)
     try:
         bicycle = DiffKBM(load_vehicle("bicycle"), 0.1)
         goal = torch.tensor([4.0, 1.5])
 
-        def to_goal(states, controls):
-            return (states[..., :2] - goal).square().sum(-1) + 0.1 * controls.square().sum(-1)
+        people = torch.tensor([[2.0, 1.0], [3.0, -1.0]])[:agents]
 
-        state, guess = torch.tensor([0.0, 0.0, 0.0, 2.0]), torch.zeros(15, 2)
+        def to_goal(states, controls):
+            far = (states[..., None, :2] - people).square().sum(-1)
+            price = (states[..., :2] - goal).square().sum(-1) + (-far).exp().sum(-1)
+            return price + 0.1 * controls.square().sum(-1)
+
+        state, guess = torch.tensor([0.0, 0.0, 0.0, 2.0]), torch.zeros(steps, 2)
         arguments = bicycle, to_goal, bicycle.bounds, state, guess
         expected, found = EXACT(*arguments), natively(EXACT, *arguments)
     finally:
