@@ -1,5 +1,6 @@
 """Joint fit of a vehicle, its instruments and all windows."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -34,6 +35,8 @@ from diffstack_mmv.identification.measured.shared import SharedUnknowns
 from diffstack_mmv.identification.measured.simulator import RideSimulator
 from diffstack_mmv.identification.measured.volume import volume_slopes, volumes
 from diffstack_mmv.identification.shooting import ReducedSystem, bounded_newton_step
+
+logger = logging.getLogger(__name__)
 
 STEPS_BACK = 9
 FIRST_DAMPING = 1e-4
@@ -219,6 +222,7 @@ class MeasuredFitter:
                     at = equations.linearised(trial)
                     break
             falls = before.total - at.cost.total >= self.tolerance
+            logger.debug("step %d: cost %.3f", taken, at.cost.total)
         return _Lowest(at, taken, not falls)
 
     def coasting_again(
