@@ -16,7 +16,8 @@ from bench_solver_profile import rates
 
 from diffstack_mmv.control import ILQR, Batched, CurvatureBySize
 from diffstack_mmv.control.native import solver as native
-from diffstack_mmv.control.native.generation import LANES, derived, is_short, source
+from diffstack_mmv.control.native.derived import derived
+from diffstack_mmv.control.native.generation import LANES, is_short, source
 from diffstack_mmv.control.native.scalar import needed
 from diffstack_mmv.vehicles import load_vehicle
 from dmmv_conventions.libraries import load
