@@ -145,7 +145,11 @@ class RideSimulator:
         self.model, self.parameters, self.noise = model, parameters, noise
         self._steering = _SteerPerCurvature(model)
         self._stepper = _Stepper(model, spec.wheelbase.entries()[0][0])
-        self._axle_m = turning_axle_m(spec.wheels)
+        self.spec, self._axle_m = spec, turning_axle_m(spec.wheels)
+
+    def under(self, noise: MeasurementNoise) -> "RideSimulator":
+        """The same vehicle under another noise."""
+        return RideSimulator(self.model, self.parameters, noise, self.spec)
 
     def knots(self, steps: int) -> int:
         """Number of knots over so many steps, both ends included."""

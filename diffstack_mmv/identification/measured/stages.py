@@ -191,7 +191,7 @@ class Judging:
         def errors(gyro: bool, coasting: Tensor | None) -> RolloutErrors:
             simulator, fit = fitted
             settings = (self.history, folds, gyro, coasting)
-            return held_out_errors(simulator, fit, self.rollouts, *settings)
+            return held_out_errors(simulator.under(fit.noise), fit, self.rollouts, *settings)
 
         return self._judged(f"recordings-{name}", name, errors, reference)
 
@@ -246,8 +246,8 @@ class Judging:
         def errors(gyro: bool, coasting: Tensor | None) -> RolloutErrors:
             simulator, fit = fitted
             given = InstrumentsGiven.of(fit.priors, len(part.recording))
-            settings = (self.history, gyro, coasting)
-            return future_errors(simulator, part, fit.point.shared, given, *settings)
+            known = (fit.point.shared, given, self.history, gyro, coasting)
+            return future_errors(simulator.under(fit.noise), part, *known)
 
         return fitted, self._judged(f"session-{session}-{name}", name, errors, judged)
 
