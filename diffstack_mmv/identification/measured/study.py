@@ -19,7 +19,6 @@ from diffstack_mmv.identification.measured.simulator import RideSimulator
 from diffstack_mmv.identification.measured.stages import Fitted, Fitting, HeldOut, Judging, Models
 from diffstack_mmv.identification.measured.validation import RolloutErrors, folds_by
 from diffstack_mmv.vehicles import VehicleSpec
-from dmmv_conventions.progress import counted
 
 logger = logging.getLogger(__name__)
 
@@ -125,15 +124,16 @@ class MeasuredStudy:
         judging = Judging(fitting, rollouts, self.history_steps)
         names = self._ordered(models)
         whole: dict[str, Fitted] = {}
-        for name in counted(names, "fit all recordings", "model"):
-            reference = whole.get(names[0])
-            whole[name] = fitting.fitted("all", windows, name, models[name], reference)
-            logger.info("%s: %d iterations", name, whole[name].fit.iterations)
         by_recording: dict[str, HeldOut] = {}
-        for name in counted(names, "leave out recordings", "model"):
+        by_session: dict[str, HeldOut] = {}
+        for name in names:
+            model, reference = models[name], whole.get(names[0])
+            whole[name] = fitting.fitted("all", windows, name, model, reference)
+            logger.info("%s: %d iterations", name, whole[name].fit.iterations)
             known = by_recording.get(names[0])
             by_recording[name] = judging.by_recording(name, whole[name], known)
-        by_session = judging.by_session(windows, models, whole, names)
+            by_session[name] = judging.by_session(name, model, windows, whole[name].fit)
+            logger.info("%s is judged: %.0f processor seconds", name, fitting.seconds[name])
         found = {
             name: ModelFit(*whole[name], by_recording[name], by_session[name]) for name in models
         }
