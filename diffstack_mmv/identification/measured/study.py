@@ -1,10 +1,11 @@
 """From measured rides to fitted models and their errors on recordings that were left out."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.identification.measured.baselines import Baselines
 from diffstack_mmv.identification.measured.fit import MeasuredFit, MeasuredFitter
 from diffstack_mmv.identification.measured.instruments import InstrumentPriors, MeasurementNoise
@@ -155,6 +156,14 @@ class MeasuredStudy:
         settings = (self.spec, self.fitter, self.noise, self.noise_rounds, self.fitted)
         parts = self.parts.keyed(*data, *settings, self.history_s, self.horizon_s, self.every_s)
         return Fitting(self.spec, self.fitter, self.noise, self.noise_rounds, parts)
+
+    def whole(
+        self, rides: Sequence[MeasuredRide], name: str, model: Callable[[], DynamicsModel]
+    ) -> tuple[RideWindows, RideWindows, Fitted]:
+        """Windows, roll-outs, and the fit of the reference to all recordings."""
+        windows, rollouts = cut_windows(rides, self.fitted), cut_windows(rides, self._future())
+        fitting = self._fitting(windows, rollouts)
+        return windows, rollouts, fitting.fitted("all", windows, name, model, None)
 
     def _future(self) -> RideWindowSettings:
         steps = self.history_steps + round(self.horizon_s / self.fitted.dt_s)
