@@ -168,18 +168,19 @@ class RideSimulator:
         """Simulate all windows, of one vehicle or each of its own."""
         columns = (windows.steer, windows.steer_rate, windows.speed)
         if shared.dim() == 1:
-            return Simulated(*self._simulated(*columns, shared, local))
+            return Simulated(*self._simulated(*columns, local, shared))
 
-        def one(*parts: Tensor) -> tuple[Tensor, ...]:
-            *alone, shared, local = parts
-            rows = (part.unsqueeze(0) for part in alone)
-            found = self._simulated(*rows, shared, local.unsqueeze(0))
+        def one(
+            steer: Tensor, rate: Tensor, speed: Tensor, shared: Tensor, local: Tensor
+        ) -> tuple[Tensor, ...]:
+            alone = (part.unsqueeze(0) for part in (steer, rate, speed, local))
+            found = self._simulated(*alone, shared=shared)
             return tuple(part.squeeze(0) for part in found)
 
         return Simulated(*vmap(one)(*columns, shared, local))
 
     def _simulated(
-        self, steer: Tensor, steer_rate: Tensor, speed: Tensor, shared: Tensor, local: Tensor
+        self, steer: Tensor, steer_rate: Tensor, speed: Tensor, local: Tensor, shared: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Positions of the antenna, yaw rates and states under one vehicle."""
         theta, (ahead, height, gain) = shared[:-INSTALLED], shared[-INSTALLED:].unbind()
