@@ -64,12 +64,11 @@ class MeasuredStudyResult(NamedTuple):
     seconds: Mapping[str, float]
 
     def calibrated(self, spec: VehicleSpec, source: str) -> VehicleSpec:
-        """The vehicle with the values of every model, those of the identified one last."""
-        for found in reversed(self.models.values()):
-            vector = found.simulator.parameters
-            theta = found.fit.point.shared[: len(vector)]
-            spec = spec.with_values(vector.calibrated(theta), source)
-        return spec
+        """The vehicle with the values of the identified model; what others fit is in the report."""
+        first = next(iter(self.models.values()))
+        vector = first.simulator.parameters
+        theta = first.fit.point.shared[: len(vector)]
+        return spec.with_values(vector.calibrated(theta), source)
 
 
 @dataclass(frozen=True)
