@@ -32,9 +32,6 @@ from diffstack_mmv.identification.shooting import ParameterVector
 from diffstack_mmv.vehicles import VehicleSpec
 from dmmv_conventions.progress import counted
 
-WARM = 6
-"""Largest number of steps of a fit that starts at one of nearly the same recordings."""
-
 Models = Mapping[str, Callable[[], DynamicsModel]]
 
 
@@ -164,8 +161,7 @@ class Fitting:
             point = fitter.first_point(
                 simulator, windows, point.shared, point.recording, known.coasting
             )
-        near = replace(fitter, iterations=WARM)
-        return Fitted(simulator, near(simulator, windows, point, start.tilt))
+        return Fitted(simulator, fitter(simulator, windows, point, start.tilt))
 
 
 @dataclass(frozen=True)
