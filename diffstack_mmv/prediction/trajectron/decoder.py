@@ -193,9 +193,7 @@ def present_motion(rows: AgentBatch) -> Motion:
     At rest the course is not observable; the heading of the track takes over below walking speed.
     """
     speed = safe_norm(rows.velocity)
-    forward = rows.velocity + torch.tensor([1.0, 0.0]).to(rows.velocity) * (
-        0.3 * torch.exp(-speed)
-    ).unsqueeze(-1)
-    course = torch.atan2(forward[:, 1], forward[:, 0])
+    ahead, left = rows.velocity.unbind(-1)
+    course = torch.atan2(left, ahead + 0.3 * torch.exp(-speed))
     zero = torch.zeros_like(speed)
     return Motion(torch.zeros_like(rows.velocity), course, torch.stack([speed, zero], -1), zero)
