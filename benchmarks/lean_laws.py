@@ -150,8 +150,9 @@ def draw(shown, path):
             axis.plot(time_s, pairs[longest][0], linewidth=1, label=law)
         axis.set(title=group, ylabel="lean [rad]")
     axes.flat[-1].set_xlabel("time [s]")
-    axes.flat[0].legend(fontsize="small", ncols=3)
-    figure.tight_layout()
+    handles, labels = axes.flat[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize="small", ncols=len(labels), loc="upper center")
+    figure.tight_layout(rect=(0, 0, 1, 0.96))
     figure.savefig(path, dpi=120)
 
 

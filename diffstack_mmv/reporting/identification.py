@@ -43,7 +43,7 @@ def write_tables(
     parts = [f"# {result['vehicle']}: {result['dynamics']}, measured controls"]
     for heading, rows in tables.items():
         table = pd.DataFrame(list(rows))
-        parts.append(f"## {heading}\n\n" + _text(table))
+        parts.append(f"## {heading}\n\n" + _text(table.round(4)))
         name = heading.lower().replace("-", "")
         write_text(folder / f"{name}.csv", table.to_csv(index=False, lineterminator="\n"))
     write_text(folder / "identification.md", "\n\n".join(parts) + "\n")

@@ -39,10 +39,9 @@ class FreewheelGiven(NamedTuple):
     @classmethod
     def of(cls, priors: InstrumentPriors, count: int) -> "FreewheelGiven":
         """The same priors for so many windows."""
-        both = [
-            torch.stack(priors.freewheel(coasts)).expand(count, 2, 2) for coasts in (True, False)
-        ]
-        return cls(*both, torch.full((count,), priors.coasting_share, dtype=torch.float64))
+        share = torch.full((count,), priors.coasting_share, dtype=torch.float64)
+        coasts, drives = (torch.stack(priors.freewheel(it)) for it in (True, False))
+        return cls(coasts.expand(count, 2, 2), drives.expand(count, 2, 2), share)
 
     def where(self, coasting: Bool[Tensor, " w"]) -> tuple[Tensor, Tensor]:
         """Means and deviations (w 2) for windows that coast or do not."""

@@ -13,7 +13,13 @@ from diffstack_mmv.identification.measured.elimination import (
     RideEquations,
     without_recording,
 )
-from diffstack_mmv.identification.measured.instruments import SIZES, Gaussian, InstrumentPriors
+from diffstack_mmv.identification.measured.instruments import (
+    SIZES,
+    Gaussian,
+    InstrumentPriors,
+    MeasurementNoise,
+)
+from diffstack_mmv.identification.measured.rides import RideWindows
 from diffstack_mmv.identification.measured.simulator import COASTING, POSE
 
 NoiseSizes = dict[str, float]
@@ -21,6 +27,9 @@ NoiseSizes = dict[str, float]
 
 LEAST_SHARE = 0.2
 """A learned deviation is at least this share of the given one: recordings are few."""
+
+MOST_ALIKE = 0.9
+"""Largest correlation of neighboring steps that is accounted for."""
 
 NAMES = ("steer_offset", "steer_scale", "speed_scale", "delay_s")
 
@@ -39,6 +48,36 @@ def noise_sizes(equations: RideEquations, at: Linearisation, parts: Eliminated) 
     knots = errors.unflatten(1, (2, -1)).mean((0, 2)).sqrt()
     along, across = noise.along_m * mean[0], noise.across_m * mean[1]
     return dict(zip(SIZES, map(float, (along, across, *knots)), strict=True))
+
+
+def heard_noise(
+    windows: RideWindows, yaw_rate: Float[Tensor, "w T"], given: MeasurementNoise
+) -> MeasurementNoise:
+    """Noise and bias of the gyro from the yaw rates of a fit that did not use it.
+
+    The bias is that of recordings. What is left within a window is not white: the deviation is that
+    of white noise whose means over windows vary as much.
+
+    Args:
+        windows: The fitted windows.
+        yaw_rate: Of the fit, rad/s.
+        given: The other deviations, and all where there are not two recordings with a gyro.
+    """
+    apart = windows.yaw_rate - yaw_rate
+    heard = apart.isfinite().all(-1)
+    owner, apart = windows.recording[heard], apart[heard]
+    if len(owner.unique()) < 2:
+        return given
+    mean = apart.mean(-1)
+    bias = torch.stack([mean[owner == number].mean() for number in owner.unique()])
+    rest = apart - mean.unsqueeze(-1)
+    square = rest.square().mean()
+    alike = ((rest[:, 1:] * rest[:, :-1]).mean() / square).clamp(0.0, MOST_ALIKE)
+    return replace(
+        given,
+        yaw_rate_radps=float((square * (1 + alike) / (1 - alike)).sqrt()),
+        yaw_rate_bias=Gaussian(float(bias.mean()), float(bias.std())),
+    )
 
 
 class LearnedInstruments(NamedTuple):

@@ -26,10 +26,11 @@ from diffstack_mmv.identification.measured.estimation import (
 from diffstack_mmv.identification.measured.evidence import (
     LearnedInstruments,
     NoiseSizes,
+    heard_noise,
     learned_instruments,
     noise_sizes,
 )
-from diffstack_mmv.identification.measured.instruments import InstrumentPriors
+from diffstack_mmv.identification.measured.instruments import InstrumentPriors, MeasurementNoise
 from diffstack_mmv.identification.measured.rides import RideWindows
 from diffstack_mmv.identification.measured.shared import SharedUnknowns
 from diffstack_mmv.identification.measured.simulator import RideSimulator
@@ -66,6 +67,7 @@ class MeasuredFit(NamedTuple):
         converged: Whether the cost ceased to fall before the iterations were over.
         sizes: Deviations of noise that explain its residuals and errors better than the assumed.
         instruments: What the recordings tell about the priors of their instruments.
+        noise: The assumed noise, that of the gyro as the yaw rates of the fit tell it.
     """
 
     point: RideUnknowns
@@ -83,6 +85,7 @@ class MeasuredFit(NamedTuple):
     converged: bool
     sizes: NoiseSizes
     instruments: LearnedInstruments
+    noise: MeasurementNoise
 
     @property
     def priors(self) -> InstrumentPriors:
@@ -307,6 +310,7 @@ class MeasuredFitter:
             converged,
             noise_sizes(equations, at, parts),
             learned_instruments(equations, at, parts, recording_std, self.priors),
+            heard_noise(windows, found.yaw_rate, equations.simulator.noise),
         )
 
 

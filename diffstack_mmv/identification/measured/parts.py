@@ -4,7 +4,7 @@ import hashlib
 import os
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -74,4 +74,6 @@ def priors_as_tensor(priors: InstrumentPriors) -> Tensor:
 def priors_from_tensor(values: Tensor) -> InstrumentPriors:
     """The inverse of `priors_as_tensor`."""
     *pairs, share = values.tolist()
-    return InstrumentPriors(*map(Gaussian, pairs[::2], pairs[1::2]), share)
+    names = [each.name for each in fields(InstrumentPriors)][:-1]
+    gaussians = dict(zip(names, map(Gaussian, pairs[::2], pairs[1::2]), strict=True))
+    return replace(InstrumentPriors(coasting_share=share), **gaussians)

@@ -82,6 +82,21 @@ class RideWindows(NamedTuple):
             lean=self.lean[:, ends],
         )
 
+    def tail(self, steps: int) -> "RideWindows":
+        """All but the first `steps` steps, from the position after them."""
+        origin = self.position[:, steps]
+        return self._replace(
+            origin=self.origin + origin,
+            position=self.position[:, steps:] - origin.unsqueeze(1),
+            course=self.course[:, steps:],
+            known=self.known[:, steps:],
+            steer=self.steer[:, steps:],
+            steer_rate=self.steer_rate[:, steps:],
+            speed=self.speed[:, steps:],
+            yaw_rate=self.yaw_rate[:, steps:],
+            lean=self.lean[:, steps:],
+        )
+
 
 @dataclass(frozen=True)
 class RideWindowSettings:

@@ -145,7 +145,11 @@ class RideSimulator:
         self.model, self.parameters, self.noise = model, parameters, noise
         self._steering = _SteerPerCurvature(model)
         self._stepper = _Stepper(model, spec.wheelbase.entries()[0][0])
-        self._axle_m = turning_axle_m(spec.wheels)
+        self.spec, self._axle_m = spec, turning_axle_m(spec.wheels)
+
+    def under(self, noise: MeasurementNoise) -> "RideSimulator":
+        """The same vehicle under another noise."""
+        return RideSimulator(self.model, self.parameters, noise, self.spec)
 
     def knots(self, steps: int) -> int:
         """Number of knots over so many steps, both ends included."""
@@ -164,18 +168,19 @@ class RideSimulator:
         """Simulate all windows, of one vehicle or each of its own."""
         columns = (windows.steer, windows.steer_rate, windows.speed)
         if shared.dim() == 1:
-            return Simulated(*self._simulated(*columns, shared, local))
+            return Simulated(*self._simulated(*columns, local, shared))
 
-        def one(*parts: Tensor) -> tuple[Tensor, ...]:
-            *alone, shared, local = parts
-            rows = (part.unsqueeze(0) for part in alone)
-            found = self._simulated(*rows, shared, local.unsqueeze(0))
+        def one(
+            steer: Tensor, rate: Tensor, speed: Tensor, shared: Tensor, local: Tensor
+        ) -> tuple[Tensor, ...]:
+            alone = (part.unsqueeze(0) for part in (steer, rate, speed, local))
+            found = self._simulated(*alone, shared=shared)
             return tuple(part.squeeze(0) for part in found)
 
         return Simulated(*vmap(one)(*columns, shared, local))
 
     def _simulated(
-        self, steer: Tensor, steer_rate: Tensor, speed: Tensor, shared: Tensor, local: Tensor
+        self, steer: Tensor, steer_rate: Tensor, speed: Tensor, local: Tensor, shared: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Positions of the antenna, yaw rates and states under one vehicle."""
         theta, (ahead, height, gain) = shared[:-INSTALLED], shared[-INSTALLED:].unbind()

@@ -1,6 +1,6 @@
 """Stages of a study: fits of all recordings and without a session, and roll-outs of both."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -172,11 +172,13 @@ class Judging:
         fitting: Fits what a session is judged by.
         rollouts: History and future.
         history: Steps of the history.
+        references: Fit and errors of the reference by left out session, filled in on the way.
     """
 
     fitting: Fitting
     rollouts: RideWindows
     history: int
+    references: dict[int, tuple[Fitted, HeldOut]] = field(default_factory=dict)
 
     def by_recording(self, name: str, fitted: Fitted, reference: HeldOut | None) -> HeldOut:
         """Each recording under vehicle and priors of the others.
@@ -191,39 +193,36 @@ class Judging:
         def errors(gyro: bool, coasting: Tensor | None) -> RolloutErrors:
             simulator, fit = fitted
             settings = (self.history, folds, gyro, coasting)
-            return held_out_errors(simulator, fit, self.rollouts, *settings)
+            return held_out_errors(simulator.under(fit.noise), fit, self.rollouts, *settings)
 
         return self._judged(f"recordings-{name}", name, errors, reference)
 
     def by_session(
         self,
+        name: str,
+        model: Callable[[], DynamicsModel],
         windows: RideWindows,
-        models: Models,
-        whole: Mapping[str, Fitted],
-        names: Sequence[str],
-    ) -> dict[str, HeldOut]:
+        whole: MeasuredFit,
+    ) -> HeldOut:
         """Each session under everything learned on the others.
 
         Args:
+            name: Of the model; the first that is judged is the reference of the others.
+            model: Makes it.
             windows: Windows of all fits.
-            models: Makes each model.
-            whole: Fits of all recordings, where those without a session begin.
-            names: Of the models, the reference first.
+            whole: Its fit of all recordings, where those without a session begin.
         """
         nothing = RolloutErrors.unknown(self.rollouts)
-        found = dict.fromkeys(models, HeldOut(nothing, nothing))
+        found = HeldOut(nothing, nothing)
         folds = folds_by(windows.names, sessions=True)
-        jobs = [(fold, name) for fold in folds for name in names if not bool(fold.all())]
-        reference: tuple[Fitted, HeldOut] | None = None
-        for fold, name in counted(jobs, "leave out sessions", "fit"):
+        for number, fold in enumerate(counted(folds, f"{name}: leave out sessions", "session")):
             chosen = fold[self.rollouts.recording]
-            if not bool(chosen.any()):
+            if bool(fold.all()) or not bool(chosen.any()):
                 continue
-            first = None if name == names[0] else reference
-            one = self._without(fold, name, models[name], windows, whole[name].fit, first)
-            reference = one if first is None else reference
-            pairs = zip(found[name], one[1], strict=True)
-            found[name] = HeldOut(*(old.filled(chosen, new) for old, new in pairs))
+            one = self._without(fold, name, model, windows, whole, self.references.get(number))
+            self.references.setdefault(number, one)
+            pairs = zip(found, one[1], strict=True)
+            found = HeldOut(*(old.filled(chosen, new) for old, new in pairs))
         return found
 
     def _without(
@@ -246,8 +245,8 @@ class Judging:
         def errors(gyro: bool, coasting: Tensor | None) -> RolloutErrors:
             simulator, fit = fitted
             given = InstrumentsGiven.of(fit.priors, len(part.recording))
-            settings = (self.history, gyro, coasting)
-            return future_errors(simulator, part, fit.point.shared, given, *settings)
+            known = (fit.point.shared, given, self.history, gyro, coasting)
+            return future_errors(simulator.under(fit.noise), part, *known)
 
         return fitted, self._judged(f"session-{session}-{name}", name, errors, judged)
 

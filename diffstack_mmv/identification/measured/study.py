@@ -1,10 +1,11 @@
 """From measured rides to fitted models and their errors on recordings that were left out."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.identification.measured.baselines import Baselines
 from diffstack_mmv.identification.measured.fit import MeasuredFit, MeasuredFitter
 from diffstack_mmv.identification.measured.instruments import InstrumentPriors, MeasurementNoise
@@ -19,7 +20,6 @@ from diffstack_mmv.identification.measured.simulator import RideSimulator
 from diffstack_mmv.identification.measured.stages import Fitted, Fitting, HeldOut, Judging, Models
 from diffstack_mmv.identification.measured.validation import RolloutErrors, folds_by
 from diffstack_mmv.vehicles import VehicleSpec
-from dmmv_conventions.progress import counted
 
 logger = logging.getLogger(__name__)
 
@@ -64,12 +64,11 @@ class MeasuredStudyResult(NamedTuple):
     seconds: Mapping[str, float]
 
     def calibrated(self, spec: VehicleSpec, source: str) -> VehicleSpec:
-        """The vehicle with the values of every model, those of the identified one last."""
-        for found in reversed(self.models.values()):
-            vector = found.simulator.parameters
-            theta = found.fit.point.shared[: len(vector)]
-            spec = spec.with_values(vector.calibrated(theta), source)
-        return spec
+        """The vehicle with the values of the identified model; what others fit is in the report."""
+        first = next(iter(self.models.values()))
+        vector = first.simulator.parameters
+        theta = first.fit.point.shared[: len(vector)]
+        return spec.with_values(vector.calibrated(theta), source)
 
 
 @dataclass(frozen=True)
@@ -125,15 +124,16 @@ class MeasuredStudy:
         judging = Judging(fitting, rollouts, self.history_steps)
         names = self._ordered(models)
         whole: dict[str, Fitted] = {}
-        for name in counted(names, "fit all recordings", "model"):
-            reference = whole.get(names[0])
-            whole[name] = fitting.fitted("all", windows, name, models[name], reference)
-            logger.info("%s: %d iterations", name, whole[name].fit.iterations)
         by_recording: dict[str, HeldOut] = {}
-        for name in counted(names, "leave out recordings", "model"):
+        by_session: dict[str, HeldOut] = {}
+        for name in names:
+            model, reference = models[name], whole.get(names[0])
+            whole[name] = fitting.fitted("all", windows, name, model, reference)
+            logger.info("%s: %d iterations", name, whole[name].fit.iterations)
             known = by_recording.get(names[0])
             by_recording[name] = judging.by_recording(name, whole[name], known)
-        by_session = judging.by_session(windows, models, whole, names)
+            by_session[name] = judging.by_session(name, model, windows, whole[name].fit)
+            logger.info("%s is judged: %.0f processor seconds", name, fitting.seconds[name])
         found = {
             name: ModelFit(*whole[name], by_recording[name], by_session[name]) for name in models
         }
@@ -155,6 +155,14 @@ class MeasuredStudy:
         settings = (self.spec, self.fitter, self.noise, self.noise_rounds, self.fitted)
         parts = self.parts.keyed(*data, *settings, self.history_s, self.horizon_s, self.every_s)
         return Fitting(self.spec, self.fitter, self.noise, self.noise_rounds, parts)
+
+    def whole(
+        self, rides: Sequence[MeasuredRide], name: str, model: Callable[[], DynamicsModel]
+    ) -> tuple[RideWindows, RideWindows, Fitted]:
+        """Windows, roll-outs, and the fit of the reference to all recordings."""
+        windows, rollouts = cut_windows(rides, self.fitted), cut_windows(rides, self._future())
+        fitting = self._fitting(windows, rollouts)
+        return windows, rollouts, fitting.fitted("all", windows, name, model, None)
 
     def _future(self) -> RideWindowSettings:
         steps = self.history_steps + round(self.horizon_s / self.fitted.dt_s)
