@@ -139,7 +139,7 @@ class Trajectron(Predictor):
         self.energy_weight = energy_weight
         self.annealing = (annealing if annealing is not None else Annealing()).checked()
         self.scene_encoder = SceneEncoder(
-            sizes.history, sizes.edge, sizes.dropout, sizes.reach_m, sizes.fade_m, site
+            self.dt_s, sizes.history, sizes.edge, sizes.dropout, sizes.reach_m, sizes.fade_m, site
         )
         self.future_encoder = PerKind(
             {kind: MaskedLSTM(TRACK_FEATURES, sizes.future) for kind in (VEHICLE, PEDESTRIAN)},
@@ -246,7 +246,9 @@ class Trajectron(Predictor):
 
     def _row_loss(self, part: Decoded, future: Tracks) -> Float[Tensor, " S"]:
         """Negative evidence bound of each row in nats per predicted time step."""
-        encoded = self.future_encoder(part.rows.kind, track_features(future), future.valid)
+        steps = torch.arange(1, future.valid.shape[-1] + 1, device=future.valid.device)
+        seen = track_features(future, part.rows.velocity, self.dt_s * steps)
+        encoded = self.future_encoder(part.rows.kind, seen, future.valid)
         log_posterior = part.latent.log_posterior(part.context, encoded)
         error = future.motion.position.unsqueeze(1) - part.moments.mean
         log_prob = log_density(error, scale_from_covariance(part.moments.covariance))
