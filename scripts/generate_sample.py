@@ -14,7 +14,9 @@ def main(config: DictConfig) -> None:
     """Write the sample."""
     from data_converters import generate_sample
 
-    folders = generate_sample(Path(config.out), config.seed)
+    folders = generate_sample(
+        Path(config.out), config.seed, list(config.sequences), config.duration_s
+    )
     logger.info("Wrote %d sequences to %s", len(folders), config.out)
 
 
