@@ -1,7 +1,8 @@
 """The cost of planning problems as a solver wants it: able to select some of its problems."""
 
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -51,6 +52,34 @@ def batched_objective(
         return planner.cost_of(motion, controls, joined(heading, tensors))
 
     return Batched(cost, *parted(problem))
+
+
+class MotionRows(NamedTuple):
+    """Motions as rows of numbers, for costs that are priced in a library."""
+
+    cost: Batched  # (rows `b t 6`, controls `b t m` in SI units) -> `b t`
+    rows: Float[Tensor, "*b t 6"]
+
+
+def motion_rows(planner: PlanCost, problem: PlanningProblem, motion: Motion) -> MotionRows:
+    """Cost at each time of motions that are given, of a batch of problems.
+
+    Args:
+        planner: Whose cost it is.
+        problem: The problems.
+        motion: Motions of their plans.
+    """
+    heading = problem.ego.heading
+
+    def cost(rows: Tensor, controls: Tensor, *tensors: Tensor) -> Tensor:
+        x, y, course, forward, left, yaw_rate = rows.unbind(-1)
+        position, velocity = torch.stack([x, y], -1), torch.stack([forward, left], -1)
+        moved = Motion(position, course, velocity, yaw_rate)
+        return planner.cost_of(moved, controls, joined(heading, tensors))
+
+    position, course, velocity, yaw_rate = motion
+    fields = position, course.unsqueeze(-1), velocity, yaw_rate.unsqueeze(-1)
+    return MotionRows(Batched(cost, *parted(problem)), torch.cat(fields, -1))
 
 
 def parted(problem: PlanningProblem) -> tuple[Tensor, ...]:

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from diffstack_mmv.checks import message, require_at_least
 from diffstack_mmv.control import ILQR, Batched, TrajectoryOptimizer
+from diffstack_mmv.control.native.prices import prices
 from diffstack_mmv.control.native.scan import RowStep, scan
 from diffstack_mmv.costs import WeightedCost
 from diffstack_mmv.dynamics import DynamicsModel, rollout
@@ -17,7 +18,7 @@ from diffstack_mmv.planning.choice import PlanChoice, TakeOptimum
 from diffstack_mmv.planning.coordinates import Coordinates, PhysicalControls
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
 from diffstack_mmv.planning.limits import PlanConstraints
-from diffstack_mmv.planning.objective import batched_objective
+from diffstack_mmv.planning.objective import batched_objective, motion_rows
 from diffstack_mmv.planning.parts import cost_in_parts
 from diffstack_mmv.planning.pricing import CostScore, PlanScore, ScoredPlans
 from diffstack_mmv.planning.problem import filled_up, initial_state, likeliest
@@ -178,10 +179,29 @@ class MPCPlanner(Planner):
         per_plan = map_tensors(lambda entry: entry.unsqueeze(batch_dims), problem)
 
         def cost(motion: Motion, controls: Tensor) -> Tensor:
-            return cost_in_parts(self.cost_of, motion, with_final_row(controls), per_plan)
+            padded = with_final_row(controls)
+            found = self._priced(problem, motion, padded)
+            if found is not None:
+                return found
+            return cost_in_parts(self.cost_of, motion, padded, per_plan)
 
         with torch.set_grad_enabled(torch.is_grad_enabled() and self.score.differentiable):
             return self.score(cost, problem, controls, motion, waited, self.dynamics.dt_s)
+
+    def _priced(
+        self, problem: PlanningProblem, motion: Motion, controls: Float[Tensor, "*b C t m"]
+    ) -> Float[Tensor, "*b C t"] | None:
+        """The cost of plans in a library, where the solver is compiled; None without.
+
+        A score without gradient judges clearances on tensors, and its agents come and go: there the
+        cost stays on tensors as well.
+        """
+        compiled = isinstance(self.solver, ILQR) and self.solver.compile
+        if not (compiled and self.score.differentiable and controls.dim() == 4):
+            return None
+        filled = problem._replace(obstacles=filled_up(problem.obstacles))
+        cost, rows = motion_rows(self, filled, motion)
+        return prices(cost, rows, controls)
 
     @torch.no_grad()
     def _continued(

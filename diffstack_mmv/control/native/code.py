@@ -97,3 +97,21 @@ def function(
     lines = writer.lines([node for _, node in outputs])
     ends = [f"  {place} = {writer.lifted(node)};" for place, node in outputs]
     return "\n".join([f"{signature} {{", *lines, *ends, "}"])
+
+
+def into(array: str, nodes: Iterable[Node]) -> list[tuple[str, Node]]:
+    """Nodes and the entries of an array that they go to."""
+    return [(f"{array}[{index}]", node) for index, node in enumerate(nodes)]
+
+
+def table(kind: str, name: str, values: Sequence[float]) -> str:
+    """An array of constants."""
+    entries = ", ".join(str(v) if kind == "int" else literal(v) for v in values) or "0"
+    return f"static constexpr {kind} {name}[] = {{{entries}}};"
+
+
+def rows_of(name: str, rows: Sequence[Sequence[int]], width: int) -> str:
+    """A table of constants, its rows filled up with zeros."""
+    padded = ([*row, *[0] * (width - len(row))] or [0] for row in rows)
+    body = ", ".join("{" + ", ".join(map(str, row)) + "}" for row in padded)
+    return f"static constexpr int {name}[{len(rows)}][{max(width, 1)}] = {{{body}}};"

@@ -4,9 +4,15 @@ from collections.abc import Iterable, Sequence
 from importlib.resources import files
 from typing import NamedTuple
 
-from diffstack_mmv.control.native.code import function, literal
+from diffstack_mmv.control.native.code import function, into, literal, rows_of, table
 from diffstack_mmv.control.native.derivative import gradient
-from diffstack_mmv.control.native.repetition import OF_A_TERM, with_entries, with_sums
+from diffstack_mmv.control.native.repetition import (
+    OF_A_TERM,
+    Entry,
+    added_terms,
+    with_entries,
+    with_sums,
+)
 from diffstack_mmv.control.native.scalar import LEAF, Node, Program, needed
 from diffstack_mmv.control.native.stages import Sizes, Stage, StagedProblem
 from diffstack_mmv.types import SolverStatus
@@ -31,6 +37,7 @@ class Derived(NamedTuple):
     hessian: tuple[Node, ...] | None  # of the weighted sum of the outputs; None: too long
     active: tuple[int, ...]  # columns of the Jacobian of the stage that are not constant
     constants: tuple[tuple[float, ...], ...]  # that Jacobian, zero where it is not constant
+    term: "Derived | None" = None  # of the like terms, where these are written out by themselves
 
 
 def opening(real: str, *headers: str) -> list[str]:
@@ -84,15 +91,16 @@ def _problem(problem: StagedProblem, adjoint: bool) -> list[str]:
         f"static constexpr int STEP_NUMBERS = {len(problem.step_numbers)};",
         table("int", "step_numbers", problem.step_numbers),
         table("int", "cost_kind", problem.kinds),
-        _rows("cost_numbers", problem.cost_numbers, widest),
-        _prelude(problem),
+        rows_of("cost_numbers", problem.cost_numbers, widest),
+        prelude(problem),
         *_step(step),
         *_costs(costs, problem.sizes),
         _flag("LINEAR_QUADRATIC", _is_linear_quadratic(step, costs)),
     ]
     if adjoint:
         known = problem.parameters, problem.numbers, parameters
-        lines += [prelude_adjoint(*known), *_number_gradients(step, costs)]
+        gradients = _number_gradients(problem.step, problem.costs)
+        lines += [prelude_adjoint(*known), *gradients]
     return [*lines, "};"]
 
 
@@ -108,11 +116,12 @@ def derived(stage: Stage, sizes: Sizes) -> Derived:
     active = {i for i in range(n + m) if any(row[i] is None for row in values)}
     slopes = tuple(weighted_gradient(stage, inputs))
     flat = tuple(entry for row in jacobian for entry in row)
-    hessian = None if stage.repeated else _hessian(stage, slopes, inputs)
-    if stage.repeated:
-        term = derived(stage.repeated.term, sizes)
-        active |= set(term.active)
-    return Derived(stage, slopes, flat, hessian, tuple(sorted(active)), constants)
+    known = stage, slopes, flat
+    term = derived(stage.repeated.term, sizes) if stage.repeated else None
+    if term is not None and term.hessian is None:
+        return Derived(*known, None, tuple(sorted(active | set(term.active))), constants)
+    hessian = _hessian(stage, slopes, inputs)
+    return Derived(*known, hessian, tuple(sorted(active)), constants, term)
 
 
 def _hessian(
@@ -135,8 +144,7 @@ def _is_short(program: Program, written: Sequence[Node] | None, instead: Sequenc
 
 def _is_linear_quadratic(step: Derived, costs: Sequence[Derived]) -> bool:
     """Whether derivatives depend on parameters alone: the Jacobian of a step, Hessians of costs."""
-    curvatures = [cost.hessian for cost in costs]
-    if None in curvatures:
+    if any(cost.hessian is None or cost.stage.repeated for cost in costs):
         return False
     each = [(step, step.jacobian), *((cost, cost.hessian or ()) for cost in costs)]
     return not any(_sees_trajectory(stage.stage.program, nodes) for stage, nodes in each)
@@ -202,7 +210,9 @@ def _costs(costs: Sequence[Derived], sizes: Sizes) -> list[str]:
         added = _of_each_term(cost.stage, sizes)
         whole = function(value, program, "q", into("y", [output]))
         parts.append(with_sums(whole, cost.stage, added[-1:]))
-        parts.append(with_sums(function(slope, program, "q", into("y", both)), cost.stage, added))
+        whole = function(slope, program, "q", into("y", both))
+        parts.append(with_sums(whole, cost.stage, [] if cost.term else added))
+        parts.append(added_terms(kind, cost.stage, _term_entries(cost, sizes)))
     widest = max(len(cost.active) for cost in costs)
     written = all(_is_short(cost.stage.program, cost.hessian, cost.gradient) for cost in costs)
     for kind, cost in enumerate(costs):
@@ -211,12 +221,14 @@ def _costs(costs: Sequence[Derived], sizes: Sizes) -> list[str]:
         parts.append(function(signature, cost.stage.program, "q", entries))
     return [
         *parts,
-        _by_kind("cost", "cost_{}", len(costs)),
-        _by_kind("cost_gradient", "cost_gradient_{}", len(costs)),
-        _by_kind("cost_hessian", "cost_hessian_{}", len(costs)),
+        by_kind("cost", "cost_{}", len(costs)),
+        by_kind("cost_gradient", "cost_gradient_{}", len(costs)),
+        by_kind("cost_hessian", "cost_hessian_{}", len(costs)),
+        by_kind("add_terms", "add_terms_{}", len(costs)),
         _flag("COST_WRITTEN", written),
+        _flag("TERMS_WRITTEN", any(cost.term for cost in costs)),
         table("int", "cost_columns", [len(cost.active) for cost in costs]),
-        _rows("cost_active", [cost.active for cost in costs], widest),
+        rows_of("cost_active", [cost.active for cost in costs], widest),
     ]
 
 
@@ -228,7 +240,21 @@ def _of_each_term(stage: Stage, sizes: Sizes) -> list[Node]:
     return [*term.gradient, *term.stage.outputs]
 
 
-def _by_kind(name: str, each: str, count: int) -> str:
+def _term_entries(cost: Derived, sizes: Sizes) -> list[Entry]:
+    """Gradient, value and Hessian of a like term, one behind the other."""
+    term, k = cost.term, sizes.n + sizes.m
+    if term is None or term.hessian is None:
+        return []
+    entries = [Entry((i,), node) for i, node in enumerate((*term.gradient, *term.stage.outputs))]
+    for i in range(k):
+        entries.append(Entry((k + 1 + i * k + i,), term.hessian[i * k + i]))
+        for j in range(i):
+            places = k + 1 + i * k + j, k + 1 + j * k + i
+            entries.append(Entry(places, term.hessian[i * k + j]))
+    return entries
+
+
+def by_kind(name: str, each: str, count: int) -> str:
     """A function that calls that of the kind of its time."""
     calls = "\n".join(
         f"  if (cost_kind[t] == {kind}) return {each.format(kind)}(x, u, q, y);"
@@ -237,7 +263,7 @@ def _by_kind(name: str, each: str, count: int) -> str:
     return f"{TEMPLATE} void {name}(int t, {POINT}, const Real* q, V* y) {{\n{calls}\n}}"
 
 
-def _prelude(problem: StagedProblem) -> str:
+def prelude(problem: StagedProblem) -> str:
     """The numbers of a solve; those that are parameters, thousands for many agents, by a table."""
     program, signature = problem.parameters, "prelude(const Real* p, Real* y)"
     copied = _copied_parameters(program, problem.numbers)
@@ -301,46 +327,30 @@ def prelude_adjoint(program: Program, numbers: Sequence[Node], parameters: int) 
     )
 
 
-def _number_gradients(step: Derived, costs: Sequence[Derived]) -> list[str]:
+def _number_gradients(step: Stage, costs: Sequence[Stage]) -> list[str]:
     """Gradients of the stages by their numbers q."""
-    signatures = [
-        f"{TEMPLATE} void step_numbers_gradient({POINT}, const V* l, const Real* q, V* y)"
-    ]
-    for kind, _ in enumerate(costs):
-        signatures.append(f"{TEMPLATE} void cost_{kind}_numbers({POINT}, const Real* q, V* y)")
+    signature = f"{TEMPLATE} void step_numbers_gradient({POINT}, const V* l, const Real* q, V* y)"
+    whole = function(signature, step.program, "q", into("y", by_numbers(step, "q")))
+    return [whole, *cost_number_gradients(costs)]
+
+
+def cost_number_gradients(costs: Sequence[Stage]) -> list[str]:
+    """Gradients of costs by their numbers q."""
     parts = []
-    for signature, each in zip(signatures, [step, *costs], strict=True):
-        whole = function(
-            signature, each.stage.program, "q", into("y", _by_numbers(each.stage, "q"))
-        )
-        like = each.stage.repeated
-        added = [] if like is None else _by_numbers(like.term, OF_A_TERM)
-        parts.append(with_entries(whole, each.stage, added))
+    for kind, cost in enumerate(costs):
+        signature = f"{TEMPLATE} void cost_{kind}_numbers({POINT}, const Real* q, V* y)"
+        whole = function(signature, cost.program, "q", into("y", by_numbers(cost, "q")))
+        like = cost.repeated
+        added = [] if like is None else by_numbers(like.term, OF_A_TERM)
+        parts.append(with_entries(whole, cost, added))
     return [
         *parts,
-        table("int", "kind_numbers", [cost.stage.numbers for cost in costs]),
-        _by_kind("cost_numbers_gradient", "cost_{}_numbers", len(costs)),
+        table("int", "kind_numbers", [cost.numbers for cost in costs]),
+        by_kind("cost_numbers_gradient", "cost_{}_numbers", len(costs)),
     ]
 
 
-def _by_numbers(stage: Stage, name: str) -> list[Node]:
+def by_numbers(stage: Stage, name: str) -> list[Node]:
     """Gradient of a stage by its own numbers, leaves of this name."""
     leaves = [stage.program.leaf(name, k) for k in range(stage.own_numbers)]
     return weighted_gradient(stage, leaves)
-
-
-def into(array: str, nodes: Iterable[Node]) -> list[tuple[str, Node]]:
-    """Nodes and the entries of an array that they go to."""
-    return [(f"{array}[{index}]", node) for index, node in enumerate(nodes)]
-
-
-def table(kind: str, name: str, values: Sequence[float]) -> str:
-    """An array of constants."""
-    entries = ", ".join(str(v) if kind == "int" else literal(v) for v in values) or "0"
-    return f"static constexpr {kind} {name}[] = {{{entries}}};"
-
-
-def _rows(name: str, rows: Sequence[Sequence[int]], width: int) -> str:
-    padded = ([*row, *[0] * (width - len(row))] or [0] for row in rows)
-    body = ", ".join("{" + ", ".join(map(str, row)) + "}" for row in padded)
-    return f"static constexpr int {name}[{len(rows)}][{max(width, 1)}] = {{{body}}};"

@@ -13,17 +13,15 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from diffstack_mmv.control.native.bending import bend, weigh_numbers
-from diffstack_mmv.control.native.code import function, literal
+from diffstack_mmv.control.native.code import function, into, literal, table
 from diffstack_mmv.control.native.derivative import gradient
 from diffstack_mmv.control.native.generation import (
     POINT,
     TEMPLATE,
     header,
-    into,
     opening,
     plain,
     prelude_adjoint,
-    table,
 )
 from diffstack_mmv.control.native.modules import Ready, Workshop, counts
 from diffstack_mmv.control.native.stages import StagedStep

@@ -16,11 +16,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.control.compilation import copied, kind, label, refusals, retain_freed_memory
+from diffstack_mmv.control.compilation import kind, label, refusals, retain_freed_memory
 from diffstack_mmv.control.iteration import Settings
-from diffstack_mmv.control.native.capture import Recorder, Taken, Trajectory, evaluate
+from diffstack_mmv.control.native.capture import Taken, Trajectory
 from diffstack_mmv.control.native.generation import source
 from diffstack_mmv.control.native.lowering import CannotLowerError
+from diffstack_mmv.control.native.rows import BatchRecorder, from_rows, in_rows
 from diffstack_mmv.control.native.stages import StagedProblem
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.selection import Batched, is_shared
@@ -39,8 +40,6 @@ quarters of it, and DiffKBM beside four agents of five components as much."""
 LONG_ADJOINT = 300_000
 """Characters of an adjoint, which runs once per solve, beyond which the compiler takes less effort:
 that of DiffGM3 is no slower for it, and built in two thirds of the time."""
-MOST_RENEWALS = 2
-"""Times that a kind of problem may outgrow the compiler's list of graphs, 8 shapes each time."""
 
 
 class Numbers(NamedTuple):
@@ -94,8 +93,7 @@ class Workshop:
 
     def __init__(self, problem: str) -> None:
         self.problem = problem
-        self.renewals = 0
-        self.recorder = Recorder(copied(evaluate))
+        self.recorder = BatchRecorder()
         self.known: dict[str, set[int]] = {"solve": set(), "adjoint": set()}
         self.is_refused = False
 
@@ -104,7 +102,8 @@ class Workshop:
     ) -> Solution | None:
         """The solution, None where there is no library."""
         try:
-            taken, parameters = self._taken(dynamics, cost, state, controls)
+            at = _anywhere(state, controls)
+            taken, parameters = self.recorder(dynamics, cost, at, state.dtype)
             hidden = any(each.requires_grad for each in (state, *parameters))
             self._prepare(taken.problem, state.dtype, hidden and torch.is_grad_enabled())
         except (CannotLowerError, CannotBuildError, *refusals().failed) as failure:
@@ -113,29 +112,6 @@ class Workshop:
             LOGGER.info("No library for %s (%s): kernels on tensors", self.problem, reason)
             return None
         return solved(taken, parameters, numbers, state, controls)
-
-    def _taken(
-        self, dynamics: Dynamics, cost: Cost, state: Tensor, controls: Tensor
-    ) -> tuple[Taken, list[Tensor]]:
-        """The problem, and its parameters: of all problems (count, ...), or shared."""
-        originals: dict[int, Tensor] = {}
-        first = _first(dynamics, originals), _first(cost, originals)
-        record, at = self.recorder, _anywhere(state, controls)
-        try:
-            taken = record(at, *first)
-        except refusals().too_many_graphs as failure:
-            self.renewals += 1
-            if self.renewals > MOST_RENEWALS:
-                raise CannotLowerError("too many shapes") from failure
-            record = self.recorder = Recorder(copied(evaluate))
-            taken = record(at, *first)
-        each = [originals.get(id(one), one) for one in taken.parameters]
-        for one in taken.parameters:
-            if one.is_floating_point() and one.dtype != state.dtype and one.dim() > 0:
-                raise CannotLowerError(
-                    f"a parameter of {one.dtype} beside a state of {state.dtype}"
-                )
-        return taken, each
 
     def _prepare(self, problem: StagedProblem, dtype: torch.dtype, differentiates: bool) -> None:
         """Have the solver at hand, and its derivatives if they are asked for.
@@ -200,36 +176,6 @@ def _zero_trajectory(
     return Trajectory(*(torch.zeros(*lead, steps + 1, size, dtype=dtype) for size in (n, m)))
 
 
-def _first(function: Any, originals: dict[int, Tensor]) -> Any:
-    """A callable for the first problem of a batch; tells where its tensors come from."""
-    if not isinstance(function, Batched):
-        return function
-    slices = [each.detach()[:1].contiguous() for each in function.tensors]
-    originals.update(zip(map(id, slices), function.tensors, strict=True))
-    return Batched(function.function, *slices)
-
-
-def _in_rows(problem: Taken, tensors: Sequence[Tensor], count: int, like: Tensor) -> Tensor:
-    """Parameters as one row per problem."""
-    rows = [like.new_empty(count, 0)]
-    for one, each in zip(problem.parameters, tensors, strict=True):
-        # by its size: an empty one has no length that could be found
-        flat = each.detach().reshape(len(each) if each is not one else 1, one.numel())
-        rows.append(flat.to(like.dtype).expand(count, -1))
-    return torch.cat(rows, 1)
-
-
-def _from_rows(
-    rows: Tensor, tensors: Sequence[Tensor], sizes: Sequence[int], wanted: Sequence[bool]
-) -> list[Tensor | None]:
-    """Slopes of the parameters where they are wanted; of a shared one the sum over the problems."""
-    slopes: list[Tensor | None] = []
-    for each, part, is_wanted in zip(tensors, rows.split(list(sizes), 1), wanted, strict=True):
-        whole = part if each.numel() == part.numel() else part.sum(0)
-        slopes.append(whole.reshape(each.shape).to(each.dtype) if is_wanted else None)
-    return slopes
-
-
 def solved(
     taken: Taken, parameters: Sequence[Tensor], numbers: Numbers, state: Tensor, controls: Tensor
 ) -> Solution:
@@ -259,7 +205,7 @@ class _Solve(torch.autograd.Function):
     ) -> tuple[Tensor, ...]:
         problem: StagedProblem = taken.problem
         count, (n, m, steps, _) = len(state), problem.sizes
-        parameters = _in_rows(taken, tensors, count, state)
+        parameters = in_rows(taken, tensors, count, state)
         x, u = state.new_empty(count, steps + 1, n), state.new_empty(count, steps, m)
         cost, residual = state.new_empty(count), state.new_empty(count)
         iterations = torch.empty(count, dtype=torch.long)
@@ -291,7 +237,7 @@ class _Solve(torch.autograd.Function):
         call = library(ctx.problem, "adjoint", x.dtype).dmmv_adjoint
         call(*_counts(len(x)), *pointers(*given), *pointers(by_parameters, by_state))
         wanted = ctx.needs_input_grad[4:]
-        return None, None, by_state, None, *_from_rows(by_parameters, tensors, ctx.sizes, wanted)
+        return None, None, by_state, None, *from_rows(by_parameters, tensors, ctx.sizes, wanted)
 
 
 @functools.cache

@@ -86,6 +86,12 @@ inline Real cost_model(int t, const Real* x, const Real* u, const Real* q, Real*
   } else {
     columns<n, m, k + 1>(x, u, P::cost_active[kind], P::cost_columns[kind], f, g, H);
   }
+  if constexpr (P::TERMS_WRITTEN) {
+    Real added[k + 1 + k * k] = {};
+    P::add_terms(t, x, u, q, added);
+    for (int i = 0; i <= k; ++i) g[i] += added[i];
+    for (int i = 0; i < k * k; ++i) H[i] += added[k + 1 + i];
+  }
   std::memset(xx, 0, n * n * sizeof(Real));
   std::memset(ux, 0, m * n * sizeof(Real));
   std::memset(uu, 0, m * m * sizeof(Real));

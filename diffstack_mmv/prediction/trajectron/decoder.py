@@ -11,6 +11,7 @@ from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.prediction.base import GaussianRollout
 from diffstack_mmv.prediction.trajectron.agent_batch import AgentBatch
+from diffstack_mmv.prediction.trajectron.blocks import Blocks
 from diffstack_mmv.prediction.trajectron.jacobians import (
     Linearisation,
     linearise,
@@ -49,6 +50,7 @@ class ControlDecoder(nn.Module):
         dropout: Share of units of the context dropped in training.
         jacobians: Linearises the dynamics, see `integrate`.
         generated: Integrates in one call where it can, see `integrate`.
+        blocks: Takes the rows through all steps where it can; None: tensors, step by step.
 
     Raises:
         ValueError: A number of steps is below one.
@@ -66,11 +68,13 @@ class ControlDecoder(nn.Module):
         dropout: float = 0.0,
         jacobians: Jacobians = linearise,
         generated: GaussianRollout | None = None,
+        blocks: Blocks | None = None,
     ) -> None:
         super().__init__()
         require_at_least("horizon_steps", horizon_steps, 1)
         require_at_least("hold_steps", hold_steps, 1)
-        self.dynamics, self.jacobians, self.generated = dynamics, jacobians, generated
+        self.dynamics, self.jacobians = dynamics, jacobians
+        self.generated, self.blocks = generated, blocks
         self.horizon_steps, self.hold_steps, self.fade_s = horizon_steps, hold_steps, fade_s
         size = dynamics.control_dim
         self.dropout = nn.Dropout(dropout)
@@ -143,15 +147,15 @@ class ControlDecoder(nn.Module):
             torch.cat([self.mean_head.bias, self.scale_head.bias]),
         )
         leading, size = hidden.shape[:-1], self.dynamics.control_dim
-        emitted = emissions(
-            constant.flatten(0, -2),
-            hidden.flatten(0, -2),
-            weights,
-            math.ceil(self.horizon_steps / self.hold_steps),
-        )
+        steps = math.ceil(self.horizon_steps / self.hold_steps)
+        rows = constant.flatten(0, -2), hidden.flatten(0, -2)
+        if self.blocks is not None and self.blocks.fit(rows[1]):
+            emitted = self.blocks.emissions(*rows, weights, steps)
+        else:
+            emitted = emissions(*rows, weights, steps).movedim(0, 1)
         if self.hold_steps > 1:
-            emitted = emitted.repeat_interleave(self.hold_steps, 0)[: self.horizon_steps]
-        emitted = emitted.movedim(0, 1).unflatten(0, leading)
+            emitted = emitted.repeat_interleave(self.hold_steps, 1)[:, : self.horizon_steps]
+        emitted = emitted.unflatten(0, leading)
         return emitted[..., :size], emitted[..., size:]
 
     def _scale(self, raw: Float[Tensor, "*r T s"]) -> Float[Tensor, "*r T m m"]:

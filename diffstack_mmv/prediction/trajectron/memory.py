@@ -7,6 +7,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from diffstack_mmv.prediction.trajectron.blocks import Blocks
+
 
 class LSTMStep(NamedTuple):
     """What the backward pass needs of one row of time."""
@@ -25,11 +27,13 @@ class MaskedLSTM(nn.Module):
     Args:
         inputs: Number of features of a row.
         hidden: Size of the state.
+        blocks: Takes the rows through all steps where it can; None: tensors, step by step.
     """
 
-    def __init__(self, inputs: int, hidden: int) -> None:
+    def __init__(self, inputs: int, hidden: int, blocks: Blocks | None = None) -> None:
         super().__init__()
         self.cell = nn.LSTMCell(inputs, hidden)
+        self.blocks = blocks
 
     def forward(
         self, features: Float[Tensor, "R T f"], valid: Bool[Tensor, "R T"]
@@ -40,7 +44,10 @@ class MaskedLSTM(nn.Module):
         weight = torch.cat([self.cell.weight_ih, bias.unsqueeze(-1), self.cell.weight_hh], -1)
         keep = valid.mT.to(weight.dtype, memory_format=torch.contiguous_format)
         with torch.autocast(features.device.type, enabled=False):
-            last: Tensor = _Last.apply(seen.permute(1, 2, 0).to(weight.dtype), keep, weight)  # type: ignore[no-untyped-call]
+            rows = seen.to(weight.dtype)
+            if self.blocks is not None and self.blocks.fit(rows):
+                return self.blocks.last_states(rows, valid, weight)
+            last: Tensor = _Last.apply(rows.permute(1, 2, 0), keep, weight)  # type: ignore[no-untyped-call]
         return last.mT
 
 

@@ -21,6 +21,7 @@ from diffstack_mmv.prediction.trajectron.agent_batch import (
     select_agents,
     take_rows,
 )
+from diffstack_mmv.prediction.trajectron.blocks import Blocks
 from diffstack_mmv.prediction.trajectron.decoder import ControlDecoder, Jacobians
 from diffstack_mmv.prediction.trajectron.encoder import (
     TRACK_FEATURES,
@@ -166,10 +167,16 @@ class Trajectron(Predictor):
         self.training_step: Tensor
 
     def compile_kernels(self, moments: GaussianRollout) -> None:
-        """Integrate the controls of all agents in one call from now on, where that is possible."""
+        """Take recurrences and integration through all steps in one call from now on.
+
+        Where that is possible: on a CPU with a compiler.
+        """
         for branch in self.branches:
             if isinstance(branch, Branch) and branch.decoder.jacobians is linearise:
                 branch.decoder.generated = moments
+        for module in self.modules():
+            if isinstance(module, MaskedLSTM | ControlDecoder):
+                module.blocks = Blocks()
 
     def forward(self, past: Tracks, neighbors: Tracks) -> Forecast:
         """Forecast all agents, `*b 1+N`; an agent that is not observed now stays where it is."""

@@ -1,0 +1,177 @@
+"""Prices many plans of each problem in a generated library: the cost at each of their times.
+
+On tensors every operation passes over plans times agents; here eight plans at a time are priced in
+registers, and the backward pass is generated as well.
+"""
+
+import ctypes
+import functools
+import logging
+from collections.abc import Hashable
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.control.compilation import kind, refusals
+from diffstack_mmv.control.native.capture import Trajectory
+from diffstack_mmv.control.native.code import function, into, rows_of, table
+from diffstack_mmv.control.native.generation import (
+    POINT,
+    TEMPLATE,
+    by_kind,
+    cost_number_gradients,
+    header,
+    opening,
+    prelude,
+    prelude_adjoint,
+)
+from diffstack_mmv.control.native.lowering import CannotLowerError
+from diffstack_mmv.control.native.repetition import with_sums
+from diffstack_mmv.control.native.rows import BatchRecorder, TakenBatch, from_rows, in_rows
+from diffstack_mmv.control.native.solver import LONGEST_SOURCE, MOST_LIBRARIES, REALS
+from diffstack_mmv.control.native.stages import Stage, StagedProblem
+from diffstack_mmv.control.selection import Batched
+from dmmv_conventions.libraries import CannotBuildError, load, pointers
+from dmmv_conventions.progress import waiting
+
+LOGGER = logging.getLogger(__name__)
+
+
+def prices(
+    cost: Batched, states: Float[Tensor, "b C T1 n"], controls: Float[Tensor, "b C T1 m"]
+) -> Float[Tensor, "b C T1"] | None:
+    """Cost of plans at each time, None if there is no library for it.
+
+    Can be differentiated once by the tensors of the cost and by those that it hides; plans are
+    constants.
+
+    Args:
+        cost: Of states `b T1 n` and controls `b T1 m`: of one plan of each problem.
+        states: Of the plans.
+        controls: Of the plans.
+    """
+    plain = states.device.type == "cpu" and states.dtype in REALS and controls.dtype == states.dtype
+    fixed = not (states.requires_grad or controls.requires_grad)
+    if not (plain and fixed and states.numel() and controls.numel()):
+        return None
+    key = kind(cost), states.dtype, states.shape[2:], controls.shape[-1]
+    return _workshop(key)(cost, states, controls)
+
+
+@functools.cache
+def _workshop(key: Hashable) -> "_Workshop":
+    return _Workshop()
+
+
+class _Workshop:
+    """Libraries for the costs of one kind, or the knowledge that there can be none."""
+
+    def __init__(self) -> None:
+        self.recorder = BatchRecorder()
+        self.built: dict[int, tuple[StagedProblem, Any]] = {}
+        self.is_refused = False
+
+    def __call__(self, cost: Batched, states: Tensor, controls: Tensor) -> Tensor | None:
+        if self.is_refused:
+            return None
+        try:
+            one = Trajectory(torch.zeros_like(states[:1, 0]), torch.zeros_like(controls[:1, 0]))
+            taken = self.recorder(_first_state, cost, one, states.dtype)
+            library = self._library(taken.taken.problem, states.dtype)
+        except (CannotLowerError, CannotBuildError, *refusals().failed) as failure:
+            self.is_refused = True
+            LOGGER.info("No library for the costs of candidates (%s): tensors", failure)
+            return None
+        plans = states.detach().contiguous(), controls.detach().contiguous()
+        priced: Tensor = _Prices.apply(library, taken, *plans, *taken.parameters)  # type: ignore[no-untyped-call]
+        return priced
+
+    def _library(self, problem: StagedProblem, dtype: torch.dtype) -> Any:
+        if id(problem) not in self.built:
+            if len(self.built) >= MOST_LIBRARIES:
+                raise CannotLowerError(f"more than {MOST_LIBRARIES} shapes")
+            code = source(problem, REALS[dtype])
+            if len(code) > LONGEST_SOURCE:
+                raise CannotBuildError(f"a source of {len(code)} characters takes too long")
+            with waiting("compile the costs of candidates"):
+                # the problem is kept, so that no other one gets its identity
+                self.built[id(problem)] = problem, load(code)
+        return self.built[id(problem)][1]
+
+
+def _first_state(state: Tensor, control: Tensor) -> Tensor:
+    """In the place of dynamics, which costs do without."""
+    return state.clone()
+
+
+def source(problem: StagedProblem, real: str) -> str:
+    """A whole library.
+
+    Args:
+        problem: Its costs.
+        real: "float" or "double".
+    """
+    n, m, steps, parameters = problem.sizes
+    widest = max(len(numbers) for numbers in problem.cost_numbers)
+    known = problem.parameters, problem.numbers, parameters
+    lines = [
+        *opening(real, "numbers", "small"),
+        "using namespace dmmv;",
+        "struct Problem {",
+        f"static constexpr int n = {n}, m = {m}, T = {steps}, PARAMETERS = {parameters};",
+        f"static constexpr int NUMBERS = {len(problem.numbers)}, COST_NUMBERS = {widest};",
+        table("int", "cost_kind", problem.kinds),
+        rows_of("cost_numbers", problem.cost_numbers, widest),
+        prelude(problem),
+        *(_value(number, cost) for number, cost in enumerate(problem.costs)),
+        by_kind("cost", "cost_{}", len(problem.costs)),
+        *cost_number_gradients(problem.costs),
+        prelude_adjoint(*known),
+        "};",
+        header("prices"),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _value(number: int, cost: Stage) -> str:
+    signature = f"{TEMPLATE} void cost_{number}({POINT}, const Real* q, V* y)"
+    whole = function(signature, cost.program, "q", into("y", cost.outputs))
+    return with_sums(whole, cost, cost.repeated.term.outputs if cost.repeated else ())
+
+
+def _counts(states: Tensor) -> list[Any]:
+    """Numbers of problems, threads and plans."""
+    numbers = len(states), torch.get_num_threads(), states.shape[1]
+    return [ctypes.c_long(number) for number in numbers]
+
+
+class _Prices(torch.autograd.Function):
+    """`prices` as a function of the parameters of the costs."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        library: Any,
+        batch: TakenBatch,
+        states: Tensor,
+        controls: Tensor,
+        *tensors: Tensor,
+    ) -> Tensor:
+        parameters = in_rows(batch.taken, tensors, len(states), states)
+        costs = states.new_empty(states.shape[:3])
+        library.dmmv_prices(*_counts(states), *pointers(parameters, states, controls, costs))
+        ctx.library, ctx.sizes = library, [one.numel() for one in batch.taken.parameters]
+        ctx.save_for_backward(parameters, states, controls, *tensors)
+        return costs
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
+        parameters, states, controls, *tensors = ctx.saved_tensors
+        by_parameters = torch.empty_like(parameters)
+        given = parameters, states, controls, slope.contiguous(), by_parameters
+        ctx.library.dmmv_prices_adjoint(*_counts(states), *pointers(*given))
+        wanted = ctx.needs_input_grad[4:]
+        return None, None, None, None, *from_rows(by_parameters, tensors, ctx.sizes, wanted)
