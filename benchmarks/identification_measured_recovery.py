@@ -8,6 +8,7 @@ the real ones, and fits. Prints how many 95 % intervals contain the truth.
 
 import argparse
 import json
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -63,6 +64,7 @@ def main():
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--recordings", type=int, default=8)
     parser.add_argument("--steps", type=int, default=260)
+    parser.add_argument("--rows", type=Path, default=ROWS)
     options = parser.parse_args()
     torch.set_num_threads(1)
     begin, rows, inside = time.process_time(), [], []
@@ -70,18 +72,24 @@ def main():
         shared, own, fit = recover(options.dynamics, seed, options.recordings, options.steps)
         rows.append({"dynamics": options.dynamics, "seed": seed, **shared})
         inside.append((own.abs() <= WITHIN).double().mean(0))
-        print(seed, fit.iterations, {name: round(value, 2) for name, value in shared.items()})
+        told = {name: round(value, 2) for name, value in shared.items()}
+        print(seed, fit.iterations, told, file=sys.stderr, flush=True)
     names = ("steer_offset", "steer_scale", "speed_scale", "delay_s")
     columns = [name for name in rows[0] if name not in ("dynamics", "seed")]
+    print("\n| unknown | 95 % intervals with the truth | rms of error / deviation |")
+    print("|---|---|---|")
     for name in columns:
-        print(name, sum(abs(row[name]) <= WITHIN for row in rows) / len(rows))
-    each = torch.stack(inside).mean(0)
-    print(dict(zip(names, each.tolist(), strict=True)))
+        values = torch.tensor([row[name] for row in rows])
+        share, size = (values.abs() <= WITHIN).double().mean(), values.square().mean().sqrt()
+        print(f"| {name} | {float(share):.3f} | {float(size):.2f} |")
+    for name, share in zip(names, torch.stack(inside).mean(0).tolist(), strict=True):
+        print(f"| {name}, per recording | {share:.3f} | |")
     shared = [abs(row[name]) <= WITHIN for row in rows for name in columns]
     total = sum(shared) + float(torch.stack(inside).sum()) * options.recordings
     number = len(shared) + len(names) * options.recordings * options.seeds
-    print(f"all: {total / number:.3f} of {number}; {time.process_time() - begin:.0f} s of CPU")
-    with ROWS.open("a") as stream:
+    cpu = time.process_time() - begin
+    print(f"| **all {number}** | {total / number:.3f} | |\n\n{cpu:.0f} s of one core")
+    with options.rows.open("a") as stream:
         stream.writelines(json.dumps(row) + "\n" for row in rows)
 
 

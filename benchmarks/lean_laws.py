@@ -1,12 +1,13 @@
 """Agreement of lean laws with measured lean on recordings that took no part in their choice.
 
     python benchmarks/lean_laws.py two_wheeler CACHE bicycle scooter motorcycle     # cache with smoother=zero_phase
-    python benchmarks/lean_laws.py autobike CACHE autobike                          # the same
+    python benchmarks/lean_laws.py autobike CACHE autobike --figure lean.png        # the same; the figure where it is wanted
 
 Each law is driven by the lateral acceleration of the recorded track. Its numbers are chosen on a grid by the correlation with
 the measured lean of all other recordings (of two_wheeler: the rides of the other vehicles), then one recording is looked at.
 The prescribed pendulum depends on two numbers only, its damping rate and its natural frequency: the grid goes far beyond any
 vehicle's range, to tell whether any parameters can be right. Rows of rates compare the rate of lean with the roll gyro.
+The figure shows the longest track of every group, each law with the numbers chosen on the others.
 """
 
 import argparse
@@ -99,6 +100,7 @@ def table(rows, rates, own, fastest):
         "coordinated": {n: coordinated(*n) for n in itertools.product(ANTICIPATIONS, FREQUENCIES)},
     }
     groups = sorted({group for group, *_ in rows})
+    shown = {group: {} for group in groups}
     for law, candidates in laws.items():
         added = {n: pendulum(*n) for n in own.values()} if law == "prescribed" else {}
         known = candidates | added
@@ -114,16 +116,43 @@ def table(rows, rates, own, fastest):
         for group in groups:
             if law == "prescribed" and group in own:
                 tell("prescribed, own numbers", group, own[group], pairs[own[group]][group])
+                shown[group]["prescribed, own numbers"] = pairs[own[group]][group]
             others = [g for g in groups if g != group]
             if others:
                 best = max(candidates, key=lambda n: sum(each[n][g] for g in others))
                 tell(f"{law}, chosen on others", group, best, pairs[best][group])
+                shown[group][f"{law}, chosen on others"] = pairs[best][group]
             if law == "prescribed" and group in own:
                 slow = {n: score for n, score in each.items() if n[0] <= fastest}
                 top = max(slow, key=lambda n: slow[n][group])
                 tell("prescribed, best of any body", group, top, pairs[top][group])
+                shown[group]["prescribed, best of any body"] = pairs[top][group]
             top = max(candidates, key=lambda n: each[n][group])
             tell(f"{law}, best there is", group, top, pairs[top][group])
+    return shown
+
+
+def draw(shown, path):
+    """Measured lean and the laws over the longest track of every group."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(len(shown), 1, figsize=(10, 2.6 * len(shown)), squeeze=False)
+    for axis, (group, laws) in zip(axes.flat, shown.items(), strict=True):
+        sizes = [len(measured) for _, measured in next(iter(laws.values()))]
+        longest = sizes.index(max(sizes))
+        measured = next(iter(laws.values()))[longest][1]
+        time_s = DT_S * torch.arange(len(measured))
+        axis.plot(time_s, measured, "k", linewidth=2, label="measured")
+        for law, pairs in laws.items():
+            axis.plot(time_s, pairs[longest][0], linewidth=1, label=law)
+        axis.set(title=group, ylabel="lean [rad]")
+    axes.flat[-1].set_xlabel("time [s]")
+    axes.flat[0].legend(fontsize="small", ncols=3)
+    figure.tight_layout()
+    figure.savefig(path, dpi=120)
 
 
 def tell(law, group, numbers, pairs):
@@ -141,6 +170,7 @@ def main():
     parser.add_argument("name")
     parser.add_argument("cache")
     parser.add_argument("vehicles", nargs="+")
+    parser.add_argument("--figure")
     options = parser.parse_args()
     print("| recording | law | its numbers | correlation | best, where the model is late by |")
     print("|---|---|---|---|---|")
@@ -156,7 +186,9 @@ def main():
             own = dict.fromkeys({row[0] for row in rows}, numbers)
         print(f"| **{'rate of lean, roll gyro' if rates else 'lean'}** | | | | |")
         heights = [load_vehicle(vehicle).height_m for vehicle in options.vehicles]
-        table(rows, rates, own, (GRAVITY / min(heights)) ** 0.5)
+        shown = table(rows, rates, own, (GRAVITY / min(heights)) ** 0.5)
+        if options.figure and not rates:
+            draw(shown, options.figure)
 
 
 if __name__ == "__main__":

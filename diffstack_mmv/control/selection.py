@@ -1,6 +1,6 @@
 """Leaves finished problems behind, so that the last hard ones cost less than the batch."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import torch
@@ -48,6 +48,29 @@ class Batched:
         if not self.tensors:
             return self
         return Batched(self.function, *(tensor[index] for tensor in self.tensors))
+
+
+class Joined(Batched):
+    """A batched function of others, by which the compiler tells it from others of the same code.
+
+    Args:
+        function: Called as that of `Batched`.
+        parts: What it calls.
+        tensors: As those of `Batched`.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Tensor],
+        parts: Sequence[Callable[..., Tensor]],
+        *tensors: Shaped[Tensor, "B ..."],
+    ) -> None:
+        super().__init__(function, *tensors)
+        self.parts = parts
+
+    def select(self, index: Int[Tensor, " k"]) -> "Joined":
+        """The same function with the entries `index` of its tensors."""
+        return Joined(self.function, self.parts, *(tensor[index] for tensor in self.tensors))
 
 
 def is_shared(function: Any) -> bool:

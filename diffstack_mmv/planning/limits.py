@@ -128,12 +128,14 @@ class PlanConstraints:
         linear: Price of a violation per unit of a limit; infinite: there must be none.
         max_iterations: Limit of iterations of each phase of the constrained solver.
         tolerance: Largest violation of a hard limit.
+        persistent: See `ConstrainedILQR`; a decision in time is worth more than one solution more.
     """
 
     limits: Mapping[str, PlanLimit]
     linear: float = float("inf")
     max_iterations: int = 40
     tolerance: float = 1e-3
+    persistent: bool = False
 
     def solve(
         self,
@@ -149,7 +151,7 @@ class PlanConstraints:
         A problem whose limits cannot be met has the status INFEASIBLE, and the least violation.
         """
         constraints = [self._constraint(each, dynamics, problem) for each in self.limits.values()]
-        constrained = ConstrainedILQR(solver, self.max_iterations, self.tolerance)
+        constrained = ConstrainedILQR(solver, self.max_iterations, self.tolerance, self.persistent)
         step: Dynamics = Batched(dynamics)
         box: Bounds = dynamics.bounds
         return constrained(step, cost, constraints, box, state, controls).solution

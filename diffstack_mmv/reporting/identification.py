@@ -29,7 +29,7 @@ def write_identification(folder: Path, result: Mapping[str, Any]) -> None:
 def write_tables(
     folder: Path, result: Mapping[str, Any], tables: Mapping[str, Sequence[Mapping[str, Any]]]
 ) -> None:
-    """Write `identification.json`, and `identification.md` with a table under each heading.
+    """Write `identification.json`, `identification.md` with a table under each heading, and CSV.
 
     Args:
         folder: The folder.
@@ -42,7 +42,10 @@ def write_tables(
     write_json(folder / "identification.json", result)
     parts = [f"# {result['vehicle']}: {result['dynamics']}, measured controls"]
     for heading, rows in tables.items():
-        parts.append(f"## {heading}\n\n" + _text(pd.DataFrame(list(rows))))
+        table = pd.DataFrame(list(rows))
+        parts.append(f"## {heading}\n\n" + _text(table))
+        name = heading.lower().replace("-", "")
+        write_text(folder / f"{name}.csv", table.to_csv(index=False, lineterminator="\n"))
     write_text(folder / "identification.md", "\n\n".join(parts) + "\n")
 
 

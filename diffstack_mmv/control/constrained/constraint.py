@@ -89,6 +89,11 @@ class ConstraintRows(NamedTuple):
         """Values of all constraints, zero where they do not apply."""
         return joined(self.functions, states, controls) * self.applies.to(states)
 
+    @property
+    def signed_functions(self) -> list[bool]:
+        """Which constraints are equalities."""
+        return [bool(part.any()) for part in self.signed.split(list(self.widths))]
+
     def select(self, index: Int[Tensor, " k"]) -> "ConstraintRows":
         """The rows of some problems; all functions have to be selectable."""
         functions = tuple(

@@ -65,12 +65,17 @@ class Phases:
     most: int
     tolerance: float
 
-    def run(self, problem: Problem, progress: Progress, warm: bool) -> Progress:
-        """Solve every problem or find out why not."""
-        guess = progress.u
+    def run(self, problem: Problem, guess: Tensor, start: PrimalDual | None) -> Progress:
+        """Solve every problem or find out why not.
+
+        Args:
+            problem: The problems, without graph.
+            guess: Of the controls.
+            start: What may be near a solution, which Newton's method tries first.
+        """
+        progress = begin(guess, torch.zeros_like(problem.rows.linear))
         activation = activation_weight(problem, problem.rollout(guess), guess)
-        if warm:
-            start = PrimalDual(guess, progress.multipliers)
+        if start is not None:
             progress = self._polished(problem, progress, start, activation, progress.is_open)
         if bool(progress.is_open.any()):
             progress = self._unconstrained(problem, progress, guess)

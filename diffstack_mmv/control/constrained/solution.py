@@ -20,6 +20,17 @@ class ConstrainedSolution(NamedTuple):
     violation: Float[Tensor, "*b"]  # largest one of a hard constraint, in its unit
     multipliers: tuple[Float[Tensor, "*b T1 k"], ...]  # one per constraint
 
+    def replaced(
+        self, index: Int[Tensor, " k"], part: "ConstrainedSolution"
+    ) -> "ConstrainedSolution":
+        """With the problems `index` of a batch with one leading dimension taken from `part`."""
+
+        def merged(old: Tensor, new: Tensor) -> Tensor:
+            return old.index_copy(0, index, new)
+
+        multipliers = tuple(map(merged, self.multipliers, part.multipliers))
+        return ConstrainedSolution(*[*map(merged, self[:-1], part[:-1]), multipliers])
+
     @property
     def converged(self) -> Bool[Tensor, "*b"]:
         """Which problems converged."""

@@ -1,22 +1,24 @@
 """Trajectory optimisation with constraints on states and controls, batched and differentiable."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require, require_at_least, require_positive
+from diffstack_mmv.control.constrained.augmented import Approach, AugmentedLagrangian
 from diffstack_mmv.control.constrained.conclusion import conclude
 from diffstack_mmv.control.constrained.constraint import Constraint, ConstraintRows, gather
 from diffstack_mmv.control.constrained.implicit import attach
-from diffstack_mmv.control.constrained.local import Problem, rollout
-from diffstack_mmv.control.constrained.phases import Phases, begin
+from diffstack_mmv.control.constrained.local import Problem
+from diffstack_mmv.control.constrained.newton import PrimalDual
+from diffstack_mmv.control.constrained.phases import Phases
 from diffstack_mmv.control.constrained.solution import ConstrainedSolution
+from diffstack_mmv.control.expansion import pad_controls
 from diffstack_mmv.control.ilqr import ILQR, check_problem
 from diffstack_mmv.control.optimizer import Cost, Dynamics
-from diffstack_mmv.control.selection import constant
 from diffstack_mmv.types import Bounds
 
 FINEST = 100.0  # violations, in units of the precision, below which none can be told from another
@@ -51,6 +53,9 @@ class ConstrainedILQR:
         max_iterations: Limit of interior-point iterations of each phase.
         tolerance: Largest violation of a hard constraint, in its unit, in a converged problem; in
             float32 at least 1.2e-5.
+        persistent: Whether what the rounds of a compiled solver leave goes through the other
+            phases, which find more solutions and take a thousand times as long. Of no account
+            where a gradient is taken.
 
     Raises:
         ValueError: A number is not positive.
@@ -85,6 +90,7 @@ class ConstrainedILQR:
     solver: ILQR = ILQR()
     max_iterations: int = 150
     tolerance: float = 1e-6
+    persistent: bool = True
 
     def __post_init__(self) -> None:
         require_at_least("max_iterations", self.max_iterations, 1)
@@ -119,25 +125,48 @@ class ConstrainedILQR:
             TypeError: The state is not of a floating-point type.
         """
         check_problem(bounds, state, controls)
+        differentiates = torch.is_grad_enabled()
         if not constraints:
             plain = self.solver(dynamics, cost, bounds, state, controls)
             return ConstrainedSolution(*plain, torch.zeros_like(plain.cost).detach(), ())
         lower, upper = (bound.detach().to(state) for bound in bounds)
         u = controls.detach().clamp(lower, upper)
-        with torch.no_grad():
-            x = rollout(constant(dynamics), state.detach(), u)
-        posed = Problem(dynamics, cost, gather(constraints, x, u), bounds, state)
+        # where they are evaluated does not matter: only the shapes do
+        standing = state.detach().unsqueeze(-2).expand(*pad_controls(u).shape[:-1], -1)
+        posed = Problem(dynamics, cost, gather(constraints, standing, u), bounds, state)
         with torch.no_grad():
             fixed = posed.constant()
-            progress = begin(u, _given(multipliers, fixed.rows))
-            progress = self._phases(state).run(fixed, progress, multipliers is not None)
-            conclusion = conclude(fixed, progress)
-        attached = attach(posed, conclusion.point) if torch.is_grad_enabled() else None
+            given = _given(multipliers, fixed.rows)
+            start = None if multipliers is None else PrimalDual(u, given)
+            if self.solver.compile and fixed.selectable:
+                approach = self._approached(fixed, u, given)
+                if not differentiates:
+                    return self._completed(fixed, u, approach)
+                start = PrimalDual(approach.plain.controls, approach.multipliers)
+            conclusion = conclude(fixed, self._phases(fixed).run(fixed, u, start))
+        attached = attach(posed, conclusion.point) if differentiates else None
         return conclusion.solution(posed.rows.widths, attached)
 
-    def _phases(self, state: Tensor) -> Phases:
-        finest = FINEST * torch.finfo(state.dtype).eps
-        return Phases(self.solver, self.max_iterations, max(self.tolerance, finest))
+    def _approached(self, problem: Problem, u: Tensor, multipliers: Tensor) -> Approach:
+        tolerance = self._phases(problem).tolerance
+        return AugmentedLagrangian(self.solver, tolerance)(problem, u, multipliers)
+
+    def _completed(self, problem: Problem, u: Tensor, approach: Approach) -> ConstrainedSolution:
+        """The solution, without derivatives; what the approach has not solved goes through all."""
+        found = approach.solution(problem.rows)
+        index = (~approach.solved).nonzero().squeeze(-1)
+        if len(index) == 0 or not self.persistent:
+            return found
+        rest = problem.select(index)
+        start = PrimalDual(approach.plain.controls[index], approach.multipliers[index])
+        conclusion = conclude(rest, self._phases(rest).run(rest, u[index], start))
+        return found.replaced(index, conclusion.solution(problem.rows.widths, None))
+
+    def _phases(self, problem: Problem) -> Phases:
+        finest = FINEST * torch.finfo(problem.state.dtype).eps
+        # the rounds have a library of their own: one of the bare cost is not worth its time
+        plain = replace(self.solver, compile=False) if problem.selectable else self.solver
+        return Phases(plain, self.max_iterations, max(self.tolerance, finest))
 
 
 def _given(multipliers: Sequence[Tensor] | None, rows: ConstraintRows) -> Tensor:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 from diffstack_mmv.control.native.code import Writer, function
 from diffstack_mmv.control.native.derivative import gradient
-from diffstack_mmv.control.native.generation import weighted
+from diffstack_mmv.control.native.derived import weighted
 from diffstack_mmv.control.native.scalar import CONSTANT, LEAF, Node, Program, needed
 from diffstack_mmv.control.native.stages import Stage
 

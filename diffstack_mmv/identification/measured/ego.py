@@ -8,7 +8,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least
-from diffstack_mmv.identification.measured.estimation import InstrumentsGiven, estimate_windows
+from diffstack_mmv.identification.measured.estimation import (
+    FreewheelGiven,
+    InstrumentsGiven,
+    estimate_windows,
+)
 from diffstack_mmv.identification.measured.instruments import InstrumentPriors
 from diffstack_mmv.identification.measured.rides import RideWindows, chord_course
 from diffstack_mmv.identification.measured.simulator import POSE, RECORDING, RideSimulator
@@ -107,7 +111,9 @@ class EgoEstimator:
             self.simulator,
             windows,
             self.shared,
-            InstrumentsGiven(horizon.mean, horizon.precision, self.priors),
+            InstrumentsGiven(
+                horizon.mean, horizon.precision, FreewheelGiven.of(self.priors, len(horizon.mean))
+            ),
             self.with_gyro,
             self.iterations,
         )

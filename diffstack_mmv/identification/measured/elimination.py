@@ -11,7 +11,12 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.identification.measured.estimation import WindowSystem, local_prior, residuals
+from diffstack_mmv.identification.measured.estimation import (
+    FreewheelGiven,
+    WindowSystem,
+    local_prior,
+    residuals,
+)
 from diffstack_mmv.identification.measured.instruments import InstrumentPriors
 from diffstack_mmv.identification.measured.rides import RideWindows
 from diffstack_mmv.identification.measured.shared import SharedUnknowns
@@ -106,6 +111,8 @@ class RideEquations:
         priors: Of the instruments.
         with_gyro: Whether yaw rates are used beside positions.
         start: Poses near which those of the windows lie.
+        tilt: Slope that is added to the cost of each recording, by the shared unknowns in prior
+            deviations (see `volume_slopes`); none by default.
     """
 
     def __init__(
@@ -115,15 +122,19 @@ class RideEquations:
         priors: InstrumentPriors,
         with_gyro: bool,
         start: RideUnknowns,
+        tilt: Float[Tensor, "r s"] | None = None,
     ) -> None:
         self.simulator, self.windows, self.with_gyro = simulator, windows, with_gyro
         self.shared = SharedUnknowns(simulator.parameters, priors)
         self.mean, self.std = priors.recording()
+        level = torch.zeros(len(windows.names), len(start.shared), dtype=torch.float64)
+        self.tilt = level if tilt is None else tilt
         owner = windows.recording
         free = torch.zeros(len(owner), RECORDING, RECORDING, dtype=torch.float64)
         local = start.local(owner)
+        freewheel = FreewheelGiven.of(priors, len(owner))
         prior = local_prior(
-            local, start.recording[owner], free, simulator.noise, priors, start.coasting
+            local, start.recording[owner], free, simulator.noise, freewheel, start.coasting
         )
         self.window_mean = without_recording(prior.mean)
         both = without_recording(prior.precision)
@@ -153,7 +164,11 @@ class RideEquations:
         window = 0.5 * (residual.square().sum(-1) + inner).nan_to_num(nan=torch.inf)
         away = ((point.recording - self.mean) / self.std).square().sum()
         away = away + self.shared.penalty(point.shared).square().sum()
-        return RideCost(float(window.sum() + 0.5 * away), window)
+        return RideCost(float(window.sum() + 0.5 * away + self.tilted(point)), window)
+
+    def tilted(self, point: RideUnknowns) -> Float[Tensor, ""]:
+        """What the tilt adds to the cost of a point, beyond a constant."""
+        return self.tilt.sum(0) @ self.shared.penalty(point.shared)
 
     def eliminated(self, at: Linearisation, damping: "Damping | None" = None) -> Eliminated:
         """Eliminate windows, then recordings; the diagonals of both may be damped."""
@@ -191,6 +206,7 @@ class RideEquations:
         rest = torch.linalg.solve(corner, side)
         information = whole[:, :shared, :shared] - side[..., :-1].mT @ rest[..., :-1]
         gradient = push[:, :shared] - (side[..., :-1].mT @ rest[..., -1:]).squeeze(-1)
+        gradient = gradient + self.tilt
         return Eliminated(Reduced(information, gradient), solved, hessian, corner, rest)
 
     def trial(self, at: Linearisation, damping: "Damping") -> RideUnknowns:
@@ -202,10 +218,15 @@ class RideEquations:
         whole = _damped(information + eye, damping.others)
         system = ReducedSystem(whole, parts.reduced.gradient.sum(0) + push)
         shared = bounded_newton_step(system, self.shared.bounds(point.shared))
+        return self.followed(point, parts, shared)
+
+    def followed(
+        self, point: RideUnknowns, parts: Eliminated, shared: Float[Tensor, " s"]
+    ) -> RideUnknowns:
+        """The point after a step of the shared unknowns in prior deviations; all else follows."""
+        owner = self.windows.recording
         recording = -(parts.rest[..., :-1] @ shared) - parts.rest[..., -1]
-        outer = torch.cat(
-            [shared.expand(len(self.windows.recording), -1), recording[self.windows.recording]], -1
-        )
+        outer = torch.cat([shared.expand(len(owner), -1), recording[owner]], -1)
         window = -(parts.solved[..., :-1] @ outer.unsqueeze(-1)).squeeze(-1) - parts.solved[..., -1]
         return RideUnknowns(
             self.shared.moved(point.shared, shared),

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from diffstack_mmv.geometry import direction
@@ -18,7 +18,7 @@ from diffstack_mmv.identification.measured.simulator import (
     RideSimulator,
 )
 
-START_M, START_RAD = 1.0, 1.0
+START_M, START_RAD = 100.0, 100.0
 """Prior deviations of the pose at the start of a window."""
 
 FIRST_DAMPING, AFTER_FAILURE = 1e-4, 1e-2
@@ -27,6 +27,60 @@ FIRST_DAMPING, AFTER_FAILURE = 1e-4, 1e-2
 PLAIN, ROBUST = 1e6, 3.0
 """Deviations beyond which the cost of a position grows linearly: none, and Huber's,
 as receivers jump."""
+
+
+class FreewheelGiven(NamedTuple):
+    """Prior of the freewheel of each window: mean and deviation of excess and loss of speed."""
+
+    coasts: Float[Tensor, "w 2 2"]
+    drives: Float[Tensor, "w 2 2"]
+    share: Float[Tensor, " w"]  # of the windows that coast
+
+    @classmethod
+    def of(cls, priors: InstrumentPriors, count: int) -> "FreewheelGiven":
+        """The same priors for so many windows."""
+        both = [
+            torch.stack(priors.freewheel(coasts)).expand(count, 2, 2) for coasts in (True, False)
+        ]
+        return cls(*both, torch.full((count,), priors.coasting_share, dtype=torch.float64))
+
+    def where(self, coasting: Bool[Tensor, " w"]) -> tuple[Tensor, Tensor]:
+        """Means and deviations (w 2) for windows that coast or do not."""
+        chosen = torch.where(coasting.view(-1, 1, 1), self.coasts, self.drives)
+        mean, std = chosen.unbind(1)
+        return mean.clone(), std
+
+
+class InstrumentsGiven(NamedTuple):
+    """Gaussian prior of the instruments of each window, and of its freewheel."""
+
+    mean: Float[Tensor, "w 4"]
+    precision: Float[Tensor, "w 4 4"]
+    freewheel: FreewheelGiven
+
+    @classmethod
+    def of(cls, priors: InstrumentPriors, count: int) -> "InstrumentsGiven":
+        """The same priors for so many windows."""
+        mean, std = priors.recording()
+        precision = std.pow(-2).diag().expand(count, -1, -1)
+        return cls(mean.expand(count, -1), precision, FreewheelGiven.of(priors, count))
+
+    @classmethod
+    def by_fold(
+        cls, priors: Sequence[InstrumentPriors], fold: Int[Tensor, " w"]
+    ) -> "InstrumentsGiven":
+        """Each window under the priors of its fold."""
+        each = [cls.of(one, 1) for one in priors]
+        mean, precision = (
+            torch.cat(rows)[fold] for rows in zip(*(e[:2] for e in each), strict=True)
+        )
+        columns = zip(*(one.freewheel for one in each), strict=True)
+        return cls(mean, precision, FreewheelGiven(*(torch.cat(rows)[fold] for rows in columns)))
+
+    def select(self, index: Tensor) -> "InstrumentsGiven":
+        """Those of some windows."""
+        freewheel = FreewheelGiven(*(part[index] for part in self.freewheel))
+        return InstrumentsGiven(self.mean[index], self.precision[index], freewheel)
 
 
 class LocalPrior(NamedTuple):
@@ -76,7 +130,7 @@ def start_values(
     windows: RideWindows,
     simulator: RideSimulator,
     mean: Float[Tensor, "w 4"],
-    priors: InstrumentPriors,
+    freewheel: FreewheelGiven,
     coasting: Bool[Tensor, " w"],
 ) -> Float[Tensor, "w l"]:
     """Unknowns with pose and excess of speed as recorded, and no errors of the controls."""
@@ -88,9 +142,9 @@ def start_values(
     at_axle = windows.position[:, 0] - 0.3 * direction(course)
     wheel = mean[:, 2] * windows.speed[:, :ahead].mean(-1)
     excess = way.norm(dim=-1) / (ahead * simulator.model.dt_s) - wheel
-    freewheel, _ = _freewheel(priors, coasting)
-    freewheel[:, 0] = torch.where(coasting, excess.clamp_min(0.0), freewheel[:, 0])
-    return torch.cat([at_axle, course.unsqueeze(-1), mean, freewheel, rest], -1)
+    own, _ = freewheel.where(coasting)
+    own[:, 0] = torch.where(coasting, excess.clamp_min(0.0), own[:, 0])
+    return torch.cat([at_axle, course.unsqueeze(-1), mean, own, rest], -1)
 
 
 def local_prior(
@@ -98,13 +152,13 @@ def local_prior(
     mean: Float[Tensor, "w 4"],
     precision: Float[Tensor, "w 4 4"],
     noise: MeasurementNoise,
-    priors: InstrumentPriors,
+    freewheel: FreewheelGiven,
     coasting: Bool[Tensor, " w"],
 ) -> LocalPrior:
     """Prior of all unknowns of windows from that of their recordings; the pose is nearly free."""
     known = POSE + RECORDING + COASTING
     count = (start.shape[-1] - known) // 2
-    freewheel, spread = _freewheel(priors, coasting)
+    own_mean, spread = freewheel.where(coasting)
     pose = torch.tensor([START_M, START_M, START_RAD], dtype=start.dtype)
     errors = torch.tensor([noise.curvature, noise.speed_share], dtype=start.dtype)
     fixed = torch.cat([pose, torch.ones(RECORDING, dtype=start.dtype)]).expand(len(start), -1)
@@ -113,17 +167,8 @@ def local_prior(
     own = slice(POSE, POSE + RECORDING)
     whole[:, own, own] = precision
     rest = torch.zeros_like(start[:, known:])
-    middle = torch.cat([start[:, :POSE], mean, freewheel, rest], -1)
+    middle = torch.cat([start[:, :POSE], mean, own_mean, rest], -1)
     return LocalPrior(middle, whole)
-
-
-def _freewheel(
-    priors: InstrumentPriors, coasting: Bool[Tensor, " w"]
-) -> tuple[Float[Tensor, "w 2"], Float[Tensor, "w 2"]]:
-    """Means and deviations of excess and loss of speed."""
-    pairs = zip(priors.freewheel(True), priors.freewheel(False), strict=True)
-    mean, std = (torch.where(coasting.unsqueeze(-1), one, other) for one, other in pairs)
-    return mean, std
 
 
 def residuals(
@@ -189,25 +234,10 @@ def _without_bias(weight: Tensor, bias_std: float) -> Float[Tensor, "w T T"]:
     return inner * weight.unsqueeze(-2)
 
 
-class InstrumentsGiven(NamedTuple):
-    """Gaussian prior of the instruments of each window."""
-
-    mean: Float[Tensor, "w 4"]
-    precision: Float[Tensor, "w 4 4"]
-    priors: InstrumentPriors  # of the freewheel
-
-    @classmethod
-    def of(cls, priors: InstrumentPriors, count: int) -> "InstrumentsGiven":
-        """The same priors for so many windows."""
-        mean, std = priors.recording()
-        precision = std.pow(-2).diag().expand(count, -1, -1)
-        return cls(mean.expand(count, -1), precision, priors)
-
-
 def estimate_windows(
     simulator: RideSimulator,
     windows: RideWindows,
-    shared: Float[Tensor, " s"],
+    shared: Float[Tensor, " s"] | Float[Tensor, "w s"],
     given: InstrumentsGiven,
     with_gyro: bool = False,
     iterations: int = 10,
@@ -218,7 +248,7 @@ def estimate_windows(
     Args:
         simulator: Of the vehicle.
         windows: The windows.
-        shared: θ of the vehicle and place of the antenna.
+        shared: θ of the vehicle and place of the antenna, of all windows or of each.
         given: What is known of the instruments.
         with_gyro: Whether the yaw rates are used.
         iterations: Steps of Levenberg and Marquardt.
@@ -230,20 +260,19 @@ def estimate_windows(
     # both in one batch
     count = len(given.mean)
     twice = torch.arange(count).repeat(2)
-    both = given._replace(mean=given.mean[twice], precision=given.precision[twice])
-    search = _Search(simulator, windows.select(twice), shared, both, with_gyro)
+    own = shared if shared.dim() == 1 else shared[twice]
+    search = _Search(simulator, windows.select(twice), own, given.select(twice), with_gyro)
     found = search.estimate(torch.arange(2 * count) >= count, iterations)
     driven, coasts = (WindowEstimate(*(part.split(count)[i] for part in found)) for i in (0, 1))
     return driven.replaced(coasts, coasts.evidence > driven.evidence)
 
 
 def _estimate(
-    at: "_Point", prior: LocalPrior, priors: InstrumentPriors, coasting: Bool[Tensor, " w"]
+    at: "_Point", prior: LocalPrior, share: Float[Tensor, " w"], coasting: Bool[Tensor, " w"]
 ) -> WindowEstimate:
     """With the evidence by Laplace's approximation, the share of coasting windows in it."""
     volume = torch.logdet(prior.precision) - torch.logdet(at.hessian)
-    share = torch.where(coasting, priors.coasting_share, 1 - priors.coasting_share)
-    evidence = 0.5 * volume - at.cost + share.double().log()
+    evidence = 0.5 * volume - at.cost + torch.where(coasting, share, 1 - share).log()
     return WindowEstimate(at.local, torch.linalg.inv(at.hessian), evidence, coasting)
 
 
@@ -265,21 +294,21 @@ class _Search(NamedTuple):
 
     simulator: RideSimulator
     windows: RideWindows
-    shared: Float[Tensor, " s"]
+    shared: Float[Tensor, " s"] | Float[Tensor, "w s"]
     given: InstrumentsGiven
     with_gyro: bool
 
     def estimate(self, coasting: Bool[Tensor, " w"], iterations: int) -> WindowEstimate:
         """Estimate for windows that coast or do not."""
-        mean, precision, priors = self.given
-        first = start_values(self.windows, self.simulator, mean, priors, coasting)
+        mean, precision, freewheel = self.given
+        first = start_values(self.windows, self.simulator, mean, freewheel, coasting)
         noise = self.simulator.noise
-        prior = local_prior(first, mean, precision, noise, priors, coasting)
+        prior = local_prior(first, mean, precision, noise, freewheel, coasting)
         # Huber's cost is flat far from the optimum, so the plain one leads there first
         near = self._lowest(self._point(first, prior, PLAIN), prior, PLAIN, iterations // 2)
         at = self._point(near.local, prior, ROBUST)
         at = self._lowest(at, prior, ROBUST, iterations - iterations // 2)
-        return _estimate(at, prior, priors, coasting)
+        return _estimate(at, prior, freewheel.share, coasting)
 
     def _lowest(self, at: _Point, prior: LocalPrior, robust: float, iterations: int) -> _Point:
         """Where each window costs least after some steps."""

@@ -1,5 +1,6 @@
 """Joint fit of a vehicle, its instruments and all windows."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -17,6 +18,7 @@ from diffstack_mmv.identification.measured.elimination import (
     without_recording,
 )
 from diffstack_mmv.identification.measured.estimation import (
+    FreewheelGiven,
     InstrumentsGiven,
     WindowEstimate,
     estimate_windows,
@@ -31,7 +33,10 @@ from diffstack_mmv.identification.measured.instruments import InstrumentPriors
 from diffstack_mmv.identification.measured.rides import RideWindows
 from diffstack_mmv.identification.measured.shared import SharedUnknowns
 from diffstack_mmv.identification.measured.simulator import RideSimulator
+from diffstack_mmv.identification.measured.volume import volume_slopes, volumes
 from diffstack_mmv.identification.shooting import ReducedSystem, bounded_newton_step
+
+logger = logging.getLogger(__name__)
 
 STEPS_BACK = 9
 FIRST_DAMPING = 1e-4
@@ -56,6 +61,7 @@ class MeasuredFit(NamedTuple):
         log_evidence: By Laplace's approximation.
         rms_m: Root mean square distance between positions and fit.
         noise_factor: Residuals over assumed noise, at least 1.
+        tilt: Slope of the uncertainty of what was eliminated, see `volume_slopes`.
         iterations: Steps of Levenberg and Marquardt.
         converged: Whether the cost ceased to fall before the iterations were over.
         sizes: Deviations of noise that explain its residuals and errors better than the assumed.
@@ -72,6 +78,7 @@ class MeasuredFit(NamedTuple):
     log_evidence: float
     rms_m: float
     noise_factor: float
+    tilt: Float[Tensor, "r s"]
     iterations: int
     converged: bool
     sizes: NoiseSizes
@@ -113,6 +120,14 @@ def without(
     return unknowns.moved(shared, step)
 
 
+class _Lowest(NamedTuple):
+    """End of a search."""
+
+    at: Linearisation
+    taken: int
+    converged: bool
+
+
 @dataclass(frozen=True)
 class MeasuredFitter:
     """Least squares over all unknowns: Levenberg and Marquardt with elimination.
@@ -126,24 +141,78 @@ class MeasuredFitter:
 
     priors: InstrumentPriors = InstrumentPriors()
     iterations: int = 40
-    tolerance: float = 0.05
+    tolerance: float = 0.01
     with_gyro: bool = False
 
     def __call__(
-        self, simulator: RideSimulator, windows: RideWindows, start: RideUnknowns | None = None
+        self,
+        simulator: RideSimulator,
+        windows: RideWindows,
+        start: RideUnknowns | None = None,
+        tilt: Float[Tensor, "r s"] | None = None,
     ) -> MeasuredFit:
         """Fit the parameters of the simulator to windows that do not overlap.
+
+        The shared unknowns maximise the evidence, not the joint density of all unknowns: a first
+        fit finds the tilt, a second one starts from there.
 
         Args:
             simulator: Of the model.
             windows: The windows.
-            start: Where to begin; the priors and the recorded positions by default.
+            start: Where to begin; the priors and the recorded positions by default, and which
+                windows coast is decided again after a first fit.
+            tilt: That of an earlier fit of these recordings, if there is one.
         """
         point = start or self.first_point(simulator, windows)
-        equations = RideEquations(simulator, windows, self.priors, self.with_gyro, point)
-        at, taken, fell = equations.linearised(point), 0, True
+        taken = 0
+        if start is None:
+            first = self._lowest(self._equations(simulator, windows, point, tilt), point)
+            point, taken = self.coasting_again(simulator, windows, first.at.point), first.taken
+        equations = self._equations(simulator, windows, point, tilt)
+        found = self._lowest(equations, point)
+        if tilt is None:
+            slopes = volume_slopes(equations, found.at)
+            equations = self._equations(simulator, windows, point, slopes)
+            taken += found.taken
+            found = self._lowest(equations, found.at.point)
+        return self._result(equations, found.at, taken + found.taken, found.converged)
+
+    def result(
+        self,
+        simulator: RideSimulator,
+        windows: RideWindows,
+        point: RideUnknowns,
+        tilt: Float[Tensor, "r s"],
+        taken: int,
+        converged: bool,
+    ) -> MeasuredFit:
+        """A fit that was found before, from its point.
+
+        Args:
+            simulator: Of the model.
+            windows: The windows.
+            point: Where it ended.
+            tilt: Its tilt.
+            taken: Iterations that it took.
+            converged: Whether it converged.
+        """
+        equations = self._equations(simulator, windows, point, tilt)
+        return self._result(equations, equations.linearised(point), taken, converged)
+
+    def _equations(
+        self,
+        simulator: RideSimulator,
+        windows: RideWindows,
+        start: RideUnknowns,
+        tilt: Float[Tensor, "r s"] | None,
+    ) -> RideEquations:
+        return RideEquations(simulator, windows, self.priors, self.with_gyro, start, tilt)
+
+    def _lowest(self, equations: RideEquations, point: RideUnknowns) -> "_Lowest":
+        """Where the cost ceases to fall. A small step that was damped much proves nothing."""
+        at, taken, falls = equations.linearised(point), 0, True
         damping = Damping(FIRST_DAMPING, torch.full_like(at.cost.window, FIRST_DAMPING))
-        while fell and taken < self.iterations:
+        while falls and taken < self.iterations:
             taken, before = taken + 1, at.cost
             for _ in range(STEPS_BACK):
                 trial = equations.trial(at, damping)
@@ -152,15 +221,23 @@ class MeasuredFitter:
                 if cost.total < before.total:
                     at = equations.linearised(trial)
                     break
-            fell = before.total - at.cost.total >= self.tolerance
-        return self._result(equations, at, taken, not fell)
+            falls = before.total - at.cost.total >= self.tolerance
+            logger.debug("step %d: cost %.3f", taken, at.cost.total)
+        return _Lowest(at, taken, not falls)
+
+    def coasting_again(
+        self, simulator: RideSimulator, windows: RideWindows, point: RideUnknowns
+    ) -> RideUnknowns:
+        """The same vehicle and instruments, and which windows coast under them."""
+        return self.first_point(simulator, windows, point.shared, recording=point.recording)
 
     def first_point(
         self,
         simulator: RideSimulator,
         windows: RideWindows,
         shared: Float[Tensor, " s"] | None = None,
-        near: RideUnknowns | None = None,
+        recording: Float[Tensor, "r 4"] | None = None,
+        coasting: Bool[Tensor, " w"] | None = None,
     ) -> RideUnknowns:
         """Each window fitted for itself, vehicle and instruments given.
 
@@ -168,18 +245,17 @@ class MeasuredFitter:
             simulator: Of the model.
             windows: The windows.
             shared: Vehicle and antenna; the priors by default.
-            near: Fit of another model, whose instruments are taken; the priors by default.
+            recording: Its instruments; means over its windows by default.
+            coasting: Which windows coast; what has more evidence by default.
         """
         vector = SharedUnknowns(simulator.parameters, self.priors)
         shared = vector.start() if shared is None else shared
         mean, std = self.priors.recording()
         precision = std.pow(-2).diag()
-        if near is None:
+        if recording is None:
             each = mean.expand(len(windows.names), -1)
             found = self._windows(simulator, windows, shared, each, precision)
-            recording, coasting = _means(found.recording, windows, mean), None
-        else:
-            recording, coasting = near.recording, near.coasting
+            recording = _means(found.recording, windows, mean)
         found = self._windows(simulator, windows, shared, recording, SURE * precision, coasting)
         return RideUnknowns(shared, recording, without_recording(found.local), found.coasting)
 
@@ -194,7 +270,7 @@ class MeasuredFitter:
     ) -> WindowEstimate:
         own = recording[windows.recording]
         sure = precision.expand(len(own), -1, -1)
-        prior = InstrumentsGiven(own, sure, self.priors)
+        prior = InstrumentsGiven(own, sure, FreewheelGiven.of(self.priors, len(own)))
         return estimate_windows(
             simulator, windows, shared, prior, self.with_gyro, coasting=coasting
         )
@@ -213,7 +289,7 @@ class MeasuredFitter:
         spread = torch.linalg.inv(parts.corner) * factor**2 + gain @ covariance @ gain.mT
         found = equations.simulator.simulate(windows, point.shared, point.local(windows.recording))
         apart = (found.position - windows.position).square().sum(-1)[windows.known]
-        volume = [torch.logdet(part).sum() for part in (parts.hessian, parts.corner)]
+        volume = volumes(equations, parts).sum() + 0.5 * torch.logdet(whole)
         unknowns, recording_std = equations.shared, spread.diagonal(dim1=-2, dim2=-1).sqrt()
         return MeasuredFit(
             point,
@@ -223,9 +299,10 @@ class MeasuredFitter:
             covariance,
             recording_std,
             parts.reduced,
-            float(-at.cost.total - 0.5 * (sum(volume) + torch.logdet(whole))),
+            float(equations.tilted(point) - at.cost.total - volume),
             float(apart.mean().sqrt()),
             factor,
+            equations.tilt,
             taken,
             converged,
             noise_sizes(equations, at, parts),

@@ -12,12 +12,9 @@ from diffstack_mmv.identification.measured.fit import MeasuredFit
 from diffstack_mmv.identification.measured.instruments import GRAVITY
 from diffstack_mmv.identification.measured.rides import RideWindows
 from diffstack_mmv.identification.measured.simulator import INSTALLED, RideSimulator
+from diffstack_mmv.identification.measured.stages import HeldOut
 from diffstack_mmv.identification.measured.study import MeasuredStudy, MeasuredStudyResult, ModelFit
-from diffstack_mmv.identification.measured.validation import (
-    RolloutErrors,
-    paired_by_recording,
-    session_of,
-)
+from diffstack_mmv.identification.measured.validation import paired_by_recording, session_of
 
 WITHIN = 1.96
 """Deviations of an interval that holds 95 %."""
@@ -25,6 +22,9 @@ WITHIN = 1.96
 SPEEDS = (0.0, 2.8, 3.0, 3.2, 99.0)
 LATERAL = (0.0, 0.2, 0.6, 1.0, 99.0)
 INSTALLED_NAMES = ("antenna_ahead_m", "antenna_height_m", "steer_gain")
+GYRO = "gyro, speed scaled"
+"""Baseline that the identified model is tested against."""
+
 RECORDING_UNKNOWNS = ("steer_offset", "steer_scale", "speed_scale", "delay_s")
 
 
@@ -52,6 +52,7 @@ def measured_result(
         "recordings": _recordings(result.windows.names, first.fit),
         "rollouts": rollout_table(result),
         "tests": _tests(name, result),
+        "processor_seconds": dict(result.seconds),
         "assumed": {
             "noise": asdict(result.noise),
             "priors_to_begin_with": asdict(study.fitter.priors),
@@ -166,33 +167,58 @@ def rollout_groups(windows: RideWindows) -> dict[str, Tensor]:
 
 
 def _tests(identified: str, result: MeasuredStudyResult) -> dict[str, dict[str, float]]:
-    """Identified model against the others and against the gyro, paired by recording."""
-    owner, own = result.rollouts.recording, result.models[identified]
-    gyro = "gyro, speed scaled"
-    others: dict[str, tuple[RolloutErrors, RolloutErrors]] = {
-        f"{identified} - {gyro}": (own.by_recording.plain, result.baselines[gyro]),
-        f"{identified} - {gyro}, session left out": (own.by_session.plain, result.baselines[gyro]),
+    """Every model against the identified one, and that against the gyro.
+
+    Over all roll-outs by recording and by session, and by recording within the classes of speed
+    and lateral acceleration.
+    """
+    own, lines = result.models[identified], dict[str, tuple[Tensor, Tensor]]()
+    for left_out in ("recording", "session"):
+        first: HeldOut = getattr(own, f"by_{left_out}")
+        gyro = result.baselines[GYRO]
+        lines[f"{identified} - {GYRO}, {left_out} left out"] = first.plain.ade, gyro.ade
+        for name, found in result.models.items():
+            if name == identified:
+                continue
+            second: HeldOut = getattr(found, f"by_{left_out}")
+            for how, one, other in zip(("", ", with gyro"), first, second, strict=True):
+                text = f"{name} - {identified}, {left_out} left out{how}"
+                lines[text] = other.ade, one.ade
+    groups = rollout_groups(result.rollouts)
+    return {
+        f"{text}; {group}": test
+        for text, (first, second) in lines.items()
+        for group, test in _paired(first, second, result.rollouts, groups).items()
     }
-    for name, found in result.models.items():
-        if name != identified:
-            text = f"{identified} - {name}"
-            others[text] = (own.by_recording.plain, found.by_recording.plain)
-            others[f"{text}, session left out"] = (own.by_session.plain, found.by_session.plain)
-    return {text: _paired(first, second, owner) for text, (first, second) in others.items()}
 
 
-def _paired(first: RolloutErrors, second: RolloutErrors, owner: Tensor) -> dict[str, float]:
-    known = first.ade.isfinite() & second.ade.isfinite()
-    if not bool(known.any()):
-        return {}
-    return paired_by_recording(first.ade[known], second.ade[known], owner[known])._asdict()
+def _paired(
+    first: Tensor, second: Tensor, windows: RideWindows, groups: Mapping[str, Tensor]
+) -> dict[str, dict[str, float]]:
+    """Paired tests by group; those of a single recording or session would tell nothing."""
+    known = first.isfinite() & second.isfinite()
+    sessions = [session_of(name) for name in windows.names]
+    number = torch.tensor([sessions.index(each) for each in sessions])
+    owners = {"by recording": windows.recording, "by session": number[windows.recording]}
+    jobs = [("all", "by recording"), ("all", "by session")]
+    jobs += [(group, "by recording") for group in groups if group != "all"]
+    found = {}
+    for group, unit in jobs:
+        chosen = groups[group] & known
+        owner = owners[unit][chosen]
+        if len(owner.unique()) > 1:
+            test = paired_by_recording(first[chosen], second[chosen], owner)
+            found[f"{group}, {unit}"] = test._asdict()
+    return found
 
 
 def measured_tables(content: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
-    """Tables for `identification.md`: parameters, roll-outs, tests."""
+    """Tables for `identification.md`: models, parameters, antenna and encoder, roll-outs, tests."""
     parameters = [
         {"model": model, "parameter": name}
-        | {key: entry[key] for key in ("initial", "estimate", "std", "unit", "verdict")}
+        | {key: entry[key] for key in ("initial", "prior_std", "estimate", "std")}
+        | {"95 % low": entry["interval_95"][0], "95 % high": entry["interval_95"][1]}
+        | {key: entry[key] for key in ("unit", "verdict")}
         for model, told in content["models"].items()
         for name, entry in told["parameters"].items()
     ]
@@ -203,4 +229,28 @@ def measured_tables(content: Mapping[str, Any]) -> dict[str, list[dict[str, Any]
         if "ade" in errors
     ]
     tests = [{"difference of ADE": name, **test} for name, test in content["tests"].items()]
-    return {"Parameters": parameters, "Roll-outs": rollouts, "Tests": tests}
+    models = [
+        {
+            "model": name,
+            "log evidence": told["log_evidence"],
+            "rms of the fit": told["loss_after"],
+            "iterations": told["iterations"],
+            "converged": told["converged"],
+            "steering per curvature": told["steer_per_curvature_at_3_mps"]["estimate"],
+            "its std": told["steer_per_curvature_at_3_mps"]["std"],
+            "processor seconds": content["processor_seconds"][name],
+        }
+        for name, told in content["models"].items()
+    ]
+    installed = [
+        {"model": name, "unknown": unknown, **entry}
+        for name, told in content["models"].items()
+        for unknown, entry in told["installed"].items()
+    ]
+    return {
+        "Models": models,
+        "Parameters": parameters,
+        "Installed": installed,
+        "Roll-outs": rollouts,
+        "Tests": tests,
+    }

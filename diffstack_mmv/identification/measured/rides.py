@@ -89,8 +89,8 @@ class RideWindowSettings:
 
     Attributes:
         steps: Steps of a window.
-        stride: Steps from the start of a window to that of the next; `steps` cuts windows without
-            overlap, so that no sample counts twice.
+        stride: Steps from the start of a window to that of the next; one more than `steps` lets no
+            sample count twice, the position at the end of a window included.
         dt_s: Step of the rides in s.
         speed_min_mps: Windows that are slower somewhere are left out.
         unknown_share: Largest share of positions that are interpolated.
@@ -99,7 +99,7 @@ class RideWindowSettings:
     """
 
     steps: int = 20
-    stride: int = 20
+    stride: int = 21
     dt_s: float = 0.1
     speed_min_mps: float = 1.5
     unknown_share: float = 0.1

@@ -108,6 +108,17 @@ def freewheeling(
     return wheel + ENGAGING_MPS * torch.nn.functional.softplus(over)
 
 
+def _at_ends(means: Float[Tensor, "w T"]) -> Float[Tensor, "w T1"]:
+    """Values at the ends of steps from means over them, straight on at both ends of a window.
+
+    Were the first and the last mean kept instead, the lean would come late at one end and early at
+    the other, where positions tell most about it.
+    """
+    first, last = 2 * means[:, :1] - means[:, 1:2], 2 * means[:, -1:] - means[:, -2:-1]
+    ends = torch.cat([first, means, last], -1)
+    return 0.5 * (ends[:, 1:] + ends[:, :-1])
+
+
 class RideSimulator:
     """Simulates windows of rides.
 
@@ -145,26 +156,42 @@ class RideSimulator:
         return POSE + RECORDING + COASTING + 2 * self.knots(steps)
 
     def simulate(
-        self, windows: RideWindows, shared: Float[Tensor, " s"], local: Float[Tensor, "w l"]
+        self,
+        windows: RideWindows,
+        shared: Float[Tensor, " s"] | Float[Tensor, "w s"],
+        local: Float[Tensor, "w l"],
     ) -> Simulated:
-        """Simulate all windows."""
+        """Simulate all windows, of one vehicle or each of its own."""
+        columns = (windows.steer, windows.steer_rate, windows.speed)
+        if shared.dim() == 1:
+            return Simulated(*self._simulated(*columns, shared, local))
+
+        def one(*parts: Tensor) -> tuple[Tensor, ...]:
+            *alone, shared, local = parts
+            rows = (part.unsqueeze(0) for part in alone)
+            found = self._simulated(*rows, shared, local.unsqueeze(0))
+            return tuple(part.squeeze(0) for part in found)
+
+        return Simulated(*vmap(one)(*columns, shared, local))
+
+    def _simulated(
+        self, steer: Tensor, steer_rate: Tensor, speed: Tensor, shared: Tensor, local: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Positions of the antenna, yaw rates and states under one vehicle."""
         theta, (ahead, height, gain) = shared[:-INSTALLED], shared[-INSTALLED:].unbind()
-        driven = self._driven(windows, local, gain)
+        driven = self._driven(steer, steer_rate, speed, local, gain)
         speed = driven[0]
         weights = self.parameters.tensors(theta, "model.")
         start = local[:, :POSE]
         states, heading = functional_call(self._stepper, weights, (start, *driven))
         yaw_rate = heading.diff(dim=-1) / self.model.dt_s
-        ends = torch.cat([yaw_rate[:, :1], yaw_rate, yaw_rate[:, -1:]], -1)
-        lateral = 0.5 * (ends[:, 1:] + ends[:, :-1]) * speed
-        aside = height * torch.atan(lateral / GRAVITY)
+        aside = height * torch.atan(_at_ends(yaw_rate) * speed / GRAVITY)
         ahead = ahead - self.model.reference_ahead_m + self._axle_m
         along = direction(heading)
         across = torch.stack([-along[..., 1], along[..., 0]], -1)
         idle = states.new_zeros(*states.shape[:-1], self.model.control_dim)
         place = self.model.motion(states, idle).position
-        position = place + ahead * along + aside.unsqueeze(-1) * across
-        return Simulated(position, yaw_rate, states)
+        return place + ahead * along + aside.unsqueeze(-1) * across, yaw_rate, states
 
     def steer_per_curvature(
         self, shared: Float[Tensor, " s"], speed_mps: float = 3.0
@@ -179,7 +206,7 @@ class RideSimulator:
     def linearise(
         self,
         windows: RideWindows,
-        shared: Float[Tensor, " s"],
+        shared: Float[Tensor, " s"] | Float[Tensor, "w s"],
         local: Float[Tensor, "w l"],
         by_shared: bool = True,
     ) -> Linearised:
@@ -193,12 +220,11 @@ class RideSimulator:
             return torch.cat([found.position.flatten(1), found.yaw_rate], -1)
 
         def along(shared_way: Tensor, local_way: Tensor) -> tuple[Tensor, Tensor]:
-            value, slope, *_ = jvp(
-                outputs, (shared, local), (shared_way, local_way.expand_as(local))
-            )
+            ways = shared_way.expand_as(shared), local_way.expand_as(local)
+            value, slope, *_ = jvp(outputs, (shared, local), ways)
             return value, slope
 
-        count, size = len(shared), len(shared) + local.shape[-1]
+        count, size = shared.shape[-1], shared.shape[-1] + local.shape[-1]
         ways = torch.eye(size, dtype=local.dtype)
         # the types of torch know no output that is not mapped
         every = vmap(along, out_dims=(None, -1))  # pyright: ignore[reportArgumentType]
@@ -209,17 +235,23 @@ class RideSimulator:
         return Linearised(value, slope[..., :count], slope[..., count:])
 
     def _driven(
-        self, windows: RideWindows, local: Tensor, gain: Float[Tensor, ""]
+        self,
+        steer: Float[Tensor, "w T"],
+        steer_rate: Float[Tensor, "w T"],
+        speed: Float[Tensor, "w T1"],
+        local: Float[Tensor, "w l"],
+        gain: Float[Tensor, ""],
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Speed (w T1), steering and bend (w T) after the corrections of a window."""
-        count = self.knots(windows.steps)
+        steps = steer.shape[-1]
+        count = self.knots(steps)
         offset, scale, pace, delay = local[:, POSE : POSE + RECORDING].T.unsqueeze(-1)
         excess, loss = local[:, POSE + RECORDING :][:, :COASTING].T
         errors = local[:, POSE + RECORDING + COASTING :]
-        steer = gain * scale * (windows.steer - delay * windows.steer_rate) + offset
-        ends = torch.arange(windows.steps + 1, dtype=errors.dtype)
+        steer = gain * scale * (steer - delay * steer_rate) + offset
+        ends = torch.arange(steps + 1, dtype=errors.dtype)
         bend = self._between(errors[:, :count], ends[:-1] + 0.5)
-        wheel = windows.speed * (pace + self._between(errors[:, count:], ends))
+        wheel = speed * (pace + self._between(errors[:, count:], ends))
         return freewheeling(wheel, excess, loss * self.model.dt_s), steer, bend
 
     def _between(

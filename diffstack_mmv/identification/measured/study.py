@@ -1,56 +1,29 @@
 """From measured rides to fitted models and their errors on recordings that were left out."""
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import torch
-from torch import Tensor
-
-from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.identification.measured.baselines import Baselines
-from diffstack_mmv.identification.measured.elimination import RideUnknowns
 from diffstack_mmv.identification.measured.fit import MeasuredFit, MeasuredFitter
 from diffstack_mmv.identification.measured.instruments import InstrumentPriors, MeasurementNoise
+from diffstack_mmv.identification.measured.parts import FinishedParts
 from diffstack_mmv.identification.measured.rides import (
     MeasuredRide,
     RideWindows,
     RideWindowSettings,
     cut_windows,
 )
-from diffstack_mmv.identification.measured.simulator import INSTALLED, RideSimulator
-from diffstack_mmv.identification.measured.validation import (
-    RolloutErrors,
-    folds_by,
-    future_errors,
-    held_out_errors,
-)
-from diffstack_mmv.identification.shooting import ParameterVector
+from diffstack_mmv.identification.measured.simulator import RideSimulator
+from diffstack_mmv.identification.measured.stages import Fitted, Fitting, HeldOut, Judging, Models
+from diffstack_mmv.identification.measured.validation import RolloutErrors, folds_by
 from diffstack_mmv.vehicles import VehicleSpec
+from dmmv_conventions.progress import counted
 
 logger = logging.getLogger(__name__)
 
 NO_JUMPS_LEFT_OUT = 1e9
-
-Models = Mapping[str, Callable[[], DynamicsModel]]
-
-
-class Fitted(NamedTuple):
-    """A model with its fit."""
-
-    simulator: RideSimulator
-    fit: MeasuredFit
-
-
-Fits = Mapping[str, Fitted]
-
-
-class HeldOut(NamedTuple):
-    """Errors of roll-outs whose recording took no part, without and with the history's gyro."""
-
-    plain: RolloutErrors
-    with_gyro: RolloutErrors
 
 
 class ModelFit(NamedTuple):
@@ -79,6 +52,7 @@ class MeasuredStudyResult(NamedTuple):
         baselines: Errors of what needs no model, what it fits coming from other recordings.
         noise: Deviations of all measurements.
         priors: Of the instruments.
+        seconds: Processor time of each model, all folds included.
     """
 
     windows: RideWindows
@@ -87,6 +61,7 @@ class MeasuredStudyResult(NamedTuple):
     baselines: Mapping[str, RolloutErrors]
     noise: MeasurementNoise
     priors: InstrumentPriors
+    seconds: Mapping[str, float]
 
     def calibrated(self, spec: VehicleSpec, source: str) -> VehicleSpec:
         """The vehicle with the values of every model, those of the identified one last."""
@@ -113,6 +88,7 @@ class MeasuredStudy:
         every_s: From the start of one roll-out to the next.
         reference: Model that noise and priors are learned with, and that all others start from;
             the first if it is not among them.
+        parts: Keeps what is finished.
     """
 
     spec: VehicleSpec
@@ -124,6 +100,7 @@ class MeasuredStudy:
     horizon_s: float = 3.0
     every_s: float = 1.0
     reference: str = "kbm"
+    parts: FinishedParts = FinishedParts()
 
     @property
     def history_steps(self) -> int:
@@ -144,25 +121,40 @@ class MeasuredStudy:
         logger.info(
             "%d windows are fitted, %d are rolled out", len(windows.origin), len(rollouts.origin)
         )
-        noise, fits = self._fits(windows, models)
-        sessions = self._by_session(windows, rollouts, models, fits)
-        recordings = folds_by(rollouts.names, sessions=False)
-        found: dict[str, ModelFit] = {}
-        coasting: dict[bool, Tensor] = {}
-        for name in self._ordered(models):
-            simulator, fit = fits[name]
-            errors = []
-            for gyro in (False, True):
-                steps, known = self.history_steps, coasting.get(gyro)
-                judged = held_out_errors(simulator, fit, rollouts, steps, recordings, gyro, known)
-                coasting.setdefault(gyro, judged.coasting)
-                errors.append(judged)
-            found[name] = ModelFit(simulator, fit, HeldOut(*errors), sessions[name])
-            logger.info("%s is judged", name)
-        found = {name: found[name] for name in models}
+        fitting = self._fitting(windows, rollouts)
+        judging = Judging(fitting, rollouts, self.history_steps)
+        names = self._ordered(models)
+        whole: dict[str, Fitted] = {}
+        for name in counted(names, "fit all recordings", "model"):
+            reference = whole.get(names[0])
+            whole[name] = fitting.fitted("all", windows, name, models[name], reference)
+            logger.info("%s: %d iterations", name, whole[name].fit.iterations)
+        by_recording: dict[str, HeldOut] = {}
+        for name in counted(names, "leave out recordings", "model"):
+            known = by_recording.get(names[0])
+            by_recording[name] = judging.by_recording(name, whole[name], known)
+        by_session = judging.by_session(windows, models, whole, names)
+        found = {
+            name: ModelFit(*whole[name], by_recording[name], by_session[name]) for name in models
+        }
         baselines = self._baselines().errors(rollouts, windows, folds_by(windows.names, False))
-        priors = next(iter(fits.values())).fit.instruments.given
-        return MeasuredStudyResult(windows, rollouts, found, baselines, noise, priors)
+        first = whole[names[0]]
+        noise, priors = first.simulator.noise, first.fit.instruments.given
+        seconds = {name: fitting.seconds[name] for name in models}
+        return MeasuredStudyResult(windows, rollouts, found, baselines, noise, priors, seconds)
+
+    def _fitting(self, windows: RideWindows, rollouts: RideWindows) -> "Fitting":
+        """How models are fitted, what is finished found again for the same data and settings."""
+        data = [
+            windows.position,
+            windows.steer,
+            windows.speed,
+            rollouts.position,
+            rollouts.yaw_rate,
+        ]
+        settings = (self.spec, self.fitter, self.noise, self.noise_rounds, self.fitted)
+        parts = self.parts.keyed(*data, *settings, self.history_s, self.horizon_s, self.every_s)
+        return Fitting(self.spec, self.fitter, self.noise, self.noise_rounds, parts)
 
     def _future(self) -> RideWindowSettings:
         steps = self.history_steps + round(self.horizon_s / self.fitted.dt_s)
@@ -172,69 +164,6 @@ class MeasuredStudy:
     def _ordered(self, models: Models) -> list[str]:
         """The reference first."""
         return sorted(models, key=lambda name: name != self.reference)
-
-    def _fits(
-        self,
-        windows: RideWindows,
-        models: Models,
-        starts: Mapping[str, RideUnknowns] | None = None,
-    ) -> tuple[MeasurementNoise, dict[str, Fitted]]:
-        """Fit all models; noise and priors are learned with the reference.
-
-        Args:
-            windows: The windows.
-            models: Makes each model.
-            starts: Where each fit begins; only a start, all is learned from the windows.
-        """
-        reference, *others = self._ordered(models)
-        noise, fitter, starts = self.noise, self.fitter, starts or {}
-        simulator = self._simulator(models[reference], noise)
-        fit = fitter(simulator, windows, starts.get(reference))
-        for _ in range(self.noise_rounds):
-            noise, fitter = replace(noise, **fit.sizes), replace(fitter, priors=fit.priors)
-            simulator = self._simulator(models[reference], noise)
-            fit = fitter(simulator, windows, fit.point)
-        found = {reference: Fitted(simulator, fit)}
-        for name in others:
-            simulator, point = self._simulator(models[name], noise), starts.get(name)
-            if point is None:
-                start = simulator.parameters.start().double()
-                shared = torch.cat([start, fit.point.shared[-INSTALLED:]])
-                point = fitter.first_point(simulator, windows, shared, fit.point)
-            found[name] = Fitted(simulator, fitter(simulator, windows, point))
-            logger.info("%s: %d iterations", name, found[name].fit.iterations)
-        return noise, {name: found[name] for name in models}
-
-    def _by_session(
-        self, windows: RideWindows, rollouts: RideWindows, models: Models, whole: Fits
-    ) -> dict[str, HeldOut]:
-        """Errors of each session under everything learned on the others."""
-        nothing = RolloutErrors.unknown(rollouts)
-        found = {name: [nothing, nothing] for name in models}
-        for fold in folds_by(windows.names, sessions=True):
-            chosen = fold[rollouts.recording]
-            if bool(fold.all()) or not bool(chosen.any()):
-                continue
-            starts = {
-                name: fit.point.without(fold, windows.recording) for name, (_, fit) in whole.items()
-            }
-            _, fits = self._fits(windows.without(fold), models, starts)
-            part = rollouts.select(chosen)
-            coasting: dict[int, Tensor] = {}
-            for name in self._ordered(models):
-                simulator, fit = fits[name]
-                for index, gyro in enumerate((False, True)):
-                    given = (fit.point.shared, fit.priors, self.history_steps, gyro)
-                    errors = future_errors(simulator, part, *given, coasting.get(index))
-                    coasting.setdefault(index, errors.coasting)
-                    found[name][index] = found[name][index].filled(chosen, errors)
-        return {name: HeldOut(*errors) for name, errors in found.items()}
-
-    def _simulator(
-        self, model: Callable[[], DynamicsModel], noise: MeasurementNoise
-    ) -> RideSimulator:
-        built = model().double()
-        return RideSimulator(built, ParameterVector(built, self.spec), noise, self.spec)
 
     def _baselines(self) -> Baselines:
         wheelbase = self.spec.wheelbase.entries()[0][0]

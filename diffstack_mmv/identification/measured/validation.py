@@ -13,7 +13,6 @@ from diffstack_mmv.identification.measured.estimation import (
     estimate_windows,
 )
 from diffstack_mmv.identification.measured.fit import MeasuredFit
-from diffstack_mmv.identification.measured.instruments import InstrumentPriors
 from diffstack_mmv.identification.measured.rides import RideWindows
 from diffstack_mmv.identification.measured.simulator import (
     COASTING,
@@ -100,29 +99,22 @@ def held_out_errors(
         with_gyro: Whether the yaw rates of the history are used.
         coasting: Which windows coast; what the history says by default.
     """
-    found = RolloutErrors.unknown(windows)
-    for fold in folds:
-        chosen = fold[windows.recording]
-        if bool(chosen.any()):
-            part = windows.select(chosen)
-            shared, priors = fit.shared_without(fold), fit.instruments.priors(fold)
-            known = None if coasting is None else coasting[chosen]
-            errors = future_errors(simulator, part, shared, priors, history, with_gyro, known)
-            found = found.filled(chosen, errors)
-    return found
+    fold = torch.stack(list(folds)).long().argmax(0)[windows.recording]
+    shared = torch.stack([fit.shared_without(one) for one in folds])[fold]
+    given = InstrumentsGiven.by_fold([fit.instruments.priors(one) for one in folds], fold)
+    return future_errors(simulator, windows, shared, given, history, with_gyro, coasting)
 
 
 def future_errors(
     simulator: RideSimulator,
     windows: RideWindows,
-    shared: Float[Tensor, " s"],
-    priors: InstrumentPriors,
+    shared: Float[Tensor, " s"] | Float[Tensor, "w s"],
+    given: InstrumentsGiven,
     history: int,
     with_gyro: bool,
     coasting: Bool[Tensor, " w"] | None = None,
 ) -> RolloutErrors:
     """Errors of roll-outs, all but the vehicle and the priors taken from the history."""
-    given = InstrumentsGiven.of(priors, len(windows.recording))
     past = windows.head(history)
     found = estimate_windows(simulator, past, shared, given, with_gyro, ITERATIONS, coasting)
     errors = errors_of(rolled_out(simulator, windows, shared, found), windows, history)

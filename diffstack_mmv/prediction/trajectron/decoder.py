@@ -56,7 +56,7 @@ class ControlDecoder(nn.Module):
         ValueError: A number of steps is below one.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - each is a part that can be exchanged
         self,
         dynamics: DynamicsModel,
         context_size: int,

@@ -10,8 +10,21 @@
 #include <thread>
 #include <type_traits>
 #include <vector>
+#ifdef __SSE2__
+#include <immintrin.h>
+#endif
 
 namespace {
+
+// While one lives, numbers too small to be normal count as zero: slopes fade to them step by step, and a processor takes
+// a hundred times as long for each.
+struct NormalOnly {
+#ifdef __SSE2__
+  unsigned before = _mm_getcsr();
+  NormalOnly() { _mm_setcsr(before | 0x8040); }
+  ~NormalOnly() { _mm_setcsr(before); }
+#endif
+};
 
 typedef Real V __attribute__((vector_size(64)));
 typedef std::conditional_t<sizeof(Real) == 4, int, long> Whole;
@@ -21,6 +34,14 @@ constexpr int LANES = 64 / sizeof(Real), WIDE = 4, BLOCK = LANES * WIDE;
 // a number per row of a block, and some of them
 typedef V Row[WIDE];
 typedef std::vector<V> Rows;
+
+template <int N>
+struct Taylor {
+  Real factor[N + 1] = {1};
+  constexpr Taylor() {
+    for (int k = 1; k <= N; ++k) factor[k] = factor[k - 1] / k;
+  }
+};
 
 inline V exponential(V x) {
   constexpr bool single = sizeof(Real) == 4;
@@ -32,14 +53,24 @@ inline V exponential(V x) {
   x = x > most ? V{} + most : x;
   const V n = (x * Real(1.44269504088896340736) + magic) - magic;
   const V r = (x - n * high) - n * low;
-  V p = V{} + 1;
+  constexpr Taylor<terms> of;
+  V p = V{} + of.factor[terms];
 #pragma GCC unroll 16
-  for (int k = terms; k > 0; --k) p = 1 + p * r * (Real(1) / k);
+  for (int k = terms - 1; k >= 0; --k) p = p * r + of.factor[k];
   const Wholes power = (__builtin_convertvector(n, Wholes) + bias) << mantissa;
   return p * V(power);
 }
-inline V sigmoid(V x) { return 1 / (1 + exponential(-x)); }
-inline V hyperbolic(V x) { return 2 / (1 + exponential(-2 * x)) - 1; }
+inline V reciprocal(V x) {
+#ifdef __AVX512F__
+  if constexpr (sizeof(Real) == 4) {  // a division takes four times as long
+    const V guess = V(_mm512_rcp14_ps(__m512(x)));
+    return guess * (2 - x * guess);
+  }
+#endif
+  return 1 / x;
+}
+inline V sigmoid(V x) { return reciprocal(1 + exponential(-x)); }
+inline V hyperbolic(V x) { return 2 * reciprocal(1 + exponential(-2 * x)) - 1; }
 
 // out += W in, for N rows of W
 template <int N>
@@ -164,6 +195,7 @@ inline void each_block(long rows, long threads, F f) {
   const long blocks = (rows + BLOCK - 1) / BLOCK;
   std::atomic<long> next{0};
   auto work = [&] {
+    const NormalOnly flushed;
     for (long i = next++; i < blocks; i = next++) f(Block{i, i * BLOCK, std::min<long>(rows - i * BLOCK, BLOCK)});
   };
   std::vector<std::thread> helpers;

@@ -4,6 +4,7 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
+from diffstack_mmv.prediction.trajectron.blocks import Blocks
 from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
 
 
@@ -17,9 +18,10 @@ def written_out(lstm, features, valid):
     return hidden
 
 
-@pytest.mark.parametrize("rows", [0, 1, 4])
-def test_value_and_gradient_are_those_of_the_cell(rows):
-    lstm = MaskedLSTM(3, 5).double()
+@pytest.mark.parametrize("rows", [0, 1, 40])
+@pytest.mark.parametrize("blocks", [None, Blocks()])
+def test_value_and_gradient_are_those_of_the_cell(rows, blocks):
+    lstm = MaskedLSTM(3, 5, blocks).double()
     features = torch.randn(rows, 6, 3, dtype=torch.float64, requires_grad=True)
     valid = torch.rand(rows, 6) > 0.4
     found, expected = lstm(features, valid), written_out(lstm, features, valid)
@@ -30,8 +32,9 @@ def test_value_and_gradient_are_those_of_the_cell(rows):
         assert torch.allclose(slope, right)
 
 
-def test_gradient_is_that_of_the_value():
-    lstm, valid = MaskedLSTM(2, 2).double(), torch.tensor([[True, False, True]])
+@pytest.mark.parametrize("blocks", [None, Blocks()])
+def test_gradient_is_that_of_the_value(blocks):
+    lstm, valid = MaskedLSTM(2, 2, blocks).double(), torch.tensor([[True, False, True]])
     features = torch.randn(1, 3, 2, dtype=torch.float64, requires_grad=True)
     assert gradcheck(lambda inputs: lstm(inputs, valid), features)
 

@@ -1,0 +1,77 @@
+"""Finished parts of a study on disk, so that a study that was interrupted goes on where it was."""
+
+import hashlib
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import astuple, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffstack_mmv.identification.measured.instruments import Gaussian, InstrumentPriors
+
+Part = dict[str, Tensor]
+
+SECONDS = "seconds"
+
+
+@dataclass(frozen=True)
+class FinishedParts:
+    """Computes parts, or reads them where they are finished.
+
+    A part is found again under its name and the key of what it was made of. A file is written
+    beside its place and then moved there, so that it is whole or missing.
+
+    Attributes:
+        folder: Where the parts are; nothing is kept by default.
+        key: Digest of data and settings.
+    """
+
+    folder: str | Path | None = None
+    key: str = ""
+
+    def keyed(self, *made_of: object) -> "FinishedParts":
+        """Parts that are made of data (tensors) and settings (whose text counts)."""
+        digest = hashlib.sha256()
+        for each in made_of:
+            array = each.numpy().tobytes() if isinstance(each, Tensor) else repr(each).encode()
+            digest.update(array)
+        return FinishedParts(self.folder, digest.hexdigest()[:12])
+
+    def __call__(self, name: str, make: Callable[[], Mapping[str, Tensor]]) -> Part:
+        """A part by its name, with the processor seconds that it took."""
+        if self.folder is None:
+            return _timed(make)
+        path = Path(self.folder) / f"{name}-{self.key}.npz"
+        if path.is_file():
+            with np.load(path, allow_pickle=False) as arrays:
+                return {key: torch.from_numpy(arrays[key]) for key in arrays.files}
+        part = _timed(make)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        unfinished = path.with_suffix(".unfinished")
+        with unfinished.open("wb") as stream:
+            # the types of numpy take names of arrays for its own arguments
+            np.savez(stream, **{key: value.numpy() for key, value in part.items()})  # pyright: ignore[reportArgumentType]
+        os.replace(unfinished, path)
+        return part
+
+
+def _timed(make: Callable[[], Mapping[str, Tensor]]) -> Part:
+    begin = time.process_time()
+    part = dict(make())
+    return part | {SECONDS: torch.tensor(time.process_time() - begin, dtype=torch.float64)}
+
+
+def priors_as_tensor(priors: InstrumentPriors) -> Tensor:
+    """Means and deviations in the order of the fields, the share of coasting windows last."""
+    *pairs, share = astuple(priors)
+    return torch.tensor([*(value for pair in pairs for value in pair), share], dtype=torch.float64)
+
+
+def priors_from_tensor(values: Tensor) -> InstrumentPriors:
+    """The inverse of `priors_as_tensor`."""
+    *pairs, share = values.tolist()
+    return InstrumentPriors(*map(Gaussian, pairs[::2], pairs[1::2]), share)
