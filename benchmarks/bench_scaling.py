@@ -3,7 +3,7 @@
     python -m benchmarks.bench_scaling --processes 1 2 > benchmarks/results/scaling.md
 
 Every process runs the step of a stack (forward, backward, all-reduce, optimizer) on samples made up
-in memory: gloo on a CPU, NCCL where there is a GPU for each process. Weak scaling keeps the samples
+in memory, compiled as in a long training: gloo on a CPU, NCCL where there is a GPU for each process. Weak scaling keeps the samples
 per process, strong scaling those of all processes together.
 """
 
@@ -31,6 +31,7 @@ def step_s(rank, processes, port, samples, steps, dynamics, results):
     device = torch.device("cuda", rank) if on_gpu else torch.device("cpu")
     distributed.init_process_group("nccl" if on_gpu else "gloo", rank=rank, world_size=processes)
     model = stack(dynamics).to(device)
+    model.compile_kernels()
     model.log_dict = lambda *arguments, **options: None
     model.forward = lambda samples: model.training_step(samples, 0)
     trained = DistributedDataParallel(model, find_unused_parameters=True)
@@ -76,7 +77,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--processes", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--samples", type=int, default=16)
-    parser.add_argument("--steps", type=int, default=3)
+    parser.add_argument("--steps", type=int, default=20)
     parser.add_argument("--dynamics", default="kbm")
     chosen = parser.parse_args()
     kind = torch.cuda.get_device_name() if torch.cuda.is_available() else f"{os.cpu_count()} cores"

@@ -178,7 +178,7 @@ def main():
     parser.add_argument("--neighbors", type=int, default=0, help="agents placed around each ego")
     parser.add_argument("--models", nargs="+", default=list(MODELS), choices=list(MODELS))
     parser.add_argument("--codes", nargs="*", default=["compiled", "eager"])
-    parser.add_argument("--override", action="append", default=[], help="of this code, as start=X")
+    parser.add_argument("--override", action="append", default=[], help="of all codes, as start=X")
     parser.add_argument("--peer", action="append", default=[], metavar="NAME=CHECKOUT")
     parser.add_argument("--variant", action="append", default=[], metavar="NAME=OVERRIDE,OVERRIDE")
     given = parser.parse_args()
@@ -189,7 +189,7 @@ def main():
         codes.append((name, CHECKOUT, [COMPILED, *given.override, *overrides.split(",")]))
     for peer in given.peer:
         name, _, checkout = peer.partition("=")
-        codes.append((name, Path(checkout).resolve(), []))
+        codes.append((name, Path(checkout).resolve(), list(given.override)))
     around = f", {given.neighbors} neighbors" if given.neighbors else ""
     print(f"{given.data}, batch {given.batch}, one thread{around}.\n")
     print(

@@ -196,6 +196,20 @@ def require_same_horizon(config: Mapping[str, Any], trained: Mapping[str, Any]) 
         require(found == wanted, name, requirement, found, "for this checkpoint", remedy)
 
 
+def other_history(config: Mapping[str, Any], trained: Mapping[str, Any]) -> str | None:
+    """What to tell of windows with another past than those of the training, None without.
+
+    A predictor takes any past, and a set of short tracks may be learned with less than is judged.
+    """
+    given, known = config["history_s"], trained["history_s"]
+    if given == known:
+        return None
+    return (
+        f"Windows have {given:g} s of the past, but the checkpoint was trained with {known:g} s. "
+        f"Give history_s={known:g} for windows as in the training."
+    )
+
+
 def require_recordings(source: Mapping[str, Any]) -> None:
     """Refuse a source of recordings that is not there.
 

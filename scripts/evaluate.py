@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from diffstack_mmv.cli import DictConfig, command, instantiate
 from diffstack_mmv.config_checks import (
+    other_history,
     other_modes,
     require_checkpoint,
     require_recordings,
@@ -47,6 +48,16 @@ def _calibration(
     return fitted_calibration(stack, data.dataset(split), config.batch_size)
 
 
+def _take_windows(config: DictConfig, trained: dict[str, Any]) -> None:
+    """Take the modes of the training where none are given; refuse or tell other windows."""
+    require_same_horizon(config, trained)
+    told = other_history(config, trained)
+    if told:
+        logger.warning(told)
+    if config.modes is None:
+        config.modes = config.data.module.windows.ego_modes = trained["modes"]
+
+
 @command(config_folder(), "evaluate", check)
 def main(config: DictConfig) -> None:
     """Score every window of a split; write tables and plots."""
@@ -60,9 +71,7 @@ def main(config: DictConfig) -> None:
         require_one_of("situations", name, Situations._fields)
     path = checkpoint_path(config.checkpoint)
     stack, trained = load_stack(path, _device(config.device))
-    require_same_horizon(config, trained)
-    if config.modes is None:
-        config.modes = config.data.module.windows.ego_modes = trained["modes"]
+    _take_windows(config, trained)
     if "goal" in config:
         stack.goal = instantiate(config.goal)
     if "solver" in config:

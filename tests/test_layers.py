@@ -54,6 +54,7 @@ CONVENTIONS = {
     "jobs": {"dmmv_conventions.checks"},
     "types": {"dmmv_conventions.modes"},
     "control": {"dmmv_conventions.libraries"},
+    "prediction": {"dmmv_conventions.libraries"},
     "simulation": {"dmmv_conventions.libraries"},
     "dynamics": {"dmmv_conventions.yaml_files"},
     "data": {"dmmv_conventions.cache", "dmmv_conventions.disk", "dmmv_conventions.opening"},

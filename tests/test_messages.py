@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from diffstack_mmv.config_checks import require_same_horizon
+from diffstack_mmv.config_checks import other_history, require_same_horizon
 from diffstack_mmv.control import ILQR, Bounds
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle, rollout
 from diffstack_mmv.dynamics.manoeuvres import RecordedControls
@@ -108,3 +108,10 @@ def test_another_horizon_than_that_of_the_checkpoint(name):
     told = f"`{name}` must be {trained[name]} as in the training, but got 9.0 for this checkpoint"
     with pytest.raises(ValueError, match=re.escape(told)):
         require_same_horizon(trained | {name: 9.0}, trained)
+
+
+def test_another_past_than_that_of_the_checkpoint_is_told():
+    assert other_history({"history_s": 2.0}, {"history_s": 2.0}) is None
+    told = other_history({"history_s": 4.0}, {"history_s": 2.0})
+    assert told is not None
+    assert "Give history_s=2" in told

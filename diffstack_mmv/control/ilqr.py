@@ -215,8 +215,8 @@ class ILQR:
         return Settings(
             torch.stack([bounds.lower, bounds.upper]).to(state).detach(),
             0.5**powers,
-            state.new_tensor(self.tolerance),
-            state.new_tensor(self.regularisation),
+            state.new_full((), self.tolerance),
+            state.new_full((), self.regularisation),
         )
 
     def _kernels(self, dynamics: Dynamics, cost: Cost, state: Tensor, controls: Tensor) -> Kernels:

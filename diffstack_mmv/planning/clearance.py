@@ -87,12 +87,10 @@ class ClearanceMargin:
             r² / (r² + 2 σ²) exp(-c² / (2 σ²)), one or none for a sure forecast, and for a vague one
             the density of agents times the area of contact.
         reach_m: r, the distance of the centres at contact.
-        restless_mps: For the risk, nobody is taken to have gone less far than at this speed: who
-            stands, or arrives somewhere, may walk off again.
 
     Raises:
-        ValueError: A margin or speed is negative, the way or the time not positive, or the
-            probability outside of [0, 1].
+        ValueError: A margin is negative, the way or the time not positive, or the probability
+            outside of [0, 1].
     """
 
     hard_m: float = 0.05
@@ -104,7 +102,6 @@ class ClearanceMargin:
     probability_min: float = 0.05
     spread_growth: float = 0.25
     reach_m: float = 0.6
-    restless_mps: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the numbers once, at the border."""
@@ -113,7 +110,6 @@ class ClearanceMargin:
         require_positive("saturation_m", self.saturation_m)
         require_positive("horizon_s", self.horizon_s)
         require_at_least("spread_growth", self.spread_growth, 0)
-        require_at_least("restless_mps", self.restless_mps, 0)
         require_positive("reach_m", self.reach_m)
         require_between("probability_min", self.probability_min, 0, 1)
 
@@ -130,7 +126,8 @@ class ClearanceMargin:
         Returns:
             The judgement.
         """
-        time = _ends(clearance, dt_s)
+        steps = clearance.shape[-1]
+        time = dt_s * torch.arange(1, steps + 1, dtype=clearance.dtype, device=clearance.device)
         way = _gone(obstacles).clamp(max=self.saturation_m).unsqueeze(-4)
         weight = obstacles.weight[..., None, :, :, None]
         lack = self.hard_m + self.hard_growth * way - clearance
@@ -147,9 +144,7 @@ class ClearanceMargin:
         self, clearance: Float[Tensor, "*b C N K T"], obstacles: Obstacles, dt_s: float
     ) -> Float[Tensor, "*b C"]:
         """Expected time of contact in s; arguments as above."""
-        least = self.restless_mps * _ends(clearance, dt_s)
-        gone = torch.maximum(_gone(obstacles), least)
-        contact = self._contact(clearance, gone.unsqueeze(-4))
+        contact = self._contact(clearance, _gone(obstacles).unsqueeze(-4))
         return (obstacles.weight[..., None, :, :, None] * contact).sum((-3, -2, -1)) * dt_s
 
     def _contact(
@@ -159,12 +154,6 @@ class ClearanceMargin:
         variance = (self.spread_growth * gone).square().clamp_min(1e-4)
         certain = self.reach_m**2 / (self.reach_m**2 + 2 * variance)
         return certain * (-0.5 * clearance.clamp_min(0).square() / variance).exp()
-
-
-def _ends(clearance: Float[Tensor, "*b C N K T"], dt_s: float) -> Float[Tensor, " T"]:
-    """Time in s at the end of each step."""
-    steps = clearance.shape[-1]
-    return dt_s * torch.arange(1, steps + 1, dtype=clearance.dtype, device=clearance.device)
 
 
 def _gone(obstacles: Obstacles) -> Float[Tensor, "*b N K T"]:

@@ -79,7 +79,7 @@ def trend(tracks: Tracks, memory_s: float, dt_s: float) -> Trend:
     time = dt_s * torch.arange(1 - rows, 1, device=offset.device, dtype=offset.dtype)
     powers = torch.stack([torch.ones_like(time), time, 0.5 * time.square()], -1)
     weighted = (valid * torch.exp(time / memory_s)).unsqueeze(-1) * powers
-    pull = torch.diag(torch.tensor(_PRIOR, device=time.device, dtype=time.dtype))
+    pull = torch.diag(torch.cat([time.new_full((1,), weight) for weight in _PRIOR]))
     prior = torch.stack(
         [
             torch.zeros_like(offset[..., 0, :]),
@@ -88,7 +88,10 @@ def trend(tracks: Tracks, memory_s: float, dt_s: float) -> Trend:
         ],
         -2,
     )
-    solution = torch.linalg.solve(weighted.mT @ powers + pull, weighted.mT @ offset + pull @ prior)
+    matrix, right = weighted.mT @ powers + pull, weighted.mT @ offset + pull @ prior
+    # without the check for singular matrices, which waits for a GPU: the pull makes them regular;
+    # autocast may have halved the products
+    solution = torch.linalg.solve_ex(matrix.to(time.dtype), right.to(time.dtype)).result
     return Trend(solution[..., 1, :], solution[..., 2, :])
 
 

@@ -37,10 +37,13 @@ def rotate_covariance(
     covariance: Float[Tensor, "*b 2 2"], angle: Float[Tensor, "*#b"]
 ) -> Float[Tensor, "*b 2 2"]:
     """Covariance R Σ Rᵀ of a vector that was rotated counter-clockwise by an angle in rad."""
-    forward = direction(angle)
-    left = torch.stack([-forward[..., 1], forward[..., 0]], -1)
-    rotation = torch.stack([forward, left], -1)
-    return rotation @ covariance @ rotation.mT
+    cosine, sine = angle.cos().unsqueeze(-1), angle.sin().unsqueeze(-1)
+    first, second = covariance.unbind(-2)
+    rows = cosine * first - sine * second, sine * first + cosine * second
+    turned = [(row[..., 0], row[..., 1]) for row in rows]
+    cosine, sine = cosine.squeeze(-1), sine.squeeze(-1)
+    entries = [torch.stack([cosine * x - sine * y, sine * x + cosine * y], -1) for x, y in turned]
+    return torch.stack(entries, -2)
 
 
 def log_density(

@@ -113,11 +113,8 @@ class KalmanConstantVelocity(Predictor):
         transition = torch.cat(
             [torch.cat([identity, dt_s * identity], -1), torch.cat([none, identity], -1)], -2
         )
-        growth = torch.tensor(
-            [[dt_s**3 / 3, dt_s**2 / 2], [dt_s**2 / 2, dt_s]],
-            device=state.device,
-            dtype=state.dtype,
-        )
+        entries = dt_s**3 / 3, dt_s**2 / 2, dt_s**2 / 2, dt_s
+        growth = torch.cat([state.new_full((1,), entry) for entry in entries]).unflatten(0, (2, 2))
         noise = self.acceleration_density * torch.kron(growth, identity)
         moved = (transition @ state.unsqueeze(-1)).squeeze(-1)
         return moved, transition @ covariance @ transition.mT + noise
@@ -135,7 +132,8 @@ def _updated(
         innovation[..., 0, 0] * innovation[..., 1, 1]
         - innovation[..., 0, 1] * innovation[..., 1, 0]
     )
-    adjugate = innovation.flip((-2, -1)) * torch.tensor([[1.0, -1.0], [-1.0, 1.0]]).to(state)
+    sign = 2 * torch.eye(2, device=state.device, dtype=state.dtype) - 1
+    adjugate = innovation.flip((-2, -1)) * sign
     gain = covariance[..., :2] @ (adjugate.mT / determinant[..., None, None])
     corrected = state + (gain @ (measured - state[..., :2]).unsqueeze(-1)).squeeze(-1)
     rest = torch.eye(4, device=state.device, dtype=state.dtype) - torch.cat(

@@ -121,16 +121,7 @@ def test_nobody_around_is_safe():
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        "hard_m",
-        "comfort_growth",
-        "saturation_m",
-        "horizon_s",
-        "probability_min",
-        "reach_m",
-        "restless_mps",
-    ],
+    "name", ["hard_m", "comfort_growth", "saturation_m", "horizon_s", "probability_min", "reach_m"]
 )
 def test_numbers_out_of_range_are_refused(name):
     with pytest.raises(ValueError, match=name):
@@ -149,15 +140,6 @@ def test_who_has_walked_far_is_a_smaller_risk_where_expected_and_a_larger_one_be
 
     assert risk(-0.1, 4.0) < 0.7 * risk(-0.1, 0.5)
     assert risk(0.8, 4.0) > 2 * risk(0.8, 0.5)
-
-
-def test_who_stands_may_walk_off_where_it_is_restless():
-    beside = torch.full((1, 1, 1, 1, 8), 0.5)
-    calm, restless = (
-        ClearanceMargin(restless_mps=speed).risk(beside, walking(0.0, steps=8), 0.25)
-        for speed in (0.0, 0.5)
-    )
-    assert float(calm) < 1e-6 < 0.01 < float(restless)
 
 
 def test_absent_agents_are_no_risk():

@@ -35,7 +35,7 @@ def yielding(
 def _yielding(
     raw: Tensor, linear: Tensor, quadratic: Tensor, penalty: Tensor, signed: bool
 ) -> Yielding:
-    """Slack s = (raw - w₁)₊ / (w₂ + ρ) and ν = raw₊ - ρ s; an equality gives way in both directions."""
+    """Slack s = (raw - w₁)₊ / (w₂ + ρ) and ν = raw₊ - ρ s; an equality gives way both ways."""
     above = (raw - linear).clamp_min(0) / (quadratic + penalty)
     if not signed:
         return Yielding(raw.clamp_min(0) - penalty * above, above)

@@ -30,7 +30,12 @@ from diffstack_mmv.control.native.generation import (
 from diffstack_mmv.control.native.lowering import CannotLowerError
 from diffstack_mmv.control.native.repetition import with_sums
 from diffstack_mmv.control.native.rows import BatchRecorder, TakenBatch, from_rows, in_rows
-from diffstack_mmv.control.native.solver import LONGEST_SOURCE, MOST_LIBRARIES, REALS
+from diffstack_mmv.control.native.solver import (
+    LONGEST_SOURCE,
+    MOST_LIBRARIES,
+    REALS,
+    effort_of,
+)
 from diffstack_mmv.control.native.stages import Stage, StagedProblem
 from diffstack_mmv.control.selection import Batched
 from dmmv_conventions.libraries import CannotBuildError, load, pointers
@@ -93,8 +98,8 @@ class _Workshop:
             if len(self.built) >= MOST_LIBRARIES:
                 raise CannotLowerError(f"more than {MOST_LIBRARIES} shapes")
             code = source(problem, REALS[dtype])
-            if len(code) > LONGEST_SOURCE:
-                raise CannotBuildError(f"a source of {len(code)} characters takes too long")
+            if effort_of(code) > LONGEST_SOURCE:
+                raise CannotBuildError(f"a source of {effort_of(code)} characters takes too long")
             with waiting("compile the costs of candidates"):
                 # the problem is kept, so that no other one gets its identity
                 self.built[id(problem)] = problem, load(code)

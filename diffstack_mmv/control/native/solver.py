@@ -35,8 +35,8 @@ MOST_SIZES = 64  # step sizes that a library tries
 MOST_LIBRARIES = 5
 """Shapes of a kind of problem that get a library; more, as of changing neighbors, take too long."""
 LONGEST_SOURCE = 450_000
-"""Characters of a library, beyond which a compiler takes half a minute and more: DiffGM3 has three
-quarters of it, and DiffKBM beside four agents of five components as much."""
+"""Characters of a library without its tables, beyond which a compiler takes half a minute and more:
+DiffGM3 has three quarters of it, whatever the number of agents."""
 LONG_ADJOINT = 300_000
 """Characters of an adjoint, which runs once per solve, beyond which the compiler takes less effort:
 that of DiffGM3 is no slower for it, and built in two thirds of the time."""
@@ -150,12 +150,19 @@ def _begun(problem: StagedProblem, name: str, dtype: torch.dtype) -> Future[Any]
     if key not in _LIBRARIES:
         retain_freed_memory()
         code = source(problem, name, REALS[dtype])
-        if name == "solve" and len(code) > LONGEST_SOURCE:
-            raise CannotBuildError(f"a source of {len(code)} characters takes too long")
+        length = effort_of(code)
+        if name == "solve" and length > LONGEST_SOURCE:
+            raise CannotBuildError(f"a source of {length} characters takes too long")
         # the problem is kept, so that no other one gets its identity
-        effort = ["-O1"] if name == "adjoint" and len(code) > LONG_ADJOINT else []
+        effort = ["-O1"] if name == "adjoint" and length > LONG_ADJOINT else []
         _LIBRARIES[key] = problem, _builders().submit(load, code, *effort)
     return _LIBRARIES[key][1]
+
+
+def effort_of(code: str) -> int:
+    """Characters of a source without its tables, which are long for many agents and read fast."""
+    lines = code.splitlines()
+    return sum(len(line) for line in lines if not line.startswith(("static constexpr", "{")))
 
 
 @functools.cache

@@ -97,8 +97,7 @@ def _place(
 
 def agent_kind(mode: Int[Tensor, "*b"]) -> Int[Tensor, "*b"]:
     """PEDESTRIAN for those who can step sideways, VEHICLE for all others."""
-    pedestrians = torch.tensor([int(pedestrian) for pedestrian in PEDESTRIANS], device=mode.device)
-    walks = (mode.unsqueeze(-1) == pedestrians).any(-1)
+    walks = torch.stack([mode == int(pedestrian) for pedestrian in PEDESTRIANS]).any(0)
     return torch.where(walks, torch.full_like(mode, PEDESTRIAN), torch.full_like(mode, VEHICLE))
 
 

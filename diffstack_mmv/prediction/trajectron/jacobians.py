@@ -50,8 +50,9 @@ def linearise_shared(
     how speed and control differ between the components; what is gained is a factor K.
     """
     fields = dynamics.State._fields
-    pose = torch.tensor([name in ("position_x", "position_y", "heading") for name in fields])
-    centre = torch.where(pose.to(state.device), torch.zeros_like(state), state).mean(1)
+    columns = zip(fields, state.unbind(-1), strict=True)
+    rest = [torch.zeros_like(value) if name in POSE else value for name, value in columns]
+    centre = torch.stack(rest, -1).mean(1)
     shared = linearise(dynamics, centre, control.mean(1))
     if "heading" not in fields:
         return Linearisation(

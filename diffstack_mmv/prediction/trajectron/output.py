@@ -38,14 +38,18 @@ def placed(
     one.
     """
     components = forecast.log_weight.shape[-1]
-    last = torch.arange(components, device=log_prior.device).clamp_max(log_prior.shape[-1] - 1)
+    missing = components - log_prior.shape[-1]
+
+    def repeated(moment: Tensor) -> Tensor:
+        return torch.cat([moment, moment[:, -1:].expand(-1, missing, *moment.shape[2:])], 1)
+
     heading = rows.heading[:, None, None]
     mean = position_from_frame(moments.mean, rows.origin[:, None, None, :], heading)
     scale_tril = scale_from_covariance(rotate_covariance(moments.covariance, heading))
     return Forecast(
         forecast.log_weight.index_copy(0, rows.index, padded(log_prior, components)),
-        forecast.mean.index_copy(0, rows.index, mean[:, last]),
-        forecast.scale_tril.index_copy(0, rows.index, scale_tril[:, last]),
+        forecast.mean.index_copy(0, rows.index, repeated(mean)),
+        forecast.scale_tril.index_copy(0, rows.index, repeated(scale_tril)),
     )
 
 
