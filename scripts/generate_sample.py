@@ -4,17 +4,27 @@ import logging
 from pathlib import Path
 
 from diffstack_mmv.cli import DictConfig, command
+from dmmv_conventions.checks import require
 from dmmv_conventions.configs import config_folder
 
 logger = logging.getLogger(__name__)
 
 
-@command(config_folder(), "generate_sample")
+def check(config: DictConfig) -> None:
+    """Refuse what is no list of sequence numbers."""
+    numbers = list(config.sequences)
+    fits = len(numbers) > 0 and all(isinstance(number, int) for number in numbers)
+    require(fits, "sequences", "be a list of one or more whole numbers", numbers)
+
+
+@command(config_folder(), "generate_sample", check)
 def main(config: DictConfig) -> None:
     """Write the sample."""
     from data_converters import generate_sample
 
-    folders = generate_sample(Path(config.out), config.seed)
+    folders = generate_sample(
+        Path(config.out), config.seed, list(config.sequences), config.duration_s
+    )
     logger.info("Wrote %d sequences to %s", len(folders), config.out)
 
 

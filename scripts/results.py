@@ -157,7 +157,8 @@ def _pretrainings(config: DictConfig, runs: Sequence[Run], out: Path) -> list[Jo
     jobs = {}
     for run in runs:
         first = run._replace(model=PREDICTOR, report=_pretrained(run) / "report")
-        settings = (f"dynamics={told.dynamics}", "loss=prediction", f"epochs={told.epochs}")
+        settings = [f"dynamics={told.dynamics}", "loss=prediction", f"epochs={told.epochs}"]
+        settings += told.get("settings", [])
         jobs[first.report] = _job(config, first, out, settings, plans=False)
     return list(jobs.values())
 

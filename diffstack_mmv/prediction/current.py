@@ -10,7 +10,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.geometry import rotate
+from diffstack_mmv.geometry import direction, rotate
+from diffstack_mmv.smooth import safe_norm
 from diffstack_mmv.types import Motion, Tracks
 
 # weights of the prior of position, velocity and acceleration in units of one present row; they
@@ -92,6 +93,18 @@ def trend(tracks: Tracks, memory_s: float, dt_s: float) -> Trend:
     # autocast may have halved the products
     solution = torch.linalg.solve_ex(matrix.to(time.dtype), right.to(time.dtype)).result
     return Trend(solution[..., 1, :], solution[..., 2, :])
+
+
+def current_course(
+    velocity: Float[Tensor, "*b 2"], heading: Float[Tensor, "*b"]
+) -> Float[Tensor, "*b"]:
+    """Direction in rad of a fitted velocity in m/s, and below walking speed that of the track.
+
+    At rest the course is not observable; between both it turns smoothly.
+    """
+    slow = SLOW_MPS * torch.exp(-safe_norm(velocity)).unsqueeze(-1)
+    ahead = velocity + slow * direction(heading)
+    return torch.atan2(ahead[..., 1], ahead[..., 0])
 
 
 def fitted_motion(tracks: Tracks, dt_s: float) -> Motion:

@@ -126,3 +126,21 @@ def test_an_existing_sample_is_not_overwritten(tmp_path):
     with pytest.raises(ConversionError, match="out.*0003_"):
         generate_sample(tmp_path, seed=9, sequences=(3,), duration_s=16.0)
     assert digest(tmp_path) == before
+
+
+def test_the_command_writes_the_sequences_that_are_asked_for(succeed, tmp_path):
+    succeed("generate_sample", "sequences=[7,203]", "duration_s=16", f"out={tmp_path / 'raw'}")
+    assert sorted(p.name[:4] for p in (tmp_path / "raw").glob("0*")) == ["0007", "0203"]
+
+
+@pytest.mark.parametrize(
+    ("setting", "named"),
+    [
+        ("sequences=[12345]", "sequences"),
+        ("sequences=[seven]", "sequences"),
+        ("sequences=[]", "sequences"),
+        ("duration_s=5", "duration_s"),
+    ],
+)
+def test_the_command_refuses_what_is_no_sequence(refusal, tmp_path, setting, named):
+    assert f"`{named}`" in refusal("generate_sample", setting, f"out={tmp_path / 'raw'}")

@@ -188,12 +188,8 @@ class ControlDecoder(nn.Module):
 
 
 def present_motion(rows: AgentBatch) -> Motion:
-    """Motion of the agents now in their own frames, on the course of their fitted velocity.
-
-    At rest the course is not observable; the heading of the track takes over below walking speed.
-    """
+    """Motion of the agents now in their own frames, which lie on their course."""
     speed = safe_norm(rows.velocity)
-    ahead, left = rows.velocity.unbind(-1)
-    course = torch.atan2(left, ahead + 0.3 * torch.exp(-speed))
     zero = torch.zeros_like(speed)
-    return Motion(torch.zeros_like(rows.velocity), course, torch.stack([speed, zero], -1), zero)
+    ahead = torch.stack([speed, zero], -1)
+    return Motion(torch.zeros_like(rows.velocity), zero, ahead, zero)

@@ -28,6 +28,7 @@ from diffstack_mmv.prediction.trajectron.encoder import (
     PerKind,
     track_features,
 )
+from diffstack_mmv.prediction.trajectron.energy import energy_of_paths
 from diffstack_mmv.prediction.trajectron.jacobians import linearise
 from diffstack_mmv.prediction.trajectron.latent import Annealing, Latent, divergence
 from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
@@ -100,6 +101,7 @@ class Trajectron(Predictor):
             which every agent is an ego once.
         sizes: Sizes of the networks.
         annealing: Weight of the divergence of the posterior from the prior.
+        energy_weight: Weight in nats per m of `energy_of_paths` in the loss; 0 as published.
         hold_steps: Steps over which a decoded control is held.
         jacobians: Linearises the dynamics: `linearise` at every point, or `linearise_shared` at the
             mean of the components, for models whose step is expensive.
@@ -121,6 +123,7 @@ class Trajectron(Predictor):
         neighbor_components: int = 5,
         sizes: Sizes | None = None,
         annealing: Annealing | None = None,
+        energy_weight: float = 0.0,
         hold_steps: int = 1,
         jacobians: Jacobians = linearise,
         generated: GaussianRollout | None = None,
@@ -133,9 +136,11 @@ class Trajectron(Predictor):
         steps = [model.dt_s for model in models.values()]
         require(len(set(steps)) == 1, "dt_s", "be the same for all three dynamics", steps)
         sizes = sizes if sizes is not None else Sizes()
+        require_at_least("energy_weight", energy_weight, 0.0)
+        self.energy_weight = energy_weight
         self.annealing = (annealing if annealing is not None else Annealing()).checked()
         self.scene_encoder = SceneEncoder(
-            sizes.history, sizes.edge, sizes.dropout, sizes.reach_m, sizes.fade_m, site
+            self.dt_s, sizes.history, sizes.edge, sizes.dropout, sizes.reach_m, sizes.fade_m, site
         )
         self.future_encoder = PerKind(
             {kind: MaskedLSTM(TRACK_FEATURES, sizes.future) for kind in (VEHICLE, PEDESTRIAN)},
@@ -189,10 +194,11 @@ class Trajectron(Predictor):
     def loss(self, batch: StackBatch) -> Float[Tensor, "*b"]:
         """Negative evidence bound in nats per predicted time step, mean over a sample's agents.
 
-            -log Σ_z q(z|x, y) Π_t p(y_t|x, z) + β max(KL(q || p) - free, 0)
+            -log Σ_z q(z|x, y) Π_t p(y_t|x, z) + β max(KL(q || p) - free, 0) + w T energy
 
         with the components weighted by the posterior inside of the logarithm, as in the code of the
-        sources. Each call in training mode is one step of the annealing of β.
+        sources, and the energy score of the mixture by the prior, see `energy_of_paths`. Each call
+        in training mode is one step of the annealing of β.
         """
         return self._judged(batch)[1]
 
@@ -247,7 +253,9 @@ class Trajectron(Predictor):
 
     def _row_loss(self, part: Decoded, future: Tracks) -> Float[Tensor, " S"]:
         """Negative evidence bound of each row in nats per predicted time step."""
-        encoded = self.future_encoder(part.rows.kind, track_features(future), future.valid)
+        steps = torch.arange(1, future.valid.shape[-1] + 1, device=future.valid.device)
+        seen = track_features(future, part.rows.velocity, self.dt_s * steps)
+        encoded = self.future_encoder(part.rows.kind, seen, future.valid)
         log_posterior = part.latent.log_posterior(part.context, encoded)
         error = future.motion.position.unsqueeze(1) - part.moments.mean
         log_prob = log_density(error, scale_from_covariance(part.moments.covariance))
@@ -256,4 +264,9 @@ class Trajectron(Predictor):
         penalty = self.annealing.penalty(
             divergence(log_posterior, part.log_prior), self.training_step
         )
-        return (penalty - likelihood) / future.valid.sum(-1).clamp_min(1)
+        bound = (penalty - likelihood) / future.valid.sum(-1).clamp_min(1)
+        if self.energy_weight == 0:
+            return bound
+        return bound + self.energy_weight * energy_of_paths(
+            part.log_prior, part.moments.mean, future.motion.position, future.valid
+        )

@@ -5,7 +5,12 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from diffstack_mmv.checks import require_between
-from diffstack_mmv.prediction.trajectron.agent_batch import PEDESTRIAN, VEHICLE, AgentBatch
+from diffstack_mmv.prediction.trajectron.agent_batch import (
+    FIT_FEATURES,
+    PEDESTRIAN,
+    VEHICLE,
+    AgentBatch,
+)
 from diffstack_mmv.prediction.trajectron.encoder import (
     SPEED_SCALE_MPS,
     TRACK_FEATURES,
@@ -17,13 +22,14 @@ from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
 from diffstack_mmv.prediction.trajectron.site import Site
 from diffstack_mmv.types import Mode
 
-MOTION_FEATURES = 4
+MOTION_FEATURES = 4 + FIT_FEATURES
 
 
 class SceneEncoder(nn.Module):
-    """Context of every agent: history LSTM, interaction, velocity and acceleration, mode, site.
+    """Context of every agent: history LSTM, interaction, fits to the track, mode, site.
 
     Args:
+        dt_s: Length of one step in s.
         history: Size of the encoding of the history.
         edge: Size of the encoding of the interaction.
         dropout: Share of units dropped in training.
@@ -37,6 +43,7 @@ class SceneEncoder(nn.Module):
 
     def __init__(
         self,
+        dt_s: float,
         history: int = 32,
         edge: int = 32,
         dropout: float = 0.1,
@@ -46,6 +53,7 @@ class SceneEncoder(nn.Module):
     ) -> None:
         super().__init__()
         require_between("dropout", dropout, 0.0, 0.9)
+        self.dt_s = dt_s
         self.history = PerKind(
             {kind: MaskedLSTM(TRACK_FEATURES, history) for kind in (VEHICLE, PEDESTRIAN)}, history
         )
@@ -61,10 +69,11 @@ class SceneEncoder(nn.Module):
 
         The context of rows that are not wanted lacks their neighbors; None wants all.
         """
-        node = self.history(rows.kind, track_features(rows.past), rows.past.valid)
+        steps = torch.arange(1 - rows.past.valid.shape[-1], 1, device=rows.velocity.device)
+        seen = track_features(rows.past, rows.velocity, self.dt_s * steps)
+        node = self.history(rows.kind, seen, rows.past.valid)
         around = self.interaction(rows, agents, node, wanted)
         mode = nn.functional.one_hot(rows.past.mode, len(Mode)).to(node.dtype)
         site = [self.site(rows.place)] if self.site is not None else []
-        return torch.cat(
-            [node, around, rows.velocity / SPEED_SCALE_MPS, rows.acceleration, mode, *site], -1
-        )
+        motion = [rows.velocity / SPEED_SCALE_MPS, rows.acceleration, rows.fits]
+        return torch.cat([node, around, *motion, mode, *site], -1)
