@@ -130,13 +130,18 @@ def command(
 
         @functools.wraps(task)
         def main() -> None:
-            sys.argv[1:] = [_vehicle_from_file(argument) for argument in sys.argv[1:]]
+            sys.argv[1:] = [_vehicle_from_file(each) for each in _sweep_first(sys.argv[1:])]
             with _composition_told(config_folder, config_name):
                 entry()
 
         return main
 
     return decorate
+
+
+def _sweep_first(arguments: list[str]) -> list[str]:
+    """Move `-m` to the front: overrides on both sides of it would not be understood."""
+    return sorted(arguments, key=lambda argument: argument not in ("-m", "--multirun"))
 
 
 @contextmanager

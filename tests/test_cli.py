@@ -160,3 +160,12 @@ def test_a_training_by_reinforcement_names_the_extra_that_it_needs(refusal, tmp_
     told = refusal("train_policy", f"out={tmp_path / 'policy'}")
     assert told.startswith("`stable_baselines3` must be installed")
     assert "diffstack_mmv[rl]" in told
+
+
+@pytest.mark.parametrize(
+    "arguments", [("-m", "needed=1"), ("needed=1", "-m"), ("needed=1", "--multirun")]
+)
+def test_a_sweep_may_be_asked_for_anywhere(run, arguments):
+    config, told = run(*arguments)
+    assert config is not None, told
+    assert config.needed == 1
