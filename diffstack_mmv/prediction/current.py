@@ -74,7 +74,9 @@ def trend(tracks: Tracks, memory_s: float, dt_s: float) -> Trend:
     """
     valid = tracks.valid & tracks.valid[..., -1:]
     offset = tracks.motion.position - current_position(tracks).unsqueeze(-2)
-    offset = torch.where(valid.unsqueeze(-1), offset, torch.zeros_like(offset))
+    # in double precision: the powers of seconds make the equations badly conditioned, and in single
+    # precision an agent's fit would depend on its batch mates in the fifth digit
+    offset = torch.where(valid.unsqueeze(-1), offset, torch.zeros_like(offset)).double()
     rows = valid.shape[-1]
     time = dt_s * torch.arange(1 - rows, 1, device=offset.device, dtype=offset.dtype)
     powers = torch.stack([torch.ones_like(time), time, 0.5 * time.square()], -1)
@@ -83,15 +85,14 @@ def trend(tracks: Tracks, memory_s: float, dt_s: float) -> Trend:
     prior = torch.stack(
         [
             torch.zeros_like(offset[..., 0, :]),
-            current_velocity(tracks),
+            current_velocity(tracks).double(),
             torch.zeros_like(offset[..., 0, :]),
         ],
         -2,
     )
     matrix, right = weighted.mT @ powers + pull, weighted.mT @ offset + pull @ prior
-    # without the check for singular matrices, which waits for a GPU: the pull makes them regular;
-    # autocast may have halved the products
-    solution = torch.linalg.solve_ex(matrix.to(time.dtype), right.to(time.dtype)).result
+    # without the check for singular matrices, which waits for a GPU: the pull makes them regular
+    solution = torch.linalg.solve_ex(matrix, right).result.to(tracks.motion.position.dtype)
     return Trend(solution[..., 1, :], solution[..., 2, :])
 
 
