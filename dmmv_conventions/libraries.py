@@ -119,9 +119,7 @@ def header(package: str, name: str) -> str:
         name: Its name without its ending.
     """
     lines = files(package).joinpath(f"{name}.hpp").read_text().splitlines()
-    return "\n".join(
-        line for line in lines if not line.startswith(('#include "', "#pragma once"))
-    )
+    return "\n".join(line for line in lines if not line.startswith(('#include "', "#pragma once")))
 
 
 def pointers(*tensors: Tensor) -> list[Any]:

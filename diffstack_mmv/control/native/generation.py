@@ -15,7 +15,7 @@ from diffstack_mmv.control.native.repetition import (
 from diffstack_mmv.control.native.scalar import LEAF, Node, Program, needed
 from diffstack_mmv.control.native.stages import Sizes, Stage, StagedProblem
 from diffstack_mmv.types import SolverStatus
-from dmmv_conventions import libraries
+from dmmv_conventions.libraries import header as header_of
 
 LANES = 8  # of the numbers with slopes, as in numbers.hpp
 SLOPES_COST = 3  # operations on packs that one on numbers with slopes takes
@@ -33,7 +33,7 @@ def opening(real: str, *headers: str) -> list[str]:
         "#include <type_traits>",
         "#include <utility>",
         f"typedef {real} Real;",
-        libraries.header("dmmv_conventions", "threads"),
+        header_of("dmmv_conventions", "threads"),
         *map(header, headers),
     ]
 
@@ -59,7 +59,7 @@ def source(problem: StagedProblem, library: str, real: str) -> str:
 
 def header(name: str) -> str:
     """A fixed part of every source, without its own inclusions."""
-    return libraries.header("diffstack_mmv.control.native", name)
+    return header_of("diffstack_mmv.control.native", name)
 
 
 def _problem(problem: StagedProblem, adjoint: bool) -> list[str]:

@@ -21,7 +21,7 @@ from dmmv_conventions.progress import waiting
 
 LOGGER = logging.getLogger(__name__)
 REALS = {torch.float32: "float", torch.float64: "double"}
-HEADERS = "lanes", "memory", "decoder"
+HEADERS = "lanes", "memory", "decoder", "paths"
 LANES = {torch.float32: 16, torch.float64: 8}
 """Numbers of a vector."""
 
@@ -59,7 +59,7 @@ class Blocks:
     def fit(self, like: Tensor) -> bool:
         """Whether rows like these can be taken."""
         plain = like.device.type == "cpu" and like.dtype in REALS and like.numel() > 0
-        return plain and _library(like.dtype) is not None
+        return plain and library(like.dtype) is not None
 
     def last_states(
         self,
@@ -103,7 +103,7 @@ class Blocks:
 
 
 @functools.cache
-def _library(dtype: torch.dtype) -> Any:
+def library(dtype: torch.dtype) -> Any:
     """The library for numbers of a type, None where it cannot be built."""
     own = (header("diffstack_mmv.prediction.trajectron", name) for name in HEADERS)
     parts = f"typedef {REALS[dtype]} Real;", header("dmmv_conventions", "threads"), *own
@@ -115,11 +115,13 @@ def _library(dtype: torch.dtype) -> Any:
         return None
 
 
-def _counts(*numbers: int) -> list[Any]:
+def counts(*numbers: int) -> list[Any]:
+    """Whole numbers as a library takes them."""
     return [ctypes.c_long(number) for number in numbers]
 
 
-def _places(*tensors: Tensor | None) -> list[Any]:
+def places(*tensors: Tensor | None) -> list[Any]:
+    """Addresses of contiguous tensors, none for None."""
     return [None if each is None else pointers(each)[0] for each in tensors]
 
 
@@ -148,8 +150,8 @@ class _Last(torch.autograd.Function):
         if any(ctx.needs_input_grad):
             kept = [_kept(steps, size, rows, features) for _ in range(2)]
         given = features, keep.contiguous(), weight.contiguous()
-        counts = _counts(rows, torch.get_num_threads(), *features.shape[1:], size)
-        _library(weight.dtype).dmmv_lstm(*counts, *_places(*given, last, *kept))
+        sizes_ = counts(rows, torch.get_num_threads(), *features.shape[1:], size)
+        library(weight.dtype).dmmv_lstm(*sizes_, *places(*given, last, *kept))
         ctx.save_for_backward(*given, *kept)
         return last
 
@@ -161,9 +163,9 @@ class _Last(torch.autograd.Function):
         by_weight = _slopes(rows, gates, width, weight)
         by_features = torch.empty_like(features) if ctx.needs_input_grad[0] else None
         given = features, keep, weight, weight.T.contiguous(), grad.contiguous(), *kept
-        counts = _counts(rows, torch.get_num_threads(), *features.shape[1:], gates // 4)
-        adjoint = _library(weight.dtype).dmmv_lstm_adjoint
-        adjoint(*counts, *_places(*given, by_weight, by_features))
+        sizes_ = counts(rows, torch.get_num_threads(), *features.shape[1:], gates // 4)
+        adjoint = library(weight.dtype).dmmv_lstm_adjoint
+        adjoint(*sizes_, *places(*given, by_weight, by_features))
         return by_features, None, by_weight.sum(0)[:, :width]
 
 
@@ -183,9 +185,9 @@ class _Controls(torch.autograd.Function):
             lanes = LANES[hidden.dtype]
             kept = hidden.new_empty(rows, ctx.counts[1] + 1, -(-size // lanes) * lanes)
         found = torch.empty_like(given[2]), hidden.new_empty(rows, steps, controls, controls)
-        counts = _counts(rows, torch.get_num_threads(), *ctx.counts[1:])
+        sizes_ = counts(rows, torch.get_num_threads(), *ctx.counts[1:])
         each = *given, *weights, width, spans, *found, kept
-        _library(hidden.dtype).dmmv_controls(*counts, *_places(*each))
+        library(hidden.dtype).dmmv_controls(*sizes_, *places(*each))
         ctx.save_for_backward(given[0], *weights, width, spans, kept)
         return found
 
@@ -203,9 +205,9 @@ class _Controls(torch.autograd.Function):
         sizes = 3 * size * fed, 4 * size, emitted * size, emitted
         others = constant.new_empty(len(by_hidden), sum(sizes))
         given = constant, *weights, width, spans, *back, kept, by_controls, grads[1].contiguous()
-        counts = _counts(rows, torch.get_num_threads(), *ctx.counts[1:])
+        sizes_ = counts(rows, torch.get_num_threads(), *ctx.counts[1:])
         found = by_constant, by_start, by_hidden, others
-        live = _library(constant.dtype).dmmv_controls_adjoint(*counts, *_places(*given, *found))
+        live = library(constant.dtype).dmmv_controls_adjoint(*sizes_, *places(*given, *found))
         control, bias, head, head_bias = others[:live].sum(0).split(sizes)
         slopes = Weights(
             control=control.unflatten(0, (-1, fed)),
