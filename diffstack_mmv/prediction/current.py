@@ -80,7 +80,8 @@ def trend(tracks: Tracks, memory_s: float, dt_s: float) -> Trend:
     rows = valid.shape[-1]
     time = dt_s * torch.arange(1 - rows, 1, device=offset.device, dtype=offset.dtype)
     powers = torch.stack([torch.ones_like(time), time, 0.5 * time.square()], -1)
-    weighted = (valid * torch.exp(time / memory_s)).unsqueeze(-1) * powers
+    products = (powers.unsqueeze(-1) * powers.unsqueeze(-2)).flatten(-2)
+    weight = valid * torch.exp(time / memory_s)
     pull = torch.diag(torch.cat([time.new_full((1,), weight) for weight in _PRIOR]))
     prior = torch.stack(
         [
@@ -90,7 +91,8 @@ def trend(tracks: Tracks, memory_s: float, dt_s: float) -> Trend:
         ],
         -2,
     )
-    matrix, right = weighted.mT @ powers + pull, weighted.mT @ offset + pull @ prior
+    matrix = (weight @ products).unflatten(-1, (3, 3)) + pull
+    right = ((weight.unsqueeze(-1) * offset).mT @ powers).mT + pull @ prior
     # without the check for singular matrices, which waits for a GPU: the pull makes them regular
     solution = torch.linalg.solve_ex(matrix, right).result.to(tracks.motion.position.dtype)
     return Trend(solution[..., 1, :], solution[..., 2, :])

@@ -114,7 +114,9 @@ def abreast(
     sums = enumerate(slopes[len(inputs) :])
     given = "const Pack* x, const Pack* u, const Real* q"
     forward = f"static void step_abreast({given}, Pack* y, Pack* J)"
-    backward = f"static void pull_abreast({given}, const Pack* s, const Pack* G, Pack* z, Pack* sums)"
+    backward = (
+        f"static void pull_abreast({given}, const Pack* s, const Pack* G, Pack* z, Pack* sums)"
+    )
     outputs = [*into("y", stage.outputs), *into("J", jacobian)]
     pulled = into("z", slopes[: len(inputs)]) + [
         (f"sums[{k}]", program.apply("add", program.leaf("sums", k), each))

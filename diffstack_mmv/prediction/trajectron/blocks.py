@@ -130,8 +130,8 @@ def _blocks(rows: int, like: Tensor) -> int:
 
 
 def _kept(steps: int, units: int, rows: int, like: Tensor) -> Tensor:
-    """Room for states, with whole blocks of rows last."""
-    return like.new_empty(steps, units, _blocks(rows, like) * 4 * LANES[like.dtype])
+    """Room for states of whole blocks of rows."""
+    return like.new_empty(_blocks(rows, like), steps, units, 4 * LANES[like.dtype])
 
 
 def _slopes(rows: int, outputs: int, inputs: int, like: Tensor) -> Tensor:
@@ -183,7 +183,8 @@ class _Controls(torch.autograd.Function):
         kept, (width, spans) = None, scaling.tensors(hidden)
         if any(ctx.needs_input_grad):
             lanes = LANES[hidden.dtype]
-            kept = hidden.new_empty(rows, ctx.counts[1] + 1, -(-size // lanes) * lanes)
+            whole = _blocks(rows, hidden) * 4 * lanes
+            kept = hidden.new_empty(whole, ctx.counts[1] + 1, -(-size // lanes) * lanes)
         found = torch.empty_like(given[2]), hidden.new_empty(rows, steps, controls, controls)
         sizes_ = counts(rows, torch.get_num_threads(), *ctx.counts[1:])
         each = *given, *weights, width, spans, *found, kept

@@ -1,6 +1,6 @@
-// Gaussian controls from a GRU whose own emission is its input, over many rows. Kept for the backward pass are the states
-// of each row, (rows, steps + 1, units filled up to whole vectors); the gates are computed again. Rows without a gradient
-// are left out. Slopes of weights are one matrix per block, to be summed in the order of the blocks.
+// Gaussian controls from a GRU whose own emission is its input, over many rows. Kept for the backward pass are the states,
+// (blocks, steps + 1, rows of a block, units filled up to whole vectors); the gates are computed again. Rows without a
+// gradient are left out. Slopes of weights are one matrix per block, to be summed in the order of the blocks.
 #pragma once
 #include "lanes.hpp"
 
@@ -16,6 +16,9 @@ struct Sizes {
 
   long emitted() const { return m + m * (m + 1) / 2; }
   long kept() const { return vectors(h) * LANES; }  // numbers of a state that is kept
+  Real* state(Real* states, long row, long t) const {
+    return states + ((row / BLOCK * (steps + 1) + t) * BLOCK + row % BLOCK) * kept();
+  }
 };
 
 // the GRU and what is made of its emissions, for a block
@@ -100,14 +103,17 @@ void dmmv_controls(long rows, long threads, long steps, long hold, long horizon,
     decoder.begin(constant, block);
     block.take(start, h, h, state.data());
     const long kept = of.kept();
-    if (states) block.give(state.data(), kept, states, (steps + 1) * kept);
+    auto keep = [&](long t) {
+      if (states) Block{0, 0, BLOCK}.give(state.data(), kept, of.state(states, block.first, t), kept);
+    };
+    keep(0);
     for (long s = 0; s < steps; ++s) {
       decoder.step(state.data(), s > 0 ? decoder.emitted.data() : nullptr);
       for (long i = 0; i < decoder.part; ++i) {
         const V update = decoder.gate[2 * decoder.part + i], candidate = decoder.gate[3 * decoder.part + i];
         state[i] = candidate + update * (state[i] - candidate);
       }
-      if (states) block.give(state.data(), kept, states + (s + 1) * kept, (steps + 1) * kept);
+      keep(s + 1);
       decoder.emit(state.data());
       decoder.scale(squashed.data(), factor.data());
       for (long t = s * hold; t < std::min((s + 1) * hold, horizon); ++t) {
@@ -129,7 +135,7 @@ long dmmv_controls_adjoint(long rows, long threads, long steps, long hold, long 
                            const Real* constant, const Real* control, const Real* hidden, const Real* bias,
                            const Real* head, const Real* head_bias, const Real* width, const Real* range,
                            const Real* control_back, const Real* hidden_back, const Real* head_back,
-                           const Real* states, const Real* g_controls, const Real* g_scales, Real* g_constant,
+                           Real* states, const Real* g_controls, const Real* g_scales, Real* g_constant,
                            Real* g_start, Real* g_hidden, Real* g_others) {
   const Weights weights{control, hidden, bias, head, head_bias, width, range};
   const Sizes of{steps, hold, horizon, h, m};
@@ -153,7 +159,8 @@ long dmmv_controls_adjoint(long rows, long threads, long steps, long hold, long 
     Rows by_control(3 * h * m), by_head(e * h), by_head_bias(e), one(WIDE, V{} + 1);
     decoder.begin(constant, block);
     auto recall = [&](long t, V* to) {
-      block.take_turned(states + t * kept, (steps + 1) * kept, columns, turned.data());
+      for (long row = 0; row < block.count; ++row)
+        std::memcpy(&turned[row * columns], of.state(states, block.place(row), t), kept * sizeof(Real));
       turn_back(turned.data(), columns, columns * LANES, to);
     };
     recall(steps, after.data());
@@ -195,8 +202,8 @@ long dmmv_controls_adjoint(long rows, long threads, long steps, long hold, long 
         all[i] = all[3 * part + i] * reset;
         slope[i] *= update;
         by_own[i] += all[i];
+        for (long p = 0; p < 3; ++p) by_constant[p * part + i] += all[(p + 1) * part + i];
       }
-      for (long i = 0; i < 3 * part; ++i) by_constant[i] += all[part + i];
       if (s > 0) add_pairs(&all[part], 3 * h, decoder.emitted.data(), m, by_control.data());
       add_outer(all.data(), 3 * h, turned.data(), columns, by_hidden.data());
       add_product(hidden_back, h, 3 * h, all.data(), WIDE, slope.data());

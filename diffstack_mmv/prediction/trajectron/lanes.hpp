@@ -183,12 +183,6 @@ struct Block {
     for (; unit < units; ++unit)
       for (long row = 0; row < count; ++row) to[place(row) * stride + unit] = entries[unit * BLOCK + row];
   }
-  // rows of units, each filled up to whole vectors: to (BLOCK, width)
-  void take_turned(const Real* from, long stride, long width, V* to) const {
-    for (long row = 0; row < BLOCK; ++row)
-      for (long v = 0; v < width; ++v)
-        to[row * width + v] = row < count ? loaded(from + place(row) * stride + v * LANES) : V{};
-  }
 };
 
 // units with the rows last as rows of units, and back; whole vectors of both

@@ -1,5 +1,5 @@
-// An LSTM over many rows with gaps. Kept for the backward pass are states and memories before each step, (steps, units,
-// padded) with the rows last, filled up with zeros to whole blocks; the gates are computed again. Slopes of weights are
+// An LSTM over many rows with gaps. Kept for the backward pass are states and memories before each step, (blocks, steps,
+// units, rows of a block), filled up with zeros; the gates are computed again. Slopes of weights are
 // one matrix per block, to be summed in the order of the blocks: the same with any number of threads.
 #pragma once
 #include "lanes.hpp"
@@ -9,15 +9,13 @@ namespace {
 // states kept of all blocks
 struct Kept {
   Real* all;
-  long units, padded;
+  long units, steps;
 
-  Real* at(long t, long unit, const Block& block) const { return all + (t * units + unit) * padded + block.first; }
+  Real* at(long t, const Block& block) const { return all + (block.number * steps + t) * units * BLOCK; }
   void keep(const V* from, long t, const Block& block) const {
-    for (long i = 0; all && i < units; ++i) std::memcpy(at(t, i, block), from + i * WIDE, WIDE * sizeof(V));
+    if (all) std::memcpy(at(t, block), from, units * BLOCK * sizeof(Real));
   }
-  void recall(V* to, long t, const Block& block) const {
-    for (long i = 0; i < units; ++i) std::memcpy(to + i * WIDE, at(t, i, block), WIDE * sizeof(V));
-  }
+  void recall(V* to, long t, const Block& block) const { std::memcpy(to, at(t, block), units * BLOCK * sizeof(Real)); }
 };
 
 // one step for a block: inputs, one and state below each other -> gates (input, forget, candidate, output)
@@ -49,9 +47,8 @@ extern "C" {
 // inputs + 1 + h) -> last (rows, h), and where asked for states and memories before each step (h).
 void dmmv_lstm(long rows, long threads, long steps, long inputs, long h, const Real* features, const Real* keep,
                const Real* weight, Real* last, Real* states_, Real* memories_) {
-  const long padded = blocks_of(rows) * BLOCK;
   each_block(rows, threads, [=](Block block) {
-    const Kept states{states_, h, padded}, memories{memories_, h, padded};
+    const Kept states{states_, h, steps}, memories{memories_, h, steps};
     Memory memory{features, keep, weight, steps, inputs, h};
     Rows c(h * WIDE);
     V* state = memory.state();
@@ -75,9 +72,8 @@ void dmmv_lstm(long rows, long threads, long steps, long inputs, long h, const R
 void dmmv_lstm_adjoint(long rows, long threads, long steps, long inputs, long h, const Real* features, const Real* keep,
                        const Real* weight, const Real* back, const Real* g_last, Real* states_, Real* memories_,
                        Real* g_weight, Real* g_features) {
-  const long padded = blocks_of(rows) * BLOCK;
   each_block(rows, threads, [=](Block block) {
-    const Kept states{states_, h, padded}, memories{memories_, h, padded};
+    const Kept states{states_, h, steps}, memories{memories_, h, steps};
     Memory memory{features, keep, weight, steps, inputs, h};
     const long width = vectors(memory.width), into = inputs + 1;
     Rows c(h * WIDE), by_state(h * WIDE), by_memory(h * WIDE), slope(4 * h * WIDE), by_input(inputs * WIDE);
