@@ -103,29 +103,29 @@ class ControlDecoder(nn.Module):
         context = self.dropout(context)
         hidden = torch.tanh(self.start_context(context).unsqueeze(1) + self.start_component)
         constant = self.gate_context(context).unsqueeze(1) + self.gate_component
-        repeated = [
-            field.unsqueeze(1).expand(*hidden.shape[:2], *field.shape[1:])
-            for field in (self._base_controls(motion, rows), *motion)
-        ]
+        alike = [field.unsqueeze(1) for field in (self._base_controls(motion, rows), *motion)]
         if self.jacobians is linearise_shared:
-            return PositionMoments(*self._moments(constant, hidden, *repeated))
+            return PositionMoments(*self._moments(constant, hidden, *_repeated(alike, hidden)))
         kind = self.gate_hidden.weight.dtype
-        each = [field.flatten(0, 1).to(kind) for field in (constant, hidden, *repeated)]
-        moments = self._from_rows(*each)
+        if self._in_libraries(hidden):
+            each = [field.to(kind) for field in (constant, hidden, *alike)]
+            with torch.autocast(hidden.device.type, enabled=False):
+                return PositionMoments(*self._moments(*each))
+        each = [
+            field.flatten(0, 1).to(kind) for field in (constant, hidden, *_repeated(alike, hidden))
+        ]
+        moments = recomputed(self._moments, tuple(each), self.parameters())
         return PositionMoments(*(field.unflatten(0, hidden.shape[:2]) for field in moments))
 
-    def _from_rows(self, *rows: Tensor) -> tuple[Tensor, ...]:
-        """`_moments` without a graph, but of libraries, which leave out rows by themselves."""
-        if self.generated is None or self.blocks is None or not self.blocks.fit(rows[0]):
-            return recomputed(self._moments, rows, self.parameters())
-        with torch.autocast(rows[0].device.type, enabled=False):
-            return self._moments(*rows)
+    def _in_libraries(self, hidden: Float[Tensor, "R K h"]) -> bool:
+        """Whether libraries take all steps, which leave out rows without a gradient themselves."""
+        return self.generated is not None and self.blocks is not None and self.blocks.fit(hidden)
 
     def _moments(
         self,
         constant: Float[Tensor, "*r g"],
         hidden: Float[Tensor, "*r h"],
-        base: Float[Tensor, "*r T m"],
+        base: Float[Tensor, "*#r T m"],
         *motion: Tensor,
     ) -> tuple[Float[Tensor, "*r T 2"], Float[Tensor, "*r T 2 2"]]:
         """Mean and covariance, from the constant input and the first state of the GRU."""
@@ -140,15 +140,18 @@ class ControlDecoder(nn.Module):
         self,
         constant: Float[Tensor, "*r g"],
         hidden: Float[Tensor, "*r h"],
-        base: Float[Tensor, "*r T m"],
+        base: Float[Tensor, "*#r T m"],
     ) -> tuple[Float[Tensor, "*r T m"], Float[Tensor, "*r T m m"]]:
         """Mean controls and the Cholesky factors of their covariances."""
         width = 0.25 * (self.dynamics.bounds.upper - self.dynamics.bounds.lower)
         weights, leading = self._weights(), hidden.shape[:-1]
         if self.blocks is not None and self.blocks.fit(hidden) and not width.requires_grad:
             scaling = Scaling(width, LOG_RANGE, START_SCALE, self.hold_steps)
-            rows = (field.flatten(0, len(leading) - 1) for field in (constant, hidden, base))
-            found = self.blocks.controls(*rows, weights, scaling)
+            base = base.expand(*leading, *base.shape[-2:])
+            first, second, third = (
+                field.flatten(0, len(leading) - 1) for field in (constant, hidden, base)
+            )
+            found = self.blocks.controls(first, second, third, weights, scaling)
             return found[0].unflatten(0, leading), found[1].unflatten(0, leading)
         deviation, raw_scale = self._emitted(constant, hidden, weights)
         return base + width * deviation, width.unsqueeze(-1) * self._scale(raw_scale)
@@ -203,6 +206,11 @@ class ControlDecoder(nn.Module):
             acceleration.unsqueeze(-1) * fading,
             curvature.unsqueeze(-1) * fading,
         )
+
+
+def _repeated(fields: list[Tensor], hidden: Float[Tensor, "R K h"]) -> list[Tensor]:
+    """Fields of each agent for each of its components."""
+    return [field.expand(*hidden.shape[:2], *field.shape[2:]) for field in fields]
 
 
 def present_motion(rows: AgentBatch) -> Motion:
