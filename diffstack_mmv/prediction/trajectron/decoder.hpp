@@ -49,12 +49,9 @@ struct Decoder {
     }
     product(by.hidden, 2 * h, h, state, WIDE, entering, &gate[part]);
     product(by.hidden + 2 * h * h, h, h, state, WIDE, fixed.data(), gate.data());
-    for (long i = 0; i < part; ++i) {
-      const V reset = sigmoid(gate[part + i]);
-      gate[part + i] = reset;
-      gate[2 * part + i] = sigmoid(gate[2 * part + i]);
-      gate[3 * part + i] = hyperbolic(gate[3 * part + i] + reset * gate[i]);
-    }
+    // one after the other: a processor works on as many entries at once as do not wait for each other
+    for (long i = part; i < 3 * part; ++i) gate[i] = sigmoid(gate[i]);
+    for (long i = 0; i < part; ++i) gate[3 * part + i] = hyperbolic(gate[3 * part + i] + gate[part + i] * gate[i]);
   }
   void emit(const V* state) { product(by.head, e, of.h, state, WIDE, head_start.data(), emitted.data()); }
 

@@ -29,22 +29,41 @@ struct Taylor {
   }
 };
 
+// x within a limit to both sides; what is no number is passed on
+inline V within(Real limit, V x) {
+#ifdef __AVX512F__
+  if constexpr (sizeof(Real) == 4) {
+    const __m512 most = __m512(V{} + limit), least = __m512(V{} - limit);
+    return V(_mm512_min_ps(most, _mm512_max_ps(least, __m512(x))));
+  }
+#endif
+  x = x < -limit ? V{} - limit : x;
+  return x > limit ? V{} + limit : x;
+}
+// p 2^n for whole n
+inline V scaled(V p, V n) {
+#ifdef __AVX512F__
+  if constexpr (sizeof(Real) == 4) return V(_mm512_scalef_ps(__m512(p), __m512(n)));
+#endif
+  constexpr int mantissa = sizeof(Real) == 4 ? 23 : 52, bias = sizeof(Real) == 4 ? 127 : 1023;
+  const Wholes power = (__builtin_convertvector(n, Wholes) + bias) << mantissa;
+  return p * V(power);
+}
+
 inline V exponential(V x) {
   constexpr bool single = sizeof(Real) == 4;
   constexpr Real most = single ? 87 : 708, magic = single ? Real(12582912) : Real(6755399441055744);
   constexpr Real high = single ? Real(0.693359375) : Real(6.93147180369123816490e-01);
   constexpr Real low = single ? Real(-2.12194440e-4) : Real(1.90821492927058770002e-10);
-  constexpr int terms = single ? 7 : 13, mantissa = single ? 23 : 52, bias = single ? 127 : 1023;
-  x = x < -most ? V{} - most : x;
-  x = x > most ? V{} + most : x;
+  constexpr int terms = single ? 7 : 13;
+  x = within(most, x);
   const V n = (x * Real(1.44269504088896340736) + magic) - magic;
   const V r = (x - n * high) - n * low;
   constexpr Taylor<terms> of;
   V p = V{} + of.factor[terms];
 #pragma GCC unroll 16
   for (int k = terms - 1; k >= 0; --k) p = p * r + of.factor[k];
-  const Wholes power = (__builtin_convertvector(n, Wholes) + bias) << mantissa;
-  return p * V(power);
+  return scaled(p, n);
 }
 inline V reciprocal(V x) {
 #ifdef __AVX512F__
