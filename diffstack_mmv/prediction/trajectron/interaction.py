@@ -84,10 +84,13 @@ class Interaction(nn.Module):
         distance = safe_norm(offset)
         near = (distance < self.reach_m + 8 * self.fade_m).nonzero().squeeze(-1)
         agent, other, distance = agent[near], other[near], distance[near]
-        features = torch.cat([node[other], edge_features(rows, agent, other)], -1)
+        # rows by number: of an index the slopes would be sorted before they are added up
+        seen = node.index_select(0, other)
+        features = torch.cat([seen, edge_features(rows, agent, other)], -1)
         edge = self.edge_encoders(pair_of_kinds(rows.kind[agent], rows.kind[other]), features)
         gate = nn.functional.logsigmoid((self.reach_m - distance) / self.fade_m)
-        score = self.score(torch.tanh(self.query(node)[agent] + self.key(edge))).squeeze(-1) + gate
+        query = self.query(node).index_select(0, agent)
+        score = self.score(torch.tanh(query + self.key(edge))).squeeze(-1) + gate
         return gather_by_attention(agent, score, edge, len(node))
 
 
