@@ -150,6 +150,48 @@ inline bool is_zero(const Real* slopes, long count) {
   return true;
 }
 
+// of all rows; a template, so that what is not written for a step is not asked for
+template <class P>
+void moments_of_all(long count, long threads, long T, const Real* q, const Real* start, const Real* first,
+                    const Real* u, const Real* scale, Real* mean, Real* covariance, Real* kept) {
+  using M = Moments<P>;
+  constexpr long abreast = P::ABREAST ? LANES : 1;
+  for_each((count + abreast - 1) / abreast, threads, [=](long i) {
+    if constexpr (P::ABREAST) {
+      const Eight rows{i * abreast, int(std::min<long>(count - i * abreast, abreast))};
+      Abreast<P>::forward(rows, T, q, start, first, u, scale, mean, covariance, kept);
+    } else {
+      M::forward(T, q, start + i * M::n, first + i * M::n * M::n, u + i * T * M::m, scale + i * T * M::m * M::m,
+                 mean + i * T * 2, covariance + i * T * 4, kept ? kept + i * T * M::KEPT : nullptr);
+    }
+  });
+}
+
+// slopes of rows with these numbers; w holds a sum of the slopes of the step's numbers for each group of rows
+template <class P>
+void pull_all(const std::vector<long>& live, long threads, long T, const Real* q, const Real* u, const Real* scale,
+              Real* kept, const Real* g_mean, const Real* g_covariance, Real* g_start, Real* g_first, Real* g_u,
+              Real* g_scale, std::vector<Real>& w) {
+  using M = Moments<P>;
+  constexpr long abreast = P::ABREAST ? LANES : 1;
+  const long found = long(live.size()), groups = (found + abreast - 1) / abreast;
+  const long* rows = live.data();
+  w.assign(P::LEARNS ? groups * (P::NUMBERS + 1) : P::NUMBERS + 1, Real(0));
+  Real* each = w.data();
+  for_each(groups, threads, [=](long g) {
+    Real* own = P::LEARNS ? each + g * (P::NUMBERS + 1) : each;
+    if constexpr (P::ABREAST) {
+      const Eight eight{g * abreast, int(std::min<long>(found - g * abreast, abreast)), rows};
+      Abreast<P>::backward(eight, T, q, u, scale, kept, g_mean, g_covariance, g_start, g_first, g_u, g_scale, own);
+    } else {
+      const long i = rows[g];
+      M::backward(T, q, u + i * T * M::m, scale + i * T * M::m * M::m, kept + i * T * M::KEPT, g_mean + i * T * 2,
+                  g_covariance + i * T * 4, g_start + i * M::n, g_first + i * M::n * M::n, g_u + i * T * M::m,
+                  g_scale + i * T * M::m * M::m, own);
+    }
+  });
+}
+
 }  // namespace dmmv
 
 #pragma GCC visibility push(default)
@@ -161,22 +203,9 @@ extern "C" {
 void dmmv_moments(long count, long threads, long T, const Real* parameters, const Real* start, const Real* first,
                   const Real* u, const Real* scale, Real* mean, Real* covariance, Real* kept) {
   using P = Problem;
-  using M = dmmv::Moments<P>;
   Real q[P::NUMBERS + 1];
   P::prelude(parameters, q);
-  const Real* numbers = q;
-  if constexpr (P::ABREAST) {
-    dmmv::for_each((count + dmmv::LANES - 1) / dmmv::LANES, threads, [=](long i) {
-      const long row = i * dmmv::LANES;
-      const dmmv::Eight rows{row, int(std::min<long>(count - row, dmmv::LANES))};
-      dmmv::Abreast<P>::forward(rows, T, numbers, start, first, u, scale, mean, covariance, kept);
-    });
-    return;
-  }
-  dmmv::for_each(count, threads, [=](long i) {
-    M::forward(T, numbers, start + i * M::n, first + i * M::n * M::n, u + i * T * M::m, scale + i * T * M::m * M::m,
-               mean + i * T * 2, covariance + i * T * 4, kept ? kept + i * T * M::KEPT : nullptr);
-  });
+  dmmv::moments_of_all<P>(count, threads, T, q, start, first, u, scale, mean, covariance, kept);
 }
 
 // Gradient by all inputs for that by mean and covariance. Rows without one are left out.
@@ -187,7 +216,6 @@ void dmmv_moments_adjoint(long count, long threads, long T, const Real* paramete
   using M = dmmv::Moments<P>;
   Real q[P::NUMBERS + 1];
   P::prelude(parameters, q);
-  const Real* numbers = q;
   std::vector<long> live;
   for (long i = 0; i < count; ++i)
     if (dmmv::is_zero(g_mean + i * T * 2, T * 2) && dmmv::is_zero(g_covariance + i * T * 4, T * 4)) {
@@ -198,28 +226,13 @@ void dmmv_moments_adjoint(long count, long threads, long T, const Real* paramete
     } else {
       live.push_back(i);
     }
-  const long abreast = P::ABREAST ? dmmv::LANES : 1, found = long(live.size()), groups = (found + abreast - 1) / abreast;
-  const long* rows = live.data();
-  // one sum of the numbers' slopes per group, added in order: the same with any number of threads
-  std::vector<Real> w(P::LEARNS ? groups * (P::NUMBERS + 1) : P::NUMBERS + 1);
-  Real* each = w.data();
-  dmmv::for_each(groups, threads, [=](long g) {
-    Real* own = P::LEARNS ? each + g * (P::NUMBERS + 1) : each;
-    if constexpr (P::ABREAST) {
-      const dmmv::Eight eight{g * abreast, int(std::min<long>(found - g * abreast, abreast)), rows};
-      dmmv::Abreast<P>::backward(eight, T, numbers, u, scale, kept, g_mean, g_covariance, g_start, g_first, g_u, g_scale,
-                                 own);
-    } else {
-      const long i = rows[g];
-      M::backward(T, numbers, u + i * T * M::m, scale + i * T * M::m * M::m, kept + i * T * M::KEPT, g_mean + i * T * 2,
-                  g_covariance + i * T * 4, g_start + i * M::n, g_first + i * M::n * M::n, g_u + i * T * M::m,
-                  g_scale + i * T * M::m * M::m, own);
-    }
-  });
+  // one sum of the numbers' slopes per group of rows, added in order: the same with any number of threads
+  std::vector<Real> w;
+  dmmv::pull_all<P>(live, threads, T, q, u, scale, kept, g_mean, g_covariance, g_start, g_first, g_u, g_scale, w);
   if constexpr (P::LEARNS) {
     std::vector<Real> total(P::NUMBERS + 1);
-    for (long g = 0; g < groups; ++g)
-      for (int j = 0; j < P::NUMBERS; ++j) total[j] += each[g * (P::NUMBERS + 1) + j];
+    for (size_t g = 0; g < w.size(); g += P::NUMBERS + 1)
+      for (int j = 0; j < P::NUMBERS; ++j) total[j] += w[g + j];
     P::prelude_adjoint(parameters, total.data(), g_parameters);
   }
 }
