@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from diffstack_mmv.control.native import modules
+from diffstack_mmv.control.native import bending, modules
 from diffstack_mmv.control.native.moments import moments
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle, SingleIntegrator, rollout
 from diffstack_mmv.vehicles import load_vehicle
@@ -124,3 +124,17 @@ def test_rows_without_a_gradient_are_left_out():
         assert (slope[~live] == 0).all()
         torch.testing.assert_close(slope[live], other, rtol=1e-12, atol=1e-14)
     torch.testing.assert_close(everybody[4:], alone[4:], rtol=1e-10, atol=1e-12)
+
+
+def test_steps_too_long_to_be_written_out_go_row_by_row(monkeypatch):
+    """As those of DiffGM3, whose library takes the compiler too long for a short test."""
+    results = []
+    for longest in (bending.LONGEST_GRADIENT, 0):
+        monkeypatch.setattr(bending, "LONGEST_GRADIENT", longest)
+        dynamics = model(DiffKBM, True)
+        inputs = rows(dynamics)
+        found = by_library(dynamics, *inputs)
+        toward = [torch.cos(each.detach()) for each in found]
+        parameters = [each for each in dynamics.parameters() if each.requires_grad]
+        results.append([*found, *torch.autograd.grad(found, [*inputs, *parameters], toward)])
+    torch.testing.assert_close(*results, rtol=1e-10, atol=1e-12)
