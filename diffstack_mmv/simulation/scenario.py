@@ -37,6 +37,10 @@ class Scene(NamedTuple):
     pedestrians: AnyCrowdState
     itinerary: Itinerary | None = None  # where the pedestrians go after their goals; else they stay
 
+    def radii_and_goal(self) -> tuple[list[float], list[float]]:
+        """Radii of the pedestrians and goal of the robot in m, of one case, to draw it."""
+        return self.pedestrians.radius.tolist(), self.robot_goal.tolist()
+
 
 @runtime_checkable
 class CaseSource(Protocol):
@@ -102,11 +106,6 @@ class Scenario(ABC):
         require_positive("pedestrian_speed_mps", self.pedestrian_speed_mps)
         require_positive("robot_radius_m", self.robot_radius_m)
         require_at_least("clearance_m", self.clearance_m, 0)
-
-    @property
-    def goal_m(self) -> tuple[float, float] | None:
-        """The goal of the robot in m, where it is the same in all cases."""
-        return (0.0, self.circle_radius_m)
 
     def case(self, phase: str, number: int) -> Scene:
         """One case without leading dimensions.
