@@ -21,8 +21,9 @@ LANES = 8  # of the numbers with slopes, as in numbers.hpp
 SLOPES_COST = 3  # operations on packs that one on numbers with slopes takes
 
 TEMPLATE, POINT = "template <class V> static", "const V* x, const V* u"
-HEADERS = ("numbers", "small", "stage", "pivoting", "solver")
-ENTRIES = {"solve": ("solve",), "adjoint": ("adjoint",)}
+HEADERS = ("numbers", "small", "stage", "solver")
+LINEAR = ("lanes", "lane_recursion", "pivoting", "interior", "linear_quadratic")
+ENTRIES = {"solve": (*LINEAR, "solve"), "adjoint": ("adjoint",)}
 """Headers that each library has besides, with its functions for the caller."""
 
 
@@ -78,6 +79,7 @@ def _problem(problem: StagedProblem, adjoint: bool) -> list[str]:
         table("int", "step_numbers", problem.step_numbers),
         table("int", "cost_kind", problem.kinds),
         rows_of("cost_numbers", problem.cost_numbers, widest),
+        table("int", "cost_alike", _first_alike(problem)),
         prelude(problem),
         *_step(step),
         *_costs(costs, problem.sizes),
@@ -88,6 +90,13 @@ def _problem(problem: StagedProblem, adjoint: bool) -> list[str]:
         gradients = _number_gradients(problem.step, problem.costs)
         lines += [prelude_adjoint(*known), *gradients]
     return [*lines, "};"]
+
+
+def _first_alike(problem: StagedProblem) -> list[int]:
+    """The first time that costs the same as each time, numbers included."""
+    first: dict[tuple[int, tuple[int, ...]], int] = {}
+    each = zip(problem.kinds, problem.cost_numbers, strict=True)
+    return [first.setdefault(known, time) for time, known in enumerate(each)]
 
 
 def is_short(program: Program, written: Sequence[Node] | None, instead: Sequence[Node]) -> bool:

@@ -7,7 +7,6 @@
 #include <time.h>
 #endif
 
-#include "pivoting.hpp"
 #include "stage.hpp"
 
 namespace dmmv {
@@ -284,33 +283,10 @@ struct Solver {
     status = is_finite ? OPEN : NOT_FINITE;
   }
 
-  // goes to the solution of a linear-quadratic problem, if it is found; the local model is that of where it stands
-  void jump() {
-    static thread_local Pivoting<P> pivoting;
-    for (int t = 0; t < T; ++t)
-      for (int i = 0; i < m; ++i) pivoting.side[t][i] = held(t, i) ? (u[t][i] <= box[0][i] ? -1 : 1) : 0;
-    iterations += pivoting(*this);
-    if (!pivoting.found) return;
-    const Real damping_before = damping, cost_before = cost;
-    const int iterations_before = iterations;
-    Real state[n], before[T][m], controls[T][m];
-    std::memcpy(state, x[0], sizeof(state));
-    std::memcpy(before, u, sizeof(before));
-    for (int t = 0; t < T; ++t)
-      for (int i = 0; i < m; ++i) controls[t][i] = clipped(u[t][i] + pivoting.change[t][i], box[0][i], box[1][i]);
-    start(state, controls[0]);
-    if (!(cost <= cost_before)) start(state, before[0]);
-    damping = damping_before;
-    iterations = iterations_before;
-    expand(false);
-  }
-
   void solve(const Real* state, const Real* controls, const Settings& settings) {
     start(state, controls);
-    for (int i = 0; iterations < settings.max_iterations && status == OPEN; ++i) {
+    while (iterations < settings.max_iterations && status == OPEN) {
       expand(settings.curvature == 0 || near_);
-      if constexpr (P::LINEAR_QUADRATIC)
-        if (i == 0) jump();
       policy();
       attempt(settings);
     }
