@@ -22,9 +22,14 @@ SLOPES_COST = 3  # operations on packs that one on numbers with slopes takes
 
 TEMPLATE, POINT = "template <class V> static", "const V* x, const V* u"
 HEADERS = ("numbers", "small", "stage", "solver")
-LINEAR = ("lanes", "lane_recursion", "pivoting", "interior", "linear_quadratic")
-ENTRIES = {"solve": (*LINEAR, "solve"), "adjoint": ("adjoint",)}
-"""Headers that each library has besides, with its functions for the caller."""
+ENTRIES = {"solve": ("solve",), "adjoint": ("adjoint", "differentiate")}
+LINEAR = ("lanes", "lane_recursion", "pivoting")
+LINEAR_ENTRIES = {
+    "solve": (*LINEAR, "interior", "linear_quadratic", "solve"),
+    "adjoint": ("adjoint", *LINEAR, "lane_adjoint", "differentiate"),
+}
+"""Headers that each library has besides, with its functions for the caller; those of linear-quadratic
+problems differ."""
 
 
 def opening(real: str, *headers: str) -> list[str]:
@@ -48,11 +53,15 @@ def source(problem: StagedProblem, library: str, real: str) -> str:
     """
     status = {name: int(SolverStatus[name]) for name in ("CONVERGED", "STALLED", "NOT_FINITE")}
     status["LIMIT"] = int(SolverStatus.ITERATION_LIMIT)
+    step = derived(problem.step, problem.sizes)
+    costs = [derived(cost, problem.sizes) for cost in problem.costs]
+    is_linear = _is_linear_quadratic(step, costs)
     parts = [
         *(f"#define DMMV_{name} {value}" for name, value in status.items()),
+        *(["#define DMMV_LINEAR_QUADRATIC"] if is_linear else []),
         *opening(real, *HEADERS),
-        *_problem(problem, library == "adjoint"),
-        *map(header, ENTRIES[library]),
+        *_problem(problem, step, costs, library == "adjoint"),
+        *map(header, (LINEAR_ENTRIES if is_linear else ENTRIES)[library]),
     ]
     return "\n".join(parts) + "\n"
 
@@ -65,11 +74,11 @@ def header(name: str) -> str:
     )
 
 
-def _problem(problem: StagedProblem, adjoint: bool) -> list[str]:
+def _problem(
+    problem: StagedProblem, step: Derived, costs: Sequence[Derived], adjoint: bool
+) -> list[str]:
     n, m, steps, parameters = problem.sizes
     widest = max(len(numbers) for numbers in problem.cost_numbers)
-    step = derived(problem.step, problem.sizes)
-    costs = [derived(cost, problem.sizes) for cost in problem.costs]
     lines = [
         "using namespace dmmv;",
         "struct Problem {",
@@ -83,7 +92,6 @@ def _problem(problem: StagedProblem, adjoint: bool) -> list[str]:
         prelude(problem),
         *_step(step),
         *_costs(costs, problem.sizes),
-        _flag("LINEAR_QUADRATIC", _is_linear_quadratic(step, costs)),
     ]
     if adjoint:
         known = problem.parameters, problem.numbers, parameters

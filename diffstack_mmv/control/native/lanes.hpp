@@ -110,6 +110,11 @@ struct LinearModel {
   }
 };
 
+// numbers of all lanes are kept by each thread, so that long horizons of many states are left to the iterations
+constexpr size_t MOST_BYTES = 32u << 20;
+template <class P>
+constexpr bool fits_lanes = sizeof(Pack) * (P::T + 1) * (P::n + P::m) * (P::n + P::m) * 4 < MOST_BYTES;
+
 // the same of eight problems
 template <class P>
 struct LaneModel {
@@ -119,9 +124,14 @@ struct LaneModel {
   long versions[LANES] = {}, version = 0;
   LinearModel<P> one;
 
+  // `one` becomes the problem with these parameters
+  void fetch(const Real* parameters) {
+    if (one.load(parameters)) ++version;
+  }
+
   // whether a lane gets another problem than it has
   bool load(int lane, const Real* parameters) {
-    if (one.load(parameters)) ++version;
+    fetch(parameters);
     if (versions[lane] == version) return false;
     versions[lane] = version;
     put(lane, one.A, A, n * n);

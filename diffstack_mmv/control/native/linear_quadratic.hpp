@@ -112,7 +112,7 @@ struct LinearQuadratic : Interior<P> {
   void write(int lane, int used, Real promised, Real slope, Real change, Real residual) {
     const long i = problem[lane];
     Real *own_x = to.x + i * (T + 1) * n, *own_u = to.u + i * T * m, magnitude_;
-    one.load(parameters + i * P::PARAMETERS);
+    this->fetch(parameters + i * P::PARAMETERS);
     roll(lane, own_x, own_u, to.cost[i], magnitude_);
     const Real much = NOISE * std::numeric_limits<Real>::epsilon() * (magnitude_ + change);
     const Real enough = op_max(settings.tolerance * magnitude_, much);
@@ -123,15 +123,12 @@ struct LinearQuadratic : Interior<P> {
   }
 };
 
-// solves all problems that it can; the status of the others is OPEN
+// solves all problems that it can; the status of the others stays OPEN
 template <class P>
 void solve_linear_quadratic(long count, long threads, const Real* parameters, const Real* bounds, const Real* state,
                             const Real* guess, const Settings& settings, const Results& to) {
   std::vector<long> numbers(count);
-  for (long i = 0; i < count; ++i) {
-    numbers[i] = i;
-    to.status[i] = OPEN;
-  }
+  for (long i = 0; i < count; ++i) numbers[i] = i;
   for (const bool first : {true, false}) {
     const long number = long(numbers.size());
     for_each((number + LANES - 1) / LANES, threads, [&](long group) {
