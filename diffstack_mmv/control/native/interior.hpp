@@ -14,7 +14,7 @@ struct Interior : Pivoting<P> {
   using Base = Pivoting<P>;
   using Base::box, Base::x, Base::u, Base::gradient, Base::du, Base::side, Base::found;
   static constexpr int MOST = 60, GUESSES = 6;
-  static constexpr Real KEPT = Real(0.995), FIRST = Real(0.1), FAR_ = Real(1e3);
+  static constexpr Real KEPT = Real(0.995), FIRST = Real(0.1);
   static constexpr Real SMALL = std::numeric_limits<Real>::min() * Real(1e10);
 
   // both bounds of a control: room to them, multipliers, their changes
@@ -39,9 +39,9 @@ struct Interior : Pivoting<P> {
   // in the middle of the box; where it has one side or none, near where the controls are
   void place() {
     for (int i = 0; i < m; ++i) {
-      is_bounded[0][i] = finite(box[0][i]) && box[0][i] > -FAR_ * FAR_;
-      is_bounded[1][i] = finite(box[1][i]) && box[1][i] < FAR_ * FAR_;
-      const bool both = is_bounded[0][i] && is_bounded[1][i];
+      is_bounded[0][i] = !this->tied(i) && finite(box[0][i]);
+      is_bounded[1][i] = !this->tied(i) && finite(box[1][i]);
+      const bool both = finite(box[0][i]) && finite(box[1][i]);
       width[i] = both ? std::max(Real(0.5) * (box[1][i] - box[0][i]), SMALL) : Real(1);
       for (int t = 0; t < T; ++t) {
         if (both) u[t][i] = Pack{} + Real(0.5) * (box[0][i] + box[1][i]);
@@ -51,6 +51,7 @@ struct Interior : Pivoting<P> {
     }
     this->differentiate();
     Pack largest = {};
+    std::memset(du, 0, sizeof(du));
     expected = Pack{} + SMALL;
     for (int t = 0; t < T; ++t)
       for (int i = 0; i < m; ++i) {
@@ -62,6 +63,7 @@ struct Interior : Pivoting<P> {
       const Pack pressing = most(sign * gradient[t][i], Pack{});
       wall.room = sign > 0 ? u[t][i] - box[0][i] : box[1][i] - u[t][i];
       wall.price = pressing + (FIRST * largest + SMALL) / width[i];
+      wall.change = Pack{};
     });
   }
 
@@ -150,7 +152,8 @@ struct Interior : Pivoting<P> {
     });
   }
 
-  // goes on until the active sets of all lanes are told; `take()` is called where some are; the number of recursions
+  // goes on until the active sets of all lanes are told; `take()` is called where some are,
+  // with the number of recursions before the guesses; the number of recursions
   template <class F>
   int interior(const Mask& wanted, int most_, F take) {
     const Real close = std::sqrt(std::numeric_limits<Real>::epsilon()) * Real(1e-3);
@@ -170,8 +173,9 @@ struct Interior : Pivoting<P> {
       std::memcpy(kept_gradient, gradient, sizeof(kept_gradient));
       tell_sides();
       this->refactor(T - 1);
-      used += this->pivot(GUESSES, true);
-      take(open & found, used);
+      const int before = used;
+      used += this->pivot(GUESSES, GUESSES + 1);
+      take(open & found, before);
       open &= ~found;
       if (!any(open)) break;
       std::memcpy(u, kept_u, sizeof(kept_u));

@@ -14,7 +14,7 @@ struct Results {
 template <class P>
 struct LinearQuadratic : Interior<P> {
   static constexpr int n = P::n, m = P::m, T = P::T;
-  static constexpr int GUESSES_FIRST = 12;
+  static constexpr int GUESSES_FIRST = 12, PATIENCE = 3;
   using Base = Interior<P>;
   using Base::x, Base::u, Base::gradient, Base::box, Base::du, Base::Q_uu, Base::found, Base::inverse, Base::one;
 
@@ -48,8 +48,8 @@ struct LinearQuadratic : Interior<P> {
 
   // problems in reach of a few guesses
   void solve_by_pivoting() {
-    const int used = this->pivot(std::min(GUESSES_FIRST, settings.max_iterations), false);
-    finish(lanes() & found, used);
+    this->pivot(std::min(GUESSES_FIRST, settings.max_iterations), PATIENCE);
+    finish(lanes() & found, 0);
   }
 
   void solve_by_interior() {
@@ -80,7 +80,7 @@ struct LinearQuadratic : Interior<P> {
         residual = most(residual, magnitude(u[t][i] - moved));
       }
     for (int lane = 0; lane < count; ++lane)
-      if (done[lane]) write(lane, used + 1, promised[lane], slope[lane], noise[lane], residual[lane]);
+      if (done[lane]) write(lane, used + int(this->guesses[lane]) + 1, promised[lane], slope[lane], noise[lane], residual[lane]);
   }
 
   void clip() {

@@ -21,6 +21,7 @@ struct Pivoting : LaneRecursion<P> {
   bool is_factored = false, is_definite = false;  // `is_definite`: with all controls free, so that there is one solution
   Pack convex;          // the lanes where this is so, one or zero
   Mask found;
+  Pack guesses;         // that each lane took until it was found
 
   bool tied(int i) const { return !(box[0][i] < box[1][i]); }
 
@@ -109,17 +110,37 @@ struct Pivoting : LaneRecursion<P> {
       }
   }
 
+  // sides from a roll-out of the policies that keeps to the box, for lanes whose guess is hopeless
+  void project(const Mask& hopeless) {
+    Pack kept[T][m];
+    std::memcpy(kept, side, sizeof(kept));
+    for (int t = 0; t < T; ++t) {
+      std::memcpy(u[t], k[t], sizeof(k[t]));
+      lane_apply<m, n>(K[t], x[t], u[t]);
+      for (int i = 0; i < m; ++i) u[t][i] = between(u[t][i], box[0][i], box[1][i]);
+      this->advance(t);
+    }
+    this->gradients();
+    guess_sides();
+    for (int t = 0; t < T; ++t)
+      for (int i = 0; i < m; ++i) side[t][i] = hopeless ? side[t][i] : kept[t][i];
+  }
+
   // the number of recursions, from the sides as they are; lanes that are `found` stand at their solution
-  int pivot(int most, bool patiently) {
+  int pivot(int most, int patience) {
     Pack wanted[T][m], fewest = Pack{} + Real(T * m + 1), last = {};
     Mask patient = ~Mask{}, given_up = Mask{};
+    found = Mask{};
     for (int tried = 1;; ++tried) {
       const Pack number = contradictions(wanted, last);
+      guesses = found ? guesses : Pack{} + Real(tried);
       found = number == Pack{};
-      if (tried == 1 && !patiently) given_up = number > Pack{} + HOPELESS * T * m;
+      const Mask hopeless = number > Pack{} + HOPELESS * T * m;
+      if (tried >= patience) given_up |= hopeless;
       if (tried == most || !any(~found & ~given_up)) return tried;
       const Mask fewer = number < fewest;
       exchange(wanted, fewer | patient, given_up, last);
+      if (tried < patience && any(hopeless)) project(hopeless);
       fewest = least(fewest, number);
       patient = fewer;
       refactor(last_other(false));

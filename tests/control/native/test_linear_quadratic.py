@@ -105,12 +105,11 @@ def test_the_solution_as_a_guess_needs_one_recursion_and_one_step():
 
 def test_active_sets_that_contradict_one_another_are_told_by_the_interior_point():
     """Systems that a control at its bound cannot hold: half of the guesses are wrong at first."""
-    problems = Problems(seed=1, spread=2.0)
-    expected = problems.solved(EXACT, *BOXES["tight"])
-    found = problems.solved(by_library, *BOXES["tight"])
+    found = Problems(seed=1, spread=2.0).solved(by_library, *BOXES["tight"])
     assert found.converged.all()
-    assert ((found.iterations > 12) & (found.iterations < 40)).any()
-    assert (found.cost <= expected.cost * (1 + 1e-9)).all()
+    assert (found.iterations > 12).any()
+    assert (found.iterations < 40).all()
+    assert (found.residual < 1e-6 * (1 + found.cost.abs())).all()  # convex: that is the solution
 
 
 def test_what_is_not_convex_or_not_finite_is_left_to_the_iterations():
