@@ -60,7 +60,7 @@ JOBS = (
     Job("solver_profile", 3, ("benchmarks/bench_solver_profile.py",)),
     Job("library_profile", 1, ("benchmarks/bench_library_profile.py",)),
     Job("lqr", 10, ("benchmarks/bench_lqr.py", str(REFERENCE / "acados_lqr")),
-        better_with=("casadi", "mpc"), reference=True, small=(2, ("--limit", "4"))),
+        better_with=("casadi", "mpc"), reference=True, small=(4, ("--limit", "2", "--timeout", "30"))),
     Job("constrained", 4, ("benchmarks/bench_constrained.py",), ("casadi",),
         small=(1, ("--count", "200"))),
     Job("gradients", 15, ("benchmarks/bench_solver_gradients.py",), reference=True,
@@ -176,7 +176,11 @@ def main():
         if arguments.peers and job.name in ("solver", "solver_free"):
             job = job._replace(command=(*job.command, "--python", arguments.peers))
         began = time.monotonic()
-        if run(job, sys.executable, results):
+        try:
+            succeeded = run(job, sys.executable, results)
+        except KeyboardInterrupt:
+            raise SystemExit(f"{job.name}: interrupted. The same command goes on there.") from None
+        if succeeded:
             done[job.name] = time.strftime("%Y-%m-%d %H:%M")
             known.write_text(json.dumps(done, indent=1))
             print(f"{job.name}: done in {(time.monotonic() - began) / 60:.1f} min", flush=True)
