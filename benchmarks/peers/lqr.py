@@ -10,6 +10,7 @@ import numpy as np
 from peers import lqr_convex
 from peers.times import STEPS, M, N, fastest
 
+
 def in_c(program, library, settings):
     """A program of this folder that is linked with an installed solver.
 
@@ -141,7 +142,12 @@ def qpth(file, arguments):
         linear = linear + (free[:, :-1] @ S).flatten(1)
         found = QPFunction(eps=1e-11, verbose=-1, maxIter=60)(
             # one for each problem: the gradient of what they share is a mean there
-            (hessian + cross + cross.T).expand(len(start), -1, -1), linear, box, limits, none, none
+            (hessian + cross + cross.T).expand(len(start), -1, -1),
+            linear,
+            box,
+            limits,
+            none,
+            none,
         )
         return found.reshape(-1, STEPS, M)
 

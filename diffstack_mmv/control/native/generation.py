@@ -148,7 +148,8 @@ def _step(step: Derived) -> list[str]:
             curvature,
         ),
         function(value, program, "q", into("y", step.stage.outputs)),
-        function(slope, program, "ql", into("y", step.gradient)),
+        # with the values: their derivatives come with those of the gradient
+        function(slope, program, "ql", into("y", [*step.gradient, *step.stage.outputs])),
         f"static constexpr int STEP_ACTIVE = {len(step.active)};",
         table("int", "step_active", step.active),
         table("Real", "step_constant", [entry for row in step.constants for entry in row]),

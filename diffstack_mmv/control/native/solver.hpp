@@ -88,16 +88,17 @@ struct Solver {
         for (int i = 0; i < m; ++i) change += std::fabs(u[t][i] * c_u[t][i]);
     }
     noise = std::numeric_limits<Real>::epsilon() * (magnitude + change);
-    for (int t = 0; t < T; ++t) step_jacobian<P>(x[t], u[t], q_step, A[t], B[t]);
     std::memcpy(costate[T - 1], c_x[T], sizeof(costate[0]));
-    for (int t = T - 1; t > 0; --t) {
-      std::memcpy(costate[t - 1], c_x[t], sizeof(costate[0]));
-      add_transposed_apply<n, n>(A[t], costate[t], costate[t - 1]);
-    }
-    for (int t = 0; t < T; ++t) {
-      if (with_curvature) add_step_hessian<P>(x[t], u[t], costate[t], q_step, H_xx[t], H_ux[t], H_uu[t]);
+    for (int t = T - 1; t >= 0; --t) {
+      if (with_curvature)
+        step_model<P>(x[t], u[t], costate[t], q_step, A[t], B[t], H_xx[t], H_ux[t], H_uu[t]);
+      else
+        step_jacobian<P>(x[t], u[t], q_step, A[t], B[t]);
       std::memcpy(gradient[t], c_u[t], sizeof(gradient[0]));
       add_transposed_apply<n, m>(B[t], costate[t], gradient[t]);
+      if (t == 0) continue;
+      std::memcpy(costate[t - 1], c_x[t], sizeof(costate[0]));
+      add_transposed_apply<n, n>(A[t], costate[t], costate[t - 1]);
     }
   }
 
