@@ -26,16 +26,16 @@ COMPILED = {"compile": True, "one_by_one": 1000, "tolerance": 1e-14, "max_iterat
 SOLVED = 1e-7  # largest error of a control of a solved problem
 
 
-def affine(state, control, A, B, b):
+def affine(state, control, of_state, of_control, offset):
     """The next state."""
-    moved = (A * state.unsqueeze(-2)).sum(-1)
-    return moved + (B * control.unsqueeze(-2)).sum(-1) + b
+    moved = (of_state * state.unsqueeze(-2)).sum(-1)
+    return moved + (of_control * control.unsqueeze(-2)).sum(-1) + offset
 
 
-def quadratic(states, controls, H):
+def quadratic(states, controls, hessian):
     """The costs of all times."""
     both = torch.cat([states, controls], -1)
-    return 0.5 * ((both.unsqueeze(-2) * H.unsqueeze(-3)).sum(-1) * both).sum(-1)
+    return 0.5 * ((both.unsqueeze(-2) * hessian.unsqueeze(-3)).sum(-1) * both).sum(-1)
 
 
 def callables(leaves, count, together):
@@ -124,10 +124,10 @@ def measured(name, arguments):
             command, capture_output=True, text=True, timeout=arguments.timeout, check=False
         )
     except subprocess.TimeoutExpired:
-        return f"{name} | stopped after {arguments.timeout:.0f} s | | | | "
+        return f"{name} | stopped after {arguments.timeout:.0f} s |  |  |  | "
     lines = [line for line in done.stdout.splitlines() if line.startswith(name)]
     reason = next(iter(done.stderr.strip().splitlines()[::-1]), "no message")
-    return lines[-1] if lines else f"{name} | {reason} | | | | "
+    return lines[-1] if lines else f"{name} | {reason} |  |  |  | "
 
 
 def main():
@@ -149,15 +149,29 @@ def main():
     print(
         "128 bounded LQRs (N = 20, 8 states, 4 controls; acados' differentiable NMPC paper), float64, one core; processor "
         f"time for all, smallest of the repetitions. Solved: all controls within {SOLVED:g}. `adjoint`: with the gradient of "
-        "Σ u_0 by A, B, b, H; of HPIPM only its linear system.\n"
+        "Σ u_0 by A, B, b, H; of acados and HPIPM only its linear system, of cvxpygen and cvxpylayers without H. `times ours`: "
+        "both times by those of the first row of the set.\n"
     )
     print(
-        "| set | solver | solution, ms | with adjoint, ms | solved | largest error | gradient, relative error |"
+        "| set | solver | solution, ms | with adjoint, ms | times ours | solved | largest error | gradient, relative error |"
     )
-    print("|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|")
     for arguments.name in SETS:
+        first = None
         for name in arguments.solvers:
-            print(f"| {arguments.name} | {measured(name, arguments)} |", flush=True)
+            cells = measured(name, arguments).split(" | ")
+            first = first or cells
+            cells.insert(3, ratios(cells[1:3], first[1:3]))
+            print(f"| {arguments.name} | {' | '.join(cells)} |", flush=True)
+
+
+def ratios(times, others):
+    """Times by other times, where both are numbers."""
+    each = []
+    for time, other in zip(times, others, strict=True):
+        with contextlib.suppress(ValueError):
+            each.append(f"{float(time) / float(other):.1f}")
+    return " / ".join(each)
 
 
 def one_row(arguments):
@@ -170,7 +184,7 @@ def one_row(arguments):
         with contextlib.redirect_stdout(io.StringIO()):  # what peers warn of
             found = SOLVERS[name](file, arguments)
     except ModuleNotFoundError as missing:
-        print(f"{name} | not installed: {missing.name} | | | | ")
+        print(f"{name} | not installed: {missing.name} |  |  |  | ")
         return
     print(row(name, found, file))
 

@@ -160,6 +160,7 @@ def main():
     parser.add_argument("--only", nargs="+", default=[], choices=[job.name for job in JOBS])
     parser.add_argument("--size", choices=("small", "full"), default="small")
     parser.add_argument("--peers", help="interpreter of an environment with more peers")
+    parser.add_argument("--hpipm", help="prefix where acados or hpipm and blasfeo are installed")
     arguments = parser.parse_args()
     known, results = KEPT / f"{arguments.size}.json", folder_of(arguments.size)
     done = json.loads(known.read_text()) if known.exists() and not arguments.fresh else {}
@@ -173,8 +174,10 @@ def main():
     results.mkdir(parents=True, exist_ok=True)
     KEPT.mkdir(parents=True, exist_ok=True)
     for job in ready:
-        if arguments.peers and job.name in ("solver", "solver_free"):
+        if arguments.peers and job.name in ("solver", "solver_free", "lqr"):
             job = job._replace(command=(*job.command, "--python", arguments.peers))
+        if arguments.hpipm and job.name == "lqr":
+            job = job._replace(command=(*job.command, "--hpipm", arguments.hpipm))
         began = time.monotonic()
         try:
             succeeded = run(job, sys.executable, results)

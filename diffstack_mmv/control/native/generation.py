@@ -28,8 +28,8 @@ LINEAR_ENTRIES = {
     "solve": (*LINEAR, "interior", "linear_quadratic", "solve"),
     "adjoint": ("adjoint", *LINEAR, "lane_adjoint", "differentiate"),
 }
-"""Headers that each library has besides, with its functions for the caller; those of linear-quadratic
-problems differ."""
+"""Headers that each library has besides, with its functions for the caller; those of
+linear-quadratic problems differ."""
 
 
 def opening(real: str, *headers: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""Linear-quadratic problems in lanes of eight do what the eager solver does, whatever their neighbors are."""
+"""Linear-quadratic problems in lanes of eight do what the eager solver does, all by themselves."""
 
 import pytest
 import torch
