@@ -45,7 +45,7 @@ test-all: install ## All tests that need no GPU, slow ones included
 results: install ## The paper's table; SIZE=small|full, RAW=folder with one folder of recordings per data set
 	$(BIN)/python scripts/results.py size=$(SIZE) raw=$(RAW)
 
-tables: install  ## A table of closed-loop drives; TABLE=crowdnav|paper|ablation|published|dense|robustness, JOBS=processes
+tables: install  ## A table of closed-loop drives; TABLE=crowdnav|paper|ablation|published|dense|robustness|recorded, JOBS=processes
 	$(BIN)/python scripts/closed_loop_table.py table=$(TABLE) launcher.processes=$(JOBS)
 
 $(DOCS)/.installed: requirements-docs.lock
@@ -58,7 +58,7 @@ docs: $(DOCS)/.installed ## The documentation as a site in outputs/site; a dead 
 	@echo "Site: outputs/site/index.html"
 
 bench: install ## Benchmarks, a look in outputs/bench/small or SIZE=full in benchmarks/results: tells needs and times, resumes; make peers first
-	$(BIN)/python benchmarks/run_all.py --size $(or $(SIZE),small) --peers $(PEERS) $(if $(DRY),--dry-run)
+	$(BIN)/python benchmarks/run_all.py --size $(or $(SIZE),small) --peers $(PEERS) $(if $(HPIPM),--hpipm $(HPIPM)) $(if $(DRY),--dry-run)
 
 peers: install  ## Solvers to compare with that are Python packages, in outputs/peers, where make bench finds them
 	$(BIN)/python -m pip install --quiet --no-deps --target outputs/peers mpc
