@@ -58,7 +58,7 @@ docs: $(DOCS)/.installed ## The documentation as a site in outputs/site; a dead 
 	@echo "Site: outputs/site/index.html"
 
 bench: install ## Benchmarks, a look in outputs/bench/small or SIZE=full in benchmarks/results: tells needs and times, resumes; make peers first
-	$(BIN)/python benchmarks/run_all.py --size $(or $(SIZE),small) --peers $(PEERS) $(if $(DRY),--dry-run)
+	$(BIN)/python benchmarks/run_all.py --size $(or $(SIZE),small) --peers $(PEERS) $(if $(HPIPM),--hpipm $(HPIPM)) $(if $(DRY),--dry-run)
 
 peers: install  ## Solvers to compare with that are Python packages, in outputs/peers, where make bench finds them
 	$(BIN)/python -m pip install --quiet --no-deps --target outputs/peers mpc

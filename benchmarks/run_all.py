@@ -60,7 +60,7 @@ JOBS = (
     Job("solver_profile", 3, ("benchmarks/bench_solver_profile.py",)),
     Job("library_profile", 1, ("benchmarks/bench_library_profile.py",)),
     Job("lqr", 10, ("benchmarks/bench_lqr.py", str(REFERENCE / "acados_lqr")),
-        better_with=("casadi", "mpc"), reference=True, small=(2, ("--limit", "4"))),
+        better_with=("casadi", "mpc"), reference=True, small=(4, ("--limit", "2", "--timeout", "30"))),
     Job("constrained", 4, ("benchmarks/bench_constrained.py",), ("casadi",),
         small=(1, ("--count", "200"))),
     Job("gradients", 15, ("benchmarks/bench_solver_gradients.py",), reference=True,
@@ -160,6 +160,7 @@ def main():
     parser.add_argument("--only", nargs="+", default=[], choices=[job.name for job in JOBS])
     parser.add_argument("--size", choices=("small", "full"), default="small")
     parser.add_argument("--peers", help="interpreter of an environment with more peers")
+    parser.add_argument("--hpipm", help="prefix where acados or hpipm and blasfeo are installed")
     arguments = parser.parse_args()
     known, results = KEPT / f"{arguments.size}.json", folder_of(arguments.size)
     done = json.loads(known.read_text()) if known.exists() and not arguments.fresh else {}
@@ -173,10 +174,16 @@ def main():
     results.mkdir(parents=True, exist_ok=True)
     KEPT.mkdir(parents=True, exist_ok=True)
     for job in ready:
-        if arguments.peers and job.name in ("solver", "solver_free"):
+        if arguments.peers and job.name in ("solver", "solver_free", "lqr"):
             job = job._replace(command=(*job.command, "--python", arguments.peers))
+        if arguments.hpipm and job.name == "lqr":
+            job = job._replace(command=(*job.command, "--hpipm", arguments.hpipm))
         began = time.monotonic()
-        if run(job, sys.executable, results):
+        try:
+            succeeded = run(job, sys.executable, results)
+        except KeyboardInterrupt:
+            raise SystemExit(f"{job.name}: interrupted. The same command goes on there.") from None
+        if succeeded:
             done[job.name] = time.strftime("%Y-%m-%d %H:%M")
             known.write_text(json.dumps(done, indent=1))
             print(f"{job.name}: done in {(time.monotonic() - began) / 60:.1f} min", flush=True)

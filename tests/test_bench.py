@@ -46,3 +46,38 @@ def test_a_size_has_its_own_arguments_and_folder(size, minutes, more):
 def test_the_small_size_takes_less_than_half_an_hour():
     jobs = [run_all.of_size(job, "small") for job in run_all.JOBS]
     assert sum(job.minutes for job in jobs) < 30
+
+
+def test_what_was_interrupted_goes_on_where_it_was(monkeypatch, tmp_path, capsys):
+    names, ran = ("first", "second", "third"), []
+    jobs = tuple(run_all.Job(name, 1, (f"{name}.py",)) for name in names)
+    for name, value in (("JOBS", jobs), ("KEPT", tmp_path), ("RESULTS", tmp_path / "full")):
+        monkeypatch.setattr(run_all, name, value)
+    monkeypatch.setattr("sys.argv", ["run_all.py"])
+
+    def stopped(job, python, results):
+        ran.append(job.name)
+        if ran == ["first", "second"]:
+            raise KeyboardInterrupt
+        return True
+
+    monkeypatch.setattr(run_all, "run", stopped)
+    with pytest.raises(SystemExit, match="second: interrupted. The same command goes on there"):
+        run_all.main()
+    run_all.main()
+    assert ran == ["first", "second", "second", "third"]
+    assert "first            done" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("job", "given"), [("lqr", True), ("solver", False)])
+def test_only_the_bounded_lqrs_are_told_where_hpipm_is(monkeypatch, tmp_path, job, given):
+    ran = []
+    jobs = tuple(each for each in run_all.JOBS if each.name == job)
+    jobs = tuple(each._replace(reference=False, better_with=()) for each in jobs)
+    for name, value in (("JOBS", jobs), ("KEPT", tmp_path)):
+        monkeypatch.setattr(run_all, name, value)
+    monkeypatch.setattr("sys.argv", ["run_all.py", "--hpipm", "/prefix", "--peers", "python"])
+    monkeypatch.setattr(run_all, "run", lambda job, *rest: ran.append(job) or True)
+    run_all.main()
+    assert ("--hpipm" in ran[0].command) == given
+    assert "--python" in ran[0].command

@@ -3,26 +3,22 @@
 import os
 import subprocess
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
 
-STEPS, N, M = 20, 8, 4
+from peers import lqr_convex
+from peers.times import STEPS, M, N, fastest
 
 
-def fastest(work, limit_s=20.0, most=10):
-    """Smallest processor time of the repetitions after the first call, in ms, and the last result."""
-    result, times, began = work(), [], time.monotonic()
-    while not times or (len(times) < most and time.monotonic() - began < limit_s):
-        start = time.process_time()
-        result = work()
-        times.append(1e3 * (time.process_time() - start))
-    return min(times), result
+def in_c(program, library, settings):
+    """A program of this folder that is linked with an installed solver.
 
-
-def in_c(program, library, tolerances, mode):
-    """A program of this folder that is linked with an installed solver."""
+    Args:
+        program: Its name.
+        library: What it is linked with besides.
+        settings: Tolerance and mode for each set: the fastest with which all are solved.
+    """
 
     def row(file, arguments):
         prefix = arguments.hpipm
@@ -30,7 +26,7 @@ def in_c(program, library, tolerances, mode):
             raise ModuleNotFoundError(program, name=program)
         given = (file["A"].T, file["B"].T, file["b"], file["x0"])
         flat = "\n".join(map(repr, np.concatenate([part.ravel() for part in given]).tolist()))
-        tolerance = tolerances["test" not in arguments.name]
+        tolerance, mode = settings[arguments.name]
         head = f"{STEPS} {N} {M} {len(file['x0'])} {float(file['u_max'])} {tolerance} {mode}\n"
         include = [
             f"-I{prefix}/include{each}" for each in ("", "/blasfeo/include", "/hpipm/include")
@@ -145,7 +141,13 @@ def qpth(file, arguments):
         linear = torch.einsum("cti,ij,tjp->cp", free, Q, slope)
         linear = linear + (free[:, :-1] @ S).flatten(1)
         found = QPFunction(eps=1e-11, verbose=-1, maxIter=60)(
-            hessian + cross + cross.T, linear, box, limits, none, none
+            # one for each problem: the gradient of what they share is a mean there
+            (hessian + cross + cross.T).expand(len(start), -1, -1),
+            linear,
+            box,
+            limits,
+            none,
+            none,
         )
         return found.reshape(-1, STEPS, M)
 
@@ -159,15 +161,13 @@ def qpth(file, arguments):
     return alone, both, controls.numpy(), torch.cat(columns).numpy()
 
 
+HPIPM = {"test_umax10000": (1e-10, 1), "test_umax1": (1e-10, 1), "second_umax1": (1e-8, 2)}
+ACADOS = {"test_umax10000": (1e-6, 5), "test_umax1": (1e-10, 4), "second_umax1": (1e-8, 2)}
 SOLVERS = {
-    "HPIPM (inside of acados)": in_c("hpipm", (), (1e-10, 1e-8), 1),
-    "acados' QP module, partial condensing to 5 blocks": in_c(
-        "acados", ("-lacados",), (1e-10, 1e-8), 5
-    ),
+    "acados' QP module, partial condensing": in_c("acados", ("-lacados",), ACADOS),
+    "HPIPM (inside of acados)": in_c("hpipm", (), HPIPM),
     "DAQP (CasADi)": by_casadi("daqp"),
-    "OSQP (CasADi)": by_casadi(
-        "osqp", osqp={"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 50000, "verbose": False}
-    ),
     "mpc.pytorch": mpc_pytorch,
     "qpth": qpth,
+    **lqr_convex.SOLVERS,
 }

@@ -1,7 +1,6 @@
 """The C++ source of a solver for one problem."""
 
 from collections.abc import Iterable, Sequence
-from importlib.resources import files
 
 from diffstack_mmv.control.native.code import function, into, literal, rows_of, table
 from diffstack_mmv.control.native.derivative import gradient
@@ -16,14 +15,21 @@ from diffstack_mmv.control.native.repetition import (
 from diffstack_mmv.control.native.scalar import LEAF, Node, Program, needed
 from diffstack_mmv.control.native.stages import Sizes, Stage, StagedProblem
 from diffstack_mmv.types import SolverStatus
+from dmmv_conventions.libraries import header as header_of
 
 LANES = 8  # of the numbers with slopes, as in numbers.hpp
 SLOPES_COST = 3  # operations on packs that one on numbers with slopes takes
 
 TEMPLATE, POINT = "template <class V> static", "const V* x, const V* u"
-HEADERS = ("numbers", "small", "stage", "pivoting", "solver")
-ENTRIES = {"solve": ("solve",), "adjoint": ("adjoint",)}
-"""Headers that each library has besides, with its functions for the caller."""
+HEADERS = ("numbers", "small", "stage", "solver")
+ENTRIES = {"solve": ("solve",), "adjoint": ("adjoint", "differentiate")}
+LINEAR = ("lanes", "lane_recursion", "pivoting")
+LINEAR_ENTRIES = {
+    "solve": (*LINEAR, "interior", "linear_quadratic", "solve"),
+    "adjoint": ("adjoint", *LINEAR, "lane_adjoint", "differentiate"),
+}
+"""Headers that each library has besides, with its functions for the caller; those of
+linear-quadratic problems differ."""
 
 
 def opening(real: str, *headers: str) -> list[str]:
@@ -33,6 +39,7 @@ def opening(real: str, *headers: str) -> list[str]:
         "#include <type_traits>",
         "#include <utility>",
         f"typedef {real} Real;",
+        header_of("dmmv_conventions", "threads"),
         *map(header, headers),
     ]
 
@@ -47,28 +54,29 @@ def source(problem: StagedProblem, library: str, real: str) -> str:
     """
     status = {name: int(SolverStatus[name]) for name in ("CONVERGED", "STALLED", "NOT_FINITE")}
     status["LIMIT"] = int(SolverStatus.ITERATION_LIMIT)
+    step = derived(problem.step, problem.sizes)
+    costs = [derived(cost, problem.sizes) for cost in problem.costs]
+    is_linear = _is_linear_quadratic(step, costs)
     parts = [
         *(f"#define DMMV_{name} {value}" for name, value in status.items()),
+        *(["#define DMMV_LINEAR_QUADRATIC"] if is_linear else []),
         *opening(real, *HEADERS),
-        *_problem(problem, library == "adjoint"),
-        *map(header, ENTRIES[library]),
+        *_problem(problem, step, costs, library == "adjoint"),
+        *map(header, (LINEAR_ENTRIES if is_linear else ENTRIES)[library]),
     ]
     return "\n".join(parts) + "\n"
 
 
 def header(name: str) -> str:
     """A fixed part of every source, without its own inclusions."""
-    text = files("diffstack_mmv.control.native").joinpath(f"{name}.hpp").read_text()
-    return "\n".join(
-        line for line in text.splitlines() if not line.startswith(('#include "', "#pragma once"))
-    )
+    return header_of("diffstack_mmv.control.native", name)
 
 
-def _problem(problem: StagedProblem, adjoint: bool) -> list[str]:
+def _problem(
+    problem: StagedProblem, step: Derived, costs: Sequence[Derived], adjoint: bool
+) -> list[str]:
     n, m, steps, parameters = problem.sizes
     widest = max(len(numbers) for numbers in problem.cost_numbers)
-    step = derived(problem.step, problem.sizes)
-    costs = [derived(cost, problem.sizes) for cost in problem.costs]
     lines = [
         "using namespace dmmv;",
         "struct Problem {",
@@ -78,16 +86,23 @@ def _problem(problem: StagedProblem, adjoint: bool) -> list[str]:
         table("int", "step_numbers", problem.step_numbers),
         table("int", "cost_kind", problem.kinds),
         rows_of("cost_numbers", problem.cost_numbers, widest),
+        table("int", "cost_alike", _first_alike(problem)),
         prelude(problem),
         *_step(step),
         *_costs(costs, problem.sizes),
-        _flag("LINEAR_QUADRATIC", _is_linear_quadratic(step, costs)),
     ]
     if adjoint:
         known = problem.parameters, problem.numbers, parameters
         gradients = _number_gradients(problem.step, problem.costs)
         lines += [prelude_adjoint(*known), *gradients]
     return [*lines, "};"]
+
+
+def _first_alike(problem: StagedProblem) -> list[int]:
+    """The first time that costs the same as each time, numbers included."""
+    first: dict[tuple[int, tuple[int, ...]], int] = {}
+    each = zip(problem.kinds, problem.cost_numbers, strict=True)
+    return [first.setdefault(known, time) for time, known in enumerate(each)]
 
 
 def is_short(program: Program, written: Sequence[Node] | None, instead: Sequence[Node]) -> bool:
@@ -131,7 +146,8 @@ def _step(step: Derived) -> list[str]:
             curvature,
         ),
         function(value, program, "q", into("y", step.stage.outputs)),
-        function(slope, program, "ql", into("y", step.gradient)),
+        # with the values: their derivatives come with those of the gradient
+        function(slope, program, "ql", into("y", [*step.gradient, *step.stage.outputs])),
         f"static constexpr int STEP_ACTIVE = {len(step.active)};",
         table("int", "step_active", step.active),
         table("Real", "step_constant", [entry for row in step.constants for entry in row]),

@@ -1,115 +1,150 @@
-// Linear dynamics, quadratic costs and a box: block principal pivoting over the controls of all times.
+// Linear dynamics, quadratic costs and a box: block principal pivoting over the controls of all times, eight problems
+// at a time.
 //
-// One guess of the active set is one Riccati recursion without a line search, so that the iterations start from the
-// solution. Source: as box_qp.py.
+// One guess of the active set is a Riccati recursion of the stages up to the last one where the guess is another, and
+// a roll-out. Source: as box_qp.py.
 #pragma once
-#include "small.hpp"
+#include "lane_recursion.hpp"
 
 namespace dmmv {
 
 template <class P>
-struct Pivoting {
+struct Pivoting : LaneRecursion<P> {
   static constexpr int n = P::n, m = P::m, T = P::T;
-  static constexpr int MOST = 30;  // guesses
+  using Base = LaneRecursion<P>;
+  using Base::x, Base::u, Base::k, Base::K, Base::Q_u, Base::Q_uu, Base::Q_ux, Base::gradient, Base::pivots;
   static constexpr Real HOPELESS = Real(0.3);  // share of contradictions of the first guess that are too many
 
-  bool found;
-  int side[T][m];  // -1 and 1: on a bound, 0: free
-  Real change[T][m];
-  Real K[T][m * n], k[T][m], Q_u[T][m], Q_uu[T][m * m], Q_ux[T][m * n];
+  Real box[2][m];
+  Pack side[T][m];      // -1 and 1: on a bound, 0: free
+  Pack factored[T][m];  // those of the recursion as it stands
+  bool is_factored = false, is_definite = false;  // `is_definite`: with all controls free, so that there is one solution
+  Pack convex;          // the lanes where this is so, one or zero
+  Mask found;
+  Pack guesses;         // that each lane took until it was found
 
-  // optimal changes of the controls, those on a side moved onto their bound; false if there are none
-  template <class S>
-  bool recursion(const S& at) {
-    Real V_x[n], V_xx[n * n];
-    std::memcpy(V_x, at.c_x[T], sizeof(V_x));
-    std::memcpy(V_xx, at.H_xx[T], sizeof(V_xx));
-    for (int t = T - 1; t >= 0; --t) {
-      Real Q_x[n], Q_xx[n * n], VA[n * n], VB[n * m], inverse[m * m], product_[m * n], rest[m];
-      bool is_free[m];
-      std::memcpy(Q_x, at.c_x[t], sizeof(Q_x));
-      std::memcpy(Q_xx, at.H_xx[t], sizeof(Q_xx));
-      std::memcpy(Q_u[t], at.c_u[t], sizeof(Q_u[t]));
-      std::memcpy(Q_ux[t], at.H_ux[t], sizeof(Q_ux[t]));
-      std::memcpy(Q_uu[t], at.H_uu[t], sizeof(Q_uu[t]));
-      add_transposed_apply<n, n>(at.A[t], V_x, Q_x);
-      add_transposed_apply<n, m>(at.B[t], V_x, Q_u[t]);
-      product<n, n, n>(V_xx, at.A[t], VA);
-      product<n, n, m>(V_xx, at.B[t], VB);
-      add_transposed_product<n, n, n>(at.A[t], VA, Q_xx);
-      add_transposed_product<n, m, n>(at.B[t], VA, Q_ux[t]);
-      add_transposed_product<n, m, m>(at.B[t], VB, Q_uu[t]);
-      for (int i = 0; i < m; ++i) is_free[i] = side[t][i] == 0;
-      if (!definite_inverse<m>(Q_uu[t], is_free, inverse)) return false;
-      for (int i = 0; i < m; ++i) k[t][i] = side[t][i] ? at.box[side[t][i] > 0][i] - at.u[t][i] : Real(0);
-      std::memcpy(rest, Q_u[t], sizeof(rest));
-      add_product<m, m>(Q_uu[t], k[t], rest);
-      product<m, m, n>(inverse, Q_ux[t], product_);
-      for (int i = 0; i < m * n; ++i) K[t][i] = -product_[i];
-      for (int i = 0; i < m; ++i)
-        for (int j = 0; j < m; ++j) k[t][i] -= inverse[i * m + j] * rest[j];
-      std::memcpy(V_x, Q_x, sizeof(V_x));
-      add_transposed_apply<m, n>(Q_ux[t], k[t], V_x);
-      std::memcpy(V_xx, Q_xx, sizeof(V_xx));
-      add_transposed_product<m, n, n>(Q_ux[t], K[t], V_xx);
-      make_symmetric<n>(V_xx);
-    }
-    return true;
+  bool tied(int i) const { return !(box[0][i] < box[1][i]); }
+
+  // what the controls are held to, from where they and the gradient are
+  void guess_sides() {
+    for (int t = 0; t < T; ++t)
+      for (int i = 0; i < m; ++i) {
+        const Pack low = Pack{} + box[0][i], high = Pack{} + box[1][i], g = gradient[t][i];
+        const Pack above = (u[t][i] >= high) & (g < Pack{}) ? Pack{} + 1 : Pack{};
+        side[t][i] = tied(i) ? Pack{} + 1 : (u[t][i] <= low) & (g > Pack{}) ? Pack{} - 1 : above;
+      }
   }
 
-  // the changes, and which sides they ask for; the number of contradictions and the last of them
-  template <class S>
-  int contradictions(const S& at, int (&wanted)[T][m], int& last) {
-    int number = 0;
-    Real dx[n] = {};
-    for (int t = 0; t < T; ++t) {
-      std::memcpy(change[t], k[t], sizeof(k[t]));
-      add_product<m, n>(K[t], dx, change[t]);
-      Real slope[m], next[n] = {};
-      std::memcpy(slope, Q_u[t], sizeof(slope));
-      add_product<m, m>(Q_uu[t], change[t], slope);
-      add_product<m, n>(Q_ux[t], dx, slope);
+  // stages up to `last` for the sides
+  void refactor(int last) {
+    if (last == T - 1) this->begin();
+    for (int t = last; t >= 0; --t) {
+      Pack is_free[m], fixed[m];
       for (int i = 0; i < m; ++i) {
-        const Real moved = at.u[t][i] + change[t][i];
-        const int now = side[t][i];
-        if (now)
-          wanted[t][i] = now * slope[i] > 0 ? 0 : now;
-        else
-          wanted[t][i] = moved < at.box[0][i] ? -1 : moved > at.box[1][i] ? 1 : 0;
-        if (wanted[t][i] == now) continue;
-        ++number;
-        last = t * m + i;
+        is_free[i] = side[t][i] == Pack{} ? Pack{} + 1 : Pack{};
+        const Pack above = side[t][i] > Pack{} ? Pack{} + box[1][i] : Pack{};
+        fixed[i] = side[t][i] < Pack{} ? Pack{} + box[0][i] : above;
       }
-      add_product<n, n>(at.A[t], dx, next);
-      add_product<n, m>(at.B[t], change[t], next);
-      std::memcpy(dx, next, sizeof(dx));
+      this->factor(t, is_free, nullptr);
+      this->offset(t, fixed);
+      std::memcpy(factored[t], side[t], sizeof(side[t]));
+    }
+    is_factored = true;
+  }
+
+  // the recursion that belongs to the sides, after another problem or box too
+  void renew(bool all_new) {
+    if (all_new) is_factored = is_definite = false;
+    if (!is_definite) {
+      Pack kept[T][m];
+      std::memcpy(kept, side, sizeof(kept));
+      std::memset(side, 0, sizeof(side));
+      refactor(T - 1);
+      convex = pivots[0] > Pack{} ? Pack{} + 1 : Pack{};
+      std::memcpy(side, kept, sizeof(kept));
+      is_definite = true;
+    }
+    refactor(last_other(true));
+  }
+
+  // the last stage with another set, -1 if there is none; `bounds`: bounds may be others too
+  int last_other(bool bounds) const {
+    if (!is_factored) return T - 1;
+    for (int t = T - 1; t >= 0; --t)
+      for (int i = 0; i < m; ++i) {
+        const Mask other = side[t][i] != factored[t][i];
+        if (any(bounds ? other | (side[t][i] != Pack{}) : other)) return t;
+      }
+    return -1;
+  }
+
+  // states and controls, and the sides they ask for; the number of contradictions and the last of them
+  Pack contradictions(Pack (&wanted)[T][m], Pack& last) {
+    Pack number = {};
+    for (int t = 0; t < T; ++t) {
+      Pack slope[m];
+      std::memcpy(u[t], k[t], sizeof(k[t]));
+      lane_apply<m, n>(K[t], x[t], u[t]);
+      std::memcpy(slope, Q_u[t], sizeof(slope));
+      lane_apply<m, m>(Q_uu[t], u[t], slope);
+      lane_apply<m, n>(Q_ux[t], x[t], slope);
+      for (int i = 0; i < m; ++i) {
+        const Pack now = side[t][i], over = u[t][i] > Pack{} + box[1][i] ? Pack{} + 1 : Pack{};
+        const Pack outside = u[t][i] < Pack{} + box[0][i] ? Pack{} - 1 : over;
+        const Pack pulled = now * slope[i] > Pack{} ? Pack{} : now;
+        wanted[t][i] = tied(i) ? now : now == Pack{} ? outside : pulled;
+        const Mask other = wanted[t][i] != now;
+        number += other ? Pack{} + 1 : Pack{};
+        last = other ? Pack{} + Real(t * m + i) : last;
+      }
+      this->advance(t);
     }
     return number;
   }
 
-  // the number of recursions, from the sides as they are; if `found`, `change` leads to the solution
-  template <class S>
-  int operator()(const S& at) {
-    int wanted[T][m], fewest = T * m + 1, last = 0;
-    bool patient = true;
-    found = false;
-    for (int tried = 1; tried <= MOST; ++tried) {
-      if (!recursion(at)) return tried;
-      const int number = contradictions(at, wanted, last);
-      if (number == 0) {
-        found = true;
-        return tried;
+  void exchange(const Pack (&wanted)[T][m], const Mask& all, const Mask& given_up, const Pack& last) {
+    for (int t = 0; t < T; ++t)
+      for (int i = 0; i < m; ++i) {
+        const Mask taken = (all | (last == Pack{} + Real(t * m + i))) & ~given_up;
+        side[t][i] = taken ? wanted[t][i] : side[t][i];
       }
-      const bool fewer = number < fewest;
-      if (fewer || patient)
-        std::memcpy(side, wanted, sizeof(side));
-      else
-        side[last / m][last % m] = wanted[last / m][last % m];
-      if (tried == 1 && number > HOPELESS * T * m) return tried;
-      fewest = std::min(fewest, number);
-      patient = fewer;
+  }
+
+  // sides from a roll-out of the policies that keeps to the box, for lanes whose guess is hopeless
+  void project(const Mask& hopeless) {
+    Pack kept[T][m];
+    std::memcpy(kept, side, sizeof(kept));
+    for (int t = 0; t < T; ++t) {
+      std::memcpy(u[t], k[t], sizeof(k[t]));
+      lane_apply<m, n>(K[t], x[t], u[t]);
+      for (int i = 0; i < m; ++i) u[t][i] = between(u[t][i], box[0][i], box[1][i]);
+      this->advance(t);
     }
-    return MOST;
+    this->gradients();
+    guess_sides();
+    for (int t = 0; t < T; ++t)
+      for (int i = 0; i < m; ++i) side[t][i] = hopeless ? side[t][i] : kept[t][i];
+  }
+
+  // the number of recursions, from the sides as they are; lanes that are `found` stand at their solution
+  int pivot(int most, int patience) {
+    Pack wanted[T][m], fewest = Pack{} + Real(T * m + 1), last = {};
+    Mask patient = ~Mask{}, given_up = Mask{};
+    found = Mask{};
+    for (int tried = 1;; ++tried) {
+      const Pack number = contradictions(wanted, last);
+      guesses = found ? guesses : Pack{} + Real(tried);
+      found = number == Pack{};
+      const Mask hopeless = number > Pack{} + HOPELESS * T * m;
+      if (tried >= patience) given_up |= hopeless;
+      if (tried == most || !any(~found & ~given_up)) return tried;
+      const Mask fewer = number < fewest;
+      exchange(wanted, fewer | patient, given_up, last);
+      if (tried < patience && any(hopeless)) project(hopeless);
+      fewest = least(fewest, number);
+      patient = fewer;
+      refactor(last_other(false));
+    }
   }
 };
 

@@ -29,7 +29,13 @@ from diffstack_mmv.control.native.generation import (
 )
 from diffstack_mmv.control.native.lowering import CannotLowerError
 from diffstack_mmv.control.native.repetition import with_sums
-from diffstack_mmv.control.native.rows import BatchRecorder, TakenBatch, from_rows, in_rows
+from diffstack_mmv.control.native.rows import (
+    BatchRecorder,
+    TakenBatch,
+    forms_of,
+    from_rows,
+    in_rows,
+)
 from diffstack_mmv.control.native.solver import (
     LONGEST_SOURCE,
     MOST_LIBRARIES,
@@ -167,16 +173,16 @@ class _Prices(torch.autograd.Function):
         parameters = in_rows(batch.taken, tensors, len(states), states)
         costs = states.new_empty(states.shape[:3])
         library.dmmv_prices(*_counts(states), *pointers(parameters, states, controls, costs))
-        ctx.library, ctx.sizes = library, [one.numel() for one in batch.taken.parameters]
-        ctx.save_for_backward(parameters, states, controls, *tensors)
+        sizes = [one.numel() for one in batch.taken.parameters]
+        ctx.library, ctx.forms = library, forms_of(tensors, sizes, ctx.needs_input_grad[4:])
+        ctx.save_for_backward(parameters, states, controls)
         return costs
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
-        parameters, states, controls, *tensors = ctx.saved_tensors
+        parameters, states, controls = ctx.saved_tensors
         by_parameters = torch.empty_like(parameters)
         given = parameters, states, controls, slope.contiguous(), by_parameters
         ctx.library.dmmv_prices_adjoint(*_counts(states), *pointers(*given))
-        wanted = ctx.needs_input_grad[4:]
-        return None, None, None, None, *from_rows(by_parameters, tensors, ctx.sizes, wanted)
+        return None, None, None, None, *from_rows(by_parameters, ctx.forms)

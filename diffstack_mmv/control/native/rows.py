@@ -1,6 +1,7 @@
 """Problems of a batch as rows of numbers: the first one is taken down, and holds for all."""
 
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import torch
@@ -87,21 +88,37 @@ def in_rows(
     return torch.cat(rows, 1)
 
 
-def from_rows(
-    rows: Float[Tensor, "count P"],
-    tensors: Sequence[Tensor],
-    sizes: Sequence[int],
-    wanted: Sequence[bool],
-) -> list[Tensor | None]:
-    """Slopes of the parameters where they are wanted; of a shared one the sum over the problems."""
+class Form(NamedTuple):
+    """What a slope of a tensor looks like; without it nobody has to keep the tensor."""
+
+    shape: torch.Size
+    dtype: torch.dtype
+    first: int  # place of its first number in a row
+    size: int  # numbers of it in a row
+
+
+def forms_of(
+    tensors: Sequence[Tensor], sizes: Sequence[int], wanted: Sequence[bool]
+) -> list[Form | None]:
+    """Forms of the tensors whose slopes are wanted."""
+    places = accumulate(sizes, initial=0)
+    return [
+        Form(each.shape, each.dtype, first, size) if is_wanted else None
+        for each, first, size, is_wanted in zip(tensors, places, sizes, wanted, strict=False)
+    ]
+
+
+def from_rows(rows: Float[Tensor, "count P"], forms: Sequence[Form | None]) -> list[Tensor | None]:
+    """Slopes of the parameters that have a form; of a shared one the sum over the problems."""
+    wanted = [form for form in forms if form is not None]
+    is_shared = any(form.shape.numel() != len(rows) * form.size for form in wanted)
+    total = rows.sum(0, keepdim=True) if is_shared else rows
     slopes: list[Tensor | None] = []
-    first = 0
-    for each, size, is_wanted in zip(tensors, sizes, wanted, strict=True):
-        slope = None
-        if is_wanted:
-            part = rows[:, first : first + size]
-            whole = part if each.numel() == part.numel() else part.sum(0)
-            slope = whole.reshape(each.shape).to(each.dtype)
-        slopes.append(slope)
-        first += size
+    for form in forms:
+        if form is None:
+            slopes.append(None)
+            continue
+        source = rows if form.shape.numel() == len(rows) * form.size else total
+        slope = source[:, form.first : form.first + form.size].reshape(form.shape)
+        slopes.append(slope if slope.dtype == form.dtype else slope.to(form.dtype))
     return slopes

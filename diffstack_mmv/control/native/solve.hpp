@@ -14,7 +14,14 @@ void dmmv_solve(long count, long threads, const Real* parameters, const Real* bo
                 const dmmv::Settings* settings, Real* x, Real* u, Real* cost, Real* residual, long* iterations,
                 long* status) {
   using P = Problem;
+  std::fill(status, status + count, long(dmmv::OPEN));
+#ifdef DMMV_LINEAR_QUADRATIC
+  if (dmmv::fits_lanes<P>)
+    dmmv::solve_linear_quadratic<P>(count, threads, parameters, bounds, state, controls, *settings,
+                                    {x, u, cost, residual, iterations, status});
+#endif
   dmmv::for_each(count, threads, [=](long i) {
+    if (status[i] != dmmv::OPEN) return;
     thread_local dmmv::Solver<P> solver;
     solver.prepare(parameters + i * P::PARAMETERS, bounds);
     solver.solve(state + i * P::n, controls + i * P::T * P::m, *settings);

@@ -7,7 +7,6 @@
 #include <time.h>
 #endif
 
-#include "pivoting.hpp"
 #include "stage.hpp"
 
 namespace dmmv {
@@ -89,16 +88,17 @@ struct Solver {
         for (int i = 0; i < m; ++i) change += std::fabs(u[t][i] * c_u[t][i]);
     }
     noise = std::numeric_limits<Real>::epsilon() * (magnitude + change);
-    for (int t = 0; t < T; ++t) step_jacobian<P>(x[t], u[t], q_step, A[t], B[t]);
     std::memcpy(costate[T - 1], c_x[T], sizeof(costate[0]));
-    for (int t = T - 1; t > 0; --t) {
-      std::memcpy(costate[t - 1], c_x[t], sizeof(costate[0]));
-      add_transposed_apply<n, n>(A[t], costate[t], costate[t - 1]);
-    }
-    for (int t = 0; t < T; ++t) {
-      if (with_curvature) add_step_hessian<P>(x[t], u[t], costate[t], q_step, H_xx[t], H_ux[t], H_uu[t]);
+    for (int t = T - 1; t >= 0; --t) {
+      if (with_curvature)
+        step_model<P>(x[t], u[t], costate[t], q_step, A[t], B[t], H_xx[t], H_ux[t], H_uu[t]);
+      else
+        step_jacobian<P>(x[t], u[t], q_step, A[t], B[t]);
       std::memcpy(gradient[t], c_u[t], sizeof(gradient[0]));
       add_transposed_apply<n, m>(B[t], costate[t], gradient[t]);
+      if (t == 0) continue;
+      std::memcpy(costate[t - 1], c_x[t], sizeof(costate[0]));
+      add_transposed_apply<n, n>(A[t], costate[t], costate[t - 1]);
     }
   }
 
@@ -284,33 +284,10 @@ struct Solver {
     status = is_finite ? OPEN : NOT_FINITE;
   }
 
-  // goes to the solution of a linear-quadratic problem, if it is found; the local model is that of where it stands
-  void jump() {
-    static thread_local Pivoting<P> pivoting;
-    for (int t = 0; t < T; ++t)
-      for (int i = 0; i < m; ++i) pivoting.side[t][i] = held(t, i) ? (u[t][i] <= box[0][i] ? -1 : 1) : 0;
-    iterations += pivoting(*this);
-    if (!pivoting.found) return;
-    const Real damping_before = damping, cost_before = cost;
-    const int iterations_before = iterations;
-    Real state[n], before[T][m], controls[T][m];
-    std::memcpy(state, x[0], sizeof(state));
-    std::memcpy(before, u, sizeof(before));
-    for (int t = 0; t < T; ++t)
-      for (int i = 0; i < m; ++i) controls[t][i] = clipped(u[t][i] + pivoting.change[t][i], box[0][i], box[1][i]);
-    start(state, controls[0]);
-    if (!(cost <= cost_before)) start(state, before[0]);
-    damping = damping_before;
-    iterations = iterations_before;
-    expand(false);
-  }
-
   void solve(const Real* state, const Real* controls, const Settings& settings) {
     start(state, controls);
-    for (int i = 0; iterations < settings.max_iterations && status == OPEN; ++i) {
+    while (iterations < settings.max_iterations && status == OPEN) {
       expand(settings.curvature == 0 || near_);
-      if constexpr (P::LINEAR_QUADRATIC)
-        if (i == 0) jump();
       policy();
       attempt(settings);
     }

@@ -21,7 +21,7 @@ from diffstack_mmv.control.iteration import Settings
 from diffstack_mmv.control.native.capture import Taken, Trajectory
 from diffstack_mmv.control.native.generation import source
 from diffstack_mmv.control.native.lowering import CannotLowerError
-from diffstack_mmv.control.native.rows import BatchRecorder, from_rows, in_rows
+from diffstack_mmv.control.native.rows import BatchRecorder, forms_of, from_rows, in_rows
 from diffstack_mmv.control.native.stages import StagedProblem
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.selection import Batched, is_shared
@@ -229,22 +229,22 @@ class _Solve(torch.autograd.Function):
         results = x, u, cost, residual, iterations, status
         call = library(problem, "solve", state.dtype).dmmv_solve
         call(*_counts(count), *pointers(*given), ctypes.byref(record), *pointers(*results))
-        ctx.problem, ctx.sizes = problem, [one.numel() for one in taken.parameters]
-        ctx.save_for_backward(parameters, box, x, u, status, *tensors)
+        sizes = [one.numel() for one in taken.parameters]
+        ctx.problem, ctx.forms = problem, forms_of(tensors, sizes, ctx.needs_input_grad[4:])
+        ctx.save_for_backward(parameters, box, x, u, status)
         ctx.mark_non_differentiable(residual, iterations, status)
         return results
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor | None, ...]:
-        parameters, box, x, u, status, *tensors = ctx.saved_tensors
+        parameters, box, x, u, status = ctx.saved_tensors
         valid = status == SolverStatus.CONVERGED
         by_parameters, by_state = torch.empty_like(parameters), torch.empty_like(x[:, 0])
         given = parameters, box, x, u, valid, *(each.contiguous() for each in slopes[:3])
         call = library(ctx.problem, "adjoint", x.dtype).dmmv_adjoint
         call(*_counts(len(x)), *pointers(*given), *pointers(by_parameters, by_state))
-        wanted = ctx.needs_input_grad[4:]
-        return None, None, by_state, None, *from_rows(by_parameters, tensors, ctx.sizes, wanted)
+        return None, None, by_state, None, *from_rows(by_parameters, ctx.forms)
 
 
 @functools.cache

@@ -62,14 +62,32 @@ inline void step_jacobian(const Real* x, const Real* u, const Real* q, Real* A, 
 template <class P>
 inline void add_step_hessian(const Real* x, const Real* u, const Real* l, const Real* q, Real* xx, Real* ux, Real* uu) {
   constexpr int n = P::n, m = P::m, k = n + m;
-  Real H[k * k] = {}, g[k];
+  Real H[(k + n) * k] = {}, g[k + n];
   if constexpr (P::HESSIAN_WRITTEN) {
     P::step_hessian(x, u, l, q, H);
     return add_blocks<n, m>(H, xx, ux, uu);
   }
   auto f = [&](const auto* x, const auto* u, auto* y) { P::step_gradient(x, u, l, q, y); };
-  columns<n, m, k>(x, u, P::step_active, P::STEP_ACTIVE, f, g, H);
+  columns<n, m, k + n>(x, u, P::step_active, P::STEP_ACTIVE, f, g, H);
   add_blocks<n, m>(H, xx, ux, uu);
+}
+
+// A, B and the Hessian: what differentiates the gradient of l . f differentiates f as well
+template <class P>
+inline void step_model(const Real* x, const Real* u, const Real* l, const Real* q, Real* A, Real* B, Real* xx, Real* ux,
+                       Real* uu) {
+  constexpr int n = P::n, m = P::m, k = n + m;
+  if constexpr (P::HESSIAN_WRITTEN || P::JACOBIAN_WRITTEN) {
+    step_jacobian<P>(x, u, q, A, B);
+    add_step_hessian<P>(x, u, l, q, xx, ux, uu);
+    return;
+  }
+  Real H[(k + n) * k] = {}, g[k + n];
+  std::memcpy(H + k * k, P::step_constant, sizeof(Real) * n * k);
+  auto f = [&](const auto* x, const auto* u, auto* y) { P::step_gradient(x, u, l, q, y); };
+  columns<n, m, k + n>(x, u, P::step_active, P::STEP_ACTIVE, f, g, H);
+  add_blocks<n, m>(H, xx, ux, uu);
+  split_jacobian<n, m>(H + k * k, A, B);
 }
 
 // cost of one time, its gradient and its Hessian

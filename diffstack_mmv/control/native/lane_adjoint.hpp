@@ -1,0 +1,90 @@
+// Derivatives of the solutions of linear-quadratic problems, eight at a time.
+#pragma once
+#include "adjoint.hpp"
+#include "pivoting.hpp"
+
+namespace dmmv {
+
+// what `dmmv_adjoint` is called with
+struct Slopes {
+  long count;
+  const Real *parameters, *bounds, *x, *u;
+  const bool* valid;
+  const Real *g_x, *g_u, *g_cost;
+  Real *g_parameters, *g_state;
+};
+
+template <class P>
+struct LaneAdjoint : Pivoting<P> {
+  static constexpr int n = P::n, m = P::m, T = P::T;
+  static constexpr int rows = (T + 1) * n, entries = T * m;
+  using Base = Pivoting<P>;
+  using Base::x, Base::u, Base::dx, Base::du, Base::p, Base::V_xx, Base::costate;
+
+  Pack by_x[T + 1][n], by_u[T][m];
+  Adjoint<P> scalar;
+  long prepared = 0;  // version of the problem that `scalar` has
+  Real weights[P::NUMBERS + 1];
+
+  void operator()(const Slopes& given, const long* problems, int count) {
+    bool all_new = false;
+    for (int lane = 0; lane < LANES; ++lane) {
+      const long i = problems[lane < count ? lane : 0];
+      all_new = this->load(lane, given.parameters + i * P::PARAMETERS) || all_new;
+      for (int j = 0; j < rows; ++j) x[0][j][lane] = given.x[i * rows + j];
+      for (int j = 0; j < entries; ++j) u[0][j][lane] = given.u[i * entries + j];
+      for (int j = 0; j < rows; ++j) by_x[0][j][lane] = -given.g_x[i * rows + j];
+      for (int j = 0; j < entries; ++j) by_u[0][j][lane] = -given.g_u[i * entries + j];
+    }
+    this->gradients();
+    this->guess_sides();
+    if (all_new) this->is_factored = false;
+    this->refactor(this->last_other(true));
+    this->template correct<true>(by_u, by_x);
+    for (int t = 0; t < T; ++t) lane_apply<n, n>(V_xx[t + 1], dx[t + 1], p[t + 1]);
+    for (int lane = 0; lane < count; ++lane) put_out(given, problems[lane], lane);
+  }
+
+  static void get(int lane, const Pack* from, Real* to, int number) {
+    for (int i = 0; i < number; ++i) to[i] = from[i][lane];
+  }
+
+  void put_out(const Slopes& given, long i, int lane) {
+    const Real* own = given.parameters + i * P::PARAMETERS;
+    Real* by_state = given.g_state + i * n;
+    this->fetch(own);
+    if (prepared != this->version) scalar.prepare(own, given.bounds);
+    prepared = this->version;
+    std::memcpy(scalar.x, given.x + i * rows, sizeof(Real) * rows);
+    std::memcpy(scalar.u, given.u + i * entries, sizeof(Real) * entries);
+    get(lane, dx[0], scalar.dx[0], rows);
+    get(lane, du[0], scalar.du[0], entries);
+    get(lane, costate[1], scalar.costate[0], T * n);
+    get(lane, p[1], scalar.dl[0], T * n);
+    std::memset(scalar.du[T], 0, sizeof(scalar.du[T]));
+    std::memset(weights, 0, sizeof(weights));
+    scalar.weigh(given.g_cost[i], weights);
+    P::prelude_adjoint(own, weights, given.g_parameters + i * P::PARAMETERS);
+    const Real* H_ux = this->one.H_ux[P::cost_alike[0]];
+    for (int j = 0; j < n; ++j) by_state[j] = given.g_x[i * rows + j] + given.g_cost[i] * costate[0][j][lane];
+    for (int k = 0; k < n; ++k)
+      for (int j = 0; j < n; ++j) by_state[j] -= this->one.A[k * n + j] * scalar.dl[0][k];
+    for (int k = 0; k < m; ++k)
+      for (int j = 0; j < n; ++j) by_state[j] -= H_ux[k * n + j] * scalar.du[0][k];
+  }
+};
+
+template <class P>
+void differentiate_linear_quadratic(const Slopes& given, long threads) {
+  std::vector<long> valid;
+  for (long i = 0; i < given.count; ++i)
+    if (given.valid[i]) valid.push_back(i);
+  const long number = long(valid.size());
+  for_each((number + LANES - 1) / LANES, threads, [&](long group) {
+    static thread_local LaneAdjoint<P> lanes;
+    std::memcpy(lanes.box, given.bounds, sizeof(lanes.box));
+    lanes(given, valid.data() + group * LANES, int(std::min(long(LANES), number - group * LANES)));
+  });
+}
+
+}  // namespace dmmv
