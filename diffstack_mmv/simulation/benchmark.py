@@ -59,6 +59,8 @@ class Chunk(NamedTuple):
     diagnosis: dict[str, Float[np.ndarray, " E"]]  # per case, what the controller tells of itself
     # per case and decision, what it expected and planned; on disk only, empty when read back
     thoughts: dict[str, Float[np.ndarray, "E S *d"]]
+    # per case, what pictures want to know: "goal" of the robot and "radius" of everybody in m
+    scene: dict[str, Float[np.ndarray, "E _"]]
 
 
 @dataclass
@@ -130,13 +132,15 @@ def _driven(method: Method, scenario: CaseSource, numbers: list[int], phase: str
     """DrivenEpisodes the cases as one batch."""
     controller = method.controller()
     timed = Timed(controller)
-    record, known = drive(method.world, scenario.cases(phase, numbers), timed)
+    scene = scenario.cases(phase, numbers)
+    record, known = drive(method.world, scene, timed)
     diagnose = getattr(controller, "diagnosis", None)
     shares = {} if diagnose is None else diagnose(known)
     told = {name: share.double().numpy() for name, share in shares.items()}
     think = getattr(controller, "thoughts", None)
     thoughts = {} if think is None else think(known)
-    return Chunk(numbers, record, np.array(timed.seconds), told, thoughts)
+    drawn = {"goal": scene.robot_goal.numpy(), "radius": scene.pedestrians.radius.numpy()}
+    return Chunk(numbers, record, np.array(timed.seconds), told, thoughts, drawn)
 
 
 def _write(file: Path, origin: Origin, chunk: Chunk) -> None:
@@ -152,6 +156,7 @@ def _write(file: Path, origin: Origin, chunk: Chunk) -> None:
     arrays["dt_s"] = record.dt_s
     arrays |= {f"diagnosis.{name}": value for name, value in chunk.diagnosis.items()}
     arrays |= {f"thoughts.{name}": value for name, value in chunk.thoughts.items()}
+    arrays |= {f"scene.{name}": value for name, value in chunk.scene.items()}
     unfinished = file.with_name(file.name + ".part")
     with unfinished.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
@@ -238,7 +243,12 @@ def _read(file: Path, origin: Origin | None) -> Chunk | None:
         for name, value in arrays.items()
         if name.startswith("diagnosis.")
     }
-    return Chunk(arrays["cases"].tolist(), record, arrays["step_s"], told, {})
+    scene = {
+        name.removeprefix("scene."): value
+        for name, value in arrays.items()
+        if name.startswith("scene.")
+    }
+    return Chunk(arrays["cases"].tolist(), record, arrays["step_s"], told, {}, scene)
 
 
 def _require_origin(file: Path, arrays: dict[str, np.ndarray], origin: Origin) -> None:

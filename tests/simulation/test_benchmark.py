@@ -45,6 +45,15 @@ def test_resumed_results_equal_fresh_ones(straight, scenario_of, tmp_path):
     assert summarise(chunks(straight, scenario_of("circle"), tmp_path)) == fresh
 
 
+def test_chunks_tell_goal_and_radii_for_pictures_also_when_read_back(
+    straight, scenario_of, tmp_path
+):
+    for _ in range(2):
+        first = chunks(straight, scenario_of("circle"), tmp_path)[0]
+        assert (first.scene["goal"] == [0.0, 4.0]).all()
+        assert (first.scene["radius"] == np.full((3, 5), 0.3)).all()
+
+
 @pytest.mark.parametrize(
     ("settings", "code", "humans", "told"),
     [

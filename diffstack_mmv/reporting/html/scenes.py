@@ -82,8 +82,8 @@ class Surroundings(NamedTuple):
     """What all episodes of a drive share."""
 
     dt_s: float
-    radius_m: float  # of a pedestrian
-    goal_m: tuple[float, float] | None
+    radius_m: float  # of a pedestrian, where the episodes do not tell
+    goal_m: tuple[float, float] | None  # as well
     footprint: Mapping[str, Any]  # as `actual_model` of closed_loop.json tells it
     controls: Sequence[str]  # their names
 
@@ -104,11 +104,14 @@ def driven_scene(
     place, heading = arrays["motion.position"][row, :end], arrays["motion.heading"][row, :end]
     robot = np.concatenate([place, heading[:, None]], 1)
     agents = arrays["pedestrians"][row, :end]
+    radii = np.full(agents.shape[1], around.radius_m)
+    radii = arrays["scene.radius"][row] if "scene.radius" in arrays else radii
+    goal = arrays["scene.goal"][row] if "scene.goal" in arrays else around.goal_m
     bodies = [{"name": "robot", "role": "robot", "path": plain(robot, 3), "shape": _shape(around)}]
     for number in np.flatnonzero(np.isfinite(agents).any((0, 2))):
         path = np.concatenate([agents[:, number], np.full((end, 1), np.nan)], 1)
         walked = {"name": f"pedestrian {number + 1}", "role": "agent", "path": plain(path, 3)}
-        bodies.append(walked | {"shape": {"radius": around.radius_m}})
+        bodies.append(walked | {"shape": {"radius": float(radii[number])}})
     series = [{"name": "clearance [m]", "values": plain(arrays["clearance"][row, :end], 3)}]
     speed = np.linalg.norm(arrays["motion.velocity"][row, :end], axis=-1)
     series.append({"name": "speed [m/s]", "values": plain(speed, 3)})
@@ -119,7 +122,7 @@ def driven_scene(
         "title": title,
         "times": plain(around.dt_s * np.arange(end)),
         "start": 0,
-        "goal": list(around.goal_m) if around.goal_m else None,
+        "goal": None if goal is None else plain(np.asarray(goal), 3),
         "bodies": bodies,
         "lines": [{"role": "robot", "points": plain(place, 3)}],
         "frames": [_thought(arrays, row, step) for step in range(end)],

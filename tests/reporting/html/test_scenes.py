@@ -1,8 +1,9 @@
 """Scenes of two drives in one picture."""
 
+import numpy as np
 import pytest
 
-from diffstack_mmv.reporting.html.scenes import GAP_M, side_by_side
+from diffstack_mmv.reporting.html.scenes import GAP_M, Surroundings, driven_scene, side_by_side
 
 
 def scene(steps, controls):
@@ -38,3 +39,22 @@ def test_the_second_drive_lies_to_the_right_and_the_shorter_one_waits(left, righ
     names = ["left: clearance", "right: clearance", "right: steer"]
     assert [series["name"] for series in both["series"]] == names
     assert all(len(series["values"]) == 5 for series in both["series"])
+
+
+@pytest.mark.parametrize("told", [True, False], ids=["of the case", "of the settings"])
+def test_goal_and_radii_of_a_drive_are_those_of_the_case_where_it_tells_them(told):
+    arrays = {
+        "steps": np.array([1]),
+        "motion.position": np.zeros((1, 2, 2)),
+        "motion.heading": np.zeros((1, 2)),
+        "motion.velocity": np.zeros((1, 2, 2)),
+        "pedestrians": np.ones((1, 2, 2, 2)),
+        "controls": np.zeros((1, 1, 2)),
+        "clearance": np.ones((1, 2)),
+    }
+    if told:
+        arrays |= {"scene.goal": np.array([[3.0, 1.0]]), "scene.radius": np.array([[0.3, 0.5]])}
+    shown = driven_scene("case 0", arrays, 0, Surroundings(0.25, 0.4, (0.0, 4.0), {}, ()))
+    assert shown["goal"] == ([3.0, 1.0] if told else [0.0, 4.0])
+    radii = [body["shape"]["radius"] for body in shown["bodies"] if body["role"] == "agent"]
+    assert radii == ([0.3, 0.5] if told else [0.4, 0.4])
