@@ -45,7 +45,7 @@ test-all: install ## All tests that need no GPU, slow ones included
 results: install ## The paper's table; SIZE=small|full, RAW=folder with one folder of recordings per data set
 	$(BIN)/python scripts/results.py size=$(SIZE) raw=$(RAW)
 
-tables: install  ## A table of closed-loop drives; TABLE=crowdnav|paper|ablation|published|dense|robustness, JOBS=processes
+tables: install  ## A table of closed-loop drives; TABLE=crowdnav|paper|ablation|published|dense|robustness|recorded, JOBS=processes
 	$(BIN)/python scripts/closed_loop_table.py table=$(TABLE) launcher.processes=$(JOBS)
 
 $(DOCS)/.installed: requirements-docs.lock

@@ -8,6 +8,7 @@ start of its first roll-out on. The estimator knows no more than a history does,
 """
 
 import argparse
+import sys
 import time
 from functools import partial
 
@@ -24,13 +25,13 @@ from diffstack_mmv.data import (
 from diffstack_mmv.dynamics.catalogue import model_of
 from diffstack_mmv.identification.measured import (
     EgoEstimator,
-    EgoMeasurement,
     MeasuredStudy,
     held_out_errors,
     measured_rides,
 )
 from diffstack_mmv.identification.measured.parts import FinishedParts
 from diffstack_mmv.identification.measured.validation import folds_by, session_of
+from diffstack_mmv.types import EgoMeasurement
 from diffstack_mmv.vehicles import load_vehicle
 
 POSE, COASTING = 3, 2
@@ -56,6 +57,8 @@ def errors_of_ride(estimator, ride, windows, history):
     """ADE of every window of a ride by the position at which its roll-out begins."""
     starts = {tuple(origin): index for index, origin in enumerate(windows.origin.tolist())}
     begins = [step for step, place in enumerate(ride.position.tolist()) if tuple(place) in starts]
+    if not begins:  # a piece of the recording too short for a roll-out
+        return {}
     driven = estimator.priors.freewheel(False)[0].unsqueeze(0)
     found, horizon = {}, estimator.init(measurement(ride, begins[0]))
     for step in range(begins[0] + 1, begins[-1] + history + 1):
@@ -108,6 +111,7 @@ def main():
                 continue
             fold = folds[sorted(rollouts.names).index(ride.recording)]
             part = rollouts.select(rollouts.recording == number)
+            print(ride.name, len(found), round(time.process_time() - begin), file=sys.stderr)
             shared, priors = fit.shared_without(fold), fit.instruments.priors(fold)
             estimator = EgoEstimator(simulator, shared, priors, history, gyro)
             found += errors_of_ride(estimator, ride, part, history).values()

@@ -50,6 +50,29 @@ class Motion(NamedTuple):
     yaw_rate: Float[Tensor, "*b"]  # rad/s
 
 
+class EgoMeasurement(NamedTuple):
+    """What a vehicle measured of itself at the end of a step, and on average in it."""
+
+    position: Float[Tensor, "*b 2"]  # m, of the antenna
+    known: Bool[Tensor, "*b"]  # whether there was a position
+    steer: Float[Tensor, "*b"]  # rad
+    speed: Float[Tensor, "*b"]  # m/s
+    yaw_rate: Float[Tensor, "*b"]  # rad/s, NaN without gyro
+
+
+class EgoEstimate(NamedTuple):
+    """What is believed of a vehicle now.
+
+    `instruments` are steering offset (rad) and scale, speed scale, delay (s): the true steering is
+    scale times the measured one plus the offset.
+    """
+
+    state: Float[Tensor, "*b n"]  # of the model
+    motion: Motion  # of the model's reference point
+    instruments: Float[Tensor, "*b 4"]
+    instruments_std: Float[Tensor, "*b 4"]
+
+
 class Tracks(NamedTuple):
     """Observed agents."""
 

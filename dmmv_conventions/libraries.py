@@ -7,6 +7,7 @@ import os
 import platform
 import subprocess
 import tempfile
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -106,6 +107,19 @@ def _require_own(path: Path) -> None:
     for place in (path, path.parent, path.parents[1]):
         if place.stat().st_uid not in (ADMINISTRATOR, os.geteuid()):
             raise CannotBuildError(f"{place} belongs to another user")
+
+
+def header(package: str, name: str) -> str:
+    """A header of a package as a part of a source, without its own inclusions.
+
+    `load` finds libraries by their whole source, so that one is built again when a header changes.
+
+    Args:
+        package: Where it stands.
+        name: Its name without its ending.
+    """
+    lines = files(package).joinpath(f"{name}.hpp").read_text().splitlines()
+    return "\n".join(line for line in lines if not line.startswith(('#include "', "#pragma once")))
 
 
 def pointers(*tensors: Tensor) -> list[Any]:

@@ -39,7 +39,7 @@ def main(config: DictConfig) -> None:
     import torch
 
     from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
-    from diffstack_mmv.plotting import save_stories
+    from diffstack_mmv.plotting import CaseStart, save_stories
     from diffstack_mmv.reporting import paired_cases, paired_with_run, write_closed_loop
     from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.simulation import (
@@ -84,12 +84,15 @@ def main(config: DictConfig) -> None:
     pairs += [paired_with_run(result, Path(folder)) for folder in config.against]
     write_closed_loop(out, result, rows, CLOSED_LOOP, published, pairs)
     records = [chunk.record for chunk in chunks]
-    radius_m = scenario.pedestrian_radius_m
     outline = world.robot.footprint.outline()
     told = partial(read_thoughts, out / "episodes" / config.names.controller)
+
+    def start(case: int) -> CaseStart:
+        return CaseStart(*scenario.case(config.phase, case).radii_and_goal())
+
     save_stories(
-        out, numbers, records, radius_m, config.animate, scenario.goal_m, config.show, outline,
-        told, config.movie,
+        out, numbers, records, start, config.animate, config.show, outline, told,
+         config.movie, world.robot.model.Control._fields,
     )  # fmt: skip
     _tell_times(result)
     if config.get("wandb"):

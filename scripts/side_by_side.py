@@ -27,6 +27,7 @@ def check(config: DictConfig) -> None:
 def main(config: DictConfig) -> None:
     """Write a picture and a moving picture of every case."""
     from diffstack_mmv.plotting import (
+        CaseStart,
         Episode,
         draw_side_by_side,
         episode_of,
@@ -43,8 +44,8 @@ def main(config: DictConfig) -> None:
         scenario, robot = instantiate(settings.scenario), instantiate(settings.robot)
         record, row = read_episode(run, case)
         outline = robot.footprint.outline()
-        radius_m = scenario.pedestrian_radius_m
-        drawn = episode_of(record, row, case, radius_m, scenario.goal_m, outline)
+        start = CaseStart(*scenario.case(settings.phase, case).radii_and_goal())
+        drawn = episode_of(record, row, case, start, outline)
         return drawn._replace(thoughts=read_thoughts(run, case))
 
     for case in config.cases:

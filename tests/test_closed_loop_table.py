@@ -46,8 +46,10 @@ def test_every_row_of_every_table_can_be_named_and_compared(name):
         assert set(driven) <= rows
 
 
-def test_every_place_of_the_disturbances_is_a_setting_of_navigate():
-    told = OmegaConf.load(config_folder() / "table" / "robustness.yaml")
+@pytest.mark.parametrize("name", ["robustness", "recorded"])
+def test_every_place_is_a_setting_of_navigate(name):
+    loaded = OmegaConf.load(config_folder() / "table" / f"{name}.yaml")
+    told = OmegaConf.create({"table": loaded}).table
     with initialize_config_dir(str(config_folder()), version_base="1.3"):
         for place in told.places.values():
             compose("navigate", [*told.settings, *place])

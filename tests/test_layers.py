@@ -67,6 +67,7 @@ CONVENTIONS = {
     "vehicles": {"dmmv_conventions.configs", "dmmv_conventions.yaml_files"},
     "stack": {
         "dmmv_conventions.checkpoints",
+        "dmmv_conventions.memory",
         "dmmv_conventions.pretrained",
         "dmmv_conventions.targets",
     },

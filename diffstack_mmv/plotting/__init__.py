@@ -9,7 +9,7 @@ with needs("stack", "diffstack_mmv.plotting"):
         save_side_by_side,
     )
     from diffstack_mmv.plotting.closed_loop import save_stories
-    from diffstack_mmv.plotting.episodes import Episode, draw_episode, episode_of
+    from diffstack_mmv.plotting.episodes import CaseStart, Episode, draw_episode, episode_of
     from diffstack_mmv.plotting.excitation import draw_by_excitation, save_by_excitation
     from diffstack_mmv.plotting.figures import save_figure
     from diffstack_mmv.plotting.horizon import draw_error_over_horizon
@@ -29,6 +29,7 @@ with needs("stack", "diffstack_mmv.plotting"):
     from diffstack_mmv.plotting.reliability import draw_reliability
 
 __all__ = [
+    "CaseStart",
     "Episode",
     "Estimate",
     "FittedTrack",

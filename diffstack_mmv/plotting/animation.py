@@ -18,6 +18,7 @@ from diffstack_mmv.plotting.episodes import (
     draw_outlines,
     draw_paths,
     draw_thoughts,
+    legend_of,
     set_range,
     told,
 )
@@ -26,6 +27,8 @@ from diffstack_mmv.types import EpisodeRecord
 from dmmv_conventions.extras import needs
 
 FORMATS = (".gif", ".mp4")
+UNITS = {"acceleration": "m/s²", "steer": "rad", "yaw_rate": "rad/s"}
+"""Of the controls that have a name."""
 
 
 def save_animation(episode: Episode, path: Path) -> None:
@@ -41,12 +44,13 @@ def save_animation(episode: Episode, path: Path) -> None:
     Raises:
         ValueError: The path ends otherwise.
     """
-    figure = new_figure(8.5, 4.5)
+    figure = new_figure(8.5, 4.8)
     places = figure.add_gridspec(2, 2, width_ratios=(1.4, 1.0))
-    axes = figure.add_subplot(places[:, 0])
-    above, below = figure.add_subplot(places[0, 1]), figure.add_subplot(places[1, 1])
+    axes, above = figure.add_subplot(places[:, 0]), figure.add_subplot(places[0, 1])
+    below = figure.add_subplot(places[1, 1], sharex=above)
     record = episode.record
-    cursors = _curves(above, below, record)
+    cursors = draw_curves(above, below, episode)
+    _explain(figure, [episode])
     show = _frame(axes, episode, "")
 
     def step(number: int) -> list[Any]:
@@ -80,20 +84,22 @@ def save_side_by_side(names: Sequence[str], episodes: Sequence[Episode], path: P
     Raises:
         ValueError: The path ends otherwise.
     """
-    figure = new_figure(4.6 * len(episodes), 6.2)
+    figure = new_figure(4.6 * len(episodes), 6.5)
     places = figure.add_gridspec(2, len(episodes), height_ratios=(3.2, 1.0))
-    dt_s, shows, cursors = episodes[0].record.dt_s, [], []
-    frames = max(len(episode.record.clearance) for episode in episodes)
+    dt_s, shows, cursors, below = episodes[0].record.dt_s, [], [], None
+    ends = [len(episode.record.clearance) - 1 for episode in episodes]
+    frames = max(ends) + 1
+    _explain(figure, episodes)
     for column, (name, episode) in enumerate(zip(names, episodes, strict=True)):
         shows.append(_frame(figure.add_subplot(places[0, column]), episode, f"{name}\n"))
-        below = figure.add_subplot(places[1, column])
+        below = figure.add_subplot(places[1, column], sharex=below, sharey=below)
         cursors.append(_clearance(below, episode.record))
-        below.set_xlim(0, frames * dt_s)
+        below.set_xlim(0, max(ends) * dt_s)
         below.set_xlabel("time [s]")
 
     def step(number: int) -> list[Any]:
-        for cursor in cursors:
-            cursor.set_xdata([number * dt_s] * 2)
+        for cursor, end in zip(cursors, ends, strict=True):
+            cursor.set_xdata([min(number, end) * dt_s] * 2)
         return [artist for show in shows for artist in show(number)]
 
     _write(figure, step, frames, dt_s, path)
@@ -146,12 +152,30 @@ def _save(animation: FuncAnimation, path: Path, writer: AbstractMovieWriter) -> 
     animation.save(path, writer=writer, dpi=90)
 
 
-def _curves(above: Axes, below: Axes, record: EpisodeRecord) -> list[Line2D]:
-    """Clearance and controls over time; the cursors in both pictures."""
-    time = record.dt_s * torch.arange(len(record.clearance))
-    for column, values in enumerate(record.controls[: len(time) - 1].unbind(-1)):
-        label = f"control {column + 1}"
-        below.step(time[: len(values)], values, where="post", color=PALETTE[column], label=label)
+def _explain(figure: Figure, episodes: Sequence[Episode]) -> None:
+    """Say below the pictures what is drawn."""
+    handles = legend_of(episodes)
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize="small")
+
+
+def draw_curves(above: Axes, below: Axes, episode: Episode) -> list[Line2D]:
+    """Draw clearance and controls over time.
+
+    Args:
+        above: Receives the clearance.
+        below: Receives the controls.
+        episode: The episode.
+
+    Returns:
+        The cursors in both pictures.
+    """
+    record, names = episode.record, episode.control_names
+    values = record.controls[: len(record.clearance) - 1]
+    time = record.dt_s * torch.arange(len(values) + 1)
+    for column, held in enumerate(values.unbind(-1)):
+        name = names[column] if names else f"control {column + 1}"
+        label = f"{name} [{UNITS[name]}]" if name in UNITS else name
+        below.stairs(held, time, baseline=None, color=PALETTE[column], label=label)
     below.legend(fontsize="small")
     below.set_xlabel("time [s]")
     return [_clearance(above, record), below.axvline(0.0, color=ROBOT)]

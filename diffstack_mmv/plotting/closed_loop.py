@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.plotting.animation import save_animation
-from diffstack_mmv.plotting.episodes import draw_episode, episode_of
+from diffstack_mmv.plotting.episodes import CaseStart, draw_episode, episode_of
 from diffstack_mmv.plotting.figures import save_figure
 from diffstack_mmv.types import EpisodeRecord, Outcome
 
@@ -17,13 +17,13 @@ def save_stories(
     folder: Path,
     cases: Sequence[int],
     records: Sequence[EpisodeRecord],
-    radius_m: float,
+    start_of: Callable[[int], CaseStart],
     count: int,
-    goal_m: tuple[float, float] | None = None,
     chosen: Sequence[int] = (),
     outline: Float[Tensor, "corners 2"] | None = None,
     thoughts_of: Callable[[int], Mapping[str, Any]] | None = None,
     movie: str = "gif",
+    control_names: tuple[str, ...] = (),
 ) -> None:
     """Draw and animate some episodes: those asked for, then failures, then the others.
 
@@ -31,13 +31,13 @@ def save_stories(
         folder: Receives plots/case_N.png and plots/case_N.gif or .mp4.
         cases: Numbers of the cases in the order of the records.
         records: Records, one after the other.
-        radius_m: Radius of the pedestrians.
+        start_of: Number of a case -> radii of the pedestrians and goal of the robot.
         count: Number of episodes to show besides those asked for.
-        goal_m: Goal of the robot in m.
         chosen: Cases asked for.
         outline: Polygon of the robot around its reference point in m; a disc of 0.3 m if None.
         thoughts_of: Number of a case -> what the controller expected and planned in it.
         movie: "gif", or "mp4" with the extra `video`.
+        control_names: Of the controls of the robot.
 
     Raises:
         ValueError: A case asked for is none of these.
@@ -53,8 +53,10 @@ def save_stories(
     rest.sort(key=lambda index: outcomes[index] == Outcome.SUCCESS)
     for index in [*asked, *rest[:count]]:
         record, row = places[index]
-        episode = episode_of(record, row, cases[index], radius_m, goal_m, outline)
+        case = cases[index]
+        episode = episode_of(record, row, case, start_of(case), outline)
+        episode = episode._replace(control_names=control_names)
         if thoughts_of is not None:
-            episode = episode._replace(thoughts=thoughts_of(episode.case))
-        save_figure(draw_episode(episode), folder / "plots" / f"case_{episode.case}.png")
-        save_animation(episode, folder / "plots" / f"case_{episode.case}.{movie}")
+            episode = episode._replace(thoughts=thoughts_of(case))
+        save_figure(draw_episode(episode), folder / "plots" / f"case_{case}.png")
+        save_animation(episode, folder / "plots" / f"case_{case}.{movie}")

@@ -1,6 +1,6 @@
 """One closed-loop episode, and how it is drawn into a picture."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from jaxtyping import Float
@@ -17,6 +17,19 @@ from diffstack_mmv.types import EpisodeRecord, Outcome, map_tensors
 ROBOT, PEDESTRIANS, GOAL = PALETTE[1], PALETTE[0], PALETTE[2]
 MARGIN_M = 1.0
 ROBOT_RADIUS_M = 0.3
+THOUGHTS = {
+    "candidates": {"color": "0.75", "linewidth": 0.6, "zorder": 1},
+    "forecast": {"color": PEDESTRIANS, "linewidth": 1.0, "linestyle": ":"},
+    "plan": {"color": ROBOT, "linewidth": 1.6, "linestyle": "--"},
+}
+"""How the lines look that a controller tells of."""
+
+
+class CaseStart(NamedTuple):
+    """What a case begins with and its record does not tell."""
+
+    radii_m: Sequence[float]  # of the pedestrians
+    goal_m: Sequence[float] | None = None  # x and y of the goal of the robot
 
 
 class Episode(NamedTuple):
@@ -24,28 +37,27 @@ class Episode(NamedTuple):
 
     case: int
     record: EpisodeRecord  # without leading dimensions
-    pedestrian_radius_m: float
-    goal_m: tuple[float, float] | None = None  # of the robot
+    start: CaseStart
     outline: Float[Tensor, "corners 2"] | None = None  # m, of the robot; a disc of 0.3 m if None
     thoughts: Mapping[str, Any] = {}  # per decision: candidates, plan, forecast in m
+    control_names: tuple[str, ...] = ()  # as in the `Control` of the robot's model
 
 
 def episode_of(
     record: EpisodeRecord,
     row: int,
     case: int,
-    pedestrian_radius_m: float,
-    goal_m: tuple[float, float] | None = None,
+    start: CaseStart,
     outline: Float[Tensor, "corners 2"] | None = None,
 ) -> Episode:
-    """One episode of a batch, cut at its end; radius of the pedestrians, goal and outline in m."""
+    """One episode of a batch, cut at its end; the outline of the robot in m."""
     single = map_tensors(lambda field: field[row], record)
     end = int(single.steps) + 1
     motion = type(single.motion)(*(field[:end] for field in single.motion))
     cut = single._replace(
         motion=motion, pedestrians=single.pedestrians[:end], clearance=single.clearance[:end]
     )
-    return Episode(case, cut, pedestrian_radius_m, goal_m, outline)
+    return Episode(case, cut, start, outline)
 
 
 def told(episode: Episode) -> str:
@@ -84,13 +96,8 @@ def draw_paths(axes: Axes, episode: Episode) -> None:
 
 def draw_thoughts(axes: Axes, thoughts: Mapping[str, Any], step: int) -> list[Line2D]:
     """Lines of candidates, forecasts and plan at a decision."""
-    styles = {
-        "candidates": {"color": "0.75", "linewidth": 0.6, "zorder": 1},
-        "forecast": {"color": PEDESTRIANS, "linewidth": 1.0, "linestyle": ":"},
-        "plan": {"color": ROBOT, "linewidth": 1.6, "linestyle": "--"},
-    }
     lines = []
-    for name, style in styles.items():
+    for name, style in THOUGHTS.items():
         if step < len(thoughts.get(name, ())):
             told = thoughts[name][step]
             for path in told.reshape(-1, *told.shape[-2:]):
@@ -98,29 +105,45 @@ def draw_thoughts(axes: Axes, thoughts: Mapping[str, Any], step: int) -> list[Li
     return lines
 
 
+def legend_of(episodes: Sequence[Episode]) -> list[Line2D | Patch]:
+    """What a legend below moving pictures explains.
+
+    Args:
+        episodes: All that are shown.
+
+    Returns:
+        Handles of robot and pedestrians, and of the lines that some controller tells of.
+    """
+    known = {name for episode in episodes for name in episode.thoughts}
+    lines = [Line2D([], [], label=name, **THOUGHTS[name]) for name in THOUGHTS if name in known]
+    who = [Patch(color=ROBOT, label="robot"), Patch(color=PEDESTRIANS, label="pedestrians")]
+    return [*who, *lines]
+
+
 def set_range(axes: Axes, episode: Episode) -> None:
     """Axes in m that hold everybody."""
     reach = float(episode.record.pedestrians.nan_to_num().abs().max())
     reach = max(reach, float(episode.record.motion.position.abs().max()))
-    if episode.goal_m is not None:
-        reach = max(reach, *(abs(entry) for entry in episode.goal_m))
+    goal_m = episode.start.goal_m
+    if goal_m is not None:
+        reach = max(reach, *(abs(entry) for entry in goal_m))
     reach += MARGIN_M
     axes.set_xlim(-reach, reach)
     axes.set_ylim(-reach, reach)
     axes.set_aspect("equal")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
-    if episode.goal_m is not None:
-        axes.plot(*episode.goal_m, marker="*", markersize=12, color=GOAL, linestyle="none")
+    if goal_m is not None:
+        axes.plot(*goal_m, marker="*", markersize=12, color=GOAL, linestyle="none")
 
 
 def draw_outlines(axes: Axes, episode: Episode, step: int, alpha: float) -> None:
     """Outlines of everybody at one step."""
     pedestrians = episode.record.pedestrians[step]
-    for place in pedestrians[pedestrians.isfinite().all(-1)].tolist():
-        axes.add_patch(
-            Circle(tuple(place), episode.pedestrian_radius_m, color=PEDESTRIANS, alpha=alpha)
-        )
+    for place, radius_m in zip(pedestrians, episode.start.radii_m, strict=True):
+        if place.isfinite().all():
+            centre = tuple(place.tolist())
+            axes.add_patch(Circle(centre, radius_m, color=PEDESTRIANS, alpha=alpha))
     motion = episode.record.motion
     centre = motion.position[step].tolist()
     if episode.outline is None:

@@ -4,6 +4,7 @@ Measured velocities at the end of a track are the noisiest of all, since no late
 them; the estimates here therefore come from positions.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -72,6 +73,11 @@ def trend(tracks: Tracks, memory_s: float, dt_s: float) -> Trend:
     the measured velocity and to zero acceleration, which decides for an agent with fewer than three
     rows.
     """
+    return trends(tracks, (memory_s,), dt_s)[0]
+
+
+def trends(tracks: Tracks, memories_s: Sequence[float], dt_s: float) -> list[Trend]:
+    """`trend` with each of several memories."""
     valid = tracks.valid & tracks.valid[..., -1:]
     offset = tracks.motion.position - current_position(tracks).unsqueeze(-2)
     # in double precision: the powers of seconds make the equations badly conditioned, and in single
@@ -80,7 +86,7 @@ def trend(tracks: Tracks, memory_s: float, dt_s: float) -> Trend:
     rows = valid.shape[-1]
     time = dt_s * torch.arange(1 - rows, 1, device=offset.device, dtype=offset.dtype)
     powers = torch.stack([torch.ones_like(time), time, 0.5 * time.square()], -1)
-    weighted = (valid * torch.exp(time / memory_s)).unsqueeze(-1) * powers
+    products = (powers.unsqueeze(-1) * powers.unsqueeze(-2)).flatten(-2)
     pull = torch.diag(torch.cat([time.new_full((1,), weight) for weight in _PRIOR]))
     prior = torch.stack(
         [
@@ -90,10 +96,15 @@ def trend(tracks: Tracks, memory_s: float, dt_s: float) -> Trend:
         ],
         -2,
     )
-    matrix, right = weighted.mT @ powers + pull, weighted.mT @ offset + pull @ prior
-    # without the check for singular matrices, which waits for a GPU: the pull makes them regular
-    solution = torch.linalg.solve_ex(matrix, right).result.to(tracks.motion.position.dtype)
-    return Trend(solution[..., 1, :], solution[..., 2, :])
+    found, kind, known = [], tracks.motion.position.dtype, valid.to(offset.dtype)
+    for memory_s in memories_s:
+        fading = torch.exp(time / memory_s).unsqueeze(-1)
+        matrix = (known @ (fading * products)).unflatten(-1, (3, 3)) + pull
+        right = (offset.mT @ (fading * powers)).mT + pull @ prior  # zero where not valid
+        # without the check for singular matrices, which waits for a GPU: the pull prevents them
+        solution = torch.linalg.solve_ex(matrix, right).result.to(kind)
+        found.append(Trend(solution[..., 1, :], solution[..., 2, :]))
+    return found
 
 
 def current_course(

@@ -21,6 +21,7 @@ from diffstack_mmv.simulation.benchmark import (
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint, RectangleFootprint
 from diffstack_mmv.simulation.controller import DiffMPCController
 from diffstack_mmv.simulation.delay import DelayCompensation
+from diffstack_mmv.simulation.ego import EgoInstruments, EgoStateEstimator, EstimatingController
 from diffstack_mmv.simulation.env import ENV_ID, CrowdNavEnv, register, robot_named
 from diffstack_mmv.simulation.episode import drive
 from diffstack_mmv.simulation.feasibility import AvoidanceSearch
@@ -100,6 +101,9 @@ __all__ = [
     "CrowdNavVerdict",
     "DiffMPCController",
     "DiscFootprint",
+    "EgoInstruments",
+    "EgoStateEstimator",
+    "EstimatingController",
     "EgoView",
     "ExactVerdict",
     "Footprint",

@@ -74,6 +74,7 @@ def vehicle_robot(
     step_s: float = 0.01,
     delay_s: float = 0.0,
     noise: Sequence[float] = (),
+    bias: Sequence[float] = (),
     seed: int = 0,
     footprint: Footprint | None = None,
 ) -> VehicleRobot:
@@ -84,6 +85,7 @@ def vehicle_robot(
         step_s: Fine step of its motion.
         delay_s: Time until a command acts.
         noise: Standard deviation of the error of each control.
+        bias: Error of each control that stays.
         seed: Of the noise.
         footprint: Its outline; the box of the vehicle if None.
 
@@ -91,12 +93,12 @@ def vehicle_robot(
         The robot.
 
     Raises:
-        ValueError: The step, the delay or the noise does not fit.
+        ValueError: The step, the delay, the noise or the bias does not fit.
     """
     speed = vehicle.spec().limits.speed_max_mps
     return VehicleRobot(
         vehicle.model(step_s),
-        Actuation(delay_s, tuple(noise), seed, speed_max_mps=speed),
+        Actuation(delay_s, tuple(noise), seed, speed, tuple(bias)),
         footprint=footprint or vehicle_footprint(vehicle),
     )
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import (
@@ -22,9 +22,10 @@ from diffstack_mmv.checks import (
     require_positive,
 )
 from diffstack_mmv.simulation.pedestrians import AnyCrowdState, CrowdState, Itinerary
+from diffstack_mmv.simulation.placement import first_accepted
 
-MAX_TRIES = 200_000
-"""Draws for one pedestrian before a scenario counts as too crowded."""
+MAX_TRIES = 20_000_000
+"""Draws for one pedestrian before a scenario counts as too crowded; the benchmark never stops."""
 
 
 class Scene(NamedTuple):
@@ -35,6 +36,10 @@ class Scene(NamedTuple):
     robot_goal: Float[Tensor, "*b 2"]
     pedestrians: AnyCrowdState
     itinerary: Itinerary | None = None  # where the pedestrians go after their goals; else they stay
+
+    def radii_and_goal(self) -> tuple[list[float], list[float]]:
+        """Radii of the pedestrians and goal of the robot in m, of one case, to draw it."""
+        return self.pedestrians.radius.tolist(), self.robot_goal.tolist()
 
 
 @runtime_checkable
@@ -102,11 +107,6 @@ class Scenario(ABC):
         require_positive("robot_radius_m", self.robot_radius_m)
         require_at_least("clearance_m", self.clearance_m, 0)
 
-    @property
-    def goal_m(self) -> tuple[float, float] | None:
-        """The goal of the robot in m, where it is the same in all cases."""
-        return (0.0, self.circle_radius_m)
-
     def case(self, phase: str, number: int) -> Scene:
         """One case without leading dimensions.
 
@@ -120,7 +120,10 @@ class Scenario(ABC):
         Raises:
             ValueError: There is no such phase or case, or the scenario is too crowded.
         """
-        return self.sample(generator(phase, number))
+        try:
+            return self.sample(generator(phase, number))
+        except ValueError as error:
+            raise ValueError(f"{error} This was case {number} of phase {phase!r}.") from error
 
     def cases(self, phase: str, numbers: Iterable[int]) -> Scene:
         """Several cases as one batch.
@@ -181,14 +184,15 @@ class Scenario(ABC):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Draw position and goal in m of the next pedestrian."""
 
-    def _is_free(self, point: np.ndarray, others: np.ndarray) -> bool:
-        """Whether a disc at `point` keeps clear of the discs at `others`, all in m."""
+    def _free(
+        self, places: Float[np.ndarray, "k 2"], others: Float[np.ndarray, "n 2"]
+    ) -> Bool[np.ndarray, " k"]:
+        """Which discs at `places` keep clear of the discs at `others`, all in m."""
         radii = np.full(len(others), self.pedestrian_radius_m)
         radii[0] = self.robot_radius_m
-        x, y = (others - point).T
-        return not bool(
-            (np.sqrt(x * x + y * y) < self.pedestrian_radius_m + radii + self.clearance_m).any()
-        )
+        x, y = np.moveaxis(others - places[:, None], -1, 0)
+        reach = self.pedestrian_radius_m + radii + self.clearance_m
+        return ~(np.sqrt(x * x + y * y) < reach).any(-1)
 
     def _too_crowded(self, pedestrian: int) -> str:
         """Explain that the scenario has no room for one more pedestrian."""
@@ -216,19 +220,22 @@ class CircleCrossing(Scenario):
         Raises:
             ValueError: None is found.
         """
-        for _ in range(MAX_TRIES):
-            angle = random.random_sample() * np.pi * 2
-            shift_x = (random.random_sample() - 0.5) * self.pedestrian_speed_mps
-            shift_y = (random.random_sample() - 0.5) * self.pedestrian_speed_mps
-            start = np.array(
-                (
-                    self.circle_radius_m * np.cos(angle) + shift_x,
-                    self.circle_radius_m * np.sin(angle) + shift_y,
-                )
-            )
-            if self._is_free(start, placed.position) and self._is_free(start, placed.goal):
-                return start, -start
-        raise ValueError(f"{self._too_crowded(len(placed.position))}")
+
+        def accepted(draws: Float[np.ndarray, "k 3"]) -> Bool[np.ndarray, " k"]:
+            starts = self._starts(draws)
+            return self._free(starts, placed.position) & self._free(starts, placed.goal)
+
+        draw = first_accepted(random, 3, accepted, MAX_TRIES)
+        if draw is None:
+            raise ValueError(self._too_crowded(len(placed.position)))
+        (start,) = self._starts(draw[None])
+        return start, -start
+
+    def _starts(self, draws: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 2"]:
+        """Places in m of an angle and a displacement, drawn from [0, 1)."""
+        angle = draws[:, 0] * np.pi * 2
+        shift = (draws[:, 1:] - 0.5) * self.pedestrian_speed_mps
+        return self.circle_radius_m * np.stack([np.cos(angle), np.sin(angle)], -1) + shift
 
 
 @dataclass(frozen=True)
@@ -265,13 +272,17 @@ class SquareCrossing(Scenario):
         Raises:
             ValueError: None is found.
         """
-        width = self.square_width_m
-        for _ in range(MAX_TRIES):
-            x = random.random_sample() * width * 0.5 * side
-            place = np.array((x, (random.random_sample() - 0.5) * width))
-            if self._is_free(place, others):
-                return place
-        raise ValueError(f"{self._too_crowded(len(others))}")
+        draw = first_accepted(
+            random, 2, lambda draws: self._free(self._places(draws, side), others), MAX_TRIES
+        )
+        if draw is None:
+            raise ValueError(self._too_crowded(len(others)))
+        return self._places(draw[None], side)[0]
+
+    def _places(self, draws: Float[np.ndarray, "k 2"], side: int) -> Float[np.ndarray, "k 2"]:
+        """Places in m in one half of the square, drawn from [0, 1)."""
+        x = draws[:, 0] * self.square_width_m * 0.5 * side
+        return np.stack([x, (draws[:, 1] - 0.5) * self.square_width_m], -1)
 
 
 def stacked(records: Sequence[Any]) -> Any:

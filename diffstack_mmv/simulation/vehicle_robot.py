@@ -45,6 +45,7 @@ class Actuation:
         noise: Standard deviation of the error of each control, constant over a step; empty: none.
         seed: Of the noise; the same seed repeats the same errors.
         speed_max_mps: The drive accelerates no further than to this speed, where it is given.
+        bias: Error of each control that stays, as of a bent steering head; empty: none.
 
     Raises:
         ValueError: A delay or deviation is negative, or the speed not positive.
@@ -54,6 +55,7 @@ class Actuation:
     noise: tuple[float, ...] = ()
     seed: int = 0
     speed_max_mps: float | None = None
+    bias: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the settings once, at the border."""
@@ -78,7 +80,7 @@ class VehicleRobot:
         footprint: Outline; the disc of the benchmark if None.
 
     Raises:
-        ValueError: The fine step is too long, or bounds, noise or delay do not fit the model.
+        ValueError: The fine step is too long, or bounds, noise, bias or delay do not fit the model.
     """
 
     def __init__(
@@ -97,8 +99,9 @@ class VehicleRobot:
         self._bounds = Bounds(box.lower.double(), box.upper.double())
         columns = model.control_dim
         require(len(box.lower) == columns, "bounds", f"have {columns} columns", len(box.lower))
-        deviations = len(self.actuation.noise)
-        require(deviations in (0, columns), "noise", f"have {columns} entries or none", deviations)
+        for name in ("noise", "bias"):
+            entries = len(getattr(self.actuation, name))
+            require(entries in (0, columns), name, f"have {columns} entries or none", entries)
         self._delay_steps = (
             require_multiple("delay_s", self.actuation.delay_s, model.dt_s, "for the fine step")
             if self.actuation.delay_s > 0
@@ -179,6 +182,8 @@ class VehicleRobot:
             generator = torch.Generator().manual_seed(self.actuation.seed + step)
             error = torch.randn(action.shape, generator=generator, dtype=torch.float64)
             action = action + error.to(action) * action.new_tensor(self.actuation.noise)
+        if self.actuation.bias:
+            action = action + action.new_tensor(self.actuation.bias)
         return torch.minimum(torch.maximum(action, self._bounds.lower), self._bounds.upper)
 
     def _governed_control(

@@ -63,11 +63,6 @@ class WanderingCrossing(Scenario):
         require_positive("change_every_s", self.change_every_s)
         require_between("change_chance", self.change_chance, 0, 1)
 
-    @property
-    def goal_m(self) -> None:
-        """Every case has a goal of its own."""
-        return
-
     def sample(self, random: np.random.RandomState) -> Scene:
         """Draw a scene; see `Scenario`."""
         robot, aim = self._way(random)

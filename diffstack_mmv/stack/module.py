@@ -53,6 +53,7 @@ from diffstack_mmv.prediction import (
 from diffstack_mmv.stack.physics import PhysicsLearning
 from diffstack_mmv.stack.precision import MixedPrecision
 from diffstack_mmv.types import Forecast, Plan, PlanningProblem, StackBatch, Tracks
+from dmmv_conventions.memory import keep_freed
 
 PathError = Callable[[Float[Tensor, "*b T 2"], Tracks], Float[Tensor, "*b"]]
 
@@ -130,7 +131,12 @@ class DiffStackMMV(pl.LightningModule):
         self.scores = MeanByMode(tuple(OPEN_LOOP) if loss.plans else OF_THE_PREDICTION)
 
     def compile_kernels(self) -> None:
-        """Have solver and expensive parts of the predictor compiled at their next use."""
+        """Have solver and expensive parts of the predictor compiled at their next use.
+
+        The process keeps memory that it frees from now on: states that libraries keep for their
+        backward pass are large blocks, the same in every step.
+        """
+        keep_freed()
         self.planner.compile_solver()
         self.predictor.compile_kernels(generated_moments)
 

@@ -4,7 +4,16 @@ import pytest
 import torch
 from PIL import Image
 
-from diffstack_mmv.plotting import draw_side_by_side, episode_of, save_animation, save_side_by_side
+from diffstack_mmv.plotting import (
+    CaseStart,
+    draw_side_by_side,
+    episode_of,
+    save_animation,
+    save_side_by_side,
+)
+from diffstack_mmv.plotting.animation import draw_curves
+from diffstack_mmv.plotting.episodes import legend_of
+from diffstack_mmv.plotting.figures import new_figure
 from diffstack_mmv.types import EpisodeRecord, Motion, Outcome
 
 
@@ -27,7 +36,7 @@ def episode():
             duration=torch.tensor([0.25 * steps]),
             dt_s=0.25,
         )
-        return episode_of(record, 0, 4, 0.3, (1.0, 0.0))
+        return episode_of(record, 0, 4, CaseStart([0.3], (1.0, 0.0)))
 
     return build
 
@@ -42,6 +51,21 @@ def test_the_one_who_has_ended_waits_for_the_other(episode, tmp_path):
     save_side_by_side(["a", "b"], [episode(1), episode(4)], tmp_path / "both.gif")
     with Image.open(tmp_path / "both.gif") as picture:
         assert picture.n_frames == 5
+
+
+def test_what_a_controller_tells_of_is_explained_and_nothing_else(episode):
+    thinking = episode()._replace(thoughts={"plan": torch.zeros(2, 3, 2)})
+    labels = [handle.get_label() for handle in legend_of([episode(), thinking])]
+    assert labels == ["robot", "pedestrians", "plan"]
+
+
+def test_controls_carry_names_and_units_over_the_time_of_the_clearance(episode):
+    above, below = new_figure().subplots(2, sharex=True)
+    named = episode(3)._replace(control_names=("acceleration", "steer"))
+    draw_curves(above, below, named)
+    labels = [text.get_text() for text in below.get_legend().get_texts()]
+    assert labels == ["acceleration [m/s²]", "steer [rad]"]
+    assert below.get_xlim() == above.get_xlim()
 
 
 def test_an_episode_becomes_an_mp4(episode, tmp_path):

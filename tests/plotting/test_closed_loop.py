@@ -4,8 +4,10 @@ import pytest
 import torch
 from matplotlib.patches import Circle, Polygon
 
-from diffstack_mmv.plotting import draw_episode, episode_of, save_stories
+from diffstack_mmv.plotting import CaseStart, draw_episode, episode_of, save_stories
 from diffstack_mmv.types import EpisodeRecord, Motion, Outcome
+
+START = CaseStart([0.3, 0.3, 0.5], (0.0, 4.0))
 
 
 @pytest.fixture
@@ -26,15 +28,21 @@ def record():
 
 
 def test_an_episode_is_cut_at_its_end(record):
-    assert episode_of(record, 1, 7, 0.3).record.pedestrians.shape == (3, 3, 2)
+    assert episode_of(record, 1, 7, START).record.pedestrians.shape == (3, 3, 2)
 
 
 def test_who_is_absent_is_not_drawn(record):
     record.pedestrians[0, :2, 1] = torch.nan
-    (axes,) = draw_episode(episode_of(record, 0, 4, 0.3)).axes
+    (axes,) = draw_episode(episode_of(record, 0, 4, START)).axes
     assert torch.tensor(axes.get_xlim()).isfinite().all()
     circles = [patch for patch in axes.patches if isinstance(patch, Circle)]
     assert all(torch.tensor(circle.center).isfinite().all() for circle in circles)
+
+
+def test_everybody_is_as_large_as_in_the_case(record):
+    (axes,) = draw_episode(episode_of(record, 0, 4, START)).axes
+    people = [patch.radius for patch in axes.patches if isinstance(patch, Circle)][:3]
+    assert people == START.radii_m
 
 
 @pytest.mark.parametrize(
@@ -43,7 +51,7 @@ def test_who_is_absent_is_not_drawn(record):
     ids=["failures first", "as asked for"],
 )
 def test_failures_and_cases_asked_for_are_shown(record, tmp_path, animate, chosen, shown):
-    save_stories(tmp_path, [4, 7], [record], 0.3, animate, goal_m=(0.0, 4.0), chosen=chosen)
+    save_stories(tmp_path, [4, 7], [record], lambda case: START, animate, chosen=chosen)
     names = sorted(path.name for path in (tmp_path / "plots").iterdir())
     assert names == [f"case_{shown}.gif", f"case_{shown}.png"]
 
@@ -53,7 +61,7 @@ def test_the_outline_of_the_robot_turns_with_its_heading(record):
     turned = record._replace(
         motion=record.motion._replace(heading=torch.full((2, 4), torch.pi / 2))
     )
-    drawn = draw_episode(episode_of(turned, 0, 4, 0.3, outline=box))
+    drawn = draw_episode(episode_of(turned, 0, 4, START, outline=box))
     (axes,) = drawn.axes
     last = [patch for patch in axes.patches if isinstance(patch, Polygon)][-1]
     corners = torch.tensor(last.get_xy()[:4]) - turned.motion.position[0, -1]
@@ -62,4 +70,4 @@ def test_the_outline_of_the_robot_turns_with_its_heading(record):
 
 def test_a_case_that_was_not_driven_cannot_be_shown(record, tmp_path):
     with pytest.raises(ValueError, match=r"but got \[5\]"):
-        save_stories(tmp_path, [4, 7], [record], 0.3, 0, chosen=[5])
+        save_stories(tmp_path, [4, 7], [record], lambda case: START, 0, chosen=[5])

@@ -85,6 +85,16 @@ def test_too_many_pedestrians_are_refused_after_a_bounded_search(monkeypatch, fa
         family(humans=400).case("test", 0)
 
 
+def test_a_place_that_is_hard_to_find_is_found_and_one_that_is_not_there_is_refused(monkeypatch):
+    crowded = CircleCrossing(humans=20)
+    scene = crowded.case("test", 66)  # the last place is that of the 611,896th draw
+    offset = scene.pedestrians.position[:, None] - scene.pedestrians.position
+    assert (offset.norm(dim=-1) + 9 * np.eye(20) >= 0.8).all()
+    monkeypatch.setattr(scenario_module, "MAX_TRIES", 1000)
+    with pytest.raises(ValueError, match="no place for pedestrian 20.*case 213 of phase 'val'"):
+        crowded.case("val", 213)
+
+
 @pytest.mark.parametrize(
     ("setting", "value"),
     [

@@ -1,10 +1,10 @@
-"""C++ for second derivatives of a step, weighted differently along each of eight directions."""
+"""C++ for second derivatives of a step: along eight directions at once, or of eight rows."""
 
 from collections.abc import Iterable, Sequence
 
-from diffstack_mmv.control.native.code import Writer, function
+from diffstack_mmv.control.native.code import Writer, function, into
 from diffstack_mmv.control.native.derivative import gradient
-from diffstack_mmv.control.native.derived import weighted
+from diffstack_mmv.control.native.derived import LONGEST_GRADIENT, weighted
 from diffstack_mmv.control.native.scalar import CONSTANT, LEAF, Node, Program, needed
 from diffstack_mmv.control.native.stages import Stage
 
@@ -86,3 +86,42 @@ def weigh_numbers(stage: Stage, learns: bool) -> str:
     ]
     body = function(f"static void weigh_numbers({point})", program, "q", outputs)
     return body.replace("{\n", "{\n  using V = Real;\n", 1)
+
+
+def abreast(
+    stage: Stage, inputs: Sequence[Node], jacobian: Sequence[Node], learns: bool
+) -> tuple[str, ...]:
+    """The functions `step_abreast` and `pull_abreast` of eight rows; none where they are too long.
+
+    The first gives the step and its Jacobian, the second the gradient of s · outputs + G · Jacobian
+    by inputs, and adds the one by the numbers.
+
+    Args:
+        stage: A step.
+        inputs: Its states and controls, as leaves.
+        jacobian: Of the outputs by the inputs, row by row.
+        learns: Whether its numbers are differentiated by as well.
+    """
+    program = stage.program
+    if len(needed(program, jacobian)) > LONGEST_GRADIENT:
+        return ()
+    numbers = [program.leaf("q", k) for k in range(stage.numbers)] if learns else []
+    weights = weighted(program, stage.outputs, "s")
+    for entry, weight in weighted(program, jacobian, "G").items():
+        before = weights.get(entry)
+        weights[entry] = weight if before is None else program.apply("add", before, weight)
+    slopes = gradient(program, weights, [*inputs, *numbers])
+    sums = enumerate(slopes[len(inputs) :])
+    given = "const Pack* x, const Pack* u, const Real* q"
+    forward = f"static void step_abreast({given}, Pack* y, Pack* J)"
+    backward = (
+        f"static void pull_abreast({given}, const Pack* s, const Pack* G, Pack* z, Pack* sums)"
+    )
+    outputs = [*into("y", stage.outputs), *into("J", jacobian)]
+    pulled = into("z", slopes[: len(inputs)]) + [
+        (f"sums[{k}]", program.apply("add", program.leaf("sums", k), each))
+        for k, each in sums
+        if program.value(each) != 0
+    ]
+    written = (function(forward, program, "q", outputs), function(backward, program, "q", pulled))
+    return tuple(each.replace("{\n", "{\n  using V = Pack;\n", 1) for each in written)

@@ -1,7 +1,6 @@
 """The C++ source of a solver for one problem."""
 
 from collections.abc import Iterable, Sequence
-from importlib.resources import files
 
 from diffstack_mmv.control.native.code import function, into, literal, rows_of, table
 from diffstack_mmv.control.native.derivative import gradient
@@ -16,6 +15,7 @@ from diffstack_mmv.control.native.repetition import (
 from diffstack_mmv.control.native.scalar import LEAF, Node, Program, needed
 from diffstack_mmv.control.native.stages import Sizes, Stage, StagedProblem
 from diffstack_mmv.types import SolverStatus
+from dmmv_conventions.libraries import header as header_of
 
 LANES = 8  # of the numbers with slopes, as in numbers.hpp
 SLOPES_COST = 3  # operations on packs that one on numbers with slopes takes
@@ -39,6 +39,7 @@ def opening(real: str, *headers: str) -> list[str]:
         "#include <type_traits>",
         "#include <utility>",
         f"typedef {real} Real;",
+        header_of("dmmv_conventions", "threads"),
         *map(header, headers),
     ]
 
@@ -68,10 +69,7 @@ def source(problem: StagedProblem, library: str, real: str) -> str:
 
 def header(name: str) -> str:
     """A fixed part of every source, without its own inclusions."""
-    text = files("diffstack_mmv.control.native").joinpath(f"{name}.hpp").read_text()
-    return "\n".join(
-        line for line in text.splitlines() if not line.startswith(('#include "', "#pragma once"))
-    )
+    return header_of("diffstack_mmv.control.native", name)
 
 
 def _problem(

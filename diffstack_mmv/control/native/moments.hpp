@@ -2,6 +2,7 @@
 //
 // The generated `Problem` has the sizes n, m, and the functions of its step.
 #pragma once
+#include "abreast.hpp"
 #include "stage.hpp"
 
 namespace dmmv {
@@ -142,6 +143,13 @@ struct Moments {
   }
 };
 
+// whether slopes are zero throughout; what is no number is not
+inline bool is_zero(const Real* slopes, long count) {
+  for (long i = 0; i < count; ++i)
+    if (slopes[i] != 0) return false;
+  return true;
+}
+
 }  // namespace dmmv
 
 #pragma GCC visibility push(default)
@@ -157,33 +165,61 @@ void dmmv_moments(long count, long threads, long T, const Real* parameters, cons
   Real q[P::NUMBERS + 1];
   P::prelude(parameters, q);
   const Real* numbers = q;
+  if constexpr (P::ABREAST) {
+    dmmv::for_each((count + dmmv::LANES - 1) / dmmv::LANES, threads, [=](long i) {
+      const long row = i * dmmv::LANES;
+      const dmmv::Eight rows{row, int(std::min<long>(count - row, dmmv::LANES))};
+      dmmv::Abreast<P>::forward(rows, T, numbers, start, first, u, scale, mean, covariance, kept);
+    });
+    return;
+  }
   dmmv::for_each(count, threads, [=](long i) {
     M::forward(T, numbers, start + i * M::n, first + i * M::n * M::n, u + i * T * M::m, scale + i * T * M::m * M::m,
                mean + i * T * 2, covariance + i * T * 4, kept ? kept + i * T * M::KEPT : nullptr);
   });
 }
 
-// Gradient by all inputs for that by mean and covariance.
+// Gradient by all inputs for that by mean and covariance. Rows without one are left out.
 void dmmv_moments_adjoint(long count, long threads, long T, const Real* parameters, const Real* u, const Real* scale,
-                          const Real* kept, const Real* g_mean, const Real* g_covariance, Real* g_parameters,
+                          Real* kept, const Real* g_mean, const Real* g_covariance, Real* g_parameters,
                           Real* g_start, Real* g_first, Real* g_u, Real* g_scale) {
   using P = Problem;
   using M = dmmv::Moments<P>;
   Real q[P::NUMBERS + 1];
   P::prelude(parameters, q);
   const Real* numbers = q;
-  // one sum of the numbers' slopes per row, added in order: the same with any number of threads
-  std::vector<Real> w(P::LEARNS ? count * (P::NUMBERS + 1) : 1);
+  std::vector<long> live;
+  for (long i = 0; i < count; ++i)
+    if (dmmv::is_zero(g_mean + i * T * 2, T * 2) && dmmv::is_zero(g_covariance + i * T * 4, T * 4)) {
+      std::fill_n(g_start + i * M::n, M::n, Real(0));
+      std::fill_n(g_first + i * M::n * M::n, M::n * M::n, Real(0));
+      std::fill_n(g_u + i * T * M::m, T * M::m, Real(0));
+      std::fill_n(g_scale + i * T * M::m * M::m, T * M::m * M::m, Real(0));
+    } else {
+      live.push_back(i);
+    }
+  const long abreast = P::ABREAST ? dmmv::LANES : 1, found = long(live.size()), groups = (found + abreast - 1) / abreast;
+  const long* rows = live.data();
+  // one sum of the numbers' slopes per group, added in order: the same with any number of threads
+  std::vector<Real> w(P::LEARNS ? groups * (P::NUMBERS + 1) : P::NUMBERS + 1);
   Real* each = w.data();
-  dmmv::for_each(count, threads, [=](long i) {
-    M::backward(T, numbers, u + i * T * M::m, scale + i * T * M::m * M::m, kept + i * T * M::KEPT, g_mean + i * T * 2,
-                g_covariance + i * T * 4, g_start + i * M::n, g_first + i * M::n * M::n, g_u + i * T * M::m,
-                g_scale + i * T * M::m * M::m, P::LEARNS ? each + i * (P::NUMBERS + 1) : each);
+  dmmv::for_each(groups, threads, [=](long g) {
+    Real* own = P::LEARNS ? each + g * (P::NUMBERS + 1) : each;
+    if constexpr (P::ABREAST) {
+      const dmmv::Eight eight{g * abreast, int(std::min<long>(found - g * abreast, abreast)), rows};
+      dmmv::Abreast<P>::backward(eight, T, numbers, u, scale, kept, g_mean, g_covariance, g_start, g_first, g_u, g_scale,
+                                 own);
+    } else {
+      const long i = rows[g];
+      M::backward(T, numbers, u + i * T * M::m, scale + i * T * M::m * M::m, kept + i * T * M::KEPT, g_mean + i * T * 2,
+                  g_covariance + i * T * 4, g_start + i * M::n, g_first + i * M::n * M::n, g_u + i * T * M::m,
+                  g_scale + i * T * M::m * M::m, own);
+    }
   });
   if constexpr (P::LEARNS) {
     std::vector<Real> total(P::NUMBERS + 1);
-    for (long i = 0; i < count; ++i)
-      for (int j = 0; j < P::NUMBERS; ++j) total[j] += each[i * (P::NUMBERS + 1) + j];
+    for (long g = 0; g < groups; ++g)
+      for (int j = 0; j < P::NUMBERS; ++j) total[j] += each[g * (P::NUMBERS + 1) + j];
     P::prelude_adjoint(parameters, total.data(), g_parameters);
   }
 }

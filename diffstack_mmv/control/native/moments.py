@@ -1,8 +1,8 @@
 """Gaussian controls through a model to the moments of its positions, in a generated library.
 
 What torch does step by step on tensors of a few entries, with the second derivatives of the model
-in the backward pass, is one call here: a row at a time, eight directions of differentiation at
-once.
+in the backward pass, is one call here: eight rows at a time where the derivatives of a step are
+short, else a row at a time with eight directions of differentiation at once.
 """
 
 import weakref
@@ -12,10 +12,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from diffstack_mmv.control.native.bending import bend, weigh_numbers
+from diffstack_mmv.control.native.bending import abreast, bend, weigh_numbers
 from diffstack_mmv.control.native.code import function, into, literal, table
 from diffstack_mmv.control.native.derivative import gradient
 from diffstack_mmv.control.native.generation import (
+    LANES,
     POINT,
     TEMPLATE,
     header,
@@ -77,7 +78,7 @@ def source(problem: StagedStep, learns: bool, real: str) -> str:
     fixed, entry = header("moments").split("#pragma GCC visibility push(default)")
     return "\n".join(
         [
-            *opening(real, "numbers", "small", "stage"),
+            *opening(real, "numbers", "small", "stage", "abreast"),
             fixed,
             "using namespace dmmv;",
             *_problem(problem, learns),
@@ -95,13 +96,14 @@ def _problem(problem: StagedStep, learns: bool) -> list[str]:
     values = [[program.value(entry) for entry in row] for row in jacobian]
     active = [column for column in range(n + m) if any(row[column] is None for row in values)]
     constants = [0.0 if value is None else value for row in values for value in row]
+    written = abreast(stage, inputs, [entry for row in jacobian for entry in row], learns)
     known = problem.prelude, problem.numbers, problem.parameters
     nothing = "static void prelude_adjoint(const Real*, const Real*, Real*) {}"
     return [
         "struct Problem {",
         f"static constexpr int n = {n}, m = {m}, PARAMETERS = {problem.parameters};",
         f"static constexpr int NUMBERS = {len(problem.numbers)}, STEP_ACTIVE = {len(active)};",
-        f"static constexpr bool LEARNS = {literal(learns)};",
+        f"static constexpr bool LEARNS = {literal(learns)}, ABREAST = {literal(bool(written))};",
         table("int", "step_active", active),
         table("Real", "step_constant", constants),
         plain("prelude(const Real* p, Real* y)", problem.prelude, "p", problem.numbers),
@@ -113,6 +115,7 @@ def _problem(problem: StagedStep, learns: bool) -> list[str]:
         ),
         bend(stage, inputs, active, learns),
         weigh_numbers(stage, learns),
+        *written,
         prelude_adjoint(*known) if learns else nothing,
         "};",
     ]
@@ -126,8 +129,8 @@ class _Moments(torch.autograd.Function):
         start, _, controls, scale = rows
         (count, steps, m), n = controls.shape, start.shape[-1]
         found = start.new_empty(count, steps, 2), start.new_empty(count, steps, 2, 2)
-        keeps = any(ctx.needs_input_grad)
-        kept = start.new_empty(count, steps, n * (1 + n + n + m)) if keeps else None
+        keeps, whole = any(ctx.needs_input_grad), -(-count // LANES) * LANES
+        kept = start.new_empty(whole, steps, n * (1 + n + n + m)) if keeps else None
         given = pointers(*(each.detach() for each in (numbers, *rows)), *found)
         each = counts(count, torch.get_num_threads(), steps)
         ready.library.dmmv_moments(*each, *given, *([None] if kept is None else pointers(kept)))

@@ -1,12 +1,5 @@
 // Products of small matrices, and small quadratic programs in a box; row-major arrays of known size.
 #pragma once
-#include <atomic>
-#include <thread>
-#include <vector>
-#ifdef __SSE2__
-#include <xmmintrin.h>
-#endif
-
 #include "numbers.hpp"
 
 namespace dmmv {
@@ -295,30 +288,6 @@ inline void solve_box_qp(const Real* H, const Real* g, const Real* low, const Re
   else
     box_qp_by_pivoting<M>(H, g, low, high, k);
   for (int i = 0; i < M; ++i) is_free[i] = k[i] > low[i] && k[i] < high[i];
-}
-
-// While one lives, numbers too small to be normal count as zero: slopes fade to them step by step, and a processor takes
-// a hundred times as long for each.
-struct NormalOnly {
-#ifdef __SSE2__
-  unsigned before = _mm_getcsr();
-  NormalOnly() { _mm_setcsr(before | 0x8040); }
-  ~NormalOnly() { _mm_setcsr(before); }
-#endif
-};
-
-// f(i) for all i < count, shared among threads
-template <class F>
-inline void for_each(long count, long threads, F f) {
-  std::atomic<long> next{0};
-  auto work = [&] {
-    const NormalOnly flushed;
-    for (long i = next++; i < count; i = next++) f(i);
-  };
-  std::vector<std::thread> helpers;
-  for (long k = 1; k < (threads < count ? threads : count); ++k) helpers.emplace_back(work);
-  work();
-  for (auto& helper : helpers) helper.join();
 }
 
 }  // namespace dmmv

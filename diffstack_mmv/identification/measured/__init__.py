@@ -1,6 +1,6 @@
 """Identification from rides whose steering and speed were measured."""
 
-from diffstack_mmv.identification.measured.ego import EgoEstimate, EgoEstimator, EgoMeasurement
+from diffstack_mmv.identification.measured.ego import EgoEstimator, ego_estimator
 from diffstack_mmv.identification.measured.fit import MeasuredFit, MeasuredFitter
 from diffstack_mmv.identification.measured.instruments import (
     Gaussian,
@@ -23,9 +23,7 @@ from diffstack_mmv.identification.measured.validation import (
 )
 
 __all__ = [
-    "EgoEstimate",
     "EgoEstimator",
-    "EgoMeasurement",
     "Gaussian",
     "InstrumentPriors",
     "MeasuredFit",
@@ -38,6 +36,7 @@ __all__ = [
     "RideWindows",
     "RideWindowSettings",
     "cut_windows",
+    "ego_estimator",
     "held_out_errors",
     "measured_result",
     "measured_rides",

@@ -1,31 +1,30 @@
 """State of the ego from its own past: a moving horizon of positions, steering and speed."""
 
+import copy
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least
-from diffstack_mmv.identification.measured.estimation import (
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.identification.measured.estimation import WindowEstimate, estimate_windows
+from diffstack_mmv.identification.measured.given import (
+    CourseGiven,
     FreewheelGiven,
     InstrumentsGiven,
-    estimate_windows,
 )
-from diffstack_mmv.identification.measured.instruments import InstrumentPriors
+from diffstack_mmv.identification.measured.instruments import InstrumentPriors, MeasurementNoise
 from diffstack_mmv.identification.measured.rides import RideWindows, chord_course
 from diffstack_mmv.identification.measured.simulator import POSE, RECORDING, RideSimulator
+from diffstack_mmv.identification.shooting import ParameterVector
+from diffstack_mmv.types import EgoEstimate, EgoMeasurement
+from diffstack_mmv.vehicles import VehicleSpec, turning_axle_m
 
-
-class EgoMeasurement(NamedTuple):
-    """What was measured at the end of a step, and on average in it."""
-
-    position: Float[Tensor, "b 2"]  # m, of the antenna
-    known: Bool[Tensor, " b"]  # whether there was a position
-    steer: Float[Tensor, " b"]  # rad
-    speed: Float[Tensor, " b"]  # m/s
-    yaw_rate: Float[Tensor, " b"]  # rad/s, NaN without gyro
+SLIP_RAD = 0.01
+"""By how much a vehicle may point aside of its course."""
 
 
 class EgoHorizon(NamedTuple):
@@ -35,18 +34,7 @@ class EgoHorizon(NamedTuple):
     mean: Float[Tensor, "b 4"]  # of the unknowns of the instruments, from before the horizon
     precision: Float[Tensor, "b 4 4"]
     age: int  # steps since mean and precision were taken over
-
-
-class EgoEstimate(NamedTuple):
-    """The ego now.
-
-    `instruments` are steering offset (rad) and scale, speed scale, delay (s): the true steering is
-    scale times the measured one plus the offset.
-    """
-
-    state: Float[Tensor, "b n"]  # of the model
-    instruments: Float[Tensor, "b 4"]
-    instruments_std: Float[Tensor, "b 4"]
+    course: CourseGiven  # b T1, at each instant by what was known there
 
 
 class EgoUpdate(NamedTuple):
@@ -61,7 +49,8 @@ class EgoEstimator:
     """Most probable path through the last measurements, by the dynamics themselves.
 
     Used like a forecaster: `init` with the first measurement, then a call per step. What came
-    before the horizon is remembered as a prior of the instruments, which may drift.
+    before the horizon is remembered as a prior: of the instruments, which may drift, and of the
+    course at its start, as a vehicle that stands does not tell where it points.
 
     Attributes:
         simulator: Of the vehicle, with the noise of the measurements.
@@ -69,6 +58,7 @@ class EgoEstimator:
         priors: Of the instruments before the first measurement.
         steps: Length T of the horizon.
         with_gyro: Whether yaw rates are used.
+        course_std: Deviation of a course that `init` is told, rad.
         drift: Deviation of the instruments from one horizon to the next, in prior deviations.
         iterations: Steps of Levenberg and Marquardt per measurement.
     """
@@ -78,54 +68,79 @@ class EgoEstimator:
     priors: InstrumentPriors = InstrumentPriors()
     steps: int = 20
     with_gyro: bool = False
+    course_std: float = 0.02
     drift: float = 0.2
     iterations: int = 6
 
     def __post_init__(self) -> None:
         require_at_least("steps", self.steps, 5)
 
-    def init(self, measurement: EgoMeasurement) -> EgoHorizon:
-        """A horizon of which only the last instant is known."""
-        count = len(measurement.steer)
-        past = [part.unsqueeze(1).repeat_interleave(self.steps + 1, 1) for part in measurement]
+    def init(
+        self, measurement: EgoMeasurement, course: Float[Tensor, " b"] | None = None
+    ) -> EgoHorizon:
+        """A horizon of which only the last instant is known.
+
+        Args:
+            measurement: The first one.
+            course: Where the vehicle points in rad, if it is known and the vehicle stands.
+        """
+        count, ends = len(measurement.steer), self.steps + 1
+        past = [part.unsqueeze(1).repeat_interleave(ends, 1) for part in measurement]
         whole = EgoMeasurement(*past)
-        earlier = torch.arange(self.steps + 1) < self.steps
+        earlier = torch.arange(ends) < self.steps
         mean, std = self.priors.recording()
+        pointed = CourseGiven.unknown(count)
+        if course is not None:
+            pointed = CourseGiven(course.double(), torch.full_like(pointed.std, self.course_std))
         return EgoHorizon(
             whole._replace(known=whole.known & ~earlier),
             mean.expand(count, -1),
             std.pow(-2).diag().expand(count, -1, -1),
             0,
+            CourseGiven(*(part.unsqueeze(1).repeat_interleave(ends, 1) for part in pointed)),
         )
 
     def __call__(self, horizon: EgoHorizon, measurement: EgoMeasurement) -> EgoUpdate:
         """Take a measurement in."""
         past = EgoMeasurement(
-            *(
-                torch.cat([old[:, 1:], new.unsqueeze(1)], 1)
-                for old, new in zip(horizon.past, measurement, strict=True)
-            )
+            *(_later(*pair) for pair in zip(horizon.past, measurement, strict=True))
         )
         windows = self._windows(past)
+        # what was known at the start of the window shares no sample with it but that instant's
+        start = CourseGiven(*(part[:, 1] for part in horizon.course))
+        freewheel = FreewheelGiven.of(self.priors, len(horizon.mean))
+        given = InstrumentsGiven(horizon.mean, horizon.precision, freewheel, start)
         found = estimate_windows(
-            self.simulator,
-            windows,
-            self.shared,
-            InstrumentsGiven(
-                horizon.mean, horizon.precision, FreewheelGiven.of(self.priors, len(horizon.mean))
-            ),
-            self.with_gyro,
-            self.iterations,
+            self.simulator, windows, self.shared, given, self.with_gyro, self.iterations
         )
-        path = self.simulator.simulate(windows, self.shared, found.local)
+        estimate = self._present(windows, found)
         own = slice(POSE, POSE + RECORDING)
-        spread = found.covariance[:, own, own]
+        after = self._remembered(horizon, past, found.recording, found.covariance[:, own, own])
+        course = self._course(windows, found, estimate.motion.heading)
+        course = CourseGiven(*(_later(*pair) for pair in zip(horizon.course, course, strict=True)))
+        return EgoUpdate(estimate, after._replace(course=course))
+
+    def _present(self, windows: RideWindows, found: WindowEstimate) -> EgoEstimate:
+        """The end of the most probable path."""
+        model = self.simulator.model
+        path = self.simulator.simulate(windows, self.shared, found.local)
         # positions come first in every state, whatever else the model has
         now = path.states[:, -1].clone()
         now[:, :2] = now[:, :2] + windows.origin
-        deviation = spread.diagonal(dim1=-2, dim2=-1).sqrt()
-        estimate = EgoEstimate(now, found.recording, deviation)
-        return EgoUpdate(estimate, self._remembered(horizon, past, found.recording, spread))
+        motion = model.motion(now, now.new_zeros(len(now), model.control_dim))
+        own = slice(POSE, POSE + RECORDING)
+        deviation = found.covariance[:, own, own].diagonal(dim1=-2, dim2=-1).sqrt()
+        return EgoEstimate(now, motion, found.recording, deviation)
+
+    def _course(
+        self, windows: RideWindows, found: WindowEstimate, heading: Float[Tensor, " b"]
+    ) -> CourseGiven:
+        """Course at the end of a window: that at its start, and the sum of its yaw rates."""
+        yaw_rates = found.slopes[:, 2 * windows.position.shape[1] :]
+        slope = self.simulator.model.dt_s * yaw_rates.sum(1)
+        slope[:, POSE - 1] += 1
+        variance = (slope.unsqueeze(1) @ found.covariance @ slope.unsqueeze(-1)).flatten()
+        return CourseGiven(heading, (variance + SLIP_RAD**2).sqrt())
 
     def _remembered(
         self, horizon: EgoHorizon, past: EgoMeasurement, mean: Tensor, spread: Tensor
@@ -135,11 +150,12 @@ class EgoEstimator:
             return horizon._replace(past=past, age=horizon.age + 1)
         _, std = self.priors.recording()
         precision = torch.linalg.inv(spread + (self.drift * std).square().diag())
-        return EgoHorizon(past, mean, precision, 0)
+        return horizon._replace(past=past, mean=mean, precision=precision, age=0)
 
     def _windows(self, past: EgoMeasurement) -> RideWindows:
-        steer, speed = past.steer[:, 1:], past.speed.clone()
-        speed[:, 1:-1] = 0.5 * (past.speed[:, 1:-1] + past.speed[:, 2:])
+        # means over steps, straight on after the last
+        steer, onward = past.steer[:, 1:], 2 * past.speed[:, -1:] - past.speed[:, -2:-1]
+        speed = 0.5 * (past.speed + torch.cat([past.speed[:, 1:], onward], 1))
         (rate,) = torch.gradient(steer, spacing=self.simulator.model.dt_s, dim=1)
         origin = past.position[:, 0]
         position = past.position - origin.unsqueeze(1)
@@ -156,3 +172,46 @@ class EgoEstimator:
             past.yaw_rate[:, 1:],
             torch.full_like(speed, torch.nan),
         )
+
+
+def ego_estimator(
+    model: DynamicsModel,
+    spec: VehicleSpec,
+    noise: MeasurementNoise,
+    priors: InstrumentPriors,
+    horizon_s: float = 2.0,
+    with_gyro: bool = False,
+    iterations: int = 6,
+) -> EgoEstimator:
+    """An estimator of a vehicle whose measured position is that of its model's reference point.
+
+    Args:
+        model: What is believed of the vehicle; its step is the time between two measurements.
+        spec: The vehicle, whose learned parameters are taken to be those of the model.
+        noise: Of the measurements.
+        priors: Of the instruments before the first measurement.
+        horizon_s: Length of the horizon in s.
+        with_gyro: Whether yaw rates are used.
+        iterations: Steps of Levenberg and Marquardt per measurement.
+
+    Raises:
+        ValueError: The horizon is shorter than five steps.
+    """
+    exact = copy.deepcopy(model).double()
+    parameters = ParameterVector(exact, spec)
+    simulator = RideSimulator(exact, parameters, noise, spec)
+    installed = exact.reference_ahead_m - turning_axle_m(spec.wheels), 0.0, 1.0
+    shared = torch.cat([parameters.start(), parameters.raw.new_tensor(installed)])
+    return EgoEstimator(
+        simulator,
+        shared,
+        priors,
+        round(horizon_s / exact.dt_s),
+        with_gyro,
+        iterations=iterations,
+    )
+
+
+def _later(old: Tensor, new: Tensor) -> Tensor:
+    """A window of instants one step later."""
+    return torch.cat([old[:, 1:], new.unsqueeze(1)], 1)

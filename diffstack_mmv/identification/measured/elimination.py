@@ -12,11 +12,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.identification.measured.estimation import (
-    FreewheelGiven,
     WindowSystem,
     local_prior,
     residuals,
 )
+from diffstack_mmv.identification.measured.given import FreewheelGiven
 from diffstack_mmv.identification.measured.instruments import InstrumentPriors
 from diffstack_mmv.identification.measured.rides import RideWindows
 from diffstack_mmv.identification.measured.shared import SharedUnknowns

@@ -4,11 +4,17 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.geometry import direction
-from diffstack_mmv.identification.measured.instruments import InstrumentPriors, MeasurementNoise
+from diffstack_mmv.geometry import direction, wrap_angle
+from diffstack_mmv.identification.measured.given import (
+    UNKNOWN_RAD,
+    CourseGiven,
+    FreewheelGiven,
+    InstrumentsGiven,
+)
+from diffstack_mmv.identification.measured.instruments import MeasurementNoise
 from diffstack_mmv.identification.measured.rides import RideWindows
 from diffstack_mmv.identification.measured.simulator import (
     COASTING,
@@ -18,8 +24,11 @@ from diffstack_mmv.identification.measured.simulator import (
     RideSimulator,
 )
 
-START_M, START_RAD = 100.0, 100.0
-"""Prior deviations of the pose at the start of a window."""
+START_M = 100.0
+"""Prior deviation of the position at the start of a window."""
+
+SURE_RAD = 0.5
+"""A course that is known so well is searched from, instead of from the way."""
 
 FIRST_DAMPING, AFTER_FAILURE = 1e-4, 1e-2
 """Share of the diagonal that Levenberg's damping adds at first, and least after a failed step."""
@@ -27,59 +36,6 @@ FIRST_DAMPING, AFTER_FAILURE = 1e-4, 1e-2
 PLAIN, ROBUST = 1e6, 3.0
 """Deviations beyond which the cost of a position grows linearly: none, and Huber's,
 as receivers jump."""
-
-
-class FreewheelGiven(NamedTuple):
-    """Prior of the freewheel of each window: mean and deviation of excess and loss of speed."""
-
-    coasts: Float[Tensor, "w 2 2"]
-    drives: Float[Tensor, "w 2 2"]
-    share: Float[Tensor, " w"]  # of the windows that coast
-
-    @classmethod
-    def of(cls, priors: InstrumentPriors, count: int) -> "FreewheelGiven":
-        """The same priors for so many windows."""
-        share = torch.full((count,), priors.coasting_share, dtype=torch.float64)
-        coasts, drives = (torch.stack(priors.freewheel(it)) for it in (True, False))
-        return cls(coasts.expand(count, 2, 2), drives.expand(count, 2, 2), share)
-
-    def where(self, coasting: Bool[Tensor, " w"]) -> tuple[Tensor, Tensor]:
-        """Means and deviations (w 2) for windows that coast or do not."""
-        chosen = torch.where(coasting.view(-1, 1, 1), self.coasts, self.drives)
-        mean, std = chosen.unbind(1)
-        return mean.clone(), std
-
-
-class InstrumentsGiven(NamedTuple):
-    """Gaussian prior of the instruments of each window, and of its freewheel."""
-
-    mean: Float[Tensor, "w 4"]
-    precision: Float[Tensor, "w 4 4"]
-    freewheel: FreewheelGiven
-
-    @classmethod
-    def of(cls, priors: InstrumentPriors, count: int) -> "InstrumentsGiven":
-        """The same priors for so many windows."""
-        mean, std = priors.recording()
-        precision = std.pow(-2).diag().expand(count, -1, -1)
-        return cls(mean.expand(count, -1), precision, FreewheelGiven.of(priors, count))
-
-    @classmethod
-    def by_fold(
-        cls, priors: Sequence[InstrumentPriors], fold: Int[Tensor, " w"]
-    ) -> "InstrumentsGiven":
-        """Each window under the priors of its fold."""
-        each = [cls.of(one, 1) for one in priors]
-        mean, precision = (
-            torch.cat(rows)[fold] for rows in zip(*(e[:2] for e in each), strict=True)
-        )
-        columns = zip(*(one.freewheel for one in each), strict=True)
-        return cls(mean, precision, FreewheelGiven(*(torch.cat(rows)[fold] for rows in columns)))
-
-    def select(self, index: Tensor) -> "InstrumentsGiven":
-        """Those of some windows."""
-        freewheel = FreewheelGiven(*(part[index] for part in self.freewheel))
-        return InstrumentsGiven(self.mean[index], self.precision[index], freewheel)
 
 
 class LocalPrior(NamedTuple):
@@ -114,6 +70,7 @@ class WindowEstimate(NamedTuple):
     covariance: Float[Tensor, "w l l"]
     evidence: Float[Tensor, " w"]  # logarithm
     coasting: Bool[Tensor, " w"]
+    slopes: Float[Tensor, "w o l"]  # of positions, then yaw rates
 
     def replaced(self, other: "WindowEstimate", where: Bool[Tensor, " w"]) -> "WindowEstimate":
         """The other's in some windows."""
@@ -158,7 +115,7 @@ def local_prior(
     known = POSE + RECORDING + COASTING
     count = (start.shape[-1] - known) // 2
     own_mean, spread = freewheel.where(coasting)
-    pose = torch.tensor([START_M, START_M, START_RAD], dtype=start.dtype)
+    pose = torch.tensor([START_M, START_M, UNKNOWN_RAD], dtype=start.dtype)
     errors = torch.tensor([noise.curvature, noise.speed_share], dtype=start.dtype)
     fixed = torch.cat([pose, torch.ones(RECORDING, dtype=start.dtype)]).expand(len(start), -1)
     knots = errors.repeat_interleave(count).expand(len(start), -1)
@@ -168,6 +125,20 @@ def local_prior(
     rest = torch.zeros_like(start[:, known:])
     middle = torch.cat([start[:, :POSE], mean, own_mean, rest], -1)
     return LocalPrior(middle, whole)
+
+
+def _on_course(
+    first: Float[Tensor, "w l"], prior: LocalPrior, course: CourseGiven
+) -> tuple[Float[Tensor, "w l"], LocalPrior]:
+    """Start values and prior where something is known of the course."""
+    column = POSE - 1
+    near = first[:, column] + wrap_angle(course.mean - first[:, column])
+    known, sure = course.std < UNKNOWN_RAD, course.std < SURE_RAD
+    first, mean, precision = first.clone(), prior.mean.clone(), prior.precision.clone()
+    first[:, column] = torch.where(sure, near, first[:, column])
+    mean[:, column] = torch.where(known, near, mean[:, column])
+    precision[:, column, column] = course.std**-2
+    return first, LocalPrior(mean, precision)
 
 
 def residuals(
@@ -272,7 +243,8 @@ def _estimate(
     """With the evidence by Laplace's approximation, the share of coasting windows in it."""
     volume = torch.logdet(prior.precision) - torch.logdet(at.hessian)
     evidence = 0.5 * volume - at.cost + torch.where(coasting, share, 1 - share).log()
-    return WindowEstimate(at.local, torch.linalg.inv(at.hessian), evidence, coasting)
+    covariance = torch.linalg.inv(at.hessian)
+    return WindowEstimate(at.local, covariance, evidence, coasting, at.slopes)
 
 
 class _Point(NamedTuple):
@@ -282,6 +254,8 @@ class _Point(NamedTuple):
     cost: Float[Tensor, " w"]
     gradient: Float[Tensor, "w l"]
     hessian: Float[Tensor, "w l l"]
+    outputs: Float[Tensor, "w o"]
+    slopes: Float[Tensor, "w o l"]
 
     def replaced(self, other: "_Point", where: Bool[Tensor, " w"]) -> "_Point":
         """The other's values in some windows."""
@@ -299,13 +273,14 @@ class _Search(NamedTuple):
 
     def estimate(self, coasting: Bool[Tensor, " w"], iterations: int) -> WindowEstimate:
         """Estimate for windows that coast or do not."""
-        mean, precision, freewheel = self.given
+        mean, precision, freewheel, course = self.given
         first = start_values(self.windows, self.simulator, mean, freewheel, coasting)
         noise = self.simulator.noise
         prior = local_prior(first, mean, precision, noise, freewheel, coasting)
+        first, prior = _on_course(first, prior, course)
         # Huber's cost is flat far from the optimum, so the plain one leads there first
         near = self._lowest(self._point(first, prior, PLAIN), prior, PLAIN, iterations // 2)
-        at = self._point(near.local, prior, ROBUST)
+        at = self._weighed(near.local, near.outputs, near.slopes, prior, ROBUST)
         at = self._lowest(at, prior, ROBUST, iterations - iterations // 2)
         return _estimate(at, prior, freewheel.share, coasting)
 
@@ -324,10 +299,17 @@ class _Search(NamedTuple):
     def _point(self, local: Float[Tensor, "w l"], prior: LocalPrior, robust: float) -> _Point:
         """Linearise."""
         found = self.simulator.linearise(self.windows, self.shared, local, by_shared=False)
+        return self._weighed(local, found.outputs, found.local, prior, robust)
+
+    def _weighed(
+        self, local: Tensor, outputs: Tensor, slopes: Tensor, prior: LocalPrior, robust: float
+    ) -> _Point:
+        """The quadratic model of the cost of a linearisation."""
+        found = Linearised(outputs, slopes[..., :0], slopes)
         system = residuals(self.windows, found, self.simulator.noise, self.with_gyro, robust)
         gap = (local - prior.mean).unsqueeze(-1)
         push = prior.precision @ gap
         gradient = system.local.mT @ system.residual.unsqueeze(-1) + push
         square = system.residual.square().sum(-1) + (gap * push).sum((-2, -1))
         hessian = system.local.mT @ system.local + prior.precision
-        return _Point(local, 0.5 * square, gradient.squeeze(-1), hessian)
+        return _Point(local, 0.5 * square, gradient.squeeze(-1), hessian, outputs, slopes)

@@ -17,18 +17,18 @@ from diffstack_mmv.identification.measured.elimination import (
     RideUnknowns,
     without_recording,
 )
-from diffstack_mmv.identification.measured.estimation import (
-    FreewheelGiven,
-    InstrumentsGiven,
-    WindowEstimate,
-    estimate_windows,
-)
+from diffstack_mmv.identification.measured.estimation import WindowEstimate, estimate_windows
 from diffstack_mmv.identification.measured.evidence import (
     LearnedInstruments,
     NoiseSizes,
     heard_noise,
     learned_instruments,
     noise_sizes,
+)
+from diffstack_mmv.identification.measured.given import (
+    CourseGiven,
+    FreewheelGiven,
+    InstrumentsGiven,
 )
 from diffstack_mmv.identification.measured.instruments import InstrumentPriors, MeasurementNoise
 from diffstack_mmv.identification.measured.rides import RideWindows
@@ -273,7 +273,8 @@ class MeasuredFitter:
     ) -> WindowEstimate:
         own = recording[windows.recording]
         sure = precision.expand(len(own), -1, -1)
-        prior = InstrumentsGiven(own, sure, FreewheelGiven.of(self.priors, len(own)))
+        freewheel = FreewheelGiven.of(self.priors, len(own))
+        prior = InstrumentsGiven(own, sure, freewheel, CourseGiven.unknown(len(own)))
         return estimate_windows(
             simulator, windows, shared, prior, self.with_gyro, coasting=coasting
         )

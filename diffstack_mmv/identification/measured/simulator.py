@@ -1,6 +1,8 @@
 """Positions of the antenna from measured steering and speed, with derivatives for all unknowns."""
 
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -8,10 +10,14 @@ from torch import Tensor
 from torch.func import functional_call, jvp, vmap
 
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.dynamics.records import DriverInput
-from diffstack_mmv.geometry import direction
-from diffstack_mmv.identification.measured.instruments import GRAVITY, MeasurementNoise
+from diffstack_mmv.identification.measured.instruments import MeasurementNoise
 from diffstack_mmv.identification.measured.rides import RideWindows
+from diffstack_mmv.identification.measured.vehicle import (
+    Antenna,
+    Beginning,
+    SteerPerCurvature,
+    Step,
+)
 from diffstack_mmv.identification.shooting import ParameterVector
 from diffstack_mmv.types import Motion
 from diffstack_mmv.vehicles import VehicleSpec, turning_axle_m
@@ -19,9 +25,6 @@ from diffstack_mmv.vehicles import VehicleSpec, turning_axle_m
 POSE, RECORDING, COASTING, INSTALLED = 3, 4, 2, 3
 """Numbers of unknowns: pose at the start, of a recording, freewheel, antenna and gain of the
 encoder."""
-
-SMALL = 1e-3
-"""Curvature in 1/m at which the steering per curvature is taken."""
 
 ENGAGING_MPS = 0.04
 """Width of the smooth maximum of the speeds of wheel and coasting vehicle."""
@@ -33,6 +36,17 @@ class Simulated(NamedTuple):
     position: Float[Tensor, "w T1 2"]  # m, of the antenna
     yaw_rate: Float[Tensor, "w T"]  # rad/s, mean of each step
     states: Float[Tensor, "w T1 n"]
+    speed: Float[Tensor, "w T1"]  # m/s, corrected
+    steer: Float[Tensor, "w T"]  # rad, corrected
+
+
+class StepSlopes(NamedTuple):
+    """Derivatives of the states after each step, d directions."""
+
+    state: Float[Tensor, "w T n n"]
+    speed: Float[Tensor, "w T n"]  # at the end of the step
+    steer: Float[Tensor, "w T n"]
+    shared: Float[Tensor, "w T n d"]
 
 
 class Linearised(NamedTuple):
@@ -43,56 +57,9 @@ class Linearised(NamedTuple):
     local: Float[Tensor, "w o l"]  # by the unknowns of recording and window
 
 
-class _SteerPerCurvature(torch.nn.Module):
-    """Steering angle that a model needs for a small curvature, in m: a wheelbase and more."""
-
-    def __init__(self, model: DynamicsModel) -> None:
-        super().__init__()
-        self.model = model
-
-    def forward(self, state: Float[Tensor, "w n"]) -> Float[Tensor, " w"]:
-        """At states."""
-        small = torch.full_like(state[:, 0], SMALL)
-        control = self.model.control_for(state, torch.zeros_like(small), small)
-        return self.model.driver_input(state, control).steer / SMALL
-
-
-class _Stepper(torch.nn.Module):
-    """A model driven by speed and steering, as one module for a functional call."""
-
-    def __init__(self, model: DynamicsModel, wheelbase_m: float) -> None:
-        super().__init__()
-        self.model, self.wheelbase_m = model, wheelbase_m
-
-    def per_curvature(self, state: Float[Tensor, "w n"]) -> Float[Tensor, " w"]:
-        """Steering angle per curvature at states, m."""
-        return _SteerPerCurvature(self.model)(state)
-
-    def forward(
-        self, start: Tensor, speed: Tensor, steer: Tensor, bend: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """States and headings from a start (x, y, course), speeds (w T1), angles and bends (w T).
-
-        A bend is a path curvature in 1/m that the steering does not explain.
-        """
-        model = self.model
-        turn = speed[:, 0] * steer[:, 0].tan() / self.wheelbase_m
-        velocity = torch.stack([speed[:, 0], torch.zeros_like(turn)], -1)
-        states = [model.state_on_course(Motion(start[:, :2], start[:, 2], velocity, turn))]
-        idle = states[0].new_zeros(*steer.shape[:1], model.control_dim)
-        forward = model.motion(states[0], idle).velocity[..., 0]
-        steer = steer + self.per_curvature(states[0]).unsqueeze(-1) * bend
-        for step in range(steer.shape[-1]):
-            driver = DriverInput((speed[:, step + 1] - forward) / model.dt_s, steer[:, step])
-            states.append(model.step(states[-1], model.control_for_driver(states[-1], driver)))
-            forward = model.motion(states[-1], idle).velocity[..., 0]
-        path = torch.stack(states, 1)
-        return path, model.motion(path, idle.unsqueeze(1).expand(-1, path.shape[1], -1)).heading
-
-
 def freewheeling(
-    wheel: Float[Tensor, "w T1"], excess: Float[Tensor, " w"], loss: Float[Tensor, " w"]
-) -> Float[Tensor, "w T1"]:
+    wheel: Float[Tensor, "*b T1"], excess: Float[Tensor, "*b"], loss: Float[Tensor, "*b"]
+) -> Float[Tensor, "*b T1"]:
     """Speed of a vehicle that its wheel can push but not hold: max(wheel, start + excess - loss t).
 
     The maximum is smooth. That a wheel may be outrun again within a window is neglected.
@@ -103,20 +70,9 @@ def freewheeling(
         loss: Of speed in a step while coasting, m/s.
     """
     steps = torch.arange(wheel.shape[-1], dtype=wheel.dtype)
-    coasting = wheel[:, :1] + excess.unsqueeze(-1) - loss.unsqueeze(-1) * steps
+    coasting = wheel[..., :1] + excess.unsqueeze(-1) - loss.unsqueeze(-1) * steps
     over = (coasting - wheel) / ENGAGING_MPS
     return wheel + ENGAGING_MPS * torch.nn.functional.softplus(over)
-
-
-def _at_ends(means: Float[Tensor, "w T"]) -> Float[Tensor, "w T1"]:
-    """Values at the ends of steps from means over them, straight on at both ends of a window.
-
-    Were the first and the last mean kept instead, the lean would come late at one end and early at
-    the other, where positions tell most about it.
-    """
-    first, last = 2 * means[:, :1] - means[:, 1:2], 2 * means[:, -1:] - means[:, -2:-1]
-    ends = torch.cat([first, means, last], -1)
-    return 0.5 * (ends[:, 1:] + ends[:, :-1])
 
 
 class RideSimulator:
@@ -143,9 +99,10 @@ class RideSimulator:
         spec: VehicleSpec,
     ) -> None:
         self.model, self.parameters, self.noise = model, parameters, noise
-        self._steering = _SteerPerCurvature(model)
-        self._stepper = _Stepper(model, spec.wheelbase.entries()[0][0])
-        self.spec, self._axle_m = spec, turning_axle_m(spec.wheels)
+        self._steering, self._step = SteerPerCurvature(model), Step(model)
+        self._beginning = Beginning(model, spec.wheelbase.entries()[0][0])
+        self._antenna = Antenna(model, turning_axle_m(spec.wheels))
+        self.spec = spec
 
     def under(self, noise: MeasurementNoise) -> "RideSimulator":
         """The same vehicle under another noise."""
@@ -166,43 +123,43 @@ class RideSimulator:
         local: Float[Tensor, "w l"],
     ) -> Simulated:
         """Simulate all windows, of one vehicle or each of its own."""
-        columns = (windows.steer, windows.steer_rate, windows.speed)
-        if shared.dim() == 1:
-            return Simulated(*self._simulated(*columns, local, shared))
+        state, steer, speed = self._begun(windows, shared, local)
+        states = [state]
+        for now, after in zip(steer.unbind(-1), speed.unbind(-1)[1:], strict=True):
+            states.append(_of_each(self._stepped, shared, states[-1], after, now))
+        path = torch.stack(states, -2)
+        return Simulated(*_of_each(self._seen, shared, path, speed), path, speed, steer)
 
-        def one(
-            steer: Tensor, rate: Tensor, speed: Tensor, shared: Tensor, local: Tensor
-        ) -> tuple[Tensor, ...]:
-            alone = (part.unsqueeze(0) for part in (steer, rate, speed, local))
-            found = self._simulated(*alone, shared=shared)
-            return tuple(part.squeeze(0) for part in found)
+    def _begun(
+        self, windows: RideWindows, shared: Tensor, local: Float[Tensor, "w l"]
+    ) -> tuple[Tensor, ...]:
+        """State at the start (w n), angles (w T) and speeds (w T1)."""
+        columns = windows.steer, windows.steer_rate, windows.speed
+        return _of_each(self._driven_start, shared, local, *columns)
 
-        return Simulated(*vmap(one)(*columns, shared, local))
-
-    def _simulated(
-        self, steer: Tensor, steer_rate: Tensor, speed: Tensor, local: Tensor, shared: Tensor
+    def _driven_start(
+        self, shared: Tensor, local: Tensor, steer: Tensor, steer_rate: Tensor, speed: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Positions of the antenna, yaw rates and states under one vehicle."""
-        theta, (ahead, height, gain) = shared[:-INSTALLED], shared[-INSTALLED:].unbind()
-        driven = self._driven(steer, steer_rate, speed, local, gain)
-        speed = driven[0]
-        weights = self.parameters.tensors(theta, "model.")
-        start = local[:, :POSE]
-        states, heading = functional_call(self._stepper, weights, (start, *driven))
-        yaw_rate = heading.diff(dim=-1) / self.model.dt_s
-        aside = height * torch.atan(_at_ends(yaw_rate) * speed / GRAVITY)
-        ahead = ahead - self.model.reference_ahead_m + self._axle_m
-        along = direction(heading)
-        across = torch.stack([-along[..., 1], along[..., 0]], -1)
-        idle = states.new_zeros(*states.shape[:-1], self.model.control_dim)
-        place = self.model.motion(states, idle).position
-        return place + ahead * along + aside.unsqueeze(-1) * across, yaw_rate, states
+        driven = self._driven(steer, steer_rate, speed, local, shared[-1])
+        start = local[..., :POSE], *driven
+        state, steer = functional_call(self._beginning, self._weights(shared), start)
+        return state, steer, driven[0]
+
+    def _stepped(self, shared: Tensor, state: Tensor, speed: Tensor, steer: Tensor) -> Tensor:
+        return functional_call(self._step, self._weights(shared), (state, speed, steer))
+
+    def _seen(self, shared: Tensor, states: Tensor, speed: Tensor) -> tuple[Tensor, Tensor]:
+        place = shared[-INSTALLED:-1]
+        return functional_call(self._antenna, self._weights(shared), (states, speed, place))
+
+    def _weights(self, shared: Float[Tensor, " s"]) -> dict[str, Tensor]:
+        return self.parameters.tensors(shared[:-INSTALLED], "model.")
 
     def steer_per_curvature(
         self, shared: Float[Tensor, " s"], speed_mps: float = 3.0
     ) -> Float[Tensor, ""]:
         """Measured steering angle per path curvature in m: what wheelbase, tyres and encoder do."""
-        weights = self.parameters.tensors(shared[:-INSTALLED], "model.")
+        weights = self._weights(shared)
         pose, speed = shared.new_zeros(1, POSE), shared.new_full((1, 1), speed_mps)
         way = Motion(pose[:, :2], pose[:, 2], torch.cat([speed, 0 * speed], -1), 0 * pose[:, 2])
         state = self.model.state_on_course(way)
@@ -215,55 +172,105 @@ class RideSimulator:
         local: Float[Tensor, "w l"],
         by_shared: bool = True,
     ) -> Linearised:
-        """Outputs and derivatives; each direction is taken for all windows at once.
+        """Outputs and derivatives.
 
+        The derivatives of all steps are taken at once, at the states of a simulation, and chained:
+        to push every direction through the simulation would take as many operations per step.
         Without `by_shared` the derivatives by the shared unknowns are left out (s = 0).
         """
+        found = self.simulate(windows, shared, local)
+        count = shared.shape[-1]
+        first = 0 if by_shared else count
+        ways = torch.eye(count + local.shape[-1], dtype=local.dtype)[first:]
+        by, own = ways[:, :count], ways[:, count:]
+        state, steer, speed = _slopes(partial(self._begun, windows), (shared, local), (by, own))
+        path = _chained(self._step_slopes(found, shared, by), state, speed, steer)
+        seen = partial(_of_each, self._seen)
+        moved = by, path.movedim(-1, 0), speed.movedim(-1, 0)
+        place, yaw_rate = _slopes(seen, (shared, found.states, found.speed), moved)
+        slope = torch.cat([place.flatten(1, 2), yaw_rate], 1)
+        value = torch.cat([found.position.flatten(1), found.yaw_rate], -1)
+        return Linearised(value, slope[..., : count - first], slope[..., count - first :])
 
-        def outputs(shared: Tensor, local: Tensor) -> Tensor:
-            found = self.simulate(windows, shared, local)
-            return torch.cat([found.position.flatten(1), found.yaw_rate], -1)
-
-        def along(shared_way: Tensor, local_way: Tensor) -> tuple[Tensor, Tensor]:
-            ways = shared_way.expand_as(shared), local_way.expand_as(local)
-            value, slope, *_ = jvp(outputs, (shared, local), ways)
-            return value, slope
-
-        count, size = shared.shape[-1], shared.shape[-1] + local.shape[-1]
-        ways = torch.eye(size, dtype=local.dtype)
-        # the types of torch know no output that is not mapped
-        every = vmap(along, out_dims=(None, -1))  # pyright: ignore[reportArgumentType]
-        if not by_shared:
-            value, slope = every(ways[count:, :count], ways[count:, count:])
-            return Linearised(value, slope[..., :0], slope)
-        value, slope = every(ways[:, :count], ways[:, count:])
-        return Linearised(value, slope[..., :count], slope[..., count:])
+    def _step_slopes(
+        self, found: Simulated, shared: Tensor, by: Float[Tensor, "d s"]
+    ) -> StepSlopes:
+        """Derivatives of every step by what goes into it."""
+        size = found.states.shape[-1]
+        step = partial(_of_each, self._stepped)
+        at = shared, found.states[:, :-1], found.speed[:, 1:], found.steer
+        ways = torch.eye(size + 2, dtype=found.states.dtype)
+        idle = ways.new_zeros(size + 2, by.shape[-1])
+        (slopes,) = _slopes(step, at, (idle, ways[:, :size], ways[:, -2], ways[:, -1]))
+        parts = slopes[..., :size], slopes[..., -2], slopes[..., -1]
+        if not bool(by.any()):
+            return StepSlopes(*parts, slopes.new_zeros(*slopes.shape[:-1], len(by)))
+        still = ways.new_zeros(len(by), size)
+        (of_vehicle,) = _slopes(step, at, (by, still, still[:, 0], still[:, 0]))
+        return StepSlopes(*parts, of_vehicle)
 
     def _driven(
         self,
-        steer: Float[Tensor, "w T"],
-        steer_rate: Float[Tensor, "w T"],
-        speed: Float[Tensor, "w T1"],
-        local: Float[Tensor, "w l"],
+        steer: Float[Tensor, "*b T"],
+        steer_rate: Float[Tensor, "*b T"],
+        speed: Float[Tensor, "*b T1"],
+        local: Float[Tensor, "*b l"],
         gain: Float[Tensor, ""],
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Speed (w T1), steering and bend (w T) after the corrections of a window."""
         steps = steer.shape[-1]
         count = self.knots(steps)
-        offset, scale, pace, delay = local[:, POSE : POSE + RECORDING].T.unsqueeze(-1)
-        excess, loss = local[:, POSE + RECORDING :][:, :COASTING].T
-        errors = local[:, POSE + RECORDING + COASTING :]
+        recording = local[..., POSE : POSE + RECORDING].unsqueeze(-2)
+        offset, scale, pace, delay = recording.unbind(-1)
+        excess, loss = local[..., POSE + RECORDING :][..., :COASTING].unbind(-1)
+        errors = local[..., POSE + RECORDING + COASTING :]
         steer = gain * scale * (steer - delay * steer_rate) + offset
         ends = torch.arange(steps + 1, dtype=errors.dtype)
-        bend = self._between(errors[:, :count], ends[:-1] + 0.5)
-        wheel = speed * (pace + self._between(errors[:, count:], ends))
+        bend = self._between(errors[..., :count], ends[:-1] + 0.5)
+        wheel = speed * (pace + self._between(errors[..., count:], ends))
         return freewheeling(wheel, excess, loss * self.model.dt_s), steer, bend
 
     def _between(
-        self, knots: Float[Tensor, "w k"], steps: Float[Tensor, " t"]
-    ) -> Float[Tensor, "w t"]:
+        self, knots: Float[Tensor, "*b k"], steps: Float[Tensor, " t"]
+    ) -> Float[Tensor, "*b t"]:
         """Values between knots by straight lines: jumps of the speed would saturate the model."""
         place = steps / self.noise.knot_steps
         left = place.floor().long().clamp(max=knots.shape[-1] - 2)
         share = place - left
-        return (1 - share) * knots[:, left] + share * knots[:, left + 1]
+        return (1 - share) * knots[..., left] + share * knots[..., left + 1]
+
+
+def _of_each(function: Callable[..., Any], shared: Tensor, *rest: Tensor) -> Any:
+    """Of windows of one vehicle, or each of its own."""
+    return function(shared, *rest) if shared.dim() == 1 else vmap(function)(shared, *rest)
+
+
+def _slopes(
+    function: Callable[..., Any], at: Sequence[Tensor], ways: Sequence[Tensor]
+) -> tuple[Tensor, ...]:
+    """Derivatives of all outputs along directions, which stand first in `ways` and come last.
+
+    A direction with fewer dimensions than what it changes is the same for all windows.
+    """
+
+    def along(*way: Tensor) -> tuple[Tensor, ...]:
+        whole = tuple(one.expand_as(value) for one, value in zip(way, at, strict=True))
+        _, slope, *_ = jvp(function, tuple(at), whole)
+        return slope if isinstance(slope, tuple) else (slope,)
+
+    return vmap(along, out_dims=-1)(*ways)
+
+
+def _chained(
+    slopes: StepSlopes,
+    state: Float[Tensor, "w n d"],
+    speed: Float[Tensor, "w T1 d"],
+    steer: Float[Tensor, "w T d"],
+) -> Float[Tensor, "w T1 n d"]:
+    """Derivatives of the states from those of single steps."""
+    driven = slopes.speed.unsqueeze(-1) * speed[:, 1:].unsqueeze(-2)
+    driven = driven + slopes.steer.unsqueeze(-1) * steer.unsqueeze(-2) + slopes.shared
+    path = [state]
+    for before, push in zip(slopes.state.unbind(1), driven.unbind(1), strict=True):
+        path.append(before @ path[-1] + push)
+    return torch.stack(path, 1)

@@ -8,11 +8,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.identification.measured.estimation import (
-    InstrumentsGiven,
     WindowEstimate,
     estimate_windows,
 )
 from diffstack_mmv.identification.measured.fit import MeasuredFit
+from diffstack_mmv.identification.measured.given import InstrumentsGiven
 from diffstack_mmv.identification.measured.rides import RideWindows
 from diffstack_mmv.identification.measured.simulator import (
     COASTING,

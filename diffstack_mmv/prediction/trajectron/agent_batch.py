@@ -13,7 +13,7 @@ from diffstack_mmv.prediction.current import (
     current_course,
     current_heading,
     current_position,
-    trend,
+    trends,
 )
 from diffstack_mmv.types import Mode, Motion, Pose, Tracks, map_tensors
 
@@ -56,10 +56,9 @@ def agent_batch(agents: Tracks, dt_s: float, frame: Pose | None = None) -> Agent
     """
     index = agents.valid[..., -1].flatten().nonzero().squeeze(-1)
     scene_tracks = take_rows(agents, index)
-    now = trend(scene_tracks, MEMORY_S, dt_s)
+    now, *others = trends(scene_tracks, (MEMORY_S, *OTHER_MEMORIES_S), dt_s)
     origin = current_position(scene_tracks)
     heading = current_course(now.velocity, current_heading(scene_tracks))
-    others = [trend(scene_tracks, memory_s, dt_s) for memory_s in OTHER_MEMORIES_S]
     kind = agent_kind(scene_tracks.mode)
     is_ego = index % agents.mode.shape[1] == 0
     return AgentBatch(

@@ -8,7 +8,6 @@ import ctypes
 import functools
 import logging
 from dataclasses import dataclass
-from importlib.resources import files
 from typing import Any
 
 import torch
@@ -17,13 +16,40 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from diffstack_mmv.prediction.trajectron.recurrence import Weights
-from dmmv_conventions.libraries import CannotBuildError, load, pointers
+from dmmv_conventions.libraries import CannotBuildError, header, load, pointers
 from dmmv_conventions.progress import waiting
 
 LOGGER = logging.getLogger(__name__)
 REALS = {torch.float32: "float", torch.float64: "double"}
+HEADERS = "lanes", "memory", "decoder", "paths"
 LANES = {torch.float32: 16, torch.float64: 8}
 """Numbers of a vector."""
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """What the emissions of a decoder are multiples of.
+
+    Args:
+        width: Of the controls, in their units; without a gradient.
+        log_range: A deviation stays within this factor of its value at zero, in logarithms.
+        scale: Deviations at zero, in widths.
+        hold: Steps over which an emission is held.
+    """
+
+    width: Float[Tensor, " m"]
+    log_range: float
+    scale: float
+    hold: int = 1
+
+    def steps(self, horizon_steps: int) -> int:
+        """Emissions that so many steps need."""
+        return -(-horizon_steps // self.hold)
+
+    def tensors(self, like: Tensor) -> tuple[Tensor, Tensor]:
+        """Its numbers as a library reads them."""
+        spans = like.new_tensor([self.log_range, self.scale])
+        return self.width.detach().to(like.dtype).contiguous(), spans
 
 
 @dataclass(frozen=True)
@@ -33,7 +59,7 @@ class Blocks:
     def fit(self, like: Tensor) -> bool:
         """Whether rows like these can be taken."""
         plain = like.device.type == "cpu" and like.dtype in REALS and like.numel() > 0
-        return plain and _library(like.dtype) is not None
+        return plain and library(like.dtype) is not None
 
     def last_states(
         self,
@@ -51,42 +77,51 @@ class Blocks:
         last: Tensor = _Last.apply(features.contiguous(), valid.to(weight.dtype), weight)  # type: ignore[no-untyped-call]
         return last
 
-    def emissions(
+    def controls(
         self,
         constant: Float[Tensor, "N g"],
         hidden: Float[Tensor, "N h"],
+        base: Float[Tensor, "N T m"],
         weights: Weights,
-        steps: int,
-    ) -> Float[Tensor, "N S e"]:
-        """A GRU whose own emission is its input; see `recurrence.emissions`.
+        scaling: Scaling,
+    ) -> tuple[Float[Tensor, "N T m"], Float[Tensor, "N T m m"]]:
+        """Mean controls and Cholesky factors of their covariances; see `ControlDecoder`.
+
+        Rows without a gradient are left out of the backward pass.
 
         Args:
-            constant: The part of the input that does not change.
-            hidden: First state.
+            constant: The part of the input of the GRU that does not change.
+            hidden: Its first state.
+            base: Controls that the emissions are deviations from.
             weights: Weights of gates and emissions.
-            steps: Number S of steps.
+            scaling: What emissions are multiples of.
         """
-        emitted: Tensor = _Emissions.apply(constant, hidden, steps, *weights)  # type: ignore[no-untyped-call]
-        return emitted
+        found: tuple[Tensor, Tensor] = _Controls.apply(  # type: ignore[no-untyped-call]
+            constant, hidden, base, scaling, *weights
+        )
+        return found
 
 
 @functools.cache
-def _library(dtype: torch.dtype) -> Any:
+def library(dtype: torch.dtype) -> Any:
     """The library for numbers of a type, None where it cannot be built."""
-    text = files("diffstack_mmv.prediction.trajectron").joinpath("recurrence.hpp").read_text()
+    own = (header("diffstack_mmv.prediction.trajectron", name) for name in HEADERS)
+    parts = f"typedef {REALS[dtype]} Real;", header("dmmv_conventions", "threads"), *own
     try:
         with waiting("compile the recurrences of the predictor"):
-            return load(f"typedef {REALS[dtype]} Real;\n{text}", "-O3")
+            return load("\n".join(parts), "-O3")
     except CannotBuildError as failure:
         LOGGER.info("No library for the recurrences of the predictor (%s): tensors", failure)
         return None
 
 
-def _counts(*numbers: int) -> list[Any]:
+def counts(*numbers: int) -> list[Any]:
+    """Whole numbers as a library takes them."""
     return [ctypes.c_long(number) for number in numbers]
 
 
-def _places(*tensors: Tensor | None) -> list[Any]:
+def places(*tensors: Tensor | None) -> list[Any]:
+    """Addresses of contiguous tensors, none for None."""
     return [None if each is None else pointers(each)[0] for each in tensors]
 
 
@@ -95,8 +130,8 @@ def _blocks(rows: int, like: Tensor) -> int:
 
 
 def _kept(steps: int, units: int, rows: int, like: Tensor) -> Tensor:
-    """Room for states, with whole blocks of rows last."""
-    return like.new_empty(steps, units, _blocks(rows, like) * 4 * LANES[like.dtype])
+    """Room for states of whole blocks of rows."""
+    return like.new_empty(_blocks(rows, like), steps, units, 4 * LANES[like.dtype])
 
 
 def _slopes(rows: int, outputs: int, inputs: int, like: Tensor) -> Tensor:
@@ -115,8 +150,8 @@ class _Last(torch.autograd.Function):
         if any(ctx.needs_input_grad):
             kept = [_kept(steps, size, rows, features) for _ in range(2)]
         given = features, keep.contiguous(), weight.contiguous()
-        counts = _counts(rows, torch.get_num_threads(), *features.shape[1:], size)
-        _library(weight.dtype).dmmv_lstm(*counts, *_places(*given, last, *kept))
+        sizes_ = counts(rows, torch.get_num_threads(), *features.shape[1:], size)
+        library(weight.dtype).dmmv_lstm(*sizes_, *places(*given, last, *kept))
         ctx.save_for_backward(*given, *kept)
         return last
 
@@ -128,56 +163,58 @@ class _Last(torch.autograd.Function):
         by_weight = _slopes(rows, gates, width, weight)
         by_features = torch.empty_like(features) if ctx.needs_input_grad[0] else None
         given = features, keep, weight, weight.T.contiguous(), grad.contiguous(), *kept
-        counts = _counts(rows, torch.get_num_threads(), *features.shape[1:], gates // 4)
-        adjoint = _library(weight.dtype).dmmv_lstm_adjoint
-        adjoint(*counts, *_places(*given, by_weight, by_features))
+        sizes_ = counts(rows, torch.get_num_threads(), *features.shape[1:], gates // 4)
+        adjoint = library(weight.dtype).dmmv_lstm_adjoint
+        adjoint(*sizes_, *places(*given, by_weight, by_features))
         return by_features, None, by_weight.sum(0)[:, :width]
 
 
-class _Emissions(torch.autograd.Function):
-    """`Blocks.emissions` with its gradient."""
+class _Controls(torch.autograd.Function):
+    """`Blocks.controls` with its gradient."""
 
     @staticmethod
-    def forward(ctx: Any, constant: Tensor, hidden: Tensor, steps: int, *tensors: Tensor) -> Tensor:
-        weights, (rows, size) = Weights(*(each.contiguous() for each in tensors)), hidden.shape
-        result = hidden.new_empty(rows, steps, len(weights.head))
-        kept = _kept(steps + 1, size, rows, hidden) if any(ctx.needs_input_grad) else None
-        constant = constant.contiguous()
-        call = _library(hidden.dtype).dmmv_gru
-        given = constant, hidden.contiguous(), *weights, result, kept
-        call(*_gru_counts(result, weights), *_places(*given))
-        ctx.save_for_backward(constant, *weights, result, kept)
-        return result
+    def forward(
+        ctx: Any, constant: Tensor, hidden: Tensor, base: Tensor, scaling: Scaling, *tensors: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        weights = Weights(*(each.contiguous() for each in tensors))
+        given = constant.contiguous(), hidden.contiguous(), base.contiguous()
+        (rows, size), (*_, steps, controls) = hidden.shape, base.shape
+        ctx.counts = rows, scaling.steps(steps), scaling.hold, steps, size, controls
+        kept, (width, spans) = None, scaling.tensors(hidden)
+        if any(ctx.needs_input_grad):
+            lanes = LANES[hidden.dtype]
+            whole = _blocks(rows, hidden) * 4 * lanes
+            kept = hidden.new_empty(whole, ctx.counts[1] + 1, -(-size // lanes) * lanes)
+        found = torch.empty_like(given[2]), hidden.new_empty(rows, steps, controls, controls)
+        sizes_ = counts(rows, torch.get_num_threads(), *ctx.counts[1:])
+        each = *given, *weights, width, spans, *found, kept
+        library(hidden.dtype).dmmv_controls(*sizes_, *places(*each))
+        ctx.save_for_backward(given[0], *weights, width, spans, kept)
+        return found
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-        constant, *tensors, result, kept = ctx.saved_tensors
-        weights, rows = Weights(*tensors), len(result)
-        size, fed, emitted = kept.shape[1], weights.control.shape[-1], len(weights.head)
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        constant, *tensors, width, spans, kept = ctx.saved_tensors
+        weights, by_controls = Weights(*tensors), grads[0].contiguous()
+        rows, _, _, _, size, fed = ctx.counts
+        emitted = len(weights.head)
         transposed = weights.control, weights.hidden.roll(size, 0), weights.head
         back = [each.T.contiguous() for each in transposed]
-        by_constant, by_start = torch.empty_like(constant), grad.new_empty(rows, size)
-        by_hidden = _slopes(rows, 3 * size, size, grad)
+        by_constant, by_start = torch.empty_like(constant), constant.new_empty(rows, size)
+        by_hidden = _slopes(rows, 3 * size, size, constant)
         sizes = 3 * size * fed, 4 * size, emitted * size, emitted
-        others = grad.new_empty(len(by_hidden), sum(sizes))
-        forward = constant, weights.control, weights.hidden, weights.hidden_bias
+        others = constant.new_empty(len(by_hidden), sum(sizes))
+        given = constant, *weights, width, spans, *back, kept, by_controls, grads[1].contiguous()
+        sizes_ = counts(rows, torch.get_num_threads(), *ctx.counts[1:])
         found = by_constant, by_start, by_hidden, others
-        call = _library(grad.dtype).dmmv_gru_adjoint
-        given = *forward, *back, result, grad.contiguous(), kept, *found
-        call(*_gru_counts(result, weights), *_places(*given))
-        control, bias, head, head_bias = others.sum(0).split(sizes)
+        live = library(constant.dtype).dmmv_controls_adjoint(*sizes_, *places(*given, *found))
+        control, bias, head, head_bias = others[:live].sum(0).split(sizes)
         slopes = Weights(
             control=control.unflatten(0, (-1, fed)),
-            hidden=by_hidden.sum(0)[:, :size].roll(-size, 0),
+            hidden=by_hidden[:live].sum(0)[:, :size].roll(-size, 0),
             hidden_bias=bias[: 3 * size].roll(-size, 0),
             head=head.unflatten(0, (emitted, size)),
             head_bias=head_bias,
         )
-        return by_constant, by_start, None, *slopes
-
-
-def _gru_counts(result: Tensor, weights: Weights) -> list[Any]:
-    rows, steps, emitted = result.shape
-    size, fed = weights.hidden.shape[-1], weights.control.shape[-1]
-    return _counts(rows, torch.get_num_threads(), steps, size, fed, emitted)
+        return by_constant, by_start, by_controls, None, *slopes

@@ -11,7 +11,7 @@ from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.prediction.base import GaussianRollout
 from diffstack_mmv.prediction.trajectron.agent_batch import AgentBatch
-from diffstack_mmv.prediction.trajectron.blocks import Blocks
+from diffstack_mmv.prediction.trajectron.blocks import Blocks, Scaling
 from diffstack_mmv.prediction.trajectron.jacobians import (
     Linearisation,
     linearise,
@@ -25,6 +25,7 @@ from diffstack_mmv.types import Motion
 
 Jacobians = Callable[[DynamicsModel, Tensor, Tensor], Linearisation]
 START_DEVIATION = (0.03, 0.03, 0.05, 0.1)  # m along, m across, rad, m/s before training
+START_SCALE = 0.25  # deviation of a control before training, in widths
 LOG_RANGE = 4.0  # a deviation stays within a factor of e^4 of its value before training
 
 
@@ -102,57 +103,77 @@ class ControlDecoder(nn.Module):
         context = self.dropout(context)
         hidden = torch.tanh(self.start_context(context).unsqueeze(1) + self.start_component)
         constant = self.gate_context(context).unsqueeze(1) + self.gate_component
-        repeated = [
-            field.unsqueeze(1).expand(*hidden.shape[:2], *field.shape[1:])
-            for field in (self._base_controls(motion, rows), *motion)
-        ]
+        alike = [field.unsqueeze(1) for field in (self._base_controls(motion, rows), *motion)]
         if self.jacobians is linearise_shared:
-            return PositionMoments(*self._moments(constant, hidden, *repeated))
+            return PositionMoments(*self._moments(constant, hidden, *_repeated(alike, hidden)))
         kind = self.gate_hidden.weight.dtype
-        each = [field.flatten(0, 1).to(kind) for field in (constant, hidden, *repeated)]
+        if self._in_libraries(hidden):
+            each = [field.to(kind) for field in (constant, hidden, *alike)]
+            with torch.autocast(hidden.device.type, enabled=False):
+                return PositionMoments(*self._moments(*each))
+        each = [
+            field.flatten(0, 1).to(kind) for field in (constant, hidden, *_repeated(alike, hidden))
+        ]
         moments = recomputed(self._moments, tuple(each), self.parameters())
         return PositionMoments(*(field.unflatten(0, hidden.shape[:2]) for field in moments))
+
+    def _in_libraries(self, hidden: Float[Tensor, "R K h"]) -> bool:
+        """Whether libraries take all steps, which leave out rows without a gradient themselves."""
+        return self.generated is not None and self.blocks is not None and self.blocks.fit(hidden)
 
     def _moments(
         self,
         constant: Float[Tensor, "*r g"],
         hidden: Float[Tensor, "*r h"],
-        base: Float[Tensor, "*r T m"],
+        base: Float[Tensor, "*#r T m"],
         *motion: Tensor,
     ) -> tuple[Float[Tensor, "*r T 2"], Float[Tensor, "*r T 2 2"]]:
         """Mean and covariance, from the constant input and the first state of the GRU."""
-        width = 0.25 * (self.dynamics.bounds.upper - self.dynamics.bounds.lower)
-        deviation, raw_scale = self._emitted(constant, hidden)
+        controls, scale = self._controls(constant, hidden, base)
         spread = self.start_deviation * torch.exp(soft_clamp(self.start_head(hidden), LOG_RANGE))
         moments = integrate(
-            self.dynamics,
-            Motion(*motion),
-            base + width * deviation,
-            width.unsqueeze(-1) * self._scale(raw_scale),
-            spread,
-            self.jacobians,
-            self.generated,
+            self.dynamics, Motion(*motion), controls, scale, spread, self.jacobians, self.generated
         )
         return moments.mean, moments.covariance
 
-    def _emitted(
-        self, constant: Float[Tensor, "*r g"], hidden: Float[Tensor, "*r h"]
-    ) -> tuple[Float[Tensor, "*r T m"], Float[Tensor, "*r T s"]]:
-        """Deviations of the controls in widths of their box, and what scales are made of."""
-        weights = Weights(
+    def _controls(
+        self,
+        constant: Float[Tensor, "*r g"],
+        hidden: Float[Tensor, "*r h"],
+        base: Float[Tensor, "*#r T m"],
+    ) -> tuple[Float[Tensor, "*r T m"], Float[Tensor, "*r T m m"]]:
+        """Mean controls and the Cholesky factors of their covariances."""
+        width = 0.25 * (self.dynamics.bounds.upper - self.dynamics.bounds.lower)
+        weights, leading = self._weights(), hidden.shape[:-1]
+        if self.blocks is not None and self.blocks.fit(hidden) and not width.requires_grad:
+            scaling = Scaling(width, LOG_RANGE, START_SCALE, self.hold_steps)
+            base = base.expand(*leading, *base.shape[-2:])
+            first, second, third = (
+                field.flatten(0, len(leading) - 1) for field in (constant, hidden, base)
+            )
+            found = self.blocks.controls(first, second, third, weights, scaling)
+            return found[0].unflatten(0, leading), found[1].unflatten(0, leading)
+        deviation, raw_scale = self._emitted(constant, hidden, weights)
+        return base + width * deviation, width.unsqueeze(-1) * self._scale(raw_scale)
+
+    def _weights(self) -> Weights:
+        """Of the GRU; deviations of the controls are emitted first."""
+        return Weights(
             self.gate_control.weight,
             self.gate_hidden.weight,
             self.gate_hidden.bias,
             torch.cat([self.mean_head.weight, self.scale_head.weight]),
             torch.cat([self.mean_head.bias, self.scale_head.bias]),
         )
+
+    def _emitted(
+        self, constant: Float[Tensor, "*r g"], hidden: Float[Tensor, "*r h"], weights: Weights
+    ) -> tuple[Float[Tensor, "*r T m"], Float[Tensor, "*r T s"]]:
+        """Deviations of the controls in widths of their box, and what scales are made of."""
         leading, size = hidden.shape[:-1], self.dynamics.control_dim
         steps = math.ceil(self.horizon_steps / self.hold_steps)
         rows = constant.flatten(0, -2), hidden.flatten(0, -2)
-        if self.blocks is not None and self.blocks.fit(rows[1]):
-            emitted = self.blocks.emissions(*rows, weights, steps)
-        else:
-            emitted = emissions(*rows, weights, steps).movedim(0, 1)
+        emitted = emissions(*rows, weights, steps).movedim(0, 1)
         if self.hold_steps > 1:
             emitted = emitted.repeat_interleave(self.hold_steps, 1)[:, : self.horizon_steps]
         emitted = emitted.unflatten(0, leading)
@@ -162,7 +183,7 @@ class ControlDecoder(nn.Module):
         """Cholesky factors of the controls' covariance in widths of their box."""
         raw = soft_clamp(raw, LOG_RANGE)
         size = self.dynamics.control_dim
-        diagonal = 0.25 * torch.exp(raw[..., :size])
+        diagonal = START_SCALE * torch.exp(raw[..., :size])
         factor = torch.diag_embed(diagonal)
         below = torch.tril_indices(size, size, -1, device=raw.device)
         factor[..., below[0], below[1]] = diagonal[..., below[0]] * raw[..., size:]
@@ -185,6 +206,11 @@ class ControlDecoder(nn.Module):
             acceleration.unsqueeze(-1) * fading,
             curvature.unsqueeze(-1) * fading,
         )
+
+
+def _repeated(fields: list[Tensor], hidden: Float[Tensor, "R K h"]) -> list[Tensor]:
+    """Fields of each agent for each of its components."""
+    return [field.expand(*hidden.shape[:2], *field.shape[2:]) for field in fields]
 
 
 def present_motion(rows: AgentBatch) -> Motion:

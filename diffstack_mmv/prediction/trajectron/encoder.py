@@ -64,6 +64,8 @@ class PerKind(nn.Module):
         result = inputs[0].new_zeros(len(kind), self.outputs)
         for name, network in self.networks.items():
             rows = (kind == int(name)).nonzero().squeeze(-1)
+            if len(rows) == len(kind) > 0:
+                return network(*inputs)
             if len(rows) > 0:
                 result = result.index_copy(0, rows, network(*(tensor[rows] for tensor in inputs)))
         return result

@@ -112,6 +112,14 @@ def _product(left: Float[Tensor, "r k N"], right: Float[Tensor, "c k N"]) -> Flo
     return result
 
 
+def _covariance(
+    sensitivity: Float[Tensor, "*#b n s"], deviation: Float[Tensor, "*b s"]
+) -> Float[Tensor, "*b n n"]:
+    """Covariance J diag(σ²) Jᵀ; products of J are made once for all that share it."""
+    products = sensitivity.unsqueeze(-2) * sensitivity.unsqueeze(-3)
+    return (products * deviation.square()[..., None, None, :]).sum(-1)
+
+
 class PositionMoments(NamedTuple):
     """Mean and covariance of positions over time."""
 
@@ -136,7 +144,8 @@ def integrate(
 
     Args:
         dynamics: Dynamics of the agents.
-        motion: Present motion of the agents, `*b`, at heading 0 of their own frame.
+        motion: Present motion of the agents, `*b` or what expands to it, at heading 0 of their own
+            frame.
         controls: Mean controls.
         control_scale: Cholesky factors of their covariances.
         start_deviation: Standard deviations of the present position along and across in m, heading
@@ -145,13 +154,15 @@ def integrate(
         generated: Does all of it in one call where it can, with `linearise`.
     """
     state = dynamics.state_on_course(motion)
-    start_factor = start_sensitivity(dynamics, motion) * start_deviation.unsqueeze(-2)
+    sensitivity, leading = start_sensitivity(dynamics, motion), controls.shape[:-2]
     if generated is not None:
-        rows = state, start_factor @ start_factor.mT, controls, control_scale
-        leading = state.shape[:-1]
+        covariance = _covariance(sensitivity, start_deviation)
+        rows = state.expand(*leading, -1), covariance, controls, control_scale
         found = generated(dynamics, *(row.reshape(-1, *row.shape[len(leading) :]) for row in rows))
         if found is not None:
             return PositionMoments(*(moment.unflatten(0, leading) for moment in found))
+    state = state.expand(*leading, -1)
+    start_factor = sensitivity * start_deviation.unsqueeze(-2)
     controls = time_outermost(controls)
     states = rolled_out(dynamics, state, controls)
     linearisation = jacobians(dynamics, states[..., :-1, :], controls)

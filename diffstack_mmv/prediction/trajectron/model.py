@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from diffstack_mmv.checks import require, require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.prediction.base import GaussianRollout, Predictor, all_agents
-from diffstack_mmv.prediction.gaussian import log_density, log_of_sum, scale_from_covariance
+from diffstack_mmv.prediction.gaussian import log_of_sum
 from diffstack_mmv.prediction.trajectron.agent_batch import (
     EGO,
     PEDESTRIAN,
@@ -28,12 +28,12 @@ from diffstack_mmv.prediction.trajectron.encoder import (
     PerKind,
     track_features,
 )
-from diffstack_mmv.prediction.trajectron.energy import energy_of_paths
 from diffstack_mmv.prediction.trajectron.jacobians import linearise
 from diffstack_mmv.prediction.trajectron.latent import Annealing, Latent, divergence
 from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
 from diffstack_mmv.prediction.trajectron.output import nobody, placed, scenes
+from diffstack_mmv.prediction.trajectron.paths import path_scores
 from diffstack_mmv.prediction.trajectron.scene import SceneEncoder
 from diffstack_mmv.prediction.trajectron.site import Site
 from diffstack_mmv.types import Forecast, Pose, StackBatch, Tracks
@@ -138,6 +138,7 @@ class Trajectron(Predictor):
         sizes = sizes if sizes is not None else Sizes()
         require_at_least("energy_weight", energy_weight, 0.0)
         self.energy_weight = energy_weight
+        self.blocks: Blocks | None = None
         self.annealing = (annealing if annealing is not None else Annealing()).checked()
         self.scene_encoder = SceneEncoder(
             self.dt_s, sizes.history, sizes.edge, sizes.dropout, sizes.reach_m, sizes.fade_m, site
@@ -175,7 +176,7 @@ class Trajectron(Predictor):
             if isinstance(branch, Branch) and branch.decoder.jacobians is linearise:
                 branch.decoder.generated = moments
         for module in self.modules():
-            if isinstance(module, MaskedLSTM | ControlDecoder):
+            if isinstance(module, MaskedLSTM | ControlDecoder | Trajectron):
                 module.blocks = Blocks()
 
     def forward(self, past: Tracks, neighbors: Tracks) -> Forecast:
@@ -257,16 +258,12 @@ class Trajectron(Predictor):
         seen = track_features(future, part.rows.velocity, self.dt_s * steps)
         encoded = self.future_encoder(part.rows.kind, seen, future.valid)
         log_posterior = part.latent.log_posterior(part.context, encoded)
-        error = future.motion.position.unsqueeze(1) - part.moments.mean
-        log_prob = log_density(error, scale_from_covariance(part.moments.covariance))
-        log_prob = torch.where(future.valid.unsqueeze(1), log_prob, torch.zeros_like(log_prob))
-        likelihood = log_of_sum(log_posterior + log_prob.sum(-1))
+        weighed = part.log_prior if self.energy_weight > 0 else None
+        truth = future.motion.position, future.valid
+        scores = path_scores(part.moments, weighed, *truth, self.blocks)
+        likelihood = log_of_sum(log_posterior + scores.log_density)
         penalty = self.annealing.penalty(
             divergence(log_posterior, part.log_prior), self.training_step
         )
         bound = (penalty - likelihood) / future.valid.sum(-1).clamp_min(1)
-        if self.energy_weight == 0:
-            return bound
-        return bound + self.energy_weight * energy_of_paths(
-            part.log_prior, part.moments.mean, future.motion.position, future.valid
-        )
+        return bound + self.energy_weight * scores.energy

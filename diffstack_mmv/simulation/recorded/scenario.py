@@ -119,11 +119,6 @@ class RecordedCrossing:
         return self.way_m / 2
 
     @property
-    def goal_m(self) -> tuple[float, float]:
-        """The goal of the robot in m, the same in all cases."""
-        return (0.0, self.way_m / 2)
-
-    @property
     def pedestrian_radius_m(self) -> float:
         """Radius of a pedestrian in a picture; everybody has one of its own."""
         return 0.3

@@ -103,3 +103,24 @@ def test_without_a_library_there_are_no_moments(monkeypatch, reason):
         step = Sorted()
         step.register_buffer("unused", torch.zeros(1, dtype=DOUBLE))
         assert by_library(step, *rows(dynamics)) is None
+
+
+def test_rows_without_a_gradient_are_left_out():
+    """Also where they are no whole packs of eight."""
+    dynamics, count = model(DiffKBM, True), 19
+    inputs = [each.detach().repeat(7, *[1] * (each.dim() - 1))[:count] for each in rows(dynamics)]
+    inputs = [each + 0.01 * torch.randn_like(each) for each in inputs]
+    live = torch.arange(count) % 5 != 3
+    found = []
+    for chosen in (torch.ones(count, dtype=torch.bool), live):
+        given = [each[chosen].requires_grad_() for each in inputs]
+        results = by_library(dynamics, *given)
+        counts = live[chosen].double()
+        whole = sum((counts * result.sin().flatten(1).sum(-1)).sum() for result in results)
+        parameters = [each for each in dynamics.parameters() if each.requires_grad]
+        found.append(torch.autograd.grad(whole, [*given, *parameters]))
+    everybody, alone = found
+    for slope, other in zip(everybody[:4], alone[:4], strict=True):
+        assert (slope[~live] == 0).all()
+        torch.testing.assert_close(slope[live], other, rtol=1e-12, atol=1e-14)
+    torch.testing.assert_close(everybody[4:], alone[4:], rtol=1e-10, atol=1e-12)

@@ -8,7 +8,6 @@ from diffstack_mmv.identification import ParameterVector
 from diffstack_mmv.identification.inference import IdentifiabilityThresholds
 from diffstack_mmv.identification.measured import (
     EgoEstimator,
-    EgoMeasurement,
     InstrumentPriors,
     MeasuredFitter,
     MeasuredStudy,
@@ -21,9 +20,10 @@ from diffstack_mmv.identification.measured import (
     paired_by_recording,
 )
 from diffstack_mmv.identification.measured.parts import FinishedParts
-from diffstack_mmv.identification.measured.simulator import _at_ends
 from diffstack_mmv.identification.measured.synthetic import record_rides
 from diffstack_mmv.identification.measured.validation import folds_by
+from diffstack_mmv.identification.measured.vehicle import at_ends
+from diffstack_mmv.types import EgoMeasurement
 from diffstack_mmv.vehicles import load_vehicle
 
 SETTINGS = RideWindowSettings(jump_m=9.0)
@@ -108,7 +108,7 @@ def test_windows_may_have_a_vehicle_each(recorded, fitted):
 
 def test_lean_at_the_ends_of_a_window_is_neither_late_nor_early():
     means = torch.arange(5.0).unsqueeze(0) + 0.5  # of what is t at the time t
-    torch.testing.assert_close(_at_ends(means), torch.arange(6.0).unsqueeze(0))
+    torch.testing.assert_close(at_ends(means), torch.arange(6.0).unsqueeze(0))
 
 
 def test_windows_do_not_share_steps_and_skip_what_is_slow_or_bridged(recorded):

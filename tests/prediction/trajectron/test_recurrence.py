@@ -4,8 +4,7 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
-from diffstack_mmv.prediction.trajectron import blocks, recurrence
-from diffstack_mmv.prediction.trajectron.blocks import Blocks
+from diffstack_mmv.prediction.trajectron import recurrence
 from diffstack_mmv.prediction.trajectron.recurrence import Weights, emissions
 
 STEPS = 4
@@ -44,10 +43,6 @@ def unrolled(constant, hidden, *tensors):
     return emissions(constant, hidden, Weights(*tensors), STEPS)
 
 
-def in_blocks(constant, hidden, *tensors):
-    return Blocks().emissions(constant, hidden, Weights(*tensors), STEPS).movedim(0, 1)
-
-
 @pytest.mark.parametrize("rows", [0, 1, 5])
 @pytest.mark.parametrize("chunk", [2, 640])
 def test_value_and_gradient_are_those_of_the_equations(rows, chunk, monkeypatch):
@@ -63,27 +58,8 @@ def test_value_and_gradient_are_those_of_the_equations(rows, chunk, monkeypatch)
         assert torch.allclose(slope, right)
 
 
-@pytest.mark.parametrize(("rows", "hidden"), [(1, 3), (70, 9)])
-@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 1e-12), (torch.float32, 1e-4)])
-def test_blocks_of_rows_give_what_tensors_give(rows, hidden, dtype, tolerance):
-    inputs = [each.detach().to(dtype).requires_grad_() for each in made(rows, hidden)]
-    found, expected = in_blocks(*inputs), unrolled(*inputs)
-    close = {"rtol": tolerance, "atol": tolerance}
-    torch.testing.assert_close(found, expected, **close)
-    toward = torch.randn_like(expected)
-    slopes = torch.autograd.grad(found, inputs, toward)
-    for slope, right in zip(slopes, torch.autograd.grad(expected, inputs, toward), strict=True):
-        torch.testing.assert_close(slope, right, **close)
-
-
-def test_without_a_compiler_rows_are_left_to_tensors(monkeypatch):
-    monkeypatch.setattr(blocks, "_library", lambda dtype: None)
-    assert not Blocks().fit(torch.zeros(2, 3))
-
-
-@pytest.mark.parametrize("function", [unrolled, in_blocks])
-def test_gradient_is_that_of_the_value(function):
-    assert gradcheck(function, made(2))
+def test_gradient_is_that_of_the_value():
+    assert gradcheck(unrolled, made(2))
 
 
 def test_a_second_derivative_is_refused():
