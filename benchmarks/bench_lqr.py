@@ -168,7 +168,7 @@ def main():
         "| set | solver | solution, ms | with adjoint, ms | times ours | solved | largest error | gradient, relative error |"
     )
     print("|---|---|---|---|---|---|---|---|")
-    for arguments.name in arguments.sets:
+    for arguments.name in tuple(arguments.sets):
         first = None
         for name in arguments.solvers:
             cells = measured(name, arguments).split(" | ")
