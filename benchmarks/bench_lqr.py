@@ -168,8 +168,8 @@ def main():
         "| set | solver | solution, ms | with adjoint, ms | times ours | solved | largest error | gradient, relative error |"
     )
     print("|---|---|---|---|---|---|---|---|")
-    for arguments.name in tuple(arguments.sets):
-        first = None
+    for chosen in arguments.sets:
+        arguments.name, first = chosen, None
         for name in arguments.solvers:
             cells = measured(name, arguments).split(" | ")
             first = first or cells
