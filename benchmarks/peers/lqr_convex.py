@@ -48,17 +48,23 @@ def osqp(file, arguments):
     solver.setup(sparse.eye(STEPS * WIDTH, format="csc"), none, matrix, np.r_[offsets[0], -limit],
                  np.r_[offsets[0], limit], warm_starting=False, **TIGHT)  # fmt: skip
 
+    states = []
+
     def solve(differentiates):
         found = []
         for offset in offsets:
             solver.update(l=np.r_[offset, -limit], u=np.r_[offset, limit])
-            found.append(solver.solve(raise_error=False).x)
+            result = solver.solve(raise_error=False)
+            found.append(result.x)
+            states.append(result.info.status)
             if differentiates:
                 solver.adjoint_derivative_compute(dx=weights)
                 solver.adjoint_derivative_get_mat()
         return np.array(found).reshape(len(offsets), STEPS, WIDTH)[..., :M]
 
     alone, controls = fastest(lambda: solve(False), 5.0, 3)
+    if set(states) != {"solved"}:  # it refuses to differentiate
+        return alone, None, controls, None
     both, _ = fastest(lambda: solve(True), 5.0, 3)
     return alone, both, controls, None
 

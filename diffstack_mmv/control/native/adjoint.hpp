@@ -57,19 +57,31 @@ struct Adjoint : Solver<P> {
 
   // weights of the numbers of the problem: -(d/dz of the gradient of the Lagrangian) dz + g_cost (its gradient)
   void weigh(Real g_cost, Real* w) {
-    constexpr int widest = (P::STEP_NUMBERS > P::COST_NUMBERS ? P::STEP_NUMBERS : P::COST_NUMBERS) + 1;
-    static thread_local Dual<Real> out[widest];
+    static thread_local Dual<Real> out[P::COST_NUMBERS + 1];
     for (int t = 0; t <= T; ++t) {
-      Dual<Real> x[n], u[m], l[n];
+      Dual<Real> x[n], u[m];
       for (int i = 0; i < n; ++i) x[i] = {this->x[t][i], dx[t][i]};
       for (int i = 0; i < m; ++i) u[i] = {t < T ? this->u[t][i] : Real(0), du[t][i]};
       P::cost_numbers_gradient(t, x, u, q_cost[t], out);
       for (int i = 0; i < P::kind_numbers[P::cost_kind[t]]; ++i) w[P::cost_numbers[t][i]] += g_cost * out[i].v - out[i].d;
-      if (t == T) continue;
-      for (int i = 0; i < n; ++i) l[i] = {costate[t][i], dl[t][i]};
-      P::step_numbers_gradient(x, u, l, q_step, out);
-      for (int i = 0; i < P::STEP_NUMBERS; ++i) w[P::step_numbers[i]] += g_cost * out[i].v - out[i].d;
     }
+    for (int first = 0; first < T; first += LANES) weigh_steps(first, g_cost, w);
+  }
+
+  // the same of the steps at eight times, one in each lane
+  void weigh_steps(int first, Real g_cost, Real* w) {
+    static thread_local Directed out[P::STEP_NUMBERS + 1];
+    const int count = std::min(LANES, T - first);
+    Directed x[n], u[m], l[n];
+    for (int lane = 0; lane < LANES; ++lane) {
+      const int t = first + (lane < count ? lane : 0);
+      for (int i = 0; i < n; ++i) x[i].v[lane] = this->x[t][i], x[i].d[lane] = dx[t][i];
+      for (int i = 0; i < m; ++i) u[i].v[lane] = this->u[t][i], u[i].d[lane] = du[t][i];
+      for (int i = 0; i < n; ++i) l[i].v[lane] = costate[t][i], l[i].d[lane] = dl[t][i];
+    }
+    P::step_numbers_gradient(x, u, l, q_step, out);
+    for (int i = 0; i < P::STEP_NUMBERS; ++i)
+      for (int lane = 0; lane < count; ++lane) w[P::step_numbers[i]] += g_cost * out[i].v[lane] - out[i].d[lane];
   }
 
   void by_state(const Real* g_x, Real g_cost, Real* g_state) {

@@ -24,12 +24,21 @@ struct Dual {
   D d;
 };
 
+// a value in each lane, and its derivative along a direction of its own
+struct Directed {
+  Pack v, d;
+};
+
 template <class V>
 struct Truth {
   using type = bool;
 };
 template <>
 struct Truth<Pack> {
+  using type = Mask;
+};
+template <>
+struct Truth<Directed> {
   using type = Mask;
 };
 template <class V>
@@ -42,6 +51,8 @@ inline V lift(Real a) {
     return a;
   } else if constexpr (std::is_same_v<V, Pack>) {
     return Pack{} + a;
+  } else if constexpr (std::is_same_v<V, Directed>) {
+    return {Pack{} + a, Pack{}};
   } else {
     return V{a, {}};
   }
@@ -74,6 +85,37 @@ template <class D> inline Dual<D> operator/(Real a, const Dual<D>& b) {
   return {value, b.d * (-value * inverse)};
 }
 
+inline Directed operator+(const Directed& a, const Directed& b) { return {a.v + b.v, a.d + b.d}; }
+inline Directed operator+(const Directed& a, Real b) { return {a.v + b, a.d}; }
+inline Directed operator+(Real a, const Directed& b) { return {a + b.v, b.d}; }
+inline Directed operator-(const Directed& a, const Directed& b) { return {a.v - b.v, a.d - b.d}; }
+inline Directed operator-(const Directed& a, Real b) { return {a.v - b, a.d}; }
+inline Directed operator-(Real a, const Directed& b) { return {a - b.v, -b.d}; }
+inline Directed operator-(const Directed& a) { return {-a.v, -a.d}; }
+inline Directed operator*(const Directed& a, const Directed& b) { return {a.v * b.v, a.d * b.v + b.d * a.v}; }
+inline Directed operator*(const Directed& a, Real b) { return {a.v * b, a.d * b}; }
+inline Directed operator*(Real a, const Directed& b) { return {a * b.v, b.d * a}; }
+inline Directed operator/(const Directed& a, const Directed& b) {
+  const Pack inverse = Real(1) / b.v, value = a.v / b.v;
+  return {value, (a.d - b.d * value) * inverse};
+}
+inline Directed operator/(const Directed& a, Real b) { return {a.v / b, a.d * (Real(1) / b)}; }
+inline Directed operator/(Real a, const Directed& b) {
+  const Pack inverse = Real(1) / b.v, value = a / b.v;
+  return {value, b.d * (-value * inverse)};
+}
+// f of each lane
+template <class F>
+inline Directed by_lane(F f, const Directed& a, const Directed& b) {
+  Directed r;
+  for (int i = 0; i < LANES; ++i) {
+    const Dual<Real> each = f(Dual<Real>{a.v[i], a.d[i]}, Dual<Real>{b.v[i], b.d[i]});
+    r.v[i] = each.v;
+    r.d[i] = each.d;
+  }
+  return r;
+}
+
 template <class V> inline Real bare(const V& a) { return a; }
 template <class D> inline Real bare(const Dual<D>& a) { return a.v; }
 
@@ -85,7 +127,10 @@ template <class D> inline Real bare(const Dual<D>& a) { return a.v; }
   inline Mask NAME(Real a, const Pack& b) { return (Pack{} + a) SIGN b; }   \
   template <class D> inline bool NAME(const Dual<D>& a, const Dual<D>& b) { return a.v SIGN b.v; } \
   template <class D> inline bool NAME(const Dual<D>& a, Real b) { return a.v SIGN b; }             \
-  template <class D> inline bool NAME(Real a, const Dual<D>& b) { return a SIGN b.v; }
+  template <class D> inline bool NAME(Real a, const Dual<D>& b) { return a SIGN b.v; }                  \
+  inline Mask NAME(const Directed& a, const Directed& b) { return a.v SIGN b.v; }                       \
+  inline Mask NAME(const Directed& a, Real b) { return a.v SIGN (Pack{} + b); }                         \
+  inline Mask NAME(Real a, const Directed& b) { return (Pack{} + a) SIGN b.v; }
 DMMV_COMPARE(op_lt, <)
 DMMV_COMPARE(op_le, <=)
 DMMV_COMPARE(op_gt, >)
@@ -107,6 +152,7 @@ inline Mask op_not(const Mask& a) { return ~a; }
 
 template <class V> inline V choose(bool c, const V& a, const V& b) { return c ? a : b; }
 inline Pack choose(const Mask& c, const Pack& a, const Pack& b) { return c ? a : b; }
+inline Directed choose(const Mask& c, const Directed& a, const Directed& b) { return {c ? a.v : b.v, c ? a.d : b.d}; }
 
 // the larger and the smaller one; what is no number is passed on
 template <class V> inline V op_max(const V& a, const V& b) {
@@ -125,6 +171,13 @@ template <class D> inline Dual<D> op_min(const Dual<D>& a, const Dual<D>& b) {
   return shared(a, b, choose(a.v < b.v || a.v != a.v, a, b));
 }
 
+inline Directed op_max(const Directed& a, const Directed& b) {
+  return by_lane([](auto x, auto y) { return op_max(x, y); }, a, b);
+}
+inline Directed op_min(const Directed& a, const Directed& b) {
+  return by_lane([](auto x, auto y) { return op_min(x, y); }, a, b);
+}
+
 template <class F> inline Pack each(const Pack& a, F f) {
   Pack r;
   for (int i = 0; i < LANES; ++i) r[i] = f(a[i]);
@@ -140,6 +193,9 @@ template <class D> inline Dual<D> chain(const Dual<D>& a, Real value, Real slope
     const Real a = x.v, y = FUNCTION(a);                                                \
     (void)a; (void)y;                                                                   \
     return chain(x, y, SLOPE);                                                          \
+  }                                                                                     \
+  inline Directed NAME(const Directed& x) {                                             \
+    return by_lane([](auto each, auto) { return NAME(each); }, x, x);                   \
   }
 inline Real sign_of(Real a) { return a > 0 ? Real(1) : a < 0 ? Real(-1) : a; }
 DMMV_UNARY(op_abs, std::fabs, sign_of(a))
@@ -197,5 +253,14 @@ inline Pack op_fmod(const Pack& a, const Pack& b) {
   return r;
 }
 template <class D> inline Dual<D> op_fmod(const Dual<D>& a, const Dual<D>& b) { return {std::fmod(a.v, b.v), a.d}; }
+inline Directed op_pow(const Directed& a, const Directed& b) {
+  return by_lane([](auto x, auto y) { return op_pow(x, y); }, a, b);
+}
+inline Directed op_atan2(const Directed& a, const Directed& b) {
+  return by_lane([](auto x, auto y) { return op_atan2(x, y); }, a, b);
+}
+inline Directed op_fmod(const Directed& a, const Directed& b) {
+  return by_lane([](auto x, auto y) { return op_fmod(x, y); }, a, b);
+}
 
 }  // namespace dmmv

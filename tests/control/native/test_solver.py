@@ -10,7 +10,7 @@ from diffstack_mmv.control.native.scalar import Program
 from diffstack_mmv.control.native.stages import Sizes, staged
 from diffstack_mmv.dynamics import DiffKBM
 from diffstack_mmv.vehicles import load_vehicle
-from tests.control.problems import driving, goal_cost, rate_model, solve
+from tests.control.problems import DT, driving, goal_cost, rate_model, solve
 
 EXACT = ILQR(tolerance=1e-12)
 
@@ -22,6 +22,10 @@ def natively(solver, dynamics, cost, bounds, state, controls):
         solver.settings(bounds, state), solver.max_iterations, exact, solver.one_by_one
     )
     return native.solve(dynamics, cost, numbers, state, controls)
+
+
+def by_library(*arguments):
+    return natively(EXACT, *arguments)
 
 
 def goal_term(states, controls, goal, weight):
@@ -64,6 +68,30 @@ def test_solutions_and_gradients_equal_the_eager_ones_to_rounding(count):
     torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-10)
     torch.testing.assert_close(others, slopes, rtol=1e-8, atol=1e-9)
     assert (expected.controls.abs().amax((1, 2)) == 1.0).all()  # some bounds are active
+
+
+@pytest.mark.usefixtures("double")
+def test_slopes_by_learned_numbers_of_the_dynamics_equal_the_eager_ones():
+    """Eight of the eleven times are differentiated at once, then three, by every operation."""
+    p = torch.linspace(0.4, 1.3, 15).requires_grad_()
+
+    def step(state, control):
+        a, b = state.unbind(-1)
+        force = p[0] * control[..., 0] + p[1] * torch.tanh(p[2] * a) - 0.1 * (p[3] + b * b).sqrt()
+        force = force + torch.where(a > 0.3 * p[4], p[5] * a, p[6] * a * a)
+        force = force + torch.maximum(p[7] * b, -b) + torch.minimum(a, p[8] * b)
+        force = force + torch.atan2(b, p[9] + a * a) + (p[10] + a * a).pow(p[11]) / p[12]
+        force = force + (-p[13] * b * b).exp() - (p[14] * a - b).abs()
+        return torch.stack([a + DT * b, b + DT * force], -1)
+
+    def cost(states, controls):
+        return (states - 0.7).square().sum(-1) + 0.1 * controls.square().sum(-1)
+
+    box, state = Bounds(torch.tensor([-2.0]), torch.tensor([2.0])), torch.tensor([[0.1, -0.2]])
+    arguments = step, cost, box, state, torch.zeros(1, 11, 1)
+    slopes = [outcome(solve(*arguments), [p])[1][0] for solve in (EXACT, by_library)]
+    assert (slopes[0] != 0).sum() > 12
+    torch.testing.assert_close(slopes[1], slopes[0], rtol=1e-7, atol=1e-9)
 
 
 @pytest.mark.parametrize(("steps", "agents"), [(15, 0), (1, 0), (1, 2)])
