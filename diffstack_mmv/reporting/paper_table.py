@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from diffstack_mmv.reporting.files import read_json, read_parquet, write_text
-from diffstack_mmv.reporting.scores import Scores
+from diffstack_mmv.reporting.scores import ScoreHeading, Scores
 
 SHOWN = (
     "ade",
@@ -22,6 +22,8 @@ SHOWN = (
 TRIVIAL = ("ade", "plan_ade")
 """Scores that a trivial path is compared by: it is prediction and plan at once."""
 LEVEL = 95.0
+LOGARITHMIC = "nats"
+"""Unit of scores with no zero of their own, whose differences mean something and shares do not."""
 
 
 class Run(NamedTuple):
@@ -40,9 +42,9 @@ def paper_table(
 ) -> pd.DataFrame:
     """One row per data set, goal, mode and model; the others are compared with the first model.
 
-    A cell is `mean [low, high] (± deviation over seeds, difference in %)`: the interval holds 95 %
-    of the means over recordings drawn with replacement, since windows of one recording resemble
-    each other. Trivial paths follow the models. A run that has not ended is told, never averaged.
+    A cell is `mean [low, high] (± deviation over seeds, difference)`: the interval holds 95 % of
+    the means over recordings drawn with replacement, since windows of one recording resemble each
+    other; differences are in %, in nats where that is the unit. Trivial paths follow the models. A run that has not ended is told, never averaged.
 
     Args:
         runs: All runs that the table is about.
@@ -69,7 +71,7 @@ def paper_table(
             for name in SHOWN:
                 means = [part["modes"][mode][name] for part in told if mode in part["modes"]]
                 interval = bootstrap(samples[name], samples["scene"], resamples)
-                row[scores[name].heading] = _cell(means, interval, first.get(name))
+                row[scores[name].heading] = _cell(means, interval, first.get(name), scores[name])
                 first.setdefault(name, _mean(means))
             baselines |= {name: per_mode[mode] for name, per_mode in told[0]["baselines"].items()}
             rows.append(row)
@@ -124,7 +126,10 @@ def _number(value: float | None) -> str:
 
 
 def _cell(
-    values: Sequence[float | None], interval: tuple[float, float], first: float | None
+    values: Sequence[float | None],
+    interval: tuple[float, float],
+    first: float | None,
+    score: ScoreHeading,
 ) -> str:
     """A score as text."""
     known = [value for value in values if value is not None]
@@ -133,8 +138,11 @@ def _cell(
     mean, notes = float(np.mean(known)), []
     if len(known) > 1:
         notes.append(f"± {np.std(known, ddof=1):.3f}")
-    if first is not None and np.isfinite(first) and first != 0:
-        notes.append(f"{100 * (mean - first) / abs(first):+.1f} %")
+    if first is not None and np.isfinite(first):
+        if score.unit == LOGARITHMIC:
+            notes.append(f"{mean - first:+.3f}")
+        elif first != 0:
+            notes.append(f"{100 * (mean - first) / first:+.1f} %")
     text = f"{mean:.3f}"
     if np.isfinite(interval[0]):
         text += f" [{interval[0]:.3f}, {interval[1]:.3f}]"

@@ -45,6 +45,14 @@ def test_differences_are_told_against_the_first_model(runs):
     assert "±" in first
 
 
+def test_a_score_that_may_be_negative_is_told_by_its_difference(runs):
+    first, second = paper_table(runs, MODELS, OPEN_LOOP, resamples=20)["NLL [nats]"][:2]
+    assert "%" not in second
+    means = [float(cell.split()[0]) for cell in (first, second)]
+    told = float(second.rsplit(",", 1)[-1].rstrip(")"))
+    assert told == pytest.approx(means[1] - means[0], abs=1e-3)
+
+
 def test_bootstrap_draws_recordings_and_not_samples():
     values, recordings = pd.Series(np.repeat([0.0, 1.0], 500)), pd.Series(np.repeat([0, 1], 500))
     assert bootstrap(values, recordings, 200) == (0.0, 1.0)
