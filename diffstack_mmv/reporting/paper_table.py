@@ -44,7 +44,8 @@ def paper_table(
 
     A cell is `mean [low, high] (± deviation over seeds, difference)`: the interval holds 95 % of
     the means over recordings drawn with replacement, since windows of one recording resemble each
-    other; differences are in %, in nats where that is the unit. Trivial paths follow the models. A run that has not ended is told, never averaged.
+    other; differences are in %, in nats where that is the unit. Trivial paths follow the models. A
+    run that has not ended is told, never averaged.
 
     Args:
         runs: All runs that the table is about.
