@@ -128,7 +128,8 @@ class RideSimulator:
         for now, after in zip(steer.unbind(-1), speed.unbind(-1)[1:], strict=True):
             states.append(_of_each(self._stepped, shared, states[-1], after, now))
         path = torch.stack(states, -2)
-        return Simulated(*_of_each(self._seen, shared, path, speed), path, speed, steer)
+        position, yaw_rate = _of_each(self._seen, shared, path, speed)
+        return Simulated(position, yaw_rate, path, speed, steer)
 
     def _begun(
         self, windows: RideWindows, shared: Tensor, local: Float[Tensor, "w l"]
