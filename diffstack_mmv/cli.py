@@ -14,6 +14,7 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, NoReturn
 
+from dmmv_conventions.checks import message
 from dmmv_conventions.extras import MissingExtraError, needs_to_run
 from dmmv_conventions.locks import alone_in
 from dmmv_conventions.progress import shown_by
@@ -174,6 +175,10 @@ def _composition_told(folder: Path, config_name: str) -> Iterator[None]:
         # whoever reads has seen enough, as in `--help | head`; nothing is left to be flushed either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+    except OSError as error:
+        # outside of a job Hydra touches the disk for nothing else
+        told_of = f"{error.filename!r} ({error.strerror})"
+        _exit(message("out", "be a folder that can be written", told_of, "", "Give another one."))
     finally:
         del os.environ[FULL_ERROR]
         _RAISING.reset(before)

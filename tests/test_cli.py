@@ -85,6 +85,15 @@ def test_a_failure_shows_no_traceback(run):
     assert "Traceback" not in told
 
 
+def test_a_file_in_the_place_of_the_folder_is_named(run, tmp_path):
+    (tmp_path / "out").write_text("a file")
+    config, told = run("needed=1")
+    assert config is None
+    assert told.startswith("`out` must be a folder that can be written, but got")
+    assert str(tmp_path / "out") in told
+    assert "Traceback" not in told
+
+
 def test_a_part_that_is_not_installed_shows_no_traceback(run):
     def lack(config):
         with needs("dashboard", "the dashboard"):
