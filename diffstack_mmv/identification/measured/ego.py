@@ -23,7 +23,7 @@ from diffstack_mmv.identification.shooting import ParameterVector
 from diffstack_mmv.types import EgoEstimate, EgoMeasurement
 from diffstack_mmv.vehicles import VehicleSpec, turning_axle_m
 
-SLIP_RAD = 0.01
+SLIP_RAD = 0.03
 """By how much a vehicle may point aside of its course."""
 
 
@@ -31,10 +31,10 @@ class EgoHorizon(NamedTuple):
     """What is kept from one measurement to the next."""
 
     past: EgoMeasurement  # b T1
-    mean: Float[Tensor, "b 4"]  # of the unknowns of the instruments, from before the horizon
-    precision: Float[Tensor, "b 4 4"]
-    age: int  # steps since mean and precision were taken over
-    course: CourseGiven  # b T1, at each instant by what was known there
+    # what was known at each instant: at the start of a window it shares no step with the window
+    mean: Float[Tensor, "b T1 4"]  # of the unknowns of the instruments
+    precision: Float[Tensor, "b T1 4 4"]
+    course: CourseGiven  # b T1
 
 
 class EgoUpdate(NamedTuple):
@@ -69,7 +69,7 @@ class EgoEstimator:
     steps: int = 20
     with_gyro: bool = False
     course_std: float = 0.02
-    drift: float = 0.2
+    drift: float = 1.0
     iterations: int = 6
 
     def __post_init__(self) -> None:
@@ -92,13 +92,10 @@ class EgoEstimator:
         pointed = CourseGiven.unknown(count)
         if course is not None:
             pointed = CourseGiven(course.double(), torch.full_like(pointed.std, self.course_std))
-        return EgoHorizon(
-            whole._replace(known=whole.known & ~earlier),
-            mean.expand(count, -1),
-            std.pow(-2).diag().expand(count, -1, -1),
-            0,
-            CourseGiven(*(part.unsqueeze(1).repeat_interleave(ends, 1) for part in pointed)),
-        )
+        known = whole._replace(known=whole.known & ~earlier)
+        precision = std.pow(-2).diag().expand(count, ends, -1, -1)
+        course = CourseGiven(*(part.unsqueeze(1).repeat_interleave(ends, 1) for part in pointed))
+        return EgoHorizon(known, mean.expand(count, ends, -1), precision, course)
 
     def __call__(self, horizon: EgoHorizon, measurement: EgoMeasurement) -> EgoUpdate:
         """Take a measurement in."""
@@ -106,19 +103,21 @@ class EgoEstimator:
             *(_later(*pair) for pair in zip(horizon.past, measurement, strict=True))
         )
         windows = self._windows(past)
-        # what was known at the start of the window shares no sample with it but that instant's
         start = CourseGiven(*(part[:, 1] for part in horizon.course))
         freewheel = FreewheelGiven.of(self.priors, len(horizon.mean))
-        given = InstrumentsGiven(horizon.mean, horizon.precision, freewheel, start)
+        given = InstrumentsGiven(horizon.mean[:, 1], horizon.precision[:, 1], freewheel, start)
         found = estimate_windows(
             self.simulator, windows, self.shared, given, self.with_gyro, self.iterations
         )
         estimate = self._present(windows, found)
-        own = slice(POSE, POSE + RECORDING)
-        after = self._remembered(horizon, past, found.recording, found.covariance[:, own, own])
-        course = self._course(windows, found, estimate.motion.heading)
-        course = CourseGiven(*(_later(*pair) for pair in zip(horizon.course, course, strict=True)))
-        return EgoUpdate(estimate, after._replace(course=course))
+        now = self._course(windows, found, estimate.motion.heading)
+        after = EgoHorizon(
+            past,
+            _later(horizon.mean, found.recording),
+            _later(horizon.precision, self._drifted(found)),
+            CourseGiven(*(_later(*pair) for pair in zip(horizon.course, now, strict=True))),
+        )
+        return EgoUpdate(estimate, after)
 
     def _present(self, windows: RideWindows, found: WindowEstimate) -> EgoEstimate:
         """The end of the most probable path."""
@@ -142,15 +141,12 @@ class EgoEstimator:
         variance = (slope.unsqueeze(1) @ found.covariance @ slope.unsqueeze(-1)).flatten()
         return CourseGiven(heading, (variance + SLIP_RAD**2).sqrt())
 
-    def _remembered(
-        self, horizon: EgoHorizon, past: EgoMeasurement, mean: Tensor, spread: Tensor
-    ) -> EgoHorizon:
-        """After a whole horizon its end becomes the prior of the next, which shares no sample."""
-        if horizon.age + 1 < self.steps:
-            return horizon._replace(past=past, age=horizon.age + 1)
+    def _drifted(self, found: WindowEstimate) -> Float[Tensor, "b 4 4"]:
+        """Precision of the instruments a horizon later."""
+        own = slice(POSE, POSE + RECORDING)
         _, std = self.priors.recording()
-        precision = torch.linalg.inv(spread + (self.drift * std).square().diag())
-        return horizon._replace(past=past, mean=mean, precision=precision, age=0)
+        spread = found.covariance[:, own, own] + (self.drift * std).square().diag()
+        return torch.linalg.inv(spread)
 
     def _windows(self, past: EgoMeasurement) -> RideWindows:
         # means over steps, straight on after the last
