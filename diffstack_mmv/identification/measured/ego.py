@@ -94,8 +94,8 @@ class EgoEstimator:
             pointed = CourseGiven(course.double(), torch.full_like(pointed.std, self.course_std))
         known = whole._replace(known=whole.known & ~earlier)
         precision = std.pow(-2).diag().expand(count, ends, -1, -1)
-        course = CourseGiven(*(part.unsqueeze(1).repeat_interleave(ends, 1) for part in pointed))
-        return EgoHorizon(known, mean.expand(count, ends, -1), precision, course)
+        always = CourseGiven(*(part.unsqueeze(1).repeat_interleave(ends, 1) for part in pointed))
+        return EgoHorizon(known, mean.expand(count, ends, -1), precision, always)
 
     def __call__(self, horizon: EgoHorizon, measurement: EgoMeasurement) -> EgoUpdate:
         """Take a measurement in."""
