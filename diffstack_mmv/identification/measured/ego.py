@@ -177,6 +177,7 @@ def ego_estimator(
     priors: InstrumentPriors,
     horizon_s: float = 2.0,
     with_gyro: bool = False,
+    drift: float = 1.0,
     iterations: int = 6,
 ) -> EgoEstimator:
     """An estimator of a vehicle whose measured position is that of its model's reference point.
@@ -188,6 +189,7 @@ def ego_estimator(
         priors: Of the instruments before the first measurement.
         horizon_s: Length of the horizon in s.
         with_gyro: Whether yaw rates are used.
+        drift: Deviation of the instruments from one horizon to the next, in prior deviations.
         iterations: Steps of Levenberg and Marquardt per measurement.
 
     Raises:
@@ -204,6 +206,7 @@ def ego_estimator(
         priors,
         round(horizon_s / exact.dt_s),
         with_gyro,
+        drift=drift,
         iterations=iterations,
     )
 
