@@ -14,7 +14,6 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, NoReturn
 
-from dmmv_conventions.checks import message
 from dmmv_conventions.extras import MissingExtraError, needs_to_run
 from dmmv_conventions.locks import alone_in
 from dmmv_conventions.progress import shown_by
@@ -34,7 +33,7 @@ with needs_to_run("stack", "the command lines"):
     from omegaconf.errors import OmegaConfBaseException
 
     from diffstack_mmv.config_checks import require_complete, require_same_type, require_seed
-    from diffstack_mmv.override_errors import one_line, told
+    from diffstack_mmv.override_errors import one_line, told, told_of_folder
     from dmmv_conventions.bars import Bars
 
 # what commands use of Hydra is taken from here, so that all of them say in one line what is missing
@@ -177,8 +176,7 @@ def _composition_told(folder: Path, config_name: str) -> Iterator[None]:
         sys.exit(1)
     except OSError as error:
         # outside of a job Hydra touches the disk for nothing else
-        told_of = f"{error.filename!r} ({error.strerror})"
-        _exit(message("out", "be a folder that can be written", told_of, "", "Give another one."))
+        _exit(told_of_folder(error))
     finally:
         del os.environ[FULL_ERROR]
         _RAISING.reset(before)

@@ -57,6 +57,12 @@ def one_line(text: str) -> str:
     return " ".join(text.split())
 
 
+def told_of_folder(error: OSError) -> str:
+    """The message for an output folder that cannot be made."""
+    found = f"{error.filename!r} ({error.strerror})"
+    return message("out", "be a folder that can be written", found, "", "Give another one.")
+
+
 def _unknown_option(file: str, options: Sequence[str]) -> str:
     group, _, name = file.rpartition("/")
     extra = next((_EXTRAS[begin] for begin in _EXTRAS if file.startswith(begin)), None)
