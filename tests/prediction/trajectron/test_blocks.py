@@ -12,7 +12,7 @@ from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
 from diffstack_mmv.prediction.trajectron.paths import path_scores
 from diffstack_mmv.vehicles import load_vehicle
 
-PRECISE = [(torch.float64, 1e-12), (torch.float32, 2e-4)]
+PRECISE = [(torch.float64, 1e-12), (torch.float32, 1e-4)]
 
 
 def decoder(hidden, horizon, hold, dtype):
