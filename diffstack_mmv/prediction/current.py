@@ -27,8 +27,9 @@ SLOW_MPS = 0.3
 
 
 class Trend(NamedTuple):
-    """How an agent moves now, in the frame of its positions."""
+    """Where an agent is and how it moves now by a fit, in the frame of its positions."""
 
+    offset: Float[Tensor, "*b 2"]  # m, of the fit from the last position
     velocity: Float[Tensor, "*b 2"]  # m/s
     acceleration: Float[Tensor, "*b 2"]  # m/s²
 
@@ -103,8 +104,19 @@ def trends(tracks: Tracks, memories_s: Sequence[float], dt_s: float) -> list[Tre
         right = (offset.mT @ (fading * powers)).mT + pull @ prior  # zero where not valid
         # without the check for singular matrices, which waits for a GPU: the pull prevents them
         solution = torch.linalg.solve_ex(matrix, right).result.to(kind)
-        found.append(Trend(solution[..., 1, :], solution[..., 2, :]))
+        found.append(Trend(*solution.unbind(-2)))
     return found
+
+
+def rest(tracks: Tracks, memory_s: float, dt_s: float) -> Trend:
+    """An agent that stands, and the noise of its track: the mean position with fading memory."""
+    valid = tracks.valid & tracks.valid[..., -1:]
+    rows = valid.shape[-1]
+    age = dt_s * torch.arange(rows - 1, -1, -1, device=valid.device)
+    weight = (torch.exp(-age / memory_s) * valid).unsqueeze(-1)
+    offset = tracks.motion.position - current_position(tracks).unsqueeze(-2)
+    mean = (weight * offset).sum(-2) / weight.sum(-2).clamp_min(_PRIOR[0])
+    return Trend(mean, torch.zeros_like(mean), torch.zeros_like(mean))
 
 
 def current_course(
