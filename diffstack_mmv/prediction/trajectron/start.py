@@ -14,7 +14,6 @@ ESTIMATES = 4 + len(OTHER_MEMORIES_S)
 START_FEATURES = 6 * ESTIMATES - 18  # without what is zero or follows from others
 OFFSET_SCALE_M = 0.3
 ACCELERATION_SCALE_MPS2 = 2.0
-PREFERENCE = 3.0  # for the first estimate before training, in nats
 
 
 def estimates(tracks: Tracks, dt_s: float) -> Trend:
@@ -42,9 +41,12 @@ def start_features(starts: Trend) -> Float[Tensor, "R f"]:
 
 
 class StartBlend(nn.Module):
-    """The present motion as a mean of estimates, weighted by what the context says.
+    """The present motion: the first estimate x₁, moved towards the others by gains.
 
-    Before training it is nearly the first estimate.
+        x = x₁ + Σ_k tanh(g_k) (x_k - x₁),    g = W context
+
+    The gains start at zero, so that an untrained predictor starts from the first estimate. They are
+    the learned counterpart of those of a Kalman filter, which also tell noise from manoeuvres.
 
     Args:
         context_size: Size of the encoding of the present scene.
@@ -52,13 +54,12 @@ class StartBlend(nn.Module):
 
     def __init__(self, context_size: int) -> None:
         super().__init__()
-        self.gate = nn.Linear(context_size, ESTIMATES)
-        nn.init.zeros_(self.gate.weight)
-        nn.init.zeros_(self.gate.bias)
-        with torch.no_grad():
-            self.gate.bias[0] = PREFERENCE
+        self.gains = nn.Linear(context_size, ESTIMATES - 1)
+        nn.init.zeros_(self.gains.weight)
+        nn.init.zeros_(self.gains.bias)
 
     def forward(self, context: Float[Tensor, "R c"], starts: Trend) -> Trend:
-        """Blended motion of each row, in the frame of the estimates."""
-        weight = self.gate(context).softmax(-1).unsqueeze(-1)
-        return Trend(*((weight * field).sum(-2) for field in starts))
+        """Motion of each row, in the frame of the estimates."""
+        gain = torch.tanh(self.gains(context)).unsqueeze(-1)
+        moved = ((gain * (field[:, 1:] - field[:, :1])).sum(-2) for field in starts)
+        return Trend(*(field[:, 0] + move for field, move in zip(starts, moved, strict=True)))
