@@ -81,7 +81,7 @@ class ControlDecoder(nn.Module):
         self.horizon_steps, self.hold_steps, self.fade_s = horizon_steps, hold_steps, fade_s
         size = dynamics.control_dim
         self.dropout = nn.Dropout(dropout)
-        self.start = StartBlend(context_size)
+        self.start = StartBlend(context_size, components)
         self.start_context = nn.Linear(context_size, hidden)
         self.start_component = nn.Parameter(torch.randn(components, hidden) / math.sqrt(hidden))
         self.gate_context = nn.Linear(context_size, 3 * hidden)
@@ -107,7 +107,7 @@ class ControlDecoder(nn.Module):
         context = self.dropout(context)
         hidden = torch.tanh(self.start_context(context).unsqueeze(1) + self.start_component)
         constant = self.gate_context(context).unsqueeze(1) + self.gate_component
-        alike = [field.unsqueeze(1) for field in (self._base_controls(motion, start), *motion)]
+        alike = [self._base_controls(motion, start), *motion]
         if self.jacobians is linearise_shared:
             return PositionMoments(*self._moments(constant, hidden, *_repeated(alike, hidden)))
         kind = self.gate_hidden.weight.dtype
@@ -193,12 +193,15 @@ class ControlDecoder(nn.Module):
         factor[..., below[0], below[1]] = diagonal[..., below[0]] * raw[..., size:]
         return factor
 
-    def _base_controls(self, motion: Motion, start: Trend) -> Float[Tensor, "R T m"]:
+    def _base_controls(self, motion: Motion, start: Trend) -> Float[Tensor, "R K T m"]:
         """Controls of the fading CTRA, which never brakes below standstill."""
-        speed = motion.velocity[:, 0]
+        speed = motion.velocity[..., 0]
         forward = start.velocity / safe_norm(start.velocity).unsqueeze(-1)
         along = (start.acceleration * forward).sum(-1)
-        across = forward[:, 0] * start.acceleration[:, 1] - forward[:, 1] * start.acceleration[:, 0]
+        across = (
+            forward[..., 0] * start.acceleration[..., 1]
+            - forward[..., 1] * start.acceleration[..., 0]
+        )
         slowest = -speed / self.fade_s
         acceleration = torch.maximum(along.clamp(-3.0, 3.0), slowest)
         curvature = (across / (speed.square() + 0.25)).clamp(-1.0, 1.0)
@@ -206,7 +209,7 @@ class ControlDecoder(nn.Module):
         fading = torch.exp(-time / self.fade_s).to(speed.dtype)
         state = self.dynamics.state_on_course(motion).unsqueeze(-2)
         return self.dynamics.control_for(
-            state.expand(-1, self.horizon_steps, -1),
+            state.expand(*speed.shape, self.horizon_steps, -1),
             acceleration.unsqueeze(-1) * fading,
             curvature.unsqueeze(-1) * fading,
         )
@@ -220,6 +223,7 @@ def _repeated(fields: list[Tensor], hidden: Float[Tensor, "R K h"]) -> list[Tens
 def present_motion(start: Trend, rows: AgentBatch) -> Motion:
     """Motion of the agents now in their own frames, on the course of the blended velocity."""
     speed = safe_norm(start.velocity)
-    heading = current_course(start.velocity, rows.past.motion.heading[:, -1])
+    track = rows.past.motion.heading[:, -1:].expand_as(speed)
+    heading = current_course(start.velocity, track)
     zero = torch.zeros_like(speed)
     return Motion(start.offset, heading, torch.stack([speed, zero], -1), zero)

@@ -41,25 +41,27 @@ def start_features(starts: Trend) -> Float[Tensor, "R f"]:
 
 
 class StartBlend(nn.Module):
-    """The present motion: the first estimate x₁, moved towards the others by gains.
+    """The present motion by each component: the first estimate x₁, moved to the others by gains.
 
-        x = x₁ + Σ_k tanh(g_k) (x_k - x₁),    g = W context
+        x = x₁ + Σ_k tanh(g_k) (x_k - x₁),    g = W [context, 1] + W_z
 
     The gains start at zero, so that an untrained predictor starts from the first estimate. They are
     the learned counterpart of those of a Kalman filter, which also tell noise from manoeuvres.
 
     Args:
         context_size: Size of the encoding of the present scene.
+        components: Number K of components.
     """
 
-    def __init__(self, context_size: int) -> None:
+    def __init__(self, context_size: int, components: int) -> None:
         super().__init__()
-        self.gains = nn.Linear(context_size, ESTIMATES - 1)
+        self.components = components
+        self.gains = nn.Linear(context_size, components * (ESTIMATES - 1))
         nn.init.zeros_(self.gains.weight)
         nn.init.zeros_(self.gains.bias)
 
     def forward(self, context: Float[Tensor, "R c"], starts: Trend) -> Trend:
-        """Motion of each row, in the frame of the estimates."""
-        gain = torch.tanh(self.gains(context)).unsqueeze(-1)
-        moved = ((gain * (field[:, 1:] - field[:, :1])).sum(-2) for field in starts)
-        return Trend(*(field[:, 0] + move for field, move in zip(starts, moved, strict=True)))
+        """Motion `R K` of each row and component, in the frame of the estimates."""
+        gain = torch.tanh(self.gains(context)).unflatten(-1, (self.components, -1))
+        moved = (gain @ (field[:, 1:] - field[:, :1]) for field in starts)
+        return Trend(*(field[:, :1] + move for field, move in zip(starts, moved, strict=True)))
