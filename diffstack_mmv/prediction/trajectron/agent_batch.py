@@ -52,10 +52,10 @@ def agent_batch(agents: Tracks, dt_s: float, frame: Pose | None = None) -> Agent
     """
     index = agents.valid[..., -1].flatten().nonzero().squeeze(-1)
     scene_tracks = take_rows(agents, index)
-    starts = estimates(scene_tracks, dt_s)
-    now = Trend(*(field[:, 0] for field in starts))
+    found = estimates(scene_tracks, dt_s)
     origin = current_position(scene_tracks)
-    heading = current_course(now.velocity, current_heading(scene_tracks))
+    heading = current_course(found.velocity[:, 0], current_heading(scene_tracks))
+    starts = Trend(*(rotate(field, -heading.unsqueeze(-1)) for field in found))
     kind = agent_kind(scene_tracks.mode)
     is_ego = index % agents.mode.shape[1] == 0
     return AgentBatch(
@@ -65,9 +65,9 @@ def agent_batch(agents: Tracks, dt_s: float, frame: Pose | None = None) -> Agent
         origin=origin,
         heading=heading,
         past=in_own_frame(scene_tracks, origin, heading),
-        velocity=rotate(now.velocity, -heading),
-        acceleration=rotate(now.acceleration, -heading),
-        starts=Trend(*(rotate(field, -heading.unsqueeze(-1)) for field in starts)),
+        velocity=starts.velocity[:, 0],
+        acceleration=starts.acceleration[:, 0],
+        starts=starts,
         place=_place(frame, index // agents.mode.shape[1], origin, heading),
     )
 

@@ -37,10 +37,11 @@ class ControlDecoder(nn.Module):
         u_t = ū_t + w ∘ W h_t
 
     with the width w of the box of controls, and ū_t the control for the acceleration a₀ exp(-t / τ)
-    and the curvature κ₀ exp(-t / τ). Its weights W start at zero, so that an untrained
-    decoder is the fading CTRA and what it learns are deviations from it. The input of the GRU is
-    the deviation of the step before; context and component enter through its first state and
-    through a constant part of its input, which is computed once.
+    and the curvature κ₀ exp(-t / τ), from the component's own start, see `StartBlend`. Its weights
+    W start at zero, so that an untrained decoder is the fading CTRA and what it learns are
+    deviations from it. The input of the GRU is the deviation of the step before; context and
+    component enter through its first state and through a constant part of its input, which is
+    computed once.
 
     Args:
         dynamics: Dynamics of the agents.
@@ -107,17 +108,14 @@ class ControlDecoder(nn.Module):
         context = self.dropout(context)
         hidden = torch.tanh(self.start_context(context).unsqueeze(1) + self.start_component)
         constant = self.gate_context(context).unsqueeze(1) + self.gate_component
-        alike = [self._base_controls(motion, start), *motion]
+        each = [constant, hidden, self._base_controls(motion, start), *motion]
         if self.jacobians is linearise_shared:
-            return PositionMoments(*self._moments(constant, hidden, *_repeated(alike, hidden)))
-        kind = self.gate_hidden.weight.dtype
+            return PositionMoments(*self._moments(*each))
+        each = [field.to(self.gate_hidden.weight.dtype) for field in each]
         if self._in_libraries(hidden):
-            each = [field.to(kind) for field in (constant, hidden, *alike)]
             with torch.autocast(hidden.device.type, enabled=False):
                 return PositionMoments(*self._moments(*each))
-        each = [
-            field.flatten(0, 1).to(kind) for field in (constant, hidden, *_repeated(alike, hidden))
-        ]
+        each = [field.flatten(0, 1) for field in each]
         moments = recomputed(self._moments, tuple(each), self.parameters())
         return PositionMoments(*(field.unflatten(0, hidden.shape[:2]) for field in moments))
 
@@ -215,13 +213,8 @@ class ControlDecoder(nn.Module):
         )
 
 
-def _repeated(fields: list[Tensor], hidden: Float[Tensor, "R K h"]) -> list[Tensor]:
-    """Fields of each agent for each of its components."""
-    return [field.expand(*hidden.shape[:2], *field.shape[2:]) for field in fields]
-
-
 def present_motion(start: Trend, rows: AgentBatch) -> Motion:
-    """Motion of the agents now in their own frames, on the course of the blended velocity."""
+    """Motion `R K` now in the own frames, on the course of the velocity of each component."""
     speed = safe_norm(start.velocity)
     track = rows.past.motion.heading[:, -1:].expand_as(speed)
     heading = current_course(start.velocity, track)

@@ -10,6 +10,7 @@ from diffstack_mmv.types import Tracks
 OTHER_MEMORIES_S = (0.3, 1.5)
 """Of two more fits: what differs between a short and a long memory tells what changes."""
 REST_MEMORY_S = 1.0
+REST_REACH_M = 0.5
 ESTIMATES = 4 + len(OTHER_MEMORIES_S)
 START_FEATURES = 6 * ESTIMATES - 18  # without what is zero or follows from others
 OFFSET_SCALE_M = 0.3
@@ -27,7 +28,7 @@ def estimates(tracks: Tracks, dt_s: float) -> Trend:
     zero = torch.zeros_like(fits[0].offset)
     now = fits[0]._replace(offset=zero)
     last = Trend(zero, mean_velocity(tracks, 1, dt_s), zero)
-    found = now, *fits, last, rest(tracks, REST_MEMORY_S, dt_s)
+    found = now, *fits, last, rest(tracks, REST_MEMORY_S, REST_REACH_M, dt_s)
     return Trend(*(torch.stack(fields, -2) for fields in zip(*found, strict=True)))
 
 
