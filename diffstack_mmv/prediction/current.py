@@ -96,15 +96,23 @@ def trends(tracks: Tracks, memories_s: Sequence[float], dt_s: float) -> list[Tre
         ],
         -2,
     )
-    found, kind, known = [], tracks.motion.position.dtype, valid.to(offset.dtype)
-    for memory_s in memories_s:
-        fading = torch.exp(time / memory_s).unsqueeze(-1)
-        matrix = (known @ (fading * products)).unflatten(-1, (3, 3)) + pull
-        right = (offset.mT @ (fading * powers)).mT + pull @ prior  # zero where not valid
-        # without the check for singular matrices, which waits for a GPU: the pull prevents them
-        solution = torch.linalg.solve_ex(matrix, right).result.to(kind)
-        found.append(Trend(solution[..., 1, :], solution[..., 2, :]))
-    return found
+    ages = torch.stack([time / memory_s for memory_s in memories_s])  # constants on the device
+    fading = torch.exp(ages).unsqueeze(-1)
+    known = valid.to(offset.dtype)
+    matrix = _each_memory(known, fading * products).unflatten(-1, (3, 3)) + pull
+    sums = _each_memory(offset.mT.contiguous(), fading * powers)  # zero where not valid
+    # without the check for singular matrices, which waits for a GPU: the pull prevents them
+    solution = torch.linalg.solve_ex(matrix, sums.mT + pull @ prior).result
+    solution = solution.to(tracks.motion.position.dtype)
+    return [Trend(each[..., 1, :], each[..., 2, :]) for each in solution]
+
+
+def _each_memory(
+    rows: Float[Tensor, "*b T"], weights: Float[Tensor, "M T p"]
+) -> Float[Tensor, "M *b p"]:
+    """Sums of rows over time with the weights of each memory, in one product."""
+    columns = weights.movedim(0, 1).flatten(1)
+    return (rows @ columns).unflatten(-1, (len(weights), -1)).movedim(-2, 0)
 
 
 def current_course(

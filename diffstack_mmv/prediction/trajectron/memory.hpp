@@ -33,6 +33,7 @@ struct Memory {
   void step(long t, const Block& block) {
     block.take(features + t * inputs, steps * inputs, inputs, in.data());
     block.take(keep + t, steps, 1, kept);
+    for (long i = 0; i < inputs * WIDE; ++i) in[i] = kept[i % WIDE] != 0 ? in[i] : V{};  // whatever a gap holds
     for (int w = 0; w < WIDE; ++w) in[inputs * WIDE + w] = V{} + 1;
     product(weight, 4 * h, width, in.data(), WIDE, none.data(), gate.data());
     const long part = h * WIDE;
