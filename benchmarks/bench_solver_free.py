@@ -79,7 +79,10 @@ def main():
         ("first call s", ".1f", "first_s"),
         ("peak MiB", ".0f", "memory_mib"),
     ]
-    write(arguments.results / "solver_free.md", table(shown, [*CLASSES, *notes], introduction, columns))
+    write(
+        arguments.results / "solver_free.md",
+        table(shown, [*CLASSES, *notes], introduction, columns),
+    )
 
 
 if __name__ == "__main__":

@@ -73,7 +73,7 @@ def environment(folder):
 
 def requirements(lock):
     """The packages of a lock, one text with hashes each."""
-    return re.findall(r"^[^\s#].*(?:\\\n.*)*", lock.read_text(), re.MULTILINE)
+    return re.findall(r"^[^\s#].*(?:\n[ ]+.*)*", lock.read_text(), re.MULTILINE)
 
 
 def install(python, lock):

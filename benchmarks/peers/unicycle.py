@@ -36,7 +36,9 @@ class Unicycle(Problem):
 
     def instances(self, count, steps):
         rng = np.random.default_rng([2024, 3])
-        states = np.column_stack([rng.uniform(-1, 1, (count, 2)), rng.uniform(-np.pi, np.pi, count)])
+        states = np.column_stack(
+            [rng.uniform(-1, 1, (count, 2)), rng.uniform(-np.pi, np.pi, count)]
+        )
         return states, np.zeros((count, 3))
 
 
