@@ -67,7 +67,7 @@ JOBS = (
     Job("library_profile", 1, ("benchmarks/bench_library_profile.py",)),
     Job("lqr", 25, ("benchmarks/bench_lqr.py", str(REFERENCE / "acados_lqr")),
         better_with=("crocoddyl", "casadi", "mpc", "osqp", "qpth", "cvxpygen", "cvxpylayers"), reference=True,
-        small=(4, ("--limit", "2", "--timeout", "30"))),
+        small=(3, ("--sets", "test_umax1", "--limit", "2", "--timeout", "30"))),
     Job("constrained", 4, ("benchmarks/bench_constrained.py",), ("casadi",),
         small=(2, ("--count", "200"))),
     Job("gradients", 15, ("benchmarks/bench_solver_gradients.py",), reference=True,
