@@ -16,10 +16,11 @@ from diffstack_mmv.dynamics import DynamicsModel, rollout
 from diffstack_mmv.planning.candidates import CandidateFan, CandidateSource, with_final_row
 from diffstack_mmv.planning.choice import PlanChoice, TakeOptimum
 from diffstack_mmv.planning.coordinates import Coordinates, PhysicalControls
+from diffstack_mmv.planning.cornered import with_way_out
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
 from diffstack_mmv.planning.limits import PlanConstraints
 from diffstack_mmv.planning.objective import batched_objective, motion_rows
-from diffstack_mmv.planning.parts import cost_in_parts
+from diffstack_mmv.planning.parts import cost_in_parts, scored_in_parts
 from diffstack_mmv.planning.pricing import CostScore, PlanScore, ScoredPlans
 from diffstack_mmv.planning.problem import filled_up, initial_state, likeliest
 from diffstack_mmv.types import Motion, Obstacles, Plan, PlanningProblem, Solution, map_tensors
@@ -71,6 +72,7 @@ class MPCPlanner(Planner):
             likeliest one alone, while the score sees all; None shows it all.
         coordinates: In which the optimiser sees the controls; the controls themselves by default.
         constraints: What the optimiser keeps to besides the box of the controls; None: nothing.
+        cornered: Proposes more where none of the candidates is safe; None: nothing.
 
     Raises:
         TypeError: There are constraints, but the solver is no `ILQR`.
@@ -91,6 +93,7 @@ class MPCPlanner(Planner):
         solved_components: int | None = None,
         coordinates: Coordinates = PhysicalControls,
         constraints: PlanConstraints | None = None,
+        cornered: CandidateSource | None = None,
     ) -> None:
         super().__init__()
         require_at_least("steps", steps, 1)
@@ -107,6 +110,7 @@ class MPCPlanner(Planner):
         self.solved_components = solved_components
         self.coordinates = coordinates
         self.constraints = constraints
+        self.cornered = cornered
         if constraints is not None and constraints.limits and not isinstance(solver, ILQR):
             found = type(solver).__name__
             raise TypeError(message("solver", "be an ILQR where there are constraints", found))
@@ -131,13 +135,16 @@ class MPCPlanner(Planner):
             controls = torch.cat([controls, more[0]], -3)
             plans = problem.goal.dim() - 1
             motion = Motion(*(torch.cat(pair, plans) for pair in zip(motion, more[1], strict=True)))
-        proposals = scored(controls, motion)
+        proposals, fan_size = scored(controls, motion), fan.controls.shape[-3]
+        if self.cornered is not None:
+            source, rate = self.cornered, self._scored
+            proposals = with_way_out(source, self.dynamics, rate, problem, waited, proposals)
+            fan_size += 1
         with torch.no_grad():
             starts = self._best_starts(proposals, problem.obstacles)
         guess = proposals.controls.take_along_dim(starts[..., None, None], -3)
         solution = self._solve(problem, guess)
         motion = self.dynamics.motion(solution.states, with_final_row(solution.controls))
-        fan_size = fan.controls.shape[-3]
         chosen = self.choice(proposals, fan_size, solution, motion, scored)
         return Plan(*chosen, solution, proposals.motion, -proposals.cost)
 
@@ -145,8 +152,9 @@ class MPCPlanner(Planner):
         """Have solver and candidates compiled at their next use, if they can be."""
         if isinstance(self.solver, ILQR):
             self.solver = self.solver.compiled()
-        if isinstance(self.candidates, CandidateFan):
-            self.candidates.compile = True
+        for source in (self.candidates, self.cornered):
+            if isinstance(source, CandidateFan):
+                source.compile = True
 
     def cost_of(
         self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
@@ -175,6 +183,19 @@ class MPCPlanner(Planner):
         motion: Motion,
         waited: Float[Tensor, "*b"],
     ) -> ScoredPlans:
+        if not self.score.differentiable:
+            with torch.no_grad():
+                return scored_in_parts(self._scores, problem, controls, motion, waited)
+        return self._scores(problem, controls, motion, waited)
+
+    def _scores(
+        self,
+        problem: PlanningProblem,
+        controls: Float[Tensor, "*b C T m"],
+        motion: Motion,
+        waited: Float[Tensor, "*b"],
+    ) -> ScoredPlans:
+        """The same, all problems at once."""
         batch_dims = problem.goal.dim() - 1
         per_plan = map_tensors(lambda entry: entry.unsqueeze(batch_dims), problem)
 
@@ -185,8 +206,7 @@ class MPCPlanner(Planner):
                 return found
             return cost_in_parts(self.cost_of, motion, padded, per_plan)
 
-        with torch.set_grad_enabled(torch.is_grad_enabled() and self.score.differentiable):
-            return self.score(cost, problem, controls, motion, waited, self.dynamics.dt_s)
+        return self.score(cost, problem, controls, motion, waited, self.dynamics.dt_s)
 
     def _priced(
         self, problem: PlanningProblem, motion: Motion, controls: Float[Tensor, "*b C t m"]
