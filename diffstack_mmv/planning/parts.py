@@ -1,4 +1,4 @@
-"""The cost and the score of many plans among many agents, some problems at a time."""
+"""The cost of many plans among many agents, some problems at a time."""
 
 from collections.abc import Callable
 
@@ -7,14 +7,12 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from diffstack_mmv.planning.pricing import ScoredPlans
 from diffstack_mmv.types import Motion, Obstacles, PlanningProblem, map_tensors
 
 LARGEST = 1 << 17
 """Distances between plans and agents that are computed at once: their tensors stay in a cache."""
 
 PlanCosts = Callable[[Motion, Tensor, PlanningProblem], Tensor]
-Scores = Callable[[PlanningProblem, Tensor, Motion, Tensor], ScoredPlans]
 
 
 def cost_in_parts(
@@ -48,52 +46,29 @@ def cost_in_parts(
     return torch.cat(parts)
 
 
-def scored_in_parts(
-    score: Scores,
-    problem: PlanningProblem,
-    controls: Float[Tensor, "*b C T m"],
-    motion: Motion,
-    waited: Float[Tensor, "*b"],
-) -> ScoredPlans:
-    """The score of plans without gradients, in half the time of all at once.
-
-    Components of agents that are not there or impossible in all problems of a part are left out.
-
-    Args:
-        score: Of the problems of a batch.
-        problem: The problems.
-        controls: Of the plans.
-        motion: Of the plans.
-        waited: How long each vehicle has come no closer to its goal, s.
-    """
-    rows = _rows_at_once(controls, problem)
-    if rows is None:
-        return score(problem, controls, motion, waited)
-    parts = []
-    for first in range(0, len(controls), rows):
-        everything = problem, controls, motion, waited
-        own, *rest = map_tensors(lambda entry: entry[first : first + rows], everything)  # noqa: B023
-        parts.append(score(own._replace(obstacles=possible(own.obstacles)), *rest)[2:])
-    return ScoredPlans(controls, motion, *map(torch.cat, zip(*parts, strict=True)))
-
-
 def possible(obstacles: Obstacles) -> Obstacles:
-    """The components that are possible in some problem, each as an agent of its own.
+    """The components of each problem that are possible, each as an agent of its own.
 
-    Scores add up or compare components of agents and agents in one way, so nothing else changes.
+    Costs and scores add up or compare components of agents and agents in one way, so nothing else
+    changes. Problems with fewer than the others get absent ones.
 
     Args:
         obstacles: Agents with one leading dimension, `b N K`.
     """
-    there = obstacles.valid[..., None] & (obstacles.weight > 0)
-    wanted = there.any(0).flatten().nonzero().squeeze(-1)
-    if len(wanted) == there[0].numel() or not len(wanted):
+    there = (obstacles.valid[..., None] & (obstacles.weight > 0)).flatten(1)
+    most = int(there.sum(-1).max()) if there.numel() else 0
+    if most == there.shape[-1] or not most:
         return obstacles
+    order = (~there).long().argsort(dim=-1, stable=True)[:, :most]
+    weight = obstacles.weight.flatten(1).gather(1, order)
+    radius = obstacles.radius[..., None].expand_as(obstacles.weight).flatten(1)
     return Obstacles(
-        position=obstacles.position.flatten(1, 2)[:, wanted, None],
-        weight=obstacles.weight.flatten(1, 2)[:, wanted, None],
-        radius=obstacles.radius[..., None].expand_as(obstacles.weight).flatten(1, 2)[:, wanted],
-        valid=there.flatten(1, 2)[:, wanted],
+        position=obstacles.position.flatten(1, 2)
+        .take_along_dim(order[..., None, None], 1)
+        .unsqueeze(2),
+        weight=weight.unsqueeze(-1),
+        radius=radius.gather(1, order),
+        valid=there.gather(1, order),
     )
 
 

@@ -16,15 +16,18 @@ from diffstack_mmv.dynamics import DynamicsModel, rollout
 from diffstack_mmv.planning.candidates import CandidateFan, CandidateSource, with_final_row
 from diffstack_mmv.planning.choice import PlanChoice, TakeOptimum
 from diffstack_mmv.planning.coordinates import Coordinates, PhysicalControls
-from diffstack_mmv.planning.cornered import with_way_out
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
 from diffstack_mmv.planning.limits import PlanConstraints
 from diffstack_mmv.planning.objective import batched_objective, motion_rows
-from diffstack_mmv.planning.parts import cost_in_parts, scored_in_parts
+from diffstack_mmv.planning.parts import cost_in_parts, possible
 from diffstack_mmv.planning.pricing import CostScore, PlanScore, ScoredPlans
 from diffstack_mmv.planning.problem import filled_up, initial_state, likeliest
 from diffstack_mmv.types import Motion, Obstacles, Plan, PlanningProblem, Solution, map_tensors
 
+MOST_COMPARED = 256
+"""Plans, the cheapest ones, whose homotopy classes are looked at."""
+MOST_PRICED = 64
+"""Components of agents up to which a score without gradient is priced in a library."""
 UNSAFE = 1e4
 """Added to the price of an unsafe plan where starts of the optimiser are chosen."""
 
@@ -72,7 +75,6 @@ class MPCPlanner(Planner):
             likeliest one alone, while the score sees all; None shows it all.
         coordinates: In which the optimiser sees the controls; the controls themselves by default.
         constraints: What the optimiser keeps to besides the box of the controls; None: nothing.
-        cornered: Proposes more where none of the candidates is safe; None: nothing.
 
     Raises:
         TypeError: There are constraints, but the solver is no `ILQR`.
@@ -93,7 +95,6 @@ class MPCPlanner(Planner):
         solved_components: int | None = None,
         coordinates: Coordinates = PhysicalControls,
         constraints: PlanConstraints | None = None,
-        cornered: CandidateSource | None = None,
     ) -> None:
         super().__init__()
         require_at_least("steps", steps, 1)
@@ -110,7 +111,6 @@ class MPCPlanner(Planner):
         self.solved_components = solved_components
         self.coordinates = coordinates
         self.constraints = constraints
-        self.cornered = cornered
         if constraints is not None and constraints.limits and not isinstance(solver, ILQR):
             found = type(solver).__name__
             raise TypeError(message("solver", "be an ILQR where there are constraints", found))
@@ -135,16 +135,13 @@ class MPCPlanner(Planner):
             controls = torch.cat([controls, more[0]], -3)
             plans = problem.goal.dim() - 1
             motion = Motion(*(torch.cat(pair, plans) for pair in zip(motion, more[1], strict=True)))
-        proposals, fan_size = scored(controls, motion), fan.controls.shape[-3]
-        if self.cornered is not None:
-            source, rate = self.cornered, self._scored
-            proposals = with_way_out(source, self.dynamics, rate, problem, waited, proposals)
-            fan_size += 1
+        proposals = scored(controls, motion)
         with torch.no_grad():
             starts = self._best_starts(proposals, problem.obstacles)
         guess = proposals.controls.take_along_dim(starts[..., None, None], -3)
         solution = self._solve(problem, guess)
         motion = self.dynamics.motion(solution.states, with_final_row(solution.controls))
+        fan_size = fan.controls.shape[-3]
         chosen = self.choice(proposals, fan_size, solution, motion, scored)
         return Plan(*chosen, solution, proposals.motion, -proposals.cost)
 
@@ -152,9 +149,8 @@ class MPCPlanner(Planner):
         """Have solver and candidates compiled at their next use, if they can be."""
         if isinstance(self.solver, ILQR):
             self.solver = self.solver.compiled()
-        for source in (self.candidates, self.cornered):
-            if isinstance(source, CandidateFan):
-                source.compile = True
+        if isinstance(self.candidates, CandidateFan):
+            self.candidates.compile = True
 
     def cost_of(
         self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
@@ -183,19 +179,6 @@ class MPCPlanner(Planner):
         motion: Motion,
         waited: Float[Tensor, "*b"],
     ) -> ScoredPlans:
-        if not self.score.differentiable:
-            with torch.no_grad():
-                return scored_in_parts(self._scores, problem, controls, motion, waited)
-        return self._scores(problem, controls, motion, waited)
-
-    def _scores(
-        self,
-        problem: PlanningProblem,
-        controls: Float[Tensor, "*b C T m"],
-        motion: Motion,
-        waited: Float[Tensor, "*b"],
-    ) -> ScoredPlans:
-        """The same, all problems at once."""
         batch_dims = problem.goal.dim() - 1
         per_plan = map_tensors(lambda entry: entry.unsqueeze(batch_dims), problem)
 
@@ -206,20 +189,22 @@ class MPCPlanner(Planner):
                 return found
             return cost_in_parts(self.cost_of, motion, padded, per_plan)
 
-        return self.score(cost, problem, controls, motion, waited, self.dynamics.dt_s)
+        with torch.set_grad_enabled(torch.is_grad_enabled() and self.score.differentiable):
+            return self.score(cost, problem, controls, motion, waited, self.dynamics.dt_s)
 
     def _priced(
         self, problem: PlanningProblem, motion: Motion, controls: Float[Tensor, "*b C t m"]
     ) -> Float[Tensor, "*b C t"] | None:
-        """The cost of plans in a library, where the solver is compiled; None without.
-
-        A score without gradient judges clearances on tensors, and its agents come and go: there the
-        cost stays on tensors as well.
-        """
+        """The cost of plans in a library, where the solver is compiled; None without."""
         compiled = isinstance(self.solver, ILQR) and self.solver.compile
-        if not (compiled and self.score.differentiable and controls.dim() == 4):
+        if not compiled or controls.dim() != 4:
             return None
-        filled = problem._replace(obstacles=filled_up(problem.obstacles))
+        agents = problem.obstacles
+        if not self.score.differentiable:
+            agents = possible(agents)
+            if agents.weight[0].numel() > MOST_PRICED:
+                return None
+        filled = problem._replace(obstacles=filled_up(agents))
         cost, rows = motion_rows(self, filled, motion)
         return prices(cost, rows, controls)
 
@@ -248,9 +233,14 @@ class MPCPlanner(Planner):
         price = torch.where(plans.safe, plans.cost, plans.cost + UNSAFE * (1 + plans.shortfall))
         if self.starts <= 1:
             return price.argmin(-1, keepdim=True)[..., : self.starts]
-        agents = likeliest(obstacles).position.squeeze(-3)
-        classes = homotopy_class(plans.motion.position, agents)
-        return best_of_each(price, classes, self.starts)
+        agents = likeliest(obstacles)
+        if price.dim() == 2:  # those who are not there pass on no side
+            agents = possible(agents)
+        cheapest = price.topk(min(MOST_COMPARED, price.shape[-1]), largest=False).indices
+        paths = plans.motion.position.take_along_dim(cheapest[..., None, None], -3)
+        classes = homotopy_class(paths, agents.position.squeeze(-3))
+        best = best_of_each(price.gather(-1, cheapest), classes, self.starts)
+        return cheapest.gather(-1, best)
 
     def _solve(self, problem: PlanningProblem, guess: Float[Tensor, "*b k T m"]) -> Solution:
         """Optimise from every guess; all are one batch, so that finished ones are left behind."""

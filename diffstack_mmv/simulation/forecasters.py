@@ -18,10 +18,6 @@ from diffstack_mmv.types import Forecast
 
 RESTING_MPS = 0.05
 """Who is slower stands."""
-SLOWING_M = 1.0
-"""Who is nearer to its goal slows down."""
-STAYING_MPS = 0.2
-"""Who is so slow by then stays there."""
 
 
 class PedestrianForecast(NamedTuple):
@@ -135,8 +131,7 @@ class OrcaForecaster:
 
     At first sight nobody's goal is known. Who is at rest then may walk off in any direction: beside
     the component in which it stays there is one for each of `directions`, straight at the preferred
-    speed. A single one of them is unlikely; a plan pays for all. Later the same holds for who is
-    about to arrive: it may walk on, in any of `onward` directions, as soon as it is there.
+    speed. A single one of them is unlikely; a plan pays for all.
 
     Attributes:
         crowd: Settings of ORCA.
@@ -145,8 +140,6 @@ class OrcaForecaster:
         inference: How goals are inferred.
         directions: Number of directions in which somebody at rest at first sight may walk off.
         stays: Probability that it stays.
-        onward: Number of directions in which somebody who arrives may walk on; 0: everybody stays.
-        arrives: Probability that somebody who arrives stays there.
         spread: How the uncertainty grows.
 
     Raises:
@@ -158,8 +151,6 @@ class OrcaForecaster:
     inference: GoalInference = field(default_factory=GoalInference)
     directions: int = 24
     stays: float = 0.1
-    onward: int = 0
-    arrives: float = 0.45
     observed_speed: bool = False
     spread: Spread = field(default_factory=Spread)
 
@@ -167,8 +158,6 @@ class OrcaForecaster:
         """Check the numbers once, at the border."""
         require_at_least("directions", self.directions, 1)
         require_between("stays", self.stays, 0, 1)
-        require_at_least("onward", self.onward, 0)
-        require_between("arrives", self.arrives, 0, 1)
         require_positive("preferred_speed_mps", self.preferred_speed_mps)
 
     def init(self, observation: Observation) -> None:
@@ -184,8 +173,6 @@ class OrcaForecaster:
         forecast = _with_spread(mean, believed.velocity, self.spread, dt_s)
         if state is None:
             forecast = self._walking_off(forecast, believed, dt_s)
-        elif self.onward:
-            forecast = self._walking_on(forecast, believed, observation.seen, dt_s)
         return PedestrianForecast(forecast, BelievedCrowd(believed, observation.seen, dt_s, doubt))
 
     def _walking_off(self, forecast: Forecast, crowd: CrowdState, dt_s: float) -> Forecast:
@@ -201,36 +188,6 @@ class OrcaForecaster:
         return Forecast(
             weight.log().expand(*forecast.log_weight.shape[:-1], 1 + count),
             torch.cat([mean, off], -3),
-            scale.expand(*scale.shape[:-4], 1 + count, *scale.shape[-3:]),
-        )
-
-    def _walking_on(
-        self, forecast: Forecast, crowd: CrowdState, seen: Bool[Tensor, "*b h"], dt_s: float
-    ) -> Forecast:
-        """A forecast of one component, and one more per direction for who is about to arrive.
-
-        The others have these components too, of no weight.
-        """
-        slowing = length(crowd.goal - crowd.position) < SLOWING_M
-        arriving = seen & slowing & (length(crowd.velocity) > STAYING_MPS)
-        if not bool(arriving.any()):
-            return forecast
-        mean, count = forecast.mean, self.onward
-        there = length(mean - crowd.goal[..., None, None, :]) < crowd.radius[..., None, None]
-        since = dt_s * (there.cumsum(-1) - 1).clamp_min(0)
-        first = (~there).sum(-1, keepdim=True).clamp(max=mean.shape[-2] - 1)
-        corner = mean.take_along_dim(first[..., None], -2)
-        turns = 2 * math.pi / count * torch.arange(count).to(mean)
-        speed = crowd.preferred_speed[..., None, None, None]
-        way = speed * since[..., None] * unit_vector(turns)[:, None]
-        onward = torch.where(there[..., None], corner + way, mean)
-        kept = torch.where(arriving, self.arrives, 1.0)[..., None]
-        share = torch.where(arriving, (1 - self.arrives) / count, 0.0)[..., None]
-        weight = torch.cat([kept, share.expand(*share.shape[:-1], count)], -1).to(mean)
-        scale = forecast.scale_tril
-        return Forecast(
-            weight.log(),
-            torch.cat([mean, onward], -3),
             scale.expand(*scale.shape[:-4], 1 + count, *scale.shape[-3:]),
         )
 
