@@ -15,26 +15,25 @@ from diffstack_mmv.types import Discs, Motion, Obstacles
 from dmmv_conventions.libraries import CannotBuildError, load, pointers
 
 LOGGER = logging.getLogger(__name__)
+READ = (
+    *("hard_m", "hard_growth", "comfort_m", "comfort_growth", "saturation_m"),
+    *("horizon_s", "probability_min", "spread_growth", "reach_m"),
+)
+"""Of a margin, in the order of the library."""
 NAMES = {torch.float32: "float", torch.float64: "double"}
 
 
 class Judgement(NamedTuple):
-    """How plans pass the agents, `b C`."""
+    """How plans pass the agents, `*b C`."""
 
     safety: Safety
-    risk: Float[Tensor, "b C"]  # s, expected time of contact
+    risk: Float[Tensor, "*b C"]  # s, expected time of contact
 
 
 class _Settings(ctypes.Structure):
     """What the library reads of a margin."""
 
-    _fields_ = tuple(
-        (name, ctypes.c_double)
-        for name in (
-            *("hard_m", "hard_growth", "comfort_m", "comfort_growth", "saturation_m"),
-            *("horizon_s", "probability_min", "spread_growth", "reach_m", "dt_s"),
-        )
-    )
+    _fields_ = tuple((name, ctypes.c_double) for name in (*READ, "dt_s"))
 
 
 @functools.cache
@@ -54,7 +53,7 @@ def judged(
     motion: Motion,
     discs: Discs,
     obstacles: Obstacles,
-    under_way: Bool[Tensor, "b C T1"],
+    under_way: Bool[Tensor, "*b C T1"],
     dt_s: float,
 ) -> Judgement | None:
     """The judgement of a margin on plans, without gradients; None if there is no library for it.
@@ -63,7 +62,7 @@ def judged(
 
     Args:
         margin: What is asked.
-        motion: Motions of the plans, `b C T1`.
+        motion: Motions of the plans, `*b C T1`; a library wants one leading dimension.
         discs: Around the vehicle, `b D`.
         obstacles: Agents, `b N K T1`.
         under_way: Before and at the arrival; later a plan meets nobody.
@@ -83,12 +82,12 @@ def judged(
         for each in (position, heading, live, *discs, *obstacles[:3], obstacles.valid)
     )
     told = position.new_empty(problems, plans, 3)
-    settings = {name: getattr(margin, name) for name, _ in _Settings._fields_[:-1]}
+    settings = [getattr(margin, name) for name in READ]
     sizes = ctypes.c_long(problems), ctypes.c_long(plans), rows - 1, discs.radius.shape[-1]
     kept = list(wide)
     getattr(library(), f"judge_{NAMES[like]}")(
         *(*sizes, count, components),
-        ctypes.byref(_Settings(**settings, dt_s=dt_s)),
+        ctypes.byref(_Settings(*settings, dt_s)),
         *pointers(*kept, told),
     )
     penalty, shortfall, risk = told.unbind(-1)
