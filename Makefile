@@ -9,7 +9,6 @@ SIZE   ?= small
 RAW    ?= data
 JOBS   ?= 2
 TABLE  ?= crowdnav
-PEERS  ?= $(BIN)/python
 DOCS   := .venv-docs
 LIMIT  := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
 
@@ -58,10 +57,10 @@ docs: $(DOCS)/.installed ## The documentation as a site in outputs/site; a dead 
 	@echo "Site: outputs/site/index.html"
 
 bench: install ## Benchmarks, a look in outputs/bench/small or SIZE=full in benchmarks/results: tells needs and times, resumes; make peers first
-	$(BIN)/python benchmarks/run_all.py --size $(or $(SIZE),small) --peers $(PEERS) $(if $(HPIPM),--hpipm $(HPIPM)) $(if $(DRY),--dry-run)
+	$(BIN)/python benchmarks/run_all.py --size $(or $(SIZE),small) $(if $(PEERS),--peers $(PEERS)) $(if $(HPIPM),--hpipm $(HPIPM)) $(if $(DRY),--dry-run)
 
-peers: install  ## Solvers to compare with that are Python packages, in outputs/peers, where make bench finds them
-	$(BIN)/python -m pip install --quiet --no-deps --target outputs/peers mpc
+peers: install  ## Solvers to compare with, in an environment of their own, outputs/peers (1.3 GB); TRAJAX=, DIFFMPC= git checkouts
+	$(BIN)/python benchmarks/build_peers.py outputs/peers $(if $(TRAJAX),--trajax $(TRAJAX)) $(if $(DIFFMPC),--diffmpc $(DIFFMPC))
 
 throughput: install ## Windows/s of training and evaluation per model; CACHE=, DATA= converted recordings, PEER=name=checkout
 	$(LIMIT) $(BIN)/python benchmarks/bench_throughput.py $(CACHE) --data $(DATA) $(if $(PEER),--peer $(PEER))

@@ -6,7 +6,8 @@
 
 Each optimiser runs in a process of its own, on one thread; one that is not installed is skipped and
 said to be. Times are processor seconds, the smallest of the repetitions, so that other work on the
-machine disturbs them little. Writes solver.md and solver.png to results/.
+machine disturbs them little; a row that was measured beside other work bears a star. Writes solver.md and
+solver.png to results/.
 """
 
 import argparse
@@ -22,17 +23,30 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 from bench_solver_worker import MISSING  # noqa: E402
+from load import BUSY, Load  # noqa: E402
 
 RESULTS = Path(__file__).parent / "results"
 SOLVERS = (
     "ours-compiled",
     "ours-eager",
     "mpc.pytorch",
+    "casadi-fatrop",
     "casadi-ipopt",
     "crocoddyl-python-model",
     "trajax-penalty",
 )
 SIZES = ("256:30", "64:30", "16:30", "64:10", "64:100", "1:30")
+READING = (
+    "`times ours`: time per problem by that of ours compiled, of the same run. `best`: share of problems within 1e-4 "
+    "relative cost of the cheapest solution that any of these found. `first call`: with tracing and generating code, "
+    "without the C++ compiler's own time. `peak`: of the process up to that size."
+)
+CLASSES = (
+    "What each solves: ours, crocoddyl (BoxFDDP), fatrop, IPOPT and mpc.pytorch the box as it is; trajax a quadratic penalty in its place.",
+    "Fatrop and IPOPT evaluate the problem in CasADi's virtual machine, crocoddyl in a model in Python, which dominates its time: "
+    "with a model of its own in C++ it is in solver_unicycle.md.",
+    "PyPose and Toyota's diffmpc know no bounds: they are in solver_free.md.",
+)
 ONE_THREAD = {
     "OMP_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
@@ -40,13 +54,13 @@ ONE_THREAD = {
 }
 
 
-def rows_of(name, arguments, variant):
+def rows_of(name, arguments, problem):
     """Rows of one optimiser, and a note if there is something to tell."""
     worker = str(Path(__file__).with_name("bench_solver_worker.py"))
     python = sys.executable if name.startswith("ours") else arguments.python
-    command = [python, worker, name, "--variant", variant, "--limit", str(arguments.limit)]
+    command = [python, worker, name, "--problem", problem, "--limit", str(arguments.limit)]
     command += ["--sizes", *arguments.sizes]
-    with tempfile.TemporaryDirectory() as cache:
+    with tempfile.TemporaryDirectory() as cache, Load() as load:
         cold = {"TORCHINDUCTOR_CACHE_DIR": cache} if arguments.cold else {}
         environment = os.environ | ONE_THREAD | cold
         process = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True)
@@ -57,10 +71,12 @@ def rows_of(name, arguments, variant):
             output = process.communicate()[0]
             note = f"{name}: stopped after {arguments.timeout} s"
     if process.returncode == MISSING:
-        note = f"{name}: skipped, not installed"
+        note = f"{name}: no rows, not installed"
     elif process.returncode > 0:
         note = f"{name}: failed with status {process.returncode}"
     rows = [json.loads(line) for line in output.splitlines() if line.startswith("{")]
+    for row in rows:
+        row["load"] = load.mean
     print(note or f"{name}: {len(rows)} sizes", flush=True)
     return rows, note
 
@@ -75,30 +91,37 @@ def judge(rows):
         floor = best[row["batch"], row["steps"]]
         row["best"] = float(np.mean(np.array(row.pop("costs")) <= floor + 1e-4 * np.abs(floor)))
         row["ms_per_problem"] = 1e3 * row["forward_s"] / row["batch"]
+    ours = {
+        (row["batch"], row["steps"]): row["ms_per_problem"]
+        for row in rows
+        if row["solver"] == "ours-compiled"
+    }
+    for row in rows:
+        if (row["batch"], row["steps"]) in ours:
+            row["ratio"] = row["ms_per_problem"] / ours[row["batch"], row["steps"]]
 
 
 def surroundings():
     """What the times depend on besides the solvers."""
-    load = os.getloadavg()[2]
-    return (
-        f"one thread, {platform.machine()}; processor time, smallest of the repetitions (mean load of "
-        f"the machine meanwhile: {load:.1f} on {os.cpu_count()} cores)"
-    )
+    return f"one thread, {platform.machine()}; processor time, smallest of the repetitions"
 
 
 def table(rows, notes, introduction, last_columns):
     """Markdown lines; the last columns are (heading, format, key), a dash where a row lacks them."""
-    headings = ["T", "batch", "solver", "ms per problem", "problems/s", "backward ms"]
+    headings = ["T", "batch", "solver", "ms per problem", "times ours", "backward ms"]
     headings += ["backward / forward", "best", *(heading for heading, _, _ in last_columns)]
     lines = [introduction, "", f"| {' | '.join(headings)} |", "|---" * len(headings) + "|"]
     for row in sorted(rows, key=lambda r: (r["steps"], r["batch"], r["ms_per_problem"])):
         back = row.get("backward_s")
-        cells = [str(row["steps"]), str(row["batch"]), row["solver"]]
-        cells += [f"{row['ms_per_problem']:.3f}", f"{1e3 / row['ms_per_problem']:.0f}"]
+        star = " *" if row.get("load", 0.0) > BUSY else ""
+        cells = [str(row["steps"]), str(row["batch"]), row["solver"] + star]
+        cells += [f"{row['ms_per_problem']:.3f}", f"{row['ratio']:.1f}" if "ratio" in row else "-"]
         cells += [f"{1e3 * back:.2f}", f"{back / row['forward_s']:.2f}"] if back else ["-", "-"]
         cells += [f"{row['best']:.3f}"]
         cells += [format(row[key], form) if key in row else "-" for _, form, key in last_columns]
         lines.append(f"| {' | '.join(cells)} |")
+    if any(row.get("load", 0.0) > BUSY for row in rows):
+        notes = [*notes, "\\* **measured under load**: more than one process ran beside it."]
     return [*lines, "", *(f"- {note}" for note in notes)]
 
 
@@ -147,14 +170,14 @@ def arguments_of(description, solvers, sizes):
     return parser.parse_args()
 
 
-def collect(arguments, variant):
+def collect(arguments, problem):
     """Rows of all optimisers, with their costs, and notes."""
     kept = (
         json.loads(arguments.rows.read_text()) if arguments.rows and arguments.rows.exists() else []
     )
     rows, notes = [row for row in kept if row["solver"] not in arguments.solvers], []
     for name in arguments.solvers:
-        found, note = rows_of(name, arguments, variant)
+        found, note = rows_of(name, arguments, problem)
         rows += found
         notes += [note] if note else []
     if arguments.rows:
@@ -168,12 +191,10 @@ def main():
     judge(rows)
     introduction = (
         f"Kinematic bicycle around an obstacle, from zero controls, tolerance 1e-4, {surroundings()}. "
-        "Ours, mpc.pytorch and trajax in float32, the others in float64. `best`: share of problems "
-        "within 1e-4 relative cost of the cheapest solution that any of these found. `first call`: "
-        "with tracing and generating code, without the C++ compiler's own time, sizes in the order "
-        f"{', '.join(arguments.sizes)} (batch:T). `peak`: of the process up to that size. The box of trajax "
-        "is a penalty; crocoddyl is called with a model in Python, which dominates its time."
+        f"Ours, mpc.pytorch and trajax in float32, the others in float64. {READING} Sizes in the order "
+        f"{', '.join(arguments.sizes)} (batch:T)."
     )
+    notes = [*CLASSES, *notes]
     columns = [
         ("converged", ".3f", "converged"),
         ("first call s", ".1f", "first_s"),

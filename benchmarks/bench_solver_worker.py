@@ -1,4 +1,4 @@
-"""Times one optimiser on all sizes, in a process of its own; started by bench_solver.py and _free.py."""
+"""Times one optimiser on all sizes, in a process of its own; started by bench_solver.py, _free.py and _unicycle.py."""
 
 import argparse
 import importlib
@@ -11,11 +11,13 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-from peers import driving  # noqa: E402
+from peers.problems import PROBLEMS  # noqa: E402
 
 MODULES = {
     "mpc.pytorch": "mpc_pytorch",
     "casadi-ipopt": "ipopt",
+    "casadi-fatrop": "fatrop",
+    "crocoddyl": "crocoddyl_unicycle",
     "crocoddyl-python-model": "crocoddyl_box",
     "trajax-penalty": "trajax_penalty",
     "trajax": "trajax_penalty",
@@ -41,16 +43,16 @@ def fastest(work, limit_s, repetitions=7):
     return times[0], min(times[1:]), result
 
 
-def measure_ours(name, states, parameters, steps, limit_s, variant):
+def measure_ours(name, states, parameters, steps, limit_s, problem):
     """Forward and backward of this package's solver."""
     import torch
     from peers import in_torch, ours
 
     torch.set_num_threads(1)
     exact = dict(dtype=torch.float64) if name == EXACT else {}
-    leaves = ours.leaves_of(parameters, **exact)
-    tolerance = 1e-16 if exact else 1e-4
-    solve = ours.solver(states, leaves, steps, name == "ours-compiled", variant, tolerance)
+    leaves = ours.leaves_of(parameters, **exact, problem=problem)
+    tolerance = 1e-16 if exact else problem.tolerance
+    solve = ours.solver(states, leaves, steps, name == "ours-compiled", problem, tolerance)
     with torch.no_grad():
         first, forward, solution = fastest(solve, limit_s)
     graphs = [solve() for _ in range(4)]
@@ -62,17 +64,17 @@ def measure_ours(name, states, parameters, steps, limit_s, variant):
     _, back, gradient = fastest(backward, limit_s, 3)
     converged = float(solution.converged.double().mean())
     row = dict(first_s=first, forward_s=forward, backward_s=back, converged=converged)
-    return ours.controls_of(solution), row | dict(gradient=gradient[:, :4].tolist())
+    return ours.controls_of(solution), row | dict(gradient=gradient[:, : problem.states].tolist())
 
 
-def measure_peer(name, states, parameters, steps, limit_s, variant):
-    """Forward of a peer, and backward where the variant and the peer allow it."""
+def measure_peer(name, states, parameters, steps, limit_s, problem):
+    """Forward of a peer, and backward where problem and peer allow it."""
     peer = importlib.import_module("peers." + MODULES[name])
-    solve = peer.prepare(states, parameters, steps, variant)
+    solve = peer.prepare(states, parameters, steps, problem)
     first, forward, controls = fastest(solve, limit_s)
     row = dict(first_s=first, forward_s=forward)
-    if not variant.bump and hasattr(peer, "prepare_gradient"):
-        record = peer.prepare_gradient(states, parameters, steps)
+    if problem.differentiated and hasattr(peer, "prepare_gradient"):
+        record = peer.prepare_gradient(states, parameters, steps, problem)
         graphs = [record() for _ in range(4)]
         _, back, gradient = fastest(lambda: graphs.pop()(), limit_s, 3)
         row |= dict(backward_s=back, gradient=gradient.tolist())
@@ -82,17 +84,17 @@ def measure_peer(name, states, parameters, steps, limit_s, variant):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("solver")
-    parser.add_argument("--variant", choices=driving.VARIANTS, default="obstacle")
+    parser.add_argument("--problem", choices=PROBLEMS, default="obstacle")
     parser.add_argument("--sizes", nargs="+", required=True, help="batch:steps")
     parser.add_argument("--limit", type=float, default=20.0, help="seconds of repetitions per size")
     arguments = parser.parse_args()
-    variant = driving.VARIANTS[arguments.variant]
+    problem = PROBLEMS[arguments.problem]
     measure = measure_ours if arguments.solver.startswith("ours") else measure_peer
     for size in arguments.sizes:
         batch, steps = map(int, size.split(":"))
-        problem = driving.instances(batch, steps)
+        given = problem.instances(batch, steps)
         try:
-            controls, row = measure(arguments.solver, *problem, steps, arguments.limit, variant)
+            controls, row = measure(arguments.solver, *given, steps, arguments.limit, problem)
         except ModuleNotFoundError as missing:
             print(missing, file=sys.stderr)
             raise SystemExit(MISSING) from missing
@@ -101,7 +103,7 @@ def main():
             batch=batch,
             steps=steps,
             memory_mib=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-            costs=np.round(driving.true_cost(*problem, controls, variant), 7).tolist(),
+            costs=np.round(problem.true_cost(*given, controls), 7).tolist(),
         )
         print(json.dumps(row), flush=True)
 

@@ -1,6 +1,6 @@
 """All benchmarks, one after the other: tells what they need and how long they take, resumes, marks what ran under load.
 
-    python benchmarks/run_all.py                 # `make bench`: what is not done yet, in a quarter of an hour
+    python benchmarks/run_all.py                 # `make bench`: what is not done yet, in half an hour
     python benchmarks/run_all.py --size full     # `make bench SIZE=full`: all sizes and repetitions
     python benchmarks/run_all.py --dry-run       # tell, and stop
     python benchmarks/run_all.py --again lqr     # measure one again
@@ -16,17 +16,19 @@ import json
 import os
 import subprocess
 import sys
-import threading
 import time
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
+sys.path.insert(0, str(Path(__file__).parent))
+from load import Load, remark  # noqa: E402
+
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS, KEPT = ROOT / "benchmarks" / "results", ROOT / "outputs" / "bench"
 REFERENCE = ROOT.parent / "shared" / "reference" / "mpc"
-BUSY = 1.5  # processes that want to run, this one included, above which times are disturbed
-PACKAGES = ROOT / "outputs" / "peers"  # of `make peers`
+BUILT = ROOT / "outputs" / "peers" / "bin" / "python"  # by `make peers`
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
@@ -44,24 +46,28 @@ class Job(NamedTuple):
     reference: bool = False  # whether it needs the reference solutions
 
 
-PEERS = ("mpc", "casadi", "crocoddyl", "trajax", "pypose", "diffmpc")
+BOXED = ("mpc", "casadi", "crocoddyl", "trajax")
+FREE = ("mpc", "pypose", "diffmpc", "trajax", "casadi")
+UNICYCLE = ("crocoddyl", "casadi", "trajax", "diffmpc")
 FEW = ("--sizes", "64:30", "1:30", "--limit", "3", "--timeout", "300")
 JOBS = (
     Job("dynamics", 3, ("-m", "pytest", "benchmarks/bench_dynamics.py", "--jaxtyping-packages=", "--benchmark-only",
                         "-m", "slow or not slow"), ("pytest_benchmark",), writes=True,
         small=(1, ("-k", "eager and bicycle or rollout"))),
-    Job("solver", 25, ("benchmarks/bench_solver.py",), better_with=PEERS, writes=True,
+    Job("solver", 25, ("benchmarks/bench_solver.py",), better_with=BOXED, writes=True,
         tells_where=True, small=(4, FEW)),
-    Job("solver_free", 25, ("benchmarks/bench_solver_free.py",), better_with=PEERS, writes=True,
+    Job("solver_free", 25, ("benchmarks/bench_solver_free.py",), better_with=FREE, writes=True,
         tells_where=True, small=(4, FEW)),
+    Job("solver_unicycle", 8, ("benchmarks/bench_solver_unicycle.py",), better_with=UNICYCLE, writes=True,
+        tells_where=True, small=(2, FEW)),
     Job("models", 4, ("benchmarks/bench_models.py",),
         small=(2, ("--batches", "1", "64", "--limit", "3"))),
     Job("solver_memory", 2, ("benchmarks/bench_solver_memory.py",)),
     Job("solver_profile", 3, ("benchmarks/bench_solver_profile.py",)),
     Job("library_profile", 1, ("benchmarks/bench_library_profile.py",)),
     Job("lqr", 25, ("benchmarks/bench_lqr.py", str(REFERENCE / "acados_lqr")),
-        better_with=("casadi", "mpc", "osqp", "qpth", "cvxpygen", "cvxpylayers"), reference=True,
-        small=(4, ("--limit", "2", "--timeout", "30"))),
+        better_with=("crocoddyl", "casadi", "mpc", "osqp", "qpth", "cvxpygen", "cvxpylayers"), reference=True,
+        small=(3, ("--sets", "test_umax1", "--limit", "2", "--timeout", "30"))),
     Job("constrained", 4, ("benchmarks/bench_constrained.py",), ("casadi",),
         small=(2, ("--count", "200"))),
     Job("gradients", 15, ("benchmarks/bench_solver_gradients.py",), reference=True,
@@ -79,28 +85,33 @@ def of_size(job, size):
     return job._replace(minutes=minutes, command=(*job.command, *more))
 
 
-def is_there(name):
-    """Whether a package is installed, or among those of `make peers`."""
-    return find_spec(name) is not None or (PACKAGES / name).is_dir()
+@cache
+def absent(names, python):
+    """Those of the packages of peers that an interpreter does not find."""
+    look = "import sys; from importlib.util import find_spec; print(*[n for n in sys.argv[1:] if not find_spec(n)])"
+    told = subprocess.run([python, "-c", look, *names], capture_output=True, text=True, check=True)
+    return tuple(told.stdout.split())
 
 
 def lacking(job):
     """What a job cannot run without and is not there."""
-    missing = [name for name in job.packages if not is_there(name)]
+    missing = [name for name in job.packages if find_spec(name) is None]
     return [*missing, *([str(REFERENCE)] if job.reference and not REFERENCE.is_dir() else [])]
 
 
-def plan(jobs, done):
+def plan(jobs, done, python=sys.executable):
     """Tell what will run, what it needs and how long it takes; the jobs that can run."""
     ready = []
+    built = python != sys.executable
+    print(f"Peers: {python}" if built else "Peers: no environment of their own, see `make peers`.")
     for job in jobs:
         if job.name in done:
             print(f"{job.name:16s} done {done[job.name]}")
         elif missing := lacking(job):
             print(f"{job.name:16s} skipped, not there: {', '.join(missing)}")
         else:
-            absent = [name for name in job.better_with if not is_there(name)]
-            note = f"; rows left out: {', '.join(absent)}" if absent else ""
+            without = absent(job.better_with, python)
+            note = f"; rows named as absent: {', '.join(without)}" if without else ""
             print(f"{job.name:16s} about {job.minutes:g} min{note}")
             ready.append(job)
     total, load = sum(job.minutes for job in ready), os.getloadavg()[0]
@@ -111,23 +122,6 @@ def plan(jobs, done):
     return ready
 
 
-def watch(loads, stop):
-    """Note how many processes want to run, every few seconds."""
-    while not stop.wait(5):
-        loads.append(float(Path("/proc/loadavg").read_text().split()[3].split("/")[0]))
-
-
-def remark(loads):
-    """The last line of a table."""
-    mean = sum(loads) / len(loads) if loads else os.getloadavg()[0]
-    disturbed = (
-        " **Measured under load:** other work has disturbed the times." if mean > BUSY else ""
-    )
-    return (
-        f"\nProcesses that ran meanwhile, mean: {mean:.1f} on {os.cpu_count()} cores.{disturbed}\n"
-    )
-
-
 def folder_of(size):
     """Where the tables of a size go."""
     return RESULTS if size == "full" else KEPT / size
@@ -135,21 +129,16 @@ def folder_of(size):
 
 def run(job, python, results):
     """Run a job; whether it succeeded."""
-    loads, stop = [], threading.Event()
-    watcher = threading.Thread(target=watch, args=(loads, stop), daemon=True)
-    watcher.start()
-    # last, so that a peer replaces nothing of ours
-    paths = [str(ROOT), os.environ.get("PYTHONPATH", ""), str(PACKAGES)]
-    environment = os.environ | ONE_THREAD | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    environment = os.environ | ONE_THREAD | {"PYTHONPATH": path}
     output = None if job.writes else subprocess.PIPE
     command = [python, *job.command, *(["--results", str(results)] if job.tells_where else [])]
-    process = subprocess.run(
-        command, cwd=ROOT, env=environment, stdout=output, text=True, check=False
-    )
-    stop.set()
-    watcher.join()
+    with Load() as load:
+        process = subprocess.run(
+            command, cwd=ROOT, env=environment, stdout=output, text=True, check=False
+        )
     if process.returncode == 0 and not job.writes:
-        (results / f"{job.name}.md").write_text(process.stdout.rstrip() + "\n" + remark(loads))
+        (results / f"{job.name}.md").write_text(process.stdout.rstrip() + "\n" + remark(load.mean))
     return process.returncode == 0
 
 
@@ -160,7 +149,8 @@ def main():
     parser.add_argument("--again", nargs="+", default=[], choices=[job.name for job in JOBS])
     parser.add_argument("--only", nargs="+", default=[], choices=[job.name for job in JOBS])
     parser.add_argument("--size", choices=("small", "full"), default="small")
-    parser.add_argument("--peers", help="interpreter of an environment with more peers")
+    built = str(BUILT) if BUILT.exists() else sys.executable
+    parser.add_argument("--peers", default=built, help="interpreter of the peers' environment")
     parser.add_argument("--hpipm", help="prefix where acados or hpipm and blasfeo are installed")
     arguments = parser.parse_args()
     known, results = KEPT / f"{arguments.size}.json", folder_of(arguments.size)
@@ -168,14 +158,14 @@ def main():
     done = {name: when for name, when in done.items() if name not in arguments.again}
     wanted = [job for job in JOBS if not arguments.only or job.name in arguments.only]
     chosen = [of_size(job, arguments.size) for job in wanted]
-    ready = plan(chosen, done)
+    ready = plan(chosen, done, arguments.peers)
     if arguments.dry_run:
         return
     failed = []
     results.mkdir(parents=True, exist_ok=True)
     KEPT.mkdir(parents=True, exist_ok=True)
     for job in ready:
-        if arguments.peers and job.name in ("solver", "solver_free", "lqr"):
+        if job.better_with:
             job = job._replace(command=(*job.command, "--python", arguments.peers))
         if arguments.hpipm and job.name == "lqr":
             job = job._replace(command=(*job.command, "--hpipm", arguments.hpipm))

@@ -2,6 +2,7 @@
 # Writes requirements.lock: the exact versions that satisfy pyproject.toml today, tests and linters included, each with
 # the SHA-256 of its files, and requirements-cuda.lock: what a build of torch with CUDA needs besides.
 # requirements-docs.lock: what `make docs` needs, in an environment of its own.
+# requirements-peers.lock: what `make peers` needs, in another; written by hand, `--peers` renews its hashes alone.
 # `torch` is locked without a build tag and with the files of both indices, so that a machine without a GPU may take a
 # build without CUDA. `sh scripts/lock.sh PYTHON --keep` keeps the versions of the present lock and renews the hashes, `--docs` writes
 # requirements-docs.lock alone.
@@ -14,13 +15,18 @@ trap 'rm -rf "$folder"' EXIT
 "$python" -m venv "$folder/venv"
 "$folder/venv/bin/python" -m pip install --quiet "uv>=0.9,<1"
 uv="$folder/venv/bin/uv pip compile --quiet --generate-hashes --no-annotate --no-header --python-version 3.11"
+names='s/^\([A-Za-z0-9_.-]*==[^ ;\\]*\).*/\1/p'
+if [ "${2:-}" = "--peers" ]; then
+  sed -n "$names" requirements-peers.lock > "$folder/pins"
+  $uv --no-deps "$folder/pins" > "$folder/peers" && mv "$folder/peers" requirements-peers.lock
+  exit
+fi
 "$python" -c 'import tomllib; extras = tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]
 print("\n".join(extras["docs"]))' > "$folder/docs"
 if [ "${2:-}" = "--docs" ]; then  # the site alone
   $uv "$folder/docs" > "$folder/docs.lock" && mv "$folder/docs.lock" requirements-docs.lock
   exit
 fi
-names='s/^\([A-Za-z0-9_.-]*==[^ ;\\]*\).*/\1/p'
 if [ "${2:-}" = "--keep" ]; then
   sed -n "$names" requirements.lock > "$folder/pins"
 else

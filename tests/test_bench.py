@@ -1,6 +1,7 @@
 """The list of all benchmarks: what is told before, what is resumed, what is marked."""
 
 import importlib.util
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ ROOT = Path(__file__).resolve().parents[1]
 spec = importlib.util.spec_from_file_location("run_all", ROOT / "benchmarks" / "run_all.py")
 run_all = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(run_all)
+import load  # noqa: E402, beside it
 
 
 def test_the_plan_tells_times_and_what_is_missing_and_leaves_out_what_is_done(capsys):
@@ -21,14 +23,14 @@ def test_the_plan_tells_times_and_what_is_missing_and_leaves_out_what_is_done(ca
     told = capsys.readouterr().out
     assert [job.name for job in ready] == ["second"]
     assert "first            done 2026-01-01 12:00" in told
-    assert "about 3 min; rows left out: no_such_package" in told
+    assert "about 3 min; rows named as absent: no_such_package" in told
     assert "skipped, not there: no_such_package" in told
     assert "1 to run, about 3 min" in told
 
 
 @pytest.mark.parametrize(("loads", "marked"), [([1.0, 1.0], False), ([1.0, 5.0], True)])
 def test_a_table_that_other_work_disturbed_says_so(loads, marked):
-    assert ("Measured under load" in run_all.remark(loads)) == marked
+    assert ("Measured under load" in load.remark(sum(loads) / len(loads))) == marked
 
 
 def test_every_benchmark_of_the_list_exists():
@@ -73,11 +75,23 @@ def test_what_was_interrupted_goes_on_where_it_was(monkeypatch, tmp_path, capsys
 def test_only_the_bounded_lqrs_are_told_where_hpipm_is(monkeypatch, tmp_path, job, given):
     ran = []
     jobs = tuple(each for each in run_all.JOBS if each.name == job)
-    jobs = tuple(each._replace(reference=False, better_with=()) for each in jobs)
+    jobs = tuple(each._replace(reference=False) for each in jobs)
     for name, value in (("JOBS", jobs), ("KEPT", tmp_path)):
         monkeypatch.setattr(run_all, name, value)
-    monkeypatch.setattr("sys.argv", ["run_all.py", "--hpipm", "/prefix", "--peers", "python"])
+    monkeypatch.setattr("sys.argv", ["run_all.py", "--hpipm", "/prefix", "--peers", sys.executable])
     monkeypatch.setattr(run_all, "run", lambda job, *rest: ran.append(job) or True)
     run_all.main()
     assert ("--hpipm" in ran[0].command) == given
     assert "--python" in ran[0].command
+
+
+def test_the_load_is_counted_while_a_block_runs(monkeypatch):
+    monkeypatch.setattr(load, "running", lambda: 3.0)
+    monkeypatch.setattr(load, "EVERY_S", 0.01)
+    with load.Load() as measured:
+        pass
+    assert measured.mean == 3.0
+
+
+def test_packages_are_looked_for_with_the_interpreter_of_the_peers():
+    assert run_all.absent(("json", "no_such_package"), sys.executable) == ("no_such_package",)

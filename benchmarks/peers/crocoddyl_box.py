@@ -49,13 +49,15 @@ class Stage(crocoddyl.ActionModelAbstract):
         data.Luu[:] = curvature[4:, 4:]
 
 
-def prepare(states, parameters, steps, variant):
+def prepare(states, parameters, steps, problem):
     """A function that returns the controls (count, T, 2), from zero controls; with obstacle and box."""
     running, final = compiled_functions()
 
     def solve_one(state, p):
         stages = [Stage(running, p)] * steps
-        solver = crocoddyl.SolverBoxFDDP(crocoddyl.ShootingProblem(state, stages, Stage(final, p)))
+        shooting = crocoddyl.ShootingProblem(state, stages, Stage(final, p))
+        shooting.nthreads = 1
+        solver = crocoddyl.SolverBoxFDDP(shooting)
         solver.th_stop = 1e-6
         start = [np.zeros(2)] * steps
         solver.solve(solver.problem.rollout(start), start, 100, True)

@@ -10,24 +10,42 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from peers.problem import Problem
+
 DT, WHEELBASE = 0.1, 1.05
 WEIGHTS = (0.005, 0.05, 0.20, 0.02, 0.10, 2.0, 0.5)
 LOWER, UPPER = (-5.0, -0.785), (4.0, 0.785)
 
 
 @dataclass(frozen=True)
-class Variant:
-    """Weights of acceleration and steer, weight of the bump, box of the controls."""
+class Driving(Problem):
+    """Weights of acceleration and steer, and of the bump."""
 
     effort: tuple[float, float] = WEIGHTS[3:5]
     bump: float = WEIGHTS[5]
-    lower: tuple[float, float] = LOWER
-    upper: tuple[float, float] = UPPER
+
+    physical = WHEELBASE
+
+    @property
+    def differentiated(self):
+        """Without the bump, which few peers that differentiate can express."""
+        return not self.bump
+
+    def step(self, xp, state, control, physical=WHEELBASE):
+        return step(xp, state, control, physical)
+
+    def stage_cost(self, xp, state, control, p):
+        return stage_cost(xp, state, control, p, self)
+
+    def final_cost(self, xp, state, p):
+        return final_cost(state, p)
+
+    def instances(self, count, steps):
+        return instances(count, steps)
 
 
-OBSTACLE = Variant()
-FREE = Variant((0.1, 2.0), 0.0, (-np.inf, -np.inf), (np.inf, np.inf))
-VARIANTS = {"obstacle": OBSTACLE, "free": FREE}
+OBSTACLE = Driving(LOWER, UPPER)
+FREE = Driving((-np.inf, -np.inf), (np.inf, np.inf), (0.1, 2.0), 0.0)
 
 
 def step(xp, state, control, wheelbase=WHEELBASE):
@@ -90,13 +108,3 @@ def instances(count, steps, seed=2024):
     radius = rng.uniform(0.5, 1, count)
     states = np.column_stack([position, heading, speed])
     return states, np.column_stack([goal, bearing, wanted, obstacle, radius])
-
-
-def true_cost(states, parameters, controls, variant=OBSTACLE):
-    """Cost (count,) of controls (count, T, 2) in float64, clipped to the box first."""
-    controls = np.clip(np.asarray(controls, float), variant.lower, variant.upper)
-    state, p, total = tuple(states.T), parameters.T, 0.0
-    for control in controls.transpose(1, 2, 0):
-        total = total + stage_cost(np, state, control, p, variant)
-        state = step(np, state, control)
-    return total + final_cost(state, p)

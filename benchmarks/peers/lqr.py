@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from peers import lqr_convex
+from peers import lqr_convex, lqr_stages
 from peers.times import STEPS, M, N, fastest
 
 
@@ -166,6 +166,7 @@ ACADOS = {"test_umax10000": (1e-6, 5), "test_umax1": (1e-10, 4), "second_umax1":
 SOLVERS = {
     "acados' QP module, partial condensing": in_c("acados", ("-lacados",), ACADOS),
     "HPIPM (inside of acados)": in_c("hpipm", (), HPIPM),
+    **lqr_stages.SOLVERS,
     "DAQP (CasADi)": by_casadi("daqp"),
     "mpc.pytorch": mpc_pytorch,
     "qpth": qpth,

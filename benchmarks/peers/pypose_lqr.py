@@ -72,6 +72,6 @@ def prepare(states, parameters, steps, variant):
     return solve
 
 
-def prepare_gradient(states, parameters, steps):
+def prepare_gradient(states, parameters, steps, problem):
     """See `recorder`."""
     return recorder(solve_free(states, steps), parameters)

@@ -98,15 +98,23 @@ def trends(tracks: Tracks, memories_s: Sequence[float], dt_s: float) -> list[Tre
         ],
         -2,
     )
-    found, kind, known = [], tracks.motion.position.dtype, valid.to(offset.dtype)
-    for memory_s in memories_s:
-        fading = torch.exp(time / memory_s).unsqueeze(-1)
-        matrix = (known @ (fading * products)).unflatten(-1, (3, 3)) + pull
-        right = (offset.mT @ (fading * powers)).mT + pull @ prior  # zero where not valid
-        # without the check for singular matrices, which waits for a GPU: the pull prevents them
-        solution = torch.linalg.solve_ex(matrix, right).result.to(kind)
-        found.append(Trend(*solution.unbind(-2)))
-    return found
+    ages = torch.stack([time / memory_s for memory_s in memories_s])  # constants on the device
+    fading = torch.exp(ages).unsqueeze(-1)
+    known = valid.to(offset.dtype)
+    matrix = _each_memory(known, fading * products).unflatten(-1, (3, 3)) + pull
+    sums = _each_memory(offset.mT.contiguous(), fading * powers)  # zero where not valid
+    # without the check for singular matrices, which waits for a GPU: the pull prevents them
+    solution = torch.linalg.solve_ex(matrix, sums.mT + pull @ prior).result
+    solution = solution.to(tracks.motion.position.dtype)
+    return [Trend(*each.unbind(-2)) for each in solution]
+
+
+def _each_memory(
+    rows: Float[Tensor, "*b T"], weights: Float[Tensor, "M T p"]
+) -> Float[Tensor, "M *b p"]:
+    """Sums of rows over time with the weights of each memory, in one product."""
+    columns = weights.movedim(0, 1).flatten(1)
+    return (rows @ columns).unflatten(-1, (len(weights), -1)).movedim(-2, 0)
 
 
 def rest(tracks: Tracks, memory_s: float, reach_m: float, dt_s: float) -> Trend:
@@ -119,6 +127,7 @@ def rest(tracks: Tracks, memory_s: float, reach_m: float, dt_s: float) -> Trend:
     age = dt_s * torch.arange(rows - 1, -1, -1, device=valid.device)
     weight = (torch.exp(-age / memory_s) * valid).unsqueeze(-1)
     offset = tracks.motion.position - current_position(tracks).unsqueeze(-2)
+    offset = torch.where(valid.unsqueeze(-1), offset, torch.zeros_like(offset))
     mean = (weight * offset).sum(-2) / weight.sum(-2).clamp_min(_PRIOR[0])
     away = safe_norm(mean).unsqueeze(-1)
     mean = mean * (soft_clamp(away, reach_m) / away)

@@ -1,13 +1,15 @@
 """On a device the solver asks the host for nothing but whether all problems are finished.
 
-The meta device has shapes and no values: whatever waits for a value is caught there.
+The meta device has shapes and no values: whatever waits for a value is caught there. So are numbers
+that the host sends, because a copy from memory that is not pinned waits as well.
 """
 
 import pytest
 import torch
+from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from diffstack_mmv.control import ILQR, Batched, Bounds, DifferencedCurvature
+from diffstack_mmv.control import ILQR, Batched, Bounds, DifferencedCurvature, compilation
 from diffstack_mmv.control.ilqr import CHECK_EVERY
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle
 from diffstack_mmv.vehicles import load_vehicle
@@ -17,31 +19,51 @@ WAITING = {
     *("_local_scalar_dense", "is_nonzero", "equal"),  # .item(), bool(), ==
     *("nonzero", "nonzero_numpy", "masked_select", "repeat_interleave"),
     *("unique", "_unique2", "unique_dim", "unique_consecutive", "bincount"),
-    "_linalg_check_errors",
+    *("_linalg_check_errors", "_linalg_eigh"),
 }
 """Operations whose result, or its shape, the host has to wait for."""
+SENDING = {torch.tensor, torch.as_tensor, torch.asarray, torch.Tensor.new_tensor}
+"""Functions that make a tensor of numbers of the host; below them no dispatch is seen."""
+INDEXING = {torch.Tensor.__getitem__, torch.Tensor.__setitem__}
 EVERY = 4  # iterations between two questions on a device
+
+
+class Sends(TorchFunctionMode):
+    """Refuses numbers of the host that are sent to a device."""
+
+    def __torch_function__(self, func, types, args=(), kwargs=None):
+        found = func(*args, **(kwargs or {}))
+        if func in SENDING and found.device.type != "cpu":
+            raise AssertionError(f"{func.__name__} waits for the device")
+        if func in INDEXING and args[0].device.type != "cpu":
+            index = args[1] if isinstance(args[1], tuple) else (args[1],)
+            if any(isinstance(each, list) for each in index):
+                raise AssertionError("index by a list waits for the device")
+        return found
 
 
 class Waits(TorchDispatchMode):
     """Counts what waits for a device; to a question it answers yes."""
 
-    def __init__(self):
+    def __init__(self, allowed=("_local_scalar_dense",)):
         super().__init__()
-        self.seen = []
+        self.allowed, self.seen = allowed, []
 
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         name = func.overloadpacket.__name__
         by_mask = name in ("index", "index_put", "index_put_") and any(
             each is not None and each.dtype in (torch.bool, torch.uint8) for each in args[1]
         )
-        fetched = name == "_to_copy" and (kwargs or {}).get("device") == torch.device("cpu")
-        if name not in WAITING and not by_mask and not fetched:
+        ends = [each.device.type for each in args[:2] if isinstance(each, torch.Tensor)]
+        if name == "_to_copy" and (kwargs or {}).get("device") is not None:
+            ends.append(kwargs["device"].type)
+        crosses = name in ("_to_copy", "copy_") and "cpu" in ends and len(set(ends)) > 1
+        if name not in WAITING and not by_mask and not crosses:
             return func(*args, **(kwargs or {}))
         self.seen.append(name)
-        if name != "_local_scalar_dense":
+        if name not in self.allowed:
             raise AssertionError(f"{name} waits for the device")
-        return True
+        return True if name == "_local_scalar_dense" else func(*args, **(kwargs or {}))
 
 
 def linear(n, m, count):
@@ -78,24 +100,54 @@ PROBLEMS = {
 SLOW = {"gm3": pytest.mark.slow}
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(each, marks=SLOW.get(each, ())) for each in PROBLEMS]
-)
-def test_the_only_question_is_whether_all_are_finished(name, monkeypatch):
+def waits_of(name, iterations, compile=False, allowed=("_local_scalar_dense",)):
+    """What the solve and the gradient of a problem wait for."""
     dynamics, cost, box, n = PROBLEMS[name]()
     curvature = {"curvature": DifferencedCurvature()} if name == "gm3" else {}
-    iterations = 5 if name == "kbm" else 1
-    solver = ILQR(max_iterations=iterations, **curvature)
+    solver = ILQR(max_iterations=iterations, compile=compile, **curvature)
     state, m = torch.empty(20, n, device="meta"), len(box.lower)
     guess = torch.empty(20, 2, m, device="meta")
-    monkeypatch.setattr("diffstack_mmv.control.ilqr.check_problem", lambda *_: None)  # asks once
-    assert CHECK_EVERY.get("meta", EVERY) == EVERY
     state.requires_grad_()
-    with Waits() as waits:
+    with Waits(allowed) as waits, Sends():
         solution = solver(dynamics, cost, box, state, guess)
         torch.autograd.grad(solution.controls.square().sum(), state)
     assert solution.controls.shape == (20, 2, m)
-    assert waits.seen == ["_local_scalar_dense"] * -(-iterations // EVERY)
+    return waits.seen
+
+
+@pytest.fixture(autouse=True)
+def unasked(monkeypatch):
+    """The arguments of a problem are asked once, before the iterations."""
+    monkeypatch.setattr("diffstack_mmv.control.ilqr.check_problem", lambda *_: None)
+    assert CHECK_EVERY.get("meta", EVERY) == EVERY
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(each, marks=SLOW.get(each, ())) for each in PROBLEMS if each != "4 controls"],
+)
+def test_the_only_question_is_whether_all_are_finished(name):
+    iterations = 5 if name == "kbm" else 1
+    assert waits_of(name, iterations) == ["_local_scalar_dense"] * -(-iterations // EVERY)
+
+
+def test_from_three_controls_on_each_eigenvalue_decomposition_waits_as_well():
+    seen = waits_of("4 controls", 1, allowed=("_local_scalar_dense", "_linalg_eigh"))
+    assert seen == ["_local_scalar_dense"] + ["_linalg_eigh"] * 4  # two times, two passes
+
+
+@pytest.mark.parametrize("name", ["unicycle", pytest.param("gm3", marks=pytest.mark.slow)])
+def test_with_compiled_kernels_there_is_no_other_question(name, monkeypatch):
+    """What is around the kernels is the same Python; they themselves run here as they are."""
+    called = set()
+
+    def as_it_is(kernel, *given):
+        called.add(kernel.function.__name__)
+        return kernel.function(*given)
+
+    monkeypatch.setattr(compilation.Kernel, "__call__", as_it_is)
+    assert waits_of(name, 1, compile=True) == ["_local_scalar_dense"]
+    assert {"attempt", "box_policy"} < called
 
 
 WAITS = {
@@ -107,6 +159,8 @@ WAITS = {
     "_unique2": lambda values: values.unique(),
     "repeat_interleave": lambda values: values.repeat_interleave(values.long()),
     "_to_copy": lambda values: values.to("cpu"),
+    "_linalg_eigh": lambda values: torch.linalg.eigvalsh(values.expand(4, 4)),
+    "copy_": lambda values: values.copy_(torch.ones(4)),
 }
 
 
@@ -115,6 +169,19 @@ def test_a_wait_is_seen(name):
     with Waits() as waits, pytest.raises(AssertionError, match=f"{name} waits"):
         WAITS[name](torch.empty(4, device="meta"))
     assert waits.seen == [name]
+
+
+SENT = {
+    "tensor": lambda values: torch.tensor([1.0, 2.0], device=values.device),
+    "new_tensor": lambda values: values.new_tensor([1.0, 2.0]),
+    "index by a list": lambda values: values[[0, 2]],
+}
+
+
+@pytest.mark.parametrize("name", SENT)
+def test_what_is_sent_is_seen(name):
+    with Sends(), pytest.raises(AssertionError, match=f"{name} waits"):
+        SENT[name](torch.empty(4, device="meta"))
 
 
 @pytest.mark.parametrize("ask", [bool, float, torch.Tensor.item])
