@@ -26,7 +26,9 @@ from torch.utils.flop_counter import flop_registry
 from diffstack_mmv.control.native import modules, prices, scan, solver
 from diffstack_mmv.prediction.trajectron import blocks
 
-STEPS, SHOWN_OPERATIONS, SHOWN_SHARE = 5, 12, 0.002
+STEPS, PROFILED, SHOWN_OPERATIONS, SHOWN_SHARE = 5, 3, 12, 0.002
+WIDTH_IN, CHARACTERS = 16, 240  # of the chart, and of a line of its labels
+ENGINE = "autograd::engine::evaluate_function"
 LIBRARIES = modules, prices, scan, solver, blocks
 """Modules that load libraries."""
 
@@ -119,38 +121,64 @@ def stepped(watch, stack, optimizer, batch):
         optimizer.step()
 
 
+def shown(event):
+    """Whether an event gets a bar: not the engine's own around each operation of autograd."""
+    return not event.name.startswith(ENGINE)
+
+
+def depth_of(event):
+    """Calls around an event that get a bar."""
+    parent, depth = event.cpu_parent, 0
+    while parent is not None:
+        depth, parent = depth + shown(parent), parent.cpu_parent
+    return depth
+
+
+def label(name, share):
+    """As much of a name as fits on a bar that takes a share of the width."""
+    name, fits = name.removeprefix("_"), int(share * CHARACTERS)
+    return name if len(name) <= fits else f"{name[: fits - 1]}\u2026" if fits > 3 else ""
+
+
 def draw(events, path, title):
     """Flame chart: time to the right, calls within calls downwards."""
     first = min(event.time_range.start for event in events)
     whole = max(event.time_range.end for event in events) - first
-    figure, axes = plt.subplots(figsize=(16, 7))
+    figure, axes = plt.subplots(figsize=(WIDTH_IN, 7))
     rows = collections.defaultdict(list)
     thread = collections.Counter(event.thread for event in events)
     lanes = {name: lane for lane, (name, _) in enumerate(thread.most_common())}
-    for event in events:
-        depth, parent = 0, event.cpu_parent
-        while parent is not None:
-            depth, parent = depth + 1, parent.cpu_parent
+    for event in filter(shown, events):
         long = event.time_range.elapsed_us()
         if long > SHOWN_SHARE * whole:
-            rows[lanes[event.thread], depth].append(
-                (event.time_range.start - first, long, event.name)
-            )
+            bar = event.time_range.start - first, long, event.name
+            rows[lanes[event.thread], depth_of(event)].append(bar)
     order = {key: place for place, key in enumerate(sorted(rows))}
-    colours = mpl.colormaps["tab20"]
-    for key, bars in rows.items():
+    colours, number = mpl.colormaps["Set3"], {}
+    for key in sorted(rows):
+        bars = sorted(rows[key])
         spans = [(1e-3 * start, 1e-3 * long) for start, long, _ in bars]
-        fill = [colours(hash(name) % 20) for *_, name in bars]
-        axes.broken_barh(spans, (order[key], 0.9), facecolors=fill)
+        fill = [colours(number.setdefault(name, len(number)) % 12) for *_, name in bars]
+        axes.broken_barh(spans, (order[key], 0.9), facecolors=fill, edgecolors="white", lw=0.4)
         for start, long, name in bars:
-            if long > 0.03 * whole:
-                axes.text(
-                    1e-3 * start, order[key] + 0.45, name, fontsize=7, va="center", clip_on=True
-                )
+            place = 1e-3 * (start + 0.002 * whole), order[key] + 0.45
+            axes.text(*place, label(name, long / whole), fontsize=7, va="center", clip_on=True)
     axes.invert_yaxis()
-    axes.set(xlabel="ms", yticks=[], title=title)
+    axes.set(xlabel="ms by the clock, profiler on", yticks=[], title=title, xlim=(0, 1e-3 * whole))
     figure.savefig(path, bbox_inches="tight", dpi=110)
     plt.close(figure)
+
+
+def fastest(watch, stack, optimizer, batch):
+    """Profile of the fastest of some steps: what else the machine does shows up as time, too."""
+    found = []
+    for _ in range(PROFILED):
+        with profile(activities=[ProfilerActivity.CPU]) as profiler:
+            start = time.perf_counter()
+            stepped(watch, stack, optimizer, batch)
+            seconds = time.perf_counter() - start
+        found.append((seconds, profiler))
+    return min(found, key=lambda each: each[0])[1]
 
 
 def prepared(arguments):
@@ -195,8 +223,7 @@ def report(name, arguments, folder, rate, watch):
         stepped(watch, stack, optimizer, batch)
     whole = (time.process_time() - start) / STEPS
     parts = {part: seconds / STEPS for part, seconds in watch.seconds.items()}
-    with profile(activities=[ProfilerActivity.CPU]) as profiler:
-        stepped(watch, stack, optimizer, kept[0])
+    profiler = fastest(watch, stack, optimizer, kept[0])
     profiler.export_chrome_trace(str(folder / f"{name.replace(' ', '_')}.json.gz"))
     draw(profiler.events(), folder / f"{name.replace(' ', '_')}.png", f"{name}: one training step")
     lines = [
@@ -212,7 +239,8 @@ def report(name, arguments, folder, rate, watch):
         for part, seconds in sorted(parts.items(), key=lambda row: -row[1])
     ]
     lines += ["", "| operation | calls | own ms |", "|---|---|---|"]
-    averages = sorted(profiler.key_averages(), key=lambda row: -row.self_cpu_time_total)
+    averages = [row for row in profiler.key_averages() if not row.key.startswith(ENGINE)]
+    averages.sort(key=lambda row: -row.self_cpu_time_total)
     lines += [
         f"| `{row.key}` | {row.count} | {1e-3 * row.self_cpu_time_total:.1f} |"
         for row in averages[:SHOWN_OPERATIONS]

@@ -4,6 +4,7 @@ Hydra's composition, one message per failure, and an exit status to trust.
 """
 
 import functools
+import gc
 import math
 import os
 import sys
@@ -22,16 +23,14 @@ from dmmv_conventions.yaml_files import read_mapping
 
 with needs_to_run("stack", "the command lines"):
     import hydra
-    from hydra import compose
     from hydra.core.hydra_config import HydraConfig
-    from hydra.core.override_parser.overrides_parser import OverridesParser
-    from hydra.core.override_parser.types import OverrideType
     from hydra.errors import CompactHydraException, HydraException
     from hydra.types import RunMode
     from hydra.utils import get_class, instantiate
     from omegaconf import DictConfig, OmegaConf, read_write
     from omegaconf.errors import OmegaConfBaseException
 
+    from diffstack_mmv.composition import changed_defaults, composed_once, value_of
     from diffstack_mmv.config_checks import require_complete, require_same_type, require_seed
     from diffstack_mmv.override_errors import one_line, told, told_of_folder
     from dmmv_conventions.bars import Bars
@@ -113,7 +112,8 @@ def command(
                 config.out = HydraConfig.get().runtime.output_dir
                 _read_vehicle_file(config)
                 require_complete(OmegaConf.to_container(config))
-                _require_types(config, config_name)
+                for key, default in changed_defaults(config_name).items():
+                    require_same_type(key, default, value_of(config, key))
                 OmegaConf.resolve(config)
                 require_seed(config.get("seed"))
                 require_buildable(OmegaConf.to_container(config), OF_A_RUN, "in the configuration")
@@ -121,6 +121,7 @@ def command(
                 with alone_in(Path(config.out), "out"), _single_job():
                     admit(config)
                     save_config(config, Path(config.out))
+                    gc.enable()
                     with shown_by(Bars()), _quiet_dependencies():
                         return task(config)
 
@@ -131,7 +132,11 @@ def command(
         @functools.wraps(task)
         def main() -> None:
             sys.argv[1:] = [_vehicle_from_file(each) for each in _sweep_first(sys.argv[1:])]
-            with _composition_told(config_folder, config_name):
+            with (
+                _no_search_for_garbage(),
+                _composition_told(config_folder, config_name),
+                composed_once(sys.argv[1:]),
+            ):
                 entry()
 
         return main
@@ -142,6 +147,16 @@ def command(
 def _sweep_first(arguments: list[str]) -> list[str]:
     """Move `-m` to the front: overrides on both sides of it would not be understood."""
     return sorted(arguments, key=lambda argument: argument not in ("-m", "--multirun"))
+
+
+@contextmanager
+def _no_search_for_garbage() -> Iterator[None]:
+    """Until the work begins: composing and importing make no garbage that is worth a search."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
 
 
 @contextmanager
@@ -273,34 +288,6 @@ def _single_job() -> Iterator[None]:
         yield
     finally:
         sys.argv[:] = before
-
-
-def _require_types(config: DictConfig, config_name: str) -> None:
-    """Compare each value given on the command line with its default.
-
-    The default is that of the same groups. `+key` and `++key` are not looked at.
-    """
-    choices = HydraConfig.get().runtime.choices
-    parsed = OverridesParser.create().parse_overrides(list(HydraConfig.get().overrides.task))
-    given = [
-        each
-        for each in parsed
-        if each.type is OverrideType.CHANGE and each.get_key_element() not in choices
-    ]
-    others = [each.input_line for each in parsed if each not in given]
-    defaults = compose(config_name, [str(line) for line in others]) if given else config
-    for each in given:
-        key = each.key_or_group
-        require_same_type(key, _value(defaults, key), _value(config, key))
-
-
-def _value(config: DictConfig, key: str) -> Any:
-    """Value of a key in plain containers, none where it has none yet."""
-    try:
-        value = OmegaConf.select(config, key, throw_on_missing=False)
-        return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
-    except OmegaConfBaseException:
-        return None
 
 
 def _told(error: BaseException) -> str:

@@ -1,6 +1,7 @@
 """What all command lines share: complete configurations, files of vehicles, one message."""
 
 import contextlib
+import gc
 import sys
 import warnings
 from importlib.util import find_spec
@@ -52,6 +53,13 @@ def test_a_value_that_must_be_given_is_named(run):
     config, told = run()
     assert config is None
     assert "`needed` must be given. Add needed=VALUE" in told
+
+
+def test_the_search_for_garbage_is_on_during_the_work_and_afterwards(run):
+    on = []
+    run("needed=1", task=lambda config: on.append(gc.isenabled()))
+    assert on == [True]
+    assert gc.isenabled()
 
 
 def test_the_resolved_configuration_is_saved_before_the_work(run, tmp_path):

@@ -14,7 +14,8 @@ BASE = {"checks", "smooth", "types", "geometry"}
 # what a part of the package may import besides itself
 ALLOWED = {
     "__init__": set(),
-    "cli": {"config_checks", "override_errors"},
+    "cli": {"composition", "config_checks", "override_errors"},
+    "composition": set(),
     "config_checks": set(),
     "crowdnav": {"dynamics", "simulation", "vehicles"},
     "override_errors": set(),
@@ -54,6 +55,7 @@ CONVENTIONS = {
     "jobs": {"dmmv_conventions.checks"},
     "types": {"dmmv_conventions.modes"},
     "control": {"dmmv_conventions.libraries"},
+    "planning": {"dmmv_conventions.libraries"},
     "prediction": {"dmmv_conventions.libraries"},
     "simulation": {"dmmv_conventions.libraries"},
     "dynamics": {"dmmv_conventions.yaml_files"},

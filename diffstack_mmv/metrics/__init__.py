@@ -27,7 +27,12 @@ from diffstack_mmv.metrics.planning import (
     solved,
     total_cost,
 )
-from diffstack_mmv.metrics.sampling import best_of_samples, energy_score, sampled_paths
+from diffstack_mmv.metrics.sampling import (
+    best_of_samples,
+    energy_score,
+    sampled_paths,
+    spread_paths,
+)
 from diffstack_mmv.metrics.scores import (
     CALIBRATION,
     CLOSED_LOOP,
@@ -77,6 +82,7 @@ __all__ = [
     "negative_log_likelihood",
     "planning_loss",
     "sampled_paths",
+    "spread_paths",
     "solved",
     "time_mean",
     "total_cost",

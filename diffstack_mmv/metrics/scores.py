@@ -58,6 +58,8 @@ The best coverages are 0.5 and 0.9; of two calibrated forecasts the sharper has 
 SAMPLED = _by_name(
     Score("best_of_20_ade", "ADE best of 20", "m", True),
     Score("best_of_20_fde", "FDE best of 20", "m", True),
+    Score("best_of_20_spread_ade", "ADE best of 20 spread", "m", True),
+    Score("best_of_20_spread_fde", "FDE best of 20 spread", "m", True),
     Score("energy_score", "energy score", "m", True),
 )
 """Scores of paths drawn from the prediction, see `best_of_samples` and `energy_score`."""

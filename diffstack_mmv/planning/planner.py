@@ -19,11 +19,15 @@ from diffstack_mmv.planning.coordinates import Coordinates, PhysicalControls
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
 from diffstack_mmv.planning.limits import PlanConstraints
 from diffstack_mmv.planning.objective import batched_objective, motion_rows
-from diffstack_mmv.planning.parts import cost_in_parts
+from diffstack_mmv.planning.parts import cost_in_parts, possible
 from diffstack_mmv.planning.pricing import CostScore, PlanScore, ScoredPlans
 from diffstack_mmv.planning.problem import filled_up, initial_state, likeliest
 from diffstack_mmv.types import Motion, Obstacles, Plan, PlanningProblem, Solution, map_tensors
 
+MOST_COMPARED = 256
+"""Plans, the cheapest ones, whose homotopy classes are looked at."""
+MOST_PRICED = 64
+"""Components of agents up to which a score without gradient is priced in a library."""
 UNSAFE = 1e4
 """Added to the price of an unsafe plan where starts of the optimiser are chosen."""
 
@@ -191,15 +195,16 @@ class MPCPlanner(Planner):
     def _priced(
         self, problem: PlanningProblem, motion: Motion, controls: Float[Tensor, "*b C t m"]
     ) -> Float[Tensor, "*b C t"] | None:
-        """The cost of plans in a library, where the solver is compiled; None without.
-
-        A score without gradient judges clearances on tensors, and its agents come and go: there the
-        cost stays on tensors as well.
-        """
+        """The cost of plans in a library, where the solver is compiled; None without."""
         compiled = isinstance(self.solver, ILQR) and self.solver.compile
-        if not (compiled and self.score.differentiable and controls.dim() == 4):
+        if not compiled or controls.dim() != 4:
             return None
-        filled = problem._replace(obstacles=filled_up(problem.obstacles))
+        agents = problem.obstacles
+        if not self.score.differentiable:
+            agents = possible(agents)
+            if agents.weight[0].numel() > MOST_PRICED:
+                return None
+        filled = problem._replace(obstacles=filled_up(agents))
         cost, rows = motion_rows(self, filled, motion)
         return prices(cost, rows, controls)
 
@@ -228,9 +233,14 @@ class MPCPlanner(Planner):
         price = torch.where(plans.safe, plans.cost, plans.cost + UNSAFE * (1 + plans.shortfall))
         if self.starts <= 1:
             return price.argmin(-1, keepdim=True)[..., : self.starts]
-        agents = likeliest(obstacles).position.squeeze(-3)
-        classes = homotopy_class(plans.motion.position, agents)
-        return best_of_each(price, classes, self.starts)
+        agents = likeliest(obstacles)
+        if price.dim() == 2:  # those who are not there pass on no side
+            agents = possible(agents)
+        cheapest = price.topk(min(MOST_COMPARED, price.shape[-1]), largest=False).indices
+        paths = plans.motion.position.take_along_dim(cheapest[..., None, None], -3)
+        classes = homotopy_class(paths, agents.position.squeeze(-3))
+        best = best_of_each(price.gather(-1, cheapest), classes, self.starts)
+        return cheapest.gather(-1, best)
 
     def _solve(self, problem: PlanningProblem, guess: Float[Tensor, "*b k T m"]) -> Solution:
         """Optimise from every guess; all are one batch, so that finished ones are left behind."""

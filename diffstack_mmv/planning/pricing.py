@@ -10,6 +10,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.planning.clearance import ClearanceMargin, clearance_within_steps
+from diffstack_mmv.planning.judgement import Judgement, judged
 from diffstack_mmv.types import Motion, PlanningProblem
 
 
@@ -115,6 +116,7 @@ class PlanPrice:
         left_weight: Price of a metre left to the goal at the horizon, without patience, in 1/m.
         patience_s: Time without progress in which patience halves.
         goal_tolerance_m: A plan has arrived where it is closer than this to the goal.
+        compile: Judge clearances in a library, on a CPU with a compiler.
 
     Raises:
         ValueError: A weight is negative, or a time or tolerance not positive.
@@ -127,6 +129,7 @@ class PlanPrice:
     left_weight: float = 10.0
     patience_s: float = 1.0
     goal_tolerance_m: float = 0.25
+    compile: bool = False
 
     differentiable = False
 
@@ -151,14 +154,10 @@ class PlanPrice:
         way = (motion.position - problem.goal[..., None, None, :]).square().sum(-1).sqrt()
         arrived = (way < self.goal_tolerance_m).long()
         under_way = (arrived.cumsum(-1) - arrived) == 0
-        clearance = clearance_within_steps(motion, problem.ego.discs, problem.obstacles)
-        clearance = torch.where(under_way[..., None, None, :-1], clearance, torch.inf)
-        safety = self.margin(clearance, problem.obstacles, dt_s)
+        safety, risk = self._judged(motion, problem, under_way, dt_s)
         patience = 0.5 ** (waited.unsqueeze(-1) / self.patience_s)
         total = (running * under_way).sum(-1) + patience * self.comfort_weight * safety.penalty
-        if self.risk_weight > 0:
-            risk = self.margin.risk(clearance, problem.obstacles, dt_s)
-            total = total + self.risk_weight * risk
+        total = total + self.risk_weight * risk
         total = total + (1 - patience) * self.left_weight * way[..., -1]
         usable = total.isfinite()
         return ScoredPlans(
@@ -167,4 +166,25 @@ class PlanPrice:
             cost=torch.where(usable, total, torch.inf),
             safe=safety.safe & usable,
             shortfall=torch.where(usable, safety.shortfall, torch.inf),
+        )
+
+    def _judged(
+        self,
+        motion: Motion,
+        problem: PlanningProblem,
+        under_way: Bool[Tensor, "*b C T1"],
+        dt_s: float,
+    ) -> Judgement:
+        """How the plans pass the agents until they arrive."""
+        margin, discs, obstacles = self.margin, problem.ego.discs, problem.obstacles
+        if self.compile:
+            found = judged(margin, motion, discs, obstacles, under_way, dt_s)
+            if found is not None:
+                return found
+        clearance = clearance_within_steps(motion, discs, obstacles)
+        clearance = torch.where(under_way[..., None, None, :-1], clearance, torch.inf)
+        safety = margin(clearance, obstacles, dt_s)
+        none = torch.zeros_like(safety.penalty)
+        return Judgement(
+            safety, margin.risk(clearance, obstacles, dt_s) if self.risk_weight > 0 else none
         )

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.geometry import direction, rotate
-from diffstack_mmv.smooth import safe_norm
+from diffstack_mmv.smooth import safe_norm, soft_clamp
 from diffstack_mmv.types import Motion, Tracks
 
 # weights of the prior of position, velocity and acceleration in units of one present row; they
@@ -24,11 +24,13 @@ MEMORY_S = 0.7
 """Of the fit to a track, the best one on cyclists."""
 SLOW_MPS = 0.3
 """Speed below which the course is not observable."""
+_COURSE_MPS = 0.05  # below, the derivative of a course grows without bound
 
 
 class Trend(NamedTuple):
-    """How an agent moves now, in the frame of its positions."""
+    """Where an agent is and how it moves now by a fit, in the frame of its positions."""
 
+    offset: Float[Tensor, "*b 2"]  # m, of the fit from the last position
     velocity: Float[Tensor, "*b 2"]  # m/s
     acceleration: Float[Tensor, "*b 2"]  # m/s²
 
@@ -96,15 +98,40 @@ def trends(tracks: Tracks, memories_s: Sequence[float], dt_s: float) -> list[Tre
         ],
         -2,
     )
-    found, kind, known = [], tracks.motion.position.dtype, valid.to(offset.dtype)
-    for memory_s in memories_s:
-        fading = torch.exp(time / memory_s).unsqueeze(-1)
-        matrix = (known @ (fading * products)).unflatten(-1, (3, 3)) + pull
-        right = (offset.mT @ (fading * powers)).mT + pull @ prior  # zero where not valid
-        # without the check for singular matrices, which waits for a GPU: the pull prevents them
-        solution = torch.linalg.solve_ex(matrix, right).result.to(kind)
-        found.append(Trend(solution[..., 1, :], solution[..., 2, :]))
-    return found
+    ages = torch.stack([time / memory_s for memory_s in memories_s])  # constants on the device
+    fading = torch.exp(ages).unsqueeze(-1)
+    known = valid.to(offset.dtype)
+    matrix = _each_memory(known, fading * products).unflatten(-1, (3, 3)) + pull
+    sums = _each_memory(offset.mT.contiguous(), fading * powers)  # zero where not valid
+    # without the check for singular matrices, which waits for a GPU: the pull prevents them
+    solution = torch.linalg.solve_ex(matrix, sums.mT + pull @ prior).result
+    solution = solution.to(tracks.motion.position.dtype)
+    return [Trend(*each.unbind(-2)) for each in solution]
+
+
+def _each_memory(
+    rows: Float[Tensor, "*b T"], weights: Float[Tensor, "M T p"]
+) -> Float[Tensor, "M *b p"]:
+    """Sums of rows over time with the weights of each memory, in one product."""
+    columns = weights.movedim(0, 1).flatten(1)
+    return (rows @ columns).unflatten(-1, (len(weights), -1)).movedim(-2, 0)
+
+
+def rest(tracks: Tracks, memory_s: float, reach_m: float, dt_s: float) -> Trend:
+    """An agent that stands, and the noise of its track: the mean position with fading memory.
+
+    That mean is at most `reach_m` away from the last position, since whoever moves is not there.
+    """
+    valid = tracks.valid & tracks.valid[..., -1:]
+    rows = valid.shape[-1]
+    age = dt_s * torch.arange(rows - 1, -1, -1, device=valid.device)
+    weight = (torch.exp(-age / memory_s) * valid).unsqueeze(-1)
+    offset = tracks.motion.position - current_position(tracks).unsqueeze(-2)
+    offset = torch.where(valid.unsqueeze(-1), offset, torch.zeros_like(offset))
+    mean = (weight * offset).sum(-2) / weight.sum(-2).clamp_min(_PRIOR[0])
+    away = safe_norm(mean).unsqueeze(-1)
+    mean = mean * (soft_clamp(away, reach_m) / away)
+    return Trend(mean, torch.zeros_like(mean), torch.zeros_like(mean))
 
 
 def current_course(
@@ -112,10 +139,13 @@ def current_course(
 ) -> Float[Tensor, "*b"]:
     """Direction in rad of a fitted velocity in m/s, and below walking speed that of the track.
 
-    At rest the course is not observable; between both it turns smoothly.
+    At rest the course is not observable; between both it turns smoothly. Whoever rolls backwards
+    slowly is on no course that could be learned from: there the gradient is zero.
     """
     slow = SLOW_MPS * torch.exp(-safe_norm(velocity)).unsqueeze(-1)
     ahead = velocity + slow * direction(heading)
+    known = ahead.norm(dim=-1, keepdim=True) > _COURSE_MPS
+    ahead = torch.where(known, ahead, ahead.detach())
     return torch.atan2(ahead[..., 1], ahead[..., 0])
 
 

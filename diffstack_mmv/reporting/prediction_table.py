@@ -12,6 +12,7 @@ from diffstack_mmv.reporting.paper_table import Run
 METHODS: Mapping[str, tuple[str, str]] = {
     "one path": ("ade", "fde"),
     "best of 20 paths": ("best_of_20_ade", "best_of_20_fde"),
+    "best of 20 spread paths": ("best_of_20_spread_ade", "best_of_20_spread_fde"),
 }
 """Rows of each model: what they are called, and the scores in them."""
 MEAN = "mean"

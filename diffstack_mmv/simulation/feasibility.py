@@ -1,7 +1,7 @@
 """Whether anybody could have avoided a collision, knowing every walk beforehand."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_between
+from diffstack_mmv.simulation.pedestrians import Crowd, VisibleRobot
 from diffstack_mmv.simulation.scenario import CaseSource, Scene
 from diffstack_mmv.simulation.world import World
 from diffstack_mmv.types import Outcome, map_tensors
@@ -83,10 +84,15 @@ class AvoidanceSearch:
         """
         require_between("until_s", until_s, world.dt_s, world.verdict.limit_s)
         generator = torch.Generator().manual_seed(self.seed)
+        steps = round(until_s / world.dt_s)
+        if not world.robot_visible:
+            # all sequences meet the same walks: nobody has to walk them thousands of times
+            foretold = _Foretold(iter(_walks(world, scene, steps)))
+            world, scene = replace(world, crowd=foretold), scene._replace(itinerary=None)
         many = map_tensors(lambda part: part.expand(self.samples, *part.shape[1:]).clone(), scene)
         state, free = world.start(many), torch.ones(self.samples, dtype=torch.bool)
         action = self._drawn(world, generator)
-        for _ in range(round(until_s / world.dt_s)):
+        for _ in range(steps):
             state, judgement = world.step(state, action)
             free &= judgement.outcome != Outcome.COLLISION
             held = torch.rand(self.samples, 1, generator=generator) < 0.5
@@ -100,3 +106,40 @@ class AvoidanceSearch:
         extreme = torch.rand(self.samples, 1, generator=generator) < 0.5
         share = torch.where(extreme, share.round(), share).to(lower)
         return lower + share * (upper - lower)
+
+
+@dataclass(frozen=True)
+class _Noted:
+    """A crowd whose velocities are noted, m/s."""
+
+    crowd: Crowd
+    velocities: list[Float[Tensor, "one h 2"]]
+
+    def __call__(
+        self, crowd: Any, dt_s: float, robot: VisibleRobot | None = None
+    ) -> Float[Tensor, "one h 2"]:
+        self.velocities.append(self.crowd(crowd, dt_s, robot))
+        return self.velocities[-1]
+
+
+@dataclass(frozen=True)
+class _Foretold:
+    """A crowd that walks as told, in many episodes at once."""
+
+    velocities: Iterator[Float[Tensor, "one h 2"]]
+
+    def __call__(
+        self, crowd: Any, dt_s: float, robot: VisibleRobot | None = None
+    ) -> Float[Tensor, "S h 2"]:
+        return next(self.velocities).expand_as(crowd.position)
+
+
+def _walks(world: World, scene: Scene, steps: int) -> list[Float[Tensor, "one h 2"]]:
+    """Velocities in m/s of a crowd that does not see the robot, step by step."""
+    noted = _Noted(world.crowd, [])
+    world = replace(world, crowd=noted)
+    state = world.start(scene)
+    action = torch.stack(list(world.robot.bounds)).mean(0, keepdim=True)
+    for _ in range(steps):
+        state, _ = world.step(state, action)
+    return noted.velocities

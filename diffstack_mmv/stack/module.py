@@ -53,7 +53,7 @@ from diffstack_mmv.prediction import (
 from diffstack_mmv.stack.physics import PhysicsLearning
 from diffstack_mmv.stack.precision import MixedPrecision
 from diffstack_mmv.types import Forecast, Plan, PlanningProblem, StackBatch, Tracks
-from dmmv_conventions.memory import keep_freed
+from dmmv_conventions.memory import keep_freed, leave_alone
 
 PathError = Callable[[Float[Tensor, "*b T 2"], Tracks], Float[Tensor, "*b"]]
 
@@ -134,9 +134,11 @@ class DiffStackMMV(pl.LightningModule):
         """Have solver and expensive parts of the predictor compiled at their next use.
 
         The process keeps memory that it frees from now on: states that libraries keep for their
-        backward pass are large blocks, the same in every step.
+        backward pass are large blocks, the same in every step. What exists now counts as kept for
+        good.
         """
         keep_freed()
+        leave_alone()
         self.planner.compile_solver()
         self.predictor.compile_kernels(generated_moments)
 

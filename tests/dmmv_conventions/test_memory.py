@@ -1,6 +1,7 @@
 """Freed memory is kept where the C library can."""
 
 import ctypes
+import gc
 import subprocess
 import sys
 
@@ -31,3 +32,13 @@ def test_a_block_is_not_cleared_again():
 def test_other_c_libraries_are_left_alone(monkeypatch):
     monkeypatch.setattr(ctypes, "CDLL", lambda _: object())
     assert not memory.keep_freed()
+
+
+def test_what_exists_is_left_out_of_the_search_for_garbage():
+    before = gc.get_freeze_count()
+    try:
+        memory.leave_alone()
+        assert gc.get_freeze_count() > before
+        assert len(gc.get_objects()) < gc.get_freeze_count()
+    finally:
+        gc.unfreeze()

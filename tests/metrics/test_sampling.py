@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from diffstack_mmv.metrics import best_of_samples, energy_score, sampled_paths
+from diffstack_mmv.metrics import best_of_samples, energy_score, sampled_paths, spread_paths
 from diffstack_mmv.types import Forecast, Motion, Tracks
 
 
@@ -88,3 +88,31 @@ def test_the_energy_score_leaves_out_what_was_not_recorded():
     future = future_of(forecast.mean[:, 0])
     future.valid[0, 3:], future.valid[1] = False, False
     assert energy_score(forecast, future).isnan().tolist() == [False, True]
+
+
+def test_each_spread_path_is_distributed_as_if_drawn_alone():
+    paths = spread_paths(forecast_of(count=3000), count=4)
+    straight = paths[:, 0, -1, 0] > paths[:, 0, -1, 1]
+    assert abs(straight.float().mean() - 0.25) < 0.03
+    deviation = paths[straight, 0].std(0)
+    expected = 0.1 * torch.arange(1.0, 7.0).unsqueeze(-1).expand(-1, 2)
+    assert torch.allclose(deviation, expected, rtol=0.15)
+
+
+def test_spread_paths_are_shared_out_by_weight_and_lie_apart():
+    forecast = forecast_of(count=500)
+    both = [draw(forecast, 20) for draw in (sampled_paths, spread_paths)]
+    straight = [(p[..., -1, 0] > p[..., -1, 1]).sum(-1).double() for p in both]
+    assert straight[1].std() < 0.5 * straight[0].std()
+    noise = torch.randn(500, 6, 2, generator=torch.Generator().manual_seed(0))
+    drawn = forecast.mean[:, 0] + 0.1 * noise
+    best = best_of_samples(forecast, future_of(drawn))
+    assert best["best_of_20_spread_ade"].mean() < best["best_of_20_ade"].mean()
+
+
+def test_spread_paths_leave_out_what_is_impossible():
+    forecast = forecast_of(count=50)
+    log_weight = torch.tensor([-torch.inf, 0.0]).expand(50, 2)
+    paths = spread_paths(Forecast(log_weight, forecast.mean, forecast.scale_tril), 20)
+    assert (paths[..., -1, 1] > paths[..., -1, 0]).all()
+    assert paths.isfinite().all()

@@ -1,5 +1,7 @@
 """Collisions that nobody could have avoided are told from those that somebody could."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -9,6 +11,7 @@ from diffstack_mmv.simulation import (
     OrcaCrowd,
     SquareCrossing,
     StraightLine,
+    WanderingCrossing,
     World,
     drive,
 )
@@ -66,6 +69,23 @@ def test_the_search_is_the_same_every_time(collided):
     scene = SCENARIO.cases("train", [collided[0]["case"]])
     first, second = (AvoidanceSearch(32)(world_with(1.0), scene, 3.0) for _ in range(2))
     assert first == second
+
+
+class Unaware:
+    """A crowd that does not care for the robot it is shown."""
+
+    def __call__(self, crowd, dt_s, robot=None):
+        return OrcaCrowd()(crowd, dt_s)
+
+
+def test_walks_told_beforehand_are_those_walked_beside_every_sequence():
+    wandering = WanderingCrossing(humans=6, circle_radius_m=3.0, arena_m=4.0, change_every_s=1.0)
+    scene = replace(wandering, change_chance=0.5).cases("train", [3])
+    world = world_with(1.0)
+    beside = replace(world, crowd=Unaware(), robot_visible=True)
+    told, walked = (AvoidanceSearch(32)(each, scene, 5.0) for each in (world, beside))
+    assert told == walked
+    assert 0 < told < 1
 
 
 def test_nothing_to_try_is_refused():

@@ -20,11 +20,11 @@ class Network(nn.Module):
         return self.head(states) @ torch.eye(2)
 
 
-@pytest.fixture
-def networks():
+@pytest.fixture(params=["bfloat16", "float16"])
+def networks(request):
     plain = Network()
     mixed = copy.deepcopy(plain)
-    MixedPrecision().apply(mixed)
+    MixedPrecision(request.param).apply(mixed)
     return plain, mixed
 
 
@@ -48,3 +48,27 @@ def test_a_copy_uses_its_own_weights(networks):
 def test_an_unknown_type_is_refused():
     with pytest.raises(ValueError, match="`dtype` must be one of bfloat16, float16"):
         MixedPrecision("int8")
+
+
+@pytest.mark.parametrize("kind", ["bfloat16", "float16"])
+@pytest.mark.parametrize("factor", [1e-12, 1.0, 1e12])
+def test_gradients_of_any_size_are_those_of_float32(kind, factor):
+    plain = nn.Sequential(nn.Linear(4, 16), nn.Tanh(), nn.Linear(16, 2, bias=False))
+    mixed, inputs = copy.deepcopy(plain), torch.randn(3, 50, 4, requires_grad=True)
+    MixedPrecision(kind).apply(mixed)
+    slopes = []
+    for network in (plain, mixed):
+        loss = factor * network(inputs).square().mean()
+        slopes.append(torch.autograd.grad(loss, [inputs, *network.parameters()]))
+    for exact, short in zip(*slopes, strict=True):
+        assert (short - exact).norm() < 0.02 * exact.norm()
+
+
+def test_without_a_gradient_or_without_rows_nothing_is_divided_by_zero():
+    layer = nn.Linear(3, 2)
+    MixedPrecision("float16").apply(layer)
+    for rows in (0, 4):
+        inputs = torch.randn(rows, 3, requires_grad=True)
+        (0.0 * layer(inputs)).sum().backward()
+        assert (inputs.grad == 0).all()
+        assert (layer.weight.grad == 0).all()

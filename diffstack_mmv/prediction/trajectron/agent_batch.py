@@ -8,13 +8,12 @@ from torch import Tensor
 
 from diffstack_mmv.geometry import motion_in_frame, position_from_frame, rotate
 from diffstack_mmv.prediction.current import (
-    MEMORY_S,
     Trend,
     current_course,
     current_heading,
     current_position,
-    trends,
 )
+from diffstack_mmv.prediction.trajectron.start import estimates
 from diffstack_mmv.types import Mode, Motion, Pose, Tracks, map_tensors
 
 PEDESTRIANS = (Mode.UNKNOWN, Mode.PEDESTRIAN, Mode.STROLLER)
@@ -25,14 +24,11 @@ EGO, VEHICLE, PEDESTRIAN = (
 )  # roles; the kinds of the encoders are VEHICLE and PEDESTRIAN alone
 
 
-OTHER_MEMORIES_S = (0.3, 1.5)
-"""Of two more fits: what differs between a short and a long memory tells what changes."""
-FIT_FEATURES = 4 * len(OTHER_MEMORIES_S)
-ACCELERATION_SCALE_MPS2 = 2.0
-
-
 class AgentBatch(NamedTuple):
-    """R agents, each seen in a frame in its last position and on the course of its fit."""
+    """R agents, each seen in a frame in its last position and on the course of its fit.
+
+    Velocity and acceleration are those of the fit; `starts` are estimates to choose from.
+    """
 
     index: Int[Tensor, " R"]  # scene * agents + agent
     role: Int[Tensor, " R"]  # EGO, VEHICLE or PEDESTRIAN
@@ -42,7 +38,7 @@ class AgentBatch(NamedTuple):
     past: Tracks  # R H, in the own frame
     velocity: Float[Tensor, "R 2"]  # m/s now, in the own frame, from the fit to the track
     acceleration: Float[Tensor, "R 2"]  # m/s² now, in the own frame
-    fits: Float[Tensor, "R f"]  # of order one: how fits with other memories differ, own frame
+    starts: Trend  # R S, in the own frame, see `start.estimates`
     place: Pose  # R, of the own frame in the world of the recording
 
 
@@ -56,9 +52,10 @@ def agent_batch(agents: Tracks, dt_s: float, frame: Pose | None = None) -> Agent
     """
     index = agents.valid[..., -1].flatten().nonzero().squeeze(-1)
     scene_tracks = take_rows(agents, index)
-    now, *others = trends(scene_tracks, (MEMORY_S, *OTHER_MEMORIES_S), dt_s)
+    found = estimates(scene_tracks, dt_s)
     origin = current_position(scene_tracks)
-    heading = current_course(now.velocity, current_heading(scene_tracks))
+    heading = current_course(found.velocity[:, 0], current_heading(scene_tracks))
+    starts = Trend(*(rotate(field, -heading.unsqueeze(-1)) for field in found))
     kind = agent_kind(scene_tracks.mode)
     is_ego = index % agents.mode.shape[1] == 0
     return AgentBatch(
@@ -68,17 +65,11 @@ def agent_batch(agents: Tracks, dt_s: float, frame: Pose | None = None) -> Agent
         origin=origin,
         heading=heading,
         past=in_own_frame(scene_tracks, origin, heading),
-        velocity=rotate(now.velocity, -heading),
-        acceleration=rotate(now.acceleration, -heading),
-        fits=torch.cat([_difference(other, now, heading) for other in others], -1),
+        velocity=starts.velocity[:, 0],
+        acceleration=starts.acceleration[:, 0],
+        starts=starts,
         place=_place(frame, index // agents.mode.shape[1], origin, heading),
     )
-
-
-def _difference(other: Trend, now: Trend, heading: Float[Tensor, " R"]) -> Float[Tensor, "R 4"]:
-    """How much faster a fit is than the one of now, and its acceleration, along a heading."""
-    faster = rotate(other.velocity - now.velocity, -heading)
-    return torch.cat([faster, rotate(other.acceleration, -heading) / ACCELERATION_SCALE_MPS2], -1)
 
 
 def _place(

@@ -101,7 +101,7 @@ void dmmv_controls(long rows, long threads, long steps, long hold, long horizon,
     block.take(start, h, h, state.data());
     const long kept = of.kept();
     auto keep = [&](long t) {
-      if (states) Block{0, 0, BLOCK}.give(state.data(), kept, of.state(states, block.first, t), kept);
+      if (states) Block{0, 0, BLOCK}.give<stream>(state.data(), kept, of.state(states, block.first, t), kept);
     };
     keep(0);
     for (long s = 0; s < steps; ++s) {
@@ -187,6 +187,8 @@ long dmmv_controls_adjoint(long rows, long threads, long steps, long hold, long 
       add_pairs(wanted.data(), e, after.data(), h, by_head.data());
       add_pairs(wanted.data(), e, one.data(), 1, by_head_bias.data());
       recall(s, before.data());
+      for (long row = 0; s > 0 && row < block.count; ++row)
+        announce(of.state(states, block.place(row), s - 1), kept);
       if (s > 0) decoder.emit(before.data());
       decoder.step(before.data(), s > 0 ? decoder.emitted.data() : nullptr);
       add_product(head_back, h, e, wanted.data(), WIDE, slope.data());

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.prediction.base import GaussianRollout
+from diffstack_mmv.prediction.current import Trend, current_course
 from diffstack_mmv.prediction.trajectron.agent_batch import AgentBatch
 from diffstack_mmv.prediction.trajectron.blocks import Blocks, Scaling
 from diffstack_mmv.prediction.trajectron.jacobians import (
@@ -20,6 +21,7 @@ from diffstack_mmv.prediction.trajectron.jacobians import (
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments, integrate
 from diffstack_mmv.prediction.trajectron.recomputed import recomputed
 from diffstack_mmv.prediction.trajectron.recurrence import Weights, emissions
+from diffstack_mmv.prediction.trajectron.start import StartBlend
 from diffstack_mmv.smooth import safe_norm, soft_clamp
 from diffstack_mmv.types import Motion
 
@@ -35,10 +37,11 @@ class ControlDecoder(nn.Module):
         u_t = ū_t + w ∘ W h_t
 
     with the width w of the box of controls, and ū_t the control for the acceleration a₀ exp(-t / τ)
-    and the curvature κ₀ exp(-t / τ). Its weights W start at zero, so that an untrained
-    decoder is the fading CTRA and what it learns are deviations from it. The input of the GRU is
-    the deviation of the step before; context and component enter through its first state and
-    through a constant part of its input, which is computed once.
+    and the curvature κ₀ exp(-t / τ), from the component's own start, see `StartBlend`. Its weights
+    W start at zero, so that an untrained decoder is the fading CTRA and what it learns are
+    deviations from it. The input of the GRU is the deviation of the step before; context and
+    component enter through its first state and through a constant part of its input, which is
+    computed once.
 
     Args:
         dynamics: Dynamics of the agents.
@@ -79,6 +82,7 @@ class ControlDecoder(nn.Module):
         self.horizon_steps, self.hold_steps, self.fade_s = horizon_steps, hold_steps, fade_s
         size = dynamics.control_dim
         self.dropout = nn.Dropout(dropout)
+        self.start = StartBlend(context_size, components)
         self.start_context = nn.Linear(context_size, hidden)
         self.start_component = nn.Parameter(torch.randn(components, hidden) / math.sqrt(hidden))
         self.gate_context = nn.Linear(context_size, 3 * hidden)
@@ -99,21 +103,19 @@ class ControlDecoder(nn.Module):
 
         The backward pass leaves out components without a gradient, see `recomputed`.
         """
-        motion = present_motion(rows)
+        start = self.start(context, rows.starts)
+        motion = present_motion(start, rows)
         context = self.dropout(context)
         hidden = torch.tanh(self.start_context(context).unsqueeze(1) + self.start_component)
         constant = self.gate_context(context).unsqueeze(1) + self.gate_component
-        alike = [field.unsqueeze(1) for field in (self._base_controls(motion, rows), *motion)]
+        each = [constant, hidden, self._base_controls(motion, start), *motion]
         if self.jacobians is linearise_shared:
-            return PositionMoments(*self._moments(constant, hidden, *_repeated(alike, hidden)))
-        kind = self.gate_hidden.weight.dtype
+            return PositionMoments(*self._moments(*each))
+        each = [field.to(self.gate_hidden.weight.dtype) for field in each]
         if self._in_libraries(hidden):
-            each = [field.to(kind) for field in (constant, hidden, *alike)]
             with torch.autocast(hidden.device.type, enabled=False):
                 return PositionMoments(*self._moments(*each))
-        each = [
-            field.flatten(0, 1).to(kind) for field in (constant, hidden, *_repeated(alike, hidden))
-        ]
+        each = [field.flatten(0, 1) for field in each]
         moments = recomputed(self._moments, tuple(each), self.parameters())
         return PositionMoments(*(field.unflatten(0, hidden.shape[:2]) for field in moments))
 
@@ -189,12 +191,15 @@ class ControlDecoder(nn.Module):
         factor[..., below[0], below[1]] = diagonal[..., below[0]] * raw[..., size:]
         return factor
 
-    def _base_controls(self, motion: Motion, rows: AgentBatch) -> Float[Tensor, "R T m"]:
+    def _base_controls(self, motion: Motion, start: Trend) -> Float[Tensor, "R K T m"]:
         """Controls of the fading CTRA, which never brakes below standstill."""
-        speed = motion.velocity[:, 0]
-        forward = rows.velocity / safe_norm(rows.velocity).unsqueeze(-1)
-        along = (rows.acceleration * forward).sum(-1)
-        across = forward[:, 0] * rows.acceleration[:, 1] - forward[:, 1] * rows.acceleration[:, 0]
+        speed = motion.velocity[..., 0]
+        forward = start.velocity / safe_norm(start.velocity).unsqueeze(-1)
+        along = (start.acceleration * forward).sum(-1)
+        across = (
+            forward[..., 0] * start.acceleration[..., 1]
+            - forward[..., 1] * start.acceleration[..., 0]
+        )
         slowest = -speed / self.fade_s
         acceleration = torch.maximum(along.clamp(-3.0, 3.0), slowest)
         curvature = (across / (speed.square() + 0.25)).clamp(-1.0, 1.0)
@@ -202,20 +207,16 @@ class ControlDecoder(nn.Module):
         fading = torch.exp(-time / self.fade_s).to(speed.dtype)
         state = self.dynamics.state_on_course(motion).unsqueeze(-2)
         return self.dynamics.control_for(
-            state.expand(-1, self.horizon_steps, -1),
+            state.expand(*speed.shape, self.horizon_steps, -1),
             acceleration.unsqueeze(-1) * fading,
             curvature.unsqueeze(-1) * fading,
         )
 
 
-def _repeated(fields: list[Tensor], hidden: Float[Tensor, "R K h"]) -> list[Tensor]:
-    """Fields of each agent for each of its components."""
-    return [field.expand(*hidden.shape[:2], *field.shape[2:]) for field in fields]
-
-
-def present_motion(rows: AgentBatch) -> Motion:
-    """Motion of the agents now in their own frames, which lie on their course."""
-    speed = safe_norm(rows.velocity)
+def present_motion(start: Trend, rows: AgentBatch) -> Motion:
+    """Motion `R K` now in the own frames, on the course of the velocity of each component."""
+    speed = safe_norm(start.velocity)
+    track = rows.past.motion.heading[:, -1:].expand_as(speed)
+    heading = current_course(start.velocity, track)
     zero = torch.zeros_like(speed)
-    ahead = torch.stack([speed, zero], -1)
-    return Motion(torch.zeros_like(rows.velocity), zero, ahead, zero)
+    return Motion(start.offset, heading, torch.stack([speed, zero], -1), zero)

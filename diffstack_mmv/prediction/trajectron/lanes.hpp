@@ -17,6 +17,7 @@ typedef Real V __attribute__((vector_size(64)));
 typedef std::conditional_t<sizeof(Real) == 4, int, long> Whole;
 typedef Whole Wholes __attribute__((vector_size(64)));
 constexpr int LANES = 64 / sizeof(Real), WIDE = 4, BLOCK = LANES * WIDE;
+constexpr int FEW = 4;  // numbers that are faster moved one by one than turned as a square
 
 // numbers of a block: (units, WIDE)
 typedef std::vector<V> Rows;
@@ -81,16 +82,16 @@ inline V hyperbolic(V x) { return 2 * reciprocal(1 + exponential(-2 * x)) - 1; }
 template <int N, int M>
 inline void tile(const Real* A, long K, const V* X, long columns, const V* start, V* out) {
   V sum[N][M];
-#pragma GCC unroll 4
+#pragma GCC unroll 6
   for (int i = 0; i < N; ++i)
 #pragma GCC unroll 4
     for (int v = 0; v < M; ++v) sum[i][v] = start[i * columns + v];
   for (long k = 0; k < K; ++k)
-#pragma GCC unroll 4
+#pragma GCC unroll 6
     for (int i = 0; i < N; ++i)
 #pragma GCC unroll 4
       for (int v = 0; v < M; ++v) sum[i][v] += A[i * K + k] * X[k * columns + v];
-#pragma GCC unroll 4
+#pragma GCC unroll 6
   for (int i = 0; i < N; ++i)
 #pragma GCC unroll 4
     for (int v = 0; v < M; ++v) out[i * columns + v] = sum[i][v];
@@ -99,14 +100,22 @@ template <int N>
 inline void tiles(const Real* A, long K, const V* X, long columns, const V* start, V* out) {
   long v = 0;
   for (; v + 4 <= columns; v += 4) tile<N, 4>(A, K, X + v, columns, start + v, out + v);
-  for (; v < columns; ++v) tile<N, 1>(A, K, X + v, columns, start + v, out + v);
+  const auto rest = [&](auto count) { tile<N, count>(A, K, X + v, columns, start + v, out + v); };
+  if (columns - v == 3) rest(std::integral_constant<int, 3>{});
+  if (columns - v == 2) rest(std::integral_constant<int, 2>{});
+  if (columns - v == 1) rest(std::integral_constant<int, 1>{});
 }
 
 // out (J, columns) = start + A (J, K) X (K, columns)
 inline void product(const Real* A, long J, long K, const V* X, long columns, const V* start, V* out) {
   long j = 0;
-  for (; j + 4 <= J; j += 4) tiles<4>(A + j * K, K, X, columns, start + j * columns, out + j * columns);
-  for (; j < J; ++j) tiles<1>(A + j * K, K, X, columns, start + j * columns, out + j * columns);
+  const auto some = [&](auto count) {
+    tiles<count>(A + j * K, K, X, columns, start + j * columns, out + j * columns);
+    j += count;
+  };
+  while ((J - j) % 6 && J - j >= 4) some(std::integral_constant<int, 4>{});
+  while (J - j >= 6) some(std::integral_constant<int, 6>{});  // 24 of 32 registers for sums
+  while (j < J) some(std::integral_constant<int, 1>{});
 }
 inline void add_product(const Real* A, long J, long K, const V* X, long columns, V* out) {
   product(A, J, K, X, columns, out, out);
@@ -143,7 +152,29 @@ inline V loaded(const Real* from) {
   std::memcpy(&value, from, sizeof(V));
   return value;
 }
+// the first numbers of a vector, zeros behind them
+inline V loaded(const Real* from, long count) {
+#ifdef __AVX512F__
+  return V(_mm512_maskz_loadu_ps(__mmask16((1 << count * sizeof(Real) / sizeof(float)) - 1), from));
+#else
+  V value{};
+  for (long lane = 0; lane < count; ++lane) value[lane] = from[lane];
+  return value;
+#endif
+}
 inline void store(V value, Real* to) { std::memcpy(to, &value, sizeof(V)); }
+// past the caches, to where whole vectors stand: for what is read much later
+inline void stream(V value, Real* to) {
+#ifdef __AVX512F__
+  _mm512_stream_ps(reinterpret_cast<float*>(to), __m512(value));
+#else
+  store(value, to);
+#endif
+}
+// asks for numbers that are read soon
+inline void announce(const Real* from, long count) {
+  for (long i = 0; i < count; i += LANES) __builtin_prefetch(from + i, 0, 2);
+}
 
 // exchanges the entries (i, j + STEP) and (i + STEP, j) of a square of vectors, and so on with half the step
 template <int STEP>
@@ -174,20 +205,26 @@ struct Block {
   void take(const Real* from, long stride, long units, V* to) const {
     Real* entries = reinterpret_cast<Real*>(to);
     long unit = 0;
-    for (; unit + LANES <= units; unit += LANES)
-      for (int w = 0; w < WIDE; ++w) {
-        V square[LANES];
-        for (int r = 0; r < LANES; ++r) {
-          const long row = w * LANES + r;
-          square[r] = row < count ? loaded(from + place(row) * stride + unit) : V{};
-        }
-        transpose<LANES / 2>(square);
-        for (int k = 0; k < LANES; ++k) to[(unit + k) * WIDE + w] = square[k];
-      }
+    for (; unit + LANES <= units; unit += LANES) take_square<true>(from + unit, stride, LANES, to + unit * WIDE);
+    if (units - unit > FEW) return take_square<false>(from + unit, stride, units - unit, to + unit * WIDE);
     for (; unit < units; ++unit)
       for (long row = 0; row < BLOCK; ++row)
         entries[unit * BLOCK + row] = row < count ? from[place(row) * stride + unit] : Real(0);
   }
+  template <bool WHOLE>
+  void take_square(const Real* from, long stride, long units, V* to) const {
+    for (int w = 0; w < WIDE; ++w) {
+      V square[LANES];
+      for (int r = 0; r < LANES; ++r) {
+        const long row = w * LANES + r;
+        const Real* own = from + place(row) * stride;
+        square[r] = row >= count ? V{} : WHOLE ? loaded(own) : loaded(own, units);
+      }
+      transpose<LANES / 2>(square);
+      for (int k = 0; k < (WHOLE ? LANES : units); ++k) to[k * WIDE + w] = square[k];
+    }
+  }
+  template <void put(V, Real*) = store>
   void give(const V* from, long units, Real* to, long stride) const {
     const Real* entries = reinterpret_cast<const Real*>(from);
     long unit = 0;
@@ -197,7 +234,7 @@ struct Block {
         for (int k = 0; k < LANES; ++k) square[k] = from[(unit + k) * WIDE + w];
         transpose<LANES / 2>(square);
         for (long r = 0; r < LANES && w * LANES + r < count; ++r)
-          store(square[r], to + place(w * LANES + r) * stride + unit);
+          put(square[r], to + place(w * LANES + r) * stride + unit);
       }
     for (; unit < units; ++unit)
       for (long row = 0; row < count; ++row) to[place(row) * stride + unit] = entries[unit * BLOCK + row];

@@ -13,9 +13,13 @@ struct Kept {
 
   Real* at(long t, const Block& block) const { return all + (block.number * steps + t) * units * BLOCK; }
   void keep(const V* from, long t, const Block& block) const {
-    if (all) std::memcpy(at(t, block), from, units * BLOCK * sizeof(Real));
+    for (long i = 0; all && i < units * WIDE; ++i) stream(from[i], at(t, block) + i * LANES);
   }
-  void recall(V* to, long t, const Block& block) const { std::memcpy(to, at(t, block), units * BLOCK * sizeof(Real)); }
+  // and asks for those of the step before
+  void recall(V* to, long t, const Block& block) const {
+    std::memcpy(to, at(t, block), units * BLOCK * sizeof(Real));
+    if (t > 0) announce(at(t - 1, block), units * BLOCK);
+  }
 };
 
 // one step for a block: inputs, one and state below each other -> gates (input, forget, candidate, output)
@@ -29,6 +33,7 @@ struct Memory {
   void step(long t, const Block& block) {
     block.take(features + t * inputs, steps * inputs, inputs, in.data());
     block.take(keep + t, steps, 1, kept);
+    for (long i = 0; i < inputs * WIDE; ++i) in[i] = kept[i % WIDE] != 0 ? in[i] : V{};  // whatever a gap holds
     for (int w = 0; w < WIDE; ++w) in[inputs * WIDE + w] = V{} + 1;
     product(weight, 4 * h, width, in.data(), WIDE, none.data(), gate.data());
     const long part = h * WIDE;

@@ -39,15 +39,15 @@ class MaskedLSTM(nn.Module):
         self, features: Float[Tensor, "R T f"], valid: Bool[Tensor, "R T"]
     ) -> Float[Tensor, "R h"]:
         """Return the state after the last row, zero where no row is valid."""
-        seen = torch.where(valid.unsqueeze(-1), features, torch.zeros_like(features))
         bias = self.cell.bias_ih + self.cell.bias_hh
         weight = torch.cat([self.cell.weight_ih, bias.unsqueeze(-1), self.cell.weight_hh], -1)
-        keep = valid.mT.to(weight.dtype, memory_format=torch.contiguous_format)
         with torch.autocast(features.device.type, enabled=False):
-            rows = seen.to(weight.dtype)
+            rows = features.to(weight.dtype)
             if self.blocks is not None and self.blocks.fit(rows):
                 return self.blocks.last_states(rows, valid, weight)
-            last: Tensor = _Last.apply(rows.permute(1, 2, 0), keep, weight)  # type: ignore[no-untyped-call]
+            seen = torch.where(valid.unsqueeze(-1), rows, torch.zeros_like(rows))
+            keep = valid.mT.to(weight.dtype, memory_format=torch.contiguous_format)
+            last: Tensor = _Last.apply(seen.permute(1, 2, 0), keep, weight)  # type: ignore[no-untyped-call]
         return last.mT
 
 

@@ -144,8 +144,8 @@ def integrate(
 
     Args:
         dynamics: Dynamics of the agents.
-        motion: Present motion of the agents, `*b` or what expands to it, at heading 0 of their own
-            frame.
+        motion: Present motion of the agents, `*b` or what expands to it, nearly at heading 0 of
+            their own frame.
         controls: Mean controls.
         control_scale: Cholesky factors of their covariances.
         start_deviation: Standard deviations of the present position along and across in m, heading

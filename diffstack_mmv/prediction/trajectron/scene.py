@@ -6,7 +6,6 @@ from torch import Tensor, nn
 
 from diffstack_mmv.checks import require_between
 from diffstack_mmv.prediction.trajectron.agent_batch import (
-    FIT_FEATURES,
     PEDESTRIAN,
     VEHICLE,
     AgentBatch,
@@ -20,9 +19,10 @@ from diffstack_mmv.prediction.trajectron.encoder import (
 from diffstack_mmv.prediction.trajectron.interaction import Interaction
 from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
 from diffstack_mmv.prediction.trajectron.site import Site
+from diffstack_mmv.prediction.trajectron.start import START_FEATURES, start_features
 from diffstack_mmv.types import Mode
 
-MOTION_FEATURES = 4 + FIT_FEATURES
+MOTION_FEATURES = 4 + START_FEATURES
 
 
 class SceneEncoder(nn.Module):
@@ -75,5 +75,5 @@ class SceneEncoder(nn.Module):
         around = self.interaction(rows, agents, node, wanted)
         mode = nn.functional.one_hot(rows.past.mode, len(Mode)).to(node.dtype)
         site = [self.site(rows.place)] if self.site is not None else []
-        motion = [rows.velocity / SPEED_SCALE_MPS, rows.acceleration, rows.fits]
+        motion = [rows.velocity / SPEED_SCALE_MPS, rows.acceleration, start_features(rows.starts)]
         return torch.cat([node, around, *motion, mode, *site], -1)

@@ -18,11 +18,11 @@ def written_out(lstm, features, valid):
     return hidden
 
 
-@pytest.mark.parametrize("rows", [0, 1, 40])
+@pytest.mark.parametrize(("rows", "width"), [(0, 3), (1, 3), (40, 3), (40, 15)])
 @pytest.mark.parametrize("blocks", [None, Blocks()])
-def test_value_and_gradient_are_those_of_the_cell(rows, blocks):
-    lstm = MaskedLSTM(3, 5, blocks).double()
-    features = torch.randn(rows, 6, 3, dtype=torch.float64, requires_grad=True)
+def test_value_and_gradient_are_those_of_the_cell(rows, width, blocks):
+    lstm = MaskedLSTM(width, 5, blocks).double()
+    features = torch.randn(rows, 6, width, dtype=torch.float64, requires_grad=True)
     valid = torch.rand(rows, 6) > 0.4
     found, expected = lstm(features, valid), written_out(lstm, features, valid)
     assert torch.allclose(found, expected)
@@ -30,6 +30,17 @@ def test_value_and_gradient_are_those_of_the_cell(rows, blocks):
     slopes = torch.autograd.grad(found, inputs, toward)
     for slope, right in zip(slopes, torch.autograd.grad(expected, inputs, toward), strict=True):
         assert torch.allclose(slope, right)
+
+
+@pytest.mark.parametrize("blocks", [None, Blocks()])
+def test_what_a_gap_holds_does_not_matter(blocks):
+    lstm, features, valid = MaskedLSTM(3, 5, blocks), torch.randn(9, 6, 3), torch.rand(9, 6) > 0.4
+    gaps = features.masked_fill(~valid.unsqueeze(-1), torch.nan)
+    found = lstm(gaps, valid)
+    assert torch.equal(found, lstm(features, valid))
+    assert all(
+        slope.isfinite().all() for slope in torch.autograd.grad(found.sum(), lstm.parameters())
+    )
 
 
 @pytest.mark.parametrize("blocks", [None, Blocks()])

@@ -1,0 +1,88 @@
+"""A configuration is composed once for a command.
+
+Left to itself Hydra composes it a second time to find its mode, and the defaults that values are
+compared with would be a third: half a second of the time until a mistake is told.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+from hydra import compose
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra._internal.hydra import Hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override, OverrideType
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+_ELSEWHERE = ("--config", "-cd", "-cn", "-cp", "hydra")
+"""What in a command line may change the mode of Hydra, besides its own options for that."""
+_DEFAULTS: ContextVar[Mapping[str, Any] | None] = ContextVar("defaults", default=None)
+
+
+@contextmanager
+def composed_once(arguments: Sequence[str]) -> Iterator[None]:
+    """Have Hydra keep the defaults of what it composes, and leave its mode to its own options.
+
+    No configuration of this package sets a mode; one of somebody else may.
+
+    Args:
+        arguments: The command line without its first word.
+    """
+    mode, applied = Hydra.get_mode, ConfigLoaderImpl._apply_overrides_to_config
+
+    def keep_defaults(overrides: list[Override], cfg: DictConfig) -> None:
+        _DEFAULTS.set({key: value_of(cfg, key) for key in _changed(overrides)})
+        applied(overrides, cfg)
+
+    def no_mode(*_: Any, **__: Any) -> None:
+        """What it would find."""
+
+    if not any(begin in argument for argument in arguments for begin in _ELSEWHERE):
+        Hydra.get_mode = no_mode
+    ConfigLoaderImpl._apply_overrides_to_config = staticmethod(keep_defaults)
+    try:
+        yield
+    finally:
+        Hydra.get_mode = mode
+        ConfigLoaderImpl._apply_overrides_to_config = staticmethod(applied)
+
+
+def changed_defaults(config_name: str) -> Mapping[str, Any]:
+    """Key -> default of each value that the command line of the present job changes.
+
+    The default is that of the same groups. `+key` and `++key` are not looked at.
+
+    Args:
+        config_name: Name of the configuration, for a job that a launcher has started elsewhere.
+    """
+    kept = _DEFAULTS.get()
+    if kept is not None:
+        return kept
+    job = HydraConfig.get()
+    parsed = OverridesParser.create().parse_overrides(list(job.overrides.task))
+    keys = [key for key in _changed(parsed) if key.partition("@")[0] not in job.runtime.choices]
+    others = [str(each.input_line) for each in parsed if each.get_key_element() not in keys]
+    defaults = compose(config_name, others) if keys else OmegaConf.create()
+    return {key: value_of(defaults, key) for key in keys}
+
+
+def _changed(overrides: Sequence[Override]) -> list[str]:
+    """Keys of values, and of groups if there are any, that exist already; not those of Hydra."""
+    return [
+        each.get_key_element()
+        for each in overrides
+        if each.type is OverrideType.CHANGE and not each.is_hydra_override()
+    ]
+
+
+def value_of(config: DictConfig, key: str) -> Any:
+    """Value of a key in plain containers, none where it has none yet."""
+    try:
+        value = OmegaConf.select(config, key, throw_on_missing=False)
+        return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+    except OmegaConfBaseException:
+        return None

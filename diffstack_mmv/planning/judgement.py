@@ -1,0 +1,94 @@
+"""Clearance, margins and risk of many plans in a library in C++: a tenth of the time of tensors."""
+
+import ctypes
+import functools
+import logging
+from importlib.resources import files
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from diffstack_mmv.planning.clearance import ClearanceMargin, Safety
+from diffstack_mmv.types import Discs, Motion, Obstacles
+from dmmv_conventions.libraries import CannotBuildError, load, pointers
+
+LOGGER = logging.getLogger(__name__)
+READ = (
+    *("hard_m", "hard_growth", "comfort_m", "comfort_growth", "saturation_m"),
+    *("horizon_s", "probability_min", "spread_growth", "reach_m"),
+)
+"""Of a margin, in the order of the library."""
+NAMES = {torch.float32: "float", torch.float64: "double"}
+
+
+class Judgement(NamedTuple):
+    """How plans pass the agents, `*b C`."""
+
+    safety: Safety
+    risk: Float[Tensor, "*b C"]  # s, expected time of contact
+
+
+class _Settings(ctypes.Structure):
+    """What the library reads of a margin."""
+
+    _fields_ = tuple((name, ctypes.c_double) for name in (*READ, "dt_s"))
+
+
+@functools.cache
+def library() -> Any | None:
+    """The library, None without a compiler."""
+    source = files("diffstack_mmv.planning").joinpath("judgement.hpp").read_text()
+    try:
+        return load(source, "-O3")
+    except CannotBuildError as failure:
+        LOGGER.info("No library for clearances (%s): tensors", failure)
+        return None
+
+
+@torch.no_grad()
+def judged(
+    margin: ClearanceMargin,
+    motion: Motion,
+    discs: Discs,
+    obstacles: Obstacles,
+    under_way: Bool[Tensor, "*b C T1"],
+    dt_s: float,
+) -> Judgement | None:
+    """The judgement of a margin on plans, without gradients; None if there is no library for it.
+
+    Equal to `ClearanceMargin` on `clearance_within_steps` but for rounding.
+
+    Args:
+        margin: What is asked.
+        motion: Motions of the plans, `*b C T1`; a library wants one leading dimension.
+        discs: Around the vehicle, `b D`.
+        obstacles: Agents, `b N K T1`.
+        under_way: Before and at the arrival; later a plan meets nobody.
+        dt_s: Time between two rows of a plan.
+    """
+    position, heading = motion.position, motion.heading
+    given = position, heading, *discs, *obstacles[:3]
+    like = position.dtype
+    plain = like in NAMES and all(e.dtype == like and e.device.type == "cpu" for e in given)
+    if position.dim() != 4 or not plain or torch.compiler.is_compiling() or library() is None:
+        return None
+    problems, plans, rows, _ = position.shape
+    _, count, components, *_ = obstacles.position.shape
+    live = under_way[..., :-1].sum(-1).to(like)
+    wide = (
+        each.expand(problems, *each.shape[1:]).contiguous()
+        for each in (position, heading, live, *discs, *obstacles[:3], obstacles.valid)
+    )
+    told = position.new_empty(problems, plans, 3)
+    settings = [getattr(margin, name) for name in READ]
+    sizes = ctypes.c_long(problems), ctypes.c_long(plans), rows - 1, discs.radius.shape[-1]
+    kept = list(wide)
+    getattr(library(), f"judge_{NAMES[like]}")(
+        *(*sizes, count, components),
+        ctypes.byref(_Settings(*settings, dt_s)),
+        *pointers(*kept, told),
+    )
+    penalty, shortfall, risk = told.unbind(-1)
+    return Judgement(Safety(shortfall == 0, penalty, shortfall), risk)

@@ -1,0 +1,75 @@
+"""A configuration is composed once, and values are compared with the defaults of its groups."""
+
+import contextlib
+import sys
+
+import pytest
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra.core.global_hydra import GlobalHydra
+
+from diffstack_mmv import composition
+from diffstack_mmv.cli import command
+from diffstack_mmv.composition import changed_defaults
+
+CONTENT = """
+defaults: [part: coarse, _self_]
+count: 1
+out: out
+hydra:
+  run: {dir: "${out}"}
+  sweep: {dir: "${out}", subdir: "${hydra.job.num}"}
+  output_subdir: null
+"""
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """Run a task as a command line; what the task returned of each job."""
+    configs = tmp_path / "configs"
+    (configs / "part").mkdir(parents=True)
+    (configs / "task.yaml").write_text(CONTENT)
+    for name, step in (("coarse", 0.5), ("fine", 0.1)):
+        (configs / "part" / f"{name}.yaml").write_text(f"step: {step}")
+    monkeypatch.chdir(tmp_path)
+
+    def go(*arguments, task=lambda config: dict(changed_defaults("task"))):
+        found = []
+        GlobalHydra.instance().clear()
+        monkeypatch.setattr(sys, "argv", ["task", *arguments, f"out={tmp_path / 'out'}"])
+        with contextlib.suppress(SystemExit):
+            command(configs, "task")(lambda config: found.append(task(config)))()
+        GlobalHydra.instance().clear()
+        for each in found:
+            each.pop("out")
+        return found
+
+    return go
+
+
+def test_defaults_are_those_of_the_groups_that_are_chosen(run):
+    assert run("part=fine", "part.step=2", "+part.new=3", "++count=4") == [{"part.step": 0.1}]
+
+
+def test_a_job_that_was_started_elsewhere_composes_them_again(run):
+    def elsewhere(config):
+        composition._DEFAULTS.set(None)
+        return dict(changed_defaults("task"))
+
+    assert run("part=fine", "part.step=2", task=elsewhere) == [{"part.step": 0.1}]
+
+
+@pytest.mark.parametrize("arguments", [("-m", "count=2,3"), ("hydra.mode=MULTIRUN", "count=2,3")])
+def test_each_job_of_a_sweep_has_its_own(arguments, run):
+    assert run(*arguments) == [{"count": 1}, {"count": 1}]
+
+
+def test_a_configuration_is_composed_once(run, monkeypatch):
+    composed, load = [], ConfigLoaderImpl.load_configuration
+
+    def counted(*args, **kwargs):
+        composed.append(kwargs)
+        return load(*args, **kwargs)
+
+    monkeypatch.setattr(ConfigLoaderImpl, "load_configuration", counted)
+    assert run("count=2") == [{"count": 1}]
+    assert len(composed) == 1
