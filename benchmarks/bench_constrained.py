@@ -1,4 +1,4 @@
-"""Constrained solver: gradients against central differences, and 1,000 random drives beside IPOPT.
+"""Constrained solver: gradients against central differences, and 1,000 random drives beside IPOPT and fatrop.
 
     python benchmarks/bench_constrained.py > benchmarks/results/constrained.md
 
@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 from diffstack_mmv.control import ILQR, SolverStatus  # noqa: E402
 from diffstack_mmv.control.constrained import ConstrainedILQR  # noqa: E402
 from diffstack_mmv.control.constrained.local import rollout  # noqa: E402
@@ -162,6 +162,28 @@ def beside_ipopt(drive, guess, solutions, compared):
     for name, solution in solutions.items():
         other = theirs & ~solution.converged[:compared].numpy()
         print(f"Solved by IPOPT alone, {name}: {np.flatnonzero(other).tolist()}.")
+    beside_fatrop(drive, guess, states, found, solutions["compiled"])
+
+
+def beside_fatrop(drive, guess, states, by_ipopt, compiled):
+    """A method that knows the stages, as ours does, from the same guess."""
+    from peers.fatrop_drives import by_fatrop
+
+    by_fatrop(drive, 0, guess[0].numpy(), states[0])  # builds it
+    began = time.process_time()
+    found = [by_fatrop(drive, i, guess[i].numpy(), states[i]) for i in range(len(by_ipopt))]
+    spent = time.process_time() - began
+    theirs = np.array([one.solved for one in found])
+    cost = np.array([one.cost for one in found])
+    print(f"\nBeside fatrop (CasADi, same guess, tolerance 1e-6, {len(found)} of the drives):\n")
+    print("| fatrop solved | beside | same cost within 1e-5 | fatrop cheaper |\n|---|---|---|---|")
+    ours = compiled.converged[: len(found)].numpy(), compiled.cost[: len(found)].numpy()
+    ipopt = np.array([one.solved for one in by_ipopt]), np.array([one.cost for one in by_ipopt])
+    for name, (solved, other) in {"IPOPT": ipopt, "ours compiled": ours}.items():
+        ratio = (cost / other)[theirs & solved]
+        same, less = (abs(ratio - 1) <= 1e-5).mean(), (ratio < 1 - 1e-5).mean()
+        print(f"| {theirs.sum()} | {name}: {solved.sum()} solved | {same:.1%} | {less:.1%} |")
+    print(f"\nCPU time per problem of fatrop: {1e3 * spent / len(found):.1f} ms.")
 
 
 ROWS = (

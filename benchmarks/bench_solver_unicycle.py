@@ -21,7 +21,7 @@ from bench_solver import (  # noqa: E402
 )
 
 SOLVERS = ("ours-compiled", "crocoddyl", "casadi-fatrop", "casadi-ipopt", "trajax", "diffmpc")
-SIZES = ("256:30", "64:30", "16:30", "64:100", "1:30")
+SIZES = ("256:30", "64:30", "16:30", "1:30")
 CLASSES = {
     "unicycle": (
         "With bounds of both controls",
@@ -42,9 +42,10 @@ def main():
         f"float32, the others in float64; tolerance 1e-4, ours 1e-6, with which it is as accurate. {READING} Sizes in the order {', '.join(arguments.sizes)} (batch:T). crocoddyl has the "
         "model, its derivatives and the solver in C++ (ActionModelUnicycle), on one thread; it stops where the squares of its slopes sum up to 1e-4.",
     ]
-    chosen = arguments.solvers
+    chosen, kept = arguments.solvers, arguments.rows
     for problem, (title, note) in CLASSES.items():
         bounded = problem == "unicycle"
+        arguments.rows = kept and kept.with_stem(f"{kept.stem}-{problem}")
         arguments.solvers = [
             f"{name}-penalty" if bounded and name == "trajax" else name
             for name in chosen

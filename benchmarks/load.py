@@ -4,7 +4,7 @@ import os
 import threading
 from pathlib import Path
 
-BUSY = 1.5  # processes that want to run, this one included, above which times are disturbed
+BUSY = 1.5  # processes that want to run, the measured one included, above which times are disturbed
 EVERY_S = 1.0
 
 
@@ -33,8 +33,8 @@ class Load:
 
 
 def running():
-    """Processes that run or wait for a core now."""
-    return float(Path("/proc/loadavg").read_text().split()[3].split("/")[0])
+    """Processes that run or wait for a core now, without the one that looks."""
+    return float(Path("/proc/loadavg").read_text().split()[3].split("/")[0]) - 1
 
 
 def remark(mean):

@@ -49,7 +49,7 @@ class Job(NamedTuple):
 BOXED = ("mpc", "casadi", "crocoddyl", "trajax")
 FREE = ("mpc", "pypose", "diffmpc", "trajax", "casadi")
 UNICYCLE = ("crocoddyl", "casadi", "trajax", "diffmpc")
-FEW = ("--sizes", "64:30", "1:30", "--limit", "3", "--timeout", "300")
+FEW = ("--sizes", "64:30", "1:30", "--limit", "1", "--timeout", "300")
 JOBS = (
     Job("dynamics", 3, ("-m", "pytest", "benchmarks/bench_dynamics.py", "--jaxtyping-packages=", "--benchmark-only",
                         "-m", "slow or not slow"), ("pytest_benchmark",), writes=True,
@@ -67,13 +67,13 @@ JOBS = (
     Job("library_profile", 1, ("benchmarks/bench_library_profile.py",)),
     Job("lqr", 25, ("benchmarks/bench_lqr.py", str(REFERENCE / "acados_lqr")),
         better_with=("crocoddyl", "casadi", "mpc", "osqp", "qpth", "cvxpygen", "cvxpylayers"), reference=True,
-        small=(3, ("--sets", "test_umax1", "--limit", "2", "--timeout", "30"))),
+        small=(3, ("--sets", "test_umax1", "--limit", "1", "--timeout", "30"))),
     Job("constrained", 4, ("benchmarks/bench_constrained.py",), ("casadi",),
-        small=(2, ("--count", "200"))),
+        small=(1, ("--count", "60"))),
     Job("gradients", 15, ("benchmarks/bench_solver_gradients.py",), reference=True,
         small=(2, ("--vehicles", "bicycle"))),
     Job("convergence", 10, ("benchmarks/bench_solver_convergence.py",), reference=True,
-        small=(2, ("--count", "200"))),
+        small=(1, ("--count", "100"))),
 )  # fmt: skip
 
 

@@ -37,7 +37,8 @@ def check(config: DictConfig) -> None:
     require_at_least("size.epochs", size.epochs, 0)
     if size.pretraining is not None:
         require_at_least("size.pretraining.epochs", size.pretraining.epochs, 1)
-        _require_option("dynamics", size.pretraining.dynamics)
+        if size.pretraining.dynamics is not None:
+            _require_option("dynamics", size.pretraining.dynamics)
     require_at_least("resamples", config.resamples, 1)
     for goal in size.goals:
         _require_option("goal", goal)
@@ -150,22 +151,28 @@ def _conversion(config: DictConfig, name: str, out: Path) -> Job:
 
 
 def _pretrainings(config: DictConfig, runs: Sequence[Run], out: Path) -> list[Job]:
-    """The predictor alone, once for all models and goals of a data set, mode and seed."""
+    """The predictor alone: with the dynamics of each model, or once for all of them.
+
+    Once for all goals of a data set, mode and seed.
+    """
     told = config.size.pretraining
     if told is None or not config.plans:
         return []
     jobs = {}
     for run in runs:
-        first = run._replace(model=PREDICTOR, report=_pretrained(run) / "report")
-        settings = [f"dynamics={told.dynamics}", "loss=prediction", f"epochs={told.epochs}"]
+        folder, dynamics = _pretrained(config, run), told.dynamics or run.model
+        first = run._replace(model=folder.parent.name, report=folder / "report")
+        settings = [f"dynamics={dynamics}", "loss=prediction", f"epochs={told.epochs}"]
         settings += told.get("settings", [])
         jobs[first.report] = _job(config, first, out, settings, plans=False)
     return list(jobs.values())
 
 
-def _pretrained(run: Run) -> Path:
+def _pretrained(config: DictConfig, run: Run) -> Path:
     """Folder of the predictor that a run starts from, beside those of the models."""
-    return run.report.parents[3] / PREDICTOR / str(run.seed)
+    shared = config.size.pretraining.dynamics is not None
+    name = PREDICTOR if shared else f"{PREDICTOR}_{run.model}"
+    return run.report.parents[3] / name / str(run.seed)
 
 
 def _training(config: DictConfig, run: Run, out: Path) -> Job:
@@ -173,7 +180,7 @@ def _training(config: DictConfig, run: Run, out: Path) -> Job:
     if config.plans:
         settings += config.size.end_to_end
         if config.size.pretraining is not None:
-            settings.append(f"start={_pretrained(run) / BEST}")
+            settings.append(f"start={_pretrained(config, run) / BEST}")
     return _job(config, run, out, settings, plans=config.plans)
 
 

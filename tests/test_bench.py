@@ -95,3 +95,9 @@ def test_the_load_is_counted_while_a_block_runs(monkeypatch):
 
 def test_packages_are_looked_for_with_the_interpreter_of_the_peers():
     assert run_all.absent(("json", "no_such_package"), sys.executable) == ("no_such_package",)
+
+
+def test_the_process_that_looks_is_not_counted(monkeypatch):
+    text = "8.2 7.9 7.1 3/812 4711"
+    monkeypatch.setattr(load.Path, "read_text", lambda self: text)
+    assert load.running() == 2.0

@@ -64,9 +64,12 @@ def test_jobs_run_through_the_launcher_of_clusters(tmp_path):
     assert list((tmp_path / "slurm").glob("*_log.out"))
 
 
-@pytest.mark.parametrize(("pretraining", "jobs"), [([], 136), (["size.pretraining=null"], 121)])
-def test_the_models_of_a_seed_share_one_pretraining(succeed, tmp_path, pretraining, jobs):
-    """One conversion, a pretraining for each of 3 modes and 5 seeds, 4 models and 2 goals."""
+@pytest.mark.parametrize(
+    ("pretraining", "jobs"),
+    [([], 181), (["size.pretraining.dynamics=kbm"], 136), (["size.pretraining=null"], 121)],
+)
+def test_every_model_has_a_pretraining_or_all_share_one(succeed, tmp_path, pretraining, jobs):
+    """One conversion, pretrainings for each of 3 modes and 5 seeds, 4 models and 2 goals."""
     arguments = ["size=full", f"raw={tmp_path}", "dry_run=true", f"out={tmp_path / 'out'}"]
     assert f"{jobs} of {jobs} jobs to do" in succeed("results", *arguments, *pretraining)
 

@@ -55,6 +55,7 @@ CONVENTIONS = {
     "jobs": {"dmmv_conventions.checks"},
     "types": {"dmmv_conventions.modes"},
     "control": {"dmmv_conventions.libraries"},
+    "planning": {"dmmv_conventions.libraries"},
     "prediction": {"dmmv_conventions.libraries"},
     "simulation": {"dmmv_conventions.libraries"},
     "dynamics": {"dmmv_conventions.yaml_files"},

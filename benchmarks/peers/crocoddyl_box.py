@@ -29,10 +29,10 @@ def compiled_functions():
 class Stage(crocoddyl.ActionModelAbstract):
     """One time step, or the end."""
 
-    def __init__(self, functions, p):
+    def __init__(self, functions):
         super().__init__(crocoddyl.StateVector(4), 2, 0)
         self.value, self.derivatives = functions
-        self.p = p
+        self.p = np.zeros(7)
         self.u_lb, self.u_ub = np.array(driving.LOWER), np.array(driving.UPPER)
 
     def calc(self, data, x, u=None):
@@ -52,15 +52,16 @@ class Stage(crocoddyl.ActionModelAbstract):
 def prepare(states, parameters, steps, problem):
     """A function that returns the controls (count, T, 2), from zero controls; with obstacle and box."""
     running, final = compiled_functions()
+    stages = [Stage(running), Stage(final)]
+    shooting = crocoddyl.ShootingProblem(states[0], stages[:1] * steps, stages[1])
+    shooting.nthreads = 1
+    solver = crocoddyl.SolverBoxFDDP(shooting)
+    solver.th_stop = 1e-6
+    start = [np.zeros(2)] * steps
 
     def solve_one(state, p):
-        stages = [Stage(running, p)] * steps
-        shooting = crocoddyl.ShootingProblem(state, stages, Stage(final, p))
-        shooting.nthreads = 1
-        solver = crocoddyl.SolverBoxFDDP(shooting)
-        solver.th_stop = 1e-6
-        start = [np.zeros(2)] * steps
-        solver.solve(solver.problem.rollout(start), start, 100, True)
+        shooting.x0, stages[0].p, stages[1].p = state, p, p
+        solver.solve(shooting.rollout(start), start, 100, True)
         return np.stack(solver.us)
 
     def solve():

@@ -35,7 +35,7 @@ def solver(
     states, leaves, steps, compile, problem=driving.OBSTACLE, tolerance=1e-4, one_by_one=ONE_BY_ONE
 ):
     """A function that solves the problems, differentiable in the leaves and in their precision."""
-    box = Bounds(torch.tensor(problem.lower), torch.tensor(problem.upper))
+    box = Bounds(*(leaves[0].detach().new_tensor(side) for side in (problem.lower, problem.upper)))
     state = torch.tensor(states, dtype=leaves[0].dtype)
     ilqr = ILQR(compile=compile, tolerance=tolerance, one_by_one=one_by_one)
     controls = state.new_zeros(len(state), steps, 2)

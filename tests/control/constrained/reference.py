@@ -19,22 +19,35 @@ class Reference(NamedTuple):
     status: str
 
 
+class Programme(NamedTuple):
+    """Drives of one size in symbols, time by time."""
+
+    states: casadi.SX  # 4 T+1
+    controls: casadi.SX  # 2 T
+    given: casadi.SX
+    cost: casadi.SX
+    start: casadi.SX  # zero at the given state
+    gaps: list[casadi.SX]  # zero where a step is the dynamics'
+    unequal: list[list[casadi.SX]]  # at most zero, T+1
+
+
 @functools.cache
-def posed(steps, discs):
-    """Solver of drives of one size, and its numbers of unknowns and constraints."""
+def programme(steps, discs):
+    """The drives of `problems.py`."""
     x, u = casadi.SX.sym("x", 4, steps + 1), casadi.SX.sym("u", 2, steps)
     start, goal = casadi.SX.sym("start", 4), casadi.SX.sym("goal", 2)
     centre, velocity = casadi.SX.sym("c", 2, discs), casadi.SX.sym("v", 2, discs)
     radius, rest = casadi.SX.sym("r", discs), casadi.SX.sym("rest", 6)
     top_speed, grip, near, slow, effort, wheelbase = casadi.vertsplit(rest)
-    cost, equal, unequal = 0, [x[:, 0] - start], []
+    cost, gaps, unequal = 0, [], []
     for t in range(steps + 1):
         cost += near * casadi.sumsqr(x[:2, t] - goal) + slow * (x[3, t] - 2) ** 2
+        now = []
         if t > 0:
-            unequal.append(x[3, t] - top_speed)
+            now.append(x[3, t] - top_speed)
             for i in range(discs):
                 away = x[:2, t] - centre[:, i] - velocity[:, i] * (DT * t)
-                unequal.append(1 - casadi.sumsqr(away) / radius[i] ** 2)
+                now.append(1 - casadi.sumsqr(away) / radius[i] ** 2)
         if t < steps:
             cost += effort * (0.2 * u[0, t] ** 2 + u[1, t] ** 2)
             rates = casadi.vertcat(
@@ -43,27 +56,43 @@ def posed(steps, discs):
                 x[3, t] / wheelbase * casadi.tan(u[1, t]),
                 u[0, t],
             )
-            equal.append(x[:, t + 1] - x[:, t] - DT * rates)
+            gaps.append(x[:, t + 1] - x[:, t] - DT * rates)
             turning = x[3, t] ** 2 * casadi.tan(u[1, t]) / wheelbase
-            unequal.append((u[0, t] ** 2 + turning**2) / grip**2 - 1)
+            now.append((u[0, t] ** 2 + turning**2) / grip**2 - 1)
+        unequal.append(now)
     given = casadi.vertcat(start, goal, casadi.vec(centre), casadi.vec(velocity), radius, rest)
-    unknown = casadi.vertcat(casadi.vec(x), casadi.vec(u))
-    program = {"x": unknown, "p": given, "f": cost, "g": casadi.vertcat(*equal, *unequal)}
+    return Programme(x, u, given, cost, x[:, 0] - start, gaps, unequal)
+
+
+@functools.cache
+def posed(steps, discs):
+    """Solver of drives of one size, and its numbers of unknowns and constraints."""
+    drive = programme(steps, discs)
+    unequal = [each for now in drive.unequal for each in now]
+    unknown = casadi.vertcat(casadi.vec(drive.states), casadi.vec(drive.controls))
+    rows = casadi.vertcat(drive.start, *drive.gaps, *unequal)
+    problem = {"x": unknown, "p": drive.given, "f": drive.cost, "g": rows}
     options = {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
-    solver = casadi.nlpsol("drive", "ipopt", program, {**options, "ipopt.max_iter": 500})
+    solver = casadi.nlpsol("drive", "ipopt", problem, {**options, "ipopt.max_iter": 500})
     return solver, 4 * (steps + 1), len(unequal)
 
 
-def by_ipopt(drive, index, controls, states=None):
-    """Solve one drive of a batch from a guess of its controls, and of its states if given."""
-    steps, discs = len(controls), drive.radius.shape[1]
-    solver, count, unequal = posed(steps, discs)
+def numbers_of(drive, index):
+    """The numbers of one drive of a batch, in the order of `Programme.given`, and its state."""
     part = [np.asarray(tensor[index]) for tensor in drive]
     state, goal, centre, velocity, radius, top_speed, grip, weight, wheelbase = part
     given = np.concatenate(
         [state, goal, centre.ravel(), velocity.ravel(), radius]
         + [np.atleast_1d(number) for number in (top_speed, grip, weight, wheelbase)]
     )
+    return given, state
+
+
+def by_ipopt(drive, index, controls, states=None):
+    """Solve one drive of a batch from a guess of its controls, and of its states if given."""
+    steps, discs = len(controls), drive.radius.shape[1]
+    solver, count, unequal = posed(steps, discs)
+    given, state = numbers_of(drive, index)
     guess = np.tile(state, (steps + 1, 1)) if states is None else states
     free = np.full(count, np.inf)
     lower, upper = (
