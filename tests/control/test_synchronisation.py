@@ -33,7 +33,8 @@ class Sends(TorchFunctionMode):
 
     def __torch_function__(self, func, types, args=(), kwargs=None):
         found = func(*args, **(kwargs or {}))
-        if func in SENDING and found.device.type != "cpu":
+        sent = args[1] if func is torch.Tensor.new_tensor else args[0] if args else None
+        if func in SENDING and found.device.type != "cpu" and not isinstance(sent, torch.Tensor):
             raise AssertionError(f"{func.__name__} waits for the device")
         if func in INDEXING and args[0].device.type != "cpu":
             index = args[1] if isinstance(args[1], tuple) else (args[1],)
