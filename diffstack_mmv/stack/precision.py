@@ -41,7 +41,7 @@ class MixedPrecision:
         for layer in predictor.modules():
             if self.dtype == torch.float16:
                 if isinstance(layer, nn.Linear):
-                    layer.forward = _Half(layer.forward)
+                    layer.forward = _Half(layer.forward)  # pyright: ignore[reportAttributeAccessIssue]
             elif isinstance(layer, LAYERS):
                 layer.forward = _Autocast(layer.forward, self.dtype)
 
