@@ -34,9 +34,9 @@ REALS = {torch.float32: "float", torch.float64: "double"}
 MOST_SIZES = 64  # step sizes that a library tries
 MOST_LIBRARIES = 5
 """Shapes of a kind of problem that get a library; more, as of changing neighbors, take too long."""
-LONGEST_SOURCE = 450_000
+LONGEST_SOURCE = 500_000
 """Characters of a library without its tables, beyond which a compiler takes half a minute and more:
-DiffGM3 has three quarters of it, whatever the number of agents."""
+DiffGM3 has 0.7 of it, that of a tricycle 0.96, whatever the number of agents."""
 LONG_ADJOINT = 300_000
 """Characters of an adjoint, which runs once per solve, beyond which the compiler takes less effort:
 that of DiffGM3 is no slower for it, and built in two thirds of the time."""
