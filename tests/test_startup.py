@@ -2,11 +2,13 @@
 
 import ast
 import os
+import string
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = sorted(path.stem for path in (ROOT / "scripts").glob("*.py") if path.stem != "__init__")
@@ -59,6 +61,13 @@ def test_answers_without_work_import_nothing_heavy(script, arguments, told, tmp_
     done = run(TELL.format(heavy=HEAVY, arguments=argv))
     assert told in done.stdout + done.stderr
     assert done.stdout.splitlines()[-1].split() == ["HEAVY"]
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "configs").glob("*.yaml")))
+def test_help_can_be_shown(name):
+    content = yaml.safe_load((ROOT / "configs" / f"{name}.yaml").read_text(encoding="utf-8"))
+    template = content.get("hydra", {}).get("help", {}).get("template", "")
+    assert string.Template(template.replace("${hydra", "")).is_valid()
 
 
 def test_the_solver_is_imported_without_the_compiler_of_torch():
