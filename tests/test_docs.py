@@ -98,7 +98,7 @@ def commands(path):
 
 
 def settings():
-    """All settings that the documents give a script, together for each choice of data."""
+    """All settings that the documents give a script, together for each data set and experiment."""
     found = {}
     for script, *words in (words for path in DOCUMENTS for words in commands(path)):
         given = {word.partition("=")[0]: word.replace("$", "") for word in words if "=" in word}
@@ -106,21 +106,22 @@ def settings():
         if given.get("vehicle", "").endswith(".yaml"):
             swept.append("vehicle")
         kept = {key: word for key, word in given.items() if key not in swept}
-        found.setdefault((Path(script).stem, given.get("data", "")), {}).update(kept)
+        choice = Path(script).stem, given.get("data", ""), given.get("experiment", "")
+        found.setdefault(choice, {}).update(kept)
     return found
 
 
 def test_settings_in_command_lines_exist():
     refused, found = [], settings()
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
-        for (script, _), given in found.items():
+        for (script, *_), given in found.items():
             try:
                 compose(script, list(given.values()))
             except HydraException as error:
                 refused.append((script, str(error)))
     GlobalHydra.instance().clear()
     assert refused == []
-    assert {"train", "evaluate", "convert", "navigate", "identify"} <= {each for each, _ in found}
+    assert {"train", "evaluate", "convert", "navigate", "identify"} <= {each for each, *_ in found}
 
 
 @pytest.mark.slow
