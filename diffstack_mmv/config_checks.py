@@ -10,7 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from dmmv_conventions.cache import read_state
-from dmmv_conventions.checks import message, require, require_multiple
+from dmmv_conventions.checks import (
+    message,
+    require,
+    require_at_least,
+    require_multiple,
+    require_positive,
+)
 from dmmv_conventions.modes import Mode
 from dmmv_conventions.pretrained import PRETRAINED, checkpoint_path
 
@@ -151,6 +157,22 @@ def require_windows(modes: Sequence[str], dt_s: float, **durations_s: float) -> 
     require_modes(modes)
     for name, duration_s in durations_s.items():
         require_multiple(name, duration_s, dt_s)
+
+
+def require_data(windows: Mapping[str, Any], batch_size: int) -> None:
+    """Refuse numbers of windows and batches that their parts would refuse once torch is there.
+
+    Args:
+        windows: Configuration of the windows, with `neighbors`, `radius_m` and `stride`.
+        batch_size: Number of samples of a batch.
+
+    Raises:
+        ValueError: A number is out of its range.
+    """
+    require_at_least("data.neighbors", windows["neighbors"], 0)
+    require_positive("data.radius_m", windows["radius_m"])
+    require_at_least("data.stride", windows["stride"], 1)
+    require_at_least("batch_size", batch_size, 1)
 
 
 def other_modes(modes: Sequence[str], vehicle: Mapping[str, Any]) -> list[str]:

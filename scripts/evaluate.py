@@ -9,6 +9,7 @@ from diffstack_mmv.config_checks import (
     other_history,
     other_modes,
     require_checkpoint,
+    require_data,
     require_recordings,
     require_same_horizon,
     require_windows,
@@ -32,7 +33,11 @@ def check(config: DictConfig) -> None:
     require_windows(
         config.modes or [], config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
     )
+    require_data(config.data.module.windows, config.batch_size)
     require_recordings(config.data.module.source)
+    # for their mistakes alone; they need torch, but nothing that takes longer to import
+    for part in (config.baselines.simple, config.get("goal"), config.get("solver")):
+        instantiate(part)
 
 
 def _calibration(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
 from diffstack_mmv.config_checks import (
     require_checkpoint,
+    require_data,
     require_own_vehicle,
     require_recordings,
     require_share,
@@ -31,6 +32,7 @@ def check(config: DictConfig) -> None:
     require_share("validation.share", config.validation.share)
     require_at_least("epochs", config.epochs, 0)
     require_own_vehicle(config.modes, config.vehicle, shared=config.shared_vehicle)
+    require_data(config.data.module.windows, config.batch_size)
     require_recordings(config.data.module.source)
     if config.start is not None:
         require_checkpoint("start", config.start)

@@ -7,6 +7,7 @@ import pytest
 from diffstack_mmv.config_checks import (
     require_checkpoint,
     require_complete,
+    require_data,
     require_own_vehicle,
     require_recordings,
     require_same_type,
@@ -67,6 +68,22 @@ def test_windows_of_unknown_modes_or_broken_steps_are_refused(mode, horizon_s, t
     require_windows(["bicycle"], 0.1, horizon_s=3.0)
     with pytest.raises(ValueError, match=told):
         require_windows([mode], 0.1, horizon_s=horizon_s)
+
+
+@pytest.mark.parametrize(
+    ("changed", "batch_size", "told"),
+    [
+        ({"neighbors": -1}, 64, "`data.neighbors` must be at least 0, but got -1"),
+        ({"radius_m": 0.0}, 64, "`data.radius_m` must be positive, but got 0"),
+        ({"stride": 0}, 64, "`data.stride` must be at least 1, but got 0"),
+        ({}, 0, "`batch_size` must be at least 1, but got 0"),
+    ],
+)
+def test_numbers_of_windows_and_batches_are_refused_by_their_keys(changed, batch_size, told):
+    windows = {"neighbors": 0, "radius_m": 30.0, "stride": 1}
+    require_data(windows, 1)
+    with pytest.raises(ValueError, match=told):
+        require_data(windows | changed, batch_size)
 
 
 def test_a_checkpoint_is_an_archive(tmp_path):
