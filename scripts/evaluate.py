@@ -35,7 +35,7 @@ def check(config: DictConfig) -> None:
     )
     require_data(config.data.module.windows, config.batch_size)
     require_recordings(config.data.module.source)
-    # for their mistakes alone; they need torch, but nothing that takes longer to import
+    # for their mistakes alone, before the checkpoint is read and the windows are looked for
     for part in (config.baselines.simple, config.get("goal"), config.get("solver")):
         instantiate(part)
 
