@@ -18,9 +18,9 @@ from diffstack_mmv.control.compilation import (
 from diffstack_mmv.control.curvature import CurvatureForm, ExactCurvature
 from diffstack_mmv.control.fitting import require_fitting, require_tensors
 from diffstack_mmv.control.gradient import Call, GradientMode, Implicit
-from diffstack_mmv.control.iteration import OPEN, Iterate, Settings, start
+from diffstack_mmv.control.iteration import OPEN, Iterate, Settings, cheaper, start
 from diffstack_mmv.control.optimizer import Constraints, Cost, Dynamics
-from diffstack_mmv.control.riccati import definite_policy
+from diffstack_mmv.control.riccati import definite_policies
 from diffstack_mmv.control.selection import Workload
 from diffstack_mmv.types import Bounds, Solution, SolverStatus
 
@@ -40,16 +40,18 @@ class ILQR:
     Each iteration expands all B·T pairs in one call (f to first order, c + λ · f to second), walks
     a Riccati recursion with an exact box QP at each time, and rolls out all step sizes in one
     batch, keeping the cheapest. Where the exact Hessian of the Lagrangian gives an indefinite Q_uu,
-    that problem takes the step of a convex model instead: the diagonal of the Hessian over
-    (x_t, u_t) is raised at every time until it dominates its rows. Damping of Q_uu grows after a
+    Q_uu is lifted to the modulus of its curvature, and that problem tries the step of a convex
+    model as well (far from the solution: alone): the diagonal of the Hessian over (x_t, u_t) is
+    raised at every time until it dominates its rows. Damping of Q_uu grows after a
     refused step and decays after a long one. Problems converge one by one, and a finished one is
     frozen. What the batch mates of a problem are, NaN and infinity included, changes no bit of its
     answer, eager or compiled (see `separate_lanes`); another size of the batch may round it
     differently.
 
-    A problem has converged when two conditions hold. Its model promises a decrease of the cost that
-    is below ζ = `tolerance` · Σ|c|, or below what the precision resolves:
-    8 ε (Σ|c| + Σ|x c_x| + Σ|u c_u|), and 8 times that if no step size lowers the cost any more. And
+    A problem has converged when two conditions hold. Its exact model promises a decrease of the
+    cost that is below ζ = `tolerance` · Σ|c|, or below what the precision resolves:
+    8 ε (Σ|c| + Σ|x c_x| + Σ|u c_u|), and 8 times that if no step size lowers the cost any more;
+    what the convex one promises does not count, as it lifts too much. And
     the projected gradient g promises less than √(ζ Σ|c|) to first order, Σ |g_i| |d_i|, where
     d = clip(u - g / diag Q_uu) - u is the step along it in the scale of each control, ζ not below
     the precision: neither the unit of the cost nor those of the controls matter. The last step is
@@ -246,7 +248,7 @@ class ILQR:
     def _improve(self, kernels: Kernels, settings: Settings, work: Workload, n: int) -> Iterate:
         dynamics, cost, like, iterate = work[:4]
         model = kernels.expand(dynamics, cost, like, iterate.x, iterate.u, iterate.near)
-        policy = definite_policy(
+        policies = definite_policies(
             kernels.box_policy,
             model.quadratic,
             model.gradient,
@@ -256,7 +258,11 @@ class ILQR:
             n,
         )
         scale = model.magnitude, model.noise
-        return kernels.attempt(dynamics, cost, like, iterate, *scale, policy, settings)
+        first = kernels.attempt(dynamics, cost, like, iterate, *scale, policies.first, settings)
+        if policies.second is None:
+            return first
+        second = kernels.attempt(dynamics, cost, like, iterate, *scale, policies.second, settings)
+        return cheaper(iterate, first, second, policies.either)
 
 
 def check_problem(

@@ -92,6 +92,14 @@ def attempt(
     )
 
 
+def cheaper(
+    before: Iterate, first: Iterate, second: Iterate, either: Bool[Tensor, " N"]
+) -> Iterate:
+    """The second attempt where `either` holds and it alone lowers the cost most, else the first."""
+    other = either & (second.cost < torch.minimum(first.cost, before.cost))
+    return Iterate(*(torch.where(other, b, a) for a, b in zip(first, second, strict=True)))
+
+
 def start(
     attempt: Callable[..., Iterate],
     dynamics: Dynamics,

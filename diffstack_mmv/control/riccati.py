@@ -21,7 +21,7 @@ from diffstack_mmv.control.box_qp import free_inverse, largest, positive_lift, s
 
 FAR = 3e-2  # predicted decrease relative to the cost above which a problem is far from its solution
 WHOLE = 256  # problems up to which a pass over all takes no longer than to pick some out
-DEFINITE = 1e-6  # smallest eigenvalue of Q_uu relative to its largest entry, before it is shifted
+DEFINITE = 1e-6  # smallest pivot of Q_uu relative to its largest entry, before it is lifted
 
 
 class LinearQuadratic(NamedTuple):
@@ -65,6 +65,14 @@ class Policy(NamedTuple):
     slope: Float[Tensor, " N"]  # decrease along the projected gradient, to first order
     lifted: Bool[Tensor, " N"]  # whether Q_uu was indefinite anywhere
     lifted_free: Bool[Tensor, " N"]  # whether it was on free controls
+
+
+class Policies(NamedTuple):
+    """What one iteration tries."""
+
+    first: Policy
+    second: Policy | None  # None where `first` is enough for all
+    either: Bool[Tensor, " N"]  # problems for which the cheaper of both is taken
 
 
 class Stationary(NamedTuple):
@@ -121,7 +129,7 @@ def dominance(H: Float[Tensor, "k k N"], outside: Float[Tensor, "k N"]) -> Float
     return (H.abs().sum(1) - diagonal.abs() + outside - diagonal).clamp_min(0)
 
 
-def definite_policy(
+def definite_policies(
     solve: Callable[..., Policy],
     lq: LinearQuadratic,
     gradient: Float[Tensor, "T m N"],
@@ -129,13 +137,16 @@ def definite_policy(
     damping: Float[Tensor, " N"],
     magnitude: Float[Tensor, " N"],
     n: int,
-) -> Policy:
-    """Policy of the exact model where that is convex along the recursion, else of a convex one.
+) -> Policies:
+    """Policies of the exact model, and of a convex one where that is not convex.
 
     Exact means the Hessian of the Lagrangian: Newton's method with its quadratic convergence. A
     problem in which any Q_uu is indefinite on free controls (or on any control, far
     from the solution) is solved a second time with the Hessian over (x_t, u_t) of every stage
-    lifted.
+    lifted until its diagonal dominates. Far from the solution that model is taken: the exact one
+    leads to worse minima. Near it both are tried. The convex one lifts far more than it needs to:
+    its steps, and what they promise, may be a hundredth of what is left to gain. So it never counts
+    for convergence: what the exact model promises does, with Q_uu lifted alone.
 
     Args:
         solve: `box_policy`, or a compiled form of it.
@@ -146,13 +157,39 @@ def definite_policy(
         magnitude: Σ |c_t|.
         n: Number of state columns.
     """
-    policy = solve(lq, gradient, box, damping, torch.zeros_like(damping), n)
-    far = policy.decrease > FAR * magnitude
-    indefinite = policy.lifted_free | (policy.lifted & far)
-    # to ask a device for the number would make it wait, and a whole second pass is cheap there
+    exact = solve(lq, gradient, box, damping, torch.zeros_like(damping), n)
+    indefinite = exact.lifted_free | (exact.lifted & (exact.decrease > FAR * magnitude))
+    # to ask a device for the number would make it wait, and a second pass is cheap there
     index = indefinite.nonzero().squeeze(-1) if indefinite.device.type == "cpu" else None
     if index is not None and len(index) == 0:
-        return policy
+        return Policies(exact, None, indefinite)
+    convex = _convex_policy(solve, lq, gradient, box, damping, indefinite, index, n, exact)
+    far = indefinite & (convex.decrease > FAR * magnitude)
+    promise = {
+        "decrease": torch.maximum(exact.decrease, convex.decrease),
+        "slope": torch.maximum(exact.slope, convex.slope),
+    }
+    either = indefinite & ~far
+    convex = convex._replace(**promise)
+    if index is not None and not bool(either.any()):
+        return Policies(convex, None, either)
+    exact = exact._replace(**promise)
+    first = Policy(*(torch.where(far, c, e) for c, e in zip(convex, exact, strict=True)))
+    return Policies(first, convex, either)
+
+
+def _convex_policy(
+    solve: Callable[..., Policy],
+    lq: LinearQuadratic,
+    gradient: Tensor,
+    box: Tensor,
+    damping: Tensor,
+    indefinite: Tensor,
+    index: Tensor | None,
+    n: int,
+    exact: Policy,
+) -> Policy:
+    """Policy of the convex model for the problems of `index`, the exact one for the others."""
     if index is None or len(damping) <= WHOLE or 2 * len(index) > len(damping):
         return solve(lq, gradient, box, damping, indefinite.to(damping.dtype), n)
     if len(index) == 1 < len(damping):
@@ -161,7 +198,7 @@ def definite_policy(
     steep, weak = gradient.index_select(-1, index), damping[index]
     convex = solve(part, steep, box, weak, torch.ones_like(weak), n)
     return Policy(
-        *(whole.index_copy(-1, index, fixed) for whole, fixed in zip(policy, convex, strict=True))
+        *(whole.index_copy(-1, index, fixed) for whole, fixed in zip(exact, convex, strict=True))
     )
 
 

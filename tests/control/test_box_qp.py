@@ -4,8 +4,10 @@ import itertools
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
-from diffstack_mmv.control.box_qp import solve_box_qp
+from diffstack_mmv.control.box_qp import positive_lift, solve_box_qp
 
 pytestmark = pytest.mark.usefixtures("double")
 
@@ -68,3 +70,42 @@ def test_a_problem_that_is_not_finite_leaves_the_others_alone():
     H[..., 7] = torch.nan
     k = solve_box_qp(H, g, lower, upper)[0]
     assert k[:, torch.arange(200) != 7].equal(expected[:, torch.arange(200) != 7])
+
+
+DEFINITE = 1e-6
+
+
+@pytest.mark.usefixtures("double")
+@given(m=st.integers(1, 6), seed=st.integers(0, 10_000), spread=st.floats(0, 6))
+def test_a_lifted_matrix_is_definite(m, seed, spread):
+    """Whatever its eigenvalues and scales; what is definite already is not touched."""
+    generator = torch.Generator().manual_seed(seed)
+    basis = torch.randn(m, m, 50, generator=generator)
+    values = torch.randn(m, 50, generator=generator)
+    scale = 10 ** (spread * (torch.rand(m, 50, generator=generator) - 0.5))
+    Q = torch.einsum("ikN,kN,jkN->ijN", basis, values, basis) * scale * scale.unsqueeze(1)
+    lift = positive_lift(Q, DEFINITE)
+    smallest = torch.linalg.eigvalsh(Q.movedim(-1, 0))[:, 0]
+    lifted = (Q + torch.diag_embed(lift.T).movedim(0, -1)).movedim(-1, 0)
+    size = Q.abs().amax((0, 1))
+    assert (lift >= 0).all()
+    assert (torch.linalg.eigvalsh(lifted)[:, 0] > -1e-12 * size).all()
+    assert (lift.amax(0) <= 2 * m**2 * size).all()
+    assert ((lift == 0).all(0) | (smallest < 2 * m**2 * DEFINITE * size)).all()
+
+
+@pytest.mark.parametrize("m", [1, 2, 3, 5])
+def test_negative_curvature_is_lifted_to_its_modulus(m):
+    """A diagonal one shows it: each entry on its own, none to zero."""
+    diagonal = torch.tensor([2.0, -1.0, 0.5, -3.0, 4.0])[-m:].unsqueeze(-1)
+    Q = torch.diag_embed(diagonal.T).movedim(0, -1)
+    torch.testing.assert_close(diagonal + positive_lift(Q, DEFINITE), diagonal.abs())
+
+
+@pytest.mark.parametrize("m", [2, 4])
+def test_lift_of_a_matrix_that_is_not_finite_stays_with_it(m):
+    Q = torch.randn(m, m, 3)
+    Q = Q + Q.transpose(0, 1)
+    alone = positive_lift(Q[..., :2], DEFINITE)
+    Q[..., 2] = torch.nan
+    assert torch.equal(positive_lift(Q, DEFINITE)[:, :2], alone)

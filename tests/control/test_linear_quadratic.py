@@ -104,14 +104,15 @@ def test_published_problems_are_solved_with_their_gradients(published, name):
 def test_a_promise_of_nothing_does_not_make_a_point_stationary(monkeypatch):
     """What is said to have converged has no projected gradient, whatever the model promises."""
     names = vars(sys.modules[ILQR.__module__])
-    plain = names["definite_policy"]
+    plain = names["definite_policies"]
 
     def promising_nothing(*arguments):
-        policy = plain(*arguments)
-        none = torch.zeros_like
-        return policy._replace(gains=none(policy.gains), decrease=none(policy.decrease))
+        policies = plain(*arguments)
+        policy, none = policies.first, torch.zeros_like
+        idle = policy._replace(gains=none(policy.gains), decrease=none(policy.decrease))
+        return policies._replace(first=idle, second=None)
 
-    monkeypatch.setitem(names, "definite_policy", promising_nothing)
+    monkeypatch.setitem(names, "definite_policies", promising_nothing)
     solution = solved(unstable(4, 2), 1.0, ILQR(tolerance=1e-16, max_iterations=20))
     assert (solution.residual > 0.1).all()
     assert (solution.status != SolverStatus.CONVERGED).all()

@@ -69,71 +69,41 @@ inline void add_dominance(Real* H, const Real* outside) {
   }
 }
 
-// smallest eigenvalue of a symmetric matrix, by Jacobi rotations
-template <int M>
-inline Real smallest_eigenvalue(const Real* Q) {
-  Real A[M * M];
-  for (int i = 0; i < M * M; ++i) {
-    if (!finite(Q[i])) return Real(1) / M;  // not asked of such a matrix
-    A[i] = Q[i];
-  }
-  for (int sweep = 0; sweep < 12; ++sweep)
-    for (int p = 0; p < M; ++p)
-      for (int q = p + 1; q < M; ++q) {
-        const Real off = A[p * M + q];
-        if (off == 0) continue;
-        const Real theta = (A[q * M + q] - A[p * M + p]) / (2 * off);
-        const Real t = (theta >= 0 ? Real(1) : Real(-1)) / (std::fabs(theta) + std::sqrt(theta * theta + 1));
-        const Real c = 1 / std::sqrt(t * t + 1), s = t * c;
-        for (int k = 0; k < M; ++k) {
-          const Real a = A[k * M + p], b = A[k * M + q];
-          A[k * M + p] = c * a - s * b;
-          A[k * M + q] = s * a + c * b;
-        }
-        for (int k = 0; k < M; ++k) {
-          const Real a = A[p * M + k], b = A[q * M + k];
-          A[p * M + k] = c * a - s * b;
-          A[q * M + k] = s * a + c * b;
-        }
-      }
-  Real least = A[0];
-  for (int i = 1; i < M; ++i) least = A[i * M + i] < least ? A[i * M + i] : least;
-  return least;
-}
+// a pivot that is at least `floor`, else its modulus, or `floor` where that is larger
+inline Real upright(Real pivot, Real floor) { return pivot < floor ? op_max(std::fabs(pivot), floor) : pivot; }
 
-// whether Q - shift I is positive definite, by its Cholesky factorisation
-template <int M>
-inline bool is_definite(const Real* Q, Real shift) {
-  Real L[M][M];
-  for (int j = 0; j < M; ++j) {
-    Real pivot = Q[j * M + j] - shift;
-    for (int k = 0; k < j; ++k) pivot -= L[j][k] * L[j][k];
-    if (!(pivot > 0)) return false;
-    L[j][j] = std::sqrt(pivot);
-    for (int i = j + 1; i < M; ++i) {
-      Real sum = Q[i * M + j];
-      for (int k = 0; k < j; ++k) sum -= L[i][k] * L[j][k];
-      L[i][j] = sum / L[j][j];
-    }
-  }
-  return true;
-}
-
-// what to add to the diagonal of a symmetric Q to make it positive definite
+// what to add to the diagonal of a symmetric Q to make it positive definite, see `positive_lift` of box_qp.py
 template <int M>
 inline void positive_lift(const Real* Q, Real* lift) {
   const Real tiny = std::numeric_limits<Real>::min(), scale = largest<M>(Q), floor = DEFINITE * scale + tiny;
   if constexpr (M == 1) {
-    lift[0] = clipped(floor - Q[0], 0, INFINITY);
+    lift[0] = upright(Q[0], floor) - Q[0];
   } else if constexpr (M == 2) {
     const Real pivot = op_max(Q[0], Q[3]), other = op_min(Q[0], Q[3]), square = Q[1] * Q[1];
-    const Real raised = op_max(pivot, op_max(floor, square / (scale + tiny)));
-    const Real first = raised - pivot, second = clipped(floor + square / raised - other, 0, INFINITY);
+    const Real raised = op_max(upright(pivot, floor), square / (scale + tiny)), rest = other - square / raised;
+    const Real first = raised - pivot, second = upright(rest, floor) - rest;
     lift[0] = Q[0] >= Q[3] ? first : second;
     lift[1] = Q[0] >= Q[3] ? second : first;
   } else {
-    const Real lack = is_definite<M>(Q, floor) ? Real(0) : clipped(floor - smallest_eigenvalue<M>(Q), 0, INFINITY);
-    for (int i = 0; i < M; ++i) lift[i] = lack;
+    Real S[M * M];
+    bool left[M];
+    std::memcpy(S, Q, sizeof(S));
+    for (int i = 0; i < M; ++i) left[i] = true;
+    for (int step = 0; step < M; ++step) {
+      int j = 0;
+      while (!left[j]) ++j;
+      for (int i = j + 1; i < M; ++i)
+        if (left[i] && S[i * M + i] > S[j * M + j]) j = i;
+      left[j] = false;
+      Real beside = 0;
+      for (int i = 0; i < M; ++i)
+        if (left[i]) beside = op_max(beside, S[i * M + j] * S[i * M + j]);
+      const Real pivot = S[j * M + j], raised = op_max(upright(pivot, floor), beside / (scale + tiny));
+      lift[j] = raised - pivot;
+      for (int i = 0; i < M; ++i)
+        for (int k = 0; k < M; ++k)
+          if (left[i] && left[k]) S[i * M + k] -= S[i * M + j] * S[k * M + j] / raised;
+    }
   }
 }
 

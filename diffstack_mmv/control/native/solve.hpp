@@ -27,7 +27,7 @@ void dmmv_solve(long count, long threads, const Real* parameters, const Real* bo
     solver.solve(state + i * P::n, controls + i * P::T * P::m, *settings);
     residual[i] = solver.conclude();
     std::memcpy(x + i * (P::T + 1) * P::n, solver.x, sizeof(solver.x));
-    std::memcpy(u + i * P::T * P::m, solver.u, sizeof(solver.best_u));
+    std::memcpy(u + i * P::T * P::m, solver.u, sizeof(solver.best.u));
     cost[i] = solver.cost;
     iterations[i] = solver.iterations;
     status[i] = solver.status;

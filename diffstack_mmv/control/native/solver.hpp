@@ -57,15 +57,18 @@ struct Solver {
   Real H_xx[T + 1][n * n], H_ux[T + 1][m * n], H_uu[T + 1][m * m];
   Real costate[T][n], gradient[T][m], magnitude, noise;
 
-  // policy
-  Real k[T][m], K[T][m * n], decrease, slope;
-  bool lifted, lifted_free;
+  // policy, and that of the convex model where both are tried
+  struct Gains {
+    Real k[T][m], K[T][m * n];
+  } gains, convex_gains;
+  Real decrease, slope;
+  bool lifted, lifted_free, either;
 
   // trial
   Pack all_x[T + 1][n], all_u[T][m];
-  Real trial_cost, trial_size;
-  int trial_lane;
-  Real best_x[T + 1][n], best_u[T][m];
+  struct Path {
+    Real x[T + 1][n], u[T][m], cost, size;
+  } best;
 
   void prepare(const Real* parameters, const Real* bounds) {
     P::prelude(parameters, numbers);
@@ -134,19 +137,19 @@ struct Solver {
       act(t, infinity, uu, ux, Q_u);
       // V_x = Q_x + K'(Q_uu k + Q_u) + Q_ux'k,  V_xx = Q_xx + K'Q_uu K + K'Q_ux + Q_ux'K
       Real Qk[m] = {}, QK[m * n];
-      add_product<m, m>(uu, k[t], Qk);
-      product<m, m, n>(uu, K[t], QK);
+      add_product<m, m>(uu, gains.k[t], Qk);
+      product<m, m, n>(uu, gains.K[t], QK);
       for (int i = 0; i < m; ++i) {
-        decrease -= k[t][i] * (Real(0.5) * Qk[i] + Q_u[i]);
+        decrease -= gains.k[t][i] * (Real(0.5) * Qk[i] + Q_u[i]);
         Qk[i] += Q_u[i];
       }
       for (int i = 0; i < m * n; ++i) QK[i] += ux[i];
       std::memcpy(V_x, Q_x, sizeof(V_x));
-      add_transposed_apply<m, n>(K[t], Qk, V_x);
-      add_transposed_apply<m, n>(ux, k[t], V_x);
+      add_transposed_apply<m, n>(gains.K[t], Qk, V_x);
+      add_transposed_apply<m, n>(ux, gains.k[t], V_x);
       std::memcpy(V_xx, xx, sizeof(V_xx));
-      add_transposed_product<m, n, n>(K[t], QK, V_xx);
-      add_transposed_product<m, n, n>(ux, K[t], V_xx);
+      add_transposed_product<m, n, n>(gains.K[t], QK, V_xx);
+      add_transposed_product<m, n, n>(ux, gains.K[t], V_xx);
       make_symmetric<n>(V_xx);
     }
   }
@@ -176,20 +179,32 @@ struct Solver {
       slope -= gradient[t][i] * clipped(-gradient[t][i] / curvature, low[i], high[i]);
       if (held(t, i)) low[i] = high[i] = 0;
     }
-    solve_box_qp<m>(uu, Q_u, low, high, k[t], is_free);
+    solve_box_qp<m>(uu, Q_u, low, high, gains.k[t], is_free);
     if (m < 3 || !definite_inverse<m>(uu, is_free, inverse)) free_inverse<m>(uu, is_free, inverse);
     product<m, m, n>(inverse, ux, product_);
-    for (int i = 0; i < m * n; ++i) K[t][i] = -product_[i];
+    for (int i = 0; i < m * n; ++i) gains.K[t][i] = -product_[i];
     for (int i = 0; i < m; ++i) {
       lifted = lifted || lift[i] > 0;
       lifted_free = lifted_free || (lift[i] > 0 && is_free[i]);
     }
   }
 
+  // as definite_policies() of riccati.py
   void policy() {
     [[maybe_unused]] const Timed timed{RECURSION};
     backward(false);
-    if (lifted_free || (lifted && decrease > FAR * magnitude)) backward(true);
+    either = false;
+    if (!lifted_free && !(lifted && decrease > FAR * magnitude)) return;
+    const Gains exact = gains;
+    const Real exact_decrease = decrease, exact_slope = slope;
+    backward(true);
+    either = !(decrease > FAR * magnitude);
+    if (either) {
+      convex_gains = gains;
+      gains = exact;
+    }
+    decrease = op_max(exact_decrease, decrease);
+    slope = op_max(exact_slope, slope);
   }
 
   // all step sizes 1, 1/2, 1/4, ... at once; the longest of those that the noise cannot tell apart
@@ -200,16 +215,16 @@ struct Solver {
       roll(first, std::min(S, sizes - first), costs + first);
       for (int s = first; s < std::min(first + S, sizes); ++s) least = std::min(least, costs[s]);
     }
-    trial_lane = 0;
-    while (!(costs[trial_lane] <= least + noise_)) ++trial_lane;
-    if (sizes > S) roll(trial_lane / S * S, S, nullptr);
-    const int lane = trial_lane % S;
+    int chosen = 0;
+    while (!(costs[chosen] <= least + noise_)) ++chosen;
+    if (sizes > S) roll(chosen / S * S, S, nullptr);
+    const int lane = chosen % S;
     for (int t = 0; t <= T; ++t)
-      for (int i = 0; i < n; ++i) best_x[t][i] = all_x[t][i][lane];
+      for (int i = 0; i < n; ++i) best.x[t][i] = all_x[t][i][lane];
     for (int t = 0; t < T; ++t)
-      for (int i = 0; i < m; ++i) best_u[t][i] = all_u[t][i][lane];
-    trial_cost = costs[trial_lane];
-    trial_size = std::ldexp(Real(1), -trial_lane);
+      for (int i = 0; i < m; ++i) best.u[t][i] = all_u[t][i][lane];
+    best.cost = costs[chosen];
+    best.size = std::ldexp(Real(1), -chosen);
   }
 
   void roll(int first, int count, Real* costs) {
@@ -218,8 +233,8 @@ struct Solver {
     for (int i = 0; i < n; ++i) state[i] = all_x[0][i] = Pack{} + x[0][i];
     for (int t = 0; t < T; ++t) {
       for (int i = 0; i < m; ++i) {
-        Pack c = u[t][i] + size * k[t][i], change = {};
-        for (int j = 0; j < n; ++j) change += K[t][i * n + j] * (state[j] - x[t][j]);
+        Pack c = u[t][i] + size * gains.k[t][i], change = {};
+        for (int j = 0; j < n; ++j) change += gains.K[t][i * n + j] * (state[j] - x[t][j]);
         c += change;
         const Pack low = Pack{} + box[0][i], high = Pack{} + box[1][i];
         c = c < low ? low : c;
@@ -237,23 +252,29 @@ struct Solver {
   }
 
   void accept() {
-    std::memcpy(x, best_x, sizeof(x));
-    std::memcpy(u, best_u, sizeof(best_u));
-    cost = trial_cost;
+    std::memcpy(x, best.x, sizeof(x));
+    std::memcpy(u, best.u, sizeof(best.u));
+    cost = best.cost;
   }
 
-  // as attempt() of iteration.py
+  // as attempt() and cheaper() of iteration.py
   void attempt(const Settings& settings) {
     const Real much = NOISE * noise;
     search(settings.sizes, much);
+    if (either) {
+      const Path exact = best;
+      gains = convex_gains;
+      search(settings.sizes, much);
+      if (!(best.cost < cost && best.cost < exact.cost)) best = exact;
+    }
     const Real enough = op_max(settings.tolerance * magnitude, much);
-    const bool lower = trial_cost < cost;
+    const bool lower = best.cost < cost;
     bool flat = decrease <= enough && damping < 1;
     flat = flat || (!lower && decrease <= NOISE * much);
     const bool settled = flat && slope <= std::sqrt(enough * magnitude);
-    const bool accepted = lower || (flat && trial_cost <= cost + much);
+    const bool accepted = lower || (flat && best.cost <= cost + much);
     if (accepted) {
-      damping = trial_size >= Real(0.5) ? damping * DECAY : damping;
+      damping = best.size >= Real(0.5) ? damping * DECAY : damping;
       if (damping < Real(0.1) * settings.regularisation) damping = 0;
       accept();
     } else {
@@ -268,16 +289,16 @@ struct Solver {
 
   void start(const Real* state, const Real* controls) {
     std::memcpy(x[0], state, sizeof(x[0]));
-    std::memcpy(u, controls, sizeof(best_u));
+    std::memcpy(u, controls, sizeof(best.u));
     for (int t = 1; t <= T; ++t) std::memcpy(x[t], state, sizeof(x[0]));
-    std::memset(k, 0, sizeof(k));
-    std::memset(K, 0, sizeof(K));
+    gains = {};
+    either = false;
     cost = INFINITY;
     damping = 0;
     iterations = 0;
     near_ = false;
     search(1, 0);
-    if (trial_cost < cost) accept();
+    if (best.cost < cost) accept();
     bool is_finite = finite(cost);
     for (int t = 0; t <= T; ++t)
       for (int i = 0; i < n; ++i) is_finite = is_finite && finite(x[t][i]);
