@@ -88,7 +88,8 @@ class _Workshop:
         if self.is_refused:
             return None
         try:
-            one = Trajectory(torch.zeros_like(states[:1, 0]), torch.zeros_like(controls[:1, 0]))
+            # not like a slice of them, whose strides tell the number of plans: one more shape
+            one = Trajectory(*(each.new_zeros(1, *each.shape[2:]) for each in (states, controls)))
             taken = self.recorder(_first_state, cost, one, states.dtype)
             library = self._library(taken.taken.problem, states.dtype)
         except (CannotLowerError, CannotBuildError, *refusals().failed) as failure:

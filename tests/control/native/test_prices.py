@@ -76,3 +76,19 @@ def test_without_a_compiler_there_are_no_prices(monkeypatch):
     states, controls = torch.zeros(1, 2, 3, 2), torch.zeros(1, 2, 3, 1)
     assert prices(Batched(cost, place), states, controls) is None
     assert prices(Batched(cost, place), states, controls) is None
+
+
+def test_however_many_plans_and_problems_there_are_it_is_one_library(monkeypatch):
+    written, source = [], native.source
+    monkeypatch.setattr(native, "source", lambda *told: written.append(told) or source(*told))
+
+    def cost(states, controls, place):
+        return (states - place.unsqueeze(-2)).square().sum(-1) + 3 * controls.sum(-1)
+
+    for problems, plans in ((4, 7), (4, 3), (2, 3), (1, 7), (1, 1)):
+        place, states = torch.randn(problems, 2), torch.randn(problems, plans, 5, 2)
+        controls = torch.randn(problems, plans, 5, 1)
+        found = prices(Batched(cost, place), states, controls)
+        assert found is not None
+        torch.testing.assert_close(found, cost(states, controls, place.unsqueeze(1)))
+    assert len(written) == 1
