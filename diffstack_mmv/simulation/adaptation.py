@@ -109,11 +109,12 @@ def _with(controller: DiffMPCController, model: DynamicsModel) -> DiffMPCControl
     old = controller.planner
     planner = MPCPlanner(
         model, old.cost, old.solver, old.candidates, old.steps, old.score, old.starts, old.choice,
-        old.solved_components,
+        old.solved_components, old.coordinates, old.constraints,
     )  # fmt: skip
     return DiffMPCController(
-        planner, controller.forecaster, controller.cruise_mps, controller.dt_s, controller.actuate
-    )
+        planner, controller.forecaster, controller.cruise_mps, controller.dt_s, controller.actuate,
+        controller.delay,
+    )  # fmt: skip
 
 
 def _joined(state: DiffMPCState, known: DiffMPCState, keep: Tensor) -> DiffMPCState:

@@ -1,0 +1,51 @@
+"""A controller with several models of its vehicle drives by the one that explains the motion."""
+
+import pytest
+import torch
+from hydra.utils import instantiate
+
+from diffstack_mmv.simulation import AdaptiveController, DiscFootprint, vehicle_robot
+from diffstack_mmv.types import map_tensors
+from tests.simulation.conftest import composed_navigate
+
+
+@pytest.fixture
+def seen(world_with, driven, scene_with):
+    """A bicycle at 2 m/s among people who are far away."""
+    world = world_with(vehicle_robot(driven(), footprint=DiscFootprint()), exact=True, limit_s=10.0)
+    scene = map_tensors(lambda field: field.unsqueeze(0), scene_with((9.0, 0.0), (9.0, 1.0)))
+    seen = world.observe(world.start(scene))
+    velocity = torch.tensor([[2.0, 0.0]]).to(seen.motion.velocity)
+    return seen._replace(motion=seen.motion._replace(velocity=velocity))
+
+
+@pytest.mark.parametrize("true", [0, 1])
+def test_the_model_that_explains_the_turn_is_driven_by(true, seen, controller_for):
+    other = controller_for("motorcycle", starts=0).planner.dynamics
+    controller = AdaptiveController(controller_for(starts=0), [other])
+    with torch.no_grad():
+        _, state = controller.act(controller.init(seen), seen)
+        assert state.chosen.tolist() == [0]
+        command = torch.tensor([[0.0, 0.5]])
+        state.inner.plan[:, 0] = command
+        model = controller.models[true]
+        before = map_tensors(lambda field: field.to(command), seen.motion)
+        turned = model.motion(model(model.initial_state(before), command), command)
+        _, state = controller.act(state, seen._replace(motion=turned))
+    assert state.chosen.tolist() == [true]
+
+
+def test_all_models_are_planned_with_in_the_same_way():
+    """Limits of the optimiser and the delay hold whatever the friction."""
+    limits = "constraints=hard", "cost=unlimited"
+    controller = instantiate(composed_navigate("controller=diffmpc_adaptive", *limits).controller)
+    first, *others = controller.controllers
+    delayed = instantiate(composed_navigate("controller=diffmpc_delay").controller)
+    first.delay = delayed.delay
+    again = AdaptiveController(first, [each.planner.dynamics for each in others])
+    assert first.planner.constraints is not None
+    assert first.delay is not None
+    for each in again.controllers:
+        assert each.planner.constraints is first.planner.constraints
+        assert each.planner.coordinates is first.planner.coordinates
+        assert each.delay is first.delay
