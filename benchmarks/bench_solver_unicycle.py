@@ -39,7 +39,7 @@ def main():
     arguments = arguments_of(__doc__.splitlines()[0], SOLVERS, SIZES)
     lines = [
         f"Unicycle that returns to the origin, from zero controls, {surroundings()}. Ours, trajax and diffmpc in "
-        f"float32, the others in float64; tolerance 1e-4, ours 1e-6, with which it is as accurate. {READING} Sizes in the order {', '.join(arguments.sizes)} (batch:T). crocoddyl has the "
+        f"float32, the others in float64; tolerance 1e-4. {READING} Sizes in the order {', '.join(arguments.sizes)} (batch:T). crocoddyl has the "
         "model, its derivatives and the solver in C++ (ActionModelUnicycle), on one thread; it stops where the squares of its slopes sum up to 1e-4.",
     ]
     chosen, kept = arguments.solvers, arguments.rows

@@ -20,7 +20,6 @@ class Problem:
     states = 4  # entries of a state
     numbers = 7  # entries of the parameters of one problem
     physical = 0.0  # the number of the dynamics that ours is differentiated by
-    tolerance = 1e-4  # of ours: that with which it is as accurate as the others
     penalty = 100.0  # of a unit outside of the box, of solvers that know none
     differentiated = False  # whether gradients to the parameters are compared
 

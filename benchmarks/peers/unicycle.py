@@ -18,7 +18,7 @@ class Unicycle(Problem):
     """The goal is a parameter, and at the origin."""
 
     states, numbers, physical = 3, 3, DT
-    tolerance, penalty = 1e-6, 1e5
+    penalty = 1e5
 
     def step(self, xp, state, control, physical=DT):
         x, y, heading = state

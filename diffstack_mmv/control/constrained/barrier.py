@@ -135,7 +135,7 @@ def newton(
     level, scale = mu[..., None, None], barrier.scale[..., None, None]
     spare, quadratic = barrier.spare(point), scale * rows.quadratic
     give = torch.where(barrier.yields, 1 / (spare + quadratic * point.sigma), 0.0)
-    stiff = torch.where(rows.applies, 1.0, 0.0) / (point.s + point.z * point.sigma * give)
+    stiff = rows.applies.to(point.s) / (point.s + point.z * point.sigma * give)
     pushed = (level - spare * point.sigma) * give  # of σ, at dz = 0
     constant = stiff * (level - point.s * point.z + point.z * (residual.unequal - pushed))
     stiff = stiff * point.z

@@ -28,6 +28,7 @@ FIRST = 0.1  # barrier parameter μ, for a cost whose gradient is scaled to STEE
 FINE, COARSE = 0.7, 0.4  # powers of the precision that are the last μ: 1e-11, 5e-7 in float64
 STEEPEST, DEAREST = 10.0, 100.0  # of the scaled cost: largest gradient, largest price
 REDUCTION, POWER, ENOUGH = 0.2, 1.5, 10.0
+NEAR = 1e-4  # μ from which on Newton's method may know the active set, should the last one not be reached
 INSIDE = 1e-2  # of the box, distance of the first controls from the bounds; smallest first slack
 DECAY, LIFT = 0.3, 30.0  # of the shift, after a step and after none
 
@@ -36,6 +37,8 @@ class Central(NamedTuple):
     """Where each problem stands on the way along the central path."""
 
     point: Interior
+    kept: Interior  # the last point that solved the problem of its μ
+    near: Bool[Tensor, "*b"]  # whether that μ was small
     last: Float[Tensor, "*b"]  # μ at which a problem is finished
     mu: Float[Tensor, "*b"]
     shift: Float[Tensor, "*b"]
@@ -47,9 +50,9 @@ class Central(NamedTuple):
 
     def select(self, index: Int[Tensor, " k"]) -> "Central":
         """Some of the problems of a batch with one leading dimension."""
-        point = Interior(*(part[index] for part in self.point))
+        points = [Interior(*(part[index] for part in each)) for each in self[:2]]
         visited = Visited(*(part[:, index] for part in self.visited))
-        return Central(*[point, *(part[index] for part in self[1:-1]), visited])
+        return Central(*[*points, *(part[index] for part in self[2:-1]), visited])
 
 
 class Found(NamedTuple):
@@ -58,6 +61,7 @@ class Found(NamedTuple):
     u: Float[Tensor, "*b T m"]
     multipliers: Float[Tensor, "*b T1 K"]
     solved: Bool[Tensor, "*b"]
+    near: Bool[Tensor, "*b"]  # solved, or the last μ is one that rounding does not let it reach
     started: Bool[Tensor, "*b"]  # whether all was finite at the guess
     iterations: Int[Tensor, "*b"]
 
@@ -97,14 +101,19 @@ def _run(barrier: Barrier, central: Central, most: int) -> Found:
 
 
 def _found(barrier: Barrier, central: Central) -> Found:
-    multipliers = barrier.multipliers(central.point) / barrier.scale[..., None, None]
-    return Found(central.point.u, multipliers, central.solved, central.started, central.iterations)
+    early = (~central.solved & central.near)[..., None, None]
+    pairs = zip(central.kept, central.point, strict=True)
+    point = Interior(*(torch.where(early, kept, last) for kept, last in pairs))
+    multipliers = barrier.multipliers(point) / barrier.scale[..., None, None]
+    near = central.solved | central.near
+    return Found(point.u, multipliers, central.solved, near, central.started, central.iterations)
 
 
 def enter(problem: Problem, u: Float[Tensor, "*b T m"]) -> tuple[Barrier, Central]:
     """A point inside of all inequalities, its states those of the controls."""
     low, high = problem.bounds
-    margin = torch.where((high - low).isfinite(), INSIDE * (high - low), INSIDE * (low < high))
+    unit = torch.where((high - low).isfinite(), high - low, torch.ones_like(low))
+    margin = INSIDE * torch.where(low < high, unit, torch.zeros_like(low))
     u = u.clamp(low + margin, high - margin)
     x = problem.rollout(u)
     of_x, of_u, _ = expand_cost(problem.cost, x, pad_controls(u))
@@ -130,7 +139,7 @@ def enter(problem: Problem, u: Float[Tensor, "*b T m"]) -> tuple[Barrier, Centra
     none = torch.zeros_like(finite)
     nowhere = Visited(scale.new_zeros(0, *scale.shape), scale.new_zeros(0, *scale.shape))
     return barrier, Central(
-        start, mu, mu, torch.zeros_like(scale), finite, finite, none, count, nowhere
+        start, start, none, mu, mu, torch.zeros_like(scale), finite, finite, none, count, nowhere
     )
 
 
@@ -195,16 +204,23 @@ def _errors(
 def _lowered(central: Central, error: Tensor, products: list[Tensor]) -> Central:
     """Lower μ where its problem is solved well enough; at the last one a problem is finished."""
     mu, last = central.mu, central.last
-    solved = torch.zeros_like(central.open)
+    solved = near = torch.zeros_like(central.open)
     for _ in range(4):
         away = [(p - mu[..., None, None]).abs().nan_to_num(0.0).flatten(-2) for p in products]
         total = torch.maximum(error, torch.cat(away, -1).amax(-1))
         close = total <= ENOUGH * mu
         less = torch.maximum(torch.minimum(REDUCTION * mu, mu**POWER), last)
         solved = close & (mu <= last) & central.open
+        near = near | (close & (mu <= NEAR) & central.open)
         mu = torch.where(close & central.open, less, mu)
     forgotten = torch.where(mu < central.mu, torch.inf, central.visited.violation)
-    visited = central.visited._replace(violation=forgotten)
+    pairs = zip(central.point, central.kept, strict=True)
+    kept = Interior(*(torch.where(near[..., None, None], new, old) for new, old in pairs))
     return central._replace(
-        mu=mu, open=central.open & ~solved, solved=central.solved | solved, visited=visited
+        kept=kept,
+        near=central.near | near,
+        mu=mu,
+        open=central.open & ~solved,
+        solved=central.solved | solved,
+        visited=central.visited._replace(violation=forgotten),
     )

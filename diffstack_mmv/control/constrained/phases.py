@@ -108,8 +108,7 @@ class Phases:
         at_guess = PrimalDual(guess, torch.zeros_like(progress.multipliers))
         progress = progress.where(lost, at_guess, SolverStatus.NOT_FINITE)
         start = PrimalDual(found.u, found.multipliers)
-        chosen = progress.is_open & found.solved
-        return self._polished(problem, progress, start, activation, chosen)
+        return self._polished(problem, progress, start, activation, progress.is_open & found.near)
 
     def _elastic(
         self,
@@ -127,12 +126,15 @@ class Phases:
         progress = progress.counted(found.iterations)
         start = PrimalDual(found.u, found.multipliers)
         chosen = progress.is_open & found.solved
-        progress = self._polished(problem, progress, start, activation, chosen)
+        near = progress.is_open & found.near
+        progress = self._polished(problem, progress, start, activation, near)
         if not last:
             return progress
         u = found.u.clamp(*problem.bounds)
         values = problem.rows.values(problem.rollout(u), pad_controls(u))
-        stuck = chosen & progress.is_open & (problem.rows.violation(values) > self.tolerance)
+        # what is less than the last phase resolves in this precision shows nothing
+        told = max(self.tolerance, torch.finfo(u.dtype).eps ** COARSE)
+        stuck = chosen & progress.is_open & (problem.rows.violation(values) > told)
         return progress.where(stuck, PrimalDual(u, found.multipliers), SolverStatus.INFEASIBLE)
 
     def _followed(
@@ -145,7 +147,7 @@ class Phases:
         part = follow(problem.select(index), guess[index], self.most, which[index], accuracy)
         count = torch.zeros(which.shape, dtype=torch.long, device=which.device)
         empty = torch.zeros_like(which)
-        whole = Found(guess, torch.zeros_like(problem.rows.linear), empty, empty, count)
+        whole = Found(guess, torch.zeros_like(problem.rows.linear), empty, empty, empty, count)
         return whole.replaced(index, part)
 
     def _polished(

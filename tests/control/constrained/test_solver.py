@@ -238,6 +238,66 @@ def test_single_precision_is_good_to_its_rounding():
     )
 
 
+def affine(state, control, A, B):
+    return (A @ state.unsqueeze(-1) + B @ control.unsqueeze(-1)).squeeze(-1)
+
+
+def quadratic(states, controls, hessian, slope):
+    both = torch.cat([states, controls], -1)
+    return 0.5 * ((both @ hessian) * both).sum(-1) + (both * slope.unsqueeze(-2)).sum(-1)
+
+
+def linear(states, controls, rows, limit):
+    return states @ rows.mT - limit.unsqueeze(-2)
+
+
+def feasible(count, dtype, steps=15, limit=0.5):
+    """Convex problems, unstable dynamics; inside of all limits is at least one drive of each."""
+    generator = torch.Generator().manual_seed(0)
+
+    def normal(*shape):
+        return torch.randn(count, *shape, generator=generator, dtype=torch.float64)
+
+    A, B, start = torch.eye(2) + 0.2 * normal(2, 2), 0.5 * normal(2, 3), 0.5 * normal(2)
+    factor = normal(5, 5)
+    hessian, slope = factor @ factor.mT / 5 + 0.1 * torch.eye(5), normal(5)
+    drive = limit * torch.tanh(normal(steps, 3))
+    states = [start]
+    for control in drive.unbind(1):
+        states.append(affine(states[-1], control, A, B))
+    path, rows, ends = torch.stack(states, 1), normal(3, 2), normal(1, 2)
+    top, end = (path @ rows.mT)[:, 1:].amax(1) + 0.05, (path[:, -1:] @ ends.mT).squeeze(1)
+
+    def batched(function, *tensors):
+        return Batched(function, *(tensor.to(dtype) for tensor in tensors))
+
+    box = Bounds(torch.full((3,), -limit, dtype=dtype), torch.full((3,), limit, dtype=dtype))
+    constraints = [
+        Inequality(batched(linear, rows, top), times=slice(1, None)),
+        Equality(batched(linear, ends, end), times=slice(-1, None)),
+    ]
+    callables = batched(affine, A, B), batched(quadratic, hessian, slope), constraints
+    return *callables, box, start.to(dtype), torch.zeros(count, steps, 3, dtype=dtype)
+
+
+def test_convex_problems_that_rounding_keeps_from_the_end_of_the_path_are_solved():
+    """Where the last μ cannot be reached Newton's method goes on from the one before."""
+    with torch.no_grad():
+        solution = SOLVER(*feasible(24, torch.float64))
+    assert solution.converged.all()
+    assert solution.violation.max() < 1e-9
+
+
+def test_single_precision_does_not_call_infeasible_what_it_cannot_resolve():
+    """The default precision is double here: no constant of it may get among the numbers."""
+    with torch.no_grad():
+        solution = SOLVER(*feasible(8, torch.float32))
+    assert solution.controls.dtype == torch.float32
+    assert not solution.infeasible.any()
+    assert solution.violation[solution.converged].max() < 2e-5
+    assert solution.converged.any()
+
+
 def test_too_few_iterations_are_a_status():
     drive = drives(2)
     solution = solve(ConstrainedILQR(max_iterations=2), drive, braking(drive))
