@@ -28,7 +28,7 @@ FIRST = 0.1  # barrier parameter μ, for a cost whose gradient is scaled to STEE
 FINE, COARSE = 0.7, 0.4  # powers of the precision that are the last μ: 1e-11, 5e-7 in float64
 STEEPEST, DEAREST = 10.0, 100.0  # of the scaled cost: largest gradient, largest price
 REDUCTION, POWER, ENOUGH = 0.2, 1.5, 10.0
-NEAR = 1e-4  # μ from which on Newton's method may know the active set, should the last one not be reached
+NEAR = 1e-4  # μ from which on the active set may be known, should the last μ not be reached
 INSIDE = 1e-2  # of the box, distance of the first controls from the bounds; smallest first slack
 DECAY, LIFT = 0.3, 30.0  # of the shift, after a step and after none
 
