@@ -68,6 +68,7 @@ JOBS = (
     Job("lqr", 25, ("benchmarks/bench_lqr.py", str(REFERENCE / "acados_lqr")),
         better_with=("crocoddyl", "casadi", "mpc", "osqp", "qpth", "cvxpygen", "cvxpylayers"), reference=True,
         small=(3, ("--sets", "test_umax1", "--limit", "1", "--timeout", "30"))),
+    Job("startup", 7, ("benchmarks/bench_startup.py",), small=(3, ("--repetitions", "1"))),
     Job("constrained", 4, ("benchmarks/bench_constrained.py",), ("casadi",),
         small=(1, ("--count", "60"))),
     Job("gradients", 15, ("benchmarks/bench_solver_gradients.py",), reference=True,

@@ -223,17 +223,27 @@ def _exit(line: str) -> NoReturn:
     raise SystemExit(1)
 
 
+_WITH_A_VALUE = (
+    *("--cfg", "-c", "--package", "-p", "--config-path", "-cp", "--config-name", "-cn"),
+    *("--config-dir", "-cd", "--info", "-i", "--experimental-rerun"),
+)
+"""Options of Hydra that the next word belongs to."""
+
+
 def folders_as(key: str, arguments: Sequence[str]) -> list[str]:
     """Command line in which bare folders, as in `report.py RUN RUN`, are the list of one key.
 
-    What begins with a dash or sets a key stays, unless it is a folder of that name.
+    What begins with a dash or sets a key stays, unless it is a folder of that name; so does the
+    word after an option of Hydra that needs one, as in `--cfg job`.
 
     Args:
         key: The key.
         arguments: The command line without its first word.
     """
-    bare = [each for each in arguments if _is_folder(each)]
-    rest = [each for each in arguments if each not in bare]
+    bare, rest = [], []
+    for before, each in zip(["", *arguments], arguments, strict=False):
+        of_hydra = before in _WITH_A_VALUE
+        (bare if _is_folder(each) and not of_hydra else rest).append(each)
     quoted = ",".join("'" + each.replace("'", "\\'") + "'" for each in bare)
     return [*rest, f"{key}=[{quoted}]"] if bare else rest
 

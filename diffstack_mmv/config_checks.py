@@ -15,6 +15,7 @@ from dmmv_conventions.checks import (
     require,
     require_at_least,
     require_multiple,
+    require_one_of,
     require_positive,
 )
 from dmmv_conventions.modes import Mode
@@ -175,6 +176,19 @@ def require_data(windows: Mapping[str, Any], batch_size: int) -> None:
     require_at_least("batch_size", batch_size, 1)
 
 
+def told_of_data(module: Mapping[str, Any]) -> list[Any]:
+    """Settings of a data module that judge themselves, without what reads the recordings.
+
+    Windows whose modes are those of a training that is not read yet are left out.
+
+    Args:
+        module: Configuration of the module.
+    """
+    names = ["loading", "export", "augmentation", "balance"]
+    known = module["windows"]["ego_modes"] is not None
+    return [module[name] for name in [*(["windows"] if known else []), *names]]
+
+
 def other_modes(modes: Sequence[str], vehicle: Mapping[str, Any]) -> list[str]:
     """Modes that another vehicle than this one drives; people on foot are not driven at all."""
     on_foot = (Mode.PEDESTRIAN.label, Mode.UNKNOWN.label)
@@ -246,6 +260,23 @@ def require_recordings(source: Mapping[str, Any]) -> None:
         require_folder("root", source["root"], "Give data.root=FOLDER.")
     else:
         read_state(Path(source["folder"]), source["name"])
+
+
+def require_split(argument: str, split: str, source: Mapping[str, Any]) -> None:
+    """Refuse a split that a converted data set does not have; `all` stands for every one.
+
+    Args:
+        argument: Name of what gives the split.
+        split: The split.
+        source: Configuration of a data source, see `require_recordings`; one that reads recordings
+            itself has splits of its own.
+
+    Raises:
+        ValueError: No scene belongs to it.
+    """
+    if "root" not in source and split != "all":
+        scenes = read_state(Path(source["folder"]), source["name"])["scenes"]
+        require_one_of(argument, split, sorted({scene["split"] for scene in scenes}))
 
 
 def require_tracks(source: Mapping[str, Any], splits: Sequence[str], mode: str) -> None:

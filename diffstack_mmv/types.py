@@ -81,6 +81,11 @@ class Tracks(NamedTuple):
     mode: Int[Tensor, "*b"]
     valid: Bool[Tensor, "*b T"]
 
+    def present(self) -> "Tracks":
+        """The last row alone, without a time."""
+        motion = Motion(*(field.select(self.valid.dim() - 1, -1) for field in self.motion))
+        return self._replace(motion=motion, valid=self.valid[..., -1])
+
 
 class RecordedScene(NamedTuple):
     """Everybody in a recording, in its world; rows in which somebody is absent are not valid."""

@@ -30,6 +30,7 @@ def check(config: DictConfig) -> None:
         known = list(config.table[name])
         unknown = sorted(set(config[name] or ()) - set(known))
         require(not unknown, name, f"be some of {known}", unknown)
+    instantiate(config.launcher)
 
 
 @command(config_folder(), "closed_loop_table", check)

@@ -12,7 +12,9 @@ from diffstack_mmv.config_checks import (
     require_data,
     require_recordings,
     require_same_horizon,
+    require_split,
     require_windows,
+    told_of_data,
 )
 from dmmv_conventions.checks import message, require_one_of
 from dmmv_conventions.configs import config_folder
@@ -35,8 +37,17 @@ def check(config: DictConfig) -> None:
     )
     require_data(config.data.module.windows, config.batch_size)
     require_recordings(config.data.module.source)
+    require_split("split", config.split, config.data.module.source)
+    if config.calibration.split is not None:
+        require_split("calibration.split", config.calibration.split, config.data.module.source)
     # for their mistakes alone, before the checkpoint is read and the windows are looked for
-    for part in (config.baselines.simple, config.get("goal"), config.get("solver")):
+    _device(config.device)
+    from diffstack_mmv.data import Situations
+
+    for name in config.situations:
+        require_one_of("situations", name, Situations._fields)
+    replaced = (config.get("goal"), config.get("solver"))
+    for part in (*told_of_data(config.data.module), config.baselines, *replaced):
         instantiate(part)
 
 
@@ -66,14 +77,12 @@ def _take_windows(config: DictConfig, trained: dict[str, Any]) -> None:
 @command(config_folder(), "evaluate", check)
 def main(config: DictConfig) -> None:
     """Score every window of a split; write tables and plots."""
-    from diffstack_mmv.data import Situations, split_windows
+    from diffstack_mmv.data import split_windows
     from diffstack_mmv.metrics import CLOSED_LOOP, EVALUATED, PREDICTED
     from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
     from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.stack import evaluate_windows, load_stack
 
-    for name in config.situations:
-        require_one_of("situations", name, Situations._fields)
     path = checkpoint_path(config.checkpoint)
     stack, trained = load_stack(path, _device(config.device))
     _take_windows(config, trained)

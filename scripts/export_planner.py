@@ -19,6 +19,8 @@ def check(config: DictConfig) -> None:
     require_positive("dt_s", config.dt_s)
     if config.checkpoint:
         require_checkpoint("checkpoint", config.checkpoint)
+    else:
+        instantiate(config.planner)
 
 
 @command(config_folder(), "export_planner", check)

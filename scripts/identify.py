@@ -20,6 +20,12 @@ MEASURED = "measured"
 def check(config: DictConfig) -> None:
     """Refuse a study without recordings of the vehicle."""
     require_tracks(config.data.module.source, config.splits, config.vehicle.mode)
+    # for their mistakes alone, before the recordings are read
+    measured = config.controls == MEASURED
+    studied = (config.measured, config.thresholds) if measured else (config.study,)
+    models = (config.dynamics, *(each for each in config.others.values() if each))
+    for part in (*studied, *models):
+        instantiate(part)
 
 
 @command(config_folder(), "identify", check)

@@ -29,7 +29,8 @@ def check(config: DictConfig) -> None:
     remedy = "Add search=null, or search.samples=NUMBER."
     named = isinstance(config.search, str)
     require(not named, "search", "be settings of a search or none", config.search, "", remedy)
-    for part in (config.scenario, config.world, config.controller):
+    driven = (config.actual, config.believed, config.search)
+    for part in (config.scenario, config.world, config.controller, *driven):
         instantiate(part)
 
 

@@ -50,6 +50,7 @@ def check(config: DictConfig) -> None:
         for vehicle in told.modes.values():
             _require_option("vehicle", vehicle)
         require_modes([str(mode) for mode in told.modes])
+    instantiate(config.launcher)
 
 
 def _require_option(group: str, name: str) -> None:

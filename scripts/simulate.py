@@ -16,17 +16,21 @@ def check(config: DictConfig) -> None:
     require_at_least("speed_mps", config.speed_mps, 0.0)
     if config.controls:
         require_file("controls", config.controls, "Give controls=FILE.csv.")
+    require_positive("dt_s", config.dt_s)
+    others = (each for each in config.others.values() if each)
+    driven = config.recorded if config.controls else config.manoeuvre
+    for part in (config.spec, driven, config.dynamics, *others):
+        instantiate(part)
 
 
 @command(config_folder(), "simulate", check)
 def main(config: DictConfig) -> None:
     """Run the models, write trajectories and figures."""
-    require_positive("dt_s", config.dt_s)
-    spec = instantiate(config.spec)
-    manoeuvre = instantiate(config.recorded if config.controls else config.manoeuvre)
     from diffstack_mmv.dynamics.open_loop import drive, save_run, wheel_history
     from diffstack_mmv.plotting import draw_runs, draw_wheels, save_figure
 
+    spec = instantiate(config.spec)
+    manoeuvre = instantiate(config.recorded if config.controls else config.manoeuvre)
     wheelbase_m = spec.wheelbase.entries()[0][0]
     inputs = manoeuvre(wheelbase_m, config.dt_s)
     chosen = {config.names.dynamics: config.dynamics}

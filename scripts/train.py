@@ -13,6 +13,7 @@ from diffstack_mmv.config_checks import (
     require_recordings,
     require_share,
     require_windows,
+    told_of_data,
 )
 from dmmv_conventions.checks import require_at_least
 from dmmv_conventions.configs import config_folder
@@ -37,7 +38,9 @@ def check(config: DictConfig) -> None:
     if config.start is not None:
         require_checkpoint("start", config.start)
     # for their mistakes alone; they need torch, but nothing that takes longer to import
-    for part in (config.dynamics, config.predictor, config.planner, config.goal):
+    learning = (config.loss, config.physics, config.optim.optimizer, config.stack.get("precision"))
+    built = (config.dynamics, config.predictor, config.planner, config.goal)
+    for part in (*told_of_data(config.data.module), *learning, *built):
         instantiate(part)
 
 

@@ -40,8 +40,8 @@ ALLOWED = {
     "simulation": {"checks", "types", "geometry", "dynamics", "prediction", "planning", "metrics"},
 }
 OURS = {"dmmv_conventions", "data_converters", "diffstack_mmv", "scripts"}
-# what is missing, and how far something is, is told in all parts
-EVERYBODYS = {"dmmv_conventions.extras", "dmmv_conventions.progress"}
+# what is missing, how far something is, and what is imported when, is told in all parts
+EVERYBODYS = {f"dmmv_conventions.{name}" for name in ("extras", "on_demand", "progress")}
 # who takes what from the conventions; all others find modes and checks in `types` and `checks`
 CONVENTIONS = {
     "checks": {"dmmv_conventions.checks"},

@@ -12,6 +12,8 @@ def test_folders_alone_are_the_runs(tmp_path):
     given = ["a", "out=b", str(odd), "-m"]
     assert folders_as("runs", given) == ["out=b", "-m", f"runs=['a','{odd}']"]
     assert folders_as("runs", ["--help"]) == ["--help"]
+    assert folders_as("runs", ["--cfg", "job", "out=b"]) == ["--cfg", "job", "out=b"]
+    assert folders_as("runs", ["a", "-c", "job"]) == ["-c", "job", "runs=['a']"]
 
 
 def test_one_page_tells_of_all_runs(succeed, tmp_path):

@@ -1,6 +1,7 @@
 """What a command imports before it has read its configuration: nothing that takes seconds."""
 
 import ast
+import json
 import os
 import string
 import subprocess
@@ -9,6 +10,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+
+from dmmv_conventions.cache import FORMAT_VERSION, STATE_FILE
 
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = sorted(path.stem for path in (ROOT / "scripts").glob("*.py") if path.stem != "__init__")
@@ -23,6 +26,8 @@ LIGHT = {
     *sys.stdlib_module_names,
 }
 HEAVY = ("torch", "pandas", "scipy", "matplotlib", "trajdata", "wandb", "pytorch_lightning")
+OF_THE_WORK = ("matplotlib", "trajdata", "wandb", "pytorch_lightning", "torch._dynamo")
+"""What no part needs to judge its values."""
 TELL = """
 import atexit, runpy, sys
 atexit.register(lambda: print("HEAVY", *[name for name in {heavy} if name in sys.modules]))
@@ -59,6 +64,57 @@ def test_answers_without_work_import_nothing_heavy(script, arguments, told, tmp_
     out = [] if "--help" in arguments else [f"out={tmp_path}"]
     argv = [str(ROOT / "scripts" / f"{script}.py"), *arguments, *out]
     done = run(TELL.format(heavy=HEAVY, arguments=argv))
+    assert told in done.stdout + done.stderr
+    assert done.stdout.splitlines()[-1].split() == ["HEAVY"]
+
+
+@pytest.fixture(scope="module")
+def converted(tmp_path_factory):
+    """As much of a conversion as is read before the work begins."""
+    cache = tmp_path_factory.mktemp("cache")
+    scenes = [{"name": "one", "split": "train", "agents": {"bicycle": 1}}]
+    state = {"format_version": FORMAT_VERSION, "complete": True, "scenes": scenes}
+    (cache / "thab_vru").mkdir()
+    (cache / "thab_vru" / STATE_FILE).write_text(json.dumps(state))
+    return cache
+
+
+JUDGED_BY_PARTS = [
+    ("train", ["loss.control=-1"], "`loss.control` must be at least 0"),
+    ("train", ["data.module.loading.workers=-1"], "`workers` must be at least 0"),
+    ("train", ["data.module.augmentation.probability=2"], "`probability` must lie in"),
+    ("train", ["physics.rate=0"], "`physics.rate` must be positive"),
+    ("train", ["cost.weights.final_goal=-1"], "`weights.final_goal` must be positive"),
+    ("evaluate", ["baselines.simple.ctra.predictor.dt_s=-1"], "`dt_s` must be positive"),
+    ("evaluate", ["situations=[flying]"], "`situations` must be one of moving"),
+    ("evaluate", ["device=none"], "`device` must be auto, cpu, or a device"),
+    ("identify", ["foresee_s=-1"], "`prediction_s` must be at least 0"),
+    ("identify", ["dynamics.dt_s=-1"], "`dt_s` must be positive"),
+    ("navigate", ["search.samples=0"], "`samples` must be at least 1"),
+    ("simulate", ["others.kbm.dt_s=-1"], "`dt_s` must be positive"),
+]
+JUDGED_WITHOUT_TORCH = [
+    ("results", ["launcher.processes=0"], "`processes` must be at least 1"),
+    ("closed_loop_table", ["launcher.processes=0"], "`processes` must be at least 1"),
+    ("evaluate", ["split=some"], "`split` must be one of train, but got 'some'"),
+]
+
+
+@pytest.mark.parametrize(
+    ("script", "arguments", "told", "absent"),
+    [(*row, OF_THE_WORK) for row in JUDGED_BY_PARTS]
+    + [(*row, HEAVY) for row in JUDGED_WITHOUT_TORCH],
+)
+def test_values_are_judged_before_the_work_is_imported(
+    script, arguments, told, absent, converted, tmp_path
+):
+    given = [f"out={tmp_path}"]
+    if script in ("train", "evaluate", "identify"):
+        given.append(f"data.cache={converted}")
+    if script == "evaluate":
+        given += ["checkpoint=pretrained", "split=train"]
+    argv = [str(ROOT / "scripts" / f"{script}.py"), *given, *arguments]
+    done = run(TELL.format(heavy=absent, arguments=argv))
     assert told in done.stdout + done.stderr
     assert done.stdout.splitlines()[-1].split() == ["HEAVY"]
 

@@ -1,8 +1,10 @@
 """From recordings to batches of an ego agent and its neighbors, in the frame of the ego."""
 
-from dmmv_conventions.extras import needs
+from typing import TYPE_CHECKING
 
-with needs("stack", "diffstack_mmv.data"):
+from dmmv_conventions.on_demand import on_demand
+
+if TYPE_CHECKING:
     from diffstack_mmv.data.augment import (
         Augmentation,
         Chain,
@@ -16,13 +18,13 @@ with needs("stack", "diffstack_mmv.data"):
     from diffstack_mmv.data.corrections import HeldHeading, UpwardY
     from diffstack_mmv.data.datamodule import Splits, TrajdataModule
     from diffstack_mmv.data.dataset import DirectWindows, ExportedWindows, WindowDataset
-    from diffstack_mmv.data.export import Export, ExportSettings, export_windows
+    from diffstack_mmv.data.export import Export, export_windows
     from diffstack_mmv.data.joined import JoinedWindows, split_windows
-    from diffstack_mmv.data.loading import LoaderSettings, WindowLoader
+    from diffstack_mmv.data.loading import WindowLoader
     from diffstack_mmv.data.recorded_scenes import RecordedScenes
+    from diffstack_mmv.data.riding import Situations, situations
     from diffstack_mmv.data.sampling import Balance, EqualModes, SituationShare
-    from diffstack_mmv.data.settings import WindowSettings
-    from diffstack_mmv.data.situations import Situations, situations
+    from diffstack_mmv.data.settings import ExportSettings, LoaderSettings, WindowSettings
     from diffstack_mmv.data.sources import ConvertedCache, NamedDataset, WindowSource
     from diffstack_mmv.data.tracks import (
         read_controls,
@@ -33,6 +35,7 @@ with needs("stack", "diffstack_mmv.data"):
         recorded_noise,
     )
 
+__getattr__ = on_demand(__name__, __file__, "stack")
 __all__ = [
     "Augmentation",
     "Balance",

@@ -12,10 +12,10 @@ from torch import distributed
 from diffstack_mmv.checks import require
 from diffstack_mmv.data.augment import Augmentation
 from diffstack_mmv.data.dataset import DirectWindows, ExportedWindows, WindowDataset
-from diffstack_mmv.data.export import Export, ExportSettings, export_windows
-from diffstack_mmv.data.loading import DrawnWindows, LoaderSettings, WindowLoader
+from diffstack_mmv.data.export import Export, export_windows
+from diffstack_mmv.data.loading import DrawnWindows, WindowLoader
 from diffstack_mmv.data.sampling import Balance, EvaluationSampler, Share, TrainingSampler
-from diffstack_mmv.data.settings import WindowSettings
+from diffstack_mmv.data.settings import ExportSettings, LoaderSettings, WindowSettings
 from diffstack_mmv.data.sources import WindowSource
 
 

@@ -8,7 +8,6 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,14 +16,14 @@ import torch
 from torch.utils.data import DataLoader, Dataset
 from tqdm import tqdm
 
-from diffstack_mmv.checks import message, require_at_least
+from diffstack_mmv.checks import message
 from diffstack_mmv.data.batch import stack_batch
 from diffstack_mmv.data.dataset import EXPORT_VERSION, MARKER, SAMPLES, USABLE, sample_table
 from diffstack_mmv.data.layout import FieldLayout, create, fields, pack, write_windows
 from diffstack_mmv.data.loading import unchanged
 from diffstack_mmv.data.registration import TrajdataWindows, WindowLocation
-from diffstack_mmv.data.settings import WindowSettings
-from diffstack_mmv.data.situations import Situations, situations
+from diffstack_mmv.data.riding import Situations, situations
+from diffstack_mmv.data.settings import ExportSettings, WindowSettings
 from diffstack_mmv.data.sources import WindowSource
 from dmmv_conventions.disk import disk_is_full
 
@@ -32,27 +31,6 @@ logger = logging.getLogger(__name__)
 
 CHUNK = 512  # windows per task: what is lost when an export is interrupted
 PIECE = 64  # windows in memory at once
-
-
-@dataclass(frozen=True)
-class ExportSettings:
-    """Where exports are kept and how they are made.
-
-    Attributes:
-        folder: Parent of the folders of all exports.
-        workers: Processes; 0 exports in this one.
-        progress: Whether to show a progress bar.
-
-    Raises:
-        ValueError: The number of workers is negative.
-    """
-
-    folder: str
-    workers: int = 0
-    progress: bool = True
-
-    def __post_init__(self) -> None:
-        require_at_least("workers", self.workers, 0)
 
 
 class Export(NamedTuple):

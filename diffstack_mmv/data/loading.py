@@ -1,43 +1,18 @@
 """Data loader whose position within an epoch is part of a checkpoint."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TypeVar
 
 import torch
 from torch.utils.data import DataLoader, Dataset
 
-from diffstack_mmv.checks import require, require_at_least
+from diffstack_mmv.checks import require
 from diffstack_mmv.data.augment import Augmentation
 from diffstack_mmv.data.dataset import WindowDataset
 from diffstack_mmv.data.sampling import Draw, WindowSampler
 from diffstack_mmv.types import StackBatch
 
 Item = TypeVar("Item")
-
-
-@dataclass(frozen=True)
-class LoaderSettings:
-    """How batches are loaded.
-
-    Attributes:
-        batch_size: Samples per batch and process.
-        workers: Loading processes per training process; 0 loads in the training process, which
-            is fastest for exports: handing a batch over costs more than reading it.
-        seed: Decides order and augmentation together with the epoch.
-
-    Raises:
-        ValueError: A number is out of range.
-    """
-
-    batch_size: int = 64
-    workers: int = 0
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        require_at_least("batch_size", self.batch_size, 1)
-        require_at_least("workers", self.workers, 0)
-        require_at_least("seed", self.seed, 0)
 
 
 class DrawnWindows(Dataset[StackBatch]):

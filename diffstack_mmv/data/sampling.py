@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.utils.data import DistributedSampler
 
 from diffstack_mmv.checks import require, require_at_least, require_between, require_one_of
-from diffstack_mmv.data.situations import Situations
+from diffstack_mmv.data.riding import Situations
 
 
 class Draw(NamedTuple):

@@ -1,4 +1,4 @@
-"""What a sample is: which agents, how much past and future, which neighbors."""
+"""What a sample is, how samples are loaded, and where they are kept."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -72,3 +72,48 @@ class WindowSettings:
     def content(self) -> dict[str, object]:
         """All settings as plain values: they decide what an export holds."""
         return {**asdict(self), "ego_modes": sorted(self.ego_modes)}
+
+
+@dataclass(frozen=True)
+class LoaderSettings:
+    """How batches are loaded.
+
+    Attributes:
+        batch_size: Samples per batch and process.
+        workers: Loading processes per training process; 0 loads in the training process, which
+            is fastest for exports: handing a batch over costs more than reading it.
+        seed: Decides order and augmentation together with the epoch.
+
+    Raises:
+        ValueError: A number is out of range.
+    """
+
+    batch_size: int = 64
+    workers: int = 0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        require_at_least("batch_size", self.batch_size, 1)
+        require_at_least("workers", self.workers, 0)
+        require_at_least("seed", self.seed, 0)
+
+
+@dataclass(frozen=True)
+class ExportSettings:
+    """Where exports are kept and how they are made.
+
+    Attributes:
+        folder: Parent of the folders of all exports.
+        workers: Processes; 0 exports in this one.
+        progress: Whether to show a progress bar.
+
+    Raises:
+        ValueError: The number of workers is negative.
+    """
+
+    folder: str
+    workers: int = 0
+    progress: bool = True
+
+    def __post_init__(self) -> None:
+        require_at_least("workers", self.workers, 0)

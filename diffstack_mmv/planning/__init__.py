@@ -37,7 +37,6 @@ from diffstack_mmv.planning.problem import (
     observed_obstacles,
     predicted_obstacles,
     predicted_reference,
-    present,
     straight_reference,
     tracked_ego,
 )
@@ -86,7 +85,6 @@ __all__ = [
     "observed_obstacles",
     "predicted_obstacles",
     "predicted_reference",
-    "present",
     "straight_reference",
     "tracked_ego",
     "with_final_row",

@@ -46,12 +46,6 @@ def initial_state(dynamics: DynamicsModel, ego: Ego) -> Float[Tensor, "*b n"]:
     return dynamics.initial_state(ego.motion)
 
 
-def present(tracks: Tracks) -> Tracks:
-    """The last row of observed tracks."""
-    motion = Motion(*(field.select(tracks.valid.dim() - 1, -1) for field in tracks.motion))
-    return tracks._replace(motion=motion, valid=tracks.valid[..., -1])
-
-
 def tracked_ego(motion: Motion, extent: Float[Tensor, "*b 2"], goal: Float[Tensor, "*b 2"]) -> Ego:
     """The ego at the end of its track, whose heading is its course.
 
@@ -148,7 +142,7 @@ def observed_obstacles(past: Tracks, future: Tracks) -> Obstacles:
 
     One component, which stays at the last position seen where the track ends.
     """
-    now = present(past)
+    now = past.present()
     start = now.motion.position.unsqueeze(-2)
     steps = torch.arange(future.valid.shape[-1], device=future.valid.device)
     last_seen = torch.where(future.valid, steps, -1).cummax(-1).values

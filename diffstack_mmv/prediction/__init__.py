@@ -9,6 +9,7 @@ from diffstack_mmv.prediction.base import (
     neighbors_forecast,
     strongest,
 )
+from diffstack_mmv.prediction.baseline_paths import Baseline, PathToGoal, PredictedPath
 from diffstack_mmv.prediction.baselines import (
     ConstantVelocity,
     GroundTruth,
@@ -30,11 +31,14 @@ from diffstack_mmv.prediction.trajectron import Annealing, Sizes, Trajectron
 
 __all__ = [
     "Annealing",
+    "Baseline",
     "ConstantTurnRateAcceleration",
     "ConstantVelocity",
     "GroundTruth",
     "KalmanConstantVelocity",
     "NoPrediction",
+    "PathToGoal",
+    "PredictedPath",
     "Predictor",
     "SingleIntegrator",
     "Sizes",

@@ -1,8 +1,10 @@
 """The stack of prediction, planning and control, its training losses and its evaluation."""
 
-from dmmv_conventions.extras import needs
+from typing import TYPE_CHECKING
 
-with needs("stack", "diffstack_mmv.stack"):
+from dmmv_conventions.on_demand import on_demand
+
+if TYPE_CHECKING:
     from diffstack_mmv.stack.checkpoint import (
         TrainedStack,
         load_predictor,
@@ -12,11 +14,9 @@ with needs("stack", "diffstack_mmv.stack"):
         start_from,
         write_lean,
     )
+    from diffstack_mmv.stack.drawn_scenes import scene_records
     from diffstack_mmv.stack.evaluation import (
-        Baseline,
         Evaluation,
-        PathToGoal,
-        PredictedPath,
         Windows,
         evaluate_windows,
         fitted_calibration,
@@ -24,20 +24,18 @@ with needs("stack", "diffstack_mmv.stack"):
         representative,
     )
     from diffstack_mmv.stack.learning_rate import ScaledByProcesses
-    from diffstack_mmv.stack.module import DiffStackMMV, LossWeights, StackOutput, assemble
+    from diffstack_mmv.stack.loss import LossWeights
+    from diffstack_mmv.stack.module import DiffStackMMV, StackOutput, assemble
     from diffstack_mmv.stack.physics import PhysicsLearning
     from diffstack_mmv.stack.precision import MixedPrecision
     from diffstack_mmv.stack.processes import own_processes
-    from diffstack_mmv.stack.scene_records import scene_records
 
+__getattr__ = on_demand(__name__, __file__, "stack")
 __all__ = [
-    "Baseline",
     "DiffStackMMV",
     "Evaluation",
     "LossWeights",
     "MixedPrecision",
-    "PathToGoal",
-    "PredictedPath",
     "PhysicsLearning",
     "ScaledByProcesses",
     "StackOutput",

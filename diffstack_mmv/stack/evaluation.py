@@ -1,7 +1,7 @@
 """Per-sample evaluation of a trained stack beside its trivial baselines."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -24,53 +24,12 @@ from diffstack_mmv.metrics import (
     negative_log_likelihood,
     where_known,
 )
-from diffstack_mmv.planning import present
-from diffstack_mmv.prediction import Predictor, ego_forecast
+from diffstack_mmv.prediction import Baseline, PredictedPath, ego_forecast
 from diffstack_mmv.stack.module import DiffStackMMV, StackOutput, prediction_scores
-from diffstack_mmv.types import Forecast, Mode, Motion, StackBatch, Tracks, map_tensors
+from diffstack_mmv.types import Forecast, Mode, StackBatch, Tracks, map_tensors
 
 COST = "cost/"
 """Prefix of the columns that hold the cost of a plan by term."""
-
-
-@runtime_checkable
-class Baseline(Protocol):
-    """A trivial answer to the same question: a path of the ego."""
-
-    def __call__(self, batch: StackBatch, goal: Float[Tensor, "B 2"]) -> Float[Tensor, "B T 2"]:
-        """Path in m in the frame of the sample, given the goal (m) that the plan was given."""
-        ...
-
-
-class PredictedPath:
-    """The most likely path of a simple predictor, which knows no goal."""
-
-    def __init__(self, predictor: Predictor) -> None:
-        self.predictor = predictor
-
-    def __call__(self, batch: StackBatch, goal: Float[Tensor, "B 2"]) -> Float[Tensor, "B T 2"]:
-        """Path in m; the goal is not used."""
-        return self.forecast(batch).most_likely()
-
-    def forecast(self, batch: StackBatch) -> Forecast:
-        """What it forecasts of the ego, `B K T`."""
-        return ego_forecast(self.predictor.predict(batch))
-
-
-class PathToGoal:
-    """A path in closed form from the present motion to the goal.
-
-    Args:
-        path: (motion, goal, steps, dt_s) -> path.
-    """
-
-    def __init__(self, path: Callable[[Motion, Tensor, int, float], Tensor]) -> None:
-        self.path = path
-
-    def __call__(self, batch: StackBatch, goal: Float[Tensor, "B 2"]) -> Float[Tensor, "B T 2"]:
-        """Path in m that ends at the goal."""
-        steps = batch.ego_future.valid.shape[-1]
-        return self.path(present(batch.ego_past).motion, goal, steps, batch.dt_s)
 
 
 @runtime_checkable

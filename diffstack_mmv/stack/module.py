@@ -20,7 +20,6 @@ from diffstack_mmv.metrics import (
     final_displacement,
     human_collided,
     masked_mean,
-    mean_square_displacement,
     missed,
     negative_log_likelihood,
     planning_loss,
@@ -39,7 +38,6 @@ from diffstack_mmv.planning import (
     observed_obstacles,
     predicted_obstacles,
     predicted_reference,
-    present,
     tracked_ego,
 )
 from diffstack_mmv.prediction import (
@@ -50,30 +48,11 @@ from diffstack_mmv.prediction import (
     neighbors_forecast,
     strongest,
 )
+from diffstack_mmv.stack.loss import LossWeights
 from diffstack_mmv.stack.physics import PhysicsLearning
 from diffstack_mmv.stack.precision import MixedPrecision
-from diffstack_mmv.types import Forecast, Plan, PlanningProblem, StackBatch, Tracks
+from diffstack_mmv.types import Forecast, Plan, PlanningProblem, StackBatch
 from dmmv_conventions.memory import keep_freed, leave_alone
-
-PathError = Callable[[Float[Tensor, "*b T 2"], Tracks], Float[Tensor, "*b"]]
-
-
-class LossWeights(NamedTuple):
-    """Weights of the parts of the training loss, dimensionless, and what L_ctrl is.
-
-    L = prediction · L_pred + planning · (CE + hindsight · C) + control · L_ctrl
-    """
-
-    prediction: float = 1.0
-    planning: float = 1.0
-    hindsight: float = 0.01
-    control: float = 1.0
-    imitation: PathError = mean_square_displacement
-
-    @property
-    def plans(self) -> bool:
-        """Whether any part of the loss is one of a plan."""
-        return self.planning > 0 or self.control > 0
 
 
 class StackOutput(NamedTuple):
@@ -150,7 +129,7 @@ class DiffStackMMV(pl.LightningModule):
         """Choose the goal and plan, given a forecast of all agents."""
         ego = ego_forecast(forecast)
         goal = self.goal(batch, ego)
-        neighbors = present(batch.neighbors_past)
+        neighbors = batch.neighbors_past.present()
         obstacles = predicted_obstacles(
             neighbors.motion.position,
             disc_radius(neighbors.extent),

@@ -15,7 +15,6 @@ from diffstack_mmv.planning.problem import (
     observed_obstacles,
     predicted_obstacles,
     predicted_reference,
-    present,
     straight_reference,
     tracked_ego,
 )
@@ -37,7 +36,7 @@ def tracks(*shape, rows):
 
 def problem_of(ego, path, goal, obstacles):
     """As the stack builds its problems."""
-    motion = present(ego).motion
+    motion = ego.present().motion
     reference = predicted_reference(motion, path, goal, 0.1)
     return build_problem(tracked_ego(motion, ego.extent, goal), goal, reference, obstacles)
 
@@ -84,7 +83,7 @@ def test_predicted_obstacles_begin_at_the_present_position():
         torch.randn(2, 3, 4, 6, 2),
         torch.zeros(2, 3, 4, 6, 2, 2),
     )
-    now = present(neighbors)
+    now = neighbors.present()
     radius = disc_radius(neighbors.extent)
     obstacles = predicted_obstacles(now.motion.position, radius, now.valid, forecast)
     assert torch.equal(obstacles.position[:, :, 1, 0], neighbors.motion.position[..., -1, :])
@@ -145,7 +144,7 @@ def test_a_plan_begins_in_the_state_that_its_heading_is_that_of(heading):
 
 
 def test_the_heading_of_a_track_is_its_course():
-    now = present(tracks(2, rows=3))
+    now = tracks(2, rows=3).present()
     assert tracked_ego(now.motion, now.extent, torch.randn(2, 2)).heading is Heading.COURSE
 
 

@@ -6,9 +6,9 @@ import pytest
 
 from diffstack_mmv.metrics import EVALUATED, LATERAL, SPEED
 from diffstack_mmv.planning import FutureGoal, PredictedGoal
-from diffstack_mmv.prediction import StandStill
+from diffstack_mmv.prediction import PathToGoal, PredictedPath, StandStill
 from diffstack_mmv.prediction.goal_baselines import hermite_spline
-from diffstack_mmv.stack import PathToGoal, PredictedPath, evaluate_windows, representative
+from diffstack_mmv.stack import evaluate_windows, representative
 from diffstack_mmv.types import Mode, map_tensors
 from tests.stack.test_module import STEPS, batch_of, stack_of, without_future
 

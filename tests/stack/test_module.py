@@ -21,9 +21,9 @@ from diffstack_mmv.planning import (
     PredictedGoal,
     generated_moments,
 )
-from diffstack_mmv.prediction import ConstantVelocity, StandStill
+from diffstack_mmv.prediction import ConstantVelocity, PathToGoal, PredictedPath, StandStill
 from diffstack_mmv.prediction.goal_baselines import hermite_spline
-from diffstack_mmv.stack import DiffStackMMV, LossWeights, PathToGoal, PredictedPath
+from diffstack_mmv.stack import DiffStackMMV, LossWeights
 from diffstack_mmv.types import Mode, Motion, StackBatch, Tracks, map_tensors
 from diffstack_mmv.vehicles import load_vehicle
 from dmmv_conventions.progress import shown_by

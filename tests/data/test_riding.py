@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from diffstack_mmv.data import Situations, situations
-from diffstack_mmv.data.situations import angle_range
+from diffstack_mmv.data.riding import angle_range
 from diffstack_mmv.types import Motion, StackBatch, Tracks
 
 

@@ -1,0 +1,86 @@
+"""Names of a package that come when somebody asks for them."""
+
+import importlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dmmv_conventions.on_demand import on_demand
+
+ROOT = Path(__file__).resolve().parents[2]
+LISTS = """
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fractions import Fraction
+    from statistics import mean, median
+"""
+
+
+@pytest.fixture
+def listed(tmp_path):
+    source = tmp_path / "__init__.py"
+    source.write_text(LISTS)
+    return str(source)
+
+
+def test_a_name_comes_from_the_module_that_the_list_tells_and_stays(listed):
+    taken = on_demand(__name__, listed, "stack")
+    here = sys.modules[__name__]
+    try:
+        assert taken("median")([1, 2, 9]) == 2
+        assert here.median is taken("median")
+    finally:
+        del here.median
+
+
+def test_a_name_outside_of_the_list_is_no_attribute(listed):
+    with pytest.raises(AttributeError, match="module 'package' has no attribute 'variance'"):
+        on_demand("package", listed, "stack")("variance")
+
+
+def test_a_missing_package_is_told_with_its_extra(tmp_path):
+    source = tmp_path / "__init__.py"
+    source.write_text(LISTS.replace("statistics", "no_such_package"))
+    with pytest.raises(ModuleNotFoundError, match=r"`no_such_package` must .* '.\[stack\]'"):
+        on_demand("package", str(source), "stack")("mean")
+
+
+def test_a_name_that_its_own_module_would_hide_is_refused(tmp_path):
+    source = tmp_path / "__init__.py"
+    source.write_text(LISTS.replace("statistics import mean", "package.mean import mean"))
+    with pytest.raises(ValueError, match="`mean` must not be the name of its module"):
+        on_demand("package", str(source), "stack")
+
+
+@pytest.mark.parametrize("package", ["diffstack_mmv.data", "diffstack_mmv.stack"])
+def test_every_public_name_of_the_packages_can_be_had(package):
+    module = importlib.import_module(package)
+    assert [name for name in module.__all__ if getattr(module, name, None) is None] == []
+
+
+@pytest.mark.parametrize(
+    ("names", "absent"),
+    [
+        (
+            "diffstack_mmv.data import WindowSettings, Situations, Mirror",
+            "trajdata",
+        ),
+        (
+            "diffstack_mmv.data import ExportSettings, LoaderSettings, EqualModes",
+            "pytorch_lightning",
+        ),
+        ("diffstack_mmv.stack import LossWeights, PhysicsLearning", "pytorch_lightning"),
+        ("diffstack_mmv.stack import MixedPrecision, ScaledByProcesses", "pytorch_lightning"),
+    ],
+)
+def test_settings_come_without_what_the_work_needs(names, absent):
+    code = f"import sys\nfrom {names}\nprint({absent!r} in sys.modules)"
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    told = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+    )
+    assert told.stdout.strip() == "False"
