@@ -30,7 +30,7 @@ MISTAKES = {
     "convert": (["dt=1"], ["data=none"], [*RECORDED, "workers=many"], [FROM_CACHE, "data.root=nowhere"], [*RECORDED, "dt_s=-1"]),
     "dashboard": (["entities=a"], None, ["modes=1"], None, ["entity=a", "modes=[flying]"]),
     "download_imptc": (["part=a"], None, None, None, ["parts=none"]),
-    "evaluate": (["chekpoint=a"], ["goal=none"], ["batch_size=many", FROM_CACHE], ["checkpoint=nowhere.ckpt", FROM_CACHE],
+    "evaluate": (["check_point=a"], ["goal=none"], ["batch_size=many", FROM_CACHE], ["checkpoint=nowhere.ckpt", FROM_CACHE],
                  [*CHECKED, "baselines.simple.ctra.predictor.dt_s=-1"]),
     "export_planner": (["agnts=1"], ["solver=none"], ["agents=many"], ["checkpoint=nowhere.ckpt"],
                        ["solver.max_iterations=-1"]),
