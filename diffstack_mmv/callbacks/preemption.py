@@ -10,17 +10,19 @@ from types import FrameType
 from typing import Any
 
 import pytorch_lightning as pl
-from pytorch_lightning.callbacks import Callback
+from pytorch_lightning.callbacks import Checkpoint
 
 LOGGER = logging.getLogger(__name__)
 
 
-class Preemption(Callback):
+class Preemption(Checkpoint):
     """On SIGTERM or SIGUSR1, saves a checkpoint after the present batch and ends the training.
 
     The same command resumes there, within the epoch. A SLURM job that may be requeued (`sbatch
     --requeue`) asks for that itself. A signal during the last batch or validation is answered
     after the first batch of the next epoch.
+
+    Lightning asks what writes checkpoints last: averaged weights have then seen the batch.
 
     Args:
         path: The checkpoint, from which a training resumes.

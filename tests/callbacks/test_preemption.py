@@ -32,7 +32,7 @@ class Counter(pl.LightningModule):
 
 def fit(folder, module, resume=None):
     trainer = pl.Trainer(
-        max_epochs=1, accelerator="cpu", logger=False, enable_checkpointing=False,
+        max_epochs=1, accelerator="cpu", logger=False, default_root_dir=str(folder),
         enable_progress_bar=False, enable_model_summary=False,
         callbacks=[Preemption(str(folder / "last.ckpt"))],
     )  # fmt: skip
