@@ -27,7 +27,7 @@ from diffstack_mmv.control.native import modules, prices, scan, solver
 from diffstack_mmv.prediction.trajectron import blocks
 
 STEPS, PROFILED, SHOWN_OPERATIONS, SHOWN_SHARE = 5, 3, 12, 0.002
-WIDTH_IN, CHARACTERS = 16, 240  # of the chart, and of a line of its labels
+WIDTH_IN, CHARACTERS = 16, 190  # of the chart, and of a line of its labels
 ENGINE = "autograd::engine::evaluate_function"
 LIBRARIES = modules, prices, scan, solver, blocks
 """Modules that load libraries."""
