@@ -1,4 +1,4 @@
-"""A training with averaged weights and a validation every other epoch goes on as if never stopped."""
+"""A training with averaged weights, validated every other epoch, goes on as if never stopped."""
 
 import itertools
 import logging
@@ -67,7 +67,7 @@ class Told(Callback):
 
 
 def callbacks_of(out):
-    """Those of a training with `callbacks=ema`, in their order, without what looks into the stack."""
+    """Those of a training with `callbacks=ema`, in their order, but what looks into the stack."""
     with initialize_config_dir(str(config_folder()), version_base="1.3"):
         given = ["data.cache=none", f"out={out}", "callbacks=ema", "callbacks.ema.decay=0.5"]
         config = compose("train", given, return_hydra_config=True)
