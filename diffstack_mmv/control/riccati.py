@@ -164,10 +164,13 @@ def definite_policies(
     if index is not None and len(index) == 0:
         return Policies(exact, None, indefinite)
     convex = _convex_policy(solve, lq, gradient, box, damping, indefinite, index, n, exact)
-    far = indefinite & (convex.decrease > FAR * magnitude)
+    # over long horizons the indefinite recursion may overflow: then it promises all there is
+    usable = exact.decrease.isfinite() & exact.slope.isfinite()
+    far = indefinite & (~usable | (convex.decrease > FAR * magnitude))
+    promised = torch.where(usable | ~indefinite, exact.decrease, magnitude)
     promise = {
-        "decrease": torch.maximum(exact.decrease, convex.decrease),
-        "slope": torch.maximum(exact.slope, convex.slope),
+        "decrease": torch.maximum(promised, convex.decrease),
+        "slope": torch.where(usable, torch.maximum(exact.slope, convex.slope), convex.slope),
     }
     either = indefinite & ~far
     convex = convex._replace(**promise)

@@ -25,12 +25,12 @@ def to_origin(states, controls):
     return 50 * states.square().sum(-1) + 0.5 * controls.square().sum(-1)
 
 
-def solved(limit, dtype=torch.float64, **settings):
+def solved(limit, dtype=torch.float64, steps=STEPS, **settings):
     generator = torch.Generator().manual_seed(3)
     draw = 2 * torch.rand(COUNT, 3, generator=generator, dtype=torch.float64) - 1
     state = (draw * torch.tensor([1.0, 1.0, torch.pi])).to(dtype)
     side = torch.full((2,), limit, dtype=dtype)
-    guess = torch.zeros(COUNT, STEPS, 2, dtype=dtype)
+    guess = torch.zeros(COUNT, steps, 2, dtype=dtype)
     with torch.no_grad():
         return ILQR(**settings)(
             Batched(unicycle), Batched(to_origin), Bounds(-side, side), state, guess
@@ -55,3 +55,12 @@ def test_what_is_said_to_have_converged_is_at_its_minimum(best, limit, dtype, co
     assert solution.converged.all()
     assert (solution.cost < best[limit] * (1 + 5e-4)).all()  # some tolerances: a model predicts
     assert solution.iterations.max() < 40
+
+
+@pytest.mark.parametrize(("limit", "compile"), [(1.0, True), (torch.inf, True), (torch.inf, False)])
+def test_an_exact_model_that_overflows_over_a_long_horizon_leaves_it_to_the_convex_one(
+    limit, compile
+):
+    """In single precision the indefinite recursion does so from some sixty steps on."""
+    given = {"tolerance": 1e-4, "steps": 100, "compile": compile, "one_by_one": COUNT}
+    assert solved(limit, torch.float32, **given).converged.all()

@@ -196,15 +196,17 @@ struct Solver {
     either = false;
     if (!lifted_free && !(lifted && decrease > FAR * magnitude)) return;
     const Gains exact = gains;
-    const Real exact_decrease = decrease, exact_slope = slope;
+    // over long horizons the indefinite recursion may overflow: then it promises all there is
+    const bool usable = finite(decrease) && finite(slope);
+    const Real promised = usable ? decrease : magnitude, exact_slope = slope;
     backward(true);
-    either = !(decrease > FAR * magnitude);
+    either = usable && !(decrease > FAR * magnitude);
     if (either) {
       convex_gains = gains;
       gains = exact;
     }
-    decrease = op_max(exact_decrease, decrease);
-    slope = op_max(exact_slope, slope);
+    decrease = op_max(promised, decrease);
+    if (usable) slope = op_max(exact_slope, slope);
   }
 
   // all step sizes 1, 1/2, 1/4, ... at once; the longest of those that the noise cannot tell apart
