@@ -167,9 +167,16 @@ def test_mirrored_motion_mirrors_the_path(name, law):
     state, control = random_inputs(200)
     sign = torch.tensor([1, -1, 1, -1, -1, -1, -1, -1]).double()
     mirror = torch.tensor([1, -1]).double()
-    assert torch.allclose(model(sign * state, mirror * control), sign * model(state, control))
     rate = model.derivative(state, control)
-    assert torch.allclose(model.derivative(sign * state, mirror * control), sign * rate)
+    # the printed law divides by the speed of a wheel: rates of 4e7 beside one that stands, and
+    # rounding, which differs between processors, grows with them
+    rounding = 1e-8 + 1e-11 * rate.abs().amax(1, keepdim=True)
+    pairs = (
+        (model(sign * state, mirror * control), sign * model(state, control)),
+        (model.derivative(sign * state, mirror * control), sign * rate),
+    )
+    for mirrored, expected in pairs:
+        assert ((mirrored - expected).abs() <= rounding).all()
 
 
 @pytest.mark.parametrize("name", ["bicycle", "wheelchair", "cart"])
