@@ -1,6 +1,6 @@
 """Where one training step goes: parts, operations, flame chart, and the floor of its arithmetic.
 
-    python benchmarks/profile_step.py CACHE OUT [--data thab_vru] [--models DiffKBM ...] [--override KEY=VALUE]
+    python benchmarks/profile_step.py CACHE OUT [--data thab_vru] [--models DiffKBM ...] [--neighbors 16] [--override KEY=VALUE]
 
 Writes OUT/profile.md, and for every model OUT/<model>.png (flame chart of one step) and
 OUT/<model>.json.gz (the same for a trace viewer). One thread, batch 64, processor time, compiled as
@@ -17,7 +17,7 @@ from pathlib import Path
 import matplotlib as mpl
 import torch
 from bench_solver_profile import rates
-from bench_throughput import MODELS, composed, training
+from bench_throughput import MODELS, composed, crowd, training
 from matplotlib import pyplot as plt
 from torch.profiler import ProfilerActivity, profile, record_function
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -181,8 +181,8 @@ def fastest(watch, stack, optimizer, batch):
     return min(found, key=lambda each: each[0])[1]
 
 
-def prepared(arguments):
-    """A stack in training, its optimizer, and batches."""
+def prepared(arguments, neighbors):
+    """A stack in training, its optimizer, and batches with so many neighbors."""
     torch.manual_seed(0)
     stack, data = composed(arguments)
     stack.log_dict = stack.log = lambda *given, **named: None
@@ -191,12 +191,12 @@ def prepared(arguments):
     made = stack.configure_optimizers()
     optimizer = made["optimizer"] if isinstance(made, dict) else made
     stack.train()
-    return stack, optimizer, iter(data.train_dataloader())
+    return stack, optimizer, (crowd(batch, neighbors) for batch in data.train_dataloader())
 
 
-def floor(arguments, rate):
+def floor(arguments, neighbors, rate):
     """Operations, bytes and flops of one step on tensors, and how long the last two take."""
-    stack, optimizer, batches = prepared(arguments)
+    stack, optimizer, batches = prepared(arguments, neighbors)
     with Counted() as counted:
         stepped(Watch(), stack, optimizer, next(batches))
     compute, copy = rate
@@ -209,9 +209,9 @@ def floor(arguments, rate):
     )
 
 
-def report(name, arguments, folder, rate, watch):
+def report(name, arguments, neighbors, folder, rate, watch):
     """Profile one model; returns its lines of Markdown. Without a rate nothing is counted."""
-    stack, optimizer, batches = prepared(arguments)
+    stack, optimizer, batches = prepared(arguments, neighbors)
     stack.compile_kernels()
     for _ in range(2):
         training(stack, optimizer, next(batches))
@@ -229,7 +229,7 @@ def report(name, arguments, folder, rate, watch):
     lines = [
         f"## {name}: {1e3 * whole:.0f} ms a step, {64 / whole:.0f} windows/s",
         "",
-        floor(arguments, rate) if rate else "Operations not counted.",
+        floor(arguments, neighbors, rate) if rate else "Operations not counted.",
         "",
         "| part | ms | share |",
         "|---|---|---|",
@@ -255,6 +255,7 @@ def main():
     parser.add_argument("--data", default="thab_vru")
     parser.add_argument("--override", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--models", nargs="+", default=list(MODELS), choices=list(MODELS))
+    parser.add_argument("--neighbors", type=int, default=0, help="agents placed around each ego")
     parser.add_argument("--uncounted", action="store_true", help="no step on tensors")
     given = parser.parse_args()
     torch.set_num_threads(1)
@@ -265,7 +266,8 @@ def main():
     lines = ["# Profile of one training step", ""]
     for name in given.models:
         common = [f"data={given.data}", f"data.cache={given.cache.resolve()}", "batch_size=64"]
-        lines += report(name, [*common, *MODELS[name], *given.override], given.out, rate, watch)
+        arguments = [*common, *MODELS[name], *given.override]
+        lines += report(name, arguments, given.neighbors, given.out, rate, watch)
         (given.out / "profile.md").write_text("\n".join(lines))
     print("\n".join(lines))
 
