@@ -46,13 +46,15 @@ def test_every_row_of_every_table_can_be_named_and_compared(name):
         assert set(driven) <= rows
 
 
-@pytest.mark.parametrize("name", ["robustness", "recorded"])
-def test_every_place_is_a_setting_of_navigate(name):
+@pytest.mark.parametrize("name", TABLES)
+def test_every_place_and_every_row_is_a_setting_of_navigate(name):
     loaded = OmegaConf.load(config_folder() / "table" / f"{name}.yaml")
     told = OmegaConf.create({"table": loaded}).table
     with initialize_config_dir(str(config_folder()), version_base="1.3"):
-        for place in told.places.values():
-            compose("navigate", [*told.settings, *place])
+        places, rows = list(told.places.values()), list(told.rows.values())
+        for number in range(max(len(places), len(rows))):
+            place, row = places[number % len(places)], rows[number % len(rows)]
+            compose("navigate", [*told.settings, *place, *row])
 
 
 @pytest.mark.parametrize(
