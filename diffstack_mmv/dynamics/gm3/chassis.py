@@ -103,7 +103,8 @@ class Chassis(ExactBuffers):
         """Pick the wheels that are no casters."""
         if not self.has_casters:
             return values
-        return values.index_select(0, self.get_buffer("rolling_index"))
+        # not index_select: whole numbers among the inputs have no form in the generated libraries
+        return torch.cat([values[index : index + 1] for index in self.rolling])
 
     def physics(self, values: Mapping[str, Tensor]) -> Physics:
         """Gather physical parameters in their units, by the names of `vehicles`."""

@@ -5,10 +5,11 @@ import torch
 
 from diffstack_mmv.control import ILQR, Batched, Bounds, SolverStatus, native
 from diffstack_mmv.control.native import solver as native_solver
+from diffstack_mmv.control.native.capture import Recorder, Trajectory
 from diffstack_mmv.control.native.lowering import CannotLowerError
 from diffstack_mmv.control.native.scalar import Program
 from diffstack_mmv.control.native.stages import Sizes, staged
-from diffstack_mmv.dynamics import DiffKBM
+from diffstack_mmv.dynamics import DiffGM3, DiffKBM
 from diffstack_mmv.vehicles import load_vehicle
 from tests.control.problems import DT, driving, goal_cost, rate_model, solve
 
@@ -242,3 +243,20 @@ def test_derivatives_that_cannot_be_built_are_left_to_tensors_before_the_first_s
         assert natively(EXACT, *arguments) is None
     assert "No library" in caplog.text
     native_solver._workshop.cache_clear()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "wheelchair",  # the one with casters
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("motorcycle", "tricycle", "tadpole", "skateboard", "cart", "hoverboard")
+        ),
+    ],
+)
+def test_every_layout_of_wheels_has_a_scalar_form(name):
+    model = DiffGM3(load_vehicle(name), 0.25)
+    at = Trajectory(torch.ones(2, 8), torch.zeros(2, len(model.bounds.upper)))
+    taken = Recorder()(at, model, lambda states, controls: states.square().sum(-1))
+    assert all(each.is_floating_point() for each in taken.parameters)
