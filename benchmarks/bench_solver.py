@@ -126,7 +126,8 @@ def table(rows, notes, introduction, last_columns):
 
 
 def write(path, lines):
-    """A Markdown file."""
+    """A Markdown file, its folder as well."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(lines).rstrip() + "\n")
 
 
