@@ -224,6 +224,26 @@ def test_what_would_compile_too_long_is_left_to_tensors(monkeypatch, caplog, lim
     native_solver._workshop.cache_clear()
 
 
+@pytest.mark.usefixtures("double")
+def test_a_long_source_that_is_built_with_less_effort_gives_the_same(monkeypatch):
+    seen = []
+    load = native_solver.load
+    monkeypatch.setattr(native_solver, "load", lambda *given: seen.append(given[1:]) or load(*given))
+    found = []
+    for long in (10**9, 0):
+        monkeypatch.setattr(native_solver, "LONG_SOURCE", long)
+        monkeypatch.setattr(native_solver, "LONG_ADJOINT", long)
+        monkeypatch.setattr(native_solver, "_LIBRARIES", {})
+        native_solver._workshop.cache_clear()
+        arguments, leaves = problem(2)
+        found.append(outcome(natively(EXACT, *arguments), leaves))
+    native_solver._workshop.cache_clear()
+    quickly = native_solver.QUICKLY
+    assert seen == [(), (), quickly, ("-O1", *quickly)]
+    for plain, quick in zip(*found, strict=True):
+        torch.testing.assert_close(quick, plain, rtol=1e-9, atol=1e-10)
+
+
 def test_derivatives_that_cannot_be_built_are_left_to_tensors_before_the_first_solution(
     monkeypatch, caplog
 ):
