@@ -24,12 +24,12 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils.flop_counter import flop_registry
 
 from diffstack_mmv.control.native import modules, prices, scan, solver
-from diffstack_mmv.prediction.trajectron import blocks
+from dmmv_conventions import libraries
 
 STEPS, PROFILED, SHOWN_OPERATIONS, SHOWN_SHARE = 5, 3, 12, 0.002
 WIDTH_IN, CHARACTERS = 16, 190  # of the chart, and of a line of its labels
 ENGINE = "autograd::engine::evaluate_function"
-LIBRARIES = modules, prices, scan, solver, blocks
+LIBRARIES = modules, prices, scan, solver, libraries
 """Modules that load libraries."""
 
 

@@ -3,6 +3,7 @@
 import ctypes
 import functools
 import hashlib
+import logging
 import os
 import platform
 import subprocess
@@ -14,6 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+LOGGER = logging.getLogger(__name__)
 FLAGS = (
     *("-std=c++20", "-O2", "-fPIC", "-shared", "-Wno-psabi", "-pthread"),
     *("-fno-math-errno", "-fno-trapping-math"),  # but not: that all numbers are finite
@@ -96,6 +98,22 @@ def load(source: str, *flags: str) -> ctypes.CDLL:
         return ctypes.CDLL(str(path))
     except OSError as failure:
         raise CannotBuildError(str(failure)) from failure
+
+
+@functools.cache
+def load_or_tell(purpose: str, source: str, *flags: str) -> ctypes.CDLL | None:
+    """The library of a source; None where it cannot be built, with a line in the log, once.
+
+    Args:
+        purpose: What it is for, told to people.
+        source: C++.
+        flags: Options of the compiler besides `FLAGS`.
+    """
+    try:
+        return load(source, *flags)
+    except CannotBuildError as failure:
+        LOGGER.info("No library for %s (%s): tensors", purpose, failure)
+        return None
 
 
 def _require_own(path: Path) -> None:

@@ -2,7 +2,6 @@
 
 import ctypes
 import functools
-import logging
 from importlib.resources import files
 from typing import Any, NamedTuple
 
@@ -12,9 +11,8 @@ from torch import Tensor
 
 from diffstack_mmv.planning.clearance import ClearanceMargin, Safety
 from diffstack_mmv.types import Discs, Motion, Obstacles
-from dmmv_conventions.libraries import CannotBuildError, load, pointers
+from dmmv_conventions.libraries import load_or_tell, pointers
 
-LOGGER = logging.getLogger(__name__)
 READ = (
     *("hard_m", "hard_growth", "comfort_m", "comfort_growth", "saturation_m"),
     *("horizon_s", "probability_min", "spread_growth", "reach_m"),
@@ -40,11 +38,7 @@ class _Settings(ctypes.Structure):
 def library() -> Any | None:
     """The library, None without a compiler."""
     source = files("diffstack_mmv.planning").joinpath("judgement.hpp").read_text()
-    try:
-        return load(source, "-O3")
-    except CannotBuildError as failure:
-        LOGGER.info("No library for clearances (%s): tensors", failure)
-        return None
+    return load_or_tell("clearances", source, "-O3")
 
 
 @torch.no_grad()

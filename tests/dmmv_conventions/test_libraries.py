@@ -21,3 +21,18 @@ def test_a_library_of_another_user_is_not_loaded(tmp_path, monkeypatch):
 def planted(path: Path) -> None:
     path.parent.mkdir()
     path.write_bytes(b"no library")
+
+
+def test_what_cannot_be_built_is_told_once(monkeypatch, caplog):
+    tried = []
+
+    def refused(source):
+        tried.append(source)
+        raise CannotBuildError("no compiler")
+
+    caplog.set_level("INFO")
+    monkeypatch.setattr(libraries, "load", refused)
+    for _ in range(2):
+        assert libraries.load_or_tell("nothing at all", "int never_built;") is None
+    assert tried == ["int never_built;"]
+    assert caplog.messages == ["No library for nothing at all (no compiler): tensors"]

@@ -6,7 +6,6 @@ in the cache from the first step to the last. Only the states are kept for the b
 
 import ctypes
 import functools
-import logging
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,10 +15,9 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from diffstack_mmv.prediction.trajectron.recurrence import Weights
-from dmmv_conventions.libraries import CannotBuildError, header, load, pointers
+from dmmv_conventions.libraries import header, load_or_tell, pointers
 from dmmv_conventions.progress import waiting
 
-LOGGER = logging.getLogger(__name__)
 REALS = {torch.float32: "float", torch.float64: "double"}
 HEADERS = "lanes", "memory", "decoder", "paths"
 LANES = {torch.float32: 16, torch.float64: 8}
@@ -107,12 +105,8 @@ def library(dtype: torch.dtype) -> Any:
     """The library for numbers of a type, None where it cannot be built."""
     own = (header("diffstack_mmv.prediction.trajectron", name) for name in HEADERS)
     parts = f"typedef {REALS[dtype]} Real;", header("dmmv_conventions", "threads"), *own
-    try:
-        with waiting("compile the recurrences of the predictor"):
-            return load("\n".join(parts), "-O3")
-    except CannotBuildError as failure:
-        LOGGER.info("No library for the recurrences of the predictor (%s): tensors", failure)
-        return None
+    with waiting("compile the recurrences of the predictor"):
+        return load_or_tell("the recurrences of the predictor", "\n".join(parts), "-O3")
 
 
 def counts(*numbers: int) -> list[Any]:

@@ -6,7 +6,6 @@ compiler.
 
 import ctypes
 import functools
-import logging
 from collections.abc import Sequence
 from importlib.resources import files
 from typing import Any, NamedTuple
@@ -17,9 +16,8 @@ from torch import Tensor
 from torch._functorch import pyfunctorch
 
 from diffstack_mmv.simulation.pedestrians.base import CrowdState, VisibleRobot
-from dmmv_conventions.libraries import CannotBuildError, load, pointers
+from dmmv_conventions.libraries import load_or_tell, pointers
 
-LOGGER = logging.getLogger(__name__)
 NAMES = {torch.float32: "float", torch.float64: "double"}
 
 
@@ -45,11 +43,7 @@ class Rules(ctypes.Structure):
 def library() -> Any | None:
     """The library, None without a compiler."""
     source = files("diffstack_mmv.simulation.pedestrians").joinpath("orca.hpp").read_text()
-    try:
-        return load(source, "-ffp-contract=off")
-    except CannotBuildError as failure:
-        LOGGER.info("No library for ORCA (%s): tensors", failure)
-        return None
+    return load_or_tell("ORCA", source, "-ffp-contract=off")
 
 
 def is_possible(tensors: Sequence[Tensor]) -> bool:

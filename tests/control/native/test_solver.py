@@ -228,7 +228,9 @@ def test_what_would_compile_too_long_is_left_to_tensors(monkeypatch, caplog, lim
 def test_a_long_source_that_is_built_with_less_effort_gives_the_same(monkeypatch):
     seen = []
     load = native_solver.load
-    monkeypatch.setattr(native_solver, "load", lambda *given: seen.append(given[1:]) or load(*given))
+    monkeypatch.setattr(
+        native_solver, "load", lambda *given: seen.append(given[1:]) or load(*given)
+    )
     found = []
     for long in (10**9, 0):
         monkeypatch.setattr(native_solver, "LONG_SOURCE", long)
