@@ -14,14 +14,7 @@ from functools import partial
 
 import torch
 
-from diffstack_mmv.data import (
-    ConvertedCache,
-    read_controls,
-    read_interpolated,
-    read_leans,
-    read_sensors,
-    read_tracks,
-)
+from diffstack_mmv.data import ConvertedCache, read_rides
 from diffstack_mmv.dynamics.catalogue import model_of
 from diffstack_mmv.identification.measured import (
     EgoEstimator,
@@ -84,13 +77,7 @@ def main():
     torch.set_num_threads(1)
     spec = load_vehicle("autobike")
     place = (ConvertedCache("autobike", options.cache), ["train", "val", "test"], spec.mode)
-    rides = measured_rides(
-        read_tracks(*place),
-        read_controls(*place, ["steer", "speed"]),
-        read_sensors(*place, ["yaw_rate"]),
-        read_leans(*place),
-        read_interpolated(*place),
-    )
+    rides = measured_rides(*read_rides(*place))
     study = MeasuredStudy(spec, parts=FinishedParts(options.parts))
     model = partial(model_of, spec, "kbm", 0.1)
     windows, rollouts, fitted = study.whole(rides, "kbm", model)

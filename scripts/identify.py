@@ -82,13 +82,7 @@ def main(config: DictConfig) -> None:
 
 def identify_measured(config: DictConfig) -> None:
     """Fit vehicle and instruments, and write vehicle, numbers and tables."""
-    from diffstack_mmv.data import (
-        read_controls,
-        read_interpolated,
-        read_leans,
-        read_sensors,
-        read_tracks,
-    )
+    from diffstack_mmv.data import read_rides
     from diffstack_mmv.identification.measured import (
         measured_result,
         measured_rides,
@@ -99,13 +93,7 @@ def identify_measured(config: DictConfig) -> None:
 
     study, source, out = instantiate(config.measured), instantiate(config.source), Path(config.out)
     place, name = (source, config.splits, study.spec.mode), config.names.dynamics
-    rides = measured_rides(
-        read_tracks(*place),
-        read_controls(*place, ["steer", "speed"]),
-        read_sensors(*place, ["yaw_rate"]),
-        read_leans(*place),
-        read_interpolated(*place),
-    )
+    rides = measured_rides(*read_rides(*place))
     models = {name: config.dynamics} | {each: node for each, node in config.others.items() if node}
     result = study(rides, {each: partial(instantiate, node) for each, node in models.items()})
     header = {**config.header, "date": date.today().isoformat(), "controls": MEASURED}

@@ -16,11 +16,7 @@ from diffstack_mmv.data import (
     ExportedWindows,
     ExportSettings,
     WindowSettings,
-    read_controls,
-    read_interpolated,
-    read_leans,
-    read_sensors,
-    read_tracks,
+    read_rides,
 )
 from diffstack_mmv.data.export import Export, export_windows
 from diffstack_mmv.identification.measured import (
@@ -87,17 +83,10 @@ def damage(path: Path, content: Content | None) -> None:
         put(path, content)
 
 
-def read_rides(folder: Path) -> Result:
+def cut_rides(folder: Path) -> Result:
     """Read what `identify controls=measured` reads."""
     source = ConvertedCache(NAME, str(folder))
-    rides = measured_rides(
-        read_tracks(source, *PLACE),
-        read_controls(source, *PLACE, ["steer", "speed"]),
-        read_sensors(source, *PLACE, ["yaw_rate"]),
-        read_leans(source, *PLACE),
-        read_interpolated(source, *PLACE),
-    )
-    cut_windows(rides, RideWindowSettings())
+    cut_windows(measured_rides(*read_rides(source, *PLACE)), RideWindowSettings())
     return Result.SILENT
 
 
@@ -105,7 +94,7 @@ def ride(pattern: str, content: Content | None, folder: Path) -> Result:
     """Read rides of a cache with a file that is none."""
     place = copied(folder)
     damage(next((place / NAME).glob(f"*/{pattern}")), content)
-    return read_rides(place)
+    return cut_rides(place)
 
 
 def changed(table: str, change: Change, folder: Path) -> Result:
@@ -113,7 +102,7 @@ def changed(table: str, change: Change, folder: Path) -> Result:
     place = copied(folder)
     path = next((place / NAME).glob(f"*/{table}.parquet"))
     change(pd.read_parquet(path)).to_parquet(path, index=False)
-    return read_rides(place)
+    return cut_rides(place)
 
 
 def windows(pattern: str, content: Content | None, folder: Path) -> Result:

@@ -38,6 +38,32 @@ class RecordedNoise(NamedTuple):
     across_m: float
 
 
+class RecordedRides(NamedTuple):
+    """All that is recorded of rides with instruments, by "recording/agent"."""
+
+    motions: dict[str, Motion]
+    controls: dict[str, Tensor]  # (T, 2): steer (rad), speed (m/s)
+    sensors: dict[str, Tensor]  # (T, 1): yaw rate (rad/s)
+    leans: dict[str, Tensor]  # (T), rad
+    interpolated: dict[str, Tensor]  # (T)
+
+
+def read_rides(source: WindowSource, splits: Sequence[str], mode: str) -> RecordedRides:
+    """Tracks with the instruments that rode along, as identification wants them.
+
+    Raises:
+        ValueError: As the functions for each of them.
+    """
+    place = source, splits, mode
+    return RecordedRides(
+        read_tracks(*place),
+        read_controls(*place, ["steer", "speed"]),
+        read_sensors(*place, ["yaw_rate"]),
+        read_leans(*place),
+        read_interpolated(*place),
+    )
+
+
 def read_tracks(source: WindowSource, splits: Sequence[str], mode: str) -> dict[str, Motion]:
     """Read all tracks of a mode, without cutting windows out of them.
 
