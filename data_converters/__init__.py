@@ -3,11 +3,13 @@
 Everything a script needs is here; `README.md` describes the cache on disk.
 """
 
-from dmmv_conventions.extras import needs
+from typing import TYPE_CHECKING
 
-with needs("stack", "data_converters"):
+from dmmv_conventions.on_demand import on_demand
+
+if TYPE_CHECKING:
     from data_converters.autobike import AutobikeDataset
-    from data_converters.convert import ConversionSettings, convert
+    from data_converters.conversion import ConversionSettings, convert
     from data_converters.errors import CacheError, ConversionError, RejectReason, TrackError
     from data_converters.eth_ucy import EthUcyDataset
     from data_converters.imptc import ImptcDataset, ImptcVruDataset, SequenceSplit, TrackFilter
@@ -26,6 +28,7 @@ with needs("stack", "data_converters"):
     from data_converters.vci import CitrDataset, DutDataset
     from dmmv_conventions.modes import Mode
 
+__getattr__ = on_demand(__name__, __file__, "stack")
 __all__ = [
     "AutobikeDataset",
     "CacheError",

@@ -49,7 +49,7 @@ def dying(module: object, name: str, call: int) -> None:
 
 def conversion(name: str, call: int, folder: Path) -> Result:
     """A conversion that is killed and begun again gives the same as one that never was."""
-    module = import_module("data_converters.convert")
+    module = import_module("data_converters.conversion")
     place = folder / "cyclists" / "moving"
     place.mkdir(parents=True)
     for number in range(4):

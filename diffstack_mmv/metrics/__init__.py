@@ -1,53 +1,54 @@
 """Scores of predictions, plans and closed-loop episodes, each computed in one place only."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from diffstack_mmv.metrics.calibration import (
-    Calibration,
-    DensityLevels,
-    coverages,
-    judged_levels,
-)
-from diffstack_mmv.metrics.displacement import (
-    average_displacement,
-    best_average_displacement,
-    displacement,
-    displacements,
-    final_displacement,
-    mean_square_displacement,
-    missed,
-)
-from diffstack_mmv.metrics.excitation import EXCITATION, LATERAL, SPEED, Excited, excitation
-from diffstack_mmv.metrics.likelihood import negative_log_likelihood
-from diffstack_mmv.metrics.means import masked_mean, time_mean, where_known
-from diffstack_mmv.metrics.planning import (
-    collided,
-    human_collided,
-    planning_loss,
-    solved,
-    total_cost,
-)
-from diffstack_mmv.metrics.sampling import (
-    best_of_samples,
-    energy_score,
-    sampled_paths,
-    spread_paths,
-)
-from diffstack_mmv.metrics.scores import (
-    CALIBRATION,
-    CLOSED_LOOP,
-    DISPLACEMENT,
-    EVALUATED,
-    OF_THE_PREDICTION,
-    OPEN_LOOP,
-    PREDICTED,
-    Score,
-)
-from dmmv_conventions.extras import needs
+from dmmv_conventions.on_demand import on_demand
 
 if TYPE_CHECKING:
     from diffstack_mmv.metrics.by_mode import MeanByMode
+    from diffstack_mmv.metrics.calibration import (
+        Calibration,
+        DensityLevels,
+        coverages,
+        judged_levels,
+    )
+    from diffstack_mmv.metrics.distances import (
+        average_displacement,
+        best_average_displacement,
+        displacement,
+        displacements,
+        final_displacement,
+        mean_square_displacement,
+        missed,
+    )
+    from diffstack_mmv.metrics.excited import EXCITATION, LATERAL, SPEED, Excited, excitation
+    from diffstack_mmv.metrics.likelihood import negative_log_likelihood
+    from diffstack_mmv.metrics.means import masked_mean, time_mean, where_known
+    from diffstack_mmv.metrics.planning import (
+        collided,
+        human_collided,
+        planning_loss,
+        solved,
+        total_cost,
+    )
+    from diffstack_mmv.metrics.sampling import (
+        best_of_samples,
+        energy_score,
+        sampled_paths,
+        spread_paths,
+    )
+    from diffstack_mmv.metrics.scores import (
+        CALIBRATION,
+        CLOSED_LOOP,
+        DISPLACEMENT,
+        EVALUATED,
+        OF_THE_PREDICTION,
+        OPEN_LOOP,
+        PREDICTED,
+        Score,
+    )
 
+__getattr__ = on_demand(__name__, __file__, "stack")
 __all__ = [
     "CALIBRATION",
     "CLOSED_LOOP",
@@ -88,17 +89,3 @@ __all__ = [
     "total_cost",
     "where_known",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    """`MeanByMode`, at its first use: torchmetrics takes as long to import as torch itself.
-
-    Raises:
-        AttributeError: Another name is asked for.
-    """
-    if name != "MeanByMode":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    with needs("stack", "diffstack_mmv.metrics.MeanByMode"):
-        from diffstack_mmv.metrics.by_mode import MeanByMode
-
-    return MeanByMode

@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.quasirandom import SobolEngine
 
-from diffstack_mmv.metrics.displacement import displacement
+from diffstack_mmv.metrics.distances import displacement
 from diffstack_mmv.metrics.means import time_mean
 from diffstack_mmv.types import Forecast, Tracks
 
