@@ -12,10 +12,10 @@ if TYPE_CHECKING:
         coverages,
         judged_levels,
     )
-    from diffstack_mmv.metrics.distances import (
+    from diffstack_mmv.metrics.displacement import (
         average_displacement,
         best_average_displacement,
-        displacement,
+        displacement_curve,
         displacements,
         final_displacement,
         mean_square_displacement,
@@ -71,7 +71,7 @@ __all__ = [
     "energy_score",
     "collided",
     "coverages",
-    "displacement",
+    "displacement_curve",
     "displacements",
     "excitation",
     "final_displacement",

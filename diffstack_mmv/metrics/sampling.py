@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.quasirandom import SobolEngine
 
-from diffstack_mmv.metrics.distances import displacement
+from diffstack_mmv.metrics.displacement import displacement_curve
 from diffstack_mmv.metrics.means import time_mean
 from diffstack_mmv.types import Forecast, Tracks
 
@@ -90,7 +90,7 @@ def best_of_samples(
     """
     best: dict[str, Tensor] = {}
     for name, draw in (("best_of_20", sampled_paths), ("best_of_20_spread", spread_paths)):
-        distance = displacement(draw(forecast, count, seed).movedim(-3, 0), future)
+        distance = displacement_curve(draw(forecast, count, seed).movedim(-3, 0), future)
         average = time_mean(distance, future.valid.expand_as(distance))
         best |= {f"{name}_ade": average.amin(0), f"{name}_fde": distance[..., -1].amin(0)}
     return best

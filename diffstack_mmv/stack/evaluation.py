@@ -16,7 +16,7 @@ from diffstack_mmv.metrics import (
     Calibration,
     best_of_samples,
     coverages,
-    displacement,
+    displacement_curve,
     displacements,
     energy_score,
     excitation,
@@ -227,7 +227,7 @@ def _beside_baselines(
         if forecast is not None:
             own["nll"] = negative_log_likelihood(forecast, future)
         scores |= {f"{name}/{score}": value for score, value in own.items()}
-    return scores, {name: displacement(path, future) for name, path in paths.items()}
+    return scores, {name: displacement_curve(path, future) for name, path in paths.items()}
 
 
 def _known_mean(error: np.ndarray) -> np.ndarray:

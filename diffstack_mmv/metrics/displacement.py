@@ -15,7 +15,7 @@ MISS_M = 2.0
 """Distance at the horizon beyond which a prediction is a miss, as in Argoverse and nuScenes."""
 
 
-def displacement(path: Float[Tensor, "*b T 2"], future: Tracks) -> Float[Tensor, "*b T"]:
+def displacement_curve(path: Float[Tensor, "*b T 2"], future: Tracks) -> Float[Tensor, "*b T"]:
     """Distance in m to the true position at each time; NaN where that one is not valid."""
     return where_known(
         _offset(path, future.motion.position, future.valid).norm(dim=-1), future.valid
@@ -30,7 +30,7 @@ def average_displacement(path: Float[Tensor, "*b T 2"], future: Tracks) -> Float
 
 def final_displacement(path: Float[Tensor, "*b T 2"], future: Tracks) -> Float[Tensor, "*b"]:
     """FDE in m: distance to the true position at the last time; NaN where that one is not valid."""
-    return displacement(path, future)[..., -1]
+    return displacement_curve(path, future)[..., -1]
 
 
 def displacements(path: Float[Tensor, "*b T 2"], future: Tracks) -> dict[str, Float[Tensor, "*b"]]:

@@ -8,7 +8,7 @@ import torch
 from diffstack_mmv.metrics import (
     average_displacement,
     best_average_displacement,
-    displacement,
+    displacement_curve,
     displacements,
     final_displacement,
     masked_mean,
@@ -71,7 +71,7 @@ def test_a_track_that_ends_early_has_an_average_but_no_final_score(score, judged
 def test_displacement_over_the_horizon_is_known_at_valid_times():
     forecast, future = sample()
     path = forecast.most_likely()
-    curve = displacement(path, future)
+    curve = displacement_curve(path, future)
     assert torch.equal(torch.isnan(curve), ~future.valid)
     told = displacements(path, future)
     assert torch.allclose(told["ade"], curve.nanmean(-1), equal_nan=True)
