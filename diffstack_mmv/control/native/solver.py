@@ -45,7 +45,8 @@ QUICKLY = (
 )
 """How far GCC looks for the same number in memory, which takes long in long functions. The solver
 of DiffGM3 is built in four fifths of the time, its derivative in half, neither is slower by more
-than 2 %. With `-fno-gcse` besides it would be two thirds, and 6 % slower."""
+than 4 %. With `-fno-gcse` besides it would be two thirds, and 6 % slower; with `-O1` a third, and a
+quarter slower."""
 LONG_ADJOINT = 300_000
 """Characters of an adjoint, which runs once per solve, beyond which the compiler takes less effort:
 that of DiffGM3 is no slower for it, and built in two thirds of the time."""
