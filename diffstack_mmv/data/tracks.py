@@ -51,6 +51,10 @@ class RecordedRides(NamedTuple):
 def read_rides(source: WindowSource, splits: Sequence[str], mode: str) -> RecordedRides:
     """Tracks with the instruments that rode along, as identification wants them.
 
+    Returns:
+        Of each track over its T times the motion, steer and speed (T, 2), yaw rate (T, 1), lean
+        (T), and where positions are interpolated (T).
+
     Raises:
         ValueError: As the functions for each of them.
     """
