@@ -39,6 +39,7 @@ HOSTILE = (
     "data_converters.conversion.shutil.rmtree",
     "data_converters.imptc.download.download_imptc",
     "data_converters.conversion",
+    "data_converters.convert",
     "diffstack_mmv.nowhere.Nothing",
     "diffstack_mmv..costs",
     "",
