@@ -7,6 +7,7 @@ import pytorch_lightning as pl
 import wandb
 import yaml
 from hydra import compose, initialize_config_dir
+from wandb.sdk.lib import console_capture
 
 import diffstack_mmv.cli  # noqa: F401  registers the resolvers
 from diffstack_mmv.callbacks import CheckpointArtifact, QuietWandbLogger, WandbResults
@@ -75,11 +76,24 @@ def test_checkpoints_become_artifacts_of_an_offline_run(offline, tmp_path, capfd
     logger = QuietWandbLogger(project="project", save_dir=str(tmp_path), offline=True)
     trainer = pl.Trainer(logger=logger, accelerator="cpu", enable_checkpointing=False)
     CheckpointArtifact(str(tmp_path)).on_fit_end(trainer, pl.LightningModule())
-    wandb.finish()
+    logger.finalize("success")
     assert "WARNING" not in capfd.readouterr().err
     record = written(tmp_path, b"best.ckpt")
     assert b"best.ckpt" in record
     assert b"last.ckpt" not in record
+
+
+@pytest.mark.parametrize("status", ["success", "failed"])
+def test_every_training_of_a_process_has_a_run_of_its_own(offline, status, tmp_path):
+    names = []
+    for seed in ("0", "1"):
+        logger = QuietWandbLogger(project="project", save_dir=tmp_path, name=seed, offline=True)
+        names.append(logger.experiment.name)
+        logger.finalize(status)
+        assert wandb.run is None
+        assert not console_capture._stderr_callbacks  # what the process writes later is not its own
+    assert names == ["0", "1"]
+    assert len(list(tmp_path.glob("wandb/offline-run-*"))) == 2
 
 
 def test_the_sweep_of_the_documentation_names_settings_that_exist(root):
