@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from dmmv_conventions.extras import MissingExtraError, needs_to_run
+from dmmv_conventions.foretold import require_foretold
 from dmmv_conventions.locks import alone_in
 from dmmv_conventions.progress import shown_by
 from dmmv_conventions.targets import OF_A_RUN, require_buildable
@@ -116,7 +117,9 @@ def command(
                     require_same_type(key, default, value_of(config, key))
                 OmegaConf.resolve(config)
                 require_seed(config.get("seed"))
-                require_buildable(OmegaConf.to_container(config), OF_A_RUN, "in the configuration")
+                content = OmegaConf.to_container(config)
+                require_buildable(content, OF_A_RUN, "in the configuration")
+                require_foretold(content)
                 check(config)
                 with alone_in(Path(config.out), "out"), _single_job():
                     admit(config)

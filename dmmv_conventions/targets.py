@@ -109,7 +109,7 @@ def require_buildable(
         ValueError: A `_target_` is not allowed, is no text, or a text would still be interpolated;
             of class `error`.
     """
-    for place, node in _nodes(content, ""):
+    for place, node in nodes(content):
         if isinstance(node, str) and "${" in node:
             told, needed = f"{node!r} at {place}", "hold resolved values"
             raise error(message("configuration", needed, told, where, _REMEDY))
@@ -125,7 +125,7 @@ def require_buildable(
                 raise error(message("_target_", needed, told, where, _REMEDY))
 
 
-def _nodes(content: Any, place: str) -> Iterator[tuple[str, Any]]:
+def nodes(content: Any, place: str = "") -> Iterator[tuple[str, Any]]:
     """All containers and values with their dotted places, outer ones first; no recursion."""
     pending = [(place, content)]
     while pending:

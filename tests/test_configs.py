@@ -15,6 +15,8 @@ from omegaconf import OmegaConf
 import diffstack_mmv.cli  # noqa: F401  registers the resolvers
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.stack import DiffStackMMV
+from dmmv_conventions.foretold import require_foretold
+from dmmv_conventions.targets import nodes
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 COMMANDS = sorted(path.stem for path in CONFIGS.glob("*.yaml") if path.stem != "command")
@@ -169,3 +171,24 @@ def test_every_option_of_every_command_can_be_built(command, group, option, node
     else:
         with pytest.raises(Exception, match=problem):
             instantiate(described)
+
+
+@pytest.mark.parametrize("name", ["train", "navigate", "identify", "tune"])
+def test_what_is_refused_ahead_is_what_the_parts_refuse(name, tmp_path, unchecked):
+    """Every number of every part is made -1: parts say the same of it as their sources do."""
+    content = OmegaConf.to_container(composed(name, f"out={tmp_path}"))
+    require_foretold(content)
+    refused = 0
+    for _, node in nodes(content):
+        if not isinstance(node, dict) or "_target_" not in node or node.get("_partial_"):
+            continue
+        for key, value in node.items():
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                try:
+                    require_foretold({**node, key: -1})
+                except ValueError as ahead:
+                    with pytest.raises(InstantiationException) as by_part:
+                        instantiate({**node, key: -1})
+                    assert str(by_part.value.__cause__) == str(ahead)
+                    refused += 1
+    assert refused >= 10

@@ -62,6 +62,7 @@ CONVENTIONS = {
     "data": {"dmmv_conventions.cache", "dmmv_conventions.disk", "dmmv_conventions.opening"},
     "cli": {
         "dmmv_conventions.bars",
+        "dmmv_conventions.foretold",
         "dmmv_conventions.locks",
         "dmmv_conventions.targets",
         "dmmv_conventions.yaml_files",

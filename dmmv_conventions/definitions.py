@@ -1,0 +1,132 @@
+"""Where a dotted name of this project is defined, found in the sources without importing them."""
+
+import ast
+from collections.abc import Iterator, Sequence
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from dmmv_conventions.targets import PROJECT
+
+Constructor = tuple[ast.FunctionDef, "Definition"]
+
+
+class Definition(NamedTuple):
+    """A class or a function, and the source in which it stands."""
+
+    node: ast.ClassDef | ast.FunctionDef
+    module: str
+    source: ast.Module
+
+    def bases(self) -> Iterator["Definition"]:
+        """Base classes that this project defines; none of a function."""
+        for base in self.node.bases if isinstance(self.node, ast.ClassDef) else ():
+            name = base.value if isinstance(base, ast.Subscript) else base
+            found = defined(f"{self.module}.{name.id}") if isinstance(name, ast.Name) else None
+            if found is not None:
+                yield found
+
+    def constructor(self) -> Constructor | None:
+        """The function that judges the arguments, `__init__`, `__post_init__` or itself.
+
+        It comes with the class in which it stands, which may be a base.
+        """
+        if isinstance(self.node, ast.FunctionDef):
+            return self.node, self
+        methods = {each.name: each for each in self.node.body if isinstance(each, ast.FunctionDef)}
+        for name in ("__init__", "__post_init__"):
+            if name in methods:
+                return methods[name], self
+        return next(filter(None, (base.constructor() for base in self.bases())), None)
+
+    def fields(self) -> Iterator[tuple[str, Any]]:
+        """Fields of a data class whose default is a plain value, inherited ones first."""
+        for base in self.bases():
+            yield from base.fields()
+        for each in self.node.body:
+            if isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name) and each.value:
+                yield from _literal(each.target.id, each.value)
+
+    def constants(self) -> Iterator[tuple[str, Any]]:
+        """Plain values that stand at the top of the module."""
+        for each in self.source.body:
+            if isinstance(each, ast.Assign) and isinstance(each.targets[0], ast.Name):
+                yield from _literal(each.targets[0].id, each.value)
+
+
+def names_of(function: ast.FunctionDef) -> list[str]:
+    """Arguments that may be given in a row, without `self`."""
+    names = [each.arg for each in function.args.posonlyargs + function.args.args]
+    return names[1:] if names[:1] == ["self"] else names
+
+
+def defaults_of(function: ast.FunctionDef) -> Iterator[tuple[str, Any]]:
+    """Arguments whose default is a plain value."""
+    arguments = function.args
+    placed = arguments.posonlyargs + arguments.args
+    pairs = [
+        *zip(placed[len(placed) - len(arguments.defaults) :], arguments.defaults, strict=True),
+        *zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True),
+    ]
+    for argument, value in pairs:
+        if value is not None:
+            yield from _literal(argument.arg, value)
+
+
+def _literal(name: str, value: ast.expr) -> Iterator[tuple[str, Any]]:
+    try:
+        yield name, ast.literal_eval(value)
+    except ValueError:
+        return
+
+
+@cache
+def defined(name: str) -> Definition | None:
+    """What a dotted name of this project stands for, followed through the imports of packages.
+
+    Returns:
+        None for what is no class and no function, or stands elsewhere.
+    """
+    module, source = _module(name.split("."))
+    rest = name[len(module) + 1 :]
+    if source is None or not rest or "." in rest:
+        return None
+    for each in _top(source.body):
+        if isinstance(each, ast.ClassDef | ast.FunctionDef) and each.name == rest:
+            return Definition(each, module, source)
+        if isinstance(each, ast.ImportFrom) and each.module and not each.level:
+            for alias in each.names:
+                if (alias.asname or alias.name) == rest:
+                    return defined(f"{each.module}.{alias.name}")
+    return None
+
+
+def _top(body: Sequence[ast.stmt]) -> Iterator[ast.stmt]:
+    """Statements of a module, those under `if TYPE_CHECKING:` and `with needs(...):` as well."""
+    for each in body:
+        if isinstance(each, ast.If | ast.With):
+            yield from _top(each.body)
+        else:
+            yield each
+
+
+def _module(parts: Sequence[str]) -> tuple[str, ast.Module | None]:
+    """The longest beginning of a dotted name that is a module of this project, and its source."""
+    for length in range(len(parts) - 1, 0, -1) if parts[0] in PROJECT else ():
+        source = _source(".".join(parts[:length]))
+        if source is not None:
+            return ".".join(parts[:length]), source
+    return "", None
+
+
+@cache
+def _source(module: str) -> ast.Module | None:
+    first, *rest = module.split(".")
+    package = find_spec(first)
+    folders = [] if package is None else package.submodule_search_locations or []
+    for place in (Path(folder, *rest) for folder in folders):
+        for file in (place.with_suffix(".py"), place / "__init__.py"):
+            if file.is_file():
+                return ast.parse(file.read_text(encoding="utf-8"))
+    return None
