@@ -32,7 +32,12 @@ with needs_to_run("stack", "the command lines"):
     from omegaconf.errors import OmegaConfBaseException
 
     from diffstack_mmv.composition import changed_defaults, composed_once, value_of
-    from diffstack_mmv.config_checks import require_complete, require_same_type, require_seed
+    from diffstack_mmv.config_checks import (
+        require_complete,
+        require_possible_vehicle,
+        require_same_type,
+        require_seed,
+    )
     from diffstack_mmv.override_errors import one_line, told, told_of_folder
     from dmmv_conventions.bars import Bars
 
@@ -117,8 +122,9 @@ def command(
                     require_same_type(key, default, value_of(config, key))
                 OmegaConf.resolve(config)
                 require_seed(config.get("seed"))
-                content = OmegaConf.to_container(config)
+                content: Any = OmegaConf.to_container(config)
                 require_buildable(content, OF_A_RUN, "in the configuration")
+                require_possible_vehicle(content.get("vehicle"))
                 require_foretold(content)
                 check(config)
                 with alone_in(Path(config.out), "out"), _single_job():

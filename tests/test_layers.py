@@ -16,7 +16,7 @@ ALLOWED = {
     "__init__": set(),
     "cli": {"composition", "config_checks", "override_errors"},
     "composition": set(),
-    "config_checks": set(),
+    "config_checks": {"vehicles"},
     "crowdnav": {"dynamics", "simulation", "vehicles"},
     "override_errors": set(),
     "jobs": set(),
@@ -67,7 +67,11 @@ CONVENTIONS = {
         "dmmv_conventions.targets",
         "dmmv_conventions.yaml_files",
     },
-    "vehicles": {"dmmv_conventions.configs", "dmmv_conventions.yaml_files"},
+    "vehicles": {
+        "dmmv_conventions.checks",
+        "dmmv_conventions.configs",
+        "dmmv_conventions.yaml_files",
+    },
     "stack": {
         "dmmv_conventions.checkpoints",
         "dmmv_conventions.memory",

@@ -79,30 +79,33 @@ def converted(tmp_path_factory):
     return cache
 
 
-JUDGED_BY_PARTS = [
+JUDGED_WITH_TORCH = [
+    ("evaluate", ["situations=[flying]"], "`situations` must be one of moving"),
+    ("evaluate", ["device=none"], "`device` must be auto, cpu, or a device"),
+]
+JUDGED_WITHOUT_TORCH = [
     ("train", ["loss.control=-1"], "`loss.control` must be at least 0"),
     ("train", ["data.module.loading.workers=-1"], "`workers` must be at least 0"),
     ("train", ["data.module.augmentation.probability=2"], "`probability` must lie in"),
     ("train", ["physics.rate=0"], "`physics.rate` must be positive"),
     ("train", ["cost.weights.final_goal=-1"], "`weights.final_goal` must be positive"),
+    ("train", ["vehicle.mass_kg=0"], "`mass_kg` must be positive, but got 0"),
     ("evaluate", ["baselines.simple.ctra.predictor.dt_s=-1"], "`dt_s` must be positive"),
-    ("evaluate", ["situations=[flying]"], "`situations` must be one of moving"),
-    ("evaluate", ["device=none"], "`device` must be auto, cpu, or a device"),
+    ("evaluate", ["split=some"], "`split` must be one of train, but got 'some'"),
     ("identify", ["foresee_s=-1"], "`prediction_s` must be at least 0"),
     ("identify", ["dynamics.dt_s=-1"], "`dt_s` must be positive"),
     ("navigate", ["search.samples=0"], "`samples` must be at least 1"),
+    ("navigate", ["vehicle.wheelbase.initial=9"], "`initial` must lie between low"),
     ("simulate", ["others.kbm.dt_s=-1"], "`dt_s` must be positive"),
-]
-JUDGED_WITHOUT_TORCH = [
+    ("simulate", ["vehicle.limits.steer_max_rad=2"], "`limits.steer_max_rad` must lie in"),
     ("results", ["launcher.processes=0"], "`processes` must be at least 1"),
     ("closed_loop_table", ["launcher.processes=0"], "`processes` must be at least 1"),
-    ("evaluate", ["split=some"], "`split` must be one of train, but got 'some'"),
 ]
 
 
 @pytest.mark.parametrize(
     ("script", "arguments", "told", "absent"),
-    [(*row, OF_THE_WORK) for row in JUDGED_BY_PARTS]
+    [(*row, OF_THE_WORK) for row in JUDGED_WITH_TORCH]
     + [(*row, HEAVY) for row in JUDGED_WITHOUT_TORCH],
 )
 def test_values_are_judged_before_the_work_is_imported(

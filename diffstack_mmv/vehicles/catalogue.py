@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from diffstack_mmv.checks import message
 from diffstack_mmv.vehicles.reading import config_from_spec
 from diffstack_mmv.vehicles.spec import VehicleSpec
+from dmmv_conventions.checks import message
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.yaml_files import read_mapping, to_yaml
 

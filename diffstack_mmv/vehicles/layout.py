@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from itertools import combinations
 
-from diffstack_mmv.checks import require
 from diffstack_mmv.vehicles.parts import (
     AckermannSteering,
     DifferentialDrive,
@@ -11,6 +10,7 @@ from diffstack_mmv.vehicles.parts import (
     TruckSteering,
     WheelSpec,
 )
+from dmmv_conventions.checks import require
 
 SAME_PLACE_M = 1e-3
 

@@ -2,123 +2,13 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, Self
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from diffstack_mmv.checks import require
-
-Numbers = float | tuple[float, ...]
-_EDGE = 1e-6  # an estimate at the very edge of its range is moved inside by this share of the range
-
-
-def as_numbers(values: float | Sequence[float]) -> Numbers:
-    """Return a float, or a tuple of floats for a sequence."""
-    if isinstance(values, Sequence):
-        return tuple(float(value) for value in values)
-    return float(values)
-
-
-def _broadcast(values: Numbers, length: int) -> tuple[float, ...]:
-    return values if isinstance(values, tuple) else (values,) * length
-
-
-@dataclass(frozen=True)
-class ParameterSpec:
-    """A physical quantity with its prior value, range, unit and source.
-
-    Args:
-        initial: Prior value, one number or one per wheel.
-        low: Lower end of the range; `low == high` makes the parameter a constant.
-        high: Upper end of the range.
-        unit: SI unit, "1" for a dimensionless number.
-        learn: Whether training may move it.
-        source: Where the number comes from.
-        tied: Whether wheels move together (one learned number) or each for itself.
-
-    Raises:
-        ValueError: A number is not finite, outside of its range, or the lengths differ; unit or
-            source is missing.
-    """
-
-    initial: Numbers
-    low: Numbers
-    high: Numbers
-    unit: str
-    learn: bool
-    source: str
-    tied: bool = False
-
-    def __post_init__(self) -> None:
-        lengths = {
-            len(field) for field in (self.initial, self.low, self.high) if isinstance(field, tuple)
-        }
-        require(
-            len(lengths) <= 1,
-            "initial, low, high",
-            "have the same number of entries",
-            sorted(lengths),
-            remedy="Give one number for all wheels, or one per wheel.",
-        )
-        for initial, low, high in self.entries():
-            require(
-                math.isfinite(low) and math.isfinite(high), "low, high", "be finite", (low, high)
-            )
-            require(low <= high, "low", f"be at most high = {high:g}", low)
-            inside = low < initial < high or low == initial == high
-            remedy = "Widen the range, or set low = initial = high for a constant."
-            require(
-                inside,
-                "initial",
-                f"lie between low = {low:g} and high = {high:g}",
-                initial,
-                remedy=remedy,
-            )
-        require(
-            bool(self.unit),
-            "unit",
-            "be given",
-            "nothing",
-            remedy='Write the SI unit, "1" for a plain number.',
-        )
-        require(
-            bool(self.source),
-            "source",
-            "be given",
-            "nothing",
-            remedy="Say where the number comes from.",
-        )
-
-    @property
-    def length(self) -> int | None:
-        """Number of entries, None for a single number."""
-        sized = [field for field in (self.initial, self.low, self.high) if isinstance(field, tuple)]
-        return len(sized[0]) if sized else None
-
-    def entries(self) -> list[tuple[float, float, float]]:
-        """One (initial, low, high) per entry."""
-        length = self.length or 1
-        columns = (_broadcast(field, length) for field in (self.initial, self.low, self.high))
-        return list(zip(*columns, strict=True))
-
-    def with_value(self, value: float | Sequence[float], source: str) -> "ParameterSpec":
-        """Return the same parameter with another prior, kept just inside of the range.
-
-        Raises:
-            ValueError: The number of values does not fit.
-        """
-        values = _broadcast(as_numbers(value), self.length or 1)
-        count = self.length or 1
-        require(len(values) == count, "value", f"have {count} entries", len(values))
-        moved = []
-        for new, (_, low, high) in zip(values, self.entries(), strict=True):
-            margin = _EDGE * (high - low)
-            moved.append(min(max(new, low + margin), high - margin))
-        initial = tuple(moved) if self.length else moved[0]
-        return ParameterSpec(initial, self.low, self.high, self.unit, self.learn, source, self.tied)
+from diffstack_mmv.vehicles.quantity import Numbers, ParameterSpec
 
 
 class ExactBuffers(nn.Module):

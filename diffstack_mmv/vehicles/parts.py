@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from diffstack_mmv.checks import require, require_at_least, require_between, require_positive
+from dmmv_conventions.checks import require, require_at_least, require_between, require_positive
 
 WHEEL_PARAMETERS = {"friction": "1", "tread_stiffness": "N/m^2", "contact_half_length": "m"}
 BODY_PARAMETERS = {

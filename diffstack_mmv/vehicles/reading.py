@@ -5,8 +5,6 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
 from typing import Any
 
-from diffstack_mmv.checks import message, require
-from diffstack_mmv.vehicles.parameter import ParameterSpec, as_numbers
 from diffstack_mmv.vehicles.parts import (
     BODY_PARAMETERS,
     WHEEL_PARAMETERS,
@@ -19,6 +17,8 @@ from diffstack_mmv.vehicles.parts import (
     TruckSteering,
     WheelSpec,
 )
+from diffstack_mmv.vehicles.quantity import ParameterSpec, as_numbers
+from dmmv_conventions.checks import message, require
 
 _REQUIRED = (
     "name",

@@ -3,8 +3,6 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from diffstack_mmv.checks import require, require_positive
-from diffstack_mmv.vehicles.parameter import ParameterSpec, as_numbers
 from diffstack_mmv.vehicles.parts import (
     AckermannSteering,
     DifferentialDrive,
@@ -15,6 +13,8 @@ from diffstack_mmv.vehicles.parts import (
     TruckSteering,
     WheelSpec,
 )
+from diffstack_mmv.vehicles.quantity import ParameterSpec, as_numbers
+from dmmv_conventions.checks import require, require_positive
 
 SOURCE = "reference parameter set"
 _SCALARS = (

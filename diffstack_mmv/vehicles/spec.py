@@ -4,9 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from diffstack_mmv.checks import message, require, require_at_least, require_positive
 from diffstack_mmv.vehicles.layout import require_possible_layout
-from diffstack_mmv.vehicles.parameter import ParameterSpec
 from diffstack_mmv.vehicles.parts import (
     BODY_PARAMETERS,
     WHEEL_PARAMETERS,
@@ -16,8 +14,10 @@ from diffstack_mmv.vehicles.parts import (
     Steering,
     WheelSpec,
 )
+from diffstack_mmv.vehicles.quantity import ParameterSpec
 from diffstack_mmv.vehicles.reading import fields_from_config
 from diffstack_mmv.vehicles.reference import fields_from_reference
+from dmmv_conventions.checks import message, require, require_at_least, require_positive
 
 _POSITIVE = (
     "friction",
