@@ -113,6 +113,7 @@ class DetourFan:
         self.lateral_mps2 = lateral_mps2
         self.braking_mps2 = braking_mps2
         self.compile = compile
+        self._schedules: dict[tuple[int, float, torch.dtype, torch.device], Tensor] = {}
 
     def __call__(self, dynamics: DynamicsModel, problem: PlanningProblem, steps: int) -> Candidates:
         """Roll out the fan of every problem over a number of steps.
@@ -160,7 +161,7 @@ class DetourFan:
             return dynamics.step(state, control), control
 
         start = initial_state(dynamics, problem.ego)
-        rows = _rows(problem, [_leg(detour, step * dynamics.dt_s) for step in range(steps)])
+        rows = _rows(problem, self._scheduled(detour, steps, dynamics.dt_s))
         state = start.unsqueeze(-2).expand(*rows.shape[:-2], start.shape[-1])
         found = scan(driven, state.flatten(0, -2), rows.flatten(0, -3))
         if found is None:
@@ -168,6 +169,15 @@ class DetourFan:
         states, controls = (part.unflatten(0, rows.shape[:-2]) for part in found)
         motion = dynamics.motion(states, with_final_row(controls))
         return Candidates(states, controls, motion)
+
+    def _scheduled(self, detour: Detour, steps: int, dt_s: float) -> Float[Tensor, "C1 T 4"]:
+        """What the candidates do in each step: the same for all problems, so worked out once."""
+        like = detour.until
+        key = steps, dt_s, like.dtype, like.device
+        if key not in self._schedules:
+            legs = [_leg(detour, step * dt_s) for step in range(steps)]
+            self._schedules[key] = _schedule(legs, like)
+        return self._schedules[key]
 
     def _pursued(
         self,
@@ -217,11 +227,17 @@ def _leg(detour: Detour, time_s: float) -> Leg:
     return Leg(offset, share, left.any(-1))
 
 
-def _rows(problem: PlanningProblem, legs: Sequence[Leg]) -> Float[Tensor, "*b C T 7"]:
-    """What each candidate is told in each step: goal, cruise, its leg, and whether it brakes."""
-    told = [torch.stack([field.to(problem.goal) for field in leg], -1) for leg in legs]
+def _schedule(legs: Sequence[Leg], like: Tensor) -> Float[Tensor, "C1 T 4"]:
+    """The leg of each candidate in each step, and whether it brakes, which the last one does."""
+    told = [torch.stack([field.to(like) for field in leg], -1) for leg in legs]
     each = torch.nn.functional.pad(torch.stack(told, -2), (0, 1, 0, 0, 0, 1))
-    each[-1, :, -1] = 1  # the last candidate
+    each[-1, :, -1] = 1
+    return each
+
+
+def _rows(problem: PlanningProblem, schedule: Float[Tensor, "C T 4"]) -> Float[Tensor, "*b C T 7"]:
+    """What each candidate is told in each step: goal and cruise, and its part of the schedule."""
     common = torch.cat([problem.goal, problem.reference_speed.unsqueeze(-1)], -1)
-    shape = *common.shape[:-1], *each.shape[:-1]
-    return torch.cat([common[..., None, None, :].expand(*shape, 3), each.expand(*shape, 4)], -1)
+    shape = *common.shape[:-1], *schedule.shape[:-1]
+    told = common[..., None, None, :].expand(*shape, 3), schedule.expand(*shape, 4)
+    return torch.cat(told, -1)

@@ -1,6 +1,6 @@
 """The cost of planning problems as a solver wants it: able to select some of its problems."""
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -54,20 +54,14 @@ def batched_objective(
     return Batched(cost, *parted(problem))
 
 
-class MotionRows(NamedTuple):
-    """Motions as rows of numbers, for costs that are priced in a library."""
-
-    cost: Batched  # (rows `b t 6`, controls `b t m` in SI units) -> `b t`
-    rows: Float[Tensor, "*b t 6"]
-
-
-def motion_rows(planner: PlanCost, problem: PlanningProblem, motion: Motion) -> MotionRows:
+def motion_cost(planner: PlanCost, problem: PlanningProblem) -> Batched:
     """Cost at each time of motions that are given, of a batch of problems.
+
+    It is that of (rows `b t 6` of `motion_rows`, controls `b t m` in SI units).
 
     Args:
         planner: Whose cost it is.
         problem: The problems.
-        motion: Motions of their plans.
     """
     heading = problem.ego.heading
 
@@ -77,9 +71,13 @@ def motion_rows(planner: PlanCost, problem: PlanningProblem, motion: Motion) -> 
         moved = Motion(position, course, velocity, yaw_rate)
         return planner.cost_of(moved, controls, joined(heading, tensors))
 
+    return Batched(cost, *parted(problem))
+
+
+def motion_rows(motion: Motion) -> Float[Tensor, "*b t 6"]:
+    """Motions as rows of numbers, for `motion_cost`."""
     position, course, velocity, yaw_rate = motion
-    fields = position, course.unsqueeze(-1), velocity, yaw_rate.unsqueeze(-1)
-    return MotionRows(Batched(cost, *parted(problem)), torch.cat(fields, -1))
+    return torch.cat([position, course.unsqueeze(-1), velocity, yaw_rate.unsqueeze(-1)], -1)
 
 
 def parted(problem: PlanningProblem) -> tuple[Tensor, ...]:

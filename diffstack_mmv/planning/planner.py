@@ -9,7 +9,6 @@ from torch import Tensor, nn
 
 from diffstack_mmv.checks import message, require_at_least
 from diffstack_mmv.control import ILQR, Batched, TrajectoryOptimizer
-from diffstack_mmv.control.native.prices import prices
 from diffstack_mmv.control.native.scan import RowStep, scan
 from diffstack_mmv.costs import WeightedCost
 from diffstack_mmv.dynamics import DynamicsModel, rollout
@@ -18,16 +17,15 @@ from diffstack_mmv.planning.choice import PlanChoice, TakeOptimum
 from diffstack_mmv.planning.coordinates import Coordinates, PhysicalControls
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
 from diffstack_mmv.planning.limits import PlanConstraints
-from diffstack_mmv.planning.objective import batched_objective, motion_rows
-from diffstack_mmv.planning.parts import cost_in_parts, possible
+from diffstack_mmv.planning.objective import batched_objective
+from diffstack_mmv.planning.parts import possible
+from diffstack_mmv.planning.plan_costs import PlanCosts
 from diffstack_mmv.planning.pricing import CostScore, PlanScore, ScoredPlans
 from diffstack_mmv.planning.problem import filled_up, initial_state, likeliest
 from diffstack_mmv.types import Motion, Obstacles, Plan, PlanningProblem, Solution, map_tensors
 
 MOST_COMPARED = 256
 """Plans, the cheapest ones, whose homotopy classes are looked at."""
-MOST_PRICED = 64
-"""Components of agents up to which a score without gradient is priced in a library."""
 UNSAFE = 1e4
 """Added to the price of an unsafe plan where starts of the optimiser are chosen."""
 
@@ -124,8 +122,10 @@ class MPCPlanner(Planner):
         """
         waited = torch.zeros_like(problem.reference_speed) if state is None else state.waited
 
+        costs = self._costs(problem)
+
         def scored(controls: Tensor, motion: Motion) -> ScoredPlans:
-            return self._scored(problem, controls, motion, waited)
+            return self._scored(costs, controls, motion, waited)
 
         with torch.no_grad():
             fan = self.candidates(self.dynamics, problem, self.steps)
@@ -174,39 +174,18 @@ class MPCPlanner(Planner):
 
     def _scored(
         self,
-        problem: PlanningProblem,
+        costs: PlanCosts,
         controls: Float[Tensor, "*b C T m"],
         motion: Motion,
         waited: Float[Tensor, "*b"],
     ) -> ScoredPlans:
-        batch_dims = problem.goal.dim() - 1
-        per_plan = map_tensors(lambda entry: entry.unsqueeze(batch_dims), problem)
-
-        def cost(motion: Motion, controls: Tensor) -> Tensor:
-            padded = with_final_row(controls)
-            found = self._priced(problem, motion, padded)
-            if found is not None:
-                return found
-            return cost_in_parts(self.cost_of, motion, padded, per_plan)
-
         with torch.set_grad_enabled(torch.is_grad_enabled() and self.score.differentiable):
-            return self.score(cost, problem, controls, motion, waited, self.dynamics.dt_s)
+            return self.score(costs, costs.problem, controls, motion, waited, self.dynamics.dt_s)
 
-    def _priced(
-        self, problem: PlanningProblem, motion: Motion, controls: Float[Tensor, "*b C t m"]
-    ) -> Float[Tensor, "*b C t"] | None:
-        """The cost of plans in a library, where the solver is compiled; None without."""
+    def _costs(self, problem: PlanningProblem) -> PlanCosts:
+        """The cost of plans, in a library where the solver is compiled."""
         compiled = isinstance(self.solver, ILQR) and self.solver.compile
-        if not compiled or controls.dim() != 4:
-            return None
-        agents = problem.obstacles
-        if not self.score.differentiable:
-            agents = possible(agents)
-            if agents.weight[0].numel() > MOST_PRICED:
-                return None
-        filled = problem._replace(obstacles=filled_up(agents))
-        cost, rows = motion_rows(self, filled, motion)
-        return prices(cost, rows, controls)
+        return PlanCosts(self, problem, compiled, self.score.differentiable)
 
     @torch.no_grad()
     def _continued(

@@ -197,13 +197,16 @@ class OrcaForecaster:
         """The observed crowd with the goals believed in now, and the doubt of each course."""
         position, velocity = observation.pedestrian_position, observation.pedestrian_velocity
         preferred = self._preferred(state, observation)
-        goal = self._at_first_sight(position, velocity, preferred)
-        doubt = position.new_zeros(*position.shape[:-1], self.inference.courses)
-        if state is not None:
+        if state is None:
+            goal = self._at_first_sight(position, velocity, preferred)
+            doubt = position.new_zeros(*position.shape[:-1], self.inference.courses)
+        else:
+            goal, doubt = self.inference(self.crowd, state.crowd, velocity, state.doubt, state.dt_s)
             known = (observation.seen & state.seen)[..., None]
-            told = self.inference(self.crowd, state.crowd, velocity, state.doubt, state.dt_s)
-            goal = torch.where(known, told.goal, goal)
-            doubt = torch.where(known, told.doubt, doubt)
+            if not bool(known.all()):
+                first = self._at_first_sight(position, velocity, preferred)
+                goal = torch.where(known, goal, first)
+                doubt = torch.where(known, doubt, torch.zeros_like(doubt))
         crowd = CrowdState(position, velocity, goal, observation.pedestrian_radius, preferred)
         return crowd, doubt
 
@@ -211,10 +214,10 @@ class OrcaForecaster:
         self, state: BelievedCrowd | None, observation: Observation
     ) -> Float[Tensor, "*b h"]:
         """Preferred speeds in m/s that are believed in."""
-        speed = length(observation.pedestrian_velocity)
-        usual = torch.full_like(speed, self.preferred_speed_mps)
+        usual = torch.full_like(observation.pedestrian_radius, self.preferred_speed_mps)
         if not self.observed_speed:
             return usual
+        speed = length(observation.pedestrian_velocity)
         walked = speed > RESTING_MPS
         if state is None:
             return torch.where(walked, speed, usual)

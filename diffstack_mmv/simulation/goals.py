@@ -24,6 +24,11 @@ class TriedGoals(NamedTuple):
     goal: Float[Tensor, "*b h k 2"]  # m
     error: Float[Tensor, "*b h k"]  # m/s, of the velocity
 
+    def first(self, count: int) -> list["TriedGoals"]:
+        """The first goals, each by itself."""
+        apart = self.goal[..., :count, :].split(1, -2), self.error[..., :count].split(1, -1)
+        return [TriedGoals(*each) for each in zip(*apart, strict=True)]
+
     def best(self) -> Float[Tensor, "*b h 2"]:
         """The goal in m with the smallest error."""
         index = self.error.argmin(-1)[..., None, None]
@@ -107,10 +112,7 @@ class GoalInference:
         own = torch.stack([before.goal, before.position + velocity], -2)
         courses = torch.cat([ahead, fan.expand(*velocity.shape[:-1], -1)], -1)
         answers = tried(torch.cat([own, self._far(before, courses)], -2))
-        kept, arriving, straight = (
-            TriedGoals(answers.goal[..., [which], :], answers.error[..., [which]])
-            for which in range(3)
-        )
+        kept, arriving, straight = answers.first(3)
         error = answers.error[..., 3:]
         doubt = self.memory * doubt + error.clamp(max=NOTICED_MPS).square()
         course = _least_doubted(fan, doubt)

@@ -95,3 +95,23 @@ def test_the_library_drives_the_same_fan(model):
     torch.testing.assert_close(found.states, expected.states, rtol=1e-4, atol=1e-4)
     torch.testing.assert_close(found.controls, expected.controls, rtol=1e-4, atol=1e-4)
     torch.testing.assert_close(found.motion, expected.motion, rtol=1e-3, atol=1e-3)
+
+
+def test_what_the_candidates_do_is_worked_out_once_per_horizon(model, monkeypatch):
+    from diffstack_mmv.planning import detours
+
+    calls, leg = [], detours._leg
+
+    def counted(detour, time_s):
+        calls.append(time_s)
+        return leg(detour, time_s)
+
+    monkeypatch.setattr(detours, "_leg", counted)
+    fan = DetourFan(drawn=3, compile=True)
+    with torch.no_grad():
+        for goal in ((5.0, 0.0), (5.0, 1.0)):
+            fan(model, problem(goal=goal), 12)
+        assert len(calls) == 12
+        shorter = fan(model, problem(), 6)
+    assert len(calls) == 18
+    assert shorter.controls.shape[-2] == 6

@@ -103,7 +103,8 @@ def test_the_solver_is_compiled_on_demand_where_there_is_a_compiler(compiler, mo
 def scores(planner, problems, controls, motion):
     """What the planner thinks of plans, `b C`."""
     with torch.no_grad():
-        return planner._scored(problems, controls, motion, torch.zeros(len(controls)))
+        costs = planner._costs(problems)
+        return planner._scored(costs, controls, motion, torch.zeros(len(controls)))
 
 
 def test_the_closed_loop_takes_the_cheapest_safe_plan_of_all():

@@ -8,7 +8,7 @@ import ctypes
 import functools
 import logging
 from collections.abc import Hashable
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -63,9 +63,33 @@ def prices(
         states: Of the plans.
         controls: Of the plans.
     """
+    found = pricer(cost, states, controls)
+    return None if found is None else found(states, controls)
+
+
+class Pricer(NamedTuple):
+    """Prices any number of plans of the same problems."""
+
+    library: Any
+    batch: TakenBatch
+
+    def __call__(
+        self, states: Float[Tensor, "b C T1 n"], controls: Float[Tensor, "b C T1 m"]
+    ) -> Float[Tensor, "b C T1"] | None:
+        """Cost of plans at each time, None if it had to carry a gradient to them; see `prices`."""
+        if states.requires_grad or controls.requires_grad:
+            return None
+        plans = states.detach().contiguous(), controls.detach().contiguous()
+        priced: Tensor = _Prices.apply(*self, *plans, *self.batch.parameters)  # type: ignore[no-untyped-call]
+        return priced
+
+
+def pricer(
+    cost: Batched, states: Float[Tensor, "b C T1 n"], controls: Float[Tensor, "b C T1 m"]
+) -> Pricer | None:
+    """Prices plans of as many times as these, None if there is no library for it; see `prices`."""
     plain = states.device.type == "cpu" and states.dtype in REALS and controls.dtype == states.dtype
-    fixed = not (states.requires_grad or controls.requires_grad)
-    if not (plain and fixed and states.numel() and controls.numel()):
+    if not (plain and states.numel() and controls.numel()):
         return None
     key = kind(cost), states.dtype, states.shape[2:], controls.shape[-1]
     return _workshop(key)(cost, states, controls)
@@ -81,10 +105,10 @@ class _Workshop:
 
     def __init__(self) -> None:
         self.recorder = BatchRecorder()
-        self.built: dict[int, tuple[StagedProblem, Any]] = {}
+        self.built: dict[int, tuple[StagedProblem, Any | None]] = {}
         self.is_refused = False
 
-    def __call__(self, cost: Batched, states: Tensor, controls: Tensor) -> Tensor | None:
+    def __call__(self, cost: Batched, states: Tensor, controls: Tensor) -> Pricer | None:
         if self.is_refused:
             return None
         try:
@@ -96,20 +120,22 @@ class _Workshop:
             self.is_refused = True
             LOGGER.info("No library for the costs of candidates (%s): tensors", failure)
             return None
-        plans = states.detach().contiguous(), controls.detach().contiguous()
-        priced: Tensor = _Prices.apply(library, taken, *plans, *taken.parameters)  # type: ignore[no-untyped-call]
-        return priced
+        return None if library is None else Pricer(library, taken)
 
-    def _library(self, problem: StagedProblem, dtype: torch.dtype) -> Any:
+    def _library(self, problem: StagedProblem, dtype: torch.dtype) -> Any | None:
+        """The library of a shape, None where it would take too long to build; others may not."""
         if id(problem) not in self.built:
             if len(self.built) >= MOST_LIBRARIES:
                 raise CannotLowerError(f"more than {MOST_LIBRARIES} shapes")
             code = source(problem, REALS[dtype])
+            library = None
             if effort_of(code) > LONGEST_SOURCE:
-                raise CannotBuildError(f"a source of {effort_of(code)} characters takes too long")
-            with waiting("compile the costs of candidates"):
-                # the problem is kept, so that no other one gets its identity
-                self.built[id(problem)] = problem, load(code)
+                LOGGER.info("A source of %d characters takes too long: tensors", effort_of(code))
+            else:
+                with waiting("compile the costs of candidates"):
+                    library = load(code)
+            # the problem is kept, so that no other one gets its identity
+            self.built[id(problem)] = problem, library
         return self.built[id(problem)][1]
 
 
