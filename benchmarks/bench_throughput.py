@@ -212,4 +212,7 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except ValueError as refusal:  # of the stack: it says in one line what is wrong with the input
+        sys.exit(str(refusal))

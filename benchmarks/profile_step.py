@@ -11,6 +11,7 @@ where nothing is hidden in a library (--uncounted leaves that out: DiffGM3 takes
 import argparse
 import collections
 import contextlib
+import sys
 import time
 from pathlib import Path
 
@@ -273,4 +274,7 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except ValueError as refusal:  # of the stack: it says in one line what is wrong with the input
+        sys.exit(str(refusal))

@@ -1,6 +1,8 @@
 """The list of all benchmarks: what is told before, what is resumed, what is marked."""
 
 import importlib.util
+import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -101,3 +103,16 @@ def test_the_process_that_looks_is_not_counted(monkeypatch):
     text = "8.2 7.9 7.1 3/812 4711"
     monkeypatch.setattr(load.Path, "read_text", lambda self: text)
     assert load.running() == 2.0
+
+
+@pytest.mark.parametrize(
+    ("script", "out"), [("profile_step", ["OUT"]), ("bench_throughput", ["--models", "unicycle"])]
+)
+def test_a_missing_cache_is_told_in_one_line(script, out, tmp_path):
+    command = [sys.executable, str(ROOT / "benchmarks" / f"{script}.py"), str(tmp_path)]
+    given = [str(tmp_path / each) if each == "OUT" else each for each in out]
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    done = subprocess.run([*command, *given], capture_output=True, text=True, env=environment)
+    assert done.returncode == 1
+    [told] = done.stderr.strip().splitlines()
+    assert told.startswith("`cache` must hold a finished conversion of 'thab_vru'")
