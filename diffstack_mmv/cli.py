@@ -32,13 +32,9 @@ with needs_to_run("stack", "the command lines"):
     from omegaconf.errors import OmegaConfBaseException
 
     from diffstack_mmv.composition import changed_defaults, composed_once, value_of
-    from diffstack_mmv.config_checks import (
-        require_complete,
-        require_possible_vehicle,
-        require_same_type,
-        require_seed,
-    )
+    from diffstack_mmv.config_checks import require_complete, require_same_type, require_seed
     from diffstack_mmv.override_errors import one_line, told, told_of_folder
+    from diffstack_mmv.vehicles import VehicleSpec
     from dmmv_conventions.bars import Bars
 
 # what commands use of Hydra is taken from here, so that all of them say in one line what is missing
@@ -124,7 +120,8 @@ def command(
                 require_seed(config.get("seed"))
                 content: Any = OmegaConf.to_container(config)
                 require_buildable(content, OF_A_RUN, "in the configuration")
-                require_possible_vehicle(content.get("vehicle"))
+                if isinstance(content.get("vehicle"), dict):
+                    VehicleSpec.from_config(content["vehicle"])
                 require_foretold(content)
                 check(config)
                 with alone_in(Path(config.out), "out"), _single_job():

@@ -9,7 +9,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from diffstack_mmv.vehicles import VehicleSpec
 from dmmv_conventions.cache import read_state
 from dmmv_conventions.checks import (
     message,
@@ -194,19 +193,6 @@ def other_modes(modes: Sequence[str], vehicle: Mapping[str, Any]) -> list[str]:
     """Modes that another vehicle than this one drives; people on foot are not driven at all."""
     on_foot = (Mode.PEDESTRIAN.label, Mode.UNKNOWN.label)
     return [mode for mode in modes if mode.lower() not in (vehicle["mode"], *on_foot)]
-
-
-def require_possible_vehicle(vehicle: Any) -> None:
-    """Refuse a vehicle that cannot be; a command without one has none.
-
-    Args:
-        vehicle: Its configuration in plain containers.
-
-    Raises:
-        ValueError: A key is unknown or missing, or a number is impossible.
-    """
-    if isinstance(vehicle, Mapping):
-        VehicleSpec.from_config(vehicle)
 
 
 def require_own_vehicle(modes: Sequence[str], vehicle: Mapping[str, Any], *, shared: bool) -> None:
