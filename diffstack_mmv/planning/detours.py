@@ -16,7 +16,7 @@ from diffstack_mmv.planning.candidates import Arc, Candidates, follow, with_fina
 from diffstack_mmv.planning.problem import initial_state
 from diffstack_mmv.types import PlanningProblem
 
-CREEP_MPS = 1.0
+CREEP_MPS = 0.3
 """A turn to the goal slows down no further than to this."""
 
 
@@ -67,6 +67,8 @@ class DetourFan:
         durations_s: Lengths of the first phase.
         turn_time_s: Time in which an error of the course is steered out.
         lateral_mps2: Largest lateral acceleration of a turn.
+        yaw_rate_radps: Largest yaw rate of the turn to the goal: what turns by driving its wheels
+            apart turns tighter the slower it drives.
         braking_mps2: Deceleration towards the goal.
         drawn: Number of candidates with two legs; the same ones for every problem.
         drawn_until_s: Time at which the last of their legs ends.
@@ -87,6 +89,7 @@ class DetourFan:
         drawn: int = 0,
         drawn_until_s: float = 4.0,
         compile: bool = False,
+        yaw_rate_radps: float = 2.5,
     ) -> None:
         for name, values in (
             ("offsets_deg", offsets_deg),
@@ -101,6 +104,7 @@ class DetourFan:
         require_positive("turn_time_s", turn_time_s)
         require_positive("lateral_mps2", lateral_mps2)
         require_positive("braking_mps2", braking_mps2)
+        require_positive("yaw_rate_radps", yaw_rate_radps)
         require_at_least("drawn", drawn, 0)
         require_positive("drawn_until_s", drawn_until_s)
         one_side = [math.radians(offset) for offset in offsets_deg]
@@ -112,6 +116,7 @@ class DetourFan:
         self.turn_time_s = turn_time_s
         self.lateral_mps2 = lateral_mps2
         self.braking_mps2 = braking_mps2
+        self.yaw_rate_radps = yaw_rate_radps
         self.compile = compile
         self._schedules: dict[tuple[int, float, torch.dtype, torch.device], Tensor] = {}
 
@@ -216,7 +221,8 @@ class DetourFan:
         """
         sine = torch.where(error.abs() < 0.5 * math.pi, error.abs().sin(), 1.0)
         radius = 0.5 * distance / sine.clamp_min(1e-3)
-        return (self.lateral_mps2 * radius).sqrt().clamp_min(CREEP_MPS)
+        fastest = (self.lateral_mps2 * radius).sqrt()
+        return torch.minimum(fastest, self.yaw_rate_radps * radius).clamp_min(CREEP_MPS)
 
 
 def _leg(detour: Detour, time_s: float) -> Leg:

@@ -79,6 +79,7 @@ def test_drawn_candidates_come_beside_the_others_and_some_lead_back(model):
         ("offsets_deg", ()),
         ("speed_shares", (1.5,)),
         ("turn_time_s", 0.0),
+        ("yaw_rate_radps", 0.0),
         ("drawn", -1),
         ("drawn_until_s", 0.0),
     ],
