@@ -18,6 +18,7 @@ from dmmv_conventions.checks import (
     require_one_of,
     require_positive,
 )
+from dmmv_conventions.definitions import defined
 from dmmv_conventions.modes import Mode
 from dmmv_conventions.pretrained import PRETRAINED, checkpoint_path
 
@@ -215,6 +216,20 @@ def require_own_vehicle(modes: Sequence[str], vehicle: Mapping[str, Any], *, sha
     require(fits, "modes", needs, f"[{', '.join(modes)}]", "", remedy)
 
 
+def require_situations(names: Sequence[str]) -> None:
+    """Refuse situations that no window is told to belong to.
+
+    They are read from the source: the class itself comes with torch.
+
+    Raises:
+        ValueError: A name is unknown.
+    """
+    found = defined("diffstack_mmv.data.Situations")
+    known = [] if found is None else [name for name, _ in found.fields()]
+    for name in names:
+        require_one_of("situations", name, known)
+
+
 def require_same_horizon(config: Mapping[str, Any], trained: Mapping[str, Any]) -> None:
     """Refuse other steps or another horizon than those that a checkpoint was trained with.
 
@@ -303,41 +318,3 @@ def require_tracks(source: Mapping[str, Any], splits: Sequence[str], mode: str) 
     remedy = "Choose another data set or another vehicle."
     where = f"in the splits {', '.join(splits)} of '{source['name']}'"
     require(found, "mode", "have tracks", f"none of mode '{mode}'", where, remedy)
-
-
-def require_reports(runs: Sequence[str]) -> None:
-    """Refuse folders that scripts/evaluate.py did not write.
-
-    Raises:
-        ValueError: There is no folder, or no `metrics.json` in one.
-    """
-    remedy = "Give those that evaluate.py wrote."
-    require(len(runs) > 0, "runs", "name at least one folder", "[]", "", remedy)
-    for run in runs:
-        require_file("runs", str(Path(run) / "metrics.json"), remedy)
-
-
-RESULTS = (
-    "metrics.json",
-    "closed_loop.json",
-    "identification.json",
-    "table.csv",
-    "results.csv",
-    "trajectory_*.csv",
-    "csv/metrics.csv",
-)
-"""What the commands write that a page can show."""
-
-
-def require_results(runs: Sequence[str]) -> None:
-    """Refuse folders in which no command has written its results.
-
-    Raises:
-        ValueError: No folder is given, one is absent, or holds no results.
-    """
-    remedy = "Give folders that train, evaluate, navigate, identify, simulate or compare wrote."
-    require(len(runs) > 0, "runs", "name at least one folder", "[]", "", remedy)
-    for run in runs:
-        require_folder("runs", run, remedy)
-        found = any(next(Path(run).glob(pattern), None) for pattern in RESULTS)
-        require(found, "runs", "hold results", "none", f"in {run}", remedy)

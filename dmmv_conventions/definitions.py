@@ -40,13 +40,19 @@ class Definition(NamedTuple):
                 return methods[name], self
         return next(filter(None, (base.constructor() for base in self.bases())), None)
 
-    def fields(self) -> Iterator[tuple[str, Any]]:
-        """Fields of a data class whose default is a plain value, inherited ones first."""
+    def fields(self) -> Iterator[tuple[str, ast.expr | None]]:
+        """Fields of a data class or a named tuple with their defaults, inherited ones first."""
         for base in self.bases():
             yield from base.fields()
         for each in self.node.body:
-            if isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name) and each.value:
-                yield from _literal(each.target.id, each.value)
+            if isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name):
+                yield each.target.id, each.value
+
+    def defaults(self) -> Iterator[tuple[str, Any]]:
+        """Fields whose default is a plain value."""
+        for name, value in self.fields():
+            if value is not None:
+                yield from _literal(name, value)
 
     def constants(self) -> Iterator[tuple[str, Any]]:
         """Plain values that stand at the top of the module."""

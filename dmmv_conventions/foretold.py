@@ -121,7 +121,7 @@ def _rules(part: Definition) -> _Rules | None:
         return None
     function, owner = found
     of_fields = function.name == "__post_init__"
-    defaults = dict(part.fields() if of_fields else defaults_of(function))
+    defaults = dict(part.defaults() if of_fields else defaults_of(function))
     steps = tuple(_steps(function.body))
     return _Rules(
         steps, dict(owner.constants()), defaults, of_fields, tuple(_inherited(function, owner))

@@ -12,11 +12,12 @@ from diffstack_mmv.config_checks import (
     require_data,
     require_recordings,
     require_same_horizon,
+    require_situations,
     require_split,
     require_windows,
     told_of_data,
 )
-from dmmv_conventions.checks import message, require_one_of
+from dmmv_conventions.checks import message
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.versions import code_version, file_hash
@@ -40,12 +41,9 @@ def check(config: DictConfig) -> None:
     require_split("split", config.split, config.data.module.source)
     if config.calibration.split is not None:
         require_split("calibration.split", config.calibration.split, config.data.module.source)
+    require_situations(config.situations)
     # for their mistakes alone, before the checkpoint is read and the windows are looked for
     _device(config.device)
-    from diffstack_mmv.data import Situations
-
-    for name in config.situations:
-        require_one_of("situations", name, Situations._fields)
     replaced = (config.get("goal"), config.get("solver"))
     for part in (*told_of_data(config.data.module), config.baselines, *replaced):
         instantiate(part)

@@ -20,6 +20,7 @@ LIGHT = {
     "diffstack_mmv.cli",
     "diffstack_mmv.config_checks",
     "diffstack_mmv.jobs",
+    "diffstack_mmv.run_checks",
     "hydra.utils",
     "omegaconf",
     "tqdm",
@@ -80,7 +81,6 @@ def converted(tmp_path_factory):
 
 
 JUDGED_WITH_TORCH = [
-    ("evaluate", ["situations=[flying]"], "`situations` must be one of moving"),
     ("evaluate", ["device=none"], "`device` must be auto, cpu, or a device"),
 ]
 JUDGED_WITHOUT_TORCH = [
@@ -91,6 +91,7 @@ JUDGED_WITHOUT_TORCH = [
     ("train", ["cost.weights.final_goal=-1"], "`weights.final_goal` must be positive"),
     ("train", ["vehicle.mass_kg=0"], "`mass_kg` must be positive, but got 0"),
     ("evaluate", ["baselines.simple.ctra.predictor.dt_s=-1"], "`dt_s` must be positive"),
+    ("evaluate", ["situations=[flying]"], "`situations` must be one of moving"),
     ("evaluate", ["split=some"], "`split` must be one of train, but got 'some'"),
     ("identify", ["foresee_s=-1"], "`prediction_s` must be at least 0"),
     ("identify", ["dynamics.dt_s=-1"], "`dt_s` must be positive"),
