@@ -11,11 +11,10 @@ from diffstack_mmv.config_checks import (
     require_data,
     require_own_vehicle,
     require_recordings,
-    require_share,
     require_windows,
     told_of_data,
 )
-from dmmv_conventions.checks import require_at_least
+from diffstack_mmv.training_checks import require_training
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 
@@ -30,8 +29,7 @@ def check(config: DictConfig) -> None:
     require_windows(
         config.modes, config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
     )
-    require_share("validation.share", config.validation.share)
-    require_at_least("epochs", config.epochs, 0)
+    require_training(config)
     require_own_vehicle(config.modes, config.vehicle, shared=config.shared_vehicle)
     require_data(config.data.module.windows, config.batch_size)
     require_recordings(config.data.module.source)

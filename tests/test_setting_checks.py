@@ -1,14 +1,27 @@
 """Settings that were once taken as they were, or refused without being named."""
 
 import pytest
+from pytorch_lightning.accelerators import AcceleratorRegistry
 
 from benchmarks.faults.configuration import words
 from benchmarks.faults.workplace import base, said
+from diffstack_mmv.training_checks import ACCELERATORS
 
 WRONG = [
     ("train", "seed=-1", "`seed` must lie in"),
     ("train", "vehicle.name=[1]", "`name` must be text"),
     ("train", "validation.share=2.5", "`validation.share` must lie in (0, 1]"),
+    ("train", "validation.every_epochs=0", "`validation.every_epochs` must be at least 1"),
+    ("train", "validation.every_epochs=-2", "`validation.every_epochs` must be at least 1"),
+    ("train", "trainer.gradient_clip_val=-1", "`trainer.gradient_clip_val` must be at least 0"),
+    ("train", "trainer.log_every_n_steps=-1", "`trainer.log_every_n_steps` must be at least 1"),
+    (
+        "train",
+        "trainer.limit_train_batches=2.5",
+        "`trainer.limit_train_batches` must lie in (0, 1]",
+    ),
+    ("train", "trainer.accelerator=car", "`trainer.accelerator` must be one of auto, cpu"),
+    ("train", "optim.optimizer.lr=-1", "`optim.optimizer.lr` must be at least 0"),
     ("evaluate", "device=9", "`device` must be auto, cpu, or a device of this machine"),
     ("evaluate", "horizon_s=x", "`horizon_s` must be a number"),
     ("evaluate", "situations=[horse]", "`situations` must be one of moving"),
@@ -31,3 +44,9 @@ WRONG = [
 def test_a_setting_that_cannot_be_is_named(script, setting, told, tmp_path):
     arguments = [*base(script), f"out={tmp_path / 'out'}", *words(setting)]
     assert told in (said(script, arguments) or "nothing")
+
+
+def test_the_accelerators_are_those_of_lightning():
+    known = set(AcceleratorRegistry.available_accelerators())
+    assert known <= set(ACCELERATORS)
+    assert set(ACCELERATORS) <= known | {"auto", "gpu"}

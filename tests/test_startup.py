@@ -21,6 +21,7 @@ LIGHT = {
     "diffstack_mmv.config_checks",
     "diffstack_mmv.jobs",
     "diffstack_mmv.run_checks",
+    "diffstack_mmv.training_checks",
     "hydra.utils",
     "omegaconf",
     "tqdm",
@@ -84,6 +85,8 @@ JUDGED_WITH_TORCH = [
     ("evaluate", ["device=none"], "`device` must be auto, cpu, or a device"),
 ]
 JUDGED_WITHOUT_TORCH = [
+    ("train", ["validation.every_epochs=0"], "`validation.every_epochs` must be at least 1"),
+    ("train", ["trainer.accelerator=car"], "`trainer.accelerator` must be one of auto, cpu"),
     ("train", ["loss.control=-1"], "`loss.control` must be at least 0"),
     ("train", ["data.module.loading.workers=-1"], "`workers` must be at least 0"),
     ("train", ["data.module.augmentation.probability=2"], "`probability` must lie in"),
