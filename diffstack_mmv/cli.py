@@ -19,7 +19,7 @@ from dmmv_conventions.extras import MissingExtraError, needs_to_run
 from dmmv_conventions.foretold import require_foretold
 from dmmv_conventions.locks import alone_in
 from dmmv_conventions.progress import shown_by
-from dmmv_conventions.targets import OF_A_RUN, require_buildable
+from dmmv_conventions.targets import OF_A_RUN, nodes, require_buildable
 from dmmv_conventions.yaml_files import read_mapping
 
 with needs_to_run("stack", "the command lines"):
@@ -73,6 +73,8 @@ _RAISING = ContextVar("raising", default=False)
 """Whether Hydra was asked for its errors by us, not by who runs the command."""
 
 
+_VEHICLE = "diffstack_mmv.vehicles.VehicleSpec.from_config"
+
 Task = Callable[[DictConfig], float | None]
 """Work of a command; a number is what a sweeper minimises or maximises."""
 
@@ -120,8 +122,7 @@ def command(
                 require_seed(config.get("seed"))
                 content: Any = OmegaConf.to_container(config)
                 require_buildable(content, OF_A_RUN, "in the configuration")
-                if isinstance(content.get("vehicle"), dict):
-                    VehicleSpec.from_config(content["vehicle"])
+                _judge_vehicles(content)
                 require_foretold(content)
                 check(config)
                 with alone_in(Path(config.out), "out"), _single_job():
@@ -284,6 +285,13 @@ def _read_vehicle_file(config: DictConfig) -> None:
     if not path.is_file():
         raise ValueError(f"`vehicle` must be a name or an existing YAML file, but got {file!r}.")
     config.vehicle = read_mapping(path, "vehicle")
+
+
+def _judge_vehicles(content: Any) -> None:
+    """Have the vehicles of a configuration judge themselves, for which they need no tensor."""
+    for _, node in nodes(content):
+        if isinstance(node, dict) and node.get("_target_") == _VEHICLE:
+            VehicleSpec.from_config(node["mapping"])
 
 
 @contextmanager
