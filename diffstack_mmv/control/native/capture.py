@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from diffstack_mmv.control.native.lowering import CannotLowerError, Entries, Lowering
-from diffstack_mmv.control.native.operations import HANDLERS
+from diffstack_mmv.control.native.operations import HANDLERS, decompositions
 from diffstack_mmv.control.native.scalar import Program
 from diffstack_mmv.control.native.stages import Sizes, StagedProblem, staged
 from diffstack_mmv.control.optimizer import Cost, Dynamics
@@ -72,12 +72,10 @@ class Captured:
         return [each for i, each in enumerate(inputs) if i not in self.places]
 
     def _arranged(self, inputs: Sequence[Tensor], at: Trajectory) -> Any:
-        from torch._decomp import core_aten_decompositions
         from torch.fx.experimental.proxy_tensor import make_fx
 
-        table: Any = core_aten_decompositions()
         with torch.no_grad():
-            core = make_fx(self.graph.forward, decomposition_table=table)(*inputs)
+            core = make_fx(self.graph.forward, decomposition_table=decompositions())(*inputs)
             self.outputs = tuple(self.graph(*inputs))
         program = Program()
         lowering = Lowering(program, HANDLERS)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from diffstack_mmv.control.native.lowering import CannotLowerError, Lowering
-from diffstack_mmv.control.native.operations import HANDLERS
+from diffstack_mmv.control.native.operations import HANDLERS, decompositions
 from diffstack_mmv.control.native.scalar import Program
 from diffstack_mmv.control.native.solver import REALS
 from diffstack_mmv.control.native.stages import StagedStep, staged_step
@@ -56,10 +56,8 @@ def taken(module: nn.Module, n: int, m: int, dtype: torch.dtype) -> TakenModule:
     Raises:
         CannotLowerError: It has no scalar form.
     """
-    from torch._decomp import core_aten_decompositions
     from torch.fx.experimental.proxy_tensor import make_fx
 
-    table: Any = core_aten_decompositions()
     named = floating_tensors(module)
     if any(each.dtype != dtype for each in named.values()) or not named:
         raise CannotLowerError(f"tensors of another type than {dtype}")
@@ -71,7 +69,7 @@ def taken(module: nn.Module, n: int, m: int, dtype: torch.dtype) -> TakenModule:
     inputs = [torch.zeros(1, size, dtype=dtype) for size in (n, m)]
     inputs += [each.detach() for each in named.values()]
     with torch.no_grad():
-        graph = make_fx(step, decomposition_table=table)(*inputs)
+        graph = make_fx(step, decomposition_table=decompositions())(*inputs)
     program = Program()
     (following,) = Lowering(program, HANDLERS)(graph, _leaves(program, inputs))
     if following.size != n:

@@ -113,8 +113,23 @@ def _relu(low: Lowering, a: Any) -> Entries:
     return low.map("where", low.map("le", a, 0.0), 0.0, a)
 
 
+def _below_and_small(low: Lowering, a: Any) -> tuple[Entries, Entries]:
+    """Whether a number is below zero, and exp(-|a|): exp(a) overflows, and 0 · inf is no slope."""
+    below = low.map("lt", a, 0.0)
+    return below, low.map("exp", low.map("where", below, a, low.map("neg", a)))
+
+
 def _sigmoid(low: Lowering, a: Any) -> Entries:
-    return _reciprocal(low, low.map("add", 1.0, low.map("exp", low.map("neg", a))))
+    below, small = _below_and_small(low, a)
+    return low.map("div", low.map("where", below, small, 1.0), low.map("add", 1.0, small))
+
+
+def _softplus(low: Lowering, a: Any, beta: float = 1, threshold: float = 20) -> Entries:
+    """At any size: where torch takes the number itself, the rest is below its last digit."""
+    scaled = low.map("mul", low.numbers(a), beta)
+    below, small = _below_and_small(low, scaled)
+    above = low.map("where", below, 0.0, scaled)
+    return low.map("div", low.map("add", above, low.map("log1p", small)), beta)
 
 
 def _reduced(a: Entries, dims: Any, keepdim: bool, combine: Callable[[list[Any]], Any]) -> Entries:
@@ -208,6 +223,7 @@ HANDLERS: dict[str, Handler] = {
     "reciprocal": _reciprocal,
     "rsqrt": _rsqrt,
     "sigmoid": _sigmoid,
+    "softplus": _softplus,
     "relu": _relu,
     "clamp": _clamp,
     "clamp_min": _clamp,
@@ -231,3 +247,12 @@ HANDLERS: dict[str, Handler] = {
     "_to_copy": _copy,
     **VIEWS,
 }
+
+
+def decompositions() -> dict[Any, Any]:
+    """How torch writes its operations in core ones, but for those that are better done whole."""
+    from torch._decomp import core_aten_decompositions
+
+    table: Any = core_aten_decompositions()
+    # exp(a) overflows in the branch that is not taken
+    return {name: how for name, how in table.items() if name != torch.ops.aten.softplus.default}

@@ -103,7 +103,8 @@ def _linearise_turned(
     """`linearise` by forward mode, without tangents for the pose."""
     shape, n = state.shape[:-1], state.shape[-1]
     columns = (part.reshape(-1, part.shape[-1]).mT for part in (state, control))
-    whole = linearised_columns(dynamics, *columns)[1].permute(2, 1, 0).unflatten(0, shape)
+    whole = linearised_columns(dynamics, *columns)[1].permute(2, 1, 0)
+    whole = whole.reshape(*shape, *whole.shape[1:])
     return Linearisation(whole[..., :n], whole[..., n:])
 
 

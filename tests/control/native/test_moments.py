@@ -6,6 +6,10 @@ import torch
 from diffstack_mmv.control.native import bending, modules
 from diffstack_mmv.control.native.moments import moments
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle, SingleIntegrator, rollout
+from diffstack_mmv.dynamics.gm3 import PaperBrush
+from diffstack_mmv.dynamics.kbm import SoftplusFloor
+from diffstack_mmv.prediction.trajectron.jacobians import linearise
+from diffstack_mmv.prediction.trajectron.mixture import propagate
 from diffstack_mmv.vehicles import load_vehicle
 
 DOUBLE, ROWS, STEPS = torch.float64, 3, 5
@@ -73,6 +77,38 @@ def test_moments_and_gradients_are_those_of_tensors(kind, learned):
         found.append([*results, *slopes])
     for expected, other in zip(*found, strict=True):
         torch.testing.assert_close(other, expected, rtol=1e-10, atol=1e-12)
+
+
+def braked_into_a_turn(dynamics, dtype):
+    """Moments by library and by tensors of a vehicle that brakes hard at 8 m/s and turns."""
+    n, m = dynamics.state_dim, dynamics.control_dim
+    state, eye = torch.zeros(1, n, dtype=dtype), torch.eye(n, dtype=dtype)
+    state[:, dynamics.State._fields.index(SPEED[type(dynamics)])] = 8
+    controls = torch.tensor([-3.6, -0.09], dtype=dtype).expand(1, 12, m).contiguous()
+    scale = (0.1 * torch.eye(m, dtype=dtype)).expand(1, 12, m, m).contiguous()
+    found = moments(dynamics, state, 0.01 * eye.unsqueeze(0), controls, scale)
+    states = rollout(dynamics, state, controls)
+    linear = linearise(dynamics, states[:, :-1], controls)
+    expected = propagate(linear, 0.1 * eye.unsqueeze(0), scale)[..., :2, :2]
+    return found, (states[:, 1:, :2], expected)
+
+
+SPEED = {DiffGM3: "velocity_forward", DiffKBM: "speed"}
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda vehicle: DiffKBM(vehicle, 0.1, floor=SoftplusFloor()),
+        pytest.param(
+            lambda vehicle: DiffGM3(vehicle, 0.1, tire=PaperBrush()), marks=pytest.mark.slow
+        ),
+    ],
+)
+def test_moments_are_finite_where_an_exponential_of_the_model_overflows(make):
+    dynamics = make(load_vehicle("bicycle")).float()
+    found, expected = braked_into_a_turn(dynamics, torch.float32)
+    torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-3)
 
 
 def test_changed_numbers_of_a_model_reach_its_library():

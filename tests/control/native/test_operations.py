@@ -1,11 +1,13 @@
 """Every tensor operation and its derivative in scalars are what torch says, kinks included."""
 
+import math
+
 import pytest
 import torch
 
-from diffstack_mmv.control.native.capture import HANDLERS
 from diffstack_mmv.control.native.derivative import RULES, gradient
 from diffstack_mmv.control.native.lowering import CannotLowerError, Lowering
+from diffstack_mmv.control.native.operations import HANDLERS, decompositions
 from diffstack_mmv.control.native.scalar import CONSTANT, FOLDS, LEAF, Program, needed
 
 VALUES = [[-0.7, 0.0, 0.4], [0.9, 0.4, -0.2]]
@@ -52,16 +54,23 @@ def run(program, wanted, leaves):
         elif name == CONSTANT:
             values[node] = arguments[0]
         else:
-            values[node] = FOLDS[name](*(values[each] for each in arguments))
+            values[node] = _computed(name, *(values[each] for each in arguments))
     return [values[node] for node in wanted]
+
+
+def _computed(name, *arguments):
+    """An operation as a processor does it: what is too large is infinite."""
+    try:
+        return FOLDS[name](*arguments)
+    except OverflowError:
+        return math.inf
 
 
 def lowered(function, argument):
     """Program, leaves and outputs of a function of one tensor."""
-    from torch._decomp import core_aten_decompositions
     from torch.fx.experimental.proxy_tensor import make_fx
 
-    graph = make_fx(lambda a: (function(a),), core_aten_decompositions())(argument)
+    graph = make_fx(lambda a: (function(a),), decompositions())(argument)
     program = Program()
     entries = Lowering(program, HANDLERS).constants(argument)
     for index, _ in enumerate(entries.flat):
@@ -87,6 +96,20 @@ def test_an_operation_and_its_derivative_are_those_of_torch(name):
     torch.testing.assert_close(values, expected.detach().flatten())
     found = torch.tensor(run(program, gradient(program, weighted, leaves), given)).to(slopes)
     torch.testing.assert_close(found, slopes.flatten())
+
+
+@pytest.mark.parametrize("function", [torch.sigmoid, torch.tanh, torch.nn.functional.softplus])
+def test_what_saturates_has_a_slope_at_any_number(function):
+    numbers = torch.tensor([-1e4, -800.0, -30.0, 0.0, 30.0, 800.0, 1e4], dtype=torch.float64)
+    numbers.requires_grad_()
+    (slopes,) = torch.autograd.grad(function(numbers).sum(), numbers, create_graph=True)
+    (bends,) = torch.autograd.grad(slopes.sum(), numbers)
+    program, leaves, result = lowered(function, numbers.detach())
+    first = gradient(program, dict.fromkeys(result.flat, program.constant(1.0)), leaves)
+    second = gradient(program, dict.fromkeys(first, program.constant(1.0)), leaves)
+    given = {("p", i): value for i, value in enumerate(numbers.tolist())}
+    found = torch.tensor(run(program, [*first, *second], given), dtype=torch.float64)
+    torch.testing.assert_close(found, torch.cat([slopes, bends]).detach(), rtol=1e-9, atol=1e-12)
 
 
 def test_a_choice_hides_the_infinite_slope_of_what_is_not_taken():

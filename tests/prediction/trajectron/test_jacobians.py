@@ -78,3 +78,14 @@ def test_jacobians_with_a_known_pose_are_those_of_forward_mode(name):
     ]
     for first, second in ((found, expected), slopes):
         assert all(torch.allclose(*pair) for pair in zip(first, second, strict=True))
+
+
+def test_a_single_point_has_the_jacobians_of_a_batch():
+    dynamics = DiffGM3(load_vehicle("bicycle")).double()
+    state, control = torch.rand(8, dtype=torch.float64), torch.rand(2, dtype=torch.float64)
+    one, batch = (
+        linearise(dynamics, state, control),
+        linearise(dynamics, state[None], control[None]),
+    )
+    for single, row in zip(one, batch, strict=True):
+        torch.testing.assert_close(single, row[0])
