@@ -8,6 +8,7 @@ with needs("stack", "diffstack_mmv.callbacks"):
     from diffstack_mmv.callbacks.csv_log import KeptRows, ResumableCSVLogger
     from diffstack_mmv.callbacks.dashboard import build_dashboard, dashboard
     from diffstack_mmv.callbacks.monitors import (
+        FiniteGradients,
         GradientNorms,
         LearnedParameters,
         Throughput,
@@ -28,6 +29,7 @@ __all__ = [
     "CheckpointArtifact",
     "CompiledSolver",
     "EarlyStopping",
+    "FiniteGradients",
     "GradientNorms",
     "KeptRows",
     "LearnedParameters",

@@ -1,11 +1,16 @@
-"""Numbers logged while training: learned parameters, gradient norms and throughput."""
+"""What is watched while training: learned parameters, gradients and throughput."""
 
+import logging
 import time
 from typing import Any
 
 import pytorch_lightning as pl
 import torch
 from pytorch_lightning.callbacks import Callback
+
+from diffstack_mmv.checks import require, require_between
+
+logger = logging.getLogger(__name__)
 
 
 class LearnedParameters(Callback):
@@ -47,6 +52,62 @@ class GradientNorms(Callback):
             norms = [p.grad.norm() for p in part.parameters() if p.grad is not None]
             if norms:
                 pl_module.log(f"gradient/{name}", torch.stack(norms).norm())
+
+
+class FiniteGradients(Callback):
+    """Leaves out steps whose gradient is not finite, and stops a training that has many of them.
+
+    One batch with an infinite slope would otherwise make all weights NaN for the rest of the run.
+    Such a step gets a gradient of zero, without asking the device for it; each epoch tells how many
+    there were.
+
+    Args:
+        at_most: Share of the steps of an epoch from which on the training stops.
+
+    Raises:
+        ValueError: `at_most` is not a share; in training: an epoch has more such steps.
+    """
+
+    def __init__(self, at_most: float = 0.1) -> None:
+        require_between("at_most", at_most, 0.0, 1.0)
+        self.at_most = at_most
+        self._left_out: torch.Tensor | int = 0
+        self._steps = 0
+
+    def on_train_epoch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Count anew."""
+        self._left_out, self._steps = 0, 0
+
+    def on_before_optimizer_step(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, optimizer: torch.optim.Optimizer
+    ) -> None:
+        """Set the gradient to zero if any part of it is not finite."""
+        slopes = [p.grad for p in pl_module.parameters() if p.grad is not None]
+        if not slopes:
+            return
+        sizes = torch.stack([slope.abs().amax() for slope in slopes if slope.numel() > 0])
+        finite = sizes.isfinite().all()
+        for slope in slopes:
+            slope.copy_(torch.where(finite, slope, 0.0))
+        self._left_out = self._left_out + (~finite).long()
+        self._steps += 1
+
+    def on_train_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Tell how many steps were left out, and stop if they were too many."""
+        count, epoch = int(self._left_out), trainer.current_epoch
+        pl_module.log("gradient/not_finite", float(count))
+        if count == 0:
+            return
+        told = f"{count} of {self._steps} steps"
+        require(
+            count <= self.at_most * self._steps,
+            "gradient",
+            f"be finite in all but {100 * self.at_most:g} % of the steps of an epoch",
+            f"one that is not in {told}",
+            f"in epoch {epoch}",
+            "Lower `optim.optimizer.lr`, or look for what is not finite in the data.",
+        )
+        logger.warning("Epoch %d: the gradient was not finite in %s, left out.", epoch, told)
 
 
 class Throughput(Callback):

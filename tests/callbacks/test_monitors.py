@@ -5,7 +5,7 @@ import types
 import pytest
 import torch
 
-from diffstack_mmv.callbacks import GradientNorms, LearnedParameters, Throughput
+from diffstack_mmv.callbacks import FiniteGradients, GradientNorms, LearnedParameters, Throughput
 from diffstack_mmv.costs import ControlEffort, FinalGoal, WeightedCost
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM
 from diffstack_mmv.vehicles import load_vehicle
@@ -66,3 +66,35 @@ def test_throughput_counts_waiting_for_data(stack, monkeypatch):
     monitor.on_train_batch_start(None, stack, batch, 0)
     monitor.on_train_batch_end(None, stack, None, batch, 0)
     assert stack.logged == {"throughput/samples_per_s": 2.0, "throughput/waiting_share": 0.25}
+
+
+def test_a_gradient_that_is_not_finite_changes_nothing():
+    torch.manual_seed(0)
+    layer, watch = torch.nn.Linear(3, 2), FiniteGradients()
+    before = [p.detach().clone() for p in layer.parameters()]
+    optimizer = torch.optim.SGD(layer.parameters(), lr=0.1)
+    for scale in (float("nan"), float("inf"), 1.0):
+        optimizer.zero_grad()
+        (scale * layer(torch.ones(1, 3))[0, 0]).backward()
+        watch.on_before_optimizer_step(None, layer, optimizer)
+        optimizer.step()
+        unchanged = all(torch.equal(a, b) for a, b in zip(before, layer.parameters(), strict=True))
+        assert unchanged == (scale != 1.0)
+
+
+@pytest.mark.parametrize("bad", [0, 1, 2])
+def test_an_epoch_tells_its_steps_left_out_and_stops_if_there_are_many(stack, bad, caplog):
+    watch, trainer = FiniteGradients(at_most=0.1), types.SimpleNamespace(current_epoch=3)
+    watch.on_train_epoch_start(trainer, stack)
+    for step in range(10):
+        stack.zero_grad()
+        scale = float("nan") if step < bad else 1.0
+        (scale * stack.predictor(torch.ones(1, 2))).sum().backward()
+        watch.on_before_optimizer_step(trainer, stack, None)
+    if bad > 1:
+        with pytest.raises(ValueError, match=r"not in 2 of 10 steps in epoch 3.*optim.optimizer"):
+            watch.on_train_epoch_end(trainer, stack)
+    else:
+        watch.on_train_epoch_end(trainer, stack)
+        assert ("1 of 10 steps" in caplog.text) == (bad == 1)
+    assert stack.logged["gradient/not_finite"] == bad
