@@ -22,11 +22,17 @@ class Job(NamedTuple):
     commands: tuple[tuple[str, ...], ...]
     result: Path  # there as soon as the job is done
     log: Path
+    needs: tuple[Path, ...] = ()  # results of other jobs, without which it is not begun
 
     @property
     def done(self) -> bool:
         """Whether there is nothing left to do."""
         return self.result.is_file()
+
+    @property
+    def lacking(self) -> list[Path]:
+        """What it needs and is not there."""
+        return [path for path in self.needs if not path.is_file()]
 
 
 class JobOutcome(NamedTuple):

@@ -23,6 +23,7 @@ logger = logging.getLogger(__name__)
 
 SCRIPTS = Path(__file__).resolve().parent
 BEST = Path("checkpoints", "best.ckpt")
+RESULT = Path("report", "metrics.json")
 PREDICTOR = "predictor"
 
 
@@ -88,7 +89,7 @@ def main(config: DictConfig) -> None:
     if config.dry_run:
         return
     failed = [job for jobs in (converted, begun, trained) for job in _work(launcher, jobs)]
-    remarks = [*absent, *(f"{job.name} failed: see {job.log}." for job in failed)]
+    remarks = [*absent, *(_told(job) for job in failed)]
     shown = [run for run in runs if run.data in available]
     if config.plans:
         table = paper_table(shown, models, OPEN_LOOP, config.resamples)
@@ -104,7 +105,7 @@ def main(config: DictConfig) -> None:
     logger.info("\n%s", (out / "results.md").read_text(encoding="utf-8"))
     if failed:
         count = len(converted) + len(begun) + len(trained)
-        raise ValueError(f"{len(failed)} of {count} jobs failed. " +
+        raise ValueError(f"{len(failed)} of {count} jobs failed or were not begun. " +
                          "Read their logs, then give the same command again.")  # fmt: skip
 
 
@@ -177,16 +178,19 @@ def _pretrained(config: DictConfig, run: Run) -> Path:
 
 
 def _training(config: DictConfig, run: Run, out: Path) -> Job:
-    settings = [f"dynamics={run.model}", f"epochs={config.size.epochs}"]
+    settings, needs = [f"dynamics={run.model}", f"epochs={config.size.epochs}"], []
     if config.plans:
         settings += config.size.end_to_end
         if config.size.pretraining is not None:
-            settings.append(f"start={_pretrained(config, run) / BEST}")
-    return _job(config, run, out, settings, plans=config.plans)
+            first = _pretrained(config, run)
+            settings.append(f"start={first / BEST}")
+            needs.append(first / RESULT)  # an interrupted training has weights, too
+    return _job(config, run, out, settings, needs, plans=config.plans)
 
 
 def _job(
-    config: DictConfig, run: Run, out: Path, settings: Sequence[str], *, plans: bool
+    config: DictConfig, run: Run, out: Path, settings: Sequence[str], needs: Sequence[Path] = (),
+    *, plans: bool,
 ) -> Job:  # fmt: skip
     """Training with these settings, and evaluation of its best epoch."""
     told, folder = config.sets[run.data], run.report.parent
@@ -203,8 +207,8 @@ def _job(
     evaluate = _script("evaluate", *data, who, *judged, f"split={config.split}", *windows)
     name = ".".join(folder.relative_to(out / "runs").parts)
     return Job(
-        name.replace(".", "/"), run.model, (train, evaluate), run.report / "metrics.json",
-        out / "logs" / f"{name}.log",
+        name.replace(".", "/"), run.model, (train, evaluate), folder / RESULT,
+        out / "logs" / f"{name}.log", (_conversion(config, run.data, out).result, *needs),
     )  # fmt: skip
 
 
@@ -220,8 +224,10 @@ def _tell(config: DictConfig, jobs: Sequence[Job], width: int) -> None:
 
 
 def _work(launcher: Launcher, jobs: Sequence[Job]) -> list[Job]:
-    """Run what is not done; returns what failed."""
-    still, failed = [job for job in jobs if not job.done], []
+    """Run what is not done; returns what failed, or lacks the result of what failed."""
+    open_jobs = [job for job in jobs if not job.done]
+    failed = [job for job in open_jobs if job.lacking]
+    still = [job for job in open_jobs if not job.lacking]
     if not still:
         return failed
     for outcome in counted(launcher(still), "results", "job", len(still)):
@@ -230,6 +236,13 @@ def _work(launcher: Launcher, jobs: Sequence[Job]) -> list[Job]:
         if not outcome.succeeded:
             failed.append(outcome.job)
     return failed
+
+
+def _told(job: Job) -> str:
+    """Why there is no result."""
+    if job.lacking:
+        return f"{job.name} was not begun: {job.lacking[0]} is not there."
+    return f"{job.name} failed: see {job.log}."
 
 
 def _write_excitation(reports: Sequence[Path], out: Path) -> None:

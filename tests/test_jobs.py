@@ -11,7 +11,7 @@ from hydra.utils import instantiate
 from diffstack_mmv.jobs import Job, LocalProcesses, expected_seconds
 from diffstack_mmv.reporting import Run
 from dmmv_conventions.configs import config_folder
-from scripts.results import _training
+from scripts.results import _told, _training, _work
 
 
 def job(folder, name, code):
@@ -88,3 +88,23 @@ def test_settings_of_a_set_for_its_training_are_given_to_that_alone():
     assert "predictor=trajectron_pedestrian" in train
     assert not [told for told in evaluate if "predictor" in told or "history_s" in told]
     assert {"data.neighbors=6", "data=dut"} <= set(train) & set(evaluate)
+
+
+def test_nothing_begins_whose_predictor_has_weights_but_no_result(tmp_path):
+    """As after a kill: the checkpoint of its best epoch so far is there."""
+    with initialize_config_dir(str(config_folder()), version_base="1.3"):
+        config = compose("results", ["size=full", f"raw={tmp_path}", f"out={tmp_path}"])
+    run = Run("sample", "bicycle", "kbm", "predicted", 1, tmp_path / "runs/a/b/c/d/1/report")
+    asked = _training(config, run, tmp_path)
+    conversion, predictor = asked.needs
+    assert asked.lacking == [conversion, predictor]
+    conversion.parent.mkdir(parents=True)
+    conversion.touch()
+    start = next(told for told in asked.commands[0] if told.startswith("start="))
+    weights = Path(start.removeprefix("start="))
+    weights.parent.mkdir(parents=True)
+    weights.touch()
+    assert asked.lacking == [predictor]
+    assert _work(LocalProcesses(1), [asked]) == [asked]
+    assert f"was not begun: {predictor} is not there" in _told(asked)
+    assert not asked.log.exists()
