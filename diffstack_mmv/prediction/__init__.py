@@ -20,7 +20,7 @@ from diffstack_mmv.prediction.baselines import (
     without_dynamics,
 )
 from diffstack_mmv.prediction.ctra import ConstantTurnRateAcceleration
-from diffstack_mmv.prediction.current import fitted_motion
+from diffstack_mmv.prediction.current import motion_along
 from diffstack_mmv.prediction.goal_baselines import (
     constant_acceleration,
     hermite_spline,
@@ -48,7 +48,7 @@ __all__ = [
     "all_agents",
     "constant_acceleration",
     "ego_forecast",
-    "fitted_motion",
+    "motion_along",
     "hermite_spline",
     "neighbors_forecast",
     "single_component",

@@ -149,16 +149,25 @@ def current_course(
     return torch.atan2(ahead[..., 1], ahead[..., 0])
 
 
-def fitted_motion(tracks: Tracks, dt_s: float) -> Motion:
-    """Motion at the last row, `*b`, with the velocity of the fit to the track, see `trend`.
+def motion_along(path: Float[Tensor, "*b T 2"], tracks: Tracks, dt_s: float) -> Motion:
+    """Motion at the last row, `*b`, with which a predicted path (m) begins.
+
+    Position and velocity are extrapolated from its first two positions: a predictor has weighed
+    what it observed, while the last row has the noise of a single measurement, from which a vehicle
+    that cannot go sideways would not get away within the horizon.
 
     Whoever moves is on the course of that velocity; below walking speed the heading of the track
     holds, as the course is not observable.
     """
-    velocity = trend(tracks, MEMORY_S, dt_s).velocity
-    speed = velocity.norm(dim=-1)
+    if path.shape[-2] == 1:  # nothing to extrapolate from
+        start = current_position(tracks)
+        velocity = (path[..., 0, :] - start) / dt_s
+    else:
+        velocity = (path[..., 1, :] - path[..., 0, :]) / dt_s
+        start = path[..., 0, :] - dt_s * velocity
+    speed = safe_norm(velocity)
     moves = speed >= SLOW_MPS
     safe = torch.where(moves.unsqueeze(-1), velocity, torch.ones_like(velocity))
     heading = torch.where(moves, torch.atan2(safe[..., 1], safe[..., 0]), current_heading(tracks))
     ahead = torch.stack([speed, torch.zeros_like(speed)], -1)
-    return Motion(current_position(tracks), heading, ahead, torch.zeros_like(speed))
+    return Motion(start, heading, ahead, torch.zeros_like(speed))

@@ -44,7 +44,7 @@ from diffstack_mmv.prediction import (
     Predictor,
     all_agents,
     ego_forecast,
-    fitted_motion,
+    motion_along,
     neighbors_forecast,
     strongest,
 )
@@ -136,8 +136,8 @@ class DiffStackMMV(pl.LightningModule):
             neighbors.valid,
             strongest(neighbors_forecast(forecast), self.obstacle_components),
         )
-        motion = fitted_motion(batch.ego_past, batch.dt_s)
         path = self.goal.expected_path(ego, goal)
+        motion = motion_along(path, batch.ego_past, batch.dt_s)
         reference = predicted_reference(motion, path, goal, batch.dt_s)
         tracked = tracked_ego(motion, batch.ego_past.extent, goal)
         problem = build_problem(tracked, goal, reference, obstacles)
