@@ -9,13 +9,16 @@ from diffstack_mmv.types import Motion, PlanningProblem
 
 
 class SpeedLimit(CostTerm):
-    """Squared excess ReLU(v - v_ref)² of the forward speed over the reference speed, in (m/s)²."""
+    """Squared excess ReLU(|v| - v_ref)² of the speed ahead or backwards over v_ref, in (m/s)².
+
+    v_ref is the reference speed.
+    """
 
     def forward(
         self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
     ) -> Float[Tensor, "*b t"]:
         """Value in (m/s)² at each time."""
-        excess = motion.velocity[..., 0] - problem.reference_speed.unsqueeze(-1)
+        excess = motion.velocity[..., 0].abs() - problem.reference_speed.unsqueeze(-1)
         return torch.relu(excess).square()
 
 

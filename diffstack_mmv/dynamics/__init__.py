@@ -2,7 +2,8 @@
 
 from diffstack_mmv.dynamics.base import DynamicsModel
 from diffstack_mmv.dynamics.gm3.model import DiffGM3
-from diffstack_mmv.dynamics.kbm import DiffKBM, SoftplusFloor
+from diffstack_mmv.dynamics.holonomic import Holonomic
+from diffstack_mmv.dynamics.kbm import DiffKBM, ReversingFloor, SoftplusFloor
 from diffstack_mmv.dynamics.records import DerivedQuantity, DriverInput, WheelForces
 from diffstack_mmv.dynamics.rollout import rollout
 from diffstack_mmv.dynamics.single_integrator import SingleIntegrator
@@ -15,6 +16,8 @@ __all__ = [
     "DriverInput",
     "DynamicsModel",
     "ExtendedUnicycle",
+    "Holonomic",
+    "ReversingFloor",
     "SingleIntegrator",
     "SoftplusFloor",
     "WheelForces",

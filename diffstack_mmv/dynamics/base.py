@@ -148,6 +148,33 @@ class DynamicsModel(nn.Module, ABC):
         """
         return None
 
+    @property
+    def keeps_top_speed(self) -> bool:
+        """Whether the model itself goes no faster than its vehicle may; not by default."""
+        return False
+
+    @property
+    def can_reverse(self) -> bool:
+        """Whether the vehicle drives backwards where it brakes on; not by default."""
+        return False
+
+    def hardest_braking(self, state: Float[Tensor, "*b n"]) -> Float[Tensor, "*b"]:
+        """Acceleration in m/s² of the hardest braking over one step.
+
+        The lower bound of the acceleration; of a model that can reverse no more than what stops it,
+        and of one that is driven by no acceleration just that.
+        """
+        names = list(self.Control._fields)
+        driven = "acceleration" in names
+        if driven and not self.can_reverse:
+            return self.bounds.lower[names.index("acceleration")].expand(state.shape[:-1])
+        none = state.new_zeros(*state.shape[:-1], self.control_dim)
+        stopping = -self.motion(state, none).velocity[..., 0] / self.dt_s
+        if not driven:
+            return stopping
+        lower, upper = (bound[names.index("acceleration")] for bound in self.bounds)
+        return torch.minimum(torch.maximum(stopping, lower), upper)
+
     def control_for_driver(
         self, state: Float[Tensor, "*b n"], driver: DriverInput
     ) -> Float[Tensor, "*b m"]:

@@ -41,6 +41,28 @@ class SoftplusFloor:
         return self.width_mps * torch.nn.functional.softplus(speed / self.width_mps)
 
 
+class ReversingFloor:
+    """v ≥ -r with its right-hand derivative at -r: a vehicle that is driven or pushed backwards.
+
+    Args:
+        reverse_mps: r in m/s.
+
+    Raises:
+        ValueError: The speed is not positive.
+    """
+
+    def __init__(self, reverse_mps: float = 1.0) -> None:
+        require_positive("reverse_mps", reverse_mps)
+        self.reverse_mps = reverse_mps
+
+    def __repr__(self) -> str:
+        return f"ReversingFloor(reverse_mps={self.reverse_mps})"
+
+    def __call__(self, speed: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+        """Bound a speed in m/s from below by -r."""
+        return floor_at_zero(speed + self.reverse_mps) - self.reverse_mps
+
+
 class DiffKBM(DynamicsModel):
     """Kinematic bicycle, reference point at the axle that does not steer, one Euler step.
 
@@ -55,7 +77,7 @@ class DiffKBM(DynamicsModel):
         spec: The vehicle: wheelbase and limits.
         dt_s: Length of one step in s.
         floor: How the speed is kept from going negative: the ReLU with its right-hand derivative at
-            zero, or a `SoftplusFloor`, whose gradient never vanishes.
+            zero, a `SoftplusFloor`, whose gradient never vanishes, or a `ReversingFloor`.
     """
 
     class State(NamedTuple):
@@ -99,6 +121,11 @@ class DiffKBM(DynamicsModel):
         """Longest step in s of the Euler scheme within a plan."""
         return EULER_STEP_S
 
+    @property
+    def can_reverse(self) -> bool:
+        """It can with a `ReversingFloor`."""
+        return isinstance(self.floor, ReversingFloor)
+
     def step(
         self, state: Float[Tensor, "*#b 4"], control: Float[Tensor, "*#b 2"]
     ) -> Float[Tensor, "*b 4"]:
@@ -122,8 +149,9 @@ class DiffKBM(DynamicsModel):
         )
 
     def initial_state(self, motion: Motion) -> Float[Tensor, "*b 4"]:
-        """Take pose and forward speed (m/s), which this forward-only model floors at zero."""
-        speed = motion.velocity[..., :1].clamp_min(0)
+        """Take pose and forward speed (m/s), floored at zero where the model cannot reverse."""
+        speed = motion.velocity[..., :1]
+        speed = self.floor(speed) if self.can_reverse else speed.clamp_min(0)
         return torch.cat([motion.position, motion.heading.unsqueeze(-1), speed], -1)
 
     def control_for(

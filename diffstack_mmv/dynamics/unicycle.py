@@ -62,6 +62,11 @@ class ExtendedUnicycle(DynamicsModel):
         """Longitudinal position in m of the axle that does not steer: it slips no sideways."""
         return self._axle_m
 
+    @property
+    def can_reverse(self) -> bool:
+        """It can: its speed has no floor."""
+        return True
+
     def step(
         self, state: Float[Tensor, "*#b 4"], control: Float[Tensor, "*#b 2"]
     ) -> Float[Tensor, "*b 4"]:

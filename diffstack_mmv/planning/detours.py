@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require_at_least, require_between, require_positive
+from diffstack_mmv.checks import require, require_at_least, require_between, require_positive
 from diffstack_mmv.control.native.scan import scan
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import wrap_angle
@@ -24,7 +24,7 @@ class Detour(NamedTuple):
     """Legs of each candidate, one after the other; then it makes for the goal at full speed."""
 
     offset: Float[Tensor, "C legs"]  # rad, course relative to the direction of the goal
-    speed_share: Float[Tensor, "C legs"]  # of the cruising speed
+    speed_share: Float[Tensor, "C legs"]  # of the cruising speed; negative: backwards on its course
     until: Float[Tensor, "C legs"]  # s, end of the leg, not before that of the leg before
 
 
@@ -51,6 +51,13 @@ def drawn_detours(count: int, until_s: float) -> Detour:
     )
 
 
+def backing_detours(count: int, until_s: float) -> Detour:
+    """The same with a first leg that is driven backwards, none of them slowly."""
+    drawn = drawn_detours(count, until_s)
+    backwards = -0.5 - 0.5 * drawn.speed_share[:, :1]
+    return drawn._replace(speed_share=torch.cat([backwards, drawn.speed_share[:, 1:]], -1))
+
+
 class DetourFan:
     """Every candidate holds a course and a speed for a while and then makes for the goal.
 
@@ -72,10 +79,13 @@ class DetourFan:
         braking_mps2: Deceleration towards the goal.
         drawn: Number of candidates with two legs; the same ones for every problem.
         drawn_until_s: Time at which the last of their legs ends.
+        backing: Number of further candidates of this kind that begin backwards.
+        backing_mps: Largest speed backwards.
         compile: Roll out in a generated library, on a CPU with a compiler.
 
     Raises:
-        ValueError: A list is empty or a number out of range.
+        ValueError: A list is empty or a number out of range, or the vehicle, when it is known, can
+            only drive forward and should begin backwards.
     """
 
     def __init__(
@@ -90,6 +100,8 @@ class DetourFan:
         drawn_until_s: float = 4.0,
         compile: bool = False,
         yaw_rate_radps: float = 2.5,
+        backing: int = 0,
+        backing_mps: float = 1.0,
     ) -> None:
         for name, values in (
             ("offsets_deg", offsets_deg),
@@ -107,12 +119,16 @@ class DetourFan:
         require_positive("yaw_rate_radps", yaw_rate_radps)
         require_at_least("drawn", drawn, 0)
         require_positive("drawn_until_s", drawn_until_s)
+        require_at_least("backing", backing, 0)
+        require_positive("backing_mps", backing_mps)
         one_side = [math.radians(offset) for offset in offsets_deg]
         both = torch.tensor([-offset for offset in reversed(one_side)] + [0.0] + one_side)
         grid = torch.cartesian_prod(both, torch.tensor(speed_shares), torch.tensor(durations_s))
         legs = (field[:, None].expand(-1, 2) for field in grid.unbind(-1))
-        pairs = zip(Detour(*legs), drawn_detours(drawn, drawn_until_s), strict=True)
-        self.detour = Detour(*map(torch.cat, pairs))
+        more = (drawn_detours(drawn, drawn_until_s), backing_detours(backing, drawn_until_s))
+        self.detour = Detour(*map(torch.cat, zip(Detour(*legs), *more, strict=True)))
+        self.backing = backing
+        self.backing_mps = backing_mps
         self.turn_time_s = turn_time_s
         self.lateral_mps2 = lateral_mps2
         self.braking_mps2 = braking_mps2
@@ -131,18 +147,20 @@ class DetourFan:
         Returns:
             The candidates `*b C`, maximal braking last.
         """
+        remedy = "Set `backing` to 0, or choose dynamics that can reverse."
+        forward_only = self.backing > 0 and not dynamics.can_reverse
+        require(not forward_only, "dynamics", "be able to reverse", "one that cannot", remedy=remedy)
         detour = Detour(*(field.to(problem.goal) for field in self.detour))
         if self.compile:
             found = self._in_library(dynamics, problem, detour, steps)
             if found is not None:
                 return found
-        braking = dynamics.bounds.lower[0].to(problem.goal)
         goal, cruise = problem.goal.unsqueeze(-2), problem.reference_speed.unsqueeze(-1)
 
         def arc_at(state: Tensor, step: int) -> Arc:
             leg = _leg(detour, step * dynamics.dt_s)
             pursued = self._pursued(dynamics, state[..., :-1, :], leg, goal, cruise)
-            hardest = braking.expand(state[..., -1:, 0].shape)
+            hardest = dynamics.hardest_braking(state[..., -1:, :])
             straight = torch.zeros_like(hardest)
             return Arc(
                 *(torch.cat(pair, -1) for pair in zip(pursued, (hardest, straight), strict=True))
@@ -160,7 +178,8 @@ class DetourFan:
             leg = Leg(offset[..., 0], share[..., 0], detours[..., 0] > 0)
             arc = self._pursued(dynamics, state, leg, goal, cruise[..., 0])
             hardest = brakes[..., 0] > 0
-            acceleration = torch.where(hardest, dynamics.bounds.lower[0], arc.acceleration)
+            braking = dynamics.hardest_braking(state)
+            acceleration = torch.where(hardest, braking, arc.acceleration)
             curvature = torch.where(hardest, torch.zeros_like(arc.curvature), arc.curvature)
             control = dynamics.control_for(state, acceleration, curvature)
             return dynamics.step(state, control), control
@@ -198,18 +217,22 @@ class DetourFan:
         way = goal - motion.position
         distance = way.square().sum(-1).sqrt()
         bearing = torch.atan2(way[..., 1], way[..., 0]) + torch.where(leg.detours, leg.offset, 0.0)
-        error = wrap_angle(bearing - motion.heading)
+        backwards = leg.detours & (leg.speed_share < 0)
+        error = wrap_angle(bearing - motion.heading + torch.where(backwards, math.pi, 0.0))
         speed = motion.velocity[..., 0]
         # on the way to the goal no faster than its arc allows, or a fast vehicle would circle it
         turning = self._arc_speed(distance, error)
-        target = torch.where(leg.detours, cruise * leg.speed_share, torch.minimum(cruise, turning))
+        share = (cruise * leg.speed_share).clamp_min(-self.backing_mps)
+        target = torch.where(leg.detours, share, torch.minimum(cruise, turning))
         stopping = (2 * self.braking_mps2 * distance).sqrt()
         # at the start of the step the target must be one that the step can still brake for
         target = torch.minimum(target, stopping)
-        moving = speed.clamp_min(0.5)
+        moving = speed.abs().clamp_min(0.5)
         sharpest = self.lateral_mps2 / moving.square()
         curvature = error / (self.turn_time_s * moving)
         curvature = torch.minimum(torch.maximum(curvature, -sharpest), sharpest)
+        # backwards the same turn is that of the opposite curvature
+        curvature = torch.where(speed + target < 0, -curvature, curvature)
         return Arc((target - speed) / dynamics.dt_s, curvature)
 
     def _arc_speed(

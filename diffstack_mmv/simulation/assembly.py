@@ -95,9 +95,10 @@ def vehicle_robot(
     Raises:
         ValueError: The step, the delay, the noise or the bias does not fit.
     """
-    speed = vehicle.spec().limits.speed_max_mps
+    model = vehicle.model(step_s)
+    speed = None if model.keeps_top_speed else vehicle.spec().limits.speed_max_mps
     return VehicleRobot(
-        vehicle.model(step_s),
+        model,
         Actuation(delay_s, tuple(noise), seed, speed, tuple(bias)),
         footprint=footprint or vehicle_footprint(vehicle),
     )

@@ -44,7 +44,8 @@ class Actuation:
         delay_s: Time until a command acts, a multiple of the model's fine step.
         noise: Standard deviation of the error of each control, constant over a step; empty: none.
         seed: Of the noise; the same seed repeats the same errors.
-        speed_max_mps: The drive accelerates no further than to this speed, where it is given.
+        speed_max_mps: The drive accelerates no further than to this speed, ahead or backwards,
+            where it is given.
         bias: Error of each control that stays, as of a bent steering head; empty: none.
 
     Raises:
@@ -189,11 +190,12 @@ class VehicleRobot:
     def _governed_control(
         self, model_state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
     ) -> Float[Tensor, "*b m"]:
-        """Let the drive push no further than to the top speed."""
+        """Let the drive push no further than to the top speed, ahead or backwards."""
         if self._governed is None or self.actuation.speed_max_mps is None:
             return control
         speed = self.model.motion(model_state, control).velocity[..., 0]
-        most = (self.actuation.speed_max_mps - speed) / self.model.dt_s
+        top, dt_s = self.actuation.speed_max_mps, self.model.dt_s
+        least, most = (-top - speed) / dt_s, (top - speed) / dt_s
         columns = list(control.unbind(dim=-1))
-        columns[self._governed] = torch.minimum(columns[self._governed], most)
+        columns[self._governed] = torch.clamp(columns[self._governed], least, most)
         return torch.stack(columns, dim=-1)

@@ -79,6 +79,11 @@ class ZeroOrderHold(DynamicsModel):
         return self.model.longest_step_s
 
     @property
+    def can_reverse(self) -> bool:
+        """Whether the vehicle drives backwards where it brakes on."""
+        return self.model.can_reverse
+
+    @property
     def driver_input_needs_state(self) -> bool:
         """Whether what a control of the model means depends on the state."""
         return self.model.driver_input_needs_state

@@ -171,3 +171,12 @@ def test_impossible_constants_are_refused(width):
     for make in (costs.HeadingToGoal, costs.ExpectedCollision, costs.BrakingProfile):
         with pytest.raises(ValueError, match="must be positive"):
             make(width)
+
+
+def test_the_speed_limit_holds_backwards_too(double):
+    motion, controls, problem = random_case()
+    speed = torch.tensor([3.0, -3.0, 0.5, -0.5, 1.0, -1.0]).expand(3, 6)
+    motion = motion._replace(velocity=torch.stack([speed, torch.zeros_like(speed)], -1))
+    problem = problem._replace(reference_speed=torch.ones(3))
+    value = costs.SpeedLimit()(motion, controls, problem)
+    assert torch.allclose(value, torch.tensor([4.0, 4.0, 0.0, 0.0, 0.0, 0.0]).expand(3, 6))

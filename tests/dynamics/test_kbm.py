@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffstack_mmv.dynamics import DiffKBM, SoftplusFloor, rollout
+from diffstack_mmv.dynamics import DiffKBM, ReversingFloor, SoftplusFloor, rollout
 from diffstack_mmv.types import Motion
 from diffstack_mmv.vehicles import load_vehicle
 
@@ -36,6 +36,30 @@ def test_speed_never_turns_negative():
     states = rollout(MODEL, tensor(0, 0, 0, 1.0), tensor(-5.0, 0.1).expand(10, 2))
     assert (states[:, 3] >= 0).all()
     assert states[-1, 3] == 0
+
+
+def test_a_reversing_floor_lets_it_back_along_the_same_circle():
+    model = DiffKBM(SPEC, dt_s=0.1, floor=ReversingFloor(1.0)).double()
+    assert model.can_reverse
+    assert not MODEL.can_reverse
+    states = rollout(model, tensor(0, 0, 0, 1.0), tensor(-2.0, 0.3).expand(40, 2))
+    assert float(states[:, 3].min()) == -1.0
+    turned = (states[-1, 2] - states[-2, 2]) / 0.1
+    assert float(turned) == pytest.approx(-math.tan(0.3) / SPEC.wheelbase.initial)
+    motion = model.motion(states[-1], tensor(0.0, 0.3))
+    assert float(motion.velocity[0]) == -1.0
+    assert torch.allclose(model.initial_state(motion), states[-1], atol=1e-12)
+    assert float(MODEL.initial_state(motion)[3]) == 0.0
+
+
+def test_a_reversing_floor_is_the_relu_moved():
+    speed = tensor(-3.0, -1.5, -1.0, 0.0, 2.0).requires_grad_()
+    value = ReversingFloor(1.5)(speed)
+    (slope,) = torch.autograd.grad(value.sum(), speed)
+    assert torch.equal(value, tensor(-1.5, -1.5, -1.0, 0.0, 2.0))
+    assert torch.equal(slope, tensor(0.0, 1.0, 1.0, 1.0, 1.0))
+    with pytest.raises(ValueError, match="reverse_mps"):
+        ReversingFloor(0.0)
 
 
 def test_vehicle_at_rest_feels_the_throttle():

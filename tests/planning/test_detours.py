@@ -3,8 +3,10 @@
 import pytest
 import torch
 
-from diffstack_mmv.dynamics import DiffGM3, DiffKBM
+from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle, Holonomic, ReversingFloor
 from diffstack_mmv.planning import DetourFan, Reference, build_problem
+from diffstack_mmv.planning.detours import Detour
+from diffstack_mmv.simulation.zero_order_hold import ZeroOrderHold
 from diffstack_mmv.types import Discs, Ego, Heading, Motion, Obstacles
 from diffstack_mmv.vehicles import load_vehicle
 
@@ -24,6 +26,13 @@ def model(request):
     return request.param(load_vehicle("bicycle"), dt_s=0.25)
 
 
+@pytest.fixture(params=["unicycle", "bicycle"])
+def reversing(request):
+    if request.param == "unicycle":
+        return ExtendedUnicycle(load_vehicle("wheelchair"), dt_s=0.25)
+    return ZeroOrderHold(DiffKBM(load_vehicle("bicycle"), 0.05, ReversingFloor(1.0)), 5)
+
+
 @pytest.fixture
 def fan(model):
     with torch.no_grad():
@@ -39,6 +48,61 @@ def test_the_last_candidate_brakes_to_a_stop(fan):
     candidates, _ = fan
     assert float(candidates.motion.velocity[0, -1, -1, 0].abs()) < 0.05
     assert float(candidates.motion.position[0, -1, -1, 0]) < 1.2
+
+
+@pytest.mark.parametrize("speed", [2.0, -0.8])
+def test_who_can_reverse_brakes_to_a_stop_and_stays(reversing, speed):
+    with torch.no_grad():
+        braking = DetourFan()(reversing, problem(speed=speed), 12).motion.velocity[0, -1, :, 0]
+    assert float(braking[0]) == pytest.approx(speed)
+    assert float(braking[-6:].abs().max()) < 1e-5
+    assert float((braking * speed).min()) > -1e-5
+    hardest = -reversing.bounds.lower[list(reversing.Control._fields).index("acceleration")]
+    if speed > 0:
+        assert float(braking[0] - braking[1]) == pytest.approx(0.25 * float(hardest), rel=1e-4)
+
+
+def test_backing_candidates_come_beside_the_others_and_go_back(reversing):
+    with torch.no_grad():
+        plain = DetourFan(drawn=8)(reversing, problem(speed=0.0), 28)
+        more = DetourFan(drawn=8, backing=32)(reversing, problem(speed=0.0), 28)
+    assert more.controls.shape[1] == plain.controls.shape[1] + 32
+    assert torch.equal(more.motion.position[:, :116], plain.motion.position[:, :116])
+    assert torch.equal(more.motion.position[:, -1], plain.motion.position[:, -1])
+    backing = Motion(*(field[0, 116:-1] for field in more.motion))
+    speed = backing.velocity[..., 0]
+    assert float(plain.motion.velocity[..., 0].min()) > -1e-5
+    assert -1.0 - 1e-5 < float(speed.min()) < -0.9
+    assert bool((speed.amin(-1) < -0.1).sum() > 20)
+    assert float(backing.position[..., 0].min()) < -1.0
+    assert bool((speed[:, -1] > 0.5).any())
+    assert torch.equal(reversing.within_bounds(more.controls), more.controls)
+
+
+def test_a_course_that_is_backed_along_is_found(reversing):
+    fan = DetourFan(backing=1)
+    fan.detour = Detour(torch.full((1, 2), 2.0), torch.full((1, 2), -0.33), torch.full((1, 2), 5.0))
+    with torch.no_grad():
+        backing = fan(reversing, problem(speed=0.0, goal=(500.0, 0.0)), 20).motion
+    step = backing.position[0, 0, -1] - backing.position[0, 0, -2]
+    assert float(torch.atan2(step[1], step[0])) == pytest.approx(2.0, abs=0.1)
+    assert float(backing.velocity[0, 0, -1, 0]) == pytest.approx(-0.99, abs=0.01)
+
+
+def test_only_who_can_reverse_begins_backwards(model):
+    with pytest.raises(ValueError, match="`dynamics` must be able to reverse"):
+        DetourFan(backing=4)(model, problem(), 12)
+
+
+def test_who_takes_any_velocity_at_once_arrives_and_stops():
+    model = Holonomic(load_vehicle("wheelchair"), dt_s=0.25)
+    with torch.no_grad():
+        fan = DetourFan()(model, problem(goal=(-3.0, 1.0)), 12)
+        library = DetourFan(compile=True)(model, problem(goal=(-3.0, 1.0)), 12)
+    distance = (fan.motion.position - torch.tensor([-3.0, 1.0])).norm(dim=-1)
+    assert float(distance.min()) < 0.1
+    assert float(fan.motion.velocity[0, -1, 1:, 0].abs().max()) < 1e-3
+    torch.testing.assert_close(library.states, fan.states, rtol=1e-4, atol=1e-4)
 
 
 def test_one_candidate_arrives(fan):
@@ -81,6 +145,8 @@ def test_drawn_candidates_come_beside_the_others_and_some_lead_back(model):
         ("turn_time_s", 0.0),
         ("yaw_rate_radps", 0.0),
         ("drawn", -1),
+        ("backing", -1),
+        ("backing_mps", 0.0),
         ("drawn_until_s", 0.0),
     ],
 )
@@ -90,9 +156,17 @@ def test_numbers_out_of_range_are_refused(name, value):
 
 
 def test_the_library_drives_the_same_fan(model):
+    same_in_the_library(model, drawn=3)
+
+
+def test_the_library_drives_backwards_as_well(reversing):
+    same_in_the_library(reversing, drawn=3, backing=5)
+
+
+def same_in_the_library(model, **settings):
     with torch.no_grad():
-        expected = DetourFan(drawn=3)(model, problem(), 12)
-        found = DetourFan(drawn=3, compile=True)(model, problem(), 12)
+        expected = DetourFan(**settings)(model, problem(), 12)
+        found = DetourFan(compile=True, **settings)(model, problem(), 12)
     torch.testing.assert_close(found.states, expected.states, rtol=1e-4, atol=1e-4)
     torch.testing.assert_close(found.controls, expected.controls, rtol=1e-4, atol=1e-4)
     torch.testing.assert_close(found.motion, expected.motion, rtol=1e-3, atol=1e-3)

@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from diffstack_mmv.dynamics import DiffKBM, rollout
+from diffstack_mmv.dynamics import DiffKBM, ExtendedUnicycle, rollout
 from diffstack_mmv.dynamics.catalogue import altered, model_of
-from diffstack_mmv.simulation import Actuation, CircleCrossing, VehicleRobot
+from diffstack_mmv.simulation import Actuation, CircleCrossing, VehicleRobot, vehicle_robot
 from diffstack_mmv.types import Bounds
 from diffstack_mmv.vehicles import load_vehicle
 
@@ -103,6 +103,20 @@ def test_the_drive_pushes_no_further_than_to_the_top_speed():
     robot = VehicleRobot(kbm(), Actuation(speed_max_mps=2.0))
     state, _ = drive(robot, [command(2.0, 0.0)] * 8)
     assert torch.allclose(robot.motion(state).velocity[:, 0], torch.full((3,), 2.0).double())
+
+
+def test_a_vehicle_that_can_reverse_is_no_faster_backwards():
+    unicycle = ExtendedUnicycle(load_vehicle("wheelchair"), dt_s=0.01)
+    robot = VehicleRobot(unicycle, Actuation(speed_max_mps=1.0))
+    state, _ = drive(robot, [torch.tensor((0.0, -2.0), dtype=torch.float64).expand(3, 2)] * 8)
+    assert torch.allclose(robot.motion(state).velocity[:, 0], torch.full((3,), -1.0).double())
+
+
+def test_a_point_that_keeps_to_its_top_speed_needs_no_governor(driven):
+    robot = vehicle_robot(driven(dynamics="holonomic"))
+    state, _ = drive(robot, [torch.tensor((9.0, 9.0), dtype=torch.float64).expand(3, 2)] * 2)
+    speed = robot.motion(state).velocity[:, 0]
+    assert torch.allclose(speed, torch.full((3,), 3.0).double(), atol=0.01)
 
 
 def test_actions_are_clipped_to_the_bounds():

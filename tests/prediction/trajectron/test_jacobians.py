@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from diffstack_mmv.dynamics import DiffGM3, DiffKBM, SingleIntegrator, SoftplusFloor
+from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ReversingFloor, SingleIntegrator, SoftplusFloor
 from diffstack_mmv.prediction.trajectron import jacobians
 from diffstack_mmv.prediction.trajectron.jacobians import (
     has_closed_form,
@@ -17,6 +17,7 @@ MODELS = [
     bicycle,
     lambda: bicycle(kinematic=True),
     lambda: DiffKBM(load_vehicle("scooter"), 0.1, SoftplusFloor()),
+    lambda: DiffKBM(load_vehicle("scooter"), 0.1, ReversingFloor(1.0)),
     SingleIntegrator,
 ]
 
