@@ -88,7 +88,7 @@ class DetourFan:
             only drive forward and should begin backwards.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - each is a setting of the fan
         self,
         offsets_deg: Sequence[float] = (15.0, 30.0, 50.0, 80.0),
         speed_shares: Sequence[float] = (0.0, 0.33, 0.67, 1.0),
@@ -149,7 +149,9 @@ class DetourFan:
         """
         remedy = "Set `backing` to 0, or choose dynamics that can reverse."
         forward_only = self.backing > 0 and not dynamics.can_reverse
-        require(not forward_only, "dynamics", "be able to reverse", "one that cannot", remedy=remedy)
+        require(
+            not forward_only, "dynamics", "be able to reverse", "one that cannot", remedy=remedy
+        )
         detour = Detour(*(field.to(problem.goal) for field in self.detour))
         if self.compile:
             found = self._in_library(dynamics, problem, detour, steps)

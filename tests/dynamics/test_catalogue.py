@@ -35,7 +35,8 @@ def test_each_model_has_a_vehicle_of_its_own():
 
 def test_an_unknown_name_is_refused_with_all_names():
     with pytest.raises(
-        ValueError, match="`dynamics` must be one of gm3, gm3_coordinated, gm3_fine, gm3_paper, holonomic"
+        ValueError,
+        match="`dynamics` must be one of gm3, gm3_coordinated, gm3_fine, gm3_paper, holonomic",
     ):
         load_dynamics("magic")
 

@@ -67,7 +67,9 @@ def test_nothing_is_lost_where_it_faces_nowhere():
 def test_an_arc_is_followed_from_rest():
     zero = torch.zeros((), dtype=torch.float64)
     started = MODEL(RESTING, MODEL.control_for(RESTING, zero + 4.0, zero))
-    assert torch.allclose(started[:2] - RESTING[:2], 0.25 * numbers(math.cos(0.4), math.sin(0.4)), atol=1e-3)
+    assert torch.allclose(
+        started[:2] - RESTING[:2], 0.25 * numbers(math.cos(0.4), math.sin(0.4)), atol=1e-3
+    )
     turned = MODEL(started, MODEL.control_for(started, zero, zero + 2.0))
     assert float(turned[2] - started[2]) == pytest.approx(0.5, abs=0.05)
     stopped = MODEL.control_for(turned, MODEL.hardest_braking(turned), zero)
