@@ -83,9 +83,12 @@ class Holonomic(DynamicsModel):
     def initial_state(self, motion: Motion) -> Float[Tensor, "*b 4"]:
         """Take position (m) and speed (m/s), facing the course."""
         ahead, left = motion.velocity.unbind(-1)
-        moving = ahead.square() + left.square() > 0
-        course = torch.atan2(left, torch.where(moving, ahead, torch.ones_like(ahead)))
-        speed = safe_norm(motion.velocity, REST_MPS**2) - REST_MPS
+        square = ahead.square() + left.square()
+        one = torch.ones_like(square)
+        # at rest there is no course, and the speed has no slope
+        moving = square > 0
+        course = torch.atan2(left, torch.where(moving, ahead, one))
+        speed = torch.where(moving, torch.where(moving, square, one).sqrt(), 0.0)
         return torch.stack([*motion.position.unbind(-1), motion.heading + course, speed], -1)
 
     def control_for(
