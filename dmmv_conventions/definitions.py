@@ -1,4 +1,4 @@
-"""Where a dotted name of this project is defined, found in the sources without importing them."""
+"""Where a dotted name is defined, found in the sources without importing them."""
 
 import ast
 from collections.abc import Iterator, Sequence
@@ -11,6 +11,9 @@ from dmmv_conventions.targets import PROJECT
 
 Constructor = tuple[ast.FunctionDef, "Definition"]
 
+LIBRARIES = ("pytorch_lightning", "torch")
+"""Packages besides this project's whose sources are read, for the names of arguments alone."""
+
 
 class Definition(NamedTuple):
     """A class or a function, and the source in which it stands."""
@@ -19,13 +22,30 @@ class Definition(NamedTuple):
     module: str
     source: ast.Module
 
-    def bases(self) -> Iterator["Definition"]:
-        """Base classes that this project defines; none of a function."""
+    @property
+    def is_own(self) -> bool:
+        """Whether this project defines it."""
+        return self.module.partition(".")[0] in PROJECT
+
+    def bases(self) -> Iterator["Definition | None"]:
+        """Base classes, None for those that are not found; none of a function."""
         for base in self.node.bases if isinstance(self.node, ast.ClassDef) else ():
-            name = base.value if isinstance(base, ast.Subscript) else base
-            found = defined(f"{self.module}.{name.id}") if isinstance(name, ast.Name) else None
-            if found is not None:
-                yield found
+            name = ast.unparse(base.value if isinstance(base, ast.Subscript) else base)
+            yield defined(f"{self.module}.{name}") or defined(self._imported(name))
+
+    def _imported(self, name: str) -> str:
+        """A dotted name with what its beginning, a module, stands for by an import."""
+        first, _, rest = name.partition(".")
+        for each in self.source.body:
+            for alias in each.names if isinstance(each, ast.Import | ast.ImportFrom) else ():
+                if first == (alias.asname or alias.name):
+                    package = f"{each.module}." if isinstance(each, ast.ImportFrom) else ""
+                    return f"{package}{alias.name}.{rest}"
+        return name
+
+    def own_bases(self) -> Iterator["Definition"]:
+        """Base classes that this project defines."""
+        yield from (base for base in self.bases() if base is not None and base.is_own)
 
     def constructor(self) -> Constructor | None:
         """The function that judges the arguments, `__init__`, `__post_init__` or itself.
@@ -38,11 +58,27 @@ class Definition(NamedTuple):
         for name in ("__init__", "__post_init__"):
             if name in methods:
                 return methods[name], self
-        return next(filter(None, (base.constructor() for base in self.bases())), None)
+        return next(filter(None, (base.constructor() for base in self.own_bases())), None)
+
+    def arguments(self) -> frozenset[str] | None:
+        """Names of the arguments it takes; None where that is not to be seen, or any are taken."""
+        if isinstance(self.node, ast.FunctionDef):
+            return _taken(self.node)
+        methods = {each.name: each for each in self.node.body if isinstance(each, ast.FunctionDef)}
+        if "__new__" in methods:
+            return None
+        if "__init__" in methods:
+            return _taken(methods["__init__"])
+        marks = {ast.unparse(each).partition("(")[0] for each in self.node.decorator_list}
+        marks |= {ast.unparse(each) for each in self.node.bases}
+        if marks & {"dataclass", "NamedTuple"}:
+            return frozenset(name for name, _ in self.fields())
+        first = next(self.bases(), None)
+        return None if first is None else first.arguments()
 
     def fields(self) -> Iterator[tuple[str, ast.expr | None]]:
         """Fields of a data class or a named tuple with their defaults, inherited ones first."""
-        for base in self.bases():
+        for base in self.own_bases():
             yield from base.fields()
         for each in self.node.body:
             if isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name):
@@ -59,6 +95,13 @@ class Definition(NamedTuple):
         for each in self.source.body:
             if isinstance(each, ast.Assign) and isinstance(each.targets[0], ast.Name):
                 yield from _literal(each.targets[0].id, each.value)
+
+
+def _taken(function: ast.FunctionDef) -> frozenset[str] | None:
+    """Names of the arguments of a function, None where it takes any."""
+    if function.args.kwarg is not None:
+        return None
+    return frozenset([*names_of(function), *(each.arg for each in function.args.kwonlyargs)])
 
 
 def names_of(function: ast.FunctionDef) -> list[str]:
@@ -89,10 +132,11 @@ def _literal(name: str, value: ast.expr) -> Iterator[tuple[str, Any]]:
 
 @cache
 def defined(name: str) -> Definition | None:
-    """What a dotted name of this project stands for, followed through the imports of packages.
+    """What a dotted name stands for, followed through the imports of packages.
 
     Returns:
-        None for what is no class and no function, or stands elsewhere.
+        None for what is no class and no function, or stands neither in this project nor in one of
+        the `LIBRARIES`.
     """
     module, source = _module(name.split("."))
     rest = name[len(module) + 1 :]
@@ -118,8 +162,8 @@ def _top(body: Sequence[ast.stmt]) -> Iterator[ast.stmt]:
 
 
 def _module(parts: Sequence[str]) -> tuple[str, ast.Module | None]:
-    """The longest beginning of a dotted name that is a module of this project, and its source."""
-    for length in range(len(parts) - 1, 0, -1) if parts[0] in PROJECT else ():
+    """The longest beginning of a dotted name that is a module, and its source."""
+    for length in range(len(parts) - 1, 0, -1) if parts[0] in (*PROJECT, *LIBRARIES) else ():
         source = _source(".".join(parts[:length]))
         if source is not None:
             return ".".join(parts[:length]), source

@@ -38,7 +38,7 @@ def require_foretold(content: Any) -> None:
     for _, node in nodes(content):
         if isinstance(node, Mapping) and _is_called(node):
             found = defined(str(node["_target_"]))
-            if found is not None:
+            if found is not None and found.is_own:
                 _judge(found, {name: _plain(value) for name, value in node.items()})
 
 
@@ -165,7 +165,7 @@ def _inherited(
             ):
                 in_a_row = list(itertools.takewhile(_is_one, given))
                 by_name = {each.arg: each.value for each in named if each.arg}
-                for base in owner.bases():
+                for base in owner.own_bases():
                     constructor = base.constructor()
                     if constructor is not None:
                         placed = zip(names_of(constructor[0]), in_a_row, strict=False)

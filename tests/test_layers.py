@@ -67,6 +67,7 @@ CONVENTIONS = {
     "data": {"dmmv_conventions.cache", "dmmv_conventions.disk", "dmmv_conventions.opening"},
     "cli": {
         "dmmv_conventions.bars",
+        "dmmv_conventions.arguments",
         "dmmv_conventions.foretold",
         "dmmv_conventions.locks",
         "dmmv_conventions.targets",

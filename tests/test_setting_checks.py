@@ -1,11 +1,15 @@
 """Settings that were once taken as they were, or refused without being named."""
 
+from typing import get_args
+
 import pytest
+from lightning_fabric.plugins.precision.precision import _PRECISION_INPUT
 from pytorch_lightning.accelerators import AcceleratorRegistry
+from pytorch_lightning.strategies import StrategyRegistry
 
 from benchmarks.faults.configuration import words
 from benchmarks.faults.workplace import base, said
-from diffstack_mmv.training_checks import ACCELERATORS
+from diffstack_mmv.training_checks import ACCELERATORS, PRECISIONS, STRATEGIES
 
 WRONG = [
     ("train", "seed=-1", "`seed` must lie in"),
@@ -20,6 +24,16 @@ WRONG = [
         "trainer.limit_train_batches=2.5",
         "`trainer.limit_train_batches` must lie in (0, 1]",
     ),
+    ("train", "trainer.devices=0", "`trainer.devices` must be a number of devices, a list of"),
+    ("train", "trainer.devices=9999", "`trainer.devices` must be at most"),
+    ("train", "trainer.devices=many", "`trainer.devices` must be a number of devices"),
+    ("train", "+trainer.precision=17", "`trainer.precision` must be one of 16, 16-mixed"),
+    ("train", "+trainer.strategy=pdd", "`trainer.strategy` must begin with one of auto, ddp"),
+    ("train", "+trainer.max_steps=some", "`trainer.max_steps` must be a whole number"),
+    ("train", "+trainer.num_nodes=0", "`trainer.num_nodes` must be at least 1"),
+    ("train", "+trainer.foo=1", "`trainer.foo` must be an argument of pytorch_lightning.Trainer"),
+    ("train", "+callbacks.early_stopping.patiens=1", "Did you mean `patience`?"),
+    ("train", "+optim.optimizer.bettas=1", "`optim.optimizer.bettas` must be an argument of torch"),
     ("train", "trainer.accelerator=car", "`trainer.accelerator` must be one of auto, cpu"),
     ("train", "optim.optimizer.lr=-1", "`optim.optimizer.lr` must be at least 0"),
     ("evaluate", "device=9", "`device` must be auto, cpu, or a device of this machine"),
@@ -50,3 +64,9 @@ def test_the_accelerators_are_those_of_lightning():
     known = set(AcceleratorRegistry.available_accelerators())
     assert known <= set(ACCELERATORS)
     assert set(ACCELERATORS) <= known | {"auto", "gpu"}
+
+
+def test_the_precisions_and_strategies_are_those_of_lightning():
+    known = {str(each) for kind in get_args(_PRECISION_INPUT) for each in get_args(kind)}
+    assert known == set(PRECISIONS)
+    assert all(name.startswith(STRATEGIES) for name in StrategyRegistry.available_strategies())

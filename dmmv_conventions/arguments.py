@@ -1,0 +1,44 @@
+"""Whether what a configuration has built takes the arguments that it is given.
+
+A word too many is otherwise told when the part is built, after everything that it needs has been
+imported, and with a traceback.
+"""
+
+import difflib
+from collections.abc import Mapping
+from operator import itemgetter
+from typing import Any
+
+from dmmv_conventions.checks import message
+from dmmv_conventions.definitions import defined
+from dmmv_conventions.targets import nodes
+
+_OF_HYDRA = frozenset({"_target_", "_partial_", "_args_", "_convert_", "_recursive_"})
+
+
+def require_arguments(content: Any) -> None:
+    """Refuse arguments that a part does not have; nothing is imported.
+
+    Parts of this project, of Lightning and of torch are judged, as far as their sources tell.
+
+    Args:
+        content: Plain containers; interpolations have to be resolved.
+
+    Raises:
+        ValueError: A part has no argument of that name.
+    """
+    # in the order of the keys: a group stands before the part that it is handed to
+    for place, node in sorted(nodes(content), key=itemgetter(0)):
+        if not isinstance(node, Mapping) or "_target_" not in node:
+            continue
+        target = str(node["_target_"])
+        found = defined(target)
+        taken = found.arguments() if found is not None else None
+        if taken is None:
+            continue
+        for name in sorted(set(node) - _OF_HYDRA - taken):
+            close = difflib.get_close_matches(name, taken, 1)
+            remedy = f"Did you mean `{close[0]}`?" if close else "Remove it."
+            key = f"{place}.{name}".lstrip(".")
+            wanted = f"be an argument of {target}"
+            raise ValueError(message(key, wanted, node[name], "in the configuration", remedy))
