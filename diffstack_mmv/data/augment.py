@@ -150,30 +150,36 @@ class PositionNoise:
 
     Attributes:
         std_m: Standard deviation in m in each direction.
+        probability: Share of the samples that are noisy: below one, a predictor has to tell a noisy
+            track from a smooth one.
 
     Raises:
-        ValueError: It is not positive.
+        ValueError: The deviation is not positive, or the probability is not in [0, 1].
     """
 
     std_m: float = 0.02
+    probability: float = 1.0
 
     def __post_init__(self) -> None:
         require_positive("std_m", self.std_m)
+        require_between("probability", self.probability, 0.0, 1.0)
 
     def __call__(self, batch: StackBatch, generator: Generator) -> StackBatch:
         """Move each past position on its own."""
-        ego = self._moved(batch.ego_past, generator)
+        chosen = _uniform(batch, 0.0, 1.0, generator) < self.probability
+        std = torch.where(chosen, self.std_m, 0.0).to(batch.goal)
+        ego = self._moved(batch.ego_past, std, generator)
         position = ego.motion.position.clone()
         position[..., -1, :] = batch.ego_past.motion.position[..., -1, :]
         ego = ego._replace(motion=ego.motion._replace(position=position))
         return batch._replace(
-            ego_past=ego, neighbors_past=self._moved(batch.neighbors_past, generator)
+            ego_past=ego, neighbors_past=self._moved(batch.neighbors_past, std, generator)
         )
 
-    def _moved(self, tracks: Tracks, generator: Generator) -> Tracks:
+    def _moved(self, tracks: Tracks, std: Float[Tensor, " B"], generator: Generator) -> Tracks:
         position = tracks.motion.position
-        noise = torch.randn(position.shape, generator=generator, dtype=position.dtype) * self.std_m
-        moved = position + noise * tracks.valid[..., None]
+        noise = torch.randn(position.shape, generator=generator, dtype=position.dtype)
+        moved = position + _like(std, position) * noise * tracks.valid[..., None]
         return tracks._replace(motion=tracks.motion._replace(position=moved))
 
 

@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
-from omegaconf import OmegaConf
 
 import diffstack_mmv.cli  # noqa: F401  registers the resolvers
 from data_converters import ConversionSettings, ResampleSettings, convert
@@ -20,22 +19,18 @@ CONVERTED = [name for name in DATA_SETS if name not in ("converted", "trajdata")
 
 CHANGE_S = 6.0
 MODES = "[bicycle,scooter,pedestrian,cart,car,skateboard]"
-SETTINGS = {"eth_ucy": ["dt_s=0.4", "min_duration_s=0.4", "horizon_s=1.2"]}
+CONVERSION = {"eth_ucy": ["dt_s=0.4", "min_duration_s=0.4"]}
+WINDOWS = {"eth_ucy": ["dt_s=0.4", "horizon_s=1.2"]}
 
 
 def conversion(name, root, cache, *overrides):
     """The data set of a configuration, converted; its data module and its step."""
-    known = [f"data={name}", f"data.root={root}", f"data.cache={cache}", f"modes={MODES}"]
-    known += [
-        f"out={cache}",
-        "history_s=2.0",
-        "horizon_s=1.0",
-        "data.stride=1",
-        *SETTINGS.get(name, []),
-    ]
+    known = [f"data={name}", f"data.root={root}", f"data.cache={cache}"]
     with initialize_config_dir(str(CONFIGS), version_base="1.3"):
-        config = compose("convert", [*known, *overrides])
-    OmegaConf.resolve(config)
+        given = [*known, f"out={cache}", *CONVERSION.get(name, []), *overrides]
+        config = compose("convert", given)
+        cut = [f"modes={MODES}", "history_s=2.0", "horizon_s=1.0", "data.stride=1"]
+        windows = compose("evaluate", [*known, "checkpoint=none", *cut, *WINDOWS.get(name, [])])
     resample = ResampleSettings(
         dt_s=config.dt_s,
         min_duration_s=config.min_duration_s,
@@ -44,7 +39,7 @@ def conversion(name, root, cache, *overrides):
     )
     dataset = instantiate(config.data.recordings)
     convert(ConversionSettings(dataset, cache, resample, strict=True, progress=False))
-    return instantiate(config.data.module)
+    return instantiate(windows.data.module)
 
 
 def inputs(module):
