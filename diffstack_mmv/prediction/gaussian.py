@@ -8,7 +8,7 @@ from torch import Tensor
 
 from diffstack_mmv.geometry import direction
 
-VARIANCE_FLOOR = 9e-4  # m²: 3 cm, the noise that smoothing leaves on measured positions
+VARIANCE_FLOOR = 4e-4  # m²: 2 cm, the noise that smoothing leaves on measured positions
 
 
 def scale_from_covariance(
