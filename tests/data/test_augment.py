@@ -112,6 +112,14 @@ def test_noise_moves_the_observed_past_but_neither_the_present_nor_the_future(ba
     assert torch.equal(noisy.goal, batch.goal)
 
 
+def test_noise_on_part_of_the_samples_leaves_the_others_as_they_are(batch):
+    noisy = PositionNoise(0.05, probability=0.5)(batch, generator())
+    moved = noisy.ego_past.motion.position - batch.ego_past.motion.position
+    sizes = moved[:, :-1].flatten(1).std(-1)
+    assert 0.2 < (sizes > 0).float().mean() < 0.8
+    assert sizes[sizes > 0].mean().item() == pytest.approx(0.05, rel=0.1)
+
+
 @pytest.mark.parametrize("keep", [1, 11, 21])
 def test_dropout_forgets_the_oldest_rows_only(batch, keep):
     valid = HistoryDropout(1.0, keep=keep)(batch, generator()).ego_past.valid
