@@ -47,6 +47,9 @@ class Definition(NamedTuple):
         """Base classes that this project defines."""
         yield from (base for base in self.bases() if base is not None and base.is_own)
 
+    def _methods(self) -> dict[str, ast.FunctionDef]:
+        return {each.name: each for each in self.node.body if isinstance(each, ast.FunctionDef)}
+
     def constructor(self) -> Constructor | None:
         """The function that judges the arguments, `__init__`, `__post_init__` or itself.
 
@@ -54,7 +57,7 @@ class Definition(NamedTuple):
         """
         if isinstance(self.node, ast.FunctionDef):
             return self.node, self
-        methods = {each.name: each for each in self.node.body if isinstance(each, ast.FunctionDef)}
+        methods = self._methods()
         for name in ("__init__", "__post_init__"):
             if name in methods:
                 return methods[name], self
@@ -64,7 +67,7 @@ class Definition(NamedTuple):
         """Names of the arguments it takes; None where that is not to be seen, or any are taken."""
         if isinstance(self.node, ast.FunctionDef):
             return _taken(self.node)
-        methods = {each.name: each for each in self.node.body if isinstance(each, ast.FunctionDef)}
+        methods = self._methods()
         if "__new__" in methods:
             return None
         if "__init__" in methods:
