@@ -10,7 +10,6 @@ if TYPE_CHECKING:
         Chain,
         HistoryDropout,
         Mirror,
-        PositionNoise,
         Rotation,
         SpeedScale,
     )
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from diffstack_mmv.data.export import Export, export_windows
     from diffstack_mmv.data.joined import JoinedWindows, split_windows
     from diffstack_mmv.data.loading import WindowLoader
+    from diffstack_mmv.data.noise import PositionNoise, RecordingNoise
     from diffstack_mmv.data.recorded_scenes import RecordedScenes
     from diffstack_mmv.data.riding import Situations, situations
     from diffstack_mmv.data.sampling import Balance, EqualModes, SituationShare
@@ -54,8 +54,9 @@ __all__ = [
     "Mirror",
     "NamedDataset",
     "PositionNoise",
-    "Rotation",
     "RecordedScenes",
+    "RecordingNoise",
+    "Rotation",
     "SituationShare",
     "Situations",
     "SpeedScale",

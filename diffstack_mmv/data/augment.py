@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from torch import Generator, Tensor
 
 from diffstack_mmv.checks import require_at_least, require_between, require_positive
@@ -56,11 +56,11 @@ class Mirror:
 
     def __call__(self, batch: StackBatch, generator: Generator) -> StackBatch:
         """Change the signs of y, heading, velocity to the left and yaw rate."""
-        chosen = _uniform(batch, 0.0, 1.0, generator) < self.probability
+        chosen = uniform(batch, 0.0, 1.0, generator) < self.probability
         sign = torch.where(chosen, -1.0, 1.0).to(batch.goal)
 
         def mirrored(motion: Motion) -> Motion:
-            factor = _like(sign, motion.heading)
+            factor = like(sign, motion.heading)
             flip = torch.stack([torch.ones_like(factor), factor], -1)
             position, velocity = motion.position * flip, motion.velocity * flip
             return Motion(position, motion.heading * factor, velocity, motion.yaw_rate * factor)
@@ -93,10 +93,10 @@ class Rotation:
 
     def __call__(self, batch: StackBatch, generator: Generator) -> StackBatch:
         """Rotate positions and headings; body velocities and yaw rates stay."""
-        angle = _uniform(batch, -self.limit_rad, self.limit_rad, generator)
+        angle = uniform(batch, -self.limit_rad, self.limit_rad, generator)
 
         def rotated(motion: Motion) -> Motion:
-            turn = _like(angle, motion.heading)
+            turn = like(angle, motion.heading)
             position = rotate(motion.position, turn.expand_as(motion.heading))
             return motion._replace(position=position, heading=wrap_angle(motion.heading + turn))
 
@@ -131,56 +131,15 @@ class SpeedScale:
 
     def __call__(self, batch: StackBatch, generator: Generator) -> StackBatch:
         """Scale positions and velocities."""
-        scale = _uniform(batch, self.low, self.high, generator)
+        scale = uniform(batch, self.low, self.high, generator)
 
         def scaled(motion: Motion) -> Motion:
-            factor = _like(scale, motion.heading)[..., None]
+            factor = like(scale, motion.heading)[..., None]
             return motion._replace(
                 position=motion.position * factor, velocity=motion.velocity * factor
             )
 
         return _map_motions(batch, scaled)
-
-
-@dataclass(frozen=True)
-class PositionNoise:
-    """Noise on the observed past of the ego and its neighbors, not on the future.
-
-    The present of the ego stays the origin of the frame.
-
-    Attributes:
-        std_m: Standard deviation in m in each direction.
-        probability: Share of the samples that are noisy: below one, a predictor has to tell a noisy
-            track from a smooth one.
-
-    Raises:
-        ValueError: The deviation is not positive, or the probability is not in [0, 1].
-    """
-
-    std_m: float = 0.02
-    probability: float = 1.0
-
-    def __post_init__(self) -> None:
-        require_positive("std_m", self.std_m)
-        require_between("probability", self.probability, 0.0, 1.0)
-
-    def __call__(self, batch: StackBatch, generator: Generator) -> StackBatch:
-        """Move each past position on its own."""
-        chosen = _uniform(batch, 0.0, 1.0, generator) < self.probability
-        std = torch.where(chosen, self.std_m, 0.0).to(batch.goal)
-        ego = self._moved(batch.ego_past, std, generator)
-        position = ego.motion.position.clone()
-        position[..., -1, :] = batch.ego_past.motion.position[..., -1, :]
-        ego = ego._replace(motion=ego.motion._replace(position=position))
-        return batch._replace(
-            ego_past=ego, neighbors_past=self._moved(batch.neighbors_past, std, generator)
-        )
-
-    def _moved(self, tracks: Tracks, std: Float[Tensor, " B"], generator: Generator) -> Tracks:
-        position = tracks.motion.position
-        noise = torch.randn(position.shape, generator=generator, dtype=position.dtype)
-        moved = position + _like(std, position) * noise * tracks.valid[..., None]
-        return tracks._replace(motion=tracks.motion._replace(position=moved))
 
 
 @dataclass(frozen=True)
@@ -217,14 +176,16 @@ class HistoryDropout:
         return tracks._replace(valid=tracks.valid & (torch.arange(rows) >= first[..., None]))
 
 
-def _uniform(
+def uniform(
     batch: StackBatch, low: float, high: float, generator: Generator
 ) -> Float[Tensor, " B"]:
+    """One number between `low` and `high` for each of the B samples."""
     draws = torch.rand(len(batch.goal), generator=generator, dtype=batch.goal.dtype)
     return low + (high - low) * draws
 
 
-def _like(value: Float[Tensor, " B"], reference: Tensor) -> Tensor:
+def like(value: Float[Tensor, " B"], reference: Shaped[Tensor, "B ..."]) -> Tensor:
+    """A number per sample with as many dimensions as a reference, to go with it."""
     return value.reshape(-1, *[1] * (reference.dim() - 1))
 
 

@@ -9,14 +9,25 @@ from diffstack_mmv.data import (
     HistoryDropout,
     Mirror,
     PositionNoise,
+    RecordingNoise,
     Rotation,
     SpeedScale,
     stack_batch,
 )
+from diffstack_mmv.data.batch import STANDSTILL_MPS
 from diffstack_mmv.geometry import position_from_frame, rotate, wrap_angle
 
 CHAIN = Chain([Mirror(0.5), Rotation(0.3), SpeedScale()])
-EVERY = [Mirror(0.5), Rotation(0.3), SpeedScale(), PositionNoise(), HistoryDropout(0.5), CHAIN]
+DT_S = 0.1
+EVERY = [
+    Mirror(0.5),
+    Rotation(0.3),
+    SpeedScale(),
+    PositionNoise(),
+    RecordingNoise(0.05, DT_S),
+    HistoryDropout(0.5),
+    CHAIN,
+]
 
 
 @pytest.fixture
@@ -120,6 +131,73 @@ def test_noise_on_part_of_the_samples_leaves_the_others_as_they_are(batch):
     assert sizes[sizes > 0].mean().item() == pytest.approx(0.05, rel=0.1)
 
 
+def differentiated(batch):
+    """A batch whose past has velocities as `smoother=none` makes them, and headings along them."""
+
+    def derived(tracks):
+        step = tracks.motion.position.diff(dim=-2) / DT_S
+        velocity = torch.cat([step[..., :1, :], step], -2) * tracks.valid[..., None]
+        heading = torch.atan2(velocity[..., 1], velocity[..., 0])
+        motion = tracks.motion._replace(heading=heading, velocity=rotate(velocity, -heading))
+        return tracks._replace(motion=motion)
+
+    return batch._replace(
+        ego_past=derived(batch.ego_past), neighbors_past=derived(batch.neighbors_past)
+    )
+
+
+@pytest.mark.parametrize("past", ["ego_past", "neighbors_past"])
+def test_velocities_of_a_noisy_recording_are_the_steps_between_its_positions(batch, past):
+    noisy = getattr(RecordingNoise(0.05, DT_S)(differentiated(batch), generator()), past)
+    both = noisy.valid[..., 1:] & noisy.valid[..., :-1]
+    step = noisy.motion.position.diff(dim=-2) / DT_S
+    velocity = rotate(noisy.motion.velocity, noisy.motion.heading)[..., 1:, :]
+    torch.testing.assert_close(velocity[both], step[both], atol=1e-4, rtol=1e-4)
+    assert both.any()
+
+
+def test_who_moves_in_a_noisy_recording_faces_where_it_goes(batch):
+    noisy = RecordingNoise(0.05, DT_S)(differentiated(batch), generator()).ego_past.motion
+    moving = noisy.velocity.norm(dim=-1) > STANDSTILL_MPS
+    assert moving.any()
+    assert noisy.velocity[moving][:, 1].abs().max() < 1e-5
+    assert (noisy.velocity[moving][:, 0] > 0).all()
+
+
+def test_who_stands_in_a_noisy_recording_keeps_its_heading(batch):
+    past = batch.ego_past
+    still = past.motion._replace(
+        position=torch.zeros_like(past.motion.position),
+        velocity=torch.zeros_like(past.motion.velocity),
+        heading=torch.full_like(past.motion.heading, 0.7),
+    )
+    batch = batch._replace(ego_past=past._replace(motion=still))
+    noisy = RecordingNoise(0.005, DT_S)(batch, generator()).ego_past.motion
+    assert noisy.velocity.norm(dim=-1).max() < STANDSTILL_MPS
+    torch.testing.assert_close(noisy.heading, still.heading)
+    assert (noisy.yaw_rate == 0).all()
+
+
+def test_a_noisy_recording_has_a_present_like_the_rest_and_the_future_of_before(batch):
+    noisy = RecordingNoise(0.05, DT_S)(batch, generator())
+    moved = noisy.ego_past.motion.position - batch.ego_past.motion.position
+    sizes = moved.flatten(1).std(-1)
+    assert 0.015 < sizes.mean() < 0.035
+    assert sizes.max() < 0.06
+    assert (moved[:, -1] != 0).all()
+    futures = zip(noisy.ego_future.motion, batch.ego_future.motion, strict=True)
+    assert all(torch.equal(a, b) for a, b in futures)
+
+
+def test_a_recording_is_noisy_in_part_of_the_samples_alone(batch):
+    noisy = RecordingNoise(0.05, DT_S, probability=0.5)(batch, generator()).ego_past.motion
+    same = torch.stack(
+        [(a == b).flatten(1).all(-1) for a, b in zip(noisy, batch.ego_past.motion, strict=True)]
+    )
+    assert torch.equal(same.all(0), same.any(0))
+    assert 0.2 < same.all(0).float().mean() < 0.8
+
+
 @pytest.mark.parametrize("keep", [1, 11, 21])
 def test_dropout_forgets_the_oldest_rows_only(batch, keep):
     valid = HistoryDropout(1.0, keep=keep)(batch, generator()).ego_past.valid
@@ -135,6 +213,9 @@ def test_dropout_forgets_the_oldest_rows_only(batch, keep):
         (lambda: Rotation(0.0), "`limit_rad` must be positive"),
         (lambda: SpeedScale(1.2, 0.9), "`high` must be at least 1.2"),
         (lambda: PositionNoise(-1.0), "`std_m` must be positive"),
+        (lambda: RecordingNoise(0.0, 0.1), "`most_m` must be positive"),
+        (lambda: RecordingNoise(0.05, 0.0), "`dt_s` must be positive"),
+        (lambda: RecordingNoise(0.05, 0.1, 1.5), "`probability` must lie in"),
         (lambda: HistoryDropout(0.1, keep=0), "`keep` must be at least 1"),
     ],
 )
