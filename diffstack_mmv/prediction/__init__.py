@@ -6,6 +6,7 @@ from diffstack_mmv.prediction.base import (
     Predictor,
     all_agents,
     ego_forecast,
+    forecasts_of,
     neighbors_forecast,
     strongest,
 )
@@ -48,6 +49,7 @@ __all__ = [
     "all_agents",
     "constant_acceleration",
     "ego_forecast",
+    "forecasts_of",
     "motion_along",
     "hermite_spline",
     "neighbors_forecast",

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from diffstack_mmv.checks import require, require_at_least, require_positive
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.types import Forecast, Motion, StackBatch, Tracks
+from diffstack_mmv.types import Forecast, Motion, StackBatch, Tracks, map_tensors
 
 GaussianRollout = Callable[
     [DynamicsModel, Tensor, Tensor, Tensor, Tensor], tuple[Tensor, Tensor] | None
@@ -30,9 +30,15 @@ class Predictor(nn.Module, ABC):
         horizon_steps: Number of predicted time steps T.
         dt_s: Length of one step in s.
 
+    Attributes:
+        forecast_neighbors: Whether its forecast of the neighbors means something; otherwise only
+            that of the ego does, and `forecasts_of` makes everybody an ego once.
+
     Raises:
         ValueError: The horizon has no step, or the step is not positive.
     """
+
+    forecast_neighbors: bool = True
 
     def __init__(self, horizon_steps: int = 30, dt_s: float = 0.1) -> None:
         super().__init__()
@@ -120,6 +126,28 @@ def neighbors_forecast(forecast: Forecast) -> Forecast:
         forecast.mean[..., 1:, :, :, :],
         forecast.scale_tril[..., 1:, :, :, :, :],
     )
+
+
+def forecasts_of(predictor: Predictor, agents: Tracks) -> Forecast:
+    """Forecast agents `*b N` of whom none is the ego, `*b N` again.
+
+    They are the neighbors of an ego that is not there, or, of a predictor that forecasts egos only,
+    each is the ego once and the others are its neighbors.
+    """
+    agent_dim = agents.mode.dim() - 1
+    count = agents.mode.shape[-1]
+    if predictor.forecast_neighbors:
+        absent = map_tensors(lambda entry: torch.zeros_like(entry.select(agent_dim, 0)), agents)
+        return neighbors_forecast(predictor(absent, agents))
+    number = torch.arange(count, device=agents.mode.device)
+    others = number.repeat(count, 1)[number != number.unsqueeze(-1)]
+    beside = map_tensors(
+        lambda entry: entry.index_select(agent_dim, others).unflatten(
+            agent_dim, (count, max(count - 1, 0))
+        ),
+        agents,
+    )
+    return ego_forecast(predictor(agents, beside))
 
 
 def strongest(forecast: Forecast, components: int) -> Forecast:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_multiple, require_positive
 from diffstack_mmv.geometry import length, rotate, wrap_angle
-from diffstack_mmv.prediction import Predictor, neighbors_forecast, strongest
+from diffstack_mmv.prediction import Predictor, forecasts_of, strongest
 from diffstack_mmv.simulation.forecasters import PedestrianForecast
 from diffstack_mmv.simulation.world import Observation
 from diffstack_mmv.types import Forecast, Mode, Motion, Tracks, map_tensors
@@ -34,7 +34,9 @@ class LearnedForecaster:
     What was observed is resampled to the step of the predictor (the pedestrians move straight
     between two observations), what was seen of them before the start included. Rows before the
     first observation of a pedestrian are not valid, and the forecast is resampled to the step of
-    the plan; beyond the predictor's horizon the last velocity holds on.
+    the plan; beyond the predictor's horizon the last velocity holds on. Where its step is longer
+    than that of the observations, velocities are means over its step, as in the tracks of that
+    step it was trained on. A predictor that forecasts egos only has everybody as its ego once.
     The robot is no part of the scene, since the pedestrians do not see it. All episodes and
     pedestrians are one batch. A gradient reaches the predictor.
 
@@ -81,8 +83,7 @@ class LearnedForecaster:
         """The likeliest components of the predictor."""
         seen = self._seen(state, observation)
         neighbors = self._tracks(seen, observation)
-        everybody = self.predictor(_nobody(neighbors), neighbors)
-        likely = strongest(neighbors_forecast(everybody), self.components)
+        likely = strongest(forecasts_of(self.predictor, neighbors), self.components)
         now = observation.pedestrian_position[..., None, None, :].to(likely.mean)
         path = torch.cat((now.expand_as(likely.mean[..., :1, :]), likely.mean), -2)
         place = dt_s / self.predictor.dt_s * torch.arange(1, steps + 1, dtype=path.dtype)
@@ -124,6 +125,8 @@ class LearnedForecaster:
         # a velocity holds up to the observation that tells of it
         velocities = torch.stack([each.velocity for each in seen], -2)
         velocity = velocities[..., upper, :]
+        if step_s > interval_s:
+            velocity = _since_last_row(position, velocity, valid, step_s)
         heading = last_heading(velocity, valid)
         turned = wrap_angle(heading.diff(dim=-1)) / step_s * (valid[..., 1:] & valid[..., :-1])
         motion = Motion(
@@ -162,6 +165,18 @@ def last_heading(
     return torch.where(moving.any(-1, keepdim=True), heading, torch.zeros_like(heading))
 
 
+def _since_last_row(
+    position: Float[Tensor, "*b T 2"],
+    velocity: Float[Tensor, "*b T 2"],
+    valid: Bool[Tensor, "*b T"],
+    step_s: float,
+) -> Float[Tensor, "*b T 2"]:
+    """Mean velocity since the row before, as unsmoothed tracks have it; without one that given."""
+    both = (valid[..., 1:] & valid[..., :-1]).unsqueeze(-1)
+    later = torch.where(both, position.diff(dim=-2) / step_s, velocity[..., 1:, :])
+    return torch.cat((velocity[..., :1, :], later), -2)
+
+
 def _at(rows: Float[Tensor, "*b n c"], place: Float[Tensor, " k"]) -> Float[Tensor, "*b k c"]:
     """Values at fractional rows; beyond the last row the last difference goes on."""
     if rows.shape[-2] == 1:
@@ -169,9 +184,3 @@ def _at(rows: Float[Tensor, "*b n c"], place: Float[Tensor, " k"]) -> Float[Tens
     lower = place.floor().long().clamp(0, rows.shape[-2] - 2)
     share = (place - lower).to(rows).unsqueeze(-1)
     return rows[..., lower, :] + share * (rows[..., lower + 1, :] - rows[..., lower, :])
-
-
-def _nobody(neighbors: Tracks) -> Tracks:
-    """An ego that is not there, beside neighbors `*b h T`."""
-    agent_dim = neighbors.mode.dim() - 1
-    return map_tensors(lambda entry: torch.zeros_like(entry.select(agent_dim, 0)), neighbors)

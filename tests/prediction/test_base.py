@@ -8,17 +8,24 @@ from diffstack_mmv.prediction import (
     NoPrediction,
     all_agents,
     ego_forecast,
+    forecasts_of,
     neighbors_forecast,
     strongest,
 )
-from diffstack_mmv.types import Forecast
-from tests.prediction.samples import DT_S, scene
+from diffstack_mmv.types import Forecast, map_tensors
+from tests.prediction.samples import DT_S, scene, trajectron
 
 
 def mixture(components=4):
     weight = torch.tensor([0.1, 0.5, 0.05, 0.35])[:components].log()
     mean = torch.arange(components).float()[:, None, None].expand(components, 3, 2)
     return Forecast(weight, mean, torch.eye(2).expand(components, 3, 2, 2))
+
+
+def together(tracks):
+    """The same agents within a few metres of each other."""
+    near = tracks.motion._replace(position=0.1 * tracks.motion.position)
+    return tracks._replace(motion=near)
 
 
 def test_strongest_keeps_the_heaviest_components_and_normalises():
@@ -49,6 +56,31 @@ def test_ego_and_others_together_are_the_forecast():
     ego, neighbors = ego_forecast(forecast), neighbors_forecast(forecast)
     for whole, first, rest in zip(forecast, ego, neighbors, strict=True):
         assert torch.equal(whole, torch.cat([first.unsqueeze(1), rest], 1))
+
+
+def test_agents_without_an_ego_are_its_neighbors_where_neighbors_are_forecast():
+    batch, model = scene(batch=(2,), neighbors=3), trajectron().eval()
+    ego, agents = together(batch.ego_past), together(batch.neighbors_past)
+    unseen = ego._replace(valid=torch.zeros_like(ego.valid))
+    alone, beside = (neighbors_forecast(model(each, agents)).mean for each in (unseen, ego))
+    told = forecasts_of(model, agents).mean
+    assert torch.allclose(told, alone, atol=1e-5)
+    assert not torch.allclose(told, beside, atol=1e-3)  # an ego is seen by the others
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_each_agent_is_the_ego_once_where_only_egos_are_forecast(count):
+    model = trajectron(neighbor_components=0).eval()
+    agents = together(scene(batch=(2,), neighbors=count).neighbors_past)
+    told = forecasts_of(model, agents)
+    assert told.mean.shape[:2] == (2, count)
+    for one in range(count):
+        others = [each for each in range(count) if each != one]
+        ego = map_tensors(lambda entry, one=one: entry[:, one], agents)
+        rest = map_tensors(lambda entry, others=others: entry[:, others], agents)
+        expected = ego_forecast(model(ego, rest))
+        assert torch.allclose(told.mean[:, one], expected.mean, atol=1e-5)
+        assert torch.allclose(told.log_weight[:, one], expected.log_weight, atol=1e-5)
 
 
 def test_rows_of_ego_and_others_have_to_agree():

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from diffstack_mmv.dynamics import DiffKBM, SingleIntegrator
+from diffstack_mmv.geometry import rotate
 from diffstack_mmv.prediction import ConstantVelocity, Sizes, Trajectron
 from diffstack_mmv.simulation import LearnedForecaster
 from diffstack_mmv.simulation.learned_forecaster import last_heading
@@ -79,6 +80,43 @@ def test_the_likeliest_components_are_kept(observed, scenario_of, tiny, componen
     assert forecast.log_weight.shape == (2, 5, kept)
     assert torch.allclose(forecast.log_weight.exp().sum(-1), torch.ones(2, 5).double())
     assert (forecast.scale_tril.diagonal(dim1=-2, dim2=-1) > 0).all()
+
+
+def test_nobody_is_taken_to_stay_by_a_predictor_of_egos(observed, scenario_of):
+    """A predictor of a benchmark in which everybody is an ego once says nothing of neighbors."""
+    torch.manual_seed(0)
+    walk, sizes = SingleIntegrator(0.4), Sizes(history=8, edge=8, future=8, decoder=16)
+    model = Trajectron(walk, walk, walk, 12, 3, 0, sizes).eval()
+    seen = observed(scenario_of("circle").cases("test", range(3)), 12)
+    path = paths(LearnedForecaster(model, 2.8), *seen, steps=12)
+    moved = (path[..., -1, :] - path[..., 0, :]).norm(dim=-1)
+    assert (moved > 1.0).all()
+    single = [map_tensors(lambda entry: entry[1:2], each) for each in seen]
+    alone = paths(LearnedForecaster(model, 2.8), *single, steps=12)
+    assert torch.allclose(path[1:2], alone, atol=1e-5)
+
+
+def test_a_velocity_is_the_mean_over_a_longer_step_of_the_predictor(observed, scenario_of):
+    seen = observed(scenario_of("circle").cases("test", [0]), 8)
+    recorder = Recorder(12, 0.4)
+    paths(LearnedForecaster(recorder, 1.2), *seen, steps=2)
+    motion = recorder.neighbors.motion
+    assert recorder.neighbors.valid.all()
+    velocity = rotate(motion.velocity, motion.heading)[..., 1:, :]
+    assert torch.allclose(velocity, motion.position.diff(dim=-2) / 0.4, atol=1e-5)
+    # somebody turned or sped up meanwhile, otherwise that says nothing
+    last = seen[-1].pedestrian_velocity.float()
+    assert (velocity[..., -1, :] - last).abs().max() > 0.01
+
+
+def test_without_a_row_before_the_observed_velocity_holds(observed, scenario_of):
+    seen = observed(scenario_of("circle").cases("test", [0]), 1)
+    recorder = Recorder(12, 0.4)
+    paths(LearnedForecaster(recorder, 1.2), *seen, steps=2)
+    motion = recorder.neighbors.motion
+    assert recorder.neighbors.valid[0, 0].tolist() == [False] * 3 + [True]
+    velocity = rotate(motion.velocity, motion.heading)[..., -1, :]
+    assert torch.allclose(velocity, seen[-1].pedestrian_velocity.float(), atol=1e-5)
 
 
 def test_a_loss_on_the_forecast_reaches_the_predictor(observed, scenario_of, tiny):
