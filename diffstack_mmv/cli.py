@@ -197,7 +197,7 @@ def _composition_told(folder: Path, config_name: str) -> Iterator[None]:
     except BrokenPipeError:
         # whoever reads has seen enough, as in `--help | head`; nothing is left to be flushed either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
+        raise SystemExit(1) from None
     except OSError as error:
         # outside of a job Hydra touches the disk for nothing else
         _exit(told_of_folder(error))

@@ -1,6 +1,7 @@
 """Evaluate a checkpoint per mode, beside its trivial baselines."""
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -81,8 +82,7 @@ def main(config: DictConfig) -> None:
     from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.stack import evaluate_windows, load_stack
 
-    path = checkpoint_path(config.checkpoint)
-    stack, trained = load_stack(path, _device(config.device))
+    stack, trained = load_stack(checkpoint_path(config.checkpoint), _device(config.device))
     _take_windows(config, trained)
     if "goal" in config:
         stack.goal = instantiate(config.goal)
@@ -106,20 +106,7 @@ def main(config: DictConfig) -> None:
         logger.warning(
             "No sample of mode '%s' in split '%s'; the tables leave it out.", mode, config.split
         )
-    header = {
-        "goal": stack.goal.name,
-        "dynamics": trained["names"]["dynamics"],
-        "vehicle": vehicle,
-        "data": config.data.name,
-        "split": config.split,
-        "seed": trained["seed"],
-        "smoother": data.source.smoother(),
-        "calibrated_on": config.calibration.split,
-        "checkpoint": str(config.checkpoint),
-        "checkpoint_sha256": file_hash(path),
-        "data_sha256": windows.digest(),
-        "code": code_version(),
-    }
+    header = _header(config, trained, stack, data) | {"data_sha256": windows.digest()}
     out = Path(config.out)
     write_parquet(out / "samples.parquet", evaluation.samples)
     write_metrics(out, header | metrics, scores)
@@ -128,6 +115,25 @@ def main(config: DictConfig) -> None:
     if config.get("wandb"):
         instantiate(config.wandb)(read_record(out, Titles(scores, CLOSED_LOOP)))
     logger.info("Report: %s; as a page: dmmv-report %s", out / "metrics.md", out)
+
+
+def _header(
+    config: DictConfig, trained: Mapping[str, Any], stack: "DiffStackMMV", data: "TrajdataModule"
+) -> dict[str, Any]:
+    """What was evaluated, on what, and by which code."""
+    return {
+        "goal": stack.goal.name,
+        "dynamics": trained["names"]["dynamics"],
+        "vehicle": trained["vehicle"]["name"],
+        "data": config.data.name,
+        "split": config.split,
+        "seed": trained["seed"],
+        "smoother": data.source.smoother(),
+        "calibrated_on": config.calibration.split,
+        "checkpoint": str(config.checkpoint),
+        "checkpoint_sha256": file_hash(checkpoint_path(config.checkpoint)),
+        "code": code_version(),
+    }
 
 
 def _draw(config: DictConfig, stack: Any, windows: Any, evaluation: Any) -> None:

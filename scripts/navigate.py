@@ -1,10 +1,10 @@
 """Drive a vehicle through a crowd, case by case, beside its baselines."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from diffstack_mmv.cli import DictConfig, OmegaConf, command, get_class, instantiate
 from diffstack_mmv.config_checks import require_checkpoint, require_file
@@ -12,6 +12,9 @@ from dmmv_conventions.checks import require, require_at_least, require_one_of
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.versions import code_version, file_hash
+
+if TYPE_CHECKING:
+    from diffstack_mmv.simulation import Chunk, RecordedCrossing, Scenario, VehicleRobot
 
 logger = logging.getLogger(__name__)
 
@@ -40,14 +43,11 @@ def main(config: DictConfig) -> None:
     import torch
 
     from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
-    from diffstack_mmv.plotting import CaseStart, save_stories
     from diffstack_mmv.reporting import paired_cases, paired_with_run, write_closed_loop
     from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.simulation import (
-        Chunk,
         Method,
         models_told,
-        read_thoughts,
         require_stoppable,
         run,
         summarise,
@@ -63,7 +63,7 @@ def main(config: DictConfig) -> None:
     learned = config.people_checkpoint
     weights = {"people_checkpoint": file_hash(checkpoint_path(learned)) if learned else None}
 
-    def driven(name: str, controller: DictConfig) -> list[Chunk]:
+    def driven(name: str, controller: DictConfig) -> "list[Chunk]":
         settings = OmegaConf.to_yaml(OmegaConf.create([controller, config.world, weights]))
         place = world_for(world, get_class(controller._target_))
         method = Method(name, place, partial(instantiate, controller), settings, code_version())
@@ -84,21 +84,34 @@ def main(config: DictConfig) -> None:
     pairs = [{"other": name} | paired_cases(result["cases"], rows[name]["cases"]) for name in rows]
     pairs += [paired_with_run(result, Path(folder)) for folder in config.against]
     write_closed_loop(out, result, rows, CLOSED_LOOP, published, pairs)
-    records = [chunk.record for chunk in chunks]
-    outline = world.robot.footprint.outline()
+    _draw(config, scenario, world.robot, chunks)
+    _tell_times(result)
+    if config.get("wandb"):
+        instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))
+    logger.info("Report: %s; as a page: dmmv-report %s", out / "closed_loop.md", out)
+
+
+def _draw(
+    config: DictConfig,
+    scenario: "Scenario | RecordedCrossing",
+    robot: "VehicleRobot",
+    chunks: Sequence["Chunk"],
+) -> None:
+    """Write pictures and animations of the cases that the controller drove."""
+    from diffstack_mmv.plotting import CaseStart, save_stories
+    from diffstack_mmv.simulation import read_thoughts
+
+    out, records = Path(config.out), [chunk.record for chunk in chunks]
     told = partial(read_thoughts, out / "episodes" / config.names.controller)
+    numbers = range(config.first_case, config.first_case + config.cases)
 
     def start(case: int) -> CaseStart:
         return CaseStart(*scenario.case(config.phase, case).radii_and_goal())
 
     save_stories(
-        out, numbers, records, start, config.animate, config.show, outline, told,
-         config.movie, world.robot.model.Control._fields,
+        out, numbers, records, start, config.animate, config.show, robot.footprint.outline(), told,
+        config.movie, robot.model.Control._fields,
     )  # fmt: skip
-    _tell_times(result)
-    if config.get("wandb"):
-        instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))
-    logger.info("Report: %s; as a page: dmmv-report %s", out / "closed_loop.md", out)
 
 
 def _tell_times(result: Mapping[str, Any]) -> None:

@@ -4,4 +4,4 @@ import sys
 from importlib.metadata import version
 
 if __name__ == "__main__":
-    sys.exit(0 if sys.platform != "linux" or "+cpu" in version("torch") else 1)
+    raise SystemExit(int(sys.platform == "linux" and "+cpu" not in version("torch")))

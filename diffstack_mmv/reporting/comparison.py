@@ -181,7 +181,10 @@ def _better(first: str, second: str, difference: float, lower_is_better: bool) -
 
 
 def signed_rank(difference: np.ndarray) -> float:
-    """Two-sided p value of the Wilcoxon signed-rank test; NaN below six unequal pairs."""
+    """Two-sided p value of the Wilcoxon signed-rank test of differences (n,).
+
+    NaN below six unequal pairs.
+    """
     if (difference != 0).sum() < 6:
         return float("nan")
     result: Any = wilcoxon(difference)

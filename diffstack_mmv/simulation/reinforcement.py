@@ -36,17 +36,17 @@ class StableBaselinesEnv(VecEnv):
         self._actions = np.zeros((env.num_envs, columns))
 
     def reset(self) -> np.ndarray:
-        """Start all episodes."""
+        """Start all episodes; their observations, (envs, size)."""
         # the seed of `seed()` counts for the first reset alone
         seed, self._seeds = self._seeds[0], [None] * self.num_envs
         return self.env.reset(seed=seed)[0]
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Keep the actions for `step_wait`."""
+        """Keep the actions, (envs, controls) in [-1, 1], for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Step all episodes: observations, rewards, who ended, and what is told of each."""
+        """Step all episodes: observations (envs, size), rewards and ends (envs,), what is told."""
         lower, upper = (bound.double().numpy() for bound in self.env.world.robot.bounds)
         controls = lower + 0.5 * (np.clip(self._actions, -1, 1) + 1) * (upper - lower)
         seen, reward, terminated, truncated, told = self.env.step(controls)

@@ -232,7 +232,7 @@ class DiffStackMMV(pl.LightningModule):
         self.scores.reset()
 
     def predict_step(self, batch: StackBatch, batch_idx: int) -> dict[str, Tensor]:
-        """Scores of each sample."""
+        """Scores of each sample, (B,)."""
         return self.sample_scores(batch)
 
     def sample_scores(self, batch: StackBatch) -> dict[str, Float[Tensor, " B"]]:

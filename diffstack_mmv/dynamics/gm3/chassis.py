@@ -180,9 +180,8 @@ class Chassis(ExactBuffers):
         hub = hub_velocity(axes, velocity)
         turn = -velocity[2] if grip.camber is None else grip.camber - velocity[2]
         across = -hub.left / grip.traction.reference
-        ratio = None
-        if self.tire.uses_slip_angle:
-            ratio = slip_angle_ratio(hub, self.spec.smoothing.slip_speed_mps)
+        slip_speed = self.spec.smoothing.slip_speed_mps
+        ratio = slip_angle_ratio(hub, slip_speed) if self.tire.uses_slip_angle else None
         angle = None if ratio is None else -hub.left * ratio
         slip = TireSlip(grip.traction.slip, across, grip.inverse_speed * turn, angle)
         return Contact(grip, slip, ratio, self.tire.secants_in_vehicle(slip, grip.tire))

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from diffstack_mmv.identification.measured.estimation import (
@@ -43,7 +43,7 @@ class RolloutErrors(NamedTuple):
         pairs = zip(self, errors, strict=True)
         return RolloutErrors(*(old.masked_scatter(chosen, new) for old, new in pairs))
 
-    def mean(self, chosen: Tensor) -> dict[str, float]:
+    def mean(self, chosen: Shaped[Tensor, " w"]) -> dict[str, float]:
         """Means over some windows."""
         return {"ade": float(self.ade[chosen].mean()), "fde": float(self.fde[chosen].mean())}
 

@@ -153,16 +153,9 @@ class Trajectron(Predictor):
         for role, model in models.items():
             count = components if role == EGO else max(neighbor_components, 1)
             decoder = ControlDecoder(
-                model,
-                context,
-                count,
-                horizon_steps,
-                sizes.decoder,
-                hold_steps,
-                dropout=sizes.dropout,
-                jacobians=jacobians,
-                generated=generated,
-            )
+                model, context, count, horizon_steps, sizes.decoder, hold_steps,
+                dropout=sizes.dropout, jacobians=jacobians, generated=generated,
+            )  # fmt: skip
             self.branches.append(Branch(Latent(context, sizes.future, count), decoder))
         self.register_buffer("training_step", torch.zeros((), dtype=torch.long))
         self.training_step: Tensor

@@ -74,7 +74,7 @@ class Crossing(NamedTuple):
     heading: float  # rad
 
     def seen_from(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Positions in m in the frame in which the way leads along y through the origin."""
+        """Positions, (..., 2) in m, in the frame whose y axis is the way, through the origin."""
         angle = np.pi / 2 - self.heading
         cos, sin = np.cos(angle), np.sin(angle)
         turned: NDArray[np.float64] = (position - self.centre) @ np.array([[cos, sin], [-sin, cos]])
