@@ -108,6 +108,8 @@ class Trajectron(Predictor):
         generated: Integrates the controls in one call where it can, see `integrate`.
         site: Encoder of where in the world an agent is, for a predictor that is used where it was
             trained; None: it holds everywhere. Forecasts of tracks alone do without its code.
+        rough: Whether it is told how noisy each track is, see `roughness`: for recordings that are
+            not smoothed and not equally noisy.
 
     Raises:
         ValueError: The models differ in their time step, or a number is out of its range.
@@ -128,6 +130,7 @@ class Trajectron(Predictor):
         jacobians: Jacobians = linearise,
         generated: GaussianRollout | None = None,
         site: Site | None = None,
+        rough: bool = False,
     ) -> None:
         super().__init__(horizon_steps, ego_dynamics.dt_s)
         require_at_least("neighbor_components", neighbor_components, 0)
@@ -141,7 +144,14 @@ class Trajectron(Predictor):
         self.blocks: Blocks | None = None
         self.annealing = (annealing if annealing is not None else Annealing()).checked()
         self.scene_encoder = SceneEncoder(
-            self.dt_s, sizes.history, sizes.edge, sizes.dropout, sizes.reach_m, sizes.fade_m, site
+            self.dt_s,
+            sizes.history,
+            sizes.edge,
+            sizes.dropout,
+            sizes.reach_m,
+            sizes.fade_m,
+            site,
+            rough,
         )
         self.future_encoder = PerKind(
             {kind: MaskedLSTM(TRACK_FEATURES, sizes.future) for kind in (VEHICLE, PEDESTRIAN)},

@@ -18,6 +18,7 @@ from diffstack_mmv.prediction.trajectron.encoder import (
 )
 from diffstack_mmv.prediction.trajectron.interaction import Interaction
 from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
+from diffstack_mmv.prediction.trajectron.roughness import ORDERS, roughness
 from diffstack_mmv.prediction.trajectron.site import Site
 from diffstack_mmv.prediction.trajectron.start import START_FEATURES, start_features
 from diffstack_mmv.types import Mode
@@ -36,6 +37,7 @@ class SceneEncoder(nn.Module):
         reach_m: Distance at which the influence of another agent is halved.
         fade_m: Distance over which it fades.
         site: Encoder of the place in the world; None: what is learned holds everywhere.
+        rough: Whether it is told how noisy a track is, see `roughness`.
 
     Raises:
         ValueError: The share is no share, or a distance is not positive.
@@ -50,6 +52,7 @@ class SceneEncoder(nn.Module):
         reach_m: float = 15.0,
         fade_m: float = 2.0,
         site: Site | None = None,
+        rough: bool = False,
     ) -> None:
         super().__init__()
         require_between("dropout", dropout, 0.0, 0.9)
@@ -59,8 +62,10 @@ class SceneEncoder(nn.Module):
         )
         self.interaction = Interaction(history, edge, reach_m, fade_m, dropout)
         self.site = site
+        self.rough = rough
         self.outputs = history + edge + MOTION_FEATURES + len(Mode)
         self.outputs += site.outputs if site is not None else 0
+        self.outputs += len(ORDERS) if rough else 0
 
     def forward(
         self, rows: AgentBatch, agents: int, wanted: Bool[Tensor, " R"] | None = None
@@ -76,4 +81,5 @@ class SceneEncoder(nn.Module):
         mode = nn.functional.one_hot(rows.past.mode, len(Mode)).to(node.dtype)
         site = [self.site(rows.place)] if self.site is not None else []
         motion = [rows.velocity / SPEED_SCALE_MPS, rows.acceleration, start_features(rows.starts)]
-        return torch.cat([node, around, *motion, mode, *site], -1)
+        noise = [roughness(rows.past)] if self.rough else []
+        return torch.cat([node, around, *motion, mode, *site, *noise], -1)
