@@ -2,7 +2,6 @@
 
 import json
 import os
-import subprocess
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
@@ -10,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+from diffstack_mmv.child_processes import ChildProcesses
 from dmmv_conventions.checks import require_at_least
 from dmmv_conventions.extras import needs
 
@@ -43,17 +43,17 @@ class JobOutcome(NamedTuple):
     succeeded: bool
 
 
-def run_job(job: Job) -> JobOutcome:
+def run_job(job: Job, children: ChildProcesses | None = None) -> JobOutcome:
     """Run the commands of a job, one thread each, until one fails; all they say goes to its log."""
+    if children is None:
+        with ChildProcesses() as own:
+            return run_job(job, own)
     start = time.monotonic()
     job.log.parent.mkdir(parents=True, exist_ok=True)
     environment = os.environ | {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     with job.log.open("a", encoding="utf-8") as log:
         for command in job.commands:
-            code = subprocess.run(
-                command, stdout=log, stderr=log, env=environment, check=False
-            ).returncode
-            if code != 0:
+            if children.run(command, log, environment) != 0:
                 break
     seconds = time.monotonic() - start
     if job.done:
@@ -95,9 +95,12 @@ class LocalProcesses:
         return self.processes
 
     def __call__(self, jobs: Sequence[Job]) -> Iterator[JobOutcome]:
-        """Run all, and yield each one as soon as it ended."""
-        with ThreadPoolExecutor(self.processes) as pool:
-            yield from _ended([pool.submit(run_job, job) for job in jobs])
+        """Run all, and yield each one as soon as it ended.
+
+        Where it is interrupted, what runs is told to end, and nothing else is begun.
+        """
+        with ThreadPoolExecutor(self.processes) as pool, ChildProcesses() as children:
+            yield from _ended([pool.submit(run_job, job, children) for job in jobs])
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,61 @@
+"""Commands in processes that are told to end when the one that started them is."""
+
+import signal
+import subprocess
+import threading
+from collections.abc import Mapping, Sequence
+from types import FrameType
+from typing import IO, Any, Self
+
+_ENDINGS = ("SIGTERM", "SIGHUP")  # the latter, a terminal that is closed, is unknown to Windows
+
+
+class ChildProcesses:
+    """Runs commands, and has those that still run save and end when it is left.
+
+    Within it a signal to end is an exception, as Ctrl-C is, so that it is left in order. Commands
+    have a session of their own: Ctrl-C in a terminal would otherwise reach them too, and what they
+    do about it would be interrupted by the signal that they get from here.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._running: set[subprocess.Popen[bytes]] = set()
+        self._ended = False
+        self._handlers: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            for ending in (signal.Signals[name] for name in _ENDINGS if hasattr(signal, name)):
+                # whoever ignores it, as under nohup, goes on doing so
+                if signal.getsignal(ending) is signal.SIG_DFL:
+                    self._handlers[ending] = signal.signal(ending, _left)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._ended = True
+            for process in self._running:
+                process.terminate()
+        for ending, handler in self._handlers.items():
+            signal.signal(ending, handler)
+
+    def run(
+        self, command: Sequence[str], output: IO[str], environment: Mapping[str, str]
+    ) -> int | None:
+        """Run a command to its end; returns its exit status, None if it was not begun any more."""
+        with self._lock:
+            if self._ended:
+                return None
+            process = subprocess.Popen(
+                command, stdout=output, stderr=output, env=environment, start_new_session=True
+            )
+            self._running.add(process)
+        code = process.wait()
+        with self._lock:
+            self._running.discard(process)
+        return code
+
+
+def _left(number: int, _: FrameType | None) -> None:
+    raise SystemExit(128 + number)
