@@ -194,6 +194,9 @@ def _composition_told(folder: Path, config_name: str) -> Iterator[None]:
         _exit(str(error))
     except (HydraException, OmegaConfBaseException) as error:
         _exit(told(error, arguments, folder, config_name))
+    except KeyboardInterrupt:
+        sys.stderr.write("Interrupted.\n")
+        raise SystemExit(_INTERRUPTED) from None
     except BrokenPipeError:
         # whoever reads has seen enough, as in `--help | head`; nothing is left to be flushed either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -225,6 +228,10 @@ def _failures_told() -> Iterator[None]:
     finally:
         if raising:
             os.environ[FULL_ERROR] = "1"
+
+
+_INTERRUPTED = 130
+"""Exit status of a command that Ctrl-C has ended, by the convention of shells."""
 
 
 def _exit(line: str) -> NoReturn:

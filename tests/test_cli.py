@@ -93,6 +93,13 @@ def test_a_failure_shows_no_traceback(run):
     assert "Traceback" not in told
 
 
+def test_who_interrupts_a_command_sees_no_traceback(run):
+    def wait(config):
+        raise KeyboardInterrupt
+
+    assert run("needed=1", task=wait)[1] == "Interrupted.\n"
+
+
 def test_a_file_in_the_place_of_the_folder_is_named(run, tmp_path):
     (tmp_path / "out").write_text("a file")
     config, told = run("needed=1")
