@@ -11,7 +11,8 @@ from hydra.utils import instantiate
 from torch import Tensor
 
 from diffstack_mmv.checks import message, require
-from diffstack_mmv.prediction import Predictor
+from diffstack_mmv.prediction import Predictor, Trajectron
+from diffstack_mmv.prediction.trajectron.agent_batch import PEDESTRIAN
 from diffstack_mmv.stack.module import DiffStackMMV
 from dmmv_conventions.checkpoints import read_plain
 from dmmv_conventions.pretrained import checkpoint_path
@@ -70,12 +71,26 @@ def load_stack(path: Path, device: torch.device | str = "cpu") -> TrainedStack:
 def load_predictor(path: Path | str | None) -> Predictor:
     """Return the predictor of a trained stack, or of a shipped one, in evaluation mode.
 
+    Where nobody on foot was beside an ego in its training, which leaves their forecasts straight
+    lines, a warning says so.
+
     Raises:
         ValueError: No path is given, or there is no usable checkpoint, see `load_stack`.
     """
     if path is None:
         raise ValueError(message("checkpoint", "be given for the predictor", path, "", _REMEDY))
-    return load_stack(checkpoint_path(path)).stack.predictor
+    predictor = load_stack(checkpoint_path(path)).stack.predictor
+    if (
+        isinstance(predictor, Trajectron)
+        and predictor.forecast_neighbors
+        and not predictor.has_learned(PEDESTRIAN)
+    ):
+        _logger.warning(
+            "The predictor of %s has seen no pedestrian beside an ego: it forecasts them along a "
+            "straight line. Train on data with neighbors to have more.",
+            path,
+        )
+    return predictor
 
 
 def load_weights(stack: DiffStackMMV, path: Path) -> None:

@@ -6,7 +6,14 @@ import pytest
 import torch
 
 from diffstack_mmv.planning import PredictedGoal
-from diffstack_mmv.stack import load_stack, load_weights, read_checkpoint, write_lean
+from diffstack_mmv.prediction.trajectron.agent_batch import PEDESTRIAN
+from diffstack_mmv.stack import (
+    load_predictor,
+    load_stack,
+    load_weights,
+    read_checkpoint,
+    write_lean,
+)
 from dmmv_conventions.pretrained import FOLDER, checkpoint_path
 from tests.stack.test_module import stack_of
 
@@ -144,3 +151,15 @@ def test_a_lean_checkpoint_keeps_weights_and_what_it_is_built_from(tmp_path):
     lean = read_checkpoint(tmp_path / "lean.ckpt")
     assert lean["provenance"]["config"] == whole["provenance"]["config"]
     assert "optimizer_states" not in lean
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_who_never_saw_a_pedestrian_beside_an_ego_is_told(beside, tmp_path, caplog):
+    content = read_checkpoint(checkpoint_path("pretrained"))
+    weights = {
+        name: each if beside or f".branches.{PEDESTRIAN}." not in name else torch.zeros_like(each)
+        for name, each in content["state_dict"].items()
+    }
+    torch.save(content | {"state_dict": weights}, tmp_path / "a.ckpt")
+    load_predictor(tmp_path / "a.ckpt")
+    assert ("has seen no pedestrian" in caplog.text) is not beside

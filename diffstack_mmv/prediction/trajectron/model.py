@@ -182,6 +182,15 @@ class Trajectron(Predictor):
             if isinstance(module, MaskedLSTM | ControlDecoder | Trajectron):
                 module.blocks = Blocks()
 
+    def has_learned(self, role: int) -> bool:
+        """Whether the decoder of a role ever got a gradient: its heads start at zero.
+
+        Args:
+            role: EGO, VEHICLE or PEDESTRIAN of `agent_batch`.
+        """
+        branch = self.branches[role]
+        return isinstance(branch, Branch) and bool(branch.decoder.mean_head.weight.any())
+
     def forward(self, past: Tracks, neighbors: Tracks) -> Forecast:
         """Forecast all agents, `*b 1+N`; an agent that is not observed now stays where it is."""
         return self._forward(all_agents(past, neighbors), None)
