@@ -11,7 +11,7 @@ _ENDINGS = ("SIGTERM", "SIGHUP")  # the latter, a terminal that is closed, is un
 
 
 class ChildProcesses:
-    """Runs commands, and has those that still run save and end when it is left.
+    """Runs commands, and has those that still run save and end before it is left.
 
     Within it a signal to end is an exception, as Ctrl-C is, so that it is left in order. Commands
     have a session of their own: Ctrl-C in a terminal would otherwise reach them too, and what they
@@ -35,8 +35,11 @@ class ChildProcesses:
     def __exit__(self, *_: object) -> None:
         with self._lock:
             self._ended = True
-            for process in self._running:
-                process.terminate()
+            running = list(self._running)
+        for process in running:
+            process.terminate()
+        for process in running:
+            process.wait()  # who runs one without a pool of threads would not wait for it to save
         for ending, handler in self._handlers.items():
             signal.signal(ending, handler)
 

@@ -12,7 +12,7 @@ import pytest
 LAUNCHER = """
 import signal, sys
 from pathlib import Path
-from diffstack_mmv.jobs import Job, LocalProcesses
+from diffstack_mmv.jobs import Job, LocalProcesses, run_job
 signal.signal(signal.SIGINT, signal.default_int_handler)  # tests that run behind a shell ignore it
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 folder = Path(sys.argv[1])
@@ -21,6 +21,7 @@ import signal, sys, time
 from pathlib import Path
 folder, name = Path(sys.argv[1]), sys.argv[2]
 def save(*_):
+    time.sleep(0.3)
     (folder / f"{name}.saved").touch()
     raise SystemExit(1)
 signal.signal(signal.SIGTERM, save)
@@ -33,13 +34,17 @@ jobs = [
         folder / name, folder / f"{name}.log")
     for name in ("first", "second")
 ]
-list(LocalProcesses(1)(jobs))
+HOW
 """
 
 
-def started(folder: Path) -> "subprocess.Popen[bytes]":
+POOL = "list(LocalProcesses(1)(jobs))"
+ALONE = "run_job(jobs[0]); run_job(jobs[1])"  # as on a cluster
+
+
+def started(folder: Path, how: str = POOL) -> "subprocess.Popen[bytes]":
     """A launcher with two jobs of a minute, one at a time, whose first job has begun."""
-    launcher = subprocess.Popen([sys.executable, "-c", LAUNCHER, str(folder)])
+    launcher = subprocess.Popen([sys.executable, "-c", LAUNCHER.replace("HOW", how), str(folder)])
     limit = time.monotonic() + 60
     while not (folder / "first.begun").exists():
         assert launcher.poll() is None
@@ -48,12 +53,13 @@ def started(folder: Path) -> "subprocess.Popen[bytes]":
     return launcher
 
 
+@pytest.mark.parametrize("how", [POOL, ALONE], ids=["pool", "alone"])
 @pytest.mark.parametrize(
     ("sent", "status"),
     [(signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGINT, -signal.SIGINT)],
 )
-def test_a_signal_ends_what_runs_and_begins_nothing_else(tmp_path, sent, status):
-    launcher = started(tmp_path)
+def test_a_signal_ends_what_runs_and_begins_nothing_else(tmp_path, sent, status, how):
+    launcher = started(tmp_path, how)
     launcher.send_signal(sent)
     assert launcher.wait(timeout=30) == status
     assert (tmp_path / "first.saved").exists()
