@@ -15,6 +15,7 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, NoReturn
 
+from dmmv_conventions.annotations import require_types
 from dmmv_conventions.arguments import require_arguments
 from dmmv_conventions.extras import MissingExtraError, needs_to_run
 from dmmv_conventions.foretold import require_foretold
@@ -125,6 +126,7 @@ def command(
                 require_buildable(content, OF_A_RUN, "in the configuration")
                 _judge_vehicles(content)
                 require_arguments(content)
+                require_types(content)
                 require_foretold(content)
                 check(config)
                 with alone_in(Path(config.out), "out"), _single_job():

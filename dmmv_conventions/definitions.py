@@ -11,8 +11,19 @@ from dmmv_conventions.targets import PROJECT
 
 Constructor = tuple[ast.FunctionDef, "Definition"]
 
-LIBRARIES = ("pytorch_lightning", "torch")
-"""Packages besides this project's whose sources are read, for the names of arguments alone."""
+LIBRARIES = ("lightning_fabric", "pytorch_lightning", "torch")
+"""Packages besides this project's whose sources are read, for arguments and their types alone."""
+
+
+class Annotation(NamedTuple):
+    """The type of an argument, and the source whose names it uses."""
+
+    node: ast.expr
+    source: ast.Module
+
+    def of(self, node: ast.expr) -> "Annotation":
+        """A part of it."""
+        return self._replace(node=node)
 
 
 class Definition(NamedTuple):
@@ -78,6 +89,18 @@ class Definition(NamedTuple):
             return frozenset(name for name, _ in self.fields())
         first = next(self.bases(), None)
         return None if first is None else first.arguments()
+
+    def annotations(self) -> Iterator[tuple[str, Annotation]]:
+        """Arguments of the constructor with their types, as far as they are written."""
+        found = self.constructor()
+        if found is None:
+            first = next(self.bases(), None)
+            yield from () if first is None else first.annotations()
+        else:
+            taken = found[0].args
+            for each in (*taken.posonlyargs, *taken.args, *taken.kwonlyargs):
+                if each.annotation is not None:
+                    yield each.arg, Annotation(each.annotation, found[1].source)
 
     def fields(self) -> Iterator[tuple[str, ast.expr | None]]:
         """Fields of a data class or a named tuple with their defaults, inherited ones first."""
@@ -152,6 +175,20 @@ def defined(name: str) -> Definition | None:
             for alias in each.names:
                 if (alias.asname or alias.name) == rest:
                     return defined(f"{each.module}.{alias.name}")
+    return None
+
+
+def assigned(name: str, source: ast.Module) -> Annotation | None:
+    """What stands behind a name at the top of a module, or of the one it is imported from."""
+    for each in _top(source.body):
+        if isinstance(each, ast.Assign) and ast.unparse(each.targets[0]) == name:
+            return Annotation(each.value, source)
+        if isinstance(each, ast.ImportFrom) and each.module and not each.level:
+            for alias in each.names:
+                if (alias.asname or alias.name) == name:
+                    package, other = _module([*each.module.split("."), alias.name])
+                    found = None if package != each.module or other is None else other
+                    return None if found is None else assigned(alias.name, found)
     return None
 
 

@@ -18,7 +18,7 @@ ALLOWED = {
     "composition": set(),
     "config_checks": set(),
     "run_checks": {"config_checks"},
-    "training_checks": {"config_checks"},
+    "training_checks": {"config_checks", "metrics"},
     "crowdnav": {"dynamics", "simulation", "vehicles"},
     "override_errors": set(),
     "child_processes": set(),
@@ -67,6 +67,7 @@ CONVENTIONS = {
     "dynamics": {"dmmv_conventions.yaml_files"},
     "data": {"dmmv_conventions.cache", "dmmv_conventions.disk", "dmmv_conventions.opening"},
     "cli": {
+        "dmmv_conventions.annotations",
         "dmmv_conventions.bars",
         "dmmv_conventions.arguments",
         "dmmv_conventions.foretold",
