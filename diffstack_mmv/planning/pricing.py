@@ -101,7 +101,7 @@ class PlanPrice:
     """The planner's cost up to the arrival, time, lack of comfortable clearance, and impatience.
 
         S = Σ_t [t ≤ arrival] (c_t + w_time dt) + w_risk R + q w_comfort P
-            + (1 - q) w_left ‖p_T - g‖
+            + (1 - q) w_left [T < arrival] ‖p_T - g‖
 
     with R and P of `ClearanceMargin` and the patience q in (0, 1] of a vehicle that gets no closer
     to its goal: comfort then counts less and getting ahead more. The safe clearance is asked for
@@ -158,7 +158,9 @@ class PlanPrice:
         patience = 0.5 ** (waited.unsqueeze(-1) / self.patience_s)
         total = (running * under_way).sum(-1) + patience * self.comfort_weight * safety.penalty
         total = total + self.risk_weight * risk
-        total = total + (1 - patience) * self.left_weight * way[..., -1]
+        # whoever has arrived stops there, whatever the rest of the plan does
+        left = torch.where(arrived.any(-1), 0, way[..., -1])
+        total = total + (1 - patience) * self.left_weight * left
         usable = total.isfinite()
         return ScoredPlans(
             controls=controls,

@@ -48,6 +48,13 @@ def test_who_waits_cares_less_for_comfort_and_more_for_what_is_left(waited, pati
     assert float(priced.cost) == pytest.approx(13 + (1 - patience) * 10.0 * 5.0)
 
 
+def test_nothing_is_left_of_the_way_of_a_plan_that_passes_its_goal_and_goes_on():
+    problem, controls, motion = along_y(goal=2.0, agent=30.0)
+    price = PlanPrice(time_weight=0.0, left_weight=10.0)
+    priced = price(one_per_step, problem, controls, motion, torch.tensor([3.0]), 0.25)
+    assert float(priced.cost) == pytest.approx(9)  # the times up to the arrival
+
+
 def test_a_plan_that_is_not_finite_is_never_chosen():
     problem, controls, motion = along_y(goal=8.0)
     lost = motion._replace(position=motion.position * torch.nan)
