@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from datetime import datetime
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -142,7 +143,8 @@ def command(
 
         @functools.wraps(task)
         def main() -> None:
-            sys.argv[1:] = [_vehicle_from_file(each) for each in _sweep_first(sys.argv[1:])]
+            arguments = _sweep_in_folder(_sweep_first(sys.argv[1:]), config_name)
+            sys.argv[1:] = [_vehicle_from_file(each) for each in arguments]
             with (
                 _no_search_for_garbage(),
                 _composition_told(config_folder, config_name),
@@ -158,6 +160,14 @@ def command(
 def _sweep_first(arguments: list[str]) -> list[str]:
     """Move `-m` to the front: overrides on both sides of it would not be understood."""
     return sorted(arguments, key=lambda argument: argument not in ("-m", "--multirun"))
+
+
+def _sweep_in_folder(arguments: Sequence[str], name: str) -> list[str]:
+    """Give a sweep its folder: Hydra resolves it before it knows the name of the command."""
+    sweeping = any(each in ("-m", "--multirun", "hydra.mode=MULTIRUN") for each in arguments)
+    given = any(each.startswith(("out=", "hydra.sweep.dir=")) for each in arguments)
+    folder = f"outputs/{name}/{datetime.now():%Y-%m-%d_%H-%M-%S}"
+    return [*arguments, f"out={folder}"] if sweeping and not given else list(arguments)
 
 
 @contextmanager

@@ -193,3 +193,20 @@ def test_a_sweep_may_be_asked_for_anywhere(run, arguments):
     config, told = run(*arguments)
     assert config is not None, told
     assert config.needed == 1
+
+
+def test_a_sweep_without_a_folder_gets_one_of_its_own(tmp_path, monkeypatch):
+    """Hydra resolves the folder of a sweep before it knows the name of the command."""
+    configs = tmp_path / "configs"
+    configs.mkdir()
+    sweep = 'hydra: {sweep: {dir: "${out}", subdir: "${hydra:job.num}"}, '
+    named = CONTENT.replace("out: out", "out: outputs/${hydra:job.name}").replace("hydra: {", sweep)
+    (configs / "task.yaml").write_text(named)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["task", "-m", "needed=1,2"])
+    GlobalHydra.instance().clear()
+    seen = []
+    command(configs, "task")(lambda config: seen.append(config.out))()
+    GlobalHydra.instance().clear()
+    assert [folder.split("/")[-4:-2] for folder in seen] == [["outputs", "task"]] * 2
+    assert [folder.split("/")[-1] for folder in seen] == ["0", "1"]
