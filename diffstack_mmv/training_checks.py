@@ -116,7 +116,8 @@ def _require_callback(place: str, callback: Mapping[str, Any]) -> None:
     for name, least in OF_CALLBACKS.items():
         if callback.get(name) is not None:
             require_at_least(f"{place}.{name}", callback[name], least)
-    if callback.get("mode") is not None:
+    monitors = callback["_target_"].endswith(("EarlyStopping", "ModelCheckpoint"))
+    if monitors and callback.get("mode") is not None:
         require_one_of(f"{place}.mode", callback["mode"], ("max", "min"))
     if callback.get("every_n_train_steps") and callback.get("every_n_epochs"):
         wanted = f"be 0 beside {place}.every_n_train_steps"
