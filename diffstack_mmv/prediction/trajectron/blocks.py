@@ -20,8 +20,8 @@ from dmmv_conventions.progress import waiting
 
 REALS = {torch.float32: "float", torch.float64: "double"}
 HEADERS = "lanes", "memory", "decoder", "paths"
-LANES = {torch.float32: 16, torch.float64: 8}
-"""Numbers of a vector."""
+ROWS = {torch.float32: 64, torch.float64: 32}
+"""Rows of a block."""
 
 
 @dataclass(frozen=True)
@@ -120,18 +120,23 @@ def places(*tensors: Tensor | None) -> list[Any]:
 
 
 def _blocks(rows: int, like: Tensor) -> int:
-    return -(-rows // (4 * LANES[like.dtype]))
+    return -(-rows // ROWS[like.dtype])
+
+
+def _whole(units: int, like: Tensor) -> int:
+    """So many units filled up to whole vectors of this processor."""
+    lanes: int = library(like.dtype).dmmv_lanes()
+    return -(-units // lanes) * lanes
 
 
 def _kept(steps: int, units: int, rows: int, like: Tensor) -> Tensor:
     """Room for states of whole blocks of rows."""
-    return like.new_empty(_blocks(rows, like), steps, units, 4 * LANES[like.dtype])
+    return like.new_empty(_blocks(rows, like), steps, units, ROWS[like.dtype])
 
 
 def _slopes(rows: int, outputs: int, inputs: int, like: Tensor) -> Tensor:
     """Room for the slopes of weights, one matrix for each block, with whole vectors."""
-    lanes = LANES[like.dtype]
-    return like.new_empty(_blocks(rows, like), outputs, -(-inputs // lanes) * lanes)
+    return like.new_empty(_blocks(rows, like), outputs, _whole(inputs, like))
 
 
 class _Last(torch.autograd.Function):
@@ -176,9 +181,8 @@ class _Controls(torch.autograd.Function):
         ctx.counts = rows, scaling.steps(steps), scaling.hold, steps, size, controls
         kept, (width, spans) = None, scaling.tensors(hidden)
         if any(ctx.needs_input_grad):
-            lanes = LANES[hidden.dtype]
-            whole = _blocks(rows, hidden) * 4 * lanes
-            kept = hidden.new_empty(whole, ctx.counts[1] + 1, -(-size // lanes) * lanes)
+            whole = _blocks(rows, hidden) * ROWS[hidden.dtype]
+            kept = hidden.new_empty(whole, ctx.counts[1] + 1, _whole(size, hidden))
         found = torch.empty_like(given[2]), hidden.new_empty(rows, steps, controls, controls)
         sizes_ = counts(rows, torch.get_num_threads(), *ctx.counts[1:])
         each = *given, *weights, width, spans, *found, kept

@@ -1,6 +1,7 @@
 // Many rows side by side: a block of 64 rows of floats goes through all steps in the cache of a processor.
 //
-// Matrices are row-major. Inside of a block the rows come last, so that a vector holds one number of sixteen rows.
+// Matrices are row-major. Inside of a block the rows come last, so that a vector holds one number of several rows: as
+// many as a register of the processor. A compiler takes wider ones apart in memory, which costs twenty times as much.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -13,10 +14,17 @@
 
 namespace {
 
-typedef Real V __attribute__((vector_size(64)));
+#if defined(__AVX512F__)
+constexpr int BYTES = 64, SUMS = 4;
+#elif defined(__AVX__)
+constexpr int BYTES = 32, SUMS = 2;
+#else
+constexpr int BYTES = 16, SUMS = 2;
+#endif
+typedef Real V __attribute__((vector_size(BYTES)));
 typedef std::conditional_t<sizeof(Real) == 4, int, long> Whole;
-typedef Whole Wholes __attribute__((vector_size(64)));
-constexpr int LANES = 64 / sizeof(Real), WIDE = 4, BLOCK = LANES * WIDE;
+typedef Whole Wholes __attribute__((vector_size(BYTES)));
+constexpr int LANES = BYTES / sizeof(Real), WIDE = 256 / BYTES, BLOCK = LANES * WIDE;
 constexpr int FEW = 4;  // numbers that are faster moved one by one than turned as a square
 
 // numbers of a block: (units, WIDE)
@@ -99,10 +107,12 @@ inline void tile(const Real* A, long K, const V* X, long columns, const V* start
 template <int N>
 inline void tiles(const Real* A, long K, const V* X, long columns, const V* start, V* out) {
   long v = 0;
-  for (; v + 4 <= columns; v += 4) tile<N, 4>(A, K, X + v, columns, start + v, out + v);
+  for (; v + SUMS <= columns; v += SUMS) tile<N, SUMS>(A, K, X + v, columns, start + v, out + v);
   const auto rest = [&](auto count) { tile<N, count>(A, K, X + v, columns, start + v, out + v); };
-  if (columns - v == 3) rest(std::integral_constant<int, 3>{});
-  if (columns - v == 2) rest(std::integral_constant<int, 2>{});
+  if constexpr (SUMS > 2) {
+    if (columns - v == 3) rest(std::integral_constant<int, 3>{});
+    if (columns - v == 2) rest(std::integral_constant<int, 2>{});
+  }
   if (columns - v == 1) rest(std::integral_constant<int, 1>{});
 }
 
@@ -114,7 +124,7 @@ inline void product(const Real* A, long J, long K, const V* X, long columns, con
     j += count;
   };
   while ((J - j) % 6 && J - j >= 4) some(std::integral_constant<int, 4>{});
-  while (J - j >= 6) some(std::integral_constant<int, 6>{});  // 24 of 32 registers for sums
+  while (J - j >= 6) some(std::integral_constant<int, 6>{});  // 24 of 32 registers for sums, or 12 of 16
   while (j < J) some(std::integral_constant<int, 1>{});
 }
 inline void add_product(const Real* A, long J, long K, const V* X, long columns, V* out) {
@@ -260,3 +270,12 @@ inline void each_block(long count, long threads, F f, const long* rows = nullptr
 }
 
 }  // namespace
+
+#pragma GCC visibility push(default)
+extern "C" {
+
+// Numbers of a vector, which rows of units that are kept are filled up to.
+long dmmv_lanes() { return LANES; }
+
+}  // extern "C"
+#pragma GCC visibility pop
