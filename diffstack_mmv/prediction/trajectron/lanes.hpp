@@ -1,7 +1,7 @@
 // Many rows side by side: a block of 64 rows of floats goes through all steps in the cache of a processor.
 //
 // Matrices are row-major. Inside of a block the rows come last, so that a vector holds one number of several rows: as
-// many as a register of the processor. A compiler takes wider ones apart in memory, which costs twenty times as much.
+// many as a register of the processor. A compiler takes wider ones apart in memory, which takes more than ten times as long.
 #pragma once
 #include <algorithm>
 #include <cmath>
