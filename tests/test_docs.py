@@ -26,6 +26,7 @@ DOCUMENTS = [
     *sorted((ROOT / "docs").glob("*.md")),
     *TUTORIALS,
     *sorted((ROOT / "docs" / "results").glob("*.md")),
+    *sorted((ROOT / "docs" / "studies").glob("*.md")),
 ]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s#]*)(?:#([^)\s]*))?\)")
@@ -98,7 +99,7 @@ def commands(path):
 
 
 def settings():
-    """All settings that the documents give a script, together for each data set and experiment."""
+    """All settings that documents give a script, together for each data set, experiment, table."""
     found = {}
     for script, *words in (words for path in DOCUMENTS for words in commands(path)):
         given = {word.partition("=")[0]: word.replace("$", "") for word in words if "=" in word}
@@ -106,7 +107,7 @@ def settings():
         if given.get("vehicle", "").endswith(".yaml"):
             swept.append("vehicle")
         kept = {key: word for key, word in given.items() if key not in swept}
-        choice = Path(script).stem, given.get("data", ""), given.get("experiment", "")
+        choice = Path(script).stem, *(given.get(key, "") for key in ("data", "experiment", "table"))
         found.setdefault(choice, {}).update(kept)
     return found
 
