@@ -1,6 +1,7 @@
 """Sums of many like terms, as over agents: one of them is written, in a loop over their numbers."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -15,22 +16,17 @@ class Addend(NamedTuple):
     """A node under operations that commute with a sum, the outermost first."""
 
     node: Node
-    wrapped: tuple[tuple[str, tuple[Node, ...]], ...] = ()  # operation, its other arguments
+    wrapped: tuple[Callable[[Node], Node], ...] = ()
 
-    def under(self, node: Node, name: str, *others: Node) -> "Addend":
+    def under(self, node: Node, wrap: Callable[[Node], Node]) -> "Addend":
         """The same wrapping and one more, of an argument of this node."""
-        return Addend(node, (*self.wrapped, (name, others)))
+        return Addend(node, (*self.wrapped, wrap))
 
-    def built(self, program: Program) -> Node:
+    def built(self) -> Node:
         """The whole as a node."""
-        node, zero = self.node, program.constant(0.0)
-        for name, others in reversed(self.wrapped):
-            if name == "neg":
-                node = program.apply("neg", node)
-            elif name == "where":
-                node = program.apply("where", *others, node, zero)
-            else:
-                node = program.apply(name, node, *others)
+        node = self.node
+        for wrap in reversed(self.wrapped):
+            node = wrap(node)
         return node
 
 
@@ -47,7 +43,7 @@ def addends(program: Program, root: Node, own: np.ndarray) -> list[Node]:
         each = stack.pop()
         inner = _inner(program, each, own)
         if inner is None:
-            found.append(each.built(program))
+            found.append(each.built())
         else:
             stack.extend(reversed(inner))
     return found
@@ -56,18 +52,52 @@ def addends(program: Program, root: Node, own: np.ndarray) -> list[Node]:
 def _inner(program: Program, each: Addend, own: np.ndarray) -> Sequence[Addend] | None:
     """Addends of an addend, None where it is no sum."""
     name, *arguments = program.operations[each.node]
-    if own[each.node]:
+    rule = None if own[each.node] else _RULES.get(name)
+    return None if rule is None else rule(program, each, own, *arguments)
+
+
+def _add(program: Program, each: Addend, own: np.ndarray, a: Node, b: Node) -> Sequence[Addend]:
+    return [Addend(a, each.wrapped), Addend(b, each.wrapped)]
+
+
+def _sub(program: Program, each: Addend, own: np.ndarray, a: Node, b: Node) -> Sequence[Addend]:
+    return [Addend(a, each.wrapped), each.under(b, partial(program.apply, "neg"))]
+
+
+def _neg(program: Program, each: Addend, own: np.ndarray, a: Node) -> Sequence[Addend]:
+    return [each.under(a, partial(program.apply, "neg"))]
+
+
+def _mul(
+    program: Program, each: Addend, own: np.ndarray, a: Node, b: Node
+) -> Sequence[Addend] | None:
+    if not (own[a] or own[b]):
         return None
-    if name in ("add", "sub"):
-        first, second = (Addend(argument, each.wrapped) for argument in arguments)
-        return [first, second if name == "add" else each.under(arguments[1], "neg")]
-    if name == "neg":
-        return [each.under(arguments[0], "neg")]
-    if name == "mul" and (own[arguments[0]] or own[arguments[1]]):
-        factor, rest = arguments if own[arguments[0]] else reversed(arguments)
-        return [each.under(rest, "mul", factor)]
-    if name == "div" and own[arguments[1]]:
-        return [each.under(arguments[0], "div", arguments[1])]
-    if name == "where" and own[arguments[0]] and program.value(arguments[2]) == 0:
-        return [each.under(arguments[1], "where", arguments[0])]
-    return None
+    factor, rest = (a, b) if own[a] else (b, a)
+    return [each.under(rest, lambda node: program.apply("mul", node, factor))]
+
+
+def _div(
+    program: Program, each: Addend, own: np.ndarray, a: Node, b: Node
+) -> Sequence[Addend] | None:
+    return [each.under(a, lambda node: program.apply("div", node, b))] if own[b] else None
+
+
+def _where(
+    program: Program, each: Addend, own: np.ndarray, condition: Node, a: Node, b: Node
+) -> Sequence[Addend] | None:
+    if not own[condition] or program.value(b) != 0:
+        return None
+    zero = program.constant(0.0)
+    return [each.under(a, lambda node: program.apply("where", condition, node, zero))]
+
+
+_RULES: dict[str, Callable[..., Sequence[Addend] | None]] = {
+    "add": _add,
+    "sub": _sub,
+    "neg": _neg,
+    "mul": _mul,
+    "div": _div,
+    "where": _where,
+}
+"""How each operation that is a sum, or commutes with one, comes apart."""

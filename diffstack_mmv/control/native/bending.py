@@ -39,11 +39,10 @@ class MixedWriter(Writer):
             lines.append(f"  const auto {self.name(node)} = {self._expression(node)};")
         return lines
 
-    def _expression(self, node: Node) -> str:
-        name, *arguments = self.program.operations[node]
-        if name == "where" and node in self.weighted:
-            return f"either({', '.join(map(self.name, arguments))})"
-        return super()._expression(node)
+    def _choice(self, node: Node, condition: Node, a: Node, b: Node) -> str:
+        if node in self.weighted:
+            return f"either({', '.join(map(self.name, (condition, a, b)))})"
+        return super()._choice(node, condition, a, b)
 
 
 def bend(stage: Stage, inputs: Sequence[Node], active: Sequence[int], learns: bool) -> str:

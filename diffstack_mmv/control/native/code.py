@@ -1,11 +1,11 @@
 """C++ functions of scalar programs."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from diffstack_mmv.control.native.scalar import CONSTANT, LEAF, Node, Program, needed
 
-SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+OPERATORS = {"add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}", "neg": "-{}"}
 BINARY_FUNCTIONS = frozenset({"max", "min", "pow", "atan2", "fmod"})
 
 
@@ -72,21 +72,23 @@ class Writer:
         name, *arguments = self.program.operations[node]
         if name == LEAF:
             return f"{arguments[0]}[{arguments[1]}]"
-        plain = node in self.plain
-        if name in SIGNS:
-            a, b = map(self.name, arguments)
-            return f"{a} {SIGNS[name]} {b}"
-        if name == "neg":
-            return f"-{self.name(arguments[0])}"
-        if name == "where" and self.program.is_truth(node):
-            c, a, b = map(self.name, arguments)
-            return f"op_or(op_and({c}, {a}), op_and(op_not({c}), {b}))"
-        one_type = name == "where" or name in BINARY_FUNCTIONS
-        written = self.name if plain or not one_type else self.lifted
+        if name in OPERATORS:
+            return OPERATORS[name].format(*map(self.name, arguments))
         if name == "where":
-            condition, a, b = arguments
-            return f"choose({self.name(condition)}, {written(a)}, {written(b)})"
+            return self._choice(node, *arguments)
+        written = self._of_one_type(node) if name in BINARY_FUNCTIONS else self.name
         return f"op_{name}({', '.join(map(written, arguments))})"
+
+    def _choice(self, node: Node, condition: Node, a: Node, b: Node) -> str:
+        if self.program.is_truth(node):
+            c, first, second = map(self.name, (condition, a, b))
+            return f"op_or(op_and({c}, {first}), op_and(op_not({c}), {second}))"
+        written = self._of_one_type(node)
+        return f"choose({self.name(condition)}, {written(a)}, {written(b)})"
+
+    def _of_one_type(self, node: Node) -> Callable[[Node], str]:
+        """How arguments are written that have to be of the type of their result."""
+        return self.name if node in self.plain else self.lifted
 
 
 def function(

@@ -102,6 +102,11 @@ class Program:
             return self.is_truth(operation[2])
         return operation[0] in TRUTHS
 
+    def opposite(self, node: Node) -> Node | None:
+        """The node whose sign this one turns, None if it turns none."""
+        operation = self.operations[node]
+        return operation[1] if operation[0] == "neg" else None
+
     def number(self, node: Node) -> Node:
         """A truth as 1 or 0; a number as it is."""
         if not self.is_truth(node):
@@ -148,8 +153,8 @@ def _add(program: Program, arguments: Sequence[Node], values: list[Any]) -> Node
         return b
     if values[1] == 0:
         return a
-    minus = program.operations[b]
-    return program.apply("sub", a, minus[1]) if minus[0] == "neg" else None
+    opposite = program.opposite(b)
+    return None if opposite is None else program.apply("sub", a, opposite)
 
 
 def _sub(program: Program, arguments: Sequence[Node], values: list[Any]) -> Node | None:
@@ -158,8 +163,8 @@ def _sub(program: Program, arguments: Sequence[Node], values: list[Any]) -> Node
         return a
     if values[0] == 0:
         return program.apply("neg", b)
-    minus = program.operations[b]
-    return program.apply("add", a, minus[1]) if minus[0] == "neg" else None
+    opposite = program.opposite(b)
+    return None if opposite is None else program.apply("add", a, opposite)
 
 
 def _mul(program: Program, arguments: Sequence[Node], values: list[Any]) -> Node | None:
@@ -187,9 +192,10 @@ def _div(program: Program, arguments: Sequence[Node], values: list[Any]) -> Node
 
 
 def _neg(program: Program, arguments: Sequence[Node], values: list[Any]) -> Node | None:
+    opposite = program.opposite(arguments[0])
+    if opposite is not None:
+        return opposite
     inner = program.operations[arguments[0]]
-    if inner[0] == "neg":
-        return inner[1]
     return program.apply("sub", inner[2], inner[1]) if inner[0] == "sub" else None
 
 

@@ -68,6 +68,13 @@ class Placed(NamedTuple):
     origins: tuple[Node, ...]  # nodes of the problem that depend on its parameters alone
 
 
+class OwnNumber(NamedTuple):
+    """The line of a key for a number that comes from the parameters alone."""
+
+    index: int  # among those of its stage
+    is_truth: bool
+
+
 class StagedProblem(NamedTuple):
     """A problem ready for code."""
 
@@ -232,7 +239,7 @@ def _line(
         return operation
     if own[node]:
         origins.append(node)
-        return (LEAF, "q", len(origins) - 1, program.is_truth(node))
+        return OwnNumber(len(origins) - 1, program.is_truth(node))
     if operation[0] != LEAF:
         return (operation[0], *(names[argument] for argument in operation[1:]))
     _, kind, when, index = operation
@@ -251,14 +258,14 @@ def _stage(placed: Placed, is_cost: bool, numbers: str = "q") -> Stage:
 
 
 def _rebuilt(program: Program, line: tuple[Any, ...], nodes: list[Node], numbers: str) -> Node:
+    if isinstance(line, OwnNumber):
+        number = program.leaf(numbers, line.index)
+        return program.truth(number) if line.is_truth else number
     if line[0] == CONSTANT:
         return program.constant(line[1])
-    if line[0] != LEAF:
-        return program.apply(line[0], *(nodes[index] for index in line[1:]))
-    if line[1] != "q":
+    if line[0] == LEAF:
         return program.leaf(*line[1:])
-    number = program.leaf(numbers, line[2])
-    return program.truth(number) if line[3] else number
+    return program.apply(line[0], *(nodes[index] for index in line[1:]))
 
 
 def _copied(program: Program, wanted: Iterable[Node]) -> tuple[Program, tuple[Node, ...]]:
