@@ -11,7 +11,12 @@ from data_converters.errors import require
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "ft": 0.3048}
-RADIANS = {"rad": 1.0, "deg": np.pi / 180.0, "compass_deg": -np.pi / 180.0}
+RADIANS = {
+    "rad": (1.0, 0.0),
+    "deg": (np.pi / 180.0, 0.0),
+    "compass_deg": (-np.pi / 180.0, np.pi / 2.0),
+}
+"""Factor to rad, and where zero points to, counter-clockwise from east."""
 SPEEDS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
 TEXT_TIME = "iso"
 """Unit of a time that is written as date and time of day."""
@@ -69,8 +74,8 @@ class TableUnits:
 
     def radians(self, angles: pd.Series) -> pd.Series:
         """Angles in rad, counter-clockwise from east."""
-        turned = pd.to_numeric(angles, errors="coerce").astype(np.float64) * RADIANS[self.angle]
-        turned = turned + (np.pi / 2.0 if self.angle == "compass_deg" else 0.0)
+        factor, zero = RADIANS[self.angle]
+        turned = pd.to_numeric(angles, errors="coerce").astype(np.float64) * factor + zero
         return -turned if self.y_down else turned
 
     def metres_per_second(self, speeds: pd.Series) -> pd.Series:

@@ -4,19 +4,22 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
+DIMENSIONLESS = "1"
+"""Unit of a number or a share that has none."""
+
 
 class Score(NamedTuple):
     """A score as files, logs, tables, dashboard and figures present it."""
 
     name: str  # key in files and logs
     title: str  # for people, without the unit
-    unit: str  # "1" for a dimensionless number or a share
+    unit: str  # DIMENSIONLESS for a number or a share
     lower_is_better: bool
 
     @property
     def heading(self) -> str:
         """Title with the unit in brackets, which a dimensionless number goes without."""
-        return self.title if self.unit == "1" else f"{self.title} [{self.unit}]"
+        return self.title if self.unit == DIMENSIONLESS else f"{self.title} [{self.unit}]"
 
 
 def _by_name(*scores: Score) -> Mapping[str, Score]:
@@ -30,14 +33,14 @@ OPEN_LOOP = _by_name(
     Score("nll", "NLL", "nats", True),
     Score("plan_ade", "plan ADE", "m", True),
     Score("plan_fde", "plan FDE", "m", True),
-    Score("planning_loss", "planning loss", "1", True),
+    Score("planning_loss", "planning loss", DIMENSIONLESS, True),
     Score("planning_ce", "CE", "nats", True),
-    Score("planning_cost", "cost", "1", True),
-    Score("collision_rate", "collisions", "1", True),
-    Score("human_collision_rate", "human's collisions", "1", True),
-    Score("solved", "solved", "1", False),
+    Score("planning_cost", "cost", DIMENSIONLESS, True),
+    Score("collision_rate", "collisions", DIMENSIONLESS, True),
+    Score("human_collision_rate", "human's collisions", DIMENSIONLESS, True),
+    Score("solved", "solved", DIMENSIONLESS, False),
     Score("min_ade", "minADE of five", "m", True),
-    Score("miss_rate", "misses beyond 2 m", "1", True),
+    Score("miss_rate", "misses beyond 2 m", DIMENSIONLESS, True),
 )
 """Scores of samples: predictions and plans beside what the human did."""
 
@@ -45,8 +48,8 @@ OF_THE_PREDICTION = ("ade", "fde", "nll", "min_ade", "miss_rate")
 """Names of those of `OPEN_LOOP` that need no plan."""
 
 CALIBRATION = _by_name(
-    Score("coverage_50", "in the 50 % region", "1", False),
-    Score("coverage_90", "in the 90 % region", "1", False),
+    Score("coverage_50", "in the 50 % region", DIMENSIONLESS, False),
+    Score("coverage_90", "in the 90 % region", DIMENSIONLESS, False),
     Score("area_50", "area of the 50 % region", "m²", True),
     Score("area_90", "area of the 90 % region", "m²", True),
 )
@@ -77,12 +80,12 @@ PREDICTED: Mapping[str, Score] = MappingProxyType(
 """What an evaluation tells of a sample for which nothing is planned."""
 
 CLOSED_LOOP = _by_name(
-    Score("success_rate", "success", "1", False),
-    Score("collision_rate", "collision", "1", True),
-    Score("incomplete_rate", "incomplete", "1", True),
+    Score("success_rate", "success", DIMENSIONLESS, False),
+    Score("collision_rate", "collision", DIMENSIONLESS, True),
+    Score("incomplete_rate", "incomplete", DIMENSIONLESS, True),
     Score("nav_time_s", "time", "s", True),
     Score("nav_time_all_s", "time of all", "s", True),
-    Score("discomfort_frequency", "discomfort", "1", True),
+    Score("discomfort_frequency", "discomfort", DIMENSIONLESS, True),
     Score("avg_min_dist_m", "distance in discomfort", "m", False),
     Score("mean_episode_min_dist_m", "mean smallest distance", "m", False),
     Score("acceleration_mps2", "acceleration", "m/s²", True),

@@ -26,7 +26,6 @@ from diffstack_mmv.plotting.figures import PALETTE, new_figure
 from diffstack_mmv.types import EpisodeRecord
 from dmmv_conventions.extras import needs
 
-FORMATS = (".gif", ".mp4")
 UNITS = {"acceleration": "m/s²", "steer": "rad", "yaw_rate": "rad/s"}
 """Of the controls that have a name."""
 
@@ -129,23 +128,35 @@ def _write(
     figure: Figure, step: Callable[[int], list[Any]], frames: int, dt_s: float, path: Path
 ) -> None:
     """Write a moving picture in real time, atomically."""
-    if path.suffix not in FORMATS:
+    save = FORMATS.get(path.suffix)
+    if save is None:
         wanted = " or ".join(FORMATS)
         raise ValueError(f"`path` must end in {wanted}, but got {path.name}. Choose a format.")
     animation = FuncAnimation(figure, step, frames=frames)
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(path.stem + ".part" + path.suffix)
-    fps = round(1 / dt_s)
-    if path.suffix == ".gif":
-        _save(animation, unfinished, PillowWriter(fps=fps))
-    else:
-        with needs("video", "moving pictures as MP4"):
-            from imageio_ffmpeg import get_ffmpeg_exe  # pyright: ignore[reportMissingImports]
-        with rc_context({"animation.ffmpeg_path": get_ffmpeg_exe()}):
-            # players want even sizes and colours at half resolution
-            even = ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"]
-            _save(animation, unfinished, FFMpegWriter(fps=fps, codec="libx264", extra_args=even))
+    save(animation, unfinished, round(1 / dt_s))
     unfinished.replace(path)
+
+
+def _save_gif(animation: FuncAnimation, path: Path, fps: int) -> None:
+    _save(animation, path, PillowWriter(fps=fps))
+
+
+def _save_mp4(animation: FuncAnimation, path: Path, fps: int) -> None:
+    with needs("video", "moving pictures as MP4"):
+        from imageio_ffmpeg import get_ffmpeg_exe  # pyright: ignore[reportMissingImports]
+    with rc_context({"animation.ffmpeg_path": get_ffmpeg_exe()}):
+        # players want even sizes and colours at half resolution
+        even = ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"]
+        _save(animation, path, FFMpegWriter(fps=fps, codec="libx264", extra_args=even))
+
+
+FORMATS: dict[str, Callable[[FuncAnimation, Path, int], None]] = {
+    ".gif": _save_gif,
+    ".mp4": _save_mp4,
+}
+"""How a moving picture of so many frames a second is written, by the ending of its file."""
 
 
 def _save(animation: FuncAnimation, path: Path, writer: AbstractMovieWriter) -> None:

@@ -15,9 +15,10 @@ from diffstack_mmv.checks import (
     require_one_of,
     require_positive,
 )
-from diffstack_mmv.dynamics.catalogue import load_vehicle, model_of
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.dynamics.catalogue import VehicleSpec, load_vehicle, model_of
 from diffstack_mmv.simulation.assembly import vehicle_box
-from diffstack_mmv.simulation.collision import DiscFootprint
+from diffstack_mmv.simulation.collision import DiscFootprint, Footprint
 from diffstack_mmv.simulation.pedestrians import OrcaCrowd
 from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
 from diffstack_mmv.simulation.scenario import PHASES, SCENARIOS, Scenario, Scene
@@ -32,7 +33,11 @@ POINT_ROBOTS: dict[str, Callable[[], Robot]] = {
     "holonomic": HolonomicRobot,
     "unicycle": UnicycleRobot,
 }
-FOOTPRINTS = ("disc", "vehicle")
+FOOTPRINTS: dict[str, Callable[[VehicleSpec, DynamicsModel], Footprint]] = {
+    "disc": lambda spec, model: DiscFootprint(),
+    "vehicle": vehicle_box,
+}
+"""Outline of a vehicle driven by a model, by its name."""
 
 
 class EnvStep(NamedTuple):
@@ -61,15 +66,14 @@ def robot_named(name: str, dynamics: str, dt_s: float, footprint: str = "disc") 
         ValueError: There is no such robot, dynamics or footprint, or the step is not positive.
     """
     require_positive("dt_s", dt_s)
-    require_one_of("footprint", footprint, FOOTPRINTS)
+    require_one_of("footprint", footprint, tuple(FOOTPRINTS))
     if name in POINT_ROBOTS:
         require(footprint == "disc", "footprint", "be disc", footprint, f"for robot '{name}'")
         return POINT_ROBOTS[name]()
     pieces = math.ceil(dt_s / FINEST_NEEDED_S - 1e-9)
     spec = load_vehicle(name)
     model = model_of(spec, dynamics, dt_s / pieces)
-    outline = vehicle_box(spec, model) if footprint == "vehicle" else DiscFootprint()
-    return VehicleRobot(model, footprint=outline)
+    return VehicleRobot(model, footprint=FOOTPRINTS[footprint](spec, model))
 
 
 class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
