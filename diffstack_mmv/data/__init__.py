@@ -18,6 +18,12 @@ if TYPE_CHECKING:
     from diffstack_mmv.data.datamodule import Splits, TrajdataModule
     from diffstack_mmv.data.dataset import DirectWindows, ExportedWindows, WindowDataset
     from diffstack_mmv.data.export import Export, export_windows
+    from diffstack_mmv.data.instruments import (
+        read_controls,
+        read_leans,
+        read_rides,
+        read_sensors,
+    )
     from diffstack_mmv.data.joined import JoinedWindows, split_windows
     from diffstack_mmv.data.loading import WindowLoader
     from diffstack_mmv.data.noise import PositionNoise, RecordingNoise
@@ -26,15 +32,7 @@ if TYPE_CHECKING:
     from diffstack_mmv.data.sampling import Balance, EqualModes, SituationShare
     from diffstack_mmv.data.settings import ExportSettings, LoaderSettings, WindowSettings
     from diffstack_mmv.data.sources import ConvertedCache, NamedDataset, WindowSource
-    from diffstack_mmv.data.tracks import (
-        read_controls,
-        read_interpolated,
-        read_leans,
-        read_rides,
-        read_sensors,
-        read_tracks,
-        recorded_noise,
-    )
+    from diffstack_mmv.data.tracks import read_interpolated, read_tracks, recorded_noise
 
 __getattr__ = on_demand(__name__, __file__, "stack")
 __all__ = [
