@@ -1,7 +1,6 @@
 """From the content of a vehicle's YAML file to the fields of a `VehicleSpec`, and back."""
 
-import difflib
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -18,6 +17,14 @@ from diffstack_mmv.vehicles.parts import (
     WheelSpec,
 )
 from diffstack_mmv.vehicles.quantity import ParameterSpec, as_numbers
+from diffstack_mmv.vehicles.values import (
+    built_at,
+    flag_at,
+    number_at,
+    record_at,
+    require_keys,
+    whole_number_at,
+)
 from dmmv_conventions.checks import message, require
 
 _REQUIRED = (
@@ -44,112 +51,41 @@ _STEERING = {
 }
 
 
-def _require_keys(
-    mapping: Any, required: Collection[str], optional: Collection[str], path: str, where: str
-) -> None:
-    require(
-        isinstance(mapping, Mapping),
-        path or "vehicle",
-        "be a mapping of keys",
-        repr(mapping),
-        where,
-    )
-    known = [*required, *optional]
-    for key in mapping:
-        close = difflib.get_close_matches(str(key), known, 1, 0.5)
-        hint = f"Did you mean `{close[0]}`?" if close else "Remove it."
-        require(
-            key in known,
-            f"{path}{key}",
-            f"be one of {', '.join(known)}",
-            "an unknown key",
-            where,
-            hint,
-        )
-    for key in required:
-        require(key in mapping, f"{path}{key}", "be given", "nothing", where, f"Add `{key}`.")
-
-
-def _number(value: Any, path: str, where: str) -> float:
-    good = isinstance(value, int | float) and not isinstance(value, bool)
-    require(
-        good,
-        path,
-        "be a number",
-        repr(value),
-        where,
-        "Write the plain number; the unit stands in the key.",
-    )
-    return float(value)
-
-
-def _whole_number(value: Any, path: str, where: str) -> int:
-    number = _number(value, path, where)
-    require(number.is_integer(), path, "be a whole number", repr(value), where)
-    return int(number)
-
-
-def _flag(value: Any, path: str, where: str) -> bool:
-    require(isinstance(value, bool), path, "be true or false", repr(value), where)
-    return value
-
-
-def _built(build: Callable[..., Any], arguments: Mapping[str, Any], path: str, where: str) -> Any:
-    try:
-        return build(**arguments)
-    except ValueError as problem:
-        place = path.rstrip(".")
-        raise ValueError(f"{problem} (`{place}` {where})") from problem
-
-
-def _record(kind: type, mapping: Any, path: str, where: str) -> Any:
-    """Build a dataclass of numbers and flags from a mapping with the same keys."""
-    known = {field.name: field for field in fields(kind)}
-    given = [key for key, field in known.items() if field.default is field.default_factory]
-    optional = [key for key in known if key not in given]
-    _require_keys(mapping, given, optional, path, where)
-    arguments = {}
-    for key, value in mapping.items():
-        read = _flag if known[key].type is bool else _number
-        arguments[key] = read(value, f"{path}{key}", where)
-    return _built(kind, arguments, path, where)
-
-
 def _parameter(mapping: Any, path: str, where: str) -> ParameterSpec:
     required = ("initial", "low", "high", "unit", "learn", "source")
-    _require_keys(mapping, required, ("tied",), path, where)
+    require_keys(mapping, required, ("tied",), path, where)
     numbers = {}
     for key in ("initial", "low", "high"):
         value = mapping[key]
         entries = value if isinstance(value, list | tuple) else [value]
-        checked = [_number(entry, f"{path}{key}", where) for entry in entries]
+        checked = [number_at(entry, f"{path}{key}", where) for entry in entries]
         numbers[key] = as_numbers(checked if isinstance(value, list | tuple) else checked[0])
     texts = {
         key: str(mapping[key]) if mapping[key] is not None else "" for key in ("unit", "source")
     }
     flags = {
-        key: _flag(mapping[key], f"{path}{key}", where)
+        key: flag_at(mapping[key], f"{path}{key}", where)
         for key in ("learn", "tied")
         if key in mapping
     }
-    return _built(ParameterSpec, {**numbers, **texts, **flags}, path, where)
+    return built_at(ParameterSpec, {**numbers, **texts, **flags}, path, where)
 
 
 def _wheel(name: str, mapping: Any, path: str, where: str) -> WheelSpec:
     known = [field.name for field in fields(WheelSpec) if field.name != "name"]
-    _require_keys(mapping, ("x_m", "y_m", "radius_m"), known[3:], path, where)
-    readers = {"truck": _whole_number} | dict.fromkeys(
-        ("steered", "driven", "braked", "caster"), _flag
+    require_keys(mapping, ("x_m", "y_m", "radius_m"), known[3:], path, where)
+    readers = {"truck": whole_number_at} | dict.fromkeys(
+        ("steered", "driven", "braked", "caster"), flag_at
     )
     arguments: dict[str, Any] = {"name": name}
     for key, value in mapping.items():
-        read = readers.get(key, _number)
+        read = readers.get(key, number_at)
         arguments[key] = read(value, f"{path}{key}", where)
-    return _built(WheelSpec, arguments, path, where)
+    return built_at(WheelSpec, arguments, path, where)
 
 
 def _steering(mapping: Any, where: str) -> Steering:
-    _require_keys(mapping, (), tuple(_STEERING), "steering.", where)
+    require_keys(mapping, (), tuple(_STEERING), "steering.", where)
     require(
         len(mapping) == 1,
         "steering",
@@ -158,7 +94,7 @@ def _steering(mapping: Any, where: str) -> Steering:
         where,
     )
     (kind, settings), *_ = mapping.items()
-    return _record(_STEERING[kind], settings or {}, f"steering.{kind}.", where)
+    return record_at(_STEERING[kind], settings or {}, f"steering.{kind}.", where)
 
 
 def fields_from_config(mapping: Mapping[str, Any]) -> dict[str, Any]:
@@ -168,7 +104,7 @@ def fields_from_config(mapping: Mapping[str, Any]) -> dict[str, Any]:
         ValueError: A key is unknown or missing, or a value is impossible.
     """
     where = f"for vehicle '{mapping.get('name', '?')}'" if isinstance(mapping, Mapping) else ""
-    _require_keys(mapping, _REQUIRED, _OPTIONAL, "", where)
+    require_keys(mapping, _REQUIRED, _OPTIONAL, "", where)
     for key in ("name", "mode"):
         require(isinstance(mapping[key], str | int), key, "be text", repr(mapping[key]), where)
     for group in ("wheels", "parameters"):
@@ -181,26 +117,26 @@ def fields_from_config(mapping: Mapping[str, Any]) -> dict[str, Any]:
         )
     known = [*WHEEL_PARAMETERS, *BODY_PARAMETERS]
     required = [name for name in known if name not in _NEUTRAL]
-    _require_keys(mapping["parameters"], required, tuple(_NEUTRAL), "parameters.", where)
+    require_keys(mapping["parameters"], required, tuple(_NEUTRAL), "parameters.", where)
     wheels = mapping["wheels"].items()
     parameters = mapping["parameters"].items()
     return {
         "name": str(mapping["name"]),
         "mode": str(mapping["mode"]),
-        "mass_kg": _number(mapping["mass_kg"], "mass_kg", where),
-        "height_m": _number(mapping["height_m"], "height_m", where),
+        "mass_kg": number_at(mapping["mass_kg"], "mass_kg", where),
+        "height_m": number_at(mapping["height_m"], "height_m", where),
         "wheelbase": _parameter(mapping["wheelbase"], "wheelbase.", where),
-        "limits": _record(Limits, mapping["limits"], "limits.", where),
-        "footprint": _record(FootprintSpec, mapping["footprint"], "footprint.", where),
+        "limits": record_at(Limits, mapping["limits"], "limits.", where),
+        "footprint": record_at(FootprintSpec, mapping["footprint"], "footprint.", where),
         "wheels": tuple(
             _wheel(str(name), entry, f"wheels.{name}.", where) for name, entry in wheels
         ),
         "steering": _steering(mapping.get("steering", {"ackermann": {}}), where),
         "parameters": _NEUTRAL
         | {name: _parameter(entry, f"parameters.{name}.", where) for name, entry in parameters},
-        "smoothing": _record(Smoothing, mapping.get("smoothing", {}), "smoothing.", where),
+        "smoothing": record_at(Smoothing, mapping.get("smoothing", {}), "smoothing.", where),
         **{
-            key: _flag(mapping.get(key, False), key, where)
+            key: flag_at(mapping.get(key, False), key, where)
             for key in ("leans", "balanced", "reverse")
         },
         **{key: dict(mapping.get(key) or {}) for key in ("sources", "provenance")},

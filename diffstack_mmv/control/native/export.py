@@ -15,7 +15,8 @@ from diffstack_mmv.control.compilation import copied
 from diffstack_mmv.control.ilqr import ILQR, check_problem
 from diffstack_mmv.control.native.capture import Recorder, Taken, Trajectory, evaluate
 from diffstack_mmv.control.native.code import literal
-from diffstack_mmv.control.native.generation import header, source
+from diffstack_mmv.control.native.generation import source
+from diffstack_mmv.control.native.library import header
 from diffstack_mmv.control.native.solver import REALS
 from diffstack_mmv.control.optimizer import Dynamics
 from diffstack_mmv.control.selection import Batched

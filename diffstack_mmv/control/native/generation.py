@@ -2,25 +2,30 @@
 
 from collections.abc import Iterable, Sequence
 
-from diffstack_mmv.control.native.code import function, into, literal, rows_of, table
-from diffstack_mmv.control.native.derivative import gradient
-from diffstack_mmv.control.native.derived import Derived, derived, weighted_gradient
+from diffstack_mmv.control.native.code import function, into, rows_of, table
+from diffstack_mmv.control.native.derived import Derived, derived
+from diffstack_mmv.control.native.library import (
+    POINT,
+    TEMPLATE,
+    by_kind,
+    flag,
+    header,
+    opening,
+    plain,
+)
+from diffstack_mmv.control.native.own_numbers import number_gradients, prelude, prelude_adjoint
 from diffstack_mmv.control.native.repetition import (
-    OF_A_TERM,
     Entry,
     added_terms,
-    with_entries,
     with_sums,
 )
 from diffstack_mmv.control.native.scalar import LEAF, Node, Program, needed
 from diffstack_mmv.control.native.stages import Sizes, Stage, StagedProblem
 from diffstack_mmv.types import SolverStatus
-from dmmv_conventions.libraries import header as header_of
 
 LANES = 8  # of the numbers with slopes, as in numbers.hpp
 SLOPES_COST = 3  # operations on packs that one on numbers with slopes takes
 
-TEMPLATE, POINT = "template <class V> static", "const V* x, const V* u"
 HEADERS = ("numbers", "small", "stage", "solver")
 ENTRIES = {"solve": ("solve",), "adjoint": ("adjoint", "differentiate")}
 LINEAR = ("lanes", "lane_recursion", "pivoting")
@@ -30,18 +35,6 @@ LINEAR_ENTRIES = {
 }
 """Headers that each library has besides, with its functions for the caller; those of
 linear-quadratic problems differ."""
-
-
-def opening(real: str, *headers: str) -> list[str]:
-    """What every library begins with, in one precision."""
-    return [
-        "#include <cmath>",
-        "#include <type_traits>",
-        "#include <utility>",
-        f"typedef {real} Real;",
-        header_of("dmmv_conventions", "threads"),
-        *map(header, headers),
-    ]
 
 
 def source(problem: StagedProblem, library: str, real: str) -> str:
@@ -67,11 +60,6 @@ def source(problem: StagedProblem, library: str, real: str) -> str:
     return "\n".join(parts) + "\n"
 
 
-def header(name: str) -> str:
-    """A fixed part of every source, without its own inclusions."""
-    return header_of("diffstack_mmv.control.native", name)
-
-
 def _problem(
     problem: StagedProblem, step: Derived, costs: Sequence[Derived], adjoint: bool
 ) -> list[str]:
@@ -93,7 +81,7 @@ def _problem(
     ]
     if adjoint:
         known = problem.parameters, problem.numbers, parameters
-        gradients = _number_gradients(problem.step, problem.costs)
+        gradients = number_gradients(problem.step, problem.costs)
         lines += [prelude_adjoint(*known), *gradients]
     return [*lines, "};"]
 
@@ -136,8 +124,8 @@ def _step(step: Derived) -> list[str]:
     curvature = step.hessian if hessian_written and step.hessian else ()
     point = POINT.replace("V", "Real")
     return [
-        _flag("JACOBIAN_WRITTEN", jacobian_written),
-        _flag("HESSIAN_WRITTEN", hessian_written),
+        flag("JACOBIAN_WRITTEN", jacobian_written),
+        flag("HESSIAN_WRITTEN", hessian_written),
         plain(f"step_jacobian({point}, const Real* q, Real* y)", program, "q", entries),
         plain(
             f"step_hessian({point}, const Real* l, const Real* q, Real* y)",
@@ -179,8 +167,8 @@ def _costs(costs: Sequence[Derived], sizes: Sizes) -> list[str]:
         by_kind("cost_gradient", "cost_gradient_{}", len(costs)),
         by_kind("cost_hessian", "cost_hessian_{}", len(costs)),
         by_kind("add_terms", "add_terms_{}", len(costs)),
-        _flag("COST_WRITTEN", written),
-        _flag("TERMS_WRITTEN", any(cost.term for cost in costs)),
+        flag("COST_WRITTEN", written),
+        flag("TERMS_WRITTEN", any(cost.term for cost in costs)),
         table("int", "cost_columns", [len(cost.active) for cost in costs]),
         rows_of("cost_active", [cost.active for cost in costs], widest),
     ]
@@ -206,105 +194,3 @@ def _term_entries(cost: Derived, sizes: Sizes) -> list[Entry]:
             places = k + 1 + i * k + j, k + 1 + j * k + i
             entries.append(Entry(places, term.hessian[i * k + j]))
     return entries
-
-
-def by_kind(name: str, each: str, count: int) -> str:
-    """A function that calls that of the kind of its time."""
-    calls = "\n".join(
-        f"  if (cost_kind[t] == {kind}) return {each.format(kind)}(x, u, q, y);"
-        for kind in range(count)
-    )
-    return f"{TEMPLATE} void {name}(int t, {POINT}, const Real* q, V* y) {{\n{calls}\n}}"
-
-
-def prelude(problem: StagedProblem) -> str:
-    """The numbers of a solve; those that are parameters, thousands for many agents, by a table."""
-    program, signature = problem.parameters, "prelude(const Real* p, Real* y)"
-    copied = _copied_parameters(program, problem.numbers)
-    others = [
-        (place, node)
-        for k, (place, node) in enumerate(into("y", problem.numbers))
-        if k not in copied
-    ]
-    body = function(f"static void {signature}", program, "p", others)
-    body = body.replace("{\n", "{\n  using V = Real;\n", 1).removesuffix("}")
-    return "\n".join(
-        [
-            f"static constexpr int COPIED = {len(copied)};",
-            table("int", "copied_to", list(copied)),
-            table("int", "copied_from", list(copied.values())),
-            body,
-            "  for (int i = 0; i < COPIED; ++i) y[copied_to[i]] = p[copied_from[i]];",
-            "}",
-        ]
-    )
-
-
-def _copied_parameters(program: Program, numbers: Sequence[Node]) -> dict[int, int]:
-    """Which number is which parameter."""
-    operations = (program.operations[node] for node in numbers)
-    return {k: each[2] for k, each in enumerate(operations) if each[0] == LEAF}
-
-
-def plain(signature: str, program: Program, numbers: str, nodes: Sequence[Node]) -> str:
-    """A function of plain numbers."""
-    body = function(f"static void {signature}", program, numbers, into("y", nodes))
-    return body.replace("{\n", "{\n  using V = Real;\n", 1)
-
-
-def _flag(name: str, value: bool) -> str:
-    return f"static constexpr bool {name} = {literal(value)};"
-
-
-def prelude_adjoint(program: Program, numbers: Sequence[Node], parameters: int) -> str:
-    """Gradient of Σ w_k (number k) by the parameters, added to what is there."""
-    copied = _copied_parameters(program, numbers)
-    weights: dict[Node, Node] = {}
-    for k, number in enumerate(numbers):
-        if k not in copied:
-            weight = program.leaf("w", k)
-            before = weights.get(number)
-            weights[number] = weight if before is None else program.apply("add", before, weight)
-    leaves = [program.leaf("p", k) for k in range(parameters)]
-    slopes = gradient(program, weights, leaves)
-    signature = "static void prelude_adjoint(const Real* p, const Real* w, Real* y)"
-    outputs = [(place, node) for place, node in into("y", slopes) if program.value(node) != 0]
-    body = function(signature, program, "pw", outputs)
-    return "\n".join(
-        [
-            table("int", "weighed", list(copied)),
-            table("int", "weighed_for", list(copied.values())),
-            body.replace("{\n", "{\n  using V = Real;\n", 1).removesuffix("}"),
-            f"  for (int i = 0; i < {len(copied)}; ++i) y[weighed_for[i]] += w[weighed[i]];",
-            "}",
-        ]
-    )
-
-
-def _number_gradients(step: Stage, costs: Sequence[Stage]) -> list[str]:
-    """Gradients of the stages by their numbers q."""
-    signature = f"{TEMPLATE} void step_numbers_gradient({POINT}, const V* l, const Real* q, V* y)"
-    whole = function(signature, step.program, "q", into("y", by_numbers(step, "q")))
-    return [whole, *cost_number_gradients(costs)]
-
-
-def cost_number_gradients(costs: Sequence[Stage]) -> list[str]:
-    """Gradients of costs by their numbers q."""
-    parts = []
-    for kind, cost in enumerate(costs):
-        signature = f"{TEMPLATE} void cost_{kind}_numbers({POINT}, const Real* q, V* y)"
-        whole = function(signature, cost.program, "q", into("y", by_numbers(cost, "q")))
-        like = cost.repeated
-        added = [] if like is None else by_numbers(like.term, OF_A_TERM)
-        parts.append(with_entries(whole, cost, added))
-    return [
-        *parts,
-        table("int", "kind_numbers", [cost.numbers for cost in costs]),
-        by_kind("cost_numbers_gradient", "cost_{}_numbers", len(costs)),
-    ]
-
-
-def by_numbers(stage: Stage, name: str) -> list[Node]:
-    """Gradient of a stage by its own numbers, leaves of this name."""
-    leaves = [stage.program.leaf(name, k) for k in range(stage.own_numbers)]
-    return weighted_gradient(stage, leaves)

@@ -15,16 +15,10 @@ from torch import Tensor, nn
 from diffstack_mmv.control.native.bending import abreast, bend, weigh_numbers
 from diffstack_mmv.control.native.code import function, into, literal, table
 from diffstack_mmv.control.native.derivative import gradient
-from diffstack_mmv.control.native.generation import (
-    LANES,
-    POINT,
-    TEMPLATE,
-    header,
-    opening,
-    plain,
-    prelude_adjoint,
-)
+from diffstack_mmv.control.native.generation import LANES
+from diffstack_mmv.control.native.library import POINT, TEMPLATE, header, opening, plain
 from diffstack_mmv.control.native.modules import Ready, Workshop, counts
+from diffstack_mmv.control.native.own_numbers import prelude_adjoint
 from diffstack_mmv.control.native.stages import StagedStep
 from dmmv_conventions.libraries import pointers
 

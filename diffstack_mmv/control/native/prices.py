@@ -17,17 +17,13 @@ from torch import Tensor
 from diffstack_mmv.control.compilation import kind, refusals
 from diffstack_mmv.control.native.capture import Trajectory
 from diffstack_mmv.control.native.code import function, into, rows_of, table
-from diffstack_mmv.control.native.generation import (
-    POINT,
-    TEMPLATE,
-    by_kind,
+from diffstack_mmv.control.native.library import POINT, TEMPLATE, by_kind, header, opening
+from diffstack_mmv.control.native.lowering import CannotLowerError
+from diffstack_mmv.control.native.own_numbers import (
     cost_number_gradients,
-    header,
-    opening,
     prelude,
     prelude_adjoint,
 )
-from diffstack_mmv.control.native.lowering import CannotLowerError
 from diffstack_mmv.control.native.repetition import with_sums
 from diffstack_mmv.control.native.rows import (
     BatchRecorder,

@@ -17,7 +17,7 @@ from torch import Tensor
 from diffstack_mmv.control.compilation import copied, kind, label, refusals
 from diffstack_mmv.control.native.capture import Recorder, Taken, Trajectory
 from diffstack_mmv.control.native.code import function, into
-from diffstack_mmv.control.native.generation import POINT, TEMPLATE, header, opening, plain
+from diffstack_mmv.control.native.library import POINT, TEMPLATE, header, opening, plain
 from diffstack_mmv.control.native.lowering import CannotLowerError, Entries
 from diffstack_mmv.control.native.scalar import Program
 from diffstack_mmv.control.native.solver import REALS
