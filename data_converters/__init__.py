@@ -9,7 +9,8 @@ from dmmv_conventions.on_demand import on_demand
 
 if TYPE_CHECKING:
     from data_converters.autobike import AutobikeDataset
-    from data_converters.conversion import ConversionSettings, convert
+    from data_converters.conversion import convert
+    from data_converters.conversion_settings import ConversionSettings
     from data_converters.errors import CacheError, ConversionError, RejectReason, TrackError
     from data_converters.eth_ucy import EthUcyDataset
     from data_converters.imptc import ImptcDataset, ImptcVruDataset, SequenceSplit, TrackFilter

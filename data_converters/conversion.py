@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import shutil
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
@@ -16,62 +14,17 @@ from typing import Any, ClassVar
 
 from tqdm import tqdm
 
-from data_converters.cache import SCENE_REPORT_FILE, write_json, write_scene
-from data_converters.errors import ConversionError, TrackError, fault, require
-from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
-from data_converters.report import ConversionReport, SceneReport, report_scene
-from data_converters.tracks import AgentRows, ResampleSettings, resample, split_at_gaps
-from dmmv_conventions.cache import FORMAT_VERSION, REPORT_FILE, STATE_FILE, staging_folder
+from data_converters.cache import write_json
+from data_converters.conversion_settings import ConversionSettings
+from data_converters.errors import ConversionError, fault, require
+from data_converters.recordings import SceneSource
+from data_converters.report import ConversionReport, SceneReport
+from data_converters.scene_conversion import convert_scene, finished_scene
+from dmmv_conventions.cache import FORMAT_VERSION, REPORT_FILE, STATE_FILE
 from dmmv_conventions.disk import disk_is_full
 from dmmv_conventions.locks import in_turn
 
 logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class ConversionSettings:
-    """What to convert, where to, and how.
-
-    Attributes:
-        dataset: The recordings.
-        cache: Folder of the cache; several data sets may share it.
-        resample: Step, thresholds and smoother of the tracks.
-        workers: Processes; 1 converts in this process.
-        strict: Raise at the first bad track instead of counting it.
-        progress: Whether to show a progress bar.
-
-    Raises:
-        ConversionError: If `workers` is not positive.
-    """
-
-    dataset: RecordingDataset
-    cache: Path
-    resample: ResampleSettings = field(default_factory=ResampleSettings)
-    workers: int = 1
-    strict: bool = False
-    progress: bool = True
-
-    def __post_init__(self) -> None:
-        require(self.workers >= 1, "workers", "be at least 1", self.workers, "", "Give 1.")
-
-    def content(self) -> dict[str, Any]:
-        """The settings that change the cache, as plain values."""
-        smoother = self.resample.smoother
-        return {
-            "format_version": FORMAT_VERSION,
-            "dataset": {"name": self.dataset.name, **self.dataset.settings()},
-            "limits": asdict(self.dataset.limits),
-            "resample": {**asdict(self.resample), "smoother": smoother.settings()},
-        }
-
-    def digest(self) -> str:
-        """Hash of `content`, 16 hexadecimal digits."""
-        return _hash(self.content())
-
-    @property
-    def staging(self) -> Path:
-        """Folder in which the environment grows until it is complete."""
-        return staging_folder(self.cache, self.dataset.name, self.digest())
 
 
 def convert(settings: ConversionSettings) -> ConversionReport:
@@ -108,7 +61,7 @@ def _convert_scenes(settings: ConversionSettings, sources: list[SceneSource]) ->
     done: dict[str, SceneReport] = {}
     pending: list[SceneSource] = []
     for source in sources:
-        report = _finished_scene(settings, source)
+        report = finished_scene(settings, source)
         if report is None:
             pending.append(source)
         else:
@@ -173,83 +126,6 @@ class _WorkerSettings:
         return convert_scene(cls.settings, source)
 
 
-def convert_scene(settings: ConversionSettings, source: SceneSource) -> SceneReport:
-    """Convert one scene into the staging folder; its folder appears there when it is complete.
-
-    Raises:
-        ConversionError: If the scene cannot be read, or, when strict, one of its tracks.
-    """
-    from dmmv_conventions.opening import environment
-
-    dt_s = settings.resample.dt_s
-    raw = settings.dataset.read(source, dt_s, strict=settings.strict)
-    _reject_implausible(raw, settings)
-    agents = _resample_all(raw, settings)
-    key = _scene_key(settings, source)
-    report = report_scene(source.name, source.split, key, raw, agents, dt_s)
-    partial = settings.staging / f".partial_{source.name}_{os.getpid()}"
-    name = settings.dataset.name
-    try:
-        folder = partial / name / source.name
-        folder.mkdir(parents=True, exist_ok=True)
-        if agents:
-            metadata = environment(name, dt_s, {source.name: source.split})
-            write_scene(partial, metadata, source.name, settings.dataset.location, agents, raw)
-        write_json(folder / SCENE_REPORT_FILE, asdict(report))
-        target = settings.staging / source.name
-        shutil.rmtree(target, ignore_errors=True)
-        os.replace(folder, target)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-    return report
-
-
-def _reject_implausible(raw: RawScene, settings: ConversionSettings) -> None:
-    """Leave out tracks that no recording can hold, before anything is made of them."""
-    dataset, kept = settings.dataset, []
-    for track in raw.tracks:
-        try:
-            dataset.limits.check(track, dataset.origin_m, settings.resample.dt_s)
-            kept.append(track)
-        except TrackError as error:
-            raw.reject(track.name, track.source, error, strict=settings.strict)
-    raw.tracks[:] = kept
-
-
-def _resample_all(raw: RawScene, settings: ConversionSettings) -> list[AgentRows]:
-    agents = []
-    for track in raw.tracks:
-        for stretch in split_at_gaps(track, settings.resample.max_gap_s):
-            try:
-                rows = resample(stretch, settings.resample)
-                settings.dataset.limits.check_rows(rows, track.source)
-                agents.append(rows)
-            except TrackError as error:
-                raw.reject(stretch.name, track.source, error, strict=settings.strict)
-    return sorted(agents, key=lambda agent: agent.name)
-
-
-def _finished_scene(settings: ConversionSettings, source: SceneSource) -> SceneReport | None:
-    """The report of a scene that stands in the staging folder, or could be copied there."""
-    key = _scene_key(settings, source)
-    staged = settings.staging / source.name
-    earlier = settings.cache / settings.dataset.name / source.name
-    for folder in (staged, earlier):
-        path = folder / SCENE_REPORT_FILE
-        if not path.is_file():
-            continue
-        report = SceneReport(**json.loads(path.read_text(encoding="utf-8")))
-        if report.key != key or not report.current:
-            continue
-        if folder != staged:
-            partial = settings.staging / f".partial_{source.name}"
-            shutil.rmtree(partial, ignore_errors=True)
-            shutil.copytree(folder, partial)
-            os.replace(partial, staged)
-        return report
-    return None
-
-
 def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> ConversionReport:
     """Write lists and reports, then put the environment in its place.
 
@@ -305,12 +181,3 @@ def _replace_folder(new: Path, place: Path) -> None:
         os.replace(place, old)
     os.replace(new, place)
     shutil.rmtree(old, ignore_errors=True)
-
-
-def _scene_key(settings: ConversionSettings, source: SceneSource) -> str:
-    return _hash([settings.digest(), source.name, source.split, source.fingerprint])
-
-
-def _hash(content: object) -> str:
-    text = json.dumps(content, sort_keys=True, default=str)
-    return fingerprint(text.encode())

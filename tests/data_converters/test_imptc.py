@@ -18,7 +18,8 @@ from data_converters import (
 )
 from data_converters.imptc.context import read_context, read_table, signals_per_step
 from data_converters.imptc.dataset import find_sequences
-from data_converters.imptc.vru import _connected, _overlapping, _splits, _VruTrack
+from data_converters.imptc.vru_recordings import connected, overlapping, recording_splits
+from data_converters.imptc.vru_release import VruTrack
 
 
 @pytest.mark.parametrize(
@@ -131,8 +132,8 @@ def test_recordings_of_the_vru_release_with_mixed_splits_are_dealt_as_a_whole(vr
 
 @pytest.mark.parametrize(("folder", "split"), [("eval", "val"), ("test", "test")])
 def test_a_recording_with_one_published_split_keeps_it(folder, split):
-    tracks = [_VruTrack(f"{folder}/{n}", "", "a", 0, 1) for n in range(3)]
-    assert _splits([0, 0, 0], tracks, {}) == {0: split}
+    tracks = [VruTrack(f"{folder}/{n}", "", "a", 0, 1) for n in range(3)]
+    assert recording_splits([0, 0, 0], tracks, {}) == {0: split}
 
 
 SECOND = 1_000_000
@@ -149,12 +150,12 @@ SECOND = 1_000_000
     ids=["a chain", "a short and a long pause", "a broken clock", "no clock"],
 )
 def test_tracks_are_grouped_by_their_times(spans, groups):
-    tracks = [_VruTrack(str(n), "", "", a * SECOND, b * SECOND) for n, (a, b) in enumerate(spans)]
-    assert _overlapping(tracks, pause_us=30 * SECOND) == groups
+    tracks = [VruTrack(str(n), "", "", a * SECOND, b * SECOND) for n, (a, b) in enumerate(spans)]
+    assert overlapping(tracks, pause_us=30 * SECOND) == groups
 
 
 def test_groups_of_one_sequence_are_one_recording():
-    labels = _connected([0, 1, 2, 2], ["a", "", "a", ""])
+    labels = connected([0, 1, 2, 2], ["a", "", "a", ""])
     assert labels[0] == labels[2] == labels[3] != labels[1]
 
 

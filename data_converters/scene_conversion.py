@@ -1,0 +1,92 @@
+"""Conversion of one scene, which appears in the staging folder when it is complete."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from dataclasses import asdict
+
+from data_converters.cache import SCENE_REPORT_FILE, write_json, write_scene
+from data_converters.conversion_settings import ConversionSettings
+from data_converters.errors import TrackError
+from data_converters.recordings import RawScene, SceneSource
+from data_converters.report import SceneReport, report_scene
+from data_converters.tracks import AgentRows, resample, split_at_gaps
+
+
+def convert_scene(settings: ConversionSettings, source: SceneSource) -> SceneReport:
+    """Convert one scene into the staging folder; its folder appears there when it is complete.
+
+    Raises:
+        ConversionError: If the scene cannot be read, or, when strict, one of its tracks.
+    """
+    from dmmv_conventions.opening import environment
+
+    dt_s = settings.resample.dt_s
+    raw = settings.dataset.read(source, dt_s, strict=settings.strict)
+    _reject_implausible(raw, settings)
+    agents = _resample_all(raw, settings)
+    key = settings.scene_key(source)
+    report = report_scene(source.name, source.split, key, raw, agents, dt_s)
+    partial = settings.staging / f".partial_{source.name}_{os.getpid()}"
+    name = settings.dataset.name
+    try:
+        folder = partial / name / source.name
+        folder.mkdir(parents=True, exist_ok=True)
+        if agents:
+            metadata = environment(name, dt_s, {source.name: source.split})
+            write_scene(partial, metadata, source.name, settings.dataset.location, agents, raw)
+        write_json(folder / SCENE_REPORT_FILE, asdict(report))
+        target = settings.staging / source.name
+        shutil.rmtree(target, ignore_errors=True)
+        os.replace(folder, target)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return report
+
+
+def finished_scene(settings: ConversionSettings, source: SceneSource) -> SceneReport | None:
+    """The report of a scene that stands in the staging folder, or could be copied there."""
+    key = settings.scene_key(source)
+    staged = settings.staging / source.name
+    earlier = settings.cache / settings.dataset.name / source.name
+    for folder in (staged, earlier):
+        path = folder / SCENE_REPORT_FILE
+        if not path.is_file():
+            continue
+        report = SceneReport(**json.loads(path.read_text(encoding="utf-8")))
+        if report.key != key or not report.current:
+            continue
+        if folder != staged:
+            partial = settings.staging / f".partial_{source.name}"
+            shutil.rmtree(partial, ignore_errors=True)
+            shutil.copytree(folder, partial)
+            os.replace(partial, staged)
+        return report
+    return None
+
+
+def _reject_implausible(raw: RawScene, settings: ConversionSettings) -> None:
+    """Leave out tracks that no recording can hold, before anything is made of them."""
+    dataset, kept = settings.dataset, []
+    for track in raw.tracks:
+        try:
+            dataset.limits.check(track, dataset.origin_m, settings.resample.dt_s)
+            kept.append(track)
+        except TrackError as error:
+            raw.reject(track.name, track.source, error, strict=settings.strict)
+    raw.tracks[:] = kept
+
+
+def _resample_all(raw: RawScene, settings: ConversionSettings) -> list[AgentRows]:
+    agents = []
+    for track in raw.tracks:
+        for stretch in split_at_gaps(track, settings.resample.max_gap_s):
+            try:
+                rows = resample(stretch, settings.resample)
+                settings.dataset.limits.check_rows(rows, track.source)
+                agents.append(rows)
+            except TrackError as error:
+                raw.reject(stretch.name, track.source, error, strict=settings.strict)
+    return sorted(agents, key=lambda agent: agent.name)
