@@ -1,7 +1,8 @@
 """Identification from rides whose steering and speed were measured."""
 
 from diffstack_mmv.identification.measured.ego import EgoEstimator, ego_estimator
-from diffstack_mmv.identification.measured.fit import MeasuredFit, MeasuredFitter
+from diffstack_mmv.identification.measured.fit import MeasuredFitter
+from diffstack_mmv.identification.measured.fitted import MeasuredFit
 from diffstack_mmv.identification.measured.instruments import (
     Gaussian,
     InstrumentPriors,

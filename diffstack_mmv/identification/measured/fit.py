@@ -1,7 +1,6 @@
 """Joint fit of a vehicle, its instruments and all windows."""
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,115 +11,35 @@ from torch import Tensor
 from diffstack_mmv.identification.measured.elimination import (
     Damping,
     Linearisation,
-    Reduced,
     RideEquations,
     RideUnknowns,
     without_recording,
 )
 from diffstack_mmv.identification.measured.estimation import WindowEstimate, estimate_windows
 from diffstack_mmv.identification.measured.evidence import (
-    LearnedInstruments,
-    NoiseSizes,
     heard_noise,
     learned_instruments,
     noise_sizes,
 )
+from diffstack_mmv.identification.measured.fitted import MeasuredFit, jackknife
 from diffstack_mmv.identification.measured.given import (
     CourseGiven,
     FreewheelGiven,
     InstrumentsGiven,
 )
-from diffstack_mmv.identification.measured.instruments import InstrumentPriors, MeasurementNoise
+from diffstack_mmv.identification.measured.instruments import InstrumentPriors
 from diffstack_mmv.identification.measured.rides import RideWindows
 from diffstack_mmv.identification.measured.shared import SharedUnknowns
 from diffstack_mmv.identification.measured.simulator import RideSimulator
 from diffstack_mmv.identification.measured.volume import volume_slopes, volumes
-from diffstack_mmv.identification.shooting import ReducedSystem, bounded_newton_step
 
 logger = logging.getLogger(__name__)
 
 STEPS_BACK = 9
 FIRST_DAMPING = 1e-4
-NEAR = 0.02
 
 SURE = 1e4
 """Factor on the precision of instruments that are given."""
-
-
-class MeasuredFit(NamedTuple):
-    """A fit of all windows.
-
-    Attributes:
-        point: All unknowns.
-        unknowns: What the shared ones are.
-        laplace_std: Deviations of the shared ones by Laplace's approximation, physical units.
-        jackknife_std: The same from fits that leave one recording out, which trusts neither the
-            noise nor that windows of a recording are independent.
-        covariance: Of the shared ones by Laplace, in prior deviations.
-        recording_std: Deviations of the unknowns of the recordings.
-        reduced: What each recording says about the shared unknowns, in prior deviations.
-        log_evidence: By Laplace's approximation.
-        rms_m: Root mean square distance between positions and fit.
-        noise_factor: Residuals over assumed noise, at least 1.
-        tilt: Slope of the uncertainty of what was eliminated, see `volume_slopes`.
-        iterations: Steps of Levenberg and Marquardt.
-        converged: Whether the cost ceased to fall before the iterations were over.
-        sizes: Deviations of noise that explain its residuals and errors better than the assumed.
-        instruments: What the recordings tell about the priors of their instruments.
-        noise: The assumed noise, that of the gyro as the yaw rates of the fit tell it.
-    """
-
-    point: RideUnknowns
-    unknowns: SharedUnknowns
-    laplace_std: Float[Tensor, " s"]
-    jackknife_std: Float[Tensor, " s"]
-    covariance: Float[Tensor, "s s"]
-    recording_std: Float[Tensor, "r 4"]
-    reduced: Reduced
-    log_evidence: float
-    rms_m: float
-    noise_factor: float
-    tilt: Float[Tensor, "r s"]
-    iterations: int
-    converged: bool
-    sizes: NoiseSizes
-    instruments: LearnedInstruments
-    noise: MeasurementNoise
-
-    @property
-    def priors(self) -> InstrumentPriors:
-        """Priors of the instruments that explain its recordings better than the assumed."""
-        return self.instruments.priors(torch.zeros(len(self.point.recording), dtype=torch.bool))
-
-    @property
-    def shared_std(self) -> Float[Tensor, " s"]:
-        """The larger of both deviations of the shared unknowns, physical units."""
-        return torch.maximum(self.laplace_std, self.jackknife_std)
-
-    def std_of(self, quantity: Callable[[Tensor], Tensor]) -> float:
-        """Deviation of a number that the shared unknowns determine, likewise the larger of two."""
-        shared, ways = self.point.shared, NEAR * torch.eye(len(self.covariance)).double()
-        moved = [quantity(self.unknowns.moved(shared, way)) for way in ways]
-        back = [quantity(self.unknowns.moved(shared, -way)) for way in ways]
-        slope = (torch.stack(moved) - torch.stack(back)) / (2 * NEAR)
-        laplace = float((slope @ self.covariance @ slope).sqrt())
-        other = float(_jackknife(quantity, self.unknowns, shared, self.reduced))
-        return max(laplace, other)
-
-    def shared_without(self, recordings: Tensor) -> Float[Tensor, " s"]:
-        """Shared unknowns had some recordings (r, mask) been left out: one Newton step."""
-        return without(self.unknowns, self.point.shared, self.reduced, recordings)
-
-
-def without(
-    unknowns: SharedUnknowns, shared: Float[Tensor, " s"], reduced: Reduced, left_out: Tensor
-) -> Float[Tensor, " s"]:
-    """Shared unknowns after one Newton step without the information of some recordings."""
-    information = reduced.information[~left_out].sum(0)
-    eye = torch.eye(len(shared), dtype=shared.dtype)
-    push = reduced.gradient[~left_out].sum(0) + unknowns.penalty(shared)
-    step = bounded_newton_step(ReducedSystem(information + eye, push), unknowns.bounds(shared))
-    return unknowns.moved(shared, step)
 
 
 class _Lowest(NamedTuple):
@@ -299,7 +218,7 @@ class MeasuredFitter:
             point,
             unknowns,
             unknowns.std * covariance.diagonal().sqrt(),
-            _jackknife(unknowns.values, unknowns, point.shared, parts.reduced),
+            jackknife(unknowns.values, unknowns, point.shared, parts.reduced),
             covariance,
             recording_std,
             parts.reduced,
@@ -323,18 +242,3 @@ def _means(
     total = values.new_zeros(len(windows.names), values.shape[-1])
     total = total.index_add(0, windows.recording, values)
     return torch.where(count > 0, total / count.clamp_min(1), otherwise)
-
-
-def _jackknife(
-    quantity: Callable[[Tensor], Tensor],
-    unknowns: SharedUnknowns,
-    shared: Float[Tensor, " s"],
-    reduced: Reduced,
-) -> Float[Tensor, "*q"]:
-    """Deviations from leaving out one recording at a time; zero with a single one."""
-    count = len(reduced.gradient)
-    names = torch.arange(count)
-    values = torch.stack(
-        [quantity(without(unknowns, shared, reduced, names == each)) for each in names]
-    )
-    return ((count - 1) / count * (values - values.mean(0)).square().sum(0)).sqrt()

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from diffstack_mmv.identification.inference import IdentifiabilityThresholds
-from diffstack_mmv.identification.measured.fit import MeasuredFit
+from diffstack_mmv.identification.measured.fitted import MeasuredFit
 from diffstack_mmv.identification.measured.instruments import GRAVITY
 from diffstack_mmv.identification.measured.rides import RideWindows
 from diffstack_mmv.identification.measured.simulator import INSTALLED, RideSimulator

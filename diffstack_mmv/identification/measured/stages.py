@@ -9,7 +9,8 @@ from torch import Tensor
 
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.identification.measured.elimination import RideUnknowns
-from diffstack_mmv.identification.measured.fit import MeasuredFit, MeasuredFitter
+from diffstack_mmv.identification.measured.fit import MeasuredFitter
+from diffstack_mmv.identification.measured.fitted import MeasuredFit
 from diffstack_mmv.identification.measured.given import InstrumentsGiven
 from diffstack_mmv.identification.measured.instruments import SIZES, MeasurementNoise
 from diffstack_mmv.identification.measured.parts import (

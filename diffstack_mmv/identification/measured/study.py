@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.identification.measured.baselines import Baselines
-from diffstack_mmv.identification.measured.fit import MeasuredFit, MeasuredFitter
+from diffstack_mmv.identification.measured.fit import MeasuredFitter
+from diffstack_mmv.identification.measured.fitted import MeasuredFit
 from diffstack_mmv.identification.measured.instruments import InstrumentPriors, MeasurementNoise
 from diffstack_mmv.identification.measured.parts import FinishedParts
 from diffstack_mmv.identification.measured.rides import (

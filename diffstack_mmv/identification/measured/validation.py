@@ -11,7 +11,7 @@ from diffstack_mmv.identification.measured.estimation import (
     WindowEstimate,
     estimate_windows,
 )
-from diffstack_mmv.identification.measured.fit import MeasuredFit
+from diffstack_mmv.identification.measured.fitted import MeasuredFit
 from diffstack_mmv.identification.measured.given import InstrumentsGiven
 from diffstack_mmv.identification.measured.rides import RideWindows
 from diffstack_mmv.identification.measured.simulator import (
