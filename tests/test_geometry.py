@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 
 from diffstack_mmv.geometry import (
     direction,
+    distance_to_axis,
+    distance_to_segment,
     motion_in_frame,
     position_from_frame,
     position_in_frame,
@@ -34,6 +36,32 @@ def test_leaving_a_frame_undoes_entering_it(x, y, ox, oy, heading):
     angle = torch.tensor(heading, dtype=torch.float64)
     inside = position_in_frame(position, origin, angle)
     assert torch.allclose(position_from_frame(inside, origin, angle), position)
+
+
+@given(NUMBERS, NUMBERS, NUMBERS, st.floats(-4, 0), st.floats(0, 4))
+def test_distance_to_an_axis_is_that_to_the_stretch_of_it(x, y, heading, rear, front):
+    point, origin = torch.tensor([[x, y], [1.0, -2.0]], dtype=torch.float64)
+    heading, rear, front = torch.tensor([heading, rear, front], dtype=torch.float64)
+    ends = [origin + each * direction(heading) - point for each in (rear, front)]
+    found = distance_to_axis(point, origin, heading, rear, front)
+    assert torch.allclose(found, distance_to_segment(*ends), atol=1e-12)
+
+
+@given(NUMBERS, NUMBERS, NUMBERS, NUMBERS, NUMBERS)
+def test_distance_to_an_axis_does_not_depend_on_the_frame(x, y, ox, oy, turn):
+    point, origin = torch.tensor([[x, y], [ox, oy]], dtype=torch.float64)
+    heading, turn = torch.tensor([0.4, turn], dtype=torch.float64)
+    ends = torch.tensor([-0.5, 1.5], dtype=torch.float64)
+    seen = (position_in_frame(each, torch.ones(2).double(), turn) for each in (point, origin))
+    there = distance_to_axis(*seen, heading - turn, *ends)
+    assert torch.allclose(there, distance_to_axis(point, origin, heading, *ends), atol=1e-9)
+
+
+def test_distance_to_an_axis_has_a_derivative_on_it():
+    point = torch.zeros(2, dtype=torch.float64, requires_grad=True)
+    ahead = torch.tensor([-1.0, 1.0], dtype=torch.float64)
+    distance_to_axis(point, torch.zeros(2).double(), ahead[1], *ahead, epsilon=1e-6).backward()
+    assert torch.equal(point.grad, torch.zeros(2).double())
 
 
 def test_rotation_by_a_quarter_turns_forward_to_left():

@@ -8,8 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diffstack_mmv.smooth import (
+    arctan_ratio,
     floor_at_zero,
     limiter,
+    limiter_gain,
     limiter_rest,
     safe_norm,
     saturate,
@@ -17,6 +19,7 @@ from diffstack_mmv.smooth import (
     sinc_slope,
     smooth_maximum,
     soft_clamp,
+    tanh_ratio,
 )
 
 ANGLES = st.floats(-20, 20).filter(lambda x: abs(x) > 1e-3)
@@ -35,8 +38,38 @@ def test_sinc_slope_is_minus_the_derivative_of_sinc(angle):
     assert torch.allclose(sinc_slope(x), -slope, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("function", [sinc, sinc_slope, limiter, torch.tanh])
-@pytest.mark.parametrize("point", [0.0, 1e-9, 0.29999, 0.3, 0.30001, 5.0])
+@pytest.mark.parametrize(
+    ("ratio", "function"), [(arctan_ratio, math.atan), (tanh_ratio, math.tanh)]
+)
+@pytest.mark.parametrize("argument", [-40.0, -0.5, -0.03, 1e-9, 0.01, 0.02999, 0.03001, 2.0, 1e9])
+def test_ratios_are_the_function_over_its_argument(ratio, function, argument):
+    value = ratio(torch.tensor(argument, dtype=torch.float64)).item()
+    assert math.isclose(value, function(argument) / argument, rel_tol=1e-13)
+
+
+@given(st.floats(-1e3, 1e3).filter(bool))
+def test_the_gain_of_the_limiter_is_the_limiter_over_its_argument(ratio):
+    ratio = torch.tensor(ratio, dtype=torch.float64)
+    assert math.isclose(limiter_gain(ratio), limiter(ratio) / ratio, rel_tol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "function", [sinc, sinc_slope, limiter, limiter_gain, arctan_ratio, tanh_ratio]
+)
+@pytest.mark.parametrize("size", [0.0, 1e-38, 1e-20, 1.0, 1e5, 1e10, 1e20])
+def test_nothing_overflows_in_single_precision(function, size):
+    x = torch.tensor([size, -size], requires_grad=True)
+    value = function(x)
+    (slope,) = torch.autograd.grad(value.sum(), x, create_graph=True)
+    (bend,) = torch.autograd.grad(slope.sum(), x)
+    for order, found in enumerate((value, slope, bend)):
+        assert found.isfinite().all(), f"derivative {order}"
+
+
+@pytest.mark.parametrize(
+    "function", [sinc, sinc_slope, limiter, limiter_gain, arctan_ratio, tanh_ratio, torch.tanh]
+)
+@pytest.mark.parametrize("point", [0.0, 1e-9, 0.02999, 0.03, 0.29999, 0.3, 0.30001, 5.0])
 def test_first_and_second_derivatives_hold_everywhere(function, point):
     x = torch.tensor([point], dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(function, x)
