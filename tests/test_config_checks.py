@@ -1,6 +1,7 @@
 """Checks of a configuration before anything is built."""
 
 import json
+import math
 
 import pytest
 
@@ -8,9 +9,16 @@ from diffstack_mmv.config_checks import (
     require_checkpoint,
     require_complete,
     require_data,
+    require_file,
+    require_folder,
     require_own_vehicle,
     require_recordings,
+    require_same_horizon,
     require_same_type,
+    require_seed,
+    require_share,
+    require_situations,
+    require_split,
     require_tracks,
     require_windows,
 )
@@ -86,28 +94,104 @@ def test_numbers_of_windows_and_batches_are_refused_by_their_keys(changed, batch
         require_data(windows | changed, batch_size)
 
 
-def test_a_checkpoint_is_an_archive(tmp_path):
-    with pytest.raises(ValueError, match="`start` must be given"):
-        require_checkpoint("start", None)
+@pytest.mark.parametrize("seed", [None, 0, 7, 2**32 - 1])
+def test_a_seed_that_every_generator_takes_passes(seed):
+    require_seed(seed)
+
+
+@pytest.mark.parametrize("seed", [-1, 2**32])
+def test_a_seed_out_of_range_is_shown(seed):
+    with pytest.raises(ValueError, match=f"`seed` must lie in .*, but got {seed}"):
+        require_seed(seed)
+
+
+@pytest.mark.parametrize("share", [1e-3, 0.5, 1.0, 1, 2, 20.0])
+def test_a_share_or_a_number_of_batches_passes(share):
+    require_share("a", share)
+
+
+@pytest.mark.parametrize("share", [0.0, -0.5, 1.5, -3, math.nan, math.inf])
+def test_what_is_neither_a_share_nor_a_number_is_shown(share):
+    with pytest.raises(ValueError, match=f"`a` must lie in .*, but got {share}"):
+        require_share("a", share)
+
+
+@pytest.mark.parametrize("name", [None, "none", "file"])
+def test_what_is_no_folder_is_refused_with_its_remedy(tmp_path, name):
+    (tmp_path / "file").touch()
+    require_folder("root", str(tmp_path), "")
+    place = name and str(tmp_path / name)
+    with pytest.raises(ValueError, match="`root` must be an existing folder.*Give root=FOLDER"):
+        require_folder("root", place, "Give root=FOLDER.")
+
+
+@pytest.mark.parametrize(("name", "needs"), [(None, "be given"), (".", "be an existing file")])
+def test_what_is_no_file_is_refused_with_its_remedy(tmp_path, name, needs):
+    place = name and str(tmp_path / name)
+    with pytest.raises(ValueError, match=f"`controls` must {needs}, but got .*Write one"):
+        require_file("controls", place, "Write one.")
+
+
+@pytest.mark.parametrize(("name", "needs"), [(None, "be given"), ("a.ckpt", "be readable")])
+def test_a_checkpoint_is_an_archive(tmp_path, name, needs):
     (tmp_path / "a.ckpt").write_text("text")
-    with pytest.raises(ValueError, match="`start` must be readable"):
-        require_checkpoint("start", str(tmp_path / "a.ckpt"))
+    with pytest.raises(ValueError, match=f"`start` must {needs}"):
+        require_checkpoint("start", name and str(tmp_path / name))
 
 
-def test_a_source_needs_its_folder_and_tracks_of_the_mode(tmp_path):
-    with pytest.raises(ValueError, match="`root` must be an existing folder"):
-        require_recordings({"root": str(tmp_path / "none")})
-    source = {"folder": str(tmp_path), "name": "toy"}
-    with pytest.raises(ValueError, match="hold a finished conversion"):
-        require_recordings(source)
+@pytest.fixture
+def source(tmp_path):
+    """A finished conversion of a scene in which somebody rides a bicycle."""
     scenes = [{"split": "train", "agents": {"bicycle": 1}}]
     state = {"format_version": 1, "complete": True, "scenes": scenes}
     (tmp_path / "toy").mkdir()
     (tmp_path / "toy" / "cache.json").write_text(json.dumps(state))
-    require_tracks(source, ["train"], "bicycle")
-    for splits, mode in ((["train"], "scooter"), (["val"], "bicycle")):
-        with pytest.raises(ValueError, match="`mode` must have tracks"):
-            require_tracks(source, splits, mode)
+    return {"folder": str(tmp_path), "name": "toy"}
+
+
+@pytest.mark.parametrize(
+    ("place", "told"),
+    [
+        ({"root": "none"}, "`root` must be an existing folder"),
+        ({"folder": "none", "name": "toy"}, "hold a finished conversion"),
+    ],
+)
+def test_a_source_needs_its_folder(tmp_path, monkeypatch, place, told):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match=told):
+        require_recordings(place)
+
+
+@pytest.mark.parametrize(("splits", "mode"), [(["train"], "scooter"), (["val"], "bicycle")])
+def test_a_source_needs_tracks_of_the_mode(source, splits, mode):
+    require_tracks(source, ["train", "val"], "bicycle")
+    with pytest.raises(ValueError, match="`mode` must have tracks"):
+        require_tracks(source, splits, mode)
+
+
+@pytest.mark.parametrize("split", ["train", "all"])
+def test_a_split_with_scenes_or_all_of_them_passes(source, split):
+    require_split("split", split, source)
+
+
+def test_a_split_without_scenes_is_refused_unless_the_source_has_its_own(source):
+    with pytest.raises(ValueError, match="`split` must be one of train, but got 'val'"):
+        require_split("split", "val", source)
+    require_split("split", "val", {"root": "recordings"})
+
+
+def test_situations_are_those_that_windows_are_told_to_belong_to():
+    require_situations(["moving", "turning"])
+    with pytest.raises(ValueError, match="`situations` must be one of .*moving.*'flying'"):
+        require_situations(["moving", "flying"])
+
+
+@pytest.mark.parametrize(("wanted", "found"), [("dt_s", 0.2), ("horizon_s", 2.0)])
+def test_a_checkpoint_is_judged_with_the_times_of_its_training(wanted, found):
+    trained = {"dt_s": 0.1, "horizon_s": 3.0}
+    require_same_horizon(trained, trained)
+    with pytest.raises(ValueError, match=f"`{wanted}` must be .* as in the training, but got"):
+        require_same_horizon(trained | {wanted: found}, trained)
 
 
 BICYCLE = {"name": "tadpole", "mode": "bicycle"}

@@ -6,7 +6,9 @@ import pytest
 import torch
 
 from diffstack_mmv.metrics import collided, planning_loss, solved, total_cost
+from diffstack_mmv.metrics.planning import human_collided
 from diffstack_mmv.types import Discs, Motion, Obstacles, Plan, Solution, SolverStatus
+from tests.metrics.samples import tracks
 
 
 def standing_agent(x, y, valid=True):
@@ -83,6 +85,30 @@ def test_a_plan_that_is_not_finite_is_not_free_of_collisions(spoiler):
     agents = standing_agent(50.0, 0.0)
     found = hit_by(plan, torch.tensor([0.3, 0.3]), agents).tolist()
     assert found == pytest.approx([0.0, math.nan], nan_ok=True)
+
+
+def ridden(valid):
+    """Past and future of somebody who rides straight on, 10 m in 30 steps."""
+    plan, recorded = straight_plan(), torch.tensor([valid]).expand(1, 30)
+    future = tracks(plan[:, 1:].masked_fill(~recorded.unsqueeze(-1), torch.nan), recorded)
+    return tracks(plan[:, :1], torch.ones(1, 1, dtype=torch.bool)), future
+
+
+DISCS = Discs(torch.zeros(1, 1), torch.full((1, 1), 0.3))
+
+
+@pytest.mark.parametrize("y", [0.0, 0.5, 0.7, 2.0])
+def test_a_human_is_judged_as_a_plan_is(y):
+    agents = standing_agent(5.0, y)
+    found = human_collided(*ridden(True), DISCS, agents)
+    assert torch.equal(found, hit_by(straight_plan(), torch.tensor([0.3]), agents))
+
+
+def test_what_was_not_recorded_of_a_human_counts_as_free():
+    past, future = ridden([True] * 5 + [False] * 25)
+    agents = standing_agent(5.0, 0.0)
+    assert human_collided(past, future, DISCS, agents).tolist() == [0.0]
+    assert human_collided(*ridden(False), DISCS, agents).isnan().all()
 
 
 def test_no_agents_no_collision():
