@@ -6,14 +6,19 @@ from diffstack_mmv.cli import folders_as
 from tests.reporting.html import runs
 
 
-def test_folders_alone_are_the_runs(tmp_path):
-    odd = tmp_path / "seed=0"
-    odd.mkdir()
-    given = ["a", "out=b", str(odd), "-m"]
-    assert folders_as("runs", given) == ["out=b", "-m", f"runs=['a','{odd}']"]
-    assert folders_as("runs", ["--help"]) == ["--help"]
-    assert folders_as("runs", ["--cfg", "job", "out=b"]) == ["--cfg", "job", "out=b"]
-    assert folders_as("runs", ["a", "-c", "job"]) == ["-c", "job", "runs=['a']"]
+@pytest.mark.parametrize(
+    ("given", "understood"),
+    [
+        ("a out=b seed=0 -m", "out=b -m runs=['a','seed=0']"),
+        ("--help", "--help"),
+        ("--cfg job out=b", "--cfg job out=b"),
+        ("a -c job", "-c job runs=['a']"),
+    ],
+)
+def test_folders_alone_are_the_runs(tmp_path, monkeypatch, given, understood):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "seed=0").mkdir()
+    assert folders_as("runs", given.split()) == understood.split()
 
 
 def test_one_page_tells_of_all_runs(succeed, tmp_path):

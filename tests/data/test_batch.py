@@ -71,14 +71,15 @@ def test_somebody_alone_has_no_neighbors(tmp_path):
     assert batch.neighbors_past.mode.dtype == torch.int64
 
 
-def test_absent_rows_are_zero_and_marked(source, windows):
+@pytest.mark.parametrize("time", ["neighbors_past", "neighbors_future"])
+def test_absent_rows_are_zero_and_marked(source, windows, time):
     opened = source.open("train", windows)
     batch = stack_batch(opened.get_collate_fn()([opened[i] for i in range(50)]), windows)
-    for tracks in (batch.neighbors_past, batch.neighbors_future):
-        assert not tracks.valid.all()
-        for part in tracks.motion:
-            assert part.isfinite().all()
-            assert (part[~tracks.valid] == 0).all()
+    tracks = getattr(batch, time)
+    assert not tracks.valid.all()
+    for part in tracks.motion:
+        assert part.isfinite().all()
+        assert (part[~tracks.valid] == 0).all()
 
 
 def test_the_past_does_not_depend_on_the_future(tmp_path):

@@ -38,17 +38,16 @@ def building(path, node):
     return saved(path, provenance={"config": {"stack": node}})
 
 
-def test_a_checkpoint_builds_nothing_but_ours(tmp_path):
+@pytest.mark.parametrize("hidden", [False, True])
+def test_a_checkpoint_builds_nothing_but_ours(tmp_path, hidden):
     mark = tmp_path / "mark"
     write = {
         "_target_": "pathlib.Path.write_text",
         "_args_": [{"_target_": "pathlib.Path", "_args_": [str(mark)]}, "code ran"],
     }
-    for node in (write, {"_target_": "diffstack_mmv.stack.assemble", "planner": [write]}):
-        with pytest.raises(
-            ValueError, match=r"built, but got 'pathlib.Path.write_text' at .*a.ckpt"
-        ):
-            load_stack(building(tmp_path / "a.ckpt", node))
+    within = {"_target_": "diffstack_mmv.stack.assemble", "planner": [write]}
+    with pytest.raises(ValueError, match=r"built, but got 'pathlib.Path.write_text' at .*a.ckpt"):
+        load_stack(building(tmp_path / "a.ckpt", within if hidden else write))
     assert not mark.exists()
 
 
@@ -58,13 +57,23 @@ def test_what_is_built_has_to_be_a_stack(tmp_path):
         load_stack(building(tmp_path / "a.ckpt", node))
 
 
-def test_a_pickle_runs_nothing(tmp_path):
-    mark = tmp_path / "mark"
-    (tmp_path / "plain.ckpt").write_bytes(pickle.dumps(Runs(mark)))
-    torch.save({"state_dict": Runs(mark)}, tmp_path / "zip.ckpt")
-    for name, found in (("plain", "no checkpoint"), ("zip", r"[\w.]*eval in it")):
-        with pytest.raises(ValueError, match=f"must be readable.*, but got {found}"):
-            read_checkpoint(tmp_path / f"{name}.ckpt")
+def in_a_plain_file(content, path):
+    path.write_bytes(pickle.dumps(content))
+
+
+def in_an_archive_of_torch(content, path):
+    torch.save({"state_dict": content}, path)
+
+
+@pytest.mark.parametrize(
+    ("write", "found"),
+    [(in_a_plain_file, "no checkpoint"), (in_an_archive_of_torch, r"[\w.]*eval in it")],
+)
+def test_a_pickle_runs_nothing(tmp_path, write, found):
+    mark, path = tmp_path / "mark", tmp_path / "a.ckpt"
+    write(Runs(mark), path)
+    with pytest.raises(ValueError, match=f"must be readable.*, but got {found}"):
+        read_checkpoint(path)
     assert not mark.exists()
 
 

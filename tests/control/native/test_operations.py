@@ -120,14 +120,18 @@ def test_a_choice_hides_the_infinite_slope_of_what_is_not_taken():
     assert run(program, slopes, {("p", 0): 0.0}) == [0.0]
 
 
-def test_an_unknown_operation_is_named():
-    with pytest.raises(CannotLowerError, match="sort"):
-        lowered(lambda a: a.sort().values, torch.tensor(VALUES))
-
-
-def test_an_index_that_depends_on_the_problem_is_refused():
-    with pytest.raises(CannotLowerError, match="not constant"):
-        lowered(lambda a: a.index_select(-1, a[0, :1].long()), torch.tensor(VALUES))
+@pytest.mark.parametrize(
+    ("function", "told"),
+    [
+        (lambda a: a.sort().values, "sort"),
+        (lambda a: a.index_select(-1, a[0, :1].long()), "not constant"),
+        (lambda a: torch.div(a, 2.0, rounding_mode="trunc"), "rounding_mode=trunc"),
+        (lambda a: torch.linalg.vector_norm(a, 3), "norm of order 3"),
+    ],
+)
+def test_what_has_no_scalar_form_is_named(function, told):
+    with pytest.raises(CannotLowerError, match=told):
+        lowered(function, torch.tensor(VALUES))
 
 
 def test_every_operation_has_a_derivative():

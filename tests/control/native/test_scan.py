@@ -43,13 +43,18 @@ def test_the_tensors_that_a_step_hides_may_change():
     assert torch.equal(scan(step, state, inputs).states[0, :, 0], torch.tensor([1.0, 4.0, 13.0]))
 
 
-def test_what_has_no_scalar_form_or_no_rows_has_no_library():
-    def sorts(state, row):
-        return state.sort(-1).values, row
+def sorts(state, row):
+    return state.sort(-1).values, row
 
-    def plain(state, row):
-        return state, row
 
-    assert scan(sorts, torch.ones(3, 2), torch.ones(3, 2, 1)) is None
-    assert scan(plain, torch.ones(0, 2), torch.ones(0, 2, 1)) is None
-    assert scan(plain, torch.ones(3, 2, dtype=torch.half), torch.ones(3, 2, 1).half()) is None
+def plain(state, row):
+    return state, row
+
+
+@pytest.mark.parametrize(
+    ("step", "rows", "dtype"),
+    [(sorts, 3, torch.float32), (plain, 0, torch.float32), (plain, 3, torch.half)],
+)
+def test_what_has_no_scalar_form_no_rows_or_no_precision_has_no_library(step, rows, dtype):
+    state, inputs = torch.ones(rows, 2, dtype=dtype), torch.ones(rows, 2, 1, dtype=dtype)
+    assert scan(step, state, inputs) is None
