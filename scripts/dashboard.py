@@ -3,7 +3,7 @@
 import logging
 
 from diffstack_mmv.cli import DictConfig, command
-from diffstack_mmv.config_checks import require_modes
+from diffstack_mmv.data_checks import require_modes
 from dmmv_conventions.checks import require
 from dmmv_conventions.configs import config_folder
 

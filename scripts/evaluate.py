@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from diffstack_mmv.cli import DictConfig, command, instantiate
-from diffstack_mmv.config_checks import (
+from diffstack_mmv.config_checks import require_checkpoint
+from diffstack_mmv.data_checks import (
     other_history,
     other_modes,
-    require_checkpoint,
     require_data,
     require_recordings,
     require_same_horizon,

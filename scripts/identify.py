@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from diffstack_mmv.cli import DictConfig, command, instantiate
-from diffstack_mmv.config_checks import require_tracks
+from diffstack_mmv.data_checks import require_tracks
 from dmmv_conventions.checks import message
 from dmmv_conventions.configs import config_folder
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from diffstack_mmv.cli import DictConfig, command, instantiate
-from diffstack_mmv.config_checks import require_modes
+from diffstack_mmv.data_checks import require_modes
 from diffstack_mmv.jobs import Job, Launcher, expected_seconds
 from dmmv_conventions.checks import require, require_at_least, require_one_of
 from dmmv_conventions.configs import config_folder

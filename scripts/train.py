@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
-from diffstack_mmv.config_checks import (
-    require_checkpoint,
+from diffstack_mmv.config_checks import require_checkpoint
+from diffstack_mmv.data_checks import (
     require_data,
     require_own_vehicle,
     require_recordings,

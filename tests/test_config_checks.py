@@ -8,15 +8,17 @@ import pytest
 from diffstack_mmv.config_checks import (
     require_checkpoint,
     require_complete,
-    require_data,
     require_file,
     require_folder,
-    require_own_vehicle,
-    require_recordings,
-    require_same_horizon,
     require_same_type,
     require_seed,
     require_share,
+)
+from diffstack_mmv.data_checks import (
+    require_data,
+    require_own_vehicle,
+    require_recordings,
+    require_same_horizon,
     require_situations,
     require_split,
     require_tracks,

@@ -17,6 +17,7 @@ ALLOWED = {
     "cli": {"composition", "config_checks", "override_errors", "vehicles"},
     "composition": set(),
     "config_checks": set(),
+    "data_checks": {"config_checks"},
     "run_checks": {"config_checks"},
     "training_checks": {"config_checks", "metrics"},
     "crowdnav": {"dynamics", "simulation", "vehicles"},
@@ -48,12 +49,12 @@ EVERYBODYS = {f"dmmv_conventions.{name}" for name in ("extras", "on_demand", "pr
 # who takes what from the conventions; all others find modes and checks in `types` and `checks`
 CONVENTIONS = {
     "checks": {"dmmv_conventions.checks"},
-    "config_checks": {
+    "config_checks": {"dmmv_conventions.checks", "dmmv_conventions.pretrained"},
+    "data_checks": {
         "dmmv_conventions.cache",
         "dmmv_conventions.checks",
         "dmmv_conventions.definitions",
         "dmmv_conventions.modes",
-        "dmmv_conventions.pretrained",
     },
     "override_errors": {"dmmv_conventions.checks"},
     "run_checks": {"dmmv_conventions.checks"},

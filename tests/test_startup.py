@@ -19,6 +19,7 @@ LIGHT = {
     "dmmv_conventions",
     "diffstack_mmv.cli",
     "diffstack_mmv.config_checks",
+    "diffstack_mmv.data_checks",
     "diffstack_mmv.jobs",
     "diffstack_mmv.run_checks",
     "diffstack_mmv.training_checks",
