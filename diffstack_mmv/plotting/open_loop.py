@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
@@ -15,25 +16,25 @@ from diffstack_mmv.types import Motion
 
 @runtime_checkable
 class WheelHistory(Protocol):
-    """What happened at the wheels, each (T, wheels), in N."""
+    """What happened at the wheels, in N."""
 
     @property
-    def force_x(self) -> Tensor:
+    def force_x(self) -> Float[Tensor, "T wheels"]:
         """Forward in the wheels' axes."""
         ...
 
     @property
-    def force_y(self) -> Tensor:
+    def force_y(self) -> Float[Tensor, "T wheels"]:
         """To the left."""
         ...
 
     @property
-    def normal_load(self) -> Tensor:
+    def normal_load(self) -> Float[Tensor, "T wheels"]:
         """Loads."""
         ...
 
     @property
-    def friction_limit(self) -> Tensor:
+    def friction_limit(self) -> Float[Tensor, "T wheels"]:
         """Largest force that friction allows."""
         ...
 

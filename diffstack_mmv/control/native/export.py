@@ -15,7 +15,7 @@ from diffstack_mmv.control.compilation import copied
 from diffstack_mmv.control.ilqr import ILQR, check_problem
 from diffstack_mmv.control.native.capture import Recorder, Taken, Trajectory, evaluate
 from diffstack_mmv.control.native.code import literal
-from diffstack_mmv.control.native.generation import source
+from diffstack_mmv.control.native.generation import Library, source
 from diffstack_mmv.control.native.library import header
 from diffstack_mmv.control.native.solver import REALS
 from diffstack_mmv.control.optimizer import Dynamics
@@ -98,7 +98,7 @@ class Export:
         written = Exported(library, declared_in, generated, entries)
         real = REALS[state.dtype]
         declared = _declarations(taken, entries, real)
-        code = source(taken.problem, "solve", real)
+        code = source(taken.problem, Library.SOLVE, real)
         fixed = _fixed(self.solver, bounds, taken.parameters, state)
         body = "\n".join([code, declared, fixed, header("exported")]) + "\n"
         written.source.write_text(body)

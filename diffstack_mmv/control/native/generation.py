@@ -1,6 +1,7 @@
 """The C++ source of a solver for one problem."""
 
 from collections.abc import Iterable, Sequence
+from enum import StrEnum
 
 from diffstack_mmv.control.native.code import function, into, rows_of, table
 from diffstack_mmv.control.native.derived import Derived, derived
@@ -26,12 +27,20 @@ from diffstack_mmv.types import SolverStatus
 LANES = 8  # of the numbers with slopes, as in numbers.hpp
 SLOPES_COST = 3  # operations on packs that one on numbers with slopes takes
 
+
+class Library(StrEnum):
+    """What is compiled for a problem: its solver, and the gradient of the solution."""
+
+    SOLVE = "solve"
+    ADJOINT = "adjoint"
+
+
 HEADERS = ("numbers", "small", "stage", "solver")
-ENTRIES = {"solve": ("solve",), "adjoint": ("adjoint", "differentiate")}
+ENTRIES = {Library.SOLVE: ("solve",), Library.ADJOINT: ("adjoint", "differentiate")}
 LINEAR = ("lanes", "lane_recursion", "pivoting")
 LINEAR_ENTRIES = {
-    "solve": (*LINEAR, "interior", "linear_quadratic", "solve"),
-    "adjoint": ("adjoint", *LINEAR, "lane_adjoint", "differentiate"),
+    Library.SOLVE: (*LINEAR, "interior", "linear_quadratic", "solve"),
+    Library.ADJOINT: ("adjoint", *LINEAR, "lane_adjoint", "differentiate"),
 }
 """Headers that each library has besides, with its functions for the caller; those of
 linear-quadratic problems differ."""
@@ -42,7 +51,7 @@ def source(problem: StagedProblem, library: str, real: str) -> str:
 
     Args:
         problem: The stages.
-        library: "solve" or "adjoint".
+        library: A `Library`.
         real: "float" or "double".
     """
     status = {name: int(SolverStatus[name]) for name in ("CONVERGED", "STALLED", "NOT_FINITE")}
@@ -54,8 +63,8 @@ def source(problem: StagedProblem, library: str, real: str) -> str:
         *(f"#define DMMV_{name} {value}" for name, value in status.items()),
         *(["#define DMMV_LINEAR_QUADRATIC"] if is_linear else []),
         *opening(real, *HEADERS),
-        *_problem(problem, step, costs, library == "adjoint"),
-        *map(header, (LINEAR_ENTRIES if is_linear else ENTRIES)[library]),
+        *_problem(problem, step, costs, library == Library.ADJOINT),
+        *map(header, (LINEAR_ENTRIES if is_linear else ENTRIES)[Library(library)]),
     ]
     return "\n".join(parts) + "\n"
 

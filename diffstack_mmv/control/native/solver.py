@@ -19,7 +19,7 @@ from torch import Tensor
 from diffstack_mmv.control.compilation import kind, label, refusals, retain_freed_memory
 from diffstack_mmv.control.iteration import Settings
 from diffstack_mmv.control.native.capture import Taken, Trajectory
-from diffstack_mmv.control.native.generation import source
+from diffstack_mmv.control.native.generation import Library, source
 from diffstack_mmv.control.native.lowering import CannotLowerError
 from diffstack_mmv.control.native.rows import BatchRecorder, forms_of, from_rows, in_rows
 from diffstack_mmv.control.native.stages import StagedProblem
@@ -104,11 +104,16 @@ class Workshop:
     def __init__(self, problem: str) -> None:
         self.problem = problem
         self.recorder = BatchRecorder()
-        self.known: dict[str, set[int]] = {"solve": set(), "adjoint": set()}
+        self.known: dict[Library, set[int]] = {each: set() for each in Library}
         self.is_refused = False
 
     def solve(
-        self, dynamics: Dynamics, cost: Cost, numbers: Numbers, state: Tensor, controls: Tensor
+        self,
+        dynamics: Dynamics,
+        cost: Cost,
+        numbers: Numbers,
+        state: Float[Tensor, "*b n"],
+        controls: Float[Tensor, "*b T m"],
     ) -> Solution | None:
         """The solution, None where there is no library."""
         try:
@@ -129,11 +134,11 @@ class Workshop:
         Both before the first solution: what cannot be built backward could not be solved otherwise
         any more.
         """
-        wanted = ("solve", "adjoint") if differentiates else ("solve",)
+        wanted = tuple(Library) if differentiates else (Library.SOLVE,)
         missing = [name for name in wanted if id(problem) not in self.known[name]]
         if not missing:
             return
-        if "solve" in missing and len(self.known["solve"]) >= MOST_LIBRARIES:
+        if Library.SOLVE in missing and len(self.known[Library.SOLVE]) >= MOST_LIBRARIES:
             raise CannotLowerError(f"more than {MOST_LIBRARIES} shapes")
         began_s = time.perf_counter()
         told = " and ".join(missing)
@@ -146,31 +151,31 @@ class Workshop:
             self.known[name].add(id(problem))
 
 
-_LIBRARIES: dict[tuple[int, str, torch.dtype], tuple[StagedProblem, Future[Any]]] = {}
+_LIBRARIES: dict[tuple[int, Library, torch.dtype], tuple[StagedProblem, Future[Any]]] = {}
 
 
-def library(problem: StagedProblem, name: str, dtype: torch.dtype) -> Any:
-    """The library "solve" or "adjoint" of a problem."""
+def library(problem: StagedProblem, name: Library, dtype: torch.dtype) -> Any:
+    """A library of a problem."""
     return _begun(problem, name, dtype).result()
 
 
-def _begun(problem: StagedProblem, name: str, dtype: torch.dtype) -> Future[Any]:
+def _begun(problem: StagedProblem, name: Library, dtype: torch.dtype) -> Future[Any]:
     """A library that is there, or being built."""
     key = id(problem), name, dtype
     if key not in _LIBRARIES:
         retain_freed_memory()
         code = source(problem, name, REALS[dtype])
         length = effort_of(code)
-        if name == "solve" and length > LONGEST_SOURCE:
+        if name == Library.SOLVE and length > LONGEST_SOURCE:
             raise CannotBuildError(f"a source of {length} characters takes too long")
         # the problem is kept, so that no other one gets its identity
         _LIBRARIES[key] = problem, _builders().submit(load, code, *_effort(name, length))
     return _LIBRARIES[key][1]
 
 
-def _effort(name: str, length: int) -> list[str]:
+def _effort(name: Library, length: int) -> list[str]:
     """Options of the compiler for a library whose source has so many characters."""
-    once = ["-O1"] if name == "adjoint" and length > LONG_ADJOINT else []
+    once = ["-O1"] if name == Library.ADJOINT and length > LONG_ADJOINT else []
     return [*once, *(QUICKLY if length > LONG_SOURCE else ())]
 
 
@@ -199,7 +204,11 @@ def _zero_trajectory(
 
 
 def solved(
-    taken: Taken, parameters: Sequence[Tensor], numbers: Numbers, state: Tensor, controls: Tensor
+    taken: Taken,
+    parameters: Sequence[Tensor],
+    numbers: Numbers,
+    state: Float[Tensor, "*b n"],
+    controls: Float[Tensor, "*b T m"],
 ) -> Solution:
     """Call the library, with derivatives where they are asked for."""
     batch = state.shape[:-1]
@@ -242,7 +251,7 @@ class _Solve(torch.autograd.Function):
         )
         given = parameters, box, state.contiguous(), controls.contiguous()
         results = x, u, cost, residual, iterations, status
-        call = library(problem, "solve", state.dtype).dmmv_solve
+        call = library(problem, Library.SOLVE, state.dtype).dmmv_solve
         call(*_counts(count), *pointers(*given), ctypes.byref(record), *pointers(*results))
         sizes = [one.numel() for one in taken.parameters]
         ctx.problem, ctx.forms = problem, forms_of(tensors, sizes, ctx.needs_input_grad[4:])
@@ -257,7 +266,7 @@ class _Solve(torch.autograd.Function):
         valid = status == SolverStatus.CONVERGED
         by_parameters, by_state = torch.empty_like(parameters), torch.empty_like(x[:, 0])
         given = parameters, box, x, u, valid, *(each.contiguous() for each in slopes[:3])
-        call = library(ctx.problem, "adjoint", x.dtype).dmmv_adjoint
+        call = library(ctx.problem, Library.ADJOINT, x.dtype).dmmv_adjoint
         call(*_counts(len(x)), *pointers(*given), *pointers(by_parameters, by_state))
         return None, None, by_state, None, *from_rows(by_parameters, ctx.forms)
 
