@@ -67,6 +67,27 @@ def test_nothing_overflows_in_single_precision(function, size):
 
 
 @pytest.mark.parametrize(
+    "function",
+    [
+        *(sinc, sinc_slope, limiter, limiter_gain, limiter_rest, arctan_ratio, tanh_ratio),
+        lambda x: soft_clamp(x, 0.7),
+        lambda x: safe_norm(x.expand(3, -1).mT),
+        lambda x: smooth_maximum(x, torch.zeros_like(x), 0.1),
+        lambda x: saturate(x[:, None], x.new_tensor([-2.0]), x.new_tensor([3.0])),
+    ],
+)
+@pytest.mark.parametrize(("dtype", "largest"), [(torch.float32, 1e19), (torch.float64, 1e153)])
+def test_everything_is_finite_up_to_the_stated_size(function, dtype, largest):
+    sizes = torch.tensor([0.0, 1.0, 1e-3 * largest, 0.5 * largest, largest], dtype=dtype)
+    x = torch.cat([sizes, -sizes]).requires_grad_()
+    value = function(x)
+    (slope,) = torch.autograd.grad(value.sum(), x, create_graph=True)
+    (bend,) = torch.autograd.grad(slope.sum(), x)
+    for order, found in enumerate((value, slope, bend)):
+        assert found.isfinite().all(), f"derivative {order}"
+
+
+@pytest.mark.parametrize(
     "function", [sinc, sinc_slope, limiter, limiter_gain, arctan_ratio, tanh_ratio, torch.tanh]
 )
 @pytest.mark.parametrize("point", [0.0, 1e-9, 0.02999, 0.03, 0.29999, 0.3, 0.30001, 5.0])
