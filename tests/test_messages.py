@@ -91,6 +91,17 @@ def test_wheelbases_in_other_units():
     [
         ("acceleration_mps2,steer_rad\n0,45\n", "stay below π/2 in the column steer_rad, but got"),
         ("acceleration_mps2,steer_deg\n0,45\n", "with the columns acceleration_mps2, steer_rad"),
+        ("acceleration,steer\n0,1\n", "steer_rad, but got the columns acceleration, steer in"),
+        ("acceleration_mps2;steer_rad\n0;1\n", "Name them in the first row, between commas."),
+        ("acceleration_mps2,steer_rad\n0,1\n0,x\n", "'x' in row 2, column steer_rad, in"),
+        ("acceleration_mps2,steer_rad\n0\n", "but got None in row 1, column steer_rad, in"),
+        ("acceleration_mps2,steer_rad\n0,nan\n", "but got [0.0, nan] in row 1 in"),
+        ("acceleration_mps2,steer_rad\n0,1,2\n", "but got more in row 1 in"),
+        ("", "but got an empty file in"),
+        (
+            "time_s,acceleration_mps2,steer_rad\n0,0,0\n0.1,0,0\n0.6,0,0\n",
+            "have steps of 0.1 s in the column time_s, but got 0.5 s before row 3 in",
+        ),
         ("acceleration_mps2,steer_rad\n", "`controls` must hold at least one row, but got 0 in"),
     ],
 )
