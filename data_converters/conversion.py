@@ -21,6 +21,7 @@ from data_converters.recordings import SceneSource
 from data_converters.report import ConversionReport, SceneReport
 from data_converters.scene_conversion import convert_scene, finished_scene
 from dmmv_conventions.cache import FORMAT_VERSION, REPORT_FILE, STATE_FILE
+from dmmv_conventions.checks import message
 from dmmv_conventions.disk import disk_is_full
 from dmmv_conventions.locks import in_turn
 
@@ -49,12 +50,23 @@ def convert(settings: ConversionSettings) -> ConversionReport:
             reports = _convert_scenes(settings, sources)
             return _finish(settings, reports)
     except OSError as error:
-        if not disk_is_full(error):
+        told = _told_of_cache(error, settings.cache)
+        if not told:
             raise
+        raise ConversionError(told) from error
+
+
+def _told_of_cache(error: OSError, cache: Path) -> str:
+    """The message for a folder of the cache that cannot be written, "" for any other failure."""
+    if disk_is_full(error):
         remedy = "Free space and run the same command again: finished scenes are kept."
-        raise ConversionError(
-            fault("cache", "have free disk space", error.strerror, settings.cache, remedy)
-        ) from error
+        return fault("cache", "have free disk space", error.strerror, cache, remedy)
+    place = Path(error.filename or "")
+    above = cache.is_relative_to(place) and not place.is_dir()
+    if error.filename and (place.is_relative_to(cache) or above):
+        needs = "be a folder that can be written"
+        return message("cache", needs, f"'{place}' ({error.strerror})", "", "Give another one.")
+    return ""
 
 
 def _convert_scenes(settings: ConversionSettings, sources: list[SceneSource]) -> list[SceneReport]:

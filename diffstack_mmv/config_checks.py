@@ -52,6 +52,8 @@ def require_same_type(key: str, default: Any, value: Any) -> None:
     elif value is not None:
         wanted = _refusal(default, value)
         remedy = f"Write ++{key}=VALUE to have it all the same."
+        if wanted == "a list":
+            remedy = f"Write {key}=[{value}]."
         require(not wanted, key, f"be {wanted}", repr(value), "", remedy)
 
 

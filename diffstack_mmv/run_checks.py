@@ -11,12 +11,16 @@ def require_reports(runs: Sequence[str]) -> None:
     """Refuse folders that scripts/evaluate.py did not write.
 
     Raises:
-        ValueError: There is no folder, or no `metrics.json` in one.
+        ValueError: There is no folder, or no `metrics.json` in one, or one is named twice.
     """
     remedy = "Give those that evaluate.py wrote."
     require(len(runs) > 0, "runs", "name at least one folder", "[]", "", remedy)
     for run in runs:
         require_file("runs", str(Path(run) / "metrics.json"), remedy)
+    places = [Path(run).resolve() for run in runs]
+    twice = [str(run) for run, place in zip(runs, places, strict=True) if places.count(place) > 1]
+    told = " and ".join(twice)
+    require(not twice, "runs", "name each folder once", told, "", "Leave one of them out.")
 
 
 RESULTS = (

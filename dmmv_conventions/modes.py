@@ -1,5 +1,6 @@
 """Modes of transport: how agents travel, in caches, batches, configurations and tables."""
 
+import difflib
 from enum import IntEnum
 
 from dmmv_conventions.checks import require
@@ -34,7 +35,9 @@ class Mode(IntEnum):
         """
         labels = sorted(mode.label for mode in cls)
         known = name.lower() in labels
-        require(known, "mode", f"be one of {', '.join(labels)}", repr(name.lower()))
+        close = difflib.get_close_matches(name.lower(), labels, 1)
+        remedy = f"Did you mean '{close[0]}'?" if close else ""
+        require(known, "mode", f"be one of {', '.join(labels)}", repr(name.lower()), "", remedy)
         return cls[name.upper()]
 
     @property

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import pytest
 
@@ -33,8 +34,6 @@ from diffstack_mmv.data_checks import (
         (0.1, True, "a number"),
         (1, 1.5, "a whole number"),
         (True, "maybe", "true or false"),
-        (["a"], "a", "a list"),
-        (["a"], 1, "a list"),
         ({"b": {"c": 1}}, {"b": {"c": "x"}}, "a number"),
         ({"b": {"c": 1}}, {"b": 2}, "settings, each with its name"),
         ({"b": 1}, [2], "settings, each with its name"),
@@ -43,6 +42,13 @@ from diffstack_mmv.data_checks import (
 def test_a_value_of_another_type_is_refused(default, value, wanted):
     with pytest.raises(ValueError, match=f"`a.*` must be {wanted}, but got .* Write [+][+]a"):
         require_same_type("a", default, value)
+
+
+@pytest.mark.parametrize("value", ["b", 1])
+def test_one_value_instead_of_a_list_is_told_how_a_list_is_written(value):
+    told = f"`a` must be a list, but got {value!r}. Write a=[{value}]."
+    with pytest.raises(ValueError, match=re.escape(told)):
+        require_same_type("a", ["a"], value)
 
 
 @pytest.mark.parametrize(

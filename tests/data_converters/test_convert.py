@@ -1,5 +1,6 @@
 """Conversion as a whole: resumable, parallel, all or nothing, and its errors."""
 
+import dataclasses
 import errno
 import json
 import shutil
@@ -144,6 +145,15 @@ def test_a_full_disk_gives_one_message_and_leaves_the_earlier_cache(
         convert(changed)
     assert scene_bytes(settings.cache / "thab_vru") == before
     assert read_state(settings.cache, "thab_vru")["settings_hash"] == settings.digest()
+
+
+@pytest.mark.parametrize("below", ["", "cache", "a/cache"])
+def test_a_cache_where_no_folder_can_be_is_named(thab_settings, tmp_path, below):
+    (tmp_path / "file").write_text("not a folder")
+    settings = dataclasses.replace(thab_settings(), cache=tmp_path / "file" / below)
+    told = "`cache` must be a folder that can be written, but got '.*file.* Give another one.$"
+    with pytest.raises(ConversionError, match=told):
+        convert(settings)
 
 
 def test_another_failure_of_the_disk_is_not_called_full(thab_settings, monkeypatch):

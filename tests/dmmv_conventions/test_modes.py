@@ -45,6 +45,11 @@ def test_an_unknown_name_lists_the_known_ones(name):
         Mode.named(name)
 
 
+def test_a_misspelt_name_is_told_what_was_meant():
+    with pytest.raises(ValueError, match="but got 'bicyle'. Did you mean 'bicycle'[?]$"):
+        Mode.named("bicyle")
+
+
 @pytest.mark.parametrize(
     "module", ["dmmv_conventions.modes", "diffstack_mmv.types", "data_converters.modes"]
 )

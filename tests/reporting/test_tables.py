@@ -130,6 +130,16 @@ def test_paired_tests_say_which_sign_is_better(runs, score, better):
     assert set(tests["better"]) == {better}
 
 
+def test_pairs_too_few_to_test_have_a_dash_for_p(runs, tmp_path):
+    comparison = compare(read_runs(runs), OPEN_LOOP)
+    tests = paired_tests(runs, OPEN_LOOP["plan_ade"]).assign(p=[0.01, np.nan])
+    write_comparison(tmp_path, comparison, tests)
+    lines = (tmp_path / "table.md").read_text().splitlines()
+    assert lines[-1].replace(" ", "").endswith("|-|")
+    assert lines[-2].replace(" ", "").endswith("|0.01|")
+    assert "nan" not in "".join(lines)
+
+
 @pytest.mark.parametrize(
     ("heading", "best"),
     [("ADE [m]", "kbm"), ("plan ADE [m]", "kbm"), ("collisions", "kbm"), ("solved", "unicycle")],

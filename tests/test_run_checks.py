@@ -1,0 +1,36 @@
+"""Checks of folders that commands have written."""
+
+import re
+
+import pytest
+
+from diffstack_mmv.run_checks import require_reports
+
+
+@pytest.fixture
+def report(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "metrics.json").write_text("{}")
+
+
+@pytest.mark.usefixtures("report")
+def test_folders_with_a_report_pass():
+    require_reports(["a", "b"])
+
+
+@pytest.mark.usefixtures("report")
+@pytest.mark.parametrize("runs", [["a", "b", "a"], ["a", "b", "./a"]])
+def test_a_folder_that_is_named_twice_is_refused(runs):
+    told = f"`runs` must name each folder once, but got a and {runs[2]}. Leave one of them out."
+    with pytest.raises(ValueError, match=re.escape(told)):
+        require_reports(runs)
+
+
+@pytest.mark.parametrize(
+    ("runs", "told"), [([], "name at least one folder"), (["none"], "be an existing file")]
+)
+def test_runs_without_a_report_are_refused(runs, told):
+    with pytest.raises(ValueError, match=f"`runs` must {told}"):
+        require_reports(runs)
