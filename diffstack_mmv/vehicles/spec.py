@@ -28,6 +28,8 @@ _POSITIVE = (
     "length_scale",
 )
 
+FOOTPRINTS_MAX = 10.0  # a length beyond is in another unit than metres
+
 
 def require_vehicle(spec: object) -> None:
     """Refuse anything but a `VehicleSpec`.
@@ -97,13 +99,31 @@ class VehicleSpec:
                 "A leaning vehicle needs it.",
             )
         require_possible_layout(self.wheels, self.steering, self.leans or self.balanced, where)
+        self._require_metres(where)
         self._require_parameters(where)
-        require(
-            self.wheelbase.unit == "m", "wheelbase.unit", "be 'm'", repr(self.wheelbase.unit), where
-        )
+        unit = repr(self.wheelbase.unit)
+        remedy = "Convert initial, low and high."
+        require(self.wheelbase.unit == "m", "wheelbase.unit", "be 'm'", unit, where, remedy)
         for _, low, _ in self.wheelbase.entries():
             require_positive(
                 "wheelbase.low", low, where, "A vehicle with one axle takes a virtual wheelbase."
+            )
+
+    def _require_metres(self, where: str) -> None:
+        """Refuse lengths in centimetres or millimetres: out of all proportion to the footprint."""
+        longest = max(self.footprint.length_m, self.footprint.width_m)
+        lengths = {"height_m": self.height_m, "wheelbase.initial": self.wheelbase.entries()[0][0]}
+        for wheel in self.wheels:
+            for key in ("x_m", "y_m", "radius_m"):
+                lengths[f"wheels.{wheel.name}.{key}"] = abs(getattr(wheel, key))
+        for key, length in lengths.items():
+            require(
+                length <= FOOTPRINTS_MAX * longest,
+                key,
+                f"be at most {FOOTPRINTS_MAX:g} times the footprint of {longest:g} m",
+                f"{length:g}",
+                where,
+                "Give metres.",
             )
 
     def _require_parameters(self, where: str) -> None:
@@ -117,6 +137,7 @@ class VehicleSpec:
                 f"be '{unit}'",
                 repr(parameter.unit),
                 where,
+                "Convert initial, low and high.",
             )
             lengths = (None, len(self.wheels)) if name in WHEEL_PARAMETERS else (None,)
             remedy = (

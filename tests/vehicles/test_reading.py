@@ -58,6 +58,16 @@ MISTAKES = [
     ("steering", {"trucks": {"gain": 1.0, "pivot_rad": 0.7}}, "wheels on trucks"),
     ("smoothing", {"friction_share": 1.2}, "must lie in (0, 1)"),
     ("wheels", [1, 2], "mapping from names"),
+    ("wheelbase/unit", "cm", "must be 'm', but got 'cm' for vehicle 'bicycle'. Convert initial"),
+    ("parameters/friction/unit", "%", "but got '%' for vehicle 'bicycle'. Convert initial, low"),
+    ("wheels/front/x_m", 60, "`wheels.front.x_m` must be at most 10 times the footprint of 1.8 m"),
+    ("wheels/front/radius_m", 34.0, "but got 34 for vehicle 'bicycle'. Give metres."),
+    ("height_m", 100.0, "`height_m` must be at most 10 times the footprint of 1.8 m, but got 100"),
+    (
+        "wheelbase",
+        {"initial": 105, "low": 89, "high": 121, "unit": "m", "learn": True, "source": "tape"},
+        "`wheelbase.initial` must be at most 10 times the footprint of 1.8 m, but got 105",
+    ),
 ]
 
 
