@@ -199,7 +199,7 @@ def write_comparison(folder: Path, comparison: Comparison, tests: pd.DataFrame) 
     sections = [str(_marked(comparison, "**", "**").to_markdown(index=False))]
     if not tests.empty:
         told = "Paired by scene, Wilcoxon signed-rank (p from six unequal pairs on):"
-        shown = tests.astype(object).where(tests.notna(), None)
+        shown = tests.astype(object).replace(np.nan, None)
         sections += [told, str(shown.to_markdown(index=False, floatfmt=".4g", missingval="-"))]
     latex = str(_marked(comparison, OPEN, CLOSE).to_latex(index=False, escape=True))
     write_text(folder / "table.md", "\n\n".join(sections) + "\n")
