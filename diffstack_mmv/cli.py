@@ -9,10 +9,9 @@ import math
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from datetime import datetime
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -34,6 +33,7 @@ with needs_to_run("stack", "the command lines"):
     from omegaconf import DictConfig, OmegaConf, read_write
     from omegaconf.errors import OmegaConfBaseException
 
+    from diffstack_mmv.command_line import folders_as, understood
     from diffstack_mmv.composition import changed_defaults, composed_once, value_of
     from diffstack_mmv.config_checks import require_complete, require_same_type, require_seed
     from diffstack_mmv.override_errors import one_line, told, told_of_folder
@@ -143,8 +143,7 @@ def command(
 
         @functools.wraps(task)
         def main() -> None:
-            arguments = _sweep_in_folder(_sweep_first(sys.argv[1:]), config_name)
-            sys.argv[1:] = [_vehicle_from_file(each) for each in arguments]
+            sys.argv[1:] = understood(sys.argv[1:], config_name)
             with (
                 _no_search_for_garbage(),
                 _composition_told(config_folder, config_name),
@@ -155,19 +154,6 @@ def command(
         return main
 
     return decorate
-
-
-def _sweep_first(arguments: list[str]) -> list[str]:
-    """Move `-m` to the front: overrides on both sides of it would not be understood."""
-    return sorted(arguments, key=lambda argument: argument not in ("-m", "--multirun"))
-
-
-def _sweep_in_folder(arguments: Sequence[str], name: str) -> list[str]:
-    """Give a sweep its folder: Hydra resolves it before it knows the name of the command."""
-    sweeping = any(each in ("-m", "--multirun", "hydra.mode=MULTIRUN") for each in arguments)
-    given = any(each.startswith(("out=", "hydra.sweep.dir=")) for each in arguments)
-    folder = f"outputs/{name}/{datetime.now():%Y-%m-%d_%H-%M-%S}"
-    return [*arguments, f"out={folder}"] if sweeping and not given else list(arguments)
 
 
 @contextmanager
@@ -216,6 +202,9 @@ def _composition_told(folder: Path, config_name: str) -> Iterator[None]:
     except OSError as error:
         # outside of a job Hydra touches the disk for nothing else
         _exit(told_of_folder(error))
+    except ValueError as error:
+        # what a job raises is told within it: this is of options that exclude each other
+        _exit(one_line(str(error)))
     finally:
         del os.environ[FULL_ERROR]
         _RAISING.reset(before)
@@ -251,51 +240,12 @@ def _exit(line: str) -> NoReturn:
     raise SystemExit(1)
 
 
-_WITH_A_VALUE = (
-    *("--cfg", "-c", "--package", "-p", "--config-path", "-cp", "--config-name", "-cn"),
-    *("--config-dir", "-cd", "--info", "-i", "--experimental-rerun"),
-)
-"""Options of Hydra that the next word belongs to."""
-
-
-def folders_as(key: str, arguments: Sequence[str]) -> list[str]:
-    """Command line in which bare folders, as in `report.py RUN RUN`, are the list of one key.
-
-    What begins with a dash or sets a key stays, unless it is a folder of that name; so does the
-    word after an option of Hydra that needs one, as in `--cfg job`.
-
-    Args:
-        key: The key.
-        arguments: The command line without its first word.
-    """
-    bare, rest = [], []
-    for before, each in zip(["", *arguments], arguments, strict=False):
-        of_hydra = before in _WITH_A_VALUE
-        (bare if _is_folder(each) and not of_hydra else rest).append(each)
-    quoted = ",".join("'" + each.replace("'", "\\'") + "'" for each in bare)
-    return [*rest, f"{key}=[{quoted}]"] if bare else rest
-
-
-def _is_folder(argument: str) -> bool:
-    named = not argument.startswith("-") and "=" not in argument
-    return named or Path(argument).is_dir()
-
-
 def save_config(config: DictConfig, folder: Path) -> None:
     """Write a configuration to `folder/config.yaml`, atomically."""
     folder.mkdir(parents=True, exist_ok=True)
     unfinished = folder / "config.yaml.part"
     OmegaConf.save(config, unfinished)
     unfinished.replace(folder / "config.yaml")
-
-
-def _vehicle_from_file(argument: str) -> str:
-    """`vehicle=NAME` selects an option of a group, as Hydra knows it.
-
-    `vehicle=FILE.yaml` becomes `vehicle_file=FILE.yaml`.
-    """
-    is_file = argument.startswith("vehicle=") and argument.endswith((".yaml", ".yml"))
-    return argument.replace("vehicle=", "vehicle_file=", 1) if is_file else argument
 
 
 def _read_vehicle_file(config: DictConfig) -> None:

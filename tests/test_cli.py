@@ -72,6 +72,36 @@ def test_the_resolved_configuration_is_saved_before_the_work(run, tmp_path):
     assert "`x` must be positive, but got -1." in told
 
 
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--cfg", "job"),
+        ("-c", "job", "--resolve"),
+        ("--cfg=job",),
+        ("--config-dir", "more", "--cfg", "job"),
+        ("--info",),
+        ("--info", "config"),
+    ],
+)
+def test_settings_may_stand_on_both_sides_of_an_option(options, tmp_path, monkeypatch, capsys):
+    for folder in ("configs", "more"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "configs" / "task.yaml").write_text(CONTENT)
+    monkeypatch.chdir(tmp_path)
+    GlobalHydra.instance().clear()
+    monkeypatch.setattr(sys, "argv", ["task", "needed=1", *options, "out=there"])
+    command(tmp_path / "configs", "task")(lambda config: None)()
+    shown = capsys.readouterr().out
+    assert "needed: 1" in shown
+    assert "out: there" in shown
+
+
+def test_options_that_exclude_each_other_are_told_in_one_line(run):
+    config, told = run("needed=1", "-m", "--cfg", "job")
+    assert config is None
+    assert told.splitlines()[-1].startswith("Only one of --run, --multirun, --cfg, --info")
+
+
 def test_a_vehicle_comes_from_a_file(run, tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text("name: mine\n")

@@ -1,0 +1,75 @@
+"""The words of a command line, put as Hydra understands them."""
+
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+
+def understood(arguments: Sequence[str], name: str) -> list[str]:
+    """Command line as Hydra understands it.
+
+    Options stand at the end, a sweep (`-m`) has a folder, and the file of a vehicle is one.
+
+    Args:
+        arguments: The command line without its first word.
+        name: Name of the command.
+    """
+    words = _options_last(_sweep_in_folder(arguments, name))
+    return [_vehicle_from_file(each) for each in words]
+
+
+def _options_last(arguments: Sequence[str]) -> list[str]:
+    """Move options of Hydra to the end: overrides on both sides of one would not be understood."""
+    overrides, options = [], []
+    for before, each in zip(["", *arguments], arguments, strict=False):
+        follows = before in _WITH_A_VALUE and not (before in _ALONE_AS_WELL and "=" in each)
+        (options if each.startswith("-") or follows else overrides).append(each)
+    return [*overrides, *options]
+
+
+def _sweep_in_folder(arguments: Sequence[str], name: str) -> list[str]:
+    """Give a sweep its folder: Hydra resolves it before it knows the name of the command."""
+    sweeping = any(each in ("-m", "--multirun", "hydra.mode=MULTIRUN") for each in arguments)
+    given = any(each.startswith(("out=", "hydra.sweep.dir=")) for each in arguments)
+    folder = f"outputs/{name}/{datetime.now():%Y-%m-%d_%H-%M-%S}"
+    return [*arguments, f"out={folder}"] if sweeping and not given else list(arguments)
+
+
+_WITH_A_VALUE = (
+    *("--cfg", "-c", "--package", "-p", "--config-path", "-cp", "--config-name", "-cn"),
+    *("--config-dir", "-cd", "--info", "-i", "--experimental-rerun"),
+)
+"""Options of Hydra that the next word belongs to."""
+_ALONE_AS_WELL = ("--info", "-i")
+
+
+def folders_as(key: str, arguments: Sequence[str]) -> list[str]:
+    """Command line in which bare folders, as in `report.py RUN RUN`, are the list of one key.
+
+    What begins with a dash or sets a key stays, unless it is a folder of that name; so does the
+    word after an option of Hydra that needs one, as in `--cfg job`.
+
+    Args:
+        key: The key.
+        arguments: The command line without its first word.
+    """
+    bare, rest = [], []
+    for before, each in zip(["", *arguments], arguments, strict=False):
+        of_hydra = before in _WITH_A_VALUE
+        (bare if _is_folder(each) and not of_hydra else rest).append(each)
+    quoted = ",".join("'" + each.replace("'", "\\'") + "'" for each in bare)
+    return [*rest, f"{key}=[{quoted}]"] if bare else rest
+
+
+def _is_folder(argument: str) -> bool:
+    named = not argument.startswith("-") and "=" not in argument
+    return named or Path(argument).is_dir()
+
+
+def _vehicle_from_file(argument: str) -> str:
+    """`vehicle=NAME` selects an option of a group, as Hydra knows it.
+
+    `vehicle=FILE.yaml` becomes `vehicle_file=FILE.yaml`.
+    """
+    is_file = argument.startswith("vehicle=") and argument.endswith((".yaml", ".yml"))
+    return argument.replace("vehicle=", "vehicle_file=", 1) if is_file else argument
