@@ -6,6 +6,7 @@ from pathlib import Path
 
 from diffstack_mmv.cli import DictConfig, command, instantiate
 from diffstack_mmv.config_checks import require_folder
+from dmmv_conventions.cache import REPORT_FILE
 from dmmv_conventions.checks import require
 from dmmv_conventions.configs import config_folder
 
@@ -40,6 +41,7 @@ def main(config: DictConfig) -> None:
     )
     report = convert(settings)
     logger.info("%s", json.dumps(report.totals(), indent=2))
+    logger.info("Report: %s", settings.cache / REPORT_FILE)
 
 
 if __name__ == "__main__":

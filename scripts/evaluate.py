@@ -110,6 +110,8 @@ def main(config: DictConfig) -> None:
     out = Path(config.out)
     write_parquet(out / "samples.parquet", evaluation.samples)
     write_metrics(out, header | metrics, scores)
+    for earlier in out.glob("plans_*.png"):  # of other modes, which the tables no longer have
+        earlier.unlink()
     if config.plots:
         _draw(config, stack, windows, evaluation)
     if config.get("wandb"):

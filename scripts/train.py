@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,8 @@ from diffstack_mmv.training_checks import require_training
 from dmmv_conventions.checks import require
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
+
+logger = logging.getLogger(__name__)
 
 if TYPE_CHECKING:
     import pytorch_lightning as pl
@@ -91,6 +94,10 @@ def main(config: DictConfig) -> float | None:
     with own_processes():
         trainer.fit(stack, data, ckpt_path=resume)
     best = trainer.checkpoint_callback
+    if trainer.is_global_zero:
+        last = Path(config.out) / "checkpoints" / "last.ckpt"
+        kept = getattr(best, "best_model_path", "") or last
+        logger.info("Checkpoint: %s; scripts/evaluate.py checkpoint=%s scores it", kept, kept)
     score = getattr(best, "best_model_score", None)
     return None if score is None else float(score)
 

@@ -117,7 +117,9 @@ def test_report_has_a_row_per_mode_beside_the_baselines(workplace):
 
 def test_evaluation_is_deterministic(succeed, workplace, tmp_path):
     checkpoint = f"checkpoint={workplace / 'run' / 'checkpoints' / 'best.ckpt'}"
+    (tmp_path / "plans_unicycle.png").touch()
     succeed("evaluate", checkpoint, *data_of(workplace), "plots=false", f"out={tmp_path}")
+    assert not list(tmp_path.glob("plans_*.png")), "pictures of an earlier evaluation are left"
     again = json.loads((tmp_path / "metrics.json").read_text())
     before = json.loads((workplace / "report" / "metrics.json").read_text())
     assert again["modes"] == before["modes"]
