@@ -14,12 +14,14 @@ def draw_reliability(levels: Mapping[str, np.ndarray]) -> Figure:
     A calibrated forecast is on the diagonal, one that is too sure below it.
 
     Args:
-        levels: Mode -> level of the smallest region that holds each truth, in [0, 1].
+        levels: Mode -> level of the smallest region that holds each truth; above 1 beyond all
+            samples of the forecast.
     """
     figure = new_figure(4.2, 4.0)
     axes = figure.add_subplot(1, 1, 1)
     axes.plot([0, 1], [0, 1], color="0.6", linewidth=1, linestyle="--", label="calibrated")
-    nominal = np.linspace(0, 1, 41)
+    # the region of probability 1 is the whole plane, whatever samples reach
+    nominal = np.linspace(0, 1, 41)[1:-1]
     for index, (mode, own) in enumerate(levels.items()):
         observed = [(own <= region).mean() for region in nominal]
         axes.plot(nominal, observed, color=PALETTE[index % len(PALETTE)], linewidth=2, label=mode)
