@@ -18,7 +18,7 @@ PLACE = "on the command line"
 _ALL_KEYS = "`--cfg job` prints all keys."
 _EXTRAS = {"hydra/sweeper/optuna": "sweep", "hydra/launcher/submitit": "sweep"}
 _UNKNOWN_KEY = re.compile(r"Could not (?:override|delete from config\.|delete) '?([^'\s]+)'")
-
+_NO_CHOICE = re.compile(r"You must specify '(\S+)',.*?Available options:(.*)", re.DOTALL)
 _TWICE = re.compile(r"Multiple values for (\S+)\.")
 
 
@@ -47,6 +47,8 @@ def told(
     if found := _TWICE.match(str(error)):
         given = _given(found[1], arguments)
         return message(found[1], "be given once", given, PLACE, "Leave out the `+`.")
+    if found := _NO_CHOICE.match(str(error)):
+        return f"`{found[1]}` must be given. Add {found[1]}=NAME: {', '.join(found[2].split())}."
     if found := _UNKNOWN_KEY.match(str(error)):
         return _unknown_key(found[1], arguments, folder, config_name)
     return one_line(str(error))

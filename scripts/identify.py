@@ -72,6 +72,8 @@ def main(config: DictConfig) -> None:
     write_identification(out, header | content)
     tracks = [FittedTrack(**motion.arrays()) for motion in result.motions()]
     save_identification(out, content, tracks, columns, config.dt_s)
+    if len(tracks) < study.tracks:
+        logger.warning("%d tracks were fitted, %d were asked for.", len(tracks), study.tracks)
     origin = f"identified from {len(tracks)} tracks of {config.data.name}"
     vehicle = result.calibrated(study.spec, origin)
     save_vehicle(vehicle, out / "vehicle.yaml", vehicle_provenance(header, content, name))

@@ -80,6 +80,8 @@ def main(config: DictConfig) -> None:
     available = {name for name, told in wanted.items() if _is_there(told.root)}
     absent = [f"{name}: no recordings in {told.root}." for name, told in wanted.items()
               if name not in available]  # fmt: skip
+    for each in absent:
+        logger.info("Left out: %s", each)
     runs = list(_runs(config, out))
     converted = [_conversion(config, name, out) for name in sorted(available)]
     begun = _pretrainings(config, [run for run in runs if run.data in available], out)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
 from diffstack_mmv.config_checks import require_file
-from dmmv_conventions.checks import require, require_at_least, require_one_of
+from dmmv_conventions.checks import require, require_one_of
 from dmmv_conventions.configs import config_folder
 
 logger = logging.getLogger(__name__)
@@ -13,14 +13,15 @@ logger = logging.getLogger(__name__)
 
 def check(config: DictConfig) -> None:
     """Refuse folders that are no episodes of a run, and an unknown format."""
-    require_at_least("len(runs)", len(config.runs), 2)
-    require_at_least("len(cases)", len(config.cases), 1)
+    remedy = "Give folders DIR/episodes/NAME that navigate wrote."
+    require(len(config.runs) >= 2, "runs", "name at least two", list(config.runs), "", remedy)
+    require(len(config.cases) >= 1, "cases", "name at least one", "[]", "", "Give cases=[0].")
     require_one_of("movie", config.movie, ("gif", "mp4"))
     named = len(config.names) in (0, len(config.runs))
     require(named, "names", "be one per run, or none", list(config.names))
     for run in config.runs:
         settings = Path(run).parent.parent / "config.yaml"
-        require_file("runs", str(settings), "Give folders DIR/episodes/NAME that navigate wrote.")
+        require_file("runs", str(settings), remedy)
 
 
 @command(config_folder(), "side_by_side", check)

@@ -142,6 +142,7 @@ def test_identification_calibrates_a_vehicle_that_other_commands_accept(
     )
     result = json.loads((tmp_path / "identification.json").read_text())
     assert result["tracks"] == 3
+    assert "were asked for" not in (tmp_path / "identify.log").read_text()
     assert {"loss_before", "loss_after", "heldout_before", "heldout_after"} <= set(result)
     assert result["parameters"]["wheelbase"]["verdict"] == "not identifiable"
     assert {"tracks.png", "controls.png", "parameters.png", "spectrum.png", "profiles.png"} <= {
@@ -174,11 +175,13 @@ def circles(tmp_path):
 def test_recorded_controls_tell_the_wheelbase(succeed, circles, tmp_path):
     options = [
         "dynamics=kbm",
-        "tracks=4",
+        "tracks=9",
         "heldout=2",
         "controls={acceleration: 0.1, steer: 0.002}",
     ]
     succeed("identify", *circles, *options, *RIDER, f"out={tmp_path / 'out'}")
+    told = (tmp_path / "out" / "identify.log").read_text()
+    assert "4 tracks were fitted, 9 were asked for." in told
     result = json.loads((tmp_path / "out" / "identification.json").read_text())
     wheelbase = result["parameters"]["wheelbase"]
     assert wheelbase["estimate"] == pytest.approx(1.1, rel=0.01)
@@ -227,6 +230,7 @@ def test_resumed_run_ends_where_an_uninterrupted_one_does(workplace, tmp_path):
         ("evaluate", ["checkpoint=README.md"], "`checkpoint` must be readable"),
         ("convert", ["data.root=nowhere"], "nowhere"),
         ("compare", ["runs=[]"], "`runs` must name at least one folder"),
+        ("compare", ["runs=reports"], "`runs` must be a list, but got 'reports'. Write runs=[re"),
         ("identify", ["vehicle=skateboard"], "`mode` must have tracks"),
         ("identify", ["dynamics=kbm", "parameters=[grip]"], "must be one of wheelbase, but got"),
         ("identify", ["dynamics=kbm", "profile=[grip]"], "`profile` must be one of wheelbase"),

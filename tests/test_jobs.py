@@ -80,6 +80,12 @@ def test_sets_and_models_of_null_are_left_out(succeed, tmp_path):
     assert "10 of 10 jobs to do" in succeed("results", *arguments)
 
 
+def test_a_dry_run_names_the_sets_without_recordings(succeed, tmp_path):
+    arguments = ["size=small", f"raw={tmp_path}", "dry_run=true", f"out={tmp_path / 'out'}"]
+    told = succeed("results", *arguments)
+    assert f"Left out: sdd: no recordings in {tmp_path}" in told
+
+
 def test_settings_of_a_set_for_its_training_are_given_to_that_alone():
     with initialize_config_dir(str(config_folder()), version_base="1.3"):
         config = compose("results", ["experiment=shared_space", "raw=recordings", "out=out"])

@@ -5,6 +5,8 @@ import sys
 import pytest
 from hydra.core.global_hydra import GlobalHydra
 
+from scripts.navigate import main as navigate
+from scripts.side_by_side import main as side_by_side
 from scripts.train import main
 
 
@@ -48,6 +50,36 @@ def test_a_refused_command_line_is_told_in_one_line(arguments, told, answer):
     line = answer(*arguments)
     assert told in line
     assert len(line.splitlines()) == 1
+
+
+def test_a_group_without_a_choice_is_told_with_its_options(monkeypatch, capsys, tmp_path):
+    GlobalHydra.instance().clear()
+    arguments = ["navigate.py", "scenario=replay", f"out={tmp_path}"]
+    monkeypatch.setattr(sys, "argv", arguments)
+    with pytest.raises(SystemExit):
+        navigate()
+    GlobalHydra.instance().clear()
+    told = capsys.readouterr().err
+    assert told.startswith("`data` must be given. Add data=NAME: autobike, citr, ")
+    assert len(told.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ([], "`runs` must name at least two, but got []. Give folders DIR/episodes/NAME"),
+        (["runs=[a,b]", "cases=[]"], "`cases` must name at least one, but got []."),
+    ],
+)
+def test_too_few_runs_or_cases_side_by_side_are_named(
+    arguments, told, monkeypatch, capsys, tmp_path
+):
+    GlobalHydra.instance().clear()
+    monkeypatch.setattr(sys, "argv", ["side_by_side.py", *arguments, f"out={tmp_path}"])
+    with pytest.raises(SystemExit):
+        side_by_side()
+    GlobalHydra.instance().clear()
+    assert capsys.readouterr().err.startswith(told)
 
 
 def test_a_job_of_a_sweep_that_fails_is_named(answer):
