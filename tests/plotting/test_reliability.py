@@ -18,4 +18,4 @@ def test_a_calibrated_forecast_lies_on_the_diagonal():
 def test_truths_beyond_all_samples_are_not_told_to_miss_the_whole_plane():
     drawn = lines({"bicycle": np.array([0.2, 1.7]), "scooter": np.array([0.9])})
     assert drawn["bicycle"][:, 1].max() == 0.5
-    assert all(0 < line[0, 0] and line[-1, 0] < 1 for line in drawn.values())
+    assert all(line[0, 0] > 0 and line[-1, 0] < 1 for line in drawn.values())
