@@ -45,7 +45,7 @@ def draw_runs(motions: Mapping[str, Motion], dt_s: float, lean: np.ndarray | Non
     Args:
         motions: By model, over time.
         dt_s: Length of a step in s.
-        lean: Lean in rad over time of the vehicle that leans, if any.
+        lean: Lean in rad over time; none where the vehicle does not lean, or its model does not.
     """
     figure = new_figure(9.0, 6.4)
     path, speed, yaw, roll = (figure.add_subplot(2, 2, index) for index in range(1, 5))
@@ -63,7 +63,7 @@ def draw_runs(motions: Mapping[str, Motion], dt_s: float, lean: np.ndarray | Non
     yaw.set(xlabel="time [s]", ylabel="yaw rate [rad/s]")
     roll.set(xlabel="time [s]", ylabel="lean to the left [rad]")
     if lean is None:
-        roll.text(0.5, 0.5, "does not lean", ha="center", va="center", transform=roll.transAxes)
+        roll.text(0.5, 0.5, "the model has no lean", ha="center", va="center", transform=roll.transAxes)
     else:
         roll.plot(dt_s * np.arange(len(lean)), lean, color=PALETTE[0])
     for axes in (path, speed, yaw, roll):
