@@ -63,7 +63,9 @@ def draw_runs(motions: Mapping[str, Motion], dt_s: float, lean: np.ndarray | Non
     yaw.set(xlabel="time [s]", ylabel="yaw rate [rad/s]")
     roll.set(xlabel="time [s]", ylabel="lean to the left [rad]")
     if lean is None:
-        roll.text(0.5, 0.5, "the model has no lean", ha="center", va="center", transform=roll.transAxes)
+        roll.text(
+            0.5, 0.5, "the model has no lean", ha="center", va="center", transform=roll.transAxes
+        )
     else:
         roll.plot(dt_s * np.arange(len(lean)), lean, color=PALETTE[0])
     for axes in (path, speed, yaw, roll):
