@@ -23,8 +23,8 @@ def drawn(*shape):
 
 P, Q, R, V, W = ((3, 4, 7), (4, 2, 7), (3, 2, 7), (4, 7), (3, 7))
 EQUAL = {
-    "PQ": (product, (P, Q), "abN,bcN->acN"),
-    "P'R": (transposed_product, (P, R), "baN,bcN->acN"),
+    "PQ": (product, (P, Q), "xyN,yzN->xzN"),
+    "P'R": (transposed_product, (P, R), "yxN,yzN->xzN"),
     "Pv": (apply, (P, V), "abN,bN->aN"),
     "P'w": (transposed_apply, (P, W), "baN,bN->aN"),
 }
