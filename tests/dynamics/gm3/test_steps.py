@@ -23,7 +23,7 @@ def drawn(*shape):
 def dissipative(rate=1.0):
     """v' = A v + b with A + A' negative definite, as the tyres make it."""
     root, turn = drawn(3, 3), drawn(3, 3)
-    loss = torch.einsum("abn,cbn->acn", root, root) + 0.1 * torch.eye(3).double().unsqueeze(-1)
+    loss = torch.einsum("xyn,zyn->xzn", root, root) + 0.1 * torch.eye(3).double().unsqueeze(-1)
     return LinearEquation(rate * (turn - turn.transpose(0, 1) - loss), rate * drawn(3))
 
 
