@@ -100,6 +100,18 @@ class DynamicsModel(nn.Module, ABC):
     ) -> Float[Tensor, "*b m"]:
         """Control within the bounds that holds an acceleration (m/s²) and a curvature (1/m)."""
 
+    def curvature_within_grip(
+        self,
+        state: Float[Tensor, "*b n"],
+        acceleration: Float[Tensor, "*b"],
+        curvature: Float[Tensor, "*b"],
+    ) -> Float[Tensor, "*b"]:
+        """What of a curvature (1/m) the tyres hold beside an acceleration (m/s²).
+
+        All of it, as here by default, where a model has no tyres that could slide.
+        """
+        return curvature
+
     def state_on_course(self, motion: Motion) -> Float[Tensor, "*b n"]:
         """State of a vehicle whose reference point was tracked: its heading is its course.
 

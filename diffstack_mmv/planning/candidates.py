@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
@@ -55,15 +56,15 @@ class CandidateFan:
 
     A terminal speed fixes a constant acceleration, a lateral offset y at the end of the path of
     length s an arc of curvature 2 y / s²; one more candidate is the arc with constant acceleration
-    that ends at the goal. Since each is the motion of the model under admissible controls, all are
-    feasible for the vehicle.
+    that ends at the goal. Each is the motion of the model under admissible controls, and curves no
+    more than its tyres hold, so all are feasible for the vehicle.
 
     Args:
         speeds: Number of terminal speeds, evenly spread within reach.
         offsets: Number of lateral offsets, an odd number keeps the straight line.
         speed_change_mps: Largest change of speed over the horizon in m/s.
         offset_share: Largest lateral offset as a share of the length of the path.
-        speed_max_mps: Speed that no candidate exceeds, in m/s.
+        speed_max_mps: Speed that no candidate exceeds, in m/s, unless the vehicle does already.
         compile: Roll out in a generated library, on a CPU with a compiler.
 
     Raises:
@@ -104,12 +105,14 @@ class CandidateFan:
             found = _in_library(dynamics, problem, arc, steps)
             if found is not None:
                 return found
-        return follow(dynamics, problem, lambda state, step: arc, count, steps)
+        return follow(dynamics, problem, partial(_held, dynamics, arc), count, steps)
 
     def _lattice(self, problem: PlanningProblem, horizon_s: float) -> Arc:
         speed = problem.ego.motion.velocity[..., 0].clamp_min(0).unsqueeze(-1)
         change = torch.linspace(-1, 1, self.speeds, device=speed.device, dtype=speed.dtype)
-        final = (speed + self.speed_change_mps * change).clamp(0, self.speed_max_mps)
+        # whoever is faster already need not brake
+        fastest = speed.clamp_min(self.speed_max_mps)
+        final = (speed + self.speed_change_mps * change).clamp_min(0).minimum(fastest)
         acceleration = (final - speed) / horizon_s
         length = (0.5 * (speed + final) * horizon_s).clamp_min(1.0)
         # A share of offset 0 is 0 exactly, so an odd number of offsets contains the straight line.
@@ -134,13 +137,19 @@ class CandidateFan:
         return Arc(acceleration.unsqueeze(-1), curvature.unsqueeze(-1))
 
 
+def _held(dynamics: DynamicsModel, arc: Arc, state: Float[Tensor, "*b n"], step: int = 0) -> Arc:
+    """The arc, no sharper than the tyres hold at a state."""
+    return Arc(arc.acceleration, dynamics.curvature_within_grip(state, *arc))
+
+
 def _in_library(
     dynamics: DynamicsModel, problem: PlanningProblem, arc: Arc, steps: int
 ) -> Candidates | None:
     """Drive on an arc each, all candidates of all problems as rows; None if there is no library."""
 
     def driven(state: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
-        control = dynamics.control_for(state, row[..., 0], row[..., 1])
+        held = _held(dynamics, Arc(*row.unbind(-1)), state)
+        control = dynamics.control_for(state, *held)
         return dynamics.step(state, control), control
 
     start = initial_state(dynamics, problem.ego)

@@ -68,6 +68,15 @@ class ZeroOrderHold(DynamicsModel):
         """Control of the model that holds an acceleration (m/s²) and a curvature (1/m)."""
         return self.model.control_for(state, acceleration, curvature)
 
+    def curvature_within_grip(
+        self,
+        state: Float[Tensor, "*b n"],
+        acceleration: Float[Tensor, "*b"],
+        curvature: Float[Tensor, "*b"],
+    ) -> Float[Tensor, "*b"]:
+        """What of a curvature (1/m) the tyres hold beside an acceleration (m/s²)."""
+        return self.model.curvature_within_grip(state, acceleration, curvature)
+
     @property
     def reference_ahead_m(self) -> float:
         """Distance in m of the point ahead of the centre of gravity."""

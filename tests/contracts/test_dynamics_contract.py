@@ -154,6 +154,18 @@ def test_control_for_a_curve_stays_within_the_bounds(name, vehicle):
 
 
 @every_pair
+def test_a_curve_that_is_held_has_its_sign_and_is_no_sharper(name, vehicle):
+    model = build(name, vehicle)
+    state = model.initial_state(motion())
+    for acceleration, curvature in ((0.0, 0.0), (3.0, 0.5), (-50.0, -9.0)):
+        one = torch.ones(5).double()
+        asked = curvature * one
+        held = model.curvature_within_grip(state, acceleration * one, asked)
+        assert (held * asked >= 0).all()
+        assert (held.abs() <= asked.abs()).all()
+
+
+@every_pair
 def test_parameters_survive_saving(name, vehicle):
     model = build(name, vehicle)
     assert all(bool(torch.isfinite(value).all()) for value in model.physical_parameters().values())

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from diffstack_mmv.dynamics import DiffKBM, ExtendedUnicycle, rollout
+from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle, rollout
 from diffstack_mmv.planning import CandidateFan, closest_candidate, cross_entropy
 from diffstack_mmv.planning.problem import observed_obstacles
 from diffstack_mmv.types import Motion
@@ -53,6 +53,27 @@ def test_one_candidate_ends_near_the_goal(model, goal):
 def test_fan_is_finite_at_standstill_and_with_the_goal_anywhere(model, goal):
     fan = CandidateFan()(model, problem(speed=0.0, goal=goal), 30)
     assert torch.isfinite(fan.states).all()
+
+
+@pytest.mark.parametrize(("vehicle", "speed"), [("motorcycle", 14.0), ("bicycle", 8.0)])
+@pytest.mark.parametrize("goal", [(8.0, 1.0), (8.0, 4.0), (25.0, 12.0), (-5.0, 0.5), (30.0, -20.0)])
+def test_no_candidate_spins_or_rolls_backwards(vehicle, speed, goal):
+    model = DiffGM3(load_vehicle(vehicle))
+    motion = CandidateFan()(model, problem(speed, goal), 30).motion
+    assert motion.yaw_rate.abs().max() < 3.0
+    assert motion.velocity[..., 0].min() > -0.1
+
+
+def test_whoever_is_faster_than_the_fan_need_not_brake():
+    fan = CandidateFan(speed_max_mps=12.0)(DiffKBM(SPEC), problem(14.0, (40.0, 0.0)), 30)
+    ends = fan.motion.velocity[0, :, -1, 0].detach()
+    assert ends.max() == pytest.approx(14.0)
+
+
+def test_a_library_holds_the_tyres_as_tensors_do():
+    model, given = DiffGM3(load_vehicle("motorcycle")), problem(14.0, (8.0, 1.0))
+    fans = [CandidateFan(compile=compile)(model, given, 30) for compile in (False, True)]
+    torch.testing.assert_close(fans[0].states, fans[1].states, atol=1e-3, rtol=1e-3)
 
 
 def test_closest_candidate_is_judged_at_valid_times_only():

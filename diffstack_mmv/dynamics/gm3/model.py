@@ -31,6 +31,7 @@ from diffstack_mmv.vehicles import (
 )
 
 COMMAND_RANGE = 2.0  # steering commands may go that far beyond the soft limit: tanh(2) = 0.96
+GRIP_SHARE = 0.8  # of μ g, for accelerations along and across together
 COMMAND_LIMIT = 1e3  # m/s^2, far beyond friction; keeps powers of a wild command finite
 PACE_MPS = 5.0  # speed at which the steering per curvature is told
 SLOW = 0.2  # m/s, below which a course says little about the heading
@@ -208,6 +209,23 @@ class DiffGM3(DynamicsModel):
         """
         command = self.steer_for(state, curvature)
         return self.within_bounds(torch.stack([acceleration.expand_as(command), command], -1))
+
+    def curvature_within_grip(
+        self,
+        state: Float[Tensor, "*b 8"],
+        acceleration: Float[Tensor, "*b"],
+        curvature: Float[Tensor, "*b"],
+    ) -> Float[Tensor, "*b"]:
+        """What of a curvature (1/m) the tyres hold: |a| + v² |κ| ≤ 0.8 μ g.
+
+        A friction circle would let too much through: braking unloads the rear wheel, and a
+        motorcycle at 14 m/s spins where it brakes by 3 m/s² in a turn of 5 m/s², 0.66 of μ g.
+        """
+        asked = acceleration.clamp(self.bounds.lower[0], self.bounds.upper[0])
+        grip = GRIP_SHARE * GRAVITY * self.get_submodule("friction")().mean()
+        across = (grip - asked.abs()).clamp_min(0)
+        limit = across / (state[..., 2].square() + SLOW**2)
+        return torch.minimum(torch.maximum(curvature, -limit), limit)
 
     def steer_for(
         self, state: Float[Tensor, "*b 8"], curvature: Float[Tensor, "*b"]
