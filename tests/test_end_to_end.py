@@ -181,7 +181,7 @@ def test_recorded_controls_tell_the_wheelbase(succeed, circles, tmp_path):
     ]
     succeed("identify", *circles, *options, *RIDER, f"out={tmp_path / 'out'}")
     told = (tmp_path / "out" / "identify.log").read_text()
-    assert "4 tracks were fitted, 9 were asked for." in told
+    assert "5 tracks were fitted, 9 were asked for." in told
     result = json.loads((tmp_path / "out" / "identification.json").read_text())
     wheelbase = result["parameters"]["wheelbase"]
     assert wheelbase["estimate"] == pytest.approx(1.1, rel=0.01)
