@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
@@ -105,7 +104,7 @@ class CandidateFan:
             found = _in_library(dynamics, problem, arc, steps)
             if found is not None:
                 return found
-        return follow(dynamics, problem, partial(_held, dynamics, arc), count, steps)
+        return follow(dynamics, problem, lambda state, _: _held(dynamics, arc, state), count, steps)
 
     def _lattice(self, problem: PlanningProblem, horizon_s: float) -> Arc:
         speed = problem.ego.motion.velocity[..., 0].clamp_min(0).unsqueeze(-1)
@@ -137,7 +136,7 @@ class CandidateFan:
         return Arc(acceleration.unsqueeze(-1), curvature.unsqueeze(-1))
 
 
-def _held(dynamics: DynamicsModel, arc: Arc, state: Float[Tensor, "*b n"], step: int = 0) -> Arc:
+def _held(dynamics: DynamicsModel, arc: Arc, state: Float[Tensor, "*b n"]) -> Arc:
     """The arc, no sharper than the tyres hold at a state."""
     return Arc(arc.acceleration, dynamics.curvature_within_grip(state, *arc))
 

@@ -6,7 +6,7 @@ import torch
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle, rollout
 from diffstack_mmv.planning import CandidateFan, closest_candidate, cross_entropy
 from diffstack_mmv.planning.problem import observed_obstacles
-from diffstack_mmv.types import Motion
+from diffstack_mmv.types import Motion, map_tensors
 from diffstack_mmv.vehicles import load_vehicle
 from tests.planning.test_problem import problem_of, tracks
 
@@ -71,9 +71,10 @@ def test_whoever_is_faster_than_the_fan_need_not_brake():
 
 
 def test_a_library_holds_the_tyres_as_tensors_do():
-    model, given = DiffGM3(load_vehicle("motorcycle")), problem(14.0, (8.0, 1.0))
+    model = DiffGM3(load_vehicle("motorcycle")).double()
+    given = map_tensors(lambda field: field.double(), problem(14.0, (8.0, 1.0)))
     fans = [CandidateFan(compile=compile)(model, given, 30) for compile in (False, True)]
-    torch.testing.assert_close(fans[0].states, fans[1].states, atol=1e-3, rtol=1e-3)
+    torch.testing.assert_close(fans[0].states, fans[1].states, atol=1e-9, rtol=1e-9)
 
 
 def test_closest_candidate_is_judged_at_valid_times_only():
