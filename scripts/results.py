@@ -46,7 +46,12 @@ def check(config: DictConfig) -> None:
     for model in _models(config):
         _require_option("dynamics", model)
     # a set or model of null is left out
-    for told in (each for each in config.sets.values() if each is not None):
+    for name, told in config.sets.items():
+        if told is None:
+            continue
+        source = told.get("converted", name)
+        there = [other for other, each in config.sets.items() if each is not None]
+        require_one_of(f"sets.{name}.converted", source, there)
         _require_option("data", told.data)
         for vehicle in told.modes.values():
             _require_option("vehicle", vehicle)
@@ -83,7 +88,7 @@ def main(config: DictConfig) -> None:
     for each in absent:
         logger.info("Left out: %s", each)
     runs = list(_runs(config, out))
-    converted = [_conversion(config, name, out) for name in sorted(available)]
+    converted = _conversions(config, sorted(available), out)
     begun = _pretrainings(config, [run for run in runs if run.data in available], out)
     trained = [_training(config, run, out) for run in runs if run.data in available]
     launcher: Launcher = instantiate(config.launcher)
@@ -136,6 +141,17 @@ def _runs(config: DictConfig, out: Path) -> Iterator[Run]:
 
 def _script(name: str, *arguments: str) -> tuple[str, ...]:
     return (sys.executable, str(SCRIPTS / f"{name}.py"), *arguments)
+
+
+def _converted(config: DictConfig, name: str) -> str:
+    """Set whose conversion a set reads: its own unless it names another one."""
+    return str(config.sets[name].get("converted", name))
+
+
+def _conversions(config: DictConfig, names: Sequence[str], out: Path) -> list[Job]:
+    """One for each set, or for several that differ in their training alone."""
+    sources = dict.fromkeys(_converted(config, name) for name in names)
+    return [_conversion(config, name, out) for name in sources]
 
 
 def _conversion(config: DictConfig, name: str, out: Path) -> Job:
@@ -196,7 +212,8 @@ def _job(
 ) -> Job:  # fmt: skip
     """Training with these settings, and evaluation of its best epoch."""
     told, folder = config.sets[run.data], run.report.parent
-    data = f"data={told.data}", f"data.cache={out / 'data' / run.data / 'cache'}"
+    source = _converted(config, run.data)
+    data = f"data={told.data}", f"data.cache={out / 'data' / source / 'cache'}"
     windows = *told.get("settings", []), *config.windows
     small = config.size.overrides if config.plans else []
     who = f"modes=[{run.mode}]"
@@ -210,7 +227,7 @@ def _job(
     name = ".".join(folder.relative_to(out / "runs").parts)
     return Job(
         name.replace(".", "/"), run.model, (train, evaluate), folder / RESULT,
-        out / "logs" / f"{name}.log", (_conversion(config, run.data, out).result, *needs),
+        out / "logs" / f"{name}.log", (_conversion(config, source, out).result, *needs),
     )  # fmt: skip
 
 
