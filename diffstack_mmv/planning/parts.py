@@ -50,11 +50,14 @@ def possible(obstacles: Obstacles) -> Obstacles:
     """The components of each problem that are possible, each as an agent of its own.
 
     Costs and scores add up or compare components of agents and agents in one way, so nothing else
-    changes. Problems with fewer than the others get absent ones.
+    changes. Problems with fewer than the others get absent ones. On a device all are kept: to count
+    them the host would have to wait.
 
     Args:
         obstacles: Agents with one leading dimension, `b N K`.
     """
+    if obstacles.weight.device.type != "cpu":
+        return obstacles
     there = (obstacles.valid[..., None] & (obstacles.weight > 0)).flatten(1)
     most = int(there.sum(-1).max()) if there.numel() else 0
     if most == there.shape[-1] or not most:

@@ -1,4 +1,4 @@
-"""Agents of a batch of scenes as rows: only those that are observed now, each in its own frame."""
+"""Agents of a batch of scenes as rows: those that are observed now, each in its own frame."""
 
 from typing import NamedTuple
 
@@ -13,6 +13,7 @@ from diffstack_mmv.prediction.current import (
     current_heading,
     current_position,
 )
+from diffstack_mmv.prediction.trajectron.rows import Chosen, chosen, gathers
 from diffstack_mmv.prediction.trajectron.start import estimates
 from diffstack_mmv.types import Mode, Motion, Pose, Tracks, map_tensors
 
@@ -27,10 +28,12 @@ EGO, VEHICLE, PEDESTRIAN = (
 class AgentBatch(NamedTuple):
     """R agents, each seen in a frame in its last position and on the course of its fit.
 
-    Velocity and acceleration are those of the fit; `starts` are estimates to choose from.
+    Velocity and acceleration are those of the fit; `starts` are estimates to choose from. Where
+    rows are not gathered, see `chosen`, there is one for each agent, whether present or not.
     """
 
     index: Int[Tensor, " R"]  # scene * agents + agent
+    present: Bool[Tensor, " R"]
     role: Int[Tensor, " R"]  # EGO, VEHICLE or PEDESTRIAN
     kind: Int[Tensor, " R"]  # VEHICLE or PEDESTRIAN
     origin: Float[Tensor, "R 2"]  # m, of the own frame in the frame of the scene
@@ -43,14 +46,14 @@ class AgentBatch(NamedTuple):
 
 
 def agent_batch(agents: Tracks, dt_s: float, frame: Pose | None = None) -> AgentBatch:
-    """Gather the present agents of scenes `B A`.
+    """Rows of the present agents of scenes `B A`.
 
     Args:
         agents: Observed agents `B A H`, the ego of each scene first.
         dt_s: Length of one step in s.
         frame: Where the scenes lie in the world, `B`; None if that is not known.
     """
-    index = agents.valid[..., -1].flatten().nonzero().squeeze(-1)
+    index, present = chosen(agents.valid[..., -1].flatten())
     scene_tracks = take_rows(agents, index)
     found = estimates(scene_tracks, dt_s)
     origin = current_position(scene_tracks)
@@ -60,6 +63,7 @@ def agent_batch(agents: Tracks, dt_s: float, frame: Pose | None = None) -> Agent
     is_ego = index % agents.mode.shape[1] == 0
     return AgentBatch(
         index=index,
+        present=torch.ones_like(is_ego) if present is None else present,
         role=torch.where(is_ego, torch.full_like(kind, EGO), kind),
         kind=kind,
         origin=origin,
@@ -89,6 +93,15 @@ def agent_kind(mode: Int[Tensor, "*b"]) -> Int[Tensor, "*b"]:
     """PEDESTRIAN for those who can step sideways, VEHICLE for all others."""
     walks = torch.stack([mode == int(pedestrian) for pedestrian in PEDESTRIANS]).any(0)
     return torch.where(walks, torch.full_like(mode, PEDESTRIAN), torch.full_like(mode, VEHICLE))
+
+
+def rows_of_role(rows: AgentBatch, role: int, agents: int) -> Chosen:
+    """Places of the present rows of a role, with so many `agents` per scene."""
+    mask = rows.present & (rows.role == role)
+    if gathers(mask.device):
+        return chosen(mask)
+    place = torch.arange(len(mask), device=mask.device).reshape(-1, agents)
+    return chosen(mask, place[:, 0] if role == EGO else place[:, 1:].flatten())
 
 
 def take_rows(agents: Tracks, index: Int[Tensor, " R"]) -> Tracks:

@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from diffstack_mmv.geometry import direction, rotate
+from diffstack_mmv.prediction.trajectron.rows import chosen
 from diffstack_mmv.types import Tracks
 
 POSITION_SCALE_M = 10.0
@@ -63,11 +64,11 @@ class PerKind(nn.Module):
         """Apply the network of each row's kind; rows of a kind without a network become zero."""
         result = inputs[0].new_zeros(len(kind), self.outputs)
         for name, network in self.networks.items():
-            rows = (kind == int(name)).nonzero().squeeze(-1)
-            if len(rows) == len(kind) > 0:
+            rows = chosen(kind == int(name))
+            if rows.kept is None and len(rows.index) == len(kind) > 0:
                 return network(*inputs)
-            if len(rows) > 0:
-                result = result.index_copy(0, rows, network(*(tensor[rows] for tensor in inputs)))
+            if len(rows.index) > 0:
+                result = rows.put(result, network(*(tensor[rows.index] for tensor in inputs)))
         return result
 
 

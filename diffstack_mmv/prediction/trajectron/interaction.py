@@ -13,6 +13,7 @@ from diffstack_mmv.prediction.trajectron.encoder import (
     PerKind,
     perceptron,
 )
+from diffstack_mmv.prediction.trajectron.rows import chosen, gathers
 from diffstack_mmv.smooth import safe_norm
 
 EDGE_FEATURES = 8
@@ -71,19 +72,17 @@ class Interaction(nn.Module):
         rows: AgentBatch,
         agents: int,
         node: Float[Tensor, "R h"],
-        wanted: Bool[Tensor, " R"] | None = None,
+        ego_only: bool = False,
     ) -> Float[Tensor, "R e"]:
         """Encode the influence of the others on each row, with so many `agents` per scene.
 
-        Rows that are not wanted get zeros; None wants all.
+        With `ego_only` the rows of neighbors get zeros.
         """
-        agent, other = neighboring_rows(rows.index, agents)
-        if wanted is not None:
-            agent, other = agent[wanted[agent]], other[wanted[agent]]
-        offset = rows.origin[other] - rows.origin[agent]
-        distance = safe_norm(offset)
-        near = (distance < self.reach_m + 8 * self.fade_m).nonzero().squeeze(-1)
-        agent, other, distance = agent[near], other[near], distance[near]
+        agent, other = neighboring_rows(rows.index, agents, ego_only)
+        distance = safe_norm(rows.origin[other] - rows.origin[agent])
+        near = distance < self.reach_m + 8 * self.fade_m
+        pairs = chosen(near & rows.present[agent] & rows.present[other])
+        agent, other, distance = agent[pairs.index], other[pairs.index], distance[pairs.index]
         # rows by number: of an index the slopes would be sorted before they are added up
         seen = node.index_select(0, other)
         features = torch.cat([seen, edge_features(rows, agent, other)], -1)
@@ -91,6 +90,8 @@ class Interaction(nn.Module):
         gate = nn.functional.logsigmoid((self.reach_m - distance) / self.fade_m)
         query = self.query(node).index_select(0, agent)
         score = self.score(torch.tanh(query + self.key(edge))).squeeze(-1) + gate
+        if pairs.kept is not None:
+            score = torch.where(pairs.kept, score, -torch.inf)
         return gather_by_attention(agent, score, edge, len(node))
 
 
@@ -106,17 +107,31 @@ def gather_by_attention(
 
 
 def neighboring_rows(
-    index: Int[Tensor, " R"], agents: int
+    index: Int[Tensor, " R"], agents: int, ego_only: bool = False
 ) -> tuple[Int[Tensor, " P"], Int[Tensor, " P"]]:
-    """All ordered pairs of different rows of the same scene."""
+    """All ordered pairs of different rows of the same scene, or those of its ego alone."""
+    if not gathers(index.device):  # a row for every agent
+        return _all_pairs(index.reshape(-1, agents), ego_only)
     scenes = int(index.max() // agents) + 1 if len(index) > 0 else 0
     row_of = torch.full((scenes * agents,), -1, device=index.device)
     row_of[index] = torch.arange(len(index), device=index.device)
     table = row_of.reshape(scenes, agents)
     present: Bool[Tensor, "B A A"] = (table >= 0).unsqueeze(2) & (table >= 0).unsqueeze(1)
     present = present & ~torch.eye(agents, dtype=torch.bool, device=index.device)
+    if ego_only:
+        present = present[:, :1]
     scene, first, second = present.nonzero().unbind(-1)
     return table[scene, first], table[scene, second]
+
+
+def _all_pairs(
+    row: Int[Tensor, "B A"], ego_only: bool
+) -> tuple[Int[Tensor, " P"], Int[Tensor, " P"]]:
+    """Pairs of each agent, or of the first one of each scene, with all others."""
+    agents = row.shape[1]
+    first = torch.arange(1 if ego_only else agents, device=row.device).unsqueeze(-1)
+    second = (first + torch.arange(1, agents, device=row.device)) % agents
+    return row[:, first.expand_as(second)].flatten(), row[:, second].flatten()
 
 
 def pair_of_kinds(

@@ -18,6 +18,7 @@ from diffstack_mmv.prediction.trajectron.agent_batch import (
     AgentBatch,
     agent_batch,
     in_own_frame,
+    rows_of_role,
     select_agents,
     take_rows,
 )
@@ -34,6 +35,7 @@ from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
 from diffstack_mmv.prediction.trajectron.output import nobody, placed, scenes
 from diffstack_mmv.prediction.trajectron.paths import path_scores
+from diffstack_mmv.prediction.trajectron.rows import Chosen
 from diffstack_mmv.prediction.trajectron.scene import SceneEncoder
 from diffstack_mmv.prediction.trajectron.site import Site
 from diffstack_mmv.types import Forecast, Pose, StackBatch, Tracks
@@ -72,7 +74,7 @@ class Branch(nn.Module):
 class Decoded(NamedTuple):
     """What one branch made of its rows."""
 
-    place: Tensor  # S, positions of the rows among all rows
+    places: Chosen  # S, of the rows among all agents
     rows: AgentBatch  # S
     context: Float[Tensor, "S c"]
     log_prior: Float[Tensor, "S K"]
@@ -224,7 +226,7 @@ class Trajectron(Predictor):
         """Forecast of agents `*b A` from what the branches made of those that are present."""
         forecast = nobody(scenes(agents), self.components, self.horizon_steps)
         for part in parts:
-            forecast = placed(forecast, part.rows, part.log_prior, part.moments)
+            forecast = placed(forecast, part.places, part.rows, part.log_prior, part.moments)
         return Forecast(
             *(field.reshape(*agents.mode.shape, *field.shape[1:]) for field in forecast)
         )
@@ -234,12 +236,12 @@ class Trajectron(Predictor):
         agents = scenes(all_agents(batch.ego_past, batch.neighbors_past))
         futures = scenes(all_agents(batch.ego_future, batch.neighbors_future))
         rows = agent_batch(agents, self.dt_s, batch.frame)
-        future = in_own_frame(take_rows(futures, rows.index), rows.origin, rows.heading)
         parts = list(self._decoded(rows, agents.mode.shape[1]))
         loss = rows.origin.new_zeros(agents.mode.numel())
         for part in parts:
-            row_loss = self._row_loss(part, take_rows(future, part.place))
-            loss = loss.index_copy(0, part.rows.index, row_loss)
+            future = take_rows(futures, part.rows.index)
+            future = in_own_frame(future, part.rows.origin, part.rows.heading)
+            loss = part.places.put(loss, self._row_loss(part, future))
         if self.training:
             self.training_step += 1
         judged = agents.valid[..., -1] & futures.valid.any(-1)
@@ -251,17 +253,17 @@ class Trajectron(Predictor):
 
     def _decoded(self, rows: AgentBatch, agents: int) -> Iterator[Decoded]:
         """Encode all rows at once, and decode them by their roles."""
-        wanted = None if self.forecast_neighbors else rows.role == EGO
-        context = self.scene_encoder(rows, agents, wanted)
+        context = self.scene_encoder(rows, agents, not self.forecast_neighbors)
         for role, branch in enumerate(self.branches):
             if role != EGO and not self.forecast_neighbors:
                 continue
-            place = (rows.role == role).nonzero().squeeze(-1)
-            if len(place) > 0 and isinstance(branch, Branch):
-                chosen, seen = select_agents(rows, place), context[place]
-                moments = branch.decoder(seen, chosen)
+            chosen = rows_of_role(rows, role, agents)
+            if len(chosen.index) > 0 and isinstance(branch, Branch):
+                own, seen = select_agents(rows, chosen.index), context[chosen.index]
+                places = chosen._replace(index=own.index)
+                moments = branch.decoder(seen, own)
                 yield Decoded(
-                    place, chosen, seen, branch.latent.log_prior(seen), moments, branch.latent
+                    places, own, seen, branch.latent.log_prior(seen), moments, branch.latent
                 )
 
     def _row_loss(self, part: Decoded, future: Tracks) -> Float[Tensor, " S"]:

@@ -9,6 +9,7 @@ from diffstack_mmv.prediction.current import current_position
 from diffstack_mmv.prediction.gaussian import rotate_covariance, scale_from_covariance
 from diffstack_mmv.prediction.trajectron.agent_batch import AgentBatch
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
+from diffstack_mmv.prediction.trajectron.rows import Chosen
 from diffstack_mmv.types import Forecast, Tracks, map_tensors
 
 ABSENT_LOG_WEIGHT = -1e4
@@ -30,9 +31,13 @@ def nobody(agents: Tracks, components: int, steps: int) -> Forecast:
 
 
 def placed(
-    forecast: Forecast, rows: AgentBatch, log_prior: Float[Tensor, "S K"], moments: PositionMoments
+    forecast: Forecast,
+    places: Chosen,
+    rows: AgentBatch,
+    log_prior: Float[Tensor, "S K"],
+    moments: PositionMoments,
 ) -> Forecast:
-    """Replace the forecast of some agents by moments in their own frames.
+    """Replace the forecast of the agents in some places by moments in their own frames.
 
     Agents with fewer components than the forecast get more of weight zero, which repeat the last
     one.
@@ -47,9 +52,9 @@ def placed(
     mean = position_from_frame(moments.mean, rows.origin[:, None, None, :], heading)
     scale_tril = scale_from_covariance(rotate_covariance(moments.covariance, heading))
     return Forecast(
-        forecast.log_weight.index_copy(0, rows.index, padded(log_prior, components)),
-        forecast.mean.index_copy(0, rows.index, repeated(mean)),
-        forecast.scale_tril.index_copy(0, rows.index, repeated(scale_tril)),
+        places.put(forecast.log_weight, padded(log_prior, components)),
+        places.put(forecast.mean, repeated(mean)),
+        places.put(forecast.scale_tril, repeated(scale_tril)),
     )
 
 

@@ -8,6 +8,8 @@ from jaxtyping import Bool
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from diffstack_mmv.prediction.trajectron.rows import chosen
+
 RowFunction = Callable[..., tuple[Tensor, ...]]
 
 
@@ -17,8 +19,8 @@ def recomputed(
     """Evaluate a function of rows without a graph; rows that matter are evaluated again backward.
 
     A loss of a mixture hardly depends on most of its components. Whichever row of the results has
-    a gradient of zero is left out of the backward pass, and nothing is kept for it. Can be
-    differentiated once; a second derivative is refused.
+    a gradient of zero is left out of the backward pass where rows are gathered, see `chosen`, and
+    nothing is kept for any. Can be differentiated once; a second derivative is refused.
 
     Args:
         function: Takes tensors that all begin with the dimension of the rows, and returns such
@@ -52,7 +54,7 @@ class _Recomputed(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         rows, parameters = ctx.saved_tensors[: ctx.count], ctx.saved_tensors[ctx.count :]
-        index = _any_gradient(grads).nonzero().squeeze(-1)
+        index = chosen(_any_gradient(grads)).index
         part = [
             row[index].requires_grad_(needed)
             for row, needed in zip(rows, ctx.needs_input_grad[2:], strict=False)

@@ -1,7 +1,7 @@
 """The encoding of an agent in its scene: history, neighbors, present motion and mode."""
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from diffstack_mmv.checks import require_between
@@ -68,16 +68,16 @@ class SceneEncoder(nn.Module):
         self.outputs += len(ORDERS) if rough else 0
 
     def forward(
-        self, rows: AgentBatch, agents: int, wanted: Bool[Tensor, " R"] | None = None
+        self, rows: AgentBatch, agents: int, ego_only: bool = False
     ) -> Float[Tensor, "R c"]:
         """Context of each row; `agents` is the number of agents per scene.
 
-        The context of rows that are not wanted lacks their neighbors; None wants all.
+        With `ego_only` the context of neighbors lacks their own neighbors.
         """
         steps = torch.arange(1 - rows.past.valid.shape[-1], 1, device=rows.velocity.device)
         seen = track_features(rows.past, rows.velocity, self.dt_s * steps)
         node = self.history(rows.kind, seen, rows.past.valid)
-        around = self.interaction(rows, agents, node, wanted)
+        around = self.interaction(rows, agents, node, ego_only)
         mode = nn.functional.one_hot(rows.past.mode, len(Mode)).to(node.dtype)
         site = [self.site(rows.place)] if self.site is not None else []
         motion = [rows.velocity / SPEED_SCALE_MPS, rows.acceleration, start_features(rows.starts)]
