@@ -80,7 +80,9 @@ class ConstantTurnRateAcceleration(Extrapolation):
         turned = yaw_rate.unsqueeze(-1) * faded(middle, self.yaw_rate_fade_s)
         way = self.dt_s * (speed.unsqueeze(-1) + gained).clamp_min(0)
         step = way.unsqueeze(-1) * rotate(forward.unsqueeze(-2), turned)
-        return current_position(tracks).unsqueeze(-2) + step.cumsum(-2)
+        # a product, since running sums of real numbers are not deterministic on a GPU
+        so_far = torch.ones(len(time), len(time), dtype=step.dtype, device=step.device).tril()
+        return current_position(tracks).unsqueeze(-2) + so_far @ step
 
 
 def faded(time: Float[Tensor, " T"], fade_s: float) -> Float[Tensor, " T"]:

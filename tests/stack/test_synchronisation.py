@@ -8,13 +8,19 @@ from contextlib import nullcontext
 
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from diffstack_mmv.control import ILQR
 from diffstack_mmv.planning import PredictedGoal
+from diffstack_mmv.prediction import (
+    ConstantTurnRateAcceleration,
+    ConstantVelocity,
+    KalmanConstantVelocity,
+)
 from diffstack_mmv.types import map_tensors
 from tests.control.test_synchronisation import Sends, Waits
-from tests.prediction.samples import scene, trajectron
-from tests.stack.test_module import batch_of, stack_of
+from tests.prediction.samples import DT_S, scene, trajectron
+from tests.stack.test_module import STEPS, batch_of, stack_of
 
 
 @pytest.fixture(autouse=True)
@@ -39,10 +45,47 @@ def test_the_predictor_asks_for_nothing(options, neighbors):
     assert waits.seen == []
 
 
-def test_the_plan_asks_for_nothing_but_whether_it_is_finished():
-    stack, batch = stack_of(PredictedGoal()).to("meta"), on_meta(batch_of())
+PREDICTORS = {
+    "constant_velocity": lambda: ConstantVelocity(STEPS, DT_S),
+    "ctra": lambda: ConstantTurnRateAcceleration(STEPS, DT_S),
+    "kalman": lambda: KalmanConstantVelocity(STEPS, DT_S),
+    "trajectron": lambda: trajectron(horizon=STEPS),
+}
+
+
+@pytest.fixture(params=PREDICTORS)
+def step(request):
+    """One step of training on the meta device, with a solver of one iteration."""
+    stack = stack_of(PredictedGoal(), PREDICTORS[request.param]()).to("meta")
     stack.planner.solver = ILQR(max_iterations=1)
     stack.log_dict = lambda *_, **__: None
+    batch = on_meta(batch_of())
+    return lambda: stack.training_step(batch, 0).backward()
+
+
+def test_a_step_asks_for_nothing_but_whether_the_plan_is_finished(step):
     with Waits() as waits, Sends():
-        stack.training_step(batch, 0).backward()
+        step()
     assert waits.seen == ["_local_scalar_dense"]
+
+
+class Deterministic(TorchDispatchMode):
+    """Refuses what has no deterministic form on a GPU, and so ends a training there.
+
+    Source: the documentation of `torch.use_deterministic_algorithms`, which a trainer asks for.
+    """
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        name = func.overloadpacket.__name__
+        real = name in ("cumsum", "cumprod") and args[0].is_floating_point()
+        assert not real, f"{name} of real numbers"
+        assert name not in REFUSED, name
+        return True if name == "_local_scalar_dense" else func(*args, **(kwargs or {}))
+
+
+REFUSED = {"put", "put_", "histc", "bincount", "median", "kthvalue", "nll_loss2d_forward"}
+
+
+def test_a_step_has_a_deterministic_form_on_a_gpu(step):
+    with Deterministic():
+        step()

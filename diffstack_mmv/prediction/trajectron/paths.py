@@ -73,7 +73,7 @@ class _Scores(torch.autograd.Function):
             torch.empty_like(each) if each is not None else None
             for each in (mean, covariance, weight)
         ]
-        slopes = (each.contiguous() for each in grads)
+        slopes = [each.contiguous() for each in grads]  # held until the call is over
         adjoint = library(mean.dtype).dmmv_paths_adjoint
         adjoint(*counts(*ctx.counts), *places(*given, *slopes, *found))
         return None, None, *found

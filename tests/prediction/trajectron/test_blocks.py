@@ -100,6 +100,21 @@ def test_scores_of_paths_are_those_of_tensors(sizes, weighed, dtype, tolerance):
         torch.testing.assert_close(found / scale, expected / scale, rtol=0, atol=tolerance)
 
 
+@pytest.mark.parametrize("rows", [1, 2, 5, 40])
+def test_a_gradient_that_is_one_number_for_all_rows_lasts_as_long_as_the_call(rows):
+    """A copy of it was given back before the library read it, and was written over at times."""
+    (mean, covariance, log_weight), truth, valid = paths(rows, 3, 4, torch.float64)
+    moments = PositionMoments(mean, covariance)
+
+    def slope(toward):
+        scores = path_scores(moments, log_weight.detach(), truth, valid, Blocks())
+        return torch.autograd.grad(scores.energy, mean, toward)[0]
+
+    expected = slope(torch.ones(rows, dtype=torch.float64))
+    for _ in range(50):
+        assert torch.equal(slope(torch.ones((), dtype=torch.float64).expand(rows)), expected)
+
+
 def test_components_that_do_not_count_are_not_moved():
     (mean, covariance, _), truth, valid = paths(2, 3, 4, torch.float64)
     valid[:] = True
