@@ -25,6 +25,7 @@ SCRIPTS = Path(__file__).resolve().parent
 BEST = Path("checkpoints", "best.ckpt")
 RESULT = Path("report", "metrics.json")
 PREDICTOR = "predictor"
+ROWS = ("methods", "sets")
 
 
 def check(config: DictConfig) -> None:
@@ -41,6 +42,9 @@ def check(config: DictConfig) -> None:
         if size.pretraining.dynamics is not None:
             _require_option("dynamics", size.pretraining.dynamics)
     require_at_least("resamples", config.resamples, 1)
+    require_one_of("rows", config.rows, ROWS)
+    if config.rows == "sets":
+        require(not config.plans, "plans", "be false with rows=sets, a table of predictions", True)
     for goal in size.goals:
         _require_option("goal", goal)
     for model in _models(config):
@@ -75,6 +79,7 @@ def main(config: DictConfig) -> None:
     """
     from diffstack_mmv.metrics import OPEN_LOOP
     from diffstack_mmv.reporting import (
+        ablation_table,
         paper_table,
         prediction_table,
         write_paper_table,
@@ -101,7 +106,8 @@ def main(config: DictConfig) -> None:
     if config.plans:
         table = paper_table(shown, models, OPEN_LOOP, config.resamples)
     else:
-        table = prediction_table(shown, models)
+        arranged = ablation_table if config.rows == "sets" else prediction_table
+        table = arranged(shown, models)
     write_paper_table(out, table, remarks)
     drawn = shown if config.plans else []
     judged = [run.report for run in drawn if (run.report / "metrics.json").is_file()]

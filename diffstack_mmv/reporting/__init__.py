@@ -3,6 +3,7 @@
 from dmmv_conventions.extras import needs
 
 with needs("stack", "diffstack_mmv.reporting"):
+    from diffstack_mmv.reporting.ablation_table import ablation_table
     from diffstack_mmv.reporting.by_excitation import (
         PairedSamples,
         by_excitation,
@@ -38,6 +39,7 @@ with needs("stack", "diffstack_mmv.reporting"):
     from diffstack_mmv.reporting.scores import ScoreHeading, Scores
 
 __all__ = [
+    "ablation_table",
     "Comparison",
     "DrivenRow",
     "PairedSamples",

@@ -1,0 +1,85 @@
+"""The table of an ablation: what is changed one below the other, beside the trivial paths."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from diffstack_mmv.reporting.files import read_json
+from diffstack_mmv.reporting.paper_table import Run
+
+SITUATIONS = ("moving", "standing")
+DISTANCES = {"ade": "ADE [m]", "moving": "moving", "standing": "standing"}
+OTHERS = {
+    "nll": "NLL",
+    "energy_score": "energy score [m]",
+    "coverage_50": "50 % region",
+    "coverage_90": "90 % region",
+}
+
+
+def ablation_table(runs: Sequence[Run], models: Mapping[str, str]) -> pd.DataFrame:
+    """One row per set and model, mean ± standard deviation over the seeds that have ended.
+
+    The number of seeds says how many those are; all are judged on the same windows. Trivial paths,
+    which have no seeds, follow; they are those of the first set.
+
+    Args:
+        runs: Evaluated runs, and such that have not ended.
+        models: Name of the dynamics -> title, in order; with one model it is not named.
+    """
+    rows, trivial = [], {}
+    for data, mode, model in dict.fromkeys((run.data, run.mode, run.model) for run in runs):
+        own = [run for run in runs if (run.data, run.mode, run.model) == (data, mode, model)]
+        told = [read_json(path) for run in own if (path := run.report / "metrics.json").is_file()]
+        name = data if len(models) == 1 else f"{data}, {models[model]}"
+        seeds = f"{len(told)} of {len(own)}"
+        windows = str(told[0]["modes"][mode]["n"]) if told else "-"
+        rows.append(
+            {"": name, "seeds": seeds, "windows": windows}
+            | _cells([_scores(each, mode) for each in told])
+        )
+        if told and not trivial:
+            trivial = _trivial(told[0], mode)
+    rows += [
+        {"": name.replace("_", " "), "seeds": "-", "windows": "-"} | _cells([scores])
+        for name, scores in trivial.items()
+    ]
+    return pd.DataFrame(rows)
+
+
+def _scores(told: Any, mode: str) -> dict[str, float]:
+    own = told["modes"][mode]
+    return {
+        **{name: own[name] for name in ("ade", *OTHERS)},
+        **{each: told["situations"][mode][each]["ade"] for each in SITUATIONS},
+    }
+
+
+def _trivial(told: Any, mode: str) -> dict[str, dict[str, float]]:
+    """Scores of each trivial path; only its distances, and its NLL where it is a forecast."""
+    found = {}
+    for name, per_mode in told["baselines"].items():
+        situations = {
+            each: told["situations"][mode][each]["baselines"][name]["ade"] for each in SITUATIONS
+        }
+        likelihood = told["modes"][mode].get(f"nll_{name}")
+        found[name] = {"ade": per_mode[mode]["ade"], **situations}
+        if likelihood is not None:
+            found[name]["nll"] = likelihood
+    return found
+
+
+def _cells(scores: Sequence[Mapping[str, float]]) -> dict[str, str]:
+    return {
+        heading: _cell([each[name] for each in scores if name in each])
+        for name, heading in (DISTANCES | OTHERS).items()
+    }
+
+
+def _cell(values: Sequence[float]) -> str:
+    if not values:
+        return "-"
+    deviation = f" ± {np.std(values, ddof=1):.3f}" if len(values) > 1 else ""
+    return f"{np.mean(values):.3f}{deviation}"

@@ -1,0 +1,57 @@
+"""The table of an ablation: a row per set, seeds counted, trivial paths once."""
+
+import pytest
+
+from diffstack_mmv.reporting import Run, ablation_table, write_json
+
+SCORES = ("ade", "nll", "energy_score", "coverage_50", "coverage_90")
+
+
+def write_scores(folder, value):
+    trivial = {"kalman": {"ade": 5.0}}
+    told = {
+        "modes": {"bicycle": dict.fromkeys(SCORES, value) | {"nll_kalman": 1.5, "n": 7}},
+        "baselines": {"kalman": {"bicycle": {"ade": 4.0}}},
+        "situations": {
+            "bicycle": {
+                name: {"ade": 2 * value, "baselines": trivial} for name in ("moving", "standing")
+            }
+        },
+    }
+    write_json(folder / "metrics.json", told)
+
+
+@pytest.fixture
+def runs(tmp_path):
+    made = []
+    for number, data in enumerate(("present", "without")):
+        for seed in (0, 1):
+            folder = tmp_path / data / str(seed)
+            write_scores(folder, 1.0 + number + 0.2 * seed)
+            made.append(Run(data, "bicycle", "kbm", "predicted", seed, folder))
+    return made
+
+
+def test_each_set_is_a_row_and_trivial_paths_follow(runs):
+    table = ablation_table(runs, {"kbm": "DiffKBM"}).set_index("")
+    assert list(table.index) == ["present", "without", "kalman"]
+    assert table.loc["without", "windows"] == "7"
+    assert table.loc["without", "ADE [m]"] == "2.100 ± 0.141"
+    assert table.loc["present", "moving"] == "2.200 ± 0.283"
+    assert table.loc["kalman", "NLL"] == "1.500"
+    assert table.loc["kalman", "standing"] == "5.000"
+    assert table.loc["kalman", "50 % region"] == "-"
+
+
+def test_a_run_that_has_not_ended_is_counted_and_no_part_of_a_mean(runs):
+    (runs[1].report / "metrics.json").unlink()
+    row = ablation_table(runs, {"kbm": "DiffKBM"}).set_index("").loc["present"]
+    assert (row["seeds"], row["ADE [m]"]) == ("1 of 2", "1.000")
+
+
+def test_a_set_without_any_result_has_dashes(runs):
+    for run in runs[:2]:
+        (run.report / "metrics.json").unlink()
+    table = ablation_table(runs, {"kbm": "DiffKBM"}).set_index("")
+    assert (table.loc["present", "seeds"], table.loc["present", "NLL"]) == ("0 of 2", "-")
+    assert table.loc["kalman", "ADE [m]"] == "4.000"
