@@ -75,10 +75,19 @@ def _take_windows(config: DictConfig, trained: dict[str, Any]) -> None:
 
 @command(config_folder(), "evaluate", check)
 def main(config: DictConfig) -> None:
-    """Score every window of a split; write tables and plots."""
+    """Score every window of a split; write tables and plots.
+
+    Raises:
+        ValueError: The folder holds the report of another evaluation, or a part refuses.
+    """
     from diffstack_mmv.data import split_windows
     from diffstack_mmv.metrics import CLOSED_LOOP, EVALUATED, PREDICTED
-    from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
+    from diffstack_mmv.reporting import (
+        require_same_evaluation,
+        summarise_modes,
+        write_metrics,
+        write_parquet,
+    )
     from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.stack import evaluate_windows, load_stack
 
@@ -88,7 +97,9 @@ def main(config: DictConfig) -> None:
         stack.goal = instantiate(config.goal)
     if "solver" in config:
         stack.planner.solver = instantiate(config.solver)
-    data = instantiate(config.data.module)
+    data, out = instantiate(config.data.module), Path(config.out)
+    header = _header(config, trained, stack, data)
+    require_same_evaluation(out, header)
     windows = split_windows(data, config.split)
     baselines = dict(instantiate(config.baselines.simple))
     if stack.goal.uses_future:
@@ -106,8 +117,7 @@ def main(config: DictConfig) -> None:
         logger.warning(
             "No sample of mode '%s' in split '%s'; the tables leave it out.", mode, config.split
         )
-    header = _header(config, trained, stack, data) | {"data_sha256": windows.digest()}
-    out = Path(config.out)
+    header["data_sha256"] = windows.digest()
     write_parquet(out / "samples.parquet", evaluation.samples)
     write_metrics(out, header | metrics, scores)
     for earlier in out.glob("plans_*.png"):  # of other modes, which the tables no longer have

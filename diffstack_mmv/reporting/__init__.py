@@ -18,6 +18,7 @@ with needs("stack", "diffstack_mmv.reporting"):
         read_runs,
         write_comparison,
     )
+    from diffstack_mmv.reporting.earlier import require_same_evaluation
     from diffstack_mmv.reporting.files import (
         read_json,
         read_parquet,
@@ -61,6 +62,7 @@ __all__ = [
     "read_json",
     "read_parquet",
     "read_runs",
+    "require_same_evaluation",
     "summarise_modes",
     "write_by_excitation",
     "write_closed_loop",

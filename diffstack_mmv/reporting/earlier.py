@@ -1,0 +1,42 @@
+"""A report is not lost to another one that is written into the same folder."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from diffstack_mmv.reporting.files import read_json
+from dmmv_conventions.checks import message
+
+IDENTITY = ("data", "split", "goal", "dynamics", "vehicle", "seed", "smoother", "calibrated_on")
+"""What tells reports apart: not the code, so that an evaluation can be repeated by another one."""
+
+
+def require_same_evaluation(folder: Path, header: Mapping[str, Any]) -> None:
+    """Refuse a folder that holds the report of another checkpoint or with other settings.
+
+    A checkpoint of the same path is the same run, whose training may have gone on.
+
+    Args:
+        folder: Where a report is to be written.
+        header: Its own header, as in `metrics.json`.
+
+    Raises:
+        ValueError: There is another report.
+    """
+    path = folder / "metrics.json"
+    if not path.is_file():
+        return
+    before = read_json(path)
+    differing = [name for name in IDENTITY if before.get(name) != header.get(name)]
+    if before.get("checkpoint_sha256") != header.get("checkpoint_sha256"):
+        first, second = (_place(told.get("checkpoint")) for told in (before, header))
+        differing += ["checkpoint"] if first != second else []
+    if differing:
+        name = differing[0]
+        requirement = f"hold no report with another {name} than {header.get(name)}"
+        remedy = f"Give another out=FOLDER, or delete {folder}."
+        raise ValueError(message("out", requirement, before.get(name), f"in {path}", remedy))
+
+
+def _place(checkpoint: str | None) -> Path | None:
+    return None if checkpoint is None else Path(checkpoint).resolve()

@@ -1,0 +1,45 @@
+"""A report does not overwrite that of another evaluation."""
+
+import pytest
+
+from diffstack_mmv.reporting import require_same_evaluation, write_json
+
+HEADER = {
+    "data": "thab_vru", "split": "val", "goal": "predicted", "seed": 1,
+    "checkpoint": "runs/1/best.ckpt", "checkpoint_sha256": "a", "code": "1",
+}  # fmt: skip
+
+
+def test_an_empty_folder_and_the_same_evaluation_are_accepted(tmp_path):
+    require_same_evaluation(tmp_path, HEADER)
+    write_json(tmp_path / "metrics.json", HEADER)
+    require_same_evaluation(tmp_path, HEADER | {"code": "2"})
+
+
+def test_a_run_that_was_trained_on_is_the_same_run(tmp_path):
+    write_json(tmp_path / "metrics.json", HEADER)
+    require_same_evaluation(tmp_path, HEADER | {"checkpoint_sha256": "b"})
+
+
+def test_a_checkpoint_that_was_moved_is_the_same(tmp_path):
+    write_json(tmp_path / "metrics.json", HEADER)
+    require_same_evaluation(tmp_path, HEADER | {"checkpoint": "elsewhere/best.ckpt"})
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"split": "test"}, "another split than test, but got val"),
+        ({"goal": "future"}, "another goal than future"),
+        ({"calibrated_on": "val"}, "another calibrated_on than val"),
+        (
+            {"checkpoint": "runs/2/best.ckpt", "checkpoint_sha256": "b"},
+            "another checkpoint than runs/2/best.ckpt",
+        ),
+    ],
+)
+def test_another_evaluation_is_refused_with_what_differs_and_what_to_do(tmp_path, changed, told):
+    write_json(tmp_path / "metrics.json", HEADER)
+    with pytest.raises(ValueError, match=told) as refused:
+        require_same_evaluation(tmp_path, HEADER | changed)
+    assert "Give another out=FOLDER" in str(refused.value)
