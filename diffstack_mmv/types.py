@@ -291,6 +291,11 @@ class EpisodeRecord(NamedTuple):
     dt_s: float
 
 
+def on_host(*tensors: Tensor) -> bool:
+    """Whether tensors lie in the memory of the host, which then waits for none of their values."""
+    return all(tensor.device.type == "cpu" for tensor in tensors)
+
+
 def map_tensors(function: Callable[[Tensor], Tensor], record: Any) -> Any:
     """Apply a function to every tensor of a (nested) record; all else, as `dt_s`, stays."""
     if isinstance(record, Tensor):

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from diffstack_mmv.control.batch_last import apply
+from diffstack_mmv.types import on_host
 
 MOST_EXCHANGES = 200  # far more than any problem of a few variables was seen to need
 EXCHANGES_PER_VARIABLE = 4
@@ -188,7 +189,7 @@ def _principal_pivoting(H: Tensor, g: Tensor, lower: Tensor, upper: Tensor) -> T
     fewest = torch.full_like(side[0], len(g) + 1)
     guess = _ActiveSet(side, fewest, torch.ones_like(fewest, dtype=torch.bool))
     # a loop that asks for its end can be neither compiled nor queued on another device
-    can_ask = not torch.compiler.is_compiling() and g.device.type == "cpu"
+    can_ask = not torch.compiler.is_compiling() and on_host(g)
     k = g
     for _ in range(MOST_EXCHANGES if can_ask else EXCHANGES_PER_VARIABLE * len(g)):
         k, wanted = _implied(H, g, lower, upper, guess.side)

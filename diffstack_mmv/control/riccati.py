@@ -18,6 +18,7 @@ from diffstack_mmv.control.batch_last import (
     walk,
 )
 from diffstack_mmv.control.box_qp import free_inverse, largest, positive_lift, solve_box_qp
+from diffstack_mmv.types import on_host
 
 FAR = 3e-2  # predicted decrease relative to the cost above which a problem is far from its solution
 WHOLE = 256  # problems up to which a pass over all takes no longer than to pick some out
@@ -160,7 +161,7 @@ def definite_policies(
     exact = solve(lq, gradient, box, damping, torch.zeros_like(damping), n)
     indefinite = exact.lifted_free | (exact.lifted & (exact.decrease > FAR * magnitude))
     # to ask a device for the number would make it wait, and a second pass is cheap there
-    index = indefinite.nonzero().squeeze(-1) if indefinite.device.type == "cpu" else None
+    index = indefinite.nonzero().squeeze(-1) if on_host(indefinite) else None
     if index is not None and len(index) == 0:
         return Policies(exact, None, indefinite)
     convex = _convex_policy(solve, lq, gradient, box, damping, indefinite, index, n, exact)

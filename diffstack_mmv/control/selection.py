@@ -8,6 +8,7 @@ from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
 from diffstack_mmv.control.iteration import OPEN, Iterate
+from diffstack_mmv.types import on_host
 
 SMALLEST = 8  # problems; below, there is nothing to win
 NOTHING = torch.zeros(0, dtype=torch.long)
@@ -109,12 +110,7 @@ class Workload(NamedTuple):
     def narrowed(self) -> "Workload":
         """Only the problems that are still open, if the callables can follow and it is worth it."""
         able = isinstance(self.dynamics, Selectable) and isinstance(self.cost, Selectable)
-        if (
-            not able
-            or self.like.dim() != 1
-            or len(self.like) <= SMALLEST
-            or self.like.device.type != "cpu"
-        ):
+        if not able or self.like.dim() != 1 or len(self.like) <= SMALLEST or not on_host(self.like):
             return self
         keep = (self.iterate.status == OPEN).nonzero().squeeze(-1)
         size = len(self.like)

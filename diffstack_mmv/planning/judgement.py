@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.planning.clearance import ClearanceMargin, Safety
-from diffstack_mmv.types import Discs, Motion, Obstacles
+from diffstack_mmv.types import Discs, Motion, Obstacles, on_host
 from dmmv_conventions.libraries import load_or_tell, pointers
 
 READ = (
@@ -65,7 +65,7 @@ def judged(
     position, heading = motion.position, motion.heading
     given = position, heading, *discs, *obstacles[:3]
     like = position.dtype
-    plain = like in NAMES and all(e.dtype == like and e.device.type == "cpu" for e in given)
+    plain = like in NAMES and on_host(*given) and all(e.dtype == like for e in given)
     if position.dim() != 4 or not plain or torch.compiler.is_compiling() or library() is None:
         return None
     problems, plans, rows, _ = position.shape

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from diffstack_mmv.types import Motion, Obstacles, PlanningProblem, map_tensors
+from diffstack_mmv.types import Motion, Obstacles, PlanningProblem, map_tensors, on_host
 
 LARGEST = 1 << 17
 """Distances between plans and agents that are computed at once: their tensors stay in a cache."""
@@ -56,7 +56,7 @@ def possible(obstacles: Obstacles) -> Obstacles:
     Args:
         obstacles: Agents with one leading dimension, `b N K`.
     """
-    if obstacles.weight.device.type != "cpu":
+    if not on_host(obstacles.weight):
         return obstacles
     there = (obstacles.valid[..., None] & (obstacles.weight > 0)).flatten(1)
     most = int(there.sum(-1).max()) if there.numel() else 0
@@ -77,7 +77,7 @@ def possible(obstacles: Obstacles) -> Obstacles:
 
 def _rows_at_once(controls: Float[Tensor, "*b C t m"], problem: PlanningProblem) -> int | None:
     """How many problems fit into the cache; None where all do, or on another device."""
-    if controls.dim() != 4 or controls.device.type != "cpu" or not len(controls):
+    if controls.dim() != 4 or not on_host(controls) or not len(controls):
         return None
     each = problem.obstacles.position[0].numel() // 2 * controls.shape[1]
     rows = max(1, LARGEST // max(each, 1))

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from diffstack_mmv.reporting.files import read_json
-from dmmv_conventions.checks import message
 
 IDENTITY = ("data", "split", "goal", "dynamics", "vehicle", "seed", "smoother", "calibrated_on")
 """What tells reports apart: not the code, so that an evaluation can be repeated by another one."""
@@ -33,9 +32,10 @@ def require_same_evaluation(folder: Path, header: Mapping[str, Any]) -> None:
         differing += ["checkpoint"] if first != second else []
     if differing:
         name = differing[0]
-        requirement = f"hold no report with another {name} than {header.get(name)}"
-        remedy = f"Give another out=FOLDER, or delete {folder}."
-        raise ValueError(message("out", requirement, before.get(name), f"in {path}", remedy))
+        raise ValueError(
+            f"`out` must hold no report with another {name} than {header.get(name)}, but got "
+            f"{before.get(name)} in {path}. Give another out=FOLDER, or delete {folder}."
+        )
 
 
 def _place(checkpoint: str | None) -> Path | None:

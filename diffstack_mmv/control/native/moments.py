@@ -20,6 +20,7 @@ from diffstack_mmv.control.native.library import POINT, TEMPLATE, header, openin
 from diffstack_mmv.control.native.modules import Ready, Workshop, counts
 from diffstack_mmv.control.native.own_numbers import prelude_adjoint
 from diffstack_mmv.control.native.stages import StagedStep
+from diffstack_mmv.types import on_host
 from dmmv_conventions.libraries import pointers
 
 Moments = tuple[Float[Tensor, "N T 2"], Float[Tensor, "N T 2 2"]]
@@ -44,7 +45,7 @@ def moments(
         controls: Mean controls.
         scale: Cholesky factors L of their covariances.
     """
-    if start.device.type != "cpu" or controls.numel() == 0:
+    if not on_host(start) or controls.numel() == 0:
         return None
     workshop = _WORKSHOPS.get(dynamics)
     if workshop is None:

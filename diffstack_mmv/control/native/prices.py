@@ -40,6 +40,7 @@ from diffstack_mmv.control.native.solver import (
 )
 from diffstack_mmv.control.native.stages import Stage, StagedProblem
 from diffstack_mmv.control.selection import Batched
+from diffstack_mmv.types import on_host
 from dmmv_conventions.libraries import CannotBuildError, load, pointers
 from dmmv_conventions.progress import waiting
 
@@ -84,7 +85,7 @@ def pricer(
     cost: Batched, states: Float[Tensor, "b C T1 n"], controls: Float[Tensor, "b C T1 m"]
 ) -> Pricer | None:
     """Prices plans of as many times as these, None if there is no library for it; see `prices`."""
-    plain = states.device.type == "cpu" and states.dtype in REALS and controls.dtype == states.dtype
+    plain = on_host(states) and states.dtype in REALS and controls.dtype == states.dtype
     if not (plain and states.numel() and controls.numel()):
         return None
     key = kind(cost), states.dtype, states.shape[2:], controls.shape[-1]

@@ -22,6 +22,7 @@ from diffstack_mmv.control.native.lowering import CannotLowerError, Entries
 from diffstack_mmv.control.native.scalar import Program
 from diffstack_mmv.control.native.solver import REALS
 from diffstack_mmv.control.native.stages import StagedStep, staged_step
+from diffstack_mmv.types import on_host
 from dmmv_conventions.libraries import CannotBuildError, load, pointers
 from dmmv_conventions.progress import waiting
 
@@ -48,7 +49,7 @@ def scan(
         state: At the start.
         inputs: Of each row in each step.
     """
-    plainly = state.device.type == "cpu" and state.dtype in REALS and inputs.dtype == state.dtype
+    plainly = on_host(state) and state.dtype in REALS and inputs.dtype == state.dtype
     if not (plainly and state.numel() and inputs.numel()):
         return None
     key = kind(step), state.dtype, state.shape[-1], inputs.shape[-1]

@@ -25,7 +25,7 @@ from diffstack_mmv.control.native.rows import BatchRecorder, forms_of, from_rows
 from diffstack_mmv.control.native.stages import StagedProblem
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.selection import Batched, is_shared
-from diffstack_mmv.types import Solution, SolverStatus
+from diffstack_mmv.types import Solution, SolverStatus, on_host
 from dmmv_conventions.libraries import CannotBuildError, load, pointers
 from dmmv_conventions.progress import waiting
 
@@ -81,7 +81,7 @@ def solve(
 
 def _is_possible(dynamics: Dynamics, cost: Cost, numbers: Numbers, state: Tensor) -> bool:
     count = state[..., 0].numel()
-    fits = 0 < count <= numbers.most and state.device.type == "cpu" and state.dtype in REALS
+    fits = 0 < count <= numbers.most and on_host(state) and state.dtype in REALS
     fits = fits and numbers.settings.sizes.numel() <= MOST_SIZES
     if count <= 1:
         return fits

@@ -13,9 +13,9 @@ from diffstack_mmv.prediction.current import (
     current_heading,
     current_position,
 )
-from diffstack_mmv.prediction.trajectron.rows import Chosen, chosen, gathers
+from diffstack_mmv.prediction.trajectron.rows import Chosen, chosen
 from diffstack_mmv.prediction.trajectron.start import estimates
-from diffstack_mmv.types import Mode, Motion, Pose, Tracks, map_tensors
+from diffstack_mmv.types import Mode, Motion, Pose, Tracks, map_tensors, on_host
 
 PEDESTRIANS = (Mode.UNKNOWN, Mode.PEDESTRIAN, Mode.STROLLER)
 EGO, VEHICLE, PEDESTRIAN = (
@@ -98,7 +98,7 @@ def agent_kind(mode: Int[Tensor, "*b"]) -> Int[Tensor, "*b"]:
 def rows_of_role(rows: AgentBatch, role: int, agents: int) -> Chosen:
     """Places of the present rows of a role, with so many `agents` per scene."""
     mask = rows.present & (rows.role == role)
-    if gathers(mask.device):
+    if on_host(mask):
         return chosen(mask)
     place = torch.arange(len(mask), device=mask.device).reshape(-1, agents)
     return chosen(mask, place[:, 0] if role == EGO else place[:, 1:].flatten())

@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from diffstack_mmv.prediction.trajectron.recurrence import Weights
+from diffstack_mmv.types import on_host
 from dmmv_conventions.libraries import header, load_or_tell, pointers
 from dmmv_conventions.progress import waiting
 
@@ -56,7 +57,7 @@ class Blocks:
 
     def fit(self, like: Tensor) -> bool:
         """Whether rows like these can be taken."""
-        plain = like.device.type == "cpu" and like.dtype in REALS and like.numel() > 0
+        plain = on_host(like) and like.dtype in REALS and like.numel() > 0
         return plain and library(like.dtype) is not None
 
     def last_states(

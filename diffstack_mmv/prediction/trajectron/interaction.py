@@ -13,8 +13,9 @@ from diffstack_mmv.prediction.trajectron.encoder import (
     PerKind,
     perceptron,
 )
-from diffstack_mmv.prediction.trajectron.rows import chosen, gathers
+from diffstack_mmv.prediction.trajectron.rows import chosen
 from diffstack_mmv.smooth import safe_norm
+from diffstack_mmv.types import on_host
 
 EDGE_FEATURES = 8
 
@@ -110,7 +111,7 @@ def neighboring_rows(
     index: Int[Tensor, " R"], agents: int, ego_only: bool = False
 ) -> tuple[Int[Tensor, " P"], Int[Tensor, " P"]]:
     """All ordered pairs of different rows of the same scene, or those of its ego alone."""
-    if not gathers(index.device):  # a row for every agent
+    if not on_host(index):  # a row for every agent
         return _all_pairs(index.reshape(-1, agents), ego_only)
     scenes = int(index.max() // agents) + 1 if len(index) > 0 else 0
     row_of = torch.full((scenes * agents,), -1, device=index.device)

@@ -12,6 +12,8 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from diffstack_mmv.types import on_host
+
 CHUNK = 640
 """Rows that a CPU takes through all steps at once: their state and gates stay in its cache."""
 
@@ -62,7 +64,7 @@ def _in_chunks(
     """`emissions`, of so many rows at once as stay in the cache of a CPU."""
     tensors = (constant, hidden, *weights)
     learning = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
-    count = math.ceil(len(hidden) / CHUNK) if hidden.device.type == "cpu" else 1
+    count = math.ceil(len(hidden) / CHUNK) if on_host(hidden) else 1
     rows = math.ceil(len(hidden) / max(count, 1)) or 1  # chunks of equal size
     chunks = [
         _Emissions.apply(*part, steps, *weights)  # type: ignore[no-untyped-call]

@@ -10,6 +10,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from diffstack_mmv.types import on_host
+
 
 class Chosen(NamedTuple):
     """Rows that are computed, and which of them count."""
@@ -27,11 +29,6 @@ class Chosen(NamedTuple):
         return into.index_copy(0, self.index, values)
 
 
-def gathers(device: torch.device) -> bool:
-    """Whether rows are gathered on a device, as the host need not wait for it."""
-    return device.type == "cpu"
-
-
 def chosen(mask: Bool[Tensor, " R"], among: Int[Tensor, " S"] | None = None) -> Chosen:
     """Rows of a mask.
 
@@ -39,7 +36,7 @@ def chosen(mask: Bool[Tensor, " R"], among: Int[Tensor, " S"] | None = None) -> 
         mask: The rows that count.
         among: Rows outside of which the mask is False, where that is known without looking.
     """
-    if gathers(mask.device):
+    if on_host(mask):
         return Chosen(mask.nonzero().squeeze(-1), None)
     index = torch.arange(len(mask), device=mask.device) if among is None else among
     return Chosen(index, mask[index])

@@ -16,6 +16,7 @@ from torch import Tensor
 from torch._functorch import pyfunctorch
 
 from diffstack_mmv.simulation.pedestrians.base import CrowdState, VisibleRobot
+from diffstack_mmv.types import on_host
 from dmmv_conventions.libraries import load_or_tell, pointers
 
 NAMES = {torch.float32: "float", torch.float64: "double"}
@@ -52,7 +53,7 @@ def is_possible(tensors: Sequence[Tensor]) -> bool:
     plain = like.dtype in NAMES and not torch.compiler.is_compiling()
     if not plain or pyfunctorch.retrieve_all_functorch_interpreters():
         return False
-    same = all(each.dtype == like.dtype and each.device.type == "cpu" for each in tensors)
+    same = on_host(*tensors) and all(each.dtype == like.dtype for each in tensors)
     return same and library() is not None
 
 

@@ -17,7 +17,7 @@ def masked(monkeypatch):
 
     def begin():
         for module in MODULES:
-            monkeypatch.setattr(module, "gathers", lambda _: False)
+            monkeypatch.setattr(module, "on_host", lambda _: False)
 
     return begin
 
