@@ -2,8 +2,9 @@
 
 from diffstack_mmv.prediction.trajectron.jacobians import linearise, linearise_shared
 from diffstack_mmv.prediction.trajectron.latent import Annealing
-from diffstack_mmv.prediction.trajectron.model import Sizes, Trajectron
+from diffstack_mmv.prediction.trajectron.model import Trajectron
 from diffstack_mmv.prediction.trajectron.site import Site
+from diffstack_mmv.prediction.trajectron.sizes import Sizes
 
 __all__ = [
     "Annealing",

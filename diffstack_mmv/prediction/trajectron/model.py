@@ -38,23 +38,8 @@ from diffstack_mmv.prediction.trajectron.paths import path_scores
 from diffstack_mmv.prediction.trajectron.rows import Chosen
 from diffstack_mmv.prediction.trajectron.scene import SceneEncoder
 from diffstack_mmv.prediction.trajectron.site import Site
+from diffstack_mmv.prediction.trajectron.sizes import Sizes
 from diffstack_mmv.types import Forecast, Pose, StackBatch, Tracks
-
-
-class Sizes(NamedTuple):
-    """Sizes of the networks, those of Trajectron++ by default, and the share of units dropped.
-
-    `reach_m` is the distance at which the influence of another agent is halved, `fade_m` the
-    distance over which it fades; see `Interaction`.
-    """
-
-    history: int = 32
-    edge: int = 32
-    future: int = 32
-    decoder: int = 128
-    dropout: float = 0.1
-    reach_m: float = 15.0
-    fade_m: float = 2.0
 
 
 class Branch(nn.Module):
@@ -145,16 +130,7 @@ class Trajectron(Predictor):
         self.energy_weight = energy_weight
         self.blocks: Blocks | None = None
         self.annealing = (annealing if annealing is not None else Annealing()).checked()
-        self.scene_encoder = SceneEncoder(
-            self.dt_s,
-            sizes.history,
-            sizes.edge,
-            sizes.dropout,
-            sizes.reach_m,
-            sizes.fade_m,
-            site,
-            rough,
-        )
+        self.scene_encoder = SceneEncoder(self.dt_s, sizes, site, rough)
         self.future_encoder = PerKind(
             {kind: MaskedLSTM(TRACK_FEATURES, sizes.future) for kind in (VEHICLE, PEDESTRIAN)},
             sizes.future,

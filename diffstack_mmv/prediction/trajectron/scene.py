@@ -20,6 +20,7 @@ from diffstack_mmv.prediction.trajectron.interaction import Interaction
 from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
 from diffstack_mmv.prediction.trajectron.roughness import ORDERS, roughness
 from diffstack_mmv.prediction.trajectron.site import Site
+from diffstack_mmv.prediction.trajectron.sizes import Sizes
 from diffstack_mmv.prediction.trajectron.start import START_FEATURES, start_features
 from diffstack_mmv.types import Mode
 
@@ -31,11 +32,7 @@ class SceneEncoder(nn.Module):
 
     Args:
         dt_s: Length of one step in s.
-        history: Size of the encoding of the history.
-        edge: Size of the encoding of the interaction.
-        dropout: Share of units dropped in training.
-        reach_m: Distance at which the influence of another agent is halved.
-        fade_m: Distance over which it fades.
+        sizes: Sizes of the encodings of history and interaction, and the reach of the latter.
         site: Encoder of the place in the world; None: what is learned holds everywhere.
         rough: Whether it is told how noisy a track is, see `roughness`.
 
@@ -46,21 +43,18 @@ class SceneEncoder(nn.Module):
     def __init__(
         self,
         dt_s: float,
-        history: int = 32,
-        edge: int = 32,
-        dropout: float = 0.1,
-        reach_m: float = 15.0,
-        fade_m: float = 2.0,
+        sizes: Sizes,
         site: Site | None = None,
         rough: bool = False,
     ) -> None:
         super().__init__()
-        require_between("dropout", dropout, 0.0, 0.9)
+        history, edge = sizes.history, sizes.edge
+        require_between("dropout", sizes.dropout, 0.0, 0.9)
         self.dt_s = dt_s
         self.history = PerKind(
             {kind: MaskedLSTM(TRACK_FEATURES, history) for kind in (VEHICLE, PEDESTRIAN)}, history
         )
-        self.interaction = Interaction(history, edge, reach_m, fade_m, dropout)
+        self.interaction = Interaction(history, edge, sizes.reach_m, sizes.fade_m, sizes.dropout)
         self.site = site
         self.rough = rough
         self.outputs = history + edge + MOTION_FEATURES + len(Mode)
