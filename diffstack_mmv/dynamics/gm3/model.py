@@ -11,6 +11,7 @@ from diffstack_mmv.checks import require
 from diffstack_mmv.dynamics.base import DynamicsModel
 from diffstack_mmv.dynamics.gm3.chassis import Chassis, Physics
 from diffstack_mmv.dynamics.gm3.drive import Command, Drive, split_acceleration
+from diffstack_mmv.dynamics.gm3.grip import within_grip
 from diffstack_mmv.dynamics.gm3.lean import LeanLaw
 from diffstack_mmv.dynamics.gm3.load import GRAVITY
 from diffstack_mmv.dynamics.gm3.steady import linear_steer
@@ -31,7 +32,6 @@ from diffstack_mmv.vehicles import (
 )
 
 COMMAND_RANGE = 2.0  # steering commands may go that far beyond the soft limit: tanh(2) = 0.96
-GRIP_SHARE = 0.8  # of μ g, for accelerations along and across together
 COMMAND_LIMIT = 1e3  # m/s^2, far beyond friction; keeps powers of a wild command finite
 PACE_MPS = 5.0  # speed at which the steering per curvature is told
 SLOW = 0.2  # m/s, below which a course says little about the heading
@@ -187,7 +187,7 @@ class DiffGM3(DynamicsModel):
     def state_on_course(self, motion: Motion) -> Float[Tensor, "*b 8"]:
         """State of a vehicle whose centre of gravity was tracked: `motion.heading` is its course.
 
-        The axle that does not steer, at distance b behind, slips no sideways: sin β = b r / v,
+        The axle that does not steer, at distance b behind, does not slip sideways: sin β = b r / v,
         heading = course - β. Near standstill, where a course says little, β fades to zero.
         """
         speed = motion.velocity[..., 0]
@@ -216,16 +216,9 @@ class DiffGM3(DynamicsModel):
         acceleration: Float[Tensor, "*b"],
         curvature: Float[Tensor, "*b"],
     ) -> Float[Tensor, "*b"]:
-        """What of a curvature (1/m) the tyres hold: |a| + v² |κ| ≤ 0.8 μ g.
-
-        A friction circle would let too much through: braking unloads the rear wheel, and a
-        motorcycle at 14 m/s spins where it brakes by 3 m/s² in a turn of 5 m/s², 0.66 of μ g.
-        """
+        """What of a curvature (1/m) the tyres hold, see `within_grip`."""
         asked = acceleration.clamp(self.bounds.lower[0], self.bounds.upper[0])
-        grip = GRIP_SHARE * GRAVITY * self.get_submodule("friction")().mean()
-        across = (grip - asked.abs()).clamp_min(0)
-        limit = across / (state[..., 2].square() + SLOW**2)
-        return torch.minimum(torch.maximum(curvature, -limit), limit)
+        return within_grip(curvature, state[..., 2], asked, self.get_submodule("friction")())
 
     def steer_for(
         self, state: Float[Tensor, "*b 8"], curvature: Float[Tensor, "*b"]
@@ -274,11 +267,9 @@ class DiffGM3(DynamicsModel):
         The steering angle per curvature at 5 m/s holds all that acts as understeer in one number:
         tyres, yaw damping and aligning moment. The others exist where both axles are tyred.
         """
-        state = self.bounds.lower.new_zeros(self.state_dim)
-        forward = torch.tensor(self.State._fields.index("velocity_forward"))
-        state = state + PACE_MPS * torch.nn.functional.one_hot(forward, self.state_dim)
-        small = 1e-4
-        steer = self.steer_for(state, state.new_tensor(small)) / small
+        pace, small, zero = self.bounds.lower.new_tensor([PACE_MPS, 1e-4, 0.0])
+        ahead = Motion(zero.expand(2), zero, torch.stack([pace, zero]), zero)
+        steer = self.steer_for(self.initial_state(ahead), small) / small
         name = f"steer_per_curvature_at_{PACE_MPS:g}_mps"
         tread = self.get_submodule("tread_stiffness")()
         length = self.get_submodule("contact_half_length")()
