@@ -2,7 +2,7 @@
 
 import pytest
 
-from diffstack_mmv.reporting import Run, ablation_table, write_json
+from diffstack_mmv.reporting import Run, ablation_table, write_json, write_paper_table
 
 SCORES = ("ade", "nll", "energy_score", "coverage_50", "coverage_90")
 
@@ -47,6 +47,11 @@ def test_a_run_that_has_not_ended_is_counted_and_no_part_of_a_mean(runs):
     (runs[1].report / "metrics.json").unlink()
     row = ablation_table(runs, {"kbm": "DiffKBM"}).set_index("").loc["present"]
     assert (row["seeds"], row["ADE [m]"]) == ("1 of 2", "1.000")
+
+
+def test_digits_are_kept_in_the_file(runs, tmp_path):
+    write_paper_table(tmp_path, ablation_table(runs, {"kbm": "DiffKBM"}), [])
+    assert "| 4.000 " in (tmp_path / "results.md").read_text(encoding="utf-8")
 
 
 def test_a_set_without_any_result_has_dashes(runs):
