@@ -102,7 +102,8 @@ def bootstrap(
 
 def write_paper_table(folder: Path, table: pd.DataFrame, remarks: Sequence[str]) -> None:
     """Write `results.md`, `results.tex` and `results.csv`; remarks go below the first."""
-    text = str(table.to_markdown(index=False, disable_numparse=True)) if len(table) else "No run has ended."
+    told = table.to_markdown(index=False, disable_numparse=True)  # or 0.410 became 0.41
+    text = str(told) if len(table) else "No run has ended."
     below = "\n".join(f"- {remark}" for remark in remarks)
     write_text(folder / "results.md", f"{text}\n\n{below}\n" if below else f"{text}\n")
     write_text(folder / "results.tex", str(table.to_latex(index=False, escape=True)))
