@@ -55,8 +55,12 @@ def test_fan_is_finite_at_standstill_and_with_the_goal_anywhere(model, goal):
     assert torch.isfinite(fan.states).all()
 
 
-@pytest.mark.parametrize(("vehicle", "speed"), [("motorcycle", 14.0), ("bicycle", 8.0)])
-@pytest.mark.parametrize("goal", [(8.0, 1.0), (8.0, 4.0), (25.0, 12.0), (-5.0, 0.5), (30.0, -20.0)])
+FAST = [("motorcycle", 14.0), ("motorcycle", 20.0), ("bicycle", 8.0), ("scooter", 5.0)]
+GOALS = [(8.0, 1.0), (8.0, 4.0), (25.0, 12.0), (-5.0, 0.5), (30.0, -20.0), (3.0, -3.0), (0.0, 2.0)]
+
+
+@pytest.mark.parametrize(("vehicle", "speed"), FAST)
+@pytest.mark.parametrize("goal", GOALS)
 def test_no_candidate_spins_or_rolls_backwards(vehicle, speed, goal):
     model = DiffGM3(load_vehicle(vehicle))
     motion = CandidateFan()(model, problem(speed, goal), 30).motion
