@@ -14,11 +14,19 @@ from typing import Self
 import jaxtyping
 import torch
 from beartype import BeartypeConf
+from beartype.roar import BeartypeCallHintParamViolation
 
 SHAPES = jaxtyping.jaxtyped("context")
+
+
+class ArgumentError(BeartypeCallHintParamViolation, TypeError):
+    """As Python's own: what is foretold of settings waits where a value is still to be built."""
+
+
 NUMBERS = BeartypeConf(
-    is_pep484_tower=True
-)  # a whole number may stand for a `float`, as in PEP 484
+    is_pep484_tower=True,  # a whole number may stand for a `float`, as in PEP 484
+    violation_param_type=ArgumentError,
+)
 
 
 def checked(function=None, *, typechecker):
