@@ -20,7 +20,7 @@ def within_grip(
 
     A friction circle would let too much through: braking unloads the rear wheel, and a motorcycle
     at 14 m/s spins where it brakes by 3 m/s² in a turn of 5 m/s², 0.66 of μ g. With 0.7 μ g it
-    still spins at 20 m/s, with 0.65 none of the vehicles does at any speed that was tried.
+    still spins at 20 m/s, with 0.65 neither motorcycle, bicycle nor e-scooter does.
 
     Args:
         curvature: What is asked, 1/m.
