@@ -53,14 +53,23 @@ def check(config: DictConfig) -> None:
     for name, told in config.sets.items():
         if told is None:
             continue
-        source = told.get("converted", name)
-        there = [other for other, each in config.sets.items() if each is not None]
-        require_one_of(f"sets.{name}.converted", source, there)
+        _require_conversion(config, name)
         _require_option("data", told.data)
         for vehicle in told.modes.values():
             _require_option("vehicle", vehicle)
         require_modes([str(mode) for mode in told.modes])
     instantiate(config.launcher)
+
+
+def _require_conversion(config: DictConfig, name: str) -> None:
+    """Refuse a set that reads the conversion of other recordings."""
+    source, told = _converted(config, name), config.sets[name]
+    there = [other for other, each in config.sets.items() if each is not None]
+    require_one_of(f"sets.{name}.converted", source, there)
+    for key in ("data", "root"):
+        wanted = config.sets[source][key]
+        requirement = f"be that of `sets.{source}`, whose conversion is read ({wanted})"
+        require(told[key] == wanted, f"sets.{name}.{key}", requirement, told[key])
 
 
 def _require_option(group: str, name: str) -> None:

@@ -11,7 +11,7 @@ from hydra.utils import instantiate
 from diffstack_mmv.jobs import Job, LocalProcesses, expected_seconds
 from diffstack_mmv.reporting import Run
 from dmmv_conventions.configs import config_folder
-from scripts.results import _told, _training, _work
+from scripts.results import _told, _training, _work, check
 
 
 def job(folder, name, code):
@@ -78,6 +78,36 @@ def test_sets_and_models_of_null_are_left_out(succeed, tmp_path):
     arguments = ["experiment=eth_ucy", f"raw={tmp_path}", "dry_run=true", f"out={tmp_path / 'out'}"]
     (tmp_path / "eth_ucy").mkdir()
     assert "10 of 10 jobs to do" in succeed("results", *arguments)
+
+
+def test_sets_that_differ_in_their_training_share_a_conversion(succeed, tmp_path):
+    given = ["experiment=predictor_ablation", f"raw={tmp_path}", f"out={tmp_path / 'out'}"]
+    (tmp_path / "thab_vru").mkdir()
+    arguments = [*given, "size.seeds=[1]", "dry_run=true"]
+    told = succeed("results", *arguments)
+    with initialize_config_dir(str(config_folder()), version_base="1.3"):
+        config = compose("results", given)
+    rows = [name for name, told_of in config.sets.items() if told_of is not None]
+    assert f"{len(rows) + 1} of {len(rows) + 1} jobs to do" in told
+    train = _training(config, Run(rows[-1], "bicycle", "kbm", "predicted", 1, tmp_path / "runs/a/b"),
+                      tmp_path).commands[0]  # fmt: skip
+    assert f"data.cache={tmp_path / 'data' / 'present' / 'cache'}" in train
+
+
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ("sets.site.converted=nowhere", "`sets.site.converted` must be one of"),
+        ("sets.site.data=sdd", "`sets.site.data` must be that of `sets.present`"),
+        ("rows=set", "`rows` must be one of methods, sets"),
+        ("plans=true", "`plans` must be false with rows=sets"),
+    ],
+)
+def test_a_set_with_the_conversion_of_other_recordings_is_refused(setting, told):
+    with initialize_config_dir(str(config_folder()), version_base="1.3"):
+        config = compose("results", ["experiment=predictor_ablation", setting])
+    with pytest.raises(ValueError, match=told):
+        check(config)
 
 
 def test_a_dry_run_names_the_sets_without_recordings(succeed, tmp_path):
