@@ -89,8 +89,8 @@ def test_sets_that_differ_in_their_training_share_a_conversion(succeed, tmp_path
         config = compose("results", given)
     rows = [name for name, told_of in config.sets.items() if told_of is not None]
     assert f"{len(rows) + 1} of {len(rows) + 1} jobs to do" in told
-    train = _training(config, Run(rows[-1], "bicycle", "kbm", "predicted", 1, tmp_path / "runs/a/b"),
-                      tmp_path).commands[0]  # fmt: skip
+    run = Run(rows[-1], "bicycle", "kbm", "predicted", 1, tmp_path / "runs/a/report")
+    train = _training(config, run, tmp_path).commands[0]
     assert f"data.cache={tmp_path / 'data' / 'present' / 'cache'}" in train
 
 
@@ -103,7 +103,7 @@ def test_sets_that_differ_in_their_training_share_a_conversion(succeed, tmp_path
         ("plans=true", "`plans` must be false with rows=sets"),
     ],
 )
-def test_a_set_with_the_conversion_of_other_recordings_is_refused(setting, told):
+def test_sets_of_other_recordings_and_rows_of_plans_are_refused(setting, told):
     with initialize_config_dir(str(config_folder()), version_base="1.3"):
         config = compose("results", ["experiment=predictor_ablation", setting])
     with pytest.raises(ValueError, match=told):
