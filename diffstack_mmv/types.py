@@ -34,7 +34,7 @@ _ADVICE = {
     SolverStatus.ITERATION_LIMIT: "The limit was reached: raise `max_iterations` or start closer.",
     SolverStatus.STALLED: "No step lowers the cost: loosen `tolerance`, or solve in float64.",
     SolverStatus.NOT_FINITE: "State, cost or dynamics are NaN or infinite: check the inputs.",
-    SolverStatus.INFEASIBLE: "No step meets the constraints any better: loosen or soften them.",
+    SolverStatus.INFEASIBLE: "Bounds cross, or no step meets the constraints better: loosen them.",
 }
 
 

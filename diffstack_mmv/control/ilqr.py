@@ -22,7 +22,7 @@ from diffstack_mmv.control.iteration import OPEN, Iterate, Settings, cheaper, st
 from diffstack_mmv.control.optimizer import Constraints, Cost, Dynamics
 from diffstack_mmv.control.riccati import definite_policies
 from diffstack_mmv.control.selection import Workload
-from diffstack_mmv.types import Bounds, Solution, SolverStatus
+from diffstack_mmv.types import Bounds, Solution, SolverStatus, on_host
 
 if TYPE_CHECKING:
     from diffstack_mmv.control.constrained import ConstrainedSolution
@@ -272,7 +272,8 @@ def check_problem(
 
     Raises:
         ValueError: Leading dimensions, precision or number of controls differ, there is no step, or
-            a bound is missing or above its partner.
+            a bound is missing or above its partner. Another device than a CPU is not waited for:
+            crossed bounds make every problem there `INFEASIBLE`.
         TypeError: The state is not of a floating-point type.
     """
     if not state.is_floating_point():
@@ -298,9 +299,10 @@ def check_problem(
         require(
             tuple(bound.shape) == (m,), f"bounds.{name}", f"have shape ({m},)", tuple(bound.shape)
         )
-    in_order = bool((bounds.lower <= bounds.upper).all())
+    if not on_host(*bounds):
+        return
     require(
-        in_order,
+        bool((bounds.lower <= bounds.upper).all()),
         "bounds",
         "be in order, lower <= upper",
         (bounds.lower.tolist(), bounds.upper.tolist()),

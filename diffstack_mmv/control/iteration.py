@@ -125,6 +125,9 @@ def start(
     guess = attempt(dynamics, cost, like, nowhere, zero.clone(), zero.clone(), idle, settings)
     finite = guess.cost.isfinite() & guess.x.isfinite().all(0).all(0)
     status = torch.where(finite, status, SolverStatus.NOT_FINITE)
+    lower, upper = settings.box
+    in_order = (lower <= upper).all()  # known before on a CPU; another device is not waited for
+    status = torch.where(in_order, status, SolverStatus.INFEASIBLE)
     return guess._replace(damping=zero, status=status, iterations=count)
 
 

@@ -12,6 +12,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from diffstack_mmv.control import ILQR, Batched, Bounds, DifferencedCurvature, compilation
 from diffstack_mmv.control.ilqr import CHECK_EVERY
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle
+from diffstack_mmv.types import SolverStatus
 from diffstack_mmv.vehicles import load_vehicle
 from tests.control.test_linear_quadratic import affine, quadratic
 
@@ -116,17 +117,11 @@ def waits_of(name, iterations, compile=False):
     return waits.seen
 
 
-@pytest.fixture(autouse=True)
-def unasked(monkeypatch):
-    """The arguments of a problem are asked once, before the iterations."""
-    monkeypatch.setattr("diffstack_mmv.control.ilqr.check_problem", lambda *_: None)
-    assert CHECK_EVERY.get("meta", EVERY) == EVERY
-
-
 @pytest.mark.parametrize(
     "name", [pytest.param(each, marks=SLOW.get(each, ())) for each in PROBLEMS]
 )
 def test_the_only_question_is_whether_all_are_finished(name):
+    assert CHECK_EVERY.get("meta", EVERY) == EVERY
     iterations = 5 if name == "kbm" else 1
     assert waits_of(name, iterations) == ["_local_scalar_dense"] * -(-iterations // EVERY)
 
@@ -143,6 +138,18 @@ def test_with_compiled_kernels_there_is_no_other_question(name, monkeypatch):
     monkeypatch.setattr(compilation.Kernel, "__call__", as_it_is)
     assert waits_of(name, 1, compile=True) == ["_local_scalar_dense"]
     assert {"attempt", "box_policy"} < called
+
+
+def test_crossed_bounds_end_every_problem_where_they_are_not_asked_for(monkeypatch):
+    monkeypatch.setattr("diffstack_mmv.control.ilqr.on_host", lambda *_: False)
+    A, B, b = torch.eye(2).expand(3, 2, 2), torch.ones(3, 2, 1), torch.zeros(3, 2)
+    box = Bounds(torch.tensor([1.0]), torch.tensor([-1.0]))
+    problem = Batched(affine, A, B, b), Batched(quadratic, torch.eye(3).expand(3, 3, 3)), box
+    state, guess = torch.ones(3, 2, requires_grad=True), torch.zeros(3, 4, 1)
+    solution = ILQR()(*problem, state, guess)
+    assert solution.status.tolist() == [SolverStatus.INFEASIBLE] * 3
+    (gradient,) = torch.autograd.grad(solution.controls.sum(), state)
+    assert not gradient.any()
 
 
 WAITS = {

@@ -24,9 +24,8 @@ from tests.stack.test_module import STEPS, batch_of, stack_of
 
 
 @pytest.fixture(autouse=True)
-def unasked(monkeypatch):
-    """The arguments of a problem are asked once, before the iterations; meta has no autocast."""
-    monkeypatch.setattr("diffstack_mmv.control.ilqr.check_problem", lambda *_: None)
+def no_autocast(monkeypatch):
+    """The meta device has no autocast."""
     monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())
 
 
