@@ -50,11 +50,17 @@ def ablation_table(runs: Sequence[Run], models: Mapping[str, str]) -> pd.DataFra
 
 
 def _scores(told: Any, mode: str) -> dict[str, float]:
-    own = told["modes"][mode]
+    own, situations = told["modes"][mode], _situations(told, mode)
     return {
         **{name: own[name] for name in ("ade", *OTHERS)},
-        **{each: told["situations"][mode][each]["ade"] for each in SITUATIONS},
+        **{name: scores["ade"] for name, scores in situations.items()},
     }
+
+
+def _situations(told: Any, mode: str) -> dict[str, Any]:
+    """Scores of those who move and of those who stand; either may be nobody."""
+    there = told["situations"][mode]
+    return {name: there[name] for name in SITUATIONS if name in there}
 
 
 def _trivial(told: Any, mode: str) -> dict[str, dict[str, float]]:
@@ -62,7 +68,8 @@ def _trivial(told: Any, mode: str) -> dict[str, dict[str, float]]:
     found = {}
     for name, per_mode in told["baselines"].items():
         situations = {
-            each: told["situations"][mode][each]["baselines"][name]["ade"] for each in SITUATIONS
+            situation: scores["baselines"][name]["ade"]
+            for situation, scores in _situations(told, mode).items()
         }
         likelihood = told["modes"][mode].get(f"nll_{name}")
         found[name] = {"ade": per_mode[mode]["ade"], **situations}

@@ -7,14 +7,14 @@ from diffstack_mmv.reporting import Run, ablation_table, write_json, write_paper
 SCORES = ("ade", "nll", "energy_score", "coverage_50", "coverage_90")
 
 
-def write_scores(folder, value):
+def write_scores(folder, value, situations=("moving", "standing")):
     trivial = {"kalman": {"ade": 5.0}}
     told = {
         "modes": {"bicycle": dict.fromkeys(SCORES, value) | {"nll_kalman": 1.5, "n": 7}},
         "baselines": {"kalman": {"bicycle": {"ade": 4.0}}},
         "situations": {
             "bicycle": {
-                name: {"ade": 2 * value, "baselines": trivial} for name in ("moving", "standing")
+                name: {"ade": 2 * value, "baselines": trivial} for name in situations
             }
         },
     }
@@ -60,3 +60,12 @@ def test_a_set_without_any_result_has_dashes(runs):
     table = ablation_table(runs, {"kbm": "DiffKBM"}).set_index("")
     assert (table.loc["present", "seeds"], table.loc["present", "NLL"]) == ("0 of 2", "-")
     assert table.loc["kalman", "ADE [m]"] == "4.000"
+
+
+def test_where_nobody_stands_there_is_a_dash(tmp_path):
+    """As on the bikers of SDD."""
+    write_scores(tmp_path, 1.0, ("moving",))
+    run = Run("riders", "bicycle", "kbm", "predicted", 1, tmp_path)
+    table = ablation_table([run], {"kbm": "DiffKBM"}).set_index("")
+    assert list(table["standing"]) == ["-", "-"]
+    assert list(table["moving"]) == ["2.000", "5.000"]
