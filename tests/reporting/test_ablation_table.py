@@ -13,9 +13,7 @@ def write_scores(folder, value, situations=("moving", "standing")):
         "modes": {"bicycle": dict.fromkeys(SCORES, value) | {"nll_kalman": 1.5, "n": 7}},
         "baselines": {"kalman": {"bicycle": {"ade": 4.0}}},
         "situations": {
-            "bicycle": {
-                name: {"ade": 2 * value, "baselines": trivial} for name in situations
-            }
+            "bicycle": {name: {"ade": 2 * value, "baselines": trivial} for name in situations}
         },
     }
     write_json(folder / "metrics.json", told)
