@@ -40,8 +40,13 @@ class FutureGoal:
     def expected_path(
         self, forecast: Forecast, goal: Float[Tensor, "B 2"]
     ) -> Float[Tensor, "B T 2"]:
-        """Median of the forecast given that it ends at the goal, see `given_end`."""
-        return given_end(forecast, goal).median()
+        """Median of the forecast given that it ends at the goal, see `given_end`.
+
+        A single path has no alternatives to weigh, and how its error grows was not learned: it is
+        left as it is, for `predicted_reference` to bend with the least acceleration.
+        """
+        alone = forecast.mean.shape[-3] == 1
+        return forecast.mean[..., 0, :, :] if alone else given_end(forecast, goal).median()
 
 
 class PredictedGoal:

@@ -1,0 +1,39 @@
+"""Where the ego is expected to go once its goal is known."""
+
+import torch
+
+from diffstack_mmv.planning import FutureGoal, predicted_reference
+from diffstack_mmv.planning.conditional import given_end
+from diffstack_mmv.types import Forecast, Motion
+
+STEPS, DT_S = 30, 0.1
+
+
+def forecast(*ends):
+    """Straight ways of one agent from the origin, equally likely, with a spread of t²."""
+    share = torch.arange(1, STEPS + 1) / STEPS
+    mean = torch.tensor([ends]).unsqueeze(-2) * share.unsqueeze(-1)
+    scale = 2.0 * share.square()[:, None, None] * torch.eye(2) + 0.02 * torch.eye(2)
+    weight = torch.full((1, len(ends)), 1 / len(ends))
+    return Forecast(weight.log(), mean, scale.expand(1, len(ends), STEPS, 2, 2))
+
+
+def test_a_single_path_is_bent_to_the_goal_as_a_spline():
+    """Constant velocity and a known end: the cubic Hermite spline of the baselines."""
+    paths, goal = forecast([9.0, 0.0]), torch.tensor([[6.0, 3.0]])
+    expected, path = FutureGoal().expected_path(paths, goal), paths.mean[:, 0]
+    assert torch.equal(expected, path)
+    still = torch.zeros(1, 2)
+    now = Motion(still, still[:, 0], torch.tensor([[3.0, 0.0]]), still[:, 0])
+    bent = predicted_reference(now, expected, goal, DT_S).path[:, 1:]
+    share = torch.arange(1, STEPS + 1).unsqueeze(-1) / STEPS
+    spline = path + 0.5 * share.square() * (3 - share) * (goal - path[:, -1])
+    assert torch.allclose(bent, spline, atol=1e-5)
+
+
+def test_of_several_paths_those_near_the_goal_count():
+    paths, goal = forecast([9.0, 0.0], [6.0, 4.0], [6.0, -4.0]), torch.tensor([[6.2, 3.7]])
+    expected = FutureGoal().expected_path(paths, goal)
+    assert torch.equal(expected, given_end(paths, goal).median())
+    assert torch.allclose(expected[:, -1], goal, atol=1e-3)
+    assert (expected - paths.mean[:, 1]).norm(dim=-1).max() < 0.5
