@@ -4,6 +4,7 @@ import torch
 
 from diffstack_mmv.planning import FutureGoal, predicted_reference
 from diffstack_mmv.planning.conditional import given_end
+from diffstack_mmv.prediction import hermite_spline
 from diffstack_mmv.types import Forecast, Motion
 
 STEPS, DT_S = 30, 0.1
@@ -26,9 +27,7 @@ def test_a_single_path_is_bent_to_the_goal_as_a_spline():
     still = torch.zeros(1, 2)
     now = Motion(still, still[:, 0], torch.tensor([[3.0, 0.0]]), still[:, 0])
     bent = predicted_reference(now, expected, goal, DT_S).path[:, 1:]
-    share = torch.arange(1, STEPS + 1).unsqueeze(-1) / STEPS
-    spline = path + 0.5 * share.square() * (3 - share) * (goal - path[:, -1])
-    assert torch.allclose(bent, spline, atol=1e-5)
+    assert torch.allclose(bent, hermite_spline(now, goal, STEPS, DT_S), atol=1e-5)
 
 
 def test_of_several_paths_those_near_the_goal_count():
