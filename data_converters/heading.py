@@ -1,4 +1,4 @@
-"""HeadingTrack of an agent: along its cuboid if it has one, else along its motion, held at rest."""
+"""Heading of an agent: along its cuboid if it has one, else along its motion, held at rest."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class HeadingSource(IntEnum):
 
 
 class HeadingTrack(NamedTuple):
-    """HeadingTrack (n,) in rad, counter-clockwise from east, in [-pi, pi), and its source (n,)."""
+    """Heading (n,) in rad, counter-clockwise from east, in [-pi, pi), and its source (n,)."""
 
     angle: Array
     source: NDArray[np.int8]
@@ -47,7 +47,7 @@ def heading_from_motion(velocity: Array, standstill_mps: float, *, backfill: boo
         backfill: Whether rows before the first motion take its heading.
 
     Returns:
-        HeadingTrack in rad and its source per row.
+        Heading in rad and its source per row.
     """
     moving = np.hypot(velocity[:, 0], velocity[:, 1]) >= standstill_mps
     source = np.where(moving, HeadingSource.MEASURED, HeadingSource.HELD).astype(np.int8)
@@ -73,7 +73,7 @@ def heading_from_axis(
     smoother: Smoother,
     standstill_mps: float,
 ) -> HeadingTrack:
-    """HeadingTrack along a measured body axis whose direction is known up to half a turn.
+    """Heading along a measured body axis whose direction is known up to half a turn.
 
     The doubled angle is smoothed as a unit vector, which is blind to half turns; the sign follows
     the motion: the one that agrees with most of the distance travelled, of which a smoother without
@@ -88,7 +88,7 @@ def heading_from_axis(
         standstill_mps: Speed in m/s from which motion decides the sign.
 
     Returns:
-        HeadingTrack in rad at `at_s`; unknown in sign, and marked so, for an agent that never
+        Heading in rad at `at_s`; unknown in sign, and marked so, for an agent that never
         moves, or has not moved yet.
     """
     doubled = np.column_stack([np.cos(2.0 * axis), np.sin(2.0 * axis)])
@@ -110,7 +110,7 @@ def heading_measured(
     """Smooth a recorded heading (n,) rad at `time_s` (n,) s as a unit vector.
 
     Returns:
-        HeadingTrack in rad at `at_s` (m,) s.
+        Heading in rad at `at_s` (m,) s.
     """
     vector = smoother(time_s, np.column_stack([np.cos(heading), np.sin(heading)]), at_s).value
     angle = np.arctan2(vector[:, 1], vector[:, 0])

@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Any
 
 from diffstack_mmv.dynamics.catalogue import load_dynamics
-from diffstack_mmv.dynamics.config_files import factory, settings_of
+from diffstack_mmv.dynamics.config_files import chosen_in, factory, settings_of
 from diffstack_mmv.simulation import (
     Controller,
     Method,
@@ -35,6 +35,8 @@ LIMITS: Mapping[str, float] = MappingProxyType(
     {"speed_max_mps": 3.0, "acceleration_min_mps2": -3.0, "acceleration_max_mps2": 2.0}
 )
 """Of the vehicle among people; the tighter of these and its own hold."""
+KNOWN_DELAY_S = 0.15
+"""How long a command takes to act, for `controller="diffmpc_delay"`."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,8 @@ class CrowdNav:
         scenario: Where pedestrians and robot start and want to go.
         crowd: How the pedestrians walk.
         controller: What drives.
-        people: How the controller forecasts the pedestrians.
+        people: How the controller forecasts the pedestrians; as its file says, or by ORCA, if None.
+        cost: What it minimises; as its file says, or that of the closed loop, if None.
         footprint: Outline of the robot.
         limit_s: Time limit of an episode.
         dt_s: Time between two decisions.
@@ -64,7 +67,8 @@ class CrowdNav:
     scenario: str = "circle_crossing"
     crowd: str = "orca"
     controller: str = "diffmpc"
-    people: str = "orca"
+    people: str | None = None
+    cost: str | None = None
     footprint: str = "disc"
     limit_s: float = 10.0
     dt_s: float = 0.25
@@ -96,6 +100,9 @@ class CrowdNav:
         vehicle = self.simulated()
         content, limits = vehicle.vehicle, vehicle.spec().limits
         wheelbase, steer = content["wheelbase"]["initial"], content["limits"]["steer_max_rad"]
+        its_own = chosen_in(self.controller, config_folder() / "controller")
+        people = self.people or its_own.get("people", "orca")
+        cost = self.cost or its_own.get("cost", "closed_loop")
         given = {
             "dt_s": self.dt_s,
             "seed": 0,
@@ -103,11 +110,16 @@ class CrowdNav:
             "cruise_mps": limits.speed_max_mps,
             "model": controller_model(vehicle, vehicle, self.dt_s),
             "actuate": actuation(vehicle, vehicle),
-            "people": _built("people", self.people, {}),
+            "people": _built("people", people, {}),
             "constraints": _built("constraints", "none", {}),
-            "cost": _built(
-                "cost", "closed_loop", {"turning_radius_m": wheelbase / math.tan(steer)}
-            ),
+            "cost": _built("cost", cost, {"turning_radius_m": wheelbase / math.tan(steer)}),
+            "actual": vehicle,
+            "believed": vehicle,
+            "vehicle": content,
+            "dynamics": vehicle.dynamics,
+            "limits": vehicle.limits,
+            "names.dynamics": vehicle.name,
+            "known_delay_s": KNOWN_DELAY_S,
         }
         return _built("controller", self.controller, given)
 

@@ -43,8 +43,11 @@ def saturate(
 
 
 def floor_at_zero(value: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """ReLU with its right-hand derivative (1) at zero: a vehicle at rest can learn to start."""
-    return torch.where(value >= 0, value, torch.zeros_like(value))
+    """ReLU with its right-hand derivative (1) at zero: a vehicle at rest can learn to start.
+
+    NaN stays NaN.
+    """
+    return torch.where(value < 0, torch.zeros_like(value), value)
 
 
 def safe_norm(vector: Float[Tensor, "*b n"], epsilon: float = 1e-12) -> Float[Tensor, "*b"]:

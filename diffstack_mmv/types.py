@@ -167,12 +167,24 @@ class Forecast(NamedTuple):
 
 
 class Obstacles(NamedTuple):
-    """Predicted agents that a plan has to keep clear of, at the times of the plan."""
+    """Predicted agents that a plan has to keep clear of, at the times of the plan.
+
+    The numbers of those who are not valid count for nothing, but have to be finite, see `of_valid`.
+    """
 
     position: Float[Tensor, "*b N K T 2"]  # m, row 0 is now
     weight: Float[Tensor, "*b N K"]  # probability of each component
     radius: Float[Tensor, "*b N"]  # m
     valid: Bool[Tensor, "*b N"]
+
+    def of_valid(self) -> "Obstacles":
+        """The same with zeros for those who are not valid, whose NaN would spread in gradients."""
+
+        def kept(entry: Tensor) -> Tensor:
+            valid = self.valid.reshape(self.valid.shape + (1,) * (entry.dim() - self.valid.dim()))
+            return torch.where(valid, entry, torch.zeros_like(entry))
+
+        return Obstacles(kept(self.position), kept(self.weight), kept(self.radius), self.valid)
 
 
 class Heading(IntEnum):

@@ -45,13 +45,19 @@ def require(
         raise error(message(argument, requirement, value, where, remedy))
 
 
+def is_number(value: object) -> bool:
+    """Whether something can be compared with numbers: a string, None or a list cannot."""
+    return hasattr(value, "__float__")
+
+
 def require_positive(argument: str, value: float | int, where: str = "", remedy: str = "") -> None:
     """Refuse a number that is not finite and above zero.
 
     Raises:
         ValueError: `value` is zero, negative, infinite or NaN.
     """
-    require(math.isfinite(value) and value > 0, argument, "be positive", value, where, remedy)
+    positive = is_number(value) and math.isfinite(value) and value > 0
+    require(positive, argument, "be positive", value, where, remedy)
 
 
 def require_at_least(
@@ -62,7 +68,8 @@ def require_at_least(
     Raises:
         ValueError: `value` is below `low` or NaN.
     """
-    require(value >= low, argument, f"be at least {low}", value, where, remedy)
+    enough = is_number(value) and value >= low
+    require(enough, argument, f"be at least {low}", value, where, remedy)
 
 
 def require_between(
@@ -78,7 +85,8 @@ def require_between(
     Raises:
         ValueError: `value` lies outside the interval or is NaN.
     """
-    require(low <= value <= high, argument, f"lie in [{low}, {high}]", value, where, remedy)
+    inside = is_number(value) and low <= value <= high
+    require(inside, argument, f"lie in [{low}, {high}]", value, where, remedy)
 
 
 def require_one_of(argument: str, value: str, choices: Sequence[str], where: str = "") -> None:

@@ -10,9 +10,11 @@ from hydra.utils import instantiate
 
 import diffstack_mmv.cli  # noqa: F401  registers the resolvers
 from diffstack_mmv.crowdnav import CrowdNav
-from diffstack_mmv.simulation import drive
+from diffstack_mmv.dynamics.config_files import names_in
+from diffstack_mmv.simulation import DiffMPCController, drive
 from diffstack_mmv.vehicles import config_folder, load_vehicle
 
+CONTROLLERS = config_folder() / "controller"
 OTHER = {
     "vehicle": "scooter", "dynamics": "gm3", "scenario": "square_crossing", "footprint": "vehicle",
     "people": "constant_velocity", "controller": "diffmpc_crowded",
@@ -37,6 +39,26 @@ def test_episodes_are_those_of_the_command_line(choices):
     assert torch.equal(found.controls, expected.controls)
     assert torch.equal(found.motion.position, expected.motion.position)
     assert torch.equal(found.clearance, expected.clearance)
+
+
+@pytest.mark.parametrize("name", sorted(set(names_in(CONTROLLERS)) - {"diffmpc_ego", "ppo"}))
+def test_every_controller_without_files_of_its_own_is_that_of_the_command_line(name):
+    own = CrowdNav(controller=name).driver()
+    _, expected, _ = composed({"controller": name}, 0.25)
+    assert type(own) is type(expected)
+    if isinstance(own, DiffMPCController):
+        assert type(own.forecaster) is type(expected.forecaster)
+        assert own.planner.cost.weights().keys() == expected.planner.cost.weights().keys()
+        assert own.planner.solver == expected.planner.solver
+
+
+@pytest.mark.parametrize(
+    ("name", "place"), [("diffmpc_ego", "...instruments.position_m"), ("ppo", "policy")]
+)
+def test_what_the_command_line_alone_can_build_is_told(name, place):
+    with pytest.raises(ValueError, match="or use the command line") as raised:
+        CrowdNav(controller=name).driver()
+    assert f"'${{{place}}}'" in str(raised.value)
 
 
 def test_cases_are_driven_and_kept(tmp_path):

@@ -112,6 +112,7 @@ def test_floor_has_the_right_hand_derivative_at_zero():
     (slope,) = torch.autograd.grad(value.sum(), x)
     assert value.tolist() == [0.0, 0.0, 2.0]
     assert slope.tolist() == [0.0, 1.0, 1.0]
+    assert floor_at_zero(torch.tensor([torch.nan, -1.0])).isnan().tolist() == [True, False]
 
 
 @given(st.floats(-0.999, 0.999))

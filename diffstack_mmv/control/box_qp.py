@@ -105,6 +105,41 @@ def _free_inverse_of_pair(H: Tensor, free: Tensor) -> Tensor:
     return torch.stack([torch.stack([first, cross]), torch.stack([cross, second])])
 
 
+def regular_inverse(
+    H: Float[Tensor, "m m N"], free: Bool[Tensor, "m N"], noise: Float[Tensor, "m N"]
+) -> Float[Tensor, "m m N"]:
+    """Inverse of as many free rows and columns of a symmetric H as have one; zero elsewhere.
+
+    Swept from the largest pivot in units of its noise on. What is left of a row that does not stand
+    out of its noise is zero: that variable does not matter, and stays where it is.
+
+    Args:
+        H: Symmetric matrices, definite or not.
+        free: Rows and columns that may be inverted.
+        noise: What rounding may have left of each diagonal entry, positive.
+
+    Source:
+        Goodnight, A tutorial on the SWEEP operator, The American Statistician 33, 1979.
+    """
+    m = H.shape[0]
+    order = torch.arange(m, device=H.device).unsqueeze(-1)
+    zero, swept = torch.zeros_like(noise), torch.zeros_like(free)
+    H = torch.where(free.unsqueeze(0) & free.unsqueeze(1), H, torch.zeros_like(H))
+    for _ in range(m):
+        size = H.diagonal(dim1=0, dim2=1).movedim(-1, 0).abs() / noise
+        size = torch.where(free & ~swept, size, -1.0)
+        chosen = (order == size.argmax(0)) & (size > 1)
+        column = torch.where(chosen, H, zero).sum(1)
+        pivot = torch.where(chosen.any(0), torch.where(chosen, column, zero).sum(0), 1.0)
+        scaled = column / pivot
+        rest = H - column * scaled.unsqueeze(1)
+        corner = torch.where(chosen, -1 / pivot, scaled)
+        rest = torch.where(chosen.unsqueeze(0), corner.unsqueeze(1), rest)
+        H = torch.where(chosen.unsqueeze(1), corner.unsqueeze(0), rest)
+        swept = swept | chosen
+    return torch.where(swept.unsqueeze(0) & swept.unsqueeze(1), -H, torch.zeros_like(H))
+
+
 def largest(Q: Float[Tensor, "m m N"]) -> Float[Tensor, " N"]:
     """Largest entry of a symmetric matrix in absolute value."""
     if Q.shape[0] > 2:

@@ -15,7 +15,7 @@ from diffstack_mmv.control.curvature import CurvatureForm, LocalModel
 from diffstack_mmv.control.iteration import Iterate, attempt
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.riccati import Policy, Stationary, box_policy, solve_free
-from diffstack_mmv.control.selection import Batched, Joined, is_shared
+from diffstack_mmv.control.selection import Batched, is_shared, kind
 from diffstack_mmv.control.shape_polymorphic import ShapePolymorphic
 from dmmv_conventions.progress import waiting
 
@@ -40,19 +40,6 @@ def refusals() -> Refusals:
     from torch._inductor.exc import InductorError
 
     return Refusals(FailOnRecompileLimitHit, (TorchDynamoException, InductorError))
-
-
-def kind(function: Any) -> Hashable:
-    """What callables that share a kernel have in common: their code, not what they close over."""
-    if isinstance(function, functools.partial):
-        return kind(function.func)
-    if isinstance(function, Joined):
-        return kind(function.function), *map(kind, function.parts), len(function.tensors)
-    if isinstance(function, Batched):
-        return kind(function.function), len(function.tensors)
-    if isinstance(function, types.MethodType):
-        return kind(function.__func__), type(function.__self__)
-    return getattr(function, "__code__", type(function))
 
 
 def label(function: Any) -> str:

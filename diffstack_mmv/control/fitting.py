@@ -1,6 +1,6 @@
 """Whether the callables of a problem fit its tensors, asked once per code and shape."""
 
-from types import CodeType
+from collections.abc import Hashable
 
 import torch
 from jaxtyping import Float
@@ -8,10 +8,14 @@ from torch import Tensor
 
 from diffstack_mmv.checks import message, require, require_tensor
 from diffstack_mmv.control.optimizer import Cost, Dynamics
-from diffstack_mmv.types import Bounds
+from diffstack_mmv.control.selection import kind
+from diffstack_mmv.types import Bounds, on_host
 
-Key = tuple[CodeType | type, CodeType | type, torch.Size, torch.Size]
-_known: set[Key] = set()
+MOVED = 0.3
+"""By which part of its size a state is moved to see whether costs at other times follow."""
+ROUNDED = 100.0
+"""Multiple of the rounding of a cost by which it then may change."""
+_known: set[tuple[Hashable, ...]] = set()
 
 
 def require_tensors(bounds: object, state: object, controls: object) -> None:
@@ -33,10 +37,12 @@ def require_tensors(bounds: object, state: object, controls: object) -> None:
 def require_fitting(
     dynamics: Dynamics, cost: Cost, state: Float[Tensor, "*b n"], controls: Float[Tensor, "*b T m"]
 ) -> None:
-    """Refuse a model or a cost whose result has another shape than the solver works with.
+    """Refuse a model or a cost whose result the solver cannot work with.
 
-    A wrong shape would be broadcast, and the answer would be that of another problem. Both are
-    called once for every code and every shape of the arguments, not for every solve.
+    A wrong shape would be broadcast, and the answer would be that of another problem; the cost of a
+    time that depends on another time has a Hessian that the solver does not see, and its gradient
+    would be wrong. Both are called for every code and every shape of the arguments, not for every
+    solve.
 
     Args:
         dynamics: One step of all problems.
@@ -45,16 +51,18 @@ def require_fitting(
         controls: Guess of the controls.
 
     Raises:
-        ValueError: A result has the wrong shape.
+        ValueError: A result has the wrong shape or precision, or the cost of a time depends on
+            another one.
         TypeError: A result is no tensor.
     """
-    key = (_code(dynamics), _code(cost), state.shape, controls.shape)
+    key = (kind(dynamics), kind(cost), state.shape, controls.shape, state.dtype)
     if key in _known or controls.numel() == 0:
         return
     after = dynamics(state, controls[..., 0, :])
     require_tensor("dynamics(state, control)", after)
     found, wanted = tuple(after.shape), tuple(state.shape)
     require(found == wanted, "dynamics", f"return the shape {wanted} of the state", found)
+    _require_precision("dynamics", after, state)
     states = state.unsqueeze(-2).repeat_interleave(controls.shape[-2] + 1, -2)
     padded = torch.cat([controls, torch.zeros_like(controls[..., :1, :])], -2)
     value = cost(states, padded)
@@ -62,8 +70,40 @@ def require_fitting(
     found, wanted = tuple(value.shape), tuple(states.shape[:-1])
     remedy = "Sum over the columns of states and controls only: one cost per problem and time."
     require(found == wanted, "cost", f"return the shape {wanted}", found, "", remedy)
+    _require_precision("cost", value, state)
+    if on_host(value):  # another device would be waited for
+        _require_separable(cost, states, padded, value)
     _known.add(key)
 
 
-def _code(function: Dynamics | Cost) -> CodeType | type:
-    return getattr(function, "__code__", type(function))
+def _require_precision(name: str, result: Tensor, state: Tensor) -> None:
+    remedy = "Convert it: model.to(state.dtype)."
+    found, wanted = result.dtype, state.dtype
+    require(found == wanted, name, f"return {wanted} as the state", found, "", remedy)
+
+
+def _require_separable(
+    cost: Cost,
+    states: Float[Tensor, "*b T1 n"],
+    controls: Float[Tensor, "*b T1 m"],
+    value: Float[Tensor, "*b T1"],
+) -> None:
+    """Refuse a cost whose entry of one time changes with states or controls of another."""
+    half = states.shape[-2] // 2
+    moved = (
+        torch.cat(
+            [part[..., :half, :], part[..., half:, :] + MOVED * (1 + part[..., half:, :].abs())], -2
+        )
+        for part in (states, controls)
+    )
+    change = (cost(*moved) - value)[..., :half]
+    # what is not finite tells nothing, and sums may be rounded otherwise
+    size = value.abs().amax(-1, keepdim=True).nan_to_num(torch.inf, torch.inf)
+    follows = change.abs() > ROUNDED * torch.finfo(value.dtype).eps * (1 + size)
+    require(
+        not bool(follows.any()),
+        "cost",
+        "depend at each time on state and control of that time alone",
+        "one that changes with those of later times",
+        remedy="Make what it compares, such as the control before, a part of the state.",
+    )

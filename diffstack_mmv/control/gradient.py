@@ -60,12 +60,15 @@ class Implicit:
     def __call__(self, minimise: Minimise, call: Call) -> Solution:
         """Solve without a graph, and attach the derivatives at the end."""
         with torch.no_grad():
-            fixed = call._replace(dynamics=constant(call.dynamics), cost=constant(call.cost))
+            settings = call.settings._replace(box=call.settings.box.detach())
+            fixed = call._replace(
+                dynamics=constant(call.dynamics), cost=constant(call.cost), settings=settings
+            )
             solution, point = conclude(fixed, minimise(fixed))
         if not torch.is_grad_enabled():
             return solution
         solve = call.kernels.solve_free
-        attached = attach(call.dynamics, call.cost, call.state, point, solve)
+        attached = attach(call.dynamics, call.cost, call.state, call.settings.box, point, solve)
         return solution if attached is None else solution._replace(**attached._asdict())
 
 
@@ -106,6 +109,6 @@ def conclude(call: Call, iterate: Iterate) -> tuple[Solution, StationaryPoint]:
     free = ~is_active(u, model.gradient, box)
     converged = iterate.status == SolverStatus.CONVERGED
     exact = call.curvature.is_exact(x.shape[1])
-    point = StationaryPoint(x, u, free, converged, model, exact)
+    point = StationaryPoint(x, u, iterate.cost, free, converged, model, exact)
     parts = (x, u, iterate.cost, residual, iterate.iterations, iterate.status)
     return Solution(*(from_batch_last(part, like) for part in parts)), point

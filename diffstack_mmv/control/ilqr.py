@@ -117,6 +117,13 @@ class ILQR:
     one_by_one: int = 16
 
     def __post_init__(self) -> None:
+        for name, form, example in (
+            ("curvature", CurvatureForm, "DifferencedCurvature()"),
+            ("gradient", GradientMode, "Unrolled()"),
+        ):
+            part = getattr(self, name)
+            fits = isinstance(part, form) and not isinstance(part, type)
+            require(fits, name, f"be a {form.__name__}", repr(part), "", f"For instance {example}.")
         require_at_least("max_iterations", self.max_iterations, 1)
         require_positive("tolerance", self.tolerance)
         require_at_least("line_search_steps", self.line_search_steps, 1)
@@ -185,12 +192,14 @@ class ILQR:
         require_tensors(bounds, state, controls)
         check_problem(bounds, state, controls)
         require_fitting(dynamics, cost, state, controls)
-        if self.compile:
+        settings = self.settings(bounds, state)
+        # the library takes the box as a constant
+        learned_box = settings.box.requires_grad and torch.is_grad_enabled()
+        if self.compile and not learned_box:
             # imported here: most programs compile nothing
             from diffstack_mmv.control import native
 
             exact = self.curvature.is_exact(state.shape[-1])
-            settings = self.settings(bounds, state)
             numbers = native.Numbers(settings, self.max_iterations, exact, self.one_by_one)
             solution = native.solve(dynamics, cost, numbers, state, controls)
             if solution is not None:
@@ -199,7 +208,7 @@ class ILQR:
             self._kernels(dynamics, cost, state, controls),
             dynamics,
             cost,
-            self.settings(bounds, state),
+            settings,
             state,
             controls,
             self.curvature,
@@ -215,7 +224,7 @@ class ILQR:
         """The numbers of this solver and the box, in the precision of the state."""
         powers = torch.arange(self.line_search_steps, dtype=state.dtype, device=state.device)
         return Settings(
-            torch.stack([bounds.lower, bounds.upper]).to(state).detach(),
+            torch.stack([bounds.lower, bounds.upper]).to(state),
             0.5**powers,
             state.new_full((), self.tolerance),
             state.new_full((), self.regularisation),
@@ -278,6 +287,8 @@ def check_problem(
     """
     if not state.is_floating_point():
         raise TypeError(message("state", "be of a floating-point type", state.dtype))
+    columns = state.dim() >= 1 and state.shape[-1] >= 1
+    require(columns, "state", "have a last dimension of columns", tuple(state.shape))
     require(
         controls.dtype == state.dtype, "controls", f"be {state.dtype} as the state", controls.dtype
     )
@@ -294,13 +305,22 @@ def check_problem(
         tuple(controls.shape[:-2]),
     )
     require(controls.shape[-2] >= 1, "controls", "cover at least one step", controls.shape[-2])
+    require(controls.shape[-1] >= 1, "controls", "have a column", controls.shape[-1])
     m = controls.shape[-1]
     for name, bound in zip(Bounds._fields, bounds, strict=True):
         require(
-            tuple(bound.shape) == (m,), f"bounds.{name}", f"have shape ({m},)", tuple(bound.shape)
+            tuple(bound.shape) == (m,),
+            f"bounds.{name}",
+            f"have shape ({m},)",
+            tuple(bound.shape),
+            remedy="A limit of a time or a problem of its own is a constraint.",
         )
     if not on_host(*bounds):
         return
+    for name, bound in zip(Bounds._fields, bounds, strict=True):
+        known = not bool(bound.isnan().any())
+        remedy = "Write ±inf where there is none."
+        require(known, f"bounds.{name}", "be numbers", bound.tolist(), "", remedy)
     require(
         bool((bounds.lower <= bounds.upper).all()),
         "bounds",

@@ -22,10 +22,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last
+from diffstack_mmv.checks import message
+from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last, unpack
 from diffstack_mmv.control.expansion import Model, expand, pad_controls, step_all
 from diffstack_mmv.control.optimizer import Cost, Dynamics
-from diffstack_mmv.control.riccati import LinearQuadratic, Stationary, solve_free
+from diffstack_mmv.control.riccati import LinearQuadratic, Stationary, solve_free, stage_shapes
 
 Solve = Callable[[LinearQuadratic, Tensor, int], Stationary]
 
@@ -35,6 +36,7 @@ class StationaryPoint(NamedTuple):
 
     x: Float[Tensor, "T1 n N"]
     u: Float[Tensor, "T m N"]
+    cost: Float[Tensor, " N"]
     free: Bool[Tensor, "T m N"]  # controls that are not active
     valid: Bool[Tensor, " N"]  # problems that carry a gradient
     model: Model
@@ -50,7 +52,11 @@ class Attached(NamedTuple):
 
 
 class _Implicit(torch.autograd.Function):
-    """z* as a function of the KKT residual: dz* = -K⁻¹ dR the active controls on their bounds."""
+    """z* and its cost as functions of KKT residual, Lagrangian and held controls.
+
+    dz* = -K⁻¹ dR with the active controls on their bounds; the derivative of the cost is that of
+    the Lagrangian.
+    """
 
     @staticmethod
     def forward(
@@ -58,40 +64,87 @@ class _Implicit(torch.autograd.Function):
         of_x: Tensor,
         of_u: Tensor,
         following: Tensor,
+        lagrangian: Tensor,
+        held: Tensor,
         point: StationaryPoint,
         solve: Solve,
-    ) -> tuple[Tensor, Tensor]:
+    ) -> tuple[Tensor, Tensor, Tensor]:
         ctx.point, ctx.solve = point, solve
-        return point.x[1:].clone(), point.u.clone()
+        ctx.save_for_backward(of_x, of_u, following, lagrangian)
+        return point.x[1:].clone(), point.u.clone(), point.cost.clone()
 
     @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, grad_x: Tensor, grad_u: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(
+        ctx: Any, grad_x: Tensor, grad_u: Tensor, grad_cost: Tensor
+    ) -> tuple[Tensor | None, ...]:
         point: StationaryPoint = ctx.point
-        lq, n = point.model.quadratic, grad_x.shape[1]
-        m = grad_u.shape[1]
-        jacobians, _, rest = lq.stages.split([n * (n + m), n + m, n * n + m * n + m * m + m], 1)
-        of_x = torch.cat([torch.zeros_like(grad_x[:1]), -grad_x[:-1]])
-        adjoint = LinearQuadratic(
-            torch.cat([jacobians, of_x, -grad_u, rest], 1), torch.cat([-grad_x[-1], lq.final[n:]])
+        with torch.no_grad():
+            dual = ctx.solve(
+                _adjoint(point, grad_x, grad_u), point.free.to(grad_u.dtype), len(point.x[0])
+            )
+            pulled = _pulled(point, dual, grad_u, grad_cost) if ctx.needs_input_grad[4] else None
+            parts = *(-part for part in dual), grad_cost, pulled
+            # where, not a product: the adjoint of a problem that did not converge may be anything
+            masked = [None if p is None else torch.where(point.valid, p, 0.0) for p in parts]
+        if torch.is_grad_enabled():
+            masked = [None if p is None else _Once.apply(p, *ctx.saved_tensors) for p in masked]
+        return *masked, None, None
+
+
+class _Once(torch.autograd.Function):
+    """A first derivative, which says so when it is differentiated again."""
+
+    @staticmethod
+    def forward(ctx: Any, derivative: Tensor, *sources: Tensor) -> Tensor:
+        return derivative.clone()
+
+    @staticmethod
+    def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor | None, ...]:
+        raise RuntimeError(
+            message(
+                "solution",
+                "be differentiated once",
+                "a second derivative",
+                remedy="Set gradient=Unrolled(), which differentiates the iterations.",
+            )
         )
-        dual = ctx.solve(adjoint, point.free.to(grad_u.dtype), n)
-        # where, not a product: the adjoint of a problem that did not converge may be anything
-        parts = (torch.where(point.valid, -part, torch.zeros_like(part)) for part in dual)
-        return *parts, None, None
+
+
+def _adjoint(point: StationaryPoint, grad_x: Tensor, grad_u: Tensor) -> LinearQuadratic:
+    """The quadratic model at a point with other linear terms."""
+    n, m = grad_x.shape[1], grad_u.shape[1]
+    lq = point.model.quadratic
+    jacobians, _, rest = lq.stages.split([n * (n + m), n + m, n * n + m * n + m * m + m], 1)
+    of_x = torch.cat([torch.zeros_like(grad_x[:1]), -grad_x[:-1]])
+    stages = torch.cat([jacobians, of_x, -grad_u, rest], 1)
+    return LinearQuadratic(stages, torch.cat([-grad_x[-1], lq.final[n:]]))
+
+
+def _pulled(
+    point: StationaryPoint, dual: Stationary, grad_u: Tensor, grad_cost: Tensor
+) -> Float[Tensor, "T m N"]:
+    """Derivative by the controls that a bound holds; zero where it is free."""
+    n, m = point.x.shape[1], grad_u.shape[1]
+    _, B, _, _, _, ux, uu, _ = unpack(point.model.quadratic.stages, *stage_shapes(n, m))
+    before = torch.cat([torch.zeros_like(dual.x[:1]), dual.x[:-1]])
+    moved = (ux * before.unsqueeze(1)).sum(2) + (uu * dual.u.unsqueeze(1)).sum(2)
+    moved = moved + (B * dual.costate.unsqueeze(2)).sum(1)
+    slope = grad_u - moved + grad_cost * point.model.gradient
+    return torch.where(point.free, torch.zeros_like(slope), slope)
 
 
 def attach(
     dynamics: Dynamics,
     cost: Cost,
     state: Float[Tensor, "*b n"],
+    box: Float[Tensor, "2 m"],
     point: StationaryPoint,
     solve: Solve = solve_free,
 ) -> Attached | None:
-    """Give a stationary point its derivatives in the state and in all that the callables depend on.
+    """Give a stationary point its derivatives in state, box, and all that the callables depend on.
 
     The derivative of the cost is that of the Lagrangian at fixed z and λ (envelope theorem).
-    Problems that are not valid get a gradient of exactly zero.
+    Problems that are not valid get a gradient of exactly zero. No value changes.
 
     Returns:
         The point with its graph, or None if nothing here requires a gradient.
@@ -104,29 +157,25 @@ def attach(
     multipliers = from_batch_last(costates, like)
 
     def lagrangian(x: Tensor, u: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor]]:
-        states = torch.cat([state.unsqueeze(-2), x], -2)
+        states = joined(state, x)
         following = step_all(dynamics, states[..., :-1, :], u)
         each = cost(states, pad_controls(u)).sum(-1) + (multipliers * (following - x)).sum((-2, -1))
         return each.sum(), (each, following)
 
     (of_x, of_u), (each, following) = torch.func.grad(lagrangian, (0, 1), has_aux=True)(x, u)
-    residual = [to_batch_last(part, like) for part in (of_x, of_u, following)]
-    if not any(part.requires_grad for part in residual):
+    residual = [to_batch_last(part, like) for part in (of_x, of_u, following, each)]
+    lower, upper = box.unsqueeze(-1)
+    held = torch.where(point.u >= upper, upper, lower)
+    if not any(part.requires_grad for part in (*residual, held)):
         return None
     if not point.exact:
         with torch.no_grad():
             point = point._replace(model=expand(dynamics, cost, like, point.x, point.u))
-    x, u = (from_batch_last(part, like) for part in _Implicit.apply(*residual, point, solve))
-    return attached(state, x, u, each, valid)
+    found = _Implicit.apply(*residual, held, point, solve)
+    x, u, total = (from_batch_last(part, like) for part in found)
+    return Attached(joined(state, x), u, total)
 
 
-def attached(
-    state: Float[Tensor, "*b n"],
-    x: Float[Tensor, "*b T n"],
-    u: Float[Tensor, "*b T m"],
-    each: Float[Tensor, "*b"],
-    valid: Bool[Tensor, "*b"],
-) -> Attached:
-    """Join initial and following states; only valid problems have a derivative of the cost."""
-    states = torch.cat([state.unsqueeze(-2), x], -2)
-    return Attached(states, u, torch.where(valid, each, each.detach()))
+def joined(state: Float[Tensor, "*b n"], x: Float[Tensor, "*b T n"]) -> Float[Tensor, "*b T1 n"]:
+    """Initial and following states."""
+    return torch.cat([state.unsqueeze(-2), x], -2)

@@ -17,11 +17,18 @@ from diffstack_mmv.control.batch_last import (
     unpack,
     walk,
 )
-from diffstack_mmv.control.box_qp import free_inverse, largest, positive_lift, solve_box_qp
+from diffstack_mmv.control.box_qp import (
+    free_inverse,
+    largest,
+    positive_lift,
+    regular_inverse,
+    solve_box_qp,
+)
 from diffstack_mmv.types import on_host
 
 FAR = 3e-2  # predicted decrease relative to the cost above which a problem is far from its solution
 WHOLE = 256  # problems up to which a pass over all takes no longer than to pick some out
+FLAT = 16.0  # multiple of the rounding of a curvature below which a control is taken to be flat
 DEFINITE = 1e-6  # smallest pivot of Q_uu relative to its largest entry, before it is lifted
 
 
@@ -288,19 +295,25 @@ def is_active(
 def solve_free(lq: LinearQuadratic, free: Float[Tensor, "T m N"], n: int) -> Stationary:
     """Stationary point with δx_0 = 0 and δu = 0 for the controls that are not free (0 in `free`).
 
-    The Hessian has to be invertible on the free controls, not definite: nothing is shifted or
-    damped.
+    Nothing is shifted or damped, and the Hessian on the free controls may be indefinite. Controls,
+    and combinations of them, in which it does not stand out of its rounding stay at zero as well: a
+    minimum that is flat in them says nothing of where they go.
     """
     m = free.shape[1]
+    eps = FLAT * n * torch.finfo(free.dtype).eps
 
     def backward(value: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
         *parts, _, mask = unpack(row, *stage_shapes(n, m), (m,))
-        Q = _action(value, tuple(parts))
-        inverse = free_inverse(Q.uu, mask > 0.5)
+        after, extent = unpack(value, (n + n * n,), (n,))
+        Q = _action(after, tuple(parts))
+        own = parts[6].diagonal(dim1=0, dim2=1).movedim(-1, 0).abs()
+        noise = eps * (own + transposed_apply(parts[1].abs(), extent).square())
+        inverse = regular_inverse(Q.uu, mask > 0.5, noise + torch.finfo(free.dtype).tiny)
         k, K = -apply(inverse, Q.u), -product(inverse, Q.ux)
         V_x = Q.x + transposed_apply(Q.ux, k)
         V_xx = symmetric(Q.xx + transposed_product(Q.ux, K))
-        return pack(V_x, V_xx), pack(k, K, value)
+        extent = torch.maximum(extent, _extent(Q.xx))
+        return pack(V_x, V_xx, extent), pack(k, K, after)
 
     def forward(x: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
         k, K, V_x, V_xx, A, B = unpack(row, (m,), (m, n), *final_shapes(n), (n, n), (n, m))
@@ -308,7 +321,14 @@ def solve_free(lq: LinearQuadratic, free: Float[Tensor, "T m N"], n: int) -> Sta
         following = apply(A, x) + apply(B, u)
         return following, pack(following, u, V_x + apply(V_xx, following))
 
-    gains = walk(backward, lq.final, torch.concatenate([lq.stages, free], 1), reverse=True)[1]
+    extent = _extent(unpack(lq.final, *final_shapes(n))[1])
+    rows = torch.concatenate([lq.stages, free], 1)
+    gains = walk(backward, pack(lq.final, extent), rows, reverse=True)[1]
     rows = torch.concatenate([gains, lq.stages[:, : n * (n + m)]], 1)
     start = torch.zeros_like(lq.final[:n])
     return Stationary(*walk(forward, start, rows)[1].split([n, m, n], 1))
+
+
+def _extent(V_xx: Float[Tensor, "n n N"]) -> Float[Tensor, "n N"]:
+    """Roots of the diagonal: a bound on the entries of a semidefinite matrix, by two factors."""
+    return V_xx.diagonal(dim1=0, dim2=1).movedim(-1, 0).abs().sqrt()

@@ -1,6 +1,8 @@
 """Leaves finished problems behind, so that the last hard ones cost less than the batch."""
 
-from collections.abc import Callable, Sequence
+import functools
+import types
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import torch
@@ -77,6 +79,19 @@ class Joined(Batched):
 def is_shared(function: Any) -> bool:
     """Whether a callable is the same for all problems: it says so by selecting itself."""
     return isinstance(function, Selectable) and function.select(NOTHING) is function
+
+
+def kind(function: Any) -> Hashable:
+    """What callables that share a kernel have in common: their code, not what they close over."""
+    if isinstance(function, functools.partial):
+        return kind(function.func)
+    if isinstance(function, Joined):
+        return kind(function.function), *map(kind, function.parts), len(function.tensors)
+    if isinstance(function, Batched):
+        return kind(function.function), len(function.tensors)
+    if isinstance(function, types.MethodType):
+        return kind(function.__func__), type(function.__self__)
+    return getattr(function, "__code__", type(function))
 
 
 def constant(function: Any) -> Any:

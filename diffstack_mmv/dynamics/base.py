@@ -44,7 +44,11 @@ class DynamicsModel(nn.Module, ABC):
     ) -> None:
         super().__init__()
         require_positive("dt_s", dt_s)
-        for name, low, high in zip(self.Control._fields, control_lower, control_upper, strict=True):
+        names = self.Control._fields
+        for which, box in (("control_lower", control_lower), ("control_upper", control_upper)):
+            wanted = f"hold a number for each of {', '.join(names)}"
+            require(len(box) == len(names), which, wanted, list(box))
+        for name, low, high in zip(names, control_lower, control_upper, strict=True):
             require(low < high, f"bounds of {name}", "be in rising order", (low, high))
         self.dt_s = dt_s
         self.register_buffer("_lower", torch.tensor(control_lower), persistent=False)
@@ -75,13 +79,16 @@ class DynamicsModel(nn.Module, ABC):
         """
         require_columns("state", state, self.state_dim, self.State._fields)
         require_columns("control", control, self.control_dim, self.Control._fields)
+        if state.shape[:-1] != control.shape[:-1]:
+            shape = torch.broadcast_shapes(state.shape[:-1], control.shape[:-1])
+            state, control = state.expand(*shape, -1), control.expand(*shape, -1)
         return self.step(state, control)
 
     @abstractmethod
     def step(
-        self, state: Float[Tensor, "*#b n"], control: Float[Tensor, "*#b m"]
+        self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
     ) -> Float[Tensor, "*b n"]:
-        """Advance by one control step, arguments already checked."""
+        """Advance by one control step, arguments already checked and of the same batch."""
 
     @abstractmethod
     def motion(self, states: Float[Tensor, "*b n"], controls: Float[Tensor, "*b m"]) -> Motion:

@@ -7,8 +7,8 @@ build on others beside it (`defaults`).
 import re
 from collections.abc import Mapping
 from functools import partial
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from diffstack_mmv.checks import message, require_one_of
@@ -25,6 +25,8 @@ def names_in(folder: Path) -> list[str]:
 def settings_of(name: str, folder: Path) -> dict[str, Any]:
     """Settings of one file over those of the files it builds on, as Hydra composes them.
 
+    A base `NAME@KEY` stands under that key. Options of other groups are told by `chosen_in`.
+
     Args:
         name: Name of the file without its ending.
         folder: The folder of the file and of those it builds on; its name is that of the group.
@@ -35,13 +37,26 @@ def settings_of(name: str, folder: Path) -> dict[str, Any]:
     Raises:
         ValueError: There is no such file.
     """
-    require_one_of(folder.name, name, names_in(folder))
-    content = load_plain((folder / f"{name}.yaml").read_text(encoding="utf-8"))
-    bases = content.pop("defaults", [])
+    content = _content(name, folder)
+    bases = [base for base in content.pop("defaults", []) if not isinstance(base, Mapping)]
     settings: dict[str, Any] = {}
     for base in bases if SELF in bases else [*bases, SELF]:
-        settings = _merged(settings, content if base == SELF else settings_of(str(base), folder))
+        sibling, _, key = base.partition("@")
+        below = content if base == SELF else settings_of(sibling, folder)
+        settings = _merged(settings, {key: below} if key else below)
     return settings
+
+
+def chosen_in(name: str, folder: Path) -> dict[str, str]:
+    """Options of other groups that a file chooses (`override /GROUP@...: NAME`), by group."""
+    bases = _content(name, folder).get("defaults", [])
+    overrides = [each for base in bases if isinstance(base, Mapping) for each in base.items()]
+    return {key.removeprefix("override /").partition("@")[0]: option for key, option in overrides}
+
+
+def _content(name: str, folder: Path) -> dict[str, Any]:
+    require_one_of(folder.name, name, names_in(folder))
+    return load_plain((folder / f"{name}.yaml").read_text(encoding="utf-8"))
 
 
 def factory(settings: Mapping[str, Any], given: Mapping[str, Any] | None = None) -> partial[Any]:
@@ -57,8 +72,7 @@ def factory(settings: Mapping[str, Any], given: Mapping[str, Any] | None = None)
     arguments = {
         key: _built(value, key, given or {}) for key, value in settings.items() if key[:1] != "_"
     }
-    module, _, name = settings["_target_"].rpartition(".")
-    return partial(getattr(import_module(module), name), **arguments)
+    return partial(resolve_name(settings["_target_"]), **arguments)
 
 
 def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
@@ -80,7 +94,8 @@ def _built(content: Any, place: str, given: Mapping[str, Any]) -> Any:
         return [_built(value, place, given) for value in content]
     if not (isinstance(content, str) and "${" in content):
         return content
-    name = re.match(r"\$\{(\w+)[:}]", content)
+    name = re.match(r"\$\{([\w.]+)[:}]", content)
     if name is None or name[1] not in given:
-        raise ValueError(message(place, "be a plain value", repr(content), "", "Write the value."))
+        remedy = "Write the value, or use the command line, which knows it."
+        raise ValueError(message(place, "be a plain value", repr(content), "", remedy))
     return given[name[1]]

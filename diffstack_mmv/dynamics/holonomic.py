@@ -60,7 +60,7 @@ class Holonomic(DynamicsModel):
         return True
 
     def step(
-        self, state: Float[Tensor, "*#b 4"], control: Float[Tensor, "*#b 2"]
+        self, state: Float[Tensor, "*b 4"], control: Float[Tensor, "*b 2"]
     ) -> Float[Tensor, "*b 4"]:
         """Advance by one control step."""
         velocity = self._taken(control)

@@ -127,7 +127,7 @@ class DiffKBM(DynamicsModel):
         return isinstance(self.floor, ReversingFloor)
 
     def step(
-        self, state: Float[Tensor, "*#b 4"], control: Float[Tensor, "*#b 2"]
+        self, state: Float[Tensor, "*b 4"], control: Float[Tensor, "*b 2"]
     ) -> Float[Tensor, "*b 4"]:
         """Advance by one control step."""
         acceleration, steer = saturate(control, *self.bounds).unbind(-1)

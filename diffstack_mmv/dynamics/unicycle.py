@@ -68,7 +68,7 @@ class ExtendedUnicycle(DynamicsModel):
         return True
 
     def step(
-        self, state: Float[Tensor, "*#b 4"], control: Float[Tensor, "*#b 2"]
+        self, state: Float[Tensor, "*b 4"], control: Float[Tensor, "*b 2"]
     ) -> Float[Tensor, "*b 4"]:
         """Advance by one control step."""
         dt_s = self.dt_s

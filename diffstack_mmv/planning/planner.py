@@ -1,7 +1,8 @@
 """The planner: propose, score, start the differentiable MPC from the best, score, choose."""
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from copy import copy
+from typing import NamedTuple, Self
 
 import torch
 from jaxtyping import Float, Int
@@ -121,6 +122,7 @@ class MPCPlanner(Planner):
         as well.
         """
         waited = torch.zeros_like(problem.reference_speed) if state is None else state.waited
+        problem = problem._replace(obstacles=problem.obstacles.of_valid())
 
         costs = self._costs(problem)
 
@@ -146,11 +148,18 @@ class MPCPlanner(Planner):
         return Plan(*chosen, solution, proposals.motion, -proposals.cost)
 
     def compile_solver(self) -> None:
-        """Have solver and candidates compiled at their next use, if they can be."""
+        """Have the solver and a `CandidateFan` compiled at their next use, if they can be."""
         if isinstance(self.solver, ILQR):
             self.solver = self.solver.compiled()
         if isinstance(self.candidates, CandidateFan):
             self.candidates.compile = True
+
+    def with_dynamics(self, dynamics: DynamicsModel) -> Self:
+        """The same planner for another model; all other parts are shared."""
+        other = copy(self)
+        # the copy of a module shares the mapping of its parts
+        other._modules = {**self._modules, "dynamics": dynamics}
+        return other
 
     def cost_of(
         self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem

@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from diffstack_mmv.checks import require_between, require_positive
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.planning import MPCPlanner
-from diffstack_mmv.simulation.controller import DiffMPCController, DiffMPCState
+from diffstack_mmv.simulation.controller import DiffMPCController, DiffMPCState, merged
 from diffstack_mmv.simulation.policies import Decided, unbatched
 from diffstack_mmv.simulation.world import Observation
 from diffstack_mmv.types import Motion
@@ -55,7 +55,7 @@ class AdaptiveController:
         require_between("discount", discount, 0, 1)
         require_positive("tolerance_mps", tolerance_mps)
         self.models = [controller.planner.dynamics, *models]
-        self.controllers = [controller, *(_with(controller, model) for model in models)]
+        self.controllers = [controller, *(controller.with_model(model) for model in models)]
         self.discount = discount
         self.tolerance_mps = tolerance_mps
 
@@ -73,7 +73,7 @@ class AdaptiveController:
         error = self._errors(state, observation)
         first = torch.arange(len(self.models)) == 0
         chosen = (error - self.tolerance_mps**2 * first.to(error)).argmin(-1)
-        after, action = state.inner, observation.goal.new_zeros(0)
+        after, action, made = state.inner, observation.goal.new_zeros(0), []
         for number, controller in enumerate(self.controllers):
             keep = chosen == number
             mine = observation.running & keep
@@ -81,6 +81,9 @@ class AdaptiveController:
                 own, known = controller.act(state.inner, observation._replace(running=mine))
                 action = torch.where(keep[:, None], own, action) if len(action) else own
                 after = _joined(after, known, keep)
+                made.append(known.decisions[-1])
+        if made:
+            after = after._replace(decisions=(*after.decisions, merged(made)))
         return Decided(action, AdaptiveState(after, observation.motion, error, chosen))
 
     def _errors(self, state: AdaptiveState, observation: Observation) -> Float[Tensor, "b k"]:
@@ -103,18 +106,9 @@ class AdaptiveController:
         told = self.controllers[0].diagnosis(state.inner)
         return told | {"model": state.chosen.float()}
 
-
-def _with(controller: DiffMPCController, model: DynamicsModel) -> DiffMPCController:
-    """The same controller with another model."""
-    old = controller.planner
-    planner = MPCPlanner(
-        model, old.cost, old.solver, old.candidates, old.steps, old.score, old.starts, old.choice,
-        old.solved_components, old.coordinates, old.constraints,
-    )  # fmt: skip
-    return DiffMPCController(
-        planner, controller.forecaster, controller.cruise_mps, controller.dt_s, controller.actuate,
-        controller.delay,
-    )  # fmt: skip
+    def thoughts(self, state: AdaptiveState) -> dict[str, Float[np.ndarray, "E S *d"]]:
+        """What was expected of each pedestrian, and planned by the model in use."""
+        return self.controllers[0].thoughts(state.inner)
 
 
 def _joined(state: DiffMPCState, known: DiffMPCState, keep: Tensor) -> DiffMPCState:
@@ -124,5 +118,5 @@ def _joined(state: DiffMPCState, known: DiffMPCState, keep: Tensor) -> DiffMPCSt
         plan=torch.where(keep[:, None, None], known.plan, state.plan),
         waited=torch.where(keep, known.waited, state.waited),
         nearest=torch.where(keep, known.nearest, state.nearest),
-        decisions=(*state.decisions, known.decisions[-1]),
+        decisions=state.decisions,
     )

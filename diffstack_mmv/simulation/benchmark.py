@@ -16,7 +16,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import message, require, require_at_least
 from diffstack_mmv.simulation.episode import drive
-from diffstack_mmv.simulation.policies import Controller, Decided
+from diffstack_mmv.simulation.policies import Controller, Decided, diagnosis_of, thoughts_of
 from diffstack_mmv.simulation.scenario import CaseSource
 from diffstack_mmv.simulation.world import Observation, World
 from diffstack_mmv.types import EpisodeRecord, Motion
@@ -96,7 +96,7 @@ def run(
     chunk_size: int = 50,
     phase: str = "test",
 ) -> Iterator[Chunk]:
-    """DrivenEpisodes cases chunk by chunk, or read the chunks that an earlier run has finished.
+    """Drive cases chunk by chunk, or read the chunks that an earlier run has finished.
 
     Args:
         method: Robot and controller.
@@ -129,16 +129,14 @@ def run(
 
 
 def _driven(method: Method, scenario: CaseSource, numbers: list[int], phase: str) -> Chunk:
-    """DrivenEpisodes the cases as one batch."""
+    """Drive the cases as one batch."""
     controller = method.controller()
     timed = Timed(controller)
     scene = scenario.cases(phase, numbers)
     record, known = drive(method.world, scene, timed)
-    diagnose = getattr(controller, "diagnosis", None)
-    shares = {} if diagnose is None else diagnose(known)
+    shares = diagnosis_of(controller, known)
     told = {name: share.double().numpy() for name, share in shares.items()}
-    think = getattr(controller, "thoughts", None)
-    thoughts = {} if think is None else think(known)
+    thoughts = thoughts_of(controller, known)
     drawn = {"goal": scene.robot_goal.numpy(), "radius": scene.pedestrians.radius.numpy()}
     return Chunk(numbers, record, np.array(timed.seconds), told, thoughts, drawn)
 

@@ -1,7 +1,8 @@
 """DiffMPC in a receding horizon among pedestrians."""
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from copy import copy
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import torch
@@ -9,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
+from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.planning import (
     MPCPlanner,
     PlannerState,
@@ -94,6 +96,12 @@ class DiffMPCController:
         self.dt_s = dt_s
         self.actuate = actuate
         self.delay = delay
+
+    def with_model(self, model: DynamicsModel) -> Self:
+        """The same controller, planning with another model of the vehicle."""
+        other = copy(self)
+        other.planner = self.planner.with_dynamics(model)
+        return other
 
     def init(self, observation: Observation) -> DiffMPCState:
         """State at the start of episodes: no plan, no waiting."""
@@ -232,6 +240,15 @@ def _of_present(seen: Observation, told: PedestrianForecast) -> Forecast:
     mean = told.forecast.mean
     present = seen.seen[..., None, None, None]
     return told.forecast._replace(mean=torch.where(present, mean, torch.full_like(mean, torch.nan)))
+
+
+def merged(decisions: Sequence[Decision]) -> Decision:
+    """One decision of those made at the same time for different episodes."""
+    origin, status, rows = (
+        torch.cat(part) for part in zip(*(d[:3] for d in decisions), strict=True)
+    )
+    thoughts = zip(*(decision.thought for decision in decisions), strict=True)
+    return Decision(origin, status, rows, Thought(*map(torch.cat, thoughts)))
 
 
 def _decision(plan: Plan, forecast: Forecast, rows: Int[Tensor, " r"]) -> Decision:

@@ -11,7 +11,13 @@ from torch import Tensor
 from diffstack_mmv.checks import require, require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import rotate
-from diffstack_mmv.simulation.policies import Controller, Decided, unbatched
+from diffstack_mmv.simulation.policies import (
+    Controller,
+    Decided,
+    diagnosis_of,
+    thoughts_of,
+    unbatched,
+)
 from diffstack_mmv.simulation.world import Observation
 from diffstack_mmv.types import EgoEstimate, EgoMeasurement, Motion
 
@@ -187,13 +193,11 @@ class EstimatingController:
 
     def diagnosis(self, state: EstimatingState) -> dict[str, Float[Tensor, " E"]]:
         """What the other controller tells of itself, and the steering offset at the end in rad."""
-        diagnose = getattr(self.controller, "diagnosis", None)
-        told = {} if diagnose is None else diagnose(state.inner)
+        told = diagnosis_of(self.controller, state.inner)
         if state.instruments is None:
             return told
         return told | {"steer_offset": state.instruments[:, 0].float()}
 
     def thoughts(self, state: EstimatingState) -> dict[str, Float[np.ndarray, "E S *d"]]:
         """What the other controller expected and planned."""
-        think = getattr(self.controller, "thoughts", None)
-        return {} if think is None else think(state.inner)
+        return thoughts_of(self.controller, state.inner)

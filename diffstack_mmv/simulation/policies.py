@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -49,6 +50,18 @@ def unbatched(controller: Controller, state: Any, observation: Observation) -> D
     return Decided(action.squeeze(0), after)
 
 
+def diagnosis_of(controller: Controller, state: Any) -> dict[str, Float[Tensor, " E"]]:
+    """What a controller tells of its episodes; nothing if it has no `diagnosis`."""
+    diagnose = getattr(controller, "diagnosis", None)
+    return {} if diagnose is None else diagnose(state)
+
+
+def thoughts_of(controller: Controller, state: Any) -> dict[str, Float[np.ndarray, "E S *d"]]:
+    """What a controller expected and planned; nothing if it has no `thoughts`."""
+    think = getattr(controller, "thoughts", None)
+    return {} if think is None else think(state)
+
+
 class _Memoryless:
     """What controllers share that decide by the present observation alone."""
 
@@ -59,7 +72,7 @@ class _Memoryless:
 
 @dataclass(frozen=True)
 class StraightLine(_Memoryless):
-    """DrivenEpisodes a holonomic robot straight to the goal, blind to the pedestrians.
+    """Drives a holonomic robot straight to the goal, blind to the pedestrians.
 
     Attributes:
         speed_mps: Constant speed.
@@ -84,7 +97,7 @@ class StraightLine(_Memoryless):
 
 @dataclass(frozen=True)
 class OrcaPolicy(_Memoryless):
-    """DrivenEpisodes a holonomic robot by ORCA, as the original benchmark's ORCA robot does.
+    """Drives a holonomic robot by ORCA, as the original benchmark's ORCA robot does.
 
     Attributes:
         dt_s: Step of the simulation.
@@ -126,7 +139,7 @@ class OrcaPolicy(_Memoryless):
 
 
 class BlindDriver(_Memoryless):
-    """DrivenEpisodes a vehicle straight to the goal and stop there, blind to the pedestrians.
+    """Drives a vehicle straight to the goal and stop there, blind to the pedestrians.
 
     Args:
         dynamics: Model of the vehicle, whose step is the time between two decisions.

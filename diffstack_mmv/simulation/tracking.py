@@ -9,7 +9,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
-from diffstack_mmv.simulation.policies import Controller, Decided, unbatched
+from diffstack_mmv.simulation.policies import (
+    Controller,
+    Decided,
+    diagnosis_of,
+    thoughts_of,
+    unbatched,
+)
 from diffstack_mmv.simulation.world import Observation
 
 
@@ -124,10 +130,8 @@ class TrackingController:
 
     def diagnosis(self, state: TrackingState) -> dict[str, Float[Tensor, " E"]]:
         """What the other controller tells of itself."""
-        diagnose = getattr(self.controller, "diagnosis", None)
-        return {} if diagnose is None else diagnose(state.inner)
+        return diagnosis_of(self.controller, state.inner)
 
     def thoughts(self, state: TrackingState) -> dict[str, Float[np.ndarray, "E S *d"]]:
         """What the other controller expected and planned."""
-        think = getattr(self.controller, "thoughts", None)
-        return {} if think is None else think(state.inner)
+        return thoughts_of(self.controller, state.inner)

@@ -1,7 +1,6 @@
 """The vehicles that come with the package, and vehicles in files of one's own."""
 
 import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -56,8 +55,6 @@ def save_vehicle(
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     kept = replace(spec, provenance=dict(provenance)) if provenance else spec
-    with tempfile.NamedTemporaryFile(
-        "w", dir=target.parent, suffix=".partial", delete=False
-    ) as stream:
-        stream.write(to_yaml(config_from_spec(kept)))
-    os.replace(stream.name, target)
+    unfinished = target.with_name(target.name + ".part")
+    unfinished.write_text(to_yaml(config_from_spec(kept)), encoding="utf-8")
+    unfinished.replace(target)

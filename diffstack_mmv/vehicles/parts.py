@@ -104,9 +104,9 @@ class Limits:
         require_positive("limits.yaw_rate_max_radps", self.yaw_rate_max_radps)
         braking = self.acceleration_min_mps2
         require(
-            braking < 0,
+            -math.inf < braking < 0,
             "limits.acceleration_min_mps2",
-            "be negative",
+            "be negative and finite",
             braking,
             remedy="Braking counts negative.",
         )

@@ -4,7 +4,7 @@ import pytest
 import torch
 from scipy.optimize import minimize
 
-from diffstack_mmv.control import ILQR, Batched, Bounds, SolverStatus
+from diffstack_mmv.control import ILQR, Batched, Bounds, DifferencedCurvature, SolverStatus
 from tests.control.problems import driving, goal_cost, rate_model, solve
 
 SOLVER = ILQR()
@@ -197,6 +197,13 @@ def test_iterations_after_all_have_finished_change_nothing(monkeypatch):
         ({"controls": torch.zeros(3, 5, 1)}, "shape"),
         ({"controls": torch.zeros(3, 5, 2, dtype=torch.float64)}, "float32"),
         ({"bounds": Bounds(torch.ones(2), -torch.ones(2))}, "in order"),
+        (
+            {"bounds": Bounds(torch.full((2,), torch.nan), torch.ones(2))},
+            "`bounds.lower` must be numb",
+        ),
+        ({"bounds": Bounds(torch.zeros(5, 2), torch.ones(2))}, "of its own is a constraint"),
+        ({"state": torch.tensor(1.0)}, "a last dimension of columns"),
+        ({"controls": torch.zeros(3, 5, 0)}, "have a column"),
     ],
 )
 @pytest.mark.usefixtures("unchecked")
@@ -216,3 +223,18 @@ def test_arguments_that_do_not_fit_are_refused(change, told):
 def test_settings_must_be_positive(field):
     with pytest.raises(ValueError, match=field):
         ILQR(**{field: 0})
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"gradient": "unrolled"}, "`gradient` must be a GradientMode, but got 'unrolled'"),
+        ({"curvature": DifferencedCurvature}, "For instance DifferencedCurvature()"),
+        ({"tolerance": None}, "`tolerance` must be positive, but got None"),
+        ({"max_iterations": "5"}, "`max_iterations` must be at least 1, but got 5"),
+    ],
+)
+def test_settings_of_another_kind_are_refused(settings, told):
+    with pytest.raises(ValueError, match="must") as raised:
+        ILQR(**settings)
+    assert told in str(raised.value)

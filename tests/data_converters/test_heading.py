@@ -1,4 +1,4 @@
-"""HeadingTrack: along the motion, held at rest, along the cuboid."""
+"""Heading: along the motion, held at rest, along the cuboid."""
 
 import numpy as np
 import pytest

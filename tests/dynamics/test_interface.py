@@ -1,5 +1,7 @@
 """What a model says of itself: driver input, reference point, wheels, derived quantities."""
 
+import copy
+import pickle
 from typing import NamedTuple
 
 import pytest
@@ -17,7 +19,7 @@ from diffstack_mmv.dynamics import (
     SingleIntegrator,
     rollout,
 )
-from diffstack_mmv.dynamics.catalogue import dynamics_names, model_of
+from diffstack_mmv.dynamics.catalogue import dynamics_names, load_dynamics, model_of
 from diffstack_mmv.dynamics.gm3 import DiffGM3WheelSpeed
 from diffstack_mmv.dynamics.manoeuvres import Slalom
 from diffstack_mmv.dynamics.open_loop import drive, wheel_history
@@ -84,6 +86,38 @@ def simulated():
     """A bicycle of the benchmark in the eyes of some dynamics."""
     mapping = yaml.safe_load((config_folder() / "vehicle" / "bicycle.yaml").read_text())
     return lambda dynamics: SimulatedVehicle(mapping, dynamics, LIMITS)
+
+
+@pytest.mark.parametrize(
+    ("lower", "told"),
+    [((-2.0,), "`control_lower` must hold a number for each of half_acceleration, double_steer")],
+)
+def test_a_model_without_a_bound_for_each_control_is_refused(lower, told):
+    with pytest.raises(ValueError, match="must hold") as raised:
+        DynamicsModel.__init__(Tricycle.__new__(Tricycle), 0.1, lower, (2.0, 1.0))
+    assert told in str(raised.value)
+
+
+@pytest.mark.parametrize("dynamics", dynamics_names())
+def test_states_and_controls_of_different_batches_are_broadcast(dynamics):
+    model = model_of(load_vehicle("bicycle"), load_dynamics(dynamics), 0.05)
+    n, m = model.state_dim, model.control_dim
+    state, control = 0.5 + torch.rand(5, 1, n), 0.1 * torch.rand(3, m)
+    after = model(state, control)
+    assert after.shape == (5, 3, n)
+    torch.testing.assert_close(after[2, 1], model(state[2, 0], control[1]))
+    assert model(state[0, 0], control).shape == (3, n)
+    assert model(state[:, 0], control[0]).shape == (5, n)
+
+
+@pytest.mark.parametrize("dynamics", dynamics_names())
+def test_a_model_survives_pickling(dynamics):
+    model = model_of(load_vehicle("bicycle"), load_dynamics(dynamics), 0.05)
+    again = pickle.loads(pickle.dumps(model))
+    assert again.Control._fields == copy.deepcopy(model).Control._fields == model.Control._fields
+    state = 0.5 + torch.rand(2, model.state_dim)
+    control = 0.1 * torch.rand(2, model.control_dim)
+    assert torch.equal(again(state, control), model(state, control))
 
 
 def test_a_toy_model_works_everywhere_without_registration():

@@ -82,6 +82,28 @@ def memory(batch=4):
     return PlannerState(torch.zeros(batch, STEPS, 2), torch.zeros(batch))
 
 
+def test_nan_of_agents_who_are_not_there_changes_nothing():
+    """Data sets fill absent agents up with NaN."""
+    planner, problems = training(), problem()
+    obstacles = problems.obstacles
+
+    def beside(value):
+        absent = [torch.full_like(entry, value) for entry in obstacles[:3]]
+        rows = zip((*obstacles[:3], obstacles.valid), (*absent, ~obstacles.valid), strict=True)
+        dims = -4, -2, -1, -1
+        joined = (torch.cat(pair, dim) for pair, dim in zip(rows, dims, strict=True))
+        return problems._replace(obstacles=Obstacles(*joined))
+
+    weights = list(planner.cost.parameters())
+    slopes = []
+    for value in (0.0, torch.nan):
+        plan = planner(beside(value))
+        slopes.append(torch.autograd.grad(plan.controls.square().sum(), weights))
+    assert plan.converged.all()
+    for found, expected in zip(*reversed(slopes), strict=True):
+        assert torch.equal(found, expected)
+
+
 def test_training_takes_the_optimum_started_from_the_cheapest_candidate():
     planner, problems = training(), problem()
     plan = planner(problems)

@@ -1,5 +1,6 @@
 """A controller with several models of its vehicle drives by the one that explains the motion."""
 
+import numpy as np
 import pytest
 import torch
 from hydra.utils import instantiate
@@ -33,6 +34,21 @@ def test_the_model_that_explains_the_turn_is_driven_by(true, seen, controller_fo
         turned = model.motion(model(model.initial_state(before), command), command)
         _, state = controller.act(state, seen._replace(motion=turned))
     assert state.chosen.tolist() == [true]
+
+
+def test_thoughts_are_one_per_decision_whatever_model_took_it(seen, controller_for):
+    other = controller_for("motorcycle", starts=0).planner.dynamics
+    controller = AdaptiveController(controller_for(starts=0), [other])
+    two = map_tensors(lambda entry: torch.cat([entry, entry]), seen)
+    with torch.no_grad():
+        state = controller.init(two)
+        state = state._replace(error=torch.tensor([[0.0, 1.0], [1.0, 0.0]]).to(state.error))
+        _, state = controller.act(state, two)
+    assert state.chosen.tolist() == [0, 1]
+    thoughts = controller.thoughts(state)
+    assert thoughts["plan"].shape[:2] == (2, 1)
+    assert np.isfinite(thoughts["plan"]).all()
+    assert controller.diagnosis(state)["candidate_share"].shape == (2,)
 
 
 def test_all_models_are_planned_with_in_the_same_way():

@@ -1,6 +1,7 @@
 """Vehicle files: every mistake gets one message that names vehicle, field and value."""
 
 import copy
+import math
 
 import pytest
 from omegaconf import OmegaConf
@@ -51,6 +52,7 @@ MISTAKES = [
     ("wheels/rear", None, "must be at least two"),
     ("limits/steer_max_rad", 45.0, "Give radians"),
     ("limits/acceleration_min_mps2", 5.0, "must be negative"),
+    ("limits/acceleration_min_mps2", -math.inf, "must be negative and finite"),
     ("leans", False, "Nothing else keeps it upright"),
     ("wheelbase", {"initial": 0.0, "low": 0.0, "high": 0.0}, "wheelbase.unit"),
     ("steering", {"ackerman": {}}, "Did you mean `ackermann`"),

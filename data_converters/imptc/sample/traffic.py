@@ -117,7 +117,7 @@ def simulate(
         duration_s: How long, in s.
 
     Returns:
-        TrafficMotion per traveller, possibly with no steps.
+        One `TrafficMotion` per traveller, possibly with no steps.
     """
     world = _World(travellers)
     log: list[list[tuple[int, float, float, float, float]]] = [[] for _ in travellers]

@@ -17,7 +17,7 @@ from diffstack_mmv.control.constrained.activity import Activity
 from diffstack_mmv.control.constrained.condensed import Condensed, assemble, chunks, condense
 from diffstack_mmv.control.constrained.local import Local, Problem, adjoint_states
 from diffstack_mmv.control.expansion import pad_controls, step_all
-from diffstack_mmv.control.implicit import Attached, attached
+from diffstack_mmv.control.implicit import Attached, joined
 
 WEAK = 1e-6  # of the root of the cost that letting go of a row would save; below, it is inactive
 
@@ -27,6 +27,7 @@ class KktPoint(NamedTuple):
 
     x: Float[Tensor, "N T1 n"]
     u: Float[Tensor, "N T m"]
+    cost: Float[Tensor, " N"]
     multipliers: Float[Tensor, "N T1 K"]
     slack: Float[Tensor, "N T1 K"]  # violation of the rows that give way
     activity: Activity
@@ -146,7 +147,10 @@ def attach(problem: Problem, point: KktPoint) -> AttachedRows | None:
         return None
     x, u, rows = (problem.unflat(part) for part in _ImplicitRows.apply(*residual, point))
     multipliers = torch.where(terms.activity.active, rows, terms.multipliers)
-    return AttachedRows(attached(state, x, u, each, valid), multipliers)
+    paid = problem.unflat(point.cost)
+    # the value is that of the solver, whatever the gradient is asked of
+    total = torch.where(valid, paid + (each - each.detach()), paid)
+    return AttachedRows(Attached(joined(state, x), u, total), multipliers)
 
 
 class _Terms:

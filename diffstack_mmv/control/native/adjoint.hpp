@@ -1,6 +1,16 @@
 // Derivatives of a solution by the implicit function theorem, as implicit.py has them.
+#pragma once
 
 namespace dmmv {
+
+// what `dmmv_adjoint` is called with
+struct Slopes {
+  long count;
+  const Real *parameters, *bounds, *x, *u;
+  const bool* valid;
+  const Real *g_x, *g_u, *g_cost;
+  Real *g_parameters, *g_state;
+};
 
 template <class P>
 struct Adjoint : Solver<P> {
@@ -11,10 +21,18 @@ struct Adjoint : Solver<P> {
   Real k[T][m], K[T][m * n], V_x[T + 1][n], V_xx[T + 1][n * n];
   Real dx[T + 1][n], du[T + 1][m], dl[T][n];
 
-  // stationary point of the quadratic model with linear terms -g_x, -g_u and the held controls at zero
+  // roots of the diagonal of V_xx, the largest so far: what its rounding is measured by
+  void extend(const Real* V, Real* extent) {
+    for (int i = 0; i < n; ++i) extent[i] = op_max(extent[i], std::sqrt(std::fabs(V[i * n + i])));
+  }
+
+  // stationary point of the quadratic model with linear terms -g_x, -g_u; held and flat controls stay at zero
   void solve_free(const Real* g_x, const Real* g_u) {
     for (int i = 0; i < n; ++i) V_x[T][i] = -g_x[T * n + i];
     std::memcpy(V_xx[T], H_xx[T], sizeof(V_xx[T]));
+    const Real eps = Real(FLAT * n) * std::numeric_limits<Real>::epsilon();
+    Real extent[n] = {}, rounding[m];
+    extend(V_xx[T], extent);
     for (int t = T - 1; t >= 0; --t) {
       Real VA[n * n], VB[n * m], ux[m * n], uu[m * m], Q_u[m], inverse[m * m], product_[m * n];
       bool is_free[m];
@@ -31,8 +49,14 @@ struct Adjoint : Solver<P> {
       add_transposed_product<n, m, n>(B[t], VA, ux);
       add_transposed_product<n, m, m>(B[t], VB, uu);
       make_symmetric<m>(uu);
-      for (int i = 0; i < m; ++i) is_free[i] = !this->held(t, i);
-      free_inverse<m>(uu, is_free, inverse);
+      for (int i = 0; i < m; ++i) {
+        Real reach = 0;
+        for (int j = 0; j < n; ++j) reach += std::fabs(B[t][j * m + i]) * extent[j];
+        rounding[i] = eps * (std::fabs(H_uu[t][i * m + i]) + reach * reach) + std::numeric_limits<Real>::min();
+        is_free[i] = !this->held(t, i);
+      }
+      extend(V_xx[t], extent);
+      regular_inverse<m>(uu, is_free, rounding, inverse);
       product<m, m, n>(inverse, ux, product_);
       for (int i = 0; i < m * n; ++i) K[t][i] = -product_[i];
       for (int i = 0; i < m; ++i) {
@@ -82,6 +106,22 @@ struct Adjoint : Solver<P> {
     P::step_numbers_gradient(x, u, l, q_step, out);
     for (int i = 0; i < P::STEP_NUMBERS; ++i)
       for (int lane = 0; lane < count; ++lane) w[P::step_numbers[i]] += g_cost * out[i].v[lane] - out[i].d[lane];
+  }
+
+  // gradient of problem i
+  void operator()(const Slopes& given, long i) {
+    constexpr int rows = (T + 1) * n, entries = T * m;
+    static thread_local std::vector<Real> weights(P::NUMBERS + 1);
+    const Real* own = given.parameters + i * P::PARAMETERS;
+    this->prepare(own, given.bounds);
+    std::memcpy(this->x, given.x + i * rows, sizeof(Real) * rows);
+    std::memcpy(this->u, given.u + i * entries, sizeof(Real) * entries);
+    this->expand(true);
+    solve_free(given.g_x + i * rows, given.g_u + i * entries);
+    std::fill(weights.begin(), weights.end(), Real(0));
+    weigh(given.g_cost[i], weights.data());
+    P::prelude_adjoint(own, weights.data(), given.g_parameters + i * P::PARAMETERS);
+    by_state(given.g_x + i * rows, given.g_cost[i], given.g_state + i * n);
   }
 
   void by_state(const Real* g_x, Real g_cost, Real* g_state) {

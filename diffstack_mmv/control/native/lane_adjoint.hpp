@@ -5,21 +5,15 @@
 
 namespace dmmv {
 
-// what `dmmv_adjoint` is called with
-struct Slopes {
-  long count;
-  const Real *parameters, *bounds, *x, *u;
-  const bool* valid;
-  const Real *g_x, *g_u, *g_cost;
-  Real *g_parameters, *g_state;
-};
+// multiple of the rounding of the largest curvature by which the least pivot has to stand out
+constexpr Real REGULAR = 1e4;
 
 template <class P>
 struct LaneAdjoint : Pivoting<P> {
   static constexpr int n = P::n, m = P::m, T = P::T;
   static constexpr int rows = (T + 1) * n, entries = T * m;
   using Base = Pivoting<P>;
-  using Base::x, Base::u, Base::dx, Base::du, Base::p, Base::V_xx, Base::costate;
+  using Base::x, Base::u, Base::dx, Base::du, Base::p, Base::V_xx, Base::Q_uu, Base::costate, Base::pivots;
 
   Pack by_x[T + 1][n], by_u[T][m];
   Adjoint<P> scalar;
@@ -42,7 +36,22 @@ struct LaneAdjoint : Pivoting<P> {
     this->refactor(this->last_other(true));
     this->template correct<true>(by_u, by_x);
     for (int t = 0; t < T; ++t) lane_apply<n, n>(V_xx[t + 1], dx[t + 1], p[t + 1]);
-    for (int lane = 0; lane < count; ++lane) put_out(given, problems[lane], lane);
+    for (int lane = 0; lane < count; ++lane) {
+      if (is_regular(lane)) {
+        put_out(given, problems[lane], lane);
+      } else {
+        scalar(given, problems[lane]);
+        prepared = 0;
+      }
+    }
+  }
+
+  // whether no control is flat; `Adjoint` knows what to do with those
+  bool is_regular(int lane) const {
+    Real most = 0;
+    for (int t = 0; t < T; ++t)
+      for (int i = 0; i < m; ++i) most = op_max(most, Q_uu[t][i * m + i][lane]);
+    return pivots[0][lane] > REGULAR * std::numeric_limits<Real>::epsilon() * most;
   }
 
   static void get(int lane, const Pack* from, Real* to, int number) {

@@ -4,7 +4,7 @@
 
 namespace dmmv {
 
-constexpr Real DEFINITE = Real(1e-6);
+constexpr Real DEFINITE = Real(1e-6), FLAT = 16;
 
 inline bool finite(Real a) { return std::isfinite(a); }
 inline Real clipped(Real a, Real low, Real high) {
@@ -152,7 +152,36 @@ inline void free_inverse(const Real* H, const bool* is_free, Real* inverse) {
   }
 }
 
-// the same for a positive definite matrix, faster; false if it is not definite
+// inverse of as many free rows and columns as have one, zero elsewhere, see `regular_inverse` of box_qp.py
+template <int M>
+inline void regular_inverse(const Real* H, const bool* is_free, const Real* noise, Real* inverse) {
+  Real S[M][M];
+  bool left[M], swept[M] = {};
+  for (int i = 0; i < M; ++i) {
+    left[i] = is_free[i];
+    for (int j = 0; j < M; ++j) S[i][j] = is_free[i] && is_free[j] ? H[i * M + j] : Real(0);
+  }
+  for (;;) {
+    int c = -1;
+    Real size = 1;
+    for (int i = 0; i < M; ++i)
+      if (left[i] && std::fabs(S[i][i]) / noise[i] > size) size = std::fabs(S[i][i]) / noise[i], c = i;
+    if (c < 0) break;
+    left[c] = false;
+    swept[c] = true;
+    const Real pivot = S[c][c];
+    for (int i = 0; i < M; ++i)
+      for (int j = 0; j < M; ++j)
+        if (i != c && j != c) S[i][j] -= S[i][c] * S[c][j] / pivot;
+    for (int i = 0; i < M; ++i)
+      if (i != c) S[i][c] = S[c][i] = S[c][i] / pivot;
+    S[c][c] = -1 / pivot;
+  }
+  for (int i = 0; i < M; ++i)
+    for (int j = 0; j < M; ++j) inverse[i * M + j] = swept[i] && swept[j] ? -S[i][j] : Real(0);
+}
+
+// the inverse of a positive definite matrix, faster; false if it is not definite
 template <int M>
 inline bool definite_inverse(const Real* H, const bool* is_free, Real* inverse) {
   Real L[M][M], W[M][M], pivot[M];

@@ -28,6 +28,15 @@ class DiffGM3WheelSpeed(DiffGM3):
 
     drive: ClassVar[type[Drive] | None] = SpeedDrive
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but the record of the controls, which no module has by its name."""
+        return {name: value for name, value in self.__dict__.items() if name != "Control"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take what `__getstate__` told, and name the controls anew."""
+        super().__setstate__(state)
+        self.Control = self.control_record(self.spec)
+
     @classmethod
     def control_record(cls, spec: VehicleSpec) -> Any:
         """Named tuple with one wheel speed per driven wheel, and the steering command."""

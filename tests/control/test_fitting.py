@@ -1,0 +1,77 @@
+"""What the callables of a problem have to return."""
+
+import functools
+
+import pytest
+import torch
+
+from diffstack_mmv.control import ILQR, Batched, Bounds
+
+STATE, CONTROLS = torch.zeros(3, 2), torch.zeros(3, 8, 1)
+BOX = Bounds(-torch.ones(1), torch.ones(1))
+WEIGHT = torch.ones(3)
+
+
+def step(state, control):
+    position, speed = state.unbind(-1)
+    return torch.stack([position + 0.1 * speed, speed + 0.1 * control[..., 0]], -1)
+
+
+def fitting(states, controls, weight):
+    return weight[:, None] * (states[..., 0] - 1).square() + controls[..., 0].square()
+
+
+def one_per_problem(states, controls, weight):
+    return fitting(states, controls, weight).sum(-1, keepdim=True)
+
+
+def jerky(states, controls, weight):
+    jerk = controls[..., 1:, 0] - controls[..., :-1, 0]
+    return fitting(states, controls, weight) + torch.nn.functional.pad(jerk, (0, 1)).square()
+
+
+def towards_the_end(states, controls, weight):
+    return fitting(states, controls, weight) + (states - states[..., -1:, :]).square().sum(-1)
+
+
+def of_other_precision(states, controls, weight):
+    return fitting(states, controls, weight).double()
+
+
+BAD = {
+    one_per_problem: r"`cost` must return the shape \(3, 9\)",
+    jerky: "`cost` must depend at each time on state and control of that time alone",
+    towards_the_end: "`cost` must depend at each time on state and control of that time alone",
+    of_other_precision: "`cost` must return torch.float32 as the state, but got torch.float64",
+}
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("form", [Batched, functools.partial])
+@pytest.mark.parametrize("cost", BAD)
+def test_a_cost_that_does_not_fit_is_refused_after_one_that_does(form, cost):
+    """Wrapped callables share their type, and were told apart by nothing else."""
+
+    def wrapped(function):
+        return form(function, WEIGHT) if form is Batched else form(function, weight=WEIGHT)
+
+    assert ILQR()(step, wrapped(fitting), BOX, STATE, CONTROLS).converged.all()
+    with pytest.raises(ValueError, match=BAD[cost]):
+        ILQR()(step, wrapped(cost), BOX, STATE, CONTROLS)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_dynamics_of_other_precision_are_refused():
+    with pytest.raises(ValueError, match=r"`dynamics` must return torch.float32"):
+        ILQR()(
+            lambda x, u: step(x, u).double(), functools.partial(fitting, weight=WEIGHT), BOX, STATE,
+            CONTROLS,
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_costs_of_one_time_are_accepted_at_any_scale(scale):
+    """Weights that change over time make no cost depend on other times."""
+    ramp = scale * torch.linspace(0, 1, 9).exp()
+    cost = functools.partial(lambda x, u, weight: ramp * fitting(x, u, weight), weight=WEIGHT)
+    assert ILQR()(step, cost, BOX, STATE, CONTROLS).converged.all()
