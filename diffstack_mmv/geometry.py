@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.types import Motion
+from diffstack_mmv.types import Discs, Motion
 
 SPLIT = 2.0**27 + 1
 """Splits a float64 number into two halves whose products are exact."""
@@ -26,6 +26,11 @@ def wrap_angle(angle: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
 def direction(angle: Float[Tensor, "*b"]) -> Float[Tensor, "*b 2"]:
     """Return the unit vector (cos, sin) of an angle in rad."""
     return torch.stack([angle.cos(), angle.sin()], -1)
+
+
+def left_of(forward: Float[Tensor, "*b 2"]) -> Float[Tensor, "*b 2"]:
+    """The vector a quarter turn to the left."""
+    return torch.stack([-forward[..., 1], forward[..., 0]], -1)
 
 
 def rotate(vector: Float[Tensor, "*#b 2"], angle: Float[Tensor, "*#b"]) -> Float[Tensor, "*b 2"]:
@@ -70,6 +75,32 @@ def distance_to_axis(
     seen = position_in_frame(position, origin, heading)
     beyond = seen[..., 0] - torch.minimum(torch.maximum(seen[..., 0], rear), front)
     return (beyond.square() + seen[..., 1].square() + epsilon).sqrt()
+
+
+def distance_to_outline(
+    agents: Float[Tensor, "*b N K T1 2"],
+    position: Float[Tensor, "*#b T1 2"],
+    heading: Float[Tensor, "*#b T1"],
+    discs: Discs,
+    epsilon: float = 0.0,
+) -> Float[Tensor, "*b N K T1"]:
+    """Distance in m of agents to the axis of a vehicle between its first and its last disc.
+
+    Args:
+        agents: Positions in m.
+        position: Of the reference point of the vehicle at the same times, in m.
+        heading: Of its body, in rad.
+        discs: Around it; its outline is their hull.
+        epsilon: See `distance_to_axis`.
+    """
+    return distance_to_axis(
+        agents,
+        position[..., None, None, :, :],
+        heading[..., None, None, :],
+        discs.ahead.amin(-1)[..., None, None, None],
+        discs.ahead.amax(-1)[..., None, None, None],
+        epsilon,
+    )
 
 
 def motion_in_frame(

@@ -13,6 +13,9 @@ from torch import Tensor
 
 from dmmv_conventions.modes import Mode as Mode  # a field of the records below, and known from here
 
+GRAVITY = 9.81
+"""m/s²"""
+
 
 class SolverStatus(IntEnum):
     """How the optimisation of one problem ended; only converged problems carry a gradient."""

@@ -6,6 +6,7 @@ from diffstack_mmv.control.curvature import (
     DifferencedCurvature,
     ExactCurvature,
 )
+from diffstack_mmv.control.expansion import pad_controls
 from diffstack_mmv.control.gradient import GradientMode, Implicit, Unrolled
 from diffstack_mmv.control.ilqr import ILQR
 from diffstack_mmv.control.optimizer import (
@@ -37,4 +38,5 @@ __all__ = [
     "SolverStatus",
     "TrajectoryOptimizer",
     "Unrolled",
+    "pad_controls",
 ]

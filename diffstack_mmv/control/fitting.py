@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import message, require, require_tensor
+from diffstack_mmv.control.expansion import pad_controls
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.selection import kind
 from diffstack_mmv.types import Bounds, on_host
@@ -64,7 +65,7 @@ def require_fitting(
     require(found == wanted, "dynamics", f"return the shape {wanted} of the state", found)
     _require_precision("dynamics", after, state)
     states = state.unsqueeze(-2).repeat_interleave(controls.shape[-2] + 1, -2)
-    padded = torch.cat([controls, torch.zeros_like(controls[..., :1, :])], -2)
+    padded = pad_controls(controls)
     value = cost(states, padded)
     require_tensor("cost(states, controls)", value)
     found, wanted = tuple(value.shape), tuple(states.shape[:-1])

@@ -6,11 +6,9 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.costs.base import CostTerm
-from diffstack_mmv.geometry import distance_to_axis
+from diffstack_mmv.geometry import direction, distance_to_outline, left_of
 from diffstack_mmv.smooth import safe_norm, smooth_maximum
-from diffstack_mmv.types import Discs, Motion, PlanningProblem
-
-GRAVITY = 9.81  # m/s²
+from diffstack_mmv.types import GRAVITY, Discs, Motion, PlanningProblem
 
 
 class ExpectedCollision(CostTerm):
@@ -69,14 +67,8 @@ class OutlineClearance(CostTerm):
     ) -> Float[Tensor, "*b t"]:
         """Value in m² at each time, summed over agents."""
         obstacles, discs = problem.obstacles, problem.ego.discs
-        rear, front = discs.ahead.amin(-1), discs.ahead.amax(-1)
-        distance = distance_to_axis(
-            obstacles.position,
-            motion.position[..., None, None, :, :],
-            motion.heading[..., None, None, :],
-            rear[..., None, None, None],
-            front[..., None, None, None],
-            epsilon=1e-6,
+        distance = distance_to_outline(
+            obstacles.position, motion.position, motion.heading, discs, epsilon=1e-6
         )
         reach = discs.radius.amax(-1)[..., None] + obstacles.radius + self.margin_m
         lack = torch.relu(reach[..., None, None] - distance).square()
@@ -135,8 +127,8 @@ class TurningCircleBarrier(CostTerm):
         speed = motion.velocity[..., 0]
         grip = speed.square() / (self.friction * GRAVITY)
         radius = smooth_maximum(grip, torch.full_like(grip, self.radius_min_m), 0.05)
-        forward = torch.stack([motion.heading.cos(), motion.heading.sin()], -1)
-        left = torch.stack([-forward[..., 1], forward[..., 0]], -1)
+        forward = direction(motion.heading)
+        left = left_of(forward)
         centre = motion.position + self.lead_m * forward
         ego = _reach_beyond(problem.ego.discs, radius)[..., None, None, :]
         keep = ego + problem.obstacles.radius[..., None, None] + self.margin_m

@@ -6,6 +6,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.costs.base import CostTerm
+from diffstack_mmv.geometry import direction, left_of
 from diffstack_mmv.smooth import safe_norm
 from diffstack_mmv.types import Motion, PlanningProblem
 
@@ -133,7 +134,7 @@ class GoalOutsideTurn(CostTerm):
     ) -> Float[Tensor, "*b t"]:
         """Value in m² at each time."""
         offset = _offset_to_goal(motion, problem)
-        left = torch.stack([-motion.heading.sin(), motion.heading.cos()], -1)
+        left = left_of(direction(motion.heading))
         centre = self.radius_min_m * left
         distance = torch.stack([safe_norm(offset - centre, 1e-6), safe_norm(offset + centre, 1e-6)])
         return torch.relu(self.radius_min_m - distance).square().sum(0)

@@ -13,12 +13,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.dynamics.base import DynamicsModel
-from diffstack_mmv.dynamics.gm3.load import GRAVITY
 from diffstack_mmv.dynamics.gm3.model import DiffGM3
 from diffstack_mmv.dynamics.gm3.wheel_speed import DiffGM3WheelSpeed
 from diffstack_mmv.dynamics.kbm import DiffKBM
 from diffstack_mmv.geometry import direction
-from diffstack_mmv.types import Motion
+from diffstack_mmv.types import GRAVITY, Motion
 from diffstack_mmv.vehicles import VehicleSpec
 
 

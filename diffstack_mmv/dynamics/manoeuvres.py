@@ -5,7 +5,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -13,17 +12,6 @@ from torch import Tensor
 
 from diffstack_mmv.checks import message, require, require_positive
 from diffstack_mmv.dynamics.records import DriverInput
-
-
-@runtime_checkable
-class OpenLoopManoeuvre(Protocol):
-    """What a driver does over time, one row per control step, from some speed on."""
-
-    speed_mps: float
-
-    def __call__(self, wheelbase_m: float, dt_s: float) -> DriverInput:
-        """Inputs for a vehicle of this wheelbase."""
-        ...
 
 
 def _times(duration_s: float, dt_s: float) -> Float[Tensor, " T"]:

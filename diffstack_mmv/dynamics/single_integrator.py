@@ -8,7 +8,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.dynamics.base import DynamicsModel
-from diffstack_mmv.geometry import rotate
+from diffstack_mmv.geometry import left_of, rotate
 from diffstack_mmv.smooth import saturate
 from diffstack_mmv.types import Motion
 
@@ -83,7 +83,7 @@ class SingleIntegrator(DynamicsModel):
         velocity = state[..., 2:]
         speed = velocity.square().sum(-1).add(1e-12).sqrt()
         forward = velocity / speed.unsqueeze(-1)
-        left = torch.stack([-forward[..., 1], forward[..., 0]], -1)
+        left = left_of(forward)
         across = curvature * speed.square()
         return self.within_bounds(
             acceleration.unsqueeze(-1) * forward + across.unsqueeze(-1) * left

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.geometry import distance_to_axis
+from diffstack_mmv.geometry import distance_to_outline
 from diffstack_mmv.metrics.means import where_known
 from diffstack_mmv.types import Discs, Obstacles, Plan, Tracks
 
@@ -31,13 +31,7 @@ def collided(
     Returns:
         Dimensionless; NaN for a plan that is not finite.
     """
-    distance = distance_to_axis(
-        obstacles.position,
-        position[..., None, None, :, :],
-        heading[..., None, None, :],
-        discs.ahead.amin(-1)[..., None, None, None],
-        discs.ahead.amax(-1)[..., None, None, None],
-    )
+    distance = distance_to_outline(obstacles.position, position, heading, discs)
     reach = (discs.radius.amax(-1, keepdim=True) + obstacles.radius)[..., None, None]
     overlap = (distance < reach) & obstacles.valid[..., None, None]
     hit = overlap[..., 1:].flatten(-3).any(-1)

@@ -5,7 +5,6 @@ from diffstack_mmv.planning.candidates import (
     Candidates,
     CandidateSource,
     Coasting,
-    with_final_row,
 )
 from diffstack_mmv.planning.choice import CheapestSafe, PlanChoice, TakeOptimum
 from diffstack_mmv.planning.clearance import ClearanceMargin, clearance_within_steps
@@ -87,5 +86,4 @@ __all__ = [
     "predicted_reference",
     "straight_reference",
     "tracked_ego",
-    "with_final_row",
 ]

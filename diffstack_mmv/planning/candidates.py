@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.control import pad_controls
 from diffstack_mmv.control.native.scan import scan
 from diffstack_mmv.dynamics import DynamicsModel, rollout
 from diffstack_mmv.planning.problem import initial_state
@@ -47,7 +48,7 @@ class Coasting:
         start = initial_state(dynamics, problem.ego).unsqueeze(-2)
         controls = start.new_zeros(*start.shape[:-1], steps, dynamics.control_dim)
         states = rollout(dynamics, start, controls)
-        return Candidates(states, controls, dynamics.motion(states, with_final_row(controls)))
+        return Candidates(states, controls, dynamics.motion(states, pad_controls(controls)))
 
 
 class CandidateFan:
@@ -159,7 +160,7 @@ def _in_library(
     if found is None:
         return None
     states, controls = (part.unflatten(0, rows.shape[:-1]) for part in found)
-    return Candidates(states, controls, dynamics.motion(states, with_final_row(controls)))
+    return Candidates(states, controls, dynamics.motion(states, pad_controls(controls)))
 
 
 def follow(
@@ -185,10 +186,5 @@ def follow(
         controls.append(dynamics.control_for(states[-1], *arc_at(states[-1], step)))
         states.append(dynamics(states[-1], controls[-1]))
     all_states, all_controls = torch.stack(states, -2), torch.stack(controls, -2)
-    motion = dynamics.motion(all_states, with_final_row(all_controls))
+    motion = dynamics.motion(all_states, pad_controls(all_controls))
     return Candidates(all_states, all_controls, motion)
-
-
-def with_final_row(controls: Float[Tensor, "*b T m"]) -> Float[Tensor, "*b T1 m"]:
-    """Append the zero row that stands beside the final state."""
-    return torch.cat([controls, torch.zeros_like(controls[..., :1, :])], -2)

@@ -9,10 +9,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require, require_at_least, require_between, require_positive
+from diffstack_mmv.control import pad_controls
 from diffstack_mmv.control.native.scan import scan
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import wrap_angle
-from diffstack_mmv.planning.candidates import Arc, Candidates, follow, with_final_row
+from diffstack_mmv.planning.candidates import Arc, Candidates, follow
 from diffstack_mmv.planning.problem import initial_state
 from diffstack_mmv.types import PlanningProblem
 
@@ -193,7 +194,7 @@ class DetourFan:
         if found is None:
             return None
         states, controls = (part.unflatten(0, rows.shape[:-2]) for part in found)
-        motion = dynamics.motion(states, with_final_row(controls))
+        motion = dynamics.motion(states, pad_controls(controls))
         return Candidates(states, controls, motion)
 
     def _scheduled(self, detour: Detour, steps: int, dt_s: float) -> Float[Tensor, "C1 T 4"]:

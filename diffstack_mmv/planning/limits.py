@@ -13,11 +13,10 @@ from diffstack_mmv.control import ILQR, Batched, Bounds, Solution
 from diffstack_mmv.control.constrained import HARD, ConstrainedILQR, Inequality, Slack
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.geometry import distance_to_axis
+from diffstack_mmv.geometry import distance_to_outline
 from diffstack_mmv.planning.objective import joined, parted
-from diffstack_mmv.types import Motion, PlanningProblem
+from diffstack_mmv.types import GRAVITY, Motion, PlanningProblem
 
-GRAVITY = 9.81  # m/s²
 ABSENT = -1.0
 """Value of a limit for agents that are not there."""
 
@@ -105,13 +104,8 @@ class ClearanceKept:
     ) -> Float[Tensor, "*b t k"]:
         """Value in m."""
         obstacles, discs = problem.obstacles, problem.ego.discs
-        distance = distance_to_axis(
-            obstacles.position,
-            motion.position[..., None, None, :, :],
-            motion.heading[..., None, None, :],
-            discs.ahead.amin(-1)[..., None, None, None],
-            discs.ahead.amax(-1)[..., None, None, None],
-            epsilon=1e-6,
+        distance = distance_to_outline(
+            obstacles.position, motion.position, motion.heading, discs, epsilon=1e-6
         )
         reach = discs.radius.amax(-1)[..., None] + obstacles.radius + self.margin_m
         lack = reach[..., None, None] - distance

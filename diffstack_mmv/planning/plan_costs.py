@@ -3,8 +3,8 @@
 from jaxtyping import Float
 from torch import Tensor
 
+from diffstack_mmv.control import pad_controls
 from diffstack_mmv.control.native.prices import Pricer, pricer
-from diffstack_mmv.planning.candidates import with_final_row
 from diffstack_mmv.planning.objective import PlanCost, motion_cost, motion_rows
 from diffstack_mmv.planning.parts import cost_in_parts, possible
 from diffstack_mmv.planning.problem import filled_up
@@ -42,7 +42,7 @@ class PlanCosts:
         self, motion: Motion, controls: Float[Tensor, "*b C T m"]
     ) -> Float[Tensor, "*b C T1"]:
         """Cost of plans, given their motion and their controls in SI units."""
-        padded = with_final_row(controls)
+        padded = pad_controls(controls)
         if self._is_possible:
             rows = motion_rows(motion)
             self._prices = self._prices or self._prepared(rows, padded)

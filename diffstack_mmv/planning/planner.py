@@ -9,11 +9,11 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from diffstack_mmv.checks import message, require_at_least
-from diffstack_mmv.control import ILQR, Batched, TrajectoryOptimizer
+from diffstack_mmv.control import ILQR, Batched, TrajectoryOptimizer, pad_controls
 from diffstack_mmv.control.native.scan import RowStep, scan
 from diffstack_mmv.costs import WeightedCost
 from diffstack_mmv.dynamics import DynamicsModel, rollout
-from diffstack_mmv.planning.candidates import CandidateFan, CandidateSource, with_final_row
+from diffstack_mmv.planning.candidates import CandidateFan, CandidateSource
 from diffstack_mmv.planning.choice import PlanChoice, TakeOptimum
 from diffstack_mmv.planning.coordinates import Coordinates, PhysicalControls
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
@@ -142,7 +142,7 @@ class MPCPlanner(Planner):
             starts = self._best_starts(proposals, problem.obstacles)
         guess = proposals.controls.take_along_dim(starts[..., None, None], -3)
         solution = self._solve(problem, guess)
-        motion = self.dynamics.motion(solution.states, with_final_row(solution.controls))
+        motion = self.dynamics.motion(solution.states, pad_controls(solution.controls))
         fan_size = fan.controls.shape[-3]
         chosen = self.choice(proposals, fan_size, solution, motion, scored)
         return Plan(*chosen, solution, proposals.motion, -proposals.cost)
@@ -174,7 +174,7 @@ class MPCPlanner(Planner):
 
         The weights are constants here: a cost must not be lowered by weighing its terms anew.
         """
-        controls = self._relative(with_final_row(plan.controls))
+        controls = self._relative(pad_controls(plan.controls))
         weights = {
             name: torch.as_tensor(weight).detach() for name, weight in self.cost.weights().items()
         }
@@ -204,7 +204,7 @@ class MPCPlanner(Planner):
         controls = state.controls.unsqueeze(-3)
         start = initial_state(self.dynamics, problem.ego).unsqueeze(-2)
         states = self._rolled(start, controls)
-        return controls, self.dynamics.motion(states, with_final_row(controls))
+        return controls, self.dynamics.motion(states, pad_controls(controls))
 
     def _rolled(
         self, start: Float[Tensor, "*b n"], controls: Float[Tensor, "*b T m"]

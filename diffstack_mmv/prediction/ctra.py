@@ -5,7 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
-from diffstack_mmv.geometry import rotate
+from diffstack_mmv.geometry import left_of, rotate
 from diffstack_mmv.prediction.baselines import Extrapolation, Spread
 from diffstack_mmv.prediction.current import current_position, trend
 from diffstack_mmv.smooth import safe_norm
@@ -66,7 +66,7 @@ class ConstantTurnRateAcceleration(Extrapolation):
         now = trend(tracks, self.memory_s, self.dt_s)
         speed = safe_norm(now.velocity)
         forward = now.velocity / speed.unsqueeze(-1)
-        left = torch.stack([-forward[..., 1], forward[..., 0]], -1)
+        left = left_of(forward)
         acceleration = (now.acceleration * forward).sum(-1)
         yaw_rate = (
             (now.acceleration * left).sum(-1) * speed / (speed.square() + self.walking_mps**2)

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.geometry import direction
+from diffstack_mmv.geometry import direction, left_of
 
 VARIANCE_FLOOR = 4e-4  # m²: 2 cm, the noise that smoothing leaves on measured positions
 
@@ -28,7 +28,7 @@ def covariance_along(
 ) -> Float[Tensor, "*b 2 2"]:
     """Covariance in m² of errors with standard deviations in m along and across a course in rad."""
     forward = direction(course)
-    left = torch.stack([-forward[..., 1], forward[..., 0]], -1)
+    left = left_of(forward)
     axes = torch.stack([along.unsqueeze(-1) * forward, across.unsqueeze(-1) * left], -1)
     return axes @ axes.mT
 

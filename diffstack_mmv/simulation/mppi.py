@@ -12,7 +12,6 @@ from diffstack_mmv.dynamics import DynamicsModel, rollout
 from diffstack_mmv.planning import (
     clearance_within_steps,
     predicted_obstacles,
-    with_final_row,
 )
 from diffstack_mmv.simulation.forecasters import PedestrianForecaster
 from diffstack_mmv.simulation.policies import Decided, unbatched
@@ -125,7 +124,7 @@ class MPPIController:
         )
         start = self.dynamics.initial_state(seen.motion)
         states = rollout(self.dynamics, start.unsqueeze(1).expand(-1, self.samples, -1), plans)
-        motion = self.dynamics.motion(states, with_final_row(plans))
+        motion = self.dynamics.motion(states, torch.nn.functional.pad(plans, (0, 0, 0, 1)))
         obstacles = predicted_obstacles(
             seen.pedestrian_position, seen.pedestrian_radius, seen.seen, forecast
         )

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from diffstack_mmv import costs
-from diffstack_mmv.control import ILQR, ilqr
+from diffstack_mmv.control import ILQR, ilqr, pad_controls
 from diffstack_mmv.dynamics import DiffKBM, ExtendedUnicycle
 from diffstack_mmv.planning import (
     CandidateFan,
@@ -16,7 +16,6 @@ from diffstack_mmv.planning import (
     TakeOptimum,
     build_problem,
     straight_reference,
-    with_final_row,
 )
 from diffstack_mmv.types import (
     Discs,
@@ -134,7 +133,7 @@ def test_the_closed_loop_takes_the_cheapest_safe_plan_of_all():
     with torch.no_grad():
         plan = planner(problems, memory())
         states = plan.solution.states
-        motion = planner.dynamics.motion(states, with_final_row(plan.solution.controls))
+        motion = planner.dynamics.motion(states, pad_controls(plan.solution.controls))
     one = map_tensors(lambda entry: entry.unsqueeze(1), plan.motion)
     chosen = scores(planner, problems, plan.controls.unsqueeze(1), one)
     solved = scores(planner, problems, plan.solution.controls, motion)

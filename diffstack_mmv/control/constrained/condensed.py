@@ -63,16 +63,6 @@ def sensitivities(
     return G
 
 
-def sensitivity_of_rows(
-    A: Float[Tensor, "N T n n"],
-    B: Float[Tensor, "N T n m"],
-    values_x: Float[Tensor, "N T1 K n"],
-    values_u: Float[Tensor, "N T K m"],
-) -> Float[Tensor, "N R P"]:
-    """Jacobian of the rows of constraints by the controls."""
-    return _rows_along(sensitivities(A, B), values_x, values_u)
-
-
 def _rows_along(G: Tensor, values_x: Tensor, values_u: Tensor) -> Tensor:
     m, own = values_u.shape[-1], values_x @ G
     for t in range(values_u.shape[1]):
@@ -172,7 +162,11 @@ def is_convex(
 
 
 def _held_out(M: Tensor, J: Tensor, free: Tensor, active: Tensor) -> tuple[Tensor, Tensor]:
-    """The matrices with controls on a bound and idle rows cut out, ones on the diagonal instead."""
+    """The matrices with controls on a bound and idle rows cut out, ones on the diagonal instead.
+
+    A control that changes neither cost nor rows is cut out as well: it stays where it is.
+    """
+    free = free & ~((M == 0).all(2) & (J == 0).all(1))
     both = free.unsqueeze(1) & free.unsqueeze(2)
     M = torch.where(both, M, torch.diag_embed((~free).to(M.dtype)))
     return M, torch.where(active.unsqueeze(2) & free.unsqueeze(1), J, torch.zeros_like(J))

@@ -17,6 +17,7 @@ from diffstack_mmv.control.constrained.newton import PrimalDual
 from diffstack_mmv.control.constrained.phases import Phases
 from diffstack_mmv.control.constrained.solution import ConstrainedSolution
 from diffstack_mmv.control.expansion import pad_controls
+from diffstack_mmv.control.fitting import require_fitting
 from diffstack_mmv.control.ilqr import ILQR, check_problem
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.types import Bounds
@@ -125,6 +126,7 @@ class ConstrainedILQR:
             TypeError: The state is not of a floating-point type.
         """
         check_problem(bounds, state, controls)
+        require_fitting(dynamics, cost, state, controls)
         differentiates = torch.is_grad_enabled()
         if not constraints:
             plain = self.solver(dynamics, cost, bounds, state, controls)

@@ -17,7 +17,7 @@ from diffstack_mmv.dynamics.gm3.drive import (
     Rolling,
 )
 from diffstack_mmv.dynamics.gm3.lean import LeanLaw, PrescribedLean, camber_spin
-from diffstack_mmv.dynamics.gm3.load import GRAVITY, AccelerationLimits, LoadTransfer
+from diffstack_mmv.dynamics.gm3.load import AccelerationLimits, LoadTransfer
 from diffstack_mmv.dynamics.gm3.slip import (
     WheelAxes,
     hub_velocity,
@@ -28,6 +28,7 @@ from diffstack_mmv.dynamics.gm3.slip import (
 from diffstack_mmv.dynamics.gm3.steering import Directions, build_steering
 from diffstack_mmv.dynamics.gm3.tire import Tire, TireSlip, loaded_tire
 from diffstack_mmv.smooth import limiter_gain
+from diffstack_mmv.types import GRAVITY
 from diffstack_mmv.vehicles import DifferentialDrive, ExactBuffers, VehicleSpec
 
 

@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.dynamics.gm3.load import GRAVITY
+from diffstack_mmv.types import GRAVITY
 
 GRIP_SHARE = 0.65  # of μ g, for accelerations along and across together
 SLOW_MPS = 0.2  # below, every curvature is held

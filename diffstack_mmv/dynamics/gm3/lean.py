@@ -13,8 +13,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
-from diffstack_mmv.dynamics.gm3.load import GRAVITY
 from diffstack_mmv.smooth import sinc, soft_clamp
+from diffstack_mmv.types import GRAVITY
 
 
 class Lean(NamedTuple):

@@ -18,9 +18,9 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require
 from diffstack_mmv.smooth import limiter_gain, limiter_rest
+from diffstack_mmv.types import GRAVITY
 from diffstack_mmv.vehicles import ExactBuffers, VehicleSpec, axles
 
-GRAVITY = 9.81  # m/s^2
 _NO_LIFT = 1e4  # m/s^2, the acceleration that would lift a wheel of a vehicle with one axle
 
 

@@ -13,7 +13,6 @@ from diffstack_mmv.dynamics.gm3.chassis import Chassis, Physics
 from diffstack_mmv.dynamics.gm3.drive import Command, Drive, split_acceleration
 from diffstack_mmv.dynamics.gm3.grip import within_grip
 from diffstack_mmv.dynamics.gm3.lean import LeanLaw
-from diffstack_mmv.dynamics.gm3.load import GRAVITY
 from diffstack_mmv.dynamics.gm3.steady import linear_steer
 from diffstack_mmv.dynamics.gm3.stepper import LIM2, Stepper
 from diffstack_mmv.dynamics.gm3.tire import ConsistentBrush, Tire
@@ -21,7 +20,7 @@ from diffstack_mmv.dynamics.gm3.understeer import axle_quantities
 from diffstack_mmv.dynamics.gm3.wheel_forces import forces_at_wheels
 from diffstack_mmv.dynamics.gm3.zero_order_hold import ZeroOrderHoldDynamics
 from diffstack_mmv.dynamics.records import DerivedQuantity, DriverInput, WheelForces
-from diffstack_mmv.types import Motion
+from diffstack_mmv.types import GRAVITY, Motion
 from diffstack_mmv.vehicles import (
     BODY_PARAMETERS,
     WHEEL_PARAMETERS,

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.dynamics.gm3.chassis import Chassis, Physics
-from diffstack_mmv.dynamics.gm3.load import GRAVITY
+from diffstack_mmv.types import GRAVITY
 from diffstack_mmv.vehicles import DifferentialDrive
 
 _SLOWEST = 0.3  # m/s; a differential drive at rest cannot turn on a curvature at all

@@ -4,8 +4,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.dynamics.gm3.load import GRAVITY
 from diffstack_mmv.dynamics.records import DerivedQuantity
+from diffstack_mmv.types import GRAVITY
 from diffstack_mmv.vehicles import VehicleSpec
 
 

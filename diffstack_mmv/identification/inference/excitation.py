@@ -6,11 +6,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.dynamics.gm3.load import GRAVITY
 from diffstack_mmv.identification.shooting.linearisation import TrackSimulation, TrackSimulator
 from diffstack_mmv.identification.shooting.problem import TrackingProblem
+from diffstack_mmv.types import GRAVITY
 
-AVERAGED_S = 0.4  # accelerations of recorded tracks are means over that long
 TOP_QUANTILE = 0.995  # quantile that stands for the largest value: a single sample may be noise
 
 

@@ -44,7 +44,6 @@ class Identification(NamedTuple):
     before: ParameterFit
     after: ParameterFit
     active: Bool[Tensor, " p"]  # which entries of θ were fitted
-    prior_sensitivity: Sensitivity
     sensitivity: Sensitivity
     identifiability: tuple[Identifiability, ...]
     noise_factor: float  # deviation of the residuals over the assumed one
@@ -110,9 +109,7 @@ class Identifier:
             )
         )
         factor = optima[0].noise_factor
-        return Identification(
-            before, after, active, prior, posterior, identifiability, factor, optima
-        )
+        return Identification(before, after, active, posterior, identifiability, factor, optima)
 
     def _optima(
         self,

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
 
-GRAVITY = 9.81
 SIZES = ("along_m", "across_m", "curvature", "speed_share")
 """Deviations that a fit can estimate."""
 

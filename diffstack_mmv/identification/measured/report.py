@@ -9,12 +9,12 @@ from torch import Tensor
 
 from diffstack_mmv.identification.inference import IdentifiabilityThresholds
 from diffstack_mmv.identification.measured.fitted import MeasuredFit
-from diffstack_mmv.identification.measured.instruments import GRAVITY
 from diffstack_mmv.identification.measured.rides import RideWindows
 from diffstack_mmv.identification.measured.simulator import INSTALLED, RideSimulator
 from diffstack_mmv.identification.measured.stages import HeldOut
 from diffstack_mmv.identification.measured.study import MeasuredStudy, MeasuredStudyResult, ModelFit
 from diffstack_mmv.identification.measured.validation import paired_by_recording, session_of
+from diffstack_mmv.types import GRAVITY
 
 WITHIN = 1.96
 """Deviations of an interval that holds 95 %."""

@@ -8,7 +8,6 @@ from jaxtyping import Float
 from torch import Generator, Tensor
 
 from diffstack_mmv.identification.measured.instruments import (
-    GRAVITY,
     InstrumentPriors,
     MeasurementNoise,
 )
@@ -19,6 +18,7 @@ from diffstack_mmv.identification.measured.simulator import (
     RECORDING,
     RideSimulator,
 )
+from diffstack_mmv.types import GRAVITY
 
 KNOWN_SHARE = 0.97
 """Share of the positions that are measured; the others are bridged."""

@@ -7,8 +7,7 @@ from torch import Tensor
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.dynamics.records import DriverInput
 from diffstack_mmv.geometry import direction
-from diffstack_mmv.identification.measured.instruments import GRAVITY
-from diffstack_mmv.types import Motion
+from diffstack_mmv.types import GRAVITY, Motion
 
 SMALL = 1e-3
 """Curvature in 1/m at which the steering per curvature is taken."""

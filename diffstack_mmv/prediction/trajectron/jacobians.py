@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from diffstack_mmv.dynamics import DiffKBM, DynamicsModel, ExtendedUnicycle, SingleIntegrator
-from diffstack_mmv.geometry import direction
+from diffstack_mmv.geometry import direction, left_of
 from diffstack_mmv.smooth import saturate, sinc, sinc_slope
 
 POSE = ("position_x", "position_y", "heading")
@@ -67,7 +67,7 @@ def linearise_shared(
 def _frames(heading: Float[Tensor, "*b"], size: int) -> Float[Tensor, "*b n n"]:
     """Rotate the first two of so many columns by a heading in rad, and keep the others."""
     forward = direction(heading)
-    left = torch.stack([-forward[..., 1], forward[..., 0]], -1)
+    left = left_of(forward)
     rotation = nn.functional.pad(torch.stack([forward, left], -1), (0, size - 2, 0, size - 2))
     rest = torch.ones(size, dtype=heading.dtype, device=heading.device)
     rest[:2] = 0

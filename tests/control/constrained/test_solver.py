@@ -333,3 +333,26 @@ def test_a_price_per_problem_is_selected_with_it():
     solution = SOLVER(Batched(cart), Batched(reach), [limit], BOX, state, guess)
     assert solution.converged.all()
     assert (solution.states[:, -1, 0].diff() < 0).all()
+
+
+def test_a_control_that_does_nothing_changes_nothing():
+    weight = torch.tensor(0.1, dtype=torch.float64, requires_grad=True)
+
+    def step(x, u):
+        return torch.cat([x[..., :1] + 0.1 * x[..., 1:], x[..., 1:] + 0.1 * u[..., :1]], -1)
+
+    def cost(x, u):
+        return (x[..., 0] - 2).square() + weight * u[..., 0].square()
+
+    def solved(m):
+        slow = Inequality(lambda x, u: x[..., 1:] - 0.5, times=slice(1, None))
+        one = torch.ones(m, dtype=torch.float64)
+        guess = torch.zeros(1, 8, m, dtype=torch.float64)
+        state = torch.zeros(1, 2, dtype=torch.float64)
+        solution = ConstrainedILQR(ILQR())(step, cost, [slow], Bounds(-one, one), state, guess)
+        assert solution.converged.all()
+        slope = torch.autograd.grad(solution.states.square().sum(), weight)[0]
+        return solution.states.detach(), slope
+
+    for found, expected in zip(solved(3), solved(1), strict=True):
+        torch.testing.assert_close(found, expected)

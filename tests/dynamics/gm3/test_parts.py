@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from diffstack_mmv.dynamics.gm3 import DiffGM3
 from diffstack_mmv.dynamics.gm3.drive import slip_per_share, split_acceleration
 from diffstack_mmv.dynamics.gm3.lean import camber_spin
-from diffstack_mmv.dynamics.gm3.load import GRAVITY
 from diffstack_mmv.dynamics.gm3.slip import inverse_speed, reference_speed, rolling_speed
+from diffstack_mmv.types import GRAVITY
 from diffstack_mmv.vehicles import load_vehicle, vehicle_names
 from tests.dynamics.gm3.conftest import VEHICLES
 
