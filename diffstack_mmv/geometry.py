@@ -78,7 +78,7 @@ def distance_to_axis(
 
 
 def distance_to_outline(
-    agents: Float[Tensor, "*b N K T1 2"],
+    agents: Float[Tensor, "*#b N K T1 2"],
     position: Float[Tensor, "*#b T1 2"],
     heading: Float[Tensor, "*#b T1"],
     discs: Discs,

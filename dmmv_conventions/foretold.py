@@ -52,7 +52,7 @@ class _Unbuilt:
     def _unknown(self, *_: object) -> bool:
         raise TypeError("It is not built yet.")
 
-    __eq__ = __bool__ = _unknown
+    __eq__ = __bool__ = __float__ = _unknown
     __hash__ = object.__hash__
 
 

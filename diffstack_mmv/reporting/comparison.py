@@ -18,6 +18,7 @@ from diffstack_mmv.reporting.scores import ScoreHeading, Scores
 
 COMPARED = ("ade", "nll", "plan_ade", "planning_loss", "collision_rate", "solved")
 """Scores in the table, by name."""
+SAMPLE = ["scene", "agent", "row"]
 SETTING = ["data", "split", "goal", "mode", "vehicle"]
 GROUP = [*SETTING, "dynamics"]
 # private characters that no escaping touches, in place of LaTeX commands
@@ -35,8 +36,9 @@ def read_runs(folders: Sequence[Path]) -> pd.DataFrame:
     """Per-mode scores of all runs, one row per run and mode; baselines count as dynamics.
 
     Raises:
-        ValueError: No folder is given, one has no readable `metrics.json`, or two runs have the
-            same seed, data, goal, mode, vehicle and dynamics: their mean would be of two settings.
+        ValueError: No folder is given, one has no readable `metrics.json` or `samples.parquet`, two
+            runs have the same seed, data, goal, mode, vehicle and dynamics, so that their mean
+            would be of two settings, or they judged other windows or another smoother's.
     """
     if not folders:
         raise ValueError(
@@ -49,6 +51,7 @@ def read_runs(folders: Sequence[Path]) -> pd.DataFrame:
             rows += _own_rows(folder)
             baselines += _baseline_rows(folder)
     _require_different_seeds(rows)
+    _require_same_windows(folders)
     # runs of one seed share their baselines
     shared = [*GROUP, "seed", "ade"]
     return pd.concat([pd.DataFrame(rows), pd.DataFrame(baselines).drop_duplicates(shared)])
@@ -87,6 +90,40 @@ def _require_different_seeds(rows: Sequence[Mapping[str, Any]]) -> None:
                 f"seed {row['seed']} of {row['dynamics']} in {other} and {row['run']}. "
                 "Leave one of both out."
             )
+
+
+class _Judged(NamedTuple):
+    """What the scores of a mode in a report are of."""
+
+    folder: Path
+    smoother: str | None
+    samples: pd.DataFrame  # keys, sorted
+
+
+def _require_same_windows(folders: Sequence[Path]) -> None:
+    """Refuse a table whose scores are of different samples: the easier ones would win."""
+    seen: dict[tuple[Any, ...], _Judged] = {}
+    for folder in folders:
+        metrics = read_json(folder / "metrics.json")
+        with told_as_broken(folder / "samples.parquet"):
+            samples = read_parquet(folder / "samples.parquet")[["mode", *SAMPLE]]
+        for mode, own in samples.groupby("mode"):
+            keys = own[SAMPLE].sort_values(SAMPLE, ignore_index=True)
+            judged = _Judged(folder, metrics.get("smoother"), keys)
+            place = (*(metrics[name] for name in ("data", "split", "goal")), mode)
+            other = seen.setdefault(place, judged)
+            if other.smoother != judged.smoother:
+                told = f"{other.smoother} in {other.folder} and {judged.smoother} in {folder}"
+                raise ValueError(_of_other("smoother", place, told))
+            if not other.samples.equals(keys):
+                told = f"{len(other.samples)} in {other.folder} and {len(keys)} in {folder}"
+                raise ValueError(_of_other("windows", place, told))
+
+
+def _of_other(what: str, place: Sequence[Any], told: str) -> str:
+    where = ", ".join(map(str, place))
+    remedy = "Evaluate them on the same conversion with the same data.stride, history_s and dt_s."
+    return f"`runs` must have the same {what} for {where}, but got {told}. {remedy}"
 
 
 def compare(runs: pd.DataFrame, scores: Scores) -> Comparison:
@@ -143,27 +180,27 @@ def _spread(known: np.ndarray) -> str:
 def paired_tests(folders: Sequence[Path], score: ScoreHeading) -> pd.DataFrame:
     """Wilcoxon signed-rank test between the dynamics, paired by scene.
 
-    Windows of one scene resemble each other, so the score is averaged over them, and over seeds,
-    before the test. The table says which of both has the better mean.
+    Windows of one scene resemble each other, so the score is averaged over those that both judged,
+    and over seeds, before the test. The table says which of both has the better mean.
     """
     samples = []
     for folder in folders:
         metrics = read_json(folder / "metrics.json")
         with told_as_broken(folder / "samples.parquet"):
-            frame = read_parquet(folder / "samples.parquet")[["scene", "mode", score.name]]
+            frame = read_parquet(folder / "samples.parquet")[["mode", *SAMPLE, score.name]]
         frame["vehicle"] = [metrics["modes"][mode]["vehicle"] for mode in frame["mode"]]
         samples.append(frame.assign(**{key: metrics[key] for key in ("data", "goal", "dynamics")}))
-    scenes = (
+    windows = (
         pd.concat(samples)
-        .groupby(["data", "goal", "mode", "vehicle", "scene", "dynamics"])[score.name]
+        .groupby(["data", "goal", "mode", "vehicle", *SAMPLE, "dynamics"])[score.name]
         .mean()
         .unstack()
     )
     rows = []
-    for place, group in scenes.groupby(level=[0, 1, 2, 3]):
+    for place, group in windows.groupby(level=[0, 1, 2, 3]):
         for first, second in combinations(group.columns, 2):
-            difference = group[first].to_numpy() - group[second].to_numpy()
-            difference = difference[~np.isnan(difference)]
+            both = (group[first] - group[second]).dropna()
+            difference = both.groupby(level="scene").mean().to_numpy()
             row = dict(zip(("data", "goal", "mode", "vehicle"), place, strict=True))
             row["pair"] = f"{first} - {second}"
             mean = _mean(difference)

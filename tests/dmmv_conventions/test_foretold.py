@@ -112,6 +112,12 @@ def test_what_the_constructor_checks_is_refused_wherever_it_stands(package, name
         require_foretold({"deep": [{"er": node(package, name, **settings)}]})
 
 
+@pytest.mark.parametrize("size", ["text", None])
+def test_what_is_no_number_is_refused(package, unchecked, size):
+    with pytest.raises(ValueError, match=f"`size` must be at least 2, but got {size}"):
+        require_foretold({"_target_": "foretold_parts.Part", "size": size})
+
+
 @pytest.mark.parametrize(
     "content",
     [
@@ -126,7 +132,6 @@ def test_what_the_constructor_checks_is_refused_wherever_it_stands(package, name
             "size": {"_target_": "a.b"},
             "inner": {"_target_": "a"},
         },
-        {"_target_": "foretold_parts.Part", "size": "text"},
         # behind a return
         {"_target_": "foretold_parts.Part", "size": 2, "rate": 6},
         {"_target_": "foretold_parts.Absent", "size": 0},

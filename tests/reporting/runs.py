@@ -16,16 +16,18 @@ def samples(seed=0, shift=0.0):
     frame = pd.DataFrame({name: rng.random(count) + shift for name in OPEN_LOOP})
     frame["mode"] = np.where(np.arange(count) % 3 == 0, "scooter", "bicycle")
     frame["scene"] = [f"scene_{i // 4}" for i in range(count)]
+    frame["agent"], frame["row"] = "ego", np.arange(count)
     frame["moving"] = np.arange(count) % 2 == 0
     frame["standing"] = False
     frame["stand_still/ade"], frame["stand_still/fde"] = 2.0, 4.0
     return frame
 
 
-def write_run(folder, dynamics, seed, shift=0.0, frame=None, vehicle="bicycle"):
+def write_run(folder, dynamics, seed, shift=0.0, frame=None, vehicle="bicycle", **more):
     """What `evaluate.py` writes for a run of that name."""
     frame = samples(seed, shift) if frame is None else frame
     header = {"goal": "predicted", "dynamics": dynamics, "vehicle": vehicle, "data": "thab_vru"}
+    header |= more
     told = summarise_modes(frame, SITUATIONS, vehicle, OPEN_LOOP)
     write_metrics(folder, header | {"split": "test", "seed": seed} | told, OPEN_LOOP)
     write_parquet(folder / "samples.parquet", frame)

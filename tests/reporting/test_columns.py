@@ -51,7 +51,7 @@ def test_samples(folders):
     of_baselines = {name.split("/")[1] for name in columns if "/" in name}
     assert of_baselines <= set(OPEN_LOOP)
     scores = {name for name in columns if "/" not in name}
-    assert scores - {"mode", "scene", "moving", "standing"} == set(OPEN_LOOP)
+    assert scores - {"mode", "scene", "agent", "row", "moving", "standing"} == set(OPEN_LOOP)
 
 
 @pytest.mark.parametrize("file", ["table.csv", "table.md", "table.tex", "tests.csv"])

@@ -103,6 +103,33 @@ def test_comparison_averages_over_seeds(runs):
     assert "±" in row["plan ADE [m]"]
 
 
+def test_runs_that_judged_other_windows_are_refused(tmp_path):
+    """The one with the easier windows would be the best in bold."""
+    whole = write_run(tmp_path / "whole", "kbm", 0)
+    part = write_run(tmp_path / "part", "unicycle", 0, frame=samples().iloc[::2])
+    with pytest.raises(
+        ValueError, match=r"the same windows for .*bicycle, but got 40 in .* and 20"
+    ):
+        read_runs([whole, part])
+    other = write_run(tmp_path / "other", "unicycle", 0, smoother="ZeroPhaseSmoother")
+    with pytest.raises(ValueError, match="the same smoother for .*ZeroPhaseSmoother"):
+        read_runs([whole, other])
+
+
+def test_only_windows_that_both_judged_are_paired(tmp_path):
+    """What a model could not judge must not count for the other."""
+    hard = samples()
+    easy = samples().assign(plan_ade=hard["plan_ade"] + 0.1)
+    hard.loc[::2, "plan_ade"] += 10
+    easy.loc[::2, "plan_ade"] = np.nan
+    runs = [
+        write_run(tmp_path / name, name, 0, frame=frame)
+        for name, frame in (("kbm", hard), ("unicycle", easy))
+    ]
+    table = paired_tests(runs, OPEN_LOOP["plan_ade"])
+    assert table["mean Δ plan ADE [m]"].to_numpy() == pytest.approx(-0.1)
+
+
 def test_runs_of_different_vehicles_are_never_averaged(tmp_path):
     names = ("bicycle", "scooter")
     folders = [write_run(tmp_path / name, "kbm", 0, vehicle=name) for name in names]
