@@ -3,6 +3,8 @@
 import fnmatch
 import hashlib
 import json
+import logging
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -25,6 +27,8 @@ from dmmv_conventions.cache import (
     require_own,
 )
 from dmmv_conventions.opening import CachedEnvironment
+
+logger = logging.getLogger(__name__)
 
 _USUAL_CORRECTIONS: dict[str, tuple[DatasetAugmentation, ...]] = {"sdd": (UpwardY(), HeldHeading())}
 
@@ -228,7 +232,7 @@ class NamedDataset:
         require(
             known, "split", f"be part of a tag of '{self.name}' ({', '.join(tags)})", f"'{split}'"
         )
-        _require_step(windows, environment.metadata.dt, f"for '{self.name}'")
+        _require_resampling(windows, environment.metadata.dt, f"for '{self.name}'")
         query = f"{self.name}-{split}"
         folders = {self.name: str(root)}
         cache = Path(self.folder).expanduser()
@@ -237,13 +241,26 @@ class NamedDataset:
 
 
 def _require_step(windows: WindowSettings, recorded_s: float, where: str) -> None:
-    """Refuse a step that trajdata cannot resample to; it knows whole factors only."""
-    factors = windows.dt_s / recorded_s, recorded_s / windows.dt_s
+    """Refuse a step that leaves out no whole number of rows: between rows the next one is known."""
+    factor = windows.dt_s / recorded_s
     require(
-        any(factor.is_integer() for factor in factors),
+        round(factor) >= 1 and math.isclose(factor, round(factor), rel_tol=1e-6),
         "dt_s",
-        f"be a multiple or a whole fraction of {recorded_s:g}",
+        f"be a multiple of {recorded_s:g}",
         windows.dt_s,
         where,
         "Convert the data with the step you want.",
+    )
+
+
+def _require_resampling(windows: WindowSettings, recorded_s: float, where: str) -> None:
+    """As `_require_step`, for data that cannot be converted anew: whole fractions are told."""
+    parts = recorded_s / windows.dt_s
+    if round(parts) < 2 or not math.isclose(parts, round(parts), rel_tol=1e-6):
+        _require_step(windows, recorded_s, where)
+        return
+    logger.warning(
+        "dt_s=%g %s: rows are recorded every %g s, and those between are interpolated, so that "
+        "inputs look ahead by up to %g s. Take dt_s=%g for a result that does not.",
+        *(windows.dt_s, where, recorded_s, recorded_s, recorded_s),
     )

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from diffstack_mmv.data import ConvertedCache, NamedDataset, WindowSettings
+from diffstack_mmv.data.sources import _require_resampling
 
 
 def broken(cache, tmp_path, **changes):
@@ -34,6 +35,8 @@ def test_an_unfinished_cache_is_refused_whatever_is_asked(cache, tmp_path, ask):
         ("dev", {}, "one of test, train, val, but got 'dev' for 'toy'"),
         ("train", {"dt_s": 0.25}, "`dt_s` must be a multiple.*Convert the data"),
         ("train", {"dt_s": 0.08}, "`dt_s` must be a multiple.*0.08"),
+        # a row between two would be made of the next one
+        ("train", {"dt_s": 0.05}, "`dt_s` must be a multiple of 0.1, but got 0.05"),
     ],
 )
 def test_a_split_or_step_that_the_cache_lacks_is_refused(source, split, windows, complaint):
@@ -89,3 +92,18 @@ def test_a_scene_that_is_not_there_is_told(cache, ask):
 def test_scenes_of_data_that_trajdata_reads_cannot_be_chosen(tmp_path):
     with pytest.raises(ValueError, match="`sequences` must be null"):
         NamedDataset("sdd", str(tmp_path), str(tmp_path), sequences=["a"])
+
+
+@pytest.mark.parametrize(
+    ("recorded_s", "dt_s", "told"), [(0.4, 0.1, True), (0.1, 0.3, False), (0.4, 0.4, False)]
+)
+def test_a_data_set_of_larger_steps_is_interpolated_and_that_is_told(
+    recorded_s, dt_s, told, caplog
+):
+    _require_resampling(WindowSettings(dt_s=dt_s, history_s=1.2, horizon_s=1.2), recorded_s, "here")
+    assert ("look ahead by up to 0.4 s" in caplog.text) == told
+
+
+def test_a_step_between_those_of_a_data_set_is_refused():
+    with pytest.raises(ValueError, match="`dt_s` must be a multiple of 0.4, but got 0.3"):
+        _require_resampling(WindowSettings(dt_s=0.3, history_s=1.2, horizon_s=1.2), 0.4, "here")
