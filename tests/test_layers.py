@@ -80,6 +80,7 @@ CONVENTIONS = {
     "vehicles": {
         "dmmv_conventions.checks",
         "dmmv_conventions.configs",
+        "dmmv_conventions.modes",
         "dmmv_conventions.yaml_files",
     },
     "stack": {

@@ -18,6 +18,7 @@ from diffstack_mmv.vehicles.quantity import ParameterSpec
 from diffstack_mmv.vehicles.reading import fields_from_config
 from diffstack_mmv.vehicles.reference import fields_from_reference
 from dmmv_conventions.checks import message, require, require_at_least, require_positive
+from dmmv_conventions.modes import Mode
 
 _POSITIVE = (
     "friction",
@@ -49,7 +50,7 @@ class VehicleSpec:
 
     Args:
         name: Name of the vehicle.
-        mode: Mode of transport it belongs to, as in `types.Mode`.
+        mode: Mode of transport it belongs to, the name of a `types.Mode`.
         mass_kg: Mass with rider.
         height_m: Height of the centre of gravity.
         wheelbase: Wheelbase of the kinematic bicycle in m; a virtual one for a single axle.
@@ -89,6 +90,7 @@ class VehicleSpec:
 
     def __post_init__(self) -> None:
         where = f"for vehicle '{self.name}'"
+        Mode.named(self.mode)
         require_positive("mass_kg", self.mass_kg, where, "Give the mass with the rider.")
         require_positive("height_m", self.height_m, where)
         if self.leans:
