@@ -51,7 +51,7 @@ MISTAKES = [
     ("wheels/rear/truck", 0.5, "`wheels.rear.truck` must be a whole number"),
     ("wheels/rear", None, "must be at least two"),
     ("limits/steer_max_rad", 45.0, "Give radians"),
-    ("mode", "bike", "`mode` must be one of bicycle, car.*Did you mean 'bicycle'"),
+    ("mode", "bike", "`mode` must be one of bicycle, car, cart"),
     ("limits/acceleration_min_mps2", 5.0, "must be negative"),
     ("limits/acceleration_min_mps2", -math.inf, "must be negative and finite"),
     ("leans", False, "Nothing else keeps it upright"),
