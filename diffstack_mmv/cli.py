@@ -99,9 +99,10 @@ def command(
     """Make a function of a composed configuration a command line.
 
     The resolved configuration goes into the run folder (`out=DIR`) as `config.yaml` before the work
-    begins, so that every run can be repeated; no other command works in that folder meanwhile. What
-    the configuration has built is checked before, because parts of it may come from files. A bad
-    input ends with one line and exit status 1; `HYDRA_FULL_ERROR=1` shows where it came from.
+    begins, so that every run can be repeated (not that of a `dry_run`); no other command works in
+    that folder meanwhile. What the configuration has built is checked before, because parts of it
+    may come from files. A bad input ends with one line and exit status 1; `HYDRA_FULL_ERROR=1`
+    shows where it came from.
 
     Args:
         config_folder: The folder of the configuration groups.
@@ -132,7 +133,8 @@ def command(
                 check(config)
                 with alone_in(Path(config.out), "out"), _single_job():
                     admit(config)
-                    save_config(config, Path(config.out))
+                    if not config.get("dry_run"):
+                        save_config(config, Path(config.out))
                     gc.enable()
                     with shown_by(Bars()), _quiet_dependencies():
                         return task(config)

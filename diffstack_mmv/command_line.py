@@ -1,5 +1,6 @@
 """The words of a command line, put as Hydra understands them."""
 
+import re
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
@@ -43,6 +44,13 @@ _WITH_A_VALUE = (
 _ALONE_AS_WELL = ("--info", "-i")
 
 
+def quoted(path: Path | str) -> str:
+    """A path as the value of a setting: without quotes Hydra takes neither brackets nor umlauts."""
+    # a quote is escaped, and so are the backslashes before one
+    text = re.sub(r"(\\*)('|$)", r"\1\1\2", str(path)).replace("'", "\\'")
+    return f"'{text}'"
+
+
 def folders_as(key: str, arguments: Sequence[str]) -> list[str]:
     """Command line in which bare folders, as in `report.py RUN RUN`, are the list of one key.
 
@@ -57,8 +65,8 @@ def folders_as(key: str, arguments: Sequence[str]) -> list[str]:
     for before, each in zip(["", *arguments], arguments, strict=False):
         of_hydra = before in _WITH_A_VALUE
         (bare if _is_folder(each) and not of_hydra else rest).append(each)
-    quoted = ",".join("'" + each.replace("'", "\\'") + "'" for each in bare)
-    return [*rest, f"{key}=[{quoted}]"] if bare else rest
+    listed = ",".join(quoted(each) for each in bare)
+    return [*rest, f"{key}=[{listed}]"] if bare else rest
 
 
 def _is_folder(argument: str) -> bool:
@@ -71,5 +79,6 @@ def _vehicle_from_file(argument: str) -> str:
 
     `vehicle=FILE.yaml` becomes `vehicle_file=FILE.yaml`.
     """
-    is_file = argument.startswith("vehicle=") and argument.endswith((".yaml", ".yml"))
+    bare = argument.rstrip("'\"")  # a path with blanks or brackets stands in quotes
+    is_file = bare.startswith("vehicle=") and bare.endswith((".yaml", ".yml"))
     return argument.replace("vehicle=", "vehicle_file=", 1) if is_file else argument

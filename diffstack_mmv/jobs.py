@@ -6,16 +6,21 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from diffstack_mmv.child_processes import ChildProcesses
-from dmmv_conventions.checks import require_at_least
+from diffstack_mmv.command_line import quoted
+from dmmv_conventions.checks import message, require_at_least
 from dmmv_conventions.extras import needs
 
 
 class Job(NamedTuple):
-    """Command lines to run one after the other, until their last one has written its result."""
+    """Command lines to run one after the other, until their last one has written its result.
+
+    Its result is that of its command lines: `require_same_jobs` refuses another one's.
+    """
 
     name: str
     kind: str  # jobs of one kind take about as long
@@ -23,6 +28,8 @@ class Job(NamedTuple):
     result: Path  # there as soon as the job is done
     log: Path
     needs: tuple[Path, ...] = ()  # results of other jobs, without which it is not begun
+    folder: Path | None = None  # what it writes besides its log; null: the folder of the result
+    root: Path | None = None  # of all jobs; it may be moved, so that its place is no setting
 
     @property
     def done(self) -> bool:
@@ -33,6 +40,18 @@ class Job(NamedTuple):
     def lacking(self) -> list[Path]:
         """What it needs and is not there."""
         return [path for path in self.needs if not path.is_file()]
+
+    @property
+    def settings(self) -> list[list[str]]:
+        """Script and arguments of each command line, wherever Python and the folders are."""
+        lines = ([Path(script).name, *rest] for _, script, *rest in self.commands)
+        root = None if self.root is None else quoted(self.root)[1:-1]
+        return [[each.replace(root, "OUT") if root else each for each in line] for line in lines]
+
+    @property
+    def record(self) -> Path:
+        """File that tells how its result was made."""
+        return self.log.with_suffix(".json")
 
 
 class JobOutcome(NamedTuple):
@@ -57,9 +76,49 @@ def run_job(job: Job, children: ChildProcesses | None = None) -> JobOutcome:
                 break
     seconds = time.monotonic() - start
     if job.done:
-        spent = {"kind": job.kind, "seconds": seconds}
-        job.log.with_suffix(".json").write_text(json.dumps(spent), encoding="utf-8")
+        _write_record(job, seconds)
     return JobOutcome(job, seconds, job.done)
+
+
+def _write_record(job: Job, seconds: float) -> None:
+    told = {"kind": job.kind, "seconds": seconds, "commands": job.settings}
+    unfinished = job.record.with_name(job.record.name + ".part")
+    unfinished.write_text(json.dumps(told), encoding="utf-8")
+    unfinished.replace(job.record)
+
+
+def require_same_jobs(jobs: Sequence[Job]) -> None:
+    """Refuse finished jobs whose result was made with other settings.
+
+    Results of earlier versions, which kept no settings, are taken as they are.
+
+    Raises:
+        ValueError: A setting of a finished job differs.
+    """
+    for job in (each for each in jobs if each.done and each.record.is_file()):
+        made = json.loads(job.record.read_text(encoding="utf-8")).get("commands")
+        if made is None or made == job.settings:
+            continue
+        before, now = _first_difference(made, job.settings)
+        where = f"in {job.record}"
+        remedy = f"Give another out=FOLDER, or delete {job.folder or job.result.parent}."
+        wanted = f"hold no result of {job.name} with another setting than {now}"
+        raise ValueError(message("out", wanted, before, where, remedy))
+
+
+def _first_difference(before: list[list[str]], now: list[list[str]]) -> tuple[str, str]:
+    """The first argument that differs, before and now: of the same key, or none."""
+    for first, second in zip_longest(before, now, fillvalue=[]):
+        gone = [each for each in first if each not in second]
+        new = [each for each in second if each not in first]
+        if gone or new:
+            key = (new or gone)[0].partition("=")[0]
+            return _of_key(key, gone), _of_key(key, new)
+    return "another order", "in this order"
+
+
+def _of_key(key: str, arguments: list[str]) -> str:
+    return next((each for each in arguments if each.partition("=")[0] == key), "none")
 
 
 @runtime_checkable
@@ -158,7 +217,7 @@ def expected_seconds(
         width: How many run at a time.
     """
     spent: dict[str, list[float]] = {}
-    for file in (job.log.with_suffix(".json") for job in measured):
+    for file in (job.record for job in measured):
         if file.is_file():
             told = json.loads(file.read_text(encoding="utf-8"))
             spent.setdefault(told["kind"], []).append(told["seconds"])

@@ -42,7 +42,10 @@ def told(
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         return _unknown_option(error.missing_cfg_file, error.options or ())
     if isinstance(error, OverrideParseException):
-        remedy = "Write key=value, and put quotes around values with brackets, commas or blanks."
+        remedy = (
+            "Write key=value, and put values with brackets, commas, blanks or letters such as ü in "
+            "quotes that the shell leaves: \"out='...'\"."
+        )
         return message("arguments", "read key=value", repr(error.override), PLACE, remedy)
     if found := _TWICE.match(str(error)):
         given = _given(found[1], arguments)

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from diffstack_mmv.cli import DictConfig, command, instantiate
-from diffstack_mmv.jobs import Job, Launcher, expected_seconds
+from diffstack_mmv.command_line import quoted
+from diffstack_mmv.jobs import Job, Launcher, expected_seconds, require_same_jobs
 from dmmv_conventions.checks import require
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.progress import counted
@@ -33,7 +34,13 @@ def check(config: DictConfig) -> None:
     instantiate(config.launcher)
 
 
-@command(config_folder(), "closed_loop_table", check)
+def admit(config: DictConfig) -> None:
+    """Refuse a folder with drives of other settings."""
+    out = Path(config.out)
+    require_same_jobs([_job(config, row, out) for row in _rows(config, out)])
+
+
+@command(config_folder(), "closed_loop_table", check, admit)
 def main(config: DictConfig) -> None:
     """Drive whatever has not been driven yet, then write the table.
 
@@ -78,9 +85,10 @@ def _job(config: DictConfig, row: DrivenRow, out: Path) -> Job:
     settings = [setting for part in parts for setting in part]
     # as they would be typed: a later setting of the same key replaces an earlier one
     last = {setting.split("=", 1)[0]: setting for setting in settings}
-    drive = (sys.executable, str(NAVIGATE), *ALONE, *last.values(), f"out='{row.folder}'")
+    drive = (sys.executable, str(NAVIGATE), *ALONE, *last.values(), f"out={quoted(row.folder)}")
     log = out / "logs" / f"{row.place}.{row.name}.log"
-    return Job(f"{row.place}, {row.name}", "drive", (drive,), row.result, log)
+    name = f"{row.place}, {row.name}"
+    return Job(name, "drive", (drive,), row.result, log, folder=row.folder, root=out)
 
 
 def _work(launcher: Launcher, jobs: list[Job]) -> list[Job]:

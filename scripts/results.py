@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from diffstack_mmv.cli import DictConfig, command, instantiate
+from diffstack_mmv.command_line import quoted
 from diffstack_mmv.data_checks import require_modes
-from diffstack_mmv.jobs import Job, Launcher, expected_seconds
+from diffstack_mmv.jobs import Job, Launcher, expected_seconds, require_same_jobs
 from dmmv_conventions.checks import require, require_at_least, require_one_of
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.progress import counted
@@ -79,7 +80,14 @@ def _require_option(group: str, name: str) -> None:
         require_one_of(group, name, known)
 
 
-@command(config_folder(), "results", check)
+def admit(config: DictConfig) -> None:
+    """Refuse a folder with results of other settings."""
+    out = Path(config.out)
+    runs = [run for run in _runs(config, out) if run.data in _available(config)]
+    require_same_jobs([job for jobs in _jobs(config, runs, out) for job in jobs])
+
+
+@command(config_folder(), "results", check, admit)
 def main(config: DictConfig) -> None:
     """Convert, train and evaluate whatever is not done yet, then write table and figures.
 
@@ -95,23 +103,19 @@ def main(config: DictConfig) -> None:
     )
 
     out, models = Path(config.out), _models(config)
-    wanted = {str(name): told for name, told in config.sets.items() if told is not None}
-    available = {name for name, told in wanted.items() if _is_there(told.root)}
+    wanted, available = _wanted(config), _available(config)
     absent = [f"{name}: no recordings in {told.root}." for name, told in wanted.items()
               if name not in available]  # fmt: skip
     for each in absent:
         logger.info("Left out: %s", each)
-    runs = list(_runs(config, out))
-    converted = _conversions(config, sorted(available), out)
-    begun = _pretrainings(config, [run for run in runs if run.data in available], out)
-    trained = [_training(config, run, out) for run in runs if run.data in available]
+    shown = [run for run in _runs(config, out) if run.data in available]
+    converted, begun, trained = _jobs(config, shown, out)
     launcher: Launcher = instantiate(config.launcher)
     _tell(config, [*converted, *begun, *trained], launcher.width)
     if config.dry_run:
         return
     failed = [job for jobs in (converted, begun, trained) for job in _work(launcher, jobs)]
     remarks = [*absent, *(_told(job) for job in failed)]
-    shown = [run for run in runs if run.data in available]
     if config.plans:
         table = paper_table(shown, models, OPEN_LOOP, config.resamples)
     else:
@@ -134,6 +138,25 @@ def main(config: DictConfig) -> None:
 def _models(config: DictConfig) -> dict[str, str]:
     """Models in the table; those set to null are left out."""
     return {str(name): title for name, title in config.models.items() if title is not None}
+
+
+def _wanted(config: DictConfig) -> dict[str, DictConfig]:
+    """Data sets in the table; those set to null are left out."""
+    return {str(name): told for name, told in config.sets.items() if told is not None}
+
+
+def _available(config: DictConfig) -> set[str]:
+    """Data sets whose recordings can be had."""
+    return {name for name, told in _wanted(config).items() if _is_there(told.root)}
+
+
+def _jobs(
+    config: DictConfig, runs: Sequence[Run], out: Path
+) -> tuple[list[Job], list[Job], list[Job]]:
+    """Conversions, trainings of the predictor alone, and trainings; each needs those before."""
+    trained = [_training(config, run, out) for run in runs]
+    converted = _conversions(config, sorted(_available(config)), out)
+    return converted, _pretrainings(config, runs, out), trained
 
 
 def _is_there(root: str | None) -> bool:
@@ -170,19 +193,21 @@ def _conversions(config: DictConfig, names: Sequence[str], out: Path) -> list[Jo
 
 
 def _conversion(config: DictConfig, name: str, out: Path) -> Job:
-    told, cache = config.sets[name], out / "data" / name / "cache"
-    root, commands = told.root, []
-    if root is None:
-        root = out / "data" / name / "recordings"
-        commands.append(_script("generate_sample", f"out={root}", "seed=0"))
-    data = f"data={told.data}", f"data.root={root}", f"data.cache={cache}"
+    told, folder = config.sets[name], out / "data" / name
+    cache, root, commands = folder / "cache", folder / "recordings", []
+    if told.root is None:
+        commands.append(_script("generate_sample", f"out={quoted(root)}", "seed=0"))
+    else:
+        root = Path(told.root).resolve()  # the same recordings, from wherever it is run
+    data = f"data={told.data}", f"data.root={quoted(root)}", f"data.cache={quoted(cache)}"
     settings = *told.get("settings", []), *config.conversion
-    commands.append(
-        _script("convert", *data, *settings, f"out={out / 'data' / name / 'conversion'}")
-    )
+    place = f"out={quoted(folder / 'conversion')}"
+    commands.append(_script("convert", *data, *settings, place))
     result = cache / "conversion_report.json"
     log = out / "logs" / f"{name}.convert.log"
-    return Job(f"convert {name}", "conversion", tuple(commands), result, log)
+    return Job(
+        f"convert {name}", "conversion", tuple(commands), result, log, folder=folder, root=out
+    )
 
 
 def _pretrainings(config: DictConfig, runs: Sequence[Run], out: Path) -> list[Job]:
@@ -216,7 +241,7 @@ def _training(config: DictConfig, run: Run, out: Path) -> Job:
         settings += config.size.end_to_end
         if config.size.pretraining is not None:
             first = _pretrained(config, run)
-            settings.append(f"start={first / BEST}")
+            settings.append(f"start={quoted(first / BEST)}")
             needs.append(first / RESULT)  # an interrupted training has weights, too
     return _job(config, run, out, settings, needs, plans=config.plans)
 
@@ -228,22 +253,30 @@ def _job(
     """Training with these settings, and evaluation of its best epoch."""
     told, folder = config.sets[run.data], run.report.parent
     source = _converted(config, run.data)
-    data = f"data={told.data}", f"data.cache={out / 'data' / source / 'cache'}"
+    cache = quoted(out / "data" / source / "cache")
+    data = f"data={told.data}", f"data.cache={cache}"
     windows = *told.get("settings", []), *config.windows
     small = config.size.overrides if config.plans else []
     who = f"modes=[{run.mode}]"
-    asked = f"vehicle={told.modes[run.mode]}", f"goal={run.goal}", f"seed={run.seed}"
+    asked = f"vehicle={_vehicle(told.modes[run.mode])}", f"goal={run.goal}", f"seed={run.seed}"
     train = _script(
-        "train", *data, who, *asked, f"out={folder}", *small, *windows, *config.overrides,
+        "train", *data, who, *asked, f"out={quoted(folder)}", *small, *windows, *config.overrides,
         *told.get("training", []), *settings,
     )  # fmt: skip
-    judged = f"checkpoint={folder / BEST}", f"out={run.report}", f"plans={str(plans).lower()}"
-    evaluate = _script("evaluate", *data, who, *judged, f"split={config.split}", *windows)
+    judged = f"checkpoint={quoted(folder / BEST)}", f"plans={str(plans).lower()}"
+    place = f"out={quoted(run.report)}"
+    evaluate = _script("evaluate", *data, who, *judged, place, f"split={config.split}", *windows)
     name = ".".join(folder.relative_to(out / "runs").parts)
     return Job(
         name.replace(".", "/"), run.model, (train, evaluate), folder / RESULT,
         out / "logs" / f"{name}.log", (_conversion(config, source, out).result, *needs),
+        folder, out,
     )  # fmt: skip
+
+
+def _vehicle(name: str) -> str:
+    """An option of the group as it is, the path of a file in quotes."""
+    return quoted(name) if Path(name).is_file() else name
 
 
 def _tell(config: DictConfig, jobs: Sequence[Job], width: int) -> None:

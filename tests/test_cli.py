@@ -109,6 +109,25 @@ def test_a_vehicle_comes_from_a_file(run, tmp_path):
     assert config.vehicle == {"name": "mine"}
 
 
+def test_a_vehicle_comes_from_a_file_in_quotes(run, tmp_path):
+    file = tmp_path / "veh dir (ü)" / "own.yaml"
+    file.parent.mkdir()
+    file.write_text("name: own\n")
+    config, _ = run("needed=1", f"vehicle='{file}'")
+    assert config.vehicle.name == "own"
+
+
+def test_a_path_that_hydra_cannot_read_says_to_quote_it(run):
+    config, told = run("needed=1", "+cache=Läufe(1")
+    assert config is None
+    assert "letters such as ü in quotes" in told
+
+
+def test_a_dry_run_leaves_no_configuration(run, tmp_path):
+    run("needed=1", "+dry_run=true")
+    assert not (tmp_path / "out" / "config.yaml").exists()
+
+
 def test_a_missing_vehicle_file_is_named(run):
     _, told = run("needed=1", "vehicle=nowhere.yaml")
     assert "must be a name or an existing YAML file, but got 'nowhere.yaml'" in told

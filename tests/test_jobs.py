@@ -8,10 +8,11 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-from diffstack_mmv.jobs import Job, LocalProcesses, expected_seconds
+from diffstack_mmv.command_line import quoted
+from diffstack_mmv.jobs import Job, LocalProcesses, expected_seconds, require_same_jobs, run_job
 from diffstack_mmv.reporting import Run
 from dmmv_conventions.configs import config_folder
-from scripts.results import _told, _training, _work, check
+from scripts.results import _conversion, _runs, _told, _training, _work, check
 
 
 def job(folder, name, code):
@@ -52,6 +53,64 @@ def test_time_is_told_from_finished_jobs_of_the_kind_and_else_from_the_guess(
     assert expected_seconds(jobs, jobs, {"kind": 99.0, "other": 10.0}, width) == expected
 
 
+def trained(folder, *settings):
+    """A job that is done, and how it is asked for with these settings."""
+    folder.mkdir(exist_ok=True)
+    asked = job(folder, "run", "")._replace(root=folder)
+    code = "import sys; open(sys.argv[1][5:-1], 'w').close()"
+    command = (sys.executable, "-c", code, f"out={quoted(asked.result)}", *settings)
+    return asked._replace(commands=(command,))
+
+
+def test_a_finished_job_is_that_of_its_settings_alone(tmp_path):
+    run_job(trained(tmp_path, "epochs=1", "seed=0"))
+    require_same_jobs([trained(tmp_path, "epochs=1", "seed=0")])
+    with pytest.raises(
+        ValueError, match="of run with another setting than epochs=2, but got"
+    ) as no:
+        require_same_jobs([trained(tmp_path, "epochs=2", "seed=1")])
+    assert f"but got epochs=1 in {tmp_path / 'run.json'}. Give another out=FOLDER" in str(no.value)
+    with pytest.raises(ValueError, match="another setting than none, but got seed=0"):
+        require_same_jobs([trained(tmp_path, "epochs=1")])
+    with pytest.raises(ValueError, match="another setting than in this order"):
+        require_same_jobs([trained(tmp_path, "seed=0", "epochs=1")])
+
+
+def test_jobs_are_the_same_wherever_their_folder_was_moved(tmp_path):
+    run_job(trained(tmp_path / "here (ü)", "epochs=1"))
+    (tmp_path / "here (ü)").rename(tmp_path / "there's")
+    require_same_jobs([trained(tmp_path / "there's", "epochs=1")])
+
+
+def test_a_finished_job_of_before_there_were_records_of_settings_is_done(tmp_path):
+    old = trained(tmp_path, "epochs=1")
+    old.result.touch()
+    require_same_jobs([old])
+    old.record.write_text(json.dumps({"kind": "kind", "seconds": 4.0}))
+    require_same_jobs([old])
+
+
+def test_a_table_refuses_results_of_other_settings_and_a_dry_run_writes_none(
+    succeed, refusal, tmp_path
+):
+    out = tmp_path / "ü (1)"
+    arguments = [f"raw={tmp_path}", f"out='{out}'", "dry_run=true"]
+    succeed("results", *arguments)
+    assert not (out / "config.yaml").exists()
+    with initialize_config_dir(str(config_folder()), version_base="1.3"):
+        config = compose("results", [*arguments, "size.epochs=7"])
+    runs = [run for run in _runs(config, out) if run.data == "sample"]
+    made = _training(config, runs[0], out)
+    for file in (made.result, made.record):
+        file.parent.mkdir(parents=True, exist_ok=True)
+    made.result.touch()
+    made.record.write_text(json.dumps({"commands": made.settings}))
+    told = refusal("results", *arguments)
+    assert f"no result of {made.name} with another setting than epochs=" in told
+    assert f"but got epochs=7 in {made.record}" in told
+    assert f"or delete {made.folder}." in told
+
+
 @pytest.mark.slow
 def test_jobs_run_through_the_launcher_of_clusters(tmp_path):
     pytest.importorskip("submitit", reason="needs the extra `sweep`")
@@ -74,6 +133,28 @@ def test_every_model_has_a_pretraining_or_all_share_one(succeed, tmp_path, pretr
     assert f"{jobs} of {jobs} jobs to do" in succeed("results", *arguments, *pretraining)
 
 
+def test_folders_of_any_name_reach_the_commands(tmp_path):
+    out = tmp_path / "Läufe (1), it's"
+    with initialize_config_dir(str(config_folder()), version_base="1.3"):
+        config = compose("results", [f"raw={tmp_path}", "size=full"])
+        run = next(iter(_runs(config, out)))
+        generate, convert = _conversion(config, "sample", out).commands
+        train, evaluate = _training(config, run, out).commands
+        told = {
+            name: compose(name, list(line[2:]))
+            for name, line in {
+                "generate_sample": generate, "convert": convert, "train": train,
+                "evaluate": evaluate,
+            }.items()
+        }  # fmt: skip
+    assert told["generate_sample"].out == str(out / "data/sample/recordings")
+    assert told["convert"].data.root == told["generate_sample"].out
+    assert told["train"].data.cache == told["convert"].data.cache
+    assert told["train"].start.startswith(str(out / "runs"))
+    assert told["evaluate"].checkpoint.startswith(told["train"].out)
+    assert told["evaluate"].out == str(run.report)
+
+
 def test_sets_and_models_of_null_are_left_out(succeed, tmp_path):
     arguments = ["experiment=eth_ucy", f"raw={tmp_path}", "dry_run=true", f"out={tmp_path / 'out'}"]
     (tmp_path / "eth_ucy").mkdir()
@@ -91,7 +172,7 @@ def test_sets_that_differ_in_their_training_share_a_conversion(succeed, tmp_path
     assert f"{len(rows) + 1} of {len(rows) + 1} jobs to do" in told
     run = Run(rows[-1], "bicycle", "kbm", "predicted", 1, tmp_path / "runs/a/report")
     train = _training(config, run, tmp_path).commands[0]
-    assert f"data.cache={tmp_path / 'data' / 'present' / 'cache'}" in train
+    assert f"data.cache='{tmp_path / 'data' / 'present' / 'cache'}'" in train
 
 
 @pytest.mark.parametrize(
@@ -137,7 +218,7 @@ def test_nothing_begins_whose_predictor_has_weights_but_no_result(tmp_path):
     conversion.parent.mkdir(parents=True)
     conversion.touch()
     start = next(told for told in asked.commands[0] if told.startswith("start="))
-    weights = Path(start.removeprefix("start="))
+    weights = Path(start.removeprefix("start=").strip("'"))
     weights.parent.mkdir(parents=True)
     weights.touch()
     assert asked.lacking == [predictor]
