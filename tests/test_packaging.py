@@ -33,6 +33,13 @@ def test_every_command_has_its_script(name):
     assert f"def {function}(" in script.read_text()
 
 
+def test_every_script_with_a_configuration_is_a_command():
+    configured = {path.stem for path in (ROOT / "configs").glob("*.yaml")}
+    scripts = {path.stem for path in (ROOT / "scripts").glob("*.py")}
+    names = {name.removeprefix("dmmv-").replace("-", "_") for name in COMMANDS}
+    assert configured & scripts <= names
+
+
 def test_an_audit_without_its_service_says_that_nothing_was_audited(root):
     surroundings = os.environ | {"https_proxy": "http://127.0.0.1:9", "no_proxy": ""}
     command = ["sh", "scripts/audit.sh", sys.executable]
