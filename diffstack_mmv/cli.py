@@ -37,6 +37,7 @@ with needs_to_run("stack", "the command lines"):
     from diffstack_mmv.composition import changed_defaults, composed_once, value_of
     from diffstack_mmv.config_checks import require_complete, require_same_type, require_seed
     from diffstack_mmv.override_errors import one_line, told, told_of_folder
+    from diffstack_mmv.run_checks import require_own_folder
     from diffstack_mmv.vehicles import VehicleSpec
     from dmmv_conventions.bars import Bars
 
@@ -132,6 +133,7 @@ def command(
                 require_foretold(content)
                 check(config)
                 with alone_in(Path(config.out), "out"), _single_job():
+                    require_own_folder(Path(config.out), config_name)
                     admit(config)
                     if not config.get("dry_run"):
                         save_config(config, Path(config.out))

@@ -47,3 +47,39 @@ def require_results(runs: Sequence[str]) -> None:
         require_folder("runs", run, remedy)
         found = any(next(Path(run).glob(pattern), None) for pattern in RESULTS)
         require(found, "runs", "hold results", "none", f"in {run}", remedy)
+
+
+OF_A_COMMAND = {
+    "train": "checkpoints/last.ckpt",
+    "evaluate": "metrics.json",
+    "compare": "tests.csv",
+    "navigate": "closed_loop.json",
+    "identify": "identification.json",
+    "results": "results.csv",
+    "closed_loop_table": "drives",
+    "simulate": "trajectory_*.csv",
+    "tune": "rounds.json",
+    "train_policy": "policy.zip",
+}
+"""By what the folder of a command is known; its `config.yaml` is that of this command."""
+
+
+def require_own_folder(out: Path, name: str) -> None:
+    """Refuse a folder in which another command has left its results.
+
+    A command that leaves none of these files may write beside them, as a page does.
+
+    Args:
+        out: The folder.
+        name: Name of the command.
+
+    Raises:
+        ValueError: There is what another command writes.
+    """
+    if name not in OF_A_COMMAND:
+        return
+    for other, pattern in OF_A_COMMAND.items():
+        found = None if other == name else next(out.glob(pattern), None)
+        told = "" if found is None else f"{found.relative_to(out)} of {other}"
+        remedy = "Give another out=FOLDER, for example one within it."
+        require(found is None, "out", f"hold results of {name} alone", told, f"in {out}", remedy)

@@ -73,23 +73,21 @@ def _take_windows(config: DictConfig, trained: dict[str, Any]) -> None:
         config.modes = config.data.module.windows.ego_modes = trained["modes"]
 
 
-@command(config_folder(), "evaluate", check)
-def main(config: DictConfig) -> None:
-    """Score every window of a split; write tables and plots.
+def admit(config: DictConfig) -> None:
+    """Refuse a folder that holds the report of another evaluation."""
+    out = Path(config.out)
+    if (out / "metrics.json").is_file():
+        from diffstack_mmv.reporting import require_same_evaluation
 
-    Raises:
-        ValueError: The folder holds the report of another evaluation, or a part refuses.
-    """
-    from diffstack_mmv.data import split_windows
-    from diffstack_mmv.metrics import CLOSED_LOOP, EVALUATED, PREDICTED
-    from diffstack_mmv.reporting import (
-        require_same_evaluation,
-        summarise_modes,
-        write_metrics,
-        write_parquet,
-    )
-    from diffstack_mmv.reporting.html import Titles, read_record
-    from diffstack_mmv.stack import evaluate_windows, load_stack
+        # what is not given is taken from the training, by the task in its own configuration
+        require_same_evaluation(out, _prepared(config.copy())[-1])
+
+
+def _prepared(
+    config: DictConfig,
+) -> "tuple[DiffStackMMV, dict[str, Any], TrajdataModule, dict[str, Any]]":
+    """The stack, the configuration of its training, the data, and the header of the report."""
+    from diffstack_mmv.stack import load_stack
 
     stack, trained = load_stack(checkpoint_path(config.checkpoint), _device(config.device))
     _take_windows(config, trained)
@@ -97,9 +95,24 @@ def main(config: DictConfig) -> None:
         stack.goal = instantiate(config.goal)
     if "solver" in config:
         stack.planner.solver = instantiate(config.solver)
-    data, out = instantiate(config.data.module), Path(config.out)
-    header = _header(config, trained, stack, data)
-    require_same_evaluation(out, header)
+    data = instantiate(config.data.module)
+    return stack, trained, data, _header(config, trained, stack, data)
+
+
+@command(config_folder(), "evaluate", check, admit)
+def main(config: DictConfig) -> None:
+    """Score every window of a split; write tables and plots.
+
+    Raises:
+        ValueError: A part refuses.
+    """
+    from diffstack_mmv.data import split_windows
+    from diffstack_mmv.metrics import CLOSED_LOOP, EVALUATED, PREDICTED
+    from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
+    from diffstack_mmv.reporting.html import Titles, read_record
+    from diffstack_mmv.stack import evaluate_windows
+
+    out, (stack, trained, data, header) = Path(config.out), _prepared(config)
     windows = split_windows(data, config.split)
     baselines = dict(instantiate(config.baselines.simple))
     if stack.goal.uses_future:
@@ -120,8 +133,7 @@ def main(config: DictConfig) -> None:
     header["data_sha256"] = windows.digest()
     write_parquet(out / "samples.parquet", evaluation.samples)
     write_metrics(out, header | metrics, scores)
-    for earlier in out.glob("plans_*.png"):  # of other modes, which the tables no longer have
-        earlier.unlink()
+    _remove_drawings(out)
     if config.plots:
         _draw(config, stack, windows, evaluation)
     if config.get("wandb"):
@@ -146,6 +158,15 @@ def _header(
         "checkpoint_sha256": file_hash(checkpoint_path(config.checkpoint)),
         "code": code_version(),
     }
+
+
+def _remove_drawings(out: Path) -> None:
+    """Remove what an earlier evaluation drew, perhaps of modes that the tables no longer have."""
+    from diffstack_mmv.reporting.html import HORIZON_FILE, SCENES_FILE
+
+    drawn = ("reliability.png", "error_over_horizon.png", HORIZON_FILE, SCENES_FILE)
+    for earlier in (*out.glob("plans_*.png"), *(out / name for name in drawn)):
+        earlier.unlink(missing_ok=True)
 
 
 def _draw(config: DictConfig, stack: Any, windows: Any, evaluation: Any) -> None:

@@ -17,7 +17,16 @@ def check(config: DictConfig) -> None:
     require(fits, "sequences", "be a list of one or more whole numbers", numbers)
 
 
-@command(config_folder(), "generate_sample", check)
+def admit(config: DictConfig) -> None:
+    """Refuse a folder that holds one of the sequences."""
+    remedy = "Choose another folder or remove it."
+    for number in config.sequences:
+        found = [path.name for path in Path(config.out).glob(f"{number:04d}_*")]
+        where = f"in {config.out}"
+        require(not found, "out", "not hold the sequence yet", " ".join(found), where, remedy)
+
+
+@command(config_folder(), "generate_sample", check, admit)
 def main(config: DictConfig) -> None:
     """Write the sample."""
     from data_converters import generate_sample

@@ -14,7 +14,14 @@ from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.versions import code_version, file_hash
 
 if TYPE_CHECKING:
-    from diffstack_mmv.simulation import Chunk, RecordedCrossing, Scenario, VehicleRobot
+    from diffstack_mmv.simulation import (
+        Chunk,
+        Method,
+        RecordedCrossing,
+        Scenario,
+        VehicleRobot,
+        World,
+    )
 
 logger = logging.getLogger(__name__)
 
@@ -37,7 +44,45 @@ def check(config: DictConfig) -> None:
         instantiate(part)
 
 
-@command(config_folder(), "navigate", check)
+def admit(config: DictConfig) -> None:
+    """Refuse a folder with episodes of other settings, before any baseline has driven."""
+    out = Path(config.out)
+    if not (out / "episodes").is_dir():
+        return
+    from diffstack_mmv.simulation import require_same_origin
+
+    scenario, world = instantiate(config.scenario), instantiate(config.world)
+    for name, controller in _controllers(config):
+        method, folder = _method(config, world, name, controller), out / "episodes" / name
+        require_same_origin(method, scenario, _cases(config), folder, config.chunk, config.phase)
+
+
+def _cases(config: DictConfig) -> range:
+    return range(config.first_case, config.first_case + config.cases)
+
+
+def _controllers(config: DictConfig) -> list[tuple[str, DictConfig]]:
+    """The baselines that are asked for, and last the controller itself."""
+    baselines = (config.get("baselines") or {}).items()
+    beside = [(str(n), each) for n, each in baselines if each and n in config.beside]
+    return [*beside, (config.names.controller, config.controller)]
+
+
+def _method(config: DictConfig, world: "World", name: str, controller: DictConfig) -> "Method":
+    from diffstack_mmv.simulation import Method, world_for
+
+    settings = OmegaConf.to_yaml(OmegaConf.create([controller, config.world, _weights(config)]))
+    place = world_for(world, get_class(controller._target_))
+    return Method(name, place, partial(instantiate, controller), settings, code_version())
+
+
+def _weights(config: DictConfig) -> dict[str, str | None]:
+    """What the people's forecasts have learned, for the header and for what tells runs apart."""
+    learned = config.people_checkpoint
+    return {"people_checkpoint": file_hash(checkpoint_path(learned)) if learned else None}
+
+
+@command(config_folder(), "navigate", check, admit)
 def main(config: DictConfig) -> None:
     """Run the benchmark of the controller and of its baselines; write tables, plots, animations."""
     import torch
@@ -45,36 +90,23 @@ def main(config: DictConfig) -> None:
     from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
     from diffstack_mmv.reporting import paired_cases, paired_with_run, write_closed_loop
     from diffstack_mmv.reporting.html import Titles, read_record
-    from diffstack_mmv.simulation import (
-        Method,
-        models_told,
-        require_stoppable,
-        run,
-        summarise,
-        world_for,
-    )
+    from diffstack_mmv.simulation import models_told, require_stoppable, run, summarise
 
     torch.manual_seed(config.seed)
     scenario, world = instantiate(config.scenario), instantiate(config.world)
     actual, believed = instantiate(config.actual), instantiate(config.believed)
     require_stoppable(actual, 2 * scenario.circle_radius_m)
-    numbers, out = range(config.first_case, config.first_case + config.cases), Path(config.out)
-
-    learned = config.people_checkpoint
-    weights = {"people_checkpoint": file_hash(checkpoint_path(learned)) if learned else None}
+    numbers, out = _cases(config), Path(config.out)
 
     def driven(name: str, controller: DictConfig) -> "list[Chunk]":
-        settings = OmegaConf.to_yaml(OmegaConf.create([controller, config.world, weights]))
-        place = world_for(world, get_class(controller._target_))
-        method = Method(name, place, partial(instantiate, controller), settings, code_version())
-        folder = out / "episodes" / name
+        method, folder = _method(config, world, name, controller), out / "episodes" / name
         return list(run(method, scenario, numbers, folder, config.chunk, config.phase))
 
-    baselines = {n: each for n, each in (config.get("baselines") or {}).items() if each}
-    rows = {n: summarise(driven(n, each)) for n, each in baselines.items() if n in config.beside}
-    chunks = driven(config.names.controller, config.controller)
+    *beside, own = _controllers(config)
+    rows = {name: summarise(driven(name, each)) for name, each in beside}
+    chunks = driven(*own)
     header: Any = OmegaConf.to_container(config.header)
-    header |= {"code": code_version()} | weights
+    header |= {"code": code_version()} | _weights(config)
     header |= models_told(actual, believed, world.robot, instantiate(config.model))
     result = header | summarise(chunks)
     search = instantiate(config.search)
@@ -103,7 +135,7 @@ def _draw(
 
     out, records = Path(config.out), [chunk.record for chunk in chunks]
     told = partial(read_thoughts, out / "episodes" / config.names.controller)
-    numbers = range(config.first_case, config.first_case + config.cases)
+    numbers = _cases(config)
 
     def start(case: int) -> CaseStart:
         return CaseStart(*scenario.case(config.phase, case).radii_and_goal())

@@ -220,6 +220,23 @@ def test_a_refused_run_leaves_the_folder_as_it_is(run, tmp_path):
     assert OmegaConf.load(tmp_path / "out" / "config.yaml").needed == 1
 
 
+def test_a_refused_sample_leaves_the_configuration_of_the_folder(succeed, refusal, tmp_path):
+    given = ["sequences=[0]", "duration_s=16.0", f"out={tmp_path}"]
+    succeed("generate_sample", *given)
+    before = (tmp_path / "config.yaml").read_text()
+    assert "`out` must not hold the sequence yet" in refusal("generate_sample", *given, "seed=1")
+    assert (tmp_path / "config.yaml").read_text() == before
+
+
+def test_a_refused_drive_leaves_the_configuration_of_the_folder(succeed, refusal, tmp_path):
+    given = ["controller=straight", "beside=[]", "cases=1", "limit_s=1", "wandb=none", "animate=0"]
+    succeed("navigate", *given, f"out={tmp_path}")
+    before = (tmp_path / "config.yaml").read_text()
+    told = refusal("navigate", *given, "scenario.humans=3", f"out={tmp_path}")
+    assert "`out` must hold episodes of the same settings" in told
+    assert (tmp_path / "config.yaml").read_text() == before
+
+
 def test_two_commands_never_share_a_folder(run, tmp_path):
     with alone_in(tmp_path / "out", "out"):
         config, told = run("needed=1")

@@ -117,13 +117,26 @@ def test_report_has_a_row_per_mode_beside_the_baselines(workplace):
 
 def test_evaluation_is_deterministic(succeed, workplace, tmp_path):
     checkpoint = f"checkpoint={workplace / 'run' / 'checkpoints' / 'best.ckpt'}"
-    (tmp_path / "plans_unicycle.png").touch()
+    earlier = [tmp_path / name for name in ("plans_unicycle.png", "scenes.json", "reliability.png")]
+    for file in earlier:
+        file.touch()
     succeed("evaluate", checkpoint, *data_of(workplace), "plots=false", f"out={tmp_path}")
-    assert not list(tmp_path.glob("plans_*.png")), "pictures of an earlier evaluation are left"
+    assert not [file for file in earlier if file.exists()], "of an earlier evaluation"
     again = json.loads((tmp_path / "metrics.json").read_text())
     before = json.loads((workplace / "report" / "metrics.json").read_text())
     assert again["modes"] == before["modes"]
     assert again["baselines"] == before["baselines"]
+
+
+def test_a_refused_evaluation_leaves_the_configuration_of_the_folder(refusal, workplace):
+    checkpoint = f"checkpoint={workplace / 'run' / 'checkpoints' / 'best.ckpt'}"
+    arguments, report = [checkpoint, *data_of(workplace)], workplace / "report"
+    before = (report / "config.yaml").read_text()
+    told = refusal("evaluate", *arguments, "split=val", f"out={report}")
+    assert "`out` must hold no report with another split than val" in told
+    told = refusal("evaluate", *arguments, f"out={workplace / 'run'}")
+    assert "`out` must hold results of evaluate alone, but got checkpoints/last.ckpt" in told
+    assert (report / "config.yaml").read_text() == before
 
 
 def test_runs_are_compared_in_one_table(succeed, workplace, tmp_path):

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from diffstack_mmv.run_checks import require_reports
+from diffstack_mmv.run_checks import require_own_folder, require_reports
 
 
 @pytest.fixture
@@ -34,3 +34,22 @@ def test_a_folder_that_is_named_twice_is_refused(runs):
 def test_runs_without_a_report_are_refused(runs, told):
     with pytest.raises(ValueError, match=f"`runs` must {told}"):
         require_reports(runs)
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "maker"),
+    [
+        ("evaluate", "checkpoints/last.ckpt", "train"),
+        ("compare", "metrics.json", "evaluate"),
+        ("navigate", "tests.csv", "compare"),
+    ],
+)
+def test_a_folder_of_another_command_is_refused(tmp_path, name, file, maker):
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / file).touch()
+    told = f"`out` must hold results of {name} alone, but got {file} of {maker} in {tmp_path}."
+    with pytest.raises(ValueError, match=re.escape(told)):
+        require_own_folder(tmp_path, name)
+    require_own_folder(tmp_path, maker)
+    require_own_folder(tmp_path, "report")
+    require_own_folder(tmp_path / "report", name)

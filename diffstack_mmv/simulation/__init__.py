@@ -16,6 +16,7 @@ from diffstack_mmv.simulation.benchmark import (
     read_chunk,
     read_episode,
     read_thoughts,
+    require_same_origin,
     run,
 )
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint, RectangleFootprint
@@ -157,6 +158,7 @@ __all__ = [
     "read_episode",
     "read_thoughts",
     "register",
+    "require_same_origin",
     "require_stoppable",
     "robot_named",
     "run",

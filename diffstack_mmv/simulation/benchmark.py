@@ -113,12 +113,8 @@ def run(
         ValueError: There is no case, a case does not exist, its start is impossible, or the folder
             holds chunks of other settings or of another version of the code.
     """
-    require(len(cases) > 0, "cases", "name at least one case", "none")
-    require_at_least("chunk_size", chunk_size, 1)
-    origin = Origin(method.code, f"{method.settings}\n{scenario!r}\n{phase}")
-    for first in range(0, len(cases), chunk_size):
-        numbers = list(cases[first : first + chunk_size])
-        file = folder / f"{phase}_{numbers[0]:05d}-{numbers[-1]:05d}.npz"
+    origin = _origin(method, scenario, phase)
+    for numbers, file in _files(cases, folder, chunk_size, phase):
         chunk = _read(file, origin)
         if chunk is None or chunk.cases != numbers:
             chunk = _driven(method, scenario, numbers, phase)
@@ -126,6 +122,48 @@ def run(
             chunk = chunk._replace(thoughts={})
         LOGGER.info("%s: cases %d to %d are done.", method.name, numbers[0], numbers[-1])
         yield chunk
+
+
+def require_same_origin(
+    method: Method,
+    scenario: CaseSource,
+    cases: Sequence[int],
+    folder: Path,
+    chunk_size: int = 50,
+    phase: str = "test",
+) -> None:
+    """Refuse what `run` would refuse of a folder, before anything is driven.
+
+    Args:
+        method: Robot and controller.
+        scenario: Where the cases come from.
+        cases: Their numbers.
+        folder: Where finished chunks are kept.
+        chunk_size: Episodes per batch.
+        phase: "train", "val" or "test".
+
+    Raises:
+        ValueError: There is no case, or the folder holds chunks of other settings or of another
+            version of the code.
+    """
+    origin = _origin(method, scenario, phase)
+    for _, file in _files(cases, folder, chunk_size, phase):
+        _read(file, origin)
+
+
+def _origin(method: Method, scenario: CaseSource, phase: str) -> Origin:
+    return Origin(method.code, f"{method.settings}\n{scenario!r}\n{phase}")
+
+
+def _files(
+    cases: Sequence[int], folder: Path, chunk_size: int, phase: str
+) -> Iterator[tuple[list[int], Path]]:
+    """Cases of each chunk, and where it is kept."""
+    require(len(cases) > 0, "cases", "name at least one case", "none")
+    require_at_least("chunk_size", chunk_size, 1)
+    for first in range(0, len(cases), chunk_size):
+        numbers = list(cases[first : first + chunk_size])
+        yield numbers, folder / f"{phase}_{numbers[0]:05d}-{numbers[-1]:05d}.npz"
 
 
 def _driven(method: Method, scenario: CaseSource, numbers: list[int], phase: str) -> Chunk:

@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diffstack_mmv.simulation import Method, StraightLine, read_chunk, run, summarise
+from diffstack_mmv.simulation import (
+    Method,
+    StraightLine,
+    read_chunk,
+    require_same_origin,
+    run,
+    summarise,
+)
 
 KEYS = {
     "n", "success_rate", "collision_rate", "incomplete_rate", "nav_time_s", "nav_time_all_s",
@@ -72,6 +79,15 @@ def test_batches_of_other_settings_or_code_are_never_mixed(
     with pytest.raises(ValueError, match=told):
         chunks(other, scenario_of("circle", humans=humans), tmp_path)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_other_settings_are_refused_before_anything_is_driven(straight, scenario_of, tmp_path):
+    scenario = scenario_of("circle")
+    next(run(straight, scenario, range(6), tmp_path, chunk_size=3))
+    require_same_origin(straight, scenario, range(6), tmp_path, 3)
+    with pytest.raises(ValueError, match="episodes of the same settings"):
+        require_same_origin(replace(straight, settings="v=3"), scenario, range(6), tmp_path, 3)
+    assert straight.controller.made == 1
 
 
 def test_batches_of_an_earlier_version_tell_no_code_and_are_refused(
