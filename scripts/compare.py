@@ -19,7 +19,14 @@ def check(config: DictConfig) -> None:
     require_one_of("score", config.score, tuple(OPEN_LOOP))
 
 
-@command(config_folder(), "compare", check)
+def admit(config: DictConfig) -> None:
+    """Refuse a score that a report does not have."""
+    from diffstack_mmv.reporting import require_score
+
+    require_score([Path(run) for run in config.runs], config.score)
+
+
+@command(config_folder(), "compare", check, admit)
 def main(config: DictConfig) -> None:
     """Read what evaluate.py wrote and write one table."""
     from diffstack_mmv.metrics import CLOSED_LOOP, EXCITATION, OPEN_LOOP

@@ -16,6 +16,7 @@ with needs("stack", "diffstack_mmv.reporting"):
         compare,
         paired_tests,
         read_runs,
+        require_score,
         write_comparison,
     )
     from diffstack_mmv.reporting.earlier import require_same_evaluation
@@ -63,6 +64,7 @@ __all__ = [
     "read_parquet",
     "read_runs",
     "require_same_evaluation",
+    "require_score",
     "summarise_modes",
     "write_by_excitation",
     "write_closed_loop",

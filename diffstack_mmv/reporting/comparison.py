@@ -15,10 +15,13 @@ from scipy.stats import wilcoxon
 from diffstack_mmv.reporting.files import read_json, read_parquet, told_as_broken, write_text
 from diffstack_mmv.reporting.metrics_table import MISSING
 from diffstack_mmv.reporting.scores import ScoreHeading, Scores
+from dmmv_conventions.checks import message
 
 COMPARED = ("ade", "nll", "plan_ade", "planning_loss", "collision_rate", "solved")
 """Scores in the table, by name."""
 SAMPLE = ["scene", "agent", "row"]
+OF_THE_PREDICTION = ("ade", "nll")
+"""Those of them that every report has."""
 SETTING = ["data", "split", "goal", "mode", "vehicle"]
 GROUP = [*SETTING, "dynamics"]
 # private characters that no escaping touches, in place of LaTeX commands
@@ -62,7 +65,9 @@ def _own_rows(folder: Path) -> list[dict[str, Any]]:
     common = {key: metrics[key] for key in ("data", "split", "goal", "seed")} | {"run": str(folder)}
     rows: list[dict[str, Any]] = []
     for mode, scores in metrics["modes"].items():
-        own = {name: scores[name] for name in ("n", MISSING, "vehicle", *COMPARED)}
+        own = {name: scores[name] for name in ("n", MISSING, "vehicle", *OF_THE_PREDICTION)}
+        # reports of plans=false have no others
+        own |= {name: scores.get(name) for name in COMPARED if name not in own}
         rows.append(common | {"mode": mode, "dynamics": metrics["dynamics"]} | own)
     return rows
 
@@ -131,9 +136,10 @@ def compare(runs: pd.DataFrame, scores: Scores) -> Comparison:
 
     Args:
         runs: What `read_runs` returned.
-        scores: Titles, units and directions of the scores.
+        scores: Titles, units and directions of the scores; those that no run has are left out.
     """
-    compared = {scores[name].heading: scores[name] for name in COMPARED}
+    known = [name for name in COMPARED if name in OF_THE_PREDICTION or runs[name].notna().any()]
+    compared = {scores[name].heading: scores[name] for name in known}
     texts, means = [], []
     for key, group in runs.groupby(GROUP, sort=False):
         row = dict(zip(GROUP, key, strict=True))
@@ -175,6 +181,20 @@ def _spread(known: np.ndarray) -> str:
     if len(known) == 0:
         return "-"
     return f"{known.mean():.3f}" + (f" ± {known.std(ddof=1):.3f}" if len(known) > 1 else "")
+
+
+def require_score(folders: Sequence[Path], score: str) -> None:
+    """Refuse a score for the paired test that a report does not have.
+
+    Raises:
+        ValueError: It is one of plans, and a report was made without them, or of no report at all.
+    """
+    for folder in folders:
+        for mode, told in read_json(folder / "metrics.json").get("modes", {}).items():
+            if score not in told:
+                where, remedy = f"in {folder}", "Give score=ade, or evaluate it with plans=true."
+                wanted = "be a score of every report"
+                raise ValueError(message("score", wanted, f"no {score} of {mode}", where, remedy))
 
 
 def paired_tests(folders: Sequence[Path], score: ScoreHeading) -> pd.DataFrame:

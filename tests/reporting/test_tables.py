@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from diffstack_mmv.metrics import OPEN_LOOP
+from diffstack_mmv.metrics.scores import OF_THE_PREDICTION
 from diffstack_mmv.reporting import (
     compare,
     paired_tests,
@@ -15,6 +16,7 @@ from diffstack_mmv.reporting import (
     write_comparison,
     write_json,
 )
+from diffstack_mmv.reporting.comparison import require_score
 from diffstack_mmv.reporting.metrics_table import mode_table
 from tests.reporting.runs import SITUATIONS, samples, write_run
 
@@ -215,6 +217,23 @@ def test_unreadable_results_are_told_with_their_file(tmp_path, content, told):
         path.write_text(content)
     with pytest.raises(ValueError, match=told):
         read_json(path)
+
+
+def test_reports_without_plans_are_compared_by_their_predictions(tmp_path):
+    folders = [tmp_path / "kbm", tmp_path / "gm3"]
+    for folder in folders:
+        path = write_run(folder, folder.name, 0) / "metrics.json"
+        told = json.loads(path.read_text())
+        for scores in told["modes"].values():
+            for name in set(OPEN_LOOP) - set(OF_THE_PREDICTION):
+                scores.pop(name, None)
+        path.write_text(json.dumps(told))
+    table = compare(read_runs(folders), OPEN_LOOP).table
+    assert OPEN_LOOP["ade"].heading in table
+    assert OPEN_LOOP["plan_ade"].heading not in table
+    require_score(folders, "ade")
+    with pytest.raises(ValueError, match="`score` must be a score of every report"):
+        require_score(folders, "plan_ade")
 
 
 def test_comparing_nothing_is_refused():
