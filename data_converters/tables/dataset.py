@@ -26,6 +26,7 @@ from data_converters.multi_agent import MultiAgentDataset, Recording, modes_of
 from data_converters.plain_files import require_plain
 from data_converters.recordings import RawScene
 from data_converters.tables.columns import TableColumns
+from data_converters.tables.outputs import recorded
 from data_converters.tables.units import Plausibility, TableUnits
 from dmmv_conventions.cache import CONTROLS_TABLE
 from dmmv_conventions.modes import Mode
@@ -40,7 +41,8 @@ class TableDataset(MultiAgentDataset):
     """CSV and Parquet tables, one row per agent and time.
 
     Attributes:
-        root: Folder; all .csv, .csv.gz and .parquet files in it and below it are read.
+        root: Folder; all .csv, .csv.gz and .parquet files in it and below it are read,
+            but for what commands wrote there: caches, folders of runs, hidden folders.
         split: How whole recordings are dealt to the splits.
         called: Name of the data set in the cache; letters, digits and "_".
         columns: Which column holds what.
@@ -217,7 +219,8 @@ class TableDataset(MultiAgentDataset):
 
     @cached_property
     def _paths(self) -> list[Path]:
-        return sorted({path for ending in ENDINGS for path in self.root.rglob(f"*.{ending}")})
+        found = (path for ending in ENDINGS for path in self.root.rglob(f"*.{ending}"))
+        return recorded(found, self.root)
 
     @cached_property
     def _latest(self) -> dict[Path, pd.DataFrame]:

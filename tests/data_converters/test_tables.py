@@ -167,6 +167,36 @@ def test_files_are_recordings_whose_split_can_be_given(dataset):
     assert {scene.name: scene.split for scene in scenes} == dict(given.given)
 
 
+@pytest.mark.parametrize(
+    ("mark", "output"),
+    [
+        ("cache/conversion_report.json", "cache/exports/e/samples.parquet"),
+        ("exports/e/export.json", "exports/e/samples.parquet"),
+        ("cache/mine/cache.json", "cache/mine/day/controls.parquet"),
+        ("runs/one/.hydra/config.yaml", "runs/one/csv/metrics.csv"),
+        ("reports/one/config.yaml", "reports/one/samples.parquet"),
+        ("cache/.converting_mine_0/x", "cache/.converting_mine_0/day/controls.parquet"),
+    ],
+)
+def test_what_commands_wrote_below_the_tables_is_no_recording(dataset, tmp_path, mark, output):
+    for path in (tmp_path / mark, tmp_path / output):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("out: here\n")
+    found = dataset(tables={"a": table(), "sub/b": table()})
+    assert [scene.name for scene in found.scenes()] == ["a", "sub_b"]
+
+
+def test_the_configuration_of_a_recorder_marks_no_output(dataset, tmp_path):
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "config.yaml").write_text("camera: left\n")
+    assert len(dataset(tables={"sub/b": table()}).scenes()) == 1
+
+
+def test_a_folder_of_recordings_may_itself_be_that_of_a_run(dataset, tmp_path):
+    (tmp_path / "config.yaml").write_text("out: .\n")
+    assert len(dataset(tables={"a": table()}).scenes()) == 1
+
+
 def test_sizes_and_one_mode_for_all(dataset):
     columns = TableColumns(type=None, agent=None, length="long")
     found = dataset(tables={"d": table(long=1.3)}, columns=columns, mode="scooter")
