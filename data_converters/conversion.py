@@ -10,13 +10,13 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NoReturn
 
 from tqdm import tqdm
 
 from data_converters.cache import write_json
 from data_converters.conversion_settings import ConversionSettings
-from data_converters.errors import ConversionError, fault, require
+from data_converters.errors import ConversionError, fault
 from data_converters.recordings import SceneSource
 from data_converters.report import ConversionReport, SceneReport
 from data_converters.scene_conversion import convert_scene, finished_scene
@@ -26,6 +26,9 @@ from dmmv_conventions.disk import disk_is_full
 from dmmv_conventions.locks import in_turn
 
 logger = logging.getLogger(__name__)
+
+SHOWN = 5
+"""Names of recordings in one message."""
 
 
 def convert(settings: ConversionSettings) -> ConversionReport:
@@ -41,7 +44,7 @@ def convert(settings: ConversionSettings) -> ConversionReport:
 
     Raises:
         ConversionError: If the data set is missing or holds no usable track, the disk is full, or,
-            when strict, a track is bad.
+            when strict, a track is bad, also one that an earlier conversion counted.
     """
     try:
         sources = settings.dataset.scenes()
@@ -142,7 +145,7 @@ def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> Convers
     """Write lists and reports, then put the environment in its place.
 
     Raises:
-        ConversionError: If no scene holds an agent.
+        ConversionError: If no scene holds an agent; the report is written all the same.
     """
     name = settings.dataset.name
     report = ConversionReport(
@@ -154,9 +157,10 @@ def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> Convers
         dataset_notes=dict(settings.dataset.notes()),
     )
     usable = [scene for scene in reports if scene.usable]
-    found = f"0 of {sum(s.tracks_read for s in reports)} ({report.rejected_by_reason})"
-    remedy = "See the reasons; `strict` shows the first fault."
-    require(bool(usable), "root", "hold a usable track", found, settings.dataset.root, remedy)
+    if not usable:
+        write_json(settings.cache / REPORT_FILE, report.as_dict())
+        _refuse_all(settings, report)
+    _warn_of_empty_splits(reports)
     from trajdata.caching.env_cache import EnvCache
 
     location = settings.dataset.location
@@ -169,6 +173,36 @@ def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> Convers
     _replace_folder(settings.staging, settings.cache / name)
     write_json(settings.cache / REPORT_FILE, report.as_dict())
     return report
+
+
+def _refuse_all(settings: ConversionSettings, report: ConversionReport) -> NoReturn:
+    """Refuse a data set without a usable track, with the first fault of its tracks.
+
+    Raises:
+        ConversionError: Always.
+    """
+    faults = [item["detail"] for scene in report.scenes for item in scene.rejected]
+    tracks = sum(scene.tracks_read for scene in report.scenes)
+    found = f"0 of {tracks} ({report.rejected_by_reason})"
+    remedy = f"All are in {settings.cache / REPORT_FILE}."
+    if faults:
+        remedy = f"The first fault: {faults[0]} {remedy}"
+    where = f"in {settings.dataset.root}"
+    raise ConversionError(message("root", "hold a usable track", found, where, remedy))
+
+
+def _warn_of_empty_splits(reports: list[SceneReport]) -> None:
+    """Say which splits lost all they should hold: nothing can be trained or measured there."""
+    kept = {scene.split for scene in reports if scene.usable}
+    for split in sorted({scene.split for scene in reports} - kept):
+        names = [scene.name for scene in reports if scene.split == split]
+        shown = ", ".join(names[:SHOWN]) + (", ..." if len(names) > SHOWN else "")
+        logger.warning(
+            "The split '%s' holds no agent, because nothing in its recordings can be used: %s. "
+            "Correct them, or move them away: recordings that are dealt are then dealt anew.",
+            split,
+            shown,
+        )
 
 
 def _state(settings: ConversionSettings, usable: list[SceneReport]) -> dict[str, Any]:

@@ -96,7 +96,7 @@ class RecordingLimits:
         farthest = float(np.abs(position).max())
         if farthest > self.coordinate_m:
             needs = f"lie within {self.coordinate_m:g} m of the origin"
-            remedy = "Give metres, or raise `coordinate_m`."
+            remedy = "Give metres, or raise `coordinate_m` (data.recordings.limits.coordinate_m)."
             refuse_track(
                 RejectReason.COORDINATES, "position", needs, f"{farthest:g}", where, remedy
             )

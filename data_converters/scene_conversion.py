@@ -47,7 +47,11 @@ def convert_scene(settings: ConversionSettings, source: SceneSource) -> SceneRep
 
 
 def finished_scene(settings: ConversionSettings, source: SceneSource) -> SceneReport | None:
-    """The report of a scene that stands in the staging folder, or could be copied there."""
+    """The report of a scene that stands in the staging folder, or could be copied there.
+
+    When strict, a scene with a rejected track counts as not converted: reading it again raises the
+    fault of the track, but for tracks that are left out on purpose.
+    """
     key = settings.scene_key(source)
     staged = settings.staging / source.name
     earlier = settings.cache / settings.dataset.name / source.name
@@ -56,7 +60,7 @@ def finished_scene(settings: ConversionSettings, source: SceneSource) -> SceneRe
         if not path.is_file():
             continue
         report = SceneReport(**json.loads(path.read_text(encoding="utf-8")))
-        if report.key != key or not report.current:
+        if report.key != key or not report.current or (settings.strict and report.rejected):
             continue
         if folder != staged:
             partial = settings.staging / f".partial_{source.name}"

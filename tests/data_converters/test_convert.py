@@ -228,6 +228,20 @@ def test_a_track_file_cut_off_in_the_middle_is_rejected(damaged, tmp_path):
     assert convert(settings).rejected_by_reason == {"broken_json": 1}
 
 
+def test_strict_conversion_stops_at_a_track_that_was_rejected_before(damaged):
+    settings = damaged(_not_finite)
+    convert(settings)
+    with pytest.raises(TrackError, match="track.json"):
+        convert(dataclasses.replace(settings, strict=True))
+
+
+def test_strict_conversion_goes_on_where_tracks_are_left_out_on_purpose(thab_settings, thab):
+    (thab / "cyclists" / "waiting" / "305.csv").unlink()  # without a clock
+    assert convert(thab_settings()).rejected_by_reason == {"contained_in_another_file": 1}
+    report = convert(thab_settings(strict=True))
+    assert report.rejected_by_reason == {"contained_in_another_file": 1}
+
+
 @pytest.mark.parametrize("family", ["vrus", "vehicles", "context"])
 def test_any_folder_of_a_sequence_may_be_absent(damaged, tmp_path, family):
     settings = damaged(lambda content: None)
@@ -240,8 +254,11 @@ def test_a_data_set_without_a_usable_track_fails(damaged, tmp_path):
     for path in (tmp_path / "raw").glob("*/v*/*/track.json"):
         if path.parent.name != "000":
             path.unlink()
-    with pytest.raises(ConversionError, match="usable track.*coordinates_not_finite"):
+    says = "usable track.*coordinates_not_finite.*first fault: .*track.json.*conversion_report.json"
+    with pytest.raises(ConversionError, match=says):
         convert(settings)
+    stored = json.loads((settings.cache / "conversion_report.json").read_text())
+    assert stored["totals"]["rejected"]["coordinates_not_finite"] == 1
 
 
 @pytest.mark.parametrize(

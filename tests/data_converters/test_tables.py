@@ -148,6 +148,35 @@ def test_a_broken_file_is_counted_and_the_others_kept(dataset, tmp_path):
     assert report.rejected_by_reason == {RejectReason.MISSING_FIELD: 1}
 
 
+def test_a_split_that_lost_all_its_recordings_is_told(dataset, tmp_path, caplog):
+    tables = {"a": table(), "b": table(), "c": table(), "d": table(x=np.nan)}
+    given = RecordingSplit(given={"a": "train", "b": "train", "c": "val", "d": "test"})
+    found = dataset(tables=tables, split=given)
+    convert(ConversionSettings(found, tmp_path / "cache", progress=False))
+    (told,) = [each.getMessage() for each in caplog.records if each.levelname == "WARNING"]
+    assert "split 'test' holds no agent" in told
+    assert ": d. Correct" in told
+
+
+def converted(tmp_path, *words):
+    """The report of a conversion as the command line is given it."""
+    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
+        folders = [f"data.root={tmp_path}", f"data.cache={tmp_path / 'cache'}", "out=out"]
+        config = compose("convert", ["data=csv", *folders, *words])
+    OmegaConf.resolve(config)
+    found = instantiate(config.data.recordings)
+    return convert(ConversionSettings(found, Path(config.data.cache), progress=False))
+
+
+def test_coordinates_of_a_map_need_a_wider_limit(dataset, tmp_path):
+    dataset(tables={"day": table(x=5e5 + 4.0 * TIME_S, y=5.5e6)})
+    with pytest.raises(ConversionError, match=r"data\.recordings\.limits\.coordinate_m"):
+        converted(tmp_path)
+    assert (tmp_path / "cache" / "conversion_report.json").is_file()
+    report = converted(tmp_path, "data.recordings.limits.coordinate_m=1e7")
+    assert report.totals()["scenes"] == 1
+
+
 def test_scenes_of_a_recording_stay_in_one_split(dataset):
     rows = pd.concat(
         [table(place=f"p{n}", ride=f"r{n // 3}", agent=n) for n in range(18)], ignore_index=True
