@@ -73,10 +73,10 @@ class TableColumns:
             remedy = f"Set data.columns.{name}=NAME" + ("." if name in REQUIRED else ", or =null.")
             needs = "name a column of the table"
             present = column in table.columns
-            require(present, f"columns.{name}", needs, _Plain(found), where, remedy)
+            require(present, f"columns.{name}", needs, Plain(found), where, remedy)
 
 
-class _Plain(str):
+class Plain(str):
     """Text that a message shows as it is."""
 
     def __repr__(self) -> str:

@@ -25,6 +25,7 @@ from data_converters.errors import (
 from data_converters.multi_agent import MultiAgentDataset, Recording, modes_of
 from data_converters.plain_files import require_plain
 from data_converters.recordings import RawScene
+from data_converters.tables.agreement import require_agreement
 from data_converters.tables.columns import TableColumns
 from data_converters.tables.outputs import recorded
 from data_converters.tables.units import Plausibility, TableUnits
@@ -122,14 +123,24 @@ class TableDataset(MultiAgentDataset):
         with self._unlike_others(recording):
             columns.require_all(rows, path)
             rows = self._of_scene(rows, recording)
-            table = self._in_si(rows)
-            self.plausible.check(table, path)
-        table = table.assign(**self._modes(rows), **self._measured(rows))
+            table = self._checked(rows, path)
         if columns.controls:
             recorded = {name: rows[column] for name, column in columns.controls.items()}
             numbers = pd.DataFrame(recorded).apply(pd.to_numeric, errors="coerce")
             controls = table[["agent", "time_s"]].rename(columns={"agent": "agent_id"})
             raw.side_tables[CONTROLS_TABLE] = controls.assign(**numbers.astype(np.float64))
+        return table
+
+    def _checked(self, rows: pd.DataFrame, path: Path) -> pd.DataFrame:
+        """Samples in SI units that can be right.
+
+        Raises:
+            ConversionError: A unit must be wrong.
+        """
+        table = self._in_si(rows)
+        self.plausible.check(table, path)
+        table = table.assign(**self._modes(rows), **self._measured(rows))
+        require_agreement(table, self.columns, self.units, path)
         return table
 
     def _in_si(self, rows: pd.DataFrame) -> pd.DataFrame:
@@ -165,8 +176,7 @@ class TableDataset(MultiAgentDataset):
         try:
             rows = self._rows(path)
             self.columns.require_all(rows, path)
-            table = self._in_si(self._of_scene(rows, recording))
-            self.plausible.check(table, path)
+            table = self._checked(self._of_scene(rows, recording), path)
         except ConversionError:
             return False
         return len(table) > 0

@@ -84,7 +84,10 @@ def test_units_become_si(dataset, units, changes):
 )
 def test_headings_are_turned_counter_clockwise_from_east(dataset, unit, y_down, stated, heading):
     columns, units = TableColumns(heading="face"), TableUnits(angle=unit, y_down=y_down)
-    (track,) = read(dataset(tables={"d": table(face=stated)}, columns=columns, units=units)).tracks
+    way = 4.0 * TIME_S * (-1.0 if y_down else 1.0)
+    path = {"x": 4.0 * TIME_S * np.cos(heading), "y": np.sin(heading) * way}
+    found = dataset(tables={"d": table(face=stated, **path)}, columns=columns, units=units)
+    (track,) = read(found).tracks
     np.testing.assert_allclose(track.heading, heading, atol=1e-12)
 
 
@@ -97,6 +100,22 @@ MISTAKES = {
     ),
     "milliseconds": ({"time": 1e3 * TIME_S}, {}, "`rate`.*0.01 Hz.*units.time"),
     "centimetres": ({"x": 400.0 * TIME_S}, {}, "`speed`.*400 m/s.*units.length"),
+    "degrees": (
+        {"face": 30.0},
+        {"columns": TableColumns(heading="face")},
+        "6.283 rad.*30 in.*face.*units.angle",
+    ),
+    "a compass": (
+        {"face": 90.0},
+        {"columns": TableColumns(heading="face"), "units": TableUnits(angle="deg")},
+        "course.*90 deg.*face.*units.angle",
+    ),
+    "km/h": ({"v": 14.4}, {"columns": TableColumns(speed="v")}, "speed.*3.6 times.*v.*units.speed"),
+    "longitude": (
+        {"x": 8.4 + 5e-5 * TIME_S, "y": 49.0},
+        {},
+        "`position` must be in metres.*longitude",
+    ),
     "the rate": ({}, {"plausible": Plausibility(rate_hz=25.0)}, "`rate` must be 25 Hz.*10 Hz"),
 }
 
@@ -105,6 +124,39 @@ MISTAKES = {
 def test_a_wrong_setting_is_told_with_what_to_change(dataset, changes, options, says):
     with pytest.raises(ConversionError, match=says):
         read(dataset(tables={"day": table(**changes)}, **options))
+
+
+BELIEVED = {
+    "who stands": {"x": 8.4, "v": 0.0},
+    "who trembles": {"x": 8.4 + 1e-4 * np.sin(37.0 * TIME_S), "v": 0.0},
+    "a pedestrian who walks backwards": {
+        "x": TIME_S,
+        "v": 1.0,
+        "face": np.pi,
+        "type": "pedestrian",
+    },
+    "one heading of nonsense": {"face": np.where(TIME_S == 0.0, 999.0, 0.0)},
+    "one place that is endless": {
+        "x": np.where(TIME_S == 0.0, np.inf, 4.0 * TIME_S),
+        "agent": 7 + (TIME_S > 0.0),
+    },
+    "no speed and no heading": {"v": np.nan, "face": np.nan},
+}
+
+
+@pytest.mark.parametrize("changes", BELIEVED.values(), ids=BELIEVED)
+def test_what_can_be_is_believed(dataset, changes):
+    columns = TableColumns(heading="face", speed="v")
+    rows = table(**({"face": 0.0, "v": 4.0} | changes))
+    found = dataset(tables={"day": rows}, columns=columns)
+    assert len(read(found, strict=False).tracks) == 1
+
+
+def test_a_table_without_a_place_is_no_fault_of_the_units(dataset):
+    columns = TableColumns(heading="face", speed="v")
+    rows = table(face=0.0, v=4.0, x=np.nan)
+    raw = read(dataset(tables={"day": rows}, columns=columns), strict=False)
+    assert [item.reason for item in raw.rejected] == [RejectReason.NOT_FINITE]
 
 
 @pytest.mark.parametrize(
