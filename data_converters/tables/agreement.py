@@ -84,7 +84,7 @@ def _require_course(moving: pd.DataFrame, columns: TableColumns, where: object) 
     if len(rows) < ENOUGH_ROWS:
         return
     turn = rows["heading"] - rows["course"]
-    usual = float(np.degrees(np.arctan2(np.sin(turn), np.cos(turn)).abs().median()))
+    usual = float(np.degrees(np.median(np.abs(np.arctan2(np.sin(turn), np.cos(turn))))))
     needs = f"differ from the course by at most {LARGEST_ANGLE_DEG:g} deg in the median"
     found = f"{usual:.0f} deg in column {columns.heading}"
     remedy = "Check data.units.angle, data.units.y_down, and the columns of heading, x and y."
@@ -117,7 +117,8 @@ def _require_metres(table: pd.DataFrame, steps: pd.DataFrame, where: object) -> 
         return
     ways = steps.assign(way=np.hypot(steps["dx"], steps["dy"])).groupby("agent")
     sums = ways[["dx", "dy", "way"]].sum()
-    straight = (np.hypot(sums["dx"], sums["dy"]) / sums["way"].where(sums["way"] > 0.0)).dropna()
+    ended = np.hypot(sums["dx"], sums["dy"])
+    straight = pd.Series(ended / sums["way"].where(sums["way"] > 0.0)).dropna()
     fits = len(straight) == 0 or float(straight.median()) < STRAIGHT
     needs = "be in metres"
     low, high = table[["x", "y"]].min(), table[["x", "y"]].max()
