@@ -14,7 +14,10 @@ BASE = {"checks", "smooth", "types", "geometry"}
 # what a part of the package may import besides itself
 ALLOWED = {
     "__init__": set(),
-    "cli": {"command_line", "composition", "config_checks", "override_errors", "vehicles"},
+    "cli": {
+        *("command_line", "composition", "config_checks", "override_errors", "run_checks"),
+        "vehicles",
+    },
     "command_line": set(),
     "composition": set(),
     "config_checks": set(),
@@ -24,7 +27,7 @@ ALLOWED = {
     "crowdnav": {"dynamics", "simulation", "vehicles"},
     "override_errors": set(),
     "child_processes": set(),
-    "jobs": {"child_processes"},
+    "jobs": {"child_processes", "command_line"},
     "reporting": set(),
     "checks": set(),
     "smooth": set(),
@@ -61,6 +64,7 @@ CONVENTIONS = {
     "run_checks": {"dmmv_conventions.checks"},
     "training_checks": {"dmmv_conventions.checks"},
     "jobs": {"dmmv_conventions.checks"},
+    "reporting": {"dmmv_conventions.checks"},
     "types": {"dmmv_conventions.modes"},
     "control": {"dmmv_conventions.libraries"},
     "planning": {"dmmv_conventions.libraries"},

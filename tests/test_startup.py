@@ -18,6 +18,7 @@ SCRIPTS = sorted(path.stem for path in (ROOT / "scripts").glob("*.py") if path.s
 LIGHT = {
     "dmmv_conventions",
     "diffstack_mmv.cli",
+    "diffstack_mmv.command_line",
     "diffstack_mmv.config_checks",
     "diffstack_mmv.data_checks",
     "diffstack_mmv.jobs",

@@ -225,6 +225,7 @@ def test_settings_must_be_positive(field):
         ILQR(**{field: 0})
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
