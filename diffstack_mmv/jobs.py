@@ -1,6 +1,7 @@
 """Many command lines, side by side: on this machine or on a cluster, each done once."""
 
 import json
+import logging
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,6 +15,9 @@ from diffstack_mmv.child_processes import ChildProcesses
 from diffstack_mmv.command_line import quoted
 from dmmv_conventions.checks import message, require_at_least
 from dmmv_conventions.extras import needs
+from dmmv_conventions.progress import counted
+
+logger = logging.getLogger(__name__)
 
 
 class Job(NamedTuple):
@@ -198,6 +202,29 @@ class Slurm:
         submitted = executor.map_array(run_job, list(jobs))
         with ThreadPoolExecutor(max(len(submitted), 1)) as waiting:
             yield from _ended([waiting.submit(job.result) for job in submitted])
+
+
+def run_all(launcher: Launcher, jobs: Sequence[Job], table: str, unit: str) -> list[Job]:
+    """Run the jobs that are not done, and tell of each that ends.
+
+    Args:
+        launcher: Where they run.
+        jobs: None of them needs another one.
+        table: What they are for, for the bar.
+        unit: What one of them is, for the bar.
+
+    Returns:
+        Those that failed, or were not begun since a result is lacking that they need.
+    """
+    still = [job for job in jobs if not job.done]
+    failed = [job for job in still if job.lacking]
+    able = [job for job in still if not job.lacking]
+    for outcome in counted(launcher(able), table, unit, len(able)) if able else ():
+        told = "" if outcome.succeeded else ", FAILED"
+        logger.info("%s: %.0f s%s", outcome.job.name, outcome.seconds, told)
+        if not outcome.succeeded:
+            failed.append(outcome.job)
+    return failed
 
 
 def _ended(futures: list[Future[JobOutcome]]) -> Iterator[JobOutcome]:

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 
 from diffstack_mmv.cli import DictConfig, command, instantiate
 from diffstack_mmv.command_line import quoted
-from diffstack_mmv.jobs import Job, Launcher, expected_seconds, require_same_jobs
+from diffstack_mmv.jobs import Job, expected_seconds, require_same_jobs, run_all
 from dmmv_conventions.checks import require
 from dmmv_conventions.configs import config_folder
-from dmmv_conventions.progress import counted
 
 if TYPE_CHECKING:
     from diffstack_mmv.reporting import DrivenRow
@@ -59,7 +58,7 @@ def main(config: DictConfig) -> None:
                 len(still), len(jobs), launcher.width, seconds / 3600)  # fmt: skip
     if config.dry_run:
         return
-    failed = _work(launcher, still)
+    failed = run_all(launcher, jobs, "table", "drive")
     remarks = [f"{job.name} failed: see {job.log}." for job in failed]
     write_joint_table(out, config.table.title, rows, CLOSED_LOOP, remarks)
     logger.info("\n%s", (out / "table.md").read_text(encoding="utf-8"))
@@ -89,17 +88,6 @@ def _job(config: DictConfig, row: DrivenRow, out: Path) -> Job:
     log = out / "logs" / f"{row.place}.{row.name}.log"
     name = f"{row.place}, {row.name}"
     return Job(name, "drive", (drive,), row.result, log, folder=row.folder, root=out)
-
-
-def _work(launcher: Launcher, jobs: list[Job]) -> list[Job]:
-    """Run what is not done; returns what failed."""
-    failed = []
-    for outcome in counted(launcher(jobs), "table", "drive", len(jobs)):
-        logger.info("%s: %.0f s%s", outcome.job.name, outcome.seconds,
-                    "" if outcome.succeeded else ", FAILED")  # fmt: skip
-        if not outcome.succeeded:
-            failed.append(outcome.job)
-    return failed
 
 
 if __name__ == "__main__":

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING
 from diffstack_mmv.cli import DictConfig, command, instantiate
 from diffstack_mmv.command_line import quoted
 from diffstack_mmv.data_checks import require_modes
-from diffstack_mmv.jobs import Job, Launcher, expected_seconds, require_same_jobs
+from diffstack_mmv.jobs import Job, Launcher, expected_seconds, require_same_jobs, run_all
 from dmmv_conventions.checks import require, require_at_least, require_one_of
 from dmmv_conventions.configs import config_folder
-from dmmv_conventions.progress import counted
 
 if TYPE_CHECKING:
     from diffstack_mmv.reporting import Run
@@ -114,7 +113,8 @@ def main(config: DictConfig) -> None:
     _tell(config, [*converted, *begun, *trained], launcher.width)
     if config.dry_run:
         return
-    failed = [job for jobs in (converted, begun, trained) for job in _work(launcher, jobs)]
+    stages = converted, begun, trained
+    failed = [job for jobs in stages for job in run_all(launcher, jobs, "results", "job")]
     remarks = [*absent, *(_told(job) for job in failed)]
     if config.plans:
         table = paper_table(shown, models, OPEN_LOOP, config.resamples)
@@ -288,21 +288,6 @@ def _tell(config: DictConfig, jobs: Sequence[Job], width: int) -> None:
     )  # fmt: skip
     for job in still:
         logger.debug("%s", job.name)
-
-
-def _work(launcher: Launcher, jobs: Sequence[Job]) -> list[Job]:
-    """Run what is not done; returns what failed, or lacks the result of what failed."""
-    open_jobs = [job for job in jobs if not job.done]
-    failed = [job for job in open_jobs if job.lacking]
-    still = [job for job in open_jobs if not job.lacking]
-    if not still:
-        return failed
-    for outcome in counted(launcher(still), "results", "job", len(still)):
-        logger.info("%s: %.0f s%s", outcome.job.name, outcome.seconds,
-                    "" if outcome.succeeded else ", FAILED")  # fmt: skip
-        if not outcome.succeeded:
-            failed.append(outcome.job)
-    return failed
 
 
 def _told(job: Job) -> str:

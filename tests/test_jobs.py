@@ -9,10 +9,17 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
 from diffstack_mmv.command_line import quoted
-from diffstack_mmv.jobs import Job, LocalProcesses, expected_seconds, require_same_jobs, run_job
+from diffstack_mmv.jobs import (
+    Job,
+    LocalProcesses,
+    expected_seconds,
+    require_same_jobs,
+    run_all,
+    run_job,
+)
 from diffstack_mmv.reporting import Run
 from dmmv_conventions.configs import config_folder
-from scripts.results import _conversion, _runs, _told, _training, _work, check
+from scripts.results import _conversion, _runs, _told, _training, check
 
 
 def job(folder, name, code):
@@ -39,6 +46,19 @@ def test_a_command_after_a_failed_one_does_not_run(tmp_path):
     bad, good = job(tmp_path, "bad", "raise SystemExit(1)"), job(tmp_path, "good", WRITE)
     both = good._replace(commands=(*bad.commands, *good.commands))
     assert [outcome.succeeded for outcome in LocalProcesses(1)([both])] == [False]
+
+
+def test_what_is_done_is_not_run_again_and_what_failed_is_told(tmp_path, caplog):
+    caplog.set_level("INFO")
+    done, good, bad = (
+        job(tmp_path, name, code)
+        for name, code in (("done", "raise SystemExit(3)"), ("good", WRITE), ("bad", "1 / 0"))
+    )
+    done.result.touch()
+    assert run_all(LocalProcesses(2), [done, good, bad], "table", "drive") == [bad]
+    assert "bad: 0 s, FAILED" in caplog.text
+    assert "done" not in caplog.text
+    assert run_all(LocalProcesses(2), [done, good], "table", "drive") == []
 
 
 @pytest.mark.parametrize(("width", "expected"), [(1, 14.0), (2, 7.0), (9, 7.0)])
@@ -222,6 +242,6 @@ def test_nothing_begins_whose_predictor_has_weights_but_no_result(tmp_path):
     weights.parent.mkdir(parents=True)
     weights.touch()
     assert asked.lacking == [predictor]
-    assert _work(LocalProcesses(1), [asked]) == [asked]
+    assert run_all(LocalProcesses(1), [asked], "results", "job") == [asked]
     assert f"was not begun: {predictor} is not there" in _told(asked)
     assert not asked.log.exists()

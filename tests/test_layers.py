@@ -64,7 +64,6 @@ CONVENTIONS = {
     "run_checks": {"dmmv_conventions.checks"},
     "training_checks": {"dmmv_conventions.checks"},
     "jobs": {"dmmv_conventions.checks"},
-    "reporting": {"dmmv_conventions.checks"},
     "types": {"dmmv_conventions.modes"},
     "control": {"dmmv_conventions.libraries"},
     "planning": {"dmmv_conventions.libraries"},

@@ -15,7 +15,6 @@ from scipy.stats import wilcoxon
 from diffstack_mmv.reporting.files import read_json, read_parquet, told_as_broken, write_text
 from diffstack_mmv.reporting.metrics_table import MISSING
 from diffstack_mmv.reporting.scores import ScoreHeading, Scores
-from dmmv_conventions.checks import message
 
 COMPARED = ("ade", "nll", "plan_ade", "planning_loss", "collision_rate", "solved")
 """Scores in the table, by name."""
@@ -192,9 +191,10 @@ def require_score(folders: Sequence[Path], score: str) -> None:
     for folder in folders:
         for mode, told in read_json(folder / "metrics.json").get("modes", {}).items():
             if score not in told:
-                where, remedy = f"in {folder}", "Give score=ade, or evaluate it with plans=true."
-                wanted = "be a score of every report"
-                raise ValueError(message("score", wanted, f"no {score} of {mode}", where, remedy))
+                raise ValueError(
+                    f"`score` must be a score of every report, but got no {score} of {mode} in "
+                    f"{folder}. Give score=ade, or evaluate it with plans=true."
+                )
 
 
 def paired_tests(folders: Sequence[Path], score: ScoreHeading) -> pd.DataFrame:
