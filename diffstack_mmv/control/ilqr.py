@@ -315,15 +315,11 @@ def check_problem(
             tuple(bound.shape),
             remedy="A limit of a time or a problem of its own is a constraint.",
         )
-    if not on_host(*bounds):
+    if not on_host(*bounds) or bool((bounds.lower <= bounds.upper).all()):
         return
     for name, bound in zip(Bounds._fields, bounds, strict=True):
         known = not bool(bound.isnan().any())
         remedy = "Write ±inf where there is none."
         require(known, f"bounds.{name}", "be numbers", bound.tolist(), "", remedy)
-    require(
-        bool((bounds.lower <= bounds.upper).all()),
-        "bounds",
-        "be in order, lower <= upper",
-        (bounds.lower.tolist(), bounds.upper.tolist()),
-    )
+    found = bounds.lower.tolist(), bounds.upper.tolist()
+    raise ValueError(message("bounds", "be in order, lower <= upper", found))
