@@ -67,14 +67,22 @@ SAMPLED = _by_name(
 )
 """Scores of paths drawn from the prediction, see `best_of_samples` and `energy_score`."""
 
-EVALUATED: Mapping[str, Score] = MappingProxyType({**OPEN_LOOP, **CALIBRATION, **SAMPLED})
+MOST_LIKELY = _by_name(
+    Score("most_likely_ade", "ADE of the heaviest component", "m", True),
+    Score("most_likely_fde", "FDE of the heaviest component", "m", True),
+)
+"""Scores of the component with the largest weight, beside `ade` and `fde` of the median."""
+
+EVALUATED: Mapping[str, Score] = MappingProxyType(
+    {**OPEN_LOOP, **CALIBRATION, **SAMPLED, **MOST_LIKELY}
+)
 """Everything that an evaluation tells of a sample."""
 
 PREDICTED: Mapping[str, Score] = MappingProxyType(
     {
         name: score
         for name, score in EVALUATED.items()
-        if name in (*OF_THE_PREDICTION, *CALIBRATION, *SAMPLED)
+        if name in (*OF_THE_PREDICTION, *CALIBRATION, *SAMPLED, *MOST_LIKELY)
     }
 )
 """What an evaluation tells of a sample for which nothing is planned."""

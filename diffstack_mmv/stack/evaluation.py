@@ -193,7 +193,7 @@ def _judged_plans(stack: DiffStackMMV, batch: StackBatch) -> _Judged:
     output = stack(batch)
     terms = stack.hindsight_costs(batch, output)
     ego = ego_forecast(output.forecast)
-    scores = stack.score(batch, output) | _sampled_scores(ego, batch.ego_future)
+    scores = stack.score(batch, output) | _further_scores(ego, batch.ego_future)
     scores |= {f"{COST}{term}": cost for term, cost in terms.items()}
     paths = {"prediction": ego.median(), "plan": output.plan.motion.position[..., 1:, :]}
     # whoever rides to a goal that was not recorded cannot be judged
@@ -205,13 +205,18 @@ def _judged_plans(stack: DiffStackMMV, batch: StackBatch) -> _Judged:
 def _judged_predictions(stack: DiffStackMMV, batch: StackBatch) -> _Judged:
     forecast = stack.predictor.predict(batch)
     ego = ego_forecast(forecast)
-    scores = prediction_scores(batch, forecast) | _sampled_scores(ego, batch.ego_future)
+    scores = prediction_scores(batch, forecast) | _further_scores(ego, batch.ego_future)
     return _Judged(scores, {"prediction": ego.median()}, batch.goal, ego)
 
 
-def _sampled_scores(forecast: Forecast, future: Tracks) -> dict[str, Tensor]:
-    best = best_of_samples(forecast, future)
-    return best | {"energy_score": energy_score(forecast, future)}
+def _further_scores(forecast: Forecast, future: Tracks) -> dict[str, Tensor]:
+    """What a training does not log: drawn paths, and the component with the largest weight."""
+    heaviest = displacements(forecast.most_likely(), future)
+    return {
+        **best_of_samples(forecast, future),
+        "energy_score": energy_score(forecast, future),
+        **{f"most_likely_{score}": value for score, value in heaviest.items()},
+    }
 
 
 @torch.no_grad()

@@ -3,19 +3,33 @@
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 
 from diffstack_mmv.metrics import EVALUATED, LATERAL, SPEED
 from diffstack_mmv.planning import FutureGoal, PredictedGoal
-from diffstack_mmv.prediction import PathToGoal, PredictedPath, StandStill
+from diffstack_mmv.prediction import ConstantVelocity, PathToGoal, PredictedPath, StandStill
 from diffstack_mmv.prediction.goal_baselines import hermite_spline
 from diffstack_mmv.stack import evaluate_windows, representative
-from diffstack_mmv.types import Mode, map_tensors
+from diffstack_mmv.types import Forecast, Mode, map_tensors
 from tests.stack.test_module import STEPS, batch_of, stack_of, without_future
 
 BASELINES = {
     "stand_still": PredictedPath(StandStill(STEPS, 0.1)),
     "spline": PathToGoal(hermite_spline),
 }
+
+
+class ThreeWays(ConstantVelocity):
+    """The true path, and paths one and two metres beside it, with these weights."""
+
+    weights = (0.3, 0.4, 0.3)
+
+    def forward(self, past, neighbors):
+        forecast = super().forward(past, neighbors)
+        aside = torch.tensor([0.0, 1.0, 2.0])[:, None, None] * torch.tensor([0.0, 1.0])
+        weight = torch.tensor(self.weights).log().expand(*forecast.log_weight.shape[:-1], 3)
+        spread = forecast.scale_tril.expand(*weight.shape, STEPS, 2, 2)
+        return Forecast(weight, forecast.mean + aside, spread)
 
 
 class Recorded:
@@ -46,6 +60,20 @@ def test_rows_hold_every_score_and_those_of_the_baselines():
     assert set(curves) == {"prediction", "plan", *BASELINES}
     for name, score in (("prediction", "ade"), ("plan", "plan_ade"), ("spline", "spline/ade")):
         assert curves[name].mean() == pytest.approx(evaluation.samples[score].mean(), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("weights", "heaviest"),
+    [((0.4, 0.3, 0.3), 0.0), ((0.3, 0.4, 0.3), 1.0), ((0.3, 0.3, 0.4), 2.0)],
+)
+def test_the_heaviest_component_is_scored_beside_the_median(weights, heaviest):
+    predictor = ThreeWays(STEPS, 0.1)
+    predictor.weights = weights
+    stack = stack_of(PredictedGoal(), predictor)
+    samples = evaluate_windows(stack, {}, Recorded(batch_of())).samples
+    assert samples["most_likely_ade"].to_numpy() == pytest.approx(heaviest, abs=0.02)
+    assert samples["most_likely_fde"].to_numpy() == pytest.approx(heaviest, abs=0.02)
+    assert samples["ade"].to_numpy() == pytest.approx(1.0, abs=0.15)
 
 
 @pytest.mark.parametrize(("compile_from", "compiled"), [(3, 1), (4, 0)])
