@@ -21,6 +21,7 @@ from diffstack_mmv.simulation.benchmark import (
 )
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint, RectangleFootprint
 from diffstack_mmv.simulation.controller import DiffMPCController
+from diffstack_mmv.simulation.decisions import Controller, Decided
 from diffstack_mmv.simulation.delay import DelayCompensation
 from diffstack_mmv.simulation.ego import EgoInstruments, EgoStateEstimator, EstimatingController
 from diffstack_mmv.simulation.env import ENV_ID, CrowdNavEnv, register, robot_named
@@ -47,14 +48,7 @@ from diffstack_mmv.simulation.pedestrians import (
     SocialForceCrowd,
     SuddenCrowd,
 )
-from diffstack_mmv.simulation.policies import (
-    BlindDriver,
-    Controller,
-    Decided,
-    OrcaPolicy,
-    StopAndGoDriver,
-    StraightLine,
-)
+from diffstack_mmv.simulation.policies import BlindDriver, OrcaPolicy, StopAndGoDriver, StraightLine
 from diffstack_mmv.simulation.recorded import (
     CrossingRules,
     KnownFuture,

@@ -11,7 +11,7 @@ from torch import Tensor
 from diffstack_mmv.checks import require_between, require_positive
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.simulation.controller import DiffMPCController, DiffMPCState, merged
-from diffstack_mmv.simulation.policies import Decided, unbatched
+from diffstack_mmv.simulation.decisions import Decided, unbatched
 from diffstack_mmv.simulation.world import Observation
 from diffstack_mmv.types import Motion
 

@@ -15,8 +15,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import message, require, require_at_least
+from diffstack_mmv.simulation.decisions import Controller, Decided, diagnosis_of, thoughts_of
 from diffstack_mmv.simulation.episode import drive
-from diffstack_mmv.simulation.policies import Controller, Decided, diagnosis_of, thoughts_of
 from diffstack_mmv.simulation.scenario import CaseSource
 from diffstack_mmv.simulation.world import Observation, World
 from diffstack_mmv.types import EpisodeRecord, Motion

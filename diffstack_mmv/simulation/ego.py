@@ -11,7 +11,7 @@ from torch import Tensor
 from diffstack_mmv.checks import require, require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import rotate
-from diffstack_mmv.simulation.policies import (
+from diffstack_mmv.simulation.decisions import (
     Controller,
     Decided,
     diagnosis_of,

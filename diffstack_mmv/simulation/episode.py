@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from diffstack_mmv.simulation.policies import Controller
+from diffstack_mmv.simulation.decisions import Controller
 from diffstack_mmv.simulation.scenario import Scene
 from diffstack_mmv.simulation.verdict import Judgement
 from diffstack_mmv.simulation.world import World, WorldState

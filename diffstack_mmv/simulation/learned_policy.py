@@ -10,7 +10,7 @@ import torch
 from diffstack_mmv.checks import require
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.simulation.assembly import Actuate
-from diffstack_mmv.simulation.policies import Decided
+from diffstack_mmv.simulation.decisions import Decided
 from diffstack_mmv.simulation.views import EgoView
 from diffstack_mmv.simulation.world import Observation
 

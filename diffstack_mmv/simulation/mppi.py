@@ -13,8 +13,8 @@ from diffstack_mmv.planning import (
     clearance_within_steps,
     predicted_obstacles,
 )
+from diffstack_mmv.simulation.decisions import Decided, unbatched
 from diffstack_mmv.simulation.forecasters import PedestrianForecaster
-from diffstack_mmv.simulation.policies import Decided, unbatched
 from diffstack_mmv.simulation.world import Observation
 from diffstack_mmv.types import Forecast, map_tensors
 

@@ -1,65 +1,21 @@
 """The simplest controllers: baselines of the benchmark, and the shortest complete examples."""
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
+from typing import ClassVar
 
-import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import rotate, unit_vector
+from diffstack_mmv.simulation.decisions import Decided
 from diffstack_mmv.simulation.pedestrians import OrcaCrowd
 from diffstack_mmv.simulation.pedestrians.base import towards
 from diffstack_mmv.simulation.pedestrians.half_planes import Agents, Neighbors
 from diffstack_mmv.simulation.world import Observation
-from diffstack_mmv.types import Motion, map_tensors
-
-
-class Decided(NamedTuple):
-    """An action, and what the controller has to remember for its next decision."""
-
-    action: Float[Tensor, "*b m"]
-    state: Any
-
-
-@runtime_checkable
-class Controller(Protocol):
-    """Chooses the actions of the robots of all episodes at once.
-
-    A controller holds settings only; what it remembers of its episodes is a record of its own that
-    goes in and comes out. A class with a true attribute `massless` drives the massless robot of the
-    original benchmark.
-    """
-
-    def init(self, observation: Observation) -> Any:
-        """State at the start of episodes."""
-        ...
-
-    def act(self, state: Any, observation: Observation) -> Decided:
-        """Action in the units of the robot, and the state for the next decision."""
-        ...
-
-
-def unbatched(controller: Controller, state: Any, observation: Observation) -> Decided:
-    """Decide for a single episode as for a batch of one, whose state has that leading dimension."""
-    one = map_tensors(lambda entry: entry.unsqueeze(0), observation)
-    action, after = controller.act(state, one)
-    return Decided(action.squeeze(0), after)
-
-
-def diagnosis_of(controller: Controller, state: Any) -> dict[str, Float[Tensor, " E"]]:
-    """What a controller tells of its episodes; nothing if it has no `diagnosis`."""
-    diagnose = getattr(controller, "diagnosis", None)
-    return {} if diagnose is None else diagnose(state)
-
-
-def thoughts_of(controller: Controller, state: Any) -> dict[str, Float[np.ndarray, "E S *d"]]:
-    """What a controller expected and planned; nothing if it has no `thoughts`."""
-    think = getattr(controller, "thoughts", None)
-    return {} if think is None else think(state)
+from diffstack_mmv.types import Motion
 
 
 class _Memoryless:

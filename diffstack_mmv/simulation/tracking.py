@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
-from diffstack_mmv.simulation.policies import (
+from diffstack_mmv.simulation.decisions import (
     Controller,
     Decided,
     diagnosis_of,

@@ -7,29 +7,20 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 import pandas as pd
 import torch
-from jaxtyping import Float
-from torch import Tensor
 from tqdm import tqdm
 
 from diffstack_mmv.checks import require
 from diffstack_mmv.metrics import (
     Calibration,
-    best_of_samples,
     coverages,
-    displacement_curve,
-    displacements,
-    energy_score,
     excitation,
     judged_levels,
-    negative_log_likelihood,
     where_known,
 )
-from diffstack_mmv.prediction import Baseline, PredictedPath, ego_forecast
-from diffstack_mmv.stack.module import DiffStackMMV, StackOutput, prediction_scores
-from diffstack_mmv.types import Forecast, Mode, StackBatch, Tracks, map_tensors
-
-COST = "cost/"
-"""Prefix of the columns that hold the cost of a plan by term."""
+from diffstack_mmv.prediction import Baseline, ego_forecast
+from diffstack_mmv.stack.judging import beside_baselines, judged_plans, judged_predictions
+from diffstack_mmv.stack.module import DiffStackMMV, StackOutput
+from diffstack_mmv.types import Mode, StackBatch, map_tensors
 
 
 @runtime_checkable
@@ -103,10 +94,10 @@ def evaluate_windows(
     for start in tqdm(range(0, len(windows), batch_size), desc="evaluate", unit="batch"):
         numbers = range(start, min(start + batch_size, len(windows)))
         batch = map_tensors(lambda tensor: tensor.to(stack.device), windows[numbers])
-        judge = _judged_plans if plans else _judged_predictions
+        judge = judged_plans if plans else judged_predictions
         judged = judge(stack, batch)
         found = judged_levels(judged.forecast, batch.ego_future)
-        row, error = _beside_baselines(judged, baselines, batch)
+        row, error = beside_baselines(judged, baselines, batch)
         row |= coverages(found, calibration) | excitation(batch)
         levels.append(where_known(found.level, found.valid).cpu().numpy())
         scores.append(pd.DataFrame({name: value.cpu().numpy() for name, value in row.items()}))
@@ -177,62 +168,6 @@ def outputs_of(
     """Run the stack on a few samples, to look at them."""
     batch = map_tensors(lambda tensor: tensor.to(stack.device), windows[numbers])
     return batch, stack(batch)
-
-
-class _Judged(NamedTuple):
-    """Scores and paths of the stack, and the goal that baselines are given."""
-
-    scores: dict[str, Tensor]
-    paths: dict[str, Tensor]
-    goal: Float[Tensor, "B 2"]
-    forecast: Forecast  # of the ego
-
-
-@torch.no_grad()
-def _judged_plans(stack: DiffStackMMV, batch: StackBatch) -> _Judged:
-    output = stack(batch)
-    terms = stack.hindsight_costs(batch, output)
-    ego = ego_forecast(output.forecast)
-    scores = stack.score(batch, output) | _further_scores(ego, batch.ego_future)
-    scores |= {f"{COST}{term}": cost for term, cost in terms.items()}
-    paths = {"prediction": ego.median(), "plan": output.plan.motion.position[..., 1:, :]}
-    # whoever rides to a goal that was not recorded cannot be judged
-    goal = where_known(output.goal, stack.goal_known(batch).unsqueeze(-1))
-    return _Judged(scores, paths, goal, ego)
-
-
-@torch.no_grad()
-def _judged_predictions(stack: DiffStackMMV, batch: StackBatch) -> _Judged:
-    forecast = stack.predictor.predict(batch)
-    ego = ego_forecast(forecast)
-    scores = prediction_scores(batch, forecast) | _further_scores(ego, batch.ego_future)
-    return _Judged(scores, {"prediction": ego.median()}, batch.goal, ego)
-
-
-def _further_scores(forecast: Forecast, future: Tracks) -> dict[str, Tensor]:
-    """What a training does not log: drawn paths, and the component with the largest weight."""
-    heaviest = displacements(forecast.most_likely(), future)
-    return {
-        **best_of_samples(forecast, future),
-        "energy_score": energy_score(forecast, future),
-        **{f"most_likely_{score}": value for score, value in heaviest.items()},
-    }
-
-
-@torch.no_grad()
-def _beside_baselines(
-    judged: _Judged, baselines: Mapping[str, Baseline], batch: StackBatch
-) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-    """Scores of stack and baselines, and the distance to the human over time of each."""
-    future, scores, paths = batch.ego_future, dict(judged.scores), dict(judged.paths)
-    for name, baseline in baselines.items():
-        forecast = baseline.forecast(batch) if isinstance(baseline, PredictedPath) else None
-        path = baseline(batch, judged.goal) if forecast is None else forecast.most_likely()
-        paths[name], own = path, displacements(path, future)
-        if forecast is not None:
-            own["nll"] = negative_log_likelihood(forecast, future)
-        scores |= {f"{name}/{score}": value for score, value in own.items()}
-    return scores, {name: displacement_curve(path, future) for name, path in paths.items()}
 
 
 def _known_mean(error: np.ndarray) -> np.ndarray:

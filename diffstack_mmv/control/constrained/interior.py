@@ -17,8 +17,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from diffstack_mmv.control.constrained.barrier import Barrier, BarrierResidual, Interior, newton
+from diffstack_mmv.control.constrained.barrier import Barrier, BarrierResidual, Interior
 from diffstack_mmv.control.constrained.barrier_rows import barrier_rows
+from diffstack_mmv.control.constrained.barrier_step import newton
 from diffstack_mmv.control.constrained.filter import Accepted, Visited, search
 from diffstack_mmv.control.constrained.local import Local, Problem, expand_problem
 from diffstack_mmv.control.expansion import expand_cost, pad_controls

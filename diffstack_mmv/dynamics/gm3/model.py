@@ -169,12 +169,7 @@ class DiffGM3(DynamicsModel):
 
     def motion(self, states: Float[Tensor, "*b 8"], controls: Float[Tensor, "*b 2"]) -> Motion:
         """Motion of the centre of gravity; it does not depend on the controls."""
-        return Motion(
-            position=states[..., :2],
-            heading=states[..., 4],
-            velocity=states[..., 2:4],
-            yaw_rate=states[..., 5],
-        )
+        return Motion(states[..., :2], states[..., 4], states[..., 2:4], states[..., 5])
 
     def initial_state(self, motion: Motion) -> Float[Tensor, "*b 8"]:
         """State with this pose and velocity, leaning as in a steady turn: γ = atan(v_x r / g)."""

@@ -9,12 +9,8 @@ from torch import Tensor
 from diffstack_mmv.identification.shooting.block_arrowhead import solve_arrowhead
 from diffstack_mmv.identification.shooting.condensing import CondensedJacobian
 from diffstack_mmv.identification.shooting.fit import ParameterFit, in_prior_deviations
-from diffstack_mmv.identification.shooting.linearisation import (
-    TrackSimulation,
-    TrackSimulator,
-    normal_equations,
-    stack_unknowns,
-)
+from diffstack_mmv.identification.shooting.linearisation import TrackSimulation, TrackSimulator
+from diffstack_mmv.identification.shooting.normal_equations import normal_equations, stack_unknowns
 from diffstack_mmv.identification.shooting.problem import (
     COMMAND_DIM,
     INITIAL_DIM,

@@ -20,7 +20,8 @@ from torch import Tensor
 
 from diffstack_mmv.identification.inference.sensitivity import Sensitivity, sensitivity
 from diffstack_mmv.identification.shooting.fit import ParameterFit, total_cost
-from diffstack_mmv.identification.shooting.linearisation import TrackSimulator, normal_equations
+from diffstack_mmv.identification.shooting.linearisation import TrackSimulator
+from diffstack_mmv.identification.shooting.normal_equations import normal_equations
 from diffstack_mmv.identification.shooting.parameters import ParameterVector
 from diffstack_mmv.identification.shooting.problem import TrackingProblem
 

@@ -10,7 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.dynamics import ExtendedUnicycle
-from diffstack_mmv.identification.shooting.linearisation import TrackSimulator, normal_equations
+from diffstack_mmv.identification.shooting.linearisation import TrackSimulator
+from diffstack_mmv.identification.shooting.normal_equations import normal_equations
 from diffstack_mmv.identification.shooting.parameters import ParameterVector
 from diffstack_mmv.identification.shooting.problem import COMMAND_DIM, INITIAL_DIM, TrackingProblem
 from diffstack_mmv.identification.shooting.settings import TrackingSettings

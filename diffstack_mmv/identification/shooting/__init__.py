@@ -50,9 +50,6 @@ from diffstack_mmv.identification.shooting.linearisation import (
     TrackSimulation,
     TrackSimulator,
     node_mask,
-    normal_equations,
-    stack_unknowns,
-    unstack_unknowns,
 )
 from diffstack_mmv.identification.shooting.merit import (
     LinearisedTracks,
@@ -71,6 +68,11 @@ from diffstack_mmv.identification.shooting.multiple_shooting import (
     EvaluatedStep,
     MultipleShooting,
     ShootingIterate,
+)
+from diffstack_mmv.identification.shooting.normal_equations import (
+    normal_equations,
+    stack_unknowns,
+    unstack_unknowns,
 )
 from diffstack_mmv.identification.shooting.parameters import ParameterVector
 from diffstack_mmv.identification.shooting.priors import Prior

@@ -21,12 +21,8 @@ from diffstack_mmv.identification.shooting.condensing import (
     continuity_multipliers,
     node_corrections,
 )
-from diffstack_mmv.identification.shooting.linearisation import (
-    TrackSimulation,
-    TrackSimulator,
-    stack_unknowns,
-    unstack_unknowns,
-)
+from diffstack_mmv.identification.shooting.linearisation import TrackSimulation, TrackSimulator
+from diffstack_mmv.identification.shooting.normal_equations import stack_unknowns, unstack_unknowns
 from diffstack_mmv.identification.shooting.problem import TrackingProblem, Unknowns
 
 

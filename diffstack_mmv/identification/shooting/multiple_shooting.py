@@ -17,13 +17,14 @@ from diffstack_mmv.identification.shooting.fit import (
     in_prior_deviations,
     total_cost,
 )
-from diffstack_mmv.identification.shooting.linearisation import TrackSimulator, normal_equations
+from diffstack_mmv.identification.shooting.linearisation import TrackSimulator
 from diffstack_mmv.identification.shooting.merit import (
     LinearisedTracks,
     ShootingStep,
     gap_closure,
     try_step,
 )
+from diffstack_mmv.identification.shooting.normal_equations import normal_equations
 from diffstack_mmv.identification.shooting.parameters import ParameterVector
 from diffstack_mmv.identification.shooting.tracking import (
     FIRST_DAMPING,

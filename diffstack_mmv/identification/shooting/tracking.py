@@ -10,11 +10,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require, require_at_least, require_positive
 from diffstack_mmv.identification.shooting.block_arrowhead import solve_arrowhead
-from diffstack_mmv.identification.shooting.linearisation import (
-    TrackSimulation,
-    TrackSimulator,
-    normal_equations,
-)
+from diffstack_mmv.identification.shooting.linearisation import TrackSimulation, TrackSimulator
 from diffstack_mmv.identification.shooting.merit import (
     LinearisedTracks,
     ShootingStep,
@@ -22,6 +18,7 @@ from diffstack_mmv.identification.shooting.merit import (
     gap_closure,
     try_step,
 )
+from diffstack_mmv.identification.shooting.normal_equations import normal_equations
 from diffstack_mmv.identification.shooting.problem import Measurements, TrackingProblem, Unknowns
 
 logger = logging.getLogger(__name__)

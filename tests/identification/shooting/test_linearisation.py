@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from diffstack_mmv.identification.shooting.linearisation import (
+from diffstack_mmv.identification.shooting.normal_equations import (
     normal_equations,
     stack_unknowns,
     unstack_unknowns,

@@ -5,17 +5,17 @@ import torch
 from torch.func import jacrev
 
 from diffstack_mmv.identification.shooting.block_arrowhead import solve_arrowhead
-from diffstack_mmv.identification.shooting.linearisation import (
-    normal_equations,
-    stack_unknowns,
-    unstack_unknowns,
-)
 from diffstack_mmv.identification.shooting.merit import (
     LinearisedTracks,
     ShootingStep,
     merit,
     penalty_weights,
     predict_step,
+)
+from diffstack_mmv.identification.shooting.normal_equations import (
+    normal_equations,
+    stack_unknowns,
+    unstack_unknowns,
 )
 from tests.identification.conftest import LIVELY, synthetic_problem
 

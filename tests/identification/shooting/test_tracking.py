@@ -12,7 +12,7 @@ from diffstack_mmv.identification import (
     infer_controls,
     stack_segments,
 )
-from diffstack_mmv.identification.shooting.linearisation import stack_unknowns, unstack_unknowns
+from diffstack_mmv.identification.shooting.normal_equations import stack_unknowns, unstack_unknowns
 from diffstack_mmv.identification.shooting.tracking import tracking_rmse
 from tests.identification.conftest import LAZY, LIVELY, synthetic_problem
 
