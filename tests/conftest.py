@@ -31,8 +31,9 @@ settings.load_profile("deterministic")
 
 @pytest.fixture(autouse=True)
 def seeded():
-    """Every test starts from the same random state."""
+    """Every test starts from the same random state, and the first calls in it are checked."""
     torch.manual_seed(0)
+    shape_checks.begin_test()
 
 
 @pytest.fixture

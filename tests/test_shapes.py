@@ -12,7 +12,7 @@ from diffstack_mmv.geometry import rotate
 from diffstack_mmv.simulation.pedestrians.base import towards
 from diffstack_mmv.vehicles import WheelSpec, load_vehicle
 from dmmv_conventions.checks import require_positive
-from tests.shape_checks import checked
+from tests.shape_checks import CALLS, begin_test, checked
 
 
 @pytest.mark.parametrize(
@@ -62,6 +62,21 @@ def test_a_result_of_another_shape_is_refused():
     assert checked(wrong, typechecker=beartype)(torch.zeros(1)[:0]).shape == (0,)
     with pytest.raises(BeartypeCallHintViolation, match="return"):
         checked(wrong, typechecker=beartype)(torch.zeros(3))
+
+
+def test_the_first_calls_of_a_test_are_checked():
+    def halved(value: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+        return 0.5 * value
+
+    function, wrong = checked(halved, typechecker=beartype), torch.zeros(3, 2)
+    for _ in range(CALLS - 1):
+        function(torch.zeros(3))
+    with pytest.raises(BeartypeCallHintViolation):
+        function(wrong)
+    assert function(wrong).shape == (3, 2)
+    begin_test()
+    with pytest.raises(BeartypeCallHintViolation):
+        function(wrong)
 
 
 def test_a_dataclass_is_checked():

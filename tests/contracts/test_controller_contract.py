@@ -44,7 +44,7 @@ def setting(request):
     """A controller, and the world with the robot that it commands."""
     config = composed_navigate(f"controller={request.param}")
     if "planner" in config.controller:
-        config.controller.planner.solver.max_iterations = 8
+        config.controller.planner.solver.max_iterations = 3
     controller = instantiate(config.controller)
     robot = HolonomicRobot() if is_massless(type(controller)) else instantiate(config.robot)
     return controller, World(robot, OrcaCrowd(), ExactVerdict(10.0))
