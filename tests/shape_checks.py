@@ -4,7 +4,7 @@ It stands in for jaxtyping's own, which checks the arguments twice, decorates th
 of functions anew at every call, and cannot be traced by `torch.compile`: the tests of planning
 would take four times as long instead of 1.6 times. Less is checked in four places: functions
 inside of functions, a return value of type `Self`, a whole number where a `float` is asked for, and
-whatever a test calls more than `CALLS` times: a loop over steps asks the same again and again, which
+what a test calls more than `CALLS` times: a loop over steps asks the same again and again, which
 took half the time of the suite.
 """
 

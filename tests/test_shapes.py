@@ -68,6 +68,7 @@ def test_the_first_calls_of_a_test_are_checked():
     def halved(value: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
         return 0.5 * value
 
+    halved.__qualname__ = "halved"
     function, wrong = checked(halved, typechecker=beartype), torch.zeros(3, 2)
     for _ in range(CALLS - 1):
         function(torch.zeros(3))
