@@ -37,7 +37,7 @@ with needs_to_run("stack", "the command lines"):
     from diffstack_mmv.composition import changed_defaults, composed_once, value_of
     from diffstack_mmv.config_checks import require_complete, require_same_type, require_seed
     from diffstack_mmv.override_errors import one_line, told, told_of_folder
-    from diffstack_mmv.run_checks import require_own_folder
+    from diffstack_mmv.run_checks import config_file, require_own_folder
     from diffstack_mmv.vehicles import VehicleSpec
     from dmmv_conventions.bars import Bars
 
@@ -100,10 +100,10 @@ def command(
     """Make a function of a composed configuration a command line.
 
     The resolved configuration goes into the run folder (`out=DIR`) as `config.yaml` before the work
-    begins, so that every run can be repeated (not that of a `dry_run`); no other command works in
-    that folder meanwhile. What the configuration has built is checked before, because parts of it
-    may come from files. A bad input ends with one line and exit status 1; `HYDRA_FULL_ERROR=1`
-    shows where it came from.
+    begins, so that every run can be repeated (not that of a `dry_run`; as `NAME_config.yaml` into
+    the folder of another command's run); no other command works in that folder meanwhile. What the
+    configuration has built is checked before, because parts of it may come from files. A bad input
+    ends with one line and exit status 1; `HYDRA_FULL_ERROR=1` shows where it came from.
 
     Args:
         config_folder: The folder of the configuration groups.
@@ -136,7 +136,7 @@ def command(
                     require_own_folder(Path(config.out), config_name)
                     admit(config)
                     if not config.get("dry_run"):
-                        save_config(config, Path(config.out))
+                        save_config(config, config_file(Path(config.out), config_name))
                     gc.enable()
                     with shown_by(Bars()), _quiet_dependencies():
                         return task(config)
@@ -244,12 +244,12 @@ def _exit(line: str) -> NoReturn:
     raise SystemExit(1)
 
 
-def save_config(config: DictConfig, folder: Path) -> None:
-    """Write a configuration to `folder/config.yaml`, atomically."""
-    folder.mkdir(parents=True, exist_ok=True)
-    unfinished = folder / "config.yaml.part"
+def save_config(config: DictConfig, file: Path) -> None:
+    """Write a configuration to a file, atomically."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = file.with_suffix(".yaml.part")
     OmegaConf.save(config, unfinished)
-    unfinished.replace(folder / "config.yaml")
+    unfinished.replace(file)
 
 
 def _read_vehicle_file(config: DictConfig) -> None:

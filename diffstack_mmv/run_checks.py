@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from diffstack_mmv.config_checks import require_file, require_folder
 from dmmv_conventions.checks import require
@@ -76,10 +77,26 @@ def require_own_folder(out: Path, name: str) -> None:
     Raises:
         ValueError: There is what another command writes.
     """
-    if name not in OF_A_COMMAND:
-        return
+    found = _of_another(out, name) if name in OF_A_COMMAND else None
+    told = "" if found is None else f"{found.file} of {found.command}"
+    remedy = "Give another out=FOLDER, for example one within it."
+    require(found is None, "out", f"hold results of {name} alone", told, f"in {out}", remedy)
+
+
+def config_file(out: Path, name: str) -> Path:
+    """Where a command writes its configuration: not over that of the run whose folder it is."""
+    own = _of_another(out, name) is None
+    return out / ("config.yaml" if own else f"{name}_config.yaml")
+
+
+class _Results(NamedTuple):
+    command: str
+    file: Path
+
+
+def _of_another(out: Path, name: str) -> _Results | None:
     for other, pattern in OF_A_COMMAND.items():
         found = None if other == name else next(out.glob(pattern), None)
-        told = "" if found is None else f"{found.relative_to(out)} of {other}"
-        remedy = "Give another out=FOLDER, for example one within it."
-        require(found is None, "out", f"hold results of {name} alone", told, f"in {out}", remedy)
+        if found is not None:
+            return _Results(other, found.relative_to(out))
+    return None

@@ -188,7 +188,7 @@ def test_a_bug_is_not_hidden_behind_a_message(run):
 
 def test_a_configuration_is_replaced_whole(tmp_path):
     for value in (1, 2):
-        save_config(OmegaConf.create({"value": value}), tmp_path)
+        save_config(OmegaConf.create({"value": value}), tmp_path / "config.yaml")
     assert [path.name for path in tmp_path.iterdir()] == ["config.yaml"]
     assert OmegaConf.load(tmp_path / "config.yaml").value == 2
 

@@ -29,6 +29,15 @@ def test_one_page_tells_of_all_runs(succeed, tmp_path):
     assert "seed=0, b" in text
 
 
+def test_a_page_beside_a_run_leaves_its_configuration(succeed, tmp_path):
+    first = runs.training(tmp_path / "first")
+    (tmp_path / "metrics.json").write_text("{}")
+    (tmp_path / "config.yaml").write_text("of: the evaluation\n")
+    succeed("report", first, f"out={tmp_path}")
+    assert (tmp_path / "config.yaml").read_text() == "of: the evaluation\n"
+    assert (tmp_path / "report_config.yaml").is_file()
+
+
 @pytest.mark.parametrize(
     ("folders", "told"),
     [

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from diffstack_mmv.run_checks import require_own_folder, require_reports
+from diffstack_mmv.run_checks import config_file, require_own_folder, require_reports
 
 
 @pytest.fixture
@@ -53,3 +53,13 @@ def test_a_folder_of_another_command_is_refused(tmp_path, name, file, maker):
     require_own_folder(tmp_path, maker)
     require_own_folder(tmp_path, "report")
     require_own_folder(tmp_path / "report", name)
+
+
+@pytest.mark.parametrize(
+    ("name", "file"), [("train", "config.yaml"), ("report", "report_config.yaml")]
+)
+def test_the_configuration_of_a_run_is_not_that_of_a_page_beside_it(tmp_path, name, file):
+    (tmp_path / "checkpoints").mkdir()
+    (tmp_path / "checkpoints" / "last.ckpt").touch()
+    assert config_file(tmp_path, name) == tmp_path / file
+    assert config_file(tmp_path / "elsewhere", name) == tmp_path / "elsewhere" / "config.yaml"
