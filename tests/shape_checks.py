@@ -20,7 +20,7 @@ from beartype import BeartypeConf
 from beartype.roar import BeartypeCallHintParamViolation
 
 SHAPES = jaxtyping.jaxtyped("context")
-CALLS = 20
+CALLS = 10
 """So many calls of each function are checked in each test."""
 _called: collections.Counter = collections.Counter()
 

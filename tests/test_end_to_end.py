@@ -267,6 +267,7 @@ def test_other_run_in_the_same_folder_is_refused_and_left_alone(refusal, workpla
     assert (workplace / "run" / "config.yaml").read_bytes() == config
 
 
+@pytest.mark.slow
 def test_training_starts_from_the_predictor_of_other_dynamics(succeed, workplace, tmp_path):
     start = workplace / "run" / "checkpoints" / "last.ckpt"
     options = [*SMALL, "dynamics=unicycle", "loss=prediction", "trainer.limit_train_batches=1"]

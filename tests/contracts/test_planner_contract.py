@@ -75,8 +75,7 @@ def memory(planner, batch=2):
     return PlannerState(controls, torch.zeros(batch))
 
 
-@pytest.mark.parametrize("neighbors", [0, 2])
-@pytest.mark.parametrize("remembers", [False, True])
+@pytest.mark.parametrize(("neighbors", "remembers"), [(0, False), (2, True)])
 def test_a_plan_is_the_motion_of_its_admissible_controls(planner, neighbors, remembers):
     assert isinstance(planner, Planner)
     model = planner.dynamics

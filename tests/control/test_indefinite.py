@@ -57,7 +57,10 @@ def test_what_is_said_to_have_converged_is_at_its_minimum(best, limit, dtype, co
     assert solution.iterations.max() < 40
 
 
-@pytest.mark.parametrize(("limit", "compile"), [(1.0, True), (torch.inf, True), (torch.inf, False)])
+@pytest.mark.parametrize(
+    ("limit", "compile"),
+    [(1.0, True), (torch.inf, True), pytest.param(torch.inf, False, marks=pytest.mark.slow)],
+)
 def test_an_exact_model_that_overflows_over_a_long_horizon_leaves_it_to_the_convex_one(
     limit, compile
 ):

@@ -112,6 +112,7 @@ def real(shared, tmp_path_factory):
     return convert(ConversionSettings(dataset, cache, workers=2, progress=False)), cache, dataset
 
 
+@pytest.mark.slow
 def test_the_known_faults_of_the_real_tracks_are_found(real):
     report = real[0]
     assert report.rejected_by_reason["contained_in_another_file"] == 79

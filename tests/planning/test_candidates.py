@@ -74,6 +74,7 @@ def test_whoever_is_faster_than_the_fan_need_not_brake():
     assert ends.max() == pytest.approx(14.0)
 
 
+@pytest.mark.slow
 def test_a_library_holds_the_tyres_as_tensors_do():
     model = DiffGM3(load_vehicle("motorcycle")).double()
     given = map_tensors(lambda field: field.double(), problem(14.0, (8.0, 1.0)))

@@ -172,6 +172,7 @@ def same_in_the_library(model, **settings):
     torch.testing.assert_close(found.motion, expected.motion, rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.parametrize("model", [DiffKBM], indirect=True)
 def test_what_the_candidates_do_is_worked_out_once_per_horizon(model, monkeypatch):
     from diffstack_mmv.planning import detours
 

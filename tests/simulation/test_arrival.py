@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import pytest
 import torch
 
 from diffstack_mmv.crowdnav import CrowdNav
@@ -27,6 +28,7 @@ def beside_its_goal(study, world):
     return state._replace(robot=state.robot._replace(model=model))
 
 
+@pytest.mark.slow
 @torch.no_grad()
 def test_a_wheelchair_does_not_circle_around_its_goal():
     # of driven wheels and casters: the tightest turn is of 0.36 m at 0.4 m/s and of 0.5 m at 1 m/s

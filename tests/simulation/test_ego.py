@@ -45,6 +45,7 @@ def end_of_blind_drive(world_with, scene, estimating):
     return aside, driver.diagnosis(driven.controller_state) if estimating else {}
 
 
+@pytest.mark.slow
 def test_a_bent_head_is_found_and_the_commands_make_up_for_it(world_with, scene_with):
     scene = map_tensors(lambda entry: entry[None], scene_with((6.0, 0.0), (6.0, 0.0)))
     aside, _ = end_of_blind_drive(world_with, scene, estimating=False)

@@ -39,6 +39,7 @@ def test_it_writes_results_baselines_and_paired_tests_and_resumes(navigate, tmp_
     assert again["paired"][1]["success"] == {"only_own": 0, "only_other": 0, "p": None}
 
 
+@pytest.mark.slow
 def test_a_controller_may_believe_in_dynamics_of_another_name(navigate, tmp_path):
     given = ["dynamics=gm3_paper", "believed.dynamics=kbm_smooth", "footprint=vehicle"]
     assert navigate(*QUICK, "cases=1", *given) == 0

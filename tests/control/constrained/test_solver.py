@@ -280,6 +280,7 @@ def feasible(count, dtype, steps=15, limit=0.5):
     return *callables, box, start.to(dtype), torch.zeros(count, steps, 3, dtype=dtype)
 
 
+@pytest.mark.slow
 def test_convex_problems_that_rounding_keeps_from_the_end_of_the_path_are_solved():
     """Where the last μ cannot be reached Newton's method goes on from the one before."""
     with torch.no_grad():
@@ -288,6 +289,7 @@ def test_convex_problems_that_rounding_keeps_from_the_end_of_the_path_are_solved
     assert solution.violation.max() < 1e-9
 
 
+@pytest.mark.slow
 def test_single_precision_does_not_call_infeasible_what_it_cannot_resolve():
     """The default precision is double here: no constant of it may get among the numbers."""
     with torch.no_grad():

@@ -10,6 +10,14 @@ from diffstack_mmv.vehicles import load_vehicle, vehicle_names
 
 NAMES = vehicle_names()
 LAWS = {"consistent": ConsistentBrush, "paper": PaperBrush}
+# both laws for one vehicle; the law of the paper for the others in the slow tests
+VEHICLES_AND_LAWS = [
+    pytest.param(
+        name, law, marks=[] if law == "consistent" or name == "bicycle" else pytest.mark.slow
+    )
+    for name in NAMES
+    for law in LAWS
+]
 
 # position, v_x, v_y, heading, r, lean, lean rate | a, steer
 EDGES = {
@@ -25,8 +33,7 @@ EDGES = {
 
 
 @pytest.mark.parametrize("edge", EDGES)
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("name", "law"), VEHICLES_AND_LAWS)
 def test_step_has_exact_gradients(name, law, edge):
     model = DiffGM3(load_vehicle(name), tire=LAWS[law]()).double()
     state, control = (torch.tensor(values).double().requires_grad_() for values in EDGES[edge])
@@ -89,8 +96,7 @@ def curvature(model):
     return vmap(jacfwd(grad(value, (0, 1)), (0, 1)))
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("name", "law"), VEHICLES_AND_LAWS)
 def test_second_derivatives_are_exact_and_finite(name, law):
     model = DiffGM3(load_vehicle(name), tire=LAWS[law]()).double()
     state, control = (torch.tensor(part).double()[None] for part in EDGES["turn"])

@@ -28,6 +28,7 @@ def test_noise_is_as_given_else_as_recorded(bicycle, recorded, given, expected):
     assert (found.along_m, found.across_m) == expected
 
 
+@pytest.mark.slow
 def test_rate_that_is_given_stays_and_the_other_is_estimated(bicycle):
     found = settings(bicycle, (0.03, 0.03), jerk_mps3=2.0)
     assert found.jerk_mps3 == 2.0

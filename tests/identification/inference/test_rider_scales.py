@@ -34,6 +34,7 @@ def test_scales_of_a_known_rider_are_found_from_elsewhere(bicycle, jerk, curvatu
     assert found.along_m == settings.along_m
 
 
+@pytest.mark.slow
 def test_a_rider_that_never_changes_keeps_a_scale_above_zero(bicycle):
     found = estimate_rider_scales(
         TrackingSettings(0.05, 0.05), bicycle, rides(0.0, 0.0, 0.001, count=3), 0.1

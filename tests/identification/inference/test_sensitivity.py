@@ -102,6 +102,7 @@ def test_combinations_follow_their_formulas(bicycle):
     assert steer == pytest.approx(1.05 + 25 * gradient, abs=0.06)
 
 
+@pytest.mark.slow
 def test_influence_of_the_steering_prior_predicts_a_new_fit():
     setup = synthetic_problem("kbm", {}, False, steer_rate_radps=0.4)
     found = identified(setup)
@@ -116,6 +117,7 @@ def test_influence_of_the_steering_prior_predicts_a_new_fit():
     torch.testing.assert_close(moved, expected, rtol=0.35, atol=0.01)
 
 
+@pytest.mark.slow
 def test_profile_is_least_at_the_estimate():
     setup = synthetic_problem("kbm", {"wheelbase": 1.1})
     found = identified(setup)
