@@ -15,7 +15,7 @@ from diffstack_mmv.types import Motion, PlanOrigin, Solution, map_tensors
 Scored = Callable[[Tensor, Motion], ScoredPlans]
 
 
-class Chosen(NamedTuple):
+class ChosenPlan(NamedTuple):
     """One plan of each problem."""
 
     controls: Float[Tensor, "*b T m"]
@@ -34,7 +34,7 @@ class PlanChoice(Protocol):
         solution: Solution,
         motion: Motion,
         scored: Scored,
-    ) -> Chosen:
+    ) -> ChosenPlan:
         """Choose.
 
         Args:
@@ -61,7 +61,7 @@ class TakeOptimum:
         solution: Solution,
         motion: Motion,
         scored: Scored,
-    ) -> Chosen:
+    ) -> ChosenPlan:
         """Choose; see `PlanChoice`.
 
         Raises:
@@ -71,7 +71,7 @@ class TakeOptimum:
         require_at_least("starts", starts, 1, "where the optimum is taken")
         best = solution.cost.argmin(-1)
         origin = torch.full_like(best, PlanOrigin.OPTIMISED)
-        return Chosen(*_taken(solution.controls, motion, best), origin)
+        return ChosenPlan(*_taken(solution.controls, motion, best), origin)
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class CheapestSafe:
         solution: Solution,
         motion: Motion,
         scored: Scored,
-    ) -> Chosen:
+    ) -> ChosenPlan:
         """Choose; see `PlanChoice`."""
         proposed = proposals.cost.shape[-1]
         plans = proposals.beside(scored(solution.controls, motion))
@@ -99,7 +99,7 @@ class CheapestSafe:
         origin = torch.where(best < fan_size, PlanOrigin.CANDIDATE, origin)
         origin = torch.where(best >= proposed, PlanOrigin.OPTIMISED, origin)
         origin = torch.where(plans.safe.any(-1), origin, PlanOrigin.FALLBACK)
-        return Chosen(*_taken(plans.controls, plans.motion, best), origin)
+        return ChosenPlan(*_taken(plans.controls, plans.motion, best), origin)
 
 
 def _taken(

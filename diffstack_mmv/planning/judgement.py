@@ -21,7 +21,7 @@ READ = (
 NAMES = {torch.float32: "float", torch.float64: "double"}
 
 
-class Judgement(NamedTuple):
+class Passing(NamedTuple):
     """How plans pass the agents, `*b C`."""
 
     safety: Safety
@@ -49,7 +49,7 @@ def judged(
     obstacles: Obstacles,
     under_way: Bool[Tensor, "*b C T1"],
     dt_s: float,
-) -> Judgement | None:
+) -> Passing | None:
     """The judgement of a margin on plans, without gradients; None if there is no library for it.
 
     Equal to `ClearanceMargin` on `clearance_within_steps` but for rounding.
@@ -85,4 +85,4 @@ def judged(
         *pointers(*kept, told),
     )
     penalty, shortfall, risk = told.unbind(-1)
-    return Judgement(Safety(shortfall == 0, penalty, shortfall), risk)
+    return Passing(Safety(shortfall == 0, penalty, shortfall), risk)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.planning.clearance import ClearanceMargin, clearance_within_steps
-from diffstack_mmv.planning.judgement import Judgement, judged
+from diffstack_mmv.planning.judgement import Passing, judged
 from diffstack_mmv.types import Motion, PlanningProblem
 
 
@@ -176,7 +176,7 @@ class PlanPrice:
         problem: PlanningProblem,
         under_way: Bool[Tensor, "*b C T1"],
         dt_s: float,
-    ) -> Judgement:
+    ) -> Passing:
         """How the plans pass the agents until they arrive."""
         margin, discs, obstacles = self.margin, problem.ego.discs, problem.obstacles
         if self.compile:
@@ -187,6 +187,6 @@ class PlanPrice:
         clearance = torch.where(under_way[..., None, None, :-1], clearance, torch.inf)
         safety = margin(clearance, obstacles, dt_s)
         none = torch.zeros_like(safety.penalty)
-        return Judgement(
+        return Passing(
             safety, margin.risk(clearance, obstacles, dt_s) if self.risk_weight > 0 else none
         )

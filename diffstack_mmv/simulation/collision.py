@@ -15,7 +15,7 @@ from diffstack_mmv.types import Discs
 MOST_DISCS = 5
 
 
-class Approach(NamedTuple):
+class ClosestApproach(NamedTuple):
     """Straight relative motion of discs, seen from the reference point in world directions."""
 
     start: Float[Tensor, "*b 2"]  # m, disc minus robot
@@ -34,7 +34,7 @@ class Footprint(Protocol):
         """Radius in m of the smallest disc around the reference point that holds the outline."""
         ...
 
-    def clearance(self, approach: Approach) -> Float[Tensor, "*b"]:
+    def clearance(self, approach: ClosestApproach) -> Float[Tensor, "*b"]:
         """Smallest clearance in m during the approach, negative for an overlap."""
         ...
 
@@ -68,7 +68,7 @@ class DiscFootprint:
         """Check the size once, at the border."""
         require_positive("radius_m", self.radius_m)
 
-    def clearance(self, approach: Approach) -> Float[Tensor, "*b"]:
+    def clearance(self, approach: ClosestApproach) -> Float[Tensor, "*b"]:
         """Smallest distance in m of two discs, exact for straight relative motion."""
         distance = distance_to_segment(approach.start, approach.end)
         return distance - approach.radius - self.radius_m
@@ -115,7 +115,7 @@ class RectangleFootprint:
         """Distance in m of the farthest corner from the reference point."""
         return math.hypot(0.5 * self.length_m + abs(self.ahead_m), 0.5 * self.width_m)
 
-    def clearance(self, approach: Approach) -> Float[Tensor, "*b"]:
+    def clearance(self, approach: ClosestApproach) -> Float[Tensor, "*b"]:
         """Distance in m from the rectangle to the discs; minus their radius for centres inside it.
 
         In the frame of the robot a disc moves straight where the heading stays constant; a turn

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_one_of, require_positive
 from diffstack_mmv.geometry import length
-from diffstack_mmv.simulation.collision import Approach, Footprint
+from diffstack_mmv.simulation.collision import ClosestApproach, Footprint
 from diffstack_mmv.simulation.pedestrians import AnyCrowdState
 from diffstack_mmv.types import Outcome
 
@@ -136,7 +136,7 @@ class Verdict(ABC):
         position, heading = path.position[..., -1:, :], path.heading[..., -1:]
         offset = pedestrians.position - position
         heading = heading.expand(pedestrians.radius.shape)
-        approach = Approach(offset, offset, pedestrians.radius, heading, heading)
+        approach = ClosestApproach(offset, offset, pedestrians.radius, heading, heading)
         return _nearest(footprint.clearance(approach))
 
     @abstractmethod
@@ -183,7 +183,9 @@ class CrowdNavVerdict(Verdict):
             step.path.heading[..., end, None].expand(start.shape[:-1]) for end in (0, -1)
         )
         end = start + relative * step.dt_s
-        return step.footprint.clearance(Approach(start, end, step.pedestrians.radius, first, last))
+        return step.footprint.clearance(
+            ClosestApproach(start, end, step.pedestrians.radius, first, last)
+        )
 
     def _is_late(self, step: Encounter) -> Bool[Tensor, "*b"]:
         """The clock before the step stands within a second of the limit."""
@@ -229,7 +231,7 @@ class ExactVerdict(Verdict):
         relative = pedestrian - step.path.position[..., None, :, :]
         heading = step.path.heading[..., None, :].expand(relative.shape[:-1])
         radius = step.pedestrians.radius[..., None].expand(relative.shape[:-1])
-        approach = Approach(
+        approach = ClosestApproach(
             start=relative[..., :-1, :],
             end=relative[..., 1:, :],
             radius=radius[..., 1:],

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from diffstack_mmv.simulation import DiscFootprint, RectangleFootprint
 from diffstack_mmv.simulation.collision import (
-    Approach,
+    ClosestApproach,
     distance_box_to_segment,
     distance_to_segment,
 )
@@ -24,7 +24,7 @@ def random_segments(count):
 
 def approach_of(start, end, heading=0.0, radius=0.3):
     each = torch.ones_like(start[..., 0])
-    return Approach(start, end, radius * each, heading * each, heading * each)
+    return ClosestApproach(start, end, radius * each, heading * each, heading * each)
 
 
 def test_distance_to_a_segment_equals_the_smallest_sampled_one():

@@ -26,7 +26,7 @@ from dmmv_conventions.libraries import build
 FILES = ("libplanner.so", "planner.h", "planner.cpp")
 
 
-class Entry(NamedTuple):
+class ExportedTensor(NamedTuple):
     """A tensor among the parameters of a library."""
 
     name: str
@@ -40,7 +40,7 @@ class Exported(NamedTuple):
     library: Path
     header: Path
     source: Path
-    entries: tuple[Entry, ...]
+    entries: tuple[ExportedTensor, ...]
 
 
 @dataclass(frozen=True)
@@ -114,17 +114,17 @@ def _taken(dynamics: Dynamics, cost: Batched, state: Tensor, controls: Tensor) -
     return record(at, dynamics, cost)
 
 
-def _entries(parameters: Sequence[Tensor], known: dict[int, str]) -> tuple[Entry, ...]:
+def _entries(parameters: Sequence[Tensor], known: dict[int, str]) -> tuple[ExportedTensor, ...]:
     entries, offset = [], 0
     for number, tensor in enumerate(parameters):
         name = known.get(id(tensor), f"other_{number}")
         shape = tuple(tensor.shape)
-        entries.append(Entry(re.sub(r"\W+", "_", name).strip("_"), offset, shape))
+        entries.append(ExportedTensor(re.sub(r"\W+", "_", name).strip("_"), offset, shape))
         offset += tensor.numel()
     return tuple(entries)
 
 
-def _declarations(taken: Taken, entries: Sequence[Entry], real: str) -> str:
+def _declarations(taken: Taken, entries: Sequence[ExportedTensor], real: str) -> str:
     n, m, steps, parameters = taken.problem.sizes
     offsets = "\n".join(
         f"#define DMMV_AT_{name.upper()} {offset} /* {math.prod(shape)}: {shape} */"

@@ -16,7 +16,7 @@ from diffstack_mmv.control.native.library import (
 )
 from diffstack_mmv.control.native.own_numbers import number_gradients, prelude, prelude_adjoint
 from diffstack_mmv.control.native.repetition import (
-    Entry,
+    Summand,
     added_terms,
     with_sums,
 )
@@ -191,15 +191,15 @@ def _of_each_term(stage: Stage, sizes: Sizes) -> list[Node]:
     return [*term.gradient, *term.stage.outputs]
 
 
-def _term_entries(cost: Derived, sizes: Sizes) -> list[Entry]:
+def _term_entries(cost: Derived, sizes: Sizes) -> list[Summand]:
     """Gradient, value and Hessian of a like term, one behind the other."""
     term, k = cost.term, sizes.n + sizes.m
     if term is None or term.hessian is None:
         return []
-    entries = [Entry((i,), node) for i, node in enumerate((*term.gradient, *term.stage.outputs))]
+    entries = [Summand((i,), node) for i, node in enumerate((*term.gradient, *term.stage.outputs))]
     for i in range(k):
-        entries.append(Entry((k + 1 + i * k + i,), term.hessian[i * k + i]))
+        entries.append(Summand((k + 1 + i * k + i,), term.hessian[i * k + i]))
         for j in range(i):
             places = k + 1 + i * k + j, k + 1 + j * k + i
-            entries.append(Entry(places, term.hessian[i * k + j]))
+            entries.append(Summand(places, term.hessian[i * k + j]))
     return entries

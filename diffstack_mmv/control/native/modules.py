@@ -99,7 +99,7 @@ class Ready(NamedTuple):
     numbers: Float[Tensor, " P"]
 
 
-class Workshop:
+class ModelWorkshop:
     """Libraries of one model, or the knowledge that there can be none.
 
     Args:

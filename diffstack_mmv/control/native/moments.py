@@ -17,7 +17,7 @@ from diffstack_mmv.control.native.code import function, into, literal, table
 from diffstack_mmv.control.native.derivative import gradient
 from diffstack_mmv.control.native.generation import LANES
 from diffstack_mmv.control.native.library import POINT, TEMPLATE, header, opening, plain
-from diffstack_mmv.control.native.modules import Ready, Workshop, counts
+from diffstack_mmv.control.native.modules import ModelWorkshop, Ready, counts
 from diffstack_mmv.control.native.own_numbers import prelude_adjoint
 from diffstack_mmv.control.native.stages import StagedStep
 from diffstack_mmv.types import on_host
@@ -49,7 +49,9 @@ def moments(
         return None
     workshop = _WORKSHOPS.get(dynamics)
     if workshop is None:
-        workshop = _WORKSHOPS[dynamics] = Workshop(f"the decoder for {type(dynamics).__name__}")
+        workshop = _WORKSHOPS[dynamics] = ModelWorkshop(
+            f"the decoder for {type(dynamics).__name__}"
+        )
     sizes = start.shape[-1], controls.shape[-1]
     ready = workshop.library(dynamics, *sizes, start.dtype, source)
     if ready is None:
@@ -59,7 +61,7 @@ def moments(
     return found
 
 
-_WORKSHOPS: weakref.WeakKeyDictionary[nn.Module, Workshop] = weakref.WeakKeyDictionary()
+_WORKSHOPS: weakref.WeakKeyDictionary[nn.Module, ModelWorkshop] = weakref.WeakKeyDictionary()
 
 
 def source(problem: StagedStep, learns: bool, real: str) -> str:

@@ -10,7 +10,7 @@ from diffstack_mmv.control.native.stages import Repeated, Stage
 OF_A_TERM = "r"
 
 
-class Entry(NamedTuple):
+class Summand(NamedTuple):
     """A node that is added to some entries of an array."""
 
     places: tuple[int, ...]
@@ -52,7 +52,7 @@ def with_entries(text: str, stage: Stage, nodes: Sequence[Node]) -> str:
     return _closed(text, _loop(stage, stage.repeated, named))
 
 
-def added_terms(kind: int, stage: Stage, entries: Sequence[Entry]) -> str:
+def added_terms(kind: int, stage: Stage, entries: Sequence[Summand]) -> str:
     """The function `add_terms_...`: adds nodes of the like terms to y, eight terms at a time.
 
     Args:

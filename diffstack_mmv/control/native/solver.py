@@ -90,11 +90,11 @@ def _is_possible(dynamics: Dynamics, cost: Cost, numbers: Numbers, state: Tensor
 
 
 @functools.cache
-def _workshop(key: Hashable, name: str) -> "Workshop":
-    return Workshop(name)
+def _workshop(key: Hashable, name: str) -> "SolverWorkshop":
+    return SolverWorkshop(name)
 
 
-class Workshop:
+class SolverWorkshop:
     """Libraries for the problems of one kind, or the knowledge that there can be none.
 
     Args:

@@ -13,7 +13,7 @@ from diffstack_mmv.prediction.current import (
     current_heading,
     current_position,
 )
-from diffstack_mmv.prediction.trajectron.rows import Chosen, chosen
+from diffstack_mmv.prediction.trajectron.rows import ChosenRows, chosen
 from diffstack_mmv.prediction.trajectron.start import estimates
 from diffstack_mmv.types import Mode, Motion, Pose, Tracks, map_tensors, on_host
 
@@ -95,7 +95,7 @@ def agent_kind(mode: Int[Tensor, "*b"]) -> Int[Tensor, "*b"]:
     return torch.where(walks, torch.full_like(mode, PEDESTRIAN), torch.full_like(mode, VEHICLE))
 
 
-def rows_of_role(rows: AgentBatch, role: int, agents: int) -> Chosen:
+def rows_of_role(rows: AgentBatch, role: int, agents: int) -> ChosenRows:
     """Places of the present rows of a role, with so many `agents` per scene."""
     mask = rows.present & (rows.role == role)
     if on_host(mask):

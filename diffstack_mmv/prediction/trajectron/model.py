@@ -35,7 +35,7 @@ from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
 from diffstack_mmv.prediction.trajectron.output import nobody, placed, scenes
 from diffstack_mmv.prediction.trajectron.paths import path_scores
-from diffstack_mmv.prediction.trajectron.rows import Chosen
+from diffstack_mmv.prediction.trajectron.rows import ChosenRows
 from diffstack_mmv.prediction.trajectron.scene import SceneEncoder
 from diffstack_mmv.prediction.trajectron.site import Site
 from diffstack_mmv.prediction.trajectron.sizes import Sizes
@@ -59,7 +59,7 @@ class Branch(nn.Module):
 class Decoded(NamedTuple):
     """What one branch made of its rows."""
 
-    places: Chosen  # S, of the rows among all agents
+    places: ChosenRows  # S, of the rows among all agents
     rows: AgentBatch  # S
     context: Float[Tensor, "S c"]
     log_prior: Float[Tensor, "S K"]

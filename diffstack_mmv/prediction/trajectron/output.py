@@ -9,7 +9,7 @@ from diffstack_mmv.prediction.current import current_position
 from diffstack_mmv.prediction.gaussian import rotate_covariance, scale_from_covariance
 from diffstack_mmv.prediction.trajectron.agent_batch import AgentBatch
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
-from diffstack_mmv.prediction.trajectron.rows import Chosen
+from diffstack_mmv.prediction.trajectron.rows import ChosenRows
 from diffstack_mmv.types import Forecast, Tracks, map_tensors
 
 ABSENT_LOG_WEIGHT = -1e4
@@ -32,7 +32,7 @@ def nobody(agents: Tracks, components: int, steps: int) -> Forecast:
 
 def placed(
     forecast: Forecast,
-    places: Chosen,
+    places: ChosenRows,
     rows: AgentBatch,
     log_prior: Float[Tensor, "S K"],
     moments: PositionMoments,

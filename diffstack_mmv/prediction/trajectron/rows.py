@@ -13,7 +13,7 @@ from torch import Tensor
 from diffstack_mmv.types import on_host
 
 
-class Chosen(NamedTuple):
+class ChosenRows(NamedTuple):
     """Rows that are computed, and which of them count."""
 
     index: Int[Tensor, " S"]
@@ -29,7 +29,7 @@ class Chosen(NamedTuple):
         return into.index_copy(0, self.index, values)
 
 
-def chosen(mask: Bool[Tensor, " R"], among: Int[Tensor, " S"] | None = None) -> Chosen:
+def chosen(mask: Bool[Tensor, " R"], among: Int[Tensor, " S"] | None = None) -> ChosenRows:
     """Rows of a mask.
 
     Args:
@@ -37,6 +37,6 @@ def chosen(mask: Bool[Tensor, " R"], among: Int[Tensor, " S"] | None = None) -> 
         among: Rows outside of which the mask is False, where that is known without looking.
     """
     if on_host(mask):
-        return Chosen(mask.nonzero().squeeze(-1), None)
+        return ChosenRows(mask.nonzero().squeeze(-1), None)
     index = torch.arange(len(mask), device=mask.device) if among is None else among
-    return Chosen(index, mask[index])
+    return ChosenRows(index, mask[index])
