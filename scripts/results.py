@@ -36,6 +36,7 @@ def check(config: DictConfig) -> None:
         ("sets", config.sets),
     ):  # fmt: skip
         require(len(parts) > 0, name, "name at least one", "none")
+    _require_each_once(size)
     require_at_least("size.epochs", size.epochs, 0)
     if size.pretraining is not None:
         require_at_least("size.pretraining.epochs", size.pretraining.epochs, 1)
@@ -59,6 +60,12 @@ def check(config: DictConfig) -> None:
             _require_option("vehicle", vehicle)
         require_modes([str(mode) for mode in told.modes])
     instantiate(config.launcher)
+
+
+def _require_each_once(size: DictConfig) -> None:
+    for name in ("seeds", "goals"):
+        given = list(size[name])
+        require(len(set(given)) == len(given), f"size.{name}", "name each once", given)
 
 
 def _require_conversion(config: DictConfig, name: str) -> None:
@@ -123,8 +130,7 @@ def main(config: DictConfig) -> None:
         table = arranged(shown, models)
     write_paper_table(out, table, remarks)
     drawn = shown if config.plans else []
-    judged = [run.report for run in drawn if (run.report / "metrics.json").is_file()]
-    _write_excitation(judged, out)
+    _write_excitation([run for run in drawn if (run.report / "metrics.json").is_file()], out)
     for data, mode, goal in dict.fromkeys((run.data, run.mode, run.goal) for run in drawn):
         side = [run for run in shown if (run.data, run.mode, run.goal) == (data, mode, goal)]
         _draw(config, [run for run in side if run.seed == config.size.seeds[0]], out)
@@ -297,13 +303,14 @@ def _told(job: Job) -> str:
     return f"{job.name} failed: see {job.log}."
 
 
-def _write_excitation(reports: Sequence[Path], out: Path) -> None:
+def _write_excitation(judged: Sequence[Run], out: Path) -> None:
     """The models by how hard the human rode."""
     from diffstack_mmv.metrics import EXCITATION, OPEN_LOOP
     from diffstack_mmv.plotting import save_by_excitation
     from diffstack_mmv.reporting import paired_samples, write_by_excitation
 
-    paired = paired_samples(reports, "plan_ade", EXCITATION)
+    reports, sets = [run.report for run in judged], [run.data for run in judged]
+    paired = paired_samples(reports, "plan_ade", EXCITATION, sets)
     write_by_excitation(out, paired)
     titles, heading = (
         {each.name: each.heading for each in EXCITATION},

@@ -8,6 +8,7 @@ import pandas as pd
 
 from diffstack_mmv.reporting.files import read_json
 from diffstack_mmv.reporting.paper_table import Run
+from diffstack_mmv.reporting.prediction_table import named_apart
 
 SITUATIONS = ("moving", "standing")
 DISTANCES = {"ade": "ADE [m]", "moving": "moving", "standing": "standing"}
@@ -29,11 +30,11 @@ def ablation_table(runs: Sequence[Run], models: Mapping[str, str]) -> pd.DataFra
         runs: Evaluated runs, and such that have not ended.
         models: Name of the dynamics -> title, in order; with one model it is not named.
     """
-    rows, trivial = [], {}
+    rows, trivial, name_of = [], {}, named_apart(runs)
     for data, mode, model in dict.fromkeys((run.data, run.mode, run.model) for run in runs):
         own = [run for run in runs if (run.data, run.mode, run.model) == (data, mode, model)]
         told = [read_json(path) for run in own if (path := run.report / "metrics.json").is_file()]
-        name = data if len(models) == 1 else f"{data}, {models[model]}"
+        name = name_of(own[0]) if len(models) == 1 else f"{name_of(own[0])}, {models[model]}"
         seeds = f"{len(told)} of {len(own)}"
         windows = str(told[0]["modes"][mode]["n"]) if told else "-"
         rows.append(

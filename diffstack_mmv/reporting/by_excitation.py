@@ -6,16 +6,14 @@ from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
 
-import numpy as np
 import pandas as pd
 
+from diffstack_mmv.reporting.bootstrapping import bootstrap
 from diffstack_mmv.reporting.files import read_json, read_parquet, told_as_broken, write_text
-from diffstack_mmv.reporting.paper_table import bootstrap
 
 logger = logging.getLogger(__name__)
 
-FEWEST_SCENES = 4  # with fewer, drawing them with replacement tells nothing of an interval
-PLACE = ["data", "goal", "mode", "vehicle"]
+PLACE = ["data", "split", "goal", "mode", "vehicle"]
 SAMPLE = ["scene", "agent", "row"]
 
 
@@ -43,7 +41,8 @@ class PairedSamples(NamedTuple):
     """Samples that all models judged.
 
     Attributes:
-        table: One row per sample of each setting, one column per model: its score, mean over seeds.
+        table: One row per sample of each setting (`PLACE`), one column per model: its score, mean
+            over seeds, NaN for a model that was not judged in that setting.
         models: Names of these columns.
         quantities: How hard the human rode.
     """
@@ -54,15 +53,25 @@ class PairedSamples(NamedTuple):
 
 
 def paired_samples(
-    folders: Sequence[Path], score: str, quantities: Sequence[Quantity]
+    folders: Sequence[Path],
+    score: str,
+    quantities: Sequence[Quantity],
+    sets: Sequence[str] | None = None,
 ) -> PairedSamples:
     """Scores of the same samples by several models.
 
-    Samples that a model could not judge are left out for all. Reports of before there was an
-    excitation are left out too, and named in the log.
+    Samples that a model of their setting could not judge are left out for all of them. Reports of
+    before there was an excitation are left out too, and named in the log.
+
+    Args:
+        folders: Reports.
+        score: Name of the score.
+        quantities: How hard the human rode.
+        sets: What the data of each report are called; by default as in its `metrics.json`, where
+            two sets of one kind have one name.
     """
     names, parts = [each.name for each in quantities], []
-    for folder in folders:
+    for index, folder in enumerate(folders):
         metrics = read_json(folder / "metrics.json")
         with told_as_broken(folder / "samples.parquet"):
             whole = read_parquet(folder / "samples.parquet")
@@ -71,7 +80,8 @@ def paired_samples(
                 continue
             part = whole[["mode", score, *SAMPLE, *names]]
         vehicles = [metrics["modes"][mode]["vehicle"] for mode in part["mode"]]
-        place = {key: metrics[key] for key in ("data", "goal", "dynamics")}
+        place = {key: metrics[key] for key in ("data", "split", "goal", "dynamics")}
+        place |= {} if sets is None else {"data": sets[index]}
         parts.append(part.assign(vehicle=vehicles, **place))
     if not parts:
         return PairedSamples(pd.DataFrame(), [], quantities)
@@ -80,7 +90,16 @@ def paired_samples(
     joined[names] = joined[names].round(3)
     wide = joined.groupby([*PLACE, *SAMPLE, *names, "dynamics"])[score].mean().unstack()
     models = [str(name) for name in wide.columns]
-    return PairedSamples(wide.dropna().reset_index(), models, quantities)
+    whole = [
+        part[part[_present(part, models)].notna().all(axis=1)]
+        for _, part in wide.groupby(level=PLACE)
+    ]
+    return PairedSamples(pd.concat(whole).reset_index(), models, quantities)
+
+
+def _present(part: pd.DataFrame, models: Sequence[str]) -> list[str]:
+    """Models that judged anything of a part."""
+    return [model for model in models if part[model].notna().any()]
 
 
 def by_excitation(paired: PairedSamples, resamples: int = 1000) -> pd.DataFrame:
@@ -104,19 +123,18 @@ def by_excitation(paired: PairedSamples, resamples: int = 1000) -> pd.DataFrame:
             for span, part in group.groupby(ranges, observed=True):
                 where = dict(zip(PLACE, place, strict=True))
                 where |= {"by": quantity.heading, "range": f"{span.left:g} to {span.right:g}"}
-                pairs = combinations(paired.models, 2)
+                pairs = combinations(_present(group, paired.models), 2)
                 rows += [where | _pair(part, *pair, resamples) for pair in pairs]
     return pd.DataFrame(rows)
 
 
 def _pair(part: pd.DataFrame, first: str, second: str, resamples: int) -> dict[str, object]:
-    difference, scenes = part[first] - part[second], part["scene"].nunique()
-    known = scenes >= FEWEST_SCENES
-    low, high = bootstrap(difference, part["scene"], resamples) if known else (np.nan, np.nan)
+    difference = part[first] - part[second]
+    low, high = bootstrap(difference, part["scene"], resamples)
     return {
         "pair": f"{first} - {second}",
         "n": len(part),
-        "scenes": scenes,
+        "scenes": part["scene"].nunique(),
         "first": part[first].mean(),
         "second": part[second].mean(),
         "Δ": difference.mean(),

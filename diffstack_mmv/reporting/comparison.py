@@ -21,6 +21,8 @@ COMPARED = ("ade", "nll", "plan_ade", "planning_loss", "collision_rate", "solved
 SAMPLE = ["scene", "agent", "row"]
 OF_THE_PREDICTION = ("ade", "nll")
 """Those of them that every report has."""
+GIVEN = "future"
+"""The goal with which the trivial paths to it know it; those that are forecasts have an NLL."""
 SETTING = ["data", "split", "goal", "mode", "vehicle"]
 GROUP = [*SETTING, "dynamics"]
 # private characters that no escaping touches, in place of LaTeX commands
@@ -55,7 +57,7 @@ def read_runs(folders: Sequence[Path]) -> pd.DataFrame:
     _require_different_seeds(rows)
     _require_same_windows(folders)
     # runs of one seed share their baselines
-    shared = [*GROUP, "seed", "ade"]
+    shared = [*GROUP, "seed", "ade", "plan_ade"]
     return pd.concat([pd.DataFrame(rows), pd.DataFrame(baselines).drop_duplicates(shared)])
 
 
@@ -72,15 +74,19 @@ def _own_rows(folder: Path) -> list[dict[str, Any]]:
 
 
 def _baseline_rows(folder: Path) -> list[dict[str, Any]]:
+    """A trivial path is prediction and plan at once; one that is given the goal is a plan alone."""
     metrics = read_json(folder / "metrics.json")
     common = {key: metrics[key] for key in ("data", "split", "goal", "seed")} | {"run": str(folder)}
-    return [
-        common
-        | {"mode": mode, "dynamics": name, "ade": scores["ade"]}
-        | {key: metrics["modes"][mode][key] for key in ("n", "vehicle")}
-        for name, modes in metrics["baselines"].items()
-        for mode, scores in modes.items()
-    ]
+    rows = []
+    for name, modes in metrics["baselines"].items():
+        for mode, scores in modes.items():
+            own = metrics["modes"][mode]
+            predicts = metrics["goal"] != GIVEN or f"nll_{name}" in own
+            row = {"mode": mode, "dynamics": name, "n": own["n"], "vehicle": own["vehicle"]}
+            row |= {"ade": scores["ade"] if predicts else None}
+            row |= {"plan_ade": scores["ade"] if "plan_ade" in own else None}
+            rows.append(common | row)
+    return rows
 
 
 def _require_different_seeds(rows: Sequence[Mapping[str, Any]]) -> None:
@@ -209,19 +215,17 @@ def paired_tests(folders: Sequence[Path], score: ScoreHeading) -> pd.DataFrame:
         with told_as_broken(folder / "samples.parquet"):
             frame = read_parquet(folder / "samples.parquet")[["mode", *SAMPLE, score.name]]
         frame["vehicle"] = [metrics["modes"][mode]["vehicle"] for mode in frame["mode"]]
-        samples.append(frame.assign(**{key: metrics[key] for key in ("data", "goal", "dynamics")}))
+        place = {key: metrics[key] for key in ("data", "split", "goal", "dynamics")}
+        samples.append(frame.assign(**place))
     windows = (
-        pd.concat(samples)
-        .groupby(["data", "goal", "mode", "vehicle", *SAMPLE, "dynamics"])[score.name]
-        .mean()
-        .unstack()
+        pd.concat(samples).groupby([*SETTING, *SAMPLE, "dynamics"])[score.name].mean().unstack()
     )
     rows = []
-    for place, group in windows.groupby(level=[0, 1, 2, 3]):
+    for place, group in windows.groupby(level=SETTING):
         for first, second in combinations(group.columns, 2):
             both = (group[first] - group[second]).dropna()
             difference = both.groupby(level="scene").mean().to_numpy()
-            row = dict(zip(("data", "goal", "mode", "vehicle"), place, strict=True))
+            row = dict(zip(SETTING, place, strict=True))
             row["pair"] = f"{first} - {second}"
             mean = _mean(difference)
             row |= {"scenes": len(difference), f"mean Δ {score.heading}": mean}
@@ -232,7 +236,7 @@ def paired_tests(folders: Sequence[Path], score: ScoreHeading) -> pd.DataFrame:
 
 def _better(first: str, second: str, difference: float, lower_is_better: bool) -> str:
     """Which of both a mean difference, first minus second, speaks for; a dash for neither."""
-    if np.isnan(difference) or difference == 0:
+    if np.isnan(difference) or round(difference, 6) == 0:
         return "-"
     return first if (difference < 0) == lower_is_better else second
 

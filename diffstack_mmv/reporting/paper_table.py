@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from diffstack_mmv.reporting.bootstrapping import bootstrap
 from diffstack_mmv.reporting.files import read_json, read_parquet, write_text
 from diffstack_mmv.reporting.scores import ScoreHeading, Scores
 
@@ -21,7 +22,6 @@ SHOWN = (
 )
 TRIVIAL = ("ade", "plan_ade")
 """Scores that a trivial path is compared by: it is prediction and plan at once."""
-LEVEL = 95.0
 LOGARITHMIC = "nats"
 """Unit of scores with no zero of their own, whose differences mean something and shares do not."""
 
@@ -42,10 +42,10 @@ def paper_table(
 ) -> pd.DataFrame:
     """One row per data set, goal, mode and model; the others are compared with the first model.
 
-    A cell is `mean [low, high] (± deviation over seeds, difference)`: the interval holds 95 % of
-    the means over recordings drawn with replacement, since windows of one recording resemble each
-    other; differences are in %, in nats where that is the unit. Trivial paths follow the models. A
-    run that has not ended is told, never averaged.
+    A cell is `mean [low, high] (± deviation over seeds, difference)`, with the interval of
+    `bootstrap`; differences are in %, in nats where that is the unit, and absent while the first
+    model has not ended. Trivial paths follow the models. A run that has not ended is told, never
+    averaged.
 
     Args:
         runs: All runs that the table is about.
@@ -54,6 +54,7 @@ def paper_table(
         resamples: Draws of the bootstrap.
     """
     rows: list[dict[str, Any]] = []
+    reference = next(iter(models), None)
     keys = dict.fromkeys((run.data, run.goal, run.mode) for run in runs)
     for data, goal, mode in keys:
         first: dict[str, float] = {}
@@ -73,31 +74,14 @@ def paper_table(
                 means = [part["modes"][mode][name] for part in told if mode in part["modes"]]
                 interval = bootstrap(samples[name], samples["scene"], resamples)
                 row[scores[name].heading] = _cell(means, interval, first.get(name), scores[name])
-                first.setdefault(name, _mean(means))
+                if model == reference:
+                    first[name] = _mean(means)
             baselines |= {name: per_mode[mode] for name, per_mode in told[0]["baselines"].items()}
             rows.append(row)
         for name, known in baselines.items():
             error = {scores[score].heading: _number(known["ade"]) for score in TRIVIAL}
             rows.append(place | {"model": name.replace("_", " "), "seeds": "-", "n": "-"} | error)
     return pd.DataFrame(rows).fillna("-")
-
-
-def bootstrap(
-    values: pd.Series, recordings: pd.Series, resamples: int, seed: int = 0
-) -> tuple[float, float]:
-    """Interval of the mean over samples when recordings are drawn with replacement.
-
-    Returns:
-        Low and high; NaN with less than two recordings.
-    """
-    parts = pd.DataFrame({"value": values, "recording": recordings}).dropna()
-    grouped = parts.groupby("recording")["value"].agg(["sum", "count"]).to_numpy()
-    if len(grouped) < 2:
-        return float("nan"), float("nan")
-    draws = np.random.default_rng(seed).integers(0, len(grouped), (resamples, len(grouped)))
-    totals = grouped[draws].sum(1)
-    low, high = np.percentile(totals[:, 0] / totals[:, 1], [50 - LEVEL / 2, 50 + LEVEL / 2])
-    return float(low), float(high)
 
 
 def write_paper_table(folder: Path, table: pd.DataFrame, remarks: Sequence[str]) -> None:
@@ -146,6 +130,6 @@ def _cell(
         elif first != 0:
             notes.append(f"{100 * (mean - first) / first:+.1f} %")
     text = f"{mean:.3f}"
-    if np.isfinite(interval[0]):
+    if interval[0] < interval[1]:  # values that are all the same tell nothing of how they spread
         text += f" [{interval[0]:.3f}, {interval[1]:.3f}]"
     return text + (f" ({', '.join(notes)})" if notes else "")

@@ -1,6 +1,6 @@
 """The table of a benchmark of predictions: ADE / FDE per data set and on average."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ MEAN = "mean"
 
 
 def prediction_table(runs: Sequence[Run], models: Mapping[str, str]) -> pd.DataFrame:
-    """One row per method, one column `ADE / FDE` in m per data set, and their mean.
+    """One row per method, one column `ADE / FDE` in m per data set (and mode), and their mean.
 
     Several seeds are averaged. A data set in which a run is missing has a dash; so has the mean.
 
@@ -27,14 +27,15 @@ def prediction_table(runs: Sequence[Run], models: Mapping[str, str]) -> pd.DataF
         runs: Evaluated runs; those that have not ended are told by dashes.
         models: Name of the dynamics -> title, in order.
     """
-    names = list(dict.fromkeys(run.data for run in runs))
+    name_of = named_apart(runs)
+    names = list(dict.fromkeys(name_of(run) for run in runs))
     rows: dict[str, dict[str, np.ndarray]] = {}
     for run in runs:
         told = read_json(run.report / "metrics.json") if _ended(run) else None
         for method, value in _values(run, told, models).items():
-            known = rows.setdefault(method, {}).get(run.data)
+            known = rows.setdefault(method, {}).get(name_of(run))
             both = value[None] if known is None else np.concatenate([known, value[None]])
-            rows[method][run.data] = both
+            rows[method][name_of(run)] = both
     table = []
     for method, per_set in rows.items():
         row: dict[str, Any] = {"method": method}
@@ -44,6 +45,14 @@ def prediction_table(runs: Sequence[Run], models: Mapping[str, str]) -> pd.DataF
         row[MEAN] = _pair(np.mean(list(means.values()), 0) if complete else np.full(2, np.nan))
         table.append(row)
     return pd.DataFrame(table)
+
+
+def named_apart(runs: Sequence[Run]) -> Callable[[Run], str]:
+    """What the data of a run are called: with the mode where a set has several."""
+    modes: dict[str, set[str]] = {}
+    for run in runs:
+        modes.setdefault(run.data, set()).add(run.mode)
+    return lambda run: f"{run.data}, {run.mode}" if len(modes[run.data]) > 1 else run.data
 
 
 def _ended(run: Run) -> bool:

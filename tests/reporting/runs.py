@@ -27,8 +27,8 @@ def write_run(folder, dynamics, seed, shift=0.0, frame=None, vehicle="bicycle", 
     """What `evaluate.py` writes for a run of that name."""
     frame = samples(seed, shift) if frame is None else frame
     header = {"goal": "predicted", "dynamics": dynamics, "vehicle": vehicle, "data": "thab_vru"}
-    header |= more
+    header |= {"split": "test", "seed": seed} | more
     told = summarise_modes(frame, SITUATIONS, vehicle, OPEN_LOOP)
-    write_metrics(folder, header | {"split": "test", "seed": seed} | told, OPEN_LOOP)
+    write_metrics(folder, header | told, OPEN_LOOP)
     write_parquet(folder / "samples.parquet", frame)
     return folder

@@ -68,3 +68,23 @@ def test_it_is_written_and_drawn(tmp_path):
     assert "gm3 - kbm" in (tmp_path / "excitation.md").read_text()
     save_by_excitation(tmp_path / "excitation.png", paired.table, paired.models, TITLES, "ADE [m]")
     assert (tmp_path / "excitation.png").stat().st_size > 10_000
+
+
+def test_a_model_that_is_missing_in_one_setting_takes_nothing_from_it(tmp_path):
+    elsewhere = {"goal": "future", "frame": ridden()}
+    folders = [
+        *runs(tmp_path),
+        *(write_run(tmp_path / f"{name}_goal", name, 0, **elsewhere) for name in ("kbm", "other")),
+    ]
+    table = by_excitation(paired_samples(folders, "plan_ade", EXCITATION))
+    pairs = table.groupby("goal")["pair"].unique().map(list).to_dict()
+    assert pairs == {"predicted": ["gm3 - kbm"], "future": ["kbm - other"]}
+    assert table.groupby("goal")["n"].sum().nunique() == 1
+
+
+def test_sets_of_one_kind_are_told_apart(tmp_path):
+    folders = [*runs(tmp_path / "a", 0.3), *runs(tmp_path / "b", -0.3)]
+    paired = paired_samples(folders, "plan_ade", EXCITATION, ["a", "a", "b", "b"])
+    shift = by_excitation(paired).groupby("data")["Δ"].sum()
+    assert shift["a"] == pytest.approx(-shift["b"])
+    assert shift["a"] < -0.5

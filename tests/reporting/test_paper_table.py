@@ -6,8 +6,8 @@ import pytest
 
 from diffstack_mmv.metrics import OPEN_LOOP
 from diffstack_mmv.reporting import Run, paper_table, write_paper_table
-from diffstack_mmv.reporting.paper_table import bootstrap
-from tests.reporting.runs import write_run
+from diffstack_mmv.reporting.bootstrapping import bootstrap
+from tests.reporting.runs import samples, write_run
 
 MODELS = {"unicycle": "DiffStack", "kbm": "DiffKBM", "gm3": "DiffGM3"}
 
@@ -54,9 +54,26 @@ def test_a_score_that_may_be_negative_is_told_by_its_difference(runs):
 
 
 def test_bootstrap_draws_recordings_and_not_samples():
-    values, recordings = pd.Series(np.repeat([0.0, 1.0], 500)), pd.Series(np.repeat([0, 1], 500))
-    assert bootstrap(values, recordings, 200) == (0.0, 1.0)
-    assert np.isnan(bootstrap(values, recordings * 0, 200)).all()
+    values, recordings = np.repeat(np.arange(8.0), 500), pd.Series(np.repeat(np.arange(8), 500))
+    low, high = bootstrap(pd.Series(values), recordings, 2000)
+    assert (low, high) == pytest.approx((2.0, 5.0), abs=0.3)
+    for fewer in (1, 4, 7):
+        assert np.isnan(bootstrap(pd.Series(values), recordings % fewer, 200)).all()
+
+
+def test_nothing_is_told_against_another_model_than_the_first(runs):
+    for run in runs[:2]:
+        (run.report / "metrics.json").unlink()
+    cells = paper_table(runs, MODELS, OPEN_LOOP, resamples=20)["ADE [m]"]
+    assert cells[0] == "-"
+    assert "%" not in cells[1]
+
+
+def test_a_rate_of_zero_everywhere_has_no_interval(tmp_path):
+    folder = write_run(tmp_path, "unicycle", 0, frame=samples().assign(collision_rate=0.0))
+    run = Run("thab_vru", "bicycle", "unicycle", "predicted", 0, folder)
+    table = paper_table([run], MODELS, OPEN_LOOP, resamples=20)
+    assert table["collisions"][0] == "0.000"
 
 
 def test_files_and_remarks(runs, tmp_path):

@@ -37,3 +37,14 @@ def test_a_run_that_has_not_ended_is_no_part_of_a_mean(runs):
     row = prediction_table(runs, MODELS).set_index("method").loc["Trajectron++, one path"]
     assert row["eth"] == "1.10 / 1.10"
     assert row["hotel"] == row["mean"] == "-"
+
+
+def test_modes_of_one_set_are_not_averaged(runs):
+    riders = runs[0]._replace(mode="bicycle", report=runs[0].report.parent / "riders")
+    modes = {"bicycle": dict.fromkeys(PREDICTED, 3.0)}
+    write_json(riders.report / "metrics.json", {"modes": modes, "baselines": {}})
+    row = (
+        prediction_table([*runs, riders], MODELS).set_index("method").loc["Trajectron++, one path"]
+    )
+    assert row["eth, pedestrian"] == row["hotel"] == "1.10 / 1.10"
+    assert row["eth, bicycle"] == "3.00 / 3.00"

@@ -159,6 +159,32 @@ def test_paired_tests_say_which_sign_is_better(runs, score, better):
     assert set(tests["better"]) == {better}
 
 
+def test_splits_are_tested_apart(tmp_path):
+    folders = [
+        write_run(tmp_path / f"{name}_{split}", name, 0, shift=shift * sign, split=split)
+        for split, sign in (("test", 1), ("val", -1))
+        for name, shift in (("kbm", 0.0), ("gm3", 0.05))
+    ]
+    tests = paired_tests(folders, OPEN_LOOP["plan_ade"])
+    bicycles = tests[tests["mode"] == "bicycle"].set_index("split")
+    assert bicycles["better"].to_dict() == {"test": "kbm", "val": "gm3"}
+
+
+def test_a_path_that_is_given_the_goal_is_no_prediction(tmp_path):
+    frame = samples()
+    frame["stand_still/nll"] = 1.0
+    frame["spline/ade"], frame["spline/fde"] = 0.01, 0.0
+    folders = [
+        write_run(tmp_path / goal, "kbm", 0, frame=frame, goal=goal)
+        for goal in ("predicted", "future")
+    ]
+    table = compare(read_runs(folders), OPEN_LOOP).table.set_index(["goal", "mode", "dynamics"])
+    spline = table.loc[("future", "bicycle", "spline")]
+    assert (spline["ADE [m]"], spline["plan ADE [m]"]) == ("-", "0.010")
+    still = table.loc[("future", "bicycle", "stand_still")]
+    assert still["ADE [m]"] == still["plan ADE [m]"] == "2.000"
+
+
 def test_pairs_too_few_to_test_have_a_dash_for_p(runs, tmp_path):
     comparison = compare(read_runs(runs), OPEN_LOOP)
     tests = paired_tests(runs, OPEN_LOOP["plan_ade"]).assign(p=[0.01, np.nan])
