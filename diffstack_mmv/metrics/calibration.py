@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from diffstack_mmv.metrics.draws import components_of, drawn_rows
 from diffstack_mmv.metrics.means import time_mean
 from diffstack_mmv.types import Forecast, Tracks
 
@@ -67,15 +68,15 @@ class Calibration(NamedTuple):
 
 
 def judged_levels(
-    forecast: Forecast, future: Tracks, samples: int = 128, seed: int = 0
+    forecast: Forecast, future: Tracks, samples: int = 128, seed: int = 0, first: int = 0
 ) -> DensityLevels:
-    """Levels of the truths at every third time."""
+    """Levels of the truths at every third time; `first` is the number of the first forecast."""
     thinned = slice(EVERY - 1, None, EVERY)
     thin = Forecast(
         forecast.log_weight, forecast.mean[..., thinned, :], forecast.scale_tril[..., thinned, :, :]
     )
     truth, valid = future.motion.position[..., thinned, :], future.valid[..., thinned]
-    drawn = drawn_densities(thin, samples, seed)
+    drawn = drawn_densities(thin, samples, seed, first)
     return DensityLevels(_level(thin, truth, drawn), valid, drawn)
 
 
@@ -133,23 +134,26 @@ def _level(
     return (drawn > own).to(drawn.dtype).mean(-2) + beyond
 
 
-def drawn_densities(forecast: Forecast, samples: int, seed: int) -> Float[Tensor, "*b S T"]:
+def drawn_densities(
+    forecast: Forecast, samples: int, seed: int, first: int = 0
+) -> Float[Tensor, "*b S T"]:
     """Log densities in nats of positions drawn from each mixture at each time."""
-    generator = torch.Generator().manual_seed(seed)
-    mean, scale = forecast.mean, forecast.scale_tril
-    weight = forecast.log_weight.exp()
-    count = weight.reshape(-1, weight.shape[-1]).shape[0]
-    drawn = torch.multinomial(
-        weight.reshape(count, -1).cpu(), samples, replacement=True, generator=generator
-    ).reshape(*weight.shape[:-1], samples)
-    index = drawn.to(mean.device)[..., None, None]
+    mean, scale, leading = forecast.mean, forecast.scale_tril, forecast.log_weight.shape[:-1]
+    count, steps = leading.numel(), mean.shape[-2]
+
+    def draw(generator: torch.Generator) -> Tensor:
+        share = torch.rand(samples, 1, generator=generator)
+        return torch.cat([share, torch.randn(samples, 2 * steps, generator=generator)], -1)
+
+    drawn = drawn_rows(leading, draw, seed, first)
+    index = components_of(forecast.log_weight, drawn[..., 0])[..., None, None]
     own_mean = mean.take_along_dim(index, -3)
     own_scale = scale.take_along_dim(index.unsqueeze(-1), -4)
-    noise = torch.randn(own_mean.shape, generator=generator, dtype=mean.dtype).to(mean.device)
+    noise = drawn[..., 1:].unflatten(-1, (steps, 2)).to(mean)
     # samples last: all that is done to them is done along memory, see `_log_density`
     sampled = (own_mean + _scaled(own_scale, noise)).movedim(-3, -1)
     parts = [(forecast, sampled)]
-    if count > AT_ONCE and weight.dim() == 2:
+    if count > AT_ONCE and len(leading) == 1:
         parts = list(zip(_parts(forecast), _parts(sampled), strict=True))
     return torch.cat([_log_density(*part) for part in parts]).movedim(-1, -2)
 

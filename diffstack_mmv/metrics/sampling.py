@@ -8,6 +8,7 @@ from torch import Tensor
 from torch.quasirandom import SobolEngine
 
 from diffstack_mmv.metrics.displacement import displacement_curve
+from diffstack_mmv.metrics.draws import components_of, drawn_rows
 from diffstack_mmv.metrics.means import time_mean
 from diffstack_mmv.types import Forecast, Tracks
 
@@ -16,7 +17,7 @@ PATHS = 20
 
 
 def sampled_paths(
-    forecast: Forecast, count: int = PATHS, seed: int = 0
+    forecast: Forecast, count: int = PATHS, seed: int = 0, first: int = 0
 ) -> Float[Tensor, "*b S T 2"]:
     """Draw paths in m: a component, and one deviation in units of its covariance for all times.
 
@@ -28,18 +29,20 @@ def sampled_paths(
         forecast: Mixtures, *b.
         count: Number S of paths of each.
         seed: Of the draws.
+        first: Number of the first forecast, see `drawn_rows`.
     """
-    generator = torch.Generator().manual_seed(seed)
-    weight = forecast.log_weight.exp()
-    flat = weight.reshape(-1, weight.shape[-1]).cpu()
-    drawn = torch.multinomial(flat, count, replacement=True, generator=generator)
-    component = drawn.reshape(*weight.shape[:-1], count).to(weight.device)
-    noise = torch.randn(*component.shape, 2, generator=generator)
-    return _paths(forecast, component, noise.to(forecast.mean))
+
+    def draw(generator: torch.Generator) -> Tensor:
+        share = torch.rand(count, 1, generator=generator)
+        return torch.cat([share, torch.randn(count, 2, generator=generator)], -1)
+
+    drawn = drawn_rows(forecast.log_weight.shape[:-1], draw, seed, first)
+    component = components_of(forecast.log_weight, drawn[..., 0])
+    return _paths(forecast, component, drawn[..., 1:].to(forecast.mean))
 
 
 def spread_paths(
-    forecast: Forecast, count: int = PATHS, seed: int = 0
+    forecast: Forecast, count: int = PATHS, seed: int = 0, first: int = 0
 ) -> Float[Tensor, "*b S T 2"]:
     """As `sampled_paths`, but of evenly spread draws: no two paths of a forecast nearly alike.
 
@@ -54,18 +57,19 @@ def spread_paths(
         forecast: Mixtures, *b.
         count: Number S of paths of each.
         seed: Of scrambling and shift.
+        first: Number of the first forecast, see `drawn_rows`.
     """
-    generator = torch.Generator().manual_seed(seed)
-    weight = forecast.log_weight.exp().to("cpu", torch.float64)
+
+    def draw(generator: torch.Generator) -> Tensor:
+        return torch.rand(1, 3, generator=generator, dtype=torch.float64)
+
     points = SobolEngine(3, scramble=True, seed=seed).draw(count, dtype=torch.float64)
-    shift = torch.rand(*weight.shape[:-1], 1, 3, generator=generator, dtype=torch.float64)
+    shift = drawn_rows(forecast.log_weight.shape[:-1], draw, seed, first)
     uniform = (points + shift) % 1.0
-    below = weight.cumsum(-1)
-    share = uniform[..., 0].contiguous()
-    component = torch.searchsorted(below / below[..., -1:], share, right=True)
+    component = components_of(forecast.log_weight, uniform[..., 0])
     smallest = torch.finfo(torch.float64).eps  # 0 has no quantile
     noise = torch.special.ndtri(uniform[..., 1:].clamp_min(smallest))
-    return _paths(forecast, component.to(forecast.mean.device), noise.to(forecast.mean))
+    return _paths(forecast, component, noise.to(forecast.mean))
 
 
 def _paths(
@@ -79,7 +83,7 @@ def _paths(
 
 
 def best_of_samples(
-    forecast: Forecast, future: Tracks, count: int = PATHS, seed: int = 0
+    forecast: Forecast, future: Tracks, count: int = PATHS, seed: int = 0, first: int = 0
 ) -> dict[str, Float[Tensor, "*b"]]:
     """Smallest ADE and smallest FDE in m among sampled paths, each on its own.
 
@@ -90,14 +94,14 @@ def best_of_samples(
     """
     best: dict[str, Tensor] = {}
     for name, draw in (("best_of_20", sampled_paths), ("best_of_20_spread", spread_paths)):
-        distance = displacement_curve(draw(forecast, count, seed).movedim(-3, 0), future)
+        distance = displacement_curve(draw(forecast, count, seed, first).movedim(-3, 0), future)
         average = time_mean(distance, future.valid.expand_as(distance))
         best |= {f"{name}_ade": average.amin(0), f"{name}_fde": distance[..., -1].amin(0)}
     return best
 
 
 def energy_score(
-    forecast: Forecast, future: Tracks, count: int = PATHS, seed: int = 0
+    forecast: Forecast, future: Tracks, count: int = PATHS, seed: int = 0, first: int = 0
 ) -> Float[Tensor, "*b"]:
     """Energy score of the positions in m, mean over time; for a single certain path it is its ADE.
 
@@ -113,7 +117,7 @@ def energy_score(
     # imported here, since it compiles for seconds and only evaluations need it
     from scoringrules import es_ensemble
 
-    paths = sampled_paths(forecast, count, seed)
+    paths = sampled_paths(forecast, count, seed, first)
     truth = future.motion.position
     score: Any = es_ensemble  # its type speaks of arrays of other packages
     each = score(truth, paths, m_axis=-3, v_axis=-1, estimator="fair", backend="torch")

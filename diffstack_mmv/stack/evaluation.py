@@ -95,8 +95,8 @@ def evaluate_windows(
         numbers = range(start, min(start + batch_size, len(windows)))
         batch = map_tensors(lambda tensor: tensor.to(stack.device), windows[numbers])
         judge = judged_plans if plans else judged_predictions
-        judged = judge(stack, batch)
-        found = judged_levels(judged.forecast, batch.ego_future)
+        judged = judge(stack, batch, start)
+        found = judged_levels(judged.forecast, batch.ego_future, first=start)
         row, error = beside_baselines(judged, baselines, batch)
         row |= coverages(found, calibration) | excitation(batch)
         levels.append(where_known(found.level, found.valid).cpu().numpy())
@@ -133,7 +133,7 @@ def fitted_calibration(stack: DiffStackMMV, windows: Windows, batch_size: int = 
         numbers = range(start, min(start + batch_size, len(windows)))
         batch = map_tensors(lambda tensor: tensor.to(stack.device), windows[numbers])
         ego = ego_forecast(stack.predictor.predict(batch))
-        found.append(judged_levels(ego, batch.ego_future))
+        found.append(judged_levels(ego, batch.ego_future, first=start))
     level, valid = (torch.cat([part[field] for part in found]) for field in (0, 1))
     return Calibration.fitted(level, valid)
 

@@ -33,12 +33,12 @@ class Judged(NamedTuple):
 
 
 @torch.no_grad()
-def judged_plans(stack: DiffStackMMV, batch: StackBatch) -> Judged:
-    """What a stack predicts and plans for a batch."""
+def judged_plans(stack: DiffStackMMV, batch: StackBatch, first: int) -> Judged:
+    """What a stack predicts and plans for a batch; `first` is the number of its first sample."""
     output = stack(batch)
     terms = stack.hindsight_costs(batch, output)
     ego = ego_forecast(output.forecast)
-    scores = stack.score(batch, output) | _further_scores(ego, batch.ego_future)
+    scores = stack.score(batch, output) | _further_scores(ego, batch.ego_future, first)
     scores |= {f"{COST}{term}": cost for term, cost in terms.items()}
     paths = {"prediction": ego.median(), "plan": output.plan.motion.position[..., 1:, :]}
     # whoever rides to a goal that was not recorded cannot be judged
@@ -47,20 +47,20 @@ def judged_plans(stack: DiffStackMMV, batch: StackBatch) -> Judged:
 
 
 @torch.no_grad()
-def judged_predictions(stack: DiffStackMMV, batch: StackBatch) -> Judged:
-    """What a stack predicts for a batch, nothing planned."""
+def judged_predictions(stack: DiffStackMMV, batch: StackBatch, first: int) -> Judged:
+    """What a stack predicts for a batch, nothing planned; as `judged_plans`."""
     forecast = stack.predictor.predict(batch)
     ego = ego_forecast(forecast)
-    scores = prediction_scores(batch, forecast) | _further_scores(ego, batch.ego_future)
+    scores = prediction_scores(batch, forecast) | _further_scores(ego, batch.ego_future, first)
     return Judged(scores, {"prediction": ego.median()}, batch.goal, ego)
 
 
-def _further_scores(forecast: Forecast, future: Tracks) -> dict[str, Tensor]:
+def _further_scores(forecast: Forecast, future: Tracks, first: int) -> dict[str, Tensor]:
     """What a training does not log: drawn paths, and the component with the largest weight."""
     heaviest = displacements(forecast.most_likely(), future)
     return {
-        **best_of_samples(forecast, future),
-        "energy_score": energy_score(forecast, future),
+        **best_of_samples(forecast, future, first=first),
+        "energy_score": energy_score(forecast, future, first=first),
         **{f"most_likely_{score}": value for score, value in heaviest.items()},
     }
 

@@ -56,6 +56,16 @@ def test_times_that_were_not_recorded_do_not_count():
     assert best["best_of_20_fde"].isnan().tolist() == [True, False]
 
 
+@pytest.mark.parametrize("draw", [sampled_paths, spread_paths])
+def test_draws_belong_to_the_forecast_and_not_to_its_batch(draw):
+    forecast = forecast_of(count=5)
+    together = draw(forecast)
+    for row in range(5):
+        alone = Forecast(*(entry[row : row + 1] for entry in forecast))
+        assert torch.equal(draw(alone, first=row)[0], together[row])
+    assert not torch.equal(together[0], together[1])
+
+
 def gaussian(spread, count=3000, steps=2):
     """Many equal forecasts around the origin."""
     return Forecast(

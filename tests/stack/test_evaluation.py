@@ -76,6 +76,15 @@ def test_the_heaviest_component_is_scored_beside_the_median(weights, heaviest):
     assert samples["ade"].to_numpy() == pytest.approx(1.0, abs=0.15)
 
 
+def test_no_score_knows_how_many_samples_were_judged_at_once():
+    stack, windows = stack_of(PredictedGoal(), ThreeWays(STEPS, 0.1)), Recorded(batch_of())
+    first, second = (
+        evaluate_windows(stack, {}, windows, size).samples.select_dtypes("number")
+        for size in (1, 3)
+    )
+    assert np.allclose(first, second, atol=2e-3)
+
+
 @pytest.mark.parametrize(("compile_from", "compiled"), [(3, 1), (4, 0)])
 def test_kernels_are_compiled_for_many_windows_only(compile_from, compiled, monkeypatch):
     stack, calls = stack_of(PredictedGoal()), []

@@ -1,0 +1,32 @@
+"""Random numbers that belong to a forecast, and not to its place in a batch."""
+
+from collections.abc import Callable, Sequence
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+
+def drawn_rows(
+    shape: Sequence[int], draw: Callable[[torch.Generator], Tensor], seed: int, first: int
+) -> Float[Tensor, "..."]:
+    """Draw `*b *d` numbers with a generator for every forecast, so that scores know no batches.
+
+    Args:
+        shape: Leading dimensions *b of the forecasts.
+        draw: What is drawn for each, `*d`.
+        seed: Of all of them.
+        first: Number of the first forecast among all that are judged; the others follow.
+    """
+    count = torch.Size(shape).numel()
+    generators = (torch.Generator().manual_seed((seed << 32) + first + i) for i in range(count))
+    return torch.stack([draw(generator) for generator in generators]).unflatten(0, tuple(shape))
+
+
+def components_of(
+    log_weight: Float[Tensor, "*b K"], share: Float[Tensor, "*b S"]
+) -> Int[Tensor, "*b S"]:
+    """Components at these shares, in [0, 1), of the sum of the weights; none without weight."""
+    below = log_weight.exp().to("cpu", torch.float64).cumsum(-1)
+    share = share.to(torch.float64).contiguous()
+    return torch.searchsorted(below / below[..., -1:], share, right=True).to(log_weight.device)
