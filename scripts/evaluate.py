@@ -18,7 +18,7 @@ from diffstack_mmv.data_checks import (
     require_windows,
     told_of_data,
 )
-from dmmv_conventions.checks import message
+from dmmv_conventions.checks import message, require
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.versions import code_version, file_hash
@@ -40,8 +40,12 @@ def check(config: DictConfig) -> None:
     require_data(config.data.module.windows, config.batch_size)
     require_recordings(config.data.module.source)
     require_split("split", config.split, config.data.module.source)
-    if config.calibration.split is not None:
-        require_split("calibration.split", config.calibration.split, config.data.module.source)
+    fitted_on = config.calibration.split
+    if fitted_on is not None:
+        require_split("calibration.split", fitted_on, config.data.module.source)
+        apart = config.split not in (fitted_on, "all")
+        remedy = "Regions that were corrected on what they are judged on hold what they should."
+        require(apart, "calibration.split", "be no part of `split`", fitted_on, "", remedy)
     require_situations(config.situations)
     # for their mistakes alone, before the checkpoint is read and the windows are looked for
     _device(config.device)
@@ -154,6 +158,7 @@ def _header(
         "seed": trained["seed"],
         "smoother": data.source.smoother(),
         "calibrated_on": config.calibration.split,
+        "hindsight": stack.loss_weights.hindsight,
         "checkpoint": str(config.checkpoint),
         "checkpoint_sha256": file_hash(checkpoint_path(config.checkpoint)),
         "code": code_version(),
@@ -183,7 +188,9 @@ def _draw(config: DictConfig, stack: Any, windows: Any, evaluation: Any) -> None
     from diffstack_mmv.stack import outputs_of, representative, scene_records
 
     out, heading = Path(config.out), DISPLACEMENT.heading
-    save_figure(draw_reliability(evaluation.levels), out / "reliability.png")
+    corrected = config.calibration.split is not None
+    figure = draw_reliability(evaluation.levels, "before the correction" if corrected else "")
+    save_figure(figure, out / "reliability.png")
     figure = draw_error_over_horizon(evaluation.errors, config.dt_s, heading)
     save_figure(figure, out / "error_over_horizon.png")
     curves = horizon_content(evaluation.errors, config.dt_s, heading)

@@ -36,7 +36,7 @@ class DensityLevels(NamedTuple):
         """
         order = self.drawn.sort(-2, descending=True).values
         rank = torch.arange(1, order.shape[-2] + 1, device=order.device).unsqueeze(-1)
-        inside = rank <= (level * order.shape[-2]).ceil()
+        inside = rank <= (level * order.shape[-2]).floor()  # as many as `coverages` counts
         area = torch.where(inside, (-order).exp(), torch.zeros_like(order)).mean(-2)
         depth = (order[..., 0, :] - order[..., -1, :]).clamp_min(1e-6)
         return area * (1 + (level - 1).clamp_min(0) / depth)

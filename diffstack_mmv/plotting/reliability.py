@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from diffstack_mmv.plotting.figures import PALETTE, new_figure
 
 
-def draw_reliability(levels: Mapping[str, np.ndarray]) -> Figure:
+def draw_reliability(levels: Mapping[str, np.ndarray], title: str = "") -> Figure:
     """Draw the share of the truths in the region of each probability, a line per mode.
 
     A calibrated forecast is on the diagonal, one that is too sure below it.
@@ -16,6 +16,7 @@ def draw_reliability(levels: Mapping[str, np.ndarray]) -> Figure:
     Args:
         levels: Mode -> level of the smallest region that holds each truth; above 1 beyond all
             samples of the forecast.
+        title: Above the axes.
     """
     figure = new_figure(4.2, 4.0)
     axes = figure.add_subplot(1, 1, 1)
@@ -26,6 +27,7 @@ def draw_reliability(levels: Mapping[str, np.ndarray]) -> Figure:
         observed = [(own <= region).mean() for region in nominal]
         axes.plot(nominal, observed, color=PALETTE[index % len(PALETTE)], linewidth=2, label=mode)
     axes.set(xlabel="probability of the region", ylabel="truths inside", xlim=(0, 1), ylim=(0, 1))
+    axes.set_title(title, fontsize=9)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
     return figure

@@ -21,6 +21,8 @@ COMPARED = ("ade", "nll", "plan_ade", "planning_loss", "collision_rate", "solved
 SAMPLE = ["scene", "agent", "row"]
 OF_THE_PREDICTION = ("ade", "nll")
 """Those of them that every report has."""
+JUDGED_BY = ("smoother", "hindsight")
+"""Settings of a report that change what its scores mean: the tracks, and the planning loss."""
 GIVEN = "future"
 """The goal with which the trivial paths to it know it; those that are forecasts have an NLL."""
 SETTING = ["data", "split", "goal", "mode", "vehicle"]
@@ -106,7 +108,7 @@ class _Judged(NamedTuple):
     """What the scores of a mode in a report are of."""
 
     folder: Path
-    smoother: str | None
+    settings: dict[str, Any]
     samples: pd.DataFrame  # keys, sorted
 
 
@@ -119,12 +121,13 @@ def _require_same_windows(folders: Sequence[Path]) -> None:
             samples = read_parquet(folder / "samples.parquet")[["mode", *SAMPLE]]
         for mode, own in samples.groupby("mode"):
             keys = own[SAMPLE].sort_values(SAMPLE, ignore_index=True)
-            judged = _Judged(folder, metrics.get("smoother"), keys)
+            judged = _Judged(folder, {name: metrics.get(name) for name in JUDGED_BY}, keys)
             place = (*(metrics[name] for name in ("data", "split", "goal")), mode)
             other = seen.setdefault(place, judged)
-            if other.smoother != judged.smoother:
-                told = f"{other.smoother} in {other.folder} and {judged.smoother} in {folder}"
-                raise ValueError(_of_other("smoother", place, told))
+            for name, value in judged.settings.items():
+                if other.settings[name] != value:
+                    told = f"{other.settings[name]} in {other.folder} and {value} in {folder}"
+                    raise ValueError(_of_other(name, place, told))
             if not other.samples.equals(keys):
                 told = f"{len(other.samples)} in {other.folder} and {len(keys)} in {folder}"
                 raise ValueError(_of_other("windows", place, told))
@@ -132,7 +135,10 @@ def _require_same_windows(folders: Sequence[Path]) -> None:
 
 def _of_other(what: str, place: Sequence[Any], told: str) -> str:
     where = ", ".join(map(str, place))
-    remedy = "Evaluate them on the same conversion with the same data.stride, history_s and dt_s."
+    remedy = (
+        "Evaluate them on the same conversion with the same data.stride, history_s and dt_s, and "
+        "trained with the same loss.hindsight."
+    )
     return f"`runs` must have the same {what} for {where}, but got {told}. {remedy}"
 
 

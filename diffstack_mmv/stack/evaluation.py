@@ -124,7 +124,8 @@ def fitted_calibration(stack: DiffStackMMV, windows: Windows, batch_size: int = 
     """Fit the regions of the forecasts of a stack to windows that it was not trained on.
 
     Raises:
-        ValueError: There is no window.
+        ValueError: There are too few windows that are known at each time to say anything of a
+            region of 90 %.
     """
     require(len(windows) > 0, "windows", "hold at least one sample", 0)
     stack.eval()
@@ -135,7 +136,12 @@ def fitted_calibration(stack: DiffStackMMV, windows: Windows, batch_size: int = 
         ego = ego_forecast(stack.predictor.predict(batch))
         found.append(judged_levels(ego, batch.ego_future, first=start))
     level, valid = (torch.cat([part[field] for part in found]) for field in (0, 1))
-    return Calibration.fitted(level, valid)
+    calibration = Calibration.fitted(level, valid)
+    known = int(valid.sum(0).min())
+    enough = bool(calibration.levels.isfinite().all())
+    remedy = "Give another calibration.split, more modes or a smaller data.stride."
+    require(enough, "calibration.split", "hold 9 windows known at each time", known, "", remedy)
+    return calibration
 
 
 def representative(samples: pd.DataFrame, score: str = "plan_ade") -> dict[str, dict[str, int]]:

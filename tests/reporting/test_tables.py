@@ -118,6 +118,15 @@ def test_runs_that_judged_other_windows_are_refused(tmp_path):
         read_runs([whole, other])
 
 
+def test_planning_losses_of_other_weights_are_not_compared(tmp_path):
+    folders = [
+        write_run(tmp_path / name, name, 0, hindsight=weight)
+        for name, weight in (("kbm", 0.01), ("gm3", 0.0))
+    ]
+    with pytest.raises(ValueError, match="must have the same hindsight .* 0.01 in .* and 0.0 in"):
+        read_runs(folders)
+
+
 def test_only_windows_that_both_judged_are_paired(tmp_path):
     """What a model could not judge must not count for the other."""
     hard = samples()

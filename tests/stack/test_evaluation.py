@@ -9,7 +9,7 @@ from diffstack_mmv.metrics import EVALUATED, LATERAL, SPEED
 from diffstack_mmv.planning import FutureGoal, PredictedGoal
 from diffstack_mmv.prediction import ConstantVelocity, PathToGoal, PredictedPath, StandStill
 from diffstack_mmv.prediction.goal_baselines import hermite_spline
-from diffstack_mmv.stack import evaluate_windows, representative
+from diffstack_mmv.stack import evaluate_windows, fitted_calibration, representative
 from diffstack_mmv.types import Forecast, Mode, map_tensors
 from tests.stack.test_module import STEPS, batch_of, stack_of, without_future
 
@@ -74,6 +74,18 @@ def test_the_heaviest_component_is_scored_beside_the_median(weights, heaviest):
     assert samples["most_likely_ade"].to_numpy() == pytest.approx(heaviest, abs=0.02)
     assert samples["most_likely_fde"].to_numpy() == pytest.approx(heaviest, abs=0.02)
     assert samples["ade"].to_numpy() == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize(("count", "enough"), [(8, False), (9, True)])
+def test_a_calibration_needs_windows_enough_for_its_regions(count, enough):
+    stack, windows = stack_of(PredictedGoal(), ThreeWays(STEPS, 0.1)), Recorded(batch_of(count))
+    if enough:
+        assert fitted_calibration(stack, windows).levels.isfinite().all()
+    else:
+        with pytest.raises(
+            ValueError, match="`calibration.split` must hold 9 windows .* but got 8"
+        ):
+            fitted_calibration(stack, windows)
 
 
 def test_no_score_knows_how_many_samples_were_judged_at_once():
