@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 from types import MappingProxyType
 from typing import Any
 
+from diffstack_mmv.checks import require
 from diffstack_mmv.dynamics.catalogue import load_dynamics
 from diffstack_mmv.dynamics.config_files import chosen_in, factory, settings_of
 from diffstack_mmv.simulation import (
@@ -43,7 +44,8 @@ KNOWN_DELAY_S = 0.15
 class CrowdNav:
     """A vehicle, a crowd and a controller.
 
-    Each name is that of a file in the configuration group of the same name.
+    Each name is that of a file in the configuration group of the same name. Those that read files
+    of their own (recordings, a checkpoint, a policy) are for the command line.
 
     Attributes:
         vehicle: The vehicle, its name, or the path of its YAML file.
@@ -91,7 +93,7 @@ class CrowdNav:
         """The world in which the controller drives."""
         outline = _built("footprint", self.footprint, {"actual": self.simulated()})
         robot = vehicle_robot(self.simulated(), footprint=outline)
-        crowd = _built("crowd", self.crowd, {})
+        crowd = _built("crowd", self.crowd, {"seed": 0})
         world = study_world(robot, crowd, "exact", self.limit_s, self.dt_s)
         return world_for(world, type(self.driver()))
 
@@ -110,7 +112,7 @@ class CrowdNav:
             "cruise_mps": limits.speed_max_mps,
             "model": controller_model(vehicle, vehicle, self.dt_s),
             "actuate": actuation(vehicle, vehicle),
-            "people": _built("people", people, {}),
+            "people": _built("people", people, {"dt_s": self.dt_s, "seed": 0}),
             "constraints": _built("constraints", "none", {}),
             "cost": _built("cost", cost, {"turning_radius_m": wheelbase / math.tan(steer)}),
             "actual": vehicle,
@@ -147,4 +149,7 @@ class CrowdNav:
 
 def _built(group: str, name: str, given: Mapping[str, Any]) -> Any:
     """What a file of a configuration group describes."""
-    return factory(settings_of(name, config_folder() / group), given)()
+    settings = settings_of(name, config_folder() / group)
+    remedy = "Use the command line, dmmv-navigate."
+    require("_target_" in settings, group, "describe one part", name, "", remedy)
+    return factory(settings, given)()

@@ -36,6 +36,17 @@ def check(config: DictConfig) -> None:
         )
     require_at_least("animate", config.animate, 0)
     require_one_of("movie", config.movie, ("gif", "mp4"))
+    known = sorted(path.stem for path in (config_folder() / "controller").glob("*.yaml"))
+    for name in config.beside:
+        require_one_of("beside", name, known)
+    for folder in config.against:
+        require_file("against", str(Path(folder) / "closed_loop.json"), "Give runs of navigate.py.")
+    for case in config.show:
+        require(case in _cases(config), "show", "be among the cases that are driven", case)
+    same = config.dt_s == config.model.dt_s
+    remedy = f"Give model.dt_s={config.dt_s} too; planner.steps are steps of it."
+    require(same, "dt_s", f"be that of the controller's model, {config.model.dt_s}", config.dt_s,
+            "", remedy)  # fmt: skip
     remedy = "Add search=null, or search.samples=NUMBER."
     named = isinstance(config.search, str)
     require(not named, "search", "be settings of a search or none", config.search, "", remedy)

@@ -24,7 +24,7 @@ ALLOWED = {
     "data_checks": {"config_checks"},
     "run_checks": {"config_checks"},
     "training_checks": {"config_checks", "metrics"},
-    "crowdnav": {"dynamics", "simulation", "vehicles"},
+    "crowdnav": {"checks", "dynamics", "simulation", "vehicles"},
     "override_errors": set(),
     "child_processes": set(),
     "jobs": {"child_processes", "command_line"},

@@ -122,8 +122,8 @@ def legend_of(episodes: Sequence[Episode]) -> list[Line2D | Patch]:
 
 def set_range(axes: Axes, episode: Episode) -> None:
     """Axes in m that hold everybody."""
-    reach = float(episode.record.pedestrians.nan_to_num().abs().max())
-    reach = max(reach, float(episode.record.motion.position.abs().max()))
+    everybody = episode.record.pedestrians.nan_to_num(), episode.record.motion.position
+    reach = max(float(places.abs().max()) for places in everybody if places.numel() > 0)
     goal_m = episode.start.goal_m
     if goal_m is not None:
         reach = max(reach, *(abs(entry) for entry in goal_m))

@@ -9,10 +9,8 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_between, require_positive
 from diffstack_mmv.geometry import wrap_angle
+from diffstack_mmv.simulation.pedestrians.recorded import far_away
 from diffstack_mmv.simulation.world import Observation
-
-HIDDEN_M = 1000.0
-"""Who is not seen is laid at a multiple of this distance, where nobody meets anybody."""
 
 
 @dataclass(frozen=True)
@@ -46,19 +44,21 @@ class LimitedSensing:
         require_at_least("velocity_noise_mps", self.velocity_noise_mps, 0)
 
     def __call__(self, observation: Observation) -> Observation:
-        """The observation without those who are not seen, m and m/s."""
+        """The observation without those who are not seen, m and m/s.
+
+        Who is not seen is laid far away. What was recorded of people before the start is not told
+        either: a limited sensor knows what it has seen itself.
+        """
         if self == LimitedSensing(seed=self.seed):
             return observation
         seen = observation.seen & self._in_sight(observation)
         position = self._disturbed(observation, "position")
         velocity = self._disturbed(observation, "velocity")
-        count = seen.shape[-1]
-        far = HIDDEN_M * torch.arange(1, count + 1).to(position)
-        hidden = torch.stack([far, far], -1).expand_as(position)
         return observation._replace(
-            pedestrian_position=torch.where(seen[..., None], position, hidden),
+            pedestrian_position=torch.where(seen[..., None], position, far_away(position)),
             pedestrian_velocity=torch.where(seen[..., None], velocity, torch.zeros_like(velocity)),
             seen=seen,
+            history=None,
         )
 
     def _in_sight(self, observation: Observation) -> Bool[Tensor, "*b h"]:

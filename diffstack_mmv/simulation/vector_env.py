@@ -70,6 +70,7 @@ class CrowdNavVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._state: WorldState | None = None
+        self._phase, self._cases = "train", np.zeros(num_envs, np.int64)
 
     @property
     def state(self) -> WorldState:
@@ -89,7 +90,8 @@ class CrowdNavVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
         Args:
             seed: Seeds the generator that draws cases; of a list the first entry.
-            options: "phase" and "cases", one number per episode; without them cases are drawn.
+            options: "phase" and "cases", one number per episode; without them cases are drawn from
+                "train". Episodes that begin later are drawn from the same phase.
 
         Returns:
             Observations, and the numbers of the cases.
@@ -101,11 +103,12 @@ class CrowdNavVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         chosen = dict(options or {})
         for name in chosen:
             require_one_of("options", name, ("phase", "cases"))
-        cases = np.array(chosen.get("cases", self._drawn(self.num_envs)))
-        count = self.num_envs
+        self._phase, count = str(chosen.get("phase", "train")), self.num_envs
+        require_one_of("phase", self._phase, tuple(PHASES))
+        cases = np.atleast_1d(chosen["cases"]) if "cases" in chosen else self._drawn(count)
         require(len(cases) == count, "cases", f"be {count}, one per episode", len(cases))
-        scene = self.scenario.cases(chosen.get("phase", "train"), cases.tolist())
-        self._state = self.world.start(scene)
+        self._state = self.world.start(self.scenario.cases(self._phase, cases.tolist()))
+        self._cases = cases.copy()
         return self._shown(self._state), {"case": cases}
 
     @torch.no_grad()
@@ -117,7 +120,8 @@ class CrowdNavVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
         Returns:
             Observations, rewards, whether the goal or a pedestrian was hit, whether the time is up,
-            and what is told of each episode: outcome, clearance (m), time (s).
+            and what is told of each episode: outcome, clearance (m), time (s), and the number of
+            the case, of the next one where an episode has ended.
 
         Raises:
             ValueError: An action is not finite or has the wrong shape.
@@ -142,21 +146,23 @@ class CrowdNavVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             told |= {"final_obs": self._shown(after), "_final_obs": ended.numpy()}
             after = self._begun_anew(after, ended.nonzero().squeeze(-1))
         self._state = after
+        told["case"] = self._cases.copy()
         return VectorStep(
             self._shown(after), reward.numpy(), terminated.numpy(), truncated.numpy(), told
         )
 
     def _begun_anew(self, state: WorldState, rows: Int[Tensor, " r"]) -> WorldState:
         """The state with other cases in some of its rows."""
-        numbers = self._drawn(len(rows)).tolist()
-        start = self.world.start(self.scenario.cases("train", numbers))
+        numbers = self._drawn(len(rows))
+        self._cases[rows.numpy()] = numbers
+        start = self.world.start(self.scenario.cases(self._phase, numbers.tolist()))
         fresh: list[Tensor] = []
         map_tensors(lambda entry: fresh.append(entry) or entry, start)
         entries = iter(fresh)
         return map_tensors(lambda entry: entry.index_copy(0, rows, next(entries)), state)
 
     def _drawn(self, count: int) -> Int[np.ndarray, " count"]:
-        return self.np_random.integers(PHASES["train"].cases, size=count)
+        return self.np_random.integers(PHASES[self._phase].cases, size=count)
 
     def _way(self, state: WorldState) -> Float[Tensor, " n"]:
         return length(state.goal - self.world.robot.motion(state.robot).position)

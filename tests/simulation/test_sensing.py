@@ -4,6 +4,8 @@ import pytest
 import torch
 
 from diffstack_mmv.simulation import CircleCrossing, LimitedSensing, PedestrianTracker
+from diffstack_mmv.simulation.pedestrians.base import PedestrianHistory
+from diffstack_mmv.simulation.views import FAR
 
 
 @pytest.fixture
@@ -28,6 +30,29 @@ def test_who_is_far_or_out_of_view_is_hidden_far_away(seen, range_m, view_deg):
     assert 0 < int(expected.sum()) < expected.numel()
     assert torch.equal(told.pedestrian_position[expected], seen.pedestrian_position[expected])
     assert (told.pedestrian_position[~expected].norm(dim=-1) > 500).all()
+
+
+def test_a_limited_sensor_tells_nothing_of_before_the_start(seen):
+    shape = seen.pedestrian_position.shape[:-1]
+    history = PedestrianHistory(
+        torch.zeros(*shape, 3, 2), torch.zeros(*shape, 3, 2), torch.ones(*shape, 3).bool(), 0.25
+    )
+    recorded = seen._replace(history=history)
+    assert LimitedSensing(3.0)(recorded).history is None
+    assert LimitedSensing()(recorded).history is history
+
+
+def test_hidden_people_are_within_the_observation_space(seen):
+    twenty = seen.pedestrian_position[:, :1].expand(-1, 20, -1) + 100.0
+    crowd = {
+        "pedestrian_position": twenty,
+        "pedestrian_velocity": torch.zeros_like(twenty),
+        "pedestrian_radius": torch.full(twenty.shape[:-1], 0.3).double(),
+        "seen": torch.ones(twenty.shape[:-1]).bool(),
+    }
+    told = LimitedSensing(5.0)(seen._replace(**crowd))
+    assert not told.seen.any()
+    assert told.pedestrian_position.abs().max() < FAR
 
 
 def test_noise_has_its_deviation_and_repeats(seen):

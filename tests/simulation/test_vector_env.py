@@ -113,3 +113,23 @@ def test_wrong_options_are_refused(crowds, options):
 def test_there_is_no_state_before_the_first_reset(crowds):
     with pytest.raises(RuntimeError, match="reset"):
         crowds().step(np.zeros((3, 2)))
+
+
+@pytest.mark.parametrize("phase", ["train", "val", "test"])
+def test_cases_are_drawn_from_the_phase_and_told(crowds, phase):
+    envs = crowds(count=3, limit_s=0.5)
+    _, told = envs.reset(seed=0, options={"phase": phase})
+    begun = [told["case"]]
+    for _ in range(3):
+        *_, told = envs.step(np.zeros(envs.action_space.shape))
+        begun.append(told["case"])
+    assert (begun[-1] != begun[0]).all()
+    state = envs.world.start(envs.scenario.cases(phase, begun[-1].tolist()))
+    assert torch.allclose(state.goal, envs.state.goal)
+
+
+def test_one_case_for_several_episodes_is_refused(crowds):
+    with pytest.raises(ValueError, match="`cases` must be 3, one per episode, but got 1"):
+        crowds(count=3).reset(options={"cases": 5})
+    with pytest.raises(ValueError, match="`phase` must be one of"):
+        crowds(count=3).reset(options={"phase": "sunday"})
