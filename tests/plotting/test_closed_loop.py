@@ -39,6 +39,12 @@ def test_who_is_absent_is_not_drawn(record):
     assert all(torch.tensor(circle.center).isfinite().all() for circle in circles)
 
 
+def test_nobody_around_is_drawn_as_well(record):
+    alone = record._replace(pedestrians=torch.zeros(2, 4, 0, 2))
+    (axes,) = draw_episode(episode_of(alone, 0, 4, CaseStart([], (0.0, 4.0)))).axes
+    assert axes.get_xlim()[1] > 4.0
+
+
 def test_everybody_is_as_large_as_in_the_case(record):
     (axes,) = draw_episode(episode_of(record, 0, 4, START)).axes
     people = [patch.radius for patch in axes.patches if isinstance(patch, Circle)][:3]
