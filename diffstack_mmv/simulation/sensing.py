@@ -80,6 +80,6 @@ class LimitedSensing:
             return truth
         # the same error whatever else is asked of this instant
         moment = round(1000 * float(observation.time.max())) * 2 + position
-        generator = torch.Generator().manual_seed(self.seed + moment)
+        generator = torch.Generator().manual_seed((self.seed << 32) + moment)
         error = torch.randn(truth.shape, generator=generator, dtype=torch.float64)
         return truth + deviation * error.to(truth)

@@ -180,7 +180,7 @@ class VehicleRobot:
     def _disturbed(self, action: Float[Tensor, "*b m"], step: int) -> Float[Tensor, "*b m"]:
         """What arrives at the actuators: the action with its error, within the bounds."""
         if self.actuation.noise:
-            generator = torch.Generator().manual_seed(self.actuation.seed + step)
+            generator = torch.Generator().manual_seed((self.actuation.seed << 32) + step)
             error = torch.randn(action.shape, generator=generator, dtype=torch.float64)
             action = action + error.to(action) * action.new_tensor(self.actuation.noise)
         if self.actuation.bias:
