@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from diffstack_mmv.types import stream
+
 
 def drawn_rows(
     shape: Sequence[int], draw: Callable[[torch.Generator], Tensor], seed: int, first: int
@@ -19,7 +21,7 @@ def drawn_rows(
         first: Number of the first forecast among all that are judged; the others follow.
     """
     count = torch.Size(shape).numel()
-    generators = (torch.Generator().manual_seed((seed << 32) + first + i) for i in range(count))
+    generators = (torch.Generator().manual_seed(stream(seed, first + i)) for i in range(count))
     return torch.stack([draw(generator) for generator in generators]).unflatten(0, tuple(shape))
 
 

@@ -19,7 +19,7 @@ from diffstack_mmv.simulation.decisions import (
     unbatched,
 )
 from diffstack_mmv.simulation.world import Observation
-from diffstack_mmv.types import EgoEstimate, EgoMeasurement, Motion
+from diffstack_mmv.types import EgoEstimate, EgoMeasurement, Motion, stream
 
 
 @runtime_checkable
@@ -87,7 +87,7 @@ class EgoInstruments:
             steer: Angle that the servo reports in rad.
             time_s: Time of the end, which numbers the errors.
         """
-        generator = torch.Generator().manual_seed((self.seed << 32) + round(1000 * time_s))
+        generator = torch.Generator().manual_seed(stream(self.seed, round(1000 * time_s)))
         error = torch.randn(len(steer), 4, generator=generator, dtype=torch.float64)
         turned = 0.5 * (before.yaw_rate + now.yaw_rate).double()
         gyro = torch.nan if self.yaw_rate_radps is None else self.yaw_rate_radps

@@ -11,6 +11,7 @@ from diffstack_mmv.checks import require_at_least, require_between, require_posi
 from diffstack_mmv.geometry import wrap_angle
 from diffstack_mmv.simulation.pedestrians.recorded import far_away
 from diffstack_mmv.simulation.world import Observation
+from diffstack_mmv.types import stream
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,6 @@ class LimitedSensing:
             return truth
         # the same error whatever else is asked of this instant
         moment = round(1000 * float(observation.time.max())) * 2 + position
-        generator = torch.Generator().manual_seed((self.seed << 32) + moment)
+        generator = torch.Generator().manual_seed(stream(self.seed, moment))
         error = torch.randn(truth.shape, generator=generator, dtype=torch.float64)
         return truth + deviation * error.to(truth)

@@ -21,7 +21,7 @@ from diffstack_mmv.simulation.collision import DiscFootprint, Footprint
 from diffstack_mmv.simulation.robot import Travel
 from diffstack_mmv.simulation.scenario import Scene
 from diffstack_mmv.simulation.verdict import RobotPath
-from diffstack_mmv.types import Bounds, Motion
+from diffstack_mmv.types import Bounds, Motion, stream
 
 FINEST_NEEDED_S = 0.01
 """A vehicle's true motion is integrated in steps no longer than this."""
@@ -180,7 +180,7 @@ class VehicleRobot:
     def _disturbed(self, action: Float[Tensor, "*b m"], step: int) -> Float[Tensor, "*b m"]:
         """What arrives at the actuators: the action with its error, within the bounds."""
         if self.actuation.noise:
-            generator = torch.Generator().manual_seed((self.actuation.seed << 32) + step)
+            generator = torch.Generator().manual_seed(stream(self.actuation.seed, step))
             error = torch.randn(action.shape, generator=generator, dtype=torch.float64)
             action = action + error.to(action) * action.new_tensor(self.actuation.noise)
         if self.actuation.bias:

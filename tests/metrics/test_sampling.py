@@ -64,6 +64,7 @@ def test_draws_belong_to_the_forecast_and_not_to_its_batch(draw):
         alone = Forecast(*(entry[row : row + 1] for entry in forecast))
         assert torch.equal(draw(alone, first=row)[0], together[row])
     assert not torch.equal(together[0], together[1])
+    assert not torch.equal(draw(forecast, seed=1)[0], together[0])
 
 
 def gaussian(spread, count=3000, steps=2):

@@ -6,7 +6,7 @@ import torch
 from diffstack_mmv.dynamics import DiffKBM, ExtendedUnicycle, rollout
 from diffstack_mmv.dynamics.catalogue import altered, model_of
 from diffstack_mmv.simulation import Actuation, CircleCrossing, VehicleRobot, vehicle_robot
-from diffstack_mmv.types import Bounds
+from diffstack_mmv.types import Bounds, stream
 from diffstack_mmv.vehicles import load_vehicle
 
 SCENE = CircleCrossing().cases("test", range(3))
@@ -96,6 +96,8 @@ def test_noise_is_repeated_by_its_seed_and_differs_between_steps():
     other, _ = drive(VehicleRobot(kbm(), Actuation(noise=(0.5, 0.0), seed=4)), actions)
     assert torch.equal(first.model, again.model)
     assert not torch.equal(first.model, other.model)
+    neighbors = [stream(seed, step) for seed in range(4) for step in range(200)]
+    assert len(set(neighbors)) == len(neighbors)
     assert first.model[:, 3].unique().numel() == 3
 
 
