@@ -50,7 +50,7 @@ def regularisation_influence(
         for index, name in enumerate(("jerk_mps3", "curvature_rate"))
     }
     vehicle = simulator.vehicle
-    if vehicle.settings.steer_rate_radps is not None and vehicle.steer is not None:
+    if vehicle.has_steering_prior:
         gradients["steer_rate_radps"] = _steering_gradient(jacobian, simulated, active)
     unit = (simulator.parameters.prior.std / simulator.parameters.slope(fit.theta))[active]
     influence = {}

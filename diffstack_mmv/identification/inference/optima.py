@@ -57,7 +57,8 @@ def analyse_optimum(
     jacobian = simulator.jacobian(fit.theta, problem, unknowns, simulated)
     system = normal_equations(jacobian, simulated.residual, unknowns)
     factor = torch.linalg.cholesky(system.local)
-    noise = _noise_factor(problem, simulated.residual, factor)
+    recorded = simulator.vehicle.recorded_columns(simulated.residual.shape[-1])
+    noise = _noise_factor(problem, simulated.residual, jacobian.local, factor, recorded)
     found = sensitivity(system, simulator.parameters, fit.theta, max(noise, 1.0), active)
     scale = simulator.parameters.prior.std
     spread = found.covariance / (scale * scale.unsqueeze(-1))
@@ -66,19 +67,24 @@ def analyse_optimum(
 
 
 def _noise_factor(
-    problem: TrackingProblem, residual: Float[Tensor, "N T1 k"], factor: Float[Tensor, "N z z"]
+    problem: TrackingProblem,
+    residual: Float[Tensor, "N T1 k"],
+    slope: Float[Tensor, "N r z"],
+    factor: Float[Tensor, "N z z"],
+    recorded: Sequence[int],
 ) -> float:
     """Root mean square residual of the recorded numbers over the assumed standard deviation.
 
-    Fitted unknowns take degrees of freedom as far as the tracks, not their priors, determine them:
-    tr H⁻¹ (H - 1) of each track, with the Cholesky factor of H.
+    Fitted unknowns take degrees of freedom as far as the recorded numbers, not priors, determine
+    them: tr H⁻¹ Jᵀ J of each track, with the Cholesky factor of H and the rows J of these numbers.
     """
+    columns = residual.shape[-1]
+    rows = slope.unflatten(1, (-1, columns))[:, :, list(recorded)].flatten(1, 2)
+    taken = torch.linalg.solve_triangular(factor, rows.mT, upper=False).square().sum()
     measurements = problem.measurements
-    recorded = 2 * measurements.weight.sum() + (measurements.control_weight > 0).sum()
-    inverse = torch.cholesky_inverse(factor)
-    taken = factor.shape[-1] - inverse.diagonal(dim1=-2, dim2=-1).sum(-1)
-    freedom = max(float(recorded - taken.sum()), 1.0)
-    return math.sqrt(float(residual.square().sum()) / freedom)
+    count = 2 * measurements.weight.sum() + (measurements.control_weight > 0).sum()
+    freedom = max(float(count - taken), 1.0)
+    return math.sqrt(float(residual[..., list(recorded)].square().sum()) / freedom)
 
 
 def posterior_shares(optima: Sequence[LocalOptimum]) -> Float[Tensor, " k"]:

@@ -37,7 +37,8 @@ def profile_likelihoods(
 ) -> dict[str, ProfileLikelihood]:
     """Profile the cost, tracks and priors of the others together, over the range of parameters.
 
-    Each value starts from its neighbor's solution, outwards from the estimate.
+    Each value starts from its neighbor's solution, outwards from the estimate. Held-out tracks stop
+    none of the fits: their solution is that of another value.
 
     Args:
         simulator: Model and residuals.
@@ -71,6 +72,7 @@ def _profile(
     active = torch.ones(len(parameters), dtype=torch.bool)
     active[index] = False
     costs: dict[float, float] = {}
+    method = method.unstopped()
     above = [value for value in grid if value >= estimate]
     below = [value for value in reversed(grid) if value < estimate]
     for side in (above, below):

@@ -82,7 +82,7 @@ class IdentificationStudy:
         profile: Names of the parameters whose profile likelihood is computed.
 
     Raises:
-        ValueError: `prediction_s` is negative.
+        ValueError: `prediction_s` is less than one step.
     """
 
     spec: VehicleSpec
@@ -100,7 +100,7 @@ class IdentificationStudy:
     profile: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        require_at_least("prediction_s", self.prediction_s, 0.0)
+        require_at_least("prediction_s", self.prediction_s, self.dt_s)
 
     def __call__(self, recordings: Recordings, models: Mapping[str, ModelBuilder]) -> StudyResult:
         """Identify the first model, then the others, on the same segments.
@@ -132,6 +132,7 @@ class IdentificationStudy:
 
     def _require_names(self, model: DynamicsModel) -> None:
         """Refuse controls and parameters that the model does not have, before the work begins."""
+        require(model.dt_s == self.dt_s, "dt_s", f"be that of the model, {model.dt_s}", self.dt_s)
         own, known = model.Control._fields, tuple(self.assumptions.controls or ())
         expected = f"name {', '.join(own)} in this order"
         require(not known or own == known, "controls", expected, ", ".join(known))

@@ -7,7 +7,7 @@ differentiation. It shares only the problem with `MultipleShooting`, and so chec
 """
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
@@ -19,6 +19,7 @@ from torch.nn.functional import pad
 from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.control import ILQR, Batched, Bounds, Solution
 from diffstack_mmv.identification.shooting.fit import (
+    NO_STOPPING,
     EstimationData,
     HeldoutMonitor,
     HeldoutStopping,
@@ -127,6 +128,10 @@ class BilevelFit:
 
     def __post_init__(self) -> None:
         require_at_least("max_iterations", self.max_iterations, 1)
+
+    def unstopped(self) -> "BilevelFit":
+        """The same algorithm, which no held-out track ends."""
+        return replace(self, stopping=NO_STOPPING)
 
     def __call__(
         self,

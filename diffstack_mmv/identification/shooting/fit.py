@@ -57,6 +57,10 @@ class FitMethod(Protocol):
         """Fit the active entries of θ, beginning at `before`."""
         ...
 
+    def unstopped(self) -> "FitMethod":
+        """The same algorithm, which no held-out track ends."""
+        ...
+
 
 @dataclass(frozen=True)
 class HeldoutStopping:
@@ -76,6 +80,10 @@ class HeldoutStopping:
     def __post_init__(self) -> None:
         require_at_least("patience", self.patience, 1)
         require_positive("significance", self.significance)
+
+
+NO_STOPPING = HeldoutStopping(significance=1e9)
+"""Lets a fit run to its end."""
 
 
 @dataclass

@@ -1,6 +1,6 @@
 """Controls and physical parameters fitted together by multiple shooting."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
@@ -10,6 +10,7 @@ from torch import Tensor
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.identification.shooting.block_arrowhead import StepBounds, solve_arrowhead
 from diffstack_mmv.identification.shooting.fit import (
+    NO_STOPPING,
     EstimationData,
     HeldoutMonitor,
     HeldoutStopping,
@@ -97,6 +98,10 @@ class MultipleShooting:
         require_at_least("max_iterations", self.max_iterations, 1)
         require_at_least("heldout_iterations", self.heldout_iterations, 1)
         require_positive("tolerance", self.tolerance)
+
+    def unstopped(self) -> "MultipleShooting":
+        """The same algorithm, which no held-out track ends."""
+        return replace(self, stopping=NO_STOPPING)
 
     def __call__(
         self,

@@ -93,6 +93,16 @@ class TrackingModel(nn.Module):
         following = self.model.step(plain, control)
         return torch.cat([following, command + self.get_buffer("rate_scale") * rates, control], -1)
 
+    @property
+    def has_steering_prior(self) -> bool:
+        """Whether the steering rate is one of the residuals."""
+        return self.settings.steer_rate_radps is not None and self.steer is not None
+
+    def recorded_columns(self, count: int) -> list[int]:
+        """Which of the `count` residuals of a time are of recorded numbers, not of the prior."""
+        prior = {2} if self.has_steering_prior else set()
+        return [column for column in range(count) if column not in prior]
+
     def residual(
         self, state: Float[Tensor, "*b s"], measured: Measurements
     ) -> Float[Tensor, "*b k"]:
@@ -103,9 +113,10 @@ class TrackingModel(nn.Module):
         error = rotate(position - measured.position, -measured.course)
         scaled = error / self.get_buffer("position_noise")
         parts = [scaled * measured.weight.unsqueeze(-1)]
-        if self.settings.steer_rate_radps is not None and self.steer is not None:
+        rate = self.settings.steer_rate_radps
+        if rate is not None and self.steer is not None:
             change = control[..., self.steer] - before[..., self.steer]
-            scale = self.settings.steer_rate_radps * self.model.dt_s
+            scale = rate * self.model.dt_s
             parts.append((change * measured.weight / scale).unsqueeze(-1))
         if self.settings.control_noise is not None:
             parts.append((control - measured.controls) * measured.control_weight)

@@ -23,7 +23,7 @@ class TrackSegment(NamedTuple):
     @property
     def recording(self) -> str:
         """The recording it was cut from: what fitted and held-out tracks must not share."""
-        return self.name.split("@")[0]
+        return self.name.rpartition("@")[0] or self.name
 
 
 class SegmentBatch(NamedTuple):

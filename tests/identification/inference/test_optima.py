@@ -90,3 +90,12 @@ def test_starts_lie_inside_the_ranges_and_differ(known):
 def test_negative_number_of_starts_is_refused():
     with pytest.raises(ValueError, match="`starts` must be at least 0"):
         Identifier(starts=-1)
+
+
+@pytest.mark.parametrize("rate", [None, 3.0, 0.5])
+def test_a_prior_of_the_steering_is_no_recorded_number(rate):
+    """The noise is told of what was recorded: a prior that is hardly felt changes nothing."""
+    with double_precision():
+        setup = synthetic_problem("kbm", {}, False, steer_rate_radps=rate)
+        found = Identifier(starts=0)(setup.simulator, setup.data)
+    assert 0.75 < found.optima[0].noise_factor < 1.2

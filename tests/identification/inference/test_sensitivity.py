@@ -1,5 +1,7 @@
 """How sure an estimate is, and what it owes to assumptions."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -18,6 +20,7 @@ from diffstack_mmv.identification.inference.sensitivity import (
     InformationDirection,
     describe_direction,
 )
+from diffstack_mmv.identification.shooting.fit import NO_STOPPING, HeldoutStopping
 from tests.identification.conftest import LIVELY, double_precision, synthetic_problem
 
 EVERYTHING = IdentifiabilityThresholds(identifiable=0.4, informed=1.0)
@@ -128,6 +131,12 @@ def test_profile_is_least_at_the_estimate():
     best = profile.values[profile.costs.index(min(profile.costs))]
     assert abs(best - 1.1) < 0.06
     assert profile.costs[0] > min(profile.costs) + 2 < profile.costs[-1]
+
+
+def test_no_held_out_track_ends_the_fits_of_a_profile():
+    method = MultipleShooting(stopping=HeldoutStopping(patience=1, significance=1e-3))
+    assert method.unstopped() == replace(method, stopping=NO_STOPPING)
+    assert NO_STOPPING.significance > 1e6
 
 
 @pytest.mark.usefixtures("unchecked")  # nothing was identified
