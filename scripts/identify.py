@@ -7,7 +7,7 @@ from pathlib import Path
 
 from diffstack_mmv.cli import DictConfig, command, instantiate
 from diffstack_mmv.data_checks import require_tracks
-from dmmv_conventions.checks import message
+from dmmv_conventions.checks import message, require
 from dmmv_conventions.configs import config_folder
 
 logger = logging.getLogger(__name__)
@@ -22,6 +22,12 @@ def check(config: DictConfig) -> None:
     require_tracks(config.data.module.source, config.splits, config.vehicle.mode)
     # for their mistakes alone, before the recordings are read
     measured = config.controls == MEASURED
+    named = isinstance(config.controls, str) and not measured
+    needs = f"be {MEASURED}, or the noise of each recorded control as in {{steer: 0.002}}"
+    require(not named, "controls", needs, config.controls)
+    for name in ("parameters", "profile"):
+        given = config.study.get(name)
+        require(not isinstance(given, str), name, "be a list of names, as in [wheelbase]", given)
     studied = (config.measured, config.thresholds) if measured else (config.study,)
     models = (config.dynamics, *(each for each in config.others.values() if each))
     for part in (*studied, *models):
