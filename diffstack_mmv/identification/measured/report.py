@@ -1,5 +1,6 @@
 """Numbers of a study of measured rides under the keys of `identification.json`."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
@@ -13,7 +14,11 @@ from diffstack_mmv.identification.measured.rides import RideWindows
 from diffstack_mmv.identification.measured.simulator import INSTALLED, RideSimulator
 from diffstack_mmv.identification.measured.stages import HeldOut
 from diffstack_mmv.identification.measured.study import MeasuredStudy, MeasuredStudyResult, ModelFit
-from diffstack_mmv.identification.measured.validation import paired_by_recording, session_of
+from diffstack_mmv.identification.measured.validation import (
+    RolloutErrors,
+    paired_by_recording,
+    session_of,
+)
 from diffstack_mmv.types import GRAVITY
 
 WITHIN = 1.96
@@ -134,7 +139,11 @@ def _recordings(names: tuple[str, ...], fit: MeasuredFit) -> dict[str, dict[str,
 
 
 def rollout_table(result: MeasuredStudyResult) -> dict[str, dict[str, dict[str, float]]]:
-    """ADE and FDE (m) of all models and baselines, by session, speed and lateral acceleration."""
+    """ADE and FDE (m) of all models and baselines, by session, speed and lateral acceleration.
+
+    A line that judged no window of a group is no part of it: with a single session none can be left
+    out.
+    """
     lines = dict(result.baselines)
     for name, found in result.models.items():
         for left_out, errors in (("recording", found.by_recording), ("session", found.by_session)):
@@ -143,10 +152,18 @@ def rollout_table(result: MeasuredStudyResult) -> dict[str, dict[str, dict[str, 
     groups = rollout_groups(result.rollouts)
     return {
         group: {"n": {"windows": float(chosen.sum())}}
-        | {name: errors.mean(chosen) for name, errors in lines.items()}
+        | {name: mean for name, mean in _means(lines, chosen).items() if _is_known(mean)}
         for group, chosen in groups.items()
         if bool(chosen.any())
     }
+
+
+def _means(lines: Mapping[str, RolloutErrors], chosen: Tensor) -> dict[str, dict[str, float]]:
+    return {name: errors.mean(chosen) for name, errors in lines.items()}
+
+
+def _is_known(mean: Mapping[str, float]) -> bool:
+    return all(math.isfinite(value) for value in mean.values())
 
 
 def rollout_groups(windows: RideWindows) -> dict[str, Tensor]:

@@ -1,5 +1,7 @@
 """Vehicle and instruments are found again in rides of a known vehicle, and the ego on them."""
 
+import json
+
 import pytest
 import torch
 
@@ -21,7 +23,7 @@ from diffstack_mmv.identification.measured import (
 )
 from diffstack_mmv.identification.measured.parts import FinishedParts
 from diffstack_mmv.identification.measured.synthetic import record_rides
-from diffstack_mmv.identification.measured.validation import folds_by
+from diffstack_mmv.identification.measured.validation import folds_by, session_of
 from diffstack_mmv.identification.measured.vehicle import at_ends
 from diffstack_mmv.types import EgoMeasurement
 from diffstack_mmv.vehicles import load_vehicle
@@ -172,6 +174,11 @@ def test_study_reports_the_keys_of_the_contract_and_goes_on_where_it_was(recorde
     assert {"initial", "estimate", "low", "high", "unit", "std", "identifiability"} <= set(entry)
     assert entry["interval_95"][0] < entry["estimate"] < entry["interval_95"][1]
     assert len(measured_tables(content)["Roll-outs"]) > 5
+    # all rides are of one session, so that none can be left out
+    assert len({session_of(ride.recording) for ride in synthetic.rides}) == 1
+    told = json.dumps(content["rollouts"], allow_nan=False)
+    assert "recording left out" in told
+    assert "session left out" not in told
     vehicle = result.calibrated(spec, "test")
     assert vehicle.wheelbase.initial == pytest.approx(entry["estimate"])
 
