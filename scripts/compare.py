@@ -32,6 +32,7 @@ def main(config: DictConfig) -> None:
     from diffstack_mmv.metrics import CLOSED_LOOP, EXCITATION, OPEN_LOOP
     from diffstack_mmv.plotting import save_by_excitation
     from diffstack_mmv.reporting import (
+        bootstrap,
         compare,
         paired_samples,
         paired_tests,
@@ -49,7 +50,7 @@ def main(config: DictConfig) -> None:
     write_by_excitation(Path(config.out), paired)
     titles = {each.name: each.heading for each in EXCITATION}
     heading, picture = OPEN_LOOP[config.score].heading, Path(config.out) / "excitation.png"
-    save_by_excitation(picture, paired.table, paired.models, titles, heading)
+    save_by_excitation(picture, paired.by_setting(), paired.models, titles, heading, bootstrap)
     logger.info("\n%s", comparison.table.to_markdown(index=False))
     if config.get("wandb"):
         instantiate(config.wandb)(read_record(Path(config.out), Titles(OPEN_LOOP, CLOSED_LOOP)))

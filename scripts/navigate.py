@@ -39,6 +39,8 @@ def check(config: DictConfig) -> None:
     known = sorted(path.stem for path in (config_folder() / "controller").glob("*.yaml"))
     for name in config.beside:
         require_one_of("beside", name, known)
+        if name not in (config.get("baselines") or ()):
+            logger.warning("%s of `beside` is no baseline of this run: it does not drive.", name)
     for folder in config.against:
         require_file("against", str(Path(folder) / "closed_loop.json"), "Give runs of navigate.py.")
     for case in config.show:

@@ -307,7 +307,7 @@ def _write_excitation(judged: Sequence[Run], out: Path) -> None:
     """The models by how hard the human rode."""
     from diffstack_mmv.metrics import EXCITATION, OPEN_LOOP
     from diffstack_mmv.plotting import save_by_excitation
-    from diffstack_mmv.reporting import paired_samples, write_by_excitation
+    from diffstack_mmv.reporting import bootstrap, paired_samples, write_by_excitation
 
     reports, sets = [run.report for run in judged], [run.data for run in judged]
     paired = paired_samples(reports, "plan_ade", EXCITATION, sets)
@@ -316,7 +316,8 @@ def _write_excitation(judged: Sequence[Run], out: Path) -> None:
         {each.name: each.heading for each in EXCITATION},
         OPEN_LOOP["plan_ade"].heading,
     )
-    save_by_excitation(out / "excitation.png", paired.table, paired.models, titles, heading)
+    picture = out / "excitation.png"
+    save_by_excitation(picture, paired.by_setting(), paired.models, titles, heading, bootstrap)
 
 
 def _draw(config: DictConfig, runs: Sequence[Run], out: Path) -> None:

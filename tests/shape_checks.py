@@ -12,6 +12,7 @@ import collections
 import dataclasses
 import functools
 import inspect
+import os
 from typing import Self
 
 import jaxtyping
@@ -20,8 +21,8 @@ from beartype import BeartypeConf
 from beartype.roar import BeartypeCallHintParamViolation
 
 SHAPES = jaxtyping.jaxtyped("context")
-CALLS = 10
-"""So many calls of each function are checked in each test."""
+CALLS = int(os.environ.get("CHECKED_CALLS", "10"))
+"""So many calls of each function are checked in each test; `make test-all` checks them all."""
 _called: collections.Counter = collections.Counter()
 
 

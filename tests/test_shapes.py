@@ -12,7 +12,8 @@ from diffstack_mmv.geometry import rotate
 from diffstack_mmv.simulation.pedestrians.base import towards
 from diffstack_mmv.vehicles import WheelSpec, load_vehicle
 from dmmv_conventions.checks import require_positive
-from tests.shape_checks import CALLS, begin_test, checked
+from tests import shape_checks
+from tests.shape_checks import begin_test, checked
 
 
 @pytest.mark.parametrize(
@@ -64,13 +65,15 @@ def test_a_result_of_another_shape_is_refused():
         checked(wrong, typechecker=beartype)(torch.zeros(3))
 
 
-def test_the_first_calls_of_a_test_are_checked():
+def test_the_first_calls_of_a_test_are_checked(monkeypatch):
+    monkeypatch.setattr(shape_checks, "CALLS", 10)
+
     def halved(value: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
         return 0.5 * value
 
     halved.__qualname__ = "halved"
     function, wrong = checked(halved, typechecker=beartype), torch.zeros(3, 2)
-    for _ in range(CALLS - 1):
+    for _ in range(9):
         function(torch.zeros(3))
     with pytest.raises(BeartypeCallHintViolation):
         function(wrong)

@@ -4,6 +4,7 @@ from dmmv_conventions.extras import needs
 
 with needs("stack", "diffstack_mmv.reporting"):
     from diffstack_mmv.reporting.ablation_table import ablation_table
+    from diffstack_mmv.reporting.bootstrapping import bootstrap
     from diffstack_mmv.reporting.by_excitation import (
         PairedSamples,
         by_excitation,
@@ -48,6 +49,7 @@ __all__ = [
     "Run",
     "ScoreHeading",
     "Scores",
+    "bootstrap",
     "by_excitation",
     "closed_loop_table",
     "compare",

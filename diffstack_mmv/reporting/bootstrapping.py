@@ -9,7 +9,7 @@ FEWEST_RECORDINGS = 8
 
 
 def bootstrap(
-    values: pd.Series, recordings: pd.Series, resamples: int, seed: int = 0
+    values: pd.Series, recordings: pd.Series, resamples: int = 1000, seed: int = 0
 ) -> tuple[float, float]:
     """Interval of 95 % of the mean over samples when recordings are drawn with replacement.
 

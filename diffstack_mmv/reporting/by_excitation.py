@@ -51,6 +51,12 @@ class PairedSamples(NamedTuple):
     models: list[str]
     quantities: Sequence[Quantity]
 
+    def by_setting(self) -> dict[str, pd.DataFrame]:
+        """Rows of each setting, by what it is called."""
+        if self.table.empty:
+            return {}
+        return {", ".join(map(str, key)): part for key, part in self.table.groupby(PLACE)}
+
 
 def paired_samples(
     folders: Sequence[Path],

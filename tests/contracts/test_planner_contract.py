@@ -16,6 +16,9 @@ from tests.test_configs import composed
 DYNAMICS = ("unicycle", "kbm", "gm3")
 
 
+SLOW = pytest.mark.slow
+
+
 def options(group):
     return sorted(path.stem for path in (config_folder() / group).glob("*.yaml"))
 
@@ -75,7 +78,10 @@ def memory(planner, batch=2):
     return PlannerState(controls, torch.zeros(batch))
 
 
-@pytest.mark.parametrize(("neighbors", "remembers"), [(0, False), (2, True)])
+@pytest.mark.parametrize(
+    ("neighbors", "remembers"),
+    [(0, False), (2, True), pytest.param(0, True, marks=SLOW), pytest.param(2, False, marks=SLOW)],
+)
 def test_a_plan_is_the_motion_of_its_admissible_controls(planner, neighbors, remembers):
     assert isinstance(planner, Planner)
     model = planner.dynamics

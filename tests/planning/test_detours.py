@@ -172,7 +172,9 @@ def same_in_the_library(model, **settings):
     torch.testing.assert_close(found.motion, expected.motion, rtol=1e-3, atol=1e-3)
 
 
-@pytest.mark.parametrize("model", [DiffKBM], indirect=True)
+@pytest.mark.parametrize(
+    "model", [DiffKBM, pytest.param(DiffGM3, marks=pytest.mark.slow)], indirect=True
+)
 def test_what_the_candidates_do_is_worked_out_once_per_horizon(model, monkeypatch):
     from diffstack_mmv.planning import detours
 

@@ -1,11 +1,13 @@
 """Models compared by how hard the human rode."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from diffstack_mmv.metrics import EXCITATION, LATERAL, SPEED
 from diffstack_mmv.plotting import save_by_excitation
-from diffstack_mmv.reporting import by_excitation, paired_samples, write_by_excitation
+from diffstack_mmv.reporting import bootstrap, by_excitation, paired_samples, write_by_excitation
 from tests.reporting.runs import samples, write_run
 
 TITLES = {each.name: each.heading for each in EXCITATION}
@@ -66,7 +68,8 @@ def test_it_is_written_and_drawn(tmp_path):
     paired = paired_samples(runs(tmp_path), "plan_ade", EXCITATION)
     write_by_excitation(tmp_path, paired)
     assert "gm3 - kbm" in (tmp_path / "excitation.md").read_text()
-    save_by_excitation(tmp_path / "excitation.png", paired.table, paired.models, TITLES, "ADE [m]")
+    interval, picture = partial(bootstrap, resamples=50), tmp_path / "excitation.png"
+    save_by_excitation(picture, paired.by_setting(), paired.models, TITLES, "ADE [m]", interval)
     assert (tmp_path / "excitation.png").stat().st_size > 10_000
 
 
