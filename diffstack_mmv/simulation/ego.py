@@ -5,12 +5,13 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from diffstack_mmv.checks import require, require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import rotate
+from diffstack_mmv.simulation.case_noise import case_noise, milliseconds
 from diffstack_mmv.simulation.decisions import (
     Controller,
     Decided,
@@ -19,7 +20,7 @@ from diffstack_mmv.simulation.decisions import (
     unbatched,
 )
 from diffstack_mmv.simulation.world import Observation
-from diffstack_mmv.types import EgoEstimate, EgoMeasurement, Motion, stream
+from diffstack_mmv.types import EgoEstimate, EgoMeasurement, Motion
 
 
 @runtime_checkable
@@ -77,7 +78,12 @@ class EgoInstruments:
             require_at_least("yaw_rate_radps", self.yaw_rate_radps, 0)
 
     def __call__(
-        self, before: Motion, now: Motion, steer: Float[Tensor, " b"], time_s: float
+        self,
+        before: Motion,
+        now: Motion,
+        steer: Float[Tensor, " b"],
+        case: Int[Tensor, " b"],
+        time: Float[Tensor, " b"],
     ) -> EgoMeasurement:
         """What is measured at the end of a step, and on average in it.
 
@@ -85,10 +91,10 @@ class EgoInstruments:
             before: True motion at the start of the step, `b`.
             now: True motion at its end.
             steer: Angle that the servo reports in rad.
-            time_s: Time of the end, which numbers the errors.
+            case: Numbers of the cases, to which the errors belong.
+            time: Time of the end in s, which tells the errors of a case apart.
         """
-        generator = torch.Generator().manual_seed(stream(self.seed, round(1000 * time_s)))
-        error = torch.randn(len(steer), 4, generator=generator, dtype=torch.float64)
+        error = case_noise(case, milliseconds(time), (4,), self.seed)
         turned = 0.5 * (before.yaw_rate + now.yaw_rate).double()
         gyro = torch.nan if self.yaw_rate_radps is None else self.yaw_rate_radps
         speed = 0.5 * (before.velocity[:, 0] + now.velocity[:, 0]).double()
@@ -157,7 +163,7 @@ class EstimatingController:
             return unbatched(self, state, observation)
         seen = observation.motion
         steer = self.model.driver_input(self._unmoved(state.commanded), state.commanded).steer
-        measured = self.instruments(state.before, seen, steer, float(observation.time.max()))
+        measured = self.instruments(state.before, seen, steer, observation.case, observation.time)
         horizon, instruments, believed = state.horizon, state.instruments, seen
         if horizon is None:
             horizon = self.estimator.init(measured, seen.heading)

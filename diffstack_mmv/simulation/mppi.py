@@ -13,6 +13,7 @@ from diffstack_mmv.planning import (
     clearance_within_steps,
     predicted_obstacles,
 )
+from diffstack_mmv.simulation.case_noise import case_noise, milliseconds
 from diffstack_mmv.simulation.decisions import Decided, unbatched
 from diffstack_mmv.simulation.forecasters import PedestrianForecaster
 from diffstack_mmv.simulation.world import Observation
@@ -28,7 +29,6 @@ class MPPIState(NamedTuple):
 
     forecaster: Any  # the record of the forecaster
     mean: Float[Tensor, "b T m"]  # the averaged plans, shifted by a step
-    generator: Tensor  # state of the generator of the samples
 
 
 class MPPIController:
@@ -88,9 +88,8 @@ class MPPIController:
     def init(self, observation: Observation) -> MPPIState:
         """State at the start of episodes: zero controls, and the samples from their beginning."""
         count, like = observation.time.numel(), self.dynamics.bounds.lower
-        generator = torch.Generator().manual_seed(self.seed)
         mean = torch.zeros(count, self.steps, len(like)).to(like)
-        return MPPIState(self.forecaster.init(observation), mean, generator.get_state())
+        return MPPIState(self.forecaster.init(observation), mean)
 
     @torch.no_grad()
     def act(self, state: MPPIState, observation: Observation) -> Decided:
@@ -99,9 +98,9 @@ class MPPIController:
             return unbatched(self, state, observation)
         told = self.forecaster(state.forecaster, observation, self.dynamics.dt_s, self.steps)
         rows = observation.running.nonzero().squeeze(-1)
-        mean, generator = state.mean[rows], torch.Generator()
-        generator.set_state(state.generator)
-        noise = torch.randn(len(rows), self.samples, *mean.shape[1:], generator=generator).to(mean)
+        mean, moment = state.mean[rows], milliseconds(observation.time[rows])
+        shape = (self.samples, *mean.shape[1:])
+        noise = case_noise(observation.case[rows], moment, shape, self.seed).to(mean)
         noise[:, 0] = 0
         lower, upper = self.dynamics.bounds
         plans = self.dynamics.within_bounds(
@@ -112,7 +111,7 @@ class MPPIController:
         averaged = state.mean.index_copy(0, rows, (weight[..., None, None] * plans).sum(1))
         action = averaged[:, 0]
         shifted = torch.cat([averaged[:, 1:], averaged[:, -1:]], 1)
-        after = MPPIState(told.state, shifted, generator.get_state())
+        after = MPPIState(told.state, shifted)
         return Decided(action if self.actuate is None else self.actuate(action), after)
 
     def _cost(

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from diffstack_mmv.checks import (
@@ -36,6 +36,14 @@ class Scene(NamedTuple):
     robot_goal: Float[Tensor, "*b 2"]
     pedestrians: AnyCrowdState
     itinerary: Itinerary | None = None  # where the pedestrians go after their goals; else they stay
+    number: Int[Tensor, "*b"] | None = None  # of the case, to which all draws of noise belong
+
+    def case_numbers(self) -> Int[Tensor, "*b"]:
+        """Numbers of the cases, or of the rows where none are given."""
+        if self.number is not None:
+            return self.number
+        rows = self.robot_heading
+        return torch.arange(rows.numel(), device=rows.device).reshape(rows.shape)
 
     def radii_and_goal(self) -> tuple[list[float], list[float]]:
         """Radii of the pedestrians and goal of the robot in m, of one case, to draw it."""
@@ -121,9 +129,10 @@ class Scenario(ABC):
             ValueError: There is no such phase or case, or the scenario is too crowded.
         """
         try:
-            return self.sample(generator(phase, number))
+            scene = self.sample(generator(phase, number))
         except ValueError as error:
             raise ValueError(f"{error} This was case {number} of phase {phase!r}.") from error
+        return scene._replace(number=torch.tensor(number))
 
     def cases(self, phase: str, numbers: Iterable[int]) -> Scene:
         """Several cases as one batch.

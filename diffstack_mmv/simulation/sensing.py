@@ -9,9 +9,9 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_between, require_positive
 from diffstack_mmv.geometry import wrap_angle
+from diffstack_mmv.simulation.case_noise import case_noise, milliseconds
 from diffstack_mmv.simulation.pedestrians.recorded import far_away
 from diffstack_mmv.simulation.world import Observation
-from diffstack_mmv.types import stream
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,6 @@ class LimitedSensing:
         if deviation == 0:
             return truth
         # the same error whatever else is asked of this instant
-        moment = round(1000 * float(observation.time.max())) * 2 + position
-        generator = torch.Generator().manual_seed(stream(self.seed, moment))
-        error = torch.randn(truth.shape, generator=generator, dtype=torch.float64)
+        moment = milliseconds(observation.time) * 2 + position
+        error = case_noise(observation.case, moment, truth.shape[-2:], self.seed)
         return truth + deviation * error.to(truth)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from diffstack_mmv.checks import (
@@ -17,11 +17,12 @@ from diffstack_mmv.checks import (
 )
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import rotate
+from diffstack_mmv.simulation.case_noise import case_noise
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint
 from diffstack_mmv.simulation.robot import Travel
 from diffstack_mmv.simulation.scenario import Scene
 from diffstack_mmv.simulation.verdict import RobotPath
-from diffstack_mmv.types import Bounds, Motion, stream
+from diffstack_mmv.types import Bounds, Motion
 
 FINEST_NEEDED_S = 0.01
 """A vehicle's true motion is integrated in steps no longer than this."""
@@ -33,7 +34,8 @@ class VehicleState(NamedTuple):
     model: Float[Tensor, "*b n"]  # state of the dynamics model
     control: Float[Tensor, "*b m"]  # what acts at present
     pending: Float[Tensor, "*b d m"]  # commanded and not yet acting, one row per fine step
-    steps: int  # steps since the start, which number the draws of the noise
+    steps: Int[Tensor, "*b"]  # since the start, which number the draws of the noise
+    case: Int[Tensor, "*b"]  # to which the draws belong
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,13 @@ class VehicleRobot:
         )
         control = resting[..., None].repeat_interleave(self.model.control_dim, dim=-1)
         pending = control[..., None, :].repeat_interleave(self._delay_steps, dim=-2)
-        return VehicleState(self.model.initial_state(motion), control, pending, 0)
+        return VehicleState(
+            self.model.initial_state(motion),
+            control,
+            pending,
+            torch.zeros_like(scene.robot_heading, dtype=torch.long),
+            scene.case_numbers(),
+        )
 
     def motion(self, state: VehicleState) -> Motion:
         """Motion of the model's reference point in m, rad, m/s."""
@@ -161,7 +169,7 @@ class VehicleRobot:
             ValueError: The step is no multiple of the fine step.
         """
         pieces = require_multiple("dt_s", dt_s, self.model.dt_s, "for the model's fine step")
-        command = self._disturbed(action.to(state.model), state.steps)
+        command = self._disturbed(action.to(state.model), state)
         queue = torch.cat(
             (state.pending, command[..., None, :].repeat_interleave(pieces, dim=-2)), dim=-2
         )
@@ -169,7 +177,9 @@ class VehicleRobot:
         for piece in range(pieces):
             controls.append(self._governed_control(models[-1], queue[..., piece, :]))
             models.append(self.model(models[-1], controls[-1]))
-        after = VehicleState(models[-1], controls[-1], queue[..., pieces:, :], state.steps + 1)
+        after = VehicleState(
+            models[-1], controls[-1], queue[..., pieces:, :], state.steps + 1, state.case
+        )
         motion = self.model.motion(
             torch.stack(models, dim=-2), torch.stack((state.control, *controls), dim=-2)
         )
@@ -177,11 +187,12 @@ class VehicleRobot:
         moved = motion.position[..., -1, :] - motion.position[..., 0, :]
         return Travel(after, moved / dt_s, path)
 
-    def _disturbed(self, action: Float[Tensor, "*b m"], step: int) -> Float[Tensor, "*b m"]:
+    def _disturbed(
+        self, action: Float[Tensor, "*b m"], state: VehicleState
+    ) -> Float[Tensor, "*b m"]:
         """What arrives at the actuators: the action with its error, within the bounds."""
         if self.actuation.noise:
-            generator = torch.Generator().manual_seed(stream(self.actuation.seed, step))
-            error = torch.randn(action.shape, generator=generator, dtype=torch.float64)
+            error = case_noise(state.case, state.steps, action.shape[-1:], self.actuation.seed)
             action = action + error.to(action) * action.new_tensor(self.actuation.noise)
         if self.actuation.bias:
             action = action + action.new_tensor(self.actuation.bias)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from diffstack_mmv.checks import (
@@ -35,6 +35,7 @@ class WorldState(NamedTuple):
     pedestrians: AnyCrowdState
     goal: Float[Tensor, "*b 2"]  # m, of the robot
     time: Float[Tensor, "*b"]  # s
+    case: Int[Tensor, "*b"]  # number of the case, to which the draws of all noise belong
     itinerary: Itinerary | None = None  # where the pedestrians go after their goals
 
 
@@ -51,6 +52,7 @@ class Observation(NamedTuple):
     pedestrian_radius: Float[Tensor, "*b h"]  # m
     seen: Bool[Tensor, "*b h"]  # who is not is laid far away and no obstacle
     time: Float[Tensor, "*b"]  # s
+    case: Int[Tensor, "*b"]  # numbers draws of noise; nothing to decide by
     running: Bool[Tensor, "*b"]  # false where the episode has ended and its action counts no more
     history: PedestrianHistory | None = None  # of the pedestrians, before the start
     # *b h T 2 in m, one row per step of the world, where the world reveals it; never a controller's
@@ -122,6 +124,7 @@ class World:
             pedestrians=scene.pedestrians,
             goal=scene.robot_goal,
             time=torch.zeros_like(scene.robot_heading),
+            case=scene.case_numbers(),
             itinerary=scene.itinerary,
         )
         clearance = self.clearance(state)
@@ -173,7 +176,7 @@ class World:
         pedestrians = state.pedestrians.moved(velocity, self.dt_s)
         if itinerary is not None and isinstance(pedestrians, CrowdState):
             pedestrians, itinerary = itinerary.followed(pedestrians, state.time, time)
-        after = WorldState(travel.state, pedestrians, state.goal, time, itinerary)
+        after = WorldState(travel.state, pedestrians, state.goal, time, state.case, itinerary)
         return WorldStep(after, judgement)
 
     def observe(self, state: WorldState) -> Observation:
@@ -194,6 +197,7 @@ class World:
             pedestrian_radius=state.pedestrians.radius,
             seen=state.pedestrians.present,
             time=state.time,
+            case=state.case,
             running=torch.ones_like(state.time, dtype=torch.bool),
             history=state.pedestrians.history(),
             future=self._revealed(state.pedestrians),

@@ -128,8 +128,6 @@ def test_a_controller_remembers_by_its_state_alone(setting):
 
 def test_episodes_that_have_ended_change_nothing_for_the_others(setting):
     controller, world = setting
-    if type(controller).__name__ == "MPPIController":
-        pytest.skip("its samples are drawn for the running episodes in turn")
     seen = walk(world)[0]
     running = torch.tensor([True, False])
     with torch.no_grad():

@@ -61,7 +61,9 @@ def test_a_vehicle_that_stands_is_believed_to_point_where_it_did(with_gyro):
     stands = Motion(torch.zeros(1, 2), course, torch.zeros(1, 2), torch.zeros(1))
 
     def measured(step):
-        return instruments(stands, stands, torch.full((1,), 0.2), 0.25 * step)
+        return instruments(
+            stands, stands, torch.full((1,), 0.2), torch.tensor([7]), torch.tensor([0.25 * step])
+        )
 
     horizon = estimator.init(measured(0), course)
     for step in range(1, 7):
@@ -73,10 +75,11 @@ def test_a_vehicle_that_stands_is_believed_to_point_where_it_did(with_gyro):
     assert all(part.isfinite().all() for part in found.estimate.motion)
 
 
-def test_errors_of_the_instruments_belong_to_seed_and_time():
-    def measured(seed, time_s, **settings) -> EgoMeasurement:
+def test_errors_of_the_instruments_belong_to_seed_case_and_time():
+    def measured(seed, time_s, cases=(3, 4), **settings) -> EgoMeasurement:
         moves = Motion(*(torch.ones(2, *shape) for shape in ((2,), (), (2,), ())))
-        return EgoInstruments(seed=seed, **settings)(moves, moves, torch.zeros(2), time_s)
+        case, time = torch.tensor(cases), torch.full((2,), time_s)
+        return EgoInstruments(seed=seed, **settings)(moves, moves, torch.zeros(2), case, time)
 
     one, same, later, other = (
         measured(0, 1.0),
@@ -87,6 +90,7 @@ def test_errors_of_the_instruments_belong_to_seed_and_time():
     assert torch.equal(one.position, same.position)
     assert not torch.equal(one.position, later.position)
     assert not torch.equal(one.position, other.position)
+    assert torch.equal(one.position, measured(0, 1.0, cases=(4, 3)).position.flip(0))
     assert one.yaw_rate.isnan().all()
     exact = measured(0, 1.0, position_m=0.0, speed_mps=0.0, yaw_rate_radps=0.0)
     assert (exact.position == 1).all()

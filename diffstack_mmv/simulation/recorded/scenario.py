@@ -167,7 +167,7 @@ class RecordedCrossing:
             name = names[random.choice(len(names), p=weight / weight.sum())]
             scene = self._drawn(self.recordings.read(name), longest[name], random)
             if scene is not None:
-                return scene
+                return scene._replace(number=torch.tensor(number))
         wanted = f"leave a passable crossing with {self.met} agents in {MAX_TRIES} draws"
         remedy = "Lower it, or raise `limit_s`: the way takes its time."
         raise ValueError(message("met", wanted, self.met, f"in '{phase}'", remedy))
