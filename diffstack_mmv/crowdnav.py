@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from types import MappingProxyType
 from typing import Any
 
-from diffstack_mmv.checks import require
+from diffstack_mmv.checks import require, require_positive
 from diffstack_mmv.dynamics.catalogue import load_dynamics
 from diffstack_mmv.dynamics.config_files import chosen_in, factory, settings_of
 from diffstack_mmv.simulation import (
@@ -36,8 +36,6 @@ LIMITS: Mapping[str, float] = MappingProxyType(
     {"speed_max_mps": 3.0, "acceleration_min_mps2": -3.0, "acceleration_max_mps2": 2.0}
 )
 """Of the vehicle among people; the tighter of these and its own hold."""
-KNOWN_DELAY_S = 0.15
-"""How long a command takes to act, for `controller="diffmpc_delay"`."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +54,13 @@ class CrowdNav:
         people: How the controller forecasts the pedestrians; as its file says, or by ORCA, if None.
         cost: What it minimises; as its file says, or that of the closed loop, if None.
         footprint: Outline of the robot.
+        sensing: What the robot sees of the pedestrians.
+        delay_s: How long a command takes to act; `controller="diffmpc_delay"` knows it.
+        noise: Standard deviation of the error of each control of the robot; empty: none.
         limit_s: Time limit of an episode.
         dt_s: Time between two decisions.
         limits: Largest speed (m/s) and accelerations (m/s²).
+        seed: Of the noise, and of what crowd and controller draw.
 
     Raises:
         ValueError: There is no such vehicle or file, or the times do not fit.
@@ -72,9 +74,19 @@ class CrowdNav:
     people: str | None = None
     cost: str | None = None
     footprint: str = "disc"
+    sensing: str = "everything"
+    delay_s: float = 0.0
+    noise: Sequence[float] = ()
     limit_s: float = 10.0
     dt_s: float = 0.25
     limits: Mapping[str, float] = field(default_factory=lambda: LIMITS, hash=False)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Check the delay at the border, where it has its name."""
+        if self.controller == "diffmpc_delay":
+            remedy = "It expects the robot's; `diffmpc` expects none."
+            require_positive("delay_s", self.delay_s, "controller 'diffmpc_delay'", remedy)
 
     def simulated(self) -> SimulatedVehicle:
         """The vehicle as simulator and controller know it."""
@@ -92,9 +104,16 @@ class CrowdNav:
     def world(self) -> World:
         """The world in which the controller drives."""
         outline = _built("footprint", self.footprint, {"actual": self.simulated()})
-        robot = vehicle_robot(self.simulated(), footprint=outline)
-        crowd = _built("crowd", self.crowd, {"seed": 0})
-        world = study_world(robot, crowd, "exact", self.limit_s, self.dt_s)
+        robot = vehicle_robot(
+            self.simulated(),
+            delay_s=self.delay_s,
+            noise=self.noise,
+            seed=self.seed,
+            footprint=outline,
+        )
+        given = {"seed": self.seed}
+        crowd, sensing = _built("crowd", self.crowd, given), _built("sensing", self.sensing, given)
+        world = study_world(robot, crowd, "exact", self.limit_s, self.dt_s, sensing=sensing)
         return world_for(world, type(self.driver()))
 
     def driver(self) -> Controller:
@@ -107,12 +126,12 @@ class CrowdNav:
         cost = self.cost or its_own.get("cost", "closed_loop")
         given = {
             "dt_s": self.dt_s,
-            "seed": 0,
+            "seed": self.seed,
             "compile": True,
             "cruise_mps": limits.speed_max_mps,
             "model": controller_model(vehicle, vehicle, self.dt_s),
             "actuate": actuation(vehicle, vehicle),
-            "people": _built("people", people, {"dt_s": self.dt_s, "seed": 0}),
+            "people": _built("people", people, {"dt_s": self.dt_s, "seed": self.seed}),
             "constraints": _built("constraints", "none", {}),
             "cost": _built("cost", cost, {"turning_radius_m": wheelbase / math.tan(steer)}),
             "actual": vehicle,
@@ -121,7 +140,7 @@ class CrowdNav:
             "dynamics": vehicle.dynamics,
             "limits": vehicle.limits,
             "names.dynamics": vehicle.name,
-            "known_delay_s": KNOWN_DELAY_S,
+            "known_delay_s": self.delay_s,
         }
         return _built("controller", self.controller, given)
 

@@ -41,9 +41,21 @@ def test_episodes_are_those_of_the_command_line(choices):
     assert torch.equal(found.clearance, expected.clearance)
 
 
+def test_a_disturbed_robot_is_that_of_the_command_line():
+    disturbed = {"delay_s": 0.15, "noise": (0.2, 0.05), "sensing": "within_5m", "seed": 3}
+    choices = {
+        "robot.delay_s": 0.15, "robot.noise": "[0.2,0.05]", "sensing": "within_5m", "seed": 3,
+    }  # fmt: skip
+    own = CrowdNav(controller="diffmpc_delay", **disturbed)
+    world, controller, _ = composed({"controller": "diffmpc_delay", **choices}, 0.25)
+    assert own.world().robot.actuation == world.robot.actuation
+    assert own.world().sensing == world.sensing
+    assert own.driver().delay.share == controller.delay.share
+
+
 @pytest.mark.parametrize("name", sorted(set(names_in(CONTROLLERS)) - {"diffmpc_ego", "ppo"}))
 def test_every_controller_without_files_of_its_own_is_that_of_the_command_line(name):
-    own = CrowdNav(controller=name).driver()
+    own = CrowdNav(controller=name, delay_s=0.15).driver()
     _, expected, _ = composed({"controller": name}, 0.25)
     assert type(own) is type(expected)
     if isinstance(own, DiffMPCController):
@@ -75,6 +87,7 @@ def test_cases_are_driven_and_kept(tmp_path):
     [
         ({"controller": "diffmcp"}, "`controller` must be one of blind, diffmpc"),
         ({"dynamics": "magic"}, "`dynamics` must be one of gm3"),
+        ({"controller": "diffmpc_delay"}, "`delay_s` must be positive, but got 0.0"),
         ({"people": "predictor"}, "`path` must be a plain value, but got '${people_checkpoint}'"),
     ],
 )
