@@ -17,7 +17,7 @@ from diffstack_mmv.simulation.world import Observation
 from diffstack_mmv.types import Forecast
 
 RESTING_MPS = 0.05
-"""Who is slower stands."""
+"""Below this speed a pedestrian counts as standing."""
 
 
 class PedestrianForecast(NamedTuple):

@@ -13,7 +13,7 @@ from diffstack_mmv.geometry import length, unit_vector, wrap_angle
 from diffstack_mmv.simulation.pedestrians import CrowdState, OrcaCrowd
 
 NOTICED_MPS = 0.3
-"""A larger error of the velocity speaks no more against a course: somebody changes its mind."""
+"""Larger errors of the velocity are capped: the pedestrian may have changed course."""
 SHARPNESS = 200.0
 """Courses beside the best one count by exp(-SHARPNESS · doubt)."""
 

@@ -50,7 +50,7 @@ class Observation(NamedTuple):
     pedestrian_position: Float[Tensor, "*b h 2"]  # m
     pedestrian_velocity: Float[Tensor, "*b h 2"]  # m/s
     pedestrian_radius: Float[Tensor, "*b h"]  # m
-    seen: Bool[Tensor, "*b h"]  # who is not is laid far away and no obstacle
+    seen: Bool[Tensor, "*b h"]  # the hidden are laid far away and ignored
     time: Float[Tensor, "*b"]  # s
     case: Int[Tensor, "*b"]  # numbers draws of noise; nothing to decide by
     running: Bool[Tensor, "*b"]  # false where the episode has ended and its action counts no more
