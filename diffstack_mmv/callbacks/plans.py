@@ -15,7 +15,7 @@ from diffstack_mmv.metrics import OPEN_LOOP
 from diffstack_mmv.plotting import PlannedScene, draw_scenes
 from diffstack_mmv.types import Mode, StackBatch, Tracks, map_tensors
 
-SHOWN = ("ade", "plan_ade")
+SHOWN = ("median_ade", "plan_ade")
 """Scores beside each image, by name."""
 
 

@@ -30,6 +30,8 @@ def _by_name(*scores: Score) -> Mapping[str, Score]:
 OPEN_LOOP = _by_name(
     Score("ade", "ADE", "m", True),
     Score("fde", "FDE", "m", True),
+    Score("median_ade", "ADE of the median", "m", True),
+    Score("median_fde", "FDE of the median", "m", True),
     Score("nll", "NLL", "nats", True),
     Score("plan_ade", "plan ADE", "m", True),
     Score("plan_fde", "plan FDE", "m", True),
@@ -42,9 +44,12 @@ OPEN_LOOP = _by_name(
     Score("min_ade", "minADE of five", "m", True),
     Score("miss_rate", "misses beyond 2 m", DIMENSIONLESS, True),
 )
-"""Scores of samples: predictions and plans beside what the human did."""
+"""Scores of samples: predictions and plans beside what the human did.
 
-OF_THE_PREDICTION = ("ade", "fde", "nll", "min_ade", "miss_rate")
+`ade` and `fde` are those of the most likely path, `median_*` those of the median of the forecast.
+"""
+
+OF_THE_PREDICTION = ("ade", "fde", "median_ade", "median_fde", "nll", "min_ade", "miss_rate")
 """Names of those of `OPEN_LOOP` that need no plan."""
 
 CALIBRATION = _by_name(
@@ -67,22 +72,14 @@ SAMPLED = _by_name(
 )
 """Scores of paths drawn from the prediction, see `best_of_samples` and `energy_score`."""
 
-MOST_LIKELY = _by_name(
-    Score("most_likely_ade", "ADE of the heaviest component", "m", True),
-    Score("most_likely_fde", "FDE of the heaviest component", "m", True),
-)
-"""Scores of the component with the largest weight, beside `ade` and `fde` of the median."""
-
-EVALUATED: Mapping[str, Score] = MappingProxyType(
-    {**OPEN_LOOP, **CALIBRATION, **SAMPLED, **MOST_LIKELY}
-)
+EVALUATED: Mapping[str, Score] = MappingProxyType({**OPEN_LOOP, **CALIBRATION, **SAMPLED})
 """Everything that an evaluation tells of a sample."""
 
 PREDICTED: Mapping[str, Score] = MappingProxyType(
     {
         name: score
         for name, score in EVALUATED.items()
-        if name in (*OF_THE_PREDICTION, *CALIBRATION, *SAMPLED, *MOST_LIKELY)
+        if name in (*OF_THE_PREDICTION, *CALIBRATION, *SAMPLED)
     }
 )
 """What an evaluation tells of a sample for which nothing is planned."""

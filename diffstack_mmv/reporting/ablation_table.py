@@ -11,7 +11,7 @@ from diffstack_mmv.reporting.paper_table import Run
 from diffstack_mmv.reporting.prediction_table import named_apart
 
 SITUATIONS = ("moving", "standing")
-DISTANCES = {"ade": "ADE [m]", "moving": "moving", "standing": "standing"}
+DISTANCES = {"median_ade": "ADE of the median [m]", "moving": "moving", "standing": "standing"}
 OTHERS = {
     "nll": "NLL",
     "energy_score": "energy score [m]",
@@ -53,8 +53,8 @@ def ablation_table(runs: Sequence[Run], models: Mapping[str, str]) -> pd.DataFra
 def _scores(told: Any, mode: str) -> dict[str, float]:
     own, situations = told["modes"][mode], _situations(told, mode)
     return {
-        **{name: own[name] for name in ("ade", *OTHERS)},
-        **{name: scores["ade"] for name, scores in situations.items()},
+        **{name: own[name] for name in ("median_ade", *OTHERS)},
+        **{name: scores["median_ade"] for name, scores in situations.items()},
     }
 
 
@@ -73,7 +73,7 @@ def _trivial(told: Any, mode: str) -> dict[str, dict[str, float]]:
             for situation, scores in _situations(told, mode).items()
         }
         likelihood = told["modes"][mode].get(f"nll_{name}")
-        found[name] = {"ade": per_mode[mode]["ade"], **situations}
+        found[name] = {"median_ade": per_mode[mode]["ade"], **situations}
         if likelihood is not None:
             found[name]["nll"] = likelihood
     return found

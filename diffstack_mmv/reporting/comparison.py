@@ -16,7 +16,7 @@ from diffstack_mmv.reporting.files import read_json, read_parquet, told_as_broke
 from diffstack_mmv.reporting.metrics_table import MISSING
 from diffstack_mmv.reporting.scores import ScoreHeading, Scores
 
-COMPARED = ("ade", "nll", "plan_ade", "planning_loss", "collision_rate", "solved")
+COMPARED = ("ade", "median_ade", "nll", "plan_ade", "planning_loss", "collision_rate", "solved")
 """Scores in the table, by name."""
 SAMPLE = ["scene", "agent", "row"]
 OF_THE_PREDICTION = ("ade", "nll")
@@ -85,7 +85,7 @@ def _baseline_rows(folder: Path) -> list[dict[str, Any]]:
             own = metrics["modes"][mode]
             predicts = metrics["goal"] != GIVEN or f"nll_{name}" in own
             row = {"mode": mode, "dynamics": name, "n": own["n"], "vehicle": own["vehicle"]}
-            row |= {"ade": scores["ade"] if predicts else None}
+            row |= dict.fromkeys(("ade", "median_ade"), scores["ade"] if predicts else None)
             row |= {"plan_ade": scores["ade"] if "plan_ade" in own else None}
             rows.append(common | row)
     return rows

@@ -124,12 +124,12 @@ def cost_table(metrics: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def situation_table(metrics: Mapping[str, Any]) -> pd.DataFrame:
-    """ADE of stack and baselines by mode and situation."""
+    """ADE of stack (median of the prediction, plan) and baselines by mode and situation."""
     rows = []
     for mode, situations in metrics["situations"].items():
         for situation, told in situations.items():
             row = {"mode": mode, "situation": situation, "n": told["n"]}
-            row |= {"prediction": told["ade"]}
+            row |= {"prediction": told["median_ade"]}
             row |= {"plan": told["plan_ade"]} if "plan_ade" in told else {}
             rows.append(row | {name: value["ade"] for name, value in told["baselines"].items()})
     return pd.DataFrame(rows)

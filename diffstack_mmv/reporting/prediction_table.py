@@ -10,7 +10,8 @@ from diffstack_mmv.reporting.files import read_json
 from diffstack_mmv.reporting.paper_table import Run
 
 METHODS: Mapping[str, tuple[str, str]] = {
-    "one path": ("ade", "fde"),
+    "one path (median)": ("median_ade", "median_fde"),
+    "most likely path": ("ade", "fde"),
     "best of 20 paths": ("best_of_20_ade", "best_of_20_fde"),
     "best of 20 spread paths": ("best_of_20_spread_ade", "best_of_20_spread_fde"),
 }

@@ -56,12 +56,10 @@ def judged_predictions(stack: DiffStackMMV, batch: StackBatch, first: int) -> Ju
 
 
 def _further_scores(forecast: Forecast, future: Tracks, first: int) -> dict[str, Tensor]:
-    """What a training does not log: drawn paths, and the component with the largest weight."""
-    heaviest = displacements(forecast.most_likely(), future)
+    """What a training does not log: scores of drawn paths."""
     return {
         **best_of_samples(forecast, future, first=first),
         "energy_score": energy_score(forecast, future, first=first),
-        **{f"most_likely_{score}": value for score, value in heaviest.items()},
     }
 
 

@@ -281,12 +281,13 @@ class DiffStackMMV(pl.LightningModule):
 def prediction_scores(batch: StackBatch, forecast: Forecast) -> dict[str, Float[Tensor, " B"]]:
     """Scores that need no plan, by the names of `OF_THE_PREDICTION`."""
     future, ego = batch.ego_future, ego_forecast(forecast)
-    predicted = ego.median()
+    middle = ego.median()
     return {
-        **displacements(predicted, future),
+        **displacements(ego.most_likely(), future),
+        **{f"median_{score}": value for score, value in displacements(middle, future).items()},
         "nll": negative_log_likelihood(ego, future),
         "min_ade": best_average_displacement(ego, future),
-        "miss_rate": missed(predicted, future),
+        "miss_rate": missed(middle, future),
     }
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from diffstack_mmv.reporting import Run, ablation_table, write_json, write_paper_table
 
-SCORES = ("ade", "nll", "energy_score", "coverage_50", "coverage_90")
+SCORES = ("median_ade", "nll", "energy_score", "coverage_50", "coverage_90")
 
 
 def write_scores(folder, value, situations=("moving", "standing")):
@@ -13,7 +13,9 @@ def write_scores(folder, value, situations=("moving", "standing")):
         "modes": {"bicycle": dict.fromkeys(SCORES, value) | {"nll_kalman": 1.5, "n": 7}},
         "baselines": {"kalman": {"bicycle": {"ade": 4.0}}},
         "situations": {
-            "bicycle": {name: {"ade": 2 * value, "baselines": trivial} for name in situations}
+            "bicycle": {
+                name: {"median_ade": 2 * value, "baselines": trivial} for name in situations
+            }
         },
     }
     write_json(folder / "metrics.json", told)
@@ -34,7 +36,7 @@ def test_each_set_is_a_row_and_trivial_paths_follow(runs):
     table = ablation_table(runs, {"kbm": "DiffKBM"}).set_index("")
     assert list(table.index) == ["present", "without", "kalman"]
     assert table.loc["without", "windows"] == "7"
-    assert table.loc["without", "ADE [m]"] == "2.100 ± 0.141"
+    assert table.loc["without", "ADE of the median [m]"] == "2.100 ± 0.141"
     assert table.loc["present", "moving"] == "2.200 ± 0.283"
     assert table.loc["kalman", "NLL"] == "1.500"
     assert table.loc["kalman", "standing"] == "5.000"
@@ -44,7 +46,7 @@ def test_each_set_is_a_row_and_trivial_paths_follow(runs):
 def test_a_run_that_has_not_ended_is_counted_and_no_part_of_a_mean(runs):
     (runs[1].report / "metrics.json").unlink()
     row = ablation_table(runs, {"kbm": "DiffKBM"}).set_index("").loc["present"]
-    assert (row["seeds"], row["ADE [m]"]) == ("1 of 2", "1.000")
+    assert (row["seeds"], row["ADE of the median [m]"]) == ("1 of 2", "1.000")
 
 
 def test_digits_are_kept_in_the_file(runs, tmp_path):
@@ -57,7 +59,7 @@ def test_a_set_without_any_result_has_dashes(runs):
         (run.report / "metrics.json").unlink()
     table = ablation_table(runs, {"kbm": "DiffKBM"}).set_index("")
     assert (table.loc["present", "seeds"], table.loc["present", "NLL"]) == ("0 of 2", "-")
-    assert table.loc["kalman", "ADE [m]"] == "4.000"
+    assert table.loc["kalman", "ADE of the median [m]"] == "4.000"
 
 
 def test_where_nobody_stands_there_is_a_dash(tmp_path):

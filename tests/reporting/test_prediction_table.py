@@ -34,7 +34,7 @@ def test_seeds_and_data_sets_are_averaged(runs):
 
 def test_a_run_that_has_not_ended_is_no_part_of_a_mean(runs):
     (runs[3].report / "metrics.json").unlink()
-    row = prediction_table(runs, MODELS).set_index("method").loc["Trajectron++, one path"]
+    row = prediction_table(runs, MODELS).set_index("method").loc["Trajectron++, one path (median)"]
     assert row["eth"] == "1.10 / 1.10"
     assert row["hotel"] == row["mean"] == "-"
 
@@ -44,7 +44,9 @@ def test_modes_of_one_set_are_not_averaged(runs):
     modes = {"bicycle": dict.fromkeys(PREDICTED, 3.0)}
     write_json(riders.report / "metrics.json", {"modes": modes, "baselines": {}})
     row = (
-        prediction_table([*runs, riders], MODELS).set_index("method").loc["Trajectron++, one path"]
+        prediction_table([*runs, riders], MODELS)
+        .set_index("method")
+        .loc["Trajectron++, one path (median)"]
     )
     assert row["eth, pedestrian"] == row["hotel"] == "1.10 / 1.10"
     assert row["eth, bicycle"] == "3.00 / 3.00"

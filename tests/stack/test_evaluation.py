@@ -13,6 +13,7 @@ from diffstack_mmv.stack import evaluate_windows, fitted_calibration, representa
 from diffstack_mmv.types import Forecast, Mode, map_tensors
 from tests.stack.test_module import STEPS, batch_of, stack_of, without_future
 
+SCORE_OF = {"prediction": "median_ade", "plan": "plan_ade", "spline": "spline/ade"}
 BASELINES = {
     "stand_still": PredictedPath(StandStill(STEPS, 0.1)),
     "spline": PathToGoal(hermite_spline),
@@ -58,7 +59,7 @@ def test_rows_hold_every_score_and_those_of_the_baselines():
     assert not evaluation.samples.isna().to_numpy().any()
     curves = evaluation.errors["bicycle"]
     assert set(curves) == {"prediction", "plan", *BASELINES}
-    for name, score in (("prediction", "ade"), ("plan", "plan_ade"), ("spline", "spline/ade")):
+    for name, score in SCORE_OF.items():
         assert curves[name].mean() == pytest.approx(evaluation.samples[score].mean(), abs=1e-6)
 
 
@@ -71,9 +72,9 @@ def test_the_heaviest_component_is_scored_beside_the_median(weights, heaviest):
     predictor.weights = weights
     stack = stack_of(PredictedGoal(), predictor)
     samples = evaluate_windows(stack, {}, Recorded(batch_of())).samples
-    assert samples["most_likely_ade"].to_numpy() == pytest.approx(heaviest, abs=0.02)
-    assert samples["most_likely_fde"].to_numpy() == pytest.approx(heaviest, abs=0.02)
-    assert samples["ade"].to_numpy() == pytest.approx(1.0, abs=0.15)
+    assert samples["ade"].to_numpy() == pytest.approx(heaviest, abs=0.02)
+    assert samples["fde"].to_numpy() == pytest.approx(heaviest, abs=0.02)
+    assert samples["median_ade"].to_numpy() == pytest.approx(1.0, abs=0.15)
 
 
 @pytest.mark.parametrize(("count", "enough"), [(8, False), (9, True)])

@@ -197,7 +197,8 @@ def test_baselines_answer_with_paths(baseline, error):
     assert distance.max() < 0.01 if error is not None else distance.max() > 2.0
 
 
-OF_THE_END = {"fde", "plan_fde", "miss_rate"}
+OF_THE_END = {"fde", "median_fde", "plan_fde", "miss_rate"}
+NOT_PREDICTED = set(OPEN_LOOP) - set(OF_THE_PREDICTION)
 WITHOUT_TRUTH = {"collision_rate", "solved"}
 
 
@@ -208,7 +209,7 @@ WITHOUT_TRUTH = {"collision_rate", "solved"}
         (PredictedGoal(), STEPS - 1, OF_THE_END),
         # the goal of the plan was not recorded: no score of the plan means anything
         (FutureGoal(), 0, set(OPEN_LOOP)),
-        (FutureGoal(), STEPS - 1, set(OPEN_LOOP) - set(OF_THE_PREDICTION) | {"fde", "miss_rate"}),
+        (FutureGoal(), STEPS - 1, NOT_PREDICTED | OF_THE_END),
     ],
     ids=["predicted-none", "predicted-no end", "future-none", "future-no end"],
 )
