@@ -17,8 +17,13 @@ from numpy.typing import NDArray
 from data_converters.errors import RejectReason, TrackError, refuse_track, require
 from data_converters.limits import on_one_clock
 from data_converters.modes import default_extent
-from data_converters.plain_files import require_plain
-from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
+from data_converters.recordings import (
+    RawScene,
+    RecordingDataset,
+    SceneSource,
+    fingerprint,
+    fingerprint_of,
+)
 from data_converters.splits import RecordingSplit
 from data_converters.tracks import RawTrack
 from dmmv_conventions.modes import Mode
@@ -256,15 +261,6 @@ def modes_of(labels: pd.Series, known: Mapping[str, Mode]) -> pd.Series:
     """Mode of each label as a number, NaN where it is not known; case does not count."""
     numbers = {name.lower(): float(mode) for name, mode in known.items()}
     return labels.astype(str).str.strip().str.lower().map(numbers)
-
-
-def fingerprint_of(path: Path) -> str:
-    """Hash of a file; one that cannot be read is told when its scene is."""
-    try:
-        require_plain(path)
-        return fingerprint(path.read_bytes())
-    except (OSError, TrackError):
-        return f"unreadable {path}"
 
 
 def _fingerprint(recording: Recording) -> str:

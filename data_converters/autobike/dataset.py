@@ -14,8 +14,8 @@ import pandas as pd
 from data_converters.autobike.quality import LogQuality
 from data_converters.autobike.reader import Fixes, Log, read_log
 from data_converters.errors import RejectReason
-from data_converters.multi_agent import MultiAgentDataset, Recording, fingerprint_of
-from data_converters.recordings import RawScene
+from data_converters.multi_agent import MultiAgentDataset, Recording
+from data_converters.recordings import RawScene, fingerprint_of
 from dmmv_conventions.cache import CONTROLS_TABLE, LEAN_TABLE, SENSORS_TABLE, SPLITS
 from dmmv_conventions.modes import Mode
 
