@@ -108,8 +108,10 @@ def _reject_implausible(raw: RawScene, settings: ConversionSettings) -> None:
 
 def _resample_all(raw: RawScene, settings: ConversionSettings) -> list[AgentRows]:
     agents = []
+    # tables beside the scene may hold agents that were rejected, too
+    taken = {each.name for each in raw.tracks} | {each.track for each in raw.rejected}
     for track in raw.tracks:
-        for stretch in split_at_gaps(track, settings.resample.max_gap_s):
+        for stretch in split_at_gaps(track, settings.resample.max_gap_s, taken):
             try:
                 rows = resample(stretch, settings.resample)
                 settings.dataset.limits.check_rows(rows, track.source)

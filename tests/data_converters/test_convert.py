@@ -130,6 +130,18 @@ def test_a_scene_that_names_modes_as_earlier_reports_did_is_converted_again(
     assert written == ["cyclists_moving_25"]
 
 
+def test_a_scene_in_which_two_agents_have_one_name_is_refused(thab_settings, monkeypatch):
+    def read(dataset, scene, dt_s, *, strict):
+        raw = original(dataset, scene, dt_s, strict=strict)
+        raw.tracks *= 2
+        return raw
+
+    original = ThabVruDataset.read
+    monkeypatch.setattr(ThabVruDataset, "read", read)
+    with pytest.raises(ConversionError, match="`agents` must have a name each.*'track'"):
+        convert(thab_settings())
+
+
 DAMAGE = {
     "lost": lambda path: path.unlink(),
     "cut": lambda path: path.write_bytes(path.read_bytes()[:100]),

@@ -193,6 +193,19 @@ def test_bad_rows_cost_their_agent_alone(dataset, bad, reason):
     assert [track.name for track in raw.tracks] == ["7"]
 
 
+def test_stretches_and_agents_of_one_scene_have_names_of_their_own(dataset, tmp_path):
+    rows = table(agent="a")[(TIME_S < 5.0) | (TIME_S > 7.0)]
+    found = dataset(tables={"day": pd.concat([rows, table(agent="a_s1", y=9.0)])})
+    convert(ConversionSettings(found, tmp_path / "cache", progress=False))
+    written = pd.read_feather(next(tmp_path.glob("cache/csv/day/agent_data*.feather")))
+    place = written.groupby("agent_id")["y"].agg(["min", "max"]).round(6)
+    assert place.to_dict("index") == {
+        "a": {"min": 1.0, "max": 1.0},
+        "a_s1": {"min": 9.0, "max": 9.0},
+        "a_s2": {"min": 1.0, "max": 1.0},
+    }
+
+
 def test_a_broken_file_is_counted_and_the_others_kept(dataset, tmp_path):
     found = dataset(tables={"a": table(), "b": table()})
     (tmp_path / "c.csv").write_text("")
