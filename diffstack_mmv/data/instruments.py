@@ -1,5 +1,6 @@
 """What instruments measured along recorded tracks: controls, sensors and lean."""
 
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -182,10 +183,11 @@ def _measured(
 ) -> Iterator[_Measured]:
     """Rows of a table that stands beside a scene, by the tracks of a mode."""
     scene = scene_of(cache, name)
+    by_name = {str(whose): rows for whose, rows in table.groupby("agent_id")}
     for agent in scene.agents or ():
         # a track that was split at gaps has one measurement for all its parts
-        whose = table["agent_id"].isin([agent.name, agent.name.rpartition("_s")[0]])
-        rows = table[whose].sort_values("time_s")
+        whose = agent.name if agent.name in by_name else re.sub(r"_s\d+$", "", agent.name)
+        rows = by_name.get(whose, table[:0]).sort_values("time_s")
         if int(agent.type) == mode and len(rows):
             time_s = np.arange(agent.first_timestep, agent.last_timestep + 1) * scene.dt
             yield _Measured(f"{name}/{agent.name}", time_s, rows)
