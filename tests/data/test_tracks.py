@@ -80,6 +80,18 @@ def test_controls_recorded_rarely_are_interpolated_and_unknown_outside(ride):
     assert np.isfinite(steer).nonzero()[0].tolist() == list(range(10, 21))
 
 
+def test_rows_without_a_number_are_passed_over(ride):
+    time_s = 0.1 * np.arange(100)
+    steer = np.where(np.arange(100) % 7 == 3, np.nan, time_s)
+    source = ride("controls", time_s=time_s, steer=steer, acceleration=np.nan)
+    ride("lean", time_s=time_s, lean=steer)
+    found = read_controls(source, ["train"], "bicycle", NAMES)["scene/track"].numpy()
+    assert np.isnan(found[:, 0]).all()
+    assert found[:, 1] == pytest.approx(0.1 * np.arange(40), abs=0.051)
+    lean = read_leans(source, ["train"], "bicycle")["scene/track"].numpy()
+    assert lean == pytest.approx(0.1 * np.arange(40))
+
+
 @pytest.mark.parametrize(
     ("table", "column", "complaint"),
     [
