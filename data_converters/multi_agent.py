@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from data_converters.errors import RejectReason, TrackError, refuse_track, require
+from data_converters.errors import RejectReason, TrackError, fault, refuse_track, require
 from data_converters.limits import on_one_clock
 from data_converters.modes import default_extent
 from data_converters.recordings import (
@@ -84,10 +84,10 @@ class MultiAgentDataset(RecordingDataset):
         Tables that are to stand beside the scene go to `raw.side_tables`, on the same clock.
 
         Returns:
-            Columns agent (name), mode (number of a `Mode`, NaN where the class is not known),
-            time_s (s, on the clock that all files of the recording share), x, y (m, x east, y
-            north); optionally z (m), speed (m/s), heading (rad), label (of the class, for
-            messages), id (number of the agent, which must be one) and `SIZES`.
+            Columns agent (name, NaN where there is none), mode (number of a `Mode`, NaN where the
+            class is not known), time_s (s, on the clock that all files of the recording share),
+            x, y (m, x east, y north); optionally z (m), speed (m/s), heading (rad), label (of the
+            class, for messages), id (number of the agent, which must be one) and `SIZES`.
 
         Raises:
             TrackError: If the file cannot be used.
@@ -137,7 +137,7 @@ class MultiAgentDataset(RecordingDataset):
                 if len(table) == 0 and len(raw.rejected) == refused:
                     needs, remedy = "hold a sample", "Copy the file again, or remove it."
                     refuse_track(RejectReason.TOO_SHORT, "file", needs, "none", path, remedy)
-                tables.append(table.assign(source=source))
+                tables.append(_of_agents(table, source, raw, strict=strict).assign(source=source))
             except TrackError as error:
                 raw.reject(path.name, source, error, strict=strict)
         tables = [table for table in tables if len(table)]
@@ -175,6 +175,17 @@ class MultiAgentDataset(RecordingDataset):
     @cached_property
     def _index(self) -> dict[str, Recording]:
         return {recording.name: recording for recording in self.recordings()}
+
+
+def _of_agents(table: pd.DataFrame, source: str, raw: RawScene, *, strict: bool) -> pd.DataFrame:
+    """Samples whose agent has a name; the others, who may be several, are counted."""
+    unnamed = table["agent"].isna() if len(table) else pd.Series(dtype=bool)
+    if not unnamed.any():
+        return table
+    found, remedy = f"none in {int(unnamed.sum())} of {len(table)} rows", "Name it in every row."
+    told = fault("agent", "have a name", found, source, remedy)
+    raw.reject("unnamed", source, TrackError(told, RejectReason.NO_AGENT), strict=strict)
+    return table[~unnamed]
 
 
 def add_tracks(raw: RawScene, table: pd.DataFrame, *, strict: bool) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -14,25 +13,24 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
-from data_converters.csv_table import told_as_fault
 from data_converters.errors import (
     ConversionError,
     RejectReason,
     TrackError,
-    refuse_track,
     require,
 )
 from data_converters.multi_agent import MultiAgentDataset, Recording, modes_of
-from data_converters.plain_files import require_plain
 from data_converters.recordings import RawScene
 from data_converters.tables.agreement import require_agreement
 from data_converters.tables.columns import TableColumns
 from data_converters.tables.outputs import recorded
+from data_converters.tables.reading import names_of, read_table
 from data_converters.tables.units import Plausibility, TableUnits
 from dmmv_conventions.cache import CONTROLS_TABLE
 from dmmv_conventions.modes import Mode
 
-SEPARATORS = (",", ";", "\t", "|")
+NAMES = ("agent", "type", "scene", "recording")
+"""Columns that hold names."""
 ENDINGS = ("csv", "csv.gz", "parquet")
 OWN_NAMES = {mode.label: mode.label for mode in Mode}
 
@@ -147,7 +145,7 @@ class TableDataset(MultiAgentDataset):
         columns, units = self.columns, self.units
         return pd.DataFrame(
             {
-                "agent": "agent" if columns.agent is None else _agents(rows[columns.agent]),
+                "agent": "agent" if columns.agent is None else names_of(rows[columns.agent]),
                 "time_s": units.seconds(rows[columns.time]),
                 "x": units.metres(rows[columns.x]),
                 "y": units.metres(rows[columns.y]) * (-1.0 if units.y_down else 1.0),
@@ -189,7 +187,7 @@ class TableDataset(MultiAgentDataset):
         if self.columns.type is None:
             return {"mode": float(Mode.named(str(self.mode)))}
         known = {str(kind): Mode.named(str(label)) for kind, label in self.types.items()}
-        labels = rows[self.columns.type]
+        labels = names_of(rows[self.columns.type])
         return {"mode": modes_of(labels, known), "label": labels}
 
     def _measured(self, rows: pd.DataFrame) -> dict[str, pd.Series]:
@@ -224,7 +222,9 @@ class TableDataset(MultiAgentDataset):
         """The table of a file; that of the last one is kept, because scenes are read in order."""
         if path not in self._latest:
             self._latest.clear()
-            self._latest[path] = _read(path)
+            named = self.columns.named()
+            names = {named[each] for each in NAMES if each in named}
+            self._latest[path] = read_table(path, names)
         return self._latest[path]
 
     @cached_property
@@ -239,41 +239,6 @@ class TableDataset(MultiAgentDataset):
     @cached_property
     def _scene_of(self) -> dict[str, str | None]:
         return {}
-
-
-def _read(path: Path) -> pd.DataFrame:
-    """A table as it is.
-
-    Raises:
-        TrackError: If it is none.
-    """
-    if path.suffix != ".parquet":
-        with told_as_fault(path):
-            return pd.read_csv(path, sep=_separator(path), encoding="utf-8-sig")
-    from pyarrow.lib import ArrowException
-
-    try:
-        require_plain(path)
-        return pd.read_parquet(path)
-    except TrackError:
-        raise
-    except (OSError, ValueError, TypeError, ArrowException) as error:
-        remedy = "Write the file again."
-        refuse_track(RejectReason.MISSING_FIELD, "file", "be a table", error, path, remedy)
-
-
-def _separator(path: Path) -> str:
-    """The one of , ; tab | that is most frequent in the first line."""
-    with gzip.open(path, "rt") if path.suffix == ".gz" else path.open() as file:
-        first = file.readline()
-    return max(SEPARATORS, key=first.count)
-
-
-def _agents(numbers: pd.Series) -> pd.Series:
-    """Names of agents; a number that a gap turned into 7.0 is 7, and no name is NaN."""
-    if pd.api.types.is_float_dtype(numbers):
-        return numbers.map("{:.15g}".format).where(numbers.notna(), "unnamed")
-    return numbers.astype(str)
 
 
 def _plain(name: str) -> str:

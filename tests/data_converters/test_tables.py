@@ -21,8 +21,10 @@ from data_converters import (
     TableColumns,
     TableDataset,
     TableUnits,
+    TrackError,
     convert,
 )
+from data_converters.tables.reading import names_of, read_table
 from data_converters.tables.units import Plausibility
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -191,6 +193,36 @@ def test_bad_rows_cost_their_agent_alone(dataset, bad, reason):
     raw = read(dataset(tables={"day": rows}), strict=False)
     assert [(item.track, item.reason) for item in raw.rejected] == [("8", reason)]
     assert [track.name for track in raw.tracks] == ["7"]
+
+
+def test_rows_without_an_agent_are_counted_and_numbers_stay_as_they_are(dataset):
+    big = 12345678901234560
+    parts = [table(agent=str(big + n), y=n) for n in range(3)]
+    rows = pd.concat([*parts, table(agent=None)])
+    raw = read(dataset(tables={"day": rows}), strict=False)
+    assert [track.name for track in raw.tracks] == [str(big + n) for n in range(3)]
+    assert [(item.track, item.reason) for item in raw.rejected] == [
+        ("unnamed", RejectReason.NO_AGENT)
+    ]
+    with pytest.raises(TrackError, match="`agent` must have a name.*none in 120 of 480 rows"):
+        read(dataset(tables={"day": rows}))
+
+
+@pytest.mark.parametrize("kind", [2, 2.0, "2"])
+def test_a_type_that_is_missing_costs_its_agent_alone(dataset, kind):
+    rows = pd.concat([table(type=kind), table(agent=8, type=np.nan)])
+    raw = read(dataset(tables={"day": rows}, types={"2": "scooter"}), strict=False)
+    assert [track.mode for track in raw.tracks] == [Mode.SCOOTER]
+    assert [item.reason for item in raw.rejected] == [RejectReason.UNKNOWN_CLASS]
+
+
+def test_names_in_a_parquet_file_are_those_of_a_csv_file(tmp_path):
+    numbers = pd.Series([7.0, np.nan, 1234567890123456.0, 1234567890123457.0, 1.5])
+    names = ["7", None, "1234567890123456", "1234567890123457", "1.5"]
+    assert names_of(numbers).where(numbers.notna(), None).tolist() == names
+    numbers.to_frame("agent").to_csv(tmp_path / "a.csv")
+    again = names_of(read_table(tmp_path / "a.csv", {"agent"})["agent"])
+    assert again.where(again.notna(), None).tolist() == names
 
 
 def test_stretches_and_agents_of_one_scene_have_names_of_their_own(dataset, tmp_path):
