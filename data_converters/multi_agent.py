@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -111,12 +111,15 @@ class MultiAgentDataset(RecordingDataset):
             if each.split is None:
                 sizes[each.group or each.name] += each.size  # type: ignore[assignment]
         dealt = self.split.deal(sizes)
+        # a file of many scenes is read once
+        files = dict.fromkeys(path for each in self._index.values() for path in each.files)
+        marks = {path: fingerprint_of(path) for path in files}
         return [
             SceneSource(
                 each.name,
                 each.split or dealt[each.group or each.name],
                 each.name,
-                _fingerprint(each),
+                fingerprint(repr([marks[path] for path in each.files]).encode()),
             )
             for each in self._index.values()
         ]
@@ -272,8 +275,3 @@ def modes_of(labels: pd.Series, known: Mapping[str, Mode]) -> pd.Series:
     """Mode of each label as a number, NaN where it is not known; case does not count."""
     numbers = {name.lower(): float(mode) for name, mode in known.items()}
     return labels.astype(str).str.strip().str.lower().map(numbers)
-
-
-def _fingerprint(recording: Recording) -> str:
-    content: Sequence[str] = [fingerprint_of(path) for path in recording.files]
-    return fingerprint(repr(content).encode())

@@ -17,6 +17,7 @@ from data_converters.errors import (
     ConversionError,
     RejectReason,
     TrackError,
+    refuse_track,
     require,
 )
 from data_converters.multi_agent import MultiAgentDataset, Recording, modes_of
@@ -26,12 +27,15 @@ from data_converters.tables.columns import TableColumns
 from data_converters.tables.outputs import recorded
 from data_converters.tables.reading import names_of, read_table
 from data_converters.tables.units import Plausibility, TableUnits
-from dmmv_conventions.cache import CONTROLS_TABLE
+from dmmv_conventions.cache import CONTROLS_TABLE, SPLITS
 from dmmv_conventions.modes import Mode
 
 NAMES = ("agent", "type", "scene", "recording")
 """Columns that hold names."""
+UNNAMED = ""
+"""What stands for the scene of rows that name none."""
 ENDINGS = ("csv", "csv.gz", "parquet")
+ENDING = re.compile(r"\.(csv|csv\.gz|parquet)$")
 OWN_NAMES = {mode.label: mode.label for mode in Mode}
 
 
@@ -101,26 +105,35 @@ class TableDataset(MultiAgentDataset):
         found: dict[str, Recording] = {}
         self._scene_of.clear()
         for path in self._paths:
-            stem = _plain(str(path.relative_to(self.root)).partition(".")[0])
+            stem = _plain(ENDING.sub("", str(path.relative_to(self.root))))
             for scene, group in self._scenes(path).items():
-                name = stem if scene is None else f"{stem}_{_plain(scene)}"
+                name = stem if scene is None else f"{stem}_{_plain(scene) or 'unnamed'}"
                 while name in found:
                     name += "_"
                 self._scene_of[name] = scene
-                found[name] = Recording(name, (path,), None, group)
+                # what is only counted takes no part in the deal
+                counted = scene == UNNAMED and (group or name) not in self.split.given
+                found[name] = Recording(name, (path,), SPLITS[0] if counted else None, group)
         return list(found.values())
 
     def table(self, path: Path, recording: Recording, raw: RawScene) -> pd.DataFrame:
         """Samples of one scene in SI units.
 
         Raises:
-            TrackError: If the file is no table.
+            TrackError: If the file is no table, or the rows have no scene.
             ConversionError: If it lacks a column, or its units cannot be right.
         """
         rows, columns = self._rows(path), self.columns
         with self._unlike_others(recording):
             columns.require_all(rows, path)
             rows = self._of_scene(rows, recording)
+            if self._scene_of.get(recording.name) == UNNAMED:
+                needs, found, remedy = (
+                    "have a name",
+                    f"none in {len(rows)} rows",
+                    "Name it in each.",
+                )
+                refuse_track(RejectReason.NO_SCENE, "scene", needs, found, path, remedy)
             table = self._checked(rows, path)
         if columns.controls:
             recorded = {name: rows[column] for name, column in columns.controls.items()}
@@ -162,6 +175,8 @@ class TableDataset(MultiAgentDataset):
         """
         try:
             yield
+        except TrackError:
+            raise
         except ConversionError as error:
             others = (each for each in self._index.values() if each.name != recording.name)
             if any(self._fits(other) for other in others):
@@ -180,8 +195,15 @@ class TableDataset(MultiAgentDataset):
         return len(table) > 0
 
     def _of_scene(self, rows: pd.DataFrame, recording: Recording) -> pd.DataFrame:
-        scene = self._scene_of.get(recording.name)
-        return rows if scene is None else rows[rows[self.columns.scene].astype(str) == scene]
+        """Rows of a recording among those of its file, which are grouped once for all."""
+        scene, (path,) = self._scene_of.get(recording.name), recording.files
+        if scene is None:
+            return rows
+        if path not in self._grouped:
+            self._grouped.clear()
+            names = names_of(rows[self.columns.scene]).fillna(UNNAMED)
+            self._grouped[path] = {str(name): part for name, part in rows.groupby(names)}
+        return self._grouped[path][scene]
 
     def _modes(self, rows: pd.DataFrame) -> dict[str, Any]:
         if self.columns.type is None:
@@ -212,10 +234,12 @@ class TableDataset(MultiAgentDataset):
             # it is refused, and counted, when it is read
             return {None: ""}
         scene, recording = self.columns.scene, self.columns.recording
-        groups = rows[recording].astype(str) if recording else pd.Series("", index=rows.index)
+        groups = pd.Series("", index=rows.index)
+        if recording:
+            groups = names_of(rows[recording]).fillna("")
         if scene is None:
             return {None: str(groups.iloc[0]) if len(groups) else ""}
-        pairs = pd.DataFrame({"scene": rows[scene].astype(str), "group": groups})
+        pairs = pd.DataFrame({"scene": names_of(rows[scene]).fillna(UNNAMED), "group": groups})
         return {str(s): str(g) for s, g in pairs.drop_duplicates("scene").itertuples(index=False)}
 
     def _rows(self, path: Path) -> pd.DataFrame:
@@ -234,6 +258,10 @@ class TableDataset(MultiAgentDataset):
 
     @cached_property
     def _latest(self) -> dict[Path, pd.DataFrame]:
+        return {}
+
+    @cached_property
+    def _grouped(self) -> dict[Path, dict[str, pd.DataFrame]]:
         return {}
 
     @cached_property

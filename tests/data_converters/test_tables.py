@@ -21,40 +21,13 @@ from data_converters import (
     TableColumns,
     TableDataset,
     TableUnits,
-    TrackError,
     convert,
 )
-from data_converters.tables.reading import names_of, read_table
 from data_converters.tables.units import Plausibility
+from tests.data_converters.synthetic import TABLE_TIME_S as TIME_S
+from tests.data_converters.synthetic import first_scene, table
 
 ROOT = Path(__file__).resolve().parents[2]
-TIME_S = np.arange(0.0, 12.0, 0.1)
-
-
-def table(**changes):
-    """A scooter that rides east at 4 m/s, in the columns of the defaults."""
-    columns = {"time": TIME_S, "x": 4.0 * TIME_S, "y": 1.0, "agent": 7, "type": "scooter"}
-    return pd.DataFrame(columns | changes)
-
-
-@pytest.fixture
-def dataset(tmp_path):
-    """A data set of tables, given by the stem of their files."""
-
-    def build(*, tables=None, **options):
-        for stem, content in (tables or {"day": table()}).items():
-            path = tmp_path / f"{stem}.csv"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            content.to_csv(path, index=False)
-        return TableDataset(tmp_path, **options)
-
-    return build
-
-
-def read(dataset, number=0, *, strict=True):
-    return dataset.read(dataset.scenes()[number], 0.1, strict=strict)
-
-
 UNITS = {
     "milliseconds": (TableUnits(time="ms"), {"time": 1e3 * TIME_S}),
     "date and time": (
@@ -68,7 +41,7 @@ UNITS = {
 
 @pytest.mark.parametrize(("units", "changes"), UNITS.values(), ids=UNITS)
 def test_units_become_si(dataset, units, changes):
-    (track,) = read(dataset(tables={"day": table(**changes)}, units=units)).tracks
+    (track,) = first_scene(dataset(tables={"day": table(**changes)}, units=units)).tracks
     np.testing.assert_allclose(track.time_s, TIME_S, atol=1e-6)
     np.testing.assert_allclose(track.position[:, 0], 4.0 * TIME_S, atol=1e-9)
     np.testing.assert_allclose(track.position[:, 1], 1.0)
@@ -89,7 +62,7 @@ def test_headings_are_turned_counter_clockwise_from_east(dataset, unit, y_down, 
     way = 4.0 * TIME_S * (-1.0 if y_down else 1.0)
     path = {"x": 4.0 * TIME_S * np.cos(heading), "y": np.sin(heading) * way}
     found = dataset(tables={"d": table(face=stated, **path)}, columns=columns, units=units)
-    (track,) = read(found).tracks
+    (track,) = first_scene(found).tracks
     np.testing.assert_allclose(track.heading, heading, atol=1e-12)
 
 
@@ -125,7 +98,7 @@ MISTAKES = {
 @pytest.mark.parametrize(("changes", "options", "says"), MISTAKES.values(), ids=MISTAKES)
 def test_a_wrong_setting_is_told_with_what_to_change(dataset, changes, options, says):
     with pytest.raises(ConversionError, match=says):
-        read(dataset(tables={"day": table(**changes)}, **options))
+        first_scene(dataset(tables={"day": table(**changes)}, **options))
 
 
 BELIEVED = {
@@ -151,13 +124,13 @@ def test_what_can_be_is_believed(dataset, changes):
     columns = TableColumns(heading="face", speed="v")
     rows = table(**({"face": 0.0, "v": 4.0} | changes))
     found = dataset(tables={"day": rows}, columns=columns)
-    assert len(read(found, strict=False).tracks) == 1
+    assert len(first_scene(found, strict=False).tracks) == 1
 
 
 def test_a_table_without_a_place_is_no_fault_of_the_units(dataset):
     columns = TableColumns(heading="face", speed="v")
     rows = table(face=0.0, v=4.0, x=np.nan)
-    raw = read(dataset(tables={"day": rows}, columns=columns), strict=False)
+    raw = first_scene(dataset(tables={"day": rows}, columns=columns), strict=False)
     assert [item.reason for item in raw.rejected] == [RejectReason.NOT_FINITE]
 
 
@@ -190,52 +163,9 @@ def test_an_unknown_unit_is_refused(unit):
 )
 def test_bad_rows_cost_their_agent_alone(dataset, bad, reason):
     rows = pd.concat([table(), table(agent=8, **bad)])
-    raw = read(dataset(tables={"day": rows}), strict=False)
+    raw = first_scene(dataset(tables={"day": rows}), strict=False)
     assert [(item.track, item.reason) for item in raw.rejected] == [("8", reason)]
     assert [track.name for track in raw.tracks] == ["7"]
-
-
-def test_rows_without_an_agent_are_counted_and_numbers_stay_as_they_are(dataset):
-    big = 12345678901234560
-    parts = [table(agent=str(big + n), y=n) for n in range(3)]
-    rows = pd.concat([*parts, table(agent=None)])
-    raw = read(dataset(tables={"day": rows}), strict=False)
-    assert [track.name for track in raw.tracks] == [str(big + n) for n in range(3)]
-    assert [(item.track, item.reason) for item in raw.rejected] == [
-        ("unnamed", RejectReason.NO_AGENT)
-    ]
-    with pytest.raises(TrackError, match="`agent` must have a name.*none in 120 of 480 rows"):
-        read(dataset(tables={"day": rows}))
-
-
-@pytest.mark.parametrize("kind", [2, 2.0, "2"])
-def test_a_type_that_is_missing_costs_its_agent_alone(dataset, kind):
-    rows = pd.concat([table(type=kind), table(agent=8, type=np.nan)])
-    raw = read(dataset(tables={"day": rows}, types={"2": "scooter"}), strict=False)
-    assert [track.mode for track in raw.tracks] == [Mode.SCOOTER]
-    assert [item.reason for item in raw.rejected] == [RejectReason.UNKNOWN_CLASS]
-
-
-def test_names_in_a_parquet_file_are_those_of_a_csv_file(tmp_path):
-    numbers = pd.Series([7.0, np.nan, 1234567890123456.0, 1234567890123457.0, 1.5])
-    names = ["7", None, "1234567890123456", "1234567890123457", "1.5"]
-    assert names_of(numbers).where(numbers.notna(), None).tolist() == names
-    numbers.to_frame("agent").to_csv(tmp_path / "a.csv")
-    again = names_of(read_table(tmp_path / "a.csv", {"agent"})["agent"])
-    assert again.where(again.notna(), None).tolist() == names
-
-
-def test_stretches_and_agents_of_one_scene_have_names_of_their_own(dataset, tmp_path):
-    rows = table(agent="a")[(TIME_S < 5.0) | (TIME_S > 7.0)]
-    found = dataset(tables={"day": pd.concat([rows, table(agent="a_s1", y=9.0)])})
-    convert(ConversionSettings(found, tmp_path / "cache", progress=False))
-    written = pd.read_feather(next(tmp_path.glob("cache/csv/day/agent_data*.feather")))
-    place = written.groupby("agent_id")["y"].agg(["min", "max"]).round(6)
-    assert place.to_dict("index") == {
-        "a": {"min": 1.0, "max": 1.0},
-        "a_s1": {"min": 9.0, "max": 9.0},
-        "a_s2": {"min": 1.0, "max": 1.0},
-    }
 
 
 def test_a_broken_file_is_counted_and_the_others_kept(dataset, tmp_path):
@@ -272,18 +202,6 @@ def test_coordinates_of_a_map_need_a_wider_limit(dataset, tmp_path):
     assert (tmp_path / "cache" / "conversion_report.json").is_file()
     report = converted(tmp_path, "data.recordings.limits.coordinate_m=1e7")
     assert report.totals()["scenes"] == 1
-
-
-def test_scenes_of_a_recording_stay_in_one_split(dataset):
-    rows = pd.concat(
-        [table(place=f"p{n}", ride=f"r{n // 3}", agent=n) for n in range(18)], ignore_index=True
-    )
-    columns = TableColumns(scene="place", recording="ride")
-    scenes = dataset(tables={"all": rows}, columns=columns).scenes()
-    assert len(scenes) == 18
-    for number in range(6):
-        assert len({scene.split for scene in scenes[3 * number : 3 * number + 3]}) == 1
-    assert {scene.split for scene in scenes} == {"train", "val", "test"}
 
 
 def test_files_are_recordings_whose_split_can_be_given(dataset):
@@ -326,7 +244,7 @@ def test_a_folder_of_recordings_may_itself_be_that_of_a_run(dataset, tmp_path):
 def test_sizes_and_one_mode_for_all(dataset):
     columns = TableColumns(type=None, agent=None, length="long")
     found = dataset(tables={"d": table(long=1.3)}, columns=columns, mode="scooter")
-    (track,) = read(found).tracks
+    (track,) = first_scene(found).tracks
     assert (track.extent.length, track.extent.width, track.mode) == (1.3, 0.6, Mode.SCOOTER)
 
 
