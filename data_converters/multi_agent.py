@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -111,15 +111,12 @@ class MultiAgentDataset(RecordingDataset):
             if each.split is None:
                 sizes[each.group or each.name] += each.size  # type: ignore[assignment]
         dealt = self.split.deal(sizes)
-        # a file of many scenes is read once
-        files = dict.fromkeys(path for each in self._index.values() for path in each.files)
-        marks = {path: fingerprint_of(path) for path in files}
         return [
             SceneSource(
                 each.name,
                 each.split or dealt[each.group or each.name],
                 each.name,
-                fingerprint(repr([marks[path] for path in each.files]).encode()),
+                fingerprint(repr([self._marks[path] for path in each.files]).encode()),
             )
             for each in self._index.values()
         ]
@@ -174,6 +171,29 @@ class MultiAgentDataset(RecordingDataset):
                 raw.reject(name, source, error, strict=strict)
         # without a clock an agent is refused by itself
         return table[~table["agent"].isin(begin.keys() - kept)]
+
+    def _repeats(self, path: Path, raw: RawScene) -> bool:
+        """Whether a file repeats an earlier one, of another recording, say; it is counted then."""
+        original = self._repeated.get(path)
+        if original is not None:
+            told = f"{path} repeats {original}"
+            raw.leave_out(path.name, str(path), RejectReason.CONTAINED, told)
+        return original is not None
+
+    @cached_property
+    def _repeated(self) -> dict[Path, Path]:
+        """By file that repeats an earlier one byte by byte, the first of its kind."""
+        first: dict[str, Path] = {}
+        originals = {path: first.setdefault(mark, path) for path, mark in self._marks.items()}
+        return {path: original for path, original in originals.items() if path != original}
+
+    @cached_property
+    def _marks(self) -> dict[Path, str]:
+        """Hash of each file, which may hold many scenes."""
+        return {path: fingerprint_of(path) for path in self._files()}
+
+    def _files(self) -> Iterable[Path]:
+        return (path for each in self._index.values() for path in each.files)
 
     @cached_property
     def _index(self) -> dict[str, Recording]:

@@ -112,8 +112,9 @@ class TableDataset(MultiAgentDataset):
                     name += "_"
                 self._scene_of[name] = scene
                 # what is only counted takes no part in the deal
-                counted = scene == UNNAMED and (group or name) not in self.split.given
-                found[name] = Recording(name, (path,), SPLITS[0] if counted else None, group)
+                counted = scene == UNNAMED or path in self._repeated
+                dealt = not counted or (group or name) in self.split.given
+                found[name] = Recording(name, (path,), None if dealt else SPLITS[0], group)
         return list(found.values())
 
     def table(self, path: Path, recording: Recording, raw: RawScene) -> pd.DataFrame:
@@ -123,6 +124,8 @@ class TableDataset(MultiAgentDataset):
             TrackError: If the file is no table, or the rows have no scene.
             ConversionError: If it lacks a column, or its units cannot be right.
         """
+        if self._repeats(path, raw):
+            return pd.DataFrame()
         rows, columns = self._rows(path), self.columns
         with self._unlike_others(recording):
             columns.require_all(rows, path)
@@ -255,6 +258,9 @@ class TableDataset(MultiAgentDataset):
     def _paths(self) -> list[Path]:
         found = (path for ending in ENDINGS for path in self.root.rglob(f"*.{ending}"))
         return recorded(found, self.root)
+
+    def _files(self) -> list[Path]:
+        return self._paths
 
     @cached_property
     def _latest(self) -> dict[Path, pd.DataFrame]:

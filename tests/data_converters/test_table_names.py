@@ -101,3 +101,12 @@ def test_a_file_of_many_scenes_is_hashed_once(dataset, monkeypatch):
 def test_dots_in_a_path_are_part_of_the_name(dataset, stem):
     names = [scene.name for scene in dataset(tables={stem: table()}).scenes()]
     assert names == [re.sub("[./]", "_", stem)]
+
+
+def test_a_file_that_repeats_another_stands_in_no_split(dataset, tmp_path):
+    tables = {name: table(y=float(name == "c")) for name in "abcd"} | {"e": table(y=2.0)}
+    report = convert(ConversionSettings(dataset(tables=tables), tmp_path / "cache", progress=False))
+    kept = {scene.name: scene.split for scene in report.scenes if scene.usable}
+    assert set(kept) == {"a", "c", "e"}
+    assert set(kept.values()) == {"train", "val", "test"}
+    assert report.rejected_by_reason == {RejectReason.CONTAINED: 2}

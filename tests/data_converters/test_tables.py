@@ -169,14 +169,14 @@ def test_bad_rows_cost_their_agent_alone(dataset, bad, reason):
 
 
 def test_a_broken_file_is_counted_and_the_others_kept(dataset, tmp_path):
-    found = dataset(tables={"a": table(), "b": table()})
+    found = dataset(tables={"a": table(), "b": table(y=2.0)})
     (tmp_path / "c.csv").write_text("")
     report = convert(ConversionSettings(found, tmp_path / "cache", progress=False))
     assert report.rejected_by_reason == {RejectReason.MISSING_FIELD: 1}
 
 
 def test_a_split_that_lost_all_its_recordings_is_told(dataset, tmp_path, caplog):
-    tables = {"a": table(), "b": table(), "c": table(), "d": table(x=np.nan)}
+    tables = {"a": table(), "b": table(y=2.0), "c": table(y=3.0), "d": table(x=np.nan)}
     given = RecordingSplit(given={"a": "train", "b": "train", "c": "val", "d": "test"})
     found = dataset(tables=tables, split=given)
     convert(ConversionSettings(found, tmp_path / "cache", progress=False))
