@@ -55,6 +55,9 @@ def test_units_become_si(dataset, units, changes):
         ("compass_deg", False, 90.0, 0.0),
         ("compass_deg", False, 0.0, np.pi / 2.0),
         ("rad", True, 0.3, -0.3),
+        # a compass is read off a picture as it is: north is up
+        ("compass_deg", True, 0.0, np.pi / 2.0),
+        ("compass_deg", True, 90.0, 0.0),
     ],
 )
 def test_headings_are_turned_counter_clockwise_from_east(dataset, unit, y_down, stated, heading):
