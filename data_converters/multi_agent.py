@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from data_converters.errors import RejectReason, TrackError, fault, refuse_track, require
-from data_converters.limits import on_one_clock
+from data_converters.limits import SIZES, on_one_clock
 from data_converters.modes import default_extent
 from data_converters.recordings import (
     RawScene,
@@ -30,10 +30,6 @@ from dmmv_conventions.modes import Mode
 
 if TYPE_CHECKING:
     from trajdata.data_structures.agent import FixedExtent
-
-SIZES = ("length", "width", "height")
-"""Optional columns of a table in m; the median of an agent is its size."""
-
 
 METRES_PER_PIXEL = (1e-4, 1.0)
 """Scales of a picture of people from above; in a coarser one they are smaller than a pixel."""
@@ -87,7 +83,8 @@ class MultiAgentDataset(RecordingDataset):
             Columns agent (name, NaN where there is none), mode (number of a `Mode`, NaN where the
             class is not known), time_s (s, on the clock that all files of the recording share),
             x, y (m, x east, y north); optionally z (m), speed (m/s), heading (rad), label (of the
-            class, for messages), id (number of the agent, which must be one) and `SIZES`.
+            class, for messages), id (number of the agent, which must be one) and `SIZES` (m),
+            whose median over an agent is its size.
 
         Raises:
             TrackError: If the file cannot be used.

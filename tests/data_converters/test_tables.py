@@ -244,6 +244,16 @@ def test_a_folder_of_recordings_may_itself_be_that_of_a_run(dataset, tmp_path):
     assert len(dataset(tables={"a": table()}).scenes()) == 1
 
 
+@pytest.mark.parametrize("size", [-1.0, 0.0, 180.0])
+def test_a_size_that_cannot_be_costs_its_agent_alone(dataset, tmp_path, size):
+    rows = pd.concat([table(long=1.3), table(agent=8, long=size)])
+    found = dataset(tables={"d": rows}, columns=TableColumns(length="long"))
+    report = convert(ConversionSettings(found, tmp_path / "cache", progress=False))
+    (refused,) = report.scenes[0].rejected
+    assert (refused["track"], refused["reason"]) == ("8", RejectReason.EXTENT)
+    assert f"`length` must be above 0 and at most 30 m, but got '{size:g}'" in refused["detail"]
+
+
 def test_sizes_and_one_mode_for_all(dataset):
     columns = TableColumns(type=None, agent=None, length="long")
     found = dataset(tables={"d": table(long=1.3)}, columns=columns, mode="scooter")
