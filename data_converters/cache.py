@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from data_converters.errors import require
 from data_converters.recordings import RawScene
 from data_converters.tracks import AgentRows
 from dmmv_conventions.cache import side_table
@@ -42,7 +44,14 @@ def write_scene(
 
     Returns:
         trajdata's record of the scene.
+
+    Raises:
+        ConversionError: If two agents have one name.
     """
+    names = Counter(agent.name for agent in agents)
+    repeated = [each for each, times in names.items() if times > 1]
+    remedy = "Name its agents apart."
+    require(not repeated, "agents", "have a name each", repeated, f"scene {name}", remedy)
     # trajdata takes seconds to import: not before something is written
     from trajdata.caching.df_cache import DataFrameCache
     from trajdata.caching.env_cache import EnvCache

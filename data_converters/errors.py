@@ -35,7 +35,10 @@ class RejectReason(StrEnum):
     NO_ORIENTATION = "no_orientation"
     TIME_SPAN = "time_beyond_limit"
     COORDINATES = "coordinates_beyond_limit"
+    EXTENT = "size_beyond_limit"
     SPEED = "faster_than_its_mode"
+    NO_AGENT = "no_agent_name"
+    NO_SCENE = "no_scene_name"
     OTHER_TABLE = "table_unlike_the_others"
 
 

@@ -32,6 +32,9 @@ SPEED_MAX_MPS = MappingProxyType(
 )
 """By mode in m/s: what nobody exceeds on a road, above the records of sprinters and racers."""
 
+SIZES = ("length", "width", "height")
+"""Sizes of an agent in m."""
+
 OVERSHOOT = 1.25
 """Factor by which a smoothed speed may exceed the limit, because of noise."""
 
@@ -45,6 +48,7 @@ class RecordingLimits:
         step_s: Largest usual (median) time in s between two samples of a track.
         rows: Largest number of steps of the common grid of a scene.
         coordinate_m: Largest distance in m from the origin of the frame, along any axis.
+        extent_m: Largest length, width or height in m of an agent.
         speed_mps: Largest speed in m/s by mode; modes that are left out keep `SPEED_MAX_MPS`.
         slack_m: Distance in m that two samples may lie apart beyond that speed, because of noise.
 
@@ -56,11 +60,12 @@ class RecordingLimits:
     step_s: float = 5.0
     rows: int = 1_000_000
     coordinate_m: float = 1000.0
+    extent_m: float = 30.0
     speed_mps: Mapping[str, float] = field(default_factory=dict)
     slack_m: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("span_s", "step_s", "rows", "coordinate_m", "slack_m"):
+        for name in ("span_s", "step_s", "rows", "coordinate_m", "extent_m", "slack_m"):
             value = getattr(self, name)
             require(value > 0.0, name, "be positive", value, "", "Give SI units.")
         for mode, speed in self.speed_mps.items():
@@ -110,8 +115,9 @@ class RecordingLimits:
             dt_s: Step of the grid in s.
 
         Raises:
-            TrackError: Time, place or speed lie beyond the limits.
+            TrackError: Time, place, size or speed lie beyond the limits.
         """
+        self._check_extent(track)
         self.check_samples(track.time_s, track.position - np.array(origin_m), track.source)
         steps = float(track.time_s[-1]) / dt_s
         if steps > self.rows:
@@ -127,6 +133,15 @@ class RecordingLimits:
             worst = int(beyond.argmax())
             found = f"{moved[worst]:g} m in {passed[worst]:g} s"
             self._refuse_speed(track.mode, found, f"{track.source}, sample {worst + 1}")
+
+    def _check_extent(self, track: RawTrack) -> None:
+        for name in () if track.extent is None else SIZES:
+            size = float(getattr(track.extent, name))
+            if not 0.0 < size <= self.extent_m:
+                needs = f"be above 0 and at most {self.extent_m:g} m"
+                remedy = "Give metres, or nothing where it is not known, or raise `extent_m`."
+                where = f"{track.source}, agent {track.name}"
+                refuse_track(RejectReason.EXTENT, name, needs, f"{size:g}", where, remedy)
 
     def check_rows(self, rows: AgentRows, where: object) -> None:
         """Refuse rows that the smoother could not make sense of.

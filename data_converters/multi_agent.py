@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -14,21 +14,22 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from data_converters.errors import RejectReason, TrackError, refuse_track, require
-from data_converters.limits import on_one_clock
+from data_converters.errors import RejectReason, TrackError, fault, refuse_track, require
+from data_converters.limits import SIZES, on_one_clock
 from data_converters.modes import default_extent
-from data_converters.plain_files import require_plain
-from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
+from data_converters.recordings import (
+    RawScene,
+    RecordingDataset,
+    SceneSource,
+    fingerprint,
+    fingerprint_of,
+)
 from data_converters.splits import RecordingSplit
 from data_converters.tracks import RawTrack
 from dmmv_conventions.modes import Mode
 
 if TYPE_CHECKING:
     from trajdata.data_structures.agent import FixedExtent
-
-SIZES = ("length", "width", "height")
-"""Optional columns of a table in m; the median of an agent is its size."""
-
 
 METRES_PER_PIXEL = (1e-4, 1.0)
 """Scales of a picture of people from above; in a coarser one they are smaller than a pixel."""
@@ -79,10 +80,11 @@ class MultiAgentDataset(RecordingDataset):
         Tables that are to stand beside the scene go to `raw.side_tables`, on the same clock.
 
         Returns:
-            Columns agent (name), mode (number of a `Mode`, NaN where the class is not known),
-            time_s (s, on the clock that all files of the recording share), x, y (m, x east, y
-            north); optionally z (m), speed (m/s), heading (rad), label (of the class, for
-            messages), id (number of the agent, which must be one) and `SIZES`.
+            Columns agent (name, NaN where there is none), mode (number of a `Mode`, NaN where the
+            class is not known), time_s (s, on the clock that all files of the recording share),
+            x, y (m, x east, y north); optionally z (m), speed (m/s), heading (rad), label (of the
+            class, for messages), id (number of the agent, which must be one) and `SIZES` (m),
+            whose median over an agent is its size.
 
         Raises:
             TrackError: If the file cannot be used.
@@ -111,7 +113,7 @@ class MultiAgentDataset(RecordingDataset):
                 each.name,
                 each.split or dealt[each.group or each.name],
                 each.name,
-                _fingerprint(each),
+                fingerprint(repr([self._marks[path] for path in each.files]).encode()),
             )
             for each in self._index.values()
         ]
@@ -132,7 +134,7 @@ class MultiAgentDataset(RecordingDataset):
                 if len(table) == 0 and len(raw.rejected) == refused:
                     needs, remedy = "hold a sample", "Copy the file again, or remove it."
                     refuse_track(RejectReason.TOO_SHORT, "file", needs, "none", path, remedy)
-                tables.append(table.assign(source=source))
+                tables.append(_of_agents(table, source, raw, strict=strict).assign(source=source))
             except TrackError as error:
                 raw.reject(path.name, source, error, strict=strict)
         tables = [table for table in tables if len(table)]
@@ -167,9 +169,43 @@ class MultiAgentDataset(RecordingDataset):
         # without a clock an agent is refused by itself
         return table[~table["agent"].isin(begin.keys() - kept)]
 
+    def _repeats(self, path: Path, raw: RawScene) -> bool:
+        """Whether a file repeats an earlier one, of another recording, say; it is counted then."""
+        original = self._repeated.get(path)
+        if original is not None:
+            told = f"{path} repeats {original}"
+            raw.leave_out(path.name, str(path), RejectReason.CONTAINED, told)
+        return original is not None
+
+    @cached_property
+    def _repeated(self) -> dict[Path, Path]:
+        """By file that repeats an earlier one byte by byte, the first of its kind."""
+        first: dict[str, Path] = {}
+        originals = {path: first.setdefault(mark, path) for path, mark in self._marks.items()}
+        return {path: original for path, original in originals.items() if path != original}
+
+    @cached_property
+    def _marks(self) -> dict[Path, str]:
+        """Hash of each file, which may hold many scenes."""
+        return {path: fingerprint_of(path) for path in self._files()}
+
+    def _files(self) -> Iterable[Path]:
+        return (path for each in self._index.values() for path in each.files)
+
     @cached_property
     def _index(self) -> dict[str, Recording]:
         return {recording.name: recording for recording in self.recordings()}
+
+
+def _of_agents(table: pd.DataFrame, source: str, raw: RawScene, *, strict: bool) -> pd.DataFrame:
+    """Samples whose agent has a name; the others, who may be several, are counted."""
+    unnamed = table["agent"].isna() if len(table) else pd.Series(dtype=bool)
+    if not unnamed.any():
+        return table
+    found, remedy = f"none in {int(unnamed.sum())} of {len(table)} rows", "Name it in every row."
+    told = fault("agent", "have a name", found, source, remedy)
+    raw.reject("unnamed", source, TrackError(told, RejectReason.NO_AGENT), strict=strict)
+    return table[~unnamed]
 
 
 def add_tracks(raw: RawScene, table: pd.DataFrame, *, strict: bool) -> None:
@@ -256,17 +292,3 @@ def modes_of(labels: pd.Series, known: Mapping[str, Mode]) -> pd.Series:
     """Mode of each label as a number, NaN where it is not known; case does not count."""
     numbers = {name.lower(): float(mode) for name, mode in known.items()}
     return labels.astype(str).str.strip().str.lower().map(numbers)
-
-
-def fingerprint_of(path: Path) -> str:
-    """Hash of a file; one that cannot be read is told when its scene is."""
-    try:
-        require_plain(path)
-        return fingerprint(path.read_bytes())
-    except (OSError, TrackError):
-        return f"unreadable {path}"
-
-
-def _fingerprint(recording: Recording) -> str:
-    content: Sequence[str] = [fingerprint_of(path) for path in recording.files]
-    return fingerprint(repr(content).encode())

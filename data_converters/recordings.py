@@ -14,6 +14,7 @@ import pandas as pd
 
 from data_converters.errors import RejectReason, TrackError
 from data_converters.limits import RecordingLimits
+from data_converters.plain_files import require_plain
 from data_converters.tracks import RawTrack
 
 
@@ -125,6 +126,15 @@ class RecordingDataset(ABC):
 def fingerprint(content: bytes) -> str:
     """Hash of what a scene is made from, 16 hexadecimal digits."""
     return hashlib.sha256(content).hexdigest()[:16]
+
+
+def fingerprint_of(path: Path) -> str:
+    """Hash of a file; one that cannot be read is told when its scene is."""
+    try:
+        require_plain(path)
+        return fingerprint(path.read_bytes())
+    except (OSError, TrackError):
+        return f"unreadable {path}"
 
 
 LONGEST_NAME = 120

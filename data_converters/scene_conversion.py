@@ -6,13 +6,17 @@ import json
 import os
 import shutil
 from dataclasses import asdict
+from pathlib import Path
 
 from data_converters.cache import SCENE_REPORT_FILE, write_json, write_scene
 from data_converters.conversion_settings import ConversionSettings
 from data_converters.errors import TrackError
-from data_converters.recordings import RawScene, SceneSource
+from data_converters.recordings import RawScene, SceneSource, fingerprint_of
 from data_converters.report import SceneReport, report_scene
 from data_converters.tracks import AgentRows, resample, split_at_gaps
+
+FILES = "files"
+"""Key of the report of a scene under which the hashes of its files stand."""
 
 
 def convert_scene(settings: ConversionSettings, source: SceneSource) -> SceneReport:
@@ -37,7 +41,8 @@ def convert_scene(settings: ConversionSettings, source: SceneSource) -> SceneRep
         if agents:
             metadata = environment(name, dt_s, {source.name: source.split})
             write_scene(partial, metadata, source.name, settings.dataset.location, agents, raw)
-        write_json(folder / SCENE_REPORT_FILE, asdict(report))
+        content = {**asdict(report), FILES: _files(folder)}
+        write_json(folder / SCENE_REPORT_FILE, content)
         target = settings.staging / source.name
         shutil.rmtree(target, ignore_errors=True)
         os.replace(folder, target)
@@ -49,26 +54,44 @@ def convert_scene(settings: ConversionSettings, source: SceneSource) -> SceneRep
 def finished_scene(settings: ConversionSettings, source: SceneSource) -> SceneReport | None:
     """The report of a scene that stands in the staging folder, or could be copied there.
 
-    When strict, a scene with a rejected track counts as not converted: reading it again raises the
-    fault of the track, but for tracks that are left out on purpose.
+    A scene of which a file is lost or damaged counts as not converted. When strict, so does one
+    with a rejected track: reading it again raises the fault of the track, but for tracks that are
+    left out on purpose.
     """
     key = settings.scene_key(source)
     staged = settings.staging / source.name
     earlier = settings.cache / settings.dataset.name / source.name
     for folder in (staged, earlier):
-        path = folder / SCENE_REPORT_FILE
-        if not path.is_file():
-            continue
-        report = SceneReport(**json.loads(path.read_text(encoding="utf-8")))
-        if report.key != key or not report.current or (settings.strict and report.rejected):
+        report = _intact(folder)
+        if report is None or report.key != key or (settings.strict and report.rejected):
             continue
         if folder != staged:
             partial = settings.staging / f".partial_{source.name}"
             shutil.rmtree(partial, ignore_errors=True)
             shutil.copytree(folder, partial)
+            shutil.rmtree(staged, ignore_errors=True)
             os.replace(partial, staged)
         return report
     return None
+
+
+def _intact(folder: Path) -> SceneReport | None:
+    """The report of a scene; None if it is of an earlier version, or a file is not as written."""
+    try:
+        content = json.loads((folder / SCENE_REPORT_FILE).read_text(encoding="utf-8"))
+        written = content.pop(FILES)
+        report = SceneReport(**content)
+        # tables of one's own may stand beside them
+        whole = report.current and written.items() <= _files(folder).items()
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return None
+    return report if whole else None
+
+
+def _files(folder: Path) -> dict[str, str]:
+    """Hash of each file of a scene by its name, without the report."""
+    paths = sorted(path for path in folder.iterdir() if path.name != SCENE_REPORT_FILE)
+    return {path.name: fingerprint_of(path) for path in paths}
 
 
 def _reject_implausible(raw: RawScene, settings: ConversionSettings) -> None:
@@ -85,8 +108,10 @@ def _reject_implausible(raw: RawScene, settings: ConversionSettings) -> None:
 
 def _resample_all(raw: RawScene, settings: ConversionSettings) -> list[AgentRows]:
     agents = []
+    # tables beside the scene may hold agents that were rejected, too
+    taken = {each.name for each in raw.tracks} | {each.track for each in raw.rejected}
     for track in raw.tracks:
-        for stretch in split_at_gaps(track, settings.resample.max_gap_s):
+        for stretch in split_at_gaps(track, settings.resample.max_gap_s, taken):
             try:
                 rows = resample(stretch, settings.resample)
                 settings.dataset.limits.check_rows(rows, track.source)

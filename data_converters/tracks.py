@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
+from itertools import chain, count
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -125,20 +127,23 @@ class AgentRows(NamedTuple):
     speed_error: float
 
 
-def split_at_gaps(track: RawTrack, max_gap_s: float) -> list[RawTrack]:
-    """Stretches of a track between gaps longer than `max_gap_s` s; later ones get _s1, _s2."""
+def split_at_gaps(track: RawTrack, max_gap_s: float, taken: Collection[str] = ()) -> list[RawTrack]:
+    """Stretches of a track between gaps longer than `max_gap_s` s.
+
+    Later ones get _s1, _s2 and so on, without the names that are `taken` by other agents.
+    """
     cuts = np.flatnonzero(np.diff(track.time_s) > max_gap_s + 1e-6) + 1
     bounds = [0, *cuts.tolist(), len(track.time_s)]
-    return [
-        _stretch(track, slice(a, b), number)
-        for number, (a, b) in enumerate(zip(bounds[:-1], bounds[1:], strict=True))
-    ]
+    later = (f"{track.name}_s{number}" for number in count(1))
+    names = chain([track.name], (name for name in later if name not in taken))
+    parts = zip(names, bounds[:-1], bounds[1:], strict=False)
+    return [_stretch(track, slice(begin, end), name) for name, begin, end in parts]
 
 
-def _stretch(track: RawTrack, part: slice, number: int) -> RawTrack:
+def _stretch(track: RawTrack, part: slice, name: str) -> RawTrack:
     return replace(
         track,
-        name=track.name if number == 0 else f"{track.name}_s{number}",
+        name=name,
         time_s=track.time_s[part],
         position=track.position[part],
         axis=None if track.axis is None else track.axis[part],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
@@ -13,8 +12,7 @@ import pandas as pd
 
 from data_converters.autobike.quality import LogQuality
 from data_converters.autobike.reader import Fixes, Log, read_log
-from data_converters.errors import RejectReason
-from data_converters.multi_agent import MultiAgentDataset, Recording, fingerprint_of
+from data_converters.multi_agent import MultiAgentDataset, Recording
 from data_converters.recordings import RawScene
 from dmmv_conventions.cache import CONTROLS_TABLE, LEAN_TABLE, SENSORS_TABLE, SPLITS
 from dmmv_conventions.modes import Mode
@@ -71,10 +69,7 @@ class AutobikeDataset(MultiAgentDataset):
         Raises:
             TrackError: If the log cannot be read or its sensors do not agree.
         """
-        original = self._first_of[fingerprint_of(path)]
-        if original != path:
-            message = f"{path} repeats {original}"
-            raw.leave_out(path.name, str(path), RejectReason.CONTAINED, message)
+        if self._repeats(path, raw):
             return pd.DataFrame()
         log = read_log(path)
         self.limits.check_samples(log.fixes.time_s, log.fixes.position, path)
@@ -114,15 +109,6 @@ class AutobikeDataset(MultiAgentDataset):
         )
         raw.side_tables[SENSORS_TABLE] = clock.assign(**{name: sensors[name] for name in SENSORS})
         raw.side_tables[LEAN_TABLE] = clock.assign(lean=sensors["lean"])
-
-    @cached_property
-    def _first_of(self) -> dict[str, Path]:
-        """By content the first log that has it: the source repeats some in other folders."""
-        found: dict[str, Path] = {}
-        for recording in self._index.values():
-            for path in recording.files:
-                found.setdefault(fingerprint_of(path), path)
-        return found
 
 
 def _names(pieces: np.ndarray) -> list[str]:

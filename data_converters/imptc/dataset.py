@@ -23,7 +23,13 @@ from data_converters.imptc.reader import (
     refuse_unfinished,
 )
 from data_converters.limits import on_one_clock
-from data_converters.recordings import RawScene, RecordingDataset, SceneSource, fingerprint
+from data_converters.recordings import (
+    RawScene,
+    RecordingDataset,
+    SceneSource,
+    fingerprint,
+    fingerprint_of,
+)
 from data_converters.tracks import RawTrack
 from dmmv_conventions.cache import SPLITS
 
@@ -242,14 +248,6 @@ def to_raw_track(track: TrackFile, name: str, source: str, origin_us: int) -> Ra
     )
 
 
-def size_of(path: Path) -> int:
-    """Size of a file in bytes, -1 where there is none."""
-    try:
-        return path.stat().st_size
-    except OSError:
-        return -1
-
-
 def _agent_name(path: Path) -> str:
     """Family and number of a track file: "vru_007" for vrus/007/track.json."""
     return f"{path.parent.parent.name[:-1]}_{path.parent.name}"
@@ -257,5 +255,5 @@ def _agent_name(path: Path) -> str:
 
 def _fingerprint(folder: Path) -> str:
     files = [*track_files(folder), *sorted((folder / "context").glob("*.json"))]
-    sizes = [(str(path.relative_to(folder)), size_of(path)) for path in files]
-    return fingerprint(repr(sizes).encode())
+    marks = [(str(path.relative_to(folder)), fingerprint_of(path)) for path in files]
+    return fingerprint(repr(marks).encode())

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from data_converters.errors import TrackError, require
-from data_converters.imptc.dataset import size_of
 from data_converters.imptc.reader import load_json, time_span_us
 from data_converters.plain_files import require_plain
-from data_converters.recordings import fingerprint
+from data_converters.recordings import fingerprint, fingerprint_of
 
 RELEASE_SPLITS = {"train": "train", "eval": "val", "test": "test"}
 """Folder of the release and its split."""
@@ -78,7 +77,7 @@ class VruRelease:
         """Tracks of a published split."""
         if (self._base / folder).is_dir():
             places = [path for path in sorted((self._base / folder).glob("*")) if path.is_dir()]
-            named = {place.name: str(size_of(place / "track.json")) for place in places}
+            named = {place.name: fingerprint_of(place / "track.json") for place in places}
         else:
             named = {k: _digest(content) for k, content in sorted(self._combined[folder].items())}
         return [self._track(f"{folder}/{name}", mark) for name, mark in named.items()]

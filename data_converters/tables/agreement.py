@@ -66,7 +66,7 @@ def _require_turns(
 ) -> None:
     """A heading is at most a full turn, in the unit of the file."""
     factor, zero = RADIANS[units.angle]
-    turned = heading * (-1.0 if units.y_down else 1.0)
+    turned = heading * (-1.0 if units.mirrored else 1.0)
     stated = ((turned - zero) / factor).abs().replace(np.inf, np.nan).dropna()
     turn = 2.0 * np.pi / abs(factor)
     beyond = stated[stated > TURN_SLACK * turn]

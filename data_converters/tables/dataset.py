@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -14,7 +13,6 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
-from data_converters.csv_table import told_as_fault
 from data_converters.errors import (
     ConversionError,
     RejectReason,
@@ -23,17 +21,21 @@ from data_converters.errors import (
     require,
 )
 from data_converters.multi_agent import MultiAgentDataset, Recording, modes_of
-from data_converters.plain_files import require_plain
 from data_converters.recordings import RawScene
 from data_converters.tables.agreement import require_agreement
 from data_converters.tables.columns import TableColumns
 from data_converters.tables.outputs import recorded
+from data_converters.tables.reading import names_of, read_table
 from data_converters.tables.units import Plausibility, TableUnits
-from dmmv_conventions.cache import CONTROLS_TABLE
+from dmmv_conventions.cache import CONTROLS_TABLE, SPLITS
 from dmmv_conventions.modes import Mode
 
-SEPARATORS = (",", ";", "\t", "|")
+NAMES = ("agent", "type", "scene", "recording")
+"""Columns that hold names."""
+UNNAMED = ""
+"""What stands for the scene of rows that name none."""
 ENDINGS = ("csv", "csv.gz", "parquet")
+ENDING = re.compile(r"\.(csv|csv\.gz|parquet)$")
 OWN_NAMES = {mode.label: mode.label for mode in Mode}
 
 
@@ -103,26 +105,38 @@ class TableDataset(MultiAgentDataset):
         found: dict[str, Recording] = {}
         self._scene_of.clear()
         for path in self._paths:
-            stem = _plain(str(path.relative_to(self.root)).partition(".")[0])
+            stem = _plain(ENDING.sub("", str(path.relative_to(self.root))))
             for scene, group in self._scenes(path).items():
-                name = stem if scene is None else f"{stem}_{_plain(scene)}"
+                name = stem if scene is None else f"{stem}_{_plain(scene) or 'unnamed'}"
                 while name in found:
                     name += "_"
                 self._scene_of[name] = scene
-                found[name] = Recording(name, (path,), None, group)
+                # what is only counted takes no part in the deal
+                counted = scene == UNNAMED or path in self._repeated
+                dealt = not counted or (group or name) in self.split.given
+                found[name] = Recording(name, (path,), None if dealt else SPLITS[0], group)
         return list(found.values())
 
     def table(self, path: Path, recording: Recording, raw: RawScene) -> pd.DataFrame:
         """Samples of one scene in SI units.
 
         Raises:
-            TrackError: If the file is no table.
+            TrackError: If the file is no table, or the rows have no scene.
             ConversionError: If it lacks a column, or its units cannot be right.
         """
+        if self._repeats(path, raw):
+            return pd.DataFrame()
         rows, columns = self._rows(path), self.columns
         with self._unlike_others(recording):
             columns.require_all(rows, path)
             rows = self._of_scene(rows, recording)
+            if self._scene_of.get(recording.name) == UNNAMED:
+                needs, found, remedy = (
+                    "have a name",
+                    f"none in {len(rows)} rows",
+                    "Name it in each.",
+                )
+                refuse_track(RejectReason.NO_SCENE, "scene", needs, found, path, remedy)
             table = self._checked(rows, path)
         if columns.controls:
             recorded = {name: rows[column] for name, column in columns.controls.items()}
@@ -147,7 +161,7 @@ class TableDataset(MultiAgentDataset):
         columns, units = self.columns, self.units
         return pd.DataFrame(
             {
-                "agent": "agent" if columns.agent is None else _agents(rows[columns.agent]),
+                "agent": "agent" if columns.agent is None else names_of(rows[columns.agent]),
                 "time_s": units.seconds(rows[columns.time]),
                 "x": units.metres(rows[columns.x]),
                 "y": units.metres(rows[columns.y]) * (-1.0 if units.y_down else 1.0),
@@ -164,6 +178,8 @@ class TableDataset(MultiAgentDataset):
         """
         try:
             yield
+        except TrackError:
+            raise
         except ConversionError as error:
             others = (each for each in self._index.values() if each.name != recording.name)
             if any(self._fits(other) for other in others):
@@ -182,14 +198,21 @@ class TableDataset(MultiAgentDataset):
         return len(table) > 0
 
     def _of_scene(self, rows: pd.DataFrame, recording: Recording) -> pd.DataFrame:
-        scene = self._scene_of.get(recording.name)
-        return rows if scene is None else rows[rows[self.columns.scene].astype(str) == scene]
+        """Rows of a recording among those of its file, which are grouped once for all."""
+        scene, (path,) = self._scene_of.get(recording.name), recording.files
+        if scene is None:
+            return rows
+        if path not in self._grouped:
+            self._grouped.clear()
+            names = names_of(rows[self.columns.scene]).fillna(UNNAMED)
+            self._grouped[path] = {str(name): part for name, part in rows.groupby(names)}
+        return self._grouped[path][scene]
 
     def _modes(self, rows: pd.DataFrame) -> dict[str, Any]:
         if self.columns.type is None:
             return {"mode": float(Mode.named(str(self.mode)))}
         known = {str(kind): Mode.named(str(label)) for kind, label in self.types.items()}
-        labels = rows[self.columns.type]
+        labels = names_of(rows[self.columns.type])
         return {"mode": modes_of(labels, known), "label": labels}
 
     def _measured(self, rows: pd.DataFrame) -> dict[str, pd.Series]:
@@ -214,17 +237,21 @@ class TableDataset(MultiAgentDataset):
             # it is refused, and counted, when it is read
             return {None: ""}
         scene, recording = self.columns.scene, self.columns.recording
-        groups = rows[recording].astype(str) if recording else pd.Series("", index=rows.index)
+        groups = pd.Series("", index=rows.index)
+        if recording:
+            groups = names_of(rows[recording]).fillna("")
         if scene is None:
             return {None: str(groups.iloc[0]) if len(groups) else ""}
-        pairs = pd.DataFrame({"scene": rows[scene].astype(str), "group": groups})
+        pairs = pd.DataFrame({"scene": names_of(rows[scene]).fillna(UNNAMED), "group": groups})
         return {str(s): str(g) for s, g in pairs.drop_duplicates("scene").itertuples(index=False)}
 
     def _rows(self, path: Path) -> pd.DataFrame:
         """The table of a file; that of the last one is kept, because scenes are read in order."""
         if path not in self._latest:
             self._latest.clear()
-            self._latest[path] = _read(path)
+            named = self.columns.named()
+            names = {named[each] for each in NAMES if each in named}
+            self._latest[path] = read_table(path, names)
         return self._latest[path]
 
     @cached_property
@@ -232,48 +259,20 @@ class TableDataset(MultiAgentDataset):
         found = (path for ending in ENDINGS for path in self.root.rglob(f"*.{ending}"))
         return recorded(found, self.root)
 
+    def _files(self) -> list[Path]:
+        return self._paths
+
     @cached_property
     def _latest(self) -> dict[Path, pd.DataFrame]:
         return {}
 
     @cached_property
-    def _scene_of(self) -> dict[str, str | None]:
+    def _grouped(self) -> dict[Path, dict[str, pd.DataFrame]]:
         return {}
 
-
-def _read(path: Path) -> pd.DataFrame:
-    """A table as it is.
-
-    Raises:
-        TrackError: If it is none.
-    """
-    if path.suffix != ".parquet":
-        with told_as_fault(path):
-            return pd.read_csv(path, sep=_separator(path), encoding="utf-8-sig")
-    from pyarrow.lib import ArrowException
-
-    try:
-        require_plain(path)
-        return pd.read_parquet(path)
-    except TrackError:
-        raise
-    except (OSError, ValueError, TypeError, ArrowException) as error:
-        remedy = "Write the file again."
-        refuse_track(RejectReason.MISSING_FIELD, "file", "be a table", error, path, remedy)
-
-
-def _separator(path: Path) -> str:
-    """The one of , ; tab | that is most frequent in the first line."""
-    with gzip.open(path, "rt") if path.suffix == ".gz" else path.open() as file:
-        first = file.readline()
-    return max(SEPARATORS, key=first.count)
-
-
-def _agents(numbers: pd.Series) -> pd.Series:
-    """Names of agents; a number that a gap turned into 7.0 is 7, and no name is NaN."""
-    if pd.api.types.is_float_dtype(numbers):
-        return numbers.map("{:.15g}".format).where(numbers.notna(), "unnamed")
-    return numbers.astype(str)
+    @cached_property
+    def _scene_of(self) -> dict[str, str | None]:
+        return {}
 
 
 def _plain(name: str) -> str:

@@ -11,10 +11,11 @@ from data_converters.errors import require
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "ft": 0.3048}
+COMPASS = "compass_deg"
 RADIANS = {
     "rad": (1.0, 0.0),
     "deg": (np.pi / 180.0, 0.0),
-    "compass_deg": (-np.pi / 180.0, np.pi / 2.0),
+    COMPASS: (-np.pi / 180.0, np.pi / 2.0),
 }
 """Factor to rad, and where zero points to, counter-clockwise from east."""
 SPEEDS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
@@ -29,7 +30,8 @@ class TableUnits:
     Attributes:
         time: s, ms, us, ns, or iso for text such as 2026-05-04T12:00:00.1.
         length: Of positions and sizes: m, cm, mm, km or ft.
-        angle: Of the heading: rad or deg counter-clockwise from x, or compass_deg clockwise from y.
+        angle: Of the heading: rad or deg from x towards y, or compass_deg clockwise from north, which
+            is up in a picture, too.
         speed: m/s, km/h or mph.
         y_down: Whether y points down, as in a picture; turns would be mirrored.
 
@@ -72,11 +74,16 @@ class TableUnits:
         """Lengths in m; NaN where there is none."""
         return pd.to_numeric(lengths, errors="coerce").astype(np.float64) * METRES[self.length]
 
+    @property
+    def mirrored(self) -> bool:
+        """Whether headings turn the other way because y points down; a compass never does."""
+        return self.y_down and self.angle != COMPASS
+
     def radians(self, angles: pd.Series) -> pd.Series:
         """Angles in rad, counter-clockwise from east."""
         factor, zero = RADIANS[self.angle]
         turned = pd.to_numeric(angles, errors="coerce").astype(np.float64) * factor + zero
-        return -turned if self.y_down else turned
+        return -turned if self.mirrored else turned
 
     def metres_per_second(self, speeds: pd.Series) -> pd.Series:
         """Speeds in m/s; NaN where there is none."""

@@ -1,5 +1,6 @@
 """What instruments measured along recorded tracks: controls, sensors and lean."""
 
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -142,9 +143,8 @@ def _scene_leans(cache: ConvertedCache, name: str, table: Path, mode: Mode) -> d
     """Lean at the steps of each track, between the times of measurement by straight lines."""
     found = {}
     for track in _measured(cache, name, _numbers(cache, table, ["lean"]), mode):
-        known = (track.rows["time_s"].to_numpy(), track.rows["lean"].to_numpy())
-        lean = np.interp(track.time_s, *known, left=np.nan, right=np.nan)
-        found[track.name] = torch.from_numpy(lean)
+        time_s, values = (track.rows[name].to_numpy("float64") for name in ("time_s", "lean"))
+        found[track.name] = torch.from_numpy(_between(track.time_s, time_s, values))
     return found
 
 
@@ -162,11 +162,17 @@ def _scene_controls(
         middle = track.time_s + 0.5 * dt_s
         within = np.floor((time_s - track.time_s[0]) / dt_s + 1e-6).astype(int)
         means = pd.DataFrame(values).groupby(within).mean().reindex(range(len(middle))).to_numpy()
-        between = np.stack(
-            [np.interp(middle, time_s, column, left=np.nan, right=np.nan) for column in values.T], 1
-        )
+        between = np.stack([_between(middle, time_s, column) for column in values.T], 1)
         found[track.name] = torch.from_numpy(np.where(np.isnan(means), between, means))
     return found
+
+
+def _between(at_s: np.ndarray, time_s: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Straight lines between the numbers among values (n,); NaN before and after all of them."""
+    known = np.isfinite(time_s) & np.isfinite(values)
+    if not known.any():
+        return np.full(len(at_s), np.nan)
+    return np.interp(at_s, time_s[known], values[known], left=np.nan, right=np.nan)
 
 
 class _Measured(NamedTuple):
@@ -182,10 +188,11 @@ def _measured(
 ) -> Iterator[_Measured]:
     """Rows of a table that stands beside a scene, by the tracks of a mode."""
     scene = scene_of(cache, name)
+    by_name = {str(whose): rows for whose, rows in table.groupby("agent_id")}
     for agent in scene.agents or ():
         # a track that was split at gaps has one measurement for all its parts
-        whose = table["agent_id"].isin([agent.name, agent.name.rpartition("_s")[0]])
-        rows = table[whose].sort_values("time_s")
+        whose = agent.name if agent.name in by_name else re.sub(r"_s\d+$", "", agent.name)
+        rows = by_name.get(whose, table[:0]).sort_values("time_s")
         if int(agent.type) == mode and len(rows):
             time_s = np.arange(agent.first_timestep, agent.last_timestep + 1) * scene.dt
             yield _Measured(f"{name}/{agent.name}", time_s, rows)

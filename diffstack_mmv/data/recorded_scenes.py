@@ -2,20 +2,17 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import torch
-from trajdata.caching.env_cache import EnvCache
 
 from diffstack_mmv.checks import require
 from diffstack_mmv.data.batch import STANDSTILL_MPS, yaw_rate
+from diffstack_mmv.data.converted import agent_rows, converted, scene_of
 from diffstack_mmv.data.sources import ConvertedCache
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.types import Motion, RecordedScene, Tracks
-from dmmv_conventions.cache import conversion_of, require_own
 
 COLUMNS = ["x", "y", "vx", "vy", "heading"]
 
@@ -53,18 +50,17 @@ class RecordedScenes:
             name: Name of the scene.
 
         Raises:
-            ValueError: Another user wrote the cache.
+            ValueError: Another user wrote the cache, or a file of the scene is missing or damaged.
         """
-        folder = Path(self.source.folder)
-        require_own(folder / self.source.name, conversion_of(self.source.name, folder))
-        return _read(folder / self.source.name / name)
+        cache = converted(self.source)
+        return _read(cache.name, cache.folder, name)
 
 
 @lru_cache(maxsize=64)
-def _read(folder: Path) -> RecordedScene:
-    """The agents of a scene folder; rows in which one is absent are zero."""
-    scene = EnvCache.load(next(folder.glob("scene_metadata_dt*.dill")))
-    table = pd.read_feather(next(folder.glob("agent_data_dt*.feather")))
+def _read(dataset: str, folder: str, name: str) -> RecordedScene:
+    """The agents of a scene; rows in which one is absent are zero."""
+    cache = ConvertedCache(dataset, folder)
+    scene, table = scene_of(cache, name), agent_rows(cache, name)
     agents = {agent.name: number for number, agent in enumerate(scene.agents or ())}
     number = table["agent_id"].map(agents).to_numpy()
     rows = np.zeros((len(agents), scene.length_timesteps, len(COLUMNS)))

@@ -1,6 +1,7 @@
 """Windows of trajdata 1.4.0: this and `dmmv_conventions.opening` alone know its inside."""
 
 from collections.abc import Mapping, Sequence
+from math import isclose
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -95,6 +96,17 @@ class _OneRadius(dict[Any, float]):
         return self.radius_m
 
 
+class _Step(float):
+    """A step in s that is a whole number of recorded ones, in spite of rounding.
+
+    trajdata asks for an exact ratio, while no float divided by 0.1 is 3.
+    """
+
+    def __truediv__(self, recorded_s: float) -> float:
+        ratio = float(self) / recorded_s
+        return float(round(ratio)) if isclose(ratio, round(ratio), rel_tol=1e-6) else ratio
+
+
 class TrajdataWindows(CachedUnifiedDataset):
     """Agent-centric windows of one split; item i is trajdata's element for one agent at one time.
 
@@ -130,7 +142,7 @@ class TrajdataWindows(CachedUnifiedDataset):
         super().__init__(
             environments,
             desired_data=[query],
-            desired_dt=windows.dt_s,
+            desired_dt=_Step(windows.dt_s),
             history_sec=(history, history),
             future_sec=(future, future),
             agent_interaction_distances=_OneRadius(windows.radius_m),

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from diffstack_mmv.data import RecordedScenes
-from tests.data.conftest import crowd
+from diffstack_mmv.data import ConvertedCache, RecordedScenes
+from tests.data.conftest import crowd, write_cache
 
 
 def test_everybody_is_where_the_cache_says(source):
@@ -24,3 +24,16 @@ def test_everybody_is_where_the_cache_says(source):
 def test_a_split_without_scenes_is_refused(source):
     with pytest.raises(ValueError, match="`phase` must be one of test, train, val"):
         RecordedScenes(source).duration_s("night")
+
+
+@pytest.mark.parametrize("file", ["scene_metadata*.dill", "agent_data*.feather"])
+@pytest.mark.parametrize("lost", [True, False])
+def test_a_lost_or_damaged_file_is_told_with_its_remedy(tmp_path, file, lost):
+    write_cache(tmp_path, {"scene": ("val", crowd())})
+    path = next(tmp_path.glob(f"toy/scene/{file}"))
+    if lost:
+        path.unlink()
+    else:
+        path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(ValueError, match=r"hold the files of its conversion.*scripts/convert\.py"):
+        RecordedScenes(ConvertedCache("toy", str(tmp_path))).read("scene")

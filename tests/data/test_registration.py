@@ -103,11 +103,15 @@ def test_a_split_without_a_window_is_refused_with_the_counts(source):
         source.open("val", WindowSettings(ego_modes=("stroller",)))
 
 
-@pytest.mark.parametrize(("dt_s", "rows"), [(0.1, 41), (0.2, 21), (0.5, 9)])
+# no float divided by 0.1 is 3
+@pytest.mark.parametrize(
+    ("dt_s", "rows"), [(0.1, 41), (0.2, 21), (0.5, 9), (0.3, 8), (0.6, 4), (0.7, 4)]
+)
 def test_the_step_may_be_a_multiple_of_the_recorded_one(tmp_path, dt_s, rows):
     agent = ToyAgent("cyclist", Mode.BICYCLE, 90, yaw_rate=0.3)
     write_cache(tmp_path, {"only": ("train", [agent])})
-    settings = WindowSettings(dt_s=dt_s)
+    seconds = {"history_s": round((rows - 1) * dt_s, 3), "horizon_s": round(3 * dt_s, 3)}
+    settings = WindowSettings(dt_s=dt_s, **seconds)
     opened = ConvertedCache("toy", str(tmp_path)).open("train", settings)
     batch = stack_batch(opened.get_collate_fn()([opened[0]]), settings)
     assert batch.ego_past.motion.position.shape == (1, rows, 2)

@@ -46,12 +46,13 @@ def test_a_report_without_noise_is_warned_of(told, caplog, mode, noise, warning)
 
 @pytest.fixture
 def ride(tmp_path):
-    """A cache with one ride in two parts, and a writer of tables beside it."""
+    """A cache with one ride in two parts and another rider, and a writer of tables beside it."""
     parts = [ToyAgent("track", Mode.BICYCLE, 40), ToyAgent("track_s1", Mode.BICYCLE, 30, 50)]
+    parts.append(ToyAgent("track_sam", Mode.BICYCLE, 30))
     write_cache(tmp_path, {"scene": ("train", parts)})
 
     def beside(stem, **columns) -> ConvertedCache:
-        table = pd.DataFrame({"agent_id": "track", **columns})
+        table = pd.DataFrame({"agent_id": "track"} | columns)
         table.to_parquet(tmp_path / "toy" / "scene" / f"{stem}.parquet")
         return ConvertedCache("toy", str(tmp_path))
 
@@ -79,6 +80,18 @@ def test_controls_recorded_rarely_are_interpolated_and_unknown_outside(ride):
     assert np.isfinite(steer).nonzero()[0].tolist() == list(range(10, 21))
 
 
+def test_rows_without_a_number_are_passed_over(ride):
+    time_s = 0.1 * np.arange(100)
+    steer = np.where(np.arange(100) % 7 == 3, np.nan, time_s)
+    source = ride("controls", time_s=time_s, steer=steer, acceleration=np.nan)
+    ride("lean", time_s=time_s, lean=steer)
+    found = read_controls(source, ["train"], "bicycle", NAMES)["scene/track"].numpy()
+    assert np.isnan(found[:, 0]).all()
+    assert found[:, 1] == pytest.approx(0.1 * np.arange(40), abs=0.051)
+    lean = read_leans(source, ["train"], "bicycle")["scene/track"].numpy()
+    assert lean == pytest.approx(0.1 * np.arange(40))
+
+
 @pytest.mark.parametrize(
     ("table", "column", "complaint"),
     [
@@ -96,3 +109,14 @@ def test_all_parts_of_a_track_have_its_lean(ride):
     source = ride("lean", time_s=[0.0, 10.0], lean=[0.0, 1.0])
     found = read_leans(source, ["train"], "bicycle")
     assert float(found["scene/track_s1"][0]) == pytest.approx(0.5)
+
+
+def test_a_rider_has_nothing_of_another_whose_name_begins_alike(ride):
+    names = ["track", "track", "track_sam", "track_sam"]
+    source = ride("lean", agent_id=names, time_s=[0.0, 10.0] * 2, lean=[0.0, 0.0, 1.0, 1.0])
+    found = read_leans(source, ["train"], "bicycle")
+    assert {name: set(lean.tolist()) for name, lean in found.items()} == {
+        "scene/track": {0.0},
+        "scene/track_s1": {0.0},
+        "scene/track_sam": {1.0},
+    }

@@ -9,12 +9,14 @@ from data_converters import (
     ConversionSettings,
     ImptcDataset,
     Mode,
+    TableDataset,
     ThabVruDataset,
     convert,
     generate_sample,
     generate_vru_sample,
 )
 from data_converters.tracks import RawTrack
+from tests.data_converters.synthetic import table
 
 SEQUENCES = (0, 50, 200)
 
@@ -88,5 +90,19 @@ def thab_settings(thab, tmp_path):
     def build(**options) -> ConversionSettings:
         options = {"progress": False, "cache": tmp_path / "cache", **options}
         return ConversionSettings(dataset=options.pop("dataset", ThabVruDataset(thab)), **options)
+
+    return build
+
+
+@pytest.fixture
+def dataset(tmp_path):
+    """A data set of tables, given by the stem of their files."""
+
+    def build(*, tables=None, **options):
+        for stem, content in (tables or {"day": table()}).items():
+            path = tmp_path / f"{stem}.csv"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            content.to_csv(path, index=False)
+        return TableDataset(tmp_path, **options)
 
     return build

@@ -213,3 +213,23 @@ WRITERS = {
         two_wheeler,
     )
 }
+
+
+TABLE_TIME_S = np.arange(0.0, 12.0, 0.1)
+
+
+def table(**changes):
+    """A scooter that rides east at 4 m/s, in the columns of the defaults."""
+    columns = {
+        "time": TABLE_TIME_S,
+        "x": 4.0 * TABLE_TIME_S,
+        "y": 1.0,
+        "agent": 7,
+        "type": "scooter",
+    }
+    return pd.DataFrame(columns | changes)
+
+
+def first_scene(dataset, *, strict=True):
+    """The first scene of a data set as it is read."""
+    return dataset.read(dataset.scenes()[0], 0.1, strict=strict)

@@ -27,9 +27,15 @@ from dmmv_conventions.cache import read_state
 
 
 def scene_bytes(folder):
-    """Content of the tables and reports of the scenes of an environment."""
-    paths = [path for path in folder.glob("*/*") if path.suffix in (".feather", ".json")]
-    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
+    """Content of the tables and reports of the scenes of an environment.
+
+    Equal pickles may differ in their bytes, hence in the hashes of the files.
+    """
+    tables = {path: path.read_bytes() for path in folder.glob("*/*.feather")}
+    reports = {path: json.loads(path.read_text()) for path in folder.glob("*/*.json")}
+    for report in reports.values():
+        del report["files"]
+    return {str(path.relative_to(folder)): held for path, held in (tables | reports).items()}
 
 
 def count_scenes(monkeypatch):
@@ -122,6 +128,43 @@ def test_a_scene_that_names_modes_as_earlier_reports_did_is_converted_again(
     written = count_scenes(monkeypatch)
     assert set(convert(thab_settings()).agents()["train"]) == {"bicycle"}
     assert written == ["cyclists_moving_25"]
+
+
+def test_a_scene_in_which_two_agents_have_one_name_is_refused(thab_settings, monkeypatch):
+    def read(dataset, scene, dt_s, *, strict):
+        raw = original(dataset, scene, dt_s, strict=strict)
+        raw.tracks *= 2
+        return raw
+
+    original = ThabVruDataset.read
+    monkeypatch.setattr(ThabVruDataset, "read", read)
+    with pytest.raises(ConversionError, match="`agents` must have a name each.*'track'"):
+        convert(thab_settings())
+
+
+DAMAGE = {
+    "lost": lambda path: path.unlink(),
+    "cut": lambda path: path.write_bytes(path.read_bytes()[:100]),
+    "of another program": lambda path: path.write_bytes(b'{"name": "x", "colour": 1}'),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
+@pytest.mark.parametrize(
+    "file", ["agent_data*.feather", "scene_metadata*.dill", "scene_index*.pkl", "conversion.json"]
+)
+def test_a_scene_with_a_damaged_file_is_converted_again(thab_settings, monkeypatch, file, damage):
+    convert(thab_settings())
+    folder = thab_settings().cache / "thab_vru"
+    path = next(folder.glob(f"cyclists_moving_25/{file}"))
+    before = path.read_bytes()
+    damage(path)
+    (folder / "cyclists_moving_26" / "own.parquet").touch()
+    written = count_scenes(monkeypatch)
+    convert(thab_settings())
+    assert written == ["cyclists_moving_25"]
+    assert path.read_bytes() == before
+    assert (folder / "cyclists_moving_26" / "own.parquet").exists()
 
 
 def test_other_settings_convert_everything_again(thab_settings, monkeypatch):

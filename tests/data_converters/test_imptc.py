@@ -216,3 +216,19 @@ def test_an_incomplete_vru_release_is_refused(vru_sample, tmp_path, absent):
         (tmp_path / name).symlink_to(vru_sample / name)
     with pytest.raises(ConversionError, match=f"no.*{absent}"):
         ImptcVruDataset(tmp_path).scenes()
+
+
+@pytest.mark.parametrize(
+    ("dataset", "source"), [(ImptcDataset, "sample"), (ImptcVruDataset, "vru_sample")]
+)
+def test_an_edit_that_leaves_the_size_of_a_file_is_seen(dataset, source, request, tmp_path):
+    root = tmp_path / "copy"
+    shutil.copytree(request.getfixturevalue(source), root)
+    before = dataset(root).scenes()
+    path = next(root.glob("*/*/*/track.json" if dataset is ImptcDataset else "train/*/track.json"))
+    text = path.read_text()
+    path.write_text(text[:-1].replace("1", "2", 1) + text[-1])
+    changed = [
+        old.name for old, new in zip(before, dataset(root).scenes(), strict=True) if old != new
+    ]
+    assert len(changed) == 1

@@ -24,35 +24,10 @@ from data_converters import (
     convert,
 )
 from data_converters.tables.units import Plausibility
+from tests.data_converters.synthetic import TABLE_TIME_S as TIME_S
+from tests.data_converters.synthetic import first_scene, table
 
 ROOT = Path(__file__).resolve().parents[2]
-TIME_S = np.arange(0.0, 12.0, 0.1)
-
-
-def table(**changes):
-    """A scooter that rides east at 4 m/s, in the columns of the defaults."""
-    columns = {"time": TIME_S, "x": 4.0 * TIME_S, "y": 1.0, "agent": 7, "type": "scooter"}
-    return pd.DataFrame(columns | changes)
-
-
-@pytest.fixture
-def dataset(tmp_path):
-    """A data set of tables, given by the stem of their files."""
-
-    def build(*, tables=None, **options):
-        for stem, content in (tables or {"day": table()}).items():
-            path = tmp_path / f"{stem}.csv"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            content.to_csv(path, index=False)
-        return TableDataset(tmp_path, **options)
-
-    return build
-
-
-def read(dataset, number=0, *, strict=True):
-    return dataset.read(dataset.scenes()[number], 0.1, strict=strict)
-
-
 UNITS = {
     "milliseconds": (TableUnits(time="ms"), {"time": 1e3 * TIME_S}),
     "date and time": (
@@ -66,7 +41,7 @@ UNITS = {
 
 @pytest.mark.parametrize(("units", "changes"), UNITS.values(), ids=UNITS)
 def test_units_become_si(dataset, units, changes):
-    (track,) = read(dataset(tables={"day": table(**changes)}, units=units)).tracks
+    (track,) = first_scene(dataset(tables={"day": table(**changes)}, units=units)).tracks
     np.testing.assert_allclose(track.time_s, TIME_S, atol=1e-6)
     np.testing.assert_allclose(track.position[:, 0], 4.0 * TIME_S, atol=1e-9)
     np.testing.assert_allclose(track.position[:, 1], 1.0)
@@ -80,6 +55,9 @@ def test_units_become_si(dataset, units, changes):
         ("compass_deg", False, 90.0, 0.0),
         ("compass_deg", False, 0.0, np.pi / 2.0),
         ("rad", True, 0.3, -0.3),
+        # a compass is read off a picture as it is: north is up
+        ("compass_deg", True, 0.0, np.pi / 2.0),
+        ("compass_deg", True, 90.0, 0.0),
     ],
 )
 def test_headings_are_turned_counter_clockwise_from_east(dataset, unit, y_down, stated, heading):
@@ -87,7 +65,7 @@ def test_headings_are_turned_counter_clockwise_from_east(dataset, unit, y_down, 
     way = 4.0 * TIME_S * (-1.0 if y_down else 1.0)
     path = {"x": 4.0 * TIME_S * np.cos(heading), "y": np.sin(heading) * way}
     found = dataset(tables={"d": table(face=stated, **path)}, columns=columns, units=units)
-    (track,) = read(found).tracks
+    (track,) = first_scene(found).tracks
     np.testing.assert_allclose(track.heading, heading, atol=1e-12)
 
 
@@ -123,7 +101,7 @@ MISTAKES = {
 @pytest.mark.parametrize(("changes", "options", "says"), MISTAKES.values(), ids=MISTAKES)
 def test_a_wrong_setting_is_told_with_what_to_change(dataset, changes, options, says):
     with pytest.raises(ConversionError, match=says):
-        read(dataset(tables={"day": table(**changes)}, **options))
+        first_scene(dataset(tables={"day": table(**changes)}, **options))
 
 
 BELIEVED = {
@@ -149,13 +127,13 @@ def test_what_can_be_is_believed(dataset, changes):
     columns = TableColumns(heading="face", speed="v")
     rows = table(**({"face": 0.0, "v": 4.0} | changes))
     found = dataset(tables={"day": rows}, columns=columns)
-    assert len(read(found, strict=False).tracks) == 1
+    assert len(first_scene(found, strict=False).tracks) == 1
 
 
 def test_a_table_without_a_place_is_no_fault_of_the_units(dataset):
     columns = TableColumns(heading="face", speed="v")
     rows = table(face=0.0, v=4.0, x=np.nan)
-    raw = read(dataset(tables={"day": rows}, columns=columns), strict=False)
+    raw = first_scene(dataset(tables={"day": rows}, columns=columns), strict=False)
     assert [item.reason for item in raw.rejected] == [RejectReason.NOT_FINITE]
 
 
@@ -188,20 +166,20 @@ def test_an_unknown_unit_is_refused(unit):
 )
 def test_bad_rows_cost_their_agent_alone(dataset, bad, reason):
     rows = pd.concat([table(), table(agent=8, **bad)])
-    raw = read(dataset(tables={"day": rows}), strict=False)
+    raw = first_scene(dataset(tables={"day": rows}), strict=False)
     assert [(item.track, item.reason) for item in raw.rejected] == [("8", reason)]
     assert [track.name for track in raw.tracks] == ["7"]
 
 
 def test_a_broken_file_is_counted_and_the_others_kept(dataset, tmp_path):
-    found = dataset(tables={"a": table(), "b": table()})
+    found = dataset(tables={"a": table(), "b": table(y=2.0)})
     (tmp_path / "c.csv").write_text("")
     report = convert(ConversionSettings(found, tmp_path / "cache", progress=False))
     assert report.rejected_by_reason == {RejectReason.MISSING_FIELD: 1}
 
 
 def test_a_split_that_lost_all_its_recordings_is_told(dataset, tmp_path, caplog):
-    tables = {"a": table(), "b": table(), "c": table(), "d": table(x=np.nan)}
+    tables = {"a": table(), "b": table(y=2.0), "c": table(y=3.0), "d": table(x=np.nan)}
     given = RecordingSplit(given={"a": "train", "b": "train", "c": "val", "d": "test"})
     found = dataset(tables=tables, split=given)
     convert(ConversionSettings(found, tmp_path / "cache", progress=False))
@@ -227,18 +205,6 @@ def test_coordinates_of_a_map_need_a_wider_limit(dataset, tmp_path):
     assert (tmp_path / "cache" / "conversion_report.json").is_file()
     report = converted(tmp_path, "data.recordings.limits.coordinate_m=1e7")
     assert report.totals()["scenes"] == 1
-
-
-def test_scenes_of_a_recording_stay_in_one_split(dataset):
-    rows = pd.concat(
-        [table(place=f"p{n}", ride=f"r{n // 3}", agent=n) for n in range(18)], ignore_index=True
-    )
-    columns = TableColumns(scene="place", recording="ride")
-    scenes = dataset(tables={"all": rows}, columns=columns).scenes()
-    assert len(scenes) == 18
-    for number in range(6):
-        assert len({scene.split for scene in scenes[3 * number : 3 * number + 3]}) == 1
-    assert {scene.split for scene in scenes} == {"train", "val", "test"}
 
 
 def test_files_are_recordings_whose_split_can_be_given(dataset):
@@ -278,10 +244,20 @@ def test_a_folder_of_recordings_may_itself_be_that_of_a_run(dataset, tmp_path):
     assert len(dataset(tables={"a": table()}).scenes()) == 1
 
 
+@pytest.mark.parametrize("size", [-1.0, 0.0, 180.0])
+def test_a_size_that_cannot_be_costs_its_agent_alone(dataset, tmp_path, size):
+    rows = pd.concat([table(long=1.3), table(agent=8, long=size)])
+    found = dataset(tables={"d": rows}, columns=TableColumns(length="long"))
+    report = convert(ConversionSettings(found, tmp_path / "cache", progress=False))
+    (refused,) = report.scenes[0].rejected
+    assert (refused["track"], refused["reason"]) == ("8", RejectReason.EXTENT)
+    assert f"`length` must be above 0 and at most 30 m, but got '{size:g}'" in refused["detail"]
+
+
 def test_sizes_and_one_mode_for_all(dataset):
     columns = TableColumns(type=None, agent=None, length="long")
     found = dataset(tables={"d": table(long=1.3)}, columns=columns, mode="scooter")
-    (track,) = read(found).tracks
+    (track,) = first_scene(found).tracks
     assert (track.extent.length, track.extent.width, track.mode) == (1.3, 0.6, Mode.SCOOTER)
 
 

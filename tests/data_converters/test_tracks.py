@@ -55,6 +55,12 @@ def test_only_gaps_longer_than_half_a_second_split_a_track(make_track, gap, part
     assert names == ["agent", "agent_s1"][:parts]
 
 
+def test_a_stretch_takes_no_name_of_another_agent(make_track):
+    track = make_track(np.array([0.0, 0.1, 2.0, 2.1, 4.0]), lambda t: t)
+    names = [part.name for part in split_at_gaps(track, 0.5, {"agent_s1", "agent_s3"})]
+    assert names == ["agent", "agent_s2", "agent_s4"]
+
+
 def test_rows_inside_a_gap_are_marked_interpolated(make_track):
     time_s = np.delete(0.04 * np.arange(100), slice(50, 60))
     rows = resample(make_track(time_s, lambda t: 3.0 * t), SETTINGS).rows

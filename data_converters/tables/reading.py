@@ -1,0 +1,62 @@
+"""Reading of tables, CSV or Parquet, and of the names in their columns."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Collection
+from pathlib import Path
+
+import pandas as pd
+
+from data_converters.csv_table import told_as_fault
+from data_converters.errors import RejectReason, TrackError, refuse_track
+from data_converters.plain_files import require_plain
+
+SEPARATORS = (",", ";", "\t", "|")
+
+
+def read_table(path: Path, names: Collection[str]) -> pd.DataFrame:
+    """A table as it is.
+
+    Args:
+        path: The file.
+        names: Columns that hold names: a number of many digits stays as it is written.
+
+    Raises:
+        TrackError: If it is none.
+    """
+    if path.suffix != ".parquet":
+        with told_as_fault(path):
+            return pd.read_csv(
+                path, sep=_separator(path), encoding="utf-8-sig", dtype=dict.fromkeys(names, str)
+            )
+    from pyarrow.lib import ArrowException
+
+    try:
+        require_plain(path)
+        return pd.read_parquet(path)
+    except TrackError:
+        raise
+    except (OSError, ValueError, TypeError, ArrowException) as error:
+        remedy = "Write the file again."
+        refuse_track(RejectReason.MISSING_FIELD, "file", "be a table", error, path, remedy)
+
+
+def _separator(path: Path) -> str:
+    """The one of , ; tab | that is most frequent in the first line."""
+    with gzip.open(path, "rt") if path.suffix == ".gz" else path.open() as file:
+        first = file.readline()
+    return max(SEPARATORS, key=first.count)
+
+
+def names_of(column: pd.Series) -> pd.Series:
+    """Names that a column holds, as text; NaN where there is none.
+
+    A number that a gap turned into 7.0 is 7.
+    """
+    if pd.api.types.is_float_dtype(column):
+        names = column.map(lambda value: f"{value:.0f}" if value.is_integer() else repr(value))
+    else:
+        names = column.astype(str).str.strip()
+        names = names.str.replace(r"^(-?\d+)\.0+$", r"\1", regex=True)
+    return names.where(column.notna() & (names != ""))
