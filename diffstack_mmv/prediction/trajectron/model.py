@@ -127,7 +127,7 @@ class Trajectron(Predictor):
         require_at_least("energy_weight", energy_weight, 0.0)
         self.energy_weight = energy_weight
         self.blocks: Blocks | None = None
-        self.annealing = (annealing if annealing is not None else Annealing()).checked()
+        self.annealing = annealing if annealing is not None else Annealing()
         self.scene_encoder = SceneEncoder(self.dt_s, sizes, site, rough)
         self.future_encoder = PerKind(
             {kind: MaskedLSTM(TRACK_FEATURES, sizes.future) for kind in (VEHICLE, PEDESTRIAN)},
