@@ -1,6 +1,7 @@
 """The named records that travel between the stages.
 
-SI units, oldest time first, masks true where valid.
+SI units, oldest time first, masks true where valid. T1 are the T + 1 rows of T steps: now and after
+each of them.
 """
 
 from collections.abc import Callable
@@ -175,7 +176,7 @@ class Obstacles(NamedTuple):
     The numbers of those who are not valid count for nothing, but have to be finite, see `of_valid`.
     """
 
-    position: Float[Tensor, "*b N K T 2"]  # m, row 0 is now
+    position: Float[Tensor, "*b N K T1 2"]  # m, row 0 is now
     weight: Float[Tensor, "*b N K"]  # probability of each component
     radius: Float[Tensor, "*b N"]  # m
     valid: Bool[Tensor, "*b N"]
@@ -190,7 +191,7 @@ class Obstacles(NamedTuple):
         return Obstacles(kept(self.position), kept(self.weight), kept(self.radius), self.valid)
 
 
-class Heading(IntEnum):
+class HeadingOf(IntEnum):
     """What the heading of an observed motion is the direction of."""
 
     BODY = 0
@@ -208,7 +209,7 @@ class Ego(NamedTuple):
     """The vehicle that a plan is for, as it was observed."""
 
     motion: Motion  # *b, now
-    heading: Heading  # what `motion.heading` is the direction of
+    heading_of: HeadingOf  # what `motion.heading` is the direction of
     discs: Discs  # *b D
 
 
@@ -218,7 +219,7 @@ class PlanningProblem(NamedTuple):
     ego: Ego
     goal: Float[Tensor, "*b 2"]  # m
     # m, row 0 is now; where the plan would go if nothing were in its way
-    reference: Float[Tensor, "*b T 2"]
+    reference: Float[Tensor, "*b T1 2"]
     reference_speed: Float[Tensor, "*b"]  # m/s
     obstacles: Obstacles
 
@@ -259,10 +260,10 @@ class Plan(NamedTuple):
     """A plan, with the candidates and the solutions it was chosen from."""
 
     controls: Float[Tensor, "*b T m"]
-    motion: Motion  # *b T+1
+    motion: Motion  # *b T1
     origin: Int[Tensor, "*b"]  # a PlanOrigin
     solution: Solution  # *b k, one per start of the optimiser
-    candidates: Motion  # *b C T+1
+    candidates: Motion  # *b C T1
     logits: Float[Tensor, "*b C"]  # minus the cost of each candidate
 
     @property
@@ -294,7 +295,7 @@ class Outcome(IntEnum):
 class EpisodeRecord(NamedTuple):
     """Closed-loop episodes; an episode that ended early repeats its last row up to the end."""
 
-    motion: Motion  # E T+1, of the robot
+    motion: Motion  # E T1, of the robot
     pedestrians: Float[Tensor, "E T1 H 2"]  # m, NaN for those who are absent
     controls: Float[Tensor, "E T m"]
     reward: Float[Tensor, "E T"]  # zero after the end

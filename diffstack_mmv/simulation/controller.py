@@ -26,7 +26,7 @@ from diffstack_mmv.simulation.world import Observation
 from diffstack_mmv.types import (
     Ego,
     Forecast,
-    Heading,
+    HeadingOf,
     Plan,
     PlanningProblem,
     PlanOrigin,
@@ -160,7 +160,7 @@ class DiffMPCController:
         )
         seen_agents = _present_first(seen, told)
         return build_problem(
-            Ego(seen.motion, Heading.BODY, seen.discs),
+            Ego(seen.motion, HeadingOf.BODY, seen.discs),
             seen.goal,
             straight_reference(seen.motion, seen.goal, self.planner.steps, self.cruise_mps),
             predicted_obstacles(*seen_agents),
