@@ -145,8 +145,11 @@ class Forecast(NamedTuple):
 
     def most_likely(self) -> Float[Tensor, "*b T 2"]:
         """Mean trajectory in m of the component with the largest weight."""
-        best = self.log_weight.argmax(-1)[..., None, None, None]
-        return self.mean.take_along_dim(best, -3).squeeze(-3)
+        return self.likeliest().mean.squeeze(-3)
+
+    def likeliest(self) -> "Forecast":
+        """The component with the largest weight alone, which keeps its weight: `*b 1`."""
+        return taken(self, self.log_weight.argmax(-1, keepdim=True))
 
     def median(self, iterations: int = 10) -> Float[Tensor, "*b T 2"]:
         """Path in m with the least expected mean distance to the paths of the components.
@@ -328,3 +331,14 @@ def map_tensors(function: Callable[[Tensor], Tensor], record: Any) -> Any:
         parts = [map_tensors(function, field) for field in record]
         return type(record)(*parts) if hasattr(record, "_fields") else tuple(parts)
     return record
+
+
+def taken(record: Any, index: Int[Tensor, "*b m"]) -> Any:
+    """Take entries `*b m ...` of every tensor `*b n ...` of a record, by their numbers below n."""
+    dim = index.dim() - 1
+
+    def entries(tensor: Tensor) -> Tensor:
+        place = index.reshape(*index.shape, *(1 for _ in tensor.shape[dim + 1 :]))
+        return tensor.take_along_dim(place, dim)
+
+    return map_tensors(entries, record)

@@ -16,6 +16,7 @@ from diffstack_mmv.types import (
     Obstacles,
     PlanningProblem,
     Tracks,
+    taken,
 )
 
 SLOW_MPS = 0.3
@@ -114,7 +115,7 @@ def predicted_obstacles(
 def likeliest(obstacles: Obstacles) -> Obstacles:
     """The agents with the likeliest component of each alone, of weight one."""
     best = obstacles.weight.argmax(-1, keepdim=True)
-    position = obstacles.position.take_along_dim(best[..., None, None], -3)
+    position = taken(obstacles.position, best)
     return obstacles._replace(position=position, weight=torch.ones_like(obstacles.weight[..., :1]))
 
 

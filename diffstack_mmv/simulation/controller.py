@@ -32,6 +32,7 @@ from diffstack_mmv.types import (
     PlanOrigin,
     SolverStatus,
     map_tensors,
+    taken,
 )
 
 PROGRESS_M = 0.05
@@ -225,14 +226,7 @@ def _present_first(seen: Observation, forecast: Forecast) -> _People:
         room *= 2
     if room >= present.shape[-1]:
         return everybody
-    order = (~present).long().argsort(dim=-1, stable=True)[..., :room]
-    dim = present.dim() - 1
-
-    def chosen(entry: Tensor) -> Tensor:
-        index = order.reshape(*order.shape, *(1 for _ in entry.shape[dim + 1 :]))
-        return torch.take_along_dim(entry, index, dim)
-
-    return map_tensors(chosen, everybody)
+    return taken(everybody, (~present).long().argsort(dim=-1, stable=True)[..., :room])
 
 
 def _of_present(seen: Observation, told: PedestrianForecast) -> Forecast:
