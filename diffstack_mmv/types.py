@@ -1,6 +1,7 @@
 """The named records that travel between the stages.
 
-SI units, oldest time first, masks true where valid.
+SI units, oldest time first, masks true where valid. T1 are the T + 1 rows of T steps: now and after
+each of them.
 """
 
 from collections.abc import Callable
@@ -144,8 +145,11 @@ class Forecast(NamedTuple):
 
     def most_likely(self) -> Float[Tensor, "*b T 2"]:
         """Mean trajectory in m of the component with the largest weight."""
-        best = self.log_weight.argmax(-1)[..., None, None, None]
-        return self.mean.take_along_dim(best, -3).squeeze(-3)
+        return self.likeliest().mean.squeeze(-3)
+
+    def likeliest(self) -> "Forecast":
+        """The component with the largest weight alone, which keeps its weight: `*b 1`."""
+        return taken(self, self.log_weight.argmax(-1, keepdim=True))
 
     def median(self, iterations: int = 10) -> Float[Tensor, "*b T 2"]:
         """Path in m with the least expected mean distance to the paths of the components.
@@ -175,7 +179,7 @@ class Obstacles(NamedTuple):
     The numbers of those who are not valid count for nothing, but have to be finite, see `of_valid`.
     """
 
-    position: Float[Tensor, "*b N K T 2"]  # m, row 0 is now
+    position: Float[Tensor, "*b N K T1 2"]  # m, row 0 is now
     weight: Float[Tensor, "*b N K"]  # probability of each component
     radius: Float[Tensor, "*b N"]  # m
     valid: Bool[Tensor, "*b N"]
@@ -190,7 +194,7 @@ class Obstacles(NamedTuple):
         return Obstacles(kept(self.position), kept(self.weight), kept(self.radius), self.valid)
 
 
-class Heading(IntEnum):
+class HeadingOf(IntEnum):
     """What the heading of an observed motion is the direction of."""
 
     BODY = 0
@@ -208,7 +212,7 @@ class Ego(NamedTuple):
     """The vehicle that a plan is for, as it was observed."""
 
     motion: Motion  # *b, now
-    heading: Heading  # what `motion.heading` is the direction of
+    heading_of: HeadingOf  # what `motion.heading` is the direction of
     discs: Discs  # *b D
 
 
@@ -218,7 +222,7 @@ class PlanningProblem(NamedTuple):
     ego: Ego
     goal: Float[Tensor, "*b 2"]  # m
     # m, row 0 is now; where the plan would go if nothing were in its way
-    reference: Float[Tensor, "*b T 2"]
+    reference: Float[Tensor, "*b T1 2"]
     reference_speed: Float[Tensor, "*b"]  # m/s
     obstacles: Obstacles
 
@@ -259,10 +263,10 @@ class Plan(NamedTuple):
     """A plan, with the candidates and the solutions it was chosen from."""
 
     controls: Float[Tensor, "*b T m"]
-    motion: Motion  # *b T+1
+    motion: Motion  # *b T1
     origin: Int[Tensor, "*b"]  # a PlanOrigin
     solution: Solution  # *b k, one per start of the optimiser
-    candidates: Motion  # *b C T+1
+    candidates: Motion  # *b C T1
     logits: Float[Tensor, "*b C"]  # minus the cost of each candidate
 
     @property
@@ -294,7 +298,7 @@ class Outcome(IntEnum):
 class EpisodeRecord(NamedTuple):
     """Closed-loop episodes; an episode that ended early repeats its last row up to the end."""
 
-    motion: Motion  # E T+1, of the robot
+    motion: Motion  # E T1, of the robot
     pedestrians: Float[Tensor, "E T1 H 2"]  # m, NaN for those who are absent
     controls: Float[Tensor, "E T m"]
     reward: Float[Tensor, "E T"]  # zero after the end
@@ -327,3 +331,14 @@ def map_tensors(function: Callable[[Tensor], Tensor], record: Any) -> Any:
         parts = [map_tensors(function, field) for field in record]
         return type(record)(*parts) if hasattr(record, "_fields") else tuple(parts)
     return record
+
+
+def taken(record: Any, index: Int[Tensor, "*b m"]) -> Any:
+    """Take entries `*b m ...` of every tensor `*b n ...` of a record, by their numbers below n."""
+    dim = index.dim() - 1
+
+    def entries(tensor: Tensor) -> Tensor:
+        place = index.reshape(*index.shape, *(1 for _ in tensor.shape[dim + 1 :]))
+        return tensor.take_along_dim(place, dim)
+
+    return map_tensors(entries, record)

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch.distributions import Categorical, MixtureSameFamily, MultivariateNormal
 
-from diffstack_mmv.types import Bounds, Forecast, SolverStatus, map_tensors
+from diffstack_mmv.types import Bounds, Forecast, SolverStatus, map_tensors, taken
 
 
 def example_forecast(batch=(3,), components=4, steps=5):
@@ -64,6 +64,22 @@ def test_mapping_reaches_every_tensor_and_keeps_the_rest():
     assert isinstance(mapped, Bounds)
     assert torch.equal(mapped.upper, torch.full((2,), 2.0))
     assert map_tensors(torch.neg, record[1]) == 0.1
+
+
+def test_entries_are_taken_from_every_tensor_by_their_numbers():
+    forecast, index = example_forecast(), torch.tensor([[2, 0], [3, 3], [1, 2]])
+    found = taken(forecast, index)
+    for field, entries in zip(forecast, found, strict=True):
+        expected = torch.stack([field[i, index[i]] for i in range(3)])
+        assert torch.equal(entries, expected)
+
+
+def test_the_likeliest_component_keeps_its_weight_and_its_scale():
+    forecast = example_forecast()
+    alone, best = forecast.likeliest(), forecast.log_weight.argmax(-1)
+    assert torch.equal(alone.log_weight.squeeze(-1), forecast.log_weight.amax(-1))
+    for i in range(3):
+        assert torch.equal(alone.scale_tril[i, 0], forecast.scale_tril[i, best[i]])
 
 
 @pytest.mark.parametrize("status", list(SolverStatus))

@@ -92,7 +92,7 @@ class Stationary(NamedTuple):
 
 
 class _Action(NamedTuple):
-    """Q function of one time, Q_uu still as it comes."""
+    """Q function of one time, Q_uu before regularisation."""
 
     x: Tensor
     u: Tensor

@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from diffstack_mmv.data.augment import (
         Augmentation,
         Chain,
-        HistoryDropout,
         Mirror,
         Rotation,
         SpeedScale,
@@ -46,7 +45,6 @@ __all__ = [
     "ExportSettings",
     "ExportedWindows",
     "HeldHeading",
-    "HistoryDropout",
     "JoinedWindows",
     "LoaderSettings",
     "Mirror",

@@ -142,40 +142,6 @@ class SpeedScale:
         return _map_motions(batch, scaled)
 
 
-@dataclass(frozen=True)
-class HistoryDropout:
-    """Forget the oldest part of the past of some agents, as if they had come into view only later.
-
-    Attributes:
-        probability: Share of the agents that this happens to.
-        keep: Rows that are always kept.
-
-    Raises:
-        ValueError: The probability is not in [0, 1], or less than one row is kept.
-    """
-
-    probability: float = 0.2
-    keep: int = 11
-
-    def __post_init__(self) -> None:
-        require_between("probability", self.probability, 0.0, 1.0)
-        require_at_least("keep", self.keep, 1)
-
-    def __call__(self, batch: StackBatch, generator: Generator) -> StackBatch:
-        """Mark the oldest rows as invalid, and set them to zero."""
-        past = self._shortened(batch.ego_past, generator)
-        neighbors = self._shortened(batch.neighbors_past, generator)
-        return _keep_absent_zero(batch._replace(ego_past=past, neighbors_past=neighbors))
-
-    def _shortened(self, tracks: Tracks, generator: Generator) -> Tracks:
-        rows = tracks.valid.shape[-1]
-        agents = tracks.valid.shape[:-1]
-        chosen = torch.rand(agents, generator=generator) < self.probability
-        forgotten = (torch.rand(agents, generator=generator) * max(rows - self.keep + 1, 1)).long()
-        first = torch.where(chosen, forgotten, 0)
-        return tracks._replace(valid=tracks.valid & (torch.arange(rows) >= first[..., None]))
-
-
 def uniform(
     batch: StackBatch, low: float, high: float, generator: Generator
 ) -> Float[Tensor, " B"]:

@@ -70,7 +70,19 @@ class Calibration(NamedTuple):
 def judged_levels(
     forecast: Forecast, future: Tracks, samples: int = 128, seed: int = 0, first: int = 0
 ) -> DensityLevels:
-    """Levels of the truths at every third time; `first` is the number of the first forecast."""
+    """Levels of the truths at every third time: how probable it is to be where it is denser.
+
+    Uniform on [0, 1] over the truths of a calibrated forecast, but for those beyond all samples,
+    see `DensityLevels`. Source: Hyndman, Computing and Graphing Highest Density Regions, The
+    American Statistician 50, 1996; from samples.
+
+    Args:
+        forecast: Mixtures `*b`.
+        future: What happened.
+        samples: Drawn from each mixture.
+        seed: Of the draws.
+        first: Number of the first forecast; the draws of each go by its number.
+    """
     thinned = slice(EVERY - 1, None, EVERY)
     thin = Forecast(
         forecast.log_weight, forecast.mean[..., thinned, :], forecast.scale_tril[..., thinned, :, :]
@@ -106,24 +118,6 @@ def coverages(
 
 def _share(inside: Bool[Tensor, "*b T"], valid: Bool[Tensor, "*b T"]) -> Float[Tensor, "*b"]:
     return time_mean(inside.to(torch.get_default_dtype()), valid)
-
-
-def density_level(
-    forecast: Forecast, position: Float[Tensor, "*b T 2"], samples: int = 128, seed: int = 0
-) -> Float[Tensor, "*b T"]:
-    """Probability of the region in which the forecast is denser than at a position.
-
-    Uniform on [0, 1] over the truths of a calibrated forecast, but for those beyond all samples,
-    see `DensityLevels`. Source: Hyndman, Computing and
-    Graphing Highest Density Regions, The American Statistician 50, 1996; from samples.
-
-    Args:
-        forecast: Mixtures `*b`.
-        position: In m.
-        samples: Drawn from each mixture.
-        seed: Of the draws.
-    """
-    return _level(forecast, position, drawn_densities(forecast, samples, seed))
 
 
 def _level(

@@ -17,7 +17,7 @@ from diffstack_mmv.planning.problem import (
     predicted_obstacles,
     straight_reference,
 )
-from diffstack_mmv.types import Discs, Ego, Forecast, Heading, Motion, PlanningProblem
+from diffstack_mmv.types import Discs, Ego, Forecast, HeadingOf, Motion, PlanningProblem
 
 AWAY_M = 1e3
 """Where agents are by default that are not there."""
@@ -94,7 +94,7 @@ def _example(planner: MPCPlanner, agents: int, components: int, discs: int) -> P
         torch.zeros(1, agents, dtype=torch.bool),
     )
     return build_problem(
-        Ego(motion, Heading.BODY, outline),
+        Ego(motion, HeadingOf.BODY, outline),
         goal,
         straight_reference(motion, goal, steps, 2.0),
         predicted_obstacles(*people, Forecast(weight, futures, spread)),

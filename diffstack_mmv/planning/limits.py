@@ -153,12 +153,12 @@ class PlanConstraints:
     def _constraint(
         self, limit: PlanLimit, dynamics: DynamicsModel, problem: PlanningProblem
     ) -> Inequality:
-        heading, column = problem.ego.heading, _acceleration_column(dynamics)
+        heading_of, column = problem.ego.heading_of, _acceleration_column(dynamics)
 
         def values(states: Tensor, controls: Tensor, *tensors: Tensor) -> Tensor:
             motion = dynamics.motion(states, controls)
             command = controls[..., column] if column is not None else 0 * controls[..., 0]
-            return limit(motion, command, joined(heading, tensors))
+            return limit(motion, command, joined(heading_of, tensors))
 
         slack = HARD if self.linear == float("inf") else Slack(self.linear)
         # the present state is as it is

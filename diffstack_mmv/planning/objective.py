@@ -9,7 +9,7 @@ from torch import Tensor
 from diffstack_mmv.control import Batched
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.planning.coordinates import ControlCoordinates
-from diffstack_mmv.types import Discs, Ego, Heading, Motion, Obstacles, PlanningProblem
+from diffstack_mmv.types import Discs, Ego, HeadingOf, Motion, Obstacles, PlanningProblem
 
 NAMES = (
     *Motion._fields,
@@ -44,12 +44,12 @@ def batched_objective(
     The tensors of the problem are named to the solver, which leaves finished problems behind by
     selecting the rows of those that are still open; dynamics and weights are shared by all.
     """
-    heading = problem.ego.heading
+    heading_of = problem.ego.heading_of
 
     def cost(states: Tensor, given: Tensor, *tensors: Tensor) -> Tensor:
         controls = coordinates.padded_controls(states, given)
         motion = dynamics.motion(states, controls)
-        return planner.cost_of(motion, controls, joined(heading, tensors))
+        return planner.cost_of(motion, controls, joined(heading_of, tensors))
 
     return Batched(cost, *parted(problem))
 
@@ -63,13 +63,13 @@ def motion_cost(planner: PlanCost, problem: PlanningProblem) -> Batched:
         planner: Whose cost it is.
         problem: The problems.
     """
-    heading = problem.ego.heading
+    heading_of = problem.ego.heading_of
 
     def cost(rows: Tensor, controls: Tensor, *tensors: Tensor) -> Tensor:
         x, y, course, forward, left, yaw_rate = rows.unbind(-1)
         position, velocity = torch.stack([x, y], -1), torch.stack([forward, left], -1)
         moved = Motion(position, course, velocity, yaw_rate)
-        return planner.cost_of(moved, controls, joined(heading, tensors))
+        return planner.cost_of(moved, controls, joined(heading_of, tensors))
 
     return Batched(cost, *parted(problem))
 
@@ -87,8 +87,8 @@ def parted(problem: PlanningProblem) -> tuple[Tensor, ...]:
     return (*ego.motion, *ego.discs, *own, *problem.obstacles)
 
 
-def joined(heading: Heading, tensors: tuple[Tensor, ...]) -> PlanningProblem:
+def joined(heading_of: HeadingOf, tensors: tuple[Tensor, ...]) -> PlanningProblem:
     """The problem of these tensors."""
-    ego = Ego(Motion(*tensors[:4]), heading, Discs(*tensors[4:6]))
+    ego = Ego(Motion(*tensors[:4]), heading_of, Discs(*tensors[4:6]))
     goal, reference, speed = tensors[6:9]
     return PlanningProblem(ego, goal, reference, speed, Obstacles(*tensors[9:]))

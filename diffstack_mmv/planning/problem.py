@@ -11,11 +11,12 @@ from diffstack_mmv.types import (
     Discs,
     Ego,
     Forecast,
-    Heading,
+    HeadingOf,
     Motion,
     Obstacles,
     PlanningProblem,
     Tracks,
+    taken,
 )
 
 SLOW_MPS = 0.3
@@ -41,7 +42,7 @@ def build_problem(
 
 def initial_state(dynamics: DynamicsModel, ego: Ego) -> Float[Tensor, "*b n"]:
     """State of a model in which a plan begins, whatever the observed heading is that of."""
-    if ego.heading is Heading.COURSE:
+    if ego.heading_of is HeadingOf.COURSE:
         return dynamics.state_on_course(ego.motion)
     return dynamics.initial_state(ego.motion)
 
@@ -56,7 +57,7 @@ def tracked_ego(motion: Motion, extent: Float[Tensor, "*b 2"], goal: Float[Tenso
         extent: Length and width in m.
         goal: In m.
     """
-    return Ego(facing_the_goal(motion, goal), Heading.COURSE, end_discs(extent))
+    return Ego(facing_the_goal(motion, goal), HeadingOf.COURSE, end_discs(extent))
 
 
 def end_discs(extent: Float[Tensor, "*b 2"]) -> Discs:
@@ -114,7 +115,7 @@ def predicted_obstacles(
 def likeliest(obstacles: Obstacles) -> Obstacles:
     """The agents with the likeliest component of each alone, of weight one."""
     best = obstacles.weight.argmax(-1, keepdim=True)
-    position = obstacles.position.take_along_dim(best[..., None, None], -3)
+    position = taken(obstacles.position, best)
     return obstacles._replace(position=position, weight=torch.ones_like(obstacles.weight[..., :1]))
 
 

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from diffstack_mmv.checks import require, require_at_least, require_positive
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.types import Forecast, Motion, StackBatch, Tracks, map_tensors
+from diffstack_mmv.types import Forecast, Motion, StackBatch, Tracks, map_tensors, taken
 
 GaussianRollout = Callable[
     [DynamicsModel, Tensor, Tensor, Tensor, Tensor], tuple[Tensor, Tensor] | None
@@ -159,8 +159,4 @@ def strongest(forecast: Forecast, components: int) -> Forecast:
     require_at_least("components", components, 1)
     count = min(components, forecast.log_weight.shape[-1])
     log_weight, index = forecast.log_weight.topk(count, -1)
-    return Forecast(
-        log_weight.log_softmax(-1),
-        forecast.mean.take_along_dim(index[..., None, None], -3),
-        forecast.scale_tril.take_along_dim(index[..., None, None, None], -4),
-    )
+    return taken(forecast, index)._replace(log_weight=log_weight.log_softmax(-1))

@@ -26,12 +26,13 @@ from diffstack_mmv.simulation.world import Observation
 from diffstack_mmv.types import (
     Ego,
     Forecast,
-    Heading,
+    HeadingOf,
     Plan,
     PlanningProblem,
     PlanOrigin,
     SolverStatus,
     map_tensors,
+    taken,
 )
 
 PROGRESS_M = 0.05
@@ -160,7 +161,7 @@ class DiffMPCController:
         )
         seen_agents = _present_first(seen, told)
         return build_problem(
-            Ego(seen.motion, Heading.BODY, seen.discs),
+            Ego(seen.motion, HeadingOf.BODY, seen.discs),
             seen.goal,
             straight_reference(seen.motion, seen.goal, self.planner.steps, self.cruise_mps),
             predicted_obstacles(*seen_agents),
@@ -225,14 +226,7 @@ def _present_first(seen: Observation, forecast: Forecast) -> _People:
         room *= 2
     if room >= present.shape[-1]:
         return everybody
-    order = (~present).long().argsort(dim=-1, stable=True)[..., :room]
-    dim = present.dim() - 1
-
-    def chosen(entry: Tensor) -> Tensor:
-        index = order.reshape(*order.shape, *(1 for _ in entry.shape[dim + 1 :]))
-        return torch.take_along_dim(entry, index, dim)
-
-    return map_tensors(chosen, everybody)
+    return taken(everybody, (~present).long().argsort(dim=-1, stable=True)[..., :room])
 
 
 def _of_present(seen: Observation, told: PedestrianForecast) -> Forecast:

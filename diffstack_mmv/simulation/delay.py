@@ -52,7 +52,7 @@ class DelayCompensation:
         """A forecast of one step more, seen from after the delay, a step shorter.
 
         Args:
-            forecast: Of T + 1 decisions, `b h K T+1`.
+            forecast: Of T + 1 decisions, `b h K T1`.
             now: Where everybody is at present in m.
         """
         mean, scale = forecast.mean, forecast.scale_tril

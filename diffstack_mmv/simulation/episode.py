@@ -3,14 +3,14 @@
 from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.simulation.decisions import Controller
 from diffstack_mmv.simulation.scenario import Scene
 from diffstack_mmv.simulation.verdict import Judgement
 from diffstack_mmv.simulation.world import World, WorldState
-from diffstack_mmv.types import EpisodeRecord, Motion, Outcome
+from diffstack_mmv.types import EpisodeRecord, Motion, Outcome, taken
 from dmmv_conventions.progress import counted
 
 
@@ -76,14 +76,14 @@ def _record(world: World, states: list[WorldState], rows: list[_Row]) -> Episode
     limit = torch.full_like(time.squeeze(1), world.verdict.limit_s)
     return EpisodeRecord(
         motion=Motion(
-            *(_extended(torch.stack(f, dim=1), row_of) for f in zip(*motions, strict=True))
+            *(taken(torch.stack(field, dim=1), row_of) for field in zip(*motions, strict=True))
         ),
-        pedestrians=_extended(torch.stack([_seen(s) for s in states], dim=1), row_of),
-        controls=_extended(
+        pedestrians=taken(torch.stack([_seen(s) for s in states], dim=1), row_of),
+        controls=taken(
             torch.stack([row.action for row in rows], dim=1), row_of[:, :-1].clamp(max=last)
         ),
         reward=torch.where(running, judgement.reward, torch.zeros_like(judgement.reward)),
-        clearance=_extended(clearance, row_of),
+        clearance=taken(clearance, row_of),
         outcome=outcome,
         steps=steps,
         duration=torch.where(outcome == Outcome.TIMEOUT, limit, time.squeeze(1)),
@@ -97,9 +97,3 @@ def _seen(state: WorldState) -> Float[Tensor, "E h 2"]:
     return torch.where(
         state.pedestrians.present[..., None], place, torch.full_like(place, torch.nan)
     )
-
-
-def _extended(rows: Float[Tensor, "E T *c"], row_of: Int[Tensor, "E S"]) -> Float[Tensor, "E S *c"]:
-    """Pick rows of time per episode."""
-    index = row_of.reshape(*row_of.shape, *(1 for _ in rows.shape[2:]))
-    return torch.take_along_dim(rows, index, dim=1)

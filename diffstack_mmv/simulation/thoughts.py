@@ -33,10 +33,8 @@ def thought(plan: Plan, forecast: Forecast, rows: Int[Tensor, " r"]) -> Thought:
         forecast: Of all episodes.
         rows: Numbers of the running ones.
     """
-    log_weight, mean, scale = (field[rows].float() for field in forecast)
-    best = log_weight.argmax(-1)[..., None, None, None]
-    mean = mean.take_along_dim(best, -3).squeeze(-3)
-    scale = scale.take_along_dim(best.unsqueeze(-1), -4).squeeze(-4)
+    best = Forecast(*(field[rows].float() for field in forecast)).likeliest()
+    mean, scale = best.mean.squeeze(-3), best.scale_tril.squeeze(-4)
     spread = (scale @ scale.mT)[..., [0, 0, 1], [0, 1, 1]]
     proposed = plan.candidates.position.detach().float()
     some = proposed[:, :: max(1, -(-proposed.shape[1] // CANDIDATES))]

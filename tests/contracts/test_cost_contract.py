@@ -10,7 +10,15 @@ from hydra.utils import instantiate
 import diffstack_mmv.cli  # noqa: F401  registers the resolvers
 from diffstack_mmv.costs import WeightedCost
 from diffstack_mmv.geometry import direction, rotate
-from diffstack_mmv.types import Discs, Ego, Heading, Motion, Obstacles, PlanningProblem, map_tensors
+from diffstack_mmv.types import (
+    Discs,
+    Ego,
+    HeadingOf,
+    Motion,
+    Obstacles,
+    PlanningProblem,
+    map_tensors,
+)
 from diffstack_mmv.vehicles import config_folder
 
 COSTS = sorted(path.stem for path in (config_folder() / "cost").glob("*.yaml"))
@@ -50,7 +58,7 @@ def case():
         random(BATCH, 4) > -0.5,
     )
     now = Motion(*(entry[:, 0] for entry in motion))
-    ego = Ego(now, Heading.BODY, Discs(random(BATCH, 2), random(BATCH, 2).abs()))
+    ego = Ego(now, HeadingOf.BODY, Discs(random(BATCH, 2), random(BATCH, 2).abs()))
     reference = random(BATCH, TIMES, 2)
     problem = PlanningProblem(ego, random(BATCH, 2), reference, random(BATCH).abs(), obstacles)
     controls = torch.cat([random(BATCH, TIMES - 1, 2), torch.zeros(BATCH, 1, 2).double()], 1)

@@ -8,7 +8,7 @@ import torch
 from hydra.utils import instantiate
 
 from diffstack_mmv.planning import Planner, PlannerState, build_problem, straight_reference
-from diffstack_mmv.types import Discs, Ego, Heading, Motion, Obstacles, PlanOrigin, map_tensors
+from diffstack_mmv.types import Discs, Ego, HeadingOf, Motion, Obstacles, PlanOrigin, map_tensors
 from diffstack_mmv.vehicles import config_folder
 from tests.simulation.conftest import composed_navigate
 from tests.test_configs import composed
@@ -68,7 +68,7 @@ def problem(planner, batch=2, neighbors=1):
     path = torch.tensor([3.0, 1.5]).expand(batch, neighbors, 2, steps + 1, 2)
     weight = torch.full((batch, neighbors, 2), 0.5)
     size = torch.full((batch, neighbors), 0.3)
-    ego = Ego(motion, Heading.BODY, Discs(zero[:, None], zero[:, None] + 0.3))
+    ego = Ego(motion, HeadingOf.BODY, Discs(zero[:, None], zero[:, None] + 0.3))
     reference = straight_reference(motion, goal, steps, 2.0)
     return build_problem(ego, goal, reference, Obstacles(path, weight, size, size > 0))
 

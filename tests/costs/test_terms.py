@@ -5,7 +5,7 @@ import torch
 
 from diffstack_mmv import costs
 from diffstack_mmv.geometry import rotate
-from diffstack_mmv.types import Discs, Ego, Heading, Motion, Obstacles, PlanningProblem
+from diffstack_mmv.types import Discs, Ego, HeadingOf, Motion, Obstacles, PlanningProblem
 
 TERMS = [
     costs.RunningGoal(),
@@ -43,7 +43,7 @@ def random_case(batch=3, times=6, neighbors=4, components=2, discs_count=2):
     now = Motion(*(field[:, 0] for field in motion))
     discs = Discs(torch.randn(batch, discs_count), torch.rand(batch, discs_count))
     problem = PlanningProblem(
-        Ego(now, Heading.BODY, discs),
+        Ego(now, HeadingOf.BODY, discs),
         torch.randn(batch, 2),
         torch.randn(batch, times, 2),
         torch.rand(batch),

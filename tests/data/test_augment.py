@@ -6,7 +6,6 @@ from torch.utils._pytree import tree_flatten
 
 from diffstack_mmv.data import (
     Chain,
-    HistoryDropout,
     Mirror,
     PositionNoise,
     RecordingNoise,
@@ -25,7 +24,6 @@ EVERY = [
     SpeedScale(),
     PositionNoise(),
     RecordingNoise(0.05, DT_S),
-    HistoryDropout(0.5),
     CHAIN,
 ]
 
@@ -198,14 +196,6 @@ def test_a_recording_is_noisy_in_part_of_the_samples_alone(batch):
     assert 0.2 < same.all(0).float().mean() < 0.8
 
 
-@pytest.mark.parametrize("keep", [1, 11, 21])
-def test_dropout_forgets_the_oldest_rows_only(batch, keep):
-    valid = HistoryDropout(1.0, keep=keep)(batch, generator()).ego_past.valid
-    assert valid[:, -keep:].all()
-    assert (valid.int().diff(dim=1) >= 0).all()
-    assert 0.2 < valid[:, :-keep].float().mean() < 0.8
-
-
 @pytest.mark.parametrize(
     ("wrong", "complaint"),
     [
@@ -216,7 +206,6 @@ def test_dropout_forgets_the_oldest_rows_only(batch, keep):
         (lambda: RecordingNoise(0.0, 0.1), "`most_m` must be positive"),
         (lambda: RecordingNoise(0.05, 0.0), "`dt_s` must be positive"),
         (lambda: RecordingNoise(0.05, 0.1, 1.5), "`probability` must lie in"),
-        (lambda: HistoryDropout(0.1, keep=0), "`keep` must be at least 1"),
     ],
 )
 def test_impossible_augmentations_are_refused(wrong, complaint):

@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from diffstack_mmv.metrics import Calibration, coverages, judged_levels
-from diffstack_mmv.metrics.calibration import density_level
 from diffstack_mmv.types import Forecast
 from tests.stack.test_module import straight_tracks
 
@@ -22,9 +21,10 @@ def forecast(batch, components=1, times=6, scale=1.0):
 def test_level_of_one_gaussian_is_that_of_its_ellipse(distance):
     one = forecast(2)
     position = torch.tensor([0.6, 0.8]) * distance @ one.scale_tril[0, 0, 0].T
-    level = density_level(one, position.expand(2, 6, 2), samples=4000)
+    future = straight_tracks(position.expand(2, 2), torch.zeros(2, 2), 6, 0)
+    found = judged_levels(one, future, samples=4000)
     expected = 1 - math.exp(-0.5 * distance**2)
-    assert level.mean().item() == pytest.approx(expected, abs=0.01)
+    assert found.level.mean().item() == pytest.approx(expected, abs=0.01)
 
 
 @pytest.mark.parametrize(

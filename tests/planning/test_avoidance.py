@@ -12,7 +12,7 @@ from omegaconf import OmegaConf
 from diffstack_mmv.metrics import collided
 from diffstack_mmv.planning import build_problem, predicted_reference
 from diffstack_mmv.planning.problem import end_discs
-from diffstack_mmv.types import Ego, Heading, Motion, Obstacles
+from diffstack_mmv.types import Ego, HeadingOf, Motion, Obstacles
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 STEPS, DT_S, SPEED_MPS = 30, 0.1, 4.0
@@ -42,7 +42,7 @@ def crossing(walk_mps, forecast_errors_mps=(0.0,)):
     count, zero = len(offset), torch.zeros(len(offset))
     velocity = torch.stack([zero + SPEED_MPS, zero], -1)
     motion = Motion(torch.zeros(count, 2), zero, velocity, zero)
-    ego = Ego(motion, Heading.COURSE, end_discs(torch.tensor([1.8, 0.6]).expand(count, 2)))
+    ego = Ego(motion, HeadingOf.COURSE, end_discs(torch.tensor([1.8, 0.6]).expand(count, 2)))
     goal = torch.stack([zero + SPEED_MPS * STEPS * DT_S, zero], -1)
     time = DT_S * torch.arange(STEPS + 1)
     across = offset[:, None] + walk_mps * (time - 6.0 / SPEED_MPS)

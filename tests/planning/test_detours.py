@@ -7,7 +7,7 @@ from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle, Holonomic
 from diffstack_mmv.planning import DetourFan, Reference, build_problem
 from diffstack_mmv.planning.detours import Detour
 from diffstack_mmv.simulation.zero_order_hold import ZeroOrderHold
-from diffstack_mmv.types import Discs, Ego, Heading, Motion, Obstacles
+from diffstack_mmv.types import Discs, Ego, HeadingOf, Motion, Obstacles
 from diffstack_mmv.vehicles import load_vehicle
 
 
@@ -17,7 +17,7 @@ def problem(speed=2.0, goal=(5.0, 0.0)):
         torch.zeros(1, 0, 1, 13, 2), torch.ones(1, 0, 1), torch.ones(1, 0), torch.ones(1, 0) > 0
     )
     target = torch.tensor([goal])
-    ego = Ego(motion, Heading.BODY, Discs(torch.zeros(1, 1), torch.full((1, 1), 0.3)))
+    ego = Ego(motion, HeadingOf.BODY, Discs(torch.zeros(1, 1), torch.full((1, 1), 0.3)))
     return build_problem(ego, target, Reference(torch.zeros(1, 13, 2), torch.tensor([3.0])), nobody)
 
 

@@ -20,7 +20,7 @@ from diffstack_mmv.planning import (
 from diffstack_mmv.types import (
     Discs,
     Ego,
-    Heading,
+    HeadingOf,
     Motion,
     Obstacles,
     PlanOrigin,
@@ -42,7 +42,7 @@ def weighted_cost():
     return costs.WeightedCost(terms, {"goal": 1.0, "way": 0.1, "collision": 1.0, "effort": 0.1})
 
 
-def problem(batch=4, heading=Heading.BODY, seed=0):
+def problem(batch=4, heading_of=HeadingOf.BODY, seed=0):
     """An ego at 2 m/s with a goal ahead and an agent with two futures beside the way."""
     generator = torch.Generator().manual_seed(seed)
     zero = torch.zeros(batch)
@@ -60,7 +60,7 @@ def problem(batch=4, heading=Heading.BODY, seed=0):
     )
     discs = Discs(torch.zeros(batch, 1), torch.full((batch, 1), 0.3))
     reference = straight_reference(motion, goal, STEPS, 2.5)
-    return build_problem(Ego(motion, heading, discs), goal, reference, obstacles)
+    return build_problem(Ego(motion, heading_of, discs), goal, reference, obstacles)
 
 
 def training(**settings):
@@ -205,7 +205,7 @@ def test_a_gradient_reaches_weights_dynamics_goal_and_forecast():
 
 def test_a_heading_of_the_body_or_the_course_is_the_same_for_a_model_without_slip():
     planner = training()
-    body, course = (planner(problem(heading=heading)).controls for heading in Heading)
+    body, course = (planner(problem(heading_of=each)).controls for each in HeadingOf)
     assert torch.equal(body, course)
 
 
@@ -255,7 +255,7 @@ def test_a_unicycle_at_rest_does_not_back_up_to_a_goal_behind_it(priced):
     planner = MPCPlanner(model, costs.WeightedCost(terms, weights), ILQR(), CandidateFan(), 20)
     zero, origin = torch.zeros(1), torch.zeros(1, 2)
     rest = Motion(origin, zero, origin, zero)
-    ego = Ego(rest, Heading.COURSE, Discs(torch.zeros(1, 1), torch.full((1, 1), 0.3)))
+    ego = Ego(rest, HeadingOf.COURSE, Discs(torch.zeros(1, 1), torch.full((1, 1), 0.3)))
     goal = torch.tensor([[-0.8, 0.0]])
     nobody = Obstacles(
         torch.zeros(1, 0, 1, 21, 2),

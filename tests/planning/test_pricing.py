@@ -4,7 +4,15 @@ import pytest
 import torch
 
 from diffstack_mmv.planning import CostScore, PlanPrice, ScoredPlans
-from diffstack_mmv.types import Discs, Ego, Heading, Motion, Obstacles, PlanningProblem, map_tensors
+from diffstack_mmv.types import (
+    Discs,
+    Ego,
+    HeadingOf,
+    Motion,
+    Obstacles,
+    PlanningProblem,
+    map_tensors,
+)
 
 
 def along_y(goal, agent=2.0, steps=12):
@@ -18,7 +26,7 @@ def along_y(goal, agent=2.0, steps=12):
     problem = PlanningProblem(
         Ego(
             Motion(*(entry[None, 0] for entry in motion)),
-            Heading.BODY,
+            HeadingOf.BODY,
             Discs(torch.zeros(1, 1), 0.3 * one),
         ),
         torch.tensor([[0.0, goal]]),

@@ -19,7 +19,7 @@ from diffstack_mmv.planning.problem import (
     tracked_ego,
 )
 from diffstack_mmv.prediction.goal_baselines import hermite_spline
-from diffstack_mmv.types import Discs, Ego, Forecast, Heading, Motion, Obstacles, Tracks
+from diffstack_mmv.types import Discs, Ego, Forecast, HeadingOf, Motion, Obstacles, Tracks
 from diffstack_mmv.vehicles import load_vehicle
 
 
@@ -131,21 +131,21 @@ def test_straight_reference_divides_the_way_to_the_goal_evenly():
     assert speed.tolist() == [2.5] * 3
 
 
-@pytest.mark.parametrize("heading", list(Heading))
-def test_a_plan_begins_in_the_state_that_its_heading_is_that_of(heading):
+@pytest.mark.parametrize("heading_of", list(HeadingOf))
+def test_a_plan_begins_in_the_state_that_its_heading_is_that_of(heading_of):
     """A model with side slip: its body does not point where it goes."""
     model = DiffGM3(load_vehicle("bicycle"))
     forward, turning = torch.tensor([3.0, 0.0]), torch.tensor(0.8)
     motion = Motion(torch.zeros(2), torch.tensor(0.4), forward, turning)
-    ego = Ego(motion, heading, Discs(torch.zeros(1), torch.ones(1)))
-    expected = {Heading.BODY: model.initial_state, Heading.COURSE: model.state_on_course}
-    assert torch.equal(initial_state(model, ego), expected[heading](motion))
+    ego = Ego(motion, heading_of, Discs(torch.zeros(1), torch.ones(1)))
+    expected = {HeadingOf.BODY: model.initial_state, HeadingOf.COURSE: model.state_on_course}
+    assert torch.equal(initial_state(model, ego), expected[heading_of](motion))
     assert not torch.equal(model.initial_state(motion), model.state_on_course(motion))
 
 
 def test_the_heading_of_a_track_is_its_course():
     now = tracks(2, rows=3).present()
-    assert tracked_ego(now.motion, now.extent, torch.randn(2, 2)).heading is Heading.COURSE
+    assert tracked_ego(now.motion, now.extent, torch.randn(2, 2)).heading_of is HeadingOf.COURSE
 
 
 @pytest.mark.parametrize(("agents", "filled"), [(0, 0), (1, 4), (4, 4), (5, 8), (9, 16)])

@@ -33,17 +33,11 @@ class Scaling:
         width: Of the controls, in their units; without a gradient.
         log_range: A deviation stays within this factor of its value at zero, in logarithms.
         scale: Deviations at zero, in widths.
-        hold: Steps over which an emission is held.
     """
 
     width: Float[Tensor, " m"]
     log_range: float
     scale: float
-    hold: int = 1
-
-    def steps(self, horizon_steps: int) -> int:
-        """Emissions that so many steps need."""
-        return -(-horizon_steps // self.hold)
 
     def tensors(self, like: Tensor) -> tuple[Tensor, Tensor]:
         """Its numbers as a library reads them."""
@@ -179,11 +173,11 @@ class _Controls(torch.autograd.Function):
         weights = Weights(*(each.contiguous() for each in tensors))
         given = constant.contiguous(), hidden.contiguous(), base.contiguous()
         (rows, size), (*_, steps, controls) = hidden.shape, base.shape
-        ctx.counts = rows, scaling.steps(steps), scaling.hold, steps, size, controls
+        ctx.counts = rows, steps, size, controls
         kept, (width, spans) = None, scaling.tensors(hidden)
         if any(ctx.needs_input_grad):
             whole = _blocks(rows, hidden) * ROWS[hidden.dtype]
-            kept = hidden.new_empty(whole, ctx.counts[1] + 1, _whole(size, hidden))
+            kept = hidden.new_empty(whole, steps + 1, _whole(size, hidden))
         found = torch.empty_like(given[2]), hidden.new_empty(rows, steps, controls, controls)
         sizes_ = counts(rows, torch.get_num_threads(), *ctx.counts[1:])
         each = *given, *weights, width, spans, *found, kept
@@ -196,7 +190,7 @@ class _Controls(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         constant, *tensors, width, spans, kept = ctx.saved_tensors
         weights, by_controls = Weights(*tensors), grads[0].contiguous()
-        rows, _, _, _, size, fed = ctx.counts
+        rows, _, size, fed = ctx.counts
         emitted = len(weights.head)
         transposed = weights.control, weights.hidden.roll(size, 0), weights.head
         back = [each.T.contiguous() for each in transposed]

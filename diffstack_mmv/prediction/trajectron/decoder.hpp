@@ -12,7 +12,7 @@ struct Weights {
 };
 
 struct Sizes {
-  long steps, hold, horizon, h, m;
+  long steps, h, m;
 
   long emitted() const { return m + m * (m + 1) / 2; }
   long kept() const { return vectors(h) * LANES; }  // numbers of a state that is kept
@@ -86,14 +86,14 @@ inline bool is_zero(const Real* slopes, long count) {
 #pragma GCC visibility push(default)
 extern "C" {
 
-// constant (rows, 3 h), start (rows, h), base (rows, horizon, m), and weights -> controls (rows, horizon, m), Cholesky
-// factors of their covariances (rows, horizon, m, m), and where asked for states.
-void dmmv_controls(long rows, long threads, long steps, long hold, long horizon, long h, long m, const Real* constant,
-                   const Real* start, const Real* base, const Real* control, const Real* hidden, const Real* bias,
-                   const Real* head, const Real* head_bias, const Real* width, const Real* range, Real* controls,
-                   Real* scales, Real* states) {
+// constant (rows, 3 h), start (rows, h), base (rows, steps, m), and weights -> controls (rows, steps, m), Cholesky
+// factors of their covariances (rows, steps, m, m), and where asked for states.
+void dmmv_controls(long rows, long threads, long steps, long h, long m, const Real* constant, const Real* start,
+                   const Real* base, const Real* control, const Real* hidden, const Real* bias, const Real* head,
+                   const Real* head_bias, const Real* width, const Real* range, Real* controls, Real* scales,
+                   Real* states) {
   const Weights weights{control, hidden, bias, head, head_bias, width, range};
-  const Sizes of{steps, hold, horizon, h, m};
+  const Sizes of{steps, h, m};
   each_block(rows, threads, [=](Block block) {
     Decoder decoder{weights, of};
     Rows state(vectors(h) * BLOCK), factor(m * m * WIDE), squashed((decoder.e - m) * WIDE), own(m * WIDE);
@@ -113,12 +113,10 @@ void dmmv_controls(long rows, long threads, long steps, long hold, long horizon,
       keep(s + 1);
       decoder.emit(state.data());
       decoder.scale(squashed.data(), factor.data());
-      for (long t = s * hold; t < std::min((s + 1) * hold, horizon); ++t) {
-        block.take(base + t * m, horizon * m, m, own.data());
-        for (long i = 0; i < m * WIDE; ++i) own[i] += width[i / WIDE] * decoder.emitted[i];
-        block.give(own.data(), m, controls + t * m, horizon * m);
-        block.give(factor.data(), m * m, scales + t * m * m, horizon * m * m);
-      }
+      block.take(base + s * m, steps * m, m, own.data());
+      for (long i = 0; i < m * WIDE; ++i) own[i] += width[i / WIDE] * decoder.emitted[i];
+      block.give(own.data(), m, controls + s * m, steps * m);
+      block.give(factor.data(), m * m, scales + s * m * m, steps * m * m);
     }
   });
 }
@@ -128,19 +126,18 @@ void dmmv_controls(long rows, long threads, long steps, long hold, long horizon,
 // (3 h, m), biases of own part, reset, update, what enters the candidate (4 h), head (e, h), its bias (e). Transposed
 // weights: `control_back` (m, 3 h), `hidden_back` (h, 3 h) with the columns of candidate, reset, update, `head_back`
 // (h, e).
-long dmmv_controls_adjoint(long rows, long threads, long steps, long hold, long horizon, long h, long m,
-                           const Real* constant, const Real* control, const Real* hidden, const Real* bias,
-                           const Real* head, const Real* head_bias, const Real* width, const Real* range,
-                           const Real* control_back, const Real* hidden_back, const Real* head_back,
-                           Real* states, const Real* g_controls, const Real* g_scales, Real* g_constant,
-                           Real* g_start, Real* g_hidden, Real* g_others) {
+long dmmv_controls_adjoint(long rows, long threads, long steps, long h, long m, const Real* constant,
+                           const Real* control, const Real* hidden, const Real* bias, const Real* head,
+                           const Real* head_bias, const Real* width, const Real* range, const Real* control_back,
+                           const Real* hidden_back, const Real* head_back, Real* states, const Real* g_controls,
+                           const Real* g_scales, Real* g_constant, Real* g_start, Real* g_hidden, Real* g_others) {
   const Weights weights{control, hidden, bias, head, head_bias, width, range};
-  const Sizes of{steps, hold, horizon, h, m};
+  const Sizes of{steps, h, m};
   const long e = of.emitted(), kept = of.kept(), columns = vectors(h), others = 3 * h * m + 4 * h + e * h + e;
   std::vector<long> live;
   for (long row = 0; row < rows; ++row)
-    if (is_zero(g_controls + row * horizon * m, horizon * m) &&
-        is_zero(g_scales + row * horizon * m * m, horizon * m * m)) {
+    if (is_zero(g_controls + row * steps * m, steps * m) &&
+        is_zero(g_scales + row * steps * m * m, steps * m * m)) {
       std::fill_n(g_constant + row * 3 * h, 3 * h, Real(0));
       std::fill_n(g_start + row * h, h, Real(0));
     } else {
@@ -167,21 +164,19 @@ long dmmv_controls_adjoint(long rows, long threads, long steps, long hold, long 
       std::fill(wanted.begin(), wanted.end(), V{});
       if (s < steps - 1) add_product(control_back, m, 3 * h, &all[part], WIDE, wanted.data());
       decoder.scale(squashed.data(), factor.data());
-      for (long t = s * hold; t < std::min((s + 1) * hold, horizon); ++t) {
-        block.take(g_controls + t * m, horizon * m, m, by_control_.data());
-        for (long i = 0; i < m * WIDE; ++i) wanted[i] += width[i / WIDE] * by_control_[i];
-        block.take(g_scales + t * m * m, horizon * m * m, m * m, by_factor.data());
-        V* raw = &wanted[m * WIDE];
-        long below = m;
-        for (long i = 0; i < m; ++i) {
-          for (long j = 0; j <= i; ++j)
-            for (int w = 0; w < WIDE; ++w) {
-              const V given = by_factor[(i * m + j) * WIDE + w];
-              raw[i * WIDE + w] += given * factor[(i * m + j) * WIDE + w];
-              if (j < i) raw[(below + j) * WIDE + w] += given * factor[(i * m + i) * WIDE + w];
-            }
-          below += i;
-        }
+      block.take(g_controls + s * m, steps * m, m, by_control_.data());
+      for (long i = 0; i < m * WIDE; ++i) wanted[i] += width[i / WIDE] * by_control_[i];
+      block.take(g_scales + s * m * m, steps * m * m, m * m, by_factor.data());
+      V* raw = &wanted[m * WIDE];
+      long below = m;
+      for (long i = 0; i < m; ++i) {
+        for (long j = 0; j <= i; ++j)
+          for (int w = 0; w < WIDE; ++w) {
+            const V given = by_factor[(i * m + j) * WIDE + w];
+            raw[i * WIDE + w] += given * factor[(i * m + j) * WIDE + w];
+            if (j < i) raw[(below + j) * WIDE + w] += given * factor[(i * m + i) * WIDE + w];
+          }
+        below += i;
       }
       for (long i = 0; i < s_count * WIDE; ++i) wanted[m * WIDE + i] *= 1 - squashed[i] * squashed[i];
       add_pairs(wanted.data(), e, after.data(), h, by_head.data());

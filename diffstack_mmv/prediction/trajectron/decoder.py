@@ -28,6 +28,7 @@ from diffstack_mmv.types import Motion
 Jacobians = Callable[[DynamicsModel, Tensor, Tensor], Linearisation]
 START_DEVIATION = (0.03, 0.03, 0.05, 0.1)  # m along, m across, rad, m/s before training
 START_SCALE = 0.25  # deviation of a control before training, in widths
+FADE_S = 0.3  # time constant of acceleration and curvature before training
 LOG_RANGE = 4.0  # a deviation stays within a factor of e^4 of its value before training
 
 
@@ -37,11 +38,11 @@ class ControlDecoder(nn.Module):
         u_t = ū_t + w ∘ W h_t
 
     with the width w of the box of controls, and ū_t the control for the acceleration a₀ exp(-t / τ)
-    and the curvature κ₀ exp(-t / τ), from the component's own start, see `StartBlend`. Its weights
-    W start at zero, so that an untrained decoder is the fading CTRA and what it learns are
-    deviations from it. The input of the GRU is the deviation of the step before; context and
-    component enter through its first state and through a constant part of its input, which is
-    computed once.
+    and the curvature κ₀ exp(-t / τ), from the component's own start, see `StartBlend`; τ is
+    `FADE_S`. Its weights W start at zero, so that an untrained decoder is the fading CTRA and what
+    it learns are deviations from it. The input of the GRU is the deviation of the step before;
+    context and component enter through its first state and through a constant part of its input,
+    which is computed once.
 
     Args:
         dynamics: Dynamics of the agents.
@@ -49,37 +50,30 @@ class ControlDecoder(nn.Module):
         components: Number K of components.
         horizon_steps: Number T of predicted time steps.
         hidden: Size of the state of the GRU.
-        hold_steps: Steps over which a deviation is held.
-        fade_s: τ, for acceleration and turn alike.
         dropout: Share of units of the context dropped in training.
         jacobians: Linearises the dynamics, see `integrate`.
         generated: Integrates in one call where it can, see `integrate`.
-        blocks: Takes the rows through all steps where it can; None: tensors, step by step.
 
     Raises:
-        ValueError: A number of steps is below one.
+        ValueError: There is no step.
     """
 
-    def __init__(  # noqa: PLR0913 - each is a part that can be exchanged
+    def __init__(
         self,
         dynamics: DynamicsModel,
         context_size: int,
         components: int,
         horizon_steps: int,
         hidden: int = 128,
-        hold_steps: int = 1,
-        fade_s: float = 0.3,
         dropout: float = 0.0,
         jacobians: Jacobians = linearise,
         generated: GaussianRollout | None = None,
-        blocks: Blocks | None = None,
     ) -> None:
         super().__init__()
         require_at_least("horizon_steps", horizon_steps, 1)
-        require_at_least("hold_steps", hold_steps, 1)
-        self.dynamics, self.jacobians = dynamics, jacobians
-        self.generated, self.blocks = generated, blocks
-        self.horizon_steps, self.hold_steps, self.fade_s = horizon_steps, hold_steps, fade_s
+        self.dynamics, self.horizon_steps = dynamics, horizon_steps
+        self.jacobians, self.generated = jacobians, generated
+        self.blocks: Blocks | None = None
         size = dynamics.control_dim
         self.dropout = nn.Dropout(dropout)
         self.start = StartBlend(context_size, components)
@@ -119,6 +113,15 @@ class ControlDecoder(nn.Module):
         moments = recomputed(self._moments, tuple(each), self.parameters())
         return PositionMoments(*(field.unflatten(0, hidden.shape[:2]) for field in moments))
 
+    def compile_kernels(self, moments: GaussianRollout) -> None:
+        """Take the recurrence and the integration through all steps in one call from now on.
+
+        The integration only where it is linearised at every point, as `moments` does.
+        """
+        self.blocks = Blocks()
+        if self.jacobians is linearise:
+            self.generated = moments
+
     def _in_libraries(self, hidden: Float[Tensor, "R K h"]) -> bool:
         """Whether libraries take all steps, which leave out rows without a gradient themselves."""
         return self.generated is not None and self.blocks is not None and self.blocks.fit(hidden)
@@ -148,7 +151,7 @@ class ControlDecoder(nn.Module):
         width = 0.25 * (self.dynamics.bounds.upper - self.dynamics.bounds.lower)
         weights, leading = self._weights(), hidden.shape[:-1]
         if self.blocks is not None and self.blocks.fit(hidden) and not width.requires_grad:
-            scaling = Scaling(width, LOG_RANGE, START_SCALE, self.hold_steps)
+            scaling = Scaling(width, LOG_RANGE, START_SCALE)
             base = base.expand(*leading, *base.shape[-2:])
             first, second, third = (
                 field.flatten(0, len(leading) - 1) for field in (constant, hidden, base)
@@ -173,12 +176,8 @@ class ControlDecoder(nn.Module):
     ) -> tuple[Float[Tensor, "*r T m"], Float[Tensor, "*r T s"]]:
         """Deviations of the controls in widths of their box, and what scales are made of."""
         leading, size = hidden.shape[:-1], self.dynamics.control_dim
-        steps = math.ceil(self.horizon_steps / self.hold_steps)
         rows = constant.flatten(0, -2), hidden.flatten(0, -2)
-        emitted = emissions(*rows, weights, steps).movedim(0, 1)
-        if self.hold_steps > 1:
-            emitted = emitted.repeat_interleave(self.hold_steps, 1)[:, : self.horizon_steps]
-        emitted = emitted.unflatten(0, leading)
+        emitted = emissions(*rows, weights, self.horizon_steps).movedim(0, 1).unflatten(0, leading)
         return emitted[..., :size], emitted[..., size:]
 
     def _scale(self, raw: Float[Tensor, "*r T s"]) -> Float[Tensor, "*r T m m"]:
@@ -200,11 +199,11 @@ class ControlDecoder(nn.Module):
             forward[..., 0] * start.acceleration[..., 1]
             - forward[..., 1] * start.acceleration[..., 0]
         )
-        slowest = -speed / self.fade_s
+        slowest = -speed / FADE_S
         acceleration = torch.maximum(along.clamp(-3.0, 3.0), slowest)
         curvature = (across / (speed.square() + 0.25)).clamp(-1.0, 1.0)
         time = self.dynamics.dt_s * (torch.arange(self.horizon_steps, device=speed.device) + 0.5)
-        fading = torch.exp(-time / self.fade_s).to(speed.dtype)
+        fading = torch.exp(-time / FADE_S).to(speed.dtype)
         state = self.dynamics.state_on_course(motion).unsqueeze(-2)
         return self.dynamics.control_for(
             state.expand(*speed.shape, self.horizon_steps, -1),

@@ -1,6 +1,6 @@
 """The discrete latent variable: which of K ways of going on."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -47,7 +47,8 @@ def divergence(log_q: Float[Tensor, "*b K"], log_p: Float[Tensor, "*b K"]) -> Fl
     return (log_q.exp() * (log_q - log_p)).sum(-1)
 
 
-class Annealing(NamedTuple):
+@dataclass(frozen=True)
+class Annealing:
     """Weight of the KL term over the steps of training.
 
     weight · sigmoid(4 (step - crossover) / crossover)
@@ -56,22 +57,19 @@ class Annealing(NamedTuple):
         weight: Final weight.
         crossover_steps: Step at which half of it is reached.
         free_nats: Divergence that costs nothing.
+
+    Raises:
+        ValueError: A number is out of its range.
     """
 
     weight: float = 100.0
     crossover_steps: int = 400
     free_nats: float = 0.07
 
-    def checked(self) -> "Annealing":
-        """Return this schedule.
-
-        Raises:
-            ValueError: A number is out of its range.
-        """
+    def __post_init__(self) -> None:
         require_at_least("annealing.weight", self.weight, 0.0)
         require_positive("annealing.crossover_steps", self.crossover_steps)
         require_at_least("annealing.free_nats", self.free_nats, 0.0)
-        return self
 
     def penalty(self, divergence: Float[Tensor, "*b"], step: Tensor) -> Float[Tensor, "*b"]:
         """Penalty in nats on a divergence at a step of training."""

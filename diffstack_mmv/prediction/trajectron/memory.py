@@ -27,13 +27,16 @@ class MaskedLSTM(nn.Module):
     Args:
         inputs: Number of features of a row.
         hidden: Size of the state.
-        blocks: Takes the rows through all steps where it can; None: tensors, step by step.
     """
 
-    def __init__(self, inputs: int, hidden: int, blocks: Blocks | None = None) -> None:
+    def __init__(self, inputs: int, hidden: int) -> None:
         super().__init__()
         self.cell = nn.LSTMCell(inputs, hidden)
-        self.blocks = blocks
+        self.blocks: Blocks | None = None
+
+    def compile_kernels(self) -> None:
+        """Take the rows through all steps in one call from now on, where that is possible."""
+        self.blocks = Blocks()
 
     def forward(
         self, features: Float[Tensor, "R T f"], valid: Bool[Tensor, "R T"]

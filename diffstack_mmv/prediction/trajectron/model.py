@@ -89,12 +89,11 @@ class Trajectron(Predictor):
         sizes: Sizes of the networks.
         annealing: Weight of the divergence of the posterior from the prior.
         energy_weight: Weight in nats per m of `energy_of_paths` in the loss; 0 as published.
-        hold_steps: Steps over which a decoded control is held.
         jacobians: Linearises the dynamics: `linearise` at every point, or `linearise_shared` at the
             mean of the components, for models whose step is expensive.
         generated: Integrates the controls in one call where it can, see `integrate`.
         site: Encoder of where in the world an agent is, for a predictor that is used where it was
-            trained; None: it holds everywhere. Forecasts of tracks alone do without its code.
+            trained; None: no site encoding. It is also left out when only tracks are given.
         rough: Whether it is told how noisy each track is, see `roughness`: for recordings that are
             not smoothed and not equally noisy.
 
@@ -113,7 +112,6 @@ class Trajectron(Predictor):
         sizes: Sizes | None = None,
         annealing: Annealing | None = None,
         energy_weight: float = 0.0,
-        hold_steps: int = 1,
         jacobians: Jacobians = linearise,
         generated: GaussianRollout | None = None,
         site: Site | None = None,
@@ -129,7 +127,7 @@ class Trajectron(Predictor):
         require_at_least("energy_weight", energy_weight, 0.0)
         self.energy_weight = energy_weight
         self.blocks: Blocks | None = None
-        self.annealing = (annealing if annealing is not None else Annealing()).checked()
+        self.annealing = annealing if annealing is not None else Annealing()
         self.scene_encoder = SceneEncoder(self.dt_s, sizes, site, rough)
         self.future_encoder = PerKind(
             {kind: MaskedLSTM(TRACK_FEATURES, sizes.future) for kind in (VEHICLE, PEDESTRIAN)},
@@ -141,8 +139,8 @@ class Trajectron(Predictor):
         for role, model in models.items():
             count = components if role == EGO else max(neighbor_components, 1)
             decoder = ControlDecoder(
-                model, context, count, horizon_steps, sizes.decoder, hold_steps,
-                dropout=sizes.dropout, jacobians=jacobians, generated=generated,
+                model, context, count, horizon_steps, sizes.decoder,
+                sizes.dropout, jacobians, generated,
             )  # fmt: skip
             self.branches.append(Branch(Latent(context, sizes.future, count), decoder))
         self.register_buffer("training_step", torch.zeros((), dtype=torch.long))
@@ -153,12 +151,12 @@ class Trajectron(Predictor):
 
         Where that is possible: on a CPU with a compiler.
         """
-        for branch in self.branches:
-            if isinstance(branch, Branch) and branch.decoder.jacobians is linearise:
-                branch.decoder.generated = moments
+        self.blocks = Blocks()
+        for branch in self._branches():
+            branch.decoder.compile_kernels(moments)
         for module in self.modules():
-            if isinstance(module, MaskedLSTM | ControlDecoder | Trajectron):
-                module.blocks = Blocks()
+            if isinstance(module, MaskedLSTM):
+                module.compile_kernels()
 
     def has_learned(self, role: int) -> bool:
         """Whether the decoder of a role ever got a gradient: its heads start at zero.
@@ -166,8 +164,11 @@ class Trajectron(Predictor):
         Args:
             role: EGO, VEHICLE or PEDESTRIAN of `agent_batch`.
         """
-        branch = self.branches[role]
-        return isinstance(branch, Branch) and bool(branch.decoder.mean_head.weight.any())
+        return bool(self._branches()[role].decoder.mean_head.weight.any())
+
+    def _branches(self) -> list[Branch]:
+        """The branches in the order of their roles; a module list does not tell their type."""
+        return [branch for branch in self.branches if isinstance(branch, Branch)]
 
     def forward(self, past: Tracks, neighbors: Tracks) -> Forecast:
         """Forecast all agents, `*b 1+N`; an agent that is not observed now stays where it is."""
@@ -230,11 +231,11 @@ class Trajectron(Predictor):
     def _decoded(self, rows: AgentBatch, agents: int) -> Iterator[Decoded]:
         """Encode all rows at once, and decode them by their roles."""
         context = self.scene_encoder(rows, agents, not self.forecast_neighbors)
-        for role, branch in enumerate(self.branches):
+        for role, branch in enumerate(self._branches()):
             if role != EGO and not self.forecast_neighbors:
                 continue
             chosen = rows_of_role(rows, role, agents)
-            if len(chosen.index) > 0 and isinstance(branch, Branch):
+            if len(chosen.index) > 0:
                 own, seen = select_agents(rows, chosen.index), context[chosen.index]
                 places = chosen._replace(index=own.index)
                 moments = branch.decoder(seen, own)

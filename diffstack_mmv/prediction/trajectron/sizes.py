@@ -1,13 +1,20 @@
-"""Sizes of the networks of the predictor."""
+"""Sizes of the networks of the predictor, and what else they are built with."""
 
 from typing import NamedTuple
 
 
 class Sizes(NamedTuple):
-    """Sizes of the networks, those of Trajectron++ by default, and the share of units dropped.
+    """Sizes of the networks, those of Trajectron++ by default, with their dropout and reach.
 
-    `reach_m` is the distance at which the influence of another agent is halved, `fade_m` the
-    distance over which it fades; see `Interaction`.
+    Attributes:
+        history: Units of the LSTM over an agent's past, the size of its encoding.
+        edge: Units of the encoding of a neighbor, and of all neighbors together.
+        future: Units of the LSTM over an agent's future, which only training sees.
+        decoder: Units of the GRU that emits controls.
+        dropout: Share of units dropped in training, in [0, 0.9]: in the encoders of neighbors, and
+            of what the decoder is told of the scene.
+        reach_m: Distance in m at which the influence of a neighbor is halved, see `Interaction`.
+        fade_m: Length in m of the fading around `reach_m`: at 4 `fade_m` beyond it, 2 % are left.
     """
 
     history: int = 32

@@ -29,6 +29,19 @@ def by_library(*arguments):
     return natively(EXACT, *arguments)
 
 
+@pytest.fixture
+def forget(monkeypatch):
+    """Forgets every library and refusal: before the test, wherever it is called, and after."""
+
+    def forgotten():
+        monkeypatch.setattr(native_solver, "_LIBRARIES", {})
+        native_solver._workshop.cache_clear()
+
+    forgotten()
+    yield forgotten
+    native_solver._workshop.cache_clear()
+
+
 def goal_term(states, controls, goal, weight):
     """A cost whose first tensor has one entry per problem."""
     return goal_cost(goal, weight)(states, controls)
@@ -213,19 +226,17 @@ def test_a_cost_that_sees_another_time_is_refused():
     ("limit", "value", "told"),
     [("LONGEST_SOURCE", 100, "takes too long"), ("MOST_LIBRARIES", 0, "more than 0 shapes")],
 )
+@pytest.mark.usefixtures("forget")
 def test_what_would_compile_too_long_is_left_to_tensors(monkeypatch, caplog, limit, value, told):
     caplog.set_level("INFO")
     monkeypatch.setattr(native_solver, limit, value)
-    monkeypatch.setattr(native_solver, "_LIBRARIES", {})
-    native_solver._workshop.cache_clear()
     arguments, _ = problem(2)
     assert natively(EXACT, *arguments) is None
     assert told in caplog.text
-    native_solver._workshop.cache_clear()
 
 
 @pytest.mark.usefixtures("double")
-def test_a_long_source_that_is_built_with_less_effort_gives_the_same(monkeypatch):
+def test_a_long_source_that_is_built_with_less_effort_gives_the_same(monkeypatch, forget):
     seen = []
     load = native_solver.load
     monkeypatch.setattr(
@@ -235,17 +246,16 @@ def test_a_long_source_that_is_built_with_less_effort_gives_the_same(monkeypatch
     for long in (10**9, 0):
         monkeypatch.setattr(native_solver, "LONG_SOURCE", long)
         monkeypatch.setattr(native_solver, "LONG_ADJOINT", long)
-        monkeypatch.setattr(native_solver, "_LIBRARIES", {})
-        native_solver._workshop.cache_clear()
+        forget()
         arguments, leaves = problem(2)
         found.append(outcome(natively(EXACT, *arguments), leaves))
-    native_solver._workshop.cache_clear()
     quickly = native_solver.QUICKLY
     assert seen == [(), (), quickly, ("-O1", *quickly)]
     for plain, quick in zip(*found, strict=True):
         torch.testing.assert_close(quick, plain, rtol=1e-9, atol=1e-10)
 
 
+@pytest.mark.usefixtures("forget")
 def test_derivatives_that_cannot_be_built_are_left_to_tensors_before_the_first_solution(
     monkeypatch, caplog
 ):
@@ -256,15 +266,12 @@ def test_derivatives_that_cannot_be_built_are_left_to_tensors_before_the_first_s
         "source",
         lambda problem, name, real: "no C++" if name == "adjoint" else right(problem, name, real),
     )
-    monkeypatch.setattr(native_solver, "_LIBRARIES", {})
-    native_solver._workshop.cache_clear()
     arguments, _ = problem(2)
     with torch.no_grad():
         assert natively(EXACT, *arguments) is not None
     with caplog.at_level("INFO"):
         assert natively(EXACT, *arguments) is None
     assert "No library" in caplog.text
-    native_solver._workshop.cache_clear()
 
 
 @pytest.mark.parametrize(

@@ -4,70 +4,71 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
-from diffstack_mmv.dynamics import DiffKBM, SingleIntegrator
+from diffstack_mmv.dynamics import DiffKBM
+from diffstack_mmv.prediction import all_agents
 from diffstack_mmv.prediction.trajectron import blocks
+from diffstack_mmv.prediction.trajectron.agent_batch import agent_batch
 from diffstack_mmv.prediction.trajectron.blocks import Blocks
 from diffstack_mmv.prediction.trajectron.decoder import ControlDecoder
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
 from diffstack_mmv.prediction.trajectron.paths import path_scores
 from diffstack_mmv.vehicles import load_vehicle
+from tests.prediction.samples import DT_S, scene
 
 PRECISE = [(torch.float64, 1e-12), (torch.float32, 1e-4)]
 
 
-def decoder(hidden, horizon, hold, dtype):
+def decoder(hidden, horizon, dtype):
     torch.manual_seed(0)
-    made = ControlDecoder(
-        DiffKBM(load_vehicle("bicycle"), 0.1), 2, 1, horizon, hidden=hidden, hold_steps=hold
-    )
+    made = ControlDecoder(DiffKBM(load_vehicle("bicycle"), DT_S), 2, 1, horizon, hidden=hidden)
     for head in (made.mean_head, made.scale_head):
         torch.nn.init.normal_(head.weight, std=0.5)
     return made.to(dtype)
 
 
-def rows(count, made, dtype):
-    """Constant input, first state, and controls at rest."""
-    size, steps = made.gate_hidden.in_features, made.horizon_steps
-    shapes = (count, 3 * size), (count, size), (count, steps, made.dynamics.control_dim)
-    return [torch.randn(*shape, dtype=dtype).requires_grad_() for shape in shapes]
+def in_blocks(made):
+    """The decoder with its recurrence in the library, and the integration by tensors."""
+    made.compile_kernels(lambda *_: None)
+    return made
 
 
-def sloped(made, results, inputs, toward):
-    sources = [*inputs, *(each for each in made.parameters() if each.requires_grad)]
+def seen(count, dtype):
+    """Context and tracks of so many agents."""
+    agents = scene(batch=(count,), neighbors=0, dtype=dtype)
+    rows = agent_batch(all_agents(agents.ego_past, agents.neighbors_past), DT_S)
+    return torch.randn(count, 2, dtype=dtype).requires_grad_(), rows
+
+
+def sloped(made, results, context, toward):
+    sources = [context, *(each for each in made.parameters() if each.requires_grad)]
     return torch.autograd.grad(results, sources, toward, allow_unused=True, materialize_grads=True)
 
 
 @pytest.mark.parametrize(("dtype", "tolerance"), PRECISE)
-@pytest.mark.parametrize(
-    ("count", "hidden", "horizon", "hold"), [(1, 3, 4, 1), (70, 9, 5, 2), (67, 16, 3, 1)]
-)
-def test_controls_are_those_of_tensors(count, hidden, horizon, hold, dtype, tolerance):
-    made = decoder(hidden, horizon, hold, dtype)
-    inputs = rows(count, made, dtype)
-    expected = made._controls(*inputs)
+@pytest.mark.parametrize(("count", "hidden", "horizon"), [(1, 3, 4), (70, 9, 5), (67, 16, 3)])
+def test_moments_are_those_of_tensors(count, hidden, horizon, dtype, tolerance):
+    made = decoder(hidden, horizon, dtype)
+    context, rows = seen(count, dtype)
+    expected = made(context, rows)
     toward = [torch.randn_like(each) for each in expected]
     for each in toward:
         each[1::3] = 0  # rows without a gradient
-    right = sloped(made, expected, inputs, toward)
-    made.blocks = Blocks()
-    found = made._controls(*inputs)
+    right = sloped(made, expected, context, toward)
+    found = in_blocks(made)(context, rows)
     close = {"rtol": tolerance, "atol": tolerance}
     torch.testing.assert_close(found, expected, **close)
-    torch.testing.assert_close(sloped(made, found, inputs, toward), right, **close)
+    torch.testing.assert_close(sloped(made, found, context, toward), right, **close)
 
 
 def test_their_gradient_is_that_of_the_value():
-    made = decoder(3, 3, 1, torch.float64)
-    made.blocks = Blocks()
-    assert gradcheck(made._controls, rows(2, made, torch.float64))
+    made, (context, rows) = in_blocks(decoder(3, 3, torch.float64)), seen(2, torch.float64)
+    assert gradcheck(lambda context: made(context, rows), context)
 
 
 def test_without_any_gradient_slopes_are_zero():
-    made = decoder(9, 3, 1, torch.float64)
-    made.blocks = Blocks()
-    inputs = rows(5, made, torch.float64)
-    results = made._controls(*inputs)
-    found = sloped(made, results, inputs, [torch.zeros_like(each) for each in results])
+    made, (context, rows) = in_blocks(decoder(9, 3, torch.float64)), seen(5, torch.float64)
+    results = made(context, rows)
+    found = sloped(made, results, context, [torch.zeros_like(each) for each in results])
     assert all((slope == 0).all() for slope in found)
 
 
@@ -128,5 +129,5 @@ def test_components_that_do_not_count_are_not_moved():
 def test_without_a_compiler_rows_are_left_to_tensors(monkeypatch):
     monkeypatch.setattr(blocks, "library", lambda dtype: None)
     assert not Blocks().fit(torch.zeros(2, 3))
-    made = ControlDecoder(SingleIntegrator(dt_s=0.1), 2, 1, 3, hidden=3, blocks=Blocks())
-    assert made._controls(*rows(2, made, torch.float32))[0].shape == (2, 3, 2)
+    made, given = decoder(3, 3, torch.float32), seen(2, torch.float32)
+    assert torch.equal(made(*given).mean, in_blocks(made)(*given).mean)

@@ -40,4 +40,4 @@ def test_penalty_rises_to_its_weight_and_is_half_of_it_at_the_crossover():
 @pytest.mark.parametrize("options", [{"weight": -1.0}, {"crossover_steps": 0}, {"free_nats": -0.1}])
 def test_impossible_annealing_is_refused(options):
     with pytest.raises(ValueError, match=f"`annealing.{next(iter(options))}` must"):
-        Annealing(**options).checked()
+        Annealing(**options)

@@ -4,8 +4,14 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
-from diffstack_mmv.prediction.trajectron.blocks import Blocks
 from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
+
+
+def memory(inputs, hidden, compiled):
+    lstm = MaskedLSTM(inputs, hidden)
+    if compiled:
+        lstm.compile_kernels()
+    return lstm
 
 
 def written_out(lstm, features, valid):
@@ -19,9 +25,9 @@ def written_out(lstm, features, valid):
 
 
 @pytest.mark.parametrize(("rows", "width"), [(0, 3), (1, 3), (40, 3), (40, 15)])
-@pytest.mark.parametrize("blocks", [None, Blocks()])
-def test_value_and_gradient_are_those_of_the_cell(rows, width, blocks):
-    lstm = MaskedLSTM(width, 5, blocks).double()
+@pytest.mark.parametrize("compiled", [False, True])
+def test_value_and_gradient_are_those_of_the_cell(rows, width, compiled):
+    lstm = memory(width, 5, compiled).double()
     features = torch.randn(rows, 6, width, dtype=torch.float64, requires_grad=True)
     valid = torch.rand(rows, 6) > 0.4
     found, expected = lstm(features, valid), written_out(lstm, features, valid)
@@ -32,9 +38,9 @@ def test_value_and_gradient_are_those_of_the_cell(rows, width, blocks):
         assert torch.allclose(slope, right)
 
 
-@pytest.mark.parametrize("blocks", [None, Blocks()])
-def test_what_a_gap_holds_does_not_matter(blocks):
-    lstm, features, valid = MaskedLSTM(3, 5, blocks), torch.randn(9, 6, 3), torch.rand(9, 6) > 0.4
+@pytest.mark.parametrize("compiled", [False, True])
+def test_what_a_gap_holds_does_not_matter(compiled):
+    lstm, features, valid = memory(3, 5, compiled), torch.randn(9, 6, 3), torch.rand(9, 6) > 0.4
     gaps = features.masked_fill(~valid.unsqueeze(-1), torch.nan)
     found = lstm(gaps, valid)
     assert torch.equal(found, lstm(features, valid))
@@ -43,9 +49,9 @@ def test_what_a_gap_holds_does_not_matter(blocks):
     )
 
 
-@pytest.mark.parametrize("blocks", [None, Blocks()])
-def test_gradient_is_that_of_the_value(blocks):
-    lstm, valid = MaskedLSTM(2, 2, blocks).double(), torch.tensor([[True, False, True]])
+@pytest.mark.parametrize("compiled", [False, True])
+def test_gradient_is_that_of_the_value(compiled):
+    lstm, valid = memory(2, 2, compiled).double(), torch.tensor([[True, False, True]])
     features = torch.randn(1, 3, 2, dtype=torch.float64, requires_grad=True)
     assert gradcheck(lambda inputs: lstm(inputs, valid), features)
 
