@@ -9,12 +9,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require, require_at_least, require_between, require_positive
-from diffstack_mmv.control import pad_controls
-from diffstack_mmv.control.native.scan import scan
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import wrap_angle
-from diffstack_mmv.planning.candidates import Arc, Candidates, follow
-from diffstack_mmv.planning.problem import initial_state
+from diffstack_mmv.planning.candidates import Arc, Candidates, roll_out
 from diffstack_mmv.types import PlanningProblem
 
 CREEP_MPS = 0.3
@@ -30,11 +27,11 @@ class Detour(NamedTuple):
 
 
 class Leg(NamedTuple):
-    """What each candidate does in one step."""
+    """What candidates do in one step."""
 
-    offset: Float[Tensor, " C"]  # rad
-    speed_share: Float[Tensor, " C"]
-    detours: Bool[Tensor, " C"]  # false: it makes for the goal
+    offset: Float[Tensor, "*b"]  # rad
+    speed_share: Float[Tensor, "*b"]
+    detours: Bool[Tensor, "*b"]  # false: it makes for the goal
 
 
 def drawn_detours(count: int, until_s: float) -> Detour:
@@ -153,30 +150,8 @@ class DetourFan:
         require(
             not forward_only, "dynamics", "be able to reverse", "one that cannot", remedy=remedy
         )
-        detour = Detour(*(field.to(problem.goal) for field in self.detour))
-        if self.compile:
-            found = self._in_library(dynamics, problem, detour, steps)
-            if found is not None:
-                return found
-        goal, cruise = problem.goal.unsqueeze(-2), problem.reference_speed.unsqueeze(-1)
 
-        def arc_at(state: Tensor, step: int) -> Arc:
-            leg = _leg(detour, step * dynamics.dt_s)
-            pursued = self._pursued(dynamics, state[..., :-1, :], leg, goal, cruise)
-            hardest = dynamics.hardest_braking(state[..., -1:, :])
-            straight = torch.zeros_like(hardest)
-            return Arc(
-                *(torch.cat(pair, -1) for pair in zip(pursued, (hardest, straight), strict=True))
-            )
-
-        return follow(dynamics, problem, arc_at, detour.offset.shape[0] + 1, steps)
-
-    def _in_library(
-        self, dynamics: DynamicsModel, problem: PlanningProblem, detour: Detour, steps: int
-    ) -> Candidates | None:
-        """The same fan, all candidates of all problems as rows; None if there is no library."""
-
-        def driven(state: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
+        def control_of(state: Tensor, row: Tensor) -> Tensor:
             goal, cruise, offset, share, detours, brakes = row.split([2, 1, 1, 1, 1, 1], -1)
             leg = Leg(offset[..., 0], share[..., 0], detours[..., 0] > 0)
             arc = self._pursued(dynamics, state, leg, goal, cruise[..., 0])
@@ -184,18 +159,11 @@ class DetourFan:
             braking = dynamics.hardest_braking(state)
             acceleration = torch.where(hardest, braking, arc.acceleration)
             curvature = torch.where(hardest, torch.zeros_like(arc.curvature), arc.curvature)
-            control = dynamics.control_for(state, acceleration, curvature)
-            return dynamics.step(state, control), control
+            return dynamics.control_for(state, acceleration, curvature)
 
-        start = initial_state(dynamics, problem.ego)
+        detour = Detour(*(field.to(problem.goal) for field in self.detour))
         rows = _rows(problem, self._scheduled(detour, steps, dynamics.dt_s))
-        state = start.unsqueeze(-2).expand(*rows.shape[:-2], start.shape[-1])
-        found = scan(driven, state.flatten(0, -2), rows.flatten(0, -3))
-        if found is None:
-            return None
-        states, controls = (part.unflatten(0, rows.shape[:-2]) for part in found)
-        motion = dynamics.motion(states, pad_controls(controls))
-        return Candidates(states, controls, motion)
+        return roll_out(dynamics, problem, rows, control_of, self.compile)
 
     def _scheduled(self, detour: Detour, steps: int, dt_s: float) -> Float[Tensor, "C1 T 4"]:
         """What the candidates do in each step: the same for all problems, so worked out once."""
@@ -211,10 +179,10 @@ class DetourFan:
         dynamics: DynamicsModel,
         state: Float[Tensor, "*b n"],
         leg: Leg,
-        goal: Float[Tensor, "*#b 2"],
-        cruise: Float[Tensor, "*#b"],
+        goal: Float[Tensor, "*b 2"],
+        cruise: Float[Tensor, "*b"],
     ) -> Arc:
-        """Arcs of all candidates but the braking in one step."""
+        """Arcs of candidates that do not brake, in one step."""
         none = torch.zeros_like(dynamics.bounds.lower).to(state)
         motion = dynamics.motion(state, none.expand(*state.shape[:-1], len(none)))
         way = goal - motion.position

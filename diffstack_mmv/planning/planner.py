@@ -10,10 +10,15 @@ from torch import Tensor, nn
 
 from diffstack_mmv.checks import message, require_at_least
 from diffstack_mmv.control import ILQR, Batched, TrajectoryOptimizer, pad_controls
-from diffstack_mmv.control.native.scan import RowStep, scan
 from diffstack_mmv.costs import WeightedCost
-from diffstack_mmv.dynamics import DynamicsModel, rollout
-from diffstack_mmv.planning.candidates import CandidateFan, CandidateSource
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.planning.candidates import (
+    CandidateFan,
+    Candidates,
+    CandidateSource,
+    as_told,
+    roll_out,
+)
 from diffstack_mmv.planning.choice import PlanChoice, TakeOptimum
 from diffstack_mmv.planning.coordinates import Coordinates, PhysicalControls
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
@@ -32,7 +37,7 @@ UNSAFE = 1e4
 
 
 class PlannerState(NamedTuple):
-    """What a receding horizon knows from its decision before."""
+    """State carried over from the previous decision."""
 
     controls: Float[Tensor, "*b T m"]  # rest of the previous plan, continued to the horizon
     waited: Float[Tensor, "*b"]  # s in which the vehicle came no closer to its goal
@@ -134,9 +139,9 @@ class MPCPlanner(Planner):
         controls, motion = fan.controls, fan.motion
         if state is not None:
             more = self._continued(problem, state)
-            controls = torch.cat([controls, more[0]], -3)
-            plans = problem.goal.dim() - 1
-            motion = Motion(*(torch.cat(pair, plans) for pair in zip(motion, more[1], strict=True)))
+            controls = torch.cat([controls, more.controls], -3)
+            plans, pairs = problem.goal.dim() - 1, zip(motion, more.motion, strict=True)
+            motion = Motion(*(torch.cat(pair, plans) for pair in pairs))
         proposals = scored(controls, motion)
         with torch.no_grad():
             starts = self._best_starts(proposals, problem.obstacles)
@@ -193,28 +198,18 @@ class MPCPlanner(Planner):
 
     def _costs(self, problem: PlanningProblem) -> PlanCosts:
         """The cost of plans, in a library where the solver is compiled."""
-        compiled = isinstance(self.solver, ILQR) and self.solver.compile
-        return PlanCosts(self, problem, compiled, self.score.differentiable)
+        return PlanCosts(self, problem, self._in_library, self.score.differentiable)
 
     @torch.no_grad()
-    def _continued(
-        self, problem: PlanningProblem, state: PlannerState
-    ) -> tuple[Float[Tensor, "*b one T m"], Motion]:
+    def _continued(self, problem: PlanningProblem, state: PlannerState) -> Candidates:
         """The rest of the previous plan from the present state, as one more proposal."""
         controls = state.controls.unsqueeze(-3)
-        start = initial_state(self.dynamics, problem.ego).unsqueeze(-2)
-        states = self._rolled(start, controls)
-        return controls, self.dynamics.motion(states, pad_controls(controls))
+        return roll_out(self.dynamics, problem, controls, as_told, self._in_library)
 
-    def _rolled(
-        self, start: Float[Tensor, "*b n"], controls: Float[Tensor, "*b T m"]
-    ) -> Float[Tensor, "*b T1 n"]:
-        """States from controls, in a library where the solver is compiled."""
-        if isinstance(self.solver, ILQR) and self.solver.compile:
-            found = scan(_stepping(self.dynamics), start.flatten(0, -2), controls.flatten(0, -3))
-            if found is not None:
-                return found.states.unflatten(0, start.shape[:-1])
-        return rollout(self.dynamics, start, controls)
+    @property
+    def _in_library(self) -> bool:
+        """Whether the solver is compiled, and all else with it."""
+        return isinstance(self.solver, ILQR) and self.solver.compile
 
     def _best_starts(self, plans: ScoredPlans, obstacles: Obstacles) -> Int[Tensor, "*b k"]:
         """The best plan of each of the best homotopy classes around the likeliest futures."""
@@ -236,8 +231,7 @@ class MPCPlanner(Planner):
         obstacles, most = problem.obstacles, self.solved_components
         if most is not None and obstacles.weight.shape[-1] > most:
             problem = problem._replace(obstacles=likeliest(obstacles))
-        compiled = isinstance(self.solver, ILQR) and self.solver.compile
-        if compiled and guess.shape[:-3].numel() > 1:
+        if self._in_library and guess.shape[:-3].numel() > 1:
             problem = problem._replace(obstacles=filled_up(problem.obstacles))
 
         def repeated(entry: Tensor) -> Tensor:
@@ -265,12 +259,3 @@ class MPCPlanner(Planner):
     def _relative(self, controls: Float[Tensor, "*b t m"]) -> Float[Tensor, "*b t m"]:
         lower, upper = self.dynamics.bounds
         return controls / torch.maximum(upper, -lower)
-
-
-def _stepping(dynamics: DynamicsModel) -> RowStep:
-    """A step that tells nothing besides the state."""
-
-    def step(state: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
-        return dynamics.step(state, control), control[..., :0]
-
-    return step
