@@ -39,6 +39,7 @@ from diffstack_mmv.planning.problem import (
     straight_reference,
     tracked_ego,
 )
+from diffstack_mmv.planning.pursuit import Pursuit
 from diffstack_mmv.planning.selection import closest_candidate, cross_entropy
 
 __all__ = [
@@ -67,6 +68,7 @@ __all__ = [
     "Planner",
     "PlannerState",
     "PredictedGoal",
+    "Pursuit",
     "Reference",
     "ScoredPlans",
     "SharesAboveRest",
