@@ -14,19 +14,18 @@ from diffstack_mmv.costs import WeightedCost
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.planning.candidates import (
     CandidateFan,
-    Candidates,
     CandidateSource,
     as_told,
     roll_out,
 )
-from diffstack_mmv.planning.choice import PlanChoice, TakeOptimum
+from diffstack_mmv.planning.choice import Options, PlanChoice, TakeOptimum
 from diffstack_mmv.planning.coordinates import Coordinates, PhysicalControls
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
 from diffstack_mmv.planning.limits import PlanConstraints
 from diffstack_mmv.planning.objective import batched_objective
 from diffstack_mmv.planning.parts import possible
 from diffstack_mmv.planning.plan_costs import PlanCosts
-from diffstack_mmv.planning.pricing import CostScore, PlanScore, ScoredPlans
+from diffstack_mmv.planning.pricing import CostScore, Plans, PlanScore, ScoredPlans, Situation
 from diffstack_mmv.planning.problem import filled_up, initial_state, likeliest
 from diffstack_mmv.types import Motion, Obstacles, Plan, PlanningProblem, Solution, map_tensors
 
@@ -129,28 +128,22 @@ class MPCPlanner(Planner):
         waited = torch.zeros_like(problem.reference_speed) if state is None else state.waited
         problem = problem._replace(obstacles=problem.obstacles.of_valid())
 
-        costs = self._costs(problem)
-
-        def scored(controls: Tensor, motion: Motion) -> ScoredPlans:
-            return self._scored(costs, controls, motion, waited)
-
+        situation = Situation(problem, self._costs(problem), waited, self.dynamics.dt_s)
         with torch.no_grad():
             fan = self.candidates(self.dynamics, problem, self.steps)
-        controls, motion = fan.controls, fan.motion
+        plans = Plans(fan.controls, fan.motion)
         if state is not None:
-            more = self._continued(problem, state)
-            controls = torch.cat([controls, more.controls], -3)
-            plans, pairs = problem.goal.dim() - 1, zip(motion, more.motion, strict=True)
-            motion = Motion(*(torch.cat(pair, plans) for pair in pairs))
-        proposals = scored(controls, motion)
+            plans = plans.beside(self._continued(problem, state))
+        proposals = self.score(plans, situation)
         with torch.no_grad():
             starts = self._best_starts(proposals, problem.obstacles)
-        guess = proposals.controls.take_along_dim(starts[..., None, None], -3)
+        guess = plans.controls.take_along_dim(starts[..., None, None], -3)
         solution = self._solve(problem, guess)
         motion = self.dynamics.motion(solution.states, pad_controls(solution.controls))
-        fan_size = fan.controls.shape[-3]
-        chosen = self.choice(proposals, fan_size, solution, motion, scored)
-        return Plan(*chosen, solution, proposals.motion, -proposals.cost)
+        solved = Plans(solution.controls, motion)
+        options = Options(proposals, fan.controls.shape[-3], solution, solved)
+        chosen = self.choice(options, self.score, situation)
+        return Plan(*chosen, solution, plans.motion, -proposals.cost)
 
     def compile_solver(self) -> None:
         """Have the solver and a `CandidateFan` compiled at their next use, if they can be."""
@@ -186,41 +179,32 @@ class MPCPlanner(Planner):
         parts = self.cost.components(plan.motion, controls, problem, weights)
         return {name: value.sum(-1) for name, value in parts.items()}
 
-    def _scored(
-        self,
-        costs: PlanCosts,
-        controls: Float[Tensor, "*b C T m"],
-        motion: Motion,
-        waited: Float[Tensor, "*b"],
-    ) -> ScoredPlans:
-        with torch.set_grad_enabled(torch.is_grad_enabled() and self.score.differentiable):
-            return self.score(costs, costs.problem, controls, motion, waited, self.dynamics.dt_s)
-
     def _costs(self, problem: PlanningProblem) -> PlanCosts:
         """The cost of plans, in a library where the solver is compiled."""
         return PlanCosts(self, problem, self._in_library, self.score.differentiable)
 
     @torch.no_grad()
-    def _continued(self, problem: PlanningProblem, state: PlannerState) -> Candidates:
+    def _continued(self, problem: PlanningProblem, state: PlannerState) -> Plans:
         """The rest of the previous plan from the present state, as one more proposal."""
         controls = state.controls.unsqueeze(-3)
-        return roll_out(self.dynamics, problem, controls, as_told, self._in_library)
+        rest = roll_out(self.dynamics, problem, controls, as_told, self._in_library)
+        return Plans(rest.controls, rest.motion)
 
     @property
     def _in_library(self) -> bool:
         """Whether the solver is compiled, and all else with it."""
         return isinstance(self.solver, ILQR) and self.solver.compile
 
-    def _best_starts(self, plans: ScoredPlans, obstacles: Obstacles) -> Int[Tensor, "*b k"]:
+    def _best_starts(self, scored: ScoredPlans, obstacles: Obstacles) -> Int[Tensor, "*b k"]:
         """The best plan of each of the best homotopy classes around the likeliest futures."""
-        price = torch.where(plans.safe, plans.cost, plans.cost + UNSAFE * (1 + plans.shortfall))
+        price = torch.where(scored.safe, scored.cost, scored.cost + UNSAFE * (1 + scored.shortfall))
         if self.starts <= 1:
             return price.argmin(-1, keepdim=True)[..., : self.starts]
         agents = likeliest(obstacles)
         if price.dim() == 2:  # those who are not there pass on no side
             agents = possible(agents)
         cheapest = price.topk(min(MOST_COMPARED, price.shape[-1]), largest=False).indices
-        paths = plans.motion.position.take_along_dim(cheapest[..., None, None], -3)
+        paths = scored.plans.motion.position.take_along_dim(cheapest[..., None, None], -3)
         classes = homotopy_class(paths, agents.position.squeeze(-3))
         best = best_of_each(price.gather(-1, cheapest), classes, self.starts)
         return cheapest.gather(-1, best)
