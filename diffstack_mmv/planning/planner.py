@@ -23,10 +23,9 @@ from diffstack_mmv.planning.coordinates import Coordinates, PhysicalControls
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
 from diffstack_mmv.planning.limits import PlanConstraints
 from diffstack_mmv.planning.objective import batched_objective
-from diffstack_mmv.planning.parts import possible
-from diffstack_mmv.planning.plan_costs import PlanCosts
+from diffstack_mmv.planning.plan_costs import PreparedCost
 from diffstack_mmv.planning.pricing import CostScore, Plans, PlanScore, ScoredPlans, Situation
-from diffstack_mmv.planning.problem import filled_up, initial_state, likeliest
+from diffstack_mmv.planning.problem import filled_up, initial_state, likeliest, possible
 from diffstack_mmv.types import Motion, Obstacles, Plan, PlanningProblem, Solution, map_tensors
 
 MOST_COMPARED = 256
@@ -179,9 +178,9 @@ class MPCPlanner(Planner):
         parts = self.cost.components(plan.motion, controls, problem, weights)
         return {name: value.sum(-1) for name, value in parts.items()}
 
-    def _costs(self, problem: PlanningProblem) -> PlanCosts:
+    def _costs(self, problem: PlanningProblem) -> PreparedCost:
         """The cost of plans, in a library where the solver is compiled."""
-        return PlanCosts(self, problem, self._in_library, self.score.differentiable)
+        return PreparedCost(self, problem, self._in_library, self.score.differentiable)
 
     @torch.no_grad()
     def _continued(self, problem: PlanningProblem, state: PlannerState) -> Plans:

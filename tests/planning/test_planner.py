@@ -19,7 +19,7 @@ from diffstack_mmv.planning import (
     build_problem,
     straight_reference,
 )
-from diffstack_mmv.planning.plan_costs import PlanCosts
+from diffstack_mmv.planning.plan_costs import PreparedCost
 from diffstack_mmv.types import (
     Discs,
     Ego,
@@ -126,7 +126,7 @@ def test_the_solver_is_compiled_on_demand_where_there_is_a_compiler(compiler, mo
 
 def scores(planner, problems, controls, motion):
     """What the planner thinks of plans, `b C`."""
-    cost = PlanCosts(planner, problems, in_library=False, differentiable=False)
+    cost = PreparedCost(planner, problems, in_library=False, differentiable=False)
     situation = Situation(problems, cost, torch.zeros(len(controls)), planner.dynamics.dt_s)
     with torch.no_grad():
         return planner.score(Plans(controls, motion), situation)
