@@ -107,7 +107,9 @@ def watched(stack, watch):
     stack.planning_losses = watch.around("planning losses", stack.planning_losses)
     planner = stack.planner
     planner.candidates = watch.around("plan: candidates", planner.candidates)
-    planner._scored = watch.around("plan: scores", planner._scored)
+    score = planner.score
+    planner.score = watch.around("plan: scores", score)
+    planner.score.differentiable = score.differentiable
     planner._solve = watch.around("plan: solver", planner._solve)
 
 

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.types import Discs, Motion
+from diffstack_mmv.types import Discs, Motion, Obstacles
 
 SPLIT = 2.0**27 + 1
 """Splits a float64 number into two halves whose products are exact."""
@@ -101,6 +101,28 @@ def distance_to_outline(
         discs.ahead.amax(-1)[..., None, None, None],
         epsilon,
     )
+
+
+def clearance_lack(
+    motion: Motion, discs: Discs, obstacles: Obstacles, margin_m: float
+) -> Float[Tensor, "*b N K T1"]:
+    """How much a vehicle lacks in m of a margin to agents; negative where it keeps more.
+
+    r_ego + r_i + margin - d_ikt, with the distance d of agent i in component k to the axis of the
+    vehicle between its first and its last disc, smoothed at zero.
+
+    Args:
+        motion: Of the vehicle, `*b T1`; its heading is that of the body.
+        discs: Around it, `*b D`; its outline is their hull.
+        obstacles: Agents at the same times, `*b N K T1`, each with a disc; whether they are there
+            is not asked.
+        margin_m: Clearance between the outlines, in m.
+    """
+    distance = distance_to_outline(
+        obstacles.position, motion.position, motion.heading, discs, epsilon=1e-6
+    )
+    reach = discs.radius.amax(-1)[..., None] + obstacles.radius + margin_m
+    return reach[..., None, None] - distance
 
 
 def motion_in_frame(

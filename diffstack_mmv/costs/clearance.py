@@ -6,9 +6,9 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.costs.base import CostTerm
-from diffstack_mmv.geometry import direction, distance_to_outline, left_of
+from diffstack_mmv.geometry import clearance_lack, direction, left_of
 from diffstack_mmv.smooth import safe_norm, smooth_maximum
-from diffstack_mmv.types import GRAVITY, Discs, Motion, PlanningProblem
+from diffstack_mmv.types import GRAVITY, Discs, Motion, Obstacles, PlanningProblem
 
 
 class ExpectedCollision(CostTerm):
@@ -36,9 +36,9 @@ class ExpectedCollision(CostTerm):
         """Value at each time, dimensionless, at most the number of agents."""
         obstacles = problem.obstacles
         offset = motion.position[..., None, None, :, :] - obstacles.position
-        distance = (obstacles.weight.unsqueeze(-1) * safe_norm(offset, 1e-4)).sum(-2)
+        distance = _expected(safe_norm(offset, 1e-4), obstacles)
         value = torch.exp(-0.5 * (distance / self.bandwidth_m).square())
-        return (value * obstacles.valid.unsqueeze(-1)).sum(-2)
+        return _over_agents(value, obstacles)
 
 
 class OutlineClearance(CostTerm):
@@ -66,14 +66,9 @@ class OutlineClearance(CostTerm):
         self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
     ) -> Float[Tensor, "*b t"]:
         """Value in m² at each time, summed over agents."""
-        obstacles, discs = problem.obstacles, problem.ego.discs
-        distance = distance_to_outline(
-            obstacles.position, motion.position, motion.heading, discs, epsilon=1e-6
-        )
-        reach = discs.radius.amax(-1)[..., None] + obstacles.radius + self.margin_m
-        lack = torch.relu(reach[..., None, None] - distance).square()
-        expected = (obstacles.weight.unsqueeze(-1) * lack).sum(-2)
-        return (expected * obstacles.valid.unsqueeze(-1)).sum(-2)
+        obstacles = problem.obstacles
+        lack = clearance_lack(motion, problem.ego.discs, obstacles, self.margin_m)
+        return _over_agents(_expected(torch.relu(lack).square(), obstacles), obstacles)
 
 
 class TurningCircleBarrier(CostTerm):
@@ -149,8 +144,17 @@ class TurningCircleBarrier(CostTerm):
     ) -> Float[Tensor, "*b t"]:
         """Value in m² at each time, summed over agents."""
         violation = torch.relu(-self.barrier(motion, problem)).square()
-        expected = (problem.obstacles.weight.unsqueeze(-1) * violation).sum(-2)
-        return (expected * problem.obstacles.valid.unsqueeze(-1)).sum(-2)
+        return _over_agents(_expected(violation, problem.obstacles), problem.obstacles)
+
+
+def _expected(value: Float[Tensor, "*b N K t"], obstacles: Obstacles) -> Float[Tensor, "*b N t"]:
+    """Mean over the components of each agent."""
+    return (obstacles.weight.unsqueeze(-1) * value).sum(-2)
+
+
+def _over_agents(value: Float[Tensor, "*b N t"], obstacles: Obstacles) -> Float[Tensor, "*b t"]:
+    """Sum over the agents who are there."""
+    return (value * obstacles.valid.unsqueeze(-1)).sum(-2)
 
 
 def _reach_beyond(discs: Discs, radius: Float[Tensor, "*b t"]) -> Float[Tensor, "*b t"]:

@@ -6,7 +6,7 @@ from diffstack_mmv.planning.candidates import (
     CandidateSource,
     Coasting,
 )
-from diffstack_mmv.planning.choice import CheapestSafe, PlanChoice, TakeOptimum
+from diffstack_mmv.planning.choice import CheapestSafe, Options, PlanChoice, TakeOptimum
 from diffstack_mmv.planning.clearance import ClearanceMargin, clearance_within_steps
 from diffstack_mmv.planning.coordinates import (
     ControlCoordinates,
@@ -27,7 +27,14 @@ from diffstack_mmv.planning.limits import (
     SpeedWithin,
 )
 from diffstack_mmv.planning.planner import MPCPlanner, Planner, PlannerState
-from diffstack_mmv.planning.pricing import CostScore, PlanPrice, PlanScore, ScoredPlans
+from diffstack_mmv.planning.pricing import (
+    CostScore,
+    PlanPrice,
+    Plans,
+    PlanScore,
+    ScoredPlans,
+    Situation,
+)
 from diffstack_mmv.planning.problem import (
     Reference,
     build_problem,
@@ -39,6 +46,7 @@ from diffstack_mmv.planning.problem import (
     straight_reference,
     tracked_ego,
 )
+from diffstack_mmv.planning.pursuit import Pursuit
 from diffstack_mmv.planning.selection import closest_candidate, cross_entropy
 
 __all__ = [
@@ -60,16 +68,20 @@ __all__ = [
     "FutureGoal",
     "GoalSource",
     "MPCPlanner",
+    "Options",
     "PhysicalControls",
     "PlanChoice",
     "PlanPrice",
     "PlanScore",
+    "Plans",
     "Planner",
     "PlannerState",
     "PredictedGoal",
+    "Pursuit",
     "Reference",
     "ScoredPlans",
     "SharesAboveRest",
+    "Situation",
     "TakeOptimum",
     "above_rest",
     "best_of_each",

@@ -11,7 +11,7 @@ from torch import Tensor
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.control import pad_controls
 from diffstack_mmv.control.native.scan import scan
-from diffstack_mmv.dynamics import DynamicsModel, rollout
+from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.planning.problem import initial_state
 from diffstack_mmv.types import Motion, PlanningProblem
 
@@ -40,15 +40,17 @@ class CandidateSource(Protocol):
         ...
 
 
+ControlOf = Callable[[Float[Tensor, "*b n"], Float[Tensor, "*b k"]], Float[Tensor, "*b m"]]
+"""(states, what each candidate is told in a step) -> controls."""
+
+
 class Coasting:
     """Proposes nothing of its own: one plan without any control, where an optimiser may start."""
 
     def __call__(self, dynamics: DynamicsModel, problem: PlanningProblem, steps: int) -> Candidates:
         """Roll out zero controls for every problem over a number of steps."""
-        start = initial_state(dynamics, problem.ego).unsqueeze(-2)
-        controls = start.new_zeros(*start.shape[:-1], steps, dynamics.control_dim)
-        states = rollout(dynamics, start, controls)
-        return Candidates(states, controls, dynamics.motion(states, pad_controls(controls)))
+        shape = *problem.goal.shape[:-1], 1, steps, dynamics.control_dim
+        return roll_out(dynamics, problem, problem.goal.new_zeros(shape), as_told)
 
 
 class CandidateFan:
@@ -100,12 +102,15 @@ class CandidateFan:
         horizon_s = steps * dynamics.dt_s
         lattice, to_goal = self._lattice(problem, horizon_s), self._to_goal(problem, horizon_s)
         arc = Arc(*(torch.cat(pair, -1) for pair in zip(lattice, to_goal, strict=True)))
-        count = arc.curvature.shape[-1]
-        if self.compile:
-            found = _in_library(dynamics, problem, arc, steps)
-            if found is not None:
-                return found
-        return follow(dynamics, problem, lambda state, _: _held(dynamics, arc, state), count, steps)
+        rows = torch.stack(arc, -1).unsqueeze(-2)
+
+        def control_of(state: Tensor, row: Tensor) -> Tensor:
+            acceleration, curvature = row.unbind(-1)
+            held = dynamics.curvature_within_grip(state, acceleration, curvature)
+            return dynamics.control_for(state, acceleration, held)
+
+        each = rows.expand(*rows.shape[:-2], steps, -1)
+        return roll_out(dynamics, problem, each, control_of, self.compile)
 
     def _lattice(self, problem: PlanningProblem, horizon_s: float) -> Arc:
         speed = problem.ego.motion.velocity[..., 0].clamp_min(0).unsqueeze(-1)
@@ -137,54 +142,53 @@ class CandidateFan:
         return Arc(acceleration.unsqueeze(-1), curvature.unsqueeze(-1))
 
 
-def _held(dynamics: DynamicsModel, arc: Arc, state: Float[Tensor, "*b n"]) -> Arc:
-    """The arc, no sharper than the tyres hold at a state."""
-    return Arc(arc.acceleration, dynamics.curvature_within_grip(state, *arc))
+def as_told(state: Float[Tensor, "*b n"], row: Float[Tensor, "*b m"]) -> Float[Tensor, "*b m"]:
+    """The control of candidates that are told their controls, for `roll_out`."""
+    return row
 
 
-def _in_library(
-    dynamics: DynamicsModel, problem: PlanningProblem, arc: Arc, steps: int
-) -> Candidates | None:
-    """Drive on an arc each, all candidates of all problems as rows; None if there is no library."""
-
-    def driven(state: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
-        held = _held(dynamics, Arc(*row.unbind(-1)), state)
-        control = dynamics.control_for(state, *held)
-        return dynamics.step(state, control), control
-
-    start = initial_state(dynamics, problem.ego)
-    rows = torch.stack(arc, -1)
-    state = start.unsqueeze(-2).expand(*rows.shape[:-1], start.shape[-1])
-    each = rows.flatten(0, -2).unsqueeze(-2).expand(-1, steps, -1)
-    found = scan(driven, state.flatten(0, -2), each)
-    if found is None:
-        return None
-    states, controls = (part.unflatten(0, rows.shape[:-1]) for part in found)
-    return Candidates(states, controls, dynamics.motion(states, pad_controls(controls)))
-
-
-def follow(
+def roll_out(
     dynamics: DynamicsModel,
     problem: PlanningProblem,
-    arc_at: Callable[[Float[Tensor, "*b C n"], int], Arc],
-    count: int,
-    steps: int,
+    rows: Float[Tensor, "*b C T k"],
+    control_of: ControlOf,
+    compile: bool = False,
 ) -> Candidates:
-    """Drive `count` candidates of every problem, in each step on the arc asked for at its state.
+    """Drive C candidates of every problem over T steps.
 
     Args:
         dynamics: The vehicle.
         problem: Problems, `*b`.
-        arc_at: (states, number of the step) -> arcs of that step.
-        count: Number of candidates C.
-        steps: Length of the horizon in steps of the dynamics.
+        rows: What each candidate is told in each step.
+        control_of: Controls of a step, from the states in which it begins and from what is told.
+        compile: Roll out in a generated library where there is one, without a gradient.
     """
-    start = initial_state(dynamics, problem.ego)
-    state = start.unsqueeze(-2).expand(*start.shape[:-1], count, start.shape[-1])
-    states, controls = [state], []
-    for step in range(steps):
-        controls.append(dynamics.control_for(states[-1], *arc_at(states[-1], step)))
+
+    def step(state: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
+        control = control_of(state, row)
+        # a view, because a library takes down operations: what is handed on as it came is none
+        return dynamics.step(state, control), control[..., :]
+
+    present = initial_state(dynamics, problem.ego).unsqueeze(-2)
+    start = present.expand(*rows.shape[:-2], present.shape[-1])
+    found = None
+    if compile:
+        found = scan(step, start.flatten(0, -2), rows.flatten(0, -3), [control_of])
+    if found is not None:
+        states, controls = (part.unflatten(0, rows.shape[:-2]) for part in found)
+    else:
+        states, controls = _in_tensors(dynamics, start, rows, control_of)
+    return Candidates(states, controls, dynamics.motion(states, pad_controls(controls)))
+
+
+def _in_tensors(
+    dynamics: DynamicsModel,
+    start: Float[Tensor, "*b n"],
+    rows: Float[Tensor, "*b T k"],
+    control_of: ControlOf,
+) -> tuple[Float[Tensor, "*b T1 n"], Float[Tensor, "*b T m"]]:
+    states, controls = [start], []
+    for row in rows.unbind(-2):
+        controls.append(control_of(states[-1], row))
         states.append(dynamics(states[-1], controls[-1]))
-    all_states, all_controls = torch.stack(states, -2), torch.stack(controls, -2)
-    motion = dynamics.motion(all_states, pad_controls(all_controls))
-    return Candidates(all_states, all_controls, motion)
+    return torch.stack(states, -2), torch.stack(controls, -2)

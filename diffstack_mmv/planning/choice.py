@@ -1,6 +1,5 @@
 """Which plan is driven in the end: the optimum, or the cheapest safe one of all."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -9,10 +8,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least
-from diffstack_mmv.planning.pricing import ScoredPlans
+from diffstack_mmv.planning.pricing import Plans, PlanScore, ScoredPlans, Situation
 from diffstack_mmv.types import Motion, PlanOrigin, Solution, map_tensors
-
-Scored = Callable[[Tensor, Motion], ScoredPlans]
 
 
 class ChosenPlan(NamedTuple):
@@ -23,26 +20,26 @@ class ChosenPlan(NamedTuple):
     origin: Int[Tensor, "*b"]  # a PlanOrigin
 
 
+class Options(NamedTuple):
+    """Among which plans the choice is."""
+
+    proposals: ScoredPlans  # *b C: the fan, then the previous plan where there is one
+    fan_size: int  # plans in the fan
+    solution: Solution  # *b k, started from some of the proposals
+    solved: Plans  # of the solutions
+
+
 @runtime_checkable
 class PlanChoice(Protocol):
     """Chooses among the proposals and the solutions that were started from some of them."""
 
-    def __call__(
-        self,
-        proposals: ScoredPlans,
-        fan_size: int,
-        solution: Solution,
-        motion: Motion,
-        scored: Scored,
-    ) -> ChosenPlan:
+    def __call__(self, options: Options, score: PlanScore, situation: Situation) -> ChosenPlan:
         """Choose.
 
         Args:
-            proposals: The fan, then the previous plan where there is one, `*b C`.
-            fan_size: Number of plans in the fan.
-            solution: The solutions, `*b k`.
-            motion: Their motions, `*b k T1`.
-            scored: Scores plans (controls, motion) like the proposals.
+            options: Proposals, scored already, and solutions.
+            score: By which the proposals were scored.
+            situation: In which they were.
 
         Returns:
             The chosen plans.
@@ -54,24 +51,17 @@ class PlanChoice(Protocol):
 class TakeOptimum:
     """The solution with the least cost, with its gradient."""
 
-    def __call__(
-        self,
-        proposals: ScoredPlans,
-        fan_size: int,
-        solution: Solution,
-        motion: Motion,
-        scored: Scored,
-    ) -> ChosenPlan:
+    def __call__(self, options: Options, score: PlanScore, situation: Situation) -> ChosenPlan:
         """Choose; see `PlanChoice`.
 
         Raises:
             ValueError: The optimiser was not started.
         """
-        starts = solution.cost.shape[-1]
-        require_at_least("starts", starts, 1, "where the optimum is taken")
-        best = solution.cost.argmin(-1)
+        cost = options.solution.cost
+        require_at_least("starts", cost.shape[-1], 1, "where the optimum is taken")
+        best = cost.argmin(-1)
         origin = torch.full_like(best, PlanOrigin.OPTIMISED)
-        return ChosenPlan(*_taken(solution.controls, motion, best), origin)
+        return ChosenPlan(*_taken(options.solved, best), origin)
 
 
 @dataclass(frozen=True)
@@ -82,34 +72,25 @@ class CheapestSafe:
     after a divergence of the model, the last of the fan, which `DetourFan` makes maximal braking.
     """
 
-    def __call__(
-        self,
-        proposals: ScoredPlans,
-        fan_size: int,
-        solution: Solution,
-        motion: Motion,
-        scored: Scored,
-    ) -> ChosenPlan:
+    def __call__(self, options: Options, score: PlanScore, situation: Situation) -> ChosenPlan:
         """Choose; see `PlanChoice`."""
-        proposed = proposals.cost.shape[-1]
-        plans = proposals.beside(scored(solution.controls, motion))
-        nothing = plans.cost.isinf().all(-1)
-        best = torch.where(nothing, fan_size - 1, plans.best())
+        proposals, fan_size = options.proposals, options.fan_size
+        scored = proposals.beside(score(options.solved, situation))
+        nothing = scored.cost.isinf().all(-1)
+        best = torch.where(nothing, fan_size - 1, scored.best())
         origin = torch.full_like(best, PlanOrigin.PREVIOUS)
         origin = torch.where(best < fan_size, PlanOrigin.CANDIDATE, origin)
-        origin = torch.where(best >= proposed, PlanOrigin.OPTIMISED, origin)
-        origin = torch.where(plans.safe.any(-1), origin, PlanOrigin.FALLBACK)
-        return ChosenPlan(*_taken(plans.controls, plans.motion, best), origin)
+        origin = torch.where(best >= proposals.cost.shape[-1], PlanOrigin.OPTIMISED, origin)
+        origin = torch.where(scored.safe.any(-1), origin, PlanOrigin.FALLBACK)
+        return ChosenPlan(*_taken(scored.plans, best), origin)
 
 
-def _taken(
-    controls: Float[Tensor, "*b C T m"], motion: Motion, index: Int[Tensor, "*b"]
-) -> tuple[Tensor, Motion]:
-    """The plans with these numbers."""
-    plans = index.dim()
+def _taken(plans: Plans, index: Int[Tensor, "*b"]) -> Plans:
+    """The plans with these numbers, without the dimension `C`."""
+    dim = index.dim()
 
     def take(entry: Tensor) -> Tensor:
-        place = index.reshape(*index.shape, *(1 for _ in entry.shape[plans:]))
-        return entry.take_along_dim(place, plans).squeeze(plans)
+        place = index.reshape(*index.shape, *(1 for _ in entry.shape[dim:]))
+        return entry.take_along_dim(place, dim).squeeze(dim)
 
-    return take(controls), map_tensors(take, motion)
+    return map_tensors(take, plans)

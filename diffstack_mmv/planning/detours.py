@@ -5,20 +5,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require, require_at_least, require_between, require_positive
-from diffstack_mmv.control import pad_controls
-from diffstack_mmv.control.native.scan import scan
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.geometry import wrap_angle
-from diffstack_mmv.planning.candidates import Arc, Candidates, follow
-from diffstack_mmv.planning.problem import initial_state
+from diffstack_mmv.planning.candidates import Candidates, roll_out
+from diffstack_mmv.planning.pursuit import Leg, Pursuit
 from diffstack_mmv.types import PlanningProblem
-
-CREEP_MPS = 0.3
-"""A turn to the goal slows down no further than to this."""
 
 
 class Detour(NamedTuple):
@@ -27,14 +21,6 @@ class Detour(NamedTuple):
     offset: Float[Tensor, "C legs"]  # rad, course relative to the direction of the goal
     speed_share: Float[Tensor, "C legs"]  # of the cruising speed; negative: backwards on its course
     until: Float[Tensor, "C legs"]  # s, end of the leg, not before that of the leg before
-
-
-class Leg(NamedTuple):
-    """What each candidate does in one step."""
-
-    offset: Float[Tensor, " C"]  # rad
-    speed_share: Float[Tensor, " C"]
-    detours: Bool[Tensor, " C"]  # false: it makes for the goal
 
 
 def drawn_detours(count: int, until_s: float) -> Detour:
@@ -73,15 +59,10 @@ class DetourFan:
         offsets_deg: Courses to one side of the goal; the other side mirrors them, zero is added.
         speed_shares: Speeds of the first phase as shares of the cruising speed.
         durations_s: Lengths of the first phase.
-        turn_time_s: Time in which an error of the course is steered out.
-        lateral_mps2: Largest lateral acceleration of a turn.
-        yaw_rate_radps: Largest yaw rate of the turn to the goal: what turns by driving its wheels
-            apart turns tighter the slower it drives.
-        braking_mps2: Deceleration towards the goal.
         drawn: Number of candidates with two legs; the same ones for every problem.
         drawn_until_s: Time at which the last of their legs ends.
         backing: Number of further candidates of this kind that begin backwards.
-        backing_mps: Largest speed backwards.
+        pursuit: How courses and the goal are pursued.
         compile: Roll out in a generated library, on a CPU with a compiler.
 
     Raises:
@@ -89,20 +70,16 @@ class DetourFan:
             only drive forward and should begin backwards.
     """
 
-    def __init__(  # noqa: PLR0913 - each is a setting of the fan
+    def __init__(
         self,
         offsets_deg: Sequence[float] = (15.0, 30.0, 50.0, 80.0),
         speed_shares: Sequence[float] = (0.0, 0.33, 0.67, 1.0),
         durations_s: Sequence[float] = (0.5, 1.0, 1.75),
-        turn_time_s: float = 0.3,
-        lateral_mps2: float = 4.0,
-        braking_mps2: float = 2.5,
         drawn: int = 0,
         drawn_until_s: float = 4.0,
-        compile: bool = False,
-        yaw_rate_radps: float = 2.5,
         backing: int = 0,
-        backing_mps: float = 1.0,
+        pursuit: Pursuit | None = None,
+        compile: bool = False,
     ) -> None:
         for name, values in (
             ("offsets_deg", offsets_deg),
@@ -114,14 +91,9 @@ class DetourFan:
             require_between("offsets_deg", offset, 0, 180)
         for share in speed_shares:
             require_between("speed_shares", share, 0, 1)
-        require_positive("turn_time_s", turn_time_s)
-        require_positive("lateral_mps2", lateral_mps2)
-        require_positive("braking_mps2", braking_mps2)
-        require_positive("yaw_rate_radps", yaw_rate_radps)
         require_at_least("drawn", drawn, 0)
         require_positive("drawn_until_s", drawn_until_s)
         require_at_least("backing", backing, 0)
-        require_positive("backing_mps", backing_mps)
         one_side = [math.radians(offset) for offset in offsets_deg]
         both = torch.tensor([-offset for offset in reversed(one_side)] + [0.0] + one_side)
         grid = torch.cartesian_prod(both, torch.tensor(speed_shares), torch.tensor(durations_s))
@@ -129,11 +101,7 @@ class DetourFan:
         more = (drawn_detours(drawn, drawn_until_s), backing_detours(backing, drawn_until_s))
         self.detour = Detour(*map(torch.cat, zip(Detour(*legs), *more, strict=True)))
         self.backing = backing
-        self.backing_mps = backing_mps
-        self.turn_time_s = turn_time_s
-        self.lateral_mps2 = lateral_mps2
-        self.braking_mps2 = braking_mps2
-        self.yaw_rate_radps = yaw_rate_radps
+        self.pursuit = pursuit or Pursuit()
         self.compile = compile
         self._schedules: dict[tuple[int, float, torch.dtype, torch.device], Tensor] = {}
 
@@ -153,49 +121,21 @@ class DetourFan:
         require(
             not forward_only, "dynamics", "be able to reverse", "one that cannot", remedy=remedy
         )
-        detour = Detour(*(field.to(problem.goal) for field in self.detour))
-        if self.compile:
-            found = self._in_library(dynamics, problem, detour, steps)
-            if found is not None:
-                return found
-        goal, cruise = problem.goal.unsqueeze(-2), problem.reference_speed.unsqueeze(-1)
+        pursuit = self.pursuit
 
-        def arc_at(state: Tensor, step: int) -> Arc:
-            leg = _leg(detour, step * dynamics.dt_s)
-            pursued = self._pursued(dynamics, state[..., :-1, :], leg, goal, cruise)
-            hardest = dynamics.hardest_braking(state[..., -1:, :])
-            straight = torch.zeros_like(hardest)
-            return Arc(
-                *(torch.cat(pair, -1) for pair in zip(pursued, (hardest, straight), strict=True))
-            )
-
-        return follow(dynamics, problem, arc_at, detour.offset.shape[0] + 1, steps)
-
-    def _in_library(
-        self, dynamics: DynamicsModel, problem: PlanningProblem, detour: Detour, steps: int
-    ) -> Candidates | None:
-        """The same fan, all candidates of all problems as rows; None if there is no library."""
-
-        def driven(state: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
+        def control_of(state: Tensor, row: Tensor) -> Tensor:
             goal, cruise, offset, share, detours, brakes = row.split([2, 1, 1, 1, 1, 1], -1)
             leg = Leg(offset[..., 0], share[..., 0], detours[..., 0] > 0)
-            arc = self._pursued(dynamics, state, leg, goal, cruise[..., 0])
+            arc = pursuit.arc(dynamics, state, leg, goal, cruise[..., 0])
             hardest = brakes[..., 0] > 0
             braking = dynamics.hardest_braking(state)
             acceleration = torch.where(hardest, braking, arc.acceleration)
             curvature = torch.where(hardest, torch.zeros_like(arc.curvature), arc.curvature)
-            control = dynamics.control_for(state, acceleration, curvature)
-            return dynamics.step(state, control), control
+            return dynamics.control_for(state, acceleration, curvature)
 
-        start = initial_state(dynamics, problem.ego)
+        detour = Detour(*(field.to(problem.goal) for field in self.detour))
         rows = _rows(problem, self._scheduled(detour, steps, dynamics.dt_s))
-        state = start.unsqueeze(-2).expand(*rows.shape[:-2], start.shape[-1])
-        found = scan(driven, state.flatten(0, -2), rows.flatten(0, -3))
-        if found is None:
-            return None
-        states, controls = (part.unflatten(0, rows.shape[:-2]) for part in found)
-        motion = dynamics.motion(states, pad_controls(controls))
-        return Candidates(states, controls, motion)
+        return roll_out(dynamics, problem, rows, control_of, self.compile)
 
     def _scheduled(self, detour: Detour, steps: int, dt_s: float) -> Float[Tensor, "C1 T 4"]:
         """What the candidates do in each step: the same for all problems, so worked out once."""
@@ -205,50 +145,6 @@ class DetourFan:
             legs = [_leg(detour, step * dt_s) for step in range(steps)]
             self._schedules[key] = _schedule(legs, like)
         return self._schedules[key]
-
-    def _pursued(
-        self,
-        dynamics: DynamicsModel,
-        state: Float[Tensor, "*b n"],
-        leg: Leg,
-        goal: Float[Tensor, "*#b 2"],
-        cruise: Float[Tensor, "*#b"],
-    ) -> Arc:
-        """Arcs of all candidates but the braking in one step."""
-        none = torch.zeros_like(dynamics.bounds.lower).to(state)
-        motion = dynamics.motion(state, none.expand(*state.shape[:-1], len(none)))
-        way = goal - motion.position
-        distance = way.square().sum(-1).sqrt()
-        bearing = torch.atan2(way[..., 1], way[..., 0]) + torch.where(leg.detours, leg.offset, 0.0)
-        backwards = leg.detours & (leg.speed_share < 0)
-        error = wrap_angle(bearing - motion.heading + torch.where(backwards, math.pi, 0.0))
-        speed = motion.velocity[..., 0]
-        # on the way to the goal no faster than its arc allows, or a fast vehicle would circle it
-        turning = self._arc_speed(distance, error)
-        share = (cruise * leg.speed_share).clamp_min(-self.backing_mps)
-        target = torch.where(leg.detours, share, torch.minimum(cruise, turning))
-        stopping = (2 * self.braking_mps2 * distance).sqrt()
-        # at the start of the step the target must be one that the step can still brake for
-        target = torch.minimum(target, stopping)
-        moving = speed.abs().clamp_min(0.5)
-        sharpest = self.lateral_mps2 / moving.square()
-        curvature = error / (self.turn_time_s * moving)
-        curvature = torch.minimum(torch.maximum(curvature, -sharpest), sharpest)
-        # backwards the same turn is that of the opposite curvature
-        curvature = torch.where(speed + target < 0, -curvature, curvature)
-        return Arc((target - speed) / dynamics.dt_s, curvature)
-
-    def _arc_speed(
-        self, distance: Float[Tensor, "*b"], error: Float[Tensor, "*b"]
-    ) -> Float[Tensor, "*b"]:
-        """Speed in m/s on the arc to the goal, of radius d / (2 sin β), or d / 2 to a goal behind.
-
-        Not below `CREEP_MPS`: in tighter turns the steering is the limit.
-        """
-        sine = torch.where(error.abs() < 0.5 * math.pi, error.abs().sin(), 1.0)
-        radius = 0.5 * distance / sine.clamp_min(1e-3)
-        fastest = (self.lateral_mps2 * radius).sqrt()
-        return torch.minimum(fastest, self.yaw_rate_radps * radius).clamp_min(CREEP_MPS)
 
 
 def _leg(detour: Detour, time_s: float) -> Leg:

@@ -10,8 +10,9 @@ namespace judgement {
 
 constexpr int LANES = 16;
 
+// of a ClearanceMargin, as MARGIN_FIELDS names them
 struct Settings {
-  double hard_m, hard_growth, comfort_m, comfort_growth, saturation_m, horizon_s, probability_min, spread_growth, reach_m, dt_s;
+  double MARGIN_FIELDS, dt_s;
 };
 
 // e^x for x <= 0; the generic one for other types than float

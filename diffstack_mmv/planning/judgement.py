@@ -2,6 +2,7 @@
 
 import ctypes
 import functools
+from dataclasses import fields
 from importlib.resources import files
 from typing import Any, NamedTuple
 
@@ -13,11 +14,8 @@ from diffstack_mmv.planning.clearance import ClearanceMargin, Safety
 from diffstack_mmv.types import Discs, Motion, Obstacles, on_host
 from dmmv_conventions.libraries import load_or_tell, pointers
 
-READ = (
-    *("hard_m", "hard_growth", "comfort_m", "comfort_growth", "saturation_m"),
-    *("horizon_s", "probability_min", "spread_growth", "reach_m"),
-)
-"""Of a margin, in the order of the library."""
+READ = tuple(field.name for field in fields(ClearanceMargin))
+"""Of a margin, all of them numbers; the library is told their names."""
 NAMES = {torch.float32: "float", torch.float64: "double"}
 
 
@@ -38,7 +36,8 @@ class _Settings(ctypes.Structure):
 def library() -> Any | None:
     """The library, None without a compiler."""
     source = files("diffstack_mmv.planning").joinpath("judgement.hpp").read_text()
-    return load_or_tell("clearances", source, "-O3")
+    told = f"#define MARGIN_FIELDS {', '.join(READ)}\n"
+    return load_or_tell("clearances", told + source, "-O3")
 
 
 @torch.no_grad()

@@ -13,7 +13,7 @@ from diffstack_mmv.control import ILQR, Batched, Bounds, Solution
 from diffstack_mmv.control.constrained import HARD, ConstrainedILQR, Inequality, Slack
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.geometry import distance_to_outline
+from diffstack_mmv.geometry import clearance_lack
 from diffstack_mmv.planning.objective import joined, parted
 from diffstack_mmv.types import GRAVITY, Motion, PlanningProblem
 
@@ -103,12 +103,8 @@ class ClearanceKept:
         self, motion: Motion, acceleration: Float[Tensor, "*b t"], problem: PlanningProblem
     ) -> Float[Tensor, "*b t k"]:
         """Value in m."""
-        obstacles, discs = problem.obstacles, problem.ego.discs
-        distance = distance_to_outline(
-            obstacles.position, motion.position, motion.heading, discs, epsilon=1e-6
-        )
-        reach = discs.radius.amax(-1)[..., None] + obstacles.radius + self.margin_m
-        lack = reach[..., None, None] - distance
+        obstacles = problem.obstacles
+        lack = clearance_lack(motion, problem.ego.discs, obstacles, self.margin_m)
         lack = torch.where(obstacles.valid[..., None, None], lack, torch.full_like(lack, ABSENT))
         return lack.flatten(-3, -2).movedim(-1, -2)
 

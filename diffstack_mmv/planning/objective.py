@@ -23,7 +23,7 @@ NAMES = (
 
 
 @runtime_checkable
-class PlanCost(Protocol):
+class HasPlanCost(Protocol):
     """What an objective needs of a planner."""
 
     def cost_of(
@@ -34,7 +34,7 @@ class PlanCost(Protocol):
 
 
 def batched_objective(
-    planner: PlanCost,
+    planner: HasPlanCost,
     dynamics: DynamicsModel,
     problem: PlanningProblem,
     coordinates: ControlCoordinates,
@@ -54,7 +54,7 @@ def batched_objective(
     return Batched(cost, *parted(problem))
 
 
-def motion_cost(planner: PlanCost, problem: PlanningProblem) -> Batched:
+def motion_cost(planner: HasPlanCost, problem: PlanningProblem) -> Batched:
     """Cost at each time of motions that are given, of a batch of problems.
 
     It is that of (rows `b t 6` of `motion_rows`, controls `b t m` in SI units).

@@ -10,19 +10,22 @@ from torch import Tensor, nn
 
 from diffstack_mmv.checks import message, require_at_least
 from diffstack_mmv.control import ILQR, Batched, TrajectoryOptimizer, pad_controls
-from diffstack_mmv.control.native.scan import RowStep, scan
 from diffstack_mmv.costs import WeightedCost
-from diffstack_mmv.dynamics import DynamicsModel, rollout
-from diffstack_mmv.planning.candidates import CandidateFan, CandidateSource
-from diffstack_mmv.planning.choice import PlanChoice, TakeOptimum
+from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.planning.candidates import (
+    CandidateFan,
+    CandidateSource,
+    as_told,
+    roll_out,
+)
+from diffstack_mmv.planning.choice import Options, PlanChoice, TakeOptimum
 from diffstack_mmv.planning.coordinates import Coordinates, PhysicalControls
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
 from diffstack_mmv.planning.limits import PlanConstraints
 from diffstack_mmv.planning.objective import batched_objective
-from diffstack_mmv.planning.parts import possible
-from diffstack_mmv.planning.plan_costs import PlanCosts
-from diffstack_mmv.planning.pricing import CostScore, PlanScore, ScoredPlans
-from diffstack_mmv.planning.problem import filled_up, initial_state, likeliest
+from diffstack_mmv.planning.plan_costs import PreparedCost
+from diffstack_mmv.planning.pricing import CostScore, Plans, PlanScore, ScoredPlans, Situation
+from diffstack_mmv.planning.problem import filled_up, initial_state, likeliest, possible
 from diffstack_mmv.types import Motion, Obstacles, Plan, PlanningProblem, Solution, map_tensors
 
 MOST_COMPARED = 256
@@ -32,7 +35,7 @@ UNSAFE = 1e4
 
 
 class PlannerState(NamedTuple):
-    """What a receding horizon knows from its decision before."""
+    """State carried over from the previous decision."""
 
     controls: Float[Tensor, "*b T m"]  # rest of the previous plan, continued to the horizon
     waited: Float[Tensor, "*b"]  # s in which the vehicle came no closer to its goal
@@ -124,28 +127,22 @@ class MPCPlanner(Planner):
         waited = torch.zeros_like(problem.reference_speed) if state is None else state.waited
         problem = problem._replace(obstacles=problem.obstacles.of_valid())
 
-        costs = self._costs(problem)
-
-        def scored(controls: Tensor, motion: Motion) -> ScoredPlans:
-            return self._scored(costs, controls, motion, waited)
-
+        situation = Situation(problem, self._costs(problem), waited, self.dynamics.dt_s)
         with torch.no_grad():
             fan = self.candidates(self.dynamics, problem, self.steps)
-        controls, motion = fan.controls, fan.motion
+        plans = Plans(fan.controls, fan.motion)
         if state is not None:
-            more = self._continued(problem, state)
-            controls = torch.cat([controls, more[0]], -3)
-            plans = problem.goal.dim() - 1
-            motion = Motion(*(torch.cat(pair, plans) for pair in zip(motion, more[1], strict=True)))
-        proposals = scored(controls, motion)
+            plans = plans.beside(self._continued(problem, state))
+        proposals = self.score(plans, situation)
         with torch.no_grad():
             starts = self._best_starts(proposals, problem.obstacles)
-        guess = proposals.controls.take_along_dim(starts[..., None, None], -3)
+        guess = plans.controls.take_along_dim(starts[..., None, None], -3)
         solution = self._solve(problem, guess)
         motion = self.dynamics.motion(solution.states, pad_controls(solution.controls))
-        fan_size = fan.controls.shape[-3]
-        chosen = self.choice(proposals, fan_size, solution, motion, scored)
-        return Plan(*chosen, solution, proposals.motion, -proposals.cost)
+        solved = Plans(solution.controls, motion)
+        options = Options(proposals, fan.controls.shape[-3], solution, solved)
+        chosen = self.choice(options, self.score, situation)
+        return Plan(*chosen, solution, plans.motion, -proposals.cost)
 
     def compile_solver(self) -> None:
         """Have the solver and a `CandidateFan` compiled at their next use, if they can be."""
@@ -181,51 +178,32 @@ class MPCPlanner(Planner):
         parts = self.cost.components(plan.motion, controls, problem, weights)
         return {name: value.sum(-1) for name, value in parts.items()}
 
-    def _scored(
-        self,
-        costs: PlanCosts,
-        controls: Float[Tensor, "*b C T m"],
-        motion: Motion,
-        waited: Float[Tensor, "*b"],
-    ) -> ScoredPlans:
-        with torch.set_grad_enabled(torch.is_grad_enabled() and self.score.differentiable):
-            return self.score(costs, costs.problem, controls, motion, waited, self.dynamics.dt_s)
-
-    def _costs(self, problem: PlanningProblem) -> PlanCosts:
+    def _costs(self, problem: PlanningProblem) -> PreparedCost:
         """The cost of plans, in a library where the solver is compiled."""
-        compiled = isinstance(self.solver, ILQR) and self.solver.compile
-        return PlanCosts(self, problem, compiled, self.score.differentiable)
+        return PreparedCost(self, problem, self._in_library, self.score.differentiable)
 
     @torch.no_grad()
-    def _continued(
-        self, problem: PlanningProblem, state: PlannerState
-    ) -> tuple[Float[Tensor, "*b one T m"], Motion]:
+    def _continued(self, problem: PlanningProblem, state: PlannerState) -> Plans:
         """The rest of the previous plan from the present state, as one more proposal."""
         controls = state.controls.unsqueeze(-3)
-        start = initial_state(self.dynamics, problem.ego).unsqueeze(-2)
-        states = self._rolled(start, controls)
-        return controls, self.dynamics.motion(states, pad_controls(controls))
+        rest = roll_out(self.dynamics, problem, controls, as_told, self._in_library)
+        return Plans(rest.controls, rest.motion)
 
-    def _rolled(
-        self, start: Float[Tensor, "*b n"], controls: Float[Tensor, "*b T m"]
-    ) -> Float[Tensor, "*b T1 n"]:
-        """States from controls, in a library where the solver is compiled."""
-        if isinstance(self.solver, ILQR) and self.solver.compile:
-            found = scan(_stepping(self.dynamics), start.flatten(0, -2), controls.flatten(0, -3))
-            if found is not None:
-                return found.states.unflatten(0, start.shape[:-1])
-        return rollout(self.dynamics, start, controls)
+    @property
+    def _in_library(self) -> bool:
+        """Whether the solver is compiled, and all else with it."""
+        return isinstance(self.solver, ILQR) and self.solver.compile
 
-    def _best_starts(self, plans: ScoredPlans, obstacles: Obstacles) -> Int[Tensor, "*b k"]:
+    def _best_starts(self, scored: ScoredPlans, obstacles: Obstacles) -> Int[Tensor, "*b k"]:
         """The best plan of each of the best homotopy classes around the likeliest futures."""
-        price = torch.where(plans.safe, plans.cost, plans.cost + UNSAFE * (1 + plans.shortfall))
+        price = torch.where(scored.safe, scored.cost, scored.cost + UNSAFE * (1 + scored.shortfall))
         if self.starts <= 1:
             return price.argmin(-1, keepdim=True)[..., : self.starts]
         agents = likeliest(obstacles)
         if price.dim() == 2:  # those who are not there pass on no side
             agents = possible(agents)
         cheapest = price.topk(min(MOST_COMPARED, price.shape[-1]), largest=False).indices
-        paths = plans.motion.position.take_along_dim(cheapest[..., None, None], -3)
+        paths = scored.plans.motion.position.take_along_dim(cheapest[..., None, None], -3)
         classes = homotopy_class(paths, agents.position.squeeze(-3))
         best = best_of_each(price.gather(-1, cheapest), classes, self.starts)
         return cheapest.gather(-1, best)
@@ -236,8 +214,7 @@ class MPCPlanner(Planner):
         obstacles, most = problem.obstacles, self.solved_components
         if most is not None and obstacles.weight.shape[-1] > most:
             problem = problem._replace(obstacles=likeliest(obstacles))
-        compiled = isinstance(self.solver, ILQR) and self.solver.compile
-        if compiled and guess.shape[:-3].numel() > 1:
+        if self._in_library and guess.shape[:-3].numel() > 1:
             problem = problem._replace(obstacles=filled_up(problem.obstacles))
 
         def repeated(entry: Tensor) -> Tensor:
@@ -265,12 +242,3 @@ class MPCPlanner(Planner):
     def _relative(self, controls: Float[Tensor, "*b t m"]) -> Float[Tensor, "*b t m"]:
         lower, upper = self.dynamics.bounds
         return controls / torch.maximum(upper, -lower)
-
-
-def _stepping(dynamics: DynamicsModel) -> RowStep:
-    """A step that tells nothing besides the state."""
-
-    def step(state: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
-        return dynamics.step(state, control), control[..., :0]
-
-    return step

@@ -14,25 +14,41 @@ from diffstack_mmv.planning.judgement import Passing, judged
 from diffstack_mmv.types import Motion, PlanningProblem
 
 
+class Plans(NamedTuple):
+    """Plans of each problem."""
+
+    controls: Float[Tensor, "*b C T m"]  # SI units
+    motion: Motion  # *b C T+1
+
+    def beside(self, more: "Plans") -> "Plans":
+        """These plans, then the others."""
+        join = _joining(self.motion.heading.dim() - 2)
+        motion = Motion(*map(join, self.motion, more.motion))
+        return Plans(join(self.controls, more.controls), motion)
+
+
+class Situation(NamedTuple):
+    """In which plans are scored."""
+
+    problem: PlanningProblem  # *b
+    cost: Callable[[Motion, Tensor], Tensor]
+    """(motion `*b C T1`, controls `*b C T m`) -> the planner's cost at each time, `*b C T1`."""
+    waited: Float[Tensor, "*b"]  # s in which the vehicle came no closer to its goal
+    dt_s: float  # between two rows of a plan
+
+
 class ScoredPlans(NamedTuple):
     """Plans with what they are worth."""
 
-    controls: Float[Tensor, "*b C T m"]
-    motion: Motion  # *b C T+1
+    plans: Plans
     cost: Float[Tensor, "*b C"]  # infinite where a plan is not usable
     safe: Bool[Tensor, "*b C"]
     shortfall: Float[Tensor, "*b C"]  # m, lack of clearance
 
     def beside(self, more: "ScoredPlans") -> "ScoredPlans":
         """These plans, then the others."""
-        plans = self.cost.dim() - 1
-
-        def join(first: Tensor, second: Tensor) -> Tensor:
-            return torch.cat((first, second), plans)
-
-        motion = Motion(*map(join, self.motion, more.motion))
-        controls = join(self.controls, more.controls)
-        return ScoredPlans(controls, motion, *map(join, self[2:], more[2:]))
+        join = _joining(self.cost.dim() - 1)
+        return ScoredPlans(self.plans.beside(more.plans), *map(join, self[1:], more[1:]))
 
     def best(self) -> Int[Tensor, "*b"]:
         """The cheapest safe plan; where none is safe, the one that lacks the least clearance."""
@@ -45,33 +61,14 @@ class ScoredPlans(NamedTuple):
 class PlanScore(Protocol):
     """Says what plans are worth, from the planner's cost along them.
 
-    `differentiable` tells whether the score carries gradients to the cost weights.
+    `differentiable` tells whether the score carries gradients to the cost weights; one that does
+    not is computed without.
     """
 
     differentiable: bool
 
-    def __call__(
-        self,
-        cost: Callable[[Motion, Tensor], Tensor],
-        problem: PlanningProblem,
-        controls: Float[Tensor, "*b C T m"],
-        motion: Motion,
-        waited: Float[Tensor, "*b"],
-        dt_s: float,
-    ) -> ScoredPlans:
-        """Score plans.
-
-        Args:
-            cost: (motion `*b C T1`, controls `*b C T m`) -> cost at each time, `*b C T1`.
-            problem: The problems, `*b`.
-            controls: Controls of the plans, SI units.
-            motion: Their motions, `*b C T1`.
-            waited: How long each vehicle has come no closer to its goal, s.
-            dt_s: Time between two rows of a plan.
-
-        Returns:
-            The plans with their scores.
-        """
+    def __call__(self, plans: Plans, situation: Situation) -> ScoredPlans:
+        """Score plans in a situation."""
         ...
 
 
@@ -81,19 +78,11 @@ class CostScore:
 
     differentiable = True
 
-    def __call__(
-        self,
-        cost: Callable[[Motion, Tensor], Tensor],
-        problem: PlanningProblem,
-        controls: Float[Tensor, "*b C T m"],
-        motion: Motion,
-        waited: Float[Tensor, "*b"],
-        dt_s: float,
-    ) -> ScoredPlans:
+    def __call__(self, plans: Plans, situation: Situation) -> ScoredPlans:
         """Score plans; see `PlanScore`."""
-        total = cost(motion, controls).sum(-1)
+        total = situation.cost(plans.motion, plans.controls).sum(-1)
         safe = torch.ones_like(total, dtype=torch.bool)
-        return ScoredPlans(controls, motion, total, safe, torch.zeros_like(total))
+        return ScoredPlans(plans, total, safe, torch.zeros_like(total))
 
 
 @dataclass(frozen=True)
@@ -140,17 +129,11 @@ class PlanPrice:
         require_positive("patience_s", self.patience_s)
         require_positive("goal_tolerance_m", self.goal_tolerance_m)
 
-    def __call__(
-        self,
-        cost: Callable[[Motion, Tensor], Tensor],
-        problem: PlanningProblem,
-        controls: Float[Tensor, "*b C T m"],
-        motion: Motion,
-        waited: Float[Tensor, "*b"],
-        dt_s: float,
-    ) -> ScoredPlans:
+    @torch.no_grad()
+    def __call__(self, plans: Plans, situation: Situation) -> ScoredPlans:
         """Price plans; see `PlanScore`."""
-        running = cost(motion, controls) + self.time_weight * dt_s
+        motion, (problem, cost, waited, dt_s) = plans.motion, situation
+        running = cost(motion, plans.controls) + self.time_weight * dt_s
         way = (motion.position - problem.goal[..., None, None, :]).square().sum(-1).sqrt()
         arrived = (way < self.goal_tolerance_m).long()
         under_way = (arrived.cumsum(-1) - arrived) == 0
@@ -163,8 +146,7 @@ class PlanPrice:
         total = total + (1 - patience) * self.left_weight * left
         usable = total.isfinite()
         return ScoredPlans(
-            controls=controls,
-            motion=motion,
+            plans=plans,
             cost=torch.where(usable, total, torch.inf),
             safe=safety.safe & usable,
             shortfall=torch.where(usable, safety.shortfall, torch.inf),
@@ -190,3 +172,8 @@ class PlanPrice:
         return Passing(
             safety, margin.risk(clearance, obstacles, dt_s) if self.risk_weight > 0 else none
         )
+
+
+def _joining(dim: int) -> Callable[[Tensor, Tensor], Tensor]:
+    """A function that puts one tensor after the other along a dimension."""
+    return lambda first, second: torch.cat((first, second), dim)

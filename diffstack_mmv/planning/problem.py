@@ -16,6 +16,7 @@ from diffstack_mmv.types import (
     Obstacles,
     PlanningProblem,
     Tracks,
+    on_host,
     taken,
 )
 
@@ -117,6 +118,35 @@ def likeliest(obstacles: Obstacles) -> Obstacles:
     best = obstacles.weight.argmax(-1, keepdim=True)
     position = taken(obstacles.position, best)
     return obstacles._replace(position=position, weight=torch.ones_like(obstacles.weight[..., :1]))
+
+
+def possible(obstacles: Obstacles) -> Obstacles:
+    """The components of each problem that are possible, each as an agent of its own.
+
+    Costs and scores add up or compare components of agents and agents in one way, so nothing else
+    changes. Problems with fewer than the others get absent ones. On a device all are kept: to count
+    them the host would have to wait.
+
+    Args:
+        obstacles: Agents with one leading dimension, `b N K`.
+    """
+    if not on_host(obstacles.weight):
+        return obstacles
+    there = (obstacles.valid[..., None] & (obstacles.weight > 0)).flatten(1)
+    most = int(there.sum(-1).max()) if there.numel() else 0
+    if most == there.shape[-1] or not most:
+        return obstacles
+    order = (~there).long().argsort(dim=-1, stable=True)[:, :most]
+    weight = obstacles.weight.flatten(1).gather(1, order)
+    radius = obstacles.radius[..., None].expand_as(obstacles.weight).flatten(1)
+    return Obstacles(
+        position=obstacles.position.flatten(1, 2)
+        .take_along_dim(order[..., None, None], 1)
+        .unsqueeze(2),
+        weight=weight.unsqueeze(-1),
+        radius=radius.gather(1, order),
+        valid=there.gather(1, order),
+    )
 
 
 def filled_up(obstacles: Obstacles) -> Obstacles:

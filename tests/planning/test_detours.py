@@ -1,10 +1,12 @@
 """The fan of detours."""
 
+from dataclasses import fields
+
 import pytest
 import torch
 
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle, Holonomic, ReversingFloor
-from diffstack_mmv.planning import DetourFan, Reference, build_problem
+from diffstack_mmv.planning import DetourFan, Pursuit, Reference, build_problem
 from diffstack_mmv.planning.detours import Detour
 from diffstack_mmv.simulation.zero_order_hold import ZeroOrderHold
 from diffstack_mmv.types import Discs, Ego, HeadingOf, Motion, Obstacles
@@ -142,17 +144,30 @@ def test_drawn_candidates_come_beside_the_others_and_some_lead_back(model):
     [
         ("offsets_deg", ()),
         ("speed_shares", (1.5,)),
-        ("turn_time_s", 0.0),
-        ("yaw_rate_radps", 0.0),
         ("drawn", -1),
         ("backing", -1),
-        ("backing_mps", 0.0),
         ("drawn_until_s", 0.0),
     ],
 )
 def test_numbers_out_of_range_are_refused(name, value):
     with pytest.raises(ValueError, match=name):
         DetourFan(**{name: value})
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(Pursuit)])
+def test_a_pursuit_at_no_speed_or_in_no_time_is_refused(name):
+    with pytest.raises(ValueError, match=name):
+        Pursuit(**{name: 0.0})
+
+
+def test_a_fan_is_driven_by_the_pursuit_that_it_is_given(model):
+    slow = DetourFan(pursuit=Pursuit(braking_mps2=0.1))
+    with torch.no_grad():
+        fastest = [
+            fan(model, problem(), 12).motion.velocity[..., 1:, 0].max()
+            for fan in (DetourFan(), slow)
+        ]
+    assert float(fastest[1]) < float(fastest[0]) - 0.5
 
 
 def test_the_library_drives_the_same_fan(model):

@@ -1,11 +1,15 @@
 """The cost of plans of the same problems is that of the planner, prepared once, with gradients."""
 
+from typing import NamedTuple
+
+import pytest
 import torch
+from torch import Tensor
 
 from diffstack_mmv.control.native import prices
 from diffstack_mmv.control.native.capture import Recorder
-from diffstack_mmv.planning import DetourFan
-from diffstack_mmv.planning.plan_costs import PlanCosts
+from diffstack_mmv.planning import DetourFan, plan_costs
+from diffstack_mmv.planning.plan_costs import PreparedCost
 from diffstack_mmv.types import map_tensors
 from tests.planning.test_planner import STEPS, problem, training
 
@@ -30,8 +34,8 @@ def test_a_library_costs_what_tensors_cost():
     planner, problems = training(), crowded(problem(), 5)
     with torch.no_grad():
         given = plans(planner, problems)
-        found = PlanCosts(planner, problems, True, False)(*given)
-        expected = PlanCosts(planner, problems, False, False)(*given)
+        found = PreparedCost(planner, problems, True, False)(*given)
+        expected = PreparedCost(planner, problems, False, False)(*given)
     torch.testing.assert_close(found, expected, rtol=2e-5, atol=2e-4)
 
 
@@ -40,15 +44,16 @@ def test_a_problem_too_long_for_a_library_leaves_it_to_others(monkeypatch, caplo
     planner = training()
     with torch.no_grad():
         motion, controls = plans(planner, problem())
+        long = crowded(problem(), 7)
         with caplog.at_level("INFO"):
-            long = PlanCosts(planner, crowded(problem(), 7), True, False)
-            long(motion, controls)
-        monkeypatch.undo()
-        short = PlanCosts(planner, problem(), True, False)
-        short(motion, controls)
-    assert "takes too long" in caplog.text
-    assert long._prices is None
-    assert short._prices is not None
+            found = PreparedCost(planner, long, True, False)(motion, controls)
+            assert "takes too long" in caplog.text
+            caplog.clear()
+            monkeypatch.undo()
+            PreparedCost(planner, problem(), True, False)(motion, controls)
+            assert "takes too long" not in caplog.text
+        expected = PreparedCost(planner, long, False, False)(motion, controls)
+    assert torch.equal(found, expected)
 
 
 def test_a_problem_is_taken_down_once_for_all_its_plans(monkeypatch):
@@ -62,7 +67,7 @@ def test_a_problem_is_taken_down_once_for_all_its_plans(monkeypatch):
     planner, problems = training(), problem()
     with torch.no_grad():
         motion, controls = plans(planner, problems)
-        costs = PlanCosts(planner, problems, True, False)
+        costs = PreparedCost(planner, problems, True, False)
         first = costs(motion, controls)
         few = map_tensors(lambda entry: entry[:, 3:5], motion)
         again = costs(few, controls[:, 3:5])
@@ -74,12 +79,12 @@ def test_plans_that_carry_a_gradient_get_it_after_others_that_do_not():
     planner, problems = training(), problem()
     with torch.no_grad():
         motion, controls = plans(planner, problems)
-    costs = PlanCosts(planner, problems, True, True)
+    costs = PreparedCost(planner, problems, True, True)
     costs(motion, controls)
     moved = motion._replace(position=motion.position.clone().requires_grad_())
     (slope,) = torch.autograd.grad(costs(moved, controls).sum(), moved.position)
     (right,) = torch.autograd.grad(
-        PlanCosts(planner, problems, False, True)(moved, controls).sum(), moved.position
+        PreparedCost(planner, problems, False, True)(moved, controls).sum(), moved.position
     )
     torch.testing.assert_close(slope, right)
     assert slope.abs().sum() > 0
@@ -89,8 +94,42 @@ def test_plans_without_a_library_cost_the_same_in_any_number_of_dimensions():
     planner, problems = training(), problem()
     with torch.no_grad():
         motion, controls = plans(planner, problems)
-        whole = PlanCosts(planner, problems, False, False)(motion, controls)
+        whole = PreparedCost(planner, problems, False, False)(motion, controls)
         own = (map_tensors(lambda entry: entry[0], each) for each in (problems, motion, controls))
         alone, motion, controls = own
-        found = PlanCosts(planner, alone, True, False)(motion, controls)
+        found = PreparedCost(planner, alone, True, False)(motion, controls)
     torch.testing.assert_close(found, whole[0])
+
+
+class Around(NamedTuple):
+    """Stand-in for a problem."""
+
+    obstacles: NamedTuple
+
+
+class Agents(NamedTuple):
+    """Stand-in for obstacles."""
+
+    position: Tensor
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("graded", [True, False])
+def test_costs_in_parts_are_those_of_the_whole(monkeypatch, graded):
+    motion, controls = torch.randn(5, 3, 2, 4), torch.randn(5, 3, 4, 2)
+    position = torch.randn(5, 1, 2, 1, 4, 2, requires_grad=graded)
+    monkeypatch.setattr(plan_costs, "LARGEST", 24)
+
+    def counted(motion, controls, problem):
+        assert len(motion) <= 1
+        away = motion - problem.obstacles.position[:, :, :, 0, :, 0]
+        return away.square().sum(-2) + controls.sum(-1)
+
+    problem = Around(Agents(position))
+    found = plan_costs.cost_in_parts(counted, motion, controls, problem)
+    away = motion - position[:, :, :, 0, :, 0]
+    expected = away.square().sum(-2) + controls.sum(-1)
+    assert torch.equal(found, expected)
+    if graded:
+        first, second = (torch.autograd.grad(each.sum(), position)[0] for each in (found, expected))
+        assert torch.allclose(first, second)

@@ -13,10 +13,13 @@ from diffstack_mmv.planning import (
     MPCPlanner,
     PlannerState,
     PlanPrice,
+    Plans,
+    Situation,
     TakeOptimum,
     build_problem,
     straight_reference,
 )
+from diffstack_mmv.planning.plan_costs import PreparedCost
 from diffstack_mmv.types import (
     Discs,
     Ego,
@@ -123,9 +126,10 @@ def test_the_solver_is_compiled_on_demand_where_there_is_a_compiler(compiler, mo
 
 def scores(planner, problems, controls, motion):
     """What the planner thinks of plans, `b C`."""
+    cost = PreparedCost(planner, problems, in_library=False, differentiable=False)
+    situation = Situation(problems, cost, torch.zeros(len(controls)), planner.dynamics.dt_s)
     with torch.no_grad():
-        costs = planner._costs(problems)
-        return planner._scored(costs, controls, motion, torch.zeros(len(controls)))
+        return planner.score(Plans(controls, motion), situation)
 
 
 def test_the_closed_loop_takes_the_cheapest_safe_plan_of_all():

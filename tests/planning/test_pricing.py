@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from diffstack_mmv.planning import CostScore, PlanPrice, ScoredPlans
+from diffstack_mmv.planning import CostScore, PlanPrice, Plans, ScoredPlans, Situation
 from diffstack_mmv.types import (
     Discs,
     Ego,
@@ -34,51 +34,59 @@ def along_y(goal, agent=2.0, steps=12):
         torch.ones(1),
         Obstacles(standing, one[..., None], 0.3 * one, one > 0),
     )
-    return problem, torch.zeros(1, 1, steps, 2), map_tensors(lambda e: e[None, None], motion)
+    moved = map_tensors(lambda e: e[None, None], motion)
+    return problem, Plans(torch.zeros(1, 1, steps, 2), moved)
 
 
 def one_per_step(motion, controls):
     return torch.ones_like(motion.heading)
 
 
+def waiting(problem, waited=0.0, cost=one_per_step):
+    return Situation(problem, cost, torch.tensor([waited]), 0.25)
+
+
 @pytest.mark.parametrize(("goal", "safe"), [(1.0, True), (8.0, False)])
 def test_a_plan_is_refused_for_agents_before_its_arrival_alone(goal, safe):
-    problem, controls, motion = along_y(goal)
-    priced = PlanPrice()(one_per_step, problem, controls, motion, torch.zeros(1), 0.25)
+    problem, plans = along_y(goal)
+    priced = PlanPrice()(plans, waiting(problem))
     assert priced.safe.tolist() == [[safe]]
 
 
 @pytest.mark.parametrize(("waited", "patience"), [(0.0, 1.0), (1.0, 0.5), (3.0, 0.125)])
 def test_who_waits_cares_less_for_comfort_and_more_for_what_is_left(waited, patience):
-    problem, controls, motion = along_y(goal=8.0, agent=30.0)
+    problem, plans = along_y(goal=8.0, agent=30.0)
     price = PlanPrice(time_weight=0.0, left_weight=10.0)
-    priced = price(one_per_step, problem, controls, motion, torch.tensor([waited]), 0.25)
+    priced = price(plans, waiting(problem, waited))
     assert float(priced.cost) == pytest.approx(13 + (1 - patience) * 10.0 * 5.0)
 
 
 def test_nothing_is_left_of_the_way_of_a_plan_that_passes_its_goal_and_goes_on():
-    problem, controls, motion = along_y(goal=2.0, agent=30.0)
+    problem, plans = along_y(goal=2.0, agent=30.0)
     price = PlanPrice(time_weight=0.0, left_weight=10.0)
-    priced = price(one_per_step, problem, controls, motion, torch.tensor([3.0]), 0.25)
+    priced = price(plans, waiting(problem, 3.0))
     assert float(priced.cost) == pytest.approx(9)  # the times up to the arrival
 
 
 def test_a_plan_that_is_not_finite_is_never_chosen():
-    problem, controls, motion = along_y(goal=8.0)
-    lost = motion._replace(position=motion.position * torch.nan)
-    priced = PlanPrice()(one_per_step, problem, controls, lost, torch.zeros(1), 0.25)
+    problem, plans = along_y(goal=8.0)
+    lost = plans.motion._replace(position=plans.motion.position * torch.nan)
+    priced = PlanPrice()(plans._replace(motion=lost), waiting(problem))
     assert priced.cost.isinf().all()
     assert not priced.safe.any()
 
 
-def test_the_cost_alone_is_differentiable_and_calls_every_plan_safe():
-    problem, controls, motion = along_y(goal=8.0)
+def test_the_cost_alone_carries_a_gradient_and_calls_every_plan_safe():
+    problem, plans = along_y(goal=8.0)
     weight = torch.ones((), requires_grad=True)
-    scored = CostScore()(
-        lambda *plan: weight * one_per_step(*plan), problem, controls, motion, torch.zeros(1), 0.25
-    )
+
+    def cost(motion, controls):
+        return weight * one_per_step(motion, controls)
+
+    scored = CostScore()(plans, waiting(problem, cost=cost))
     assert scored.safe.all()
     assert torch.autograd.grad(scored.cost.sum(), weight)[0].item() == 13
+    assert not PlanPrice()(plans, waiting(problem, cost=cost)).cost.requires_grad
 
 
 @pytest.mark.parametrize(
@@ -91,16 +99,17 @@ def test_the_cost_alone_is_differentiable_and_calls_every_plan_safe():
     ],
 )
 def test_the_best_is_the_cheapest_safe_or_the_least_unsafe(cost, safe, shortfall, best):
-    _, controls, motion = along_y(goal=8.0)
+    _, one = along_y(goal=8.0)
     plans = ScoredPlans(
-        controls.expand(1, 3, -1, -1),
-        map_tensors(lambda entry: entry.expand(1, 3, *entry.shape[2:]), motion),
+        map_tensors(lambda entry: entry.expand(1, 3, *entry.shape[2:]), one),
         torch.tensor([cost]),
         torch.tensor([safe]),
         torch.tensor([shortfall]),
     )
     assert plans.best().tolist() == [best]
-    assert plans.beside(plans).cost.shape == (1, 6)
+    twice = plans.beside(plans)
+    assert twice.cost.shape == (1, 6)
+    assert twice.plans.motion.heading.shape == (1, 6, 13)
 
 
 @pytest.mark.parametrize("name", ["comfort_weight", "left_weight", "patience_s"])

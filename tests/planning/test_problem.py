@@ -13,6 +13,7 @@ from diffstack_mmv.planning.problem import (
     filled_up,
     initial_state,
     observed_obstacles,
+    possible,
     predicted_obstacles,
     predicted_reference,
     straight_reference,
@@ -160,3 +161,25 @@ def test_absent_agents_fill_a_batch_up(agents, filled):
     assert found.valid.sum() == 2 * agents
     assert [each.shape[1] for each in found] == [filled] * 4
     assert torch.equal(found.position[:, :agents], obstacles.position)
+
+
+def test_possible_components_are_agents_of_their_own():
+    weight = torch.tensor([[[0.5, 0.5], [1.0, 0.0]], [[0.0, 1.0], [1.0, 0.0]]])
+    valid = torch.tensor([[True, True], [True, False]])
+    position = torch.randn(2, 2, 2, 4, 2)
+    agents = Obstacles(position, weight, torch.tensor([[0.3, 0.4], [0.5, 0.6]]), valid)
+    found = possible(agents)
+    assert found.valid.tolist() == [[True, True, True], [True, False, False]]
+    assert found.weight[0, :, 0].tolist() == [0.5, 0.5, 1.0]
+    assert found.radius[0].tolist() == pytest.approx([0.3, 0.3, 0.4])
+    assert torch.equal(found.position[0, :, 0], position[0].flatten(0, 1)[:3])
+    assert torch.equal(found.position[1, 0, 0], position[1, 0, 1])
+    assert found.weight[1, 0].item() == 1.0
+
+
+def test_where_all_components_are_possible_or_none_nothing_changes():
+    weight, radius = torch.ones(2, 3, 1), torch.ones(2, 3)
+    for there in (True, False):
+        valid = torch.full((2, 3), there)
+        agents = Obstacles(torch.randn(2, 3, 1, 4, 2), weight, radius, valid)
+        assert possible(agents) is agents

@@ -40,7 +40,10 @@ class Scanned(NamedTuple):
 
 
 def scan(
-    step: RowStep, state: Float[Tensor, "b n"], inputs: Float[Tensor, "b T k"]
+    step: RowStep,
+    state: Float[Tensor, "b n"],
+    inputs: Float[Tensor, "b T k"],
+    parts: Sequence[Callable[..., Any]] = (),
 ) -> Scanned | None:
     """Step rows forward, without a gradient; None if there is no library for it.
 
@@ -48,11 +51,12 @@ def scan(
         step: What becomes of a row in a step; the tensors that it hides are shared by all rows.
         state: At the start.
         inputs: Of each row in each step.
+        parts: Functions that the step calls, which tell it from other steps of the same code.
     """
     plainly = on_host(state) and state.dtype in REALS and inputs.dtype == state.dtype
     if not (plainly and state.numel() and inputs.numel()):
         return None
-    key = kind(step), state.dtype, state.shape[-1], inputs.shape[-1]
+    key = kind(step), *map(kind, parts), state.dtype, state.shape[-1], inputs.shape[-1]
     return _stepper(key, label(step))(step, state.detach(), inputs.detach())
 
 
