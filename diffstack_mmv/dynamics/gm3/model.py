@@ -230,6 +230,11 @@ class DiffGM3(DynamicsModel):
         return True
 
     @property
+    def can_reverse(self) -> bool:
+        """It can where its vehicle may."""
+        return self.spec.reverse
+
+    @property
     def driver_input_needs_state(self) -> bool:
         """An acceleration and an angle mean the same at every state."""
         return False
