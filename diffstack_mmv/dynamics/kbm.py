@@ -22,6 +22,10 @@ EULER_STEP_S = 0.05
 class SoftplusFloor:
     """Smooth v ≥ 0: w softplus(v / w), at most w ln 2 above the ReLU.
 
+    A vehicle at rest creeps under no acceleration, the faster the shorter the step: by 0.37 m in 3 s
+    with the default width and steps of 0.1 s, 0.71 m with 0.01 s. Every smooth floor that keeps its
+    slope does so: one that is zero at rest and never below has its minimum there, without slope.
+
     Args:
         width_mps: w in m/s.
 
@@ -77,7 +81,9 @@ class DiffKBM(DynamicsModel):
         spec: The vehicle: wheelbase and limits.
         dt_s: Length of one step in s.
         floor: How the speed is kept from going negative: the ReLU with its right-hand derivative at
-            zero, a `SoftplusFloor`, whose gradient never vanishes, or a `ReversingFloor`.
+            zero, a `SoftplusFloor`, whose gradient never vanishes, or a `ReversingFloor`. By
+            default the ReLU, or a `ReversingFloor` at the top speed of a vehicle with
+            `reverse: true`.
     """
 
     class State(NamedTuple):
@@ -98,7 +104,7 @@ class DiffKBM(DynamicsModel):
         self,
         spec: VehicleSpec,
         dt_s: float = 0.1,
-        floor: Callable[[Tensor], Tensor] = floor_at_zero,
+        floor: Callable[[Tensor], Tensor] | None = None,
     ) -> None:
         require_vehicle(spec)
         limits = spec.limits
@@ -108,7 +114,7 @@ class DiffKBM(DynamicsModel):
             (limits.acceleration_max_mps2, limits.steer_max_rad),
         )
         self.wheelbase = SoftClamped(spec.wheelbase)
-        self.floor = floor
+        self.floor = floor or _floor_of(spec)
         self._axle_m = turning_axle_m(spec.wheels)
 
     @property
@@ -193,3 +199,8 @@ class DiffKBM(DynamicsModel):
         """What a results file tells of the model, with the floor of the speed."""
         name = getattr(self.floor, "__name__", repr(self.floor))
         return super().description() | {"speed_floor": name}
+
+
+def _floor_of(spec: VehicleSpec) -> Callable[[Tensor], Tensor]:
+    """Floor of the speed that the vehicle itself asks for."""
+    return ReversingFloor(spec.limits.speed_max_mps) if spec.reverse else floor_at_zero

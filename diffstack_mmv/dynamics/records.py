@@ -10,7 +10,7 @@ class DriverInput(NamedTuple):
     """What a driver does, in the same terms for every model; time may be a leading dimension."""
 
     acceleration: Float[Tensor, "*b"]  # m/s²
-    steer: Float[Tensor, "*b"]  # rad, angle of the handlebar, that is of the front wheel
+    steer: Float[Tensor, "*b"]  # rad, of the front wheel of a bicycle as long, left is positive
 
 
 class DerivedQuantity(NamedTuple):

@@ -1,6 +1,7 @@
 """DiffKBM is the printed update, letter by letter, with a learnable wheelbase."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -60,6 +61,15 @@ def test_a_reversing_floor_is_the_relu_moved():
     assert torch.equal(slope, tensor(0.0, 1.0, 1.0, 1.0, 1.0))
     with pytest.raises(ValueError, match="reverse_mps"):
         ReversingFloor(0.0)
+
+
+def test_a_vehicle_that_may_reverse_does_so_unless_a_floor_is_given():
+    spec = replace(SPEC, reverse=True)
+    model = DiffKBM(spec, dt_s=0.1).double()
+    assert model.can_reverse
+    states = rollout(model, tensor(0, 0, 0, 1.0), tensor(-2.0, 0.0).expand(20, 2))
+    assert float(states[-1, 3]) == pytest.approx(-3.0)
+    assert not DiffKBM(spec, floor=SoftplusFloor()).can_reverse
 
 
 def test_vehicle_at_rest_feels_the_throttle():

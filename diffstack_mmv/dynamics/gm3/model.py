@@ -167,7 +167,7 @@ class DiffGM3(DynamicsModel):
             columns = self.stepper(held, columns, self.dt_s / self.substeps)
         return _rows(columns, shape)
 
-    def motion(self, states: Float[Tensor, "*b 8"], controls: Float[Tensor, "*b 2"]) -> Motion:
+    def motion(self, states: Float[Tensor, "*b 8"], controls: Float[Tensor, "*b m"]) -> Motion:
         """Motion of the centre of gravity; it does not depend on the controls."""
         return Motion(states[..., :2], states[..., 4], states[..., 2:4], states[..., 5])
 
@@ -230,6 +230,11 @@ class DiffGM3(DynamicsModel):
         return True
 
     @property
+    def can_reverse(self) -> bool:
+        """It can where its vehicle may."""
+        return self.spec.reverse
+
+    @property
     def driver_input_needs_state(self) -> bool:
         """An acceleration and an angle mean the same at every state."""
         return False
@@ -237,15 +242,17 @@ class DiffGM3(DynamicsModel):
     def control_for_driver(
         self, state: Float[Tensor, "*b 8"], driver: DriverInput
     ) -> Float[Tensor, "*b m"]:
-        """Acceleration (m/s²), and the command whose soft clamp is the steering angle (rad)."""
-        steer = self.chassis.steering.command_for(driver.steer)
+        """Acceleration (m/s²), and the command for the curve of the driver's steering angle."""
+        steering = self.chassis.steering
+        steer = steering.command_for(steering.of_driver(driver.steer))
         return torch.stack([driver.acceleration.expand_as(steer), steer], -1)
 
     def driver_input(
         self, state: Float[Tensor, "*b 8"], control: Float[Tensor, "*b m"]
     ) -> DriverInput:
-        """Acceleration (m/s²), and the steering angle (rad) after the soft clamp."""
-        return DriverInput(control[..., 0], self.chassis.steering.clamped(control[..., 1]))
+        """Acceleration (m/s²), and the driver's steering angle (rad) after the soft clamp."""
+        steering = self.chassis.steering
+        return DriverInput(control[..., 0], steering.to_driver(steering.clamped(control[..., 1])))
 
     def wheel_forces(
         self, state: Float[Tensor, "*b 8"], control: Float[Tensor, "*b m"]

@@ -72,8 +72,8 @@ def rolling_speed(
 
 
 def reference_speed(
-    rolling: Float[Tensor, "wheels n"], slip_speed: float
-) -> Float[Tensor, "wheels n"]:
+    rolling: Float[Tensor, "*b"], slip_speed: float
+) -> Float[Tensor, "*b"]:
     """Denominator of the slips, D = sqrt(V_r² + v_ε²) in m/s."""
     return (rolling.square() + slip_speed**2).sqrt()
 

@@ -42,13 +42,18 @@ class WheelSteering(ExactBuffers):
 
         δ_c = δ_max tanh(δ / δ_max)
 
+    A positive command turns the vehicle to the left, wherever its steered wheels are.
+
     Args:
         limit_rad: Limit δ_max of the soft clamp.
+        bicycle_share: Distance of the wheel that the command tells from the turning axle, as a
+            share of the length of the steered vehicle: below 1 where wheels at both ends steer.
     """
 
-    def __init__(self, limit_rad: float) -> None:
+    def __init__(self, limit_rad: float, bicycle_share: float = 1.0) -> None:
         super().__init__()
         self.limit_rad = limit_rad
+        self._bicycle_share = bicycle_share
 
     def clamped(self, command: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
         """Softly clamped steering angle in rad."""
@@ -58,6 +63,27 @@ class WheelSteering(ExactBuffers):
         """Command in rad whose clamped value is a steering angle, held just inside of the limit."""
         share = (steer / self.limit_rad).clamp(-COMMAND_SHARE, COMMAND_SHARE)
         return self.limit_rad * torch.atanh(share)
+
+    def of_driver(self, steer: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+        """Steering angle for the front wheel angle δ of a bicycle as long: tan δ = L κ, in rad."""
+        if self._bicycle_share == 1.0:
+            return self.angle_of_wheel(steer)
+        return self.angle_of_wheel(torch.atan(self._bicycle_share * steer.tan()))
+
+    def to_driver(self, steer: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+        """Front wheel angle in rad of a bicycle as long on the same curve; undoes `of_driver`."""
+        wheel = self.wheel_angle(steer)
+        if self._bicycle_share == 1.0:
+            return wheel
+        return torch.atan(wheel.tan() / self._bicycle_share)
+
+    def wheel_angle(self, steer: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+        """Angle in rad of the wheel that the command tells: the command itself by default."""
+        return steer
+
+    def angle_of_wheel(self, wheel: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+        """Steering angle in rad that turns this wheel so far; undoes `wheel_angle`."""
+        return wheel
 
     @property
     @abstractmethod
@@ -76,15 +102,17 @@ class WheelSteering(ExactBuffers):
 class Ackermann(WheelSteering):
     """δ_i = atan2(X_i sin δ, L cos δ - y_i sin δ): every steered wheel is square to its own radius.
 
-    X_i is the distance of a wheel ahead of the axle that does not steer, L that of the foremost
-    steered wheel. Scaling all lengths leaves the wheels of a single track unchanged.
+    X_i is the distance of a wheel ahead of the axle that does not steer, L > 0 that of the steered
+    wheel farthest from it: wheels behind that axle turn against the command, so that the vehicle
+    turns to the left under a positive one. Scaling all lengths leaves the wheels of a single track
+    unchanged.
     """
 
     def __init__(self, wheels: Sequence[WheelSpec], limit_rad: float) -> None:
-        super().__init__(limit_rad)
         origin = turning_axle_m(wheels)
         ahead = [(w.x_m - origin) if w.steered else 0.0 for w in wheels]
-        length = max(ahead, key=abs)
+        length = max(map(abs, ahead))
+        super().__init__(limit_rad, length / (max(*ahead, 0.0) - min(*ahead, 0.0)))
         self._gains = [distance / length for distance in ahead]
         steered = [float(w.steered) for w in wheels]
         side = [w.y_m / length if w.steered else 0.0 for w in wheels]
@@ -92,7 +120,7 @@ class Ackermann(WheelSteering):
         self.register_exact("steered", [[flag] for flag in steered])
         self.register_exact("side", [[value] for value in side])
         self.register_exact("gain", [[gain] for gain in self._gains])
-        self._single_track = not any(side) and set(self._gains) <= {0.0, 1.0}
+        self._single_track = not any(side) and set(map(abs, self._gains)) <= {0.0, 1.0}
 
     @property
     def gains(self) -> list[float]:
@@ -121,7 +149,7 @@ class Trucks(WheelSteering):
     def __init__(
         self, wheels: Sequence[WheelSpec], limit_rad: float, trucks: TruckSteering
     ) -> None:
-        super().__init__(limit_rad)
+        super().__init__(limit_rad, 1 / len({w.truck for w in wheels if w.truck}))
         self._gain = trucks.gain * math.sin(trucks.pivot_rad)
         self._gains = [self._gain * w.truck for w in wheels]
         self.register_exact("gain", [[gain] for gain in self._gains])
@@ -133,7 +161,15 @@ class Trucks(WheelSteering):
 
     def angle_for(self, tangent: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
         """Lean whose trucks turn by the atan of the linear angle."""
-        return torch.atan(self._gain * tangent) / self._gain
+        return self.angle_of_wheel(torch.atan(self._gain * tangent))
+
+    def wheel_angle(self, steer: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+        """Angle of the trucks in rad under a lean."""
+        return self._gain * steer
+
+    def angle_of_wheel(self, wheel: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+        """Lean in rad that turns the trucks so far."""
+        return wheel / self._gain
 
     def forward(self, steer: Float[Tensor, " n"], length_scale: Float[Tensor, ""]) -> Directions:
         """Directions of all wheels."""

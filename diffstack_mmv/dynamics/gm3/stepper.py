@@ -89,12 +89,11 @@ class LIM2:
     """Linearly implicit midpoint rule with frozen secant coefficients.
 
     A and b of the velocity equation are frozen at the middle of the step, which is found in two
-    rounds: half a step with A and b at the start, then the mean of a whole step with those found
-    there. The second round looks at the slips only, under the loads of the first: a jump of the
-    steering saturates the tyres for a moment, and the coefficients of that moment point the
-    gradient elsewhere. The first round is read halfway between its mean and its end, which gave
-    the best errors over 1, 2 and 4 substeps. The velocity then takes two half steps; the pose
-    uses its mean, the lean a trapezoid. L-stable, second order.
+    rounds: the end of half a step with A and b at the start, then the mean of a whole step with
+    those found there. The second round looks at the slips only, under the loads of the first: a
+    jump of the steering saturates the tyres for a moment, and the coefficients of that moment point
+    the gradient elsewhere. The velocity then takes two half steps; the pose uses its mean, the lean
+    a trapezoid. L-stable, second order: loads and traction are those of the middle, too.
     """
 
     def __call__(
@@ -105,9 +104,8 @@ class LIM2:
         start = dynamics.equation(velocity, dynamics.contact(velocity, lean.angle))
         half = pade_step(start, velocity, 0.5 * step_s)
         midway = self._lean(dynamics, lean, lean.angle, velocity, half, 0.5 * step_s)
-        early = 0.5 * (half.mean + half.end)
-        first = dynamics.contact(early, midway.angle)
-        middle = pade_step(dynamics.equation(early, first), velocity, step_s, parts=2).mean
+        first = dynamics.contact(half.end, midway.angle)
+        middle = pade_step(dynamics.equation(half.end, first), velocity, step_s, parts=2).mean
         second = dynamics.equation(middle, dynamics.slipping(middle, first.grip))
         full = pade_step(second, velocity, step_s, parts=2)
         end = self._lean(dynamics, lean, midway.angle, velocity, full, step_s)

@@ -90,7 +90,8 @@ class DiffGM3WheelSpeed(DiffGM3):
         """
         steer, acceleration = torch.broadcast_tensors(driver.steer, driver.acceleration)
         speeds = self._wheel_speeds(self._hub_speed(state), acceleration)
-        command = self.chassis.steering.command_for(steer)
+        steering = self.chassis.steering
+        command = steering.command_for(steering.of_driver(steer))
         return torch.cat([speeds, command.unsqueeze(-1)], -1)
 
     def driver_input(
@@ -101,7 +102,8 @@ class DiffGM3WheelSpeed(DiffGM3):
         reference = reference_speed(hub, self.spec.smoothing.slip_speed_mps)
         slip = (control[..., :-1] * self._of_driven("radius") - hub) / reference
         acceleration = slip.mean(-1) * self._stiffness() / self.spec.mass_kg
-        return DriverInput(acceleration, self.chassis.steering.clamped(control[..., -1]))
+        steering = self.chassis.steering
+        return DriverInput(acceleration, steering.to_driver(steering.clamped(control[..., -1])))
 
     def _of_driven(self, name: str) -> Float[Tensor, " driven"]:
         """A number of the driven wheels, SI units."""

@@ -187,6 +187,16 @@ def test_reversing_vehicle_drives_backwards(name):
     )
 
 
+def test_reversing_vehicle_brakes_to_a_stop_and_no_further():
+    model = DiffGM3(replace(load_vehicle("wheelchair"), reverse=True)).double()
+    assert model.can_reverse
+    assert not build("wheelchair").can_reverse
+    state, none = moving(model, 1.0), torch.zeros(1).double()
+    for _ in range(30):
+        state = model(state, model.control_for(state, model.hardest_braking(state), none))
+    assert state[0, 2].abs() < 0.02
+
+
 def test_resistance_slows_a_coasting_vehicle():
     spec = load_vehicle("bicycle")
     rolling = replace(spec.parameters["rolling_resistance"], initial=0.01, low=0.0, high=0.05)

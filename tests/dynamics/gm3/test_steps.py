@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from diffstack_mmv.dynamics import DiffGM3
 from diffstack_mmv.dynamics.gm3.body import LinearEquation, factored, outer_sum, times
 from diffstack_mmv.dynamics.gm3.slip import (
     WheelVelocity,
@@ -12,6 +13,7 @@ from diffstack_mmv.dynamics.gm3.slip import (
 )
 from diffstack_mmv.dynamics.gm3.stepper import pade_step
 from diffstack_mmv.geometry import rotate
+from diffstack_mmv.vehicles import load_vehicle
 
 COUNT = 9
 
@@ -43,6 +45,19 @@ def test_the_step_is_of_second_order():
         for step_s in (0.01, 0.005)
     ]
     assert apart[0] / apart[1] == pytest.approx(8.0, rel=0.1)
+
+
+@pytest.mark.parametrize("name", ["bicycle", "tricycle", "wheelchair", "cart", "skateboard"])
+def test_a_vehicle_is_stepped_with_an_error_of_second_order(name):
+    spec = load_vehicle(name)
+    start = torch.tensor([[0.0, 0.0, 3.0, 0.05, 0.3, 0.3, 0.02 * spec.leans, 0.0]]).double()
+    control = torch.tensor([[-1.0, 0.1]]).double()
+    with torch.no_grad():
+        ends = [
+            DiffGM3(spec, 0.4, substeps=count).double()(start, control) for count in (32, 64, 128)
+        ]
+    ratio = (ends[0] - ends[1]).norm() / (ends[1] - ends[2]).norm()
+    assert 3.0 < ratio < 5.0  # 2 if of first order
 
 
 @pytest.mark.parametrize("parts", [1, 2, 5])
