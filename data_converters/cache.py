@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +12,7 @@ import pandas as pd
 from data_converters.recordings import RawScene
 from data_converters.tracks import AgentRows
 from dmmv_conventions.cache import side_table
+from dmmv_conventions.disk import replacing
 
 if TYPE_CHECKING:
     from trajdata.data_structures.agent import AgentMetadata
@@ -88,6 +88,5 @@ def _agent_table(agents: Sequence[AgentRows]) -> pd.DataFrame:
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write `content` so that a reader sees the old file or the whole new one, never a part."""
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(json.dumps(content, indent=1, default=str) + "\n", encoding="utf-8")
-    os.replace(partial, path)
+    with replacing(path) as unfinished:
+        unfinished.write_text(json.dumps(content, indent=1, default=str) + "\n", encoding="utf-8")
