@@ -19,6 +19,8 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+from dmmv_conventions.disk import replacing
+
 ROOT = Path(__file__).resolve().parents[1]
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
 
@@ -78,10 +80,8 @@ def run(stage, out):
     command, place = [sys.executable, *stage.command], out / stage.makes
     environment = os.environ | ONE_THREAD
     if stage.prints:
-        unfinished = place.with_suffix(".unfinished")
-        with unfinished.open("w") as stream:
+        with replacing(place) as unfinished, unfinished.open("w") as stream:
             subprocess.run(command, cwd=ROOT, env=environment, stdout=stream, check=True)
-        unfinished.replace(place)
     else:
         subprocess.run(command, cwd=ROOT, env=environment, check=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,6 +14,7 @@ from data_converters.errors import require
 from data_converters.recordings import RawScene
 from data_converters.tracks import AgentRows
 from dmmv_conventions.cache import side_table
+from dmmv_conventions.disk import replacing
 
 if TYPE_CHECKING:
     from trajdata.data_structures.agent import AgentMetadata
@@ -97,6 +97,5 @@ def _agent_table(agents: Sequence[AgentRows]) -> pd.DataFrame:
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write `content` so that a reader sees the old file or the whole new one, never a part."""
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(json.dumps(content, indent=1, default=str) + "\n", encoding="utf-8")
-    os.replace(partial, path)
+    with replacing(path) as unfinished:
+        unfinished.write_text(json.dumps(content, indent=1, default=str) + "\n", encoding="utf-8")

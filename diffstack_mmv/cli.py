@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 
 from dmmv_conventions.annotations import require_types
 from dmmv_conventions.arguments import require_arguments
+from dmmv_conventions.disk import replacing
 from dmmv_conventions.extras import MissingExtraError, needs_to_run
 from dmmv_conventions.foretold import require_foretold
 from dmmv_conventions.locks import alone_in
@@ -246,10 +247,8 @@ def _exit(line: str) -> NoReturn:
 
 def save_config(config: DictConfig, file: Path) -> None:
     """Write a configuration to a file, atomically."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = file.with_suffix(".yaml.part")
-    OmegaConf.save(config, unfinished)
-    unfinished.replace(file)
+    with replacing(file) as unfinished:
+        OmegaConf.save(config, unfinished)
 
 
 def _read_vehicle_file(config: DictConfig) -> None:

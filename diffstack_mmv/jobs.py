@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 from diffstack_mmv.child_processes import ChildProcesses
 from diffstack_mmv.command_line import quoted
 from dmmv_conventions.checks import message, require_at_least
+from dmmv_conventions.disk import replacing
 from dmmv_conventions.extras import needs
 from dmmv_conventions.progress import counted
 
@@ -86,9 +87,8 @@ def run_job(job: Job, children: ChildProcesses | None = None) -> JobOutcome:
 
 def _write_record(job: Job, seconds: float) -> None:
     told = {"kind": job.kind, "seconds": seconds, "commands": job.settings}
-    unfinished = job.record.with_name(job.record.name + ".part")
-    unfinished.write_text(json.dumps(told), encoding="utf-8")
-    unfinished.replace(job.record)
+    with replacing(job.record) as unfinished:
+        unfinished.write_text(json.dumps(told), encoding="utf-8")
 
 
 def require_same_jobs(jobs: Sequence[Job]) -> None:

@@ -48,8 +48,8 @@ ALLOWED = {
     "simulation": {"checks", "types", "geometry", "dynamics", "prediction", "planning", "metrics"},
 }
 OURS = {"dmmv_conventions", "data_converters", "diffstack_mmv", "scripts"}
-# what is missing, how far something is, and what is imported when, is told in all parts
-EVERYBODYS = {f"dmmv_conventions.{name}" for name in ("extras", "on_demand", "progress")}
+# what is missing, how far something is, what is imported when, and files that are written whole
+EVERYBODYS = {f"dmmv_conventions.{name}" for name in ("disk", "extras", "on_demand", "progress")}
 # who takes what from the conventions; all others find modes and checks in `types` and `checks`
 CONVENTIONS = {
     "checks": {"dmmv_conventions.checks"},
@@ -70,7 +70,7 @@ CONVENTIONS = {
     "prediction": {"dmmv_conventions.libraries"},
     "simulation": {"dmmv_conventions.libraries"},
     "dynamics": {"dmmv_conventions.yaml_files"},
-    "data": {"dmmv_conventions.cache", "dmmv_conventions.disk", "dmmv_conventions.opening"},
+    "data": {"dmmv_conventions.cache", "dmmv_conventions.opening"},
     "cli": {
         "dmmv_conventions.annotations",
         "dmmv_conventions.bars",

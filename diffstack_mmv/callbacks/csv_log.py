@@ -13,6 +13,8 @@ from pytorch_lightning.loggers import CSVLogger
 from pytorch_lightning.loggers.csv_logs import ExperimentWriter
 from pytorch_lightning.loggers.logger import rank_zero_experiment
 
+from dmmv_conventions.disk import replacing
+
 _KEY = "csv_rows"
 
 Row = Mapping[str, Any]
@@ -47,12 +49,13 @@ class _KeepingWriter(ExperimentWriter):
         if not rows:
             path.unlink(missing_ok=True)
             return
-        unfinished = path.with_name(f"{path.name}.part")
-        with unfinished.open("w", newline="", encoding="utf-8") as stream:
+        with (
+            replacing(path) as unfinished,
+            unfinished.open("w", newline="", encoding="utf-8") as stream,
+        ):
             writer = csv.DictWriter(stream, fieldnames)
             writer.writeheader()
             writer.writerows(rows)
-        os.replace(unfinished, path)
 
     def _read(self) -> list[dict[str, Any]]:
         """Earlier rows; the last one may have been cut off while it was written."""

@@ -12,6 +12,7 @@ from diffstack_mmv.dynamics.base import DynamicsModel
 from diffstack_mmv.dynamics.records import DriverInput, WheelForces
 from diffstack_mmv.geometry import direction
 from diffstack_mmv.types import Motion
+from dmmv_conventions.disk import replacing
 
 
 class OpenLoopRun(NamedTuple):
@@ -66,13 +67,10 @@ def wheel_history(model: DynamicsModel, run: OpenLoopRun) -> WheelForces | None:
 
 def save_run(path: Path, model: DynamicsModel, run: OpenLoopRun) -> None:
     """Write states and controls as CSV, one row per time, the last one without a control."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(path.name + ".part")
-    with unfinished.open("w", newline="") as stream:
+    with replacing(path) as unfinished, unfinished.open("w", newline="") as stream:
         writer = csv.writer(stream)
         writer.writerow(["time_s", *model.State._fields, *model.Control._fields])
         blank = [""] * model.control_dim
         controls = [*run.controls.tolist(), blank]
         for index, (state, control) in enumerate(zip(run.states.tolist(), controls, strict=True)):
             writer.writerow([round(index * model.dt_s, 9), *state, *control])
-    unfinished.replace(path)

@@ -24,6 +24,7 @@ from diffstack_mmv.plotting.episodes import (
 )
 from diffstack_mmv.plotting.figures import PALETTE, new_figure
 from diffstack_mmv.types import EpisodeRecord
+from dmmv_conventions.disk import replacing
 from dmmv_conventions.extras import needs
 
 UNITS = {"acceleration": "m/s²", "steer": "rad", "yaw_rate": "rad/s"}
@@ -133,10 +134,8 @@ def _write(
         wanted = " or ".join(FORMATS)
         raise ValueError(f"`path` must end in {wanted}, but got {path.name}. Choose a format.")
     animation = FuncAnimation(figure, step, frames=frames)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(path.stem + ".part" + path.suffix)
-    save(animation, unfinished, round(1 / dt_s))
-    unfinished.replace(path)
+    with replacing(path, f".part{path.suffix}") as unfinished:
+        save(animation, unfinished, round(1 / dt_s))
 
 
 def _save_gif(animation: FuncAnimation, path: Path, fps: int) -> None:

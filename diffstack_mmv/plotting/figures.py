@@ -5,6 +5,8 @@ from pathlib import Path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from dmmv_conventions.disk import replacing
+
 # Okabe and Ito's palette, which people with any colour vision can tell apart
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
 
@@ -18,7 +20,5 @@ def new_figure(width: float = 6.0, height: float = 4.0) -> Figure:
 
 def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure atomically, in the format of the ending of the path."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(path.name + ".part")
-    figure.savefig(unfinished, dpi=130, format=path.suffix.removeprefix("."))
-    unfinished.replace(path)
+    with replacing(path) as unfinished:
+        figure.savefig(unfinished, dpi=130, format=path.suffix.removeprefix("."))

@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from diffstack_mmv.reporting.files import read_json
 from diffstack_mmv.reporting.paper_table import Run
 from diffstack_mmv.reporting.prediction_table import named_apart
+from diffstack_mmv.reporting.table import NONE, mean_std
 
 SITUATIONS = ("moving", "standing")
 DISTANCES = {"median_ade": "ADE of the median [m]", "moving": "moving", "standing": "standing"}
@@ -36,7 +36,7 @@ def ablation_table(runs: Sequence[Run], models: Mapping[str, str]) -> pd.DataFra
         told = [read_json(path) for run in own if (path := run.report / "metrics.json").is_file()]
         name = name_of(own[0]) if len(models) == 1 else f"{name_of(own[0])}, {models[model]}"
         seeds = f"{len(told)} of {len(own)}"
-        windows = str(told[0]["modes"][mode]["n"]) if told else "-"
+        windows = str(told[0]["modes"][mode]["n"]) if told else NONE
         rows.append(
             {"": name, "seeds": seeds, "windows": windows}
             | _cells([_scores(each, mode) for each in told])
@@ -44,7 +44,7 @@ def ablation_table(runs: Sequence[Run], models: Mapping[str, str]) -> pd.DataFra
         if told and not trivial:
             trivial = _trivial(told[0], mode)
     rows += [
-        {"": name.replace("_", " "), "seeds": "-", "windows": "-"} | _cells([scores])
+        {"": name.replace("_", " "), "seeds": NONE, "windows": NONE} | _cells([scores])
         for name, scores in trivial.items()
     ]
     return pd.DataFrame(rows)
@@ -81,13 +81,6 @@ def _trivial(told: Any, mode: str) -> dict[str, dict[str, float]]:
 
 def _cells(scores: Sequence[Mapping[str, float]]) -> dict[str, str]:
     return {
-        heading: _cell([each[name] for each in scores if name in each])
+        heading: mean_std([each[name] for each in scores if name in each])
         for name, heading in (DISTANCES | OTHERS).items()
     }
-
-
-def _cell(values: Sequence[float]) -> str:
-    if not values:
-        return "-"
-    deviation = f" ± {np.std(values, ddof=1):.3f}" if len(values) > 1 else ""
-    return f"{np.mean(values):.3f}{deviation}"

@@ -9,6 +9,7 @@ import pandas as pd
 from diffstack_mmv.reporting.files import write_json, write_text
 from diffstack_mmv.reporting.paired import paired_table
 from diffstack_mmv.reporting.scores import Scores
+from diffstack_mmv.reporting.table import NONE, cell, with_interval
 
 WITH_INTERVAL = ("success_rate", "collision_rate")
 
@@ -44,30 +45,30 @@ def closed_loop_table(
 ) -> pd.DataFrame:
     """One row per method: shares with intervals of 95 %, times in s, distances in m."""
     own = f"{result['controller']} ({result['dynamics']} {result['vehicle']})"
-    rows = {name: _row(each, scores) for name, each in {own: result, **baselines}.items()}
+    rows = {
+        name: {"n": str(each["n"])} | score_cells(each, scores)
+        for name, each in {own: result, **baselines}.items()
+    }
     frame = pd.DataFrame.from_dict(rows, orient="index")
     frame.index.name = "method"
     return frame
 
 
-def _row(numbers: Mapping[str, Any], scores: Scores) -> dict[str, str]:
-    """The cells of one method."""
-    cells = {"n": str(numbers["n"])}
-    for name, score in scores.items():
-        cells[score.heading] = cell(numbers.get(name))
-        if name in WITH_INTERVAL:
-            low, high = numbers[f"{name}_ci95"]
-            cells[score.heading] += f" [{low:.3f}, {high:.3f}]"
-    return cells
+def score_cells(numbers: Mapping[str, Any], scores: Scores) -> dict[str, str]:
+    """The scores of one drive as text, by their headings.
+
+    Shares have their intervals; of processor times, median and 99th percentile are told.
+    """
+    return {score.heading: _score_cell(numbers, name) for name, score in scores.items()}
 
 
-def cell(value: float | Mapping[str, Any] | None) -> str:
-    """A number with three digits, a median and its quantile, or a dash."""
-    if value is None:
-        return "–"
+def _score_cell(numbers: Mapping[str, Any], name: str) -> str:
+    value = numbers.get(name)
+    if name in WITH_INTERVAL:
+        return with_interval(value, numbers[f"{name}_ci95"])
     if isinstance(value, Mapping):
         return f"{value['median']:.1f} / {value['p99']:.1f}"
-    return f"{value:.3f}"
+    return cell(value)
 
 
 def _content(
@@ -150,7 +151,7 @@ def _published(published: Sequence[Mapping[str, Any]]) -> str:
     if not published:
         return ""
     frame = pd.DataFrame(published).astype(object)
-    table = frame.where(frame.notna(), "–").to_markdown(index=False)
+    table = frame.where(frame.notna(), NONE).to_markdown(index=False)
     return f"## Published methods\n\nOther robots, limits and rules: see each source.\n\n{table}"
 
 

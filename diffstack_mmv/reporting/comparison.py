@@ -15,11 +15,12 @@ from scipy.stats import wilcoxon
 from diffstack_mmv.reporting.files import read_json, read_parquet, told_as_broken, write_text
 from diffstack_mmv.reporting.metrics_table import MISSING
 from diffstack_mmv.reporting.scores import ScoreHeading, Scores
+from diffstack_mmv.reporting.table import NONE, latex_table, mean_std, write_table
 
 COMPARED = ("ade", "median_ade", "nll", "plan_ade", "planning_loss", "collision_rate", "solved")
 """Scores in the table, by name."""
 SAMPLE = ["scene", "agent", "row"]
-OF_THE_PREDICTION = ("ade", "nll")
+IN_EVERY_REPORT = ("ade", "nll")
 """Those of them that every report has."""
 JUDGED_BY = ("smoother", "hindsight")
 """Settings of a report that change what its scores mean: the tracks, and the planning loss."""
@@ -68,7 +69,7 @@ def _own_rows(folder: Path) -> list[dict[str, Any]]:
     common = {key: metrics[key] for key in ("data", "split", "goal", "seed")} | {"run": str(folder)}
     rows: list[dict[str, Any]] = []
     for mode, scores in metrics["modes"].items():
-        own = {name: scores[name] for name in ("n", MISSING, "vehicle", *OF_THE_PREDICTION)}
+        own = {name: scores[name] for name in ("n", MISSING, "vehicle", *IN_EVERY_REPORT)}
         # reports of plans=false have no others
         own |= {name: scores.get(name) for name in COMPARED if name not in own}
         rows.append(common | {"mode": mode, "dynamics": metrics["dynamics"]} | own)
@@ -149,7 +150,7 @@ def compare(runs: pd.DataFrame, scores: Scores) -> Comparison:
         runs: What `read_runs` returned.
         scores: Titles, units and directions of the scores; those that no run has are left out.
     """
-    known = [name for name in COMPARED if name in OF_THE_PREDICTION or runs[name].notna().any()]
+    known = [name for name in COMPARED if name in IN_EVERY_REPORT or runs[name].notna().any()]
     compared = {scores[name].heading: scores[name] for name in known}
     texts, means = [], []
     for key, group in runs.groupby(GROUP, sort=False):
@@ -157,7 +158,7 @@ def compare(runs: pd.DataFrame, scores: Scores) -> Comparison:
         row |= {"seeds": group["seed"].nunique(), "n": int(group["n"].max())}
         row |= {"not judged": int(group[MISSING].fillna(0).max())}
         values = {heading: _known(group[score.name]) for heading, score in compared.items()}
-        texts.append(row | {heading: _spread(each) for heading, each in values.items()})
+        texts.append(row | {heading: mean_std(each) for heading, each in values.items()})
         means.append(row | {heading: _mean(each) for heading, each in values.items()})
     order = {"by": ["data", "goal", "mode", "vehicle"], "kind": "stable"}
     table = pd.DataFrame(texts).sort_values(**order)
@@ -185,13 +186,6 @@ def _known(values: pd.Series) -> np.ndarray:
 
 def _mean(known: np.ndarray) -> float:
     return float(known.mean()) if len(known) > 0 else float("nan")
-
-
-def _spread(known: np.ndarray) -> str:
-    """Mean and deviation as text, a dash without a value."""
-    if len(known) == 0:
-        return "-"
-    return f"{known.mean():.3f}" + (f" ± {known.std(ddof=1):.3f}" if len(known) > 1 else "")
 
 
 def require_score(folders: Sequence[Path], score: str) -> None:
@@ -243,7 +237,7 @@ def paired_tests(folders: Sequence[Path], score: ScoreHeading) -> pd.DataFrame:
 def _better(first: str, second: str, difference: float, lower_is_better: bool) -> str:
     """Which of both a mean difference, first minus second, speaks for; a dash for neither."""
     if np.isnan(difference) or round(difference, 6) == 0:
-        return "-"
+        return NONE
     return first if (difference < 0) == lower_is_better else second
 
 
@@ -267,11 +261,10 @@ def write_comparison(folder: Path, comparison: Comparison, tests: pd.DataFrame) 
     if not tests.empty:
         told = "Paired by scene, Wilcoxon signed-rank (p from six unequal pairs on):"
         shown = tests.astype(object).replace(np.nan, None)
-        sections += [told, str(shown.to_markdown(index=False, floatfmt=".4g", missingval="-"))]
-    latex = str(_marked(comparison, OPEN, CLOSE).to_latex(index=False, escape=True))
-    write_text(folder / "table.md", "\n\n".join(sections) + "\n")
-    write_text(folder / "table.tex", latex.replace(OPEN, r"\textbf{").replace(CLOSE, "}"))
-    write_text(folder / "table.csv", str(comparison.table.to_csv(index=False)))
+        sections += [told, str(shown.to_markdown(index=False, floatfmt=".4g", missingval=NONE))]
+    latex = latex_table(_marked(comparison, OPEN, CLOSE))
+    latex = latex.replace(OPEN, r"\textbf{").replace(CLOSE, "}")
+    write_table(folder, "table", comparison.table, "\n\n".join(sections) + "\n", latex)
     write_text(folder / "tests.csv", str(tests.to_csv(index=False)))
 
 

@@ -9,13 +9,13 @@ from typing import Any
 import pandas as pd
 from pyarrow.lib import ArrowException
 
+from dmmv_conventions.disk import replacing
+
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file atomically, making its folder."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(path.name + ".part")
-    unfinished.write_text(text, encoding="utf-8")
-    unfinished.replace(path)
+    with replacing(path) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
@@ -57,10 +57,8 @@ def read_json(path: Path) -> dict[str, Any]:
 
 def write_parquet(path: Path, frame: pd.DataFrame) -> None:
     """Write a table as Parquet atomically."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(path.name + ".part")
-    frame.to_parquet(unfinished)
-    unfinished.replace(path)
+    with replacing(path) as unfinished:
+        frame.to_parquet(unfinished)
 
 
 def read_parquet(path: Path) -> pd.DataFrame:

@@ -6,10 +6,11 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from diffstack_mmv.reporting.closed_loop import WITH_INTERVAL, cell
+from diffstack_mmv.reporting.closed_loop import score_cells
 from diffstack_mmv.reporting.files import read_json, write_text
 from diffstack_mmv.reporting.paired import paired_cases, paired_table
 from diffstack_mmv.reporting.scores import Scores
+from diffstack_mmv.reporting.table import NONE, cell, write_table
 
 SHOWN = (
     "success_rate",
@@ -19,7 +20,6 @@ SHOWN = (
     "discomfort_frequency",
     "mean_episode_min_dist_m",
 )
-NONE = "–"
 
 
 class DrivenRow(NamedTuple):
@@ -81,9 +81,7 @@ def write_joint_table(
     if len(pairs):
         parts.append(f"Paired, row minus the other:\n\n{pairs.to_markdown(index=False)}")
     parts.append("\n".join(f"- {remark}" for remark in remarks))
-    write_text(folder / "table.md", "\n\n".join(part for part in parts if part) + "\n")
-    write_text(folder / "table.tex", str(table.to_latex(index=False, escape=True)))
-    write_text(folder / "table.csv", str(table.to_csv(index=False)))
+    write_table(folder, "table", table, "\n\n".join(part for part in parts if part) + "\n")
     write_text(folder / "failures.csv", str(joint_failures(rows).to_csv(index=False)))
 
 
@@ -99,11 +97,7 @@ def _line(row: DrivenRow, scores: Scores) -> dict[str, str]:
     told = read_json(row.result)
     last = told["first_case"] + told["n"] - 1
     line |= {"n": str(told["n"]), "cases": f"{told['phase']} {told['first_case']}–{last}"}
-    for name in SHOWN:
-        line[scores[name].heading] = cell(told[name])
-        if name in WITH_INTERVAL:
-            low, high = told[f"{name}_ci95"]
-            line[scores[name].heading] += f" [{low:.3f}, {high:.3f}]"
+    line |= score_cells(told, {name: scores[name] for name in SHOWN})
     line["feasible: n, success, collision"] = _feasible(told)
     line["footprint"] = str(told["footprint"])
     line["solved"] = cell(told.get("solved_share"))

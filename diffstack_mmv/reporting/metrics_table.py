@@ -9,6 +9,7 @@ import pandas as pd
 
 from diffstack_mmv.reporting.files import write_json, write_text
 from diffstack_mmv.reporting.scores import Scores
+from diffstack_mmv.reporting.table import cell
 
 BASELINE_SCORES = ("ade", "fde")
 """Scores that it holds for every baseline."""
@@ -179,10 +180,4 @@ def _markdown(metrics: Mapping[str, Any], scores: Scores) -> str:
 
 def _table(frame: pd.DataFrame, index: bool) -> str:
     """Markdown with three digits, and a dash where no sample could be judged."""
-    return frame.map(_cell).to_markdown(floatfmt=".3f", index=index)
-
-
-def _cell(value: Any) -> Any:
-    if pd.isna(value):
-        return "–"
-    return f"{value:.3f}" if isinstance(value, float) else value
+    return frame.map(cell).to_markdown(floatfmt=".3f", index=index)

@@ -11,6 +11,7 @@ from scipy.stats import binomtest
 from diffstack_mmv.reporting.comparison import signed_rank
 from diffstack_mmv.reporting.files import read_json, told_as_broken
 from diffstack_mmv.reporting.scores import Scores
+from diffstack_mmv.reporting.table import cell
 
 SETTINGS = ("scenario", "humans", "phase", "limit_s", "dt_s", "verdict")
 """What two runs have to share to be compared case by case."""
@@ -98,11 +99,11 @@ def paired_table(pairs: Sequence[Mapping[str, Any]], scores: Scores) -> pd.DataF
         for name, score in OUTCOMES.items():
             test, title = pair[name], scores[score].title
             row[f"{title} only here / there"] = f"{test['only_own']} / {test['only_other']}"
-            row[f"p ({title})"] = _told(test["p"], ".3g")
+            row[f"p ({title})"] = cell(test["p"], ".3g")
         for name, score in SHIFTS.items():
             heading = scores[score].heading
-            row[f"Δ {heading}"] = _told(pair[name]["mean"], "+.4f")
-            row[f"p ({heading})"] = _told(pair[name]["p"], ".3g")
+            row[f"Δ {heading}"] = cell(pair[name]["mean"], "+.4f")
+            row[f"p ({heading})"] = cell(pair[name]["p"], ".3g")
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -125,8 +126,3 @@ def _shift(difference: pd.Series) -> dict[str, Any]:
         "mean": float(values.mean()) if len(values) else None,
         "p": None if np.isnan(p) else p,
     }
-
-
-def _told(value: float | None, form: str) -> str:
-    """A number in this form, or a dash."""
-    return "–" if value is None else format(value, form)

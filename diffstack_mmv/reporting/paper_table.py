@@ -8,8 +8,9 @@ import numpy as np
 import pandas as pd
 
 from diffstack_mmv.reporting.bootstrapping import bootstrap
-from diffstack_mmv.reporting.files import read_json, read_parquet, write_text
+from diffstack_mmv.reporting.files import read_json, read_parquet
 from diffstack_mmv.reporting.scores import ScoreHeading, Scores
+from diffstack_mmv.reporting.table import NONE, cell, with_interval, write_table
 
 SHOWN = (
     "ade",
@@ -65,7 +66,7 @@ def paper_table(
             ended = [run for run in own if (run.report / "metrics.json").is_file()]
             row: dict[str, Any] = place | {"model": title, "seeds": f"{len(ended)}/{len(own)}"}
             if not ended:
-                rows.append(row | {"n": "-"})
+                rows.append(row | {"n": NONE})
                 continue
             told = [read_json(run.report / "metrics.json") for run in ended]
             samples = _over_seeds(ended, mode)
@@ -79,9 +80,9 @@ def paper_table(
             baselines |= {name: per_mode[mode] for name, per_mode in told[0]["baselines"].items()}
             rows.append(row)
         for name, known in baselines.items():
-            error = {scores[score].heading: _number(known["ade"]) for score in TRIVIAL}
-            rows.append(place | {"model": name.replace("_", " "), "seeds": "-", "n": "-"} | error)
-    return pd.DataFrame(rows).fillna("-")
+            error = {scores[score].heading: cell(known["ade"]) for score in TRIVIAL}
+            rows.append(place | {"model": name.replace("_", " "), "seeds": NONE, "n": NONE} | error)
+    return pd.DataFrame(rows).fillna(NONE)
 
 
 def write_paper_table(folder: Path, table: pd.DataFrame, remarks: Sequence[str]) -> None:
@@ -89,9 +90,8 @@ def write_paper_table(folder: Path, table: pd.DataFrame, remarks: Sequence[str])
     told = table.to_markdown(index=False, disable_numparse=True)  # or 0.410 became 0.41
     text = str(told) if len(table) else "No run has ended."
     below = "\n".join(f"- {remark}" for remark in remarks)
-    write_text(folder / "results.md", f"{text}\n\n{below}\n" if below else f"{text}\n")
-    write_text(folder / "results.tex", str(table.to_latex(index=False, escape=True)))
-    write_text(folder / "results.csv", str(table.to_csv(index=False)))
+    whole = f"{text}\n\n{below}\n" if below else f"{text}\n"
+    write_table(folder, "results", table, whole)
 
 
 def _over_seeds(runs: Sequence[Run], mode: str) -> pd.DataFrame:
@@ -107,10 +107,6 @@ def _mean(values: Sequence[float | None]) -> float:
     return float(np.mean(known)) if known else float("nan")
 
 
-def _number(value: float | None) -> str:
-    return "-" if value is None or np.isnan(value) else f"{value:.3f}"
-
-
 def _cell(
     values: Sequence[float | None],
     interval: tuple[float, float],
@@ -120,7 +116,7 @@ def _cell(
     """A score as text."""
     known = [value for value in values if value is not None]
     if not known:
-        return "-"
+        return NONE
     mean, notes = float(np.mean(known)), []
     if len(known) > 1:
         notes.append(f"± {np.std(known, ddof=1):.3f}")
@@ -129,7 +125,6 @@ def _cell(
             notes.append(f"{mean - first:+.3f}")
         elif first != 0:
             notes.append(f"{100 * (mean - first) / first:+.1f} %")
-    text = f"{mean:.3f}"
-    if interval[0] < interval[1]:  # values that are all the same tell nothing of how they spread
-        text += f" [{interval[0]:.3f}, {interval[1]:.3f}]"
+    # values that are all the same tell nothing of how they spread
+    text = with_interval(mean, interval) if interval[0] < interval[1] else cell(mean)
     return text + (f" ({', '.join(notes)})" if notes else "")

@@ -8,6 +8,7 @@ import pandas as pd
 
 from diffstack_mmv.reporting.files import read_json
 from diffstack_mmv.reporting.paper_table import Run
+from diffstack_mmv.reporting.table import NONE
 
 METHODS: Mapping[str, tuple[str, str]] = {
     "one path (median)": ("median_ade", "median_fde"),
@@ -77,4 +78,4 @@ def _values(run: Run, told: Any, models: Mapping[str, str]) -> dict[str, np.ndar
 
 
 def _pair(values: np.ndarray) -> str:
-    return "-" if np.isnan(values).any() else " / ".join(f"{value:.2f}" for value in values)
+    return NONE if np.isnan(values).any() else " / ".join(f"{value:.2f}" for value in values)

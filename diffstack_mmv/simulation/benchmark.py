@@ -20,6 +20,7 @@ from diffstack_mmv.simulation.episode import drive
 from diffstack_mmv.simulation.scenario import CaseSource
 from diffstack_mmv.simulation.world import Observation, World
 from diffstack_mmv.types import EpisodeRecord, Motion
+from dmmv_conventions.disk import replacing
 
 LOGGER = logging.getLogger(__name__)
 
@@ -181,7 +182,6 @@ def _driven(method: Method, scenario: CaseSource, numbers: list[int], phase: str
 
 def _write(file: Path, origin: Origin, chunk: Chunk) -> None:
     """Keep a chunk, all or nothing."""
-    file.parent.mkdir(parents=True, exist_ok=True)
     record = chunk.record
     arrays: dict[str, Any] = {"cases": chunk.cases, "step_s": chunk.step_s}
     arrays |= {f"origin.{name}": text for name, text in origin._asdict().items()}
@@ -193,10 +193,8 @@ def _write(file: Path, origin: Origin, chunk: Chunk) -> None:
     arrays |= {f"diagnosis.{name}": value for name, value in chunk.diagnosis.items()}
     arrays |= {f"thoughts.{name}": value for name, value in chunk.thoughts.items()}
     arrays |= {f"scene.{name}": value for name, value in chunk.scene.items()}
-    unfinished = file.with_name(file.name + ".part")
-    with unfinished.open("wb") as stream:
+    with replacing(file) as unfinished, unfinished.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
-    unfinished.replace(file)
 
 
 def read_chunk(file: Path) -> Chunk:

@@ -10,6 +10,7 @@ from diffstack_mmv.vehicles.reading import config_from_spec
 from diffstack_mmv.vehicles.spec import VehicleSpec
 from dmmv_conventions.checks import message
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.disk import replacing
 from dmmv_conventions.yaml_files import read_mapping, to_yaml
 
 
@@ -52,9 +53,6 @@ def save_vehicle(
     Raises:
         OSError: The file cannot be written.
     """
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
     kept = replace(spec, provenance=dict(provenance)) if provenance else spec
-    unfinished = target.with_name(target.name + ".part")
-    unfinished.write_text(to_yaml(config_from_spec(kept)), encoding="utf-8")
-    unfinished.replace(target)
+    with replacing(Path(path)) as unfinished:
+        unfinished.write_text(to_yaml(config_from_spec(kept)), encoding="utf-8")

@@ -40,7 +40,7 @@ def test_each_set_is_a_row_and_trivial_paths_follow(runs):
     assert table.loc["present", "moving"] == "2.200 ± 0.283"
     assert table.loc["kalman", "NLL"] == "1.500"
     assert table.loc["kalman", "standing"] == "5.000"
-    assert table.loc["kalman", "50 % region"] == "-"
+    assert table.loc["kalman", "50 % region"] == "–"
 
 
 def test_a_run_that_has_not_ended_is_counted_and_no_part_of_a_mean(runs):
@@ -58,7 +58,7 @@ def test_a_set_without_any_result_has_dashes(runs):
     for run in runs[:2]:
         (run.report / "metrics.json").unlink()
     table = ablation_table(runs, {"kbm": "DiffKBM"}).set_index("")
-    assert (table.loc["present", "seeds"], table.loc["present", "NLL"]) == ("0 of 2", "-")
+    assert (table.loc["present", "seeds"], table.loc["present", "NLL"]) == ("0 of 2", "–")
     assert table.loc["kalman", "ADE of the median [m]"] == "4.000"
 
 
@@ -67,5 +67,5 @@ def test_where_nobody_stands_there_is_a_dash(tmp_path):
     write_scores(tmp_path, 1.0, ("moving",))
     run = Run("riders", "bicycle", "kbm", "predicted", 1, tmp_path)
     table = ablation_table([run], {"kbm": "DiffKBM"}).set_index("")
-    assert list(table["standing"]) == ["-", "-"]
+    assert list(table["standing"]) == ["–", "–"]
     assert list(table["moving"]) == ["2.000", "5.000"]

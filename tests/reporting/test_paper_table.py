@@ -28,10 +28,10 @@ def runs(tmp_path):
 def test_every_model_has_a_row_and_trivial_paths_follow(runs):
     table = paper_table(runs, MODELS, OPEN_LOOP, resamples=20)
     assert list(table["model"]) == ["DiffStack", "DiffKBM", "DiffGM3", "stand still"]
-    assert list(table["seeds"]) == ["2/2", "2/2", "0/2", "-"]
-    assert list(table["n"]) == ["40", "40", "-", "-"]
+    assert list(table["seeds"]) == ["2/2", "2/2", "0/2", "–"]
+    assert list(table["n"]) == ["40", "40", "–", "–"]
     assert table.iloc[3]["ADE [m]"] == "2.000"
-    assert set(table.iloc[2].drop(["data", "goal", "mode", "model", "seeds"])) == {"-"}
+    assert set(table.iloc[2].drop(["data", "goal", "mode", "model", "seeds"])) == {"–"}
 
 
 def test_differences_are_told_against_the_first_model(runs):
@@ -65,7 +65,7 @@ def test_nothing_is_told_against_another_model_than_the_first(runs):
     for run in runs[:2]:
         (run.report / "metrics.json").unlink()
     cells = paper_table(runs, MODELS, OPEN_LOOP, resamples=20)["ADE [m]"]
-    assert cells[0] == "-"
+    assert cells[0] == "–"
     assert "%" not in cells[1]
 
 

@@ -36,7 +36,7 @@ def test_a_run_that_has_not_ended_is_no_part_of_a_mean(runs):
     (runs[3].report / "metrics.json").unlink()
     row = prediction_table(runs, MODELS).set_index("method").loc["Trajectron++, one path (median)"]
     assert row["eth"] == "1.10 / 1.10"
-    assert row["hotel"] == row["mean"] == "-"
+    assert row["hotel"] == row["mean"] == "–"
 
 
 def test_modes_of_one_set_are_not_averaged(runs):

@@ -78,7 +78,7 @@ def test_a_score_that_judged_no_sample_is_null_and_a_dash(tmp_path):
     assert metrics["baselines"]["stand_still"]["scooter"]["ade"] is None
     assert "| –" in (tmp_path / "metrics.md").read_text()
     table = compare(read_runs([run]), OPEN_LOOP).table
-    assert set(table.loc[table["mode"] == "scooter", "ADE [m]"]) == {"-"}
+    assert set(table.loc[table["mode"] == "scooter", "ADE [m]"]) == {"–"}
 
 
 def test_markdown_says_where_the_goal_came_from_and_shows_the_baselines(tmp_path):
@@ -189,7 +189,7 @@ def test_a_path_that_is_given_the_goal_is_no_prediction(tmp_path):
     ]
     table = compare(read_runs(folders), OPEN_LOOP).table.set_index(["goal", "mode", "dynamics"])
     spline = table.loc[("future", "bicycle", "spline")]
-    assert (spline["ADE [m]"], spline["plan ADE [m]"]) == ("-", "0.010")
+    assert (spline["ADE [m]"], spline["plan ADE [m]"]) == ("–", "0.010")
     still = table.loc[("future", "bicycle", "stand_still")]
     assert still["ADE [m]"] == still["plan ADE [m]"] == "2.000"
 
@@ -199,7 +199,7 @@ def test_pairs_too_few_to_test_have_a_dash_for_p(runs, tmp_path):
     tests = paired_tests(runs, OPEN_LOOP["plan_ade"]).assign(p=[0.01, np.nan])
     write_comparison(tmp_path, comparison, tests)
     lines = (tmp_path / "table.md").read_text().splitlines()
-    assert lines[-1].replace(" ", "").endswith("|-|")
+    assert lines[-1].replace(" ", "").endswith("|–|")
     assert lines[-2].replace(" ", "").endswith("|0.01|")
     assert "nan" not in "".join(lines)
 

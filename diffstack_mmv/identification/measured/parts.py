@@ -1,7 +1,6 @@
 """Finished parts of a study on disk, so that a study that was interrupted goes on where it was."""
 
 import hashlib
-import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import astuple, dataclass, fields, replace
@@ -12,6 +11,7 @@ import torch
 from torch import Tensor
 
 from diffstack_mmv.identification.measured.instruments import Gaussian, InstrumentPriors
+from dmmv_conventions.disk import replacing
 
 Part = dict[str, Tensor]
 
@@ -50,12 +50,9 @@ class FinishedParts:
             with np.load(path, allow_pickle=False) as arrays:
                 return {key: torch.from_numpy(arrays[key]) for key in arrays.files}
         part = _timed(make)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished = path.with_suffix(".unfinished")
-        with unfinished.open("wb") as stream:
+        with replacing(path) as unfinished, unfinished.open("wb") as stream:
             # the types of numpy take names of arrays for its own arguments
             np.savez(stream, **{key: value.numpy() for key, value in part.items()})  # pyright: ignore[reportArgumentType]
-        os.replace(unfinished, path)
         return part
 
 

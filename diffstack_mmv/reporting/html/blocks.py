@@ -10,6 +10,8 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
+from diffstack_mmv.reporting.table import cell
+
 PICTURES = {".png": "image/png", ".gif": "image/gif"}
 
 
@@ -133,24 +135,15 @@ def plain(values: Any, digits: int = 4) -> Any:
 def frame_table(title: str, frame: pd.DataFrame, index: bool = False, digits: int = 3) -> Table:
     """A table from a data frame; unknown numbers are dashes."""
     shown = frame.rename_axis(index=str(frame.index.name or "")).reset_index() if index else frame
-    rows = [[cell(value, digits) for value in row] for row in shown.itertuples(index=False)]
+    rows = [[cell(value, f".{digits}f") for value in row] for row in shown.itertuples(index=False)]
     return Table(title, [str(name) for name in shown.columns], rows)
 
 
 def facts(title: str, entries: Mapping[str, Any]) -> Table:
     """A table of names and values, without those that are records themselves."""
     told = {k: v for k, v in entries.items() if not isinstance(v, Mapping | list)}
-    rows = [[k, f"{v:.4g}" if isinstance(v, float) else cell(v)] for k, v in told.items()]
+    rows = [[k, cell(v, ".4g")] for k, v in told.items()]
     return Table(title, ["", ""], rows)
-
-
-def cell(value: Any, digits: int = 3) -> str:
-    """A value as text."""
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return "–"
-    if isinstance(value, float | np.floating):
-        return f"{value:.{digits}f}"
-    return str(value)
 
 
 def _without_nan(values: Any) -> Any:

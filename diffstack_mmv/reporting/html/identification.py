@@ -17,6 +17,7 @@ from diffstack_mmv.reporting.html.blocks import (
     frame_table,
 )
 from diffstack_mmv.reporting.identification import models_table
+from diffstack_mmv.reporting.table import cell
 
 SHOWN = ("initial", "estimate", "std", "low", "high", "unit", "identifiability", "verdict")
 
@@ -37,14 +38,10 @@ def read_identification(folder: Path) -> list[Section]:
 
 
 def _estimates(title: str, entries: Mapping[str, Mapping[str, Any]]) -> Table:
-    rows = [[name, *(_told(entry.get(key)) for key in SHOWN)] for name, entry in entries.items()]
+    rows = [
+        [name, *(cell(entry.get(key), ".4g") for key in SHOWN)] for name, entry in entries.items()
+    ]
     return Table(title, ["", *SHOWN], rows)
-
-
-def _told(value: Any) -> str:
-    if value is None:
-        return "–"
-    return f"{value:.4g}" if isinstance(value, float | int) else str(value)
 
 
 def _profiles(result: Mapping[str, Any]) -> list[Block]:

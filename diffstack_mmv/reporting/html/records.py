@@ -9,6 +9,7 @@ import yaml
 from diffstack_mmv.reporting.files import read_json
 from diffstack_mmv.reporting.html.blocks import Gallery, Table
 from diffstack_mmv.reporting.html.readers import Titles, read_page
+from diffstack_mmv.reporting.table import NONE
 
 FILES = ("metrics.json", "closed_loop.json", "identification.json")
 LONG = ("cases", "baselines", "situations", "paired")
@@ -61,7 +62,7 @@ def _rows(table: Table) -> Rows:
 def _column(cells: Sequence[str]) -> Sequence[str | float | None]:
     """Numbers if all known cells are some; a dash is unknown."""
     try:
-        return [None if cell == "–" else float(cell) for cell in cells]
+        return [None if cell == NONE else float(cell) for cell in cells]
     except ValueError:
         return cells
 

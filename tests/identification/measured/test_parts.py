@@ -25,7 +25,7 @@ def test_part_is_made_once_for_the_same_data_and_settings(tmp_path):
     assert len(made) == 3
     torch.testing.assert_close(part["values"], torch.arange(3.0))
     assert part["flags"].dtype == torch.bool
-    assert not list(tmp_path.glob("*.unfinished"))
+    assert not list(tmp_path.glob("*.part"))
 
 
 def test_part_that_fails_leaves_nothing(tmp_path):

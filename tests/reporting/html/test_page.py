@@ -7,7 +7,8 @@ from html.parser import HTMLParser
 import pytest
 
 from diffstack_mmv.reporting.html import read_page, render, write_page
-from diffstack_mmv.reporting.html.blocks import Gallery, cell, plain
+from diffstack_mmv.reporting.html.blocks import Gallery, plain
+from diffstack_mmv.reporting.table import cell
 from tests.reporting.html import runs
 
 VOID = {"meta", "link", "img", "input", "br"}

@@ -1,0 +1,39 @@
+"""What all tables share."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from diffstack_mmv.reporting.table import NONE, cell, mean_std, with_interval, write_table
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [(None, NONE), (float("nan"), NONE), (np.float32(0.5), "0.500"), (3, "3"), ("kbm", "kbm")],
+)
+def test_a_value_is_told_or_a_dash(value, told):
+    assert cell(value) == told
+
+
+def test_a_number_has_the_form_that_is_asked_for():
+    assert (cell(0.25, "+.1f"), cell(1e-9, ".3g")) == ("+0.2", "1e-09")
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [([], NONE), ([0.41], "0.410"), ([1.0, 3.0], "2.000 ± 1.414"), (np.ones(2), "1.000 ± 0.000")],
+)
+def test_the_deviation_is_that_of_the_sample_and_needs_two_values(values, told):
+    assert mean_std(values) == told
+
+
+def test_an_interval_stands_in_brackets_even_around_nothing():
+    assert with_interval(0.5, (0.25, 0.75)) == "0.500 [0.250, 0.750]"
+    assert with_interval(None, [0.0, 1.0]) == "– [0.000, 1.000]"
+
+
+def test_a_table_is_written_thrice(tmp_path):
+    write_table(tmp_path, "table", pd.DataFrame({"share [%]": ["1"]}), "text\n")
+    assert (tmp_path / "table.md").read_text() == "text\n"
+    assert r"share [\%]" in (tmp_path / "table.tex").read_text()
+    assert (tmp_path / "table.csv").read_text() == "share [%]\n1\n"
