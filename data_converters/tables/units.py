@@ -30,8 +30,8 @@ class TableUnits:
     Attributes:
         time: s, ms, us, ns, or iso for text such as 2026-05-04T12:00:00.1.
         length: Of positions and sizes: m, cm, mm, km or ft.
-        angle: Of the heading: rad or deg from x towards y, or compass_deg clockwise from north, which
-            is up in a picture, too.
+        angle: Of the heading: rad or deg from x towards y, or compass_deg clockwise from north,
+            which is up in a picture, too.
         speed: m/s, km/h or mph.
         y_down: Whether y points down, as in a picture; turns would be mirrored.
 
