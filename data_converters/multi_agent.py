@@ -30,6 +30,8 @@ from dmmv_conventions.modes import Mode
 
 if TYPE_CHECKING:
     from trajdata.data_structures.agent import FixedExtent
+LONGEST_HOLD_S = 0.5
+"""For how long a heading that is missing is that of before."""
 
 METRES_PER_PIXEL = (1e-4, 1.0)
 """Scales of a picture of people from above; in a coarser one they are smaller than a pixel."""
@@ -159,8 +161,11 @@ class MultiAgentDataset(RecordingDataset):
         for name in sorted(begin.keys() - kept):
             source = str(table["source"][table["agent"] == name].iloc[0])
             needs = f"be within {self.limits.span_s:g} s of the other agents"
-            found = f"{begin[name]:g} to {end[name]:g} s"
             remedy = "Correct the clock, or raise `span_s`."
+            if end[name] - begin[name] > self.limits.span_s:
+                needs = f"cover at most {self.limits.span_s:g} s for one agent"
+                remedy = "Name its trips apart, or raise `span_s`."
+            found = f"{begin[name]:g} to {end[name]:g} s"
             try:
                 where = f"{source}, agent {name}"
                 refuse_track(RejectReason.TIME_SPAN, "time_s", needs, found, where, remedy)
@@ -187,9 +192,9 @@ class MultiAgentDataset(RecordingDataset):
     @cached_property
     def _marks(self) -> dict[Path, str]:
         """Hash of each file, which may hold many scenes."""
-        return {path: fingerprint_of(path) for path in self._files()}
+        return {path: fingerprint_of(path) for path in self._read_files()}
 
-    def _files(self) -> Iterable[Path]:
+    def _read_files(self) -> Iterable[Path]:
         return (path for each in self._index.values() for path in each.files)
 
     @cached_property
@@ -255,7 +260,7 @@ def _track(name: str, rows: pd.DataFrame, source: str, raw: RawScene) -> RawTrac
         source=source,
         extent=_extent(rows, mode),
         speed=_optional(rows, "speed"),
-        heading=_optional(rows, "heading"),
+        heading=_heading(rows, raw),
     )
 
 
@@ -266,6 +271,22 @@ def _mode(rows: pd.DataFrame, where: str) -> Mode:
         needs, remedy = "be one known class for all rows of an agent", "Map it to a mode."
         refuse_track(RejectReason.UNKNOWN_CLASS, "type", needs, ", ".join(labels), where, remedy)
     return Mode(int(modes[0]))
+
+
+def _heading(rows: pd.DataFrame, raw: RawScene) -> NDArray[np.float64] | None:
+    """The recorded heading; where it is missing for a moment, the last one, which looks not ahead.
+
+    An agent that lacks it for longer, or from the start on, is counted, and faces where it goes.
+    """
+    if "heading" not in rows:
+        return None
+    values, time_s = (rows[name].to_numpy(np.float64) for name in ("heading", "time_s"))
+    known = np.isfinite(values)
+    latest = np.maximum.accumulate(np.where(known, np.arange(len(values)), 0))
+    usable = known[0] and (time_s - time_s[latest]).max() <= LONGEST_HOLD_S
+    raw.note("headings_held", int(usable) * int((~known).sum()))
+    raw.note("agents_with_unusable_headings", int(known.any() and not usable))
+    return values[latest] if usable else None
 
 
 def _optional(rows: pd.DataFrame, column: str) -> NDArray[np.float64] | None:

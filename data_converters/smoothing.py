@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from bisect import bisect_left
 from dataclasses import asdict, dataclass
 from math import ceil
 from typing import ClassVar, NamedTuple
@@ -15,6 +16,10 @@ from scipy.signal import savgol_filter
 from data_converters.errors import require
 
 Array = NDArray[np.float64]
+
+
+SPACINGS = 20
+"""Samples that a window counts at most: in any usual recording it then holds enough of them."""
 
 
 class SmoothSeries(NamedTuple):
@@ -119,7 +124,9 @@ class CausalSmoother(PolynomialSmoother):
 
     The value at t is fitted to the samples in (t - window_s, t] only, so it is noisier than the
     zero-phase one. Where samples are sparse the window reaches back to as many as the polynomial
-    has coefficients, and one more. Nothing is put out before the track has lasted half a window.
+    has coefficients, and one more; of samples within a twentieth of the window only one counts,
+    as they cannot tell motion from noise. Nothing is put out before the track has lasted half a
+    window.
     """
 
     window_s: float = 1.2
@@ -136,13 +143,17 @@ class CausalSmoother(PolynomialSmoother):
 
     def ready_s(self, time_s: Array) -> float:
         """After the warm-up, and not before there are enough samples for the polynomial."""
-        return max(super().ready_s(time_s), float(time_s[min(self.order, len(time_s) - 1)]))
+        apart = self._apart(time_s)
+        enough = apart[self.order] if len(apart) > self.order else len(time_s) - 1
+        return max(super().ready_s(time_s), float(time_s[enough]))
 
     def __call__(self, time_s: Array, values: Array, at_s: Array) -> SmoothSeries:
         """See `Smoother`; shapes (n,), (n, k), (m,). Times in the warm-up get NaN."""
         last = np.searchsorted(time_s, at_s + 1e-9, side="right")
         first = np.searchsorted(time_s, at_s - self.window_s + 1e-9)
-        first = np.minimum(first, np.maximum(last - self.order - 2, 0))
+        apart = self._apart(time_s)
+        counted = np.searchsorted(apart, last)  # samples before `last` that count
+        first = np.minimum(first, apart[np.maximum(counted - self.order - 2, 0)])
         usable = at_s >= self.ready_s(time_s) - 1e-9
         result = np.full((3, len(at_s), values.shape[1]), np.nan)
         for d, part in enumerate(
@@ -150,6 +161,15 @@ class CausalSmoother(PolynomialSmoother):
         ):
             result[d, usable] = part
         return SmoothSeries(*result)
+
+    def _apart(self, time_s: Array) -> NDArray[np.int64]:
+        """Indices of the samples that count, each `window_s` / `SPACINGS` after the one before."""
+        spacing, times = self.window_s / SPACINGS - 1e-9, time_s.tolist()
+        index, found = 0, []
+        while index < len(times):
+            found.append(index)
+            index = bisect_left(times, times[index] + spacing, lo=index + 1)
+        return np.array(found, dtype=np.int64)
 
     def _fit(
         self,

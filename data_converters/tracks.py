@@ -174,7 +174,10 @@ def resample(track: RawTrack, settings: ResampleSettings) -> AgentRows:
     if end - begin < settings.min_duration_s - 1e-6 or not enough:
         lasts = f"{track.time_s[-1] - track.time_s[0]:.2f} s with {len(track.time_s)} samples"
         needs = f"last at least {settings.min_duration_s + smoother.warmup_s:g} s without a gap"
-        remedy = "Lower `min_duration_s` to keep it."
+        remedy = (
+            "Lower `min_duration_s` to keep it, or, where samples are farther apart than "
+            f"`max_gap_s` = {settings.max_gap_s:g} s, raise that."
+        )
         refuse_track(RejectReason.TOO_SHORT, "track", needs, lasts, track.source, remedy)
     at_s = np.clip(np.arange(first, last + 1) * settings.dt_s, track.time_s[0], end)
     probes = _probes(track)

@@ -221,11 +221,15 @@ def find_sequences(root: Path) -> dict[str, Path]:
     """
     found: dict[str, Path] = {}
     paths = [path for pattern in ("*", "*/*", "*/*/*") for path in root.glob(pattern)]
-    for path in sorted(paths, key=lambda path: ("set_" not in str(path.parent), path.name)):
+    for path in sorted(paths, key=lambda path: (not _in_set(path, root), path.name)):
         match = SEQUENCE.fullmatch(path.name)
         if match and path.is_dir():
             found.setdefault(match[2], path)
     return {path.name: path for path in sorted(found.values(), key=lambda path: path.name)}
+
+
+def _in_set(path: Path, root: Path) -> bool:
+    return "set_" in str(path.parent.relative_to(root))
 
 
 def track_files(folder: Path) -> list[Path]:

@@ -259,7 +259,7 @@ class TableDataset(MultiAgentDataset):
         found = (path for ending in ENDINGS for path in self.root.rglob(f"*.{ending}"))
         return recorded(found, self.root)
 
-    def _files(self) -> list[Path]:
+    def _read_files(self) -> list[Path]:
         return self._paths
 
     @cached_property

@@ -232,3 +232,10 @@ def test_an_edit_that_leaves_the_size_of_a_file_is_seen(dataset, source, request
         old.name for old, new in zip(before, dataset(root).scenes(), strict=True) if old != new
     ]
     assert len(changed) == 1
+
+
+@pytest.mark.parametrize("name", ["imptc", "dataset_imptc"])
+def test_of_repeated_sequences_that_of_a_set_is_taken_whatever_the_root_is_called(tmp_path, name):
+    for folder in ("samples/0000_20230322_120000", "set_05/0203_20230322_120000"):
+        (tmp_path / name / folder).mkdir(parents=True)
+    assert list(find_sequences(tmp_path / name)) == ["0203_20230322_120000"]

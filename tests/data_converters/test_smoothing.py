@@ -97,3 +97,25 @@ def test_unsmoothed_samples_come_back_with_backward_differences():
     np.testing.assert_allclose(smooth.value[:, 0], [0.0, 1.0, 3.0, 6.0, 7.5])
     np.testing.assert_allclose(smooth.rate[:, 0], [0.0, 2.5, 5.0, 7.5, 7.5])
     np.testing.assert_allclose(smooth.curvature[:, 0], [0.0, 0.0, 6.25, 6.25, 6.25])
+
+
+@pytest.mark.parametrize("apart_s", [1e-3, 0.01, 0.02, 0.05])
+def test_samples_that_come_in_pairs_do_not_make_velocities_explode(apart_s):
+    single = np.arange(0.0, 30.0, 0.5)
+    time_s = np.sort(np.concatenate([single, single + apart_s]))
+    noise = np.random.default_rng(0).normal(0.0, 0.05, len(time_s))
+    smoother, at_s = CausalSmoother(), np.arange(2.0, 29.0, 0.1)
+    paired = smoother(time_s, (4.0 * time_s + noise)[:, None], at_s)
+    alone = smoother(single, (4.0 * single + noise[::2])[:, None], at_s)
+    assert np.std(paired.rate) < 1.5 * np.std(alone.rate)
+
+
+@pytest.mark.parametrize("step_s", [0.01, 0.04, 0.08, 0.1, 0.4, 0.5])
+def test_regular_samples_are_fitted_over_the_window_or_the_last_four(step_s):
+    time_s = step_s * np.arange(200)
+    values = np.random.default_rng(0).normal(size=(200, 1))
+    first = min(np.searchsorted(time_s, time_s[150] - 1.2 + 1e-9), 150 - 3)
+    used = slice(first, 151)
+    fit = np.polynomial.Polynomial.fit(time_s[used], values[used, 0], 2)
+    found = CausalSmoother()(time_s, values, time_s[150:151])
+    np.testing.assert_allclose(found.value[0, 0], fit(time_s[150]), atol=1e-9)

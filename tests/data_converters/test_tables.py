@@ -171,6 +171,26 @@ def test_bad_rows_cost_their_agent_alone(dataset, bad, reason):
     assert [track.name for track in raw.tracks] == ["7"]
 
 
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [
+        (
+            pd.concat([table(), table(time=9000.0 + TIME_S)]),
+            "at most 7200 s for one agent.*trips apart",
+        ),
+        (
+            table(time=6.0 * TIME_S),
+            "samples are farther apart than `max_gap_s` = 0.5 s, raise that",
+        ),
+    ],
+    ids=["two trips", "slow samples"],
+)
+def test_a_remedy_names_what_helps(dataset, tmp_path, rows, says):
+    found = dataset(tables={"day": rows})
+    with pytest.raises(ConversionError, match=says):
+        convert(ConversionSettings(found, tmp_path / "cache", progress=False))
+
+
 def test_a_broken_file_is_counted_and_the_others_kept(dataset, tmp_path):
     found = dataset(tables={"a": table(), "b": table(y=2.0)})
     (tmp_path / "c.csv").write_text("")
@@ -242,6 +262,22 @@ def test_the_configuration_of_a_recorder_marks_no_output(dataset, tmp_path):
 def test_a_folder_of_recordings_may_itself_be_that_of_a_run(dataset, tmp_path):
     (tmp_path / "config.yaml").write_text("out: .\n")
     assert len(dataset(tables={"a": table()}).scenes()) == 1
+
+
+@pytest.mark.parametrize(
+    ("missing", "held", "unusable"),
+    [([5], 1, 0), ([5, 6, 7], 3, 0), ([0], 0, 1), (range(9, 20), 0, 1)],
+)
+def test_a_heading_that_is_missing_for_a_moment_is_held(dataset, missing, held, unusable):
+    way = {"x": 0.0, "y": 4.0 * TIME_S}
+    face = np.where(np.isin(np.arange(len(TIME_S)), list(missing)), np.nan, 0.4 * np.pi)
+    columns = TableColumns(heading="face")
+    raw = first_scene(dataset(tables={"d": table(face=face, **way)}, columns=columns))
+    assert raw.notes["headings_held"] == held
+    assert raw.notes["agents_with_unusable_headings"] == unusable
+    heading = raw.tracks[0].heading
+    assert (heading is None) == bool(unusable)
+    assert heading is None or np.allclose(heading, 0.4 * np.pi)
 
 
 @pytest.mark.parametrize("size", [-1.0, 0.0, 180.0])
