@@ -71,9 +71,7 @@ def rolling_speed(
     return torch.addcmul(forward, slip, root) / rest
 
 
-def reference_speed(
-    rolling: Float[Tensor, "*b"], slip_speed: float
-) -> Float[Tensor, "*b"]:
+def reference_speed(rolling: Float[Tensor, "*b"], slip_speed: float) -> Float[Tensor, "*b"]:
     """Denominator of the slips, D = sqrt(V_r² + v_ε²) in m/s."""
     return (rolling.square() + slip_speed**2).sqrt()
 
