@@ -28,8 +28,9 @@ def turning_axle_m(wheels: Sequence[WheelSpec]) -> float:
 
 
 def steered_length_m(wheels: Sequence[WheelSpec]) -> float:
-    """Length of the bicycle that turns alike: from the foremost to the rearmost of the wheels that
-    steer and the axle that does not; 0 where none steers.
+    """Length in m of the bicycle that turns alike, 0 where no wheel steers.
+
+    From the foremost to the rearmost of the wheels that steer and the axle that does not.
     """
     origin = turning_axle_m(wheels)
     ahead = [0.0, *(w.x_m - origin for w in wheels if w.steered or w.truck)]
