@@ -136,7 +136,7 @@ def motion_in_frame(
 
 
 def root(square: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """Correctly rounded square root, NaN below zero.
+    """Correctly rounded square root, NaN below zero; its derivative at zero is told as zero.
 
     One Newton step in float64 with the residual x - s² computed without rounding error.
 
@@ -144,6 +144,7 @@ def root(square: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
         Dekker, A floating-point technique for extending the available precision (1971).
     """
     wide = square.double()
+    wide = torch.where(wide == 0, torch.zeros_like(wide), wide)
     guess = torch.sqrt(wide)
     scaled = guess * SPLIT
     high = scaled - (scaled - guess)
@@ -172,8 +173,8 @@ def distance_to_segment(
     """Distance in m of the origin to the segment from `start` to `end`, also if it is a point."""
     x, y = (end - start).unbind(dim=-1)
     squared = x * x + y * y
-    along = (-start[..., 0] * x + -start[..., 1] * y) / squared
-    # a segment without length gives 0/0; any point of it is the nearest
-    along = torch.where(squared > 0, along, torch.zeros_like(along)).clamp(0, 1)
+    # a segment without length would give 0/0; any point of it is the nearest
+    apart = torch.where(squared > 0, squared, torch.ones_like(squared))
+    along = ((-start[..., 0] * x + -start[..., 1] * y) / apart).clamp(0, 1)
     near_x, near_y = start[..., 0] + along * x, start[..., 1] + along * y
     return root(near_x * near_x + near_y * near_y)

@@ -10,6 +10,7 @@ from diffstack_mmv.geometry import (
     direction,
     distance_to_axis,
     distance_to_segment,
+    length,
     motion_in_frame,
     position_from_frame,
     position_in_frame,
@@ -81,3 +82,13 @@ def test_own_frame_puts_the_motion_at_the_origin_and_keeps_body_rates():
     assert own.heading == 0
     assert torch.equal(own.velocity, motion.velocity)
     assert own.yaw_rate == motion.yaw_rate
+
+
+def test_a_length_of_zero_has_a_derivative_of_zero():
+    none, apart = (torch.zeros(2).double().requires_grad_() for _ in range(2))
+    assert torch.equal(torch.autograd.grad(length(none), none)[0], torch.zeros(2).double())
+    found = torch.autograd.grad(distance_to_segment(none, apart), (none, apart))
+    assert all(torch.equal(each, torch.zeros(2).double()) for each in found)
+    point, same = (torch.tensor([3.0, 4.0]).double().requires_grad_() for _ in range(2))
+    slope, _ = torch.autograd.grad(distance_to_segment(point, same), (point, same))
+    torch.testing.assert_close(slope, torch.tensor([0.6, 0.8]).double())

@@ -125,7 +125,7 @@ class TurningCircleBarrier(CostTerm):
         forward = direction(motion.heading)
         left = left_of(forward)
         centre = motion.position + self.lead_m * forward
-        ego = _reach_beyond(problem.ego.discs, radius)[..., None, None, :]
+        ego = _reach_beyond(problem.ego.discs, radius, self.lead_m)[..., None, None, :]
         keep = ego + problem.obstacles.radius[..., None, None] + self.margin_m
         reach = radius[..., None, None, :] + keep
 
@@ -157,11 +157,14 @@ def _over_agents(value: Float[Tensor, "*b N t"], obstacles: Obstacles) -> Float[
     return (value * obstacles.valid.unsqueeze(-1)).sum(-2)
 
 
-def _reach_beyond(discs: Discs, radius: Float[Tensor, "*b t"]) -> Float[Tensor, "*b t"]:
+def _reach_beyond(
+    discs: Discs, radius: Float[Tensor, "*b t"], lead_m: float
+) -> Float[Tensor, "*b t"]:
     """How far in m the discs reach beyond the circle of this radius that the vehicle turns on.
 
-    max over discs of sqrt(ρ² + a²) - ρ + r, written as a² / (sqrt(ρ² + a²) + ρ) + r.
+    max over discs of sqrt(ρ² + a²) - ρ + r, written as a² / (sqrt(ρ² + a²) + ρ) + r, with a ahead
+    of the line on which the centres of the circles are laid.
     """
-    ahead, turn = discs.ahead.unsqueeze(-1), radius.unsqueeze(-2)
+    ahead, turn = (discs.ahead - lead_m).unsqueeze(-1), radius.unsqueeze(-2)
     beyond = ahead.square() / ((turn.square() + ahead.square()).sqrt() + turn)
     return (beyond + discs.radius.unsqueeze(-1)).amax(-2)

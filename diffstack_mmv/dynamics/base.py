@@ -101,9 +101,9 @@ class DynamicsModel(nn.Module, ABC):
     @abstractmethod
     def control_for(
         self,
-        state: Float[Tensor, "*b n"],
-        acceleration: Float[Tensor, "*b"],
-        curvature: Float[Tensor, "*b"],
+        state: Float[Tensor, "*#b n"],
+        acceleration: Float[Tensor, "*#b"],
+        curvature: Float[Tensor, "*#b"],
     ) -> Float[Tensor, "*b m"]:
         """Control within the bounds that holds an acceleration (m/s²) and a curvature (1/m)."""
 

@@ -93,9 +93,9 @@ class Holonomic(DynamicsModel):
 
     def control_for(
         self,
-        state: Float[Tensor, "*b 4"],
-        acceleration: Float[Tensor, "*b"],
-        curvature: Float[Tensor, "*b"],
+        state: Float[Tensor, "*#b 4"],
+        acceleration: Float[Tensor, "*#b"],
+        curvature: Float[Tensor, "*#b"],
     ) -> Float[Tensor, "*b 2"]:
         """Velocity (m/s) after such a step: faster by a dt, turned by κ v dt at its mean speed."""
         before = state[..., 3]

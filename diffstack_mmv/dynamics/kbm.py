@@ -162,13 +162,14 @@ class DiffKBM(DynamicsModel):
 
     def control_for(
         self,
-        state: Float[Tensor, "*b 4"],
-        acceleration: Float[Tensor, "*b"],
-        curvature: Float[Tensor, "*b"],
+        state: Float[Tensor, "*#b 4"],
+        acceleration: Float[Tensor, "*#b"],
+        curvature: Float[Tensor, "*#b"],
     ) -> Float[Tensor, "*b 2"]:
         """Steering angle atan(L κ) in rad, acceleration (m/s²) as it is."""
         steer = torch.atan(self.wheelbase() * curvature)
-        return self.within_bounds(torch.stack([acceleration.expand_as(steer), steer], -1))
+        _, *pair = torch.broadcast_tensors(state[..., 3], acceleration, steer)
+        return self.within_bounds(torch.stack(pair, -1))
 
     def acceleration_to_rest(self, state: Float[Tensor, "*b 4"]) -> Float[Tensor, "*b"] | None:
         """-v / dt in m/s² with the sharp floor; a smooth one is never reached."""

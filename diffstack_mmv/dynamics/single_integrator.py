@@ -75,9 +75,9 @@ class SingleIntegrator(DynamicsModel):
 
     def control_for(
         self,
-        state: Float[Tensor, "*b 4"],
-        acceleration: Float[Tensor, "*b"],
-        curvature: Float[Tensor, "*b"],
+        state: Float[Tensor, "*#b 4"],
+        acceleration: Float[Tensor, "*#b"],
+        curvature: Float[Tensor, "*#b"],
     ) -> Float[Tensor, "*b 2"]:
         """Acceleration (m/s²) along the course, and v² κ across it."""
         velocity = state[..., 2:]

@@ -93,7 +93,7 @@ class ExtendedUnicycle(DynamicsModel):
             position=states[..., :2],
             heading=states[..., 2],
             velocity=torch.stack([speed, torch.zeros_like(speed)], -1),
-            yaw_rate=controls[..., 0],
+            yaw_rate=saturate(controls, *self.bounds)[..., 0],
         )
 
     def initial_state(self, motion: Motion) -> Float[Tensor, "*b 4"]:
@@ -104,13 +104,14 @@ class ExtendedUnicycle(DynamicsModel):
 
     def control_for(
         self,
-        state: Float[Tensor, "*b 4"],
-        acceleration: Float[Tensor, "*b"],
-        curvature: Float[Tensor, "*b"],
+        state: Float[Tensor, "*#b 4"],
+        acceleration: Float[Tensor, "*#b"],
+        curvature: Float[Tensor, "*#b"],
     ) -> Float[Tensor, "*b 2"]:
         """Yaw rate v κ at the middle of the step, acceleration (m/s²) as it is."""
         speed = state[..., 3] + 0.5 * self.dt_s * acceleration
-        return self.within_bounds(torch.stack([curvature * speed, acceleration], -1))
+        pair = torch.broadcast_tensors(curvature * speed, acceleration)
+        return self.within_bounds(torch.stack(pair, -1))
 
     def control_for_driver(
         self, state: Float[Tensor, "*b 4"], driver: DriverInput

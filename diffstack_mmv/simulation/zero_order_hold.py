@@ -61,9 +61,9 @@ class ZeroOrderHold(DynamicsModel):
 
     def control_for(
         self,
-        state: Float[Tensor, "*b n"],
-        acceleration: Float[Tensor, "*b"],
-        curvature: Float[Tensor, "*b"],
+        state: Float[Tensor, "*#b n"],
+        acceleration: Float[Tensor, "*#b"],
+        curvature: Float[Tensor, "*#b"],
     ) -> Float[Tensor, "*b m"]:
         """Control of the model that holds an acceleration (m/s²) and a curvature (1/m)."""
         return self.model.control_for(state, acceleration, curvature)

@@ -1,7 +1,8 @@
 """Which wheel layouts can stand and drive."""
 
+import math
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import combinations, pairwise
 
 from diffstack_mmv.vehicles.parts import (
     AckermannSteering,
@@ -13,6 +14,7 @@ from diffstack_mmv.vehicles.parts import (
 from dmmv_conventions.checks import require
 
 SAME_PLACE_M = 1e-3
+STAGGER_SHARE = 0.4  # of the length; two single wheels this near to each other make up an axle
 
 
 def turning_axle_m(wheels: Sequence[WheelSpec]) -> float:
@@ -25,8 +27,22 @@ def turning_axle_m(wheels: Sequence[WheelSpec]) -> float:
     return sum(fixed) / len(fixed) if fixed else 0.0
 
 
+def steered_length_m(wheels: Sequence[WheelSpec]) -> float:
+    """Length in m of the bicycle that turns alike, 0 where no wheel steers.
+
+    From the foremost to the rearmost of the wheels that steer and the axle that does not.
+    """
+    origin = turning_axle_m(wheels)
+    ahead = [0.0, *(w.x_m - origin for w in wheels if w.steered or w.truck)]
+    return max(ahead) - min(ahead)
+
+
 def axles(wheels: Sequence[WheelSpec]) -> list[list[int]]:
-    """Group wheel indices by their longitudinal position, front axle first."""
+    """Group wheel indices by their longitudinal position, front axle first.
+
+    A wheel that stands alone and the next one behind it, on another side, make up an axle as well
+    where they are near to each other: the wheel of a sidecar stands ahead of the rear wheel.
+    """
     order = sorted(range(len(wheels)), key=lambda index: -wheels[index].x_m)
     groups: list[list[int]] = []
     for index in order:
@@ -34,7 +50,38 @@ def axles(wheels: Sequence[WheelSpec]) -> list[list[int]]:
             groups[-1].append(index)
         else:
             groups.append([index])
-    return groups
+    near = STAGGER_SHARE * (wheels[order[0]].x_m - wheels[order[-1]].x_m)
+    joined: list[list[int]] = []
+    gaps = _gaps(wheels, groups)
+    for place, group in enumerate(groups):
+        ahead, behind = gaps[place], gaps[place + 1]
+        if ahead < near and ahead <= behind and len(joined[-1]) == 1:
+            joined[-1] = joined[-1] + group
+        else:
+            joined.append(group)
+    return joined
+
+
+def _gaps(wheels: Sequence[WheelSpec], groups: Sequence[list[int]]) -> list[float]:
+    """Way in m from each group to the next one behind, infinite unless both are single wheels."""
+    gaps = [math.inf]
+    for first, second in pairwise(groups):
+        front, rear = wheels[first[0]], wheels[second[0]]
+        beside = len(first) == len(second) == 1 and front.y_m != rear.y_m
+        gaps.append(front.x_m - rear.x_m if beside else math.inf)
+    return [*gaps, math.inf]
+
+
+def _holds_centre(wheels: Sequence[WheelSpec]) -> bool:
+    """Whether the centre of gravity lies in the hull of the contact points, or on its edge.
+
+    It does unless all points are seen from there within less than half a turn.
+    """
+    seen = sorted(math.atan2(w.y_m, w.x_m) for w in wheels if w.x_m or w.y_m)
+    if len(seen) < len(wheels):
+        return True
+    turns = [after - before for before, after in pairwise([*seen, seen[0] + 2 * math.pi])]
+    return max(turns) <= math.pi + 1e-9
 
 
 def _require_support(wheels: Sequence[WheelSpec], upright: bool, where: str) -> None:
@@ -64,6 +111,15 @@ def _require_support(wheels: Sequence[WheelSpec], upright: bool, where: str) -> 
         "stand in one line, y_m: 0, where no two are side by side",
         f"y_m from {right:g} to {left:g}",
         where,
+        f"Two are side by side within {STAGGER_SHARE:.0%} of the length.",
+    )
+    require(
+        _holds_centre(wheels),
+        "wheels",
+        "have the centre of gravity within the outline of their contact points",
+        f"points ({', '.join(f'{wheel.x_m:g} {wheel.y_m:g}' for wheel in wheels)})",
+        where,
+        "Positions are relative to the centre of gravity, x forward, y left.",
     )
     stands = any(len({wheels[index].y_m for index in axle}) > 1 for axle in axles(wheels))
     require(

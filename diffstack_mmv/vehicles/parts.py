@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from dmmv_conventions.checks import require, require_at_least, require_between, require_positive
+from dmmv_conventions.checks import require, require_between, require_positive
 
 WHEEL_PARAMETERS = {"friction": "1", "tread_stiffness": "N/m^2", "contact_half_length": "m"}
 BODY_PARAMETERS = {
@@ -36,7 +36,8 @@ class WheelSpec:
             round tyre.
 
     Raises:
-        ValueError: A number is impossible, or a caster is steered, driven or braked.
+        ValueError: A number is impossible, a caster is steered, driven or braked, or the name could
+            not stand in the name of a control.
     """
 
     name: str
@@ -52,6 +53,13 @@ class WheelSpec:
 
     def __post_init__(self) -> None:
         where = f"for wheel '{self.name}'"
+        require(
+            f"_{self.name}".isidentifier(),
+            "name",
+            "consist of letters, digits and underscores",
+            repr(self.name),
+            remedy="Write rear_left, for example: controls are named after wheels.",
+        )
         require(math.isfinite(self.x_m), "x_m", "be finite", self.x_m, where)
         require(math.isfinite(self.y_m), "y_m", "be finite", self.y_m, where)
         require_positive("radius_m", self.radius_m, where)
@@ -180,14 +188,16 @@ class TruckSteering:
     """Skateboard trucks turn with the rider's lean: δ = gain · lean · sin(pivot).
 
     Raises:
-        ValueError: The gain is negative, or the pivot is not in radians.
+        ValueError: The gain is not positive, or the pivot is none between 0 and π/2 in radians.
     """
 
     gain: float
     pivot_rad: float
 
     def __post_init__(self) -> None:
-        require_at_least("steering.gain", self.gain, 0.0)
+        remedy = "Without it no lean turns the trucks."
+        require_positive("steering.gain", self.gain, remedy=remedy)
+        require_positive("steering.pivot_rad", self.pivot_rad, remedy=remedy)
         require_between(
             "steering.pivot_rad", self.pivot_rad, 0.0, math.pi / 2, remedy="Give radians."
         )

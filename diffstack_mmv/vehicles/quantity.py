@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from dmmv_conventions.checks import require
 
 Numbers = float | tuple[float, ...]
+_ROUNDING = 1e-6  # relative, of numbers that were kept in single precision
 _EDGE = 1e-6  # an estimate at the very edge of its range is moved inside by this share of the range
 
 
@@ -100,17 +101,36 @@ class ParameterSpec:
         return list(zip(*columns, strict=True))
 
     def with_value(self, value: float | Sequence[float], source: str) -> "ParameterSpec":
-        """Return the same parameter with another prior, kept just inside of the range.
+        """Return the same parameter with another prior; a constant takes it as its whole range.
 
         Raises:
-            ValueError: The number of values does not fit.
+            ValueError: The number of values does not fit, or a value lies outside of the range by
+                more than rounding.
         """
         values = _broadcast(as_numbers(value), self.length or 1)
         count = self.length or 1
         require(len(values) == count, "value", f"have {count} entries", len(values))
-        moved = []
-        for new, (_, low, high) in zip(values, self.entries(), strict=True):
-            margin = _EDGE * (high - low)
-            moved.append(min(max(new, low + margin), high - margin))
-        initial = tuple(moved) if self.length else moved[0]
-        return ParameterSpec(initial, self.low, self.high, self.unit, self.learn, source, self.tied)
+        moved = [
+            _within(new, low, high)
+            for new, (_, low, high) in zip(values, self.entries(), strict=True)
+        ]
+        columns = [as_numbers(column) for column in zip(*moved, strict=True)]
+        initial, low, high = columns if self.length else (column[0] for column in columns)
+        return ParameterSpec(initial, low, high, self.unit, self.learn, source, self.tied)
+
+
+def _within(new: float, low: float, high: float) -> tuple[float, float, float]:
+    """A new prior just inside of its range, and that range: of a constant, the prior alone."""
+    if low == high:
+        value = low if math.isclose(new, low, rel_tol=_ROUNDING) else new
+        return value, value, value
+    slack = _ROUNDING * max(high - low, abs(new))
+    require(
+        low - slack <= new <= high + slack,
+        "value",
+        f"lie between low = {low:g} and high = {high:g}",
+        new,
+        remedy="Widen the range of the vehicle.",
+    )
+    margin = _EDGE * (high - low)
+    return min(max(new, low + margin), high - margin), low, high

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from diffstack_mmv.vehicles.layout import require_possible_layout
+from diffstack_mmv.vehicles.layout import require_possible_layout, steered_length_m
 from diffstack_mmv.vehicles.parts import (
     BODY_PARAMETERS,
     WHEEL_PARAMETERS,
@@ -29,6 +29,7 @@ _POSITIVE = (
     "length_scale",
 )
 
+WHEELBASE_APART = 1.5  # times what the wheels say, or a part of it; calibrated ones differ by less
 FOOTPRINTS_MAX = 10.0  # a length beyond is in another unit than metres
 
 
@@ -109,6 +110,29 @@ class VehicleSpec:
         for _, low, _ in self.wheelbase.entries():
             require_positive(
                 "wheelbase.low", low, where, "A vehicle with one axle takes a virtual wheelbase."
+            )
+        self._require_consistent(where)
+
+    def _require_consistent(self, where: str) -> None:
+        """Refuse a wheelbase far from that of the wheels, and a roll inertia below m h²."""
+        length, (_, low, high) = steered_length_m(self.wheels), self.wheelbase.entries()[0]
+        require(
+            length == 0 or low / WHEELBASE_APART <= length <= high * WHEELBASE_APART,
+            "wheelbase",
+            f"fit the wheels, which steer as a bicycle of {length:g} m",
+            f"low = {low:g} and high = {high:g}",
+            where,
+            "Measure from the steered axle to the one that does not steer.",
+        )
+        if self.leans:
+            inertia, swing = self.parameters["roll_inertia"], self.mass_kg * self.height_m**2
+            require(
+                inertia.entries()[0][0] >= swing * (1 - 1e-6),
+                "parameters.roll_inertia.initial",
+                f"be at least m h² = {swing:g} of a leaning vehicle",
+                inertia.initial,
+                where,
+                "It is that about the line on the ground.",
             )
 
     def _require_metres(self, where: str) -> None:

@@ -150,6 +150,29 @@ def test_barrier_is_active_only_where_both_turns_are_obstructed(double):
     assert value(5.0, 0.0).item() == 0
 
 
+@pytest.mark.parametrize("lead_m", [-0.5, 0.0, 0.4])
+def test_the_barrier_is_the_circle_that_the_outline_sweeps(lead_m, double):
+    radius, agent = 1.3, 0.2
+    term = costs.TurningCircleBarrier(radius_min_m=radius, margin_m=0.0, lead_m=lead_m)
+    _, _, problem = random_case(batch=1, times=1, neighbors=1, components=1)
+    discs = Discs(torch.tensor([[-0.4, 0.1, 0.7]]), torch.tensor([[0.3, 0.4, 0.25]]))
+    centre, edge = torch.tensor([lead_m, radius]), torch.linspace(0, 2 * torch.pi, 3601)
+    around = torch.stack([edge.cos(), edge.sin()], -1)
+    middles = torch.stack([discs.ahead[0], torch.zeros(3)], -1).unsqueeze(1)
+    outline = middles + discs.radius[0, :, None, None] * around
+    swept = float((outline - centre).norm(dim=-1).max())
+    # touches the circle of the left turn, well within that of the right one
+    touching = Obstacles(
+        torch.tensor([lead_m, radius - swept - agent]).reshape(1, 1, 1, 1, 2),
+        torch.ones(1, 1, 1),
+        torch.full((1, 1), agent),
+        torch.ones(1, 1, dtype=torch.bool),
+    )
+    problem = problem._replace(obstacles=touching, ego=problem.ego._replace(discs=discs))
+    still = Motion(torch.zeros(1, 1, 2), torch.zeros(1, 1), torch.zeros(1, 1, 2), torch.zeros(1, 1))
+    assert float(term.barrier(still, problem)) == pytest.approx(0.0, abs=2e-3)
+
+
 def test_braking_profile_asks_for_rest_at_the_goal_and_for_cruise_far_away(double):
     term = costs.BrakingProfile(1.5)
     motion, controls, problem = random_case(batch=1, times=1)

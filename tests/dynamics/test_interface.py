@@ -220,3 +220,21 @@ def test_a_model_serves_any_part_of_a_batch():
     assert isinstance(model, Selectable)
     assert model.select(torch.tensor([1])) is model
     assert held.select(torch.tensor([1])) is held
+
+
+@pytest.mark.parametrize("dynamics", dynamics_names())
+def test_one_arc_serves_a_batch_of_states_and_one_state_a_batch_of_arcs(dynamics):
+    model = model_of(load_vehicle("bicycle"), load_dynamics(dynamics), 0.05)
+    states, one = 0.5 + torch.rand(3, model.state_dim), torch.tensor(0.1)
+    found = model.control_for(states, one, one)
+    assert found.shape == (3, model.control_dim)
+    torch.testing.assert_close(found[1], model.control_for(states[1], one, one))
+    arcs = torch.linspace(-0.1, 0.1, 3)
+    assert model.control_for(states[0], one, arcs).shape == (3, model.control_dim)
+
+
+def test_a_unicycle_tells_the_yaw_rate_that_it_turns_at():
+    model = ExtendedUnicycle(load_vehicle("bicycle"))
+    state, control = torch.tensor([0.0, 0.0, 0.0, 3.0]), torch.tensor([10.0, 0.0])
+    turned = model(state, control)[2] / model.dt_s
+    assert float(model.motion(state, control).yaw_rate) == pytest.approx(float(turned))

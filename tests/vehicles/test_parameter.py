@@ -85,7 +85,14 @@ def test_impossible_range_is_refused(changes, told):
 
 
 def test_new_value_is_kept_inside_of_the_range():
-    moved = spec((0.7, 0.9)).with_value([5.0, 0.5], "fitted")
+    moved = spec((0.7, 0.9)).with_value([1.1 + 1e-8, 0.5], "fitted")
     assert 1.0 < moved.initial[0] < 1.1
     assert moved.initial[1] == 0.5
     assert moved.source == "fitted"
+    with pytest.raises(ValueError, match=r"`value` must lie between low = 0.3 and high = 1.1, but"):
+        moved.with_value([5.0, 0.5], "fitted")
+
+
+def test_a_constant_takes_a_new_value_as_its_range():
+    drag = spec(0.0, 0.0, 0.0).with_value(0.3, "measured")
+    assert (drag.initial, drag.low, drag.high) == (0.3, 0.3, 0.3)

@@ -6,7 +6,7 @@ import math
 import pytest
 from omegaconf import OmegaConf
 
-from diffstack_mmv.vehicles import VehicleSpec, config_folder
+from diffstack_mmv.vehicles import WHEEL_PARAMETERS, VehicleSpec, axles, config_folder
 
 
 @pytest.fixture
@@ -61,6 +61,11 @@ MISTAKES = [
     ("steering", {"trucks": {"gain": 1.0, "pivot_rad": 0.7}}, "wheels on trucks"),
     ("smoothing", {"friction_share": 1.2}, "must lie in (0, 1)"),
     ("wheels", [1, 2], "mapping from names"),
+    ("wheels/rear", {"x_m": -1.5, "y_m": 0.0, "radius_m": 0.3, "driven": True}, "bicycle of 2.1 m"),
+    ("mass_kg", 110.0, "must be at least m h² = 110 of a leaning vehicle"),
+    ("steering", {"trucks": {"gain": 0.0, "pivot_rad": 0.7}}, "`steering.gain` must be positive"),
+    ("steering", {"trucks": {"gain": 1.0, "pivot_rad": 0}}, "pivot_rad` must be positive"),
+    ("wheels/rear-left", {"x_m": -1.5, "y_m": 0.0, "radius_m": 0.3}, "letters, digits and under"),
     ("wheelbase/unit", "cm", "must be 'm', but got 'cm' for vehicle 'bicycle'. Convert initial"),
     ("parameters/friction/unit", "%", "but got '%' for vehicle 'bicycle'. Convert initial, low"),
     ("wheels/front/x_m", 60, "`wheels.front.x_m` must be at most 10 times the footprint of 1.8 m"),
@@ -104,3 +109,46 @@ def test_a_truck_is_a_whole_number_however_it_is_written(content):
 @pytest.mark.parametrize(("name", "neutral"), [("length_scale", 1.0), ("drag", 0.0)])
 def test_optional_parameters_are_neutral(content, name, neutral):
     assert VehicleSpec.from_config(content).parameters[name].initial == neutral
+
+
+def wheel(x_m, y_m, **roles):
+    return {"x_m": x_m, "y_m": y_m, "radius_m": 0.2, "braked": True} | roles
+
+
+def on_wheels(content, **wheels):
+    """The bicycle as an upright vehicle on other wheels."""
+    parameters = copy.deepcopy(content["parameters"])
+    for name in WHEEL_PARAMETERS:
+        entry = parameters[name]
+        numbers = {key: entry[key] for key in ("initial", "low", "high")}
+        entry |= {k: v[0] if isinstance(v, list) else v for k, v in numbers.items()}
+    return content | {"leans": False, "wheels": wheels, "parameters": parameters}
+
+
+def three_wheeler(content, second):
+    """Front and rear wheel stand to the left."""
+    front, rear = wheel(0.6, 0.1, steered=True), wheel(-0.5, 0.1, driven=True)
+    return on_wheels(content, front=front, rear=rear, second=second)
+
+
+def test_wheels_need_not_stand_exactly_side_by_side(content):
+    spec = VehicleSpec.from_config(three_wheeler(content, wheel(-0.3, -0.5)))
+    assert axles(spec.wheels) == [[0], [2, 1]]
+
+
+@pytest.mark.parametrize(
+    ("second", "told"),
+    [
+        (wheel(-0.5, -0.4), None),
+        (wheel(0.55, -0.5), None),
+        (wheel(0.05, -0.5), "stand in one line"),
+        (wheel(-0.5, -0.05), "within the outline of their contact points"),
+        (wheel(-0.5, 0.5), "on both sides of the centre of gravity"),
+    ],
+)
+def test_the_centre_of_gravity_lies_between_the_wheels(content, second, told):
+    if told is None:
+        assert VehicleSpec.from_config(three_wheeler(content, second))
+    else:
+        with pytest.raises(ValueError, match=told):
+            VehicleSpec.from_config(three_wheeler(content, second))

@@ -20,6 +20,7 @@ from diffstack_mmv.checks import require
 from diffstack_mmv.smooth import limiter_gain, limiter_rest
 from diffstack_mmv.types import GRAVITY
 from diffstack_mmv.vehicles import ExactBuffers, VehicleSpec, axles
+from diffstack_mmv.vehicles.layout import SAME_PLACE_M
 
 _NO_LIFT = 1e4  # m/s^2, the acceleration that would lift a wheel of a vehicle with one axle
 
@@ -48,9 +49,16 @@ def _static_loads(spec: VehicleSpec) -> np.ndarray:
     return loads
 
 
-def _pitch_pattern(spec: VehicleSpec) -> np.ndarray:
-    """Load in N that each wheel gains per N m of pitching moment: zero in sum, rear wheels gain."""
-    rows = np.array([np.ones(len(spec.wheels)), spec.per_wheel("x_m")])
+def _pitch_pattern(spec: VehicleSpec, static: np.ndarray) -> np.ndarray:
+    """Load in N that each wheel gains per N m of pitching moment: zero in sum, rear wheels gain.
+
+    Wheels of a staggered axle share its load, and so its mean position.
+    """
+    places = np.array(spec.per_wheel("x_m"))
+    for axle in axles(spec.wheels):
+        if np.ptp(places[axle]) > SAME_PLACE_M:
+            places[axle] = np.average(places[axle], weights=static[axle])
+    rows = np.array([np.ones(len(spec.wheels)), places])
     return np.linalg.pinv(rows) @ np.array([0.0, -1.0])
 
 
@@ -87,7 +95,8 @@ class LoadTransfer(ExactBuffers):
 
     def __init__(self, spec: VehicleSpec) -> None:
         super().__init__()
-        static, pitch = _static_loads(spec), _pitch_pattern(spec)
+        static = _static_loads(spec)
+        pitch = _pitch_pattern(spec, static)
         member = np.zeros((len(static), len(static)))
         for axle in axles(spec.wheels):
             member[np.ix_(axle, axle)] = 1.0

@@ -186,15 +186,17 @@ class DiffGM3(DynamicsModel):
         """
         speed = motion.velocity[..., 0]
         ratio = -self._turning_axle_m * motion.yaw_rate * speed / (speed.square() + SLOW**2)
-        beta = torch.atan(ratio)
+        # the arcsine of the softly limited ratio S(x), as a tangent that is smooth everywhere
+        square = ratio.square()
+        beta = torch.atan(ratio * (square + (1 + square.square()).sqrt()).sqrt())
         turned = torch.stack([speed * beta.cos(), speed * beta.sin()], -1)
         return self.initial_state(motion._replace(heading=motion.heading - beta, velocity=turned))
 
     def control_for(
         self,
-        state: Float[Tensor, "*b 8"],
-        acceleration: Float[Tensor, "*b"],
-        curvature: Float[Tensor, "*b"],
+        state: Float[Tensor, "*#b 8"],
+        acceleration: Float[Tensor, "*#b"],
+        curvature: Float[Tensor, "*#b"],
     ) -> Float[Tensor, "*b 2"]:
         """Control that holds an acceleration (m/s²) and a path curvature (1/m), by linear tyres.
 
@@ -202,7 +204,8 @@ class DiffGM3(DynamicsModel):
         kinematics, sent through the inverse of the soft clamp.
         """
         command = self.steer_for(state, curvature)
-        return self.within_bounds(torch.stack([acceleration.expand_as(command), command], -1))
+        pair = torch.broadcast_tensors(acceleration, command)
+        return self.within_bounds(torch.stack(pair, -1))
 
     def curvature_within_grip(
         self,
@@ -215,7 +218,7 @@ class DiffGM3(DynamicsModel):
         return within_grip(curvature, state[..., 2], asked, self.get_submodule("friction")())
 
     def steer_for(
-        self, state: Float[Tensor, "*b 8"], curvature: Float[Tensor, "*b"]
+        self, state: Float[Tensor, "*#b 8"], curvature: Float[Tensor, "*#b"]
     ) -> Float[Tensor, "*b"]:
         """Steering command in rad that holds a curvature in 1/m at the speed of a state."""
         speed, curvature = torch.broadcast_tensors(state[..., 2], curvature)
@@ -245,7 +248,7 @@ class DiffGM3(DynamicsModel):
         """Acceleration (m/s²), and the command for the curve of the driver's steering angle."""
         steering = self.chassis.steering
         steer = steering.command_for(steering.of_driver(driver.steer))
-        return torch.stack([driver.acceleration.expand_as(steer), steer], -1)
+        return torch.stack(torch.broadcast_tensors(driver.acceleration, steer), -1)
 
     def driver_input(
         self, state: Float[Tensor, "*b 8"], control: Float[Tensor, "*b m"]

@@ -24,6 +24,7 @@ from diffstack_mmv.vehicles import (
     WheelSpec,
     turning_axle_m,
 )
+from diffstack_mmv.vehicles.layout import steered_length_m
 
 COMMAND_SHARE = 0.98  # of the limit, the largest angle that the soft clamp is inverted for
 
@@ -112,7 +113,7 @@ class Ackermann(WheelSteering):
         origin = turning_axle_m(wheels)
         ahead = [(w.x_m - origin) if w.steered else 0.0 for w in wheels]
         length = max(map(abs, ahead))
-        super().__init__(limit_rad, length / (max(*ahead, 0.0) - min(*ahead, 0.0)))
+        super().__init__(limit_rad, length / steered_length_m(wheels))
         self._gains = [distance / length for distance in ahead]
         steered = [float(w.steered) for w in wheels]
         side = [w.y_m / length if w.steered else 0.0 for w in wheels]

@@ -277,7 +277,7 @@ class SharpBrush(Tire):
         onset_spin = onset * (1 - lead * angle.sign())
         limit = tire.grip
         tiny = torch.finfo(angle.dtype).tiny ** 0.5
-        size = torch.hypot(slip.along, slip.across).clamp_min(tiny)
+        size = (slip.along.square() + slip.across.square()).clamp_min(tiny**2).sqrt()
         side = slip.across.abs().clamp_min(tiny)
         slide, slide_side = size / onset, side / onset_spin
         adhesion = slide_side <= 1

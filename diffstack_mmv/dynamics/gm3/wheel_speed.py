@@ -62,9 +62,9 @@ class DiffGM3WheelSpeed(DiffGM3):
 
     def control_for(
         self,
-        state: Float[Tensor, "*b 8"],
-        acceleration: Float[Tensor, "*b"],
-        curvature: Float[Tensor, "*b"],
+        state: Float[Tensor, "*#b 8"],
+        acceleration: Float[Tensor, "*#b"],
+        curvature: Float[Tensor, "*#b"],
     ) -> Float[Tensor, "*b m"]:
         """Control that holds an acceleration (m/s²) and a curvature (1/m), by linear tyres.
 

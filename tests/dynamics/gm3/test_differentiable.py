@@ -1,11 +1,14 @@
 """Derivatives: exact, finite, and available to every transform a solver uses."""
 
+import math
+
 import pytest
 import torch
 from torch.func import functional_call, grad, jacfwd, jacrev, vmap
 
 from diffstack_mmv.dynamics import DiffGM3, rollout
-from diffstack_mmv.dynamics.gm3 import ConsistentBrush, DiffGM3WheelSpeed, PaperBrush
+from diffstack_mmv.dynamics.gm3 import ConsistentBrush, DiffGM3WheelSpeed, PaperBrush, SharpBrush
+from diffstack_mmv.types import Motion
 from diffstack_mmv.vehicles import load_vehicle, vehicle_names
 
 NAMES = vehicle_names()
@@ -181,3 +184,23 @@ def test_a_rollout_compiles_once():
     for control in controls.unbind(1):
         state = compiled(state, control)
     assert len(graphs) == 1
+
+
+@pytest.mark.parametrize("law", [ConsistentBrush(), PaperBrush(), SharpBrush()])
+def test_coasting_straight_has_finite_derivatives_with_every_law(law):
+    model = DiffGM3(load_vehicle("bicycle"), tire=law).double()
+    state = torch.tensor([0.0, 0.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0]).double().requires_grad_()
+    (slope,) = torch.autograd.grad(model(state, torch.zeros(2).double())[0], state)
+    assert torch.isfinite(slope).all()
+    assert slope[2] == pytest.approx(0.1, rel=0.01)
+
+
+def test_the_course_of_a_turn_is_that_of_the_axle_that_does_not_slip():
+    model = DiffGM3(load_vehicle("bicycle")).double()
+    zero, rate = torch.zeros(()).double(), torch.tensor(1.5).double()
+    velocity = torch.tensor([3.0, 0.0]).double()
+    state = model.state_on_course(Motion(torch.zeros(2).double(), zero, velocity, rate))
+    assert state[2:4].norm() == pytest.approx(3.0)
+    # left of the middle, at the distance of the rear axle, and the heading turned back by it
+    assert state[3] == pytest.approx(0.45 * 1.5, rel=0.02)
+    assert state[4] == pytest.approx(-math.asin(0.45 * 1.5 / 3.0), rel=0.02)

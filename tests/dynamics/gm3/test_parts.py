@@ -58,8 +58,23 @@ def test_loads_sum_to_the_weight_and_are_never_negative(vehicle):
 def test_wheel_without_load_is_refused():
     spec = load_vehicle("tricycle")
     front, *others = spec.wheels
-    with pytest.raises(ValueError, match="`static load` must be positive, but got -"):
-        DiffGM3(replace(spec, wheels=(replace(front, y_m=1.0), *others)))
+    with pytest.raises(ValueError, match="`wheels` must have the centre of gravity within"):
+        replace(spec, wheels=(replace(front, y_m=1.0), *others))
+    # on the edge of the outline the wheel at the other side carries nothing
+    on_the_edge = spec.wheels[0].x_m / spec.wheels[1].x_m * spec.wheels[1].y_m
+    edge = replace(spec, wheels=(replace(front, y_m=on_the_edge), *others))
+    with pytest.raises(ValueError, match="`static load` must be positive, but got"):
+        DiffGM3(edge)
+
+
+def test_staggered_wheels_take_the_pitching_moment_as_an_axle():
+    spec = load_vehicle("tricycle")
+    front, left, right = spec.wheels
+    spec = replace(spec, wheels=(front, left, replace(right, x_m=right.x_m + 0.1)))
+    braking, straight = torch.tensor([-0.5]).double(), torch.zeros(1).double()
+    found = loads(DiffGM3(spec).double(), braking, straight)[:, 0]
+    moment = found @ torch.tensor(spec.per_wheel("x_m")).double()
+    assert float(moment) == pytest.approx(0.5 * spec.mass_kg * spec.height_m, rel=1e-3)
 
 
 @pytest.mark.parametrize("vehicle", VEHICLES)
