@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diffstack_mmv.geometry import (
+    clearance_lack,
     direction,
     distance_to_axis,
     distance_to_segment,
@@ -17,7 +18,7 @@ from diffstack_mmv.geometry import (
     rotate,
     wrap_angle,
 )
-from diffstack_mmv.types import Motion
+from diffstack_mmv.types import Discs, Motion, Obstacles
 
 NUMBERS = st.floats(-50, 50)
 
@@ -92,3 +93,15 @@ def test_a_length_of_zero_has_a_derivative_of_zero():
     point, same = (torch.tensor([3.0, 4.0]).double().requires_grad_() for _ in range(2))
     slope, _ = torch.autograd.grad(distance_to_segment(point, same), (point, same))
     torch.testing.assert_close(slope, torch.tensor([0.6, 0.8]).double())
+
+
+def test_a_margin_is_lacked_beside_the_outline_of_the_vehicle():
+    """Two discs of 0.3 m that reach from -0.5 to 1.5 m along y, an agent of 0.2 m to the right."""
+    zero = torch.zeros(1)
+    motion = Motion(torch.zeros(1, 2), zero + math.pi / 2, torch.zeros(1, 2), zero)
+    discs = Discs(torch.tensor([-0.5, 1.5]), torch.tensor([0.3, 0.3]))
+    beside, ahead = torch.tensor([0.9, 1.0]), torch.tensor([0.0, 2.5])
+    position = torch.stack([beside, ahead])[None, :, None]
+    agents = Obstacles(position, torch.ones(1, 2), torch.full((1,), 0.2), torch.ones(1) > 0)
+    lack = clearance_lack(motion, discs, agents, margin_m=0.5)
+    assert torch.allclose(lack, torch.tensor([[[0.1], [0.0]]]), atol=1e-5)
