@@ -4,7 +4,7 @@ import json
 import logging
 import os
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from itertools import zip_longest
@@ -225,6 +225,63 @@ def run_all(launcher: Launcher, jobs: Sequence[Job], table: str, unit: str) -> l
         if not outcome.succeeded:
             failed.append(outcome.job)
     return failed
+
+
+@dataclass(frozen=True)
+class TableJobs:
+    """Jobs whose results make one table.
+
+    Attributes:
+        stages: Jobs that run side by side; each stage needs those before.
+        launcher: Where they run.
+        table: What they are for, for the bar.
+        unit: What one of them is.
+    """
+
+    stages: Sequence[Sequence[Job]]
+    launcher: Launcher
+    table: str
+    unit: str
+
+    @property
+    def jobs(self) -> list[Job]:
+        """All of them."""
+        return [job for stage in self.stages for job in stage]
+
+    def tell(self, guess: Mapping[str, float]) -> None:
+        """Say how many are left, and how long they will take: kind -> seconds, if none has run."""
+        still, width = [job for job in self.jobs if not job.done], self.launcher.width
+        seconds = expected_seconds(self.jobs, self.jobs, guess, width)
+        logger.info(
+            "%d of %d %ss to do, %d at a time: about %.1f hours on cores like those measured "
+            "before.", len(still), len(self.jobs), self.unit, width, seconds / 3600,
+        )  # fmt: skip
+        for job in still:
+            logger.debug("%s", job.name)
+
+    def complete(self, write: Callable[[list[str]], None]) -> None:
+        """Run what is not done, and write the table, with a remark on each job without a result.
+
+        Raises:
+            ValueError: A job failed, which is told after the table is written.
+        """
+        failed = [
+            job for stage in self.stages
+            for job in run_all(self.launcher, stage, self.table, self.unit)
+        ]  # fmt: skip
+        write([why_failed(job) for job in failed])
+        if failed:
+            raise ValueError(
+                f"{len(failed)} of {len(self.jobs)} {self.unit}s failed or were not begun. Read "
+                "their logs, then give the same command again."
+            )
+
+
+def why_failed(job: Job) -> str:
+    """Why there is no result."""
+    if job.lacking:
+        return f"{job.name} was not begun: {job.lacking[0]} is not there."
+    return f"{job.name} failed: see {job.log}."
 
 
 def _ended(futures: list[Future[JobOutcome]]) -> Iterator[JobOutcome]:

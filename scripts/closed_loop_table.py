@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from diffstack_mmv.cli import DictConfig, command, instantiate
 from diffstack_mmv.command_line import quoted
-from diffstack_mmv.jobs import Job, expected_seconds, require_same_jobs, run_all
+from diffstack_mmv.jobs import Job, TableJobs, require_same_jobs
 from dmmv_conventions.checks import require
 from dmmv_conventions.configs import config_folder
 
@@ -49,22 +49,18 @@ def main(config: DictConfig) -> None:
     from diffstack_mmv.metrics import CLOSED_LOOP
     from diffstack_mmv.reporting import write_joint_table
 
-    out, launcher = Path(config.out), instantiate(config.launcher)
+    out = Path(config.out)
     rows = list(_rows(config, out))
     jobs = [_job(config, row, out) for row in rows]
-    still = [job for job in jobs if not job.done]
-    seconds = expected_seconds(jobs, jobs, {"drive": config.expected_s}, launcher.width)
-    logger.info("%d of %d drives to do, %d at a time: about %.1f hours.",
-                len(still), len(jobs), launcher.width, seconds / 3600)  # fmt: skip
-    if config.dry_run:
-        return
-    failed = run_all(launcher, jobs, "table", "drive")
-    remarks = [f"{job.name} failed: see {job.log}." for job in failed]
-    write_joint_table(out, config.table.title, rows, CLOSED_LOOP, remarks)
-    logger.info("\n%s", (out / "table.md").read_text(encoding="utf-8"))
-    if failed:
-        raise ValueError(f"{len(failed)} of {len(jobs)} drives failed. Read their logs, then give "
-                         "the same command again.")  # fmt: skip
+    drives = TableJobs([jobs], instantiate(config.launcher), "table", "drive")
+    drives.tell({"drive": config.expected_s})
+
+    def write(remarks: list[str]) -> None:
+        write_joint_table(out, config.table.title, rows, CLOSED_LOOP, remarks)
+        logger.info("\n%s", (out / "table.md").read_text(encoding="utf-8"))
+
+    if not config.dry_run:
+        drives.complete(write)
 
 
 def _rows(config: DictConfig, out: Path) -> Iterator[DrivenRow]:

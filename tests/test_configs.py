@@ -14,11 +14,11 @@ from omegaconf import OmegaConf
 
 import diffstack_mmv.cli  # noqa: F401  registers the resolvers
 from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.experiment_jobs import Experiment
 from diffstack_mmv.stack import DiffStackMMV
 from dmmv_conventions.arguments import require_arguments
 from dmmv_conventions.foretold import require_foretold
 from dmmv_conventions.targets import nodes
-from scripts import results
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 COMMANDS = sorted(path.stem for path in CONFIGS.glob("*.yaml") if path.stem != "command")
@@ -114,10 +114,11 @@ def test_experiments_only_override(experiment):
 def test_no_job_of_the_tables_is_refused_by_its_own_command(experiment, tmp_path):
     """By what a command judges before it builds anything; one run of each set."""
     config = composed("results", *experiment, "size=full", f"raw={tmp_path}", f"out={tmp_path}")
-    runs = list({run.data: run for run in results._runs(config, tmp_path)}.values())
-    jobs = [results._conversion(config, name, tmp_path) for name in {run.data for run in runs}]
-    jobs += results._pretrainings(config, runs, tmp_path)
-    jobs += [results._training(config, run, tmp_path) for run in runs]
+    experiment = Experiment(config, tmp_path, Path("scripts"))
+    runs = list({run.data: run for run in experiment.runs()}.values())
+    jobs = [experiment.conversion(name) for name in {run.data for run in runs}]
+    jobs += experiment.pretrainings(runs)
+    jobs += [experiment.training(run) for run in runs]
     commands = {job.name: job.commands for job in jobs}
     assert len(commands) > len(runs) > 2
     for script, *arguments in (line[1:] for lines in commands.values() for line in lines):

@@ -9,17 +9,22 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
 from diffstack_mmv.command_line import quoted
+from diffstack_mmv.experiment_jobs import Experiment
 from diffstack_mmv.jobs import (
     Job,
     LocalProcesses,
+    TableJobs,
     expected_seconds,
     require_same_jobs,
     run_all,
     run_job,
+    why_failed,
 )
 from diffstack_mmv.reporting import Run
 from dmmv_conventions.configs import config_folder
-from scripts.results import _conversion, _runs, _told, _training, check
+from scripts.results import check
+
+SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 
 
 def job(folder, name, code):
@@ -59,6 +64,22 @@ def test_what_is_done_is_not_run_again_and_what_failed_is_told(tmp_path, caplog)
     assert "bad: 0 s, FAILED" in caplog.text
     assert "done" not in caplog.text
     assert run_all(LocalProcesses(2), [done, good], "table", "drive") == []
+
+
+def test_a_table_is_written_with_what_is_lacking_before_the_failure_is_told(tmp_path, caplog):
+    caplog.set_level("INFO")
+    good, bad = job(tmp_path, "good", WRITE), job(tmp_path, "bad", "1 / 0")
+    after = job(tmp_path, "after", WRITE)._replace(needs=(bad.result,))
+    table, remarks = TableJobs([[good, bad], [after]], LocalProcesses(1), "table", "drive"), []
+    table.tell({"kind": 3600.0})
+    assert "3 of 3 drives to do, 1 at a time: about 3.0 hours" in caplog.text
+    with pytest.raises(ValueError, match="2 of 3 drives failed or were not begun"):
+        table.complete(remarks.extend)
+    assert [told.split(":")[0] for told in remarks] == ["bad failed", "after was not begun"]
+    bad.result.touch()
+    table.complete(remarks.extend)
+    assert after.done
+    assert len(remarks) == 2
 
 
 @pytest.mark.parametrize(("width", "expected"), [(1, 14.0), (2, 7.0), (9, 7.0)])
@@ -119,8 +140,8 @@ def test_a_table_refuses_results_of_other_settings_and_a_dry_run_writes_none(
     assert not (out / "config.yaml").exists()
     with initialize_config_dir(str(config_folder()), version_base="1.3"):
         config = compose("results", [*arguments, "size.epochs=7"])
-    runs = [run for run in _runs(config, out) if run.data == "sample"]
-    made = _training(config, runs[0], out)
+    runs = [run for run in Experiment(config, out, SCRIPTS).runs() if run.data == "sample"]
+    made = Experiment(config, out, SCRIPTS).training(runs[0])
     for file in (made.result, made.record):
         file.parent.mkdir(parents=True, exist_ok=True)
     made.result.touch()
@@ -157,9 +178,10 @@ def test_folders_of_any_name_reach_the_commands(tmp_path):
     out = tmp_path / "Läufe (1), it's"
     with initialize_config_dir(str(config_folder()), version_base="1.3"):
         config = compose("results", [f"raw={tmp_path}", "size=full"])
-        run = next(iter(_runs(config, out)))
-        generate, convert = _conversion(config, "sample", out).commands
-        train, evaluate = _training(config, run, out).commands
+        experiment = Experiment(config, out, SCRIPTS)
+        run = next(iter(experiment.runs()))
+        generate, convert = experiment.conversion("sample").commands
+        train, evaluate = experiment.training(run).commands
         told = {
             name: compose(name, list(line[2:]))
             for name, line in {
@@ -191,7 +213,7 @@ def test_sets_that_differ_in_their_training_share_a_conversion(succeed, tmp_path
     rows = [name for name, told_of in config.sets.items() if told_of is not None]
     assert f"{len(rows) + 1} of {len(rows) + 1} jobs to do" in told
     run = Run(rows[-1], "bicycle", "kbm", "predicted", 1, tmp_path / "runs/a/report")
-    train = _training(config, run, tmp_path).commands[0]
+    train = Experiment(config, tmp_path, SCRIPTS).training(run).commands[0]
     assert f"data.cache='{tmp_path / 'data' / 'present' / 'cache'}'" in train
 
 
@@ -221,7 +243,7 @@ def test_settings_of_a_set_for_its_training_are_given_to_that_alone():
     with initialize_config_dir(str(config_folder()), version_base="1.3"):
         config = compose("results", ["experiment=shared_space", "raw=recordings", "out=out"])
     run = Run("dut_people", "pedestrian", "kbm", "predicted", 0, Path("out/runs/a/report"))
-    train, evaluate = _training(config, run, Path("out")).commands
+    train, evaluate = Experiment(config, Path("out"), SCRIPTS).training(run).commands
     assert "predictor=trajectron_pedestrian" in train
     assert not [told for told in evaluate if "predictor" in told or "history_s" in told]
     assert {"data.neighbors=6", "data=dut"} <= set(train) & set(evaluate)
@@ -232,7 +254,7 @@ def test_nothing_begins_whose_predictor_has_weights_but_no_result(tmp_path):
     with initialize_config_dir(str(config_folder()), version_base="1.3"):
         config = compose("results", ["size=full", f"raw={tmp_path}", f"out={tmp_path}"])
     run = Run("sample", "bicycle", "kbm", "predicted", 1, tmp_path / "runs/a/b/c/d/1/report")
-    asked = _training(config, run, tmp_path)
+    asked = Experiment(config, tmp_path, SCRIPTS).training(run)
     conversion, predictor = asked.needs
     assert asked.lacking == [conversion, predictor]
     conversion.parent.mkdir(parents=True)
@@ -243,5 +265,5 @@ def test_nothing_begins_whose_predictor_has_weights_but_no_result(tmp_path):
     weights.touch()
     assert asked.lacking == [predictor]
     assert run_all(LocalProcesses(1), [asked], "results", "job") == [asked]
-    assert f"was not begun: {predictor} is not there" in _told(asked)
+    assert f"was not begun: {predictor} is not there" in why_failed(asked)
     assert not asked.log.exists()

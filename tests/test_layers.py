@@ -28,6 +28,7 @@ ALLOWED = {
     "override_errors": set(),
     "child_processes": set(),
     "jobs": {"child_processes", "command_line"},
+    "experiment_jobs": {"command_line", "jobs", "reporting"},
     "reporting": set(),
     "checks": set(),
     "smooth": set(),

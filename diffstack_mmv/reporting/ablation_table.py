@@ -5,9 +5,8 @@ from typing import Any
 
 import pandas as pd
 
-from diffstack_mmv.reporting.files import read_json
-from diffstack_mmv.reporting.paper_table import Run
 from diffstack_mmv.reporting.prediction_table import named_apart
+from diffstack_mmv.reporting.runs import Run
 from diffstack_mmv.reporting.table import NONE, mean_std
 
 SITUATIONS = ("moving", "standing")
@@ -33,7 +32,7 @@ def ablation_table(runs: Sequence[Run], models: Mapping[str, str]) -> pd.DataFra
     rows, trivial, name_of = [], {}, named_apart(runs)
     for data, mode, model in dict.fromkeys((run.data, run.mode, run.model) for run in runs):
         own = [run for run in runs if (run.data, run.mode, run.model) == (data, mode, model)]
-        told = [read_json(path) for run in own if (path := run.report / "metrics.json").is_file()]
+        told = [run.read() for run in own if run.ended]
         name = name_of(own[0]) if len(models) == 1 else f"{name_of(own[0])}, {models[model]}"
         seeds = f"{len(told)} of {len(own)}"
         windows = str(told[0]["modes"][mode]["n"]) if told else NONE

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from diffstack_mmv.reporting.bootstrapping import bootstrap
-from diffstack_mmv.reporting.files import read_json, read_parquet
+from diffstack_mmv.reporting.files import read_parquet
+from diffstack_mmv.reporting.runs import Run
 from diffstack_mmv.reporting.scores import ScoreHeading, Scores
 from diffstack_mmv.reporting.table import NONE, cell, with_interval, write_table
 
@@ -25,17 +26,6 @@ TRIVIAL = ("ade", "plan_ade")
 """Scores that a trivial path is compared by: it is prediction and plan at once."""
 LOGARITHMIC = "nats"
 """Unit of scores with no zero of their own, whose differences mean something and shares do not."""
-
-
-class Run(NamedTuple):
-    """One evaluated run and its place in the table."""
-
-    data: str
-    mode: str
-    model: str
-    goal: str
-    seed: int
-    report: Path
 
 
 def paper_table(
@@ -62,13 +52,13 @@ def paper_table(
         place = {"data": data, "goal": goal, "mode": mode}
         baselines: dict[str, dict[str, float | None]] = {}
         for model, title in models.items():
-            own = [run for run in runs if run[:4] == (data, mode, model, goal)]
-            ended = [run for run in own if (run.report / "metrics.json").is_file()]
+            own = [run for run in runs if (run.place, run.model) == ((data, mode, goal), model)]
+            ended = [run for run in own if run.ended]
             row: dict[str, Any] = place | {"model": title, "seeds": f"{len(ended)}/{len(own)}"}
             if not ended:
                 rows.append(row | {"n": NONE})
                 continue
-            told = [read_json(run.report / "metrics.json") for run in ended]
+            told = [run.read() for run in ended]
             samples = _over_seeds(ended, mode)
             row["n"] = str(len(samples))
             for name in SHOWN:

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from diffstack_mmv.reporting.files import read_json
-from diffstack_mmv.reporting.paper_table import Run
+from diffstack_mmv.reporting.runs import Run
 from diffstack_mmv.reporting.table import NONE
 
 METHODS: Mapping[str, tuple[str, str]] = {
@@ -33,7 +32,7 @@ def prediction_table(runs: Sequence[Run], models: Mapping[str, str]) -> pd.DataF
     names = list(dict.fromkeys(name_of(run) for run in runs))
     rows: dict[str, dict[str, np.ndarray]] = {}
     for run in runs:
-        told = read_json(run.report / "metrics.json") if _ended(run) else None
+        told = run.read() if run.ended else None
         for method, value in _values(run, told, models).items():
             known = rows.setdefault(method, {}).get(name_of(run))
             both = value[None] if known is None else np.concatenate([known, value[None]])
@@ -55,10 +54,6 @@ def named_apart(runs: Sequence[Run]) -> Callable[[Run], str]:
     for run in runs:
         modes.setdefault(run.data, set()).add(run.mode)
     return lambda run: f"{run.data}, {run.mode}" if len(modes[run.data]) > 1 else run.data
-
-
-def _ended(run: Run) -> bool:
-    return (run.report / "metrics.json").is_file()
 
 
 def _values(run: Run, told: Any, models: Mapping[str, str]) -> dict[str, np.ndarray]:

@@ -1,0 +1,162 @@
+"""What has to be converted, trained and evaluated for the table of an experiment."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from diffstack_mmv.command_line import quoted
+from diffstack_mmv.jobs import Job
+
+if TYPE_CHECKING:
+    from diffstack_mmv.reporting import Run
+
+BEST = Path("checkpoints", "best.ckpt")
+RESULT = Path("report", "metrics.json")
+PREDICTOR = "predictor"
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Data sets x modes x models x goals x seeds, each trained and evaluated.
+
+    Attributes:
+        config: Configuration of `results`.
+        out: Folder of all results.
+        scripts: Folder of the commands.
+    """
+
+    config: Any
+    out: Path
+    scripts: Path
+
+    @property
+    def models(self) -> dict[str, str]:
+        """Models in the table; those set to null are left out."""
+        told = self.config.models.items()
+        return {str(name): title for name, title in told if title is not None}
+
+    @property
+    def sets(self) -> dict[str, Any]:
+        """Data sets in the table; those set to null are left out."""
+        return {str(name): told for name, told in self.config.sets.items() if told is not None}
+
+    @property
+    def available(self) -> set[str]:
+        """Data sets whose recordings can be had; those without a folder are generated."""
+        roots = {name: told.root for name, told in self.sets.items()}
+        return {name for name, root in roots.items() if root is None or Path(root).is_dir()}
+
+    def runs(self) -> Iterator[Run]:
+        """All runs of the table, also those of data sets that are not there."""
+        from diffstack_mmv.reporting import Run
+
+        size = self.config.size
+        goals = size.goals if self.config.plans else size.goals[:1]
+        for name, told in self.sets.items():
+            for mode, model, goal, seed in product(told.modes, self.models, goals, size.seeds):
+                folder = self.out / "runs" / name / mode / model / goal / str(seed)
+                yield Run(name, mode, model, goal, seed, folder / "report")
+
+    def stages(self, runs: Sequence[Run]) -> tuple[list[Job], list[Job], list[Job]]:
+        """Conversions, trainings of the predictor alone, and trainings; each needs those before."""
+        trained = [self.training(run) for run in runs]
+        return self.conversions(sorted(self.available)), self.pretrainings(runs), trained
+
+    def source(self, name: str) -> str:
+        """Set whose conversion a set reads: its own unless it names another one."""
+        return str(self.config.sets[name].get("converted", name))
+
+    def conversions(self, names: Sequence[str]) -> list[Job]:
+        """One for each set, or for several that differ in their training alone."""
+        return [self.conversion(name) for name in dict.fromkeys(map(self.source, names))]
+
+    def conversion(self, name: str) -> Job:
+        """Conversion of a set, whose recordings are generated first if it has no folder."""
+        told, folder = self.config.sets[name], self.out / "data" / name
+        cache, root, commands = folder / "cache", folder / "recordings", []
+        if told.root is None:
+            commands.append(self._script("generate_sample", f"out={quoted(root)}", "seed=0"))
+        else:
+            root = Path(told.root).resolve()  # the same recordings, from wherever it is run
+        data = f"data={told.data}", f"data.root={quoted(root)}", f"data.cache={quoted(cache)}"
+        settings = *told.get("settings", []), *self.config.conversion
+        place = f"out={quoted(folder / 'conversion')}"
+        commands.append(self._script("convert", *data, *settings, place))
+        result, log = cache / "conversion_report.json", self.out / "logs" / f"{name}.convert.log"
+        lines = tuple(commands)
+        return Job(
+            f"convert {name}", "conversion", lines, result, log, folder=folder, root=self.out
+        )
+
+    def pretrainings(self, runs: Sequence[Run]) -> list[Job]:
+        """The predictor alone: with the dynamics of each model, or once for all of them.
+
+        Once for all goals of a data set, mode and seed.
+        """
+        told = self.config.size.pretraining
+        if told is None or not self.config.plans:
+            return []
+        jobs = {}
+        for run in runs:
+            folder, dynamics = self._pretrained(run), told.dynamics or run.model
+            first = run._replace(model=folder.parent.name, report=folder / "report")
+            settings = [f"dynamics={dynamics}", "loss=prediction", f"epochs={told.epochs}"]
+            settings += told.get("settings", [])
+            jobs[first.report] = self._job(first, settings, plans=False)
+        return list(jobs.values())
+
+    def training(self, run: Run) -> Job:
+        """Training of a run, from its predictor if that is trained alone first."""
+        size = self.config.size
+        settings, needs = [f"dynamics={run.model}", f"epochs={size.epochs}"], []
+        if self.config.plans:
+            settings += size.end_to_end
+            if size.pretraining is not None:
+                first = self._pretrained(run)
+                settings.append(f"start={quoted(first / BEST)}")
+                needs.append(first / RESULT)  # an interrupted training has weights, too
+        return self._job(run, settings, needs, plans=self.config.plans)
+
+    def _pretrained(self, run: Run) -> Path:
+        """Folder of the predictor that a run starts from, beside those of the models."""
+        shared = self.config.size.pretraining.dynamics is not None
+        name = PREDICTOR if shared else f"{PREDICTOR}_{run.model}"
+        return run.report.parents[3] / name / str(run.seed)
+
+    def _job(
+        self, run: Run, settings: Sequence[str], needs: Sequence[Path] = (), *, plans: bool
+    ) -> Job:
+        """Training with these settings, and evaluation of its best epoch."""
+        config, told, folder = self.config, self.config.sets[run.data], run.report.parent
+        conversion = self.conversion(self.source(run.data))
+        cache = quoted(conversion.result.parent)
+        data = f"data={told.data}", f"data.cache={cache}"
+        windows = *told.get("settings", []), *config.windows
+        small = config.size.overrides if config.plans else []
+        who = f"modes=[{run.mode}]"
+        asked = f"vehicle={_vehicle(told.modes[run.mode])}", f"goal={run.goal}", f"seed={run.seed}"
+        train = self._script(
+            "train", *data, who, *asked, f"out={quoted(folder)}", *small, *windows,
+            *config.overrides, *told.get("training", []), *settings,
+        )  # fmt: skip
+        judged = f"checkpoint={quoted(folder / BEST)}", f"plans={str(plans).lower()}"
+        place = f"out={quoted(run.report)}", f"split={config.split}"
+        evaluate = self._script("evaluate", *data, who, *judged, *place, *windows)
+        name = ".".join(folder.relative_to(self.out / "runs").parts)
+        return Job(
+            name.replace(".", "/"), run.model, (train, evaluate), folder / RESULT,
+            self.out / "logs" / f"{name}.log", (conversion.result, *needs), folder, self.out,
+        )  # fmt: skip
+
+    def _script(self, name: str, *arguments: str) -> tuple[str, ...]:
+        return (sys.executable, str(self.scripts / f"{name}.py"), *arguments)
+
+
+def _vehicle(name: str) -> str:
+    """An option of the group as it is, the path of a file in quotes."""
+    return quoted(name) if Path(name).is_file() else name
