@@ -7,6 +7,7 @@ import functools
 import gc
 import math
 import os
+import shlex
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -17,6 +18,7 @@ from typing import Any, NoReturn
 
 from dmmv_conventions.annotations import require_types
 from dmmv_conventions.arguments import require_arguments
+from dmmv_conventions.checks import require
 from dmmv_conventions.extras import MissingExtraError, needs_to_run
 from dmmv_conventions.foretold import require_foretold
 from dmmv_conventions.locks import alone_in
@@ -120,6 +122,7 @@ def command(
             with _failures_told():
                 config.out = HydraConfig.get().runtime.output_dir
                 _read_vehicle_file(config)
+                _require_own_config(config_name)
                 require_complete(OmegaConf.to_container(config))
                 for key, default in changed_defaults(config_name).items():
                     require_same_type(key, default, value_of(config, key))
@@ -245,11 +248,19 @@ def _exit(line: str) -> NoReturn:
 
 
 def save_config(config: DictConfig, file: Path) -> None:
-    """Write a configuration to a file, atomically."""
+    """Write a configuration to a file, atomically, below the words of the command line."""
     file.parent.mkdir(parents=True, exist_ok=True)
     unfinished = file.with_suffix(".yaml.part")
-    OmegaConf.save(config, unfinished)
+    words = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
+    unfinished.write_text(f"# {shlex.join(words)}\n{OmegaConf.to_yaml(config)}", encoding="utf-8")
     unfinished.replace(file)
+
+
+def _require_own_config(name: str) -> None:
+    """Refuse another file in place of the command's own: one of a run has its folder everywhere."""
+    found = HydraConfig.get().job.config_name
+    remedy = "To repeat a run give the words in the first line of its config.yaml, another `out`."
+    require(found == name, "config-name", f"be {name}", found, "", remedy)
 
 
 def _read_vehicle_file(config: DictConfig) -> None:
