@@ -7,6 +7,7 @@ import functools
 import gc
 import math
 import os
+import shlex
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -17,6 +18,7 @@ from typing import Any, NoReturn
 
 from dmmv_conventions.annotations import require_types
 from dmmv_conventions.arguments import require_arguments
+from dmmv_conventions.checks import require
 from dmmv_conventions.disk import replacing
 from dmmv_conventions.extras import MissingExtraError, needs_to_run
 from dmmv_conventions.foretold import require_foretold
@@ -121,6 +123,7 @@ def command(
             with _failures_told():
                 config.out = HydraConfig.get().runtime.output_dir
                 _read_vehicle_file(config)
+                _require_own_config(config_name)
                 require_complete(OmegaConf.to_container(config))
                 for key, default in changed_defaults(config_name).items():
                     require_same_type(key, default, value_of(config, key))
@@ -246,9 +249,18 @@ def _exit(line: str) -> NoReturn:
 
 
 def save_config(config: DictConfig, file: Path) -> None:
-    """Write a configuration to a file, atomically."""
+    """Write a configuration to a file, atomically, below the words of the command line."""
+    words = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
     with replacing(file) as unfinished:
-        OmegaConf.save(config, unfinished)
+        text = f"# {shlex.join(words)}\n{OmegaConf.to_yaml(config)}"
+        unfinished.write_text(text, encoding="utf-8")
+
+
+def _require_own_config(name: str) -> None:
+    """Refuse another file in place of the command's own: one of a run has its folder everywhere."""
+    found = HydraConfig.get().job.config_name
+    remedy = "To repeat a run give the words in the first line of its config.yaml, another `out`."
+    require(found == name, "config-name", f"be {name}", found, "", remedy)
 
 
 def _read_vehicle_file(config: DictConfig) -> None:

@@ -83,6 +83,10 @@ def _unknown_option(file: str, options: Sequence[str]) -> str:
 def _unknown_key(key: str, arguments: Sequence[str], folder: Path, config_name: str) -> str:
     bare = key.lstrip("+~")
     keys = list(_keys(bare, arguments, folder, config_name))
+    if bare in keys:
+        remedy = f"Write ~{bare} '+{bare}={{...}}' to replace it whole."
+        given = _given(bare, arguments)
+        return message(bare, "hold no other keys than it has", given, PLACE, remedy)
     last = [each for each in keys if each.rpartition(".")[2] == bare.rpartition(".")[2]]
     close = difflib.get_close_matches(bare, last, 1, 0.0) or difflib.get_close_matches(
         bare, keys, 1

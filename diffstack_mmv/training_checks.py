@@ -119,6 +119,11 @@ def _require_callback(place: str, callback: Mapping[str, Any]) -> None:
     monitors = callback["_target_"].endswith(("EarlyStopping", "ModelCheckpoint"))
     if monitors and callback.get("mode") is not None:
         require_one_of(f"{place}.mode", callback["mode"], ("max", "min"))
+    several = callback.get("monitor") and callback.get("save_top_k") not in (None, 0, 1)
+    if several and "{" not in str(callback.get("filename") or "{epoch}"):
+        wanted = f"be 1 beside {place}.filename={callback['filename']}"
+        remedy = "Give a filename with a field, as 'best-{epoch}': the last would replace the best."
+        raise ValueError(message(f"{place}.save_top_k", wanted, callback["save_top_k"], "", remedy))
     if callback.get("every_n_train_steps") and callback.get("every_n_epochs"):
         wanted = f"be 0 beside {place}.every_n_train_steps"
         raise ValueError(message(f"{place}.every_n_epochs", wanted, callback["every_n_epochs"]))
@@ -151,7 +156,14 @@ def _require_optimizer(optimizer: Mapping[str, Any]) -> None:
 
 
 def _require_scheduler(scheduler: Mapping[str, Any] | None, epochs: int) -> None:
-    """Refuse intervals by which the learning rate cannot be divided; nothing learns in 0 epochs."""
+    """Refuse intervals by which the learning rate cannot be divided; nothing learns in 0 epochs.
+
+    A schedule is stepped after each epoch, also those without a validation.
+    """
+    kind = "" if scheduler is None else str(scheduler.get("_target_"))
+    wanted, remedy = "need no monitored score", "Give another one, or optim.scheduler=null."
+    needs_none = not kind.endswith(".ReduceLROnPlateau")
+    require(needs_none, "optim.scheduler", wanted, kind, "", remedy)
     for name in ("T_max", "T_0", "step_size", "total_iters", "total_steps"):
         if scheduler is not None and scheduler.get(name) is not None and epochs > 0:
             require_at_least(f"optim.scheduler.{name}", scheduler[name], 1)

@@ -71,6 +71,8 @@ OF_A_RUN = Buildable(
         "diffstack_mmv.simulation",
         "actuation controller_model study_world vehicle_footprint vehicle_robot",
     )
+    # refused by `train` itself, which knows why
+    | _of("torch.optim.lr_scheduler", "ReduceLROnPlateau")
     | _of("pathlib", "Path")
     | _of("pytorch_lightning", "Trainer")
     | _of(

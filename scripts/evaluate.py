@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from diffstack_mmv.cli import DictConfig, command, instantiate
+from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
 from diffstack_mmv.config_checks import require_checkpoint
 from diffstack_mmv.data_checks import (
     other_history,
@@ -93,7 +93,7 @@ def _prepared(
     """The stack, the configuration of its training, the data, and the header of the report."""
     from diffstack_mmv.stack import load_stack
 
-    stack, trained = load_stack(checkpoint_path(config.checkpoint), _device(config.device))
+    stack, trained = load_stack(config.checkpoint, _device(config.device))
     _take_windows(config, trained)
     if "goal" in config:
         stack.goal = instantiate(config.goal)
@@ -158,11 +158,22 @@ def _header(
         "seed": trained["seed"],
         "smoother": data.source.smoother(),
         "calibrated_on": config.calibration.split,
+        "ego_modes": sorted(config.modes),
+        "plans": config.plans,
+        "history_s": config.history_s,
+        "stride": config.data.stride,
+        "judged_situations": sorted(config.situations),
+        "solver": _plain(config.get("solver")),
         "hindsight": stack.loss_weights.hindsight,
         "checkpoint": str(config.checkpoint),
         "checkpoint_sha256": file_hash(checkpoint_path(config.checkpoint)),
         "code": code_version(),
     }
+
+
+def _plain(solver: DictConfig | None) -> Any:
+    """The solver that replaces that of the training, as it stands in a report."""
+    return None if solver is None else OmegaConf.to_container(solver)
 
 
 def _remove_drawings(out: Path) -> None:

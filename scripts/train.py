@@ -88,16 +88,20 @@ def main(config: DictConfig) -> float | None:
     trainer = instantiate(
         config.trainer, callbacks=[*callbacks, Provenance(content)], logger=loggers
     )
+    checkpoints = Path(config.out) / "checkpoints"
     if config.epochs == 0:
-        _save_as_it_is(trainer, stack, Path(config.out) / "checkpoints")
+        if resume is None:
+            _save_as_it_is(trainer, stack, checkpoints)
         return None
+    for each in loggers:
+        each.log_hyperparams(content)
     with own_processes():
         trainer.fit(stack, data, ckpt_path=resume)
     best = trainer.checkpoint_callback
     if trainer.is_global_zero:
-        last = Path(config.out) / "checkpoints" / "last.ckpt"
-        kept = getattr(best, "best_model_path", "") or last
-        logger.info("Checkpoint: %s; scripts/evaluate.py checkpoint=%s scores it", kept, kept)
+        kept = Path(getattr(best, "best_model_path", "") or checkpoints / "last.ckpt")
+        if kept.is_file():
+            logger.info("Checkpoint: %s; scripts/evaluate.py checkpoint=%s scores it", kept, kept)
     score = getattr(best, "best_model_score", None)
     return None if score is None else float(score)
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import shlex
 import sys
 import warnings
 from importlib.util import find_spec
@@ -207,6 +208,22 @@ def test_what_a_configuration_would_have_built_is_refused(run):
     config, told = run("needed=1", "+model={_target_: os.system, _args_: [ls]}")
     assert config is None
     assert "`_target_` must name what a file may have built, but got 'os.system' at model" in told
+
+
+def test_the_saved_configuration_begins_with_the_words_of_the_command(run, tmp_path):
+    run("needed=1 2")
+    first = (tmp_path / "out" / "config.yaml").read_text().splitlines()[0]
+    assert shlex.split(first.removeprefix("# ")) == ["needed=1 2", f"out={tmp_path / 'out'}"]
+
+
+def test_a_saved_configuration_in_place_of_the_own_is_refused(run, tmp_path):
+    run("needed=1")
+    before = (tmp_path / "out" / "config.yaml").read_text()
+    (tmp_path / "saved").mkdir()
+    (tmp_path / "saved" / "config.yaml").write_text(before)
+    config, told = run("--config-dir", str(tmp_path / "saved"), "--config-name", "config")
+    assert config is None
+    assert "`config-name` must be task, but got config. To repeat a run" in told
 
 
 def test_a_refused_run_leaves_the_folder_as_it_is(run, tmp_path):

@@ -56,6 +56,18 @@ WRONG = [
     ("train", "callbacks.early_stopping.monitor=val/x", "`callbacks.early_stopping.monitor` must"),
     ("train", "+callbacks.early_stopping.mode=up", "`callbacks.early_stopping.mode` must be one"),
     ("train", "callbacks.learning_rate.logging_interval=x", "must be step or epoch or null"),
+    (
+        "train",
+        "+callbacks.checkpoint.save_top_k=3",
+        "be 1 beside callbacks.checkpoint.filename=best",
+    ),
+    (
+        "train",
+        "~optim.scheduler.T_max ~optim.scheduler.eta_min optim.scheduler._target_="
+        "torch.optim.lr_scheduler.ReduceLROnPlateau",
+        "`optim.scheduler` must need no monitored score",
+    ),
+    ("train", "optim.scheduler={max_lr:1}", "Write ~optim.scheduler '+optim.scheduler={...}'"),
     ("train", "+callbacks.checkpoint.save_top_k=-2", "`callbacks.checkpoint.save_top_k` must be a"),
     ("train", "+trainer.num_nodes=0", "`trainer.num_nodes` must be at least 1"),
     ("train", "+trainer.foo=1", "`trainer.foo` must be an argument of pytorch_lightning.Trainer"),

@@ -4,6 +4,7 @@ from dmmv_conventions.extras import needs
 
 with needs("stack", "diffstack_mmv.callbacks"):
     from diffstack_mmv.callbacks.artifacts import CheckpointArtifact
+    from diffstack_mmv.callbacks.averaging import AveragedWeights
     from diffstack_mmv.callbacks.compilation import CompiledSolver
     from diffstack_mmv.callbacks.csv_log import KeptRows, ResumableCSVLogger
     from diffstack_mmv.callbacks.dashboard import build_dashboard, dashboard
@@ -26,6 +27,7 @@ with needs("stack", "diffstack_mmv.callbacks"):
     from diffstack_mmv.callbacks.wandb_log import QuietWandbLogger
 
 __all__ = [
+    "AveragedWeights",
     "CheckpointArtifact",
     "CompiledSolver",
     "EarlyStopping",

@@ -58,8 +58,8 @@ class FiniteGradients(Callback):
     """Leaves out steps whose gradient is not finite, and stops a training that has many of them.
 
     One batch with an infinite slope would otherwise make all weights NaN for the rest of the run.
-    Such a step gets a gradient of zero, without asking the device for it; each epoch tells how many
-    there were.
+    Such a step has no gradient: with one of zero, momentum and decay would still move the weights.
+    Each epoch tells how many there were.
 
     Args:
         at_most: Share of the steps of an epoch from which on the training stops.
@@ -71,7 +71,7 @@ class FiniteGradients(Callback):
     def __init__(self, at_most: float = 0.1) -> None:
         require_between("at_most", at_most, 0.0, 1.0)
         self.at_most = at_most
-        self._left_out: torch.Tensor | int = 0
+        self._left_out = 0
         self._steps = 0
 
     def on_train_epoch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
@@ -81,20 +81,19 @@ class FiniteGradients(Callback):
     def on_before_optimizer_step(
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, optimizer: torch.optim.Optimizer
     ) -> None:
-        """Set the gradient to zero if any part of it is not finite."""
+        """Drop the gradient if any part of it is not finite."""
         slopes = [p.grad for p in pl_module.parameters() if p.grad is not None]
         if not slopes:
             return
         sizes = torch.stack([slope.abs().amax() for slope in slopes if slope.numel() > 0])
-        finite = sizes.isfinite().all()
-        for slope in slopes:
-            slope.copy_(torch.where(finite, slope, 0.0))
-        self._left_out = self._left_out + (~finite).long()
         self._steps += 1
+        if not bool(sizes.isfinite().all()):
+            self._left_out += 1
+            pl_module.zero_grad(set_to_none=True)
 
     def on_train_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Tell how many steps were left out, and stop if they were too many."""
-        count, epoch = int(self._left_out), trainer.current_epoch
+        count, epoch = self._left_out, trainer.current_epoch
         pl_module.log("gradient/not_finite", float(count))
         if count == 0:
             return

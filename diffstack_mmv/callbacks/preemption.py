@@ -19,8 +19,9 @@ class Preemption(Checkpoint):
     """On SIGTERM or SIGUSR1, saves a checkpoint after the present batch and ends the training.
 
     The same command resumes there, within the epoch. A SLURM job that may be requeued (`sbatch
-    --requeue`) asks for that itself. A signal during the last batch or validation is answered
-    after the first batch of the next epoch.
+    --requeue`) asks for that itself. Batches whose gradients are added up
+    (`trainer.accumulate_grad_batches`) count as one. A signal during the last batch or validation
+    is answered after the first batch of the next epoch.
 
     Lightning asks what writes checkpoints last: averaged weights have then seen the batch.
 
@@ -52,6 +53,8 @@ class Preemption(Checkpoint):
         # behind its last batch an epoch still has its validation and its own checkpoint to come,
         # which a resumed run would leave out
         told = self._received is not None and not trainer.is_last_batch
+        # nor does a checkpoint hold gradients that are only half added up
+        told = told and (batch[-1] + 1) % trainer.accumulate_grad_batches == 0
         if not trainer.strategy.reduce_boolean_decision(told, all=False):
             return
         trainer.save_checkpoint(self.path)

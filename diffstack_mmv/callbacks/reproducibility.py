@@ -4,6 +4,7 @@ Where it came from, and the state of all random generators.
 """
 
 import random
+import re
 import subprocess
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,6 +18,7 @@ from pytorch_lightning.callbacks import Callback
 
 from diffstack_mmv.checks import message, require
 from dmmv_conventions.checkpoints import read_plain
+from dmmv_conventions.targets import nodes
 from dmmv_conventions.versions import installed_version
 
 
@@ -62,7 +64,8 @@ class EarlyStopping(callbacks.EarlyStopping):
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Stop at once where the checkpoint is that of a run that stopped."""
-        if self.wait_count >= self.patience:
+        # a run that has not been validated has not stopped, whatever its patience
+        if self.wait_count >= max(self.patience, 1):
             trainer.should_stop = True
 
 
@@ -125,28 +128,45 @@ def resume_point(last: Path, config: Mapping[str, Any]) -> Path | None:
     if not isinstance(before, dict):
         fault = message("checkpoint", "hold its configuration", "none", f"in {last}", remedy)
         raise ValueError(fault)
-    changed = sorted(key for key in _MEANING if before.get(key) != config.get(key))
-    require(
-        not changed,
-        "out",
-        "be a new folder, or that of the same run",
-        f"{last.parents[1]} with another {', '.join(changed)}",
-        "",
-        "Choose another `out`, or delete the folder.",
-    )
+    _require_same_training(last, before, config)
     return last
 
 
-# `epochs` may grow, the device may change: what is left decides whether it is the same run
-_MEANING = (
-    "data",
-    "dynamics",
-    "predictor",
-    "cost",
-    "solver",
-    "goal",
-    "loss",
-    "vehicle",
-    "modes",
-    "seed",
+def _require_same_training(last: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Refuse a checkpoint of other settings, and name the outermost that differs."""
+    first, second = _settings(before), _settings(now)
+    places = sorted(first.keys() | second.keys(), key=lambda place: (place.count("."), place))
+    for place in places:
+        values = [settings.get(place) for settings in (first, second)]
+        require(
+            values[0] == values[1],
+            "out",
+            "be a new folder, or that of the same run",
+            f"{last.parents[1]} with another {place}: {values[0]!r} before, now {values[1]!r}",
+            "",
+            f"Choose another `out`, with start={last} for its weights, or delete the folder.",
+        )
+
+
+def _settings(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Dotted place -> value of the settings that decide what a training learns.
+
+    Paths below the folder of the run are those below the same folder elsewhere.
+    """
+    out = str(config.get("out"))
+    return {
+        place: value.replace(out, "OUT") if isinstance(value, str) else value
+        for place, value in nodes(dict(config))
+        if place and not isinstance(value, Mapping) and not _ELSEWHERE.match(place)
+    }
+
+
+_ELSEWHERE = re.compile(
+    r"(out|epochs|vehicle_file|logger|dry_run|data\.root|data\.recordings"
+    r"|data\.module\.loading\.workers|data\.module\.export\.workers"
+    r"|trainer\.(accelerator|devices|num_nodes|strategy|use_distributed_sampler|plugins"
+    r"|default_root_dir|max_epochs|max_steps|max_time|log_every_n_steps|profiler|enable_\w+)"
+    r"|callbacks\.(learning_rate|rows|wall_clock|compiled_solver|preemption|parameters|gradients"
+    r"|throughput|plans|artifact|progress))(\.|\[|$)"
 )
+"""Settings that may change when a run goes on: how long, where, what is read and shown."""

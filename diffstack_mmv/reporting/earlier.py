@@ -6,7 +6,10 @@ from typing import Any
 
 from diffstack_mmv.reporting.files import read_json
 
-IDENTITY = ("data", "split", "goal", "dynamics", "vehicle", "seed", "smoother", "calibrated_on")
+IDENTITY = (
+    *("data", "split", "goal", "dynamics", "vehicle", "seed", "smoother", "calibrated_on"),
+    *("ego_modes", "plans", "history_s", "stride", "judged_situations", "solver"),
+)
 """What tells reports apart: not the code, so that an evaluation can be repeated by another one."""
 
 
@@ -26,7 +29,9 @@ def require_same_evaluation(folder: Path, header: Mapping[str, Any]) -> None:
     if not path.is_file():
         return
     before = read_json(path)
-    differing = [name for name in IDENTITY if before.get(name) != header.get(name)]
+    # reports of earlier versions do not tell all of it
+    told = [name for name in IDENTITY if name in before]
+    differing = [name for name in told if before[name] != header.get(name)]
     if before.get("checkpoint_sha256") != header.get("checkpoint_sha256"):
         first, second = (_place(told.get("checkpoint")) for told in (before, header))
         differing += ["checkpoint"] if first != second else []

@@ -42,16 +42,22 @@ class TrainedStack(NamedTuple):
     config: dict[str, Any]
 
 
-def load_stack(path: Path, device: torch.device | str = "cpu") -> TrainedStack:
+def load_stack(path: Path | str, device: torch.device | str = "cpu") -> TrainedStack:
     """Build the stack that a checkpoint describes, and load its weights.
 
     The file may name what is built: only classes of this project and the short list of
     `dmmv_conventions/targets.py` are, whatever else it names is refused.
 
+    Args:
+        path: The checkpoint, or the name of a shipped one: pretrained, pretrained/gm3.
+        device: Where the stack is to be.
+
     Raises:
-        ValueError: The file is missing, broken, of another program, names what a file may not have
-            built, or is of another architecture than this version builds.
+        ValueError: No checkpoint of that name is shipped, or the file is missing, broken, of
+            another program, names what a file may not have built, or is of another architecture
+            than this version builds.
     """
+    path = checkpoint_path(path)
     config = read_checkpoint(path)["provenance"]["config"]
     require_buildable(config["stack"], OF_A_STACK, f"in {path}")
     try:
@@ -79,7 +85,7 @@ def load_predictor(path: Path | str | None) -> Predictor:
     """
     if path is None:
         raise ValueError(message("checkpoint", "be given for the predictor", path, "", _REMEDY))
-    predictor = load_stack(checkpoint_path(path)).stack.predictor
+    predictor = load_stack(path).stack.predictor
     if (
         isinstance(predictor, Trajectron)
         and predictor.forecast_neighbors

@@ -68,12 +68,13 @@ def test_throughput_counts_waiting_for_data(stack, monkeypatch):
     assert stack.logged == {"throughput/samples_per_s": 2.0, "throughput/waiting_share": 0.25}
 
 
-def test_a_gradient_that_is_not_finite_changes_nothing():
+@pytest.mark.parametrize("kind", ["SGD", "AdamW"])
+def test_a_gradient_that_is_not_finite_changes_nothing(kind):
     torch.manual_seed(0)
     layer, watch = torch.nn.Linear(3, 2), FiniteGradients()
-    before = [p.detach().clone() for p in layer.parameters()]
-    optimizer = torch.optim.SGD(layer.parameters(), lr=0.1)
-    for scale in (float("nan"), float("inf"), 1.0):
+    optimizer = getattr(torch.optim, kind)(layer.parameters(), lr=0.1, weight_decay=0.1)
+    for scale in (1.0, float("nan"), float("inf"), 1.0):
+        before = [p.detach().clone() for p in layer.parameters()]
         optimizer.zero_grad()
         (scale * layer(torch.ones(1, 3))[0, 0]).backward()
         watch.on_before_optimizer_step(None, layer, optimizer)

@@ -30,9 +30,10 @@ class Counter(pl.LightningModule):
         return torch.optim.SGD(self.parameters(), lr=1.0)
 
 
-def fit(folder, module, resume=None):
+def fit(folder, module, resume=None, added_up=1):
     trainer = pl.Trainer(
         max_epochs=1, accelerator="cpu", logger=False, default_root_dir=str(folder),
+        accumulate_grad_batches=added_up,
         enable_progress_bar=False, enable_model_summary=False,
         callbacks=[Preemption(str(folder / "last.ckpt"))],
     )  # fmt: skip
@@ -56,6 +57,14 @@ def test_the_run_goes_on_within_the_epoch(tmp_path):
         fit(tmp_path, Counter(signal.SIGUSR1, 2))
     trainer = fit(tmp_path, Counter(), tmp_path / "last.ckpt")
     assert trainer.global_step == BATCHES
+
+
+def test_gradients_that_are_added_up_are_not_cut_in_two(tmp_path):
+    with pytest.raises(InterruptedError):
+        fit(tmp_path, Counter(signal.SIGUSR1, 2), added_up=2)
+    saved = torch.load(tmp_path / "last.ckpt", weights_only=True)
+    assert saved["global_step"] == 2
+    assert float(saved["state_dict"]["total"]) == (0.0 + 1 + 2 + 3) / 2
 
 
 def test_an_epoch_that_is_nearly_over_is_brought_to_its_end(tmp_path):

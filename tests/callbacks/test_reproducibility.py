@@ -1,14 +1,23 @@
 """Where a checkpoint comes from, and random numbers that go on where they stopped."""
 
 import random
+import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-from diffstack_mmv.callbacks import Provenance, RandomState, resume_point
+from diffstack_mmv.callbacks import EarlyStopping, Provenance, RandomState, resume_point
 
-CONFIG = {"data": "a", "dynamics": "kbm", "seed": 0, "epochs": 2}
+CONFIG = {
+    **{"data": "a", "dynamics": "kbm", "seed": 0, "epochs": 2, "out": "here", "start": None},
+    "optim": {"optimizer": {"lr": 0.002}, "scheduler": {"T_max": 2}},
+    "physics": {"rate": 0.1},
+    "stack": {"precision": None, "optimizer": {"lr": 0.002}},
+    "trainer": {"accelerator": "cpu", "max_epochs": 2, "gradient_clip_val": 1.0},
+    "callbacks": {"last": {"dirpath": "here/checkpoints"}, "progress": {"rate": 1}},
+}
 
 # stand-ins for the trainer and the module of Lightning
 pytestmark = pytest.mark.usefixtures("unchecked")
@@ -49,6 +58,41 @@ def test_a_fresh_run_leaves_the_generators_alone():
 def test_a_run_resumes_from_its_own_checkpoint(tmp_path):
     path = save(tmp_path, CONFIG)
     assert resume_point(path, CONFIG | {"epochs": 9}) == path
+
+
+CHANGES = {
+    "optim.optimizer.lr": {"optim": {"optimizer": {"lr": 0.1}, "scheduler": {"T_max": 2}}},
+    "optim.scheduler.T_max": {"optim": {"optimizer": {"lr": 0.002}, "scheduler": {"T_max": 4}}},
+    "optim.scheduler": {"optim": {"optimizer": {"lr": 0.002}, "scheduler": None}},
+    "stack.precision": {"stack": {"precision": {"dtype": "b"}, "optimizer": {"lr": 0.002}}},
+    "start": {"start": "a.ckpt"},
+    "physics.rate": {"physics": {"rate": 1.0}},
+    "trainer.gradient_clip_val": {"trainer": {"gradient_clip_val": 2.0}},
+    "callbacks.ema.decay": {"callbacks": CONFIG["callbacks"] | {"ema": {"decay": 0.9}}},
+}
+
+
+@pytest.mark.parametrize("place", CHANGES)
+def test_a_setting_of_the_training_is_not_changed_silently(place, tmp_path):
+    with pytest.raises(ValueError, match=rf"another {re.escape(place)}.*before, now .*start="):
+        resume_point(save(tmp_path, CONFIG), CONFIG | CHANGES[place])
+
+
+def test_a_run_goes_on_elsewhere_for_longer_and_with_another_display(tmp_path):
+    path = save(tmp_path, CONFIG)
+    moved = {"out": "there", "epochs": 9, "logger": {"csv": {"save_dir": "there"}}}
+    moved["trainer"] = CONFIG["trainer"] | {"accelerator": "gpu", "devices": 2, "max_epochs": 9}
+    moved["callbacks"] = {"last": {"dirpath": "there/checkpoints"}, "progress": None}
+    assert resume_point(path, CONFIG | moved) == path
+
+
+def test_patience_ends_no_run_that_was_not_validated():
+    stopping, trainer = EarlyStopping("val/ade", patience=0), SimpleNamespace(should_stop=False)
+    stopping.on_train_start(trainer, None)
+    assert not trainer.should_stop
+    stopping.wait_count = 1
+    stopping.on_train_start(trainer, None)
+    assert trainer.should_stop
 
 
 def test_there_is_nothing_to_resume_in_a_new_folder(tmp_path):

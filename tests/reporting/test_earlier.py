@@ -5,7 +5,8 @@ import pytest
 from diffstack_mmv.reporting import require_same_evaluation, write_json
 
 HEADER = {
-    "data": "thab_vru", "split": "val", "goal": "predicted", "seed": 1,
+    "calibrated_on": None, "data": "thab_vru", "split": "val", "goal": "predicted", "seed": 1,
+    "plans": True, "stride": 5, "solver": None,
     "checkpoint": "runs/1/best.ckpt", "checkpoint_sha256": "a", "code": "1",
 }  # fmt: skip
 
@@ -14,6 +15,11 @@ def test_an_empty_folder_and_the_same_evaluation_are_accepted(tmp_path):
     require_same_evaluation(tmp_path, HEADER)
     write_json(tmp_path / "metrics.json", HEADER)
     require_same_evaluation(tmp_path, HEADER | {"code": "2"})
+
+
+def test_a_report_of_an_earlier_version_is_replaced(tmp_path):
+    write_json(tmp_path / "metrics.json", HEADER)
+    require_same_evaluation(tmp_path, HEADER | {"ego_modes": ["bicycle"], "history_s": 4.0})
 
 
 def test_a_run_that_was_trained_on_is_the_same_run(tmp_path):
@@ -31,6 +37,9 @@ def test_a_checkpoint_that_was_moved_is_the_same(tmp_path):
     [
         ({"split": "test"}, "another split than test, but got val"),
         ({"goal": "future"}, "another goal than future"),
+        ({"plans": False}, "another plans than False, but got True"),
+        ({"stride": 9}, "another stride than 9"),
+        ({"solver": {"max_iterations": 1}}, "another solver than {'max_iterations': 1}"),
         ({"calibrated_on": "val"}, "another calibrated_on than val"),
         (
             {"checkpoint": "runs/2/best.ckpt", "checkpoint_sha256": "b"},

@@ -141,6 +141,11 @@ def test_a_shipped_checkpoint_is_small_lean_and_loads(name):
     assert not stack.training
 
 
+def test_a_stack_is_loaded_by_the_name_of_a_shipped_one_or_a_path_as_text():
+    named, path = load_stack("pretrained"), str(checkpoint_path("pretrained"))
+    assert named.config == load_stack(path).config
+
+
 def test_the_default_of_the_shipped_is_diffkbm_and_others_are_told(tmp_path, monkeypatch):
     assert checkpoint_path("pretrained") == FOLDER / "kbm.ckpt"
     assert checkpoint_path("runs/last.ckpt").name == "last.ckpt"
