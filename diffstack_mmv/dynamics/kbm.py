@@ -23,8 +23,8 @@ class SoftplusFloor:
     """Smooth v ≥ 0: w softplus(v / w), at most w ln 2 above the ReLU.
 
     A vehicle at rest creeps under no acceleration, the faster the shorter the step: by 0.37 m in
-    3 s with the default width and steps of 0.1 s, 0.71 m with 0.01 s. Every smooth floor that keeps
-    its slope does so: one that is zero at rest and never below has its minimum there, no slope.
+    3 s with the default width and steps of 0.1 s, 0.71 m with 0.01 s. Every smooth floor that
+    keeps its slope does so: one that is zero at rest and never below has its minimum there.
 
     Args:
         width_mps: w in m/s.

@@ -114,8 +114,7 @@ class ParameterSpec:
             _within(new, low, high)
             for new, (_, low, high) in zip(values, self.entries(), strict=True)
         ]
-        columns = [as_numbers(column) for column in zip(*moved, strict=True)]
-        initial, low, high = columns if self.length else (column[0] for column in columns)
+        initial, low, high = zip(*moved, strict=True) if self.length else moved[0]
         return ParameterSpec(initial, low, high, self.unit, self.learn, source, self.tied)
 
 

@@ -140,7 +140,7 @@ def test_wheels_need_not_stand_exactly_side_by_side(content):
     ("second", "told"),
     [
         (wheel(-0.5, -0.4), None),
-        (wheel(0.55, -0.5), None),
+        (wheel(0.55, -0.5, steered=True), None),
         (wheel(0.05, -0.5), "stand in one line"),
         (wheel(-0.5, -0.05), "within the outline of their contact points"),
         (wheel(-0.5, 0.5), "on both sides of the centre of gravity"),
