@@ -39,8 +39,8 @@ def _leaves(place: str, content: Any) -> Iterable[tuple[str, Any]]:
 def require_same_type(key: str, default: Any, value: Any) -> None:
     """Refuse a value that cannot stand where its default does.
 
-    Text may stand for a mapping (the name of a file in its place), a list for a number (one
-    entry per wheel). Where there is no default, and for none, anything goes.
+    A string is accepted in place of a mapping (the name of a file), a list in place of a number
+    (one entry per wheel). Where there is no default, and for none, anything goes.
 
     Raises:
         ValueError: Text instead of a number, a truth value or a list; a number instead of a list of

@@ -16,6 +16,7 @@ from diffstack_mmv.checks import require, require_positive
 from diffstack_mmv.dynamics.catalogue import load_dynamics
 from diffstack_mmv.dynamics.config_files import chosen_in, factory, settings_of
 from diffstack_mmv.simulation import (
+    Campaign,
     Controller,
     Method,
     Scenario,
@@ -23,7 +24,6 @@ from diffstack_mmv.simulation import (
     World,
     actuation,
     controller_model,
-    run,
     study_world,
     summarise,
     vehicle_robot,
@@ -163,7 +163,8 @@ class CrowdNav:
         method = Method(self.controller, self.world(), self.driver, repr(self))
         with TemporaryDirectory() as passing:
             kept = Path(passing) if folder is None else folder
-            return summarise(list(run(method, self.cases(), cases, kept, len(cases), phase)))
+            campaign = Campaign(method, self.cases(), cases, kept, len(cases), phase)
+            return summarise(list(campaign.run()))
 
 
 def _built(group: str, name: str, given: Mapping[str, Any]) -> Any:

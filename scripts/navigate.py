@@ -15,8 +15,8 @@ from dmmv_conventions.versions import code_version, file_hash
 
 if TYPE_CHECKING:
     from diffstack_mmv.simulation import (
+        Campaign,
         Chunk,
-        Method,
         RecordedCrossing,
         Scenario,
         VehicleRobot,
@@ -59,15 +59,11 @@ def check(config: DictConfig) -> None:
 
 def admit(config: DictConfig) -> None:
     """Refuse a folder with episodes of other settings, before any baseline has driven."""
-    out = Path(config.out)
-    if not (out / "episodes").is_dir():
+    if not (Path(config.out) / "episodes").is_dir():
         return
-    from diffstack_mmv.simulation import require_same_origin
-
     scenario, world = instantiate(config.scenario), instantiate(config.world)
     for name, controller in _controllers(config):
-        method, folder = _method(config, world, name, controller), out / "episodes" / name
-        require_same_origin(method, scenario, _cases(config), folder, config.chunk, config.phase)
+        _campaign(config, scenario, world, name, controller).require_same_origin()
 
 
 def _cases(config: DictConfig) -> range:
@@ -81,12 +77,21 @@ def _controllers(config: DictConfig) -> list[tuple[str, DictConfig]]:
     return [*beside, (config.names.controller, config.controller)]
 
 
-def _method(config: DictConfig, world: "World", name: str, controller: DictConfig) -> "Method":
-    from diffstack_mmv.simulation import Method, world_for
+def _campaign(
+    config: DictConfig,
+    scenario: "Scenario | RecordedCrossing",
+    world: "World",
+    name: str,
+    controller: DictConfig,
+) -> "Campaign":
+    """What a controller drives, and where its episodes are kept."""
+    from diffstack_mmv.simulation import Campaign, Method, world_for
 
     settings = OmegaConf.to_yaml(OmegaConf.create([controller, config.world, _weights(config)]))
     place = world_for(world, get_class(controller._target_))
-    return Method(name, place, partial(instantiate, controller), settings, code_version())
+    method = Method(name, place, partial(instantiate, controller), settings, code_version())
+    folder = Path(config.out) / "episodes" / name
+    return Campaign(method, scenario, _cases(config), folder, config.chunk, config.phase)
 
 
 def _weights(config: DictConfig) -> dict[str, str | None]:
@@ -103,17 +108,16 @@ def main(config: DictConfig) -> None:
     from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
     from diffstack_mmv.reporting import paired_cases, paired_with_run, write_closed_loop
     from diffstack_mmv.reporting.html import Titles, read_record
-    from diffstack_mmv.simulation import models_told, require_stoppable, run, summarise
+    from diffstack_mmv.simulation import models_told, require_stoppable, summarise
 
     torch.manual_seed(config.seed)
     scenario, world = instantiate(config.scenario), instantiate(config.world)
     actual, believed = instantiate(config.actual), instantiate(config.believed)
     require_stoppable(actual, 2 * scenario.circle_radius_m)
-    numbers, out = _cases(config), Path(config.out)
+    out = Path(config.out)
 
     def driven(name: str, controller: DictConfig) -> "list[Chunk]":
-        method, folder = _method(config, world, name, controller), out / "episodes" / name
-        return list(run(method, scenario, numbers, folder, config.chunk, config.phase))
+        return list(_campaign(config, scenario, world, name, controller).run())
 
     *beside, own = _controllers(config)
     rows = {name: summarise(driven(name, each)) for name, each in beside}

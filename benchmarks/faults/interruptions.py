@@ -14,6 +14,7 @@ from benchmarks.faults.tables import THAB, text, thab_rows
 from benchmarks.faults.trial import Result, Trial, each
 from data_converters import ConversionSettings, ThabVruDataset, convert
 from diffstack_mmv.simulation import (
+    Campaign,
     CircleCrossing,
     ExactVerdict,
     HolonomicRobot,
@@ -21,7 +22,6 @@ from diffstack_mmv.simulation import (
     OrcaCrowd,
     StraightLine,
     World,
-    run,
 )  # fmt: skip
 from dmmv_conventions import cache as conventions
 from dmmv_conventions.locks import alone_in
@@ -80,11 +80,11 @@ def episodes(call: int, folder: Path) -> Result:
     method = Method("straight", world, lambda: StraightLine(1.0), "a", "1")
 
     def all_of(where: str) -> list[np.ndarray]:
-        chunks = run(method, CircleCrossing(humans=2), range(4), folder / where, 2)
+        chunks = Campaign(method, CircleCrossing(humans=2), range(4), folder / where, 2).run()
         return [chunk.record.motion.position.numpy() for chunk in chunks]
 
     def interrupted() -> None:
-        dying(module, "_write", call)
+        dying(module, "write_chunk", call)
         all_of("a")
 
     if not in_a_child(interrupted):
@@ -98,7 +98,7 @@ def mixed(settings: str, code: str, folder: Path) -> Result:
     world = World(HolonomicRobot(), OrcaCrowd(), ExactVerdict(3.0), 0.25)
     for told in (("a", "1"), (settings, code)):
         method = Method("straight", world, lambda: StraightLine(1.0), *told)
-        list(run(method, CircleCrossing(humans=2), range(2), folder, 2))
+        list(Campaign(method, CircleCrossing(humans=2), range(2), folder, 2).run())
     return Result.SILENT
 
 

@@ -10,15 +10,8 @@ from diffstack_mmv.simulation.assembly import (
     vehicle_footprint,
     vehicle_robot,
 )
-from diffstack_mmv.simulation.benchmark import (
-    Chunk,
-    Method,
-    read_chunk,
-    read_episode,
-    read_thoughts,
-    require_same_origin,
-    run,
-)
+from diffstack_mmv.simulation.benchmark import Campaign, Method
+from diffstack_mmv.simulation.chunks import Chunk, read_chunk, read_episode, read_thoughts
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint, RectangleFootprint
 from diffstack_mmv.simulation.controller import DiffMPCController
 from diffstack_mmv.simulation.decisions import Controller, Decided
@@ -84,6 +77,7 @@ __all__ = [
     "AdaptiveController",
     "AvoidanceSearch",
     "BlindDriver",
+    "Campaign",
     "Chunk",
     "CircleCrossing",
     "ConstantVelocityForecaster",
@@ -152,10 +146,8 @@ __all__ = [
     "read_episode",
     "read_thoughts",
     "register",
-    "require_same_origin",
     "require_stoppable",
     "robot_named",
-    "run",
     "study_world",
     "summarise",
     "vehicle_box",

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from diffstack_mmv.simulation.benchmark import Chunk
+from diffstack_mmv.simulation.chunks import Chunk
 from diffstack_mmv.types import Outcome
 
 

@@ -1,4 +1,4 @@
-"""Who judges a step: collision, success, time-out or discomfort, and the reward for it."""
+"""Verdicts on a step: collision, success, time-out or discomfort, and the reward for it."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable

@@ -2,10 +2,16 @@
 
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
 MANOEUVRES = sorted(Path(__file__).resolve().parents[2].glob("configs/manoeuvre/*.yaml"))
+SIDES = {
+    **{"braking": 0, "left_turn": 1, "left_u_turn": 1, "right_turn": -1, "right_u_turn": -1},
+    **{"s_curve": 1, "slalom": 1},
+}
+"""Sign of the change of heading where it is largest: to the left is positive."""
 
 
 @pytest.fixture
@@ -29,8 +35,12 @@ def test_recorded_controls_drive_all_models_beside_each_other(succeed, controls,
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [path.stem for path in MANOEUVRES])
-def test_every_manoeuvre_runs(succeed, name, tmp_path):
+def test_every_manoeuvre_turns_to_its_side_with_every_model(succeed, name, tmp_path):
     succeed("simulate", f"manoeuvre={name}", f"out={tmp_path}")
+    headings = [pd.read_csv(file)["heading"] for file in tmp_path.glob("trajectory_*.csv")]
+    farthest = [each[each.abs().idxmax()] for each in headings]
+    assert len(farthest) == 3
+    assert {np.sign(each.round(6)) for each in farthest} == {SIDES[name]}
 
 
 @pytest.mark.parametrize(

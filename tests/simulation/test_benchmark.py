@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from diffstack_mmv.simulation import (
+    Campaign,
     Method,
     StraightLine,
     read_chunk,
-    require_same_origin,
-    run,
     summarise,
 )
 
@@ -37,11 +36,11 @@ def straight(world_with):
 
 
 def chunks(method, scenario, folder, cases=range(6)):
-    return list(run(method, scenario, cases, folder, chunk_size=3))
+    return list(Campaign(method, scenario, cases, folder, chunk_size=3).run())
 
 
 def test_an_interrupted_run_drives_only_what_is_missing(straight, scenario_of, tmp_path):
-    next(run(straight, scenario_of("circle"), range(6), tmp_path, chunk_size=3))
+    next(Campaign(straight, scenario_of("circle"), range(6), tmp_path, chunk_size=3).run())
     assert straight.controller.made == 1
     chunks(straight, scenario_of("circle"), tmp_path)
     assert straight.controller.made == 2
@@ -73,7 +72,7 @@ def test_batches_of_other_settings_or_code_are_never_mixed(
     straight, settings, code, humans, told, scenario_of, tmp_path
 ):
     first = replace(straight, code="1+a")
-    next(run(first, scenario_of("circle"), range(6), tmp_path, chunk_size=3))
+    next(Campaign(first, scenario_of("circle"), range(6), tmp_path, chunk_size=3).run())
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     other = replace(first, settings=settings, code=code)
     with pytest.raises(ValueError, match=told):
@@ -83,10 +82,11 @@ def test_batches_of_other_settings_or_code_are_never_mixed(
 
 def test_other_settings_are_refused_before_anything_is_driven(straight, scenario_of, tmp_path):
     scenario = scenario_of("circle")
-    next(run(straight, scenario, range(6), tmp_path, chunk_size=3))
-    require_same_origin(straight, scenario, range(6), tmp_path, 3)
+    next(Campaign(straight, scenario, range(6), tmp_path, chunk_size=3).run())
+    driven = Campaign(straight, scenario, range(6), tmp_path, 3)
+    driven.require_same_origin()
     with pytest.raises(ValueError, match="episodes of the same settings"):
-        require_same_origin(replace(straight, settings="v=3"), scenario, range(6), tmp_path, 3)
+        replace(driven, method=replace(straight, settings="v=3")).require_same_origin()
     assert straight.controller.made == 1
 
 
