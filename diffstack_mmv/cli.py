@@ -18,7 +18,6 @@ from typing import Any, NoReturn
 
 from dmmv_conventions.annotations import require_types
 from dmmv_conventions.arguments import require_arguments
-from dmmv_conventions.checks import require
 from dmmv_conventions.disk import replacing
 from dmmv_conventions.extras import MissingExtraError, needs_to_run
 from dmmv_conventions.foretold import require_foretold
@@ -40,7 +39,7 @@ with needs_to_run("stack", "the command lines"):
     from diffstack_mmv.composition import changed_defaults, composed_once, value_of
     from diffstack_mmv.config_checks import require_complete, require_same_type, require_seed
     from diffstack_mmv.override_errors import one_line, told, told_of_folder
-    from diffstack_mmv.run_checks import config_file, require_own_folder
+    from diffstack_mmv.run_checks import config_file, require_own_config, require_own_folder
     from diffstack_mmv.vehicles import VehicleSpec
     from dmmv_conventions.bars import Bars
 
@@ -123,7 +122,7 @@ def command(
             with _failures_told():
                 config.out = HydraConfig.get().runtime.output_dir
                 _read_vehicle_file(config)
-                _require_own_config(config_name)
+                require_own_config(str(HydraConfig.get().job.config_name), config_name)
                 require_complete(OmegaConf.to_container(config))
                 for key, default in changed_defaults(config_name).items():
                     require_same_type(key, default, value_of(config, key))
@@ -254,13 +253,6 @@ def save_config(config: DictConfig, file: Path) -> None:
     with replacing(file) as unfinished:
         text = f"# {shlex.join(words)}\n{OmegaConf.to_yaml(config)}"
         unfinished.write_text(text, encoding="utf-8")
-
-
-def _require_own_config(name: str) -> None:
-    """Refuse another file in place of the command's own: one of a run has its folder everywhere."""
-    found = HydraConfig.get().job.config_name
-    remedy = "To repeat a run give the words in the first line of its config.yaml, another `out`."
-    require(found == name, "config-name", f"be {name}", found, "", remedy)
 
 
 def _read_vehicle_file(config: DictConfig) -> None:

@@ -83,6 +83,16 @@ def require_own_folder(out: Path, name: str) -> None:
     require(found is None, "out", f"hold results of {name} alone", told, f"in {out}", remedy)
 
 
+def require_own_config(found: str, name: str) -> None:
+    """Refuse another file in place of the command's own: one of a run has its folder everywhere.
+
+    Raises:
+        ValueError: `found`, the composed file, is not that of the command `name`.
+    """
+    remedy = "To repeat a run give the words in the first line of its config.yaml, another `out`."
+    require(found == name, "config-name", f"be {name}", found, "", remedy)
+
+
 def config_file(out: Path, name: str) -> Path:
     """Where a command writes its configuration: not over that of the run whose folder it is."""
     own = _of_another(out, name) is None

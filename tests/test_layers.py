@@ -93,7 +93,11 @@ CONVENTIONS = {
         "dmmv_conventions.pretrained",
         "dmmv_conventions.targets",
     },
-    "callbacks": {"dmmv_conventions.checkpoints", "dmmv_conventions.versions"},
+    "callbacks": {
+        "dmmv_conventions.checkpoints",
+        "dmmv_conventions.targets",
+        "dmmv_conventions.versions",
+    },
 }
 
 
