@@ -109,7 +109,8 @@ def test_problems_do_not_see_their_batch_mates(planner):
     asked = problem(planner, batch=3)
     asked.goal[1] = torch.tensor([2.0, -2.0])
     with torch.no_grad():
-        together = planner(asked, memory(planner, 3)).controls[1]
+        together = planner(asked, memory(planner, 3)).motion.position[1]
         row = map_tensors(lambda entry: entry[1:2], asked)
-        alone = planner(row, memory(planner, 1)).controls[0]
-    assert torch.allclose(together, alone, atol=2e-3)
+        alone = planner(row, memory(planner, 1)).motion.position[0]
+    # rounding differs with the batch, and so do solutions within the tolerance of the solver
+    assert torch.allclose(together, alone, atol=1e-3)
