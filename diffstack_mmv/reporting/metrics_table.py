@@ -13,6 +13,9 @@ from diffstack_mmv.reporting.table import cell
 
 BASELINE_SCORES = ("ade", "fde")
 """Scores that it holds for every baseline."""
+MEDIAN = "prediction (median)"
+OWN_PATHS = {"prediction (most likely)": "", MEDIAN: "median_", "plan": "plan_"}
+"""Paths of a stack, and what the names of their scores begin with."""
 MISSING = "n_missing"
 COST = "cost/"
 """What the columns of the cost of a plan by term begin with."""
@@ -98,13 +101,16 @@ def mode_table(metrics: Mapping[str, Any], scores: Scores) -> pd.DataFrame:
 
 def baseline_table(metrics: Mapping[str, Any], scores: Scores) -> pd.DataFrame:
     """ADE and FDE of stack and baselines, one row each, one pair of columns per mode."""
-    rows: dict[str, dict[str, float]] = {"prediction": {}, "plan": {}}
     titles = {name: scores[name].title for name in BASELINE_SCORES}
-    for mode, told in metrics["modes"].items():
-        for name, title in titles.items():
-            rows["prediction"][f"{mode} {title}"] = told[name]
-            if f"plan_{name}" in told:
-                rows["plan"][f"{mode} {title}"] = told[f"plan_{name}"]
+    rows: dict[str, dict[str, float]] = {
+        path: {
+            f"{mode} {title}": told[prefix + name]
+            for mode, told in metrics["modes"].items()
+            for name, title in titles.items()
+            if prefix + name in told
+        }
+        for path, prefix in OWN_PATHS.items()
+    }
     for method, per_mode in metrics["baselines"].items():
         rows[method] = {
             f"{mode} {title}": told[name]
@@ -125,12 +131,12 @@ def cost_table(metrics: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def situation_table(metrics: Mapping[str, Any]) -> pd.DataFrame:
-    """ADE of stack (median of the prediction, plan) and baselines by mode and situation."""
+    """ADE of stack and baselines by mode and situation."""
     rows = []
     for mode, situations in metrics["situations"].items():
         for situation, told in situations.items():
             row = {"mode": mode, "situation": situation, "n": told["n"]}
-            row |= {"prediction": told["median_ade"]}
+            row |= {MEDIAN: told["median_ade"]}
             row |= {"plan": told["plan_ade"]} if "plan_ade" in told else {}
             rows.append(row | {name: value["ade"] for name, value in told["baselines"].items()})
     return pd.DataFrame(rows)

@@ -4,6 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from diffstack_mmv.metrics import OPEN_LOOP
+from diffstack_mmv.reporting.metrics_table import baseline_table
 from diffstack_mmv.reporting.table import NONE, cell, mean_std, with_interval, write_table
 
 
@@ -37,3 +39,14 @@ def test_a_table_is_written_thrice(tmp_path):
     assert (tmp_path / "table.md").read_text() == "text\n"
     assert r"share [\%]" in (tmp_path / "table.tex").read_text()
     assert (tmp_path / "table.csv").read_text() == "share [%]\n1\n"
+
+
+def test_the_most_likely_path_and_the_median_stand_beside_the_baselines():
+    own = {"ade": 3.0, "fde": 6.0, "median_ade": 2.0, "median_fde": 4.0}
+    trivial = {"kalman": {"bicycle": {"ade": 5.0, "fde": 9.0}}}
+    table = baseline_table({"modes": {"bicycle": own}, "baselines": trivial}, OPEN_LOOP)
+    assert table["bicycle ADE"].to_dict() == {
+        "prediction (most likely)": 3.0,
+        "prediction (median)": 2.0,
+        "kalman": 5.0,
+    }

@@ -79,16 +79,19 @@ def test_braking_by_the_rear_wheel_alone_is_accurate(vehicle, reference):
 
 @pytest.mark.slow
 def test_error_falls_with_substeps(reference, one_step):
-    errors = {
-        steps: np.concatenate(
-            [position_errors(reference, vehicle, substeps=steps)[0] for vehicle in VEHICLES]
-        )
-        for steps in (2, 4)
+    def errors(vehicle, steps):
+        return position_errors(reference, vehicle, substeps=steps)[0]
+
+    pooled = {
+        steps: np.concatenate([errors(vehicle, steps) for vehicle in VEHICLES]) for steps in (2, 4)
     }
-    assert np.percentile(errors[2], 95) < 0.06
+    assert np.percentile(pooled[2], 95) < 0.06
     for measure in (np.median, lambda found: np.percentile(found, 95)):
-        assert measure(errors[4]) < measure(one_step[0]) / 5
-    assert errors[4].max() < one_step[0].max() / 2
+        assert measure(pooled[4]) < measure(one_step[0]) / 5
+    for vehicle in VEHICLES:
+        # steps of 25 ms do not resolve the fastest rates of a skateboard, those of 12 ms do
+        coarse, fine = (2, 8) if vehicle == "skateboard" else (1, 4)
+        assert errors(vehicle, fine).max() < errors(vehicle, coarse).max() / 3, vehicle
 
 
 @pytest.mark.slow
