@@ -47,18 +47,18 @@ def straight_tracks(start, velocity, rows, first):
     return Tracks(motion, extent, mode, torch.ones(position.shape[:-1], dtype=torch.bool))
 
 
-def batch_of(count=3, neighbors=2):
+def batch_of(count=3, neighbors=2, steps=STEPS):
     """Egos that ride straight ahead at 3 to 5 m/s, with agents standing to their left."""
     velocity = torch.stack([torch.linspace(3, 5, count), torch.zeros(count)], -1)
     origin = torch.zeros(count, 2)
     beside = torch.tensor([2.0, 3.0]).expand(count, neighbors, 2)
     still = torch.zeros(count, neighbors, 2)
-    future = straight_tracks(origin, velocity, STEPS, 0)
+    future = straight_tracks(origin, velocity, steps, 0)
     return StackBatch(
         straight_tracks(origin, velocity, 11, 11),
         future,
         straight_tracks(beside, still, 11, 11),
-        straight_tracks(beside, still, STEPS, 0),
+        straight_tracks(beside, still, steps, 0),
         future.motion.position[:, -1],
         0.1,
     )
@@ -81,7 +81,7 @@ def without_future(batch, sample, first_row):
     )
 
 
-def stack_of(goal, predictor=None, loss=None):
+def stack_of(goal, predictor=None, loss=None, steps=STEPS):
     spec = load_vehicle("bicycle")
     terms = {
         "goal": FinalGoal(),
@@ -90,8 +90,8 @@ def stack_of(goal, predictor=None, loss=None):
         "collision": ExpectedCollision(),
     }
     cost = WeightedCost(terms, {"goal": 1.0, "tracking": 0.5, "effort": 0.1, "collision": 0.5})
-    planner = MPCPlanner(DiffKBM(spec), cost, ILQR(), CandidateFan(), STEPS)
-    made = predictor or ConstantVelocity(STEPS, 0.1)
+    planner = MPCPlanner(DiffKBM(spec), cost, ILQR(), CandidateFan(), steps)
+    made = predictor or ConstantVelocity(steps, 0.1)
     return DiffStackMMV(made, planner, goal, loss or LossWeights(), torch.optim.Adam)
 
 

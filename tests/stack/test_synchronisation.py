@@ -20,7 +20,9 @@ from diffstack_mmv.prediction import (
 from diffstack_mmv.types import map_tensors
 from tests.control.test_synchronisation import Sends, Waits
 from tests.prediction.samples import DT_S, scene, trajectron
-from tests.stack.test_module import STEPS, batch_of, stack_of
+from tests.stack.test_module import batch_of, stack_of
+
+HISTORY, STEPS = 3, 2  # every step asks alike
 
 
 @pytest.fixture(autouse=True)
@@ -36,8 +38,8 @@ def on_meta(batch):
 @pytest.mark.parametrize("neighbors", [0, 3])
 @pytest.mark.parametrize("options", [{}, {"neighbor_components": 0}, {"rough": True}])
 def test_the_predictor_asks_for_nothing(options, neighbors):
-    model = trajectron(**options).to("meta")
-    batch = on_meta(scene(batch=(4,), neighbors=neighbors))
+    model = trajectron(horizon=STEPS, **options).to("meta")
+    batch = on_meta(scene(batch=(4,), neighbors=neighbors, history=HISTORY, horizon=STEPS))
     with Waits() as waits, Sends():
         forecast, loss = model.predict_and_judge(batch)
         (loss.sum() + forecast.mean.sum()).backward()
@@ -55,10 +57,10 @@ PREDICTORS = {
 @pytest.fixture(params=PREDICTORS)
 def step(request):
     """One step of training on the meta device, with a solver of one iteration."""
-    stack = stack_of(PredictedGoal(), PREDICTORS[request.param]()).to("meta")
+    stack = stack_of(PredictedGoal(), PREDICTORS[request.param](), steps=STEPS).to("meta")
     stack.planner.solver = ILQR(max_iterations=1)
     stack.log_dict = lambda *_, **__: None
-    batch = on_meta(batch_of())
+    batch = on_meta(batch_of(steps=STEPS))
     return lambda: stack.training_step(batch, 0).backward()
 
 
