@@ -105,6 +105,7 @@ def test_the_process_that_looks_is_not_counted(monkeypatch):
     assert load.running() == 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("script", "out"), [("profile_step", ["OUT"]), ("bench_throughput", ["--models", "unicycle"])]
 )

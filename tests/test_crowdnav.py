@@ -30,7 +30,11 @@ def composed(choices, limit_s):
     return tuple(instantiate(config[part]) for part in ("world", "controller", "scenario"))
 
 
-@pytest.mark.parametrize("choices", [{}, pytest.param(OTHER, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "choices",
+    [{"controller": "mppi"}, *(pytest.param(each, marks=pytest.mark.slow) for each in ({}, OTHER))],
+    ids=["mppi", "as configured", "all others"],
+)
 def test_episodes_are_those_of_the_command_line(choices):
     own = CrowdNav(**choices, limit_s=0.25)
     world, controller, scenario = composed(choices, 0.25)

@@ -28,6 +28,11 @@ def options(group):
 
 # `ppo` reads a trained policy, see tests/simulation/test_learned_policy.py
 CONTROLLERS = [name for name in options("controller") if name != "ppo"]
+# presets of one controller, which differ in settings: all of them in the slow tests
+PRESETS = {"diffmpc_adaptive", "diffmpc_crowded", "diffmpc_delay", "diffmpc_tracking"}
+DRIVERS = [
+    pytest.param(name, marks=pytest.mark.slow if name in PRESETS else []) for name in CONTROLLERS
+]
 # `known` reads a recording, see tests/simulation/recorded
 PEOPLE = [name for name in options("people") if name != "known"]
 SETTINGS = {"predictor": {"predictor": ConstantVelocity(30, 0.1)}}  # in the place of a checkpoint
@@ -39,7 +44,7 @@ def forecaster(request):
     return instantiate(config.people, **SETTINGS.get(request.param, {}))
 
 
-@pytest.fixture(scope="module", params=CONTROLLERS)
+@pytest.fixture(scope="module", params=DRIVERS)
 def setting(request):
     """A controller, and the world with the robot that it commands."""
     config = composed_navigate(f"controller={request.param}")

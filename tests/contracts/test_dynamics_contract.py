@@ -13,7 +13,18 @@ from diffstack_mmv.types import Motion
 from diffstack_mmv.vehicles import config_folder, vehicle_names
 
 MODELS = sorted(path.stem for path in (config_folder() / "dynamics").glob("*.yaml"))
-PAIRS = [(model, vehicle) for model in MODELS for vehicle in vehicle_names()]
+# every model with two layouts of wheels and every vehicle with each kind of model; other laws and
+# steps of DiffGM3 with the other vehicles in the slow tests
+BOTH_WAYS = {"unicycle", "kbm", "gm3"}, {"bicycle", "tricycle"}
+PAIRS = [
+    pytest.param(
+        model,
+        vehicle,
+        marks=[] if model in BOTH_WAYS[0] or vehicle in BOTH_WAYS[1] else pytest.mark.slow,
+    )
+    for model in MODELS
+    for vehicle in vehicle_names()
+]
 every_pair = pytest.mark.parametrize(("name", "vehicle"), PAIRS)
 
 

@@ -45,6 +45,8 @@ def controllers_that_plan():
     ]
 
 
+# presets of one controller, which differ in settings: all of them in the slow tests
+PRESETS = {"diffmpc_adaptive", "diffmpc_delay", "diffmpc_tracking"}
 CASES = [(planner_of_training, *case) for case in product(options("planner"), DYNAMICS)]
 # a vehicle of the closed loop is driven by an acceleration and an angle, not as a unicycle
 CASES += [(planner_of_controller, name, "kbm") for name in controllers_that_plan()]
@@ -56,7 +58,10 @@ def build(source, name, dynamics):
     return source(name, dynamics)
 
 
-@pytest.fixture(params=CASES, ids=lambda case: f"{case[1]}-{case[2]}")
+@pytest.fixture(
+    params=[pytest.param(case, marks=SLOW if case[1] in PRESETS else []) for case in CASES],
+    ids=lambda case: f"{case[1]}-{case[2]}",
+)
 def planner(request):
     return build(*request.param)
 

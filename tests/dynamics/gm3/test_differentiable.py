@@ -21,6 +21,12 @@ VEHICLES_AND_LAWS = [
     for name in NAMES
     for law in LAWS
 ]
+# a second derivative takes seconds: three layouts of wheels, the others in the slow tests
+LAYOUTS = ("bicycle", "tricycle", "wheelchair")
+LAYOUTS_AND_LAWS = [
+    each if each.values[0] in LAYOUTS else pytest.param(*each.values, marks=pytest.mark.slow)
+    for each in VEHICLES_AND_LAWS
+]
 
 # position, v_x, v_y, heading, r, lean, lean rate | a, steer
 EDGES = {
@@ -99,7 +105,7 @@ def curvature(model):
     return vmap(jacfwd(grad(value, (0, 1)), (0, 1)))
 
 
-@pytest.mark.parametrize(("name", "law"), VEHICLES_AND_LAWS)
+@pytest.mark.parametrize(("name", "law"), LAYOUTS_AND_LAWS)
 def test_second_derivatives_are_exact_and_finite(name, law):
     model = DiffGM3(load_vehicle(name), tire=LAWS[law]()).double()
     state, control = (torch.tensor(part).double()[None] for part in EDGES["turn"])
