@@ -19,7 +19,8 @@ from diffstack_mmv.metrics import (
 )
 from diffstack_mmv.prediction import Baseline, ego_forecast
 from diffstack_mmv.stack.judging import beside_baselines, judged_plans, judged_predictions
-from diffstack_mmv.stack.module import DiffStackMMV, StackOutput
+from diffstack_mmv.stack.module import DiffStackMMV
+from diffstack_mmv.stack.output import StackOutput
 from diffstack_mmv.types import Mode, StackBatch, map_tensors
 
 
