@@ -1,9 +1,11 @@
 """Evaluate a checkpoint per mode, beside its trivial baselines."""
 
+from __future__ import annotations
+
 import logging
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
 from diffstack_mmv.config_checks import require_checkpoint
@@ -18,7 +20,8 @@ from diffstack_mmv.data_checks import (
     require_windows,
     told_of_data,
 )
-from dmmv_conventions.checks import message, require
+from diffstack_mmv.device_checks import usable_device
+from dmmv_conventions.checks import require
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.versions import code_version, file_hash
@@ -26,7 +29,7 @@ from dmmv_conventions.versions import code_version, file_hash
 if TYPE_CHECKING:
     from diffstack_mmv.data import TrajdataModule
     from diffstack_mmv.metrics import Calibration
-    from diffstack_mmv.stack import DiffStackMMV
+    from diffstack_mmv.stack import DiffStackMMV, Evaluation, Windows
 
 logger = logging.getLogger(__name__)
 
@@ -48,23 +51,23 @@ def check(config: DictConfig) -> None:
         require(apart, "calibration.split", "be no part of `split`", fitted_on, "", remedy)
     require_situations(config.situations)
     # for their mistakes alone, before the checkpoint is read and the windows are looked for
-    _device(config.device)
+    usable_device(config.device)
     replaced = (config.get("goal"), config.get("solver"))
     for part in (*told_of_data(config.data.module), config.baselines, *replaced):
         instantiate(part)
 
 
 def _calibration(
-    config: DictConfig, stack: "DiffStackMMV", data: "TrajdataModule"
-) -> "Calibration | None":
+    config: DictConfig, stack: DiffStackMMV, module: TrajdataModule
+) -> Calibration | None:
     """Levels of the regions, fitted to the split that the configuration names."""
     from diffstack_mmv.stack import fitted_calibration
 
     split = config.calibration.split
     if split is None:
         return None
-    data.prepare_splits([split])
-    return fitted_calibration(stack, data.dataset(split), config.batch_size)
+    module.prepare_splits([split])
+    return fitted_calibration(stack, module.dataset(split), config.batch_size)
 
 
 def _take_windows(config: DictConfig, trained: dict[str, Any]) -> None:
@@ -84,23 +87,30 @@ def admit(config: DictConfig) -> None:
         from diffstack_mmv.reporting import require_same_evaluation
 
         # what is not given is taken from the training, by the task in its own configuration
-        require_same_evaluation(out, _prepared(config.copy())[-1])
+        require_same_evaluation(out, _prepared(config.copy()).header)
 
 
-def _prepared(
-    config: DictConfig,
-) -> "tuple[DiffStackMMV, dict[str, Any], TrajdataModule, dict[str, Any]]":
-    """The stack, the configuration of its training, the data, and the header of the report."""
+class Prepared(NamedTuple):
+    """What is evaluated, on what."""
+
+    stack: DiffStackMMV
+    trained: dict[str, Any]  # configuration of the training
+    module: TrajdataModule
+    header: dict[str, Any]  # of the report
+
+
+def _prepared(config: DictConfig) -> Prepared:
+    """The stack with the parts that replace those of its training, its data, and the header."""
     from diffstack_mmv.stack import load_stack
 
-    stack, trained = load_stack(config.checkpoint, _device(config.device))
+    stack, trained = load_stack(config.checkpoint, usable_device(config.device))
     _take_windows(config, trained)
     if "goal" in config:
         stack.goal = instantiate(config.goal)
     if "solver" in config:
         stack.planner.solver = instantiate(config.solver)
-    data = instantiate(config.data.module)
-    return stack, trained, data, _header(config, trained, stack, data)
+    module = instantiate(config.data.module)
+    return Prepared(stack, trained, module, _header(config, trained, stack, module))
 
 
 @command(config_folder(), "evaluate", check, admit)
@@ -116,12 +126,12 @@ def main(config: DictConfig) -> None:
     from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.stack import evaluate_windows
 
-    out, (stack, trained, data, header) = Path(config.out), _prepared(config)
-    windows = split_windows(data, config.split)
+    out, (stack, trained, module, header) = Path(config.out), _prepared(config)
+    windows = split_windows(module, config.split)
     baselines = dict(instantiate(config.baselines.simple))
     if stack.goal.uses_future:
         baselines |= instantiate(config.baselines.to_goal)
-    calibration = _calibration(config, stack, data)
+    calibration = _calibration(config, stack, module)
     evaluation = evaluate_windows(
         stack, baselines, windows, config.batch_size, config.plans, calibration, config.compile_from
     )
@@ -146,7 +156,7 @@ def main(config: DictConfig) -> None:
 
 
 def _header(
-    config: DictConfig, trained: Mapping[str, Any], stack: "DiffStackMMV", data: "TrajdataModule"
+    config: DictConfig, trained: Mapping[str, Any], stack: DiffStackMMV, module: TrajdataModule
 ) -> dict[str, Any]:
     """What was evaluated, on what, and by which code."""
     return {
@@ -156,7 +166,7 @@ def _header(
         "data": config.data.name,
         "split": config.split,
         "seed": trained["seed"],
-        "smoother": data.source.smoother(),
+        "smoother": module.source.smoother(),
         "calibrated_on": config.calibration.split,
         "ego_modes": sorted(config.modes),
         "plans": config.plans,
@@ -176,34 +186,20 @@ def _plain(solver: DictConfig | None) -> Any:
     return None if solver is None else OmegaConf.to_container(solver)
 
 
-def _remove_drawings(out: Path) -> None:
-    """Remove what an earlier evaluation drew, perhaps of modes that the tables no longer have."""
-    from diffstack_mmv.reporting.html import HORIZON_FILE, SCENES_FILE
-
-    drawn = ("reliability.png", "error_over_horizon.png", HORIZON_FILE, SCENES_FILE)
-    for earlier in (*out.glob("plans_*.png"), *(out / name for name in drawn)):
-        earlier.unlink(missing_ok=True)
-
-
-def _draw(config: DictConfig, stack: Any, windows: Any, evaluation: Any) -> None:
+def _draw(
+    config: DictConfig, stack: DiffStackMMV, windows: Windows, evaluation: Evaluation
+) -> None:
+    """Write figures, and what pages draw."""
     from diffstack_mmv.callbacks import scenes_of
     from diffstack_mmv.metrics import DISPLACEMENT
-    from diffstack_mmv.plotting import (
-        draw_error_over_horizon,
-        draw_reliability,
-        draw_scenes,
-        save_figure,
-    )
+    from diffstack_mmv.plotting import PLANS_FILE, draw_scenes, save_evaluation, save_figure
     from diffstack_mmv.reporting import write_compact
     from diffstack_mmv.reporting.html import HORIZON_FILE, SCENES_FILE, horizon_content
     from diffstack_mmv.stack import outputs_of, representative, scene_records
 
     out, heading = Path(config.out), DISPLACEMENT.heading
-    corrected = config.calibration.split is not None
-    figure = draw_reliability(evaluation.levels, "before the correction" if corrected else "")
-    save_figure(figure, out / "reliability.png")
-    figure = draw_error_over_horizon(evaluation.errors, config.dt_s, heading)
-    save_figure(figure, out / "error_over_horizon.png")
+    remark = "" if config.calibration.split is None else "before the correction"
+    save_evaluation(out, evaluation.levels, evaluation.errors, config.dt_s, heading, remark)
     curves = horizon_content(evaluation.errors, config.dt_s, heading)
     write_compact(out / HORIZON_FILE, curves)
     if not config.plans:
@@ -211,23 +207,19 @@ def _draw(config: DictConfig, stack: Any, windows: Any, evaluation: Any) -> None
     records = []
     for mode, chosen in representative(evaluation.samples).items():
         shown = outputs_of(stack, windows, list(chosen.values()))
-        save_figure(draw_scenes(scenes_of(*shown, list(chosen))), out / f"plans_{mode}.png")
+        scenes = draw_scenes(scenes_of(*shown, list(chosen)))
+        save_figure(scenes, out / PLANS_FILE.format(mode=mode))
         records += scene_records(*shown, [f"{mode}, {which} plan ADE" for which in chosen])
     write_compact(out / SCENES_FILE, {"scenes": records})
 
 
-def _device(name: str) -> str:
-    import torch
+def _remove_drawings(out: Path) -> None:
+    from diffstack_mmv.plotting import remove_evaluation
+    from diffstack_mmv.reporting.html import HORIZON_FILE, SCENES_FILE
 
-    if name == "auto":
-        return "cuda" if torch.cuda.is_available() else "cpu"
-    try:
-        torch.empty(0, device=name)
-    except (RuntimeError, AssertionError) as absent:
-        told = f"{name!r} ({str(absent).splitlines()[0]})"
-        needs, remedy = "be auto, cpu, or a device of this machine", "Give device=auto."
-        raise ValueError(message("device", needs, told, "", remedy)) from absent
-    return name
+    remove_evaluation(out)
+    for earlier in (HORIZON_FILE, SCENES_FILE):
+        (out / earlier).unlink(missing_ok=True)
 
 
 if __name__ == "__main__":

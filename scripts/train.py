@@ -15,8 +15,8 @@ from diffstack_mmv.data_checks import (
     require_windows,
     told_of_data,
 )
+from diffstack_mmv.device_checks import require_accelerator
 from diffstack_mmv.training_checks import require_training
-from dmmv_conventions.checks import require
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 
@@ -39,22 +39,12 @@ def check(config: DictConfig) -> None:
     require_recordings(config.data.module.source)
     if config.start is not None:
         require_checkpoint("start", config.start)
-    _require_accelerator(config.trainer.accelerator)
+    require_accelerator(config.trainer.accelerator)
     # for their mistakes alone; they need torch, but nothing that takes longer to import
     learning = (config.loss, config.physics, config.optim.optimizer, config.stack.get("precision"))
     built = (config.dynamics, config.predictor, config.planner, config.goal)
     for part in (*told_of_data(config.data.module), *learning, *built):
         instantiate(part)
-
-
-def _require_accelerator(name: Any) -> None:
-    """Refuse a GPU that is not there: torch knows, long before Lightning is imported."""
-    if name in ("cuda", "gpu"):
-        import torch
-
-        here = torch.cuda.is_available() or (name == "gpu" and torch.backends.mps.is_available())
-        remedy = "Write trainer.accelerator=cpu, or auto for whatever there is."
-        require(here, "trainer.accelerator", "be one of this machine", repr(name), "", remedy)
 
 
 def resumed(config: DictConfig) -> Path | None:

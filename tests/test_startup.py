@@ -21,6 +21,7 @@ LIGHT = {
     "diffstack_mmv.command_line",
     "diffstack_mmv.config_checks",
     "diffstack_mmv.data_checks",
+    "diffstack_mmv.device_checks",
     "diffstack_mmv.experiment_jobs",
     "diffstack_mmv.jobs",
     "diffstack_mmv.run_checks",

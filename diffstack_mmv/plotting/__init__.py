@@ -10,6 +10,7 @@ with needs("stack", "diffstack_mmv.plotting"):
     )
     from diffstack_mmv.plotting.closed_loop import save_stories
     from diffstack_mmv.plotting.episodes import CaseStart, Episode, draw_episode, episode_of
+    from diffstack_mmv.plotting.evaluation import PLANS_FILE, remove_evaluation, save_evaluation
     from diffstack_mmv.plotting.excitation import draw_by_excitation, save_by_excitation
     from diffstack_mmv.plotting.figures import save_figure
     from diffstack_mmv.plotting.horizon import draw_error_over_horizon
@@ -33,6 +34,7 @@ __all__ = [
     "Episode",
     "Estimate",
     "FittedTrack",
+    "PLANS_FILE",
     "PlannedScene",
     "draw_by_excitation",
     "draw_controls",
@@ -50,8 +52,10 @@ __all__ = [
     "draw_tracks",
     "draw_wheels",
     "episode_of",
+    "remove_evaluation",
     "save_animation",
     "save_by_excitation",
+    "save_evaluation",
     "save_figure",
     "save_identification",
     "save_side_by_side",

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     )
     from diffstack_mmv.stack.learning_rate import ScaledByProcesses
     from diffstack_mmv.stack.loss import LossWeights
-    from diffstack_mmv.stack.module import DiffStackMMV, StackOutput, assemble
+    from diffstack_mmv.stack.module import DiffStackMMV, assemble
+    from diffstack_mmv.stack.output import StackOutput
     from diffstack_mmv.stack.physics import PhysicsLearning
     from diffstack_mmv.stack.precision import MixedPrecision
     from diffstack_mmv.stack.processes import own_processes

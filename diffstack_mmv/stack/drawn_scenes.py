@@ -7,7 +7,7 @@ import numpy as np
 from torch import Tensor
 
 from diffstack_mmv.prediction import strongest
-from diffstack_mmv.stack.module import StackOutput
+from diffstack_mmv.stack.output import StackOutput
 from diffstack_mmv.types import Forecast, Mode, Motion, StackBatch, Tracks, map_tensors
 
 DIGITS = 3  # millimetres

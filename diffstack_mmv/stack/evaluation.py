@@ -19,7 +19,8 @@ from diffstack_mmv.metrics import (
 )
 from diffstack_mmv.prediction import Baseline, ego_forecast
 from diffstack_mmv.stack.judging import beside_baselines, judged_plans, judged_predictions
-from diffstack_mmv.stack.module import DiffStackMMV, StackOutput
+from diffstack_mmv.stack.module import DiffStackMMV
+from diffstack_mmv.stack.output import StackOutput
 from diffstack_mmv.types import Mode, StackBatch, map_tensors
 
 
@@ -91,10 +92,9 @@ def evaluate_windows(
     scores: list[pd.DataFrame] = []
     errors: list[dict[str, np.ndarray]] = []
     levels: list[np.ndarray] = []
+    judge = judged_plans if plans else judged_predictions
     for start in tqdm(range(0, len(windows), batch_size), desc="evaluate", unit="batch"):
-        numbers = range(start, min(start + batch_size, len(windows)))
-        batch = map_tensors(lambda tensor: tensor.to(stack.device), windows[numbers])
-        judge = judged_plans if plans else judged_predictions
+        batch = _batch(stack, windows, start, batch_size)
         judged = judge(stack, batch, start)
         found = judged_levels(judged.forecast, batch.ego_future, first=start)
         row, error = beside_baselines(judged, baselines, batch)
@@ -131,8 +131,7 @@ def fitted_calibration(stack: DiffStackMMV, windows: Windows, batch_size: int = 
     stack.eval()
     found = []
     for start in range(0, len(windows), batch_size):
-        numbers = range(start, min(start + batch_size, len(windows)))
-        batch = map_tensors(lambda tensor: tensor.to(stack.device), windows[numbers])
+        batch = _batch(stack, windows, start, batch_size)
         ego = ego_forecast(stack.predictor.predict(batch))
         found.append(judged_levels(ego, batch.ego_future, first=start))
     level, valid = (torch.cat([part[field] for part in found]) for field in (0, 1))
@@ -172,8 +171,17 @@ def outputs_of(
     stack: DiffStackMMV, windows: Windows, numbers: Sequence[int]
 ) -> tuple[StackBatch, StackOutput]:
     """Run the stack on a few samples, to look at them."""
-    batch = map_tensors(lambda tensor: tensor.to(stack.device), windows[numbers])
+    batch = _on_device(stack, windows[numbers])
     return batch, stack(batch)
+
+
+def _batch(stack: DiffStackMMV, windows: Windows, start: int, size: int) -> StackBatch:
+    """The samples from one on, so many or those that are left, on the device of the stack."""
+    return _on_device(stack, windows[range(start, min(start + size, len(windows)))])
+
+
+def _on_device(stack: DiffStackMMV, batch: StackBatch) -> StackBatch:
+    return map_tensors(lambda tensor: tensor.to(stack.device), batch)
 
 
 def _known_mean(error: np.ndarray) -> np.ndarray:

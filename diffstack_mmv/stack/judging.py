@@ -16,7 +16,8 @@ from diffstack_mmv.metrics import (
     where_known,
 )
 from diffstack_mmv.prediction import Baseline, PredictedPath, ego_forecast
-from diffstack_mmv.stack.module import DiffStackMMV, prediction_scores
+from diffstack_mmv.stack.module import DiffStackMMV
+from diffstack_mmv.stack.scores import prediction_scores
 from diffstack_mmv.types import Forecast, StackBatch, Tracks
 
 COST = "cost/"

@@ -1,7 +1,7 @@
 """The stack: the one place where prediction, planning and their losses meet."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytorch_lightning as pl
 import torch
@@ -13,15 +13,7 @@ from diffstack_mmv.metrics import (
     OF_THE_PREDICTION,
     OPEN_LOOP,
     MeanByMode,
-    average_displacement,
-    best_average_displacement,
-    collided,
-    displacements,
-    final_displacement,
-    human_collided,
     masked_mean,
-    missed,
-    negative_log_likelihood,
     planning_loss,
     solved,
     total_cost,
@@ -49,19 +41,12 @@ from diffstack_mmv.prediction import (
     strongest,
 )
 from diffstack_mmv.stack.loss import LossWeights
+from diffstack_mmv.stack.output import StackOutput
 from diffstack_mmv.stack.physics import PhysicsLearning
 from diffstack_mmv.stack.precision import MixedPrecision
-from diffstack_mmv.types import Forecast, Plan, PlanningProblem, StackBatch
+from diffstack_mmv.stack.scores import plan_scores, prediction_scores
+from diffstack_mmv.types import Forecast, StackBatch
 from dmmv_conventions.memory import keep_freed, leave_alone
-
-
-class StackOutput(NamedTuple):
-    """What the stages made of a batch."""
-
-    forecast: Forecast  # B 1+N K T, the ego first
-    goal: Float[Tensor, "B 2"]  # m
-    problem: PlanningProblem
-    plan: Plan
 
 
 class DiffStackMMV(pl.LightningModule):
@@ -242,33 +227,14 @@ class DiffStackMMV(pl.LightningModule):
     def score(self, batch: StackBatch, output: StackOutput) -> dict[str, Float[Tensor, " B"]]:
         """Scores of what the stages made of a batch, by the names of `OPEN_LOOP`.
 
-        NaN where a sample cannot be judged.
+        NaN where a sample cannot be judged, of the plans also where their goal is not known.
         """
-        scores = prediction_scores(batch, output.forecast) | self._plan_scores(batch, output)
-        return {name: scores[name] for name in OPEN_LOOP}
-
-    def _plan_scores(
-        self, batch: StackBatch, output: StackOutput
-    ) -> dict[str, Float[Tensor, " B"]]:
-        """Scores of the plans; NaN also where the goal of the plan is not known."""
-        future = batch.ego_future
-        motion, discs = output.plan.motion, output.problem.ego.discs
-        position = motion.position
-        losses = self.planning_losses(batch, output)
-        ce, cost = losses["planning_ce"], losses["planning_cost"]
-        truth = observed_obstacles(batch.neighbors_past, batch.neighbors_future)
-        scores = {
-            "plan_ade": average_displacement(position[..., 1:, :], future),
-            "plan_fde": final_displacement(position[..., 1:, :], future),
-            "planning_ce": ce,
-            "planning_cost": cost,
-            "planning_loss": planning_loss(ce, cost, self.loss_weights.hindsight),
-            "collision_rate": collided(position, motion.heading, discs, truth),
-            "human_collision_rate": human_collided(batch.ego_past, future, discs, truth),
-            "solved": solved(output.plan),
+        losses, known = self.planning_losses(batch, output), self.goal_known(batch)
+        planned = plan_scores(batch, output, losses, self.loss_weights.hindsight)
+        scores = prediction_scores(batch, output.forecast) | {
+            name: where_known(value, known) for name, value in planned.items()
         }
-        known = self.goal_known(batch)
-        return {name: where_known(value, known) for name, value in scores.items()}
+        return {name: scores[name] for name in OPEN_LOOP}
 
     def configure_optimizers(self) -> Any:
         """Optimizer over all learnable parameters, with its schedule where one is given."""
@@ -276,19 +242,6 @@ class DiffStackMMV(pl.LightningModule):
         if self.scheduler is None:
             return optimizer
         return {"optimizer": optimizer, "lr_scheduler": self.scheduler(optimizer=optimizer)}
-
-
-def prediction_scores(batch: StackBatch, forecast: Forecast) -> dict[str, Float[Tensor, " B"]]:
-    """Scores that need no plan, by the names of `OF_THE_PREDICTION`."""
-    future, ego = batch.ego_future, ego_forecast(forecast)
-    middle = ego.median()
-    return {
-        **displacements(ego.most_likely(), future),
-        **{f"median_{score}": value for score, value in displacements(middle, future).items()},
-        "nll": negative_log_likelihood(ego, future),
-        "min_ade": best_average_displacement(ego, future),
-        "miss_rate": missed(middle, future),
-    }
 
 
 def _has_future(batch: StackBatch) -> Bool[Tensor, " B"]:

@@ -4,9 +4,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from diffstack_mmv.vehicles.layout import require_possible_layout, steered_length_m
+from diffstack_mmv.vehicles.consistency import (
+    require_metres,
+    require_parameters,
+    require_roll_inertia,
+    require_wheelbase,
+    require_wheelbase_of_wheels,
+)
+from diffstack_mmv.vehicles.layout import require_possible_layout
 from diffstack_mmv.vehicles.parts import (
-    BODY_PARAMETERS,
     WHEEL_PARAMETERS,
     FootprintSpec,
     Limits,
@@ -17,20 +23,8 @@ from diffstack_mmv.vehicles.parts import (
 from diffstack_mmv.vehicles.quantity import ParameterSpec
 from diffstack_mmv.vehicles.reading import fields_from_config
 from diffstack_mmv.vehicles.reference import fields_from_reference
-from dmmv_conventions.checks import message, require, require_at_least, require_positive
+from dmmv_conventions.checks import message, require, require_positive
 from dmmv_conventions.modes import Mode
-
-_POSITIVE = (
-    "friction",
-    "tread_stiffness",
-    "contact_half_length",
-    "yaw_inertia",
-    "roll_inertia",
-    "length_scale",
-)
-
-WHEELBASE_APART = 1.5  # times what the wheels say, or a part of it; calibrated ones differ by less
-FOOTPRINTS_MAX = 10.0  # a length beyond is in another unit than metres
 
 
 def require_vehicle(spec: object) -> None:
@@ -95,101 +89,25 @@ class VehicleSpec:
         require_positive("mass_kg", self.mass_kg, where, "Give the mass with the rider.")
         require_positive("height_m", self.height_m, where)
         if self.leans:
-            require_positive(
-                "limits.lean_max_rad",
-                self.limits.lean_max_rad,
-                where,
-                "A leaning vehicle needs it.",
-            )
+            lean, remedy = self.limits.lean_max_rad, "A leaning vehicle needs it."
+            require_positive("limits.lean_max_rad", lean, where, remedy)
         require_possible_layout(self.wheels, self.steering, self.leans or self.balanced, where)
-        self._require_metres(where)
-        self._require_parameters(where)
-        unit = repr(self.wheelbase.unit)
-        remedy = "Convert initial, low and high."
-        require(self.wheelbase.unit == "m", "wheelbase.unit", "be 'm'", unit, where, remedy)
-        for _, low, _ in self.wheelbase.entries():
-            require_positive(
-                "wheelbase.low", low, where, "A vehicle with one axle takes a virtual wheelbase."
-            )
-        self._require_consistent(where)
-
-    def _require_consistent(self, where: str) -> None:
-        """Refuse a wheelbase far from that of the wheels, and a roll inertia below m h²."""
-        length, (_, low, high) = steered_length_m(self.wheels), self.wheelbase.entries()[0]
-        require(
-            length == 0 or low / WHEELBASE_APART <= length <= high * WHEELBASE_APART,
-            "wheelbase",
-            f"fit the wheels, which steer as a bicycle of {length:g} m",
-            f"low = {low:g} and high = {high:g}",
-            where,
-            "Measure from the steered axle to the one that does not steer.",
-        )
+        require_metres(self.footprint, self._lengths(), where)
+        require_parameters(self.parameters, len(self.wheels), where)
+        require_wheelbase(self.wheelbase, where)
+        require_wheelbase_of_wheels(self.wheelbase, self.wheels, where)
         if self.leans:
-            inertia, swing = self.parameters["roll_inertia"], self.mass_kg * self.height_m**2
-            require(
-                inertia.entries()[0][0] >= swing * (1 - 1e-6),
-                "parameters.roll_inertia.initial",
-                f"be at least m h² = {swing:g} of a leaning vehicle",
-                inertia.initial,
-                where,
-                "It is that about the line on the ground.",
-            )
+            inertia = self.parameters["roll_inertia"]
+            require_roll_inertia(inertia, self.mass_kg, self.height_m, where)
 
-    def _require_metres(self, where: str) -> None:
-        """Refuse lengths in centimetres or millimetres: out of all proportion to the footprint."""
-        longest = max(self.footprint.length_m, self.footprint.width_m)
+    def _lengths(self) -> dict[str, float]:
+        """Everything in metres, by its place in the configuration."""
         lengths = {"height_m": self.height_m, "wheelbase.initial": self.wheelbase.entries()[0][0]}
-        for wheel in self.wheels:
-            for key in ("x_m", "y_m", "radius_m"):
-                lengths[f"wheels.{wheel.name}.{key}"] = abs(getattr(wheel, key))
-        for key, length in lengths.items():
-            require(
-                length <= FOOTPRINTS_MAX * longest,
-                key,
-                f"be at most {FOOTPRINTS_MAX:g} times the footprint of {longest:g} m",
-                f"{length:g}",
-                where,
-                "Give metres.",
-            )
-
-    def _require_parameters(self, where: str) -> None:
-        known = WHEEL_PARAMETERS | BODY_PARAMETERS
-        for name, unit in known.items():
-            require(name in self.parameters, f"parameters.{name}", "be given", "nothing", where)
-            parameter = self.parameters[name]
-            require(
-                parameter.unit == unit,
-                f"parameters.{name}.unit",
-                f"be '{unit}'",
-                repr(parameter.unit),
-                where,
-                "Convert initial, low and high.",
-            )
-            lengths = (None, len(self.wheels)) if name in WHEEL_PARAMETERS else (None,)
-            remedy = (
-                f"The vehicle has {len(self.wheels)} wheels." if name in WHEEL_PARAMETERS else ""
-            )
-            require(
-                parameter.length in lengths,
-                f"parameters.{name}",
-                "be one number, or one per wheel" if name in WHEEL_PARAMETERS else "be one number",
-                f"{parameter.length} entries",
-                where,
-                remedy,
-            )
-            for _, low, _ in parameter.entries():
-                if name in _POSITIVE:
-                    require_positive(f"parameters.{name}.low", low, where)
-                else:
-                    require_at_least(f"parameters.{name}.low", low, 0.0, where)
-        for name in self.parameters:
-            require(
-                name in known,
-                f"parameters.{name}",
-                f"be one of {', '.join(known)}",
-                "an unknown name",
-                where,
-            )
+        return lengths | {
+            f"wheels.{wheel.name}.{key}": getattr(wheel, key)
+            for wheel in self.wheels
+            for key in ("x_m", "y_m", "radius_m")
+        }
 
     @property
     def front_m(self) -> float:

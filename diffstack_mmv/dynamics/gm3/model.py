@@ -13,6 +13,7 @@ from diffstack_mmv.dynamics.gm3.chassis import Chassis, Physics
 from diffstack_mmv.dynamics.gm3.drive import Command, Drive, split_acceleration
 from diffstack_mmv.dynamics.gm3.grip import within_grip
 from diffstack_mmv.dynamics.gm3.lean import LeanLaw
+from diffstack_mmv.dynamics.gm3.side_slip import side_slip
 from diffstack_mmv.dynamics.gm3.steady import linear_steer
 from diffstack_mmv.dynamics.gm3.stepper import LIM2, Stepper
 from diffstack_mmv.dynamics.gm3.tire import ConsistentBrush, Tire
@@ -33,7 +34,6 @@ from diffstack_mmv.vehicles import (
 COMMAND_RANGE = 2.0  # steering commands may go that far beyond the soft limit: tanh(2) = 0.96
 COMMAND_LIMIT = 1e3  # m/s^2, far beyond friction; keeps powers of a wild command finite
 PACE_MPS = 5.0  # speed at which the steering per curvature is told
-SLOW = 0.2  # m/s, below which a course says little about the heading
 
 
 class ControlRange(NamedTuple):
@@ -181,14 +181,10 @@ class DiffGM3(DynamicsModel):
     def state_on_course(self, motion: Motion) -> Float[Tensor, "*b 8"]:
         """State of a vehicle whose centre of gravity was tracked: `motion.heading` is its course.
 
-        The axle that does not steer, at distance b behind, does not slip sideways: sin β = b r / v,
-        heading = course - β. Near standstill, where a course says little, β fades to zero.
+        See `side_slip` for the angle between them.
         """
         speed = motion.velocity[..., 0]
-        ratio = -self._turning_axle_m * motion.yaw_rate * speed / (speed.square() + SLOW**2)
-        # the arcsine of the softly limited ratio S(x), as a tangent that is smooth everywhere
-        square = ratio.square()
-        beta = torch.atan(ratio * (square + (1 + square.square()).sqrt()).sqrt())
+        beta = side_slip(speed, motion.yaw_rate, self._turning_axle_m)
         turned = torch.stack([speed * beta.cos(), speed * beta.sin()], -1)
         return self.initial_state(motion._replace(heading=motion.heading - beta, velocity=turned))
 

@@ -11,13 +11,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.identification.measured.estimation import (
-    WindowSystem,
-    local_prior,
-    residuals,
-)
+from diffstack_mmv.identification.measured.estimation import local_prior
 from diffstack_mmv.identification.measured.given import FreewheelGiven
 from diffstack_mmv.identification.measured.instruments import InstrumentPriors
+from diffstack_mmv.identification.measured.residuals import WindowSystem, residuals
 from diffstack_mmv.identification.measured.rides import RideWindows
 from diffstack_mmv.identification.measured.shared import SharedUnknowns
 from diffstack_mmv.identification.measured.simulator import (

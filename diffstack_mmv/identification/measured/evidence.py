@@ -14,6 +14,8 @@ from diffstack_mmv.identification.measured.elimination import (
     without_recording,
 )
 from diffstack_mmv.identification.measured.instruments import (
+    OF_FREEWHEEL,
+    OF_RECORDING,
     SIZES,
     Gaussian,
     InstrumentPriors,
@@ -30,8 +32,6 @@ LEAST_SHARE = 0.2
 
 MOST_ALIKE = 0.9
 """Largest correlation of neighboring steps that is accounted for."""
-
-NAMES = ("steer_offset", "steer_scale", "speed_scale", "delay_s")
 
 
 def noise_sizes(equations: RideEquations, at: Linearisation, parts: Eliminated) -> NoiseSizes:
@@ -98,7 +98,7 @@ class LearnedInstruments(NamedTuple):
         which is the gain of the encoder.
         """
         kept = ~left_out
-        columns = zip(NAMES, self.recording[kept].T, self.recording_std[kept].T, strict=True)
+        columns = zip(OF_RECORDING, self.recording[kept].T, self.recording_std[kept].T, strict=True)
         found = {name: _gaussian(value, std, self._given(name)) for name, value, std in columns}
         scale = found["steer_scale"].std
         found["steer_scale"] = Gaussian(self.given.steer_scale.mean, scale)
@@ -106,7 +106,7 @@ class LearnedInstruments(NamedTuple):
         coasting = self.coasting & inside
         if not bool(coasting.any()):
             return replace(self.given, **found)
-        for column, name in enumerate(("excess_mps", "coasting_mps2")):
+        for column, name in enumerate(OF_FREEWHEEL):
             value, std = self.freewheel[coasting, column], self.freewheel_std[coasting, column]
             found[name] = _gaussian(value, std, self._given(name))
         share = float(self.coasting[inside].double().mean())

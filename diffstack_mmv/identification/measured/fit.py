@@ -215,22 +215,22 @@ class MeasuredFitter:
         volume = volumes(equations, parts).sum() + 0.5 * torch.logdet(whole)
         unknowns, recording_std = equations.shared, spread.diagonal(dim1=-2, dim2=-1).sqrt()
         return MeasuredFit(
-            point,
-            unknowns,
-            unknowns.std * covariance.diagonal().sqrt(),
-            jackknife(unknowns.values, unknowns, point.shared, parts.reduced),
-            covariance,
-            recording_std,
-            parts.reduced,
-            float(equations.tilted(point) - at.cost.total - volume),
-            float(apart.mean().sqrt()),
-            factor,
-            equations.tilt,
-            taken,
-            converged,
-            noise_sizes(equations, at, parts),
-            learned_instruments(equations, at, parts, recording_std, self.priors),
-            heard_noise(windows, found.yaw_rate, equations.simulator.noise),
+            point=point,
+            unknowns=unknowns,
+            laplace_std=unknowns.std * covariance.diagonal().sqrt(),
+            jackknife_std=jackknife(unknowns.values, unknowns, point.shared, parts.reduced),
+            covariance=covariance,
+            recording_std=recording_std,
+            reduced=parts.reduced,
+            log_evidence=float(equations.tilted(point) - at.cost.total - volume),
+            rms_m=float(apart.mean().sqrt()),
+            noise_factor=factor,
+            tilt=equations.tilt,
+            iterations=taken,
+            converged=converged,
+            sizes=noise_sizes(equations, at, parts),
+            instruments=learned_instruments(equations, at, parts, recording_std, self.priors),
+            noise=heard_noise(windows, found.yaw_rate, equations.simulator.noise),
         )
 
 

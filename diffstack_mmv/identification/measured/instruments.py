@@ -11,6 +11,12 @@ from diffstack_mmv.checks import require_positive
 
 SIZES = ("along_m", "across_m", "curvature", "speed_share")
 """Deviations that a fit can estimate."""
+OF_RECORDING = ("steer_offset", "steer_scale", "speed_scale", "delay_s")
+"""Unknowns of a recording, in the order of their columns."""
+OF_FREEWHEEL = ("excess_mps", "coasting_mps2")
+"""Unknowns of a window in which the vehicle coasts."""
+INSTALLED_NAMES = ("antenna_ahead_m", "antenna_height_m", "steer_gain")
+"""What is the same in all recordings."""
 
 
 class Gaussian(NamedTuple):
@@ -56,8 +62,8 @@ class InstrumentPriors:
     coasting_share: float = 0.1
 
     def recording(self) -> tuple[Float[Tensor, " 4"], Float[Tensor, " 4"]]:
-        """Means and standard deviations of the unknowns of a recording, in the order above."""
-        return _columns(self.steer_offset, self.steer_scale, self.speed_scale, self.delay_s)
+        """Means and standard deviations of the unknowns of a recording, as `OF_RECORDING`."""
+        return _columns(*(getattr(self, name) for name in OF_RECORDING))
 
     def freewheel(self, coasting: bool) -> tuple[Float[Tensor, " 2"], Float[Tensor, " 2"]]:
         """Means and standard deviations of excess and loss of speed in a window.
@@ -67,8 +73,8 @@ class InstrumentPriors:
         return _columns(self.excess_mps if coasting else DRIVEN, self.coasting_mps2)
 
     def installed(self) -> tuple[Float[Tensor, " 3"], Float[Tensor, " 3"]]:
-        """Means and standard deviations of what is the same in all recordings."""
-        return _columns(self.antenna_ahead_m, self.antenna_height_m, self.steer_gain)
+        """Means and standard deviations of antenna and encoder, as `INSTALLED_NAMES`."""
+        return _columns(*(getattr(self, name) for name in INSTALLED_NAMES))
 
 
 @dataclass(frozen=True)

@@ -1,36 +1,20 @@
 """Numbers of a study of measured rides under the keys of `identification.json`."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from diffstack_mmv.identification.inference import IdentifiabilityThresholds
 from diffstack_mmv.identification.measured.fitted import MeasuredFit
-from diffstack_mmv.identification.measured.rides import RideWindows
+from diffstack_mmv.identification.measured.instruments import INSTALLED_NAMES, OF_RECORDING
+from diffstack_mmv.identification.measured.rollout_report import rollout_table, rollout_tests
 from diffstack_mmv.identification.measured.simulator import INSTALLED, RideSimulator
-from diffstack_mmv.identification.measured.stages import HeldOut
 from diffstack_mmv.identification.measured.study import MeasuredStudy, MeasuredStudyResult, ModelFit
-from diffstack_mmv.identification.measured.validation import (
-    RolloutErrors,
-    paired_by_recording,
-    session_of,
-)
-from diffstack_mmv.types import GRAVITY
 
 WITHIN = 1.96
 """Deviations of an interval that holds 95 %."""
-
-SPEEDS = (0.0, 2.8, 3.0, 3.2, 99.0)
-LATERAL = (0.0, 0.2, 0.6, 1.0, 99.0)
-INSTALLED_NAMES = ("antenna_ahead_m", "antenna_height_m", "steer_gain")
-GYRO = "gyro, speed scaled"
-"""Baseline that the identified model is tested against."""
-
-RECORDING_UNKNOWNS = ("steer_offset", "steer_scale", "speed_scale", "delay_s")
 
 
 def measured_result(
@@ -56,7 +40,7 @@ def measured_result(
         "models": {each: _model(found, thresholds) for each, found in result.models.items()},
         "recordings": _recordings(result.windows.names, first.fit),
         "rollouts": rollout_table(result),
-        "tests": _tests(name, result),
+        "tests": rollout_tests(name, result),
         "processor_seconds": dict(result.seconds),
         "assumed": {
             "noise": asdict(result.noise),
@@ -131,101 +115,10 @@ def _recordings(names: tuple[str, ...], fit: MeasuredFit) -> dict[str, dict[str,
     found = {}
     for index, name in enumerate(names):
         row: dict[str, float] = {}
-        for column, unknown in enumerate(RECORDING_UNKNOWNS):
+        for column, unknown in enumerate(OF_RECORDING):
             row[unknown] = float(fit.point.recording[index, column])
             row[f"{unknown}_std"] = float(fit.recording_std[index, column])
         found[name] = row
-    return found
-
-
-def rollout_table(result: MeasuredStudyResult) -> dict[str, dict[str, dict[str, float]]]:
-    """ADE and FDE (m) of all models and baselines, by session, speed and lateral acceleration.
-
-    A line that judged no window of a group is no part of it: with a single session none can be left
-    out.
-    """
-    lines = dict(result.baselines)
-    for name, found in result.models.items():
-        for left_out, errors in (("recording", found.by_recording), ("session", found.by_session)):
-            lines[f"{name}, {left_out} left out"] = errors.plain
-            lines[f"{name}, {left_out} left out, with gyro"] = errors.with_gyro
-    groups = rollout_groups(result.rollouts)
-    return {
-        group: {"n": {"windows": float(chosen.sum())}}
-        | {name: mean for name, mean in _means(lines, chosen).items() if _is_known(mean)}
-        for group, chosen in groups.items()
-        if bool(chosen.any())
-    }
-
-
-def _means(lines: Mapping[str, RolloutErrors], chosen: Tensor) -> dict[str, dict[str, float]]:
-    return {name: errors.mean(chosen) for name, errors in lines.items()}
-
-
-def _is_known(mean: Mapping[str, float]) -> bool:
-    return all(math.isfinite(value) for value in mean.values())
-
-
-def rollout_groups(windows: RideWindows) -> dict[str, Tensor]:
-    """Masks of windows: all, each session, classes of mean speed and lateral acceleration."""
-    speed = windows.speed.mean(-1)
-    lateral = (windows.speed[:, :-1] * windows.yaw_rate).abs().nanmean(-1).clamp(max=GRAVITY)
-    sessions = [session_of(windows.names[int(index)]) for index in windows.recording]
-    groups = {"all": torch.ones_like(speed, dtype=torch.bool)}
-    for session in sorted(set(sessions)):
-        groups[f"session {session}"] = torch.tensor([each == session for each in sessions])
-    for text, values, edges in (
-        ("speed {:g}-{:g} m/s", speed, SPEEDS),
-        ("lateral {:g}-{:g} m/s2", lateral, LATERAL),
-    ):
-        for low, high in zip(edges[:-1], edges[1:], strict=True):
-            groups[text.format(low, high)] = (values >= low) & (values < high)
-    return groups
-
-
-def _tests(identified: str, result: MeasuredStudyResult) -> dict[str, dict[str, float]]:
-    """Every model against the identified one, and that against the gyro.
-
-    Over all roll-outs by recording and by session, and by recording within the classes of speed
-    and lateral acceleration.
-    """
-    own, lines = result.models[identified], dict[str, tuple[Tensor, Tensor]]()
-    for left_out in ("recording", "session"):
-        first: HeldOut = getattr(own, f"by_{left_out}")
-        gyro = result.baselines[GYRO]
-        lines[f"{identified} - {GYRO}, {left_out} left out"] = first.plain.ade, gyro.ade
-        for name, found in result.models.items():
-            if name == identified:
-                continue
-            second: HeldOut = getattr(found, f"by_{left_out}")
-            for how, one, other in zip(("", ", with gyro"), first, second, strict=True):
-                text = f"{name} - {identified}, {left_out} left out{how}"
-                lines[text] = other.ade, one.ade
-    groups = rollout_groups(result.rollouts)
-    return {
-        f"{text}; {group}": test
-        for text, (first, second) in lines.items()
-        for group, test in _paired(first, second, result.rollouts, groups).items()
-    }
-
-
-def _paired(
-    first: Tensor, second: Tensor, windows: RideWindows, groups: Mapping[str, Tensor]
-) -> dict[str, dict[str, float]]:
-    """Paired tests by group; those of a single recording or session would tell nothing."""
-    known = first.isfinite() & second.isfinite()
-    sessions = [session_of(name) for name in windows.names]
-    number = torch.tensor([sessions.index(each) for each in sessions])
-    owners = {"by recording": windows.recording, "by session": number[windows.recording]}
-    jobs = [("all", "by recording"), ("all", "by session")]
-    jobs += [(group, "by recording") for group in groups if group != "all"]
-    found = {}
-    for group, unit in jobs:
-        chosen = groups[group] & known
-        owner = owners[unit][chosen]
-        if len(owner.unique()) > 1:
-            test = paired_by_recording(first[chosen], second[chosen], owner)
-            found[f"{group}, {unit}"] = test._asdict()
     return found
 
 

@@ -28,11 +28,6 @@ class MeasuredRide(NamedTuple):
         """Recording that the track belongs to."""
         return self.name.partition("/")[0]
 
-    @property
-    def session(self) -> str:
-        """Session of the recording: its name without the last number."""
-        return self.recording.rpartition("_")[0]
-
 
 class RideWindows(NamedTuple):
     """Windows of equal length, `w` of them, with T steps."""

@@ -10,7 +10,12 @@ from torch import Tensor
 from torch.func import functional_call, jvp, vmap
 
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.identification.measured.instruments import MeasurementNoise
+from diffstack_mmv.identification.measured.instruments import (
+    INSTALLED_NAMES,
+    OF_FREEWHEEL,
+    OF_RECORDING,
+    MeasurementNoise,
+)
 from diffstack_mmv.identification.measured.rides import RideWindows
 from diffstack_mmv.identification.measured.vehicle import (
     Antenna,
@@ -22,7 +27,7 @@ from diffstack_mmv.identification.shooting import ParameterVector
 from diffstack_mmv.types import Motion
 from diffstack_mmv.vehicles import VehicleSpec, turning_axle_m
 
-POSE, RECORDING, COASTING, INSTALLED = 3, 4, 2, 3
+POSE, RECORDING, COASTING, INSTALLED = 3, len(OF_RECORDING), len(OF_FREEWHEEL), len(INSTALLED_NAMES)
 """Numbers of unknowns: pose at the start, of a recording, freewheel, antenna and gain of the
 encoder."""
 

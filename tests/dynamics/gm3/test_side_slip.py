@@ -1,0 +1,35 @@
+"""The side slip of a vehicle whose course alone is known."""
+
+import math
+
+import pytest
+import torch
+
+from diffstack_mmv.dynamics.gm3.side_slip import side_slip
+
+
+def number(value):
+    return torch.tensor(value, dtype=torch.float64)
+
+
+@pytest.mark.parametrize("axle_m", [-0.6, -0.2, 0.0, 0.3])
+@pytest.mark.parametrize("yaw_rate", [-1.5, -0.2, 0.7])
+def test_the_axle_that_does_not_steer_does_not_slip(axle_m, yaw_rate):
+    speed = 6.0
+    slip = side_slip(number(speed), number(yaw_rate), axle_m).item()
+    across = speed * math.sin(slip) + axle_m * yaw_rate
+    assert across == pytest.approx(0.0, abs=0.01 * abs(yaw_rate))
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.05, 3.0])
+@pytest.mark.parametrize("yaw_rate", [-50.0, -1.0, 0.0, 1.0, 50.0])
+def test_it_is_odd_below_a_quarter_turn_and_smooth_at_any_speed(speed, yaw_rate):
+    inputs = number(speed).requires_grad_(), number(yaw_rate).requires_grad_()
+    slip = side_slip(*inputs, -0.5)
+    assert slip.abs() < math.pi / 2
+    assert torch.equal(side_slip(inputs[0], -inputs[1], -0.5), -slip)
+    assert torch.autograd.gradcheck(lambda v, r: side_slip(v, r, -0.5), inputs)
+
+
+def test_a_course_at_rest_says_nothing_of_the_heading():
+    assert side_slip(number(0.0), number(2.0), -0.5) == 0
