@@ -123,7 +123,8 @@ def main(config: DictConfig) -> None:
     rows = {name: summarise(driven(name, each)) for name, each in beside}
     chunks = driven(*own)
     header: Any = OmegaConf.to_container(config.header)
-    header |= {"code": code_version()} | _weights(config)
+    # a reactive crowd sees the robot whatever the configuration says
+    header |= {"code": code_version(), "robot_visible": world.robot_visible} | _weights(config)
     header |= models_told(actual, believed, world.robot, instantiate(config.model))
     result = header | summarise(chunks)
     search = instantiate(config.search)

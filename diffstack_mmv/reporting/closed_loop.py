@@ -94,13 +94,25 @@ def _summary(
         f"{_outline(result['actual_model']['footprint'])}; massless baselines always have the disc "
         f"of 0.3 m. The robot is {_model(result['dynamics'], result['actual_model'])}, the "
         f"controller believes in {_model(result['believed_dynamics'], result['believed_model'])}. "
-        "Brackets: Wilson intervals of 95 %.\n\n"
+        f"{_choices(result)}Brackets: Wilson intervals of 95 %.\n\n"
     )
     table = closed_loop_table(result, baselines, scores).to_markdown()
     table = f"{table}\n\n{_times(result)}" if "real_time_factor" in result else table
     failed = [case for case in result["cases"] if case["outcome"] != "success"]
     table = f"{table}\n\n{_feasible(result)}" if "feasible" in result else table
     return f"{title}{setting}{table}\n\n## Cases without success\n\n{_failures(failed)}"
+
+
+def _choices(result: Mapping[str, Any]) -> str:
+    """Who walks, what is known of them, and in what the robot is not what the controller thinks."""
+    sees = "see" if result["robot_visible"] else "do not see"
+    told = ", ".join(f"{group} `{option}`" for group, option in result["choices"].items())
+    neutral = (None, [], 0.0, 1.0)  # of what is not disturbed, a factor or an amount
+    disturbed = [
+        f"{name} {value}" for name, value in result["disturbances"].items() if value not in neutral
+    ]
+    disturbances = f" Disturbances: {', '.join(disturbed)}." if disturbed else ""
+    return f"The pedestrians {sees} the robot; {told}.{disturbances} "
 
 
 def _feasible(result: Mapping[str, Any]) -> str:
@@ -116,8 +128,11 @@ def _feasible(result: Mapping[str, Any]) -> str:
 
 def _times(result: Mapping[str, Any]) -> str:
     """Whether the decisions keep up, and how many solves converge."""
-    told = "Real-time factor (time driven over processor time of the decisions): "
-    told += f"{result['real_time_factor']:.1f}."
+    told = (
+        "Real-time factor (time driven over processor time of the decisions and of the libraries "
+        "that the first ones generate, most of the time of a run of few cases): "
+        f"{result['real_time_factor']:.1f}."
+    )
     solved = result.get("solved_share")
     return told if solved is None else f"{told} Solves that converge: {cell(solved)}."
 

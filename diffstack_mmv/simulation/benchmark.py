@@ -13,7 +13,7 @@ from diffstack_mmv.checks import require, require_at_least
 from diffstack_mmv.simulation.chunks import Chunk, Origin, read_chunk_of, write_chunk
 from diffstack_mmv.simulation.decisions import Controller, Decided, diagnosis_of, thoughts_of
 from diffstack_mmv.simulation.episode import drive
-from diffstack_mmv.simulation.scenario import CaseSource
+from diffstack_mmv.simulation.scenario import CaseSource, require_case
 from diffstack_mmv.simulation.world import Observation, World
 
 LOGGER = logging.getLogger(__name__)
@@ -76,7 +76,7 @@ class Campaign:
         phase: "train", "val" or "test".
 
     Raises:
-        ValueError: There is no case, or the chunks have no size.
+        ValueError: There is no case, one is beyond the phase, or the chunks have no size.
     """
 
     method: Method
@@ -88,6 +88,8 @@ class Campaign:
 
     def __post_init__(self) -> None:
         require(len(self.cases) > 0, "cases", "name at least one case", "none")
+        for number in (min(self.cases), max(self.cases)):
+            require_case(self.phase, number)
         require_at_least("chunk_size", self.chunk_size, 1)
 
     def run(self) -> Iterator[Chunk]:

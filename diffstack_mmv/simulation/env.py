@@ -222,8 +222,11 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
             described, scene = {"phase": "own", "case": -1}, chosen["scene"]
             require(isinstance(scene, Scene), "scene", "be a Scene", type(scene).__name__)
         else:
-            case = int(chosen.get("case", self.np_random.integers(PHASES[phase].cases)))
-            described, scene = {"phase": phase, "case": case}, self._scenario.case(phase, case)
+            case = chosen.get("case", self.np_random.integers(PHASES[phase].cases))
+            whole = isinstance(case, int | np.integer)
+            require(whole, "case", "be a whole number", repr(case))
+            described = {"phase": phase, "case": int(case)}
+            scene = self._scenario.case(phase, int(case))
         self._state = self.world.start(scene)
         self._ended = False
         return self._observation(), described

@@ -323,8 +323,22 @@ def generator(phase: str, number: int) -> np.random.RandomState:
     Raises:
         ValueError: There is no such phase or case.
     """
+    require_case(phase, number)
+    return np.random.RandomState(PHASES[phase].first_seed + number)
+
+
+def require_case(phase: str, number: int) -> None:
+    """Refuse a case that the benchmark does not have.
+
+    Args:
+        phase: "train", "val" or "test".
+        number: Which case of the phase, from 0.
+
+    Raises:
+        ValueError: There is no such phase or case.
+    """
     require_one_of("phase", phase, tuple(PHASES))
-    first_seed, cases = PHASES[phase]
+    cases = PHASES[phase].cases
     require(
         0 <= number < cases,
         "case",
@@ -333,4 +347,3 @@ def generator(phase: str, number: int) -> np.random.RandomState:
         f"in phase {phase!r}",
         "Seeds beyond belong to another phase.",
     )
-    return np.random.RandomState(first_seed + number)

@@ -31,6 +31,8 @@ def result(numbers):
         "vehicle": "bicycle", "dynamics": "kbm", "scenario": "circle_crossing",
         "controller": "diffmpc", "limit_s": 10.0, "dt_s": 0.25, "verdict": "exact", "humans": 5,
         "phase": "test", "first_case": 0, "limits": {"speed_max_mps": 3.0},
+        "robot_visible": False, "choices": {"crowd": "orca", "people": "predictor"},
+        "disturbances": {"delay_s": 0.0, "noise": [], "friction": None, "mass_factor": 1.0},
         "believed_dynamics": "gm3",
         "actual_model": {
             "class": "DiffKBM", "tyre_law": None, "step_s": 0.01, "substeps": 1,
@@ -50,6 +52,23 @@ def test_every_method_is_a_row_with_its_interval(result, numbers):
     assert table.loc["orca", "distance in discomfort [m]"] == "–"
     assert table.loc["orca", "decision median / p99 [ms]"] == "1.0 / 2.0"
     assert list(table.columns) == ["n", *(score.heading for score in CLOSED_LOOP.values())]
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({}, "do not see the robot; crowd `orca`, people `predictor`. Brackets"),
+        ({"robot_visible": True}, "The pedestrians see the robot"),
+        (
+            {"disturbances": {"delay_s": 0.15, "noise": [0.2, 0.0], "friction": 0.3}},
+            "`predictor`. Disturbances: delay_s 0.15, noise [0.2, 0.0], friction 0.3. Brackets",
+        ),
+    ],
+    ids=["as it is", "visible", "disturbed"],
+)
+def test_what_decides_the_scores_stands_above_them(result, given, told, tmp_path):
+    write_closed_loop(tmp_path, result | given, {}, CLOSED_LOOP, [])
+    assert told in (tmp_path / "closed_loop.md").read_text()
 
 
 def test_files_hold_numbers_failures_and_sources(result, numbers, tmp_path):

@@ -80,6 +80,14 @@ def test_batches_of_other_settings_or_code_are_never_mixed(
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
+@pytest.mark.parametrize("cases", [range(998, 1003), range(-1, 2)])
+def test_cases_beyond_the_phase_are_refused_before_anything_is_driven(
+    straight, cases, scenario_of, tmp_path
+):
+    with pytest.raises(ValueError, match=r"`case` must lie in \[0, 999\]"):
+        Campaign(straight, scenario_of("circle"), cases, tmp_path)
+
+
 def test_other_settings_are_refused_before_anything_is_driven(straight, scenario_of, tmp_path):
     scenario = scenario_of("circle")
     next(Campaign(straight, scenario, range(6), tmp_path, chunk_size=3).run())

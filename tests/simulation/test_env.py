@@ -168,6 +168,8 @@ def test_impossible_settings_are_refused_by_name(settings, message):
     [
         ({"phase": "exam"}, "`phase` must be one of"),
         ({"phase": "test", "case": 5000}, "`case` must lie in"),
+        ({"case": 1.5}, "`case` must be a whole number, but got 1.5"),
+        ({"case": "a"}, "`case` must be a whole number, but got 'a'"),
         ({"number": 3}, "`options` must be one of"),
         ({"scene": "here"}, "`scene` must be a Scene"),
     ],
