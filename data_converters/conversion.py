@@ -17,6 +17,7 @@ from tqdm import tqdm
 from data_converters.cache import write_json
 from data_converters.conversion_settings import ConversionSettings
 from data_converters.errors import ConversionError, fault
+from data_converters.origin import require_same_origin, write_origin
 from data_converters.recordings import SceneSource
 from data_converters.report import ConversionReport, SceneReport
 from data_converters.scene_conversion import convert_scene, finished_scene
@@ -36,20 +37,24 @@ def convert(settings: ConversionSettings) -> ConversionReport:
 
     Scenes grow in a hidden folder next to it. A later call with equal settings goes on where an
     earlier one stopped, and reuses scenes of a finished cache whose files and settings are equal.
-    An earlier environment stays as it is until the new one takes its place.
+    An earlier environment stays as it is until the new one takes its place; one that was made from
+    another folder is only replaced by the same recordings, or with `replace`.
 
     Returns:
         The report, also written to `cache`/`name`/conversion_report.json and, for the latest
         conversion, to `cache`/conversion_report.json.
 
     Raises:
-        ConversionError: If the data set is missing or holds no usable track, the disk is full, or,
-            when strict, a track is bad, also one that an earlier conversion counted.
+        ConversionError: If the data set is missing or holds no usable track, the cache holds other
+            recordings under its name, the disk is full, or, when strict, a track is bad, also one
+            that an earlier conversion counted.
     """
     try:
         sources = settings.dataset.scenes()
         with in_turn(settings.cache, settings.dataset.name):
+            require_same_origin(settings, sources)
             settings.staging.mkdir(parents=True, exist_ok=True)
+            write_origin(settings, sources)
             reports = _convert_scenes(settings, sources)
             return _finish(settings, reports)
     except OSError as error:
