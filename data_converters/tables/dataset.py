@@ -163,8 +163,7 @@ class TableDataset(MultiAgentDataset):
             {
                 "agent": "agent" if columns.agent is None else names_of(rows[columns.agent]),
                 "time_s": units.seconds(rows[columns.time]),
-                "x": units.metres(rows[columns.x]),
-                "y": units.metres(rows[columns.y]) * (-1.0 if units.y_down else 1.0),
+                **units.places(rows[columns.x], rows[columns.y]),
             }
         )
 

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from data_converters.errors import require
+from dmmv_conventions.checks import is_number
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "ft": 0.3048}
@@ -34,9 +35,11 @@ class TableUnits:
             which is up in a picture, too.
         speed: m/s, km/h or mph.
         y_down: Whether y points down, as in a picture; turns would be mirrored.
+        origin_m: Place in m, x and y (upwards), that is subtracted from all positions, such as a
+            corner of the site in UTM.
 
     Raises:
-        ConversionError: If a unit is not known.
+        ConversionError: If a unit is not known, or the origin is no place.
     """
 
     time: str = "s"
@@ -44,6 +47,7 @@ class TableUnits:
     angle: str = "rad"
     speed: str = "m/s"
     y_down: bool = False
+    origin_m: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         times = [*SECONDS, TEXT_TIME]
@@ -58,6 +62,11 @@ class TableUnits:
             require(
                 fits, f"units.{name}", f"be one of {', '.join(known)}", value, "", "Choose one."
             )
+        object.__setattr__(self, "origin_m", tuple(self.origin_m))
+        numbers = [value for value in self.origin_m if is_number(value) and np.isfinite(value)]
+        fits, needs = len(self.origin_m) == len(numbers) == 2, "be two numbers"
+        remedy = "Give data.units.origin_m=[X,Y] in m."
+        require(fits, "units.origin_m", needs, list(self.origin_m), "", remedy)
 
     def settings(self) -> dict[str, object]:
         """All units as plain values."""
@@ -73,6 +82,11 @@ class TableUnits:
     def metres(self, lengths: pd.Series) -> pd.Series:
         """Lengths in m; NaN where there is none."""
         return pd.to_numeric(lengths, errors="coerce").astype(np.float64) * METRES[self.length]
+
+    def places(self, x: pd.Series, y: pd.Series) -> dict[str, pd.Series]:
+        """Positions in m from the origin, x to the east and y to the north; NaN for none."""
+        upwards = self.metres(y) * (-1.0 if self.y_down else 1.0)
+        return {"x": self.metres(x) - self.origin_m[0], "y": upwards - self.origin_m[1]}
 
     @property
     def mirrored(self) -> bool:

@@ -227,6 +227,28 @@ def test_coordinates_of_a_map_need_a_wider_limit(dataset, tmp_path):
     assert report.totals()["scenes"] == 1
 
 
+def test_positions_count_from_the_origin(dataset):
+    units = TableUnits(length="km", y_down=True, origin_m=(5e5, -5.5e6))
+    far = table(x=500.0 + 4e-3 * TIME_S, y=5499.999)
+    (track,) = first_scene(dataset(tables={"day": far}, units=units)).tracks
+    np.testing.assert_allclose(track.position[:, 0], 4.0 * TIME_S, atol=1e-6)
+    np.testing.assert_allclose(track.position[:, 1], 1.0, atol=1e-6)
+
+
+def test_the_origin_that_a_message_names_brings_a_map_near(dataset, tmp_path):
+    dataset(tables={"day": table(x=5e5 + 4.0 * TIME_S, y=5.5e6)})
+    with pytest.raises(ConversionError, match="origin_m by") as told:
+        converted(tmp_path)
+    origin = re.findall(r"origin_m by (\[.*?\])", str(told.value))[0]
+    assert converted(tmp_path, f"data.units.origin_m={origin}").totals()["scenes"] == 1
+
+
+@pytest.mark.parametrize("origin", [(1.0,), (1.0, float("nan")), ("a", 1.0), (1.0, 2.0, 3.0)])
+def test_an_origin_is_two_numbers(origin):
+    with pytest.raises(ConversionError, match=r"`units\.origin_m` must be two numbers"):
+        TableUnits(origin_m=origin)
+
+
 def test_files_are_recordings_whose_split_can_be_given(dataset):
     given = RecordingSplit(given={"a_1": "test", "b": "test", "sub_c": "train"})
     tables = {"a-1": table(), "b": table(), "sub/c": table()}
