@@ -86,7 +86,8 @@ class MultiAgentDataset(RecordingDataset):
             class is not known), time_s (s, on the clock that all files of the recording share),
             x, y (m, x east, y north); optionally z (m), speed (m/s), heading (rad), label (of the
             class, for messages), id (number of the agent, which must be one) and `SIZES` (m),
-            whose median over an agent is its size.
+            whose median over an agent is its size, and fault (text where a row
+            cannot be read).
 
         Raises:
             TrackError: If the file cannot be used.
@@ -242,6 +243,9 @@ def _track(name: str, rows: pd.DataFrame, source: str, raw: RawScene) -> RawTrac
     if bad.any():
         needs, remedy = "be finite numbers", "Correct or remove the row."
         found = values[int(bad.argmax())]
+        told = rows.iloc[int(bad.argmax())].get("fault")
+        if isinstance(told, str):
+            raise TrackError(told, RejectReason.NOT_FINITE)
         refuse_track(RejectReason.NOT_FINITE, ", ".join(needed), needs, found, where, remedy)
     rows = rows.iloc[np.argsort(values[:, 0], kind="stable")]
     fresh = np.concatenate([[True], np.diff(rows["time_s"].to_numpy()) > 0.0])

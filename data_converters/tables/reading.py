@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from data_converters.csv_table import told_as_fault
+from data_converters.csv_table import require_header, told_as_fault
 from data_converters.errors import RejectReason, TrackError, refuse_track
 from data_converters.plain_files import require_plain
 
@@ -16,7 +16,7 @@ SEPARATORS = (",", ";", "\t", "|")
 
 
 def read_table(path: Path, names: Collection[str]) -> pd.DataFrame:
-    """A table as it is.
+    """A table as it is, its rows numbered from 0.
 
     Args:
         path: The file.
@@ -27,14 +27,16 @@ def read_table(path: Path, names: Collection[str]) -> pd.DataFrame:
     """
     if path.suffix != ".parquet":
         with told_as_fault(path):
-            return pd.read_csv(
+            table = pd.read_csv(
                 path, sep=_separator(path), encoding="utf-8-sig", dtype=dict.fromkeys(names, str)
             )
+        require_header(table, path)
+        return table
     from pyarrow.lib import ArrowException
 
     try:
         require_plain(path)
-        return pd.read_parquet(path)
+        return pd.read_parquet(path).reset_index(drop=True)
     except TrackError:
         raise
     except (OSError, ValueError, TypeError, ArrowException) as error:
