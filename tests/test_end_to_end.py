@@ -131,6 +131,7 @@ def test_evaluation_is_deterministic(succeed, workplace, tmp_path):
     assert again["baselines"] == before["baselines"]
 
 
+@pytest.mark.slow
 def test_recordings_of_the_training_are_judged_only_where_that_is_meant(
     refusal, succeed, workplace, tmp_path
 ):
