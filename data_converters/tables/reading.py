@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import gzip
+import re
 from collections.abc import Collection
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from data_converters.csv_table import require_header, told_as_fault
@@ -56,9 +58,13 @@ def names_of(column: pd.Series) -> pd.Series:
 
     A number that a gap turned into 7.0 is 7.
     """
-    if pd.api.types.is_float_dtype(column):
-        names = column.map(lambda value: f"{value:.0f}" if value.is_integer() else repr(value))
-    else:
-        names = column.astype(str).str.strip()
-        names = names.str.replace(r"^(-?\d+)\.0+$", r"\1", regex=True)
-    return names.where(column.notna() & (names != ""))
+    # a table has few names, each in many rows
+    codes, values = pd.factorize(column)
+    names = [*map(_name, values.tolist()), None]
+    return pd.Series([names[code] for code in codes], column.index, dtype=object).fillna(np.nan)
+
+
+def _name(value: object) -> str | None:
+    if isinstance(value, float):
+        return f"{value:.0f}" if value.is_integer() else repr(value)
+    return re.sub(r"^(-?\d+)\.0+$", r"\1", str(value).strip()) or None
