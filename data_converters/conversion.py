@@ -8,8 +8,9 @@ import shutil
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from importlib.metadata import version
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
+from threading import Thread
 from typing import Any, ClassVar, NoReturn
 
 from tqdm import tqdm
@@ -140,10 +141,19 @@ class _WorkerSettings:
     @classmethod
     def keep(cls, settings: ConversionSettings) -> None:
         cls.settings = settings
+        Thread(target=_end_with_parent, daemon=True).start()
 
     @classmethod
     def convert(cls, source: SceneSource) -> SceneReport:
         return convert_scene(cls.settings, source)
+
+
+def _end_with_parent() -> None:
+    """End this worker once its parent is gone: killed, it tells nobody, who would wait for ever."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> ConversionReport:

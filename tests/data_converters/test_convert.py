@@ -4,6 +4,8 @@ import dataclasses
 import errno
 import json
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pandas as pd
@@ -100,6 +102,30 @@ def test_an_interrupted_conversion_goes_on_where_it_stopped(thab_settings, monke
     report = convert(thab_settings())
     assert len(written) == 12 - 5
     assert report.totals()["scenes"] == 12
+
+
+KILLED = """
+import sys, time
+from pathlib import Path
+from data_converters import ConversionSettings, ThabVruDataset, conversion
+def stay(settings, source):
+    print("begun", flush=True)
+    time.sleep(60)
+conversion.convert_scene = stay
+root, cache = map(Path, sys.argv[1:])
+conversion.convert(ConversionSettings(ThabVruDataset(root), cache, workers=2, progress=False))
+"""
+
+
+@pytest.mark.slow
+def test_a_killed_conversion_leaves_no_worker_behind(thab, tmp_path):
+    command = [sys.executable, "-c", KILLED, str(thab), str(tmp_path / "cache")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as killed:
+        assert killed.stdout is not None
+        assert [killed.stdout.readline() for _ in range(2)] == 2 * [b"begun\n"]
+        killed.kill()
+        # until the last of those who write to it has ended
+        killed.communicate(timeout=20)
 
 
 def test_a_second_conversion_reuses_every_scene(thab_settings, monkeypatch):
