@@ -68,9 +68,13 @@ def convert(settings: ConversionSettings) -> ConversionReport:
 def _told_of_cache(error: OSError, cache: Path) -> str:
     """The message for a folder of the cache that cannot be written, "" for any other failure."""
     if disk_is_full(error):
-        remedy = "Free space and run the same command again: finished scenes are kept."
+        remedy = (
+            "Free space, or raise your limit, and run the same command again: finished scenes are "
+            "kept."
+        )
         return fault("cache", "have free disk space", error.strerror, cache, remedy)
-    place = Path(error.filename or "")
+    # locks tell the whole path of their file
+    place, cache = Path(error.filename or "").absolute(), cache.absolute()
     above = cache.is_relative_to(place) and not place.is_dir()
     if error.filename and (place.is_relative_to(cache) or above):
         needs = "be a folder that can be written"

@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -223,6 +224,15 @@ def test_a_cache_where_no_folder_can_be_is_named(thab_settings, tmp_path, below)
     told = "`cache` must be a folder that can be written, but got '.*file.* Give another one.$"
     with pytest.raises(ConversionError, match=told):
         convert(settings)
+
+
+def test_a_cache_without_permission_is_named(thab_settings, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    # a folder in the place of the lock: no user, the administrator neither, can open it
+    (tmp_path / "cache" / ".lock_thab_vru").mkdir(parents=True)
+    told = r"`cache` must be a folder that can be written, but got '.*\.lock_thab_vru' \(Is a dir"
+    with pytest.raises(ConversionError, match=told):
+        convert(thab_settings(cache=Path("cache")))
 
 
 def test_another_failure_of_the_disk_is_not_called_full(thab_settings, monkeypatch):
