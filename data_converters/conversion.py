@@ -18,6 +18,7 @@ from tqdm import tqdm
 from data_converters.cache import write_json
 from data_converters.conversion_settings import ConversionSettings
 from data_converters.errors import ConversionError, fault
+from data_converters.heading import HeadingSource
 from data_converters.origin import require_same_origin, write_origin
 from data_converters.recordings import SceneSource
 from data_converters.report import ConversionReport, SceneReport
@@ -28,6 +29,9 @@ from dmmv_conventions.disk import disk_is_full
 from dmmv_conventions.locks import in_turn
 
 logger = logging.getLogger(__name__)
+
+NEVER_MOVED = HeadingSource.UNKNOWN.name.lower()
+"""Rows before the first motion of their agent, in the counts of a scene."""
 
 SHOWN = 5
 """Names of recordings in one message."""
@@ -180,6 +184,7 @@ def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> Convers
         write_json(settings.cache / REPORT_FILE, report.as_dict())
         _refuse_all(settings, report)
     _warn_of_empty_splits(reports)
+    _warn_of_standstill(settings, usable)
     from trajdata.caching.env_cache import EnvCache
 
     location = settings.dataset.location
@@ -221,6 +226,17 @@ def _warn_of_empty_splits(reports: list[SceneReport]) -> None:
             "Correct them, or move them away: recordings that are dealt are then dealt anew.",
             split,
             shown,
+        )
+
+
+def _warn_of_standstill(settings: ConversionSettings, usable: list[SceneReport]) -> None:
+    """Say that nobody moves: positions in km, read as m, look like that."""
+    if all(scene.heading_rows.get(NEVER_MOVED) == scene.rows for scene in usable):
+        logger.warning(
+            "No agent of '%s' ever moves faster than %g m/s. Check the unit of its positions "
+            "(data.units.length of own tables).",
+            settings.dataset.name,
+            settings.resample.standstill_mps,
         )
 
 

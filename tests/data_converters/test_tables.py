@@ -191,6 +191,22 @@ def test_a_remedy_names_what_helps(dataset, tmp_path, rows, says):
         convert(ConversionSettings(found, tmp_path / "cache", progress=False))
 
 
+def test_two_riders_of_one_name_are_not_made_one(dataset):
+    rows = pd.concat([table(), table(y=1.5), table(agent=8), table(agent=8, y=9.0)])
+    raw = first_scene(dataset(tables={"day": rows}), strict=False)
+    assert [track.name for track in raw.tracks] == ["7"]
+    (rejection,) = raw.rejected
+    assert (rejection.track, rejection.reason) == ("8", RejectReason.TWO_PLACES)
+    assert "`agent` must be in one place at a time, but got 'two 8 m apart" in rejection.detail
+
+
+@pytest.mark.parametrize(("metres", "told"), [(4.0, False), (4e-3, True)])
+def test_positions_in_km_are_told_where_nobody_moves(dataset, tmp_path, caplog, metres, told):
+    found = dataset(tables={"day": table(x=metres * TIME_S)})
+    convert(ConversionSettings(found, tmp_path / "cache", progress=False))
+    assert ("data.units.length" in caplog.text) == told
+
+
 def test_a_broken_file_is_counted_and_the_others_kept(dataset, tmp_path):
     found = dataset(tables={"a": table(), "b": table(y=2.0)})
     (tmp_path / "c.csv").write_text("")
