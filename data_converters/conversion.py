@@ -189,14 +189,20 @@ def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> Convers
 
     location = settings.dataset.location
     listed = [(s.name, location, s.split, s.steps, i) for i, s in enumerate(usable)]
-    for leftover in settings.staging.glob(".partial_*"):  # of a process that was killed
-        shutil.rmtree(leftover, ignore_errors=True)
+    _remove_leftovers(settings.staging, {scene.name for scene in reports})
     EnvCache(settings.staging).save_env_scenes_list(".", listed)  # type: ignore[arg-type]
     write_json(settings.staging / REPORT_FILE, report.as_dict())
     write_json(settings.staging / STATE_FILE, _state(settings, usable))
     _replace_folder(settings.staging, settings.cache / name)
     write_json(settings.cache / REPORT_FILE, report.as_dict())
     return report
+
+
+def _remove_leftovers(staging: Path, scenes: set[str]) -> None:
+    """Remove what a killed process left, also scenes of recordings that are there no longer."""
+    for folder in staging.iterdir():
+        if folder.is_dir() and folder.name not in scenes:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _refuse_all(settings: ConversionSettings, report: ConversionReport) -> NoReturn:

@@ -129,6 +129,20 @@ def test_a_killed_conversion_leaves_no_worker_behind(thab, tmp_path):
         killed.communicate(timeout=20)
 
 
+def test_scenes_of_recordings_that_are_gone_do_not_stay(thab_settings, thab, monkeypatch):
+    settings = thab_settings()
+    with monkeypatch.context() as patch:
+        fail_after(patch, 3, KeyboardInterrupt())
+        with pytest.raises(KeyboardInterrupt):
+            convert(settings)
+    (first, *_) = settings.dataset.scenes()
+    assert (settings.staging / first.name).is_dir()
+    (thab / first.key).unlink()
+    report = convert(thab_settings())
+    left = {path.parent.name for path in (settings.cache / "thab_vru").glob("*/conversion.json")}
+    assert left == {scene.name for scene in report.scenes}
+
+
 def test_a_second_conversion_reuses_every_scene(thab_settings, monkeypatch):
     first = convert(thab_settings())
     written = count_scenes(monkeypatch)
