@@ -23,7 +23,7 @@ from data_converters.multi_agent import MultiAgentDataset, Recording, modes_of
 from data_converters.recordings import RawScene
 from data_converters.tables.agreement import require_agreement
 from data_converters.tables.columns import NAMES, TableColumns
-from data_converters.tables.numbers import require_decimals, with_faults
+from data_converters.tables.numbers import require_numbers, with_faults
 from data_converters.tables.outputs import recorded
 from data_converters.tables.reading import names_of, read_table
 from data_converters.tables.units import Plausibility, TableUnits
@@ -148,7 +148,7 @@ class TableDataset(MultiAgentDataset):
         Raises:
             ConversionError: A unit must be wrong.
         """
-        require_decimals(rows, self.columns, self.units, path)
+        require_numbers(rows, self.columns, self.units, path)
         table = with_faults(self._in_si(rows), rows, self.columns, self.units, path)
         self.plausible.check(table, path)
         table = table.assign(**self._modes(rows), **self._measured(rows))

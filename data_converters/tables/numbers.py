@@ -14,32 +14,45 @@ from data_converters.tables.units import MARKS, TEXT_TIME, TableUnits
 
 MOST = 0.5
 """Share of the values of a column that tells how its numbers are written."""
+IF_DATES = "Correct it, remove the row, or set data.units.time=iso for dates and times."
 
 
-def require_decimals(
+def require_numbers(
     rows: pd.DataFrame, columns: TableColumns, units: TableUnits, path: Path
 ) -> None:
-    """Refuse a table whose numbers have a decimal comma where a point is set, or the reverse.
+    """Refuse a table with a column of text in the place of numbers, or with other decimal marks.
 
     Args:
         rows: The table as it was read.
         columns: Which columns hold numbers.
-        units: The decimal mark that is set.
+        units: How numbers and times are written.
         path: The file, for messages.
 
     Raises:
         ConversionError: The message names file, line, column, value and setting.
     """
-    (other,) = MARKS.keys() - {units.decimal}
-    needs, remedy = f"be '{units.decimal}' in numbers", f"Set data.units.decimal={other}."
     for column in columns.numbers():
         values = rows[column].dropna()
         if len(values) == 0 or pd.api.types.is_numeric_dtype(values):
             continue
-        written = values.astype(str).str.fullmatch(rf"\s*[+-]?\d*{re.escape(MARKS[other])}\d+\s*")
-        where = _place(path, int(written.idxmax()), column)
-        fits = bool(written.mean() <= MOST)
-        require(fits, "units.decimal", needs, values[written.idxmax()], where, remedy)
+        _require_mark(values, column, units, path)
+        dates = column == columns.time and units.time == TEXT_TIME
+        needs, remedy = "hold numbers", "Name another column, or none, or correct it."
+        if column == columns.time:
+            remedy = IF_DATES
+        readable = dates or bool(units.numbers(values).notna().any())
+        where = _place(path, int(values.index[0]), column)
+        require(readable, column, needs, values.iloc[0], where, remedy)
+
+
+def _require_mark(values: pd.Series, column: str, units: TableUnits, path: Path) -> None:
+    """Refuse decimal commas where a point is set, or the reverse."""
+    (other,) = MARKS.keys() - {units.decimal}
+    needs, remedy = f"be '{units.decimal}' in numbers", f"Set data.units.decimal={other}."
+    written = values.astype(str).str.fullmatch(rf"\s*[+-]?\d*{re.escape(MARKS[other])}\d+\s*")
+    where = _place(path, int(written.idxmax()), column)
+    fits = bool(written.mean() <= MOST)
+    require(fits, "units.decimal", needs, values[written.idxmax()], where, remedy)
 
 
 def with_faults(
@@ -70,7 +83,7 @@ def with_faults(
         if column == columns.time and units.time == TEXT_TIME:
             needs = "be a date and time such as 2026-05-04T12:00:00.1"
         elif column == columns.time:
-            remedy = "Correct or remove the row, or set data.units.time=iso for dates and times."
+            remedy = IF_DATES
         told[row] = fault(column, needs, "nothing" if pd.isna(value) else value, where, remedy)
     return table.assign(fault=pd.Series(told, dtype=object))
 

@@ -66,6 +66,25 @@ def test_what_cannot_be_read_is_told_with_file_line_and_column(dataset, column, 
     assert [track.name for track in raw.tracks] == ["7"]
 
 
+@pytest.mark.parametrize(
+    ("changes", "columns", "says"),
+    [
+        ({"face": "12°"}, {"heading": "face"}, "`face` must hold numbers.*'12°' in .*line 2"),
+        ({"delta": "left"}, {"controls": {"steer": "delta"}}, "`delta` must hold numbers.*'left'"),
+        ({"time": "12:00"}, {}, "`time` must hold numbers.*'12:00'.*units.time=iso"),
+    ],
+)
+def test_a_column_of_text_is_no_column_of_numbers(dataset, changes, columns, says):
+    found = dataset(tables={"day": table(**changes)}, columns=TableColumns(**columns))
+    with pytest.raises(ConversionError, match=says):
+        first_scene(found)
+
+
+def test_a_column_may_be_empty(dataset):
+    found = dataset(tables={"day": table(face=None)}, columns=TableColumns(heading="face"))
+    assert first_scene(found).tracks[0].heading is None
+
+
 def test_a_row_of_a_parquet_file_is_told_by_its_number(tmp_path):
     rows = table()
     rows.loc[3, "x"] = np.inf
