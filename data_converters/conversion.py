@@ -8,8 +8,9 @@ import shutil
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from importlib.metadata import version
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
+from threading import Thread
 from typing import Any, ClassVar, NoReturn
 
 from tqdm import tqdm
@@ -17,6 +18,8 @@ from tqdm import tqdm
 from data_converters.cache import write_json
 from data_converters.conversion_settings import ConversionSettings
 from data_converters.errors import ConversionError, fault
+from data_converters.heading import HeadingSource
+from data_converters.origin import require_same_origin, write_origin
 from data_converters.recordings import SceneSource
 from data_converters.report import ConversionReport, SceneReport
 from data_converters.scene_conversion import convert_scene, finished_scene
@@ -27,6 +30,9 @@ from dmmv_conventions.locks import in_turn
 
 logger = logging.getLogger(__name__)
 
+NEVER_MOVED = HeadingSource.UNKNOWN.name.lower()
+"""Rows before the first motion of their agent, in the counts of a scene."""
+
 SHOWN = 5
 """Names of recordings in one message."""
 
@@ -36,20 +42,24 @@ def convert(settings: ConversionSettings) -> ConversionReport:
 
     Scenes grow in a hidden folder next to it. A later call with equal settings goes on where an
     earlier one stopped, and reuses scenes of a finished cache whose files and settings are equal.
-    An earlier environment stays as it is until the new one takes its place.
+    An earlier environment stays as it is until the new one takes its place; one that was made from
+    another folder is only replaced by the same recordings, or with `replace`.
 
     Returns:
         The report, also written to `cache`/`name`/conversion_report.json and, for the latest
         conversion, to `cache`/conversion_report.json.
 
     Raises:
-        ConversionError: If the data set is missing or holds no usable track, the disk is full, or,
-            when strict, a track is bad, also one that an earlier conversion counted.
+        ConversionError: If the data set is missing or holds no usable track, the cache holds other
+            recordings under its name, the disk is full, or, when strict, a track is bad, also one
+            that an earlier conversion counted.
     """
     try:
         sources = settings.dataset.scenes()
         with in_turn(settings.cache, settings.dataset.name):
+            require_same_origin(settings, sources)
             settings.staging.mkdir(parents=True, exist_ok=True)
+            write_origin(settings, sources)
             reports = _convert_scenes(settings, sources)
             return _finish(settings, reports)
     except OSError as error:
@@ -62,9 +72,13 @@ def convert(settings: ConversionSettings) -> ConversionReport:
 def _told_of_cache(error: OSError, cache: Path) -> str:
     """The message for a folder of the cache that cannot be written, "" for any other failure."""
     if disk_is_full(error):
-        remedy = "Free space and run the same command again: finished scenes are kept."
+        remedy = (
+            "Free space, or raise your limit, and run the same command again: finished scenes are "
+            "kept."
+        )
         return fault("cache", "have free disk space", error.strerror, cache, remedy)
-    place = Path(error.filename or "")
+    # locks tell the whole path of their file
+    place, cache = Path(error.filename or "").absolute(), cache.absolute()
     above = cache.is_relative_to(place) and not place.is_dir()
     if error.filename and (place.is_relative_to(cache) or above):
         needs = "be a folder that can be written"
@@ -135,10 +149,19 @@ class _WorkerSettings:
     @classmethod
     def keep(cls, settings: ConversionSettings) -> None:
         cls.settings = settings
+        Thread(target=_end_with_parent, daemon=True).start()
 
     @classmethod
     def convert(cls, source: SceneSource) -> SceneReport:
         return convert_scene(cls.settings, source)
+
+
+def _end_with_parent() -> None:
+    """End this worker once its parent is gone: killed, it tells nobody, who would wait for ever."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> ConversionReport:
@@ -161,18 +184,25 @@ def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> Convers
         write_json(settings.cache / REPORT_FILE, report.as_dict())
         _refuse_all(settings, report)
     _warn_of_empty_splits(reports)
+    _warn_of_standstill(settings, usable)
     from trajdata.caching.env_cache import EnvCache
 
     location = settings.dataset.location
     listed = [(s.name, location, s.split, s.steps, i) for i, s in enumerate(usable)]
-    for leftover in settings.staging.glob(".partial_*"):  # of a process that was killed
-        shutil.rmtree(leftover, ignore_errors=True)
+    _remove_leftovers(settings.staging, {scene.name for scene in reports})
     EnvCache(settings.staging).save_env_scenes_list(".", listed)  # type: ignore[arg-type]
     write_json(settings.staging / REPORT_FILE, report.as_dict())
     write_json(settings.staging / STATE_FILE, _state(settings, usable))
     _replace_folder(settings.staging, settings.cache / name)
     write_json(settings.cache / REPORT_FILE, report.as_dict())
     return report
+
+
+def _remove_leftovers(staging: Path, scenes: set[str]) -> None:
+    """Remove what a killed process left, also scenes of recordings that are there no longer."""
+    for folder in staging.iterdir():
+        if folder.is_dir() and folder.name not in scenes:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _refuse_all(settings: ConversionSettings, report: ConversionReport) -> NoReturn:
@@ -202,6 +232,17 @@ def _warn_of_empty_splits(reports: list[SceneReport]) -> None:
             "Correct them, or move them away: recordings that are dealt are then dealt anew.",
             split,
             shown,
+        )
+
+
+def _warn_of_standstill(settings: ConversionSettings, usable: list[SceneReport]) -> None:
+    """Say that nobody moves: positions in km, read as m, look like that."""
+    if all(scene.heading_rows.get(NEVER_MOVED) == scene.rows for scene in usable):
+        logger.warning(
+            "No agent of '%s' ever moves faster than %g m/s. Check the unit of its positions "
+            "(data.units.length of own tables).",
+            settings.dataset.name,
+            settings.resample.standstill_mps,
         )
 
 

@@ -23,6 +23,8 @@ class ConversionSettings:
         resample: Step, thresholds and smoother of the tracks.
         workers: Processes; 1 converts in this process.
         strict: Raise at the first bad track instead of counting it.
+        replace: Let these recordings take the place of others, of another folder, that the cache
+            holds under the same name.
         progress: Whether to show a progress bar.
 
     Raises:
@@ -34,6 +36,7 @@ class ConversionSettings:
     resample: ResampleSettings = field(default_factory=ResampleSettings)
     workers: int = 1
     strict: bool = False
+    replace: bool = False
     progress: bool = True
 
     def __post_init__(self) -> None:

@@ -61,7 +61,9 @@ def told_as_fault(where: object) -> Iterator[None]:
         EOFError,
         zlib.error,
     ) as error:
-        reason, remedy = RejectReason.MISSING_FIELD, "Copy the file again."
+        unknown = isinstance(error, UnicodeDecodeError)
+        remedy = "Save it as UTF-8." if unknown else "Copy the file again."
+        reason = RejectReason.MISSING_FIELD
         refuse_track(reason, "file", "be a csv table", error, where, remedy)
 
 
@@ -71,15 +73,24 @@ def require_columns(table: pd.DataFrame, columns: Sequence[str], where: object) 
     Raises:
         TrackError: If one is missing.
     """
-    if not isinstance(table.index, pd.RangeIndex):
-        needs, found = "name every column", f"{len(table.columns)} names for more columns"
-        remedy = "Copy the file again."
-        refuse_track(RejectReason.MISSING_FIELD, "header", needs, found, where, remedy)
+    require_header(table, where)
     missing = [column for column in columns if column not in table.columns]
     if missing:
         reason = RejectReason.NO_TIMESTAMPS if columns[0] in missing else RejectReason.MISSING_FIELD
         found, remedy = list(table.columns), "Copy the file again."
         refuse_track(reason, "columns", f"contain {missing}", found, where, remedy)
+
+
+def require_header(table: pd.DataFrame, where: object) -> None:
+    """Refuse a table whose rows are longer than its header, so that columns have wrong names.
+
+    Raises:
+        TrackError: They are.
+    """
+    if not isinstance(table.index, pd.RangeIndex):
+        needs, found = "name every column", f"{len(table.columns)} names for more columns"
+        remedy = "Name them, remove separators at the ends of lines, or copy the file again."
+        refuse_track(RejectReason.MISSING_FIELD, "header", needs, found, where, remedy)
 
 
 def read_by_name(

@@ -16,6 +16,7 @@ class RejectReason(StrEnum):
     NO_TIMESTAMPS = "no_timestamps"
     TIMESTAMP_UNIT = "unknown_timestamp_unit"
     REPEATED_TIMESTAMPS = "repeated_timestamps"
+    TWO_PLACES = "two_places_at_a_time"
     NOT_FINITE = "coordinates_not_finite"
     UNKNOWN_CLASS = "unknown_class_id"
     BROKEN_CUBOID = "broken_cuboid"

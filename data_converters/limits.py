@@ -101,7 +101,11 @@ class RecordingLimits:
         farthest = float(np.abs(position).max())
         if farthest > self.coordinate_m:
             needs = f"lie within {self.coordinate_m:g} m of the origin"
-            remedy = "Give metres, or raise `coordinate_m` (data.recordings.limits.coordinate_m)."
+            corner = ",".join(f"{low:.0f}" for low in position[:, :2].min(axis=0))
+            remedy = (
+                "Give metres, or raise `coordinate_m` (data.recordings.limits.coordinate_m). "
+                f"For own tables in UTM or the like move data.units.origin_m by [{corner}]."
+            )
             refuse_track(
                 RejectReason.COORDINATES, "position", needs, f"{farthest:g}", where, remedy
             )

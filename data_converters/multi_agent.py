@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 LONGEST_HOLD_S = 0.5
 """For how long a heading that is missing is that of before."""
 
+SAME_PLACE_M = 1.0
+"""Distance of two samples of the same time up to which they may be of one agent."""
+
 METRES_PER_PIXEL = (1e-4, 1.0)
 """Scales of a picture of people from above; in a coarser one they are smaller than a pixel."""
 
@@ -86,7 +89,8 @@ class MultiAgentDataset(RecordingDataset):
             class is not known), time_s (s, on the clock that all files of the recording share),
             x, y (m, x east, y north); optionally z (m), speed (m/s), heading (rad), label (of the
             class, for messages), id (number of the agent, which must be one) and `SIZES` (m),
-            whose median over an agent is its size.
+            whose median over an agent is its size, and fault (text where a row
+            cannot be read).
 
         Raises:
             TrackError: If the file cannot be used.
@@ -242,15 +246,11 @@ def _track(name: str, rows: pd.DataFrame, source: str, raw: RawScene) -> RawTrac
     if bad.any():
         needs, remedy = "be finite numbers", "Correct or remove the row."
         found = values[int(bad.argmax())]
+        told = rows.iloc[int(bad.argmax())].get("fault")
+        if isinstance(told, str):
+            raise TrackError(told, RejectReason.NOT_FINITE)
         refuse_track(RejectReason.NOT_FINITE, ", ".join(needed), needs, found, where, remedy)
-    rows = rows.iloc[np.argsort(values[:, 0], kind="stable")]
-    fresh = np.concatenate([[True], np.diff(rows["time_s"].to_numpy()) > 0.0])
-    if len(rows) > 1 and fresh.sum() == 1:
-        needs, remedy = "increase", "The agent has no clock."
-        found = values[:2, 0]
-        refuse_track(RejectReason.REPEATED_TIMESTAMPS, "time_s", needs, found, where, remedy)
-    raw.note("repeated_timestamps", int((~fresh).sum()))
-    rows = rows[fresh]
+    rows = _in_order(rows, where, raw)
     height = rows["z"] if "z" in rows else np.zeros(len(rows))
     return RawTrack(
         name=name,
@@ -262,6 +262,24 @@ def _track(name: str, rows: pd.DataFrame, source: str, raw: RawScene) -> RawTrac
         speed=_optional(rows, "speed"),
         heading=_heading(rows, raw),
     )
+
+
+def _in_order(rows: pd.DataFrame, where: str, raw: RawScene) -> pd.DataFrame:
+    """One sample per time, the first of it, in the order of time."""
+    rows = rows.sort_values("time_s", kind="stable")
+    time_s, x, y = (rows[name].to_numpy(np.float64) for name in ("time_s", "x", "y"))
+    fresh = np.concatenate([[True], np.diff(time_s) > 0.0])
+    if len(rows) > 1 and fresh.sum() == 1:
+        needs, remedy = "increase", "The agent has no clock."
+        refuse_track(RejectReason.REPEATED_TIMESTAMPS, "time_s", needs, time_s[:2], where, remedy)
+    first = np.maximum.accumulate(np.where(fresh, np.arange(len(rows)), 0))
+    apart = np.hypot(x - x[first], y - y[first])
+    if apart.max() > SAME_PLACE_M:
+        needs, remedy = "be in one place at a time", "Name agents apart, or remove one of the rows."
+        found = f"two {apart.max():.3g} m apart, {time_s[apart.argmax()]:g} s from the beginning"
+        refuse_track(RejectReason.TWO_PLACES, "agent", needs, found, where, remedy)
+    raw.note("repeated_timestamps", int((~fresh).sum()))
+    return rows[fresh]
 
 
 def _mode(rows: pd.DataFrame, where: str) -> Mode:

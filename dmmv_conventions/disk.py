@@ -8,8 +8,8 @@ from pathlib import Path
 
 
 def disk_is_full(error: OSError) -> bool:
-    """Whether no space, or no quota, is left."""
-    return error.errno in (errno.ENOSPC, errno.EDQUOT)
+    """Whether no space, or no quota, is left, or a file may not be as large (`ulimit -f`)."""
+    return error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @contextmanager

@@ -38,6 +38,7 @@ def main(config: DictConfig) -> None:
         ),
         workers=config.workers,
         strict=config.strict,
+        replace=config.replace,
     )
     report = convert(settings)
     logger.info("%s", json.dumps(report.totals(), indent=2))

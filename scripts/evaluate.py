@@ -27,7 +27,7 @@ from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.versions import code_version, file_hash
 
 if TYPE_CHECKING:
-    from diffstack_mmv.data import TrajdataModule
+    from diffstack_mmv.data import TrajdataModule, WindowDataset
     from diffstack_mmv.metrics import Calibration
     from diffstack_mmv.stack import DiffStackMMV, Evaluation, Windows
 
@@ -67,7 +67,24 @@ def _calibration(
     if split is None:
         return None
     module.prepare_splits([split])
+    _admit_split("calibration.split", config, module.dataset(split))
     return fitted_calibration(stack, module.dataset(split), config.batch_size)
+
+
+def _admit_split(argument: str, config: DictConfig, windows: WindowDataset) -> int:
+    """Refuse recordings of the training in a split, unless it is that of the training itself.
+
+    Returns:
+        How many there are.
+    """
+    from diffstack_mmv.data import require_unseen, seen_recordings
+    from diffstack_mmv.stack import learned_from
+
+    split = OmegaConf.select(config, argument)
+    seen = seen_recordings(windows.samples, learned_from(config.checkpoint))
+    if split != "train" and not config.allow_seen:
+        require_unseen(argument, split, seen)
+    return len(seen)
 
 
 def _take_windows(config: DictConfig, trained: dict[str, Any]) -> None:
@@ -128,6 +145,7 @@ def main(config: DictConfig) -> None:
 
     out, (stack, trained, module, header) = Path(config.out), _prepared(config)
     windows = split_windows(module, config.split)
+    header["seen_in_training"] = _admit_split("split", config, windows)
     baselines = dict(instantiate(config.baselines.simple))
     if stack.goal.uses_future:
         baselines |= instantiate(config.baselines.to_goal)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,7 @@ logger = logging.getLogger(__name__)
 if TYPE_CHECKING:
     import pytorch_lightning as pl
 
+    from diffstack_mmv.data import Recordings, TrajdataModule
     from diffstack_mmv.stack import DiffStackMMV
 
 
@@ -65,7 +67,7 @@ def main(config: DictConfig) -> float | None:
     import pytorch_lightning as pl
 
     from diffstack_mmv.callbacks import Provenance
-    from diffstack_mmv.stack import own_processes, start_from
+    from diffstack_mmv.stack import learned_from, own_processes, start_from
 
     pl.seed_everything(config.seed, workers=True)
     content: Any = OmegaConf.to_container(config)
@@ -73,10 +75,12 @@ def main(config: DictConfig) -> float | None:
     stack, data = instantiate(config.stack), instantiate(config.data.module)
     if config.start is not None and resume is None:
         start_from(stack, checkpoint_path(config.start))
+    begun = resume or config.start
+    lineage = partial(_lineage, learned_from(begun) if begun else {}, data, config.epochs)
     callbacks = [instantiate(each) for each in config.callbacks.values() if each is not None]
     loggers = [instantiate(each) for each in config.logger.values() if each is not None]
     trainer = instantiate(
-        config.trainer, callbacks=[*callbacks, Provenance(content)], logger=loggers
+        config.trainer, callbacks=[*callbacks, Provenance(content, lineage)], logger=loggers
     )
     checkpoints = Path(config.out) / "checkpoints"
     if config.epochs == 0:
@@ -94,6 +98,14 @@ def main(config: DictConfig) -> float | None:
             logger.info("Checkpoint: %s; scripts/evaluate.py checkpoint=%s scores it", kept, kept)
     score = getattr(best, "best_model_score", None)
     return None if score is None else float(score)
+
+
+def _lineage(earlier: Recordings, data: TrajdataModule, epochs: int) -> Recordings:
+    """Recordings of the training, and of those of before that it goes on from."""
+    from diffstack_mmv.data import joined_recordings, recordings_of
+
+    learned = recordings_of(data.samples(data.splits.train)) if epochs > 0 else {}
+    return joined_recordings(earlier, learned)
 
 
 def _save_as_it_is(trainer: pl.Trainer, stack: DiffStackMMV, folder: Path) -> None:

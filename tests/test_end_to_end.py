@@ -24,6 +24,7 @@ from diffstack_mmv.simulation import (
     World,
     drive,
 )
+from diffstack_mmv.stack import learned_from
 from diffstack_mmv.types import Mode
 from tests.data.conftest import ToyAgent, write_cache
 
@@ -84,6 +85,8 @@ def test_run_folder_holds_what_a_repetition_needs(workplace):
     ]
     assert provenance["config"]["seed"] == 0
     assert provenance["commit"]
+    scenes = ConvertedCache("imptc", str(workplace / "cache")).scenes()
+    assert provenance["data"] == {"imptc": [s["name"] for s in scenes if s["split"] == "train"]}
 
 
 def test_training_logs_parts_modes_and_learned_parameters(workplace):
@@ -126,6 +129,22 @@ def test_evaluation_is_deterministic(succeed, workplace, tmp_path):
     before = json.loads((workplace / "report" / "metrics.json").read_text())
     assert again["modes"] == before["modes"]
     assert again["baselines"] == before["baselines"]
+
+
+@pytest.mark.slow
+def test_recordings_of_the_training_are_judged_only_where_that_is_meant(
+    refusal, succeed, workplace, tmp_path
+):
+    checkpoint = f"checkpoint={workplace / 'run' / 'checkpoints' / 'best.ckpt'}"
+    arguments = [checkpoint, *data_of(workplace), "split=all", "plans=false", "plots=false"]
+    (name,) = learned_from(workplace / "run" / "checkpoints" / "best.ckpt")["imptc"]
+    told = refusal("evaluate", *arguments, f"out={tmp_path / 'refused'}")
+    assert f"1 of them in 'all': imptc/{name}. " in told
+    succeed("evaluate", *arguments, "allow_seen=true", f"out={tmp_path / 'allowed'}")
+    metrics = json.loads((tmp_path / "allowed" / "metrics.json").read_text())
+    assert metrics["seen_in_training"] == 1
+    before = json.loads((workplace / "report" / "metrics.json").read_text())
+    assert before["seen_in_training"] == 0
 
 
 def test_a_refused_evaluation_leaves_the_configuration_of_the_folder(refusal, workplace):
@@ -273,6 +292,7 @@ def test_training_starts_from_the_predictor_of_other_dynamics(succeed, workplace
     options = [*SMALL, "dynamics=unicycle", "loss=prediction", "trainer.limit_train_batches=1"]
     succeed("train", *data_of(workplace), *options, f"start={start}", f"out={tmp_path}")
     assert "keep their initial values" in (tmp_path / "train.log").read_text()
+    assert learned_from(tmp_path / "checkpoints" / "last.ckpt") == learned_from(start)
 
 
 def test_checkpoint_of_another_architecture_is_refused(refusal, workplace, tmp_path):

@@ -10,6 +10,8 @@ import pandas as pd
 from data_converters.errors import require
 
 REQUIRED = ("time", "x", "y")
+NAMES = ("agent", "type", "scene", "recording")
+"""Columns that hold names; all others hold numbers."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,11 @@ class TableColumns:
     def named(self) -> dict[str, str]:
         """By what it holds the column of the table, without controls."""
         return {name: column for name, column in asdict(self).items() if isinstance(column, str)}
+
+    def numbers(self) -> list[str]:
+        """The columns of the table that hold numbers."""
+        named = [column for name, column in self.named().items() if name not in NAMES]
+        return [*named, *self.controls.values()]
 
     def require_all(self, table: pd.DataFrame, where: object) -> None:
         """Refuse a table that lacks a column.

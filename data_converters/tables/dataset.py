@@ -10,7 +10,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
 import pandas as pd
 
 from data_converters.errors import (
@@ -23,15 +22,14 @@ from data_converters.errors import (
 from data_converters.multi_agent import MultiAgentDataset, Recording, modes_of
 from data_converters.recordings import RawScene
 from data_converters.tables.agreement import require_agreement
-from data_converters.tables.columns import TableColumns
+from data_converters.tables.columns import NAMES, TableColumns
+from data_converters.tables.numbers import require_numbers, with_faults
 from data_converters.tables.outputs import recorded
 from data_converters.tables.reading import names_of, read_table
 from data_converters.tables.units import Plausibility, TableUnits
 from dmmv_conventions.cache import CONTROLS_TABLE, SPLITS
 from dmmv_conventions.modes import Mode
 
-NAMES = ("agent", "type", "scene", "recording")
-"""Columns that hold names."""
 UNNAMED = ""
 """What stands for the scene of rows that name none."""
 ENDINGS = ("csv", "csv.gz", "parquet")
@@ -139,10 +137,9 @@ class TableDataset(MultiAgentDataset):
                 refuse_track(RejectReason.NO_SCENE, "scene", needs, found, path, remedy)
             table = self._checked(rows, path)
         if columns.controls:
-            recorded = {name: rows[column] for name, column in columns.controls.items()}
-            numbers = pd.DataFrame(recorded).apply(pd.to_numeric, errors="coerce")
+            numbers = {name: self.units.numbers(rows[c]) for name, c in columns.controls.items()}
             controls = table[["agent", "time_s"]].rename(columns={"agent": "agent_id"})
-            raw.side_tables[CONTROLS_TABLE] = controls.assign(**numbers.astype(np.float64))
+            raw.side_tables[CONTROLS_TABLE] = controls.assign(**numbers)
         return table
 
     def _checked(self, rows: pd.DataFrame, path: Path) -> pd.DataFrame:
@@ -151,7 +148,8 @@ class TableDataset(MultiAgentDataset):
         Raises:
             ConversionError: A unit must be wrong.
         """
-        table = self._in_si(rows)
+        require_numbers(rows, self.columns, self.units, path)
+        table = with_faults(self._in_si(rows), rows, self.columns, self.units, path)
         self.plausible.check(table, path)
         table = table.assign(**self._modes(rows), **self._measured(rows))
         require_agreement(table, self.columns, self.units, path)
@@ -163,8 +161,7 @@ class TableDataset(MultiAgentDataset):
             {
                 "agent": "agent" if columns.agent is None else names_of(rows[columns.agent]),
                 "time_s": units.seconds(rows[columns.time]),
-                "x": units.metres(rows[columns.x]),
-                "y": units.metres(rows[columns.y]) * (-1.0 if units.y_down else 1.0),
+                **units.places(rows[columns.x], rows[columns.y]),
             }
         )
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import gzip
+import re
 from collections.abc import Collection
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
-from data_converters.csv_table import told_as_fault
+from data_converters.csv_table import require_header, told_as_fault
 from data_converters.errors import RejectReason, TrackError, refuse_track
 from data_converters.plain_files import require_plain
 
@@ -16,7 +18,7 @@ SEPARATORS = (",", ";", "\t", "|")
 
 
 def read_table(path: Path, names: Collection[str]) -> pd.DataFrame:
-    """A table as it is.
+    """A table as it is, its rows numbered from 0.
 
     Args:
         path: The file.
@@ -27,14 +29,16 @@ def read_table(path: Path, names: Collection[str]) -> pd.DataFrame:
     """
     if path.suffix != ".parquet":
         with told_as_fault(path):
-            return pd.read_csv(
+            table = pd.read_csv(
                 path, sep=_separator(path), encoding="utf-8-sig", dtype=dict.fromkeys(names, str)
             )
+        require_header(table, path)
+        return table
     from pyarrow.lib import ArrowException
 
     try:
         require_plain(path)
-        return pd.read_parquet(path)
+        return pd.read_parquet(path).reset_index(drop=True)
     except TrackError:
         raise
     except (OSError, ValueError, TypeError, ArrowException) as error:
@@ -54,9 +58,13 @@ def names_of(column: pd.Series) -> pd.Series:
 
     A number that a gap turned into 7.0 is 7.
     """
-    if pd.api.types.is_float_dtype(column):
-        names = column.map(lambda value: f"{value:.0f}" if value.is_integer() else repr(value))
-    else:
-        names = column.astype(str).str.strip()
-        names = names.str.replace(r"^(-?\d+)\.0+$", r"\1", regex=True)
-    return names.where(column.notna() & (names != ""))
+    # a table has few names, each in many rows
+    codes, values = pd.factorize(column)
+    names = [*map(_name, values.tolist()), None]
+    return pd.Series([names[code] for code in codes], column.index, dtype=object).fillna(np.nan)
+
+
+def _name(value: object) -> str | None:
+    if isinstance(value, float):
+        return f"{value:.0f}" if value.is_integer() else repr(value)
+    return re.sub(r"^(-?\d+)\.0+$", r"\1", str(value).strip()) or None

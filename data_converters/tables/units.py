@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from data_converters.errors import require
+from dmmv_conventions.checks import is_number
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "ft": 0.3048}
@@ -19,6 +20,9 @@ RADIANS = {
 }
 """Factor to rad, and where zero points to, counter-clockwise from east."""
 SPEEDS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
+MARKS = {"point": ".", "comma": ","}
+"""What separates the decimals of a number."""
+SWAPPED = str.maketrans(",.", ".,")
 TEXT_TIME = "iso"
 """Unit of a time that is written as date and time of day."""
 
@@ -33,17 +37,22 @@ class TableUnits:
         angle: Of the heading: rad or deg from x towards y, or compass_deg clockwise from north,
             which is up in a picture, too.
         speed: m/s, km/h or mph.
+        decimal: point or comma, as numbers in text files are written.
         y_down: Whether y points down, as in a picture; turns would be mirrored.
+        origin_m: Place in m, x and y (upwards), that is subtracted from all positions, such as a
+            corner of the site in UTM.
 
     Raises:
-        ConversionError: If a unit is not known.
+        ConversionError: If a unit is not known, or the origin is no place.
     """
 
     time: str = "s"
     length: str = "m"
     angle: str = "rad"
     speed: str = "m/s"
+    decimal: str = "point"
     y_down: bool = False
+    origin_m: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         times = [*SECONDS, TEXT_TIME]
@@ -52,27 +61,44 @@ class TableUnits:
             ("length", list(METRES)),
             ("angle", list(RADIANS)),
             ("speed", list(SPEEDS)),
+            ("decimal", list(MARKS)),
         ):
             value = getattr(self, name)
             fits = value in known
             require(
                 fits, f"units.{name}", f"be one of {', '.join(known)}", value, "", "Choose one."
             )
+        object.__setattr__(self, "origin_m", tuple(self.origin_m))
+        numbers = [value for value in self.origin_m if is_number(value) and np.isfinite(value)]
+        fits, needs = len(self.origin_m) == len(numbers) == 2, "be two numbers"
+        remedy = "Give data.units.origin_m=[X,Y] in m."
+        require(fits, "units.origin_m", needs, list(self.origin_m), "", remedy)
 
     def settings(self) -> dict[str, object]:
         """All units as plain values."""
         return asdict(self)
+
+    def numbers(self, values: pd.Series) -> pd.Series:
+        """Numbers, also those in text; NaN where there is none."""
+        if self.decimal == "comma" and not pd.api.types.is_numeric_dtype(values):
+            values = values.where(values.isna(), values.astype(str).str.translate(SWAPPED))
+        return pd.to_numeric(values, errors="coerce").astype(np.float64)
 
     def seconds(self, times: pd.Series) -> pd.Series:
         """Times in s; NaN where there is none."""
         if self.time == TEXT_TIME:
             stamps = pd.to_datetime(times, errors="coerce", format="ISO8601", utc=True)
             return (stamps - stamps.min()).dt.total_seconds()
-        return pd.to_numeric(times, errors="coerce").astype(np.float64) * SECONDS[self.time]
+        return self.numbers(times) * SECONDS[self.time]
 
     def metres(self, lengths: pd.Series) -> pd.Series:
         """Lengths in m; NaN where there is none."""
-        return pd.to_numeric(lengths, errors="coerce").astype(np.float64) * METRES[self.length]
+        return self.numbers(lengths) * METRES[self.length]
+
+    def places(self, x: pd.Series, y: pd.Series) -> dict[str, pd.Series]:
+        """Positions in m from the origin, x to the east and y to the north; NaN for none."""
+        upwards = self.metres(y) * (-1.0 if self.y_down else 1.0)
+        return {"x": self.metres(x) - self.origin_m[0], "y": upwards - self.origin_m[1]}
 
     @property
     def mirrored(self) -> bool:
@@ -82,12 +108,12 @@ class TableUnits:
     def radians(self, angles: pd.Series) -> pd.Series:
         """Angles in rad, counter-clockwise from east."""
         factor, zero = RADIANS[self.angle]
-        turned = pd.to_numeric(angles, errors="coerce").astype(np.float64) * factor + zero
+        turned = self.numbers(angles) * factor + zero
         return -turned if self.mirrored else turned
 
     def metres_per_second(self, speeds: pd.Series) -> pd.Series:
         """Speeds in m/s; NaN where there is none."""
-        return pd.to_numeric(speeds, errors="coerce").astype(np.float64) * SPEEDS[self.speed]
+        return self.numbers(speeds) * SPEEDS[self.speed]
 
 
 @dataclass(frozen=True)

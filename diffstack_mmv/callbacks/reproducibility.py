@@ -6,7 +6,7 @@ Where it came from, and the state of all random generators.
 import random
 import re
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +23,20 @@ from dmmv_conventions.versions import installed_version
 
 
 class Provenance(Callback):
-    """Stores the resolved configuration, the commit and the versions in every checkpoint.
+    """Stores in every checkpoint configuration, recordings, commit and versions.
 
     Args:
         config: The resolved configuration as plain containers.
+        learned_from: Tells the names of the recordings by data set, once they are read.
     """
 
-    def __init__(self, config: Mapping[str, Any]) -> None:
+    def __init__(
+        self,
+        config: Mapping[str, Any],
+        learned_from: Callable[[], Mapping[str, Sequence[str]]] = dict,
+    ) -> None:
         self.config = dict(config)
+        self.learned_from = learned_from
 
     def on_save_checkpoint(
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, checkpoint: dict[str, Any]
@@ -38,6 +44,7 @@ class Provenance(Callback):
         """Add the provenance to a checkpoint."""
         checkpoint["provenance"] = {
             "config": self.config,
+            "data": dict(self.learned_from()),
             "commit": current_commit(),
             "torch": str(torch.__version__),
             "diffstack_mmv": installed_version(),

@@ -24,6 +24,13 @@ if TYPE_CHECKING:
         read_sensors,
     )
     from diffstack_mmv.data.joined import JoinedWindows, split_windows
+    from diffstack_mmv.data.lineage import (
+        Recordings,
+        joined_recordings,
+        recordings_of,
+        require_unseen,
+        seen_recordings,
+    )
     from diffstack_mmv.data.loading import WindowLoader
     from diffstack_mmv.data.noise import PositionNoise, RecordingNoise
     from diffstack_mmv.data.recorded_scenes import RecordedScenes
@@ -52,6 +59,7 @@ __all__ = [
     "PositionNoise",
     "RecordedScenes",
     "RecordingNoise",
+    "Recordings",
     "Rotation",
     "SituationShare",
     "Situations",
@@ -64,6 +72,7 @@ __all__ = [
     "WindowSettings",
     "WindowSource",
     "export_windows",
+    "joined_recordings",
     "read_controls",
     "read_interpolated",
     "read_leans",
@@ -71,6 +80,9 @@ __all__ = [
     "read_sensors",
     "read_tracks",
     "recorded_noise",
+    "recordings_of",
+    "require_unseen",
+    "seen_recordings",
     "situations",
     "split_windows",
     "stack_batch",

@@ -41,7 +41,7 @@ class JoinedWindows(WindowDataset):
         owner = np.searchsorted(self._first, numbers, "right") - 1
         order = np.argsort(owner, kind="stable")
         batches = [
-            self.parts[part][list(numbers[owner == part] - self._first[part])]
+            self.parts[part][(numbers[owner == part] - self._first[part]).tolist()]
             for part in sorted(set(owner.tolist()))
         ]
         back = torch.from_numpy(np.argsort(order, kind="stable"))

@@ -170,6 +170,23 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     return content
 
 
+def learned_from(path: Path | str) -> dict[str, list[str]]:
+    """Names of the recordings a checkpoint and those it was started from learned from.
+
+    Args:
+        path: The checkpoint, or the name of a shipped one.
+
+    Returns:
+        Scenes by the name of their data set; none where a checkpoint of before does not tell.
+
+    Raises:
+        ValueError: The file is missing, broken, or of another program.
+    """
+    told = read_checkpoint(checkpoint_path(path))["provenance"].get("data")
+    told = told if isinstance(told, Mapping) else {}
+    return {str(name): scenes for name, scenes in told.items() if isinstance(scenes, list)}
+
+
 def write_lean(source: Path, target: Path) -> None:
     """Write a checkpoint with nothing but its weights and what tells how to build the stack.
 

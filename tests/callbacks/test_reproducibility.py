@@ -105,6 +105,14 @@ def test_another_run_in_the_same_folder_is_refused(changed, tmp_path):
         resume_point(save(tmp_path, CONFIG), CONFIG | changed)
 
 
+def test_a_checkpoint_tells_what_was_learned_from_once_it_is_read():
+    names, checkpoint = {}, {}
+    callback = Provenance(CONFIG, lambda: names)
+    names["a"] = ["1"]
+    callback.on_save_checkpoint(None, None, checkpoint)
+    assert checkpoint["provenance"]["data"] == {"a": ["1"]}
+
+
 def test_a_checkpoint_tells_configuration_commit_and_versions(tmp_path):
     stored = torch.load(save(tmp_path, CONFIG), weights_only=True)["provenance"]
     assert stored["config"] == CONFIG

@@ -19,6 +19,8 @@ class Held(WindowDataset):
         return len(self.batch.goal)
 
     def __getitem__(self, index):
+        # plain numbers, as the annotation says, not those of numpy
+        assert all(type(number) is int for number in index)
         return map_tensors(lambda field: field[list(index)], self.batch)
 
     @property

@@ -4,6 +4,9 @@ import dataclasses
 import errno
 import json
 import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -102,6 +105,44 @@ def test_an_interrupted_conversion_goes_on_where_it_stopped(thab_settings, monke
     assert report.totals()["scenes"] == 12
 
 
+KILLED = """
+import sys, time
+from pathlib import Path
+from data_converters import ConversionSettings, ThabVruDataset, conversion
+def stay(settings, source):
+    print("begun", flush=True)
+    time.sleep(60)
+conversion.convert_scene = stay
+root, cache = map(Path, sys.argv[1:])
+conversion.convert(ConversionSettings(ThabVruDataset(root), cache, workers=2, progress=False))
+"""
+
+
+@pytest.mark.slow
+def test_a_killed_conversion_leaves_no_worker_behind(thab, tmp_path):
+    command = [sys.executable, "-c", KILLED, str(thab), str(tmp_path / "cache")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as killed:
+        assert killed.stdout is not None
+        assert [killed.stdout.readline() for _ in range(2)] == 2 * [b"begun\n"]
+        killed.kill()
+        # until the last of those who write to it has ended
+        killed.communicate(timeout=20)
+
+
+def test_scenes_of_recordings_that_are_gone_do_not_stay(thab_settings, thab, monkeypatch):
+    settings = thab_settings()
+    with monkeypatch.context() as patch:
+        fail_after(patch, 3, KeyboardInterrupt())
+        with pytest.raises(KeyboardInterrupt):
+            convert(settings)
+    (first, *_) = settings.dataset.scenes()
+    assert (settings.staging / first.name).is_dir()
+    (thab / first.key).unlink()
+    report = convert(thab_settings())
+    left = {path.parent.name for path in (settings.cache / "thab_vru").glob("*/conversion.json")}
+    assert left == {scene.name for scene in report.scenes}
+
+
 def test_a_second_conversion_reuses_every_scene(thab_settings, monkeypatch):
     first = convert(thab_settings())
     written = count_scenes(monkeypatch)
@@ -197,6 +238,15 @@ def test_a_cache_where_no_folder_can_be_is_named(thab_settings, tmp_path, below)
     told = "`cache` must be a folder that can be written, but got '.*file.* Give another one.$"
     with pytest.raises(ConversionError, match=told):
         convert(settings)
+
+
+def test_a_cache_without_permission_is_named(thab_settings, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    # a folder in the place of the lock: no user, the administrator neither, can open it
+    (tmp_path / "cache" / ".lock_thab_vru").mkdir(parents=True)
+    told = r"`cache` must be a folder that can be written, but got '.*\.lock_thab_vru' \(Is a dir"
+    with pytest.raises(ConversionError, match=told):
+        convert(thab_settings(cache=Path("cache")))
 
 
 def test_another_failure_of_the_disk_is_not_called_full(thab_settings, monkeypatch):

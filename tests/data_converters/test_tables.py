@@ -191,6 +191,22 @@ def test_a_remedy_names_what_helps(dataset, tmp_path, rows, says):
         convert(ConversionSettings(found, tmp_path / "cache", progress=False))
 
 
+def test_two_riders_of_one_name_are_not_made_one(dataset):
+    rows = pd.concat([table(), table(y=1.5), table(agent=8), table(agent=8, y=9.0)])
+    raw = first_scene(dataset(tables={"day": rows}), strict=False)
+    assert [track.name for track in raw.tracks] == ["7"]
+    (rejection,) = raw.rejected
+    assert (rejection.track, rejection.reason) == ("8", RejectReason.TWO_PLACES)
+    assert "`agent` must be in one place at a time, but got 'two 8 m apart" in rejection.detail
+
+
+@pytest.mark.parametrize(("metres", "told"), [(4.0, False), (4e-3, True)])
+def test_positions_in_km_are_told_where_nobody_moves(dataset, tmp_path, caplog, metres, told):
+    found = dataset(tables={"day": table(x=metres * TIME_S)})
+    convert(ConversionSettings(found, tmp_path / "cache", progress=False))
+    assert ("data.units.length" in caplog.text) == told
+
+
 def test_a_broken_file_is_counted_and_the_others_kept(dataset, tmp_path):
     found = dataset(tables={"a": table(), "b": table(y=2.0)})
     (tmp_path / "c.csv").write_text("")
@@ -225,6 +241,28 @@ def test_coordinates_of_a_map_need_a_wider_limit(dataset, tmp_path):
     assert (tmp_path / "cache" / "conversion_report.json").is_file()
     report = converted(tmp_path, "data.recordings.limits.coordinate_m=1e7")
     assert report.totals()["scenes"] == 1
+
+
+def test_positions_count_from_the_origin(dataset):
+    units = TableUnits(length="km", y_down=True, origin_m=(5e5, -5.5e6))
+    far = table(x=500.0 + 4e-3 * TIME_S, y=5499.999)
+    (track,) = first_scene(dataset(tables={"day": far}, units=units)).tracks
+    np.testing.assert_allclose(track.position[:, 0], 4.0 * TIME_S, atol=1e-6)
+    np.testing.assert_allclose(track.position[:, 1], 1.0, atol=1e-6)
+
+
+def test_the_origin_that_a_message_names_brings_a_map_near(dataset, tmp_path):
+    dataset(tables={"day": table(x=5e5 + 4.0 * TIME_S, y=5.5e6)})
+    with pytest.raises(ConversionError, match="origin_m by") as told:
+        converted(tmp_path)
+    origin = re.findall(r"origin_m by (\[.*?\])", str(told.value))[0]
+    assert converted(tmp_path, f"data.units.origin_m={origin}").totals()["scenes"] == 1
+
+
+@pytest.mark.parametrize("origin", [(1.0,), (1.0, float("nan")), ("a", 1.0), (1.0, 2.0, 3.0)])
+def test_an_origin_is_two_numbers(origin):
+    with pytest.raises(ConversionError, match=r"`units\.origin_m` must be two numbers"):
+        TableUnits(origin_m=origin)
 
 
 def test_files_are_recordings_whose_split_can_be_given(dataset):

@@ -9,7 +9,10 @@ from dmmv_conventions.disk import disk_is_full, replacing
 
 @pytest.mark.parametrize(
     ("number", "full"),
-    [(errno.ENOSPC, True), (errno.EDQUOT, True), (errno.EIO, False), (errno.EACCES, False)],
+    [
+        *[(number, True) for number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)],
+        *[(number, False) for number in (errno.EIO, errno.EACCES)],
+    ],
 )
 def test_no_space_and_no_quota_are_a_full_disk(number, full):
     assert disk_is_full(OSError(number, "failed")) == full

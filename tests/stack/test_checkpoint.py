@@ -8,6 +8,7 @@ import torch
 from diffstack_mmv.planning import PredictedGoal
 from diffstack_mmv.prediction.trajectron.agent_batch import PEDESTRIAN
 from diffstack_mmv.stack import (
+    learned_from,
     load_predictor,
     load_stack,
     load_weights,
@@ -165,6 +166,19 @@ def test_a_lean_checkpoint_keeps_weights_and_what_it_is_built_from(tmp_path):
     lean = read_checkpoint(tmp_path / "lean.ckpt")
     assert lean["provenance"]["config"] == whole["provenance"]["config"]
     assert "optimizer_states" not in lean
+
+
+@pytest.mark.parametrize(
+    ("told", "known"),
+    [({"a": ["1", "2"]}, {"a": ["1", "2"]}), ({"a": 3}, {}), (["a"], {}), (None, {})],
+)
+def test_a_checkpoint_tells_what_it_learned_from_or_nothing(tmp_path, told, known):
+    whole = read_checkpoint(checkpoint_path("pretrained"))
+    assert learned_from("pretrained") == {}
+    torch.save(whole | {"provenance": whole["provenance"] | {"data": told}}, tmp_path / "a.ckpt")
+    assert learned_from(tmp_path / "a.ckpt") == known
+    write_lean(tmp_path / "a.ckpt", tmp_path / "lean.ckpt")
+    assert learned_from(tmp_path / "lean.ckpt") == known
 
 
 @pytest.mark.parametrize("beside", [True, False])

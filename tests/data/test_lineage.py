@@ -1,0 +1,40 @@
+"""What a stack learned from, and whether it is judged on that."""
+
+import pandas as pd
+import pytest
+
+from diffstack_mmv.data import (
+    joined_recordings,
+    recordings_of,
+    require_unseen,
+    seen_recordings,
+)
+
+
+def windows(*places):
+    return pd.DataFrame(places, columns=["dataset", "scene"])
+
+
+def test_recordings_are_told_once_by_data_set():
+    found = recordings_of(windows(("b", "2"), ("a", "2"), ("b", "1"), ("b", "2")))
+    assert found == {"a": ["2"], "b": ["1", "2"]}
+
+
+def test_what_earlier_trainings_learned_from_is_kept():
+    first, second = {"a": ["1", "3"]}, {"a": ["2", "3"], "b": ["1"]}
+    assert joined_recordings(first, second) == {"a": ["1", "2", "3"], "b": ["1"]}
+    assert joined_recordings({}, second) == second
+
+
+def test_a_recording_of_the_same_name_in_another_data_set_is_another():
+    samples = windows(("a", "1"), ("a", "2"), ("b", "1"))
+    assert seen_recordings(samples, {"b": ["1", "2"]}) == ["b/1"]
+    assert seen_recordings(samples, {}) == []
+
+
+def test_a_split_with_recordings_of_the_training_is_refused_by_their_names():
+    require_unseen("split", "test", [])
+    seen = [f"a/{number}" for number in range(9)]
+    says = r"`split` must.*9 of them in 'test': a/0, .*a/4, \.\.\.\. .*allow_seen=true"
+    with pytest.raises(ValueError, match=says):
+        require_unseen("split", "test", seen)
