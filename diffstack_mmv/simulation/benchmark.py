@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from diffstack_mmv.checks import require, require_at_least
+from diffstack_mmv.checks import require, require_at_least, require_whole
 from diffstack_mmv.simulation.chunks import Chunk, Origin, read_chunk_of, write_chunk
 from diffstack_mmv.simulation.decisions import Controller, Decided, diagnosis_of, thoughts_of
 from diffstack_mmv.simulation.episode import drive
@@ -90,6 +90,7 @@ class Campaign:
         require(len(self.cases) > 0, "cases", "name at least one case", "none")
         for number in (min(self.cases), max(self.cases)):
             require_case(self.phase, number)
+        require_whole("chunk_size", self.chunk_size)
         require_at_least("chunk_size", self.chunk_size, 1)
 
     def run(self) -> Iterator[Chunk]:
