@@ -16,6 +16,7 @@ from dmmv_conventions.checks import (
     require_multiple,
     require_one_of,
     require_positive,
+    require_whole,
 )
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "require_one_of",
     "require_positive",
     "require_tensor",
+    "require_whole",
 ]
 
 

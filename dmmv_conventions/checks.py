@@ -5,6 +5,7 @@ Every message reads "`argument` must requirement, but got value where. remedy".
 
 import math
 from collections.abc import Sequence
+from numbers import Integral
 
 
 def message(
@@ -50,12 +51,28 @@ def is_number(value: object) -> bool:
     return hasattr(value, "__float__")
 
 
+def _require_no_text(argument: str, value: object, where: str) -> None:
+    """Refuse text, which in a message without quotes looks like the number that is asked for."""
+    require(not isinstance(value, str), argument, "be a number", repr(value), where)
+
+
+def require_whole(argument: str, value: object, where: str = "") -> None:
+    """Refuse anything but a whole number, which a fraction like 2.0 is not.
+
+    Raises:
+        ValueError: `value` is a fraction, a truth, or no number.
+    """
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    require(whole, argument, "be a whole number", repr(value), where)
+
+
 def require_positive(argument: str, value: float | int, where: str = "", remedy: str = "") -> None:
     """Refuse a number that is not finite and above zero.
 
     Raises:
-        ValueError: `value` is zero, negative, infinite or NaN.
+        ValueError: `value` is zero, negative, infinite, NaN or text.
     """
+    _require_no_text(argument, value, where)
     positive = is_number(value) and math.isfinite(value) and value > 0
     require(positive, argument, "be positive", value, where, remedy)
 
@@ -66,8 +83,9 @@ def require_at_least(
     """Refuse a number below `low`.
 
     Raises:
-        ValueError: `value` is below `low` or NaN.
+        ValueError: `value` is below `low`, NaN or text.
     """
+    _require_no_text(argument, value, where)
     enough = is_number(value) and value >= low
     require(enough, argument, f"be at least {low}", value, where, remedy)
 
@@ -83,8 +101,9 @@ def require_between(
     """Refuse a number outside [low, high].
 
     Raises:
-        ValueError: `value` lies outside the interval or is NaN.
+        ValueError: `value` lies outside the interval, or is NaN or text.
     """
+    _require_no_text(argument, value, where)
     inside = is_number(value) and low <= value <= high
     require(inside, argument, f"lie in [{low}, {high}]", value, where, remedy)
 

@@ -61,6 +61,9 @@ def admit(config: DictConfig) -> None:
     """Refuse a folder with episodes of other settings, before any baseline has driven."""
     if not (Path(config.out) / "episodes").is_dir():
         return
+    from diffstack_mmv.reporting import require_same_drive
+
+    require_same_drive(Path(config.out), config.names.controller)
     scenario, world = instantiate(config.scenario), instantiate(config.world)
     for name, controller in _controllers(config):
         _campaign(config, scenario, world, name, controller).require_same_origin()
@@ -71,10 +74,11 @@ def _cases(config: DictConfig) -> range:
 
 
 def _controllers(config: DictConfig) -> list[tuple[str, DictConfig]]:
-    """The baselines that are asked for, and last the controller itself."""
+    """The baselines that are asked for, and last the controller itself, which is no other one's."""
+    own = config.names.controller
     baselines = (config.get("baselines") or {}).items()
-    beside = [(str(n), each) for n, each in baselines if each and n in config.beside]
-    return [*beside, (config.names.controller, config.controller)]
+    beside = [(str(n), each) for n, each in baselines if each and n in config.beside and n != own]
+    return [*beside, (own, config.controller)]
 
 
 def _campaign(
@@ -87,7 +91,9 @@ def _campaign(
     """What a controller drives, and where its episodes are kept."""
     from diffstack_mmv.simulation import Campaign, Method, world_for
 
-    settings = OmegaConf.to_yaml(OmegaConf.create([controller, config.world, _weights(config)]))
+    # an episode alone and in a batch differ by rounding: the size of a batch is a setting as well
+    parts = OmegaConf.create([controller, config.world, _weights(config)])
+    settings = f"{OmegaConf.to_yaml(parts)}chunk: {config.chunk}"
     place = world_for(world, get_class(controller._target_))
     method = Method(name, place, partial(instantiate, controller), settings, code_version())
     folder = Path(config.out) / "episodes" / name
@@ -116,12 +122,12 @@ def main(config: DictConfig) -> None:
     require_stoppable(actual, 2 * scenario.circle_radius_m)
     out = Path(config.out)
 
-    def driven(name: str, controller: DictConfig) -> "list[Chunk]":
-        return list(_campaign(config, scenario, world, name, controller).run())
-
-    *beside, own = _controllers(config)
-    rows = {name: summarise(driven(name, each)) for name, each in beside}
-    chunks = driven(*own)
+    campaigns = {
+        name: _campaign(config, scenario, world, name, each) for name, each in _controllers(config)
+    }
+    own = campaigns.pop(config.names.controller)
+    rows = {name: summarise(list(each.run())) for name, each in campaigns.items()}
+    chunks = list(own.run())
     header: Any = OmegaConf.to_container(config.header)
     # a reactive crowd sees the robot whatever the configuration says
     header |= {"code": code_version(), "robot_visible": world.robot_visible} | _weights(config)
@@ -134,7 +140,7 @@ def main(config: DictConfig) -> None:
     pairs = [{"other": name} | paired_cases(result["cases"], rows[name]["cases"]) for name in rows]
     pairs += [paired_with_run(result, Path(folder)) for folder in config.against]
     write_closed_loop(out, result, rows, CLOSED_LOOP, published, pairs)
-    _draw(config, scenario, world.robot, chunks)
+    _draw(config, own, world.robot, chunks)
     _tell_times(result)
     if config.get("wandb"):
         instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))
@@ -142,25 +148,18 @@ def main(config: DictConfig) -> None:
 
 
 def _draw(
-    config: DictConfig,
-    scenario: "Scenario | RecordedCrossing",
-    robot: "VehicleRobot",
-    chunks: Sequence["Chunk"],
+    config: DictConfig, driven: "Campaign", robot: "VehicleRobot", chunks: Sequence["Chunk"]
 ) -> None:
     """Write pictures and animations of the cases that the controller drove."""
     from diffstack_mmv.plotting import CaseStart, save_stories
-    from diffstack_mmv.simulation import read_thoughts
-
-    out, records = Path(config.out), [chunk.record for chunk in chunks]
-    told = partial(read_thoughts, out / "episodes" / config.names.controller)
-    numbers = _cases(config)
 
     def start(case: int) -> CaseStart:
-        return CaseStart(*scenario.case(config.phase, case).radii_and_goal())
+        return CaseStart(*driven.scenario.case(driven.phase, case).radii_and_goal())
 
+    records = [chunk.record for chunk in chunks]
     save_stories(
-        out, numbers, records, start, config.animate, config.show, robot.footprint.outline(), told,
-        config.movie, robot.model.Control._fields,
+        Path(config.out), driven.cases, records, start, config.animate, config.show,
+        robot.footprint.outline(), driven.thoughts, config.movie, robot.model.Control._fields,
     )  # fmt: skip
 
 

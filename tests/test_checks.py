@@ -1,5 +1,6 @@
 """The one form in which a bad argument is told."""
 
+import numpy as np
 import pytest
 import torch
 
@@ -10,6 +11,29 @@ from diffstack_mmv import checks
 def test_positive_refuses_zero_negative_and_not_finite(value):
     with pytest.raises(ValueError, match="`dt_s` must be positive"):
         checks.require_positive("dt_s", value)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    "check",
+    [
+        lambda value: checks.require_positive("dt_s", value),
+        lambda value: checks.require_at_least("dt_s", value, 0),
+        lambda value: checks.require_between("dt_s", value, 0, 1),
+        lambda value: checks.require_multiple("dt_s", value, 0.1),
+    ],
+)
+def test_a_number_in_quotes_is_told_with_its_quotes(check):
+    with pytest.raises(ValueError, match=r"`dt_s` must be a number, but got '0\.25'"):
+        check("0.25")
+
+
+@pytest.mark.parametrize("value", [2.5, 2.0, "2", None, True, float("nan")])
+def test_only_whole_numbers_are_whole(value):
+    checks.require_whole("humans", 2)
+    checks.require_whole("humans", np.int64(2))
+    with pytest.raises(ValueError, match="`humans` must be a whole number, but got"):
+        checks.require_whole("humans", value)
 
 
 @pytest.mark.parametrize(("value", "steps"), [(3.0, 30), (0.1, 1), (4.0, 40), (0.3, 3)])

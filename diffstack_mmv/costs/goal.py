@@ -84,8 +84,16 @@ class BrakingProfile(CostTerm):
     """Squared deviation in (m/s)² from v_ref = min(v_max, sqrt(2 a d)), towards the goal.
 
     d is the distance to the goal, rounded by 1 cm; the root is smoothed to sqrt(2 a d + w²) - w and
-    the minimum over a width, so that both have slopes at the goal. There the rounding leaves
-    0.1 m/s, 0.14 m/s with a = 2.5 m/s². Source: design of the closed-loop cost of DMMV, Sec. IV-B.
+    the minimum over a width w of 0.1 m/s, so that both have slopes at the goal. v_ref is about w
+    below sqrt(2 a d) on the way and is not zero at the goal, with a cruising speed of 3 m/s:
+
+    | a [m/s²] | v_ref at 0.3 m, where an episode has arrived | at the goal |
+    |---|---|---|
+    | 1.5 | 0.85 m/s | 0.10 m/s |
+    | 2.8 (`configs/cost`) | 1.20 m/s | 0.16 m/s |
+
+    So at the edge of the goal it asks for no stop.
+    Source: design of the closed-loop cost of DMMV, Sec. IV-B.
 
     Args:
         braking_mps2: a in m/s².

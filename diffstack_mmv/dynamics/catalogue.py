@@ -58,7 +58,7 @@ def model_of(
     Raises:
         ValueError: The vehicle or the dynamics is unknown, or the step is not positive.
     """
-    build = load_dynamics(dynamics) if isinstance(dynamics, str) else dynamics
+    build = dynamics if isinstance(dynamics, ModelFactory) else load_dynamics(dynamics)
     spec = vehicle if isinstance(vehicle, VehicleSpec) else load_vehicle(vehicle)
     return build(spec=spec, dt_s=dt_s)
 

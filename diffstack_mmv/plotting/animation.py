@@ -18,6 +18,8 @@ from diffstack_mmv.plotting.episodes import (
     draw_outlines,
     draw_paths,
     draw_thoughts,
+    explain,
+    explain_paths,
     legend_of,
     set_range,
     told,
@@ -50,7 +52,7 @@ def save_animation(episode: Episode, path: Path) -> None:
     below = figure.add_subplot(places[1, 1], sharex=above)
     record = episode.record
     cursors = draw_curves(above, below, episode)
-    _explain(figure, [episode])
+    explain(figure, legend_of([episode]))
     show = _frame(axes, episode, "")
 
     def step(number: int) -> list[Any]:
@@ -68,6 +70,7 @@ def draw_side_by_side(names: Sequence[str], episodes: Sequence[Episode]) -> Figu
         axes = figure.add_subplot(1, len(episodes), number + 1)
         draw_paths(axes, episode)
         axes.set_title(f"{name}: {told(episode)}")
+    explain_paths(figure, episodes)
     return figure
 
 
@@ -89,7 +92,7 @@ def save_side_by_side(names: Sequence[str], episodes: Sequence[Episode], path: P
     dt_s, shows, cursors, below = episodes[0].record.dt_s, [], [], None
     ends = [len(episode.record.clearance) - 1 for episode in episodes]
     frames = max(ends) + 1
-    _explain(figure, episodes)
+    explain(figure, legend_of(episodes))
     for column, (name, episode) in enumerate(zip(names, episodes, strict=True)):
         shows.append(_frame(figure.add_subplot(places[0, column]), episode, f"{name}\n"))
         below = figure.add_subplot(places[1, column], sharex=below, sharey=below)
@@ -160,12 +163,6 @@ FORMATS: dict[str, Callable[[FuncAnimation, Path, int], None]] = {
 
 def _save(animation: FuncAnimation, path: Path, writer: AbstractMovieWriter) -> None:
     animation.save(path, writer=writer, dpi=90)
-
-
-def _explain(figure: Figure, episodes: Sequence[Episode]) -> None:
-    """Say below the pictures what is drawn."""
-    handles = legend_of(episodes)
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize="small")
 
 
 def draw_curves(above: Axes, below: Axes, episode: Episode) -> list[Line2D]:

@@ -14,7 +14,8 @@ from diffstack_mmv.geometry import position_from_frame
 from diffstack_mmv.plotting.figures import PALETTE, new_figure
 from diffstack_mmv.types import EpisodeRecord, Outcome, map_tensors
 
-ROBOT, PEDESTRIANS, GOAL = PALETTE[1], PALETTE[0], PALETTE[2]
+ROBOT, PEDESTRIANS, NOSE = PALETTE[1], PALETTE[0], "black"
+GOAL_MARK = {"color": PALETTE[2], "marker": "*", "markersize": 12, "linestyle": "none"}
 MARGIN_M = 1.0
 ROBOT_RADIUS_M = 0.3
 THOUGHTS = {
@@ -72,11 +73,12 @@ def draw_episode(episode: Episode) -> Figure:
     axes = figure.add_subplot()
     draw_paths(axes, episode)
     axes.set_title(f"case {episode.case}: {told(episode)}")
+    explain_paths(figure, [episode])
     return figure
 
 
 def draw_paths(axes: Axes, episode: Episode) -> None:
-    """The picture of `draw_episode` without a title."""
+    """The picture of `draw_episode` without a title and a legend."""
     set_range(axes, episode)
     record = episode.record
     axes.plot(*record.motion.position.T.numpy(), color=ROBOT)
@@ -86,12 +88,6 @@ def draw_paths(axes: Axes, episode: Episode) -> None:
     for step in range(0, last, max(round(1 / record.dt_s), 1)):
         draw_outlines(axes, episode, step, 0.15 + 0.4 * step / last)
     draw_outlines(axes, episode, last, 0.8)
-    handles = [
-        Patch(color=ROBOT, label="robot, each second"),
-        Patch(color=PEDESTRIANS, label="pedestrians"),
-        Patch(color=GOAL, label="goal"),
-    ]
-    axes.legend(handles=handles, loc="lower right", fontsize="small")
 
 
 def draw_thoughts(axes: Axes, thoughts: Mapping[str, Any], step: int) -> list[Line2D]:
@@ -105,19 +101,34 @@ def draw_thoughts(axes: Axes, thoughts: Mapping[str, Any], step: int) -> list[Li
     return lines
 
 
-def legend_of(episodes: Sequence[Episode]) -> list[Line2D | Patch]:
-    """What a legend below moving pictures explains.
+def explain_paths(figure: Figure, episodes: Sequence[Episode]) -> None:
+    """Say below pictures of paths what is drawn."""
+    still = [episode._replace(thoughts={}) for episode in episodes]
+    explain(figure, legend_of(still, "robot, each second"))
+
+
+def explain(figure: Figure, handles: Sequence[Line2D | Patch]) -> None:
+    """Put a legend below the pictures of a figure."""
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize="small")
+
+
+def legend_of(episodes: Sequence[Episode], robot: str = "robot") -> list[Line2D | Patch]:
+    """What a legend below pictures explains.
 
     Args:
         episodes: All that are shown.
+        robot: What to call the robot.
 
     Returns:
-        Handles of robot and pedestrians, and of the lines that some controller tells of.
+        Handles of whatever is drawn of everybody, and of the lines that some controller tells of.
     """
     known = {name for episode in episodes for name in episode.thoughts}
     lines = [Line2D([], [], label=name, **THOUGHTS[name]) for name in THOUGHTS if name in known]
-    who = [Patch(color=ROBOT, label="robot"), Patch(color=PEDESTRIANS, label="pedestrians")]
-    return [*who, *lines]
+    with_goal = any(episode.start.goal_m is not None for episode in episodes)
+    goal = [Line2D([], [], label="goal", **GOAL_MARK)] if with_goal else []
+    nose = Line2D([], [], label="heading", color=NOSE, marker=".", linestyle="none")
+    who = [Patch(color=ROBOT, label=robot), nose, Patch(color=PEDESTRIANS, label="pedestrians")]
+    return [*who, *goal, *lines]
 
 
 def set_range(axes: Axes, episode: Episode) -> None:
@@ -134,7 +145,7 @@ def set_range(axes: Axes, episode: Episode) -> None:
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     if goal_m is not None:
-        axes.plot(*goal_m, marker="*", markersize=12, color=GOAL, linestyle="none")
+        axes.plot(*goal_m, **GOAL_MARK)
 
 
 def draw_outlines(axes: Axes, episode: Episode, step: int, alpha: float) -> None:
@@ -154,4 +165,4 @@ def draw_outlines(axes: Axes, episode: Episode, step: int, alpha: float) -> None
         axes.add_patch(Polygon(corners.numpy(), color=ROBOT, alpha=alpha))
     nose = motion.heading[step]
     tip = [centre[0] + float(nose.cos()) * 0.3, centre[1] + float(nose.sin()) * 0.3]
-    axes.add_patch(Circle(tuple(tip), 0.06, color="black", alpha=alpha))
+    axes.add_patch(Circle(tuple(tip), 0.06, color=NOSE, alpha=alpha))

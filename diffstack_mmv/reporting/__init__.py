@@ -20,7 +20,7 @@ with needs("stack", "diffstack_mmv.reporting"):
         require_score,
         write_comparison,
     )
-    from diffstack_mmv.reporting.earlier import require_same_evaluation
+    from diffstack_mmv.reporting.earlier import require_same_drive, require_same_evaluation
     from diffstack_mmv.reporting.files import (
         read_json,
         read_parquet,
@@ -66,6 +66,7 @@ __all__ = [
     "read_json",
     "read_parquet",
     "read_runs",
+    "require_same_drive",
     "require_same_evaluation",
     "require_score",
     "summarise_modes",

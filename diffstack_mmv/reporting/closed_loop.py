@@ -88,9 +88,10 @@ def _summary(
     title = f"# Closed loop: {result['vehicle']} · {result['dynamics']} · {result['scenario']}\n\n"
     limits = ", ".join(f"{name} {value:g}" for name, value in result["limits"].items())
     setting = (
-        f"{result['humans']} pedestrians, {result['phase']} cases {result['first_case']}–{last}, "
-        f"limit {result['limit_s']:g} s, step {result['dt_s']:g} s, verdict "
-        f"`{result['verdict']}`. Limits: {limits} (or the tighter ones of the vehicle). Footprint: "
+        f"{result['humans']} pedestrians, {result['phase']} cases {result['first_case']}–{last} "
+        f"in batches of up to {result['chunk']}, limit {result['limit_s']:g} s, "
+        f"step {result['dt_s']:g} s, verdict `{result['verdict']}`. Limits: {limits} (or the "
+        "tighter ones of the vehicle). Footprint: "
         f"{_outline(result['actual_model']['footprint'])}; massless baselines always have the disc "
         f"of 0.3 m. The robot is {_model(result['dynamics'], result['actual_model'])}, the "
         f"controller believes in {_model(result['believed_dynamics'], result['believed_model'])}. "

@@ -43,5 +43,24 @@ def require_same_evaluation(folder: Path, header: Mapping[str, Any]) -> None:
         )
 
 
+def require_same_drive(folder: Path, controller: str) -> None:
+    """Refuse a folder that holds the report of another controller; episodes tell the rest.
+
+    Args:
+        folder: Where a report is to be written.
+        controller: Name of what drives.
+
+    Raises:
+        ValueError: There is another report.
+    """
+    path = folder / "closed_loop.json"
+    before = read_json(path)["controller"] if path.is_file() else controller
+    if before != controller:
+        raise ValueError(
+            f"`out` must hold no report of another controller than {controller}, but got {before} "
+            f"in {path}. Give another out=FOLDER, or delete {folder}."
+        )
+
+
 def _place(checkpoint: str | None) -> Path | None:
     return None if checkpoint is None else Path(checkpoint).resolve()

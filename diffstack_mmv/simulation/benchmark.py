@@ -8,9 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from diffstack_mmv.checks import require, require_at_least
-from diffstack_mmv.simulation.chunks import Chunk, Origin, read_chunk_of, write_chunk
+from diffstack_mmv.checks import require, require_at_least, require_whole
+from diffstack_mmv.simulation.chunks import (
+    Chunk,
+    Origin,
+    read_chunk_of,
+    thoughts_in,
+    write_chunk,
+)
 from diffstack_mmv.simulation.decisions import Controller, Decided, diagnosis_of, thoughts_of
 from diffstack_mmv.simulation.episode import drive
 from diffstack_mmv.simulation.scenario import CaseSource, require_case
@@ -90,6 +97,7 @@ class Campaign:
         require(len(self.cases) > 0, "cases", "name at least one case", "none")
         for number in (min(self.cases), max(self.cases)):
             require_case(self.phase, number)
+        require_whole("chunk_size", self.chunk_size)
         require_at_least("chunk_size", self.chunk_size, 1)
 
     def run(self) -> Iterator[Chunk]:
@@ -113,17 +121,25 @@ class Campaign:
             yield chunk
 
     def require_same_origin(self) -> None:
-        """Refuse what `run` would refuse of the folder, before anything is driven.
+        """Refuse a folder with chunks of anything else, before anything is driven.
+
+        Other cases may lie there, but what reads the folder takes all of them for one campaign.
 
         Raises:
-            ValueError: The folder holds chunks of other settings or of another version of the code.
+            ValueError: The folder holds chunks of other settings, of another phase or of another
+                version of the code.
         """
         origin = self._origin()
-        for _, file in self._files():
+        for file in sorted(self.folder.glob("*.npz")):
             read_chunk_of(file, origin)
 
+    def thoughts(self, case: int) -> dict[str, Float[np.ndarray, "S ..."]]:
+        """What the controller expected and planned in a finished case, see `read_thoughts`."""
+        file = next(file for numbers, file in self._files() if case in numbers)
+        return thoughts_in(file, case)
+
     def _origin(self) -> Origin:
-        settings = f"{self.method.settings}\n{self.scenario!r}\n{self.phase}"
+        settings = f"{self.method.settings}\n{self.scenario!r}\nphase: {self.phase}"
         return Origin(self.method.code, settings)
 
     def _files(self) -> Iterator[tuple[list[int], Path]]:

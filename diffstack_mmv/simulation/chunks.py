@@ -77,14 +77,16 @@ def read_thoughts(folder: Path, case: int) -> dict[str, Float[np.ndarray, "S ...
     Returns:
         Arrays by name, see `Thought`; empty where the controller tells nothing.
     """
-    for file in sorted(folder.glob("*.npz")):
-        with np.load(file) as stored:
-            cases = stored["cases"].tolist()
-            if case in cases:
-                row = cases.index(case)
-                names = [name for name in stored.files if name.startswith("thoughts.")]
-                return {name.removeprefix("thoughts."): stored[name][row] for name in names}
-    return {}
+    files = sorted(folder.glob("*.npz"))
+    return next(filter(None, (thoughts_in(file, case) for file in files)), {})
+
+
+def thoughts_in(file: Path, case: int) -> dict[str, Float[np.ndarray, "S ..."]]:
+    """`read_thoughts` from one chunk; empty if it does not hold the case."""
+    with np.load(file) as stored:
+        cases = stored["cases"].tolist()
+        names = [name for name in stored.files if name.startswith("thoughts.") and case in cases]
+        return {name.removeprefix("thoughts."): stored[name][cases.index(case)] for name in names}
 
 
 class StoredEpisode(NamedTuple):

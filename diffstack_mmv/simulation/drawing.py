@@ -27,7 +27,7 @@ def picture(world: World, state: WorldState) -> np.ndarray:
     """
     figure = Figure(figsize=(4.8, 4.8), dpi=100)
     canvas = FigureCanvasAgg(figure)
-    axes = figure.add_axes((0.08, 0.08, 0.9, 0.9))
+    axes = figure.add_axes((0.08, 0.06, 0.88, 0.88))
     motion = world.robot.motion(state.robot)
     place = motion.position.detach().numpy()
     heading = float(motion.heading)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -14,6 +15,7 @@ from diffstack_mmv.checks import (
     require_finite,
     require_one_of,
     require_positive,
+    require_whole,
 )
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.dynamics.catalogue import VehicleSpec, load_vehicle, model_of
@@ -50,7 +52,7 @@ class EnvStep(NamedTuple):
     info: dict[str, Any]
 
 
-def robot_named(name: str, dynamics: str, dt_s: float, footprint: str = "disc") -> Robot:
+def robot_named(name: str | Path, dynamics: str, dt_s: float, footprint: str = "disc") -> Robot:
     """Build a robot from the names that an environment takes.
 
     Args:
@@ -67,7 +69,7 @@ def robot_named(name: str, dynamics: str, dt_s: float, footprint: str = "disc") 
     """
     require_positive("dt_s", dt_s)
     require_one_of("footprint", footprint, tuple(FOOTPRINTS))
-    if name in POINT_ROBOTS:
+    if isinstance(name, str) and name in POINT_ROBOTS:
         require(footprint == "disc", "footprint", "be disc", footprint, f"for robot '{name}'")
         return POINT_ROBOTS[name]()
     pieces = math.ceil(dt_s / FINEST_NEEDED_S - 1e-9)
@@ -113,7 +115,7 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         humans: int = 5,
         dt_s: float = 0.25,
         limit_s: float = 25.0,
-        robot: str | Robot = "holonomic",
+        robot: str | Path | Robot = "holonomic",
         verdict: str = "crowdnav",
         dynamics: str = "gm3",
         robot_visible: bool = False,
@@ -122,15 +124,9 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
     ) -> None:
         self._scenario = _scenario_named(scenario, humans)
         require_positive("limit_s", limit_s)
-        if render_mode is not None:
-            require_one_of("render_mode", render_mode, self.metadata["render_modes"])
         self._use(
             World(
-                robot=(
-                    robot_named(robot, dynamics, dt_s, footprint)
-                    if isinstance(robot, str)
-                    else robot
-                ),
+                robot=_robot(robot, dynamics, dt_s, footprint),
                 crowd=OrcaCrowd(),
                 verdict=verdict_named(verdict, limit_s),
                 dt_s=dt_s,
@@ -160,6 +156,7 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
 
     def _use(self, world: World, render_mode: str | None) -> None:
         """Set up the spaces for a world."""
+        require_render_mode(render_mode)
         self.world = world
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": round(1 / world.dt_s)}
@@ -223,8 +220,7 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
             require(isinstance(scene, Scene), "scene", "be a Scene", type(scene).__name__)
         else:
             case = chosen.get("case", self.np_random.integers(PHASES[phase].cases))
-            whole = isinstance(case, int | np.integer)
-            require(whole, "case", "be a whole number", repr(case))
+            require_whole("case", case)
             described = {"phase": phase, "case": int(case)}
             scene = self._scenario.case(phase, int(case))
         self._state = self.world.start(scene)
@@ -274,6 +270,25 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
     def _observation(self) -> dict[str, np.ndarray]:
         """What a policy may know, SI units."""
         return self._view(self.world.observe(self.state))
+
+
+def _robot(robot: str | Path | Robot, dynamics: str, dt_s: float, footprint: str) -> Robot:
+    """The robot itself, or the one of that name."""
+    if isinstance(robot, Robot):
+        return robot
+    named = isinstance(robot, str | Path)
+    require(named, "robot", "be a name, a YAML file or a robot", repr(robot))
+    return robot_named(robot, dynamics, dt_s, footprint)
+
+
+def require_render_mode(render_mode: str | None) -> None:
+    """Refuse what an environment cannot draw into.
+
+    Raises:
+        ValueError: It is neither None nor one of the render modes.
+    """
+    if render_mode is not None:
+        require_one_of("render_mode", render_mode, CrowdNavEnv.metadata["render_modes"])
 
 
 def _scenario_named(scenario: str | Scenario, humans: int) -> Scenario:

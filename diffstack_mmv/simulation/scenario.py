@@ -20,6 +20,7 @@ from diffstack_mmv.checks import (
     require_at_least,
     require_one_of,
     require_positive,
+    require_whole,
 )
 from diffstack_mmv.simulation.pedestrians import AnyCrowdState, CrowdState, Itinerary
 from diffstack_mmv.simulation.placement import first_accepted
@@ -108,6 +109,7 @@ class Scenario(ABC):
 
     def __post_init__(self) -> None:
         """Check the sizes once, at the border."""
+        require_whole("humans", self.humans)
         require_at_least("humans", self.humans, 0)
         require_positive("circle_radius_m", self.circle_radius_m)
         require_positive("pedestrian_radius_m", self.pedestrian_radius_m)
@@ -338,6 +340,7 @@ def require_case(phase: str, number: int) -> None:
         ValueError: There is no such phase or case.
     """
     require_one_of("phase", phase, tuple(PHASES))
+    require_whole("case", number)
     cases = PHASES[phase].cases
     require(
         0 <= number < cases,

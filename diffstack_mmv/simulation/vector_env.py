@@ -11,9 +11,9 @@ from gymnasium.vector.utils import batch_space
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from diffstack_mmv.checks import require, require_at_least, require_one_of
+from diffstack_mmv.checks import require, require_at_least, require_one_of, require_whole
 from diffstack_mmv.geometry import length
-from diffstack_mmv.simulation.env import CrowdNavEnv
+from diffstack_mmv.simulation.env import CrowdNavEnv, require_render_mode
 from diffstack_mmv.simulation.scenario import PHASES, CaseSource
 from diffstack_mmv.simulation.views import View, WorldView
 from diffstack_mmv.simulation.world import World, WorldState
@@ -44,12 +44,16 @@ class CrowdNavVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         num_envs: Number n of episodes at once.
         view: What is shown of an observation; the arrays of `CrowdNavEnv` if None.
         progress_reward: Besides the reward of the world, per metre nearer to the goal.
+        render_mode: "rgb_array" or None.
 
     Raises:
-        ValueError: There is no episode.
+        ValueError: There is no episode, or the render mode is unknown.
     """
 
-    metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    metadata: dict[str, Any] = {
+        **CrowdNavEnv.metadata,
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
 
     def __init__(
         self,
@@ -58,8 +62,13 @@ class CrowdNavVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         num_envs: int,
         view: View | None = None,
         progress_reward: float = 0.0,
+        render_mode: str | None = None,
     ) -> None:
+        require_whole("num_envs", num_envs)
         require_at_least("num_envs", num_envs, 1)
+        require_render_mode(render_mode)
+        self.render_mode = render_mode
+        self.metadata = {**type(self).metadata, "render_fps": round(1 / world.dt_s)}
         self.world, self.scenario, self.num_envs = world, scenario, num_envs
         self.view = view or WorldView()
         self.progress_reward = progress_reward
@@ -151,6 +160,17 @@ class CrowdNavVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
             self._shown(after), reward.numpy(), terminated.numpy(), truncated.numpy(), told
         )
 
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Picture of each episode, (height, width, 3) uint8, or None without a render mode."""
+        if self.render_mode is None:
+            return None
+        from diffstack_mmv.simulation.drawing import picture
+
+        return tuple(
+            picture(self.world, map_tensors(lambda entry, row=row: entry[row], self.state))
+            for row in range(self.num_envs)
+        )
+
     def _begun_anew(self, state: WorldState, rows: Int[Tensor, " r"]) -> WorldState:
         """The state with other cases in some of its rows."""
         numbers = self._drawn(len(rows))
@@ -182,4 +202,5 @@ def crowd_nav_vector(num_envs: int = 1, **settings: Any) -> CrowdNavVectorEnv:
         ValueError: As `CrowdNavEnv`, or there is no episode.
     """
     single = CrowdNavEnv(**settings)
-    return CrowdNavVectorEnv(single.world, single.scenario, num_envs)
+    mode = single.render_mode
+    return CrowdNavVectorEnv(single.world, single.scenario, num_envs, render_mode=mode)

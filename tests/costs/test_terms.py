@@ -189,6 +189,19 @@ def test_braking_profile_asks_for_rest_at_the_goal_and_for_cruise_far_away(doubl
     assert value(0.0, 3.0) > 5
 
 
+@pytest.mark.parametrize(
+    ("braking", "distance", "speed"),
+    [(1.5, 0.3, 0.853), (1.5, 0, 0.099), (2.8, 0.3, 1.199), (2.8, 0, 0.156)],
+)
+def test_braking_profile_asks_near_the_goal_for_what_it_says(double, braking, distance, speed):
+    motion, controls, problem = random_case(batch=1, times=1)
+    problem = problem._replace(goal=torch.zeros(1, 2), reference_speed=torch.full((1,), 3.0))
+    at = motion._replace(
+        position=torch.tensor([[[distance, 0.0]]]), velocity=torch.tensor([[[speed, 0.0]]])
+    )
+    assert costs.BrakingProfile(braking)(at, controls, problem).item() < 1e-5
+
+
 @pytest.mark.parametrize("width", [0.0, -1.0])
 def test_impossible_constants_are_refused(width):
     for make in (costs.HeadingToGoal, costs.ExpectedCollision, costs.BrakingProfile):

@@ -112,9 +112,12 @@ def test_what_the_constructor_checks_is_refused_wherever_it_stands(package, name
         require_foretold({"deep": [{"er": node(package, name, **settings)}]})
 
 
-@pytest.mark.parametrize("size", ["text", None])
-def test_what_is_no_number_is_refused(package, unchecked, size):
-    with pytest.raises(ValueError, match=f"`size` must be at least 2, but got {size}"):
+@pytest.mark.parametrize(
+    ("size", "told"),
+    [("text", "be a number, but got 'text'"), (None, "be at least 2, but got None")],
+)
+def test_what_is_no_number_is_refused(package, unchecked, size, told):
+    with pytest.raises(ValueError, match=f"`size` must {told}"):
         require_foretold({"_target_": "foretold_parts.Part", "size": size})
 
 

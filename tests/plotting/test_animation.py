@@ -56,7 +56,9 @@ def test_the_one_who_has_ended_waits_for_the_other(episode, tmp_path):
 def test_what_a_controller_tells_of_is_explained_and_nothing_else(episode):
     thinking = episode()._replace(thoughts={"plan": torch.zeros(2, 3, 2)})
     labels = [handle.get_label() for handle in legend_of([episode(), thinking])]
-    assert labels == ["robot", "pedestrians", "plan"]
+    assert labels == ["robot", "heading", "pedestrians", "goal", "plan"]
+    nowhere = episode()._replace(start=CaseStart([0.3]))
+    assert "goal" not in [handle.get_label() for handle in legend_of([nowhere])]
 
 
 def test_controls_carry_names_and_units_over_the_time_of_the_clearance(episode):

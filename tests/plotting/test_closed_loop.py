@@ -39,6 +39,14 @@ def test_who_is_absent_is_not_drawn(record):
     assert all(torch.tensor(circle.center).isfinite().all() for circle in circles)
 
 
+def test_the_legend_stands_below_the_picture_and_names_the_heading(record):
+    figure = draw_episode(episode_of(record, 0, 4, START))
+    assert figure.axes[0].get_legend() is None
+    [legend] = figure.legends
+    labels = [text.get_text() for text in legend.get_texts()]
+    assert labels == ["robot, each second", "heading", "pedestrians", "goal"]
+
+
 def test_nobody_around_is_drawn_as_well(record):
     alone = record._replace(pedestrians=torch.zeros(2, 4, 0, 2))
     (axes,) = draw_episode(episode_of(alone, 0, 4, CaseStart([], (0.0, 4.0)))).axes

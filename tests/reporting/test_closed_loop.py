@@ -30,7 +30,7 @@ def result(numbers):
     return numbers | {
         "vehicle": "bicycle", "dynamics": "kbm", "scenario": "circle_crossing",
         "controller": "diffmpc", "limit_s": 10.0, "dt_s": 0.25, "verdict": "exact", "humans": 5,
-        "phase": "test", "first_case": 0, "limits": {"speed_max_mps": 3.0},
+        "phase": "test", "first_case": 0, "chunk": 50, "limits": {"speed_max_mps": 3.0},
         "robot_visible": False, "choices": {"crowd": "orca", "people": "predictor"},
         "disturbances": {"delay_s": 0.0, "noise": [], "friction": None, "mass_factor": 1.0},
         "believed_dynamics": "gm3",
@@ -79,6 +79,7 @@ def test_files_hold_numbers_failures_and_sources(result, numbers, tmp_path):
     report = (tmp_path / "closed_loop.md").read_text()
     assert "| collision |" in report.replace("  ", " ")
     assert "Chen et al." in report
+    assert "test cases 0–1 in batches of up to 50, limit 10 s" in report
     assert "Footprint: disc (radius_m 0.3)" in report
     assert "kbm (DiffKBM, step 0.01 s)" in report
     assert "gm3 (DiffGM3, PaperBrush(steepness=100), step 0.25 s, 4 substeps)" in report

@@ -2,7 +2,7 @@
 
 import pytest
 
-from diffstack_mmv.reporting import require_same_evaluation, write_json
+from diffstack_mmv.reporting import require_same_drive, require_same_evaluation, write_json
 
 HEADER = {
     "calibrated_on": None, "data": "thab_vru", "split": "val", "goal": "predicted", "seed": 1,
@@ -52,3 +52,13 @@ def test_another_evaluation_is_refused_with_what_differs_and_what_to_do(tmp_path
     with pytest.raises(ValueError, match=told) as refused:
         require_same_evaluation(tmp_path, HEADER | changed)
     assert "Give another out=FOLDER" in str(refused.value)
+
+
+def test_the_report_of_a_drive_is_lost_to_no_other_controller(tmp_path):
+    require_same_drive(tmp_path, "diffmpc")
+    write_json(tmp_path / "closed_loop.json", {"controller": "diffmpc"})
+    require_same_drive(tmp_path, "diffmpc")
+    with pytest.raises(
+        ValueError, match=r"another controller than mppi, but got diffmpc in .*out="
+    ):
+        require_same_drive(tmp_path, "mppi")

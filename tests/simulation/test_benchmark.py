@@ -98,6 +98,28 @@ def test_other_settings_are_refused_before_anything_is_driven(straight, scenario
     assert straight.controller.made == 1
 
 
+def test_other_cases_of_the_same_settings_may_lie_in_the_folder_those_of_a_phase_not(
+    straight, scenario_of, tmp_path
+):
+    scenario = scenario_of("circle")
+    chunks(straight, scenario, tmp_path)
+    Campaign(straight, scenario, range(6, 9), tmp_path, 3).require_same_origin()
+    with pytest.raises(ValueError, match=r"the same settings \(phase: val\), but got phase: test"):
+        Campaign(straight, scenario, range(6, 9), tmp_path, 3, "val").require_same_origin()
+
+
+def test_a_case_shows_the_thoughts_of_its_own_batch(straight, scenario_of, tmp_path):
+    campaigns = [Campaign(straight, scenario_of("circle"), range(3), tmp_path, n) for n in (2, 3)]
+    for number, campaign in enumerate(campaigns):
+        [*_] = campaign.run()
+        for _, file in campaign._files():
+            with np.load(file) as stored:
+                arrays = dict(stored)
+            plan = np.full((len(arrays["cases"]), 1), float(number))
+            np.savez(file, **arrays, **{"thoughts.plan": plan})
+    assert [campaign.thoughts(1)["plan"].item() for campaign in campaigns] == [0, 1]
+
+
 def test_batches_of_an_earlier_version_tell_no_code_and_are_refused(
     straight, scenario_of, tmp_path
 ):

@@ -147,6 +147,13 @@ def test_social_force_pedestrians_walk_in_the_environment(world_with):
     [
         ({"scenario": "spiral"}, "`scenario` must be one of circle_crossing, square_crossing"),
         ({"humans": -1}, "`humans` must be at least 0"),
+        ({"humans": 2.5}, "`humans` must be a whole number, but got 2.5"),
+        ({"humans": "a"}, "`humans` must be a whole number, but got 'a'"),
+        ({"humans": True}, "`humans` must be a whole number, but got True"),
+        ({"dt_s": "a"}, "`dt_s` must be a number, but got 'a'"),
+        ({"dt_s": "0.25"}, "`dt_s` must be a number, but got '0.25'"),
+        ({"robot": 3}, "`robot` must be a name, a YAML file or a robot, but got 3"),
+        ({"robot": "bicycle", "dynamics": 3}, "`dynamics` must be one of"),
         ({"dt_s": 0.0}, "`dt_s` must be positive"),
         ({"limit_s": -1.0}, "`limit_s` must be positive"),
         ({"limit_s": 10.1}, "`limit_s` must be a multiple of 0.25"),
@@ -158,6 +165,7 @@ def test_social_force_pedestrians_walk_in_the_environment(world_with):
         ({"render_mode": "pedestrian"}, "`render_mode` must be one of rgb_array"),
     ],
 )
+@pytest.mark.usefixtures("unchecked")
 def test_impossible_settings_are_refused_by_name(settings, message):
     with pytest.raises(ValueError, match=message):
         CrowdNavEnv(**settings)

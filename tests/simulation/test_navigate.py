@@ -5,7 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from diffstack_mmv.cli import DictConfig
 from diffstack_mmv.types import Mode
+from scripts.navigate import _controllers
 from tests.data.conftest import ToyAgent, write_cache
 
 QUICK = [
@@ -35,8 +37,31 @@ def test_it_writes_results_baselines_and_paired_tests_and_resumes(navigate, tmp_
     assert navigate(*QUICK, f"against=[{tmp_path}]") == 0
     assert {file: file.stat().st_mtime_ns for file in kept} == kept
     again = json.loads((tmp_path / "closed_loop.json").read_text())
-    assert again["cases"] == first["cases"]
+    assert (again["chunk"], again["cases"]) == (1, first["cases"])
     assert again["paired"][1]["success"] == {"only_own": 0, "only_other": 0, "p": None}
+
+
+@pytest.mark.slow
+def test_a_run_of_anything_else_is_refused_before_it_replaces_a_file(navigate, refusal, tmp_path):
+    given = ["controller=straight", "cases=1", "chunk=1", "beside=[]", "search=null", "animate=0",
+             "wandb=none"]  # fmt: skip
+    assert navigate(*given) == 0
+    kept = [*tmp_path.glob("*.*"), *tmp_path.rglob("*.npz")]
+    before = {file: file.read_bytes() for file in kept if file.suffix in (".json", ".yaml", ".npz")}
+    for changed, told in (
+        ("chunk=2", "the same settings (chunk: 2), but got chunk: 1"),
+        ("phase=val", "the same settings (phase: val), but got phase: test"),
+        ("controller=blind", "no report of another controller than blind, but got straight"),
+    ):
+        assert told in refusal("navigate", *given, changed, f"out={tmp_path}")
+    assert {file: file.read_bytes() for file in before} == before
+
+
+def test_a_controller_is_no_baseline_of_itself():
+    baselines = {"straight": {"speed_mps": 3.0}, "blind": {"speed_mps": 2.0}, "mppi": None}
+    own = {"beside": list(baselines), "names": {"controller": "straight"}}
+    config = DictConfig({**own, "baselines": baselines, "controller": {"speed_mps": 1.5}})
+    assert _controllers(config) == [("blind", {"speed_mps": 2.0}), ("straight", {"speed_mps": 1.5})]
 
 
 @pytest.mark.slow

@@ -104,9 +104,39 @@ def test_gymnasium_makes_it_by_its_name():
     assert env.observation_space.contains(seen)
 
 
-@pytest.mark.parametrize("options", [{"cases": [1]}, {"case": [1, 2, 3]}])
+def test_each_picture_is_that_of_the_single_environment():
+    envs = gymnasium.make_vec(ENV_ID, num_envs=2, robot="unicycle", render_mode="rgb_array")
+    envs.reset(options={"phase": "test", "cases": [3, 4]})
+    alone = CrowdNavEnv(robot="unicycle", render_mode="rgb_array")
+    alone.reset(options={"phase": "test", "case": 4})
+    pictures = envs.render()
+    assert len(pictures) == 2
+    assert np.array_equal(pictures[1], alone.render())
+    assert envs.metadata["render_fps"] == 4
+
+
+def test_without_a_render_mode_nothing_is_drawn(crowds):
+    envs = crowds()
+    envs.reset(seed=0)
+    assert envs.render() is None
+
+
+def test_an_unknown_render_mode_is_refused(crowds):
+    with pytest.raises(ValueError, match="`render_mode` must be one of rgb_array"):
+        crowds(render_mode="human")
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("count", [2.5, "a", None])
+def test_a_number_of_episodes_that_is_none_is_refused(count, crowds):
+    with pytest.raises(ValueError, match="`num_envs` must be a whole number"):
+        crowds(count=count)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("options", [{"cases": [1]}, {"case": [1, 2, 3]}, {"cases": [1.5, 2, 3]}])
 def test_wrong_options_are_refused(crowds, options):
-    with pytest.raises(ValueError, match=r"cases|options"):
+    with pytest.raises(ValueError, match=r"`case` must be a whole|cases|options"):
         crowds().reset(options=options)
 
 

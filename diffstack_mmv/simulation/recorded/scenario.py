@@ -13,6 +13,7 @@ from diffstack_mmv.checks import (
     require_at_least,
     require_multiple,
     require_positive,
+    require_whole,
 )
 from diffstack_mmv.simulation.pedestrians import RecordedCrowdState
 from diffstack_mmv.simulation.pedestrians.recorded import far_away
@@ -104,6 +105,7 @@ class RecordedCrossing:
         """Check the numbers once, at the border."""
         for name in ("way_m", "reach_m", "dt_s", "least_s", "robot_radius_m"):
             require_positive(name, getattr(self, name))
+        require_whole("humans", self.humans)
         require_at_least("humans", self.humans, 1)
         require_at_least("met", self.met, 0)
         require_at_least("blind_mps", self.blind_mps, 0)
