@@ -7,6 +7,7 @@ from dmmv_conventions.on_demand import on_demand
 if TYPE_CHECKING:
     from diffstack_mmv.stack.checkpoint import (
         TrainedStack,
+        load_ensemble,
         load_predictor,
         load_stack,
         load_weights,
@@ -45,6 +46,7 @@ __all__ = [
     "assemble",
     "evaluate_windows",
     "fitted_calibration",
+    "load_ensemble",
     "load_predictor",
     "load_stack",
     "load_weights",
