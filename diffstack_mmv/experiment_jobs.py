@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 BEST = Path("checkpoints", "best.ckpt")
 RESULT = Path("report", "metrics.json")
 PREDICTOR = "predictor"
+ENSEMBLE = "ensemble"
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,17 @@ class Experiment:
         return {str(name): title for name, title in told if title is not None}
 
     @property
+    def titles(self) -> dict[str, str]:
+        """Rows of the table: the models, and the ensembles of their seeds."""
+        count, models = len(self.config.size.seeds), self.models
+        mixed = {_mixed(name): f"{title}, ensemble of {count}" for name, title in models.items()}
+        return models | mixed if self._mixes else models
+
+    @property
+    def _mixes(self) -> bool:
+        return self.config.size.ensemble and len(self.config.size.seeds) > 1
+
+    @property
     def sets(self) -> dict[str, Any]:
         """Data sets in the table; those set to null are left out."""
         return {str(name): told for name, told in self.config.sets.items() if told is not None}
@@ -62,10 +74,24 @@ class Experiment:
                 folder = self.out / "runs" / name / mode / model / goal / str(seed)
                 yield Run(name, mode, model, goal, seed, folder / "report")
 
-    def stages(self, runs: Sequence[Run]) -> tuple[list[Job], list[Job], list[Job]]:
-        """Conversions, trainings of the predictor alone, and trainings; each needs those before."""
+    def ensembles(self, runs: Sequence[Run]) -> list[Run]:
+        """One for all seeds of a model, where they are asked for."""
+        if not self._mixes:
+            return []
+        seed = self.config.size.seeds[0]
+        return [
+            run._replace(
+                model=_mixed(run.model), report=run.report.parents[1] / ENSEMBLE / "report"
+            )
+            for run in runs
+            if run.seed == seed
+        ]
+
+    def stages(self, runs: Sequence[Run]) -> tuple[list[Job], ...]:
+        """Conversions, trainings of the predictor alone, trainings, ensembles, in this order."""
         trained = [self.training(run) for run in runs]
-        return self.conversions(sorted(self.available)), self.pretrainings(runs), trained
+        mixed = [self.mixing(run) for run in self.ensembles(runs)]
+        return self.conversions(sorted(self.available)), self.pretrainings(runs), trained, mixed
 
     def source(self, name: str) -> str:
         """Set whose conversion a set reads: its own unless it names another one."""
@@ -122,6 +148,15 @@ class Experiment:
                 needs.append(first / RESULT)  # an interrupted training has weights, too
         return self._job(run, settings, needs, plans=self.config.plans)
 
+    def mixing(self, run: Run) -> Job:
+        """Evaluation of an ensemble of all seeds of a model."""
+        folder = run.report.parent
+        seeds = [folder.with_name(str(seed)) for seed in self.config.size.seeds]
+        mixed = ",".join(quoted(seed / BEST) for seed in seeds[1:])
+        plans = f"plans={str(self.config.plans).lower()}"
+        judge = self._evaluation(run, seeds[0] / BEST, f"ensemble=[{mixed}]", plans)
+        return self._written(run, (judge,), [seed / RESULT for seed in seeds])
+
     def _pretrained(self, run: Run) -> Path:
         """Folder of the predictor that a run starts from, beside those of the models."""
         shared = self.config.size.pretraining.dynamics is not None
@@ -133,25 +168,43 @@ class Experiment:
     ) -> Job:
         """Training with these settings, and evaluation of its best epoch."""
         config, told, folder = self.config, self.config.sets[run.data], run.report.parent
-        conversion = self.conversion(self.source(run.data))
-        cache = quoted(conversion.result.parent)
-        data = f"data={told.data}", f"data.cache={cache}"
-        windows = *told.get("settings", []), *config.windows
         small = config.size.overrides if config.plans else []
-        who = f"modes=[{run.mode}]"
         asked = f"vehicle={_vehicle(told.modes[run.mode])}", f"goal={run.goal}", f"seed={run.seed}"
         train = self._script(
-            "train", *data, who, *asked, f"out={quoted(folder)}", *small, *windows,
-            *config.overrides, *told.get("training", []), *settings,
+            "train", *self._data(run), *asked, f"out={quoted(folder)}", *small,
+            *self._windows(run), *config.overrides, *told.get("training", []), *settings,
         )  # fmt: skip
-        judged = f"checkpoint={quoted(folder / BEST)}", f"plans={str(plans).lower()}"
-        place = f"out={quoted(run.report)}", f"split={config.split}"
-        evaluate = self._script("evaluate", *data, who, *judged, *place, *windows)
+        judge = self._evaluation(run, folder / BEST, f"plans={str(plans).lower()}")
+        converted = self.conversion(self.source(run.data)).result
+        return self._written(run, (train, judge), (converted, *needs))
+
+    def _evaluation(self, run: Run, checkpoint: Path, *judged: str) -> tuple[str, ...]:
+        place = f"out={quoted(run.report)}", f"split={self.config.split}"
+        which = f"checkpoint={quoted(checkpoint)}"
+        return self._script(
+            "evaluate", *self._data(run), which, *judged, *place, *self._windows(run)
+        )
+
+    def _written(
+        self, run: Run, commands: tuple[tuple[str, ...], ...], needs: Sequence[Path]
+    ) -> Job:
+        """The commands that end in the report of a run."""
+        folder = run.report.parent
         name = ".".join(folder.relative_to(self.out / "runs").parts)
         return Job(
-            name.replace(".", "/"), run.model, (train, evaluate), folder / RESULT,
-            self.out / "logs" / f"{name}.log", (conversion.result, *needs), folder, self.out,
+            name.replace(".", "/"), run.model, commands, folder / RESULT,
+            self.out / "logs" / f"{name}.log", tuple(needs), folder, self.out,
         )  # fmt: skip
+
+    def _data(self, run: Run) -> tuple[str, ...]:
+        """Recordings of a run, and who in them counts."""
+        cache = quoted(self.conversion(self.source(run.data)).result.parent)
+        name = self.config.sets[run.data].data
+        return f"data={name}", f"data.cache={cache}", f"modes=[{run.mode}]"
+
+    def _windows(self, run: Run) -> tuple[str, ...]:
+        """Settings of the windows, of training and evaluation alike."""
+        return *self.config.sets[run.data].get("settings", []), *self.config.windows
 
     def _script(self, name: str, *arguments: str) -> tuple[str, ...]:
         return (sys.executable, str(self.scripts / f"{name}.py"), *arguments)
@@ -160,3 +213,7 @@ class Experiment:
 def _vehicle(name: str) -> str:
     """An option of the group as it is, the path of a file in quotes."""
     return quoted(name) if Path(name).is_file() else name
+
+
+def _mixed(model: str) -> str:
+    return f"{model}_{ENSEMBLE}"

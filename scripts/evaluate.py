@@ -37,6 +37,8 @@ logger = logging.getLogger(__name__)
 def check(config: DictConfig) -> None:
     """Refuse an evaluation without checkpoint or recordings."""
     require_checkpoint("checkpoint", config.checkpoint)
+    for place, path in enumerate(config.ensemble):
+        require_checkpoint(f"ensemble[{place}]", path)
     require_windows(
         config.modes or [], config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
     )
@@ -81,7 +83,8 @@ def _admit_split(argument: str, config: DictConfig, windows: WindowDataset) -> i
     from diffstack_mmv.stack import learned_from
 
     split = OmegaConf.select(config, argument)
-    seen = seen_recordings(windows.samples, learned_from(config.checkpoint))
+    found = (seen_recordings(windows.samples, learned_from(path)) for path in _checkpoints(config))
+    seen = sorted({name for names in found for name in names})
     if split != "train" and not config.allow_seen:
         require_unseen(argument, split, seen)
     return len(seen)
@@ -118,9 +121,9 @@ class Prepared(NamedTuple):
 
 def _prepared(config: DictConfig) -> Prepared:
     """The stack with the parts that replace those of its training, its data, and the header."""
-    from diffstack_mmv.stack import load_stack
+    from diffstack_mmv.stack import load_ensemble
 
-    stack, trained = load_stack(config.checkpoint, usable_device(config.device))
+    stack, trained = load_ensemble(_checkpoints(config), usable_device(config.device))
     _take_windows(config, trained)
     if "goal" in config:
         stack.goal = instantiate(config.goal)
@@ -173,10 +176,16 @@ def main(config: DictConfig) -> None:
     logger.info("Report: %s; as a page: dmmv-report %s", out / "metrics.md", out)
 
 
+def _checkpoints(config: DictConfig) -> list[str]:
+    """The checkpoint, and those whose predictors are mixed with its own."""
+    return [str(path) for path in (config.checkpoint, *config.ensemble)]
+
+
 def _header(
     config: DictConfig, trained: Mapping[str, Any], stack: DiffStackMMV, module: TrajdataModule
 ) -> dict[str, Any]:
     """What was evaluated, on what, and by which code."""
+    others = _checkpoints(config)[1:]
     return {
         "goal": stack.goal.name,
         "dynamics": trained["names"]["dynamics"],
@@ -195,6 +204,8 @@ def _header(
         "hindsight": stack.loss_weights.hindsight,
         "checkpoint": str(config.checkpoint),
         "checkpoint_sha256": file_hash(checkpoint_path(config.checkpoint)),
+        "ensemble": others,
+        "ensemble_sha256": [file_hash(checkpoint_path(path)) for path in others],
         "code": code_version(),
     }
 

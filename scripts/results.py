@@ -102,7 +102,8 @@ def main(config: DictConfig) -> None:
     work = TableJobs(experiment.stages(shown), launcher, "results", "job")
     work.tell(config.size.expected_s)
     if not config.dry_run:
-        work.complete(lambda failures: _write(config, shown, [*absent, *failures]))
+        rows = [*shown, *experiment.ensembles(shown)]
+        work.complete(lambda failures: _write(config, shown, rows, [*absent, *failures]))
 
 
 def _experiment(config: DictConfig) -> Experiment:
@@ -115,8 +116,10 @@ def _shown(experiment: Experiment) -> list[Run]:
     return [run for run in experiment.runs() if run.data in available]
 
 
-def _write(config: DictConfig, shown: Sequence[Run], remarks: Sequence[str]) -> None:
-    """Table and figures of what has ended."""
+def _write(
+    config: DictConfig, shown: Sequence[Run], rows: Sequence[Run], remarks: Sequence[str]
+) -> None:
+    """Table of what has ended, and figures of the runs that are no ensembles."""
     from diffstack_mmv.metrics import OPEN_LOOP
     from diffstack_mmv.reporting import (
         ablation_table,
@@ -125,12 +128,12 @@ def _write(config: DictConfig, shown: Sequence[Run], remarks: Sequence[str]) -> 
         write_paper_table,
     )
 
-    out, models = Path(config.out), _experiment(config).models
+    out, titles = Path(config.out), _experiment(config).titles
     if config.plans:
-        table = paper_table(shown, models, OPEN_LOOP, config.resamples)
+        table = paper_table(rows, titles, OPEN_LOOP, config.resamples)
     else:
         arranged = ablation_table if config.rows == "sets" else prediction_table
-        table = arranged(shown, models)
+        table = arranged(rows, titles)
     write_paper_table(out, table, remarks)
     drawn = shown if config.plans else []
     _write_excitation([run for run in drawn if run.ended], out)

@@ -147,6 +147,19 @@ def test_recordings_of_the_training_are_judged_only_where_that_is_meant(
     assert before["seen_in_training"] == 0
 
 
+def test_an_ensemble_of_equals_predicts_as_one_of_them(succeed, workplace, tmp_path):
+    file = workplace / "run" / "checkpoints" / "best.ckpt"
+    told = f"checkpoint={file}", f"ensemble=['{file}']", "plans=false", "plots=false"
+    succeed("evaluate", *told, *data_of(workplace), f"out={tmp_path}")
+    mixed = json.loads((tmp_path / "metrics.json").read_text())
+    alone = json.loads((workplace / "report" / "metrics.json").read_text())
+    assert mixed["ensemble"] == [str(file)]
+    assert mixed["ensemble_sha256"] == [alone["checkpoint_sha256"]]
+    for mode, scores in alone["modes"].items():
+        for name in ("median_ade", "nll"):
+            assert mixed["modes"][mode][name] == pytest.approx(scores[name], rel=1e-4)
+
+
 def test_a_refused_evaluation_leaves_the_configuration_of_the_folder(refusal, workplace):
     checkpoint = f"checkpoint={workplace / 'run' / 'checkpoints' / 'best.ckpt'}"
     arguments, report = [checkpoint, *data_of(workplace)], workplace / "report"

@@ -166,7 +166,12 @@ def test_jobs_run_through_the_launcher_of_clusters(tmp_path):
 
 @pytest.mark.parametrize(
     ("pretraining", "jobs"),
-    [([], 181), (["size.pretraining.dynamics=kbm"], 136), (["size.pretraining=null"], 121)],
+    [
+        ([], 181),
+        (["size.pretraining.dynamics=kbm"], 136),
+        (["size.pretraining=null"], 121),
+        (["size.ensemble=true"], 181 + 24),
+    ],
 )
 def test_every_model_has_a_pretraining_or_all_share_one(succeed, tmp_path, pretraining, jobs):
     """One conversion, pretrainings for each of 3 modes and 5 seeds, 4 models and 2 goals."""
@@ -195,6 +200,27 @@ def test_folders_of_any_name_reach_the_commands(tmp_path):
     assert told["train"].start.startswith(str(out / "runs"))
     assert told["evaluate"].checkpoint.startswith(told["train"].out)
     assert told["evaluate"].out == str(run.report)
+
+
+@pytest.mark.parametrize("seeds", [[3, 1, 2], [3]])
+def test_an_ensemble_is_judged_from_the_best_epoch_of_every_seed(tmp_path, seeds):
+    with initialize_config_dir(str(config_folder()), version_base="1.3"):
+        asked = ["experiment=eth_ucy", "size.ensemble=true", f"size.seeds={seeds}"]
+        experiment = Experiment(compose("results", asked), tmp_path, SCRIPTS)
+        runs = list(experiment.runs())
+        ensembles = experiment.ensembles(runs)
+        assert len(ensembles) == (len(runs) / 3 if len(seeds) > 1 else 0)
+        for run in ensembles:
+            assert run.model in experiment.titles
+            made = experiment.mixing(run)
+            told = compose("evaluate", list(made.commands[0][2:]))
+            own = [each for each in runs if each.place == run.place]
+            assert [told.checkpoint, *told.ensemble] == [
+                str(each.report.parent / "checkpoints" / "best.ckpt") for each in own
+            ]
+            assert list(made.needs) == [each.metrics for each in own]
+            assert made.result == run.metrics
+    assert len(experiment.titles) == (2 if len(seeds) > 1 else 1)
 
 
 def test_sets_and_models_of_null_are_left_out(succeed, tmp_path):

@@ -22,6 +22,7 @@ from diffstack_mmv.prediction.baselines import (
 )
 from diffstack_mmv.prediction.ctra import ConstantTurnRateAcceleration
 from diffstack_mmv.prediction.current import motion_along
+from diffstack_mmv.prediction.ensemble import Ensemble
 from diffstack_mmv.prediction.goal_baselines import (
     constant_acceleration,
     hermite_spline,
@@ -35,6 +36,7 @@ __all__ = [
     "Baseline",
     "ConstantTurnRateAcceleration",
     "ConstantVelocity",
+    "Ensemble",
     "GroundTruth",
     "KalmanConstantVelocity",
     "NoPrediction",

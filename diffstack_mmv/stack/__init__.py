@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from diffstack_mmv.stack.checkpoint import (
         TrainedStack,
         learned_from,
+        load_ensemble,
         load_predictor,
         load_stack,
         load_weights,
@@ -47,6 +48,7 @@ __all__ = [
     "evaluate_windows",
     "fitted_calibration",
     "learned_from",
+    "load_ensemble",
     "load_predictor",
     "load_stack",
     "load_weights",

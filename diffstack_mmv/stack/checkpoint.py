@@ -1,7 +1,7 @@
 """A trained stack from its checkpoint alone, without running code that stands in it."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ from hydra.utils import instantiate
 from torch import Tensor
 
 from diffstack_mmv.checks import message, require
-from diffstack_mmv.prediction import Predictor, Trajectron
+from diffstack_mmv.prediction import Ensemble, Predictor, Trajectron
 from diffstack_mmv.prediction.trajectron.agent_batch import PEDESTRIAN
 from diffstack_mmv.stack.module import DiffStackMMV
 from dmmv_conventions.checkpoints import read_plain
@@ -72,6 +72,19 @@ def load_stack(path: Path | str, device: torch.device | str = "cpu") -> TrainedS
     require(isinstance(stack, DiffStackMMV), "checkpoint", requirement, found, f"in {path}")
     load_weights(stack, path)
     return TrainedStack(stack.eval().to(device), config)
+
+
+def load_ensemble(paths: Sequence[Path | str], device: torch.device | str = "cpu") -> TrainedStack:
+    """Build the stack of the first checkpoint, whose predictor is the mixture of those of all.
+
+    Raises:
+        ValueError: See `load_stack`, or the predictors differ in horizon or step.
+    """
+    first, *others = [load_stack(path, device) for path in paths]
+    if others:
+        members = [each.stack.predictor for each in (first, *others)]
+        first.stack.predictor = Ensemble(members).eval()
+    return first
 
 
 def load_predictor(path: Path | str | None) -> Predictor:

@@ -6,7 +6,7 @@ from diffstack_mmv.reporting import require_same_drive, require_same_evaluation,
 
 HEADER = {
     "calibrated_on": None, "data": "thab_vru", "split": "val", "goal": "predicted", "seed": 1,
-    "plans": True, "stride": 5, "solver": None,
+    "plans": True, "stride": 5, "solver": None, "ensemble": [],
     "checkpoint": "runs/1/best.ckpt", "checkpoint_sha256": "a", "code": "1",
 }  # fmt: skip
 
@@ -40,6 +40,7 @@ def test_a_checkpoint_that_was_moved_is_the_same(tmp_path):
         ({"plans": False}, "another plans than False, but got True"),
         ({"stride": 9}, "another stride than 9"),
         ({"solver": {"max_iterations": 1}}, "another solver than {'max_iterations': 1}"),
+        ({"ensemble": ["b.ckpt"]}, r"another ensemble than \['b.ckpt'\], but got \[\]"),
         ({"calibrated_on": "val"}, "another calibrated_on than val"),
         (
             {"checkpoint": "runs/2/best.ckpt", "checkpoint_sha256": "b"},

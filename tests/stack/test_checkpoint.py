@@ -6,9 +6,11 @@ import pytest
 import torch
 
 from diffstack_mmv.planning import PredictedGoal
+from diffstack_mmv.prediction import Ensemble
 from diffstack_mmv.prediction.trajectron.agent_batch import PEDESTRIAN
 from diffstack_mmv.stack import (
     learned_from,
+    load_ensemble,
     load_predictor,
     load_stack,
     load_weights,
@@ -191,3 +193,12 @@ def test_who_never_saw_a_pedestrian_beside_an_ego_is_told(beside, tmp_path, capl
     torch.save(content | {"state_dict": weights}, tmp_path / "a.ckpt")
     load_predictor(tmp_path / "a.ckpt")
     assert ("has seen no pedestrian" in caplog.text) is not beside
+
+
+def test_an_ensemble_plans_as_its_first_member_and_predicts_as_all():
+    stack, config = load_ensemble(["pretrained/gm3", "pretrained/kbm"])
+    assert config["names"]["dynamics"] == "gm3"
+    assert isinstance(stack.predictor, Ensemble)
+    assert len(stack.predictor.members) == 2
+    assert not stack.predictor.training
+    assert not isinstance(load_ensemble(["pretrained/kbm"]).stack.predictor, Ensemble)
