@@ -59,6 +59,10 @@ class CaseSource(Protocol):
         """Several cases of a phase as one batch."""
         ...
 
+    def case(self, phase: str, number: int) -> Scene:
+        """One case of a phase, without a batch."""
+        ...
+
 
 class Phase(NamedTuple):
     """Numbers of the cases of a phase and where their seeds begin."""
