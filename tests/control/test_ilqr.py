@@ -232,7 +232,7 @@ def test_settings_must_be_positive(field):
         ({"gradient": "unrolled"}, "`gradient` must be a GradientMode, but got 'unrolled'"),
         ({"curvature": DifferencedCurvature}, "For instance DifferencedCurvature()"),
         ({"tolerance": None}, "`tolerance` must be positive, but got None"),
-        ({"max_iterations": "5"}, "`max_iterations` must be at least 1, but got 5"),
+        ({"max_iterations": "5"}, "`max_iterations` must be a number, but got '5'"),
     ],
 )
 def test_settings_of_another_kind_are_refused(settings, told):
