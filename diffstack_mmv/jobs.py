@@ -68,12 +68,17 @@ class JobOutcome(NamedTuple):
 
 
 def run_job(job: Job, children: ChildProcesses | None = None) -> JobOutcome:
-    """Run the commands of a job, one thread each, until one fails; all they say goes to its log."""
+    """Run the commands of a job, one thread each, until one fails; all they say goes to its log.
+
+    Its record tells the settings from the beginning: who is killed cannot tell them at the end.
+    """
     if children is None:
         with ChildProcesses() as own:
             return run_job(job, own)
     start = time.monotonic()
     job.log.parent.mkdir(parents=True, exist_ok=True)
+    told: dict[str, Any] = {"kind": job.kind, "commands": job.settings}
+    _write_record(job, told)
     environment = os.environ | {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     with job.log.open("a", encoding="utf-8") as log:
         for command in job.commands:
@@ -81,12 +86,11 @@ def run_job(job: Job, children: ChildProcesses | None = None) -> JobOutcome:
                 break
     seconds = time.monotonic() - start
     if job.done:
-        _write_record(job, seconds)
+        _write_record(job, told | {"seconds": seconds})
     return JobOutcome(job, seconds, job.done)
 
 
-def _write_record(job: Job, seconds: float) -> None:
-    told = {"kind": job.kind, "seconds": seconds, "commands": job.settings}
+def _write_record(job: Job, told: Mapping[str, Any]) -> None:
     with replacing(job.record) as unfinished:
         unfinished.write_text(json.dumps(told), encoding="utf-8")
 
@@ -281,7 +285,13 @@ def why_failed(job: Job) -> str:
     """Why there is no result."""
     if job.lacking:
         return f"{job.name} was not begun: {job.lacking[0]} is not there."
-    return f"{job.name} failed: see {job.log}."
+    return f"{job.name} failed: see {job.log}, which ends with: {_last_line(job.log)}"
+
+
+def _last_line(log: Path) -> str:
+    """What a command says last is why it failed, in one line."""
+    said = log.read_text(encoding="utf-8", errors="replace") if log.is_file() else ""
+    return said.strip().rpartition("\n")[2] or "nothing"
 
 
 def _ended(futures: list[Future[JobOutcome]]) -> Iterator[JobOutcome]:
@@ -304,7 +314,8 @@ def expected_seconds(
     for file in (job.record for job in measured):
         if file.is_file():
             told = json.loads(file.read_text(encoding="utf-8"))
-            spent.setdefault(told["kind"], []).append(told["seconds"])
+            if "seconds" in told:  # not of a job that is still running, or was killed
+                spent.setdefault(told["kind"], []).append(told["seconds"])
     each = {kind: sum(times) / len(times) for kind, times in spent.items()}
     still = [each.get(job.kind, guess.get(job.kind, 0.0)) for job in jobs if not job.done]
     return sum(still) / min(width, max(len(still), 1))

@@ -16,7 +16,7 @@ ALLOWED = {
     "__init__": set(),
     "cli": {
         *("command_line", "composition", "config_checks", "override_errors", "run_checks"),
-        "vehicles",
+        *("child_processes", "vehicles"),
     },
     "command_line": set(),
     "composition": set(),
