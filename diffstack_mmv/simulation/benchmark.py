@@ -24,6 +24,8 @@ from diffstack_mmv.simulation.scenario import CaseSource, require_case
 from diffstack_mmv.simulation.world import Observation, World
 
 LOGGER = logging.getLogger(__name__)
+BUILDING = 2
+"""First decisions of a run: they build libraries, as no later one does."""
 
 
 @dataclass(frozen=True)
@@ -51,10 +53,12 @@ class Timed:
 
     Attributes:
         controller: The controller.
+        rehearsed: First decisions that are made once more before they are timed.
         seconds: Processor time per decision and running episode in s, in the order of the calls.
     """
 
     controller: Controller
+    rehearsed: int = 0
     seconds: list[float] = field(default_factory=list)
 
     def init(self, observation: Observation) -> Any:
@@ -63,6 +67,8 @@ class Timed:
 
     def act(self, state: Any, observation: Observation) -> Decided:
         """What the controller decides."""
+        if len(self.seconds) < self.rehearsed:
+            self.controller.act(state, observation)
         start = time.process_time()
         decided = self.controller.act(state, observation)
         running = max(int(observation.running.sum()), 1)
@@ -110,11 +116,11 @@ class Campaign:
             ValueError: A case does not exist, its start is impossible, or the folder holds chunks
                 of other settings or of another version of the code.
         """
-        origin = self._origin()
+        origin, rehearsed = self._origin(), BUILDING
         for numbers, file in self._files():
             chunk = read_chunk_of(file, origin)
             if chunk is None or chunk.cases != numbers:
-                chunk = self._driven(numbers)
+                chunk, rehearsed = self._driven(numbers, rehearsed), 0
                 write_chunk(file, origin, chunk)
                 chunk = chunk._replace(thoughts={})
             LOGGER.info("%s: cases %d to %d are done.", self.method.name, numbers[0], numbers[-1])
@@ -148,10 +154,10 @@ class Campaign:
             numbers = list(self.cases[first : first + self.chunk_size])
             yield numbers, self.folder / f"{self.phase}_{numbers[0]:05d}-{numbers[-1]:05d}.npz"
 
-    def _driven(self, numbers: list[int]) -> Chunk:
-        """Drive the cases as one batch."""
+    def _driven(self, numbers: list[int], rehearsed: int) -> Chunk:
+        """Drive the cases as one batch; first decisions may be rehearsed before they are timed."""
         controller = self.method.controller()
-        timed = Timed(controller)
+        timed = Timed(controller, rehearsed)
         scene = self.scenario.cases(self.phase, numbers)
         record, known = drive(self.method.world, scene, timed)
         shares = diagnosis_of(controller, known)

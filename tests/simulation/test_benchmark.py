@@ -1,6 +1,8 @@
 """Benchmarks resume, and tell what the contract asks."""
 
+import time
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -44,6 +46,28 @@ def test_an_interrupted_run_drives_only_what_is_missing(straight, scenario_of, t
     assert straight.controller.made == 1
     chunks(straight, scenario_of("circle"), tmp_path)
     assert straight.controller.made == 2
+
+
+class Building(StraightLine):
+    """Builds for 0.3 s of the processor at the first and second decision, once in a process."""
+
+    built: ClassVar[set[float]] = set()
+
+    def act(self, state, observation):
+        moment, end = float(observation.time.max()), time.process_time() + 0.3
+        while moment < 0.5 and moment not in self.built and time.process_time() < end:
+            pass
+        self.built.add(moment)
+        return super().act(state, observation)
+
+
+def test_what_the_first_decisions_build_is_not_their_time(straight, scenario_of, tmp_path):
+    scenario, building = scenario_of("circle"), replace(straight, controller=lambda: Building(2.5))
+    told = chunks(building, scenario, tmp_path / "first")
+    assert max(chunk.step_s.max() for chunk in told) < 0.05
+    same = chunks(straight, scenario, tmp_path / "second")
+    for one, other in zip(told, same, strict=True):
+        assert one.record.motion.position.equal(other.record.motion.position)
 
 
 def test_resumed_results_equal_fresh_ones(straight, scenario_of, tmp_path):
