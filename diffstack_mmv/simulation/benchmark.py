@@ -22,10 +22,9 @@ from diffstack_mmv.simulation.decisions import Controller, Decided, diagnosis_of
 from diffstack_mmv.simulation.episode import drive
 from diffstack_mmv.simulation.scenario import CaseSource, require_case
 from diffstack_mmv.simulation.world import Observation, World
+from dmmv_conventions.libraries import libraries_loaded
 
 LOGGER = logging.getLogger(__name__)
-BUILDING = 2
-"""First decisions of a run: they build libraries, as no later one does."""
 
 
 @dataclass(frozen=True)
@@ -51,14 +50,14 @@ class Method:
 class Timed:
     """A controller under a stop-watch of processor time: a busy machine does not count.
 
+    Nor does what builds a library, once in a process: such a decision is made again for its time.
+
     Attributes:
         controller: The controller.
-        rehearsed: First decisions that are made once more before they are timed.
         seconds: Processor time per decision and running episode in s, in the order of the calls.
     """
 
     controller: Controller
-    rehearsed: int = 0
     seconds: list[float] = field(default_factory=list)
 
     def init(self, observation: Observation) -> Any:
@@ -67,10 +66,10 @@ class Timed:
 
     def act(self, state: Any, observation: Observation) -> Decided:
         """What the controller decides."""
-        if len(self.seconds) < self.rehearsed:
-            self.controller.act(state, observation)
-        start = time.process_time()
-        decided = self.controller.act(state, observation)
+        known = libraries_loaded()
+        start, decided = time.process_time(), self.controller.act(state, observation)
+        if libraries_loaded() > known:
+            start, decided = time.process_time(), self.controller.act(state, observation)
         running = max(int(observation.running.sum()), 1)
         self.seconds.append((time.process_time() - start) / running)
         return decided
@@ -116,11 +115,11 @@ class Campaign:
             ValueError: A case does not exist, its start is impossible, or the folder holds chunks
                 of other settings or of another version of the code.
         """
-        origin, rehearsed = self._origin(), BUILDING
+        origin = self._origin()
         for numbers, file in self._files():
             chunk = read_chunk_of(file, origin)
             if chunk is None or chunk.cases != numbers:
-                chunk, rehearsed = self._driven(numbers, rehearsed), 0
+                chunk = self._driven(numbers)
                 write_chunk(file, origin, chunk)
                 chunk = chunk._replace(thoughts={})
             LOGGER.info("%s: cases %d to %d are done.", self.method.name, numbers[0], numbers[-1])
@@ -154,10 +153,10 @@ class Campaign:
             numbers = list(self.cases[first : first + self.chunk_size])
             yield numbers, self.folder / f"{self.phase}_{numbers[0]:05d}-{numbers[-1]:05d}.npz"
 
-    def _driven(self, numbers: list[int], rehearsed: int) -> Chunk:
-        """Drive the cases as one batch; first decisions may be rehearsed before they are timed."""
+    def _driven(self, numbers: list[int]) -> Chunk:
+        """Drive the cases as one batch."""
         controller = self.method.controller()
-        timed = Timed(controller, rehearsed)
+        timed = Timed(controller)
         scene = self.scenario.cases(self.phase, numbers)
         record, known = drive(self.method.world, scene, timed)
         shares = diagnosis_of(controller, known)
