@@ -150,7 +150,7 @@ def _save_mp4(animation: FuncAnimation, path: Path, fps: int) -> None:
         from imageio_ffmpeg import get_ffmpeg_exe  # pyright: ignore[reportMissingImports]
     with rc_context({"animation.ffmpeg_path": get_ffmpeg_exe()}):
         # players want even sizes and colours at half resolution
-        even = ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"]
+        even = ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white", "-pix_fmt", "yuv420p"]
         _save(animation, path, FFMpegWriter(fps=fps, codec="libx264", extra_args=even))
 
 
