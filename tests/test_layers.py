@@ -64,7 +64,11 @@ CONVENTIONS = {
     },
     "device_checks": {"dmmv_conventions.checks"},
     "override_errors": {"dmmv_conventions.checks"},
-    "run_checks": {"dmmv_conventions.checks"},
+    "run_checks": {
+        "dmmv_conventions.checks",
+        "dmmv_conventions.differences",
+        "dmmv_conventions.yaml_files",
+    },
     "training_checks": {"dmmv_conventions.checks"},
     "jobs": {"dmmv_conventions.checks"},
     "types": {"dmmv_conventions.modes"},
@@ -97,7 +101,7 @@ CONVENTIONS = {
     },
     "callbacks": {
         "dmmv_conventions.checkpoints",
-        "dmmv_conventions.targets",
+        "dmmv_conventions.differences",
         "dmmv_conventions.versions",
     },
 }
