@@ -16,7 +16,7 @@ class Difference(NamedTuple):
 
 
 def first_difference(
-    before: Mapping[str, Any], now: Mapping[str, Any], apart: re.Pattern[str]
+    before: Mapping[str, Any], now: Mapping[str, Any], apart: re.Pattern[str] | None = None
 ) -> Difference | None:
     """The outermost setting in which two configurations of a command differ, if there is one.
 
@@ -25,7 +25,7 @@ def first_difference(
     Args:
         before: One configuration, resolved, as plain containers.
         now: The other one.
-        apart: Places that it matches may differ.
+        apart: Places that it matches may differ; by default none.
     """
     first, second = _settings(before, apart), _settings(now, apart)
     for place in sorted(first.keys() | second.keys(), key=lambda place: (place.count("."), place)):
@@ -34,11 +34,11 @@ def first_difference(
     return None
 
 
-def _settings(config: Mapping[str, Any], apart: re.Pattern[str]) -> dict[str, Any]:
+def _settings(config: Mapping[str, Any], apart: re.Pattern[str] | None) -> dict[str, Any]:
     """Dotted place -> value."""
     out = str(config.get("out"))
     return {
         place: value.replace(out, "OUT") if isinstance(value, str) else value
         for place, value in nodes(dict(config))
-        if place and not isinstance(value, Mapping) and not apart.match(place)
+        if place and not isinstance(value, Mapping) and not (apart and apart.match(place))
     }

@@ -28,7 +28,7 @@ def paired_with_run(result: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         folder: Folder with the `closed_loop.json` of the earlier one.
 
     Returns:
-        See `paired_cases`; `other` names the earlier run.
+        See `paired_cases`; `other` names the earlier run and its folder.
 
     Raises:
         ValueError: The file is missing, has no case in common with the run, or was made under
@@ -50,7 +50,7 @@ def _paired_with(
     name = f"{other['controller']} ({other['dynamics']} {other['vehicle']})"
     if other["believed_dynamics"] != other["dynamics"]:
         name += f", believes in {other['believed_dynamics']}"
-    return {"other": name} | paired_cases(result["cases"], other["cases"])
+    return {"other": f"{name} in {folder}"} | paired_cases(result["cases"], other["cases"])
 
 
 def paired_cases(

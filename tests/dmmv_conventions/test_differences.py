@@ -4,14 +4,12 @@ import re
 
 from dmmv_conventions.differences import first_difference
 
-NONE = re.compile("$x")
-
 
 def test_the_outermost_setting_that_differs_is_named():
     before, now = {"a": {"b": {"c": 1}}, "d": {"e": 2}}, {"a": {"b": {"c": 2}}, "d": {"e": 3}}
-    assert first_difference(before, now, NONE) == ("d.e", 2, 3)
-    assert first_difference({"a": 1}, {"a": 1, "b": None, "c": 2}, NONE) == ("c", None, 2)
-    assert first_difference(before, before, NONE) is None
+    assert first_difference(before, now) == ("d.e", 2, 3)
+    assert first_difference({"a": 1}, {"a": 1, "b": None, "c": 2}) == ("c", None, 2)
+    assert first_difference(before, before) is None
 
 
 def test_a_moved_folder_is_no_difference_and_neither_is_what_is_set_apart():

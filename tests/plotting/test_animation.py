@@ -69,6 +69,9 @@ def test_controls_carry_names_and_units_over_the_time_of_the_clearance(episode):
     labels = [text.get_text() for text in below.get_legend().get_texts()]
     assert labels == ["acceleration [m/s²]", "steer [rad]"]
     assert below.get_xlim() == above.get_xlim()
+    below.figure.draw_without_rendering()
+    legend = below.get_legend().get_window_extent()
+    assert above.get_window_extent().y0 > legend.y1 > legend.y0 >= below.get_window_extent().y1
 
 
 def test_an_episode_becomes_an_mp4(episode, tmp_path):

@@ -68,7 +68,7 @@ def test_an_earlier_run_is_named_with_its_belief(tmp_path):
     run = HEADER | {"cases": [case(0)]}
     (tmp_path / "closed_loop.json").write_text(json.dumps(run))
     pair = paired_with_run(run, tmp_path)
-    assert pair["other"] == "diffmpc (gm3 bicycle), believes in kbm"
+    assert pair["other"] == f"diffmpc (gm3 bicycle), believes in kbm in {tmp_path}"
     assert paired_table([pair], CLOSED_LOOP)["success only here / there"].tolist() == ["0 / 0"]
 
 
