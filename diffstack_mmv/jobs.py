@@ -35,11 +35,17 @@ class Job(NamedTuple):
     needs: tuple[Path, ...] = ()  # results of other jobs, without which it is not begun
     folder: Path | None = None  # what it writes besides its log; null: the folder of the result
     root: Path | None = None  # of all jobs; it may be moved, so that its place is no setting
+    partial: Path | None = None  # there as soon as it holds a part of the result of these settings
 
     @property
     def done(self) -> bool:
         """Whether there is nothing left to do."""
         return self.result.is_file()
+
+    @property
+    def has_results(self) -> bool:
+        """Whether there is a result, or a part of it with which the job would go on."""
+        return self.done or (self.partial is not None and self.partial.exists())
 
     @property
     def lacking(self) -> list[Path]:
@@ -96,14 +102,14 @@ def _write_record(job: Job, told: Mapping[str, Any]) -> None:
 
 
 def require_same_jobs(jobs: Sequence[Job]) -> None:
-    """Refuse finished jobs whose result was made with other settings.
+    """Refuse jobs whose result, or the part that there is of it, was made with other settings.
 
     Results of earlier versions, which kept no settings, are taken as they are.
 
     Raises:
-        ValueError: A setting of a finished job differs.
+        ValueError: A setting of such a job differs.
     """
-    for job in (each for each in jobs if each.done and each.record.is_file()):
+    for job in (each for each in jobs if each.has_results and each.record.is_file()):
         made = json.loads(job.record.read_text(encoding="utf-8")).get("commands")
         if made is None or made == job.settings:
             continue

@@ -134,6 +134,18 @@ def test_a_result_of_a_job_whose_launcher_was_killed_is_that_of_its_settings(tmp
     assert expected_seconds([killed], [killed], {}, 1) == 0.0
 
 
+def test_a_part_of_a_result_is_that_of_its_settings_and_a_failure_without_any_is_none(tmp_path):
+    asked = trained(tmp_path, "epochs=1")
+    failed = asked._replace(result=tmp_path / "none", partial=tmp_path / "episodes")
+    assert not run_job(failed).succeeded
+    other = failed._replace(commands=trained(tmp_path, "epochs=2").commands)
+    require_same_jobs([other])
+    failed.partial.mkdir()
+    require_same_jobs([failed])
+    with pytest.raises(ValueError, match="another setting than epochs=2, but got epochs=1"):
+        require_same_jobs([other])
+
+
 def test_jobs_are_the_same_wherever_their_folder_was_moved(tmp_path):
     run_job(trained(tmp_path / "here (ü)", "epochs=1"))
     (tmp_path / "here (ü)").rename(tmp_path / "there's")
