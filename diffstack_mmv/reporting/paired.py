@@ -13,7 +13,9 @@ from diffstack_mmv.reporting.files import read_json, told_as_broken
 from diffstack_mmv.reporting.scores import Scores
 from diffstack_mmv.reporting.table import cell
 
-SETTINGS = ("scenario", "humans", "phase", "limit_s", "dt_s", "verdict")
+CASES = ("scenario", "data", "humans", "phase")
+"""By what the number of a case is a case; `data` of recorded people alone."""
+SETTINGS = (*CASES, "limit_s", "dt_s", "verdict")
 """What two runs have to share to be compared case by case."""
 OUTCOMES = {"success": "success_rate", "collision": "collision_rate"}
 SHIFTS = {"time_s": "nav_time_s", "discomfort": "discomfort_frequency"}
@@ -41,16 +43,38 @@ def paired_with_run(result: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 def _paired_with(
     result: Mapping[str, Any], other: Mapping[str, Any], folder: Path
 ) -> dict[str, Any]:
-    for name in SETTINGS:
-        if other[name] != result[name]:
-            raise ValueError(
-                f"`against` must name runs with {name} {result[name]}, but got {other[name]} in "
-                f"{folder}. Compare runs of one setting."
-            )
+    require_same(SETTINGS, result, other, "against", folder)
     name = f"{other['controller']} ({other['dynamics']} {other['vehicle']})"
     if other["believed_dynamics"] != other["dynamics"]:
         name += f", believes in {other['believed_dynamics']}"
     return {"other": f"{name} in {folder}"} | paired_cases(result["cases"], other["cases"])
+
+
+def require_same(
+    names: Sequence[str],
+    result: Mapping[str, Any],
+    other: Mapping[str, Any],
+    argument: str,
+    folder: Path,
+) -> None:
+    """Refuse another run under other settings.
+
+    Args:
+        names: Of the settings, entries of the header.
+        result: Header of a run.
+        other: That of the other one.
+        argument: What names the other one.
+        folder: Where it lies.
+
+    Raises:
+        ValueError: A setting differs.
+    """
+    for name in names:
+        if other.get(name) != result.get(name):
+            raise ValueError(
+                f"`{argument}` must name runs with {name} {result.get(name)}, but got "
+                f"{other.get(name)} in {folder}. Compare runs of one setting."
+            )
 
 
 def paired_cases(

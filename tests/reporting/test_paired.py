@@ -77,3 +77,6 @@ def test_runs_under_other_settings_are_refused(tmp_path):
     (tmp_path / "closed_loop.json").write_text(json.dumps(run | {"limit_s": 25.0}))
     with pytest.raises(ValueError, match="limit_s"):
         paired_with_run(run, tmp_path)
+    (tmp_path / "closed_loop.json").write_text(json.dumps(run | {"data": "citr"}))
+    with pytest.raises(ValueError, match="runs with data dut, but got citr in"):
+        paired_with_run(run | {"data": "dut"}, tmp_path)
