@@ -1,6 +1,6 @@
 """Paired tests between closed-loop runs over the same cases."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,27 @@ def _paired_with(
     if other["believed_dynamics"] != other["dynamics"]:
         name += f", believes in {other['believed_dynamics']}"
     return {"other": f"{name} in {folder}"} | paired_cases(result["cases"], other["cases"])
+
+
+def require_comparable(header: Mapping[str, Any], cases: Collection[int], folder: Path) -> None:
+    """Refuse an earlier run that `paired_with_run` would refuse, before anything is driven.
+
+    Args:
+        header: Of the run.
+        cases: Numbers that it will drive.
+        folder: Folder with the `closed_loop.json` of the earlier one.
+
+    Raises:
+        ValueError: As `paired_with_run`.
+    """
+    with told_as_broken(folder / "closed_loop.json"):
+        other = read_json(folder / "closed_loop.json")
+        require_same(SETTINGS, header, other, "against", folder)
+        if not any(case["case"] in cases for case in other["cases"]):
+            raise ValueError(
+                f"`against` must share cases with the run, but got none in {folder}. Drive the "
+                "same."
+            )
 
 
 def require_same(

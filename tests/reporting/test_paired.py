@@ -7,7 +7,12 @@ import pytest
 from scipy.stats import wilcoxon
 
 from diffstack_mmv.metrics import CLOSED_LOOP
-from diffstack_mmv.reporting import paired_cases, paired_table, paired_with_run
+from diffstack_mmv.reporting import (
+    paired_cases,
+    paired_table,
+    paired_with_run,
+    require_comparable,
+)
 
 
 def case(number, outcome="success", time_s=3.0, uneasy=0):
@@ -79,4 +84,14 @@ def test_runs_under_other_settings_are_refused(tmp_path):
         paired_with_run(run, tmp_path)
     (tmp_path / "closed_loop.json").write_text(json.dumps(run | {"data": "citr"}))
     with pytest.raises(ValueError, match="runs with data dut, but got citr in"):
-        paired_with_run(run | {"data": "dut"}, tmp_path)
+        require_comparable(run | {"data": "dut"}, [0], tmp_path)
+
+
+def test_runs_to_compare_with_are_refused_before_anything_is_driven(tmp_path):
+    run = HEADER | {"cases": [case(0), case(4)]}
+    (tmp_path / "closed_loop.json").write_text(json.dumps(run))
+    require_comparable(HEADER, range(4, 9), tmp_path)
+    with pytest.raises(ValueError, match="share cases with the run, but got none in"):
+        require_comparable(HEADER, range(1, 4), tmp_path)
+    with pytest.raises(ValueError, match="limit_s"):
+        require_comparable(HEADER | {"limit_s": 25.0}, range(4, 9), tmp_path)
