@@ -1,13 +1,17 @@
-"""Commands in processes that are told to end when the one that started them is."""
+"""Commands in processes that are told to end when the one that started them is, or is gone."""
 
+import os
 import signal
 import subprocess
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from types import FrameType
 from typing import IO, Any, Self
 
 _ENDINGS = ("SIGTERM", "SIGHUP")  # the latter, a terminal that is closed, is unknown to Windows
+_PARENT = "DMMV_PARENT"
+"""Environment variable with the number of the process that started a command."""
 
 
 class ChildProcesses:
@@ -50,14 +54,31 @@ class ChildProcesses:
         with self._lock:
             if self._ended:
                 return None
+            told = {**environment, _PARENT: str(os.getpid())}
             process = subprocess.Popen(
-                command, stdout=output, stderr=output, env=environment, start_new_session=True
+                command, stdout=output, stderr=output, env=told, start_new_session=True
             )
             self._running.add(process)
         code = process.wait()
         with self._lock:
             self._running.discard(process)
         return code
+
+
+def end_with_parent() -> None:
+    """Have this process save and end once the `ChildProcesses` that run it are gone.
+
+    Killed, they tell nobody: what goes on would hold its folder against the next try.
+    """
+    parent = os.environ.pop(_PARENT, None)  # not for what this process starts itself
+    if parent is not None:
+        threading.Thread(target=_watch, args=(int(parent),), daemon=True).start()
+
+
+def _watch(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _left(number: int, _: FrameType | None) -> None:

@@ -35,6 +35,7 @@ with needs_to_run("stack", "the command lines"):
     from omegaconf import DictConfig, OmegaConf, read_write
     from omegaconf.errors import OmegaConfBaseException
 
+    from diffstack_mmv.child_processes import end_with_parent
     from diffstack_mmv.command_line import folders_as, understood
     from diffstack_mmv.composition import changed_defaults, composed_once, value_of
     from diffstack_mmv.config_checks import require_complete, require_same_type, require_seed
@@ -150,6 +151,7 @@ def command(
 
         @functools.wraps(task)
         def main() -> None:
+            end_with_parent()
             sys.argv[1:] = understood(sys.argv[1:], config_name)
             with (
                 _no_search_for_garbage(),

@@ -35,11 +35,17 @@ class Job(NamedTuple):
     needs: tuple[Path, ...] = ()  # results of other jobs, without which it is not begun
     folder: Path | None = None  # what it writes besides its log; null: the folder of the result
     root: Path | None = None  # of all jobs; it may be moved, so that its place is no setting
+    partial: Path | None = None  # there as soon as it holds a part of the result of these settings
 
     @property
     def done(self) -> bool:
         """Whether there is nothing left to do."""
         return self.result.is_file()
+
+    @property
+    def has_results(self) -> bool:
+        """Whether there is a result, or a part of it with which the job would go on."""
+        return self.done or (self.partial is not None and self.partial.exists())
 
     @property
     def lacking(self) -> list[Path]:
@@ -68,12 +74,17 @@ class JobOutcome(NamedTuple):
 
 
 def run_job(job: Job, children: ChildProcesses | None = None) -> JobOutcome:
-    """Run the commands of a job, one thread each, until one fails; all they say goes to its log."""
+    """Run the commands of a job, one thread each, until one fails; all they say goes to its log.
+
+    Its record tells the settings from the beginning: who is killed cannot tell them at the end.
+    """
     if children is None:
         with ChildProcesses() as own:
             return run_job(job, own)
     start = time.monotonic()
     job.log.parent.mkdir(parents=True, exist_ok=True)
+    told: dict[str, Any] = {"kind": job.kind, "commands": job.settings}
+    _write_record(job, told)
     environment = os.environ | {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     with job.log.open("a", encoding="utf-8") as log:
         for command in job.commands:
@@ -81,25 +92,24 @@ def run_job(job: Job, children: ChildProcesses | None = None) -> JobOutcome:
                 break
     seconds = time.monotonic() - start
     if job.done:
-        _write_record(job, seconds)
+        _write_record(job, told | {"seconds": seconds})
     return JobOutcome(job, seconds, job.done)
 
 
-def _write_record(job: Job, seconds: float) -> None:
-    told = {"kind": job.kind, "seconds": seconds, "commands": job.settings}
+def _write_record(job: Job, told: Mapping[str, Any]) -> None:
     with replacing(job.record) as unfinished:
         unfinished.write_text(json.dumps(told), encoding="utf-8")
 
 
 def require_same_jobs(jobs: Sequence[Job]) -> None:
-    """Refuse finished jobs whose result was made with other settings.
+    """Refuse jobs whose result, or the part that there is of it, was made with other settings.
 
     Results of earlier versions, which kept no settings, are taken as they are.
 
     Raises:
-        ValueError: A setting of a finished job differs.
+        ValueError: A setting of such a job differs.
     """
-    for job in (each for each in jobs if each.done and each.record.is_file()):
+    for job in (each for each in jobs if each.has_results and each.record.is_file()):
         made = json.loads(job.record.read_text(encoding="utf-8")).get("commands")
         if made is None or made == job.settings:
             continue
@@ -281,7 +291,13 @@ def why_failed(job: Job) -> str:
     """Why there is no result."""
     if job.lacking:
         return f"{job.name} was not begun: {job.lacking[0]} is not there."
-    return f"{job.name} failed: see {job.log}."
+    return f"{job.name} failed: see {job.log}, which ends with: {_last_line(job.log)}"
+
+
+def _last_line(log: Path) -> str:
+    """What a command says last is why it failed, in one line."""
+    said = log.read_text(encoding="utf-8", errors="replace") if log.is_file() else ""
+    return said.strip().rpartition("\n")[2] or "nothing"
 
 
 def _ended(futures: list[Future[JobOutcome]]) -> Iterator[JobOutcome]:
@@ -304,7 +320,8 @@ def expected_seconds(
     for file in (job.record for job in measured):
         if file.is_file():
             told = json.loads(file.read_text(encoding="utf-8"))
-            spent.setdefault(told["kind"], []).append(told["seconds"])
+            if "seconds" in told:  # not of a job that is still running, or was killed
+                spent.setdefault(told["kind"], []).append(told["seconds"])
     each = {kind: sum(times) / len(times) for kind, times in spent.items()}
     still = [each.get(job.kind, guess.get(job.kind, 0.0)) for job in jobs if not job.done]
     return sum(still) / min(width, max(len(still), 1))

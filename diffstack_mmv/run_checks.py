@@ -1,11 +1,14 @@
 """Checks of folders that commands have written; they need nothing heavy, like `config_checks`."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from diffstack_mmv.config_checks import require_file, require_folder
-from dmmv_conventions.checks import require
+from dmmv_conventions.checks import message, require
+from dmmv_conventions.differences import first_difference
+from dmmv_conventions.yaml_files import load_plain
 
 
 def require_reports(runs: Sequence[str]) -> None:
@@ -81,6 +84,32 @@ def require_own_folder(out: Path, name: str) -> None:
     told = "" if found is None else f"{found.file} of {found.command}"
     remedy = "Give another out=FOLDER, for example one within it."
     require(found is None, "out", f"hold results of {name} alone", told, f"in {out}", remedy)
+
+
+def require_same_run(out: Path, name: str, config: Mapping[str, Any]) -> None:
+    """Refuse a folder in which the command has left results of other settings.
+
+    Args:
+        out: The folder.
+        name: Name of the command.
+        config: Its configuration, resolved, as plain containers.
+
+    Raises:
+        ValueError: A setting differs from that in `config.yaml`.
+    """
+    file = out / "config.yaml"
+    if not file.is_file() or next(out.glob(OF_A_COMMAND[name]), None) is None:
+        return
+    before: Any = load_plain(file.read_text(encoding="utf-8"))
+    found = first_difference(before, config, _SHOWN)
+    if found is not None:
+        wanted = f"hold no result of {name} with another {found.place} than {found.now!r}"
+        remedy = f"Give another out=FOLDER, or delete {out}."
+        raise ValueError(message("out", wanted, repr(found.before), f"in {file}", remedy))
+
+
+_SHOWN = re.compile(r"(out|vehicle_file|dry_run|wandb)(\.|\[|$)")
+"""Where and how a run is shown decides no result."""
 
 
 def require_own_config(found: str, name: str) -> None:

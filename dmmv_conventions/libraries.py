@@ -100,6 +100,11 @@ def load(source: str, *flags: str) -> ctypes.CDLL:
         raise CannotBuildError(str(failure)) from failure
 
 
+def libraries_loaded() -> int:
+    """How many libraries this process has: what adds one takes longer than doing it again."""
+    return load.cache_info().currsize
+
+
 @functools.cache
 def load_or_tell(purpose: str, source: str, *flags: str) -> ctypes.CDLL | None:
     """The library of a source; None where it cannot be built, with a line in the log, once.

@@ -83,7 +83,10 @@ def _job(config: DictConfig, row: DrivenRow, out: Path) -> Job:
     drive = (sys.executable, str(NAVIGATE), *ALONE, *last.values(), f"out={quoted(row.folder)}")
     log = out / "logs" / f"{row.place}.{row.name}.log"
     name = f"{row.place}, {row.name}"
-    return Job(name, "drive", (drive,), row.result, log, folder=row.folder, root=out)
+    partial = row.folder / "episodes"
+    return Job(
+        name, "drive", (drive,), row.result, log, folder=row.folder, root=out, partial=partial
+    )
 
 
 if __name__ == "__main__":

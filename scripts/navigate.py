@@ -58,7 +58,13 @@ def check(config: DictConfig) -> None:
 
 
 def admit(config: DictConfig) -> None:
-    """Refuse a folder with episodes of other settings, before any baseline has driven."""
+    """Refuse a folder with episodes of other settings, and runs that cannot be compared."""
+    if config.against:
+        from diffstack_mmv.reporting import require_comparable
+
+        header: Any = OmegaConf.to_container(config.header)
+        for folder in config.against:
+            require_comparable(header, _cases(config), Path(folder))
     if not (Path(config.out) / "episodes").is_dir():
         return
     from diffstack_mmv.reporting import require_same_drive

@@ -2,11 +2,13 @@
 
 import logging
 from pathlib import Path
+from typing import Any
 
 from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
 from diffstack_mmv.config_checks import require_file
-from dmmv_conventions.checks import require, require_one_of
+from dmmv_conventions.checks import message, require, require_one_of
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.differences import first_difference
 
 logger = logging.getLogger(__name__)
 
@@ -20,8 +22,24 @@ def check(config: DictConfig) -> None:
     named = len(config.names) in (0, len(config.runs))
     require(named, "names", "be one per run, or none", list(config.names))
     for run in config.runs:
-        settings = Path(run).parent.parent / "config.yaml"
-        require_file("runs", str(settings), remedy)
+        require_file("runs", str(_settings(run)), remedy)
+    first, *others = config.runs
+    for run in others:
+        found = first_difference(_cases_of(first), _cases_of(run))
+        if found is not None:
+            wanted = f"be drives of one {found.place}, {found.before!r} as in {first}"
+            raise ValueError(message("runs", wanted, repr(found.now), f"in {run}"))
+
+
+def _cases_of(run: str) -> dict[str, Any]:
+    """By what the number of a case is a case."""
+    settings: Any = OmegaConf.to_container(OmegaConf.load(_settings(run)))
+    return {name: settings[name] for name in ("phase", "scenario")}
+
+
+def _settings(run: str | Path) -> Path:
+    """The configuration of the drive whose episodes these are."""
+    return Path(run).parent.parent / "config.yaml"
 
 
 @command(config_folder(), "side_by_side", check)
@@ -41,7 +59,7 @@ def main(config: DictConfig) -> None:
     names = list(config.names) or [run.name for run in runs]
 
     def episode(run: Path, case: int) -> Episode:
-        settings = OmegaConf.load(run.parent.parent / "config.yaml")
+        settings = OmegaConf.load(_settings(run))
         scenario, robot = instantiate(settings.scenario), instantiate(settings.robot)
         record, row = read_episode(run, case)
         outline = robot.footprint.outline()

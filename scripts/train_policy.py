@@ -5,8 +5,10 @@ import logging
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
-from diffstack_mmv.cli import DictConfig, command, instantiate
+from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
+from diffstack_mmv.run_checks import require_same_run
 from dmmv_conventions.checks import require_at_least
 from dmmv_conventions.configs import config_folder
 
@@ -21,7 +23,13 @@ def check(config: DictConfig) -> None:
     import_module("diffstack_mmv.simulation.reinforcement")  # tells the extra that it needs
 
 
-@command(config_folder(), "train_policy", check)
+def admit(config: DictConfig) -> None:
+    """Refuse a folder with the policy of another training."""
+    content: Any = OmegaConf.to_container(config)
+    require_same_run(Path(config.out), "train_policy", content)
+
+
+@command(config_folder(), "train_policy", check, admit)
 def main(config: DictConfig) -> None:
     """Train for a given processor time; write the policy and the curve of its outcomes."""
     import torch

@@ -3,10 +3,13 @@
 import json
 import logging
 from pathlib import Path
+from typing import Any
 
-from diffstack_mmv.cli import DictConfig, command, instantiate
+from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
+from diffstack_mmv.run_checks import require_same_run
 from dmmv_conventions.checks import require, require_at_least
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.disk import replacing
 
 logger = logging.getLogger(__name__)
 
@@ -19,12 +22,18 @@ def check(config: DictConfig) -> None:
         instantiate(part)
 
 
-@command(config_folder(), "tune", check)
+def admit(config: DictConfig) -> None:
+    """Refuse a folder with what another tuning has found."""
+    content: Any = OmegaConf.to_container(config)
+    require_same_run(Path(config.out), "tune", content)
+
+
+@command(config_folder(), "tune", check, admit)
 def main(config: DictConfig) -> None:
-    """Tune; write every round, and the best weights as settings of `navigate`."""
+    """Tune; write after every round all of them, and the best weights as settings of `navigate`."""
     import torch
 
-    from diffstack_mmv.simulation.tuning import best
+    from diffstack_mmv.simulation.tuning import Round, best
 
     torch.manual_seed(config.seed)
     scenario, world = instantiate(config.scenario), instantiate(config.world)
@@ -34,20 +43,24 @@ def main(config: DictConfig) -> None:
         Path(config.out),
     )
     scene = scenario.cases(config.phase, range(config.first_case, config.first_case + config.cases))
-    rounds = []
+    rounds: list[Round] = []
     tuner = instantiate(config.tuner)
     for each in tuner(controller.planner.cost, lambda: loss(world, scene, controller).mean()):
         rounds.append(each)
         logger.info("Round %d: loss %.4f, best %.4f, %.0f s.",
                     len(rounds), each.loss, best(rounds).loss, each.seconds)  # fmt: skip
         told = [row._asdict() for row in rounds]
-        (out / "rounds.json").write_text(json.dumps(told, indent=1), encoding="utf-8")
-    chosen = best(rounds)
-    lines = [f"cost.weights.{name}={weight:.6g}" for name, weight in chosen.weights.items()]
-    steps = config.controller.planner.solver.max_iterations
-    lines.append(f"controller.planner.solver.max_iterations={steps}")
-    (out / "settings.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        _write(out / "rounds.json", json.dumps(told, indent=1))
+        lines = [f"cost.weights.{name}={w:.6g}" for name, w in best(rounds).weights.items()]
+        steps = config.controller.planner.solver.max_iterations
+        lines.append(f"controller.planner.solver.max_iterations={steps}")
+        _write(out / "settings.txt", "\n".join(lines) + "\n")
     logger.info("Drive it: dmmv-navigate ... $(cat %s)", out / "settings.txt")
+
+
+def _write(file: Path, text: str) -> None:
+    with replacing(file) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -19,18 +19,20 @@ folder = Path(sys.argv[1])
 CHILD = '''
 import signal, sys, time
 from pathlib import Path
+from diffstack_mmv.child_processes import end_with_parent
 folder, name = Path(sys.argv[1]), sys.argv[2]
 def save(*_):
     time.sleep(0.3)
     (folder / f"{name}.saved").touch()
     raise SystemExit(1)
 signal.signal(signal.SIGTERM, save)
+end_with_parent()
 (folder / f"{name}.begun").touch()
 time.sleep(60)
 (folder / name).touch()
 '''
 jobs = [
-    Job(name, "kind", ((sys.executable, "-S", "-c", CHILD, str(folder), name),),
+    Job(name, "kind", ((sys.executable, "-c", CHILD, str(folder), name),),
         folder / name, folder / f"{name}.log")
     for name in ("first", "second")
 ]
@@ -64,6 +66,16 @@ def test_a_signal_ends_what_runs_and_begins_nothing_else(tmp_path, sent, status,
     assert launcher.wait(timeout=30) == status
     assert (tmp_path / "first.saved").exists()
     assert not (tmp_path / "second.begun").exists()
+
+
+def test_what_runs_ends_when_its_launcher_was_killed(tmp_path):
+    launcher = started(tmp_path)
+    launcher.kill()
+    launcher.wait(timeout=30)
+    limit = time.monotonic() + 30
+    while not (tmp_path / "first.saved").exists():
+        assert time.monotonic() < limit
+        time.sleep(0.05)
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="reads /proc")

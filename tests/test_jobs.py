@@ -1,6 +1,7 @@
 """Jobs run side by side, once each, and tell how they ended."""
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -76,6 +77,8 @@ def test_a_table_is_written_with_what_is_lacking_before_the_failure_is_told(tmp_
     with pytest.raises(ValueError, match="2 of 3 drives failed or were not begun"):
         table.complete(remarks.extend)
     assert [told.split(":")[0] for told in remarks] == ["bad failed", "after was not begun"]
+    why = "ZeroDivisionError: division by zero"
+    assert remarks[0] == f"bad failed: see {bad.log}, which ends with: {why}"
     bad.result.touch()
     table.complete(remarks.extend)
     assert after.done
@@ -115,6 +118,32 @@ def test_a_finished_job_is_that_of_its_settings_alone(tmp_path):
         require_same_jobs([trained(tmp_path, "epochs=1")])
     with pytest.raises(ValueError, match="another setting than in this order"):
         require_same_jobs([trained(tmp_path, "seed=0", "epochs=1")])
+
+
+def test_a_result_of_a_job_whose_launcher_was_killed_is_that_of_its_settings(tmp_path):
+    asked = trained(tmp_path, "epochs=1")
+    code = "import os, sys; open(sys.argv[1][5:-1], 'w').close(); os.kill(os.getppid(), 9)"
+    command = (sys.executable, "-c", code, *asked.commands[0][3:])
+    killed = asked._replace(commands=(command,))
+    made = repr(killed).replace("PosixPath", "Path")
+    line = f"from pathlib import Path; from diffstack_mmv.jobs import Job, run_job; run_job({made})"
+    subprocess.run([sys.executable, "-c", line], check=False)
+    assert killed.done
+    with pytest.raises(ValueError, match="another setting than epochs=2, but got epochs=1"):
+        require_same_jobs([killed._replace(commands=((*command[:-1], "epochs=2"),))])
+    assert expected_seconds([killed], [killed], {}, 1) == 0.0
+
+
+def test_a_part_of_a_result_is_that_of_its_settings_and_a_failure_without_any_is_none(tmp_path):
+    asked = trained(tmp_path, "epochs=1")
+    failed = asked._replace(result=tmp_path / "none", partial=tmp_path / "episodes")
+    assert not run_job(failed).succeeded
+    other = failed._replace(commands=trained(tmp_path, "epochs=2").commands)
+    require_same_jobs([other])
+    failed.partial.mkdir()
+    require_same_jobs([failed])
+    with pytest.raises(ValueError, match="another setting than epochs=2, but got epochs=1"):
+        require_same_jobs([other])
 
 
 def test_jobs_are_the_same_wherever_their_folder_was_moved(tmp_path):

@@ -16,7 +16,7 @@ ALLOWED = {
     "__init__": set(),
     "cli": {
         *("command_line", "composition", "config_checks", "override_errors", "run_checks"),
-        "vehicles",
+        *("child_processes", "vehicles"),
     },
     "command_line": set(),
     "composition": set(),
@@ -64,7 +64,11 @@ CONVENTIONS = {
     },
     "device_checks": {"dmmv_conventions.checks"},
     "override_errors": {"dmmv_conventions.checks"},
-    "run_checks": {"dmmv_conventions.checks"},
+    "run_checks": {
+        "dmmv_conventions.checks",
+        "dmmv_conventions.differences",
+        "dmmv_conventions.yaml_files",
+    },
     "training_checks": {"dmmv_conventions.checks"},
     "jobs": {"dmmv_conventions.checks"},
     "types": {"dmmv_conventions.modes"},
@@ -97,7 +101,7 @@ CONVENTIONS = {
     },
     "callbacks": {
         "dmmv_conventions.checkpoints",
-        "dmmv_conventions.targets",
+        "dmmv_conventions.differences",
         "dmmv_conventions.versions",
     },
 }

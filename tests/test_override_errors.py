@@ -82,6 +82,22 @@ def test_too_few_runs_or_cases_side_by_side_are_named(
     assert capsys.readouterr().err.startswith(told)
 
 
+def test_drives_of_other_cases_side_by_side_are_refused(monkeypatch, capsys, tmp_path):
+    for name, radius in (("one", 4.0), ("two", 5.0)):
+        (tmp_path / name).mkdir()
+        told = f"phase: test\nscenario: {{humans: 5, circle_radius_m: {radius}}}\n"
+        (tmp_path / name / "config.yaml").write_text(told)
+    one, two = (tmp_path / name / "episodes" / "mppi" for name in ("one", "two"))
+    arguments = [f"runs=[{one},{two}]", "cases=[3]", f"out={tmp_path / 'out'}"]
+    GlobalHydra.instance().clear()
+    monkeypatch.setattr(sys, "argv", ["side_by_side.py", *arguments])
+    with pytest.raises(SystemExit):
+        side_by_side()
+    GlobalHydra.instance().clear()
+    wanted = f"be drives of one scenario.circle_radius_m, 4.0 as in {one}, but got 5.0 in {two}."
+    assert f"`runs` must {wanted}" in capsys.readouterr().err
+
+
 def test_a_job_of_a_sweep_that_fails_is_named(answer):
     lines = answer("-m", "data.cache=nowhere", "seed=0").splitlines()
     assert lines[0].startswith(

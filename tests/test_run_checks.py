@@ -4,7 +4,12 @@ import re
 
 import pytest
 
-from diffstack_mmv.run_checks import config_file, require_own_folder, require_reports
+from diffstack_mmv.run_checks import (
+    config_file,
+    require_own_folder,
+    require_reports,
+    require_same_run,
+)
 
 
 @pytest.fixture
@@ -53,6 +58,20 @@ def test_a_folder_of_another_command_is_refused(tmp_path, name, file, maker):
     require_own_folder(tmp_path, maker)
     require_own_folder(tmp_path, "report")
     require_own_folder(tmp_path / "report", name)
+
+
+def test_results_of_other_settings_are_not_replaced(tmp_path):
+    (tmp_path / "config.yaml").write_text("seed: 0\nloss: {_target_: a.Loss, margin: 1.0}\n")
+    again = {"seed": 0, "loss": {"_target_": "a.Loss", "margin": 1.0}, "wandb": "none"}
+    require_same_run(tmp_path, "tune", {"seed": 1})
+    (tmp_path / "rounds.json").touch()
+    require_same_run(tmp_path, "tune", again)
+    told = (
+        "`out` must hold no result of tune with another loss.margin than 2.0, but got 1.0 in "
+        f"{tmp_path / 'config.yaml'}. Give another out=FOLDER, or delete {tmp_path}."
+    )
+    with pytest.raises(ValueError, match=re.escape(told)):
+        require_same_run(tmp_path, "tune", again | {"loss": {"_target_": "a.Loss", "margin": 2.0}})
 
 
 @pytest.mark.parametrize(

@@ -16,9 +16,9 @@ import torch
 from pytorch_lightning import callbacks
 from pytorch_lightning.callbacks import Callback
 
-from diffstack_mmv.checks import message, require
+from diffstack_mmv.checks import message
 from dmmv_conventions.checkpoints import read_plain
-from dmmv_conventions.targets import nodes
+from dmmv_conventions.differences import first_difference
 from dmmv_conventions.versions import installed_version
 
 
@@ -141,31 +141,12 @@ def resume_point(last: Path, config: Mapping[str, Any]) -> Path | None:
 
 def _require_same_training(last: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     """Refuse a checkpoint of other settings, and name the outermost that differs."""
-    first, second = _settings(before), _settings(now)
-    places = sorted(first.keys() | second.keys(), key=lambda place: (place.count("."), place))
-    for place in places:
-        values = [settings.get(place) for settings in (first, second)]
-        require(
-            values[0] == values[1],
-            "out",
-            "be a new folder, or that of the same run",
-            f"{last.parents[1]} with another {place}: {values[0]!r} before, now {values[1]!r}",
-            "",
-            f"Choose another `out`, with start={last} for its weights, or delete the folder.",
-        )
-
-
-def _settings(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Dotted place -> value of the settings that decide what a training learns.
-
-    Paths below the folder of the run are those below the same folder elsewhere.
-    """
-    out = str(config.get("out"))
-    return {
-        place: value.replace(out, "OUT") if isinstance(value, str) else value
-        for place, value in nodes(dict(config))
-        if place and not isinstance(value, Mapping) and not _ELSEWHERE.match(place)
-    }
+    found = first_difference(before, now, _ELSEWHERE)
+    if found is not None:
+        requirement = "be a new folder, or that of the same run"
+        got = f"with another {found.place}: {found.before!r} before, now {found.now!r}"
+        remedy = f"Choose another `out`, with start={last} for its weights, or delete the folder."
+        raise ValueError(message("out", requirement, f"{last.parents[1]} {got}", "", remedy))
 
 
 _ELSEWHERE = re.compile(

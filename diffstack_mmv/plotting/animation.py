@@ -150,7 +150,7 @@ def _save_mp4(animation: FuncAnimation, path: Path, fps: int) -> None:
         from imageio_ffmpeg import get_ffmpeg_exe  # pyright: ignore[reportMissingImports]
     with rc_context({"animation.ffmpeg_path": get_ffmpeg_exe()}):
         # players want even sizes and colours at half resolution
-        even = ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"]
+        even = ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white", "-pix_fmt", "yuv420p"]
         _save(animation, path, FFMpegWriter(fps=fps, codec="libx264", extra_args=even))
 
 
@@ -183,7 +183,9 @@ def draw_curves(above: Axes, below: Axes, episode: Episode) -> list[Line2D]:
         name = names[column] if names else f"control {column + 1}"
         label = f"{name} [{UNITS[name]}]" if name in UNITS else name
         below.stairs(held, time, baseline=None, color=PALETTE[column], label=label)
-    below.legend(fontsize="small")
+    # above it: between the two pictures no curve is hidden
+    place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": values.shape[-1]}
+    below.legend(fontsize="small", frameon=False, **place)
     below.set_xlabel("time [s]")
     return [_clearance(above, record), below.axvline(0.0, color=ROBOT)]
 

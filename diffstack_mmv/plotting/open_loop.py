@@ -94,8 +94,8 @@ def draw_wheels(wheels: WheelHistory, names: Sequence[str], dt_s: float) -> Figu
         aspect="equal",
     )
     load.set(xlabel="time [s]", ylabel="normal load [N]", title="loads")
-    load.set_ylim(0, None)
-    load.legend(fontsize=8)
+    load.set_ylim(0, 1.25 * float(wheels.normal_load.max()))  # with room for the legend
+    load.legend(fontsize=8, loc="upper center", ncols=3)
     for axes in (circle, load):
         axes.grid(alpha=0.3)
     return figure

@@ -36,7 +36,12 @@ with needs("stack", "diffstack_mmv.reporting"):
     )
     from diffstack_mmv.reporting.joint_table import DrivenRow, joint_table, write_joint_table
     from diffstack_mmv.reporting.metrics_table import summarise_modes, write_metrics
-    from diffstack_mmv.reporting.paired import paired_cases, paired_table, paired_with_run
+    from diffstack_mmv.reporting.paired import (
+        paired_cases,
+        paired_table,
+        paired_with_run,
+        require_comparable,
+    )
     from diffstack_mmv.reporting.paper_table import paper_table, write_paper_table
     from diffstack_mmv.reporting.prediction_table import prediction_table
     from diffstack_mmv.reporting.runs import Run
@@ -66,6 +71,7 @@ __all__ = [
     "read_json",
     "read_parquet",
     "read_runs",
+    "require_comparable",
     "require_same_drive",
     "require_same_evaluation",
     "require_score",

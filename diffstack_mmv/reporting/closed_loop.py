@@ -88,7 +88,7 @@ def _summary(
     title = f"# Closed loop: {result['vehicle']} · {result['dynamics']} · {result['scenario']}\n\n"
     limits = ", ".join(f"{name} {value:g}" for name, value in result["limits"].items())
     setting = (
-        f"{result['humans']} pedestrians, {result['phase']} cases {result['first_case']}–{last} "
+        f"{_people(result)}, {result['phase']} cases {result['first_case']}–{last} "
         f"in batches of up to {result['chunk']}, limit {result['limit_s']:g} s, "
         f"step {result['dt_s']:g} s, verdict `{result['verdict']}`. Limits: {limits} (or the "
         "tighter ones of the vehicle). Footprint: "
@@ -102,6 +102,13 @@ def _summary(
     failed = [case for case in result["cases"] if case["outcome"] != "success"]
     table = f"{table}\n\n{_feasible(result)}" if "feasible" in result else table
     return f"{title}{setting}{table}\n\n## Cases without success\n\n{_failures(failed)}"
+
+
+def _people(result: Mapping[str, Any]) -> str:
+    """Who walks, and where they were recorded if they were."""
+    number = result["humans"]
+    recorded = f"Up to {number} agents at once of the recordings of {result.get('data')}"
+    return recorded if "data" in result else f"{number} pedestrians"
 
 
 def _choices(result: Mapping[str, Any]) -> str:
@@ -130,8 +137,7 @@ def _feasible(result: Mapping[str, Any]) -> str:
 def _times(result: Mapping[str, Any]) -> str:
     """Whether the decisions keep up, and how many solves converge."""
     told = (
-        "Real-time factor (time driven over processor time of the decisions and of the libraries "
-        "that the first ones generate, most of the time of a run of few cases): "
+        "Real-time factor (time driven over processor time of the decisions): "
         f"{result['real_time_factor']:.1f}."
     )
     solved = result.get("solved_share")

@@ -1,6 +1,6 @@
 """Paired tests between closed-loop runs over the same cases."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,9 @@ from diffstack_mmv.reporting.files import read_json, told_as_broken
 from diffstack_mmv.reporting.scores import Scores
 from diffstack_mmv.reporting.table import cell
 
-SETTINGS = ("scenario", "humans", "phase", "limit_s", "dt_s", "verdict")
+CASES = ("scenario", "data", "humans", "phase")
+"""By what the number of a case is a case; `data` of recorded people alone."""
+SETTINGS = (*CASES, "limit_s", "dt_s", "verdict")
 """What two runs have to share to be compared case by case."""
 OUTCOMES = {"success": "success_rate", "collision": "collision_rate"}
 SHIFTS = {"time_s": "nav_time_s", "discomfort": "discomfort_frequency"}
@@ -28,7 +30,7 @@ def paired_with_run(result: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         folder: Folder with the `closed_loop.json` of the earlier one.
 
     Returns:
-        See `paired_cases`; `other` names the earlier run.
+        See `paired_cases`; `other` names the earlier run and its folder.
 
     Raises:
         ValueError: The file is missing, has no case in common with the run, or was made under
@@ -41,16 +43,59 @@ def paired_with_run(result: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 def _paired_with(
     result: Mapping[str, Any], other: Mapping[str, Any], folder: Path
 ) -> dict[str, Any]:
-    for name in SETTINGS:
-        if other[name] != result[name]:
-            raise ValueError(
-                f"`against` must name runs with {name} {result[name]}, but got {other[name]} in "
-                f"{folder}. Compare runs of one setting."
-            )
+    require_same(SETTINGS, result, other, "against", folder)
     name = f"{other['controller']} ({other['dynamics']} {other['vehicle']})"
     if other["believed_dynamics"] != other["dynamics"]:
         name += f", believes in {other['believed_dynamics']}"
-    return {"other": name} | paired_cases(result["cases"], other["cases"])
+    return {"other": f"{name} in {folder}"} | paired_cases(result["cases"], other["cases"])
+
+
+def require_comparable(header: Mapping[str, Any], cases: Collection[int], folder: Path) -> None:
+    """Refuse an earlier run that `paired_with_run` would refuse, before anything is driven.
+
+    Args:
+        header: Of the run.
+        cases: Numbers that it will drive.
+        folder: Folder with the `closed_loop.json` of the earlier one.
+
+    Raises:
+        ValueError: As `paired_with_run`.
+    """
+    with told_as_broken(folder / "closed_loop.json"):
+        other = read_json(folder / "closed_loop.json")
+        require_same(SETTINGS, header, other, "against", folder)
+        if not any(case["case"] in cases for case in other["cases"]):
+            raise ValueError(
+                f"`against` must share cases with the run, but got none in {folder}. Drive the "
+                "same."
+            )
+
+
+def require_same(
+    names: Sequence[str],
+    result: Mapping[str, Any],
+    other: Mapping[str, Any],
+    argument: str,
+    folder: Path,
+) -> None:
+    """Refuse another run under other settings.
+
+    Args:
+        names: Of the settings, entries of the header.
+        result: Header of a run.
+        other: That of the other one.
+        argument: What names the other one.
+        folder: Where it lies.
+
+    Raises:
+        ValueError: A setting differs.
+    """
+    for name in names:
+        if other.get(name) != result.get(name):
+            raise ValueError(
+                f"`{argument}` must name runs with {name} {result.get(name)}, but got "
+                f"{other.get(name)} in {folder}. Compare runs of one setting."
+            )
 
 
 def paired_cases(

@@ -1,5 +1,6 @@
 """Moving pictures of episodes."""
 
+import numpy as np
 import pytest
 import torch
 from PIL import Image
@@ -11,7 +12,7 @@ from diffstack_mmv.plotting import (
     save_animation,
     save_side_by_side,
 )
-from diffstack_mmv.plotting.animation import draw_curves
+from diffstack_mmv.plotting.animation import _write, draw_curves
 from diffstack_mmv.plotting.episodes import legend_of
 from diffstack_mmv.plotting.figures import new_figure
 from diffstack_mmv.types import EpisodeRecord, Motion, Outcome
@@ -68,12 +69,28 @@ def test_controls_carry_names_and_units_over_the_time_of_the_clearance(episode):
     labels = [text.get_text() for text in below.get_legend().get_texts()]
     assert labels == ["acceleration [m/s²]", "steer [rad]"]
     assert below.get_xlim() == above.get_xlim()
+    below.figure.draw_without_rendering()
+    legend = below.get_legend().get_window_extent()
+    assert above.get_window_extent().y0 > legend.y1 > legend.y0 >= below.get_window_extent().y1
 
 
 def test_an_episode_becomes_an_mp4(episode, tmp_path):
     pytest.importorskip("imageio_ffmpeg")
     save_animation(episode(), tmp_path / "case.mp4")
     assert (tmp_path / "case.mp4").read_bytes()[4:8] == b"ftyp"
+
+
+def test_an_mp4_is_white_to_its_edges(tmp_path):
+    pytest.importorskip("imageio_ffmpeg")
+    from imageio_ffmpeg import read_frames
+
+    path = tmp_path / "odd.mp4"
+    _write(new_figure(301 / 90, 201 / 90), lambda step: [], 2, 0.5, path)  # 90 pixels an inch
+    frames = read_frames(str(path))
+    width, height = next(frames)["size"]
+    shown = np.frombuffer(next(frames), np.uint8).reshape(height, width, 3)
+    assert (width % 2, height % 2) == (0, 0)
+    assert shown.min() > 250
 
 
 def test_other_formats_are_refused(episode, tmp_path):

@@ -1,10 +1,12 @@
 """Runs of several models under the same commands, drawn."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
 
-from diffstack_mmv.plotting import draw_runs
+from diffstack_mmv.plotting import draw_runs, draw_wheels
 from diffstack_mmv.types import Motion
 
 
@@ -16,3 +18,15 @@ def test_a_model_without_lean_is_not_told_to_be_a_vehicle_that_does_not(lean, to
     *_, roll = draw_runs({"kbm": motion}, 0.1, lean).axes
     assert [text.get_text() for text in roll.texts] == told
     assert len(roll.get_lines()) == (0 if lean is None else 1)
+
+
+@pytest.mark.parametrize("wheels", [2, 5])
+def test_the_legend_of_the_loads_hides_none_of_them(wheels):
+    load = torch.arange(1.0, wheels + 1).repeat(3, 1)
+    history = SimpleNamespace(normal_load=load, friction_limit=load, force_x=load, force_y=load)
+    figure = draw_wheels(history, [f"rear wheel {number}" for number in range(wheels)], 0.1)
+    figure.draw_without_rendering()
+    axes = figure.axes[1]
+    legend = axes.get_legend().get_window_extent()
+    assert legend.y0 > axes.transData.transform((0.0, float(wheels)))[1]
+    assert legend.x0 >= axes.get_window_extent().x0

@@ -59,12 +59,13 @@ def test_every_method_is_a_row_with_its_interval(result, numbers):
     [
         ({}, "do not see the robot; crowd `orca`, people `predictor`. Brackets"),
         ({"robot_visible": True}, "The pedestrians see the robot"),
+        ({"data": "citr"}, "\nUp to 5 agents at once of the recordings of citr, test cases 0–1"),
         (
             {"disturbances": {"delay_s": 0.15, "noise": [0.2, 0.0], "friction": 0.3}},
             "`predictor`. Disturbances: delay_s 0.15, noise [0.2, 0.0], friction 0.3. Brackets",
         ),
     ],
-    ids=["as it is", "visible", "disturbed"],
+    ids=["as it is", "visible", "recorded", "disturbed"],
 )
 def test_what_decides_the_scores_stands_above_them(result, given, told, tmp_path):
     write_closed_loop(tmp_path, result | given, {}, CLOSED_LOOP, [])

@@ -7,7 +7,12 @@ import pytest
 from scipy.stats import wilcoxon
 
 from diffstack_mmv.metrics import CLOSED_LOOP
-from diffstack_mmv.reporting import paired_cases, paired_table, paired_with_run
+from diffstack_mmv.reporting import (
+    paired_cases,
+    paired_table,
+    paired_with_run,
+    require_comparable,
+)
 
 
 def case(number, outcome="success", time_s=3.0, uneasy=0):
@@ -68,7 +73,7 @@ def test_an_earlier_run_is_named_with_its_belief(tmp_path):
     run = HEADER | {"cases": [case(0)]}
     (tmp_path / "closed_loop.json").write_text(json.dumps(run))
     pair = paired_with_run(run, tmp_path)
-    assert pair["other"] == "diffmpc (gm3 bicycle), believes in kbm"
+    assert pair["other"] == f"diffmpc (gm3 bicycle), believes in kbm in {tmp_path}"
     assert paired_table([pair], CLOSED_LOOP)["success only here / there"].tolist() == ["0 / 0"]
 
 
@@ -77,3 +82,16 @@ def test_runs_under_other_settings_are_refused(tmp_path):
     (tmp_path / "closed_loop.json").write_text(json.dumps(run | {"limit_s": 25.0}))
     with pytest.raises(ValueError, match="limit_s"):
         paired_with_run(run, tmp_path)
+    (tmp_path / "closed_loop.json").write_text(json.dumps(run | {"data": "citr"}))
+    with pytest.raises(ValueError, match="runs with data dut, but got citr in"):
+        require_comparable(run | {"data": "dut"}, [0], tmp_path)
+
+
+def test_runs_to_compare_with_are_refused_before_anything_is_driven(tmp_path):
+    run = HEADER | {"cases": [case(0), case(4)]}
+    (tmp_path / "closed_loop.json").write_text(json.dumps(run))
+    require_comparable(HEADER, range(4, 9), tmp_path)
+    with pytest.raises(ValueError, match="share cases with the run, but got none in"):
+        require_comparable(HEADER, range(1, 4), tmp_path)
+    with pytest.raises(ValueError, match="limit_s"):
+        require_comparable(HEADER | {"limit_s": 25.0}, range(4, 9), tmp_path)

@@ -1,5 +1,6 @@
 """Benchmarks resume, and tell what the contract asks."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from diffstack_mmv.simulation import (
     read_chunk,
     summarise,
 )
+from dmmv_conventions.libraries import libraries_loaded, load
 
 KEYS = {
     "n", "success_rate", "collision_rate", "incomplete_rate", "nav_time_s", "nav_time_all_s",
@@ -44,6 +46,28 @@ def test_an_interrupted_run_drives_only_what_is_missing(straight, scenario_of, t
     assert straight.controller.made == 1
     chunks(straight, scenario_of("circle"), tmp_path)
     assert straight.controller.made == 2
+
+
+class Building(StraightLine):
+    """Loads a library at some decisions, and spends 0.3 s of the processor on each that is new."""
+
+    def act(self, state, observation):
+        moment, known = float(observation.time.max()), libraries_loaded()
+        if moment in (0.0, 0.25, 1.0):
+            load(f"// {moment} s")
+        end = time.process_time() + 0.3
+        while libraries_loaded() > known and time.process_time() < end:
+            pass
+        return super().act(state, observation)
+
+
+def test_what_a_decision_builds_is_not_its_time(straight, scenario_of, tmp_path):
+    scenario, building = scenario_of("circle"), replace(straight, controller=lambda: Building(2.5))
+    told = chunks(building, scenario, tmp_path / "first")
+    assert max(chunk.step_s.max() for chunk in told) < 0.05
+    same = chunks(straight, scenario, tmp_path / "second")
+    for one, other in zip(told, same, strict=True):
+        assert one.record.motion.position.equal(other.record.motion.position)
 
 
 def test_resumed_results_equal_fresh_ones(straight, scenario_of, tmp_path):

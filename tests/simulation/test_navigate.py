@@ -55,6 +55,9 @@ def test_a_run_of_anything_else_is_refused_before_it_replaces_a_file(navigate, r
     ):
         assert told in refusal("navigate", *given, changed, f"out={tmp_path}")
     assert {file: file.read_bytes() for file in before} == before
+    other = [f"against=[{tmp_path}]", "first_case=5", f"out={tmp_path / 'other'}"]
+    assert "`against` must share cases with the run" in refusal("navigate", *given, *other)
+    assert not (tmp_path / "other" / "episodes").exists()
 
 
 def test_a_controller_is_no_baseline_of_itself():

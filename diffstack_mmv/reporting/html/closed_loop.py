@@ -19,7 +19,7 @@ from diffstack_mmv.reporting.html.blocks import (
     frame_table,
 )
 from diffstack_mmv.reporting.html.scenes import Surroundings, driven_scene, side_by_side
-from diffstack_mmv.reporting.paired import paired_table
+from diffstack_mmv.reporting.paired import CASES, paired_table, require_same
 from diffstack_mmv.reporting.scores import Scores
 
 RADIUS_M = 0.3  # of a pedestrian, where the run does not say
@@ -37,6 +37,9 @@ def read_closed_loop(
         episodes: How many can be played, failures first.
         beside: Another drive over the same cases, which is shown to the right of this one; cases
             that end differently come first.
+
+    Raises:
+        ValueError: `beside` has other cases.
     """
     if not (folder / "closed_loop.json").is_file():
         return []
@@ -72,6 +75,7 @@ def _pairs(
 ) -> Iterator[dict[str, Any]]:
     """The scenes of both drives side by side, first of the cases that end differently."""
     other = read_json(beside / "closed_loop.json")
+    require_same(CASES, result, other, "beside", beside)
     theirs = {case["case"]: case for case in other["cases"]}
     shared = [case for case in result["cases"] if case["case"] in theirs]
     shared.sort(key=lambda case: case["outcome"] == theirs[case["case"]]["outcome"])

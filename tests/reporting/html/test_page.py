@@ -95,6 +95,18 @@ def test_scenes_hold_an_entry_for_every_time(tmp_path):
     assert ahead[0][2:] == [0.1, 0.02, 0.1, 0.5]
 
 
+def test_another_drive_plays_beside_in_the_same_cases_alone(tmp_path):
+    left, right = (runs.drive(tmp_path / name) for name in ("left", "right"))
+    page = render([read_page(left, runs.TITLES, beside=right)])
+    [scenes] = [each for each in parsed(page).records if isinstance(each, list)]
+    ends = "case 0: success after 1.00 s / success after 1.00 s"
+    assert scenes[0]["title"] == f"{ends}: diffmpc (left), diffmpc (right)"
+    told = json.loads((right / "closed_loop.json").read_text()) | {"phase": "val"}
+    (right / "closed_loop.json").write_text(json.dumps(told))
+    with pytest.raises(ValueError, match="`beside` must name runs with phase None, but got val in"):
+        read_page(left, runs.TITLES, beside=right)
+
+
 @pytest.mark.parametrize("thoughts", [True, False])
 def test_failures_come_first_and_forecasts_where_the_file_has_them(thoughts, tmp_path):
     told = parsed(page_of(runs.drive(tmp_path / "run", thoughts))).records

@@ -7,7 +7,7 @@ from diffstack_mmv.control import ILQR
 from diffstack_mmv.costs import ControlEffort, RunningGoal, WeightedCost
 from diffstack_mmv.planning import TakeOptimum
 from diffstack_mmv.simulation import BlindDriver, DiscFootprint, vehicle_robot
-from diffstack_mmv.simulation.tuning import DrivingLoss, GradientTuner, OptunaTuner, best
+from diffstack_mmv.simulation.tuning import DrivingLoss, GradientTuner, OptunaTuner, Round, best
 
 
 @pytest.fixture
@@ -91,3 +91,20 @@ def test_the_loss_has_a_gradient_in_the_weights(circle, controller_for):
 def test_numbers_out_of_range_are_refused(build, name):
     with pytest.raises(ValueError, match=name):
         build()
+
+
+@pytest.mark.slow
+def test_an_interrupted_tuning_leaves_the_best_weights_which_no_other_one_replaces(
+    refusal, monkeypatch, tmp_path
+):
+    def rounds(self, cost, loss):
+        yield Round({"position": 2.0}, 1.0, 0.0)
+        yield Round({"position": 3.0}, 4.0, 0.0)
+        raise ValueError("interrupted")
+
+    monkeypatch.setattr(GradientTuner, "__call__", rounds)
+    assert "interrupted" in refusal("tune", "cases=1", f"out={tmp_path}")
+    found = (tmp_path / "settings.txt").read_text().splitlines()
+    assert found == ["cost.weights.position=2", "controller.planner.solver.max_iterations=60"]
+    told = refusal("tune", "cases=2", f"out={tmp_path}")
+    assert "`out` must hold no result of tune with another cases than 2, but got 1" in told
