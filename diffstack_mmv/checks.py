@@ -47,7 +47,7 @@ def require_tensor(argument: str, value: object) -> None:
 
 
 def require_columns(argument: str, tensor: Tensor, columns: int, names: Sequence[str] = ()) -> None:
-    """Refuse a tensor whose last dimension has another length.
+    """Refuse a tensor that has not the shape (..., columns).
 
     Raises:
         ValueError: The last dimension of `tensor` is not `columns`.

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from diffstack_mmv.command_line import quoted
 from diffstack_mmv.jobs import Job
@@ -19,6 +19,15 @@ BEST = Path("checkpoints", "best.ckpt")
 RESULT = Path("report", "metrics.json")
 PREDICTOR = "predictor"
 ENSEMBLE = "ensemble"
+
+
+class Stages(NamedTuple):
+    """Jobs that run side by side, in the order in which each stage needs those before."""
+
+    conversions: list[Job]
+    pretrainings: list[Job]  # of the predictor alone
+    trainings: list[Job]
+    ensembles: list[Job]
 
 
 @dataclass(frozen=True)
@@ -87,11 +96,14 @@ class Experiment:
             if run.seed == seed
         ]
 
-    def stages(self, runs: Sequence[Run]) -> tuple[list[Job], ...]:
-        """Conversions, trainings of the predictor alone, trainings, ensembles, in this order."""
-        trained = [self.training(run) for run in runs]
-        mixed = [self.mixing(run) for run in self.ensembles(runs)]
-        return self.conversions(sorted(self.available)), self.pretrainings(runs), trained, mixed
+    def stages(self, runs: Sequence[Run]) -> Stages:
+        """All that the table of these runs needs."""
+        return Stages(
+            conversions=self.conversions(sorted(self.available)),
+            pretrainings=self.pretrainings(runs),
+            trainings=[self.training(run) for run in runs],
+            ensembles=[self.mixing(run) for run in self.ensembles(runs)],
+        )
 
     def source(self, name: str) -> str:
         """Set whose conversion a set reads: its own unless it names another one."""

@@ -86,7 +86,7 @@ class Tracks(NamedTuple):
     valid: Bool[Tensor, "*b T"]
 
     def present(self) -> "Tracks":
-        """The last row alone, without a time."""
+        """The last row alone, of shape (*b,): without a time."""
         motion = Motion(*(field.select(self.valid.dim() - 1, -1) for field in self.motion))
         return self._replace(motion=motion, valid=self.valid[..., -1])
 

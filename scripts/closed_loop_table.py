@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 from diffstack_mmv.cli import DictConfig, command, instantiate
 from diffstack_mmv.command_line import quoted
-from diffstack_mmv.jobs import Job, TableJobs, require_same_jobs
+from diffstack_mmv.jobs import Job
+from diffstack_mmv.table_jobs import TableJobs, require_same_jobs
 from dmmv_conventions.checks import require
 from dmmv_conventions.configs import config_folder
 

@@ -10,7 +10,9 @@ from diffstack_mmv.geometry import (
     clearance_lack,
     direction,
     distance_to_axis,
+    distance_to_outline,
     distance_to_segment,
+    left_of,
     length,
     motion_in_frame,
     position_from_frame,
@@ -105,3 +107,23 @@ def test_a_margin_is_lacked_beside_the_outline_of_the_vehicle():
     agents = Obstacles(position, torch.ones(1, 2), torch.full((1,), 0.2), torch.ones(1) > 0)
     lack = clearance_lack(motion, discs, agents, margin_m=0.5)
     assert torch.allclose(lack, torch.tensor([[[0.1], [0.0]]]), atol=1e-5)
+
+
+@given(NUMBERS, NUMBERS)
+def test_left_is_square_to_forward_and_as_long(x, y):
+    forward = torch.tensor([x, y], dtype=torch.float64)
+    left = left_of(forward)
+    assert torch.dot(forward, left) == 0
+    assert torch.allclose(left.norm(), forward.norm())
+    assert torch.equal(left_of(left), -forward)
+
+
+@given(NUMBERS, NUMBERS, st.floats(-7, 7))
+def test_distance_to_an_outline_is_that_to_the_axis_between_its_outer_discs(x, y, heading):
+    agents, place = torch.tensor([[[[x, y]]]]), torch.tensor([[1.0, -2.0]])
+    turn = torch.tensor([heading])
+    ahead = torch.tensor([0.3, 1.5, -0.5])
+    found = distance_to_outline(agents, place, turn, Discs(ahead, torch.ones(3)))
+    ends = place + torch.tensor([[-0.5], [1.5]]) * direction(turn)
+    expected = distance_to_segment(*(ends - agents[0, 0, 0]))
+    assert torch.allclose(found.flatten(), expected.flatten(), atol=1e-4)

@@ -11,17 +11,15 @@ from hydra.utils import instantiate
 
 from diffstack_mmv.command_line import quoted
 from diffstack_mmv.experiment_jobs import Experiment
-from diffstack_mmv.jobs import (
-    Job,
-    LocalProcesses,
+from diffstack_mmv.jobs import Job, LocalProcesses, run_job
+from diffstack_mmv.reporting import Run
+from diffstack_mmv.table_jobs import (
     TableJobs,
     expected_seconds,
     require_same_jobs,
     run_all,
-    run_job,
     why_failed,
 )
-from diffstack_mmv.reporting import Run
 from dmmv_conventions.configs import config_folder
 from scripts.results import check
 

@@ -25,6 +25,7 @@ LIGHT = {
     "diffstack_mmv.experiment_jobs",
     "diffstack_mmv.jobs",
     "diffstack_mmv.run_checks",
+    "diffstack_mmv.table_jobs",
     "diffstack_mmv.training_checks",
     "hydra.utils",
     "omegaconf",

@@ -52,7 +52,8 @@ def read_leans(source: WindowSource, splits: Sequence[str], mode: str) -> dict[s
     """Measured lean of the tracks that have one, beside `read_tracks`.
 
     Returns:
-        Lean (T) in rad, positive to the left, by "recording/agent"; NaN where it was not measured.
+        Lean, of shape (T,), in rad, positive to the left, by "recording/agent"; NaN where it was
+        not measured.
 
     Raises:
         ValueError: The mode is unknown, or the source is no finished converted cache.

@@ -67,7 +67,7 @@ def write_windows(path: Path, first: int, windows: NDArray[np.generic]) -> None:
 
 
 def pack(batch: StackBatch) -> dict[str, NDArray[np.generic]]:
-    """Lay a batch out as fields; neighbors beyond those of the batch are left out."""
+    """Lay a batch out as fields of shape (B, ...); neighbors the batch lacks are left out."""
     ego, neighbors = batch.ego_past, batch.neighbors_past
     valid = torch.cat([neighbors.valid, batch.neighbors_future.valid], -1)
     packed = {
@@ -85,7 +85,12 @@ def pack(batch: StackBatch) -> dict[str, NDArray[np.generic]]:
 
 
 def unpack(packed: dict[str, Tensor], windows: WindowSettings) -> StackBatch:
-    """Build a batch of fields; the opposite of `pack`."""
+    """Build a batch of fields; the opposite of `pack`.
+
+    Args:
+        packed: The fields, each of shape (B, ...) with the rest as in `fields`, m, rad, m/s.
+        windows: Which rows are the past, and the step.
+    """
     present = packed["ego"].new_ones(packed["ego"].shape[:-1], dtype=torch.bool)
     ego = _unpack_tracks(
         packed["ego"], packed["ego_extent"], packed["ego_mode"], present, windows.past_rows

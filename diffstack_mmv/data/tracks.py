@@ -35,7 +35,8 @@ def read_tracks(source: WindowSource, splits: Sequence[str], mode: str) -> dict[
         mode: Mode of transport.
 
     Returns:
-        Motion (T) of each track in the world by "recording/agent", float64, steps of the cache.
+        Motion of each track by "recording/agent": position of shape (T, 2) in m, heading in rad,
+        in the world, float64, steps of the cache.
 
     Raises:
         ValueError: The mode is unknown, or the source is no finished converted cache or holds no
@@ -56,7 +57,7 @@ def read_interpolated(source: WindowSource, splits: Sequence[str], mode: str) ->
     """Which steps of each track lie in a gap of the recording, beside `read_tracks`.
 
     Returns:
-        By "recording/agent" a mask (T) of the rows that were bridged, not measured.
+        By "recording/agent" a mask of shape (T,) of the rows that were bridged, not measured.
 
     Raises:
         ValueError: The mode is unknown, or the source is no finished converted cache.

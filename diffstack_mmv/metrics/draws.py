@@ -22,7 +22,8 @@ def drawn_rows(
     """
     count = torch.Size(shape).numel()
     generators = (torch.Generator().manual_seed(stream(seed, first + i)) for i in range(count))
-    return torch.stack([draw(generator) for generator in generators]).unflatten(0, tuple(shape))
+    drawn = torch.stack([draw(generator) for generator in generators])
+    return drawn.reshape(*shape, *drawn.shape[1:])
 
 
 def components_of(

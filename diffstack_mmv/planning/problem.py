@@ -172,6 +172,10 @@ def observed_obstacles(past: Tracks, future: Tracks) -> Obstacles:
     """Obstacles whose future is known, for costs in hindsight.
 
     One component, which stays at the last position seen where the track ends.
+
+    Args:
+        past: Tracks of shape (*b, N, H), whose last row is now.
+        future: What follows, of shape (*b, N, T).
     """
     now = past.present()
     start = now.motion.position.unsqueeze(-2)

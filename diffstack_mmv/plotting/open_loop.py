@@ -43,9 +43,10 @@ def draw_runs(motions: Mapping[str, Motion], dt_s: float, lean: np.ndarray | Non
     """Draw path, speed, yaw rate and lean of several models under the same commands.
 
     Args:
-        motions: By model, over time.
+        motions: By model, over time: position of shape (T, 2) in m, velocity in m/s.
         dt_s: Length of a step in s.
-        lean: Lean in rad over time; none where the vehicle does not lean, or its model does not.
+        lean: Lean in rad, of shape (T,); none where the vehicle does not lean, or its model does
+            not.
     """
     figure = new_figure(9.0, 6.4)
     path, speed, yaw, roll = (figure.add_subplot(2, 2, index) for index in range(1, 5))

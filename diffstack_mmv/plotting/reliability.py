@@ -14,8 +14,8 @@ def draw_reliability(levels: Mapping[str, np.ndarray], title: str = "") -> Figur
     A calibrated forecast is on the diagonal, one that is too sure below it.
 
     Args:
-        levels: Mode -> level of the smallest region that holds each truth; above 1 beyond all
-            samples of the forecast.
+        levels: Mode -> level of the smallest region that holds each truth, of shape (n,); above 1
+            beyond all samples of the forecast.
         title: Above the axes.
     """
     figure = new_figure(4.2, 4.0)

@@ -68,7 +68,12 @@ def _further_scores(forecast: Forecast, future: Tracks, first: int) -> dict[str,
 def beside_baselines(
     judged: Judged, baselines: Mapping[str, Baseline], batch: StackBatch
 ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-    """Scores of stack and baselines, and the distance to the human over time of each."""
+    """Scores of stack and baselines, and the distance to the human over time of each.
+
+    Returns:
+        Scores of shape (B,) by name, those of a baseline as "name/score"; distances of shape
+        (B, T) in m.
+    """
     future, scores, paths = batch.ego_future, dict(judged.scores), dict(judged.paths)
     for name, baseline in baselines.items():
         forecast = baseline.forecast(batch) if isinstance(baseline, PredictedPath) else None

@@ -63,6 +63,6 @@ def conclude(problem: Problem, progress: Progress) -> Conclusion:
 
 
 def paid(rows: ConstraintRows, slack: Tensor) -> Tensor:
-    """Price of the violations of soft rows."""
+    """Price of the violations (*b, T+1, K) of soft rows, of each problem."""
     linear = torch.where(rows.linear.isfinite(), rows.linear, torch.zeros_like(slack))
     return (linear * slack + 0.5 * rows.quadratic * slack.square()).sum((-2, -1))

@@ -79,7 +79,7 @@ def _slackened(barrier: Barrier, point: Interior) -> tuple[Interior, Tensor]:
 
 
 def longest(barrier: Barrier, point: Interior, step: Interior) -> tuple[Tensor, Tensor]:
-    """Largest step sizes of the unknowns and of the multipliers that stay inside."""
+    """Largest step sizes of the unknowns and of the multipliers that stay inside, (*b,) each."""
     rows, (below, above) = barrier.rows, barrier.gaps(point.u)
     inner = barrier.yields
     scale = barrier.scale[..., None, None]

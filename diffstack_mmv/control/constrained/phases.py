@@ -70,7 +70,7 @@ class Phases:
 
         Args:
             problem: The problems, without graph.
-            guess: Of the controls.
+            guess: Of the controls, of shape (*b, T, m).
             start: What may be near a solution, which Newton's method tries first.
         """
         progress = begin(guess, torch.zeros_like(problem.rows.linear))

@@ -123,7 +123,15 @@ def learned_instruments(
     recording_std: Tensor,
     given: InstrumentPriors,
 ) -> LearnedInstruments:
-    """What a fit tells about the instruments."""
+    """What a fit tells about the instruments.
+
+    Args:
+        equations: Of the w windows that were fitted.
+        at: Their linearisation where the fit ended.
+        parts: Their Hessians in the local unknowns, of shape (w, p, p).
+        recording_std: Deviations of the instruments of each recording, of shape (r, 4).
+        given: Priors under which it was fitted.
+    """
     point, own = at.point, slice(POSE, POSE + COASTING)
     spread = torch.linalg.inv(parts.hessian).diagonal(dim1=-2, dim2=-1).sqrt()
     return LearnedInstruments(

@@ -77,7 +77,7 @@ class InstrumentsGiven(NamedTuple):
         return cls(mean, precision, freewheel, CourseGiven.unknown(len(fold)))
 
     def select(self, index: Tensor) -> "InstrumentsGiven":
-        """Those of some windows."""
+        """Those of some windows, by their numbers or a mask of shape (w,)."""
         freewheel = FreewheelGiven(*(part[index] for part in self.freewheel))
         course = CourseGiven(*(part[index] for part in self.course))
         return InstrumentsGiven(self.mean[index], self.precision[index], freewheel, course)

@@ -63,7 +63,7 @@ def _timed(make: Callable[[], Mapping[str, Tensor]]) -> Part:
 
 
 def priors_as_tensor(priors: InstrumentPriors) -> Tensor:
-    """Means and deviations in the order of the fields, the share of coasting windows last."""
+    """Mean and deviation of each of n fields, the share of coasting windows last: (2 n + 1,)."""
     *pairs, share = astuple(priors)
     return torch.tensor([*(value for pair in pairs for value in pair), share], dtype=torch.float64)
 

@@ -50,7 +50,7 @@ class RideWindows(NamedTuple):
         return self.steer.shape[-1]
 
     def select(self, chosen: Tensor) -> "RideWindows":
-        """Some of the windows, by index or mask."""
+        """Some of the windows, by their numbers or a mask of shape (w,)."""
         rest = {name: value[chosen] for name, value in self._asdict().items() if name != "names"}
         return RideWindows(names=self.names, **rest)
 
@@ -130,11 +130,11 @@ def measured_rides(
     """Join what was read of each track.
 
     Args:
-        motions: Tracks; only their positions are used.
-        controls: Columns steer and speed.
-        sensors: Column yaw_rate; tracks without are not in it.
-        leans: Measured lean of the tracks that have one.
-        interpolated: Where positions are interpolated.
+        motions: Tracks; only their positions are used, of shape (T, 2) in m.
+        controls: Columns steer in rad and speed in m/s, of shape (T, 2).
+        sensors: Column yaw_rate in rad/s, of shape (T, 1); tracks without are not in it.
+        leans: Measured lean in rad, of shape (T,), of the tracks that have one.
+        interpolated: Where positions are interpolated, of shape (T,).
     """
     return [
         MeasuredRide(

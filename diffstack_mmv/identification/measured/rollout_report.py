@@ -53,7 +53,10 @@ def _is_known(mean: Mapping[str, float]) -> bool:
 
 
 def rollout_groups(windows: RideWindows) -> dict[str, Tensor]:
-    """Masks of windows: all, each session, classes of mean speed and lateral acceleration."""
+    """Masks, each of shape (w,): all windows, sessions, classes of speed and lateral acceleration.
+
+    A window belongs to the classes of its mean speed in m/s and its mean acceleration in m/s².
+    """
     speed = windows.speed.mean(-1)
     lateral = (windows.speed[:, :-1] * windows.yaw_rate).abs().nanmean(-1).clamp(max=GRAVITY)
     sessions = [session_of(windows.names[int(index)]) for index in windows.recording]

@@ -33,7 +33,7 @@ class SyntheticRides(NamedTuple):
 
 
 def draw_shared(simulator: RideSimulator, priors: InstrumentPriors, generator: Generator) -> Tensor:
-    """Vehicle and antenna drawn from their priors."""
+    """Vehicle, antenna and gain of the encoder drawn from their priors, of shape (s,)."""
     vector = simulator.parameters
     theta = vector.theta_for(vector.prior.draw_values(generator))
     mean, std = priors.installed()

@@ -113,7 +113,15 @@ class TrackSimulator:
         states: Tensor,
         shared: bool,
     ) -> StepJacobian:
-        """Linearise all steps of all tracks in one call, one tangent per column."""
+        """Linearise all steps of all tracks in one call, one tangent per column.
+
+        Args:
+            theta: θ, of shape (p,).
+            problem: The N tracks.
+            unknowns: Where to linearise.
+            states: States under them, of shape (N, T1, s).
+            shared: Whether θ is differentiated as well.
+        """
         padded = pad(unknowns.rates, (0, 0, 0, 1))
         widths = [len(theta) if shared else 0, states.shape[-1], COMMAND_DIM]
         of_theta, of_state, of_rates = _seeds(theta, widths)
@@ -157,7 +165,7 @@ class TrackSimulator:
         """Derivatives of the residuals of whole tracks (without the unit rows of c and d).
 
         Args:
-            theta: θ.
+            theta: θ, of shape (p,).
             problem: The tracks.
             unknowns: Where to linearise.
             simulated: States under them.

@@ -1,0 +1,30 @@
+"""The test of differences between two evaluations."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from diffstack_mmv.reporting.comparison import signed_rank
+
+DIFFERENCES = st.lists(st.floats(0.01, 5), min_size=6, max_size=20, unique=True)
+
+
+@given(DIFFERENCES, st.randoms())
+def test_it_does_not_matter_which_of_two_runs_is_called_first(sizes, random):
+    difference = np.array([size * random.choice([-1, 1]) for size in sizes])
+    value = signed_rank(difference)
+    assert 0 <= value <= 1
+    assert math.isclose(signed_rank(-difference), value)
+
+
+@pytest.mark.parametrize("count", [6, 8, 10])
+def test_pairs_that_all_differ_the_same_way_have_the_least_p_value(count):
+    assert math.isclose(signed_rank(np.arange(1.0, count + 1)), 2 * 0.5**count)
+
+
+@pytest.mark.parametrize("difference", [[], [0.0] * 9, [1.0] * 5, [1.0] * 5 + [0.0] * 9])
+def test_too_few_unequal_pairs_decide_nothing(difference):
+    assert math.isnan(signed_rank(np.array(difference)))
