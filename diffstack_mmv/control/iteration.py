@@ -139,9 +139,8 @@ def concluded(iterate: Iterate) -> Int[Tensor, " N"]:
     which passes by is not disturbed.
     """
     status = torch.where(iterate.status == OPEN, SolverStatus.ITERATION_LIMIT, iterate.status)
-    moved = (iterate.iterations > 0) & iterate.cost.isfinite()
     ran_off = is_far(iterate.u).any(0).any(0) | (iterate.cost <= -(farthest(iterate.u.dtype) ** 2))
-    return torch.where(moved & ran_off, SolverStatus.UNBOUNDED, status)
+    return torch.where((iterate.iterations > 0) & ran_off, SolverStatus.UNBOUNDED, status)
 
 
 def next_damping(

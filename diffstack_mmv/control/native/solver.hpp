@@ -315,7 +315,7 @@ struct Solver {
       attempt(settings);
     }
     if (status == OPEN) status = LIMIT;
-    if (iterations > 0 && finite(cost) && ran_off()) status = UNBOUNDED;
+    if (iterations > 0 && ran_off()) status = UNBOUNDED;
   }
 
   // what stands for an infinite bound
