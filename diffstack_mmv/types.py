@@ -26,6 +26,7 @@ class SolverStatus(IntEnum):
     STALLED = 2
     NOT_FINITE = 3
     INFEASIBLE = 4
+    UNBOUNDED = 5
 
     @property
     def advice(self) -> str:
@@ -39,6 +40,7 @@ _ADVICE = {
     SolverStatus.STALLED: "No step lowers the cost: loosen `tolerance`, or solve in float64.",
     SolverStatus.NOT_FINITE: "State, cost or dynamics are NaN or infinite: check the inputs.",
     SolverStatus.INFEASIBLE: "Bounds cross, or no step meets the constraints better: loosen them.",
+    SolverStatus.UNBOUNDED: "A control ran off to infinity: give it a bound or a price.",
 }
 
 

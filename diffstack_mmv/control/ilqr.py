@@ -18,11 +18,11 @@ from diffstack_mmv.control.compilation import (
 from diffstack_mmv.control.curvature import CurvatureForm, ExactCurvature
 from diffstack_mmv.control.fitting import require_fitting, require_tensors
 from diffstack_mmv.control.gradient import Call, GradientMode, Implicit
-from diffstack_mmv.control.iteration import OPEN, Iterate, Settings, cheaper, start
+from diffstack_mmv.control.iteration import OPEN, Iterate, Settings, cheaper, concluded, start
 from diffstack_mmv.control.optimizer import Constraints, Cost, Dynamics
 from diffstack_mmv.control.riccati import definite_policies
 from diffstack_mmv.control.selection import Workload
-from diffstack_mmv.types import Bounds, Solution, SolverStatus, on_host
+from diffstack_mmv.types import Bounds, Solution, on_host
 
 if TYPE_CHECKING:
     from diffstack_mmv.control.constrained import ConstrainedSolution
@@ -56,6 +56,9 @@ class ILQR:
     d = clip(u - g / diag Q_uu) - u is the step along it in the scale of each control, ζ not below
     the precision: neither the unit of the cost nor those of the controls matter. The last step is
     still taken, so the error after convergence is that of one more Newton step.
+
+    A problem whose controls run off as far as the precision allows, or whose cost does, has no
+    minimum and ends as `UNBOUNDED`.
 
     The solution is differentiable, exactly, in the initial state and in every tensor that the
     callables depend on (see `implicit`); a problem that did not converge contributes a gradient of
@@ -251,8 +254,7 @@ class ILQR:
             work = work.narrowed()
             work = work._replace(iterate=self._improve(kernels, settings, work, len(x0)))
         iterate = work.merged()
-        limit = torch.where(iterate.status == OPEN, SolverStatus.ITERATION_LIMIT, iterate.status)
-        return iterate._replace(status=limit)
+        return iterate._replace(status=concluded(iterate))
 
     def _improve(self, kernels: Kernels, settings: Settings, work: Workload, n: int) -> Iterate:
         dynamics, cost, like, iterate = work[:4]

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from diffstack_mmv.control.line_search import search
 from diffstack_mmv.control.optimizer import Cost, Dynamics
-from diffstack_mmv.control.riccati import Policy
+from diffstack_mmv.control.riccati import Policy, farthest, is_far
 from diffstack_mmv.types import SolverStatus
 
 OPEN = -1  # status of a problem that is still being solved
@@ -129,6 +129,18 @@ def start(
     in_order = (lower <= upper).all()  # known before on a CPU; another device is not waited for
     status = torch.where(in_order, status, SolverStatus.INFEASIBLE)
     return guess._replace(damping=zero, status=status, iterations=count)
+
+
+def concluded(iterate: Iterate) -> Int[Tensor, " N"]:
+    """Status at the end; a limit of the iterations is what leaves a problem open.
+
+    A control without bound goes no farther than `farthest`. A problem that ends there, or at a cost
+    that has gone down to its square, has no minimum. It is judged at the end only, so that one
+    which passes by is not disturbed.
+    """
+    status = torch.where(iterate.status == OPEN, SolverStatus.ITERATION_LIMIT, iterate.status)
+    ran_off = is_far(iterate.u).any(0).any(0) | (iterate.cost <= -(farthest(iterate.u.dtype) ** 2))
+    return torch.where((iterate.iterations > 0) & ran_off, SolverStatus.UNBOUNDED, status)
 
 
 def next_damping(

@@ -29,6 +29,7 @@ from diffstack_mmv.types import on_host
 FAR = 3e-2  # predicted decrease relative to the cost above which a problem is far from its solution
 WHOLE = 256  # problems up to which a pass over all takes no longer than to pick some out
 FLAT = 16.0  # multiple of the rounding of a curvature below which a control is taken to be flat
+ARRIVED = 0.99  # share of the farthest control that counts as it
 DEFINITE = 1e-6  # smallest pivot of Q_uu relative to its largest entry, before it is lifted
 
 
@@ -247,8 +248,7 @@ def box_policy(
     eye_u = torch.eye(m, dtype=box.dtype, device=box.device).unsqueeze(-1)
 
     control = lq.stages[:, -m:]
-    # finite, because a closed form may multiply it by zero
-    infinity = torch.finfo(box.dtype).max ** 0.25
+    infinity = farthest(box.dtype)
     below, above = (side - control for side in box.clamp(-infinity, infinity).unsqueeze(-1))
     holds, zero = is_active(control, gradient, box), torch.zeros_like(control)
     limits = torch.where(holds, zero, below), torch.where(holds, zero, above)
@@ -282,6 +282,16 @@ def box_policy(
     flags = ((lift > 0).any(0).squeeze(0) for lift in lifts)
     slope = -(scaled * gradient).sum((0, 1))
     return Policy(gains.contiguous(), decrease.sum((0, 1)), slope, *flags)
+
+
+def farthest(dtype: torch.dtype) -> float:
+    """What stands for an infinite bound: finite, because a closed form may multiply it by zero."""
+    return torch.finfo(dtype).max ** 0.25
+
+
+def is_far(u: Float[Tensor, "*b"]) -> Bool[Tensor, "*b"]:
+    """Which controls have run off as far as a control without bound can go."""
+    return u.abs() >= ARRIVED * farthest(u.dtype)
 
 
 def is_active(

@@ -239,3 +239,35 @@ def test_settings_of_another_kind_are_refused(settings, told):
     with pytest.raises(ValueError, match="must") as raised:
         ILQR(**settings)
     assert told in str(raised.value)
+
+
+ENDLESS = {
+    "linear": lambda x, u: x.sum(-1) + 0 * u.sum(-1),
+    "concave": lambda x, u: -u.square().sum(-1) + 0 * x.sum(-1),
+    "of the states": lambda x, u: 0.5 * u.square().sum(-1) - 100 * x.square().sum(-1),
+    "logarithm": lambda x, u: -torch.log(1 + u.square().sum(-1)) + 0 * x.sum(-1),
+    "beyond all numbers": lambda x, u: -u.pow(4).sum(-1) + 0 * x.sum(-1),
+}
+
+
+def summing(state, control):
+    return state + 0.1 * control[..., :1]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("cost", ENDLESS.values(), ids=ENDLESS)
+def test_a_cost_without_minimum_is_a_status_without_gradient(cost, dtype):
+    state, controls = torch.ones(2, 1, dtype=dtype), torch.full((2, 6, 2), 0.3, dtype=dtype)
+    state.requires_grad_()
+    solution = SOLVER(summing, cost, box(torch.inf, 2), state, controls)
+    assert (solution.status == SolverStatus.UNBOUNDED).all()
+    solution.states[:, 1:].sum().backward()
+    assert (state.grad == 0).all()
+
+
+def test_large_controls_and_costs_have_a_minimum_all_the_same():
+    def cost(states, controls):
+        return (states[..., 0] - 1e12).square() + 1e-9 * controls.square().sum(-1) - 1e30
+
+    state, controls = torch.ones(2, 1, dtype=torch.float64), torch.zeros(2, 6, 2).double()
+    assert SOLVER(summing, cost, box(torch.inf, 2), state, controls).converged.all()

@@ -57,6 +57,12 @@ class Approach(NamedTuple):
     solved: Bool[Tensor, " B"]
     stuck: Bool[Tensor, " B"]  # at a violation that no price lowers
 
+    @property
+    def lost(self) -> Bool[Tensor, " B"]:
+        """Which problems another round does not help."""
+        lost = (SolverStatus.NOT_FINITE, SolverStatus.UNBOUNDED)
+        return torch.isin(self.plain.status, self.plain.status.new_tensor(lost))
+
     def replaced(self, index: Int[Tensor, " k"], part: "Approach") -> "Approach":
         """With another round of the problems `index`."""
         iterations = self.plain.iterations.index_add(0, index, part.plain.iterations)
@@ -70,9 +76,8 @@ class Approach(NamedTuple):
     def solution(self, rows: ConstraintRows) -> ConstrainedSolution:
         """The result; a problem that is not solved counts as the rounds have left it."""
         multipliers = self.multipliers.split(list(rows.widths), -1)
-        finite = self.plain.status != SolverStatus.NOT_FINITE
         left = torch.where(self.stuck, SolverStatus.INFEASIBLE, SolverStatus.ITERATION_LIMIT)
-        status = torch.where(self.solved | ~finite, self.plain.status, left)
+        status = torch.where(self.solved | self.lost, self.plain.status, left)
         plain = self.plain._replace(status=status)
         return ConstrainedSolution(*plain, rows.violation(self.values), multipliers)
 

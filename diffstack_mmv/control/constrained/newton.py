@@ -38,6 +38,7 @@ class NewtonStep(NamedTuple):
     u: Float[Tensor, "N P"]
     multipliers: Float[Tensor, "N R"]
     size: Float[Tensor, " N"]  # Σ |M_ii| δu_i² / Σ|c|, free of all units
+    pull: Float[Tensor, " N"]  # steepest descent, relative to Σ|c|, in a control without curvature
     convex: Bool[Tensor, " N"]
 
 
@@ -60,7 +61,8 @@ def polish(
     """Iterate the chosen problems to a solution or give them up.
 
     A problem is solved once two steps in a row are below the accuracy, without violation above the
-    tolerance, at a point that is a strict minimum along the active constraints.
+    tolerance, at a point that is a strict minimum along the active constraints. Steps in a control
+    without curvature have no size: the Lagrangian may not descend in it either.
 
     Args:
         problem: All problems.
@@ -85,12 +87,12 @@ def polish(
         multipliers = activity.multipliers(point.multipliers)
         local = expand_problem(problem, x, point.u, multipliers)
         step = newton_step(problem, local, activity, point.u, multipliers, values, open_)
-        size, convex = step.size.view(open_.shape), step.convex.view(open_.shape)
+        size, pull, convex = (part.view(open_.shape) for part in step[2:])
         tiny = torch.maximum(accuracy, (local.noise / local.magnitude).nan_to_num(0.0)).view(
             open_.shape
         )
         was_small, small = small, size <= tiny
-        good = convex & (problem.rows.violation(values) <= tolerance)
+        good = convex & (pull <= ROUNDING * tiny) & (problem.rows.violation(values) <= tolerance)
         failed = ~(size <= torch.maximum(GROWTH * before, tiny))
         steps = steps + open_
         point = _moved(problem, point, multipliers, step, open_ & ~failed)
@@ -147,7 +149,8 @@ def newton_step(
     residual = activity.residual(values, multipliers).reshape(N, -1)
     active, compliance = activity.active.reshape(N, -1), activity.compliance.reshape(N, -1)
     du, dv = local.B.new_zeros(N, P), torch.zeros_like(residual)
-    size, convex = local.B.new_zeros(N), torch.zeros(N, dtype=torch.bool, device=u.device)
+    size, pull = local.B.new_zeros(2, N)
+    convex = torch.zeros(N, dtype=torch.bool, device=u.device)
     for index in chunks(which.reshape(N)):
         condensed = condense(local.select(index))
         weight = condensed.hessian.diagonal(dim1=1, dim2=2).abs()
@@ -156,12 +159,13 @@ def newton_step(
         fixed = torch.where(goal.isnan(), 0.0, goal - flat[index])
         kept = goal.isnan(), active[index], compliance[index]
         system = assemble(condensed, *kept)
-        pull = (condensed.hessian @ fixed.unsqueeze(-1)).squeeze(-1)
+        moved = (condensed.hessian @ fixed.unsqueeze(-1)).squeeze(-1)
         along = (condensed.jacobian @ fixed.unsqueeze(-1)).squeeze(-1)
-        own_u, own_v = system.solve(-gradient - pull, -residual[index] - along)
+        own_u, own_v = system.solve(-gradient - moved, -residual[index] - along)
         own_u = own_u + fixed
         du[index], dv[index], convex[index] = own_u, own_v, is_convex(condensed, *kept)
-        size[index] = (weight * own_u.square()).sum(1) / local.magnitude[index].clamp_min(
-            torch.finfo(u.dtype).tiny
-        )
-    return NewtonStep(du, dv, size, convex)
+        magnitude = local.magnitude[index].clamp_min(torch.finfo(u.dtype).tiny)
+        size[index] = (weight * own_u.square()).sum(1) / magnitude
+        steep = torch.where(goal.isnan() & (weight == 0), gradient.abs(), 0.0)
+        pull[index] = (steep * (1 + flat[index].abs())).amax(1) / magnitude
+    return NewtonStep(du, dv, size, pull, convex)

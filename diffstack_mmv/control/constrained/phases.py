@@ -89,15 +89,20 @@ class Phases:
         return progress._replace(status=limit)
 
     def _unconstrained(self, problem: Problem, progress: Progress, guess: Tensor) -> Progress:
-        """Finished is where a solution without constraints touches none of them."""
+        """Finished is where a solution without constraints touches none of them.
+
+        So is a problem that runs off to infinity without touching any.
+        """
         dynamics, cost, rows, bounds, state = problem
         plain = self.solver(dynamics, cost, bounds, state, guess)
         values = rows.values(plain.states, pad_controls(plain.controls))
         clear = torch.where(rows.signed, values == 0, values < 0) | ~rows.applies
-        free = plain.converged & clear.flatten(-2).all(-1)
+        free = progress.is_open & clear.flatten(-2).all(-1)
         progress = progress.counted(plain.iterations)
         point = PrimalDual(plain.controls, torch.zeros_like(values))
-        return progress.where(progress.is_open & free, point, SolverStatus.CONVERGED)
+        for end in (SolverStatus.CONVERGED, SolverStatus.UNBOUNDED):
+            progress = progress.where(free & (plain.status == end), point, end)
+        return progress
 
     def _interior(
         self, problem: Problem, progress: Progress, guess: Tensor, activation: Tensor

@@ -54,7 +54,8 @@ def source(problem: StagedProblem, library: str, real: str) -> str:
         library: A `Library`.
         real: "float" or "double".
     """
-    status = {name: int(SolverStatus[name]) for name in ("CONVERGED", "STALLED", "NOT_FINITE")}
+    names = "CONVERGED", "STALLED", "NOT_FINITE", "UNBOUNDED"
+    status = {name: int(SolverStatus[name]) for name in names}
     status["LIMIT"] = int(SolverStatus.ITERATION_LIMIT)
     step = derived(problem.step, problem.sizes)
     costs = [derived(cost, problem.sizes) for cost in problem.costs]

@@ -11,8 +11,8 @@
 
 namespace dmmv {
 
-enum Status { OPEN = -1, CONVERGED = DMMV_CONVERGED, LIMIT = DMMV_LIMIT, STALLED = DMMV_STALLED, NOT_FINITE = DMMV_NOT_FINITE };
-constexpr Real NEAR_ = Real(0.3), NOISE = 8, DAMPING_MAX = Real(1e8), GROWTH = 8, DECAY = Real(0.2), FAR = Real(3e-2);
+enum Status { OPEN = -1, CONVERGED = DMMV_CONVERGED, LIMIT = DMMV_LIMIT, STALLED = DMMV_STALLED, NOT_FINITE = DMMV_NOT_FINITE, UNBOUNDED = DMMV_UNBOUNDED };
+constexpr Real NEAR_ = Real(0.3), NOISE = 8, DAMPING_MAX = Real(1e8), GROWTH = 8, DECAY = Real(0.2), FAR = Real(3e-2), ARRIVED = Real(0.99);
 constexpr int MOST_SIZES = 64;
 
 struct Settings {
@@ -111,7 +111,7 @@ struct Solver {
   }
 
   void backward(bool convex) {
-    const Real infinity = std::sqrt(std::sqrt(std::numeric_limits<Real>::max()));
+    const Real infinity = farthest();
     Real V_x[n], V_xx[n * n];
     std::memcpy(V_x, c_x[T], sizeof(V_x));
     std::memcpy(V_xx, H_xx[T], sizeof(V_xx));
@@ -315,6 +315,18 @@ struct Solver {
       attempt(settings);
     }
     if (status == OPEN) status = LIMIT;
+    if (iterations > 0 && ran_off()) status = UNBOUNDED;
+  }
+
+  // what stands for an infinite bound
+  static Real farthest() { return std::sqrt(std::sqrt(std::numeric_limits<Real>::max())); }
+
+  // as concluded() of iteration.py
+  bool ran_off() const {
+    bool far = cost <= -farthest() * farthest();
+    for (int t = 0; t < T; ++t)
+      for (const Real control : u[t]) far = far || std::fabs(control) >= ARRIVED * farthest();
+    return far;
   }
 
   // projected gradient at the end; nothing of a problem is NaN any more

@@ -358,3 +358,30 @@ def test_a_control_that_does_nothing_changes_nothing():
 
     for found, expected in zip(solved(3), solved(1), strict=True):
         torch.testing.assert_close(found, expected)
+
+
+ENDLESS = Bounds(torch.tensor([-torch.inf]), torch.tensor([torch.inf]))
+
+
+def place(states, forces):
+    return states[..., 0] + 0 * forces[..., 0]
+
+
+def beyond(states, forces):
+    return -states[..., :1] - 2
+
+
+@pytest.mark.parametrize("warm", [False, True])
+def test_a_cost_without_minimum_is_a_status_unless_a_constraint_stops_it(warm):
+    start, guess = torch.ones(2, 1), torch.full((2, 6, 1), 0.3)
+    given = (torch.zeros(2, 7, 1),) if warm else None
+    rest = ENDLESS, start, guess, given
+
+    def step(state, control):
+        return state + 0.1 * control
+
+    free = SOLVER(step, place, [Inequality(lambda x, u: x[..., :1] - 2)], *rest)
+    assert (free.status == SolverStatus.UNBOUNDED).all()
+    stopped = SOLVER(step, place, [Inequality(beyond, times=slice(1, None))], *rest)
+    assert stopped.converged.all()
+    torch.testing.assert_close(stopped.states[:, 1:], torch.full((2, 6, 1), -2.0))

@@ -289,3 +289,20 @@ def test_every_layout_of_wheels_has_a_scalar_form(name):
     at = Trajectory(torch.ones(2, 8), torch.zeros(2, len(model.bounds.upper)))
     taken = Recorder()(at, model, lambda states, controls: states.square().sum(-1))
     assert all(each.is_floating_point() for each in taken.parameters)
+
+
+@pytest.mark.parametrize("power", [1, 2])
+def test_a_cost_without_minimum_is_a_status_without_gradient(power):
+    state = torch.ones(1, 1, dtype=torch.float64, requires_grad=True)
+    controls, endless = torch.full((1, 5, 1), 0.3, dtype=torch.float64), torch.tensor([torch.inf])
+    arguments = (
+        lambda x, u: x + 0.1 * u,
+        lambda x, u: x[..., 0] - u[..., 0].pow(power),
+        Bounds(-endless, endless),
+        state,
+        controls,
+    )
+    found, expected = natively(EXACT, *arguments), EXACT(*arguments)
+    assert found.status.tolist() == expected.status.tolist() == [SolverStatus.UNBOUNDED]
+    found.controls.sum().backward()
+    assert (state.grad == 0).all()
