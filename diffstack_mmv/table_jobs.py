@@ -5,6 +5,7 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
+from pathlib import Path
 
 from diffstack_mmv.jobs import Job, Launcher
 from dmmv_conventions.checks import message
