@@ -12,6 +12,8 @@ from diffstack_mmv.reporting.scores import Scores
 from diffstack_mmv.reporting.table import NONE, cell, with_interval
 
 WITH_INTERVAL = ("success_rate", "collision_rate")
+# what a published row and a drive share where they can be compared
+SETTING = ["scenario", "humans"]
 
 
 def write_closed_loop(
@@ -29,14 +31,16 @@ def write_closed_loop(
         result: Header and numbers of the controller; the keys are those of the file.
         baselines: Numbers of each baseline; its cases go into the file as well.
         scores: Titles and units of the scores, in the order of the columns.
-        published: Rows of published methods, each with its source.
+        published: Rows of published methods, each with its source; those that name another
+            `scenario` or number of `humans` than the result's are left out.
         pairs: Paired tests against other methods and runs, see `paired_cases`.
 
     Raises:
         ValueError: A number is NaN or infinite.
     """
     write_json(folder / "closed_loop.json", _content(result, baselines, pairs))
-    told = [_summary(result, baselines, scores), _paired(pairs, scores), _published(published)]
+    comparable = [each for each in published if _same_setting(each, result)]
+    told = [_summary(result, baselines, scores), _paired(pairs, scores), _published(comparable)]
     write_text(folder / "closed_loop.md", "\n\n".join(part for part in told if part) + "\n")
 
 
@@ -168,11 +172,16 @@ def _paired(pairs: Sequence[Mapping[str, Any]], scores: Scores) -> str:
     return f"## Paired tests\n\n{told}\n\n{paired_table(pairs, scores).to_markdown(index=False)}"
 
 
+def _same_setting(published: Mapping[str, Any], result: Mapping[str, Any]) -> bool:
+    """Whether a published row names no other scenario and number of people than the result's."""
+    return all(published.get(name, result[name]) == result[name] for name in SETTING)
+
+
 def _published(published: Sequence[Mapping[str, Any]]) -> str:
     """The published methods, if there are any."""
     if not published:
         return ""
-    frame = pd.DataFrame(published).astype(object)
+    frame = pd.DataFrame(published).astype(object).drop(columns=SETTING, errors="ignore")
     table = frame.where(frame.notna(), NONE).to_markdown(index=False)
     return f"## Published methods\n\nOther robots, limits and rules: see each source.\n\n{table}"
 

@@ -72,6 +72,25 @@ def test_what_decides_the_scores_stands_above_them(result, given, told, tmp_path
     assert told in (tmp_path / "closed_loop.md").read_text()
 
 
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ({"scenario": "circle_crossing", "humans": 5}, True),
+        ({"scenario": "square_crossing", "humans": 5}, False),
+        ({"scenario": "circle_crossing", "humans": 20}, False),
+        ({}, True),
+    ],
+    ids=["same", "other scenario", "other number of people", "none named"],
+)
+def test_only_published_rows_of_the_same_setting_stand_beside_a_drive(
+    result, setting, told, tmp_path
+):
+    write_closed_loop(tmp_path, result, {}, CLOSED_LOOP, [{"method": "SARL"} | setting])
+    report = (tmp_path / "closed_loop.md").read_text()
+    assert ("SARL" in report) is told
+    assert ("## Published methods" in report) is told
+
+
 def test_files_hold_numbers_failures_and_sources(result, numbers, tmp_path):
     source = {"method": "SARL", "success": 0.9, "source": "Chen et al."}
     write_closed_loop(tmp_path, result, {"orca": numbers}, CLOSED_LOOP, [source])
