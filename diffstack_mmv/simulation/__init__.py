@@ -49,7 +49,8 @@ from diffstack_mmv.simulation.recorded import (
     RecordedCrossing,
 )
 from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
-from diffstack_mmv.simulation.scenario import CircleCrossing, Scenario, Scene, SquareCrossing
+from diffstack_mmv.simulation.scenario import CircleCrossing, Scenario, SquareCrossing
+from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.sensing import LimitedSensing
 from diffstack_mmv.simulation.study import models_told, study_world, world_for
 from diffstack_mmv.simulation.summary import summarise

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.simulation.decisions import Controller
-from diffstack_mmv.simulation.scenario import Scene
+from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.verdict import Judgement
 from diffstack_mmv.simulation.world import World, WorldState
 from diffstack_mmv.types import EpisodeRecord, Motion, Outcome, taken

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_between
 from diffstack_mmv.simulation.pedestrians import Crowd, VisibleRobot
-from diffstack_mmv.simulation.scenario import CaseSource, Scene
+from diffstack_mmv.simulation.scene import CaseSource, Scene
 from diffstack_mmv.simulation.world import World
 from diffstack_mmv.types import Outcome, map_tensors
 from dmmv_conventions.progress import counted

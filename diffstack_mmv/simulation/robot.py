@@ -10,7 +10,7 @@ from diffstack_mmv.checks import require_positive
 from diffstack_mmv.geometry import rotate, unit_vector
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint
 from diffstack_mmv.simulation.pedestrians import VisibleRobot
-from diffstack_mmv.simulation.scenario import Scene
+from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.verdict import RobotPath
 from diffstack_mmv.types import Bounds, Motion
 

@@ -5,77 +5,29 @@ global generator of numpy is left alone.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import (
     message,
     require,
     require_at_least,
-    require_one_of,
     require_positive,
     require_whole,
 )
-from diffstack_mmv.simulation.pedestrians import AnyCrowdState, CrowdState, Itinerary
+from diffstack_mmv.simulation.pedestrians import CrowdState
+from diffstack_mmv.simulation.phases import generator
 from diffstack_mmv.simulation.placement import first_accepted
+from diffstack_mmv.simulation.scene import Scene, stacked
 
 MAX_TRIES = 20_000_000
 """Draws for one pedestrian before a scenario counts as too crowded; the benchmark never stops."""
-
-
-class Scene(NamedTuple):
-    """Start of episodes, `*b`, with `h` pedestrians; float64, m, rad, world frame; all at rest."""
-
-    robot_position: Float[Tensor, "*b 2"]
-    robot_heading: Float[Tensor, "*b"]
-    robot_goal: Float[Tensor, "*b 2"]
-    pedestrians: AnyCrowdState
-    itinerary: Itinerary | None = None  # where the pedestrians go after their goals; else they stay
-    number: Int[Tensor, "*b"] | None = None  # of the case, to which all draws of noise belong
-
-    def case_numbers(self) -> Int[Tensor, "*b"]:
-        """Numbers of the cases, or of the rows where none are given."""
-        if self.number is not None:
-            return self.number
-        rows = self.robot_heading
-        return torch.arange(rows.numel(), device=rows.device).reshape(rows.shape)
-
-    def radii_and_goal(self) -> tuple[list[float], list[float]]:
-        """Radii of the pedestrians and goal of the robot in m, of one case, to draw it."""
-        return self.pedestrians.radius.tolist(), self.robot_goal.tolist()
-
-
-@runtime_checkable
-class CaseSource(Protocol):
-    """Gives the start of a case by its number."""
-
-    def cases(self, phase: str, numbers: Iterable[int]) -> Scene:
-        """Several cases of a phase as one batch."""
-        ...
-
-    def case(self, phase: str, number: int) -> Scene:
-        """One case of a phase, without a batch."""
-        ...
-
-
-class Phase(NamedTuple):
-    """Numbers of the cases of a phase and where their seeds begin."""
-
-    first_seed: int
-    cases: int
-
-
-PHASES = {
-    "train": Phase(2000, 2**32 - 2000),
-    "val": Phase(0, 1000),
-    "test": Phase(1000, 1000),
-}
 
 
 class _Placed(NamedTuple):
@@ -300,57 +252,7 @@ class SquareCrossing(Scenario):
         return np.stack([x, (draws[:, 1] - 0.5) * self.square_width_m], -1)
 
 
-def stacked(records: Sequence[Any]) -> Any:
-    """One record whose tensors have a leading dimension, from equal (nested) records."""
-    first = records[0]
-    if isinstance(first, Tensor):
-        return torch.stack(list(records))
-    if first is None:
-        return None
-    return type(first)(*(stacked(fields) for fields in zip(*records, strict=True)))
-
-
 SCENARIOS: dict[str, type[Scenario]] = {
     "circle_crossing": CircleCrossing,
     "square_crossing": SquareCrossing,
 }
-
-
-def generator(phase: str, number: int) -> np.random.RandomState:
-    """Random generator of a case, the one of the original benchmark.
-
-    Args:
-        phase: "train", "val" or "test".
-        number: Which case of the phase, from 0.
-
-    Returns:
-        A generator of its own.
-
-    Raises:
-        ValueError: There is no such phase or case.
-    """
-    require_case(phase, number)
-    return np.random.RandomState(PHASES[phase].first_seed + number)
-
-
-def require_case(phase: str, number: int) -> None:
-    """Refuse a case that the benchmark does not have.
-
-    Args:
-        phase: "train", "val" or "test".
-        number: Which case of the phase, from 0.
-
-    Raises:
-        ValueError: There is no such phase or case.
-    """
-    require_one_of("phase", phase, tuple(PHASES))
-    require_whole("case", number)
-    cases = PHASES[phase].cases
-    require(
-        0 <= number < cases,
-        "case",
-        f"lie in [0, {cases - 1}]",
-        number,
-        f"in phase {phase!r}",
-        "Seeds beyond belong to another phase.",
-    )

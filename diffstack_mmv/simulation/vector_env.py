@@ -14,7 +14,8 @@ from torch import Tensor
 from diffstack_mmv.checks import require, require_at_least, require_one_of, require_whole
 from diffstack_mmv.geometry import length
 from diffstack_mmv.simulation.env import CrowdNavEnv, require_render_mode
-from diffstack_mmv.simulation.scenario import PHASES, CaseSource
+from diffstack_mmv.simulation.phases import PHASES
+from diffstack_mmv.simulation.scene import CaseSource
 from diffstack_mmv.simulation.views import View, WorldView
 from diffstack_mmv.simulation.world import World, WorldState
 from diffstack_mmv.types import Outcome, map_tensors

@@ -20,7 +20,7 @@ from diffstack_mmv.geometry import rotate
 from diffstack_mmv.simulation.case_noise import case_noise
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint
 from diffstack_mmv.simulation.robot import Travel
-from diffstack_mmv.simulation.scenario import Scene
+from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.verdict import RobotPath
 from diffstack_mmv.types import Bounds, Motion
 

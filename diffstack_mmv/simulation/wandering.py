@@ -8,7 +8,8 @@ import torch
 
 from diffstack_mmv.checks import require_at_least, require_between, require_positive
 from diffstack_mmv.simulation.pedestrians import CrowdState, Itinerary
-from diffstack_mmv.simulation.scenario import MAX_TRIES, Scenario, Scene
+from diffstack_mmv.simulation.scenario import MAX_TRIES, Scenario
+from diffstack_mmv.simulation.scene import Scene
 
 GOALS = 24
 """Goals drawn beforehand for each pedestrian: more than anybody reaches within a limit."""

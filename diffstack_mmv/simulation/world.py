@@ -23,7 +23,7 @@ from diffstack_mmv.simulation.pedestrians import (
     RecordedCrowdState,
 )
 from diffstack_mmv.simulation.robot import Robot, seen_by_pedestrians
-from diffstack_mmv.simulation.scenario import Scene
+from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.verdict import Encounter, Judgement, RobotPath, Verdict
 from diffstack_mmv.types import Discs, Motion, map_tensors
 

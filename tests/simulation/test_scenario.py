@@ -7,7 +7,7 @@ from omegaconf import OmegaConf
 
 from diffstack_mmv.simulation import CircleCrossing, SquareCrossing
 from diffstack_mmv.simulation import scenario as scenario_module
-from diffstack_mmv.simulation.scenario import generator
+from diffstack_mmv.simulation.phases import generator
 
 RECORDINGS = [
     f"{scenario}_crossing_{size}"

@@ -17,6 +17,7 @@ from diffstack_mmv.checks import (
 )
 from diffstack_mmv.simulation.pedestrians import RecordedCrowdState
 from diffstack_mmv.simulation.pedestrians.recorded import far_away
+from diffstack_mmv.simulation.phases import generator
 from diffstack_mmv.simulation.recorded.crossing import (
     CrossingRules,
     RecordedRows,
@@ -24,7 +25,7 @@ from diffstack_mmv.simulation.recorded.crossing import (
     rows_of,
 )
 from diffstack_mmv.simulation.recorded.passage import PassageRules, Walks
-from diffstack_mmv.simulation.scenario import Scene, generator, stacked
+from diffstack_mmv.simulation.scene import Scene, stacked
 from diffstack_mmv.types import RecordedScene
 
 MAX_TRIES = 2000

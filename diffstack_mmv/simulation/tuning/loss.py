@@ -9,7 +9,7 @@ from torch import Tensor
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.geometry import length
 from diffstack_mmv.simulation.decisions import Controller
-from diffstack_mmv.simulation.scenario import Scene
+from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.world import World
 
 
