@@ -26,13 +26,15 @@ $(BIN)/.installed: requirements.lock requirements-cuda.lock pyproject.toml
 
 install: $(BIN)/.installed ## Create .venv with the locked dependencies
 
-quickstart: install ## Sample, conversion, training, per-mode table: about five minutes
+quickstart: install ## Sample, conversion, training, per-mode table: less than 10 minutes on two cores
 	test -d $(OUT)/recordings || $(BIN)/python scripts/generate_sample.py out=$(OUT)/recordings seed=0
 	$(BIN)/python scripts/convert.py data=imptc data.root=$(OUT)/recordings data.cache=$(OUT)/cache
 	$(LIMIT) $(BIN)/python scripts/train.py experiment=quickstart data=imptc data.cache=$(OUT)/cache out=$(OUT)/run
 	$(LIMIT) $(BIN)/python scripts/evaluate.py checkpoint=$(OUT)/run/checkpoints/best.ckpt data=imptc data.cache=$(OUT)/cache out=$(OUT)/report
 	@cat $(OUT)/report/metrics.md
 	@echo "Report: $(OUT)/report/metrics.md and the plots beside it."
+	@echo "All of it as one page: $(BIN)/dmmv-report $(OUT)/run $(OUT)/report out=$(OUT)/page"
+	@echo "What to do next, with data of your own or in closed loop: docs/README.md"
 
 # by file: what a file prepares for its tests is then prepared once
 test: install ## Fast tests

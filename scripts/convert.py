@@ -1,6 +1,5 @@
 """Convert recordings to a trajdata cache."""
 
-import json
 import logging
 from pathlib import Path
 
@@ -25,6 +24,7 @@ def check(config: DictConfig) -> None:
 def main(config: DictConfig) -> None:
     """Convert, and tell what was kept and what was rejected."""
     from data_converters import ConversionSettings, ResampleSettings, convert
+    from data_converters.summary import summary
 
     settings = ConversionSettings(
         dataset=instantiate(config.data.recordings),
@@ -41,7 +41,7 @@ def main(config: DictConfig) -> None:
         replace=config.replace,
     )
     report = convert(settings)
-    logger.info("%s", json.dumps(report.totals(), indent=2))
+    logger.info("\n%s\n", summary(report))
     logger.info("Report: %s", settings.cache / REPORT_FILE)
 
 
