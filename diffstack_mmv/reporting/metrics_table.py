@@ -170,8 +170,10 @@ def _markdown(metrics: Mapping[str, Any], scores: Scores) -> str:
     )
     ade, fde = (scores[name] for name in BASELINE_SCORES)
     beside = f"Beside the trivial baselines ({ade.title} and {fde.title} in {ade.unit})"
+    # a row per score: some thirty columns would not fit a terminal
+    by_mode = mode_table(metrics, scores).T.rename_axis("score")
     sections = (
-        ("Scores by mode", mode_table(metrics, scores), True),
+        ("Scores by mode", by_mode, True),
         (beside, baseline_table(metrics, scores), True),
         ("Cost of the plan in hindsight by term", cost_table(metrics), True),
         (f"{ade.title} in {ade.unit} by situation", situation_table(metrics), False),
