@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -31,22 +32,28 @@ class PlannedScene(NamedTuple):
 def draw_scene(axes: Axes, scene: PlannedScene) -> None:
     """Draw one sample into a pair of axes."""
     for path in scene.candidates:
-        axes.plot(*path.T, color="0.85", linewidth=0.6, zorder=1)
+        axes.plot(*path.T, color="0.85", linewidth=0.6, label="candidates", zorder=1)
     for path, weight in zip(scene.components, scene.weights, strict=True):
         axes.plot(
             *path.T,
             color=PALETTE[5],
             linewidth=1.0,
             alpha=float(np.clip(weight, 0.15, 1.0)),
+            label="components of the forecast",
             zorder=2,
         )
     for path in scene.neighbors:
-        axes.plot(*path.T, color=PALETTE[3], linewidth=1.0, zorder=2)
+        axes.plot(
+            *path.T, color=PALETTE[3], linewidth=1.0, label="others, from the square", zorder=2
+        )
         axes.plot(*path[0], "s", color=PALETTE[3], markersize=3)
     axes.plot(*scene.past.T, color="0.4", linewidth=1.2, label="past", zorder=3)
     axes.plot(*scene.human.T, color=PALETTE[6], linewidth=2.2, label="human", zorder=4)
-    axes.plot(*scene.prediction.T, color=PALETTE[0], linewidth=1.4, label="prediction", zorder=5)
-    axes.plot(*scene.plan.T, color=PALETTE[1], linewidth=1.8, label="plan", zorder=6)
+    axes.plot(*scene.plan.T, color=PALETTE[1], linewidth=2.4, label="plan", zorder=5)
+    # dashed on top: the plan mostly follows it and would hide it
+    axes.plot(
+        *scene.prediction.T, "--", color=PALETTE[0], linewidth=1.2, label="prediction", zorder=6
+    )
     axes.plot(*scene.goal, "*", color=PALETTE[2], markersize=10, label="goal", zorder=7)
     axes.set_title(scene.title, fontsize=8)
     axes.set_aspect("equal", "box")
@@ -66,13 +73,25 @@ def _frame(axes: Axes, scene: PlannedScene) -> None:
     axes.set_ylim(centre[1] - ASPECT * half, centre[1] + ASPECT * half)
 
 
+def _legend(figure: Figure) -> None:
+    """One entry per kind of line, for all panels, where no line runs."""
+    named: dict[str, Artist] = {}
+    for axes in figure.axes:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            named.setdefault(label, handle)
+    where = "outside upper center"
+    legend = figure.legend(named.values(), named.keys(), fontsize=7, ncols=4, loc=where)
+    for line in legend.get_lines():
+        line.set_alpha(1.0)  # a component of little weight is drawn too faint to be recognised
+
+
 def draw_scenes(scenes: Sequence[PlannedScene], columns: int = 3) -> Figure:
     """Draw samples in a grid, x and y in m, with one legend."""
     rows = -(-len(scenes) // columns)
     figure = new_figure(4.0 * columns, 3.4 * rows)
     for index, scene in enumerate(scenes):
         draw_scene(figure.add_subplot(rows, columns, index + 1), scene)
-    figure.axes[0].legend(fontsize=7)
+    _legend(figure)
     figure.supxlabel("x [m]", fontsize=8)
     figure.supylabel("y [m]", fontsize=8)
     return figure

@@ -34,3 +34,14 @@ def test_all_of_the_ride_and_its_goal_is_in_view(goal):
 def test_a_goal_that_was_not_recorded_is_left_out_of_the_view():
     scene = heading_for((4.0, 1.0))._replace(goal=np.full(2, np.nan))
     assert np.isfinite(draw_scenes([scene]).axes[0].get_xlim()).all()
+
+
+def test_everything_drawn_is_named_once_for_all_panels():
+    alone = heading_for((4.0, 1.0))
+    among_others = alone._replace(neighbors=np.ones((2, 30, 2)), candidates=np.ones((3, 30, 2)))
+    figure = draw_scenes([alone, among_others])
+    named = [text.get_text() for text in figure.legends[0].get_texts()]
+    drawn = {line.get_label() for axes in figure.axes for line in axes.get_lines()}
+    assert len(named) == len(set(named))
+    assert set(named) == {label for label in drawn if not label.startswith("_")}
+    assert {"candidates", "others, from the square", "plan", "prediction"} <= set(named)
