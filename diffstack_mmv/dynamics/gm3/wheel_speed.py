@@ -11,7 +11,11 @@ from diffstack_mmv.dynamics.gm3.drive import Command, Drive, SpeedDrive, split_a
 from diffstack_mmv.dynamics.gm3.model import COMMAND_RANGE, ControlRange, DiffGM3
 from diffstack_mmv.dynamics.gm3.slip import reference_speed
 from diffstack_mmv.dynamics.records import DriverInput
-from diffstack_mmv.vehicles import VehicleSpec
+from diffstack_mmv.vehicles import DifferentialDrive, VehicleSpec
+
+PROBE = 0.05  # m/s and rad/s by which the answer of a step to its wheel speeds is told
+LEAST_ANSWER = 0.1  # of a wheel speed; sliding wheels answer less, and more speed helps them little
+YAW_RATE_COLUMN = DiffGM3.State._fields.index("yaw_rate")
 
 
 def _driven(spec: VehicleSpec) -> list[int]:
@@ -66,15 +70,26 @@ class DiffGM3WheelSpeed(DiffGM3):
         acceleration: Float[Tensor, "*#b"],
         curvature: Float[Tensor, "*#b"],
     ) -> Float[Tensor, "*b m"]:
-        """Control that holds an acceleration (m/s²) and a curvature (1/m), by linear tyres.
+        """Control that gives an acceleration (m/s²) and a curvature (1/m) over the coming step.
 
-        Each driven wheel gets the speed of its hub on that curve, and the slip m a / ΣC on top.
+        Wheel speeds hold still while the hubs catch up with them, so no speed holds an acceleration
+        for longer than a step. Wanted at the end of the step are v* = v + a dt and, where driven
+        wheels do the steering, r* = κ v*. The hub speeds of that turn are tried, and corrected once
+        by what one step of the model misses, over its answer to a change of all wheel speeds:
+
+            Ω_i R_i = v* - κ v* y_i + (v* - v₁) / (∂v₁/∂v) - y_i (r* - r₁) / (∂r₁/∂r)
+
+        Answers are central differences, held above a tenth. Steered wheels are set as in `DiffGM3`:
+        for the steady turn, which the course reaches after its side slip has settled.
         """
         steer = self.steer_for(state, curvature)
-        speed, acceleration = torch.broadcast_tensors(state[..., 2], acceleration)
-        hub = speed.unsqueeze(-1) * (1 - curvature.unsqueeze(-1) * self._of_driven("y"))
-        speeds = self._wheel_speeds(hub, acceleration)
-        return self.within_bounds(torch.cat([speeds, steer.unsqueeze(-1)], -1))
+        speed, acceleration, curvature = torch.broadcast_tensors(
+            state[..., 2], acceleration, curvature
+        )
+        forward = speed + acceleration * self.dt_s
+        wanted = torch.stack([forward, curvature * forward], -1)
+        turn = torch.cat([wanted @ self._turns(), steer.unsqueeze(-1)], -1)
+        return self.within_bounds(turn + self._missed(state, turn, wanted))
 
     @property
     def driver_input_needs_state(self) -> bool:
@@ -104,6 +119,28 @@ class DiffGM3WheelSpeed(DiffGM3):
         acceleration = slip.mean(-1) * self._stiffness() / self.spec.mass_kg
         steering = self.chassis.steering
         return DriverInput(acceleration, steering.to_driver(steering.clamped(control[..., -1])))
+
+    def _turns(self) -> Float[Tensor, "2 driven"]:
+        """Speeds in rad/s of the driven wheels per forward speed (m/s) and yaw rate (rad/s)."""
+        side = self._of_driven("y")
+        return torch.stack([torch.ones_like(side), -side]) / self._of_driven("radius")
+
+    def _missed(
+        self,
+        state: Float[Tensor, "*#b 8"],
+        control: Float[Tensor, "*b m"],
+        wanted: Float[Tensor, "*b 2"],
+    ) -> Float[Tensor, "*b m"]:
+        """What a control lacks for a forward speed (m/s) and yaw rate (rad/s) after one step."""
+        columns = [2, YAW_RATE_COLUMN]
+        if not isinstance(self.spec.steering, DifferentialDrive):
+            columns, wanted = columns[:1], wanted[..., :1]
+        turns = torch.nn.functional.pad(self._turns()[: len(columns)], (0, 1))
+        tried = torch.cat([torch.zeros_like(turns[:1]), PROBE * turns, -PROBE * turns])
+        ends = self.step(state.unsqueeze(-2), control.unsqueeze(-2) + tried)[..., columns]
+        more, less = ends[..., 1:, :].chunk(2, -2)
+        answer = (more - less).diagonal(dim1=-2, dim2=-1) / (2 * PROBE)
+        return ((wanted - ends[..., 0, :]) / answer.clamp(min=LEAST_ANSWER)) @ turns
 
     def _of_driven(self, name: str) -> Float[Tensor, " driven"]:
         """A number of the driven wheels, SI units."""

@@ -1,0 +1,58 @@
+"""Controls by which the wheel-speed model does what it is asked for."""
+
+import pytest
+import torch
+
+from diffstack_mmv.dynamics.gm3 import DiffGM3WheelSpeed
+from diffstack_mmv.vehicles import load_vehicle
+
+ACCELERATION, CURVATURE = 0.5, 0.1
+
+
+def driven(name, dt_s):
+    """The model of a vehicle in float64."""
+    return DiffGM3WheelSpeed(load_vehicle(name), dt_s=dt_s).double()
+
+
+def riding(model, *speeds):
+    """States that go straight on at speeds in m/s, `b 8`."""
+    return torch.nn.functional.pad(torch.tensor(speeds).double()[:, None], (2, 5))
+
+
+@pytest.mark.parametrize("dt_s", [0.1, 0.25])
+@pytest.mark.parametrize("name", ["bicycle", "tricycle", "wheelchair", "cart", "hoverboard"])
+def test_the_asked_acceleration_is_reached_within_the_step(name, dt_s):
+    model = driven(name, dt_s)
+    start = riding(model, 0.5, 1.0, 1.5)
+    asked = torch.full((3,), ACCELERATION).double()
+    for curvature in (0.0, CURVATURE, -CURVATURE):
+        control = model.control_for(start, asked, torch.full_like(asked, curvature))
+        reached = (model.step(start, control)[:, 2] - start[:, 2]) / dt_s
+        torch.testing.assert_close(reached, asked, rtol=0, atol=0.02)
+
+
+@pytest.mark.parametrize("name", ["bicycle", "tricycle", "wheelchair", "cart", "hoverboard"])
+def test_the_asked_curvature_is_held_after_ten_steps(name):
+    model = driven(name, 0.1)
+    state = riding(model, 0.5, 1.0, 1.5)
+    asked = torch.full((3,), CURVATURE).double()
+    for _ in range(10):
+        state = model.step(state, model.control_for(state, torch.zeros(3).double(), asked))
+    torch.testing.assert_close(state[:, 5] / state[:, 2], asked, rtol=0.05, atol=0)
+
+
+def test_a_full_stop_is_asked_for_with_a_gradient():
+    model = driven("wheelchair", 0.1)
+    asked = torch.zeros(1).double().requires_grad_()
+    start = riding(model, 0.0).requires_grad_()
+    model.control_for(start, asked, asked).sum().backward()
+    assert start.grad.isfinite().all()
+    assert asked.grad.isfinite().all()
+
+
+def test_the_gradient_of_a_control_is_exact():
+    model = driven("wheelchair", 0.1)
+    given = [riding(model, 1.0), torch.full((1,), 0.3).double(), torch.full((1,), 0.2).double()]
+    assert torch.autograd.gradcheck(
+        model.control_for, [each.requires_grad_() for each in given], atol=1e-5
+    )
