@@ -8,12 +8,17 @@ from diffstack_mmv.types import Motion, PlanningProblem
 
 
 class ControlEffort(CostTerm):
-    """Sum of the squared controls relative to the limits of the vehicle, dimensionless."""
+    """Sum of the squared controls, each relative to its bound, dimensionless.
+
+    Bounds are those of the dynamics. The steering of DiffGM3 is a command that a soft clamp takes
+    to an angle, bounded at twice the steering limit: a command as large as the limit costs 1/4,
+    where the steering angle of DiffKBM at its limit costs 1.
+    """
 
     def forward(
         self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
     ) -> Float[Tensor, "*b t"]:
-        """Value at each time; 1 per control at its limit."""
+        """Value at each time; 1 per control at its bound."""
         return controls.square().sum(-1)
 
 
