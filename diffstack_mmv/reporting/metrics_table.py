@@ -112,7 +112,7 @@ def baseline_table(metrics: Mapping[str, Any], scores: Scores) -> pd.DataFrame:
         for path, prefix in OWN_PATHS.items()
     }
     for method, per_mode in metrics["baselines"].items():
-        rows[method] = {
+        rows[method.replace("_", " ")] = {
             f"{mode} {title}": told[name]
             for mode, told in per_mode.items()
             for name, title in titles.items()
@@ -138,7 +138,8 @@ def situation_table(metrics: Mapping[str, Any]) -> pd.DataFrame:
             row = {"mode": mode, "situation": situation, "n": told["n"]}
             row |= {MEDIAN: told["median_ade"]}
             row |= {"plan": told["plan_ade"]} if "plan_ade" in told else {}
-            rows.append(row | {name: value["ade"] for name, value in told["baselines"].items()})
+            trivial = told["baselines"].items()
+            rows.append(row | {name.replace("_", " "): value["ade"] for name, value in trivial})
     return pd.DataFrame(rows)
 
 

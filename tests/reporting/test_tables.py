@@ -85,7 +85,7 @@ def test_markdown_says_where_the_goal_came_from_and_shows_the_baselines(tmp_path
     write_run(tmp_path, "kbm", 0)
     text = (tmp_path / "metrics.md").read_text()
     assert "no future used" in text
-    assert "stand_still" in text
+    assert "stand still" in text
 
 
 @pytest.fixture

@@ -73,9 +73,7 @@ def _situations(metrics: Mapping[str, Any]) -> Section:
     blocks: list[Block] = []
     for mode, group in frame.groupby("mode", sort=False):
         methods = [name for name in group.columns if name not in ("mode", "situation", "n")]
-        numbers = {
-            str(name).replace("_", " "): group[name].astype(float).tolist() for name in methods
-        }
+        numbers = {str(name): group[name].astype(float).tolist() for name in methods}
         labels = [f"{row.situation} ({row.n})" for row in group.itertuples()]
         blocks.append(Bars(f"ADE by situation: {mode}", "ADE [m]", labels, numbers))
     return Section("Situations", [*blocks, frame_table("ADE in m by situation", frame)])
