@@ -5,6 +5,7 @@ Hydra's composition, one message per failure, and an exit status to trust.
 
 import functools
 import gc
+import logging
 import math
 import os
 import shlex
@@ -175,16 +176,27 @@ def _no_search_for_garbage() -> Iterator[None]:
         gc.enable()
 
 
+def _tells_something(record: logging.LogRecord) -> bool:
+    """Whether a line of Lightning says more than its advertisements and the settings again."""
+    told = record.getMessage()
+    return not (told.startswith(("💡 Tip", "TPU available")) or "was configured so" in told)
+
+
 @contextmanager
 def _quiet_dependencies() -> Iterator[None]:
     """Keep what packages deprecate from people who use none of it; PYTHONWARNINGS shows it."""
+    lightning = logging.getLogger("pytorch_lightning.utilities.rank_zero")
+    lightning.addFilter(_tells_something)
     with warnings.catch_warnings():
         if not sys.warnoptions:
             for category in (DeprecationWarning, PendingDeprecationWarning, FutureWarning):
                 warnings.simplefilter("ignore", category)
             # scores are added up over the processes before they are logged
             warnings.filterwarnings("ignore", r".*self\.log\(.*sync_dist=True")
-        yield
+        try:
+            yield
+        finally:
+            lightning.removeFilter(_tells_something)
 
 
 @contextmanager

@@ -2,10 +2,12 @@
 
 import contextlib
 import gc
+import logging
 import shlex
 import sys
 import warnings
 from importlib.util import find_spec
+from io import StringIO
 
 import pytest
 from hydra.core.global_hydra import GlobalHydra
@@ -177,6 +179,30 @@ def test_deprecations_of_packages_are_shown_to_who_asks(run, monkeypatch, catego
         warnings.simplefilter("always")
         run("needed=1", task=lambda config: warnings.warn("old", category, stacklevel=1))
     assert sum(each.category is category for each in caught) == shown
+
+
+@pytest.mark.parametrize(
+    ("line", "shown"),
+    [
+        ("GPU available: False, used: False", True),
+        ("TPU available: False, using: 0 TPU cores", False),
+        ("💡 Tip: For seamless cloud logging, try installing something.", False),
+        ("`Trainer(limit_val_batches=1.0)` was configured so 100% of the batches ...", False),
+    ],
+)
+def test_of_lightning_only_what_tells_something_is_logged(run, line, shown):
+    logger = logging.getLogger("pytorch_lightning.utilities.rank_zero")
+    told = StringIO()
+
+    def log(config):
+        handler = logging.StreamHandler(told)
+        logger.addHandler(handler)
+        logger.error(line)
+        logger.removeHandler(handler)
+
+    run("needed=1", task=log)
+    assert (line in told.getvalue()) is shown
+    assert not logger.filters
 
 
 def test_a_bug_is_not_hidden_behind_a_message(run):
