@@ -20,7 +20,7 @@ SHOWN = ("median_ade", "plan_ade")
 
 
 def scenes_of(
-    batch: StackBatch, output: Any, titles: list[str], shown_components: int = 5
+    batch: StackBatch, output: Any, titles: list[str], shown_components: int = 8
 ) -> list[PlannedScene]:
     """What a stack made of a batch, ready to draw; positions in m."""
     own = map_tensors(lambda field: field[:, 0], output.forecast)  # that of the ego

@@ -12,6 +12,7 @@ from diffstack_mmv.plotting.figures import PALETTE, new_figure
 
 ASPECT = 0.75  # height of a panel by its width
 MARGIN_M = 1.0
+FAINTEST = 0.3  # opacity of the lightest component; the heaviest has 1, however many there are
 
 
 class PlannedScene(NamedTuple):
@@ -33,12 +34,13 @@ def draw_scene(axes: Axes, scene: PlannedScene) -> None:
     """Draw one sample into a pair of axes."""
     for path in scene.candidates:
         axes.plot(*path.T, color="0.85", linewidth=0.6, label="candidates", zorder=1)
+    heaviest = scene.weights.max(initial=0.0)
     for path, weight in zip(scene.components, scene.weights, strict=True):
         axes.plot(
             *path.T,
             color=PALETTE[5],
-            linewidth=1.0,
-            alpha=float(np.clip(weight, 0.15, 1.0)),
+            linewidth=1.4,
+            alpha=max(FAINTEST, float(weight / heaviest)) if heaviest > 0 else FAINTEST,
             label="components of the forecast",
             zorder=2,
         )

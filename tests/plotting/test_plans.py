@@ -45,3 +45,15 @@ def test_everything_drawn_is_named_once_for_all_panels():
     assert len(named) == len(set(named))
     assert set(named) == {label for label in drawn if not label.startswith("_")}
     assert {"candidates", "others, from the square", "plan", "prediction"} <= set(named)
+
+
+@pytest.mark.parametrize("count", [1, 16])
+def test_the_heaviest_component_is_opaque_however_many_there_are(count):
+    line = np.ones((1, 30, 2))
+    weights = np.linspace(0.5, 1.0, count) / count
+    scene = heading_for((4.0, 1.0))._replace(
+        components=np.repeat(line, count, axis=0), weights=weights
+    )
+    lines = draw_scenes([scene]).axes[0].get_lines()
+    opacity = [line.get_alpha() for line in lines if "components" in line.get_label()]
+    assert len(opacity) == count and opacity[-1] == 1.0
