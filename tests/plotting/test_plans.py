@@ -56,4 +56,5 @@ def test_the_heaviest_component_is_opaque_however_many_there_are(count):
     )
     lines = draw_scenes([scene]).axes[0].get_lines()
     opacity = [line.get_alpha() for line in lines if "components" in line.get_label()]
-    assert len(opacity) == count and opacity[-1] == 1.0
+    assert len(opacity) == count
+    assert opacity[-1] == 1.0
