@@ -68,6 +68,11 @@ class SimulatedVehicle:
         """
         return model_of(self.spec(), self.dynamics, step_s)
 
+    def governed_speed_mps(self) -> float | None:
+        """Top speed in m/s to which the drive is governed; None where the model keeps it itself."""
+        kept = self.model(FINEST_NEEDED_S).keeps_top_speed
+        return None if kept else self.spec().limits.speed_max_mps
+
 
 def vehicle_robot(
     vehicle: SimulatedVehicle,
@@ -96,10 +101,10 @@ def vehicle_robot(
         ValueError: The step, the delay, the noise or the bias does not fit.
     """
     model = vehicle.model(step_s)
-    speed = None if model.keeps_top_speed else vehicle.spec().limits.speed_max_mps
+    top = vehicle.governed_speed_mps()
     return VehicleRobot(
         model,
-        Actuation(delay_s, tuple(noise), seed, speed, tuple(bias)),
+        Actuation(delay_s, tuple(noise), seed, top, tuple(bias)),
         footprint=footprint or vehicle_footprint(vehicle),
     )
 
@@ -144,7 +149,8 @@ def controller_model(
     repeats = require_multiple("dt_s", dt_s, step_s, "for the model's step `step_s`")
     robot = actual.model(FINEST_NEEDED_S)
     ahead = robot.reference_ahead_m - model.reference_ahead_m
-    return ZeroOrderHold(believed.model(step_s), repeats, ahead).to(torch.float32)
+    held = ZeroOrderHold(believed.model(step_s), repeats, ahead, believed.governed_speed_mps())
+    return held.to(torch.float32)
 
 
 def actuation(believed: SimulatedVehicle, actual: SimulatedVehicle) -> Actuate:

@@ -19,6 +19,7 @@ from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.simulation.case_noise import case_noise
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint
+from diffstack_mmv.simulation.governor import Governor
 from diffstack_mmv.simulation.robot import Travel
 from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.verdict import RobotPath
@@ -110,16 +111,8 @@ class VehicleRobot:
             if self.actuation.delay_s > 0
             else 0
         )
-        self._governed = self._governed_column()
-
-    def _governed_column(self) -> int | None:
-        """Column of the acceleration command, where a top speed has to be kept."""
-        if self.actuation.speed_max_mps is None:
-            return None
-        names = list(self.model.Control._fields)
-        remedy = "A top speed needs a model that is driven by an acceleration."
-        require("acceleration" in names, "controls", "contain acceleration", names, remedy=remedy)
-        return names.index("acceleration")
+        top = self.actuation.speed_max_mps
+        self._governor = None if top is None else Governor(self.model, top)
 
     @property
     def bounds(self) -> Bounds:
@@ -175,7 +168,7 @@ class VehicleRobot:
         )
         models, controls = [state.model], []
         for piece in range(pieces):
-            controls.append(self._governed_control(models[-1], queue[..., piece, :]))
+            controls.append(self._governed(models[-1], queue[..., piece, :]))
             models.append(self.model(models[-1], controls[-1]))
         after = VehicleState(
             models[-1], controls[-1], queue[..., pieces:, :], state.steps + 1, state.case
@@ -198,15 +191,8 @@ class VehicleRobot:
             action = action + action.new_tensor(self.actuation.bias)
         return torch.minimum(torch.maximum(action, self._bounds.lower), self._bounds.upper)
 
-    def _governed_control(
-        self, model_state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
+    def _governed(
+        self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
     ) -> Float[Tensor, "*b m"]:
-        """Let the drive push no further than to the top speed, ahead or backwards."""
-        if self._governed is None or self.actuation.speed_max_mps is None:
-            return control
-        speed = self.model.motion(model_state, control).velocity[..., 0]
-        top, dt_s = self.actuation.speed_max_mps, self.model.dt_s
-        least, most = (-top - speed) / dt_s, (top - speed) / dt_s
-        columns = list(control.unbind(dim=-1))
-        columns[self._governed] = torch.clamp(columns[self._governed], least, most)
-        return torch.stack(columns, dim=-1)
+        """What the drive makes of a command in a state of the model."""
+        return control if self._governor is None else self._governor(state, control)

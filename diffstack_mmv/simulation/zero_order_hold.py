@@ -10,6 +10,7 @@ from torch import Tensor
 from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.dynamics import DerivedQuantity, DriverInput, DynamicsModel, WheelForces
 from diffstack_mmv.geometry import direction
+from diffstack_mmv.simulation.governor import Governor
 from diffstack_mmv.types import Motion
 
 
@@ -24,12 +25,20 @@ class ZeroOrderHold(DynamicsModel):
         model: The model, whose parameters stay shared.
         repeats: Steps of the model per control.
         ahead_m: Distance of the point ahead of the model's reference point.
+        speed_max_mps: Top speed to which the drive of the vehicle is governed, ahead and backwards;
+            none where the model keeps it, or there is none.
 
     Raises:
-        ValueError: There is not at least one step.
+        ValueError: There is not at least one step, or the top speed does not fit the model.
     """
 
-    def __init__(self, model: DynamicsModel, repeats: int, ahead_m: float = 0.0) -> None:
+    def __init__(
+        self,
+        model: DynamicsModel,
+        repeats: int,
+        ahead_m: float = 0.0,
+        speed_max_mps: float | None = None,
+    ) -> None:
         require_at_least("repeats", repeats, 1)
         for record in ("State", "Control"):
             setattr(self, record, getattr(model, record))
@@ -38,13 +47,15 @@ class ZeroOrderHold(DynamicsModel):
         self.model = model
         self.repeats = repeats
         self.ahead_m = ahead_m
+        self.governor = None if speed_max_mps is None else Governor(model, speed_max_mps)
 
     def step(
         self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
     ) -> Float[Tensor, "*b n"]:
         """Advance by one control step."""
         for _ in range(self.repeats):
-            state = self.model.step(state, control)
+            acting = control if self.governor is None else self.governor(state, control)
+            state = self.model.step(state, acting)
         return state
 
     def motion(self, states: Float[Tensor, "*b n"], controls: Float[Tensor, "*b m"]) -> Motion:

@@ -13,7 +13,8 @@ from diffstack_mmv.simulation import (
     vehicle_robot,
 )
 from diffstack_mmv.simulation.forecasters import ConstantVelocityForecaster
-from diffstack_mmv.types import Outcome
+from diffstack_mmv.types import Outcome, map_tensors
+from tests.simulation.conftest import LIMITS
 
 
 @pytest.mark.parametrize(("vehicle", "braking"), [("bicycle", -3.0), ("wheelchair", -2.2)])
@@ -31,6 +32,26 @@ def test_equal_models_share_controls_and_reference_point(driven):
     control = torch.tensor([[1.0, 0.3]])
     assert torch.equal(actuation(driven(), driven())(control), control)
     assert controller_model(driven(), driven()).ahead_m == 0
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "dynamics"),
+    [("bicycle", "kbm"), ("bicycle", "unicycle"), ("wheelchair", "gm3"), ("tricycle", "gm3")],
+)
+def test_a_controller_believes_in_the_top_speed_of_the_robot(driven, scene_with, vehicle, dynamics):
+    chosen = driven(vehicle, dynamics)
+    robot, model = vehicle_robot(chosen), controller_model(chosen, chosen)
+    names = model.Control._fields
+    push = torch.tensor([2.0 if name == "acceleration" else 0.3 for name in names])
+    state = robot.start(scene_with((9.0, 0.0), (9.0, 1.0)))
+    believed = model.initial_state(map_tensors(torch.Tensor.float, robot.motion(state)))
+    for _ in range(16):
+        state = robot.step(state, push.double(), 0.25).state
+        believed = model(believed, push)
+    speeds = [
+        each.velocity[0].item() for each in (robot.motion(state), model.motion(believed, push))
+    ]
+    assert speeds == pytest.approx([LIMITS["speed_max_mps"]] * 2, rel=0.04)
 
 
 def test_a_kinematic_controller_steers_gm3_to_the_same_angle(driven):
