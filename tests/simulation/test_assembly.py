@@ -51,7 +51,7 @@ def test_a_controller_believes_in_the_top_speed_of_the_robot(driven, scene_with,
     speeds = [
         each.velocity[0].item() for each in (robot.motion(state), model.motion(believed, push))
     ]
-    assert speeds == pytest.approx([LIMITS["speed_max_mps"]] * 2, rel=0.04)
+    assert speeds == pytest.approx([LIMITS["speed_max_mps"]] * 2, rel=0.05)
 
 
 def test_a_kinematic_controller_steers_gm3_to_the_same_angle(driven):
