@@ -149,8 +149,10 @@ def controller_model(
     repeats = require_multiple("dt_s", dt_s, step_s, "for the model's step `step_s`")
     robot = actual.model(FINEST_NEEDED_S)
     ahead = robot.reference_ahead_m - model.reference_ahead_m
-    held = ZeroOrderHold(believed.model(step_s), repeats, ahead, believed.governed_speed_mps())
-    return held.to(torch.float32)
+    # a model with other controls may be believed in, but its drive is not known
+    governed = "acceleration" in model.Control._fields
+    top = believed.governed_speed_mps() if governed else None
+    return ZeroOrderHold(believed.model(step_s), repeats, ahead, top).to(torch.float32)
 
 
 def actuation(believed: SimulatedVehicle, actual: SimulatedVehicle) -> Actuate:

@@ -25,6 +25,7 @@ from diffstack_mmv.types import GRAVITY, Motion
 from diffstack_mmv.vehicles import (
     BODY_PARAMETERS,
     WHEEL_PARAMETERS,
+    DifferentialDrive,
     SoftClamped,
     VehicleSpec,
     require_vehicle,
@@ -197,11 +198,18 @@ class DiffGM3(DynamicsModel):
         """Control that holds an acceleration (m/s²) and a path curvature (1/m), by linear tyres.
 
         The steering angle is that of a steady turn with understeer, its tangent exact for the
-        kinematics, sent through the inverse of the soft clamp.
+        kinematics, sent through the inverse of the soft clamp. Wheels that turn the vehicle by the
+        difference of their forces push it on besides, by 0.9 m/s² in the tightest turn of the
+        wheelchair, which is taken off the acceleration.
         """
         command = self.steer_for(state, curvature)
         pair = torch.broadcast_tensors(acceleration, command)
-        return self.within_bounds(torch.stack(pair, -1))
+        control = self.within_bounds(torch.stack(pair, -1))
+        if not isinstance(self.spec.steering, DifferentialDrive):
+            return control
+        pushed = self.derivative(state, control)[..., 2] - control[..., 0]
+        corrected = torch.stack([control[..., 0] - pushed, control[..., 1]], -1)
+        return self.within_bounds(corrected)
 
     def curvature_within_grip(
         self,
