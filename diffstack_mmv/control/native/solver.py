@@ -34,9 +34,10 @@ REALS = {torch.float32: "float", torch.float64: "double"}
 MOST_SIZES = 64  # step sizes that a library tries
 MOST_LIBRARIES = 5
 """Shapes of a kind of problem that get a library; more, as of changing neighbors, take too long."""
-LONGEST_SOURCE = 500_000
-"""Characters of a library without its tables, beyond which a compiler takes half a minute and more:
-DiffGM3 has 0.7 of it, that of a tricycle 0.96, whatever the number of agents."""
+LONGEST_SOURCE = 800_000
+"""Characters of a library without its tables, beyond which a compiler takes a minute and more.
+DiffGM3 has 0.4 to 0.65 of it, whatever the number of agents, and takes up to 40 s, where kernels on
+tensors take ten minutes."""
 LONG_SOURCE = 100_000
 """Characters beyond which the compiler searches less, `QUICKLY`."""
 QUICKLY = (
