@@ -35,9 +35,20 @@ WARM_UP_PAIRS = 10
 
 def composed(arguments):
     """The stack and the data of `train` with these arguments, whatever the checkout."""
+    from hydra.utils import instantiate
+
+    config = _resolved(arguments)
+    return _started(config), instantiate(config.data.module)
+
+
+def composed_stack(arguments):
+    """The stack of `train` with these arguments, without its data."""
+    return _started(_resolved(arguments))
+
+
+def _resolved(arguments):
     from hydra import compose, initialize_config_dir
     from hydra.core.hydra_config import HydraConfig
-    from hydra.utils import instantiate
     from omegaconf import OmegaConf, open_dict
 
     import diffstack_mmv.cli  # noqa: F401  registers the resolvers
@@ -49,12 +60,20 @@ def composed(arguments):
     with open_dict(config):
         config.pop("hydra")
     OmegaConf.resolve(config)
-    stack, data = instantiate(config.stack), instantiate(config.data.module)
+    return config
+
+
+def _started(config):
+    """The stack, from a checkpoint where one is told."""
+    from hydra.utils import instantiate
+
+    stack = instantiate(config.stack)
     if config.get("start"):
         from diffstack_mmv.stack import start_from
+        from dmmv_conventions.pretrained import checkpoint_path
 
-        start_from(stack, Path(config.start))
-    return stack, data
+        start_from(stack, checkpoint_path(config.start))
+    return stack
 
 
 def crowd(batch, count):

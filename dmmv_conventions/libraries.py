@@ -145,6 +145,19 @@ def header(package: str, name: str) -> str:
     return "\n".join(line for line in lines if not line.startswith(('#include "', "#pragma once")))
 
 
+def within_reach(*tensors: Tensor) -> bool:
+    """Whether libraries, which run on the host, can take tensors: as they are, or copies of them.
+
+    Other devices than CUDA were not tried.
+    """
+    return all(tensor.device.type in ("cpu", "cuda") for tensor in tensors)
+
+
+def brought(*tensors: Tensor) -> list[Tensor]:
+    """Contiguous copies on the host, where libraries run; a tensor itself where it is so."""
+    return [tensor.detach().to("cpu").contiguous() for tensor in tensors]
+
+
 def pointers(*tensors: Tensor) -> list[Any]:
     """Addresses of contiguous tensors."""
     return [ctypes.c_void_p(tensor.data_ptr()) for tensor in tensors]

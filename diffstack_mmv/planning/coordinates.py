@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from diffstack_mmv.control.native.scan import scan
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.types import Bounds
 
@@ -41,9 +42,15 @@ class ControlCoordinates(Protocol):
         ...
 
     def coordinates(
-        self, start: Float[Tensor, "*b n"], controls: Float[Tensor, "*b T m"]
-    ) -> Float[Tensor, "*b T m"]:
-        """Coordinates of the controls of a plan from a state."""
+        self, start: Float[Tensor, "b n"], controls: Float[Tensor, "b T m"], compile: bool = False
+    ) -> Float[Tensor, "b T m"]:
+        """Coordinates of the controls of plans from some states, without a gradient.
+
+        Args:
+            start: The states.
+            controls: The controls.
+            compile: Find them in a generated library where there is one.
+        """
         ...
 
 
@@ -83,8 +90,8 @@ class PhysicalControls:
         return coordinates
 
     def coordinates(
-        self, start: Float[Tensor, "*b n"], controls: Float[Tensor, "*b T m"]
-    ) -> Float[Tensor, "*b T m"]:
+        self, start: Float[Tensor, "b n"], controls: Float[Tensor, "b T m"], compile: bool = False
+    ) -> Float[Tensor, "b T m"]:
         """What was given."""
         return controls
 
@@ -142,18 +149,29 @@ class SharesAboveRest:
         acting = (steps < states.shape[-2] - 1).to(states.dtype)
         return self.controls(states, coordinates) * acting.unsqueeze(-1)
 
+    @torch.no_grad()
     def coordinates(
-        self, start: Float[Tensor, "*b n"], controls: Float[Tensor, "*b T m"]
-    ) -> Float[Tensor, "*b T m"]:
-        """Shares along the motion from a state; braking beyond rest is braking to rest."""
+        self, start: Float[Tensor, "b n"], controls: Float[Tensor, "b T m"], compile: bool = False
+    ) -> Float[Tensor, "b T m"]:
+        """Shares along the motions; braking beyond rest is braking to rest."""
+        found = scan(self._told, start, controls, [self.dynamics]) if compile else None
+        if found is not None:
+            return found.outputs
         state, rows = start, []
         for control in controls.unbind(-2):
-            columns = list(control.unbind(-1))
-            least, most = self._range(state)
-            columns[self.column] = ((columns[self.column] - least) / (most - least)).clamp(0, 1)
-            rows.append(torch.stack(columns, -1))
-            state = self._step(state, rows[-1])
+            state, shares = self._told(state, control)
+            rows.append(shares)
         return torch.stack(rows, -2)
+
+    def _told(
+        self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
+    ) -> tuple[Float[Tensor, "*b n"], Float[Tensor, "*b m"]]:
+        """The next state, and the coordinates of a control."""
+        columns = list(control.unbind(-1))
+        least, most = self._range(state)
+        columns[self.column] = ((columns[self.column] - least) / (most - least)).clamp(0, 1)
+        shares = torch.stack(columns, -1)
+        return self._step(state, shares), shares
 
     def _range(
         self, states: Float[Tensor, "*b n"]

@@ -227,8 +227,7 @@ class MPCPlanner(Planner):
         coordinates = (PhysicalControls if limited else self.coordinates)(self.dynamics)
         cost = batched_objective(self, self.dynamics, each, coordinates)
         start = initial_state(self.dynamics, each.ego)
-        with torch.no_grad():
-            first = coordinates.coordinates(start, proposed)
+        first = coordinates.coordinates(start.detach(), proposed, self._in_library)
         if self.constraints is not None and limited and isinstance(self.solver, ILQR):
             solve = self.constraints.solve
             solution = solve(self.solver, self.dynamics, each, cost, first, start)

@@ -66,7 +66,8 @@ def taken(module: nn.Module, n: int, m: int, dtype: torch.dtype) -> TakenModule:
         own = dict(zip(named, tensors, strict=True))
         return [torch.func.functional_call(module, own, (state, control))]
 
-    inputs = [torch.zeros(1, size, dtype=dtype) for size in (n, m)]
+    device = next(iter(named.values())).device
+    inputs = [torch.zeros(1, size, dtype=dtype, device=device) for size in (n, m)]
     inputs += [each.detach() for each in named.values()]
     with torch.no_grad():
         graph = make_fx(step, decomposition_table=decompositions())(*inputs)

@@ -20,8 +20,7 @@ from diffstack_mmv.control.native.library import POINT, TEMPLATE, header, openin
 from diffstack_mmv.control.native.modules import ModelWorkshop, Ready, counts
 from diffstack_mmv.control.native.own_numbers import prelude_adjoint
 from diffstack_mmv.control.native.stages import StagedStep
-from diffstack_mmv.types import on_host
-from dmmv_conventions.libraries import pointers
+from dmmv_conventions.libraries import brought, pointers, within_reach
 
 Moments = tuple[Float[Tensor, "N T 2"], Float[Tensor, "N T 2 2"]]
 
@@ -45,7 +44,7 @@ def moments(
         controls: Mean controls.
         scale: Cholesky factors L of their covariances.
     """
-    if not on_host(start) or controls.numel() == 0:
+    if not within_reach(start) or controls.numel() == 0:
         return None
     workshop = _WORKSHOPS.get(dynamics)
     if workshop is None:
@@ -56,8 +55,8 @@ def moments(
     ready = workshop.library(dynamics, *sizes, start.dtype, source)
     if ready is None:
         return None
-    flat = (each.contiguous() for each in (start, covariance, controls, scale))
-    found: Moments = _Moments.apply(ready, ready.numbers, *flat)  # type: ignore[no-untyped-call]
+    rows = start, covariance, controls, scale
+    found: Moments = _Moments.apply(ready, ready.numbers, *rows)  # type: ignore[no-untyped-call]
     return found
 
 
@@ -123,18 +122,19 @@ class _Moments(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, ready: Ready, numbers: Tensor, *rows: Tensor) -> tuple[Tensor, Tensor]:
-        start, _, controls, scale = rows
+        device = rows[0].device
+        numbers, start, covariance, controls, scale = brought(numbers, *rows)
         (count, steps, m), n = controls.shape, start.shape[-1]
         found = start.new_empty(count, steps, 2), start.new_empty(count, steps, 2, 2)
         keeps, whole = any(ctx.needs_input_grad), -(-count // LANES) * LANES
         kept = start.new_empty(whole, steps, n * (1 + n + n + m)) if keeps else None
-        given = pointers(*(each.detach() for each in (numbers, *rows)), *found)
+        given = pointers(numbers, start, covariance, controls, scale, *found)
         each = counts(count, torch.get_num_threads(), steps)
         ready.library.dmmv_moments(*each, *given, *([None] if kept is None else pointers(kept)))
         if kept is not None:
             ctx.library, ctx.states = ready.library, n
             ctx.save_for_backward(numbers, controls, scale, kept)
-        return found
+        return found[0].to(device), found[1].to(device)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -148,7 +148,7 @@ class _Moments(torch.autograd.Function):
             torch.empty_like(controls),
             torch.empty_like(scale),
         )
-        given = numbers.detach(), controls, scale, kept, *(each.contiguous() for each in slopes)
+        given = numbers, controls, scale, kept, *brought(*slopes)
         each = counts(count, torch.get_num_threads(), steps)
         ctx.library.dmmv_moments_adjoint(*each, *pointers(*given, *found))
-        return None, *found
+        return None, *(each.to(slopes[0].device) for each in found)

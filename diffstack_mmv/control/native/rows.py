@@ -74,10 +74,8 @@ def _first(function: Any, originals: dict[int, Tensor]) -> Any:
 def in_rows(
     problem: Taken, tensors: Sequence[Tensor], count: int, like: Tensor
 ) -> Float[Tensor, "count P"]:
-    """Parameters as one row per problem, of the type of another tensor."""
-    real = like.dtype
-    given = [each.detach() for each in tensors]
-    plain = [each if each.dtype == real else each.to(real) for each in given]
+    """Parameters as one row per problem, of the type and on the device of another tensor."""
+    plain = [each.detach().to(like) for each in tensors]
     if count == 1:
         return torch.cat([each.reshape(-1) for each in plain] or [like.new_empty(0)]).unsqueeze(0)
     rows = [like.new_empty(count, 0)]
@@ -93,6 +91,7 @@ class Form(NamedTuple):
 
     shape: torch.Size
     dtype: torch.dtype
+    device: torch.device
     first: int  # place of its first number in a row
     size: int  # numbers of it in a row
 
@@ -103,7 +102,7 @@ def forms_of(
     """Forms of the tensors whose slopes are wanted."""
     places = accumulate(sizes, initial=0)
     return [
-        Form(each.shape, each.dtype, first, size) if is_wanted else None
+        Form(each.shape, each.dtype, each.device, first, size) if is_wanted else None
         for each, first, size, is_wanted in zip(tensors, places, sizes, wanted, strict=False)
     ]
 
@@ -120,5 +119,5 @@ def from_rows(rows: Float[Tensor, "count P"], forms: Sequence[Form | None]) -> l
             continue
         source = rows if form.shape.numel() == len(rows) * form.size else total
         slope = source[:, form.first : form.first + form.size].reshape(form.shape)
-        slopes.append(slope if slope.dtype == form.dtype else slope.to(form.dtype))
+        slopes.append(slope.to(form.device, form.dtype))
     return slopes

@@ -1,16 +1,17 @@
-// Rows stepped forward side by side, eight at a time.
+// Rows stepped forward side by side, eight at a time, shared among threads.
 #pragma GCC visibility push(default)
 extern "C" {
 
 // state (count, n), inputs (count, steps, k) -> states (count, steps + 1, n), outputs (count, steps, r)
-void dmmv_scan(long count, long steps, const Real* parameters, const Real* state, const Real* inputs, Real* states,
-               Real* outputs) {
+void dmmv_scan(long count, long threads, long steps, const Real* parameters, const Real* state, const Real* inputs,
+               Real* states, Real* outputs) {
   using P = Problem;
   using namespace dmmv;
   constexpr int n = P::n, k = P::inputs, r = P::outputs;
   Real q[P::NUMBERS + 1];
   P::prelude(parameters, q);
-  for (long first = 0; first < count; first += LANES) {
+  for_each((count + LANES - 1) / LANES, threads, [&](long group) {
+    const long first = group * LANES;
     const int lanes = int(count - first < LANES ? count - first : LANES);
     Pack x[n], u[k + 1], y[n + r];
     for (int lane = 0; lane < LANES; ++lane) {
@@ -30,7 +31,7 @@ void dmmv_scan(long count, long steps, const Real* parameters, const Real* state
       for (int lane = 0; lane < lanes; ++lane)
         for (int i = 0; i < r; ++i) outputs[((first + lane) * steps + t) * r + i] = y[n + i][lane];
     }
-  }
+  });
 }
 
 }  // extern "C"

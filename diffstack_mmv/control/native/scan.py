@@ -22,8 +22,7 @@ from diffstack_mmv.control.native.lowering import CannotLowerError, Entries
 from diffstack_mmv.control.native.scalar import Program
 from diffstack_mmv.control.native.solver import REALS
 from diffstack_mmv.control.native.stages import StagedStep, staged_step
-from diffstack_mmv.types import on_host
-from dmmv_conventions.libraries import CannotBuildError, load, pointers
+from dmmv_conventions.libraries import CannotBuildError, brought, load, pointers, within_reach
 from dmmv_conventions.progress import waiting
 
 LOGGER = logging.getLogger(__name__)
@@ -53,7 +52,7 @@ def scan(
         inputs: Of each row in each step.
         parts: Functions that the step calls, which tell it from other steps of the same code.
     """
-    plainly = on_host(state) and state.dtype in REALS and inputs.dtype == state.dtype
+    plainly = within_reach(state) and state.dtype in REALS and inputs.dtype == state.dtype
     if not (plainly and state.numel() and inputs.numel()):
         return None
     key = kind(step), *map(kind, parts), state.dtype, state.shape[-1], inputs.shape[-1]
@@ -104,15 +103,15 @@ class _Stepper:
 def _scanned(call: Any, taken: Taken, state: Tensor, inputs: Tensor) -> Scanned:
     problem: StagedStep = taken.problem
     count, steps, _ = inputs.shape
+    rows = [each.detach().to(state).flatten() for each in taken.parameters]
+    given = brought(torch.cat([state.new_empty(0), *rows]), state, inputs)
     result = Scanned(
-        state.new_empty(count, steps + 1, problem.state),
-        state.new_empty(count, steps, len(problem.step.outputs) - problem.state),
+        given[1].new_empty(count, steps + 1, problem.state),
+        given[1].new_empty(count, steps, len(problem.step.outputs) - problem.state),
     )
-    rows = [each.detach().to(state.dtype).flatten() for each in taken.parameters]
-    parameters = torch.cat([state.new_empty(0), *rows])
-    given = parameters, state.contiguous(), inputs.contiguous()
-    call(ctypes.c_long(count), ctypes.c_long(steps), *pointers(*given, *result))
-    return result
+    numbers = count, torch.get_num_threads(), steps
+    call(*map(ctypes.c_long, numbers), *pointers(*given, *result))
+    return Scanned(*(each.to(state.device) for each in result))
 
 
 _LIBRARIES: dict[tuple[int, torch.dtype], tuple[StagedStep, Any]] = {}

@@ -25,8 +25,8 @@ from diffstack_mmv.control.native.rows import BatchRecorder, forms_of, from_rows
 from diffstack_mmv.control.native.stages import StagedProblem
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.selection import Batched, is_shared
-from diffstack_mmv.types import Solution, SolverStatus, on_host
-from dmmv_conventions.libraries import CannotBuildError, load, pointers
+from diffstack_mmv.types import Solution, SolverStatus
+from dmmv_conventions.libraries import CannotBuildError, brought, load, pointers, within_reach
 from dmmv_conventions.progress import waiting
 
 LOGGER = logging.getLogger(__name__)
@@ -82,7 +82,7 @@ def solve(
 
 def _is_possible(dynamics: Dynamics, cost: Cost, numbers: Numbers, state: Tensor) -> bool:
     count = state[..., 0].numel()
-    fits = 0 < count <= numbers.most and on_host(state) and state.dtype in REALS
+    fits = 0 < count <= numbers.most and within_reach(state) and state.dtype in REALS
     fits = fits and numbers.settings.sizes.numel() <= MOST_SIZES
     if count <= 1:
         return fits
@@ -194,14 +194,16 @@ def _builders() -> ThreadPoolExecutor:
 def _anywhere(state: Tensor, controls: Tensor) -> Trajectory:
     """Trajectories of the right shape for one problem."""
     lead = (1,) * (state.dim() - 1)
-    return _zero_trajectory(lead, *controls.shape[-2:], state.shape[-1], state.dtype)
+    sizes = *controls.shape[-2:], state.shape[-1]
+    return _zero_trajectory(lead, *sizes, state.dtype, state.device)
 
 
 @functools.lru_cache(maxsize=64)
 def _zero_trajectory(
-    lead: tuple[int, ...], steps: int, m: int, n: int, dtype: torch.dtype
+    lead: tuple[int, ...], steps: int, m: int, n: int, dtype: torch.dtype, device: torch.device
 ) -> Trajectory:
-    return Trajectory(*(torch.zeros(*lead, steps + 1, size, dtype=dtype) for size in (n, m)))
+    shapes = ((*lead, steps + 1, size) for size in (n, m))
+    return Trajectory(*(torch.zeros(shape, dtype=dtype, device=device) for shape in shapes))
 
 
 def solved(
@@ -237,12 +239,13 @@ class _Solve(torch.autograd.Function):
     ) -> tuple[Tensor, ...]:
         problem: StagedProblem = taken.problem
         count, (n, m, steps, _) = len(state), problem.sizes
-        parameters = in_rows(taken, tensors, count, state)
+        device = state.device
+        rows = in_rows(taken, tensors, count, state), numbers.settings.box, state, controls
+        parameters, box, state, controls = brought(*rows)
         x, u = state.new_empty(count, steps + 1, n), state.new_empty(count, steps, m)
         cost, residual = state.new_empty(count), state.new_empty(count)
         iterations = torch.empty(count, dtype=torch.long)
         status = torch.empty_like(iterations)
-        box = numbers.settings.box.contiguous()
         record = settings_record(state.dtype)(
             numbers.max_iterations,
             numbers.settings.sizes.numel(),
@@ -250,26 +253,28 @@ class _Solve(torch.autograd.Function):
             float(numbers.settings.tolerance),
             float(numbers.settings.regularisation),
         )
-        given = parameters, box, state.contiguous(), controls.contiguous()
+        given = parameters, box, state, controls
         results = x, u, cost, residual, iterations, status
         call = library(problem, Library.SOLVE, state.dtype).dmmv_solve
         call(*_counts(count), *pointers(*given), ctypes.byref(record), *pointers(*results))
         sizes = [one.numel() for one in taken.parameters]
         ctx.problem, ctx.forms = problem, forms_of(tensors, sizes, ctx.needs_input_grad[4:])
         ctx.save_for_backward(parameters, box, x, u, status)
-        ctx.mark_non_differentiable(residual, iterations, status)
-        return results
+        returned = tuple(each.to(device) for each in results)
+        ctx.mark_non_differentiable(*returned[3:])
+        return returned
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor | None, ...]:
         parameters, box, x, u, status = ctx.saved_tensors
-        valid = status == SolverStatus.CONVERGED
+        valid, device = status == SolverStatus.CONVERGED, slopes[0].device
         by_parameters, by_state = torch.empty_like(parameters), torch.empty_like(x[:, 0])
-        given = parameters, box, x, u, valid, *(each.contiguous() for each in slopes[:3])
+        given = parameters, box, x, u, valid, *brought(*slopes[:3])
         call = library(ctx.problem, Library.ADJOINT, x.dtype).dmmv_adjoint
         call(*_counts(len(x)), *pointers(*given), *pointers(by_parameters, by_state))
-        return None, None, by_state, None, *from_rows(by_parameters, ctx.forms)
+        hidden = from_rows(by_parameters.to(device), ctx.forms)
+        return None, None, by_state.to(device), None, *hidden
 
 
 @functools.cache

@@ -23,7 +23,7 @@ from diffstack_mmv.prediction.trajectron.recomputed import recomputed
 from diffstack_mmv.prediction.trajectron.recurrence import Weights, emissions
 from diffstack_mmv.prediction.trajectron.start import StartBlend
 from diffstack_mmv.smooth import safe_norm, soft_clamp
-from diffstack_mmv.types import Motion
+from diffstack_mmv.types import Motion, on_host
 
 Jacobians = Callable[[DynamicsModel, Tensor, Tensor], Linearisation]
 START_DEVIATION = (0.03, 0.03, 0.05, 0.1)  # m along, m across, rad, m/s before training
@@ -123,8 +123,13 @@ class ControlDecoder(nn.Module):
             self.generated = moments
 
     def _in_libraries(self, hidden: Float[Tensor, "R K h"]) -> bool:
-        """Whether libraries take all steps, which leave out rows without a gradient themselves."""
-        return self.generated is not None and self.blocks is not None and self.blocks.fit(hidden)
+        """Whether libraries take all steps, which leave out rows without a gradient themselves.
+
+        On a GPU the recurrence keeps its states, of which there is room.
+        """
+        if self.generated is None or self.blocks is None:
+            return False
+        return not on_host(hidden) or self.blocks.fit(hidden)
 
     def _moments(
         self,

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from diffstack_mmv.prediction.trajectron.blocks import Blocks
+from diffstack_mmv.types import on_host
 
 
 class LSTMStep(NamedTuple):
@@ -22,7 +23,7 @@ class MaskedLSTM(nn.Module):
     """LSTM that keeps its state over rows that are not valid, whatever they hold.
 
     Can be differentiated once; a second derivative is refused. Computed in the precision of the
-    weights, under autocast as well.
+    weights, under autocast as well; on a GPU in that of the LSTM there (`torch.backends.cudnn`).
 
     Args:
         inputs: Number of features of a row.
@@ -49,9 +50,29 @@ class MaskedLSTM(nn.Module):
             if self.blocks is not None and self.blocks.fit(rows):
                 return self.blocks.last_states(rows, valid, weight)
             seen = torch.where(valid.unsqueeze(-1), rows, torch.zeros_like(rows))
+            if not on_host(seen):
+                return last_of_valid(self.cell, seen, valid)
             keep = valid.mT.to(weight.dtype, memory_format=torch.contiguous_format)
             last: Tensor = _Last.apply(seen.permute(1, 2, 0), keep, weight)  # type: ignore[no-untyped-call]
         return last.mT
+
+
+def last_of_valid(
+    cell: nn.LSTMCell, features: Float[Tensor, "R T f"], valid: Bool[Tensor, "R T"]
+) -> Float[Tensor, "R h"]:
+    """The state of `MaskedLSTM` by the LSTM of torch: a device takes it through all steps at once.
+
+    Rows of time that are not valid change nothing, so those that are valid are moved to the front,
+    and the state is taken after the last of them.
+    """
+    order = (~valid).long().argsort(dim=-1, stable=True).unsqueeze(-1)
+    first = features.new_zeros(1, len(features), cell.hidden_size)
+    weights = cell.weight_ih, cell.weight_hh, cell.bias_ih, cell.bias_hh
+    rows, learns = features.take_along_dim(order, 1), torch.is_grad_enabled()
+    states = torch.lstm(rows, (first, first), weights, True, 1, 0.0, learns, False, True)[0]
+    count = valid.sum(-1)[:, None, None]
+    last = states.take_along_dim((count - 1).clamp_min(0), 1)
+    return torch.where(count > 0, last, torch.zeros_like(last)).squeeze(1)
 
 
 class _Last(torch.autograd.Function):

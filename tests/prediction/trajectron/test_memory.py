@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
-from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
+from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM, last_of_valid
 
 
 def memory(inputs, hidden, compiled):
@@ -31,6 +31,20 @@ def test_value_and_gradient_are_those_of_the_cell(rows, width, compiled):
     features = torch.randn(rows, 6, width, dtype=torch.float64, requires_grad=True)
     valid = torch.rand(rows, 6) > 0.4
     found, expected = lstm(features, valid), written_out(lstm, features, valid)
+    assert torch.allclose(found, expected)
+    inputs, toward = [features, *lstm.parameters()], torch.randn_like(expected)
+    slopes = torch.autograd.grad(found, inputs, toward)
+    for slope, right in zip(slopes, torch.autograd.grad(expected, inputs, toward), strict=True):
+        assert torch.allclose(slope, right)
+
+
+@pytest.mark.parametrize("rows", [1, 40])
+def test_the_form_for_a_gpu_has_the_same_value_and_gradient(rows):
+    lstm = memory(3, 5, compiled=False).double()
+    features = torch.randn(rows, 6, 3, dtype=torch.float64, requires_grad=True)
+    valid = torch.rand(rows, 6) > 0.4
+    valid[0] = False
+    found, expected = last_of_valid(lstm.cell, features, valid), written_out(lstm, features, valid)
     assert torch.allclose(found, expected)
     inputs, toward = [features, *lstm.parameters()], torch.randn_like(expected)
     slopes = torch.autograd.grad(found, inputs, toward)
