@@ -41,13 +41,13 @@ def save(cache, data, path):
     torch.save(map_tensors(lambda field: field, next(iter(loaded.train_dataloader()))), path)
 
 
-def stack_of(model, device, compiled):
+def stack_of(model, device, compiled, more=()):
     """A stack with the weights of the package, ready for steps."""
     shipped = {"unicycle": "pretrained/unicycle", "DiffGM3": "pretrained/gm3"}.get(
         model, "pretrained"
     )
     torch.manual_seed(0)
-    stack = composed_stack([*MODELS[model], *SHIPPED, f"start={shipped}", "data.cache=none"])
+    stack = composed_stack([*MODELS[model], *SHIPPED, f"start={shipped}", "data.cache=none", *more])
     stack.log_dict = stack.log = lambda *given, **named: None
     if compiled:
         stack.compile_kernels()
@@ -92,9 +92,9 @@ def agreement(model, batch, neighbors):
     return found
 
 
-def row(model, device, compiled, batch, neighbors, budget_s):
+def row(model, device, compiled, batch, budget_s, more):
     """Windows per second in training and evaluation, the first step, the peak of the device."""
-    stack = stack_of(model, device, compiled)
+    stack = stack_of(model, device, compiled, more)
     made = stack.configure_optimizers()
     optimizer = made["optimizer"] if isinstance(made, dict) else made
     count, rates, firsts = len(batch.goal), [], []
@@ -122,6 +122,7 @@ def main():
         "--codes", nargs="+", default=["libraries"], choices=["libraries", "tensors"]
     )
     parser.add_argument("--devices", nargs="+", default=["cuda", "cpu"])
+    parser.add_argument("--override", action="append", default=[], help="as stack=mixed_precision")
     parser.add_argument("--budget", type=float, default=2.0, help="seconds of each measurement")
     parser.add_argument("--unchecked", action="store_true", help="do not compare the devices first")
     given = parser.parse_args()
@@ -150,7 +151,7 @@ def main():
                     for count in given.batches:
                         some = first(batch, count, neighbors, device)
                         rates = row(
-                            model, device, code == "libraries", some, neighbors, given.budget
+                            model, device, code == "libraries", some, given.budget, given.override
                         )
                         print(
                             f"| {model} | {neighbors} | {count} | {device} | {code} | {rates[0]:.0f} |"

@@ -67,12 +67,20 @@ def last_of_valid(
     """
     order = (~valid).long().argsort(dim=-1, stable=True).unsqueeze(-1)
     first = features.new_zeros(1, len(features), cell.hidden_size)
-    weights = cell.weight_ih, cell.weight_hh, cell.bias_ih, cell.bias_hh
+    weights = _beside_each_other(cell.weight_ih, cell.weight_hh, cell.bias_ih, cell.bias_hh)
     rows, learns = features.take_along_dim(order, 1), torch.is_grad_enabled()
     states = torch.lstm(rows, (first, first), weights, True, 1, 0.0, learns, False, True)[0]
     count = valid.sum(-1)[:, None, None]
     last = states.take_along_dim((count - 1).clamp_min(0), 1)
     return torch.where(count > 0, last, torch.zeros_like(last)).squeeze(1)
+
+
+def _beside_each_other(*tensors: Tensor) -> list[Tensor]:
+    """The same tensors in one block of memory, as the LSTM of a GPU wants its weights."""
+    parts = torch.cat([each.flatten() for each in tensors]).split(
+        [each.numel() for each in tensors]
+    )
+    return [part.view_as(each) for part, each in zip(parts, tensors, strict=True)]
 
 
 class _Last(torch.autograd.Function):
