@@ -67,7 +67,7 @@ class CandidateFan:
         speed_change_mps: Largest change of speed over the horizon in m/s.
         offset_share: Largest lateral offset as a share of the length of the path.
         speed_max_mps: Speed that no candidate exceeds, in m/s, unless the vehicle does already.
-        compile: Roll out in a generated library, on a CPU with a compiler.
+        compile: Roll out in a generated library where there is a C++ compiler.
 
     Raises:
         ValueError: A number is below 1, or a range is not positive.

@@ -15,8 +15,8 @@ def generated_moments(
 ) -> tuple[Float[Tensor, "N T 2"], Float[Tensor, "N T 2 2"]] | None:
     """Mean and covariance of positions under Gaussian controls, None where there is no library.
 
-    On a CPU with a C++ compiler; a library is built at the first use of a model, which takes
-    seconds (DiffGM3: 20), and kept on disk.
+    On the host, also for tensors of a GPU, where there is a C++ compiler; a library is built at the
+    first use of a model, which takes seconds (DiffGM3: 20), and kept on disk.
 
     Args:
         dynamics: The model.

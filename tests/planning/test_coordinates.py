@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from diffstack_mmv.control import ILQR
+from diffstack_mmv.control.native.scan import scan
 from diffstack_mmv.dynamics import DiffKBM, ExtendedUnicycle, SoftplusFloor, rollout
 from diffstack_mmv.planning import PhysicalControls, SharesAboveRest, above_rest
 from diffstack_mmv.types import map_tensors
@@ -65,6 +66,15 @@ def test_coordinates_and_controls_are_each_others_inverse_but_for_braking_beyond
     beyond = controls[..., 0] < model.acceleration_to_rest(states[:, :-1])
     assert beyond.any()
     assert torch.allclose(again[~beyond], controls[~beyond], atol=1e-4)
+
+
+def test_a_library_finds_the_same_coordinates():
+    coordinates = SharesAboveRest(kbm())
+    start = torch.nn.functional.pad(SPEEDS.unsqueeze(-1), (3, 0))
+    controls = torch.rand(4, 10, 2, generator=torch.Generator().manual_seed(0)) - 0.6
+    found = coordinates.coordinates(start, controls, compile=True)
+    assert scan(coordinates._told, start, controls, [coordinates.dynamics]) is not None
+    torch.testing.assert_close(found, coordinates.coordinates(start, controls))
 
 
 def test_plans_that_brake_to_rest_are_solved_and_cost_no_more():

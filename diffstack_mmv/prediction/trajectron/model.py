@@ -149,7 +149,7 @@ class Trajectron(Predictor):
     def compile_kernels(self, moments: GaussianRollout) -> None:
         """Take recurrences and integration through all steps in one call from now on.
 
-        Where that is possible: on a CPU with a compiler.
+        Where that is possible: the recurrences on a CPU, both with a C++ compiler.
         """
         self.blocks = Blocks()
         for branch in self._branches():
