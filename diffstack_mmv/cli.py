@@ -7,20 +7,18 @@ import functools
 import gc
 import logging
 import math
-import os
 import shlex
 import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from dmmv_conventions.annotations import require_types
 from dmmv_conventions.arguments import require_arguments
 from dmmv_conventions.disk import replacing
-from dmmv_conventions.extras import MissingExtraError, needs_to_run
+from dmmv_conventions.extras import needs_to_run
 from dmmv_conventions.foretold import require_foretold
 from dmmv_conventions.locks import alone_in
 from dmmv_conventions.progress import shown_by
@@ -30,24 +28,21 @@ from dmmv_conventions.yaml_files import read_mapping
 with needs_to_run("stack", "the command lines"):
     import hydra
     from hydra.core.hydra_config import HydraConfig
-    from hydra.errors import CompactHydraException, HydraException
     from hydra.types import RunMode
     from hydra.utils import get_class, instantiate
     from omegaconf import DictConfig, OmegaConf, read_write
-    from omegaconf.errors import OmegaConfBaseException
 
     from diffstack_mmv.child_processes import end_with_parent
     from diffstack_mmv.command_line import folders_as, understood
     from diffstack_mmv.composition import changed_defaults, composed_once, value_of
     from diffstack_mmv.config_checks import require_complete, require_same_type, require_seed
-    from diffstack_mmv.override_errors import one_line, told, told_of_folder
+    from diffstack_mmv.failures import composition_told, failures_told
     from diffstack_mmv.run_checks import config_file, require_own_config, require_own_folder
     from diffstack_mmv.vehicles import VehicleSpec
     from dmmv_conventions.bars import Bars
 
 # what commands use of Hydra is taken from here, so that all of them say in one line what is missing
 __all__ = [
-    "CommandError",
     "DictConfig",
     "OmegaConf",
     "admit_any",
@@ -66,29 +61,10 @@ OmegaConf.register_new_resolver(
     replace=True,
 )
 
-EXPECTED = (
-    ValueError,
-    TypeError,
-    LookupError,
-    OSError,
-    MissingExtraError,
-    HydraException,
-    OmegaConfBaseException,
-)
-FULL_ERROR = "HYDRA_FULL_ERROR"
-"""Environment variable that asks for the traceback of a failure (1)."""
-_RAISING = ContextVar("raising", default=False)
-"""Whether Hydra was asked for its errors by us, not by who runs the command."""
-
-
 _VEHICLE = "diffstack_mmv.vehicles.VehicleSpec.from_config"
 
 Task = Callable[[DictConfig], float | None]
 """Work of a command; a number is what a sweeper minimises or maximises."""
-
-
-class CommandError(CompactHydraException):
-    """A failure that is told in one line; the status of the command is 1."""
 
 
 def admit_any(config: DictConfig) -> None:
@@ -121,7 +97,7 @@ def command(
     def decorate(task: Task) -> Callable[[], None]:
         @functools.wraps(task)
         def guarded(config: DictConfig) -> float | None:
-            with _failures_told():
+            with failures_told():
                 config.out = HydraConfig.get().runtime.output_dir
                 _read_vehicle_file(config)
                 require_own_config(str(HydraConfig.get().job.config_name), config_name)
@@ -156,7 +132,7 @@ def command(
             sys.argv[1:] = understood(sys.argv[1:], config_name)
             with (
                 _no_search_for_garbage(),
-                _composition_told(config_folder, config_name),
+                composition_told(config_folder, config_name),
                 composed_once(sys.argv[1:]),
             ):
                 entry()
@@ -197,68 +173,6 @@ def _quiet_dependencies() -> Iterator[None]:
             yield
         finally:
             lightning.removeFilter(_tells_something)
-
-
-@contextmanager
-def _composition_told(folder: Path, config_name: str) -> Iterator[None]:
-    """Have Hydra raise what it would print in many lines, and tell it in one."""
-    if os.environ.get(FULL_ERROR) == "1":
-        yield
-        return
-    arguments, before = list(sys.argv[1:]), _RAISING.set(True)
-    os.environ[FULL_ERROR] = "1"
-    try:
-        yield
-    except CommandError as error:
-        _exit(str(error))
-    except (HydraException, OmegaConfBaseException) as error:
-        _exit(told(error, arguments, folder, config_name))
-    except KeyboardInterrupt:
-        sys.stderr.write("Interrupted.\n")
-        raise SystemExit(_INTERRUPTED) from None
-    except BrokenPipeError:
-        # whoever reads has seen enough, as in `--help | head`; nothing is left to be flushed either
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise SystemExit(1) from None
-    except OSError as error:
-        # outside of a job Hydra touches the disk for nothing else
-        _exit(told_of_folder(error))
-    except ValueError as error:
-        # what a job raises is told within it: this is of options that exclude each other
-        _exit(one_line(str(error)))
-    finally:
-        del os.environ[FULL_ERROR]
-        _RAISING.reset(before)
-
-
-@contextmanager
-def _failures_told() -> Iterator[None]:
-    """Tell the failure of a job in one line.
-
-    A job of a sweep raises it: the others go on, and the command ends with it. Within the job the
-    environment is that of the user, since it may start further processes.
-    """
-    raising = _RAISING.get()
-    if raising:
-        del os.environ[FULL_ERROR]
-    try:
-        yield
-    except EXPECTED as error:
-        if raising and HydraConfig.get().mode is RunMode.RUN:
-            _exit(_told(error))
-        raise CommandError(_told(error)) from error
-    finally:
-        if raising:
-            os.environ[FULL_ERROR] = "1"
-
-
-_INTERRUPTED = 130
-"""Exit status of a command that Ctrl-C has ended, by the convention of shells."""
-
-
-def _exit(line: str) -> NoReturn:
-    sys.stderr.write(f"{line}\n")
-    raise SystemExit(1)
 
 
 def save_config(config: DictConfig, file: Path) -> None:
@@ -304,15 +218,3 @@ def _single_job() -> Iterator[None]:
         yield
     finally:
         sys.argv[:] = before
-
-
-def _told(error: BaseException) -> str:
-    """The message of the first cause, in one line.
-
-    What a constructor refused, not that Hydra could not call it. What names the argument at fault
-    says enough without the kind of the error.
-    """
-    while isinstance(error, HydraException) and error.__cause__ is not None:
-        error = error.__cause__
-    line = one_line(str(error))
-    return line if line.startswith("`") else f"{type(error).__name__}: {line}"

@@ -22,16 +22,15 @@ from data_converters.errors import (
 from data_converters.multi_agent import MultiAgentDataset, Recording, modes_of
 from data_converters.recordings import RawScene
 from data_converters.tables.agreement import require_agreement
-from data_converters.tables.columns import NAMES, TableColumns
+from data_converters.tables.columns import TableColumns
 from data_converters.tables.numbers import require_numbers, with_faults
 from data_converters.tables.outputs import recorded
-from data_converters.tables.reading import names_of, read_table
+from data_converters.tables.reading import names_of
+from data_converters.tables.scenes import UNNAMED, SceneTables
 from data_converters.tables.units import Plausibility, TableUnits
 from dmmv_conventions.cache import CONTROLS_TABLE, SPLITS
 from dmmv_conventions.modes import Mode
 
-UNNAMED = ""
-"""What stands for the scene of rows that name none."""
 ENDINGS = ("csv", "csv.gz", "parquet")
 ENDING = re.compile(r"\.(csv|csv\.gz|parquet)$")
 OWN_NAMES = {mode.label: mode.label for mode in Mode}
@@ -104,7 +103,7 @@ class TableDataset(MultiAgentDataset):
         self._scene_of.clear()
         for path in self._paths:
             stem = _plain(ENDING.sub("", str(path.relative_to(self.root))))
-            for scene, group in self._scenes(path).items():
+            for scene, group in self._tables.scenes(path).items():
                 name = stem if scene is None else f"{stem}_{_plain(scene) or 'unnamed'}"
                 while name in found:
                     name += "_"
@@ -124,10 +123,10 @@ class TableDataset(MultiAgentDataset):
         """
         if self._repeats(path, raw):
             return pd.DataFrame()
-        rows, columns = self._rows(path), self.columns
+        columns = self.columns
         with self._unlike_others(recording):
-            columns.require_all(rows, path)
-            rows = self._of_scene(rows, recording)
+            columns.require_all(self._tables.rows(path), path)
+            rows = self._of_recording(recording)
             if self._scene_of.get(recording.name) == UNNAMED:
                 needs, found, remedy = (
                     "have a name",
@@ -187,23 +186,16 @@ class TableDataset(MultiAgentDataset):
         """Whether the settings describe a recording."""
         (path,) = recording.files
         try:
-            rows = self._rows(path)
-            self.columns.require_all(rows, path)
-            table = self._checked(self._of_scene(rows, recording), path)
+            self.columns.require_all(self._tables.rows(path), path)
+            table = self._checked(self._of_recording(recording), path)
         except ConversionError:
             return False
         return len(table) > 0
 
-    def _of_scene(self, rows: pd.DataFrame, recording: Recording) -> pd.DataFrame:
-        """Rows of a recording among those of its file, which are grouped once for all."""
-        scene, (path,) = self._scene_of.get(recording.name), recording.files
-        if scene is None:
-            return rows
-        if path not in self._grouped:
-            self._grouped.clear()
-            names = names_of(rows[self.columns.scene]).fillna(UNNAMED)
-            self._grouped[path] = {str(name): part for name, part in rows.groupby(names)}
-        return self._grouped[path][scene]
+    def _of_recording(self, recording: Recording) -> pd.DataFrame:
+        """Rows of a recording among those of its file."""
+        (path,) = recording.files
+        return self._tables.of_scene(path, self._scene_of.get(recording.name))
 
     def _modes(self, rows: pd.DataFrame) -> dict[str, Any]:
         if self.columns.type is None:
@@ -223,34 +215,6 @@ class TableDataset(MultiAgentDataset):
         named = self.columns.named()
         return {name: turn(rows[named[name]]) for name, turn in turned.items() if name in named}
 
-    def _scenes(self, path: Path) -> Mapping[str | None, str]:
-        """Scenes of a file, None for the file itself, and the recording of each."""
-        if self.columns.scene is None and self.columns.recording is None:
-            return {None: ""}
-        try:
-            rows = self._rows(path)
-            self.columns.require_all(rows, path)
-        except ConversionError:
-            # it is refused, and counted, when it is read
-            return {None: ""}
-        scene, recording = self.columns.scene, self.columns.recording
-        groups = pd.Series("", index=rows.index)
-        if recording:
-            groups = names_of(rows[recording]).fillna("")
-        if scene is None:
-            return {None: str(groups.iloc[0]) if len(groups) else ""}
-        pairs = pd.DataFrame({"scene": names_of(rows[scene]).fillna(UNNAMED), "group": groups})
-        return {str(s): str(g) for s, g in pairs.drop_duplicates("scene").itertuples(index=False)}
-
-    def _rows(self, path: Path) -> pd.DataFrame:
-        """The table of a file; that of the last one is kept, because scenes are read in order."""
-        if path not in self._latest:
-            self._latest.clear()
-            named = self.columns.named()
-            names = {named[each] for each in NAMES if each in named}
-            self._latest[path] = read_table(path, names)
-        return self._latest[path]
-
     @cached_property
     def _paths(self) -> list[Path]:
         found = (path for ending in ENDINGS for path in self.root.rglob(f"*.{ending}"))
@@ -260,12 +224,8 @@ class TableDataset(MultiAgentDataset):
         return self._paths
 
     @cached_property
-    def _latest(self) -> dict[Path, pd.DataFrame]:
-        return {}
-
-    @cached_property
-    def _grouped(self) -> dict[Path, dict[str, pd.DataFrame]]:
-        return {}
+    def _tables(self) -> SceneTables:
+        return SceneTables(self.columns)
 
     @cached_property
     def _scene_of(self) -> dict[str, str | None]:
