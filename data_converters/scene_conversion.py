@@ -13,7 +13,8 @@ from data_converters.conversion_settings import ConversionSettings
 from data_converters.errors import TrackError
 from data_converters.recordings import RawScene, SceneSource, fingerprint_of
 from data_converters.report import SceneReport, report_scene
-from data_converters.tracks import AgentRows, resample, split_at_gaps
+from data_converters.resampling import resample
+from data_converters.tracks import AgentRows, split_at_gaps
 
 FILES = "files"
 """Key of the report of a scene under which the hashes of its files stand."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from benchmarks.faults.tables import THAB, text, thab_rows
 from benchmarks.faults.trial import Result, Trial, converted, each
 from data_converters import ConversionSettings, ThabVruDataset, convert
-from data_converters.imptc.download import DownloadError, unpack
+from data_converters.downloading import DownloadError, unpack
 
 GOOD = text(THAB, thab_rows()).encode()
 OTHER = text(THAB, thab_rows(5.0)).encode()

@@ -12,25 +12,21 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import DataLoader
 from tqdm import tqdm
 
 from diffstack_mmv.checks import message
-from diffstack_mmv.data.batch import stack_batch
 from diffstack_mmv.data.dataset import EXPORT_VERSION, MARKER, SAMPLES, USABLE, sample_table
-from diffstack_mmv.data.layout import FieldLayout, create, fields, pack, write_windows
+from diffstack_mmv.data.export_chunks import LABELS, ChunkWriter
+from diffstack_mmv.data.layout import create, fields
 from diffstack_mmv.data.loading import unchanged
 from diffstack_mmv.data.registration import TrajdataWindows, WindowLocation
-from diffstack_mmv.data.riding import Situations, situations
+from diffstack_mmv.data.riding import Situations
 from diffstack_mmv.data.settings import ExportSettings, WindowSettings
 from diffstack_mmv.data.sources import WindowSource
 from dmmv_conventions.disk import disk_is_full
 
 logger = logging.getLogger(__name__)
-
-CHUNK = 512  # windows per task: what is lost when an export is interrupted
-PIECE = 64  # windows in memory at once
 
 
 class Export(NamedTuple):
@@ -99,7 +95,7 @@ def _write(export: Export, settings: ExportSettings, target: Path) -> None:
     count = len(where.element)
     partial = target.with_name(f".exporting_{target.name}")
     _prepare(partial, count, export.windows)
-    writer = _ChunkWriter(source, where, partial)
+    writer = ChunkWriter(source, where, partial)
     pending = [number for number in range(len(writer)) if not writer.marker(number).is_file()]
     loader = DataLoader(
         writer,
@@ -128,52 +124,8 @@ def _prepare(partial: Path, count: int, windows: WindowSettings) -> None:
         return
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
-    create(partial, count, fields(windows) | _LABELS)
+    create(partial, count, fields(windows) | LABELS)
     created.mkdir()
-
-
-_LABELS = {
-    "usable": FieldLayout((), np.bool_),
-    "situations": FieldLayout((len(Situations._fields),), np.bool_),
-}
-
-
-class _ChunkWriter(Dataset[int]):
-    """Item k writes the k-th chunk of windows and returns k; workers are forked."""
-
-    def __init__(self, source: TrajdataWindows, where: WindowLocation, folder: Path) -> None:
-        self._source = source
-        self._element = where.element
-        self._folder = folder
-        self._collate = source.get_collate_fn()
-
-    def __len__(self) -> int:
-        return -(-len(self._element) // CHUNK)
-
-    def size(self, number: int) -> int:
-        """Windows in a chunk."""
-        return min(CHUNK, len(self._element) - number * CHUNK)
-
-    def marker(self, number: int) -> Path:
-        """File that says that a chunk is written."""
-        return self._folder / "done" / str(number)
-
-    def __getitem__(self, number: int) -> int:
-        end = number * CHUNK + self.size(number)
-        for first in range(number * CHUNK, end, PIECE):
-            self._write(first, min(first + PIECE, end))
-        return number
-
-    def _write(self, first: int, end: int) -> None:
-        elements = [self._source[int(element)] for element in self._element[first:end]]
-        batch = stack_batch(self._collate(elements), self._source.windows)
-        usable = batch.ego_past.valid.all(-1) & batch.ego_future.valid.all(-1)
-        packed = pack(batch) | {
-            "usable": usable.numpy(),
-            "situations": torch.stack(situations(batch), -1).numpy(),
-        }
-        for name, content in packed.items():
-            write_windows(self._folder / f"{name}.npy", first, content)
 
 
 def _finish(export: Export, source: TrajdataWindows, where: WindowLocation, partial: Path) -> None:

@@ -33,6 +33,7 @@ from diffstack_mmv.simulation.learned_forecaster import LearnedForecaster
 from diffstack_mmv.simulation.learned_policy import LearnedPolicy
 from diffstack_mmv.simulation.learning import imitation_loss, way_left_loss
 from diffstack_mmv.simulation.mppi import MPPIController
+from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.simulation.pedestrians import (
     AbruptCrowd,
     OrcaCrowd,
@@ -57,17 +58,16 @@ from diffstack_mmv.simulation.summary import summarise
 from diffstack_mmv.simulation.tracking import PedestrianTracker, TrackingController
 from diffstack_mmv.simulation.vector_env import CrowdNavVectorEnv
 from diffstack_mmv.simulation.vehicle_robot import Actuation, VehicleRobot
-from diffstack_mmv.simulation.verdict import (
+from diffstack_mmv.simulation.verdict import Rewards, Verdict
+from diffstack_mmv.simulation.verdicts import (
     VERDICTS,
     CrowdNavVerdict,
     ExactVerdict,
-    Rewards,
-    Verdict,
     verdict_named,
 )
 from diffstack_mmv.simulation.views import EgoView, WorldView
 from diffstack_mmv.simulation.wandering import WanderingCrossing
-from diffstack_mmv.simulation.world import Observation, World, WorldState
+from diffstack_mmv.simulation.world import World, WorldState
 from diffstack_mmv.simulation.zero_order_hold import ZeroOrderHold
 
 __all__ = [

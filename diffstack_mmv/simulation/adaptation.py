@@ -12,7 +12,7 @@ from diffstack_mmv.checks import require_between, require_positive
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.simulation.controller import DiffMPCController, DiffMPCState, merged
 from diffstack_mmv.simulation.decisions import Decided, unbatched
-from diffstack_mmv.simulation.world import Observation
+from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.types import Motion
 
 ARM_M = 0.5

@@ -20,9 +20,10 @@ from diffstack_mmv.simulation.chunks import (
 )
 from diffstack_mmv.simulation.decisions import Controller, Decided, diagnosis_of, thoughts_of
 from diffstack_mmv.simulation.episode import drive
+from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.simulation.phases import require_case
 from diffstack_mmv.simulation.scene import CaseSource
-from diffstack_mmv.simulation.world import Observation, World
+from diffstack_mmv.simulation.world import World
 from dmmv_conventions.libraries import libraries_loaded
 
 LOGGER = logging.getLogger(__name__)

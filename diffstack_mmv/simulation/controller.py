@@ -21,8 +21,8 @@ from diffstack_mmv.planning import (
 from diffstack_mmv.simulation.decisions import Decided, unbatched
 from diffstack_mmv.simulation.delay import DelayCompensation
 from diffstack_mmv.simulation.forecasters import PedestrianForecast, PedestrianForecaster
+from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.simulation.thoughts import Thought, joined, thought
-from diffstack_mmv.simulation.world import Observation
 from diffstack_mmv.types import (
     Ego,
     Forecast,

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.simulation.world import Observation
+from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.types import map_tensors
 
 

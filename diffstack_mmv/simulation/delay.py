@@ -6,7 +6,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_between
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.simulation.world import Observation
+from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.types import Forecast, Motion
 
 

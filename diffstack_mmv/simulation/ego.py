@@ -19,7 +19,7 @@ from diffstack_mmv.simulation.decisions import (
     thoughts_of,
     unbatched,
 )
-from diffstack_mmv.simulation.world import Observation
+from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.types import EgoEstimate, EgoMeasurement, Motion
 
 

@@ -27,7 +27,7 @@ from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
 from diffstack_mmv.simulation.scenario import SCENARIOS, Scenario
 from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.vehicle_robot import FINEST_NEEDED_S, VehicleRobot
-from diffstack_mmv.simulation.verdict import verdict_named
+from diffstack_mmv.simulation.verdicts import verdict_named
 from diffstack_mmv.simulation.views import WorldView
 from diffstack_mmv.simulation.world import World, WorldState
 from diffstack_mmv.types import Outcome

@@ -12,8 +12,8 @@ from diffstack_mmv.checks import require_at_least, require_between, require_posi
 from diffstack_mmv.geometry import length, unit_vector
 from diffstack_mmv.prediction import Spread, single_component
 from diffstack_mmv.simulation.goals import GoalInference
+from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.simulation.pedestrians import CrowdState, OrcaCrowd
-from diffstack_mmv.simulation.world import Observation
 from diffstack_mmv.types import Forecast
 
 RESTING_MPS = 0.05

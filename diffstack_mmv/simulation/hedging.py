@@ -8,7 +8,7 @@ import torch
 
 from diffstack_mmv.checks import require, require_positive
 from diffstack_mmv.simulation.forecasters import PedestrianForecast, PedestrianForecaster
-from diffstack_mmv.simulation.world import Observation
+from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.types import Forecast
 
 

@@ -11,7 +11,7 @@ from diffstack_mmv.checks import require_at_least, require_multiple, require_pos
 from diffstack_mmv.geometry import length, rotate, wrap_angle
 from diffstack_mmv.prediction import Predictor, forecasts_of, strongest
 from diffstack_mmv.simulation.forecasters import PedestrianForecast
-from diffstack_mmv.simulation.world import Observation
+from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.types import Forecast, Mode, Motion, Tracks, map_tensors
 
 STANDSTILL_MPS = 0.1

@@ -11,8 +11,8 @@ from diffstack_mmv.checks import require
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.simulation.assembly import Actuate
 from diffstack_mmv.simulation.decisions import Decided
+from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.simulation.views import EgoView
-from diffstack_mmv.simulation.world import Observation
 
 
 @dataclass

@@ -16,7 +16,7 @@ from diffstack_mmv.planning import (
 from diffstack_mmv.simulation.case_noise import case_noise, milliseconds
 from diffstack_mmv.simulation.decisions import Decided, unbatched
 from diffstack_mmv.simulation.forecasters import PedestrianForecaster
-from diffstack_mmv.simulation.world import Observation
+from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.types import Forecast, map_tensors
 
 COLLISION_COST = 1e3

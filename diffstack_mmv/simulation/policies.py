@@ -11,10 +11,10 @@ from diffstack_mmv.checks import require_positive
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import rotate, unit_vector
 from diffstack_mmv.simulation.decisions import Decided
+from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.simulation.pedestrians import OrcaCrowd
 from diffstack_mmv.simulation.pedestrians.base import towards
 from diffstack_mmv.simulation.pedestrians.half_planes import Agents, Neighbors
-from diffstack_mmv.simulation.world import Observation
 from diffstack_mmv.types import Motion
 
 

@@ -10,8 +10,8 @@ from torch import Tensor
 from diffstack_mmv.checks import require_at_least, require_between, require_positive
 from diffstack_mmv.geometry import wrap_angle
 from diffstack_mmv.simulation.case_noise import case_noise, milliseconds
+from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.simulation.pedestrians.recorded import far_away
-from diffstack_mmv.simulation.world import Observation
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,12 @@ from typing import Any
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.simulation.assembly import SimulatedVehicle
 from diffstack_mmv.simulation.collision import Footprint
+from diffstack_mmv.simulation.observation import Sensing
 from diffstack_mmv.simulation.pedestrians import Crowd
 from diffstack_mmv.simulation.robot import HolonomicRobot
 from diffstack_mmv.simulation.vehicle_robot import VehicleRobot
-from diffstack_mmv.simulation.verdict import verdict_named
-from diffstack_mmv.simulation.world import Sensing, World
+from diffstack_mmv.simulation.verdicts import verdict_named
+from diffstack_mmv.simulation.world import World
 
 
 def study_world(

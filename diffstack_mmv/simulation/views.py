@@ -11,7 +11,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.geometry import length, rotate
-from diffstack_mmv.simulation.world import Observation
+from diffstack_mmv.simulation.observation import Observation
 
 FAR = 1e4
 """Bound of all observed numbers, which no vehicle reaches within a time limit."""

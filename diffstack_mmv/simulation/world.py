@@ -1,10 +1,10 @@
 """The world of the episodes: a pure step from state and action to the next state and a verdict."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from diffstack_mmv.checks import (
@@ -14,18 +14,18 @@ from diffstack_mmv.checks import (
     require_multiple,
     require_positive,
 )
+from diffstack_mmv.simulation.observation import Observation, Sensing
 from diffstack_mmv.simulation.pedestrians import (
     AnyCrowdState,
     Crowd,
     CrowdState,
     Itinerary,
-    PedestrianHistory,
     RecordedCrowdState,
 )
 from diffstack_mmv.simulation.robot import Robot, seen_by_pedestrians
 from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.verdict import Encounter, Judgement, RobotPath, Verdict
-from diffstack_mmv.types import Discs, Motion, map_tensors
+from diffstack_mmv.types import map_tensors
 
 
 class WorldState(NamedTuple):
@@ -37,35 +37,6 @@ class WorldState(NamedTuple):
     time: Float[Tensor, "*b"]  # s
     case: Int[Tensor, "*b"]  # number of the case, to which the draws of all noise belong
     itinerary: Itinerary | None = None  # where the pedestrians go after their goals
-
-
-class Observation(NamedTuple):
-    """What a controller may know: the robot, and the pedestrians without their goals."""
-
-    motion: Motion  # *b, of the robot's centre
-    velocity: Float[Tensor, "*b 2"]  # m/s, of the robot in world directions
-    radius: Float[Tensor, "*b"]  # m, of the disc around the robot's reference point that holds it
-    discs: Discs  # *b D, that cover the robot
-    goal: Float[Tensor, "*b 2"]  # m
-    pedestrian_position: Float[Tensor, "*b h 2"]  # m
-    pedestrian_velocity: Float[Tensor, "*b h 2"]  # m/s
-    pedestrian_radius: Float[Tensor, "*b h"]  # m
-    seen: Bool[Tensor, "*b h"]  # the hidden are laid far away and ignored
-    time: Float[Tensor, "*b"]  # s
-    case: Int[Tensor, "*b"]  # numbers draws of noise; nothing to decide by
-    running: Bool[Tensor, "*b"]  # false where the episode has ended and its action counts no more
-    history: PedestrianHistory | None = None  # of the pedestrians, before the start
-    # *b h T 2 in m, one row per step of the world, where the world reveals it; never a controller's
-    future: Float[Tensor, "*b h T 2"] | None = None
-
-
-@runtime_checkable
-class Sensing(Protocol):
-    """What a robot sees of an observation, which holds the truth."""
-
-    def __call__(self, observation: Observation) -> Observation:
-        """The observation with what is hidden or disturbed."""
-        ...
 
 
 class WorldStep(NamedTuple):

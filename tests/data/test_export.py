@@ -15,6 +15,7 @@ from diffstack_mmv.data import (
     Export,
     ExportedWindows,
     ExportSettings,
+    export_chunks,
     export_windows,
 )
 from diffstack_mmv.data import export as module
@@ -32,7 +33,7 @@ def same(first, second) -> bool:
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_an_export_holds_the_samples_that_trajdata_gives(export, exporting, workers, monkeypatch):
-    monkeypatch.setattr(module, "CHUNK", 10)
+    monkeypatch.setattr(export_chunks, "CHUNK", 10)
     settings = ExportSettings(exporting.folder, workers, progress=False)
     exported = ExportedWindows(export_windows(export, settings))
     direct = DirectWindows(export.source.open("train", export.windows), "toy")
@@ -57,8 +58,8 @@ def test_other_windows_make_another_export(export, exporting, change):
 
 
 def test_an_interrupted_export_goes_on_where_it_stopped(export, exporting, monkeypatch):
-    monkeypatch.setattr(module, "CHUNK", 10)
-    write, written = module._ChunkWriter._write, []
+    monkeypatch.setattr(export_chunks, "CHUNK", 10)
+    write, written = export_chunks.ChunkWriter._write, []
 
     def failing(self, first, end):
         written.append(first)
@@ -66,7 +67,7 @@ def test_an_interrupted_export_goes_on_where_it_stopped(export, exporting, monke
             raise KeyboardInterrupt
         write(self, first, end)
 
-    monkeypatch.setattr(module._ChunkWriter, "_write", failing)
+    monkeypatch.setattr(export_chunks.ChunkWriter, "_write", failing)
     with pytest.raises(KeyboardInterrupt):
         export_windows(export, exporting)
     exported = ExportedWindows(export_windows(export, exporting))
@@ -79,21 +80,21 @@ def test_a_full_disk_is_one_clear_error_and_leaves_no_export(export, exporting, 
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(module, "write_windows", full)
+    monkeypatch.setattr(export_chunks, "write_windows", full)
     with pytest.raises(OSError, match="`folder` must have free disk space.*Free space"):
         export_windows(export, exporting)
     assert not export.exists(exporting)
 
 
 def test_a_window_with_nan_is_left_out_and_counted(export, exporting, monkeypatch):
-    stack_batch = module.stack_batch
+    stack_batch = export_chunks.stack_batch
 
     def holed(*arguments):
         batch = stack_batch(*arguments)
         batch.ego_past.valid[0, 3] = False
         return batch
 
-    monkeypatch.setattr(module, "stack_batch", holed)
+    monkeypatch.setattr(export_chunks, "stack_batch", holed)
     exported = ExportedWindows(export_windows(export, exporting))
     counts = exported.content["rows"]["bicycle"]
     assert counts["not_finite"] == 1

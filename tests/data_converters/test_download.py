@@ -12,8 +12,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import pytest
 
 from data_converters import ConversionError
+from data_converters.downloading import DownloadError
 from data_converters.imptc import download as module
-from data_converters.imptc.download import DownloadError, Part, download_imptc, read_record
+from data_converters.imptc.download import Part, download_imptc, read_record
 
 
 def archive(files):

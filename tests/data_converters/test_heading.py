@@ -5,7 +5,7 @@ import pytest
 
 from data_converters import CausalSmoother, ResampleSettings, ZeroPhaseSmoother
 from data_converters.heading import HeadingSource, heading_from_axis, heading_from_motion, wrap
-from data_converters.tracks import resample
+from data_converters.resampling import resample
 
 STANDSTILL = 0.4
 

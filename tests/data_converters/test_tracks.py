@@ -16,7 +16,8 @@ from data_converters import (
     ZeroPhaseSmoother,
     default_extent,
 )
-from data_converters.tracks import resample, split_at_gaps
+from data_converters.resampling import resample
+from data_converters.tracks import split_at_gaps
 
 SETTINGS = ResampleSettings(smoother=ZeroPhaseSmoother())
 

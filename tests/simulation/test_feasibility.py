@@ -15,7 +15,7 @@ from diffstack_mmv.simulation import (
     World,
     drive,
 )
-from diffstack_mmv.simulation.verdict import ExactVerdict
+from diffstack_mmv.simulation.verdicts import ExactVerdict
 from diffstack_mmv.types import Outcome
 from dmmv_conventions.progress import shown_by
 from tests.heard import Heard

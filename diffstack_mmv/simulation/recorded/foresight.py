@@ -7,7 +7,7 @@ import torch
 from diffstack_mmv.checks import message, require_positive
 from diffstack_mmv.prediction import single_component
 from diffstack_mmv.simulation.forecasters import PedestrianForecast
-from diffstack_mmv.simulation.world import Observation
+from diffstack_mmv.simulation.observation import Observation
 
 DEVIATION_M = 0.01
 """Standard deviation of the forecast; none at all has no density."""
