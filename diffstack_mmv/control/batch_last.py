@@ -47,7 +47,7 @@ def unpack(packed: Float[Tensor, "*t R N"], *shapes: tuple[int, ...]) -> tuple[T
     return tuple(part.unflatten(-2, shape) for part, shape in zip(parts, shapes, strict=True))
 
 
-def pack(*parts: Tensor) -> Tensor:
+def pack(*parts: Float[Tensor, "... N"]) -> Float[Tensor, "R N"]:
     """Inverse of `unpack`: one column of rows from matrices and vectors with the batch last."""
     return torch.concatenate([part.flatten(0, -2) for part in parts])
 

@@ -47,7 +47,7 @@ def create(folder: Path, count: int, layout: dict[str, FieldLayout]) -> None:
 
 
 def write_windows(path: Path, first: int, windows: NDArray[np.generic]) -> None:
-    """Overwrite consecutive windows of an array file.
+    """Overwrite consecutive windows (n, ...) of an array file.
 
     Written through the file, not through a memory map, so that a full disk is an error and not a
     crash. Zeros at the end of a window are not written.

@@ -181,7 +181,9 @@ class _Terms:
     def _constant(self, part: Tensor) -> Tensor:
         return torch.where(self.valid, part, torch.zeros_like(part))
 
-    def lagrangian(self, x: Tensor, u: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
+    def lagrangian(
+        self, x: Float[Tensor, "*b T n"], u: Float[Tensor, "*b T m"]
+    ) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
         """Sum over the problems; Lagrangian of each, next states and residual of the rows."""
         states = torch.cat([self.problem.state.unsqueeze(-2), x], -2)
         following = step_all(self.problem.dynamics, states[..., :-1, :], u)

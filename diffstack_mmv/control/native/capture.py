@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.control.native.lowering import CannotLowerError, Entries, Lowering
@@ -15,8 +16,11 @@ from diffstack_mmv.control.optimizer import Cost, Dynamics
 
 
 def evaluate(
-    dynamics: Dynamics, cost: Cost, states: Tensor, controls: Tensor
-) -> tuple[Tensor, Tensor]:
+    dynamics: Dynamics,
+    cost: Cost,
+    states: Float[Tensor, "*b T+1 n"],
+    controls: Float[Tensor, "*b T m"],
+) -> tuple[Float[Tensor, "*b n"], Tensor]:
     """The state after the first one, and the cost of all times: all that a problem is."""
     return dynamics(states[..., 0, :], controls[..., 0, :]), cost(states, controls)
 

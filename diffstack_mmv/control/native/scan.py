@@ -65,7 +65,7 @@ def _stepper(key: Hashable, name: str) -> "_Stepper":
 
 
 def advance(step: RowStep, state: Tensor, inputs: Tensor) -> tuple[Tensor, Tensor]:
-    """One step of one row."""
+    """One step of one row, of shapes (s,) and (r,)."""
     return step(state, inputs)
 
 

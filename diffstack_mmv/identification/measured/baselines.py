@@ -44,7 +44,7 @@ class Baselines:
     wheelbase_m: float
 
     def errors(
-        self, windows: RideWindows, fitted: RideWindows, folds: list[Tensor]
+        self, windows: RideWindows, fitted: RideWindows, folds: list[Bool[Tensor, " recordings"]]
     ) -> Mapping[str, RolloutErrors]:
         """Errors of windows by the name of the line.
 

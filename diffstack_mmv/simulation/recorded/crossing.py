@@ -38,7 +38,7 @@ class RecordedRows(NamedTuple):
 
 
 def rows_of(scene: RecordedScene, time_s: NDArray[np.float64]) -> RecordedRows:
-    """Agents at equally distant times; between two recorded rows they move straight.
+    """Agents at equally distant times (T,) in s; between two recorded rows they move straight.
 
     Args:
         scene: The recording.
