@@ -39,7 +39,11 @@ class CommandError(CompactHydraException):
 
 @contextmanager
 def composition_told(folder: Path, config_name: str) -> Iterator[None]:
-    """Have Hydra raise what it would print in many lines, and tell it in one."""
+    """Have Hydra raise what it would print in many lines, and tell it in one.
+
+    Raises:
+        SystemExit: The command failed, or was interrupted, or nobody reads what it prints any more.
+    """
     if os.environ.get(FULL_ERROR) == "1":
         yield
         return
@@ -75,6 +79,10 @@ def failures_told() -> Iterator[None]:
 
     A job of a sweep raises it: the others go on, and the command ends with it. Within the job the
     environment is that of the user, since it may start further processes.
+
+    Raises:
+        SystemExit: The only job of the command failed.
+        CommandError: A job of a sweep failed.
     """
     raising = _RAISING.get()
     if raising:

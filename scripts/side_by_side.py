@@ -14,7 +14,11 @@ logger = logging.getLogger(__name__)
 
 
 def check(config: DictConfig) -> None:
-    """Refuse folders that are no episodes of a run, and an unknown format."""
+    """Refuse folders that are no episodes of a run, and an unknown format.
+
+    Raises:
+        ValueError: A setting is none of those, or the runs are of different cases.
+    """
     remedy = "Give folders DIR/episodes/NAME that navigate wrote."
     require(len(config.runs) >= 2, "runs", "name at least two", list(config.runs), "", remedy)
     require(len(config.cases) >= 1, "cases", "name at least one", "[]", "", "Give cases=[0].")

@@ -100,6 +100,11 @@ class _Once(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor | None, ...]:
+        """Refuse.
+
+        Raises:
+            RuntimeError: Always.
+        """
         raise RuntimeError(
             message(
                 "solution",

@@ -39,7 +39,11 @@ def _trajectory(file: Path) -> pd.DataFrame:
 
 
 def read_trajectories(folder: Path) -> list[Section]:
-    """What `simulate` wrote: each column over time, the models side by side."""
+    """What `simulate` wrote: each column over time, the models side by side.
+
+    Raises:
+        ValueError: A file is broken or has no rows.
+    """
     files = sorted(folder.glob("trajectory_*.csv"))
     frames = {file.stem.removeprefix("trajectory_"): _trajectory(file) for file in files}
     if any(frame.empty for frame in frames.values()):
