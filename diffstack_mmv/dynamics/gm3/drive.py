@@ -24,6 +24,7 @@ from diffstack_mmv.smooth import limiter_gain
 from diffstack_mmv.vehicles import DifferentialDrive, ExactBuffers, VehicleSpec
 
 SLIP_LIMIT = 0.9  # of the commanded slip
+ROUNDED_SHARE = 0.01  # of the friction: where the frozen gain of a step is rounded
 
 
 class DriveSplit(NamedTuple):
@@ -80,6 +81,16 @@ def slip_per_share(share: Float[Tensor, "*b"], friction_share: float) -> Float[T
     gain = limiter_gain(share / friction_share)
     root = (1 - (share * gain).abs()).pow(1 / 3)
     return gain / (1 + root + root.square())
+
+
+def kink_of_gain(share: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """The part |q| / 9 of ψσ / q near q = 0, without a smooth rest: it vanishes away from there.
+
+    It does no harm to ψσ itself. A step that freezes ψσ / q and moves on in q has a kink by it,
+    where the solutions of an optimisation come to lie and have no derivative.
+    """
+    square = share.square()
+    return (share.abs() - square * (square + ROUNDED_SHARE**2).rsqrt()) / 9
 
 
 class Drive(ExactBuffers):
@@ -182,7 +193,11 @@ class AccelerationDrive(Drive):
         slip = wanted * limit
         speed = rolling_speed(rolling.hub.forward, slip, smoothing.slip_speed_mps)
         reference = reference_speed(speed, smoothing.slip_speed_mps)
-        return Traction(slip, speed, reference, inverse * limit / tire.cornering, constant, row)
+        kink = kink_of_gain(share)
+        rounded = inverse - kink
+        # what the gain lacks stands beside it, so that the slip at this velocity is the same
+        constant = constant + kink / rounded * share * tire.grip
+        return Traction(slip, speed, reference, rounded * limit / tire.cornering, constant, row)
 
 
 class DifferentialYawDrive(AccelerationDrive):

@@ -106,9 +106,12 @@ SPEED = {DiffGM3: "velocity_forward", DiffKBM: "speed"}
     ],
 )
 def test_moments_are_finite_where_an_exponential_of_the_model_overflows(make):
-    dynamics = make(load_vehicle("bicycle")).float()
-    found, expected = braked_into_a_turn(dynamics, torch.float32)
-    torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-3)
+    dynamics = make(load_vehicle("bicycle"))
+    by_library, by_tensors = braked_into_a_turn(dynamics.float(), torch.float32)
+    _, exact = braked_into_a_turn(dynamics.double(), torch.float64)
+    for found in (by_library, by_tensors):
+        # a covariance that grows by four orders multiplies the rounding of its first steps
+        torch.testing.assert_close(found, exact, rtol=3e-2, atol=1e-3, check_dtype=False)
 
 
 def test_changed_numbers_of_a_model_reach_its_library():

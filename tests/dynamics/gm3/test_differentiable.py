@@ -165,7 +165,14 @@ def test_wheel_speed_model_has_exact_gradients(name):
     torch.autograd.gradcheck(model, (state, control.requires_grad_()), rtol=1e-3, atol=1e-3)
 
 
+@pytest.fixture
+def nothing_compiled():
+    """What other tests compiled counts for the limit of recompilations."""
+    torch._dynamo.reset()
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("nothing_compiled")
 @pytest.mark.parametrize("name", ["bicycle", "wheelchair", "cart"])
 def test_step_compiles_whole(name):
     model = DiffGM3(load_vehicle(name)).requires_grad_(False)
@@ -177,6 +184,7 @@ def test_step_compiles_whole(name):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("nothing_compiled")
 def test_a_rollout_compiles_once():
     model = DiffGM3(load_vehicle("bicycle")).requires_grad_(False)
     graphs = []

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diffstack_mmv.dynamics.gm3 import DiffGM3
-from diffstack_mmv.dynamics.gm3.drive import slip_per_share, split_acceleration
+from diffstack_mmv.dynamics.gm3.drive import kink_of_gain, slip_per_share, split_acceleration
 from diffstack_mmv.dynamics.gm3.lean import camber_spin
 from diffstack_mmv.dynamics.gm3.slip import inverse_speed, reference_speed, rolling_speed
 from diffstack_mmv.types import GRAVITY
@@ -100,6 +100,14 @@ def test_command_split_matches_the_reference(helpers):
     split = split_acceleration(helpers["split_a"], 0.01)
     assert close(split.drive, helpers["split_drive"])
     assert close(split.brake, helpers["split_brake"])
+
+
+@pytest.mark.parametrize("share", [-1e-6, 1e-6])
+def test_the_frozen_gain_has_no_kink_where_a_force_changes_its_sign(share):
+    at = torch.tensor(share).double().requires_grad_()
+    (slope,) = torch.autograd.grad(slip_per_share(at, 0.98) - kink_of_gain(at), at)
+    assert slope.abs() < 1e-3  # 1/9 with another sign on each side otherwise
+    assert kink_of_gain(torch.tensor(0.5).double()) < 2e-5
 
 
 def test_inverse_brush_law_matches_the_reference(helpers):
