@@ -87,6 +87,12 @@ def command(root, monkeypatch, unchecked):
 
 
 @pytest.fixture
+def nothing_compiled():
+    """What other tests compiled counts for the limit of recompilations."""
+    torch._dynamo.reset()
+
+
+@pytest.fixture
 def succeed(command, capfd):
     """Run a command that must succeed; what it told."""
 

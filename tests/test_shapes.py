@@ -89,6 +89,7 @@ def test_a_dataclass_is_checked():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("nothing_compiled")
 def test_a_compiled_function_is_not_checked():
     whole = torch.compile(rotate, fullgraph=True, backend="eager")
     vector, angle = torch.rand(4, 2), torch.rand(4)

@@ -44,13 +44,13 @@ def test_imitation_moves_the_weights_towards_the_teacher(setting, converging):
     mask = torch.zeros_like(weight)
     mask[learner.planner.cost.learned.index("effort")] = 1
     losses = []
-    for _ in range(4):
+    for _ in range(5):  # the learner begins 1.8 away, in steps of 0.4
         loss = imitation_loss(*setting, learner, teacher, 3)
         (gradient,) = torch.autograd.grad(loss, weight)
         losses.append(float(loss.detach()))
         with torch.no_grad():
             weight -= 0.4 * mask * gradient.sign()
-    assert losses[-1] < 0.3 * losses[0]
+    assert losses[-1] < 0.1 * losses[0]
 
 
 @pytest.mark.slow

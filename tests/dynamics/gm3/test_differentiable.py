@@ -165,12 +165,6 @@ def test_wheel_speed_model_has_exact_gradients(name):
     torch.autograd.gradcheck(model, (state, control.requires_grad_()), rtol=1e-3, atol=1e-3)
 
 
-@pytest.fixture
-def nothing_compiled():
-    """What other tests compiled counts for the limit of recompilations."""
-    torch._dynamo.reset()
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("nothing_compiled")
 @pytest.mark.parametrize("name", ["bicycle", "wheelchair", "cart"])
