@@ -1,7 +1,7 @@
 """In what the configurations of two runs differ."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from dmmv_conventions.targets import nodes
@@ -20,6 +20,16 @@ def first_difference(
 ) -> Difference | None:
     """The outermost setting in which two configurations of a command differ, if there is one.
 
+    The arguments are those of `differences`.
+    """
+    return next(differences(before, now, apart), None)
+
+
+def differences(
+    before: Mapping[str, Any], now: Mapping[str, Any], apart: re.Pattern[str] | None = None
+) -> Iterator[Difference]:
+    """The settings in which two configurations of a command differ, outer ones first.
+
     Paths below the folder of a run, `out`, are those below the same folder elsewhere.
 
     Args:
@@ -30,8 +40,7 @@ def first_difference(
     first, second = _settings(before, apart), _settings(now, apart)
     for place in sorted(first.keys() | second.keys(), key=lambda place: (place.count("."), place)):
         if first.get(place) != second.get(place):
-            return Difference(place, first.get(place), second.get(place))
-    return None
+            yield Difference(place, first.get(place), second.get(place))
 
 
 def _settings(config: Mapping[str, Any], apart: re.Pattern[str] | None) -> dict[str, Any]:

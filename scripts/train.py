@@ -74,7 +74,7 @@ def main(config: DictConfig) -> float | None:
     resume = resumed(config)
     stack, data = instantiate(config.stack), instantiate(config.data.module)
     if config.start is not None and resume is None:
-        start_from(stack, checkpoint_path(config.start))
+        start_from(stack, checkpoint_path(config.start), content)
     begun = resume or config.start
     lineage = partial(_lineage, learned_from(begun) if begun else {}, data, config.epochs)
     callbacks = [instantiate(each) for each in config.callbacks.values() if each is not None]

@@ -314,6 +314,7 @@ def test_checkpoint_of_another_architecture_is_refused(refusal, workplace, tmp_p
         "train", *data_of(workplace), "predictor.components=7", start, f"out={tmp_path}"
     )
     assert "`checkpoint` must fit the architecture" in message
+    assert "predictor.components 3 there, 7 here" in message
 
 
 @pytest.mark.parametrize(

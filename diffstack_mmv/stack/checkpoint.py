@@ -15,6 +15,7 @@ from diffstack_mmv.prediction import Ensemble, Predictor, Trajectron
 from diffstack_mmv.prediction.trajectron.agent_batch import PEDESTRIAN
 from diffstack_mmv.stack.module import DiffStackMMV
 from dmmv_conventions.checkpoints import read_plain
+from dmmv_conventions.differences import differences
 from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.targets import OF_A_STACK, require_buildable
 
@@ -122,17 +123,24 @@ def load_weights(stack: DiffStackMMV, path: Path) -> None:
     _load(stack, read_checkpoint(path)["state_dict"], path)
 
 
-def start_from(stack: DiffStackMMV, path: Path) -> None:
+def start_from(stack: DiffStackMMV, path: Path, config: Mapping[str, Any] | None = None) -> None:
     """Give a stack the weights of a checkpoint, also of one with other dynamics of the ego.
 
     Physical parameters are taken over only from the same dynamics; a stack with other dynamics
     keeps its own, so that one trained predictor can start the training with every vehicle.
 
+    Args:
+        stack: Its weights are replaced.
+        path: The checkpoint.
+        config: What the stack was built from, as `provenance` of a checkpoint tells it; a refusal
+            then names the settings of the predictor that differ.
+
     Raises:
         ValueError: The file is missing, broken, of another program, or of a stack of another
             architecture.
     """
-    given = read_checkpoint(path)["state_dict"]
+    content = read_checkpoint(path)
+    given = content["state_dict"]
     places = tuple(
         f"{name}."
         for name, module in stack.named_modules(remove_duplicate=False)
@@ -143,11 +151,21 @@ def start_from(stack: DiffStackMMV, path: Path) -> None:
         learned = {key: value for key, value in given.items() if not key.startswith(places)}
         given = learned | own
         _logger.info("%s has other dynamics: physical parameters keep their initial values", path)
-    _load(stack, given, path)
+    apart = _predictors_differ(content["provenance"]["config"], config) if config else ""
+    _load(stack, given, path, apart)
 
 
-def _load(stack: DiffStackMMV, weights: Mapping[str, Tensor], path: Path) -> None:
-    """Load weights that have to fit the stack completely."""
+def _predictors_differ(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """The settings of the predictor that differ, " (predictor.components 16 there, 25 here)"."""
+    there, here = ({"predictor": each["stack"].get("predictor")} for each in (before, now))
+    told = [
+        f"{place} {first} there, {second} here" for place, first, second in differences(there, here)
+    ]
+    return f" ({'; '.join(told)})" if told else ""
+
+
+def _load(stack: DiffStackMMV, weights: Mapping[str, Tensor], path: Path, apart: str = "") -> None:
+    """Load weights that have to fit the stack completely; `apart` tells why they may not."""
     lost = [name for name, value in weights.items() if bool(torch.isnan(value).any())]
     require(not lost, "checkpoint", "hold no NaN", ", ".join(lost[:3]), f"in {path}", _REMEDY)
     try:
@@ -155,7 +173,7 @@ def _load(stack: DiffStackMMV, weights: Mapping[str, Tensor], path: Path) -> Non
     except RuntimeError as mismatch:
         faults = [line.strip().rstrip(".") for line in str(mismatch).splitlines()[1:]]
         more = f", and {len(faults) - 1} more like it" if len(faults) > 1 else ""
-        told = f"{faults[0]}{more}"
+        told = f"{faults[0]}{more}{apart}"
         raise ValueError(
             message(
                 "checkpoint",

@@ -2,7 +2,13 @@
 
 import re
 
-from dmmv_conventions.differences import first_difference
+from dmmv_conventions.differences import differences, first_difference
+
+
+def test_all_settings_that_differ_are_told_outer_ones_first():
+    before, now = {"a": {"b": 1, "c": 2}, "d": 3}, {"a": {"b": 1, "c": 4}, "e": 5}
+    told = [("d", 3, None), ("e", None, 5), ("a.c", 2, 4)]
+    assert list(differences(before, now)) == told
 
 
 def test_the_outermost_setting_that_differs_is_named():
