@@ -11,16 +11,6 @@ from torch import Tensor
 SERIES_BELOW = 0.3  # rad; the truncated series are exact to double precision there
 
 
-def limiter(ratio: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """Odd limiter S(x) = x (1 + x⁴)^(-1/4).
-
-    Slope 1 at zero, always inside (-1, 1), dimensionless.
-    """
-    # x^4 overflows for large arguments; 1e6 is already saturated to the last digit of float64
-    bounded = ratio.clamp(-1e6, 1e6)
-    return bounded * (1 + bounded**4) ** -0.25
-
-
 def soft_clamp(value: Float[Tensor, "*b"], limit: float | Tensor) -> Float[Tensor, "*b"]:
     """Clamp to (-limit, limit) as limit · tanh(value / limit), in the unit of `value`."""
     return limit * torch.tanh(value / limit)
@@ -86,7 +76,10 @@ def sinc_slope(angle: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
 
 
 def limiter_gain(ratio: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """Return S(x) / x = (1 + x⁴)^(-1/4) of the odd limiter, dimensionless and even in x."""
+    """Return S(x) / x = (1 + x⁴)^(-1/4) of the odd limiter S, dimensionless and even in x.
+
+    S has the slope 1 at zero and stays inside of (-1, 1), for x up to 3e7 in size.
+    """
     # x^8 of the square must stay finite in float32, also in second derivatives
     square = ratio.square().clamp(max=1e15)
     return (1 + square.square()).sqrt().rsqrt()
