@@ -1,6 +1,6 @@
 """Whether the callables of a problem fit its tensors, asked once per code and shape."""
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 
 import torch
 from jaxtyping import Float
@@ -42,8 +42,8 @@ def require_fitting(
 
     A wrong shape would be broadcast, and the answer would be that of another problem; the cost of a
     time that depends on another time has a Hessian that the solver does not see, and its gradient
-    would be wrong. Both are called for every code and every shape of the arguments, not for every
-    solve.
+    would be wrong; what is cut off from autograd looks like a constant, whose minimum is the guess.
+    Both are called for every code and every shape of the arguments, not for every solve.
 
     Args:
         dynamics: One step of all problems.
@@ -52,8 +52,8 @@ def require_fitting(
         controls: Guess of the controls.
 
     Raises:
-        ValueError: A result has the wrong shape or precision, or the cost of a time depends on
-            another one.
+        ValueError: A result has the wrong shape or precision or no gradient, or the cost of a time
+            depends on another one.
         TypeError: A result is no tensor.
     """
     key = (kind(dynamics), kind(cost), state.shape, controls.shape, state.dtype)
@@ -72,6 +72,8 @@ def require_fitting(
     remedy = "Sum over the columns of states and controls only: one cost per problem and time."
     require(found == wanted, "cost", f"return the shape {wanted}", found, "", remedy)
     _require_precision("cost", value, state)
+    _require_gradient("dynamics", dynamics, state, controls[..., 0, :])
+    _require_gradient("cost", cost, states, padded)
     if on_host(value):  # another device would be waited for
         _require_separable(cost, states, padded, value)
     _known.add(key)
@@ -83,6 +85,26 @@ def _require_precision(name: str, result: Tensor, state: Tensor) -> None:
     require(found == wanted, name, f"return {wanted} as the state", found, "", remedy)
 
 
+def _require_gradient(
+    name: str, function: Callable[[Tensor, Tensor], Tensor], *arguments: Tensor
+) -> None:
+    """Refuse a function that autograd cannot follow to any of its arguments."""
+    if torch.is_inference_mode_enabled():  # where autograd follows nothing
+        return
+    leaves = [each.detach().requires_grad_() for each in arguments]
+    with torch.enable_grad():
+        total = function(*leaves).sum()
+    known = total.requires_grad
+    found = torch.autograd.grad(total, leaves, allow_unused=True) if known else ()
+    require(
+        any(each is not None for each in found),
+        name,
+        "be differentiable in state or control",
+        "a result without a gradient",
+        remedy="Use operations of torch, without detach(), item() and no_grad().",
+    )
+
+
 def _require_separable(
     cost: Cost,
     states: Float[Tensor, "*b T1 n"],
@@ -90,21 +112,18 @@ def _require_separable(
     value: Float[Tensor, "*b T1"],
 ) -> None:
     """Refuse a cost whose entry of one time changes with states or controls of another."""
-    half = states.shape[-2] // 2
-    moved = (
-        torch.cat(
-            [part[..., :half, :], part[..., half:, :] + MOVED * (1 + part[..., half:, :].abs())], -2
-        )
-        for part in (states, controls)
-    )
-    change = (cost(*moved) - value)[..., :half]
+    late = torch.arange(states.shape[-2]) >= states.shape[-2] // 2
     # what is not finite tells nothing, and sums may be rounded otherwise
     size = value.abs().amax(-1, keepdim=True).nan_to_num(torch.inf, torch.inf)
-    follows = change.abs() > ROUNDED * torch.finfo(value.dtype).eps * (1 + size)
-    require(
-        not bool(follows.any()),
-        "cost",
-        "depend at each time on state and control of that time alone",
-        "one that changes with those of later times",
-        remedy="Make what it compares, such as the control before, a part of the state.",
-    )
+    allowed = ROUNDED * torch.finfo(value.dtype).eps * (1 + size)
+    for half in (late, ~late):
+        others = half.to(value).unsqueeze(-1)
+        moved = (part + others * MOVED * (1 + part.abs()) for part in (states, controls))
+        follows = ((cost(*moved) - value).abs() > allowed) & ~half
+        require(
+            not bool(follows.any()),
+            "cost",
+            "depend at each time on state and control of that time alone",
+            "one that changes with those of other times",
+            remedy="Make what it compares, such as the control before, a part of the state.",
+        )

@@ -30,6 +30,19 @@ def jerky(states, controls, weight):
     return fitting(states, controls, weight) + torch.nn.functional.pad(jerk, (0, 1)).square()
 
 
+def jerky_since(states, controls, weight):
+    jerk = controls[..., 1:, 0] - controls[..., :-1, 0]
+    return fitting(states, controls, weight) + torch.nn.functional.pad(jerk, (1, 0)).square()
+
+
+def summed_up(states, controls, weight):
+    return fitting(states, controls, weight).cumsum(-1)
+
+
+def cut_off(states, controls, weight):
+    return fitting(states.detach(), controls.detach(), weight)
+
+
 def towards_the_end(states, controls, weight):
     return fitting(states, controls, weight) + (states - states[..., -1:, :]).square().sum(-1)
 
@@ -38,10 +51,14 @@ def of_other_precision(states, controls, weight):
     return fitting(states, controls, weight).double()
 
 
+OF_OTHER_TIMES = "`cost` must depend at each time on state and control of that time alone"
 BAD = {
     one_per_problem: r"`cost` must return the shape \(3, 9\)",
-    jerky: "`cost` must depend at each time on state and control of that time alone",
-    towards_the_end: "`cost` must depend at each time on state and control of that time alone",
+    jerky: OF_OTHER_TIMES,
+    jerky_since: OF_OTHER_TIMES,
+    summed_up: OF_OTHER_TIMES,
+    towards_the_end: OF_OTHER_TIMES,
+    cut_off: "`cost` must be differentiable in state or control",
     of_other_precision: "`cost` must return torch.float32 as the state, but got torch.float64",
 }
 
@@ -67,6 +84,19 @@ def test_dynamics_of_other_precision_are_refused():
             lambda x, u: step(x, u).double(), functools.partial(fitting, weight=WEIGHT), BOX, STATE,
             CONTROLS,
         )  # fmt: skip
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_dynamics_cut_off_from_their_arguments_are_refused():
+    cost = functools.partial(fitting, weight=WEIGHT)
+    with pytest.raises(ValueError, match="`dynamics` must be differentiable in state or control"):
+        ILQR()(lambda x, u: step(x, u).detach(), cost, BOX, STATE, CONTROLS)
+
+
+def test_nothing_is_refused_where_autograd_is_off():
+    cost = functools.partial(lambda x, u, weight: fitting(x, u, weight), weight=WEIGHT)
+    with torch.inference_mode():
+        assert ILQR()(lambda x, u: step(x, u), cost, BOX, STATE, CONTROLS).converged.all()
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require
+from diffstack_mmv.checks import message, require_at_least, require_whole
 from diffstack_mmv.dynamics.base import DynamicsModel
 from diffstack_mmv.dynamics.gm3.chassis import Chassis, Physics
 from diffstack_mmv.dynamics.gm3.drive import Command, Drive, split_acceleration
@@ -72,6 +72,7 @@ class DiffGM3(DynamicsModel):
     Raises:
         ValueError: The step or the number of substeps is not positive, or a wheel would carry no
             load.
+        TypeError: The tyre law is none, such as the name of one.
     """
 
     drive: ClassVar[type[Drive] | None] = None  # the vehicle's own way from accelerations
@@ -104,13 +105,14 @@ class DiffGM3(DynamicsModel):
         lean: LeanLaw | None = None,
     ) -> None:
         require_vehicle(spec)
-        require(substeps >= 1, "substeps", "be at least 1", substeps)
+        require_whole("substeps", substeps)
+        require_at_least("substeps", substeps, 1)
         self.Control = self.control_record(spec)
         super().__init__(dt_s, *self.control_range(spec))
         self.spec = spec
         self.substeps = substeps
         self.stepper = stepper or LIM2()
-        self.chassis = Chassis(spec, tire or ConsistentBrush(), self.drive, lean)
+        self.chassis = Chassis(spec, _law(tire), self.drive, lean)
         for name in WHEEL_PARAMETERS:
             self.add_module(name, SoftClamped(spec.wheel_parameter(name)))
         for name in BODY_PARAMETERS:
@@ -292,6 +294,15 @@ class DiffGM3(DynamicsModel):
             "stepper": type(self.stepper).__name__,
             "lean": repr(self.chassis.lean) if self.spec.leans else None,
         }
+
+
+def _law(tire: Tire | None) -> Tire:
+    """The tyre law of all wheels; a vehicle would refuse another thing at its first step."""
+    if tire is not None and not isinstance(tire, Tire):
+        remedy = "Give ConsistentBrush(), PaperBrush() or SharpBrush()."
+        found = f"{type(tire).__name__} {tire!r}"
+        raise TypeError(message("tire", "be a tyre law", found, "", remedy))
+    return tire or ConsistentBrush()
 
 
 def as_columns(rows: Float[Tensor, "*b c"], shape: torch.Size) -> Float[Tensor, "c n"]:

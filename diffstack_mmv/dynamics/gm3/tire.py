@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require, require_positive
+from diffstack_mmv.checks import require, require_positive, require_tensor
 from diffstack_mmv.smooth import soft_clamp, tanh_ratio
 
 LOAD_FLOOR = 1e-5  # N, keeps the slip of full sliding above zero for a wheel in the air
@@ -120,7 +120,22 @@ class Tire(ABC):
 
         Returns:
             F_x and F_y in N, M_z in N m.
+
+        Raises:
+            TypeError: An argument is no tensor.
         """
+        given = {
+            "normal_load": normal_load,
+            "slip_x": slip_x,
+            "slip_y": slip_y,
+            "slip_angle": slip_angle,
+            "spin": spin,
+            "friction": friction,
+            "tread_stiffness": tread_stiffness,
+            "contact_half_length": contact_half_length,
+        }
+        for name, value in given.items():
+            require_tensor(name, value)
         third = 2 / 3 * tread_stiffness * contact_half_length.square()
         tire = loaded_tire(normal_load, friction, third, contact_half_length)
         slip = TireSlip(slip_x, slip_y, spin, slip_angle)

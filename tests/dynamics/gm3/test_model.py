@@ -4,7 +4,13 @@ import pytest
 import torch
 
 from diffstack_mmv.dynamics import DiffGM3, rollout
-from diffstack_mmv.dynamics.gm3 import DiffGM3WheelSpeed, ExplicitEuler, PaperBrush, RungeKutta4
+from diffstack_mmv.dynamics.gm3 import (
+    ConsistentBrush,
+    DiffGM3WheelSpeed,
+    ExplicitEuler,
+    PaperBrush,
+    RungeKutta4,
+)
 from diffstack_mmv.types import Motion
 from diffstack_mmv.vehicles import load_vehicle, vehicle_names
 
@@ -99,9 +105,20 @@ def test_explicit_methods_agree_with_many_small_steps(stepper):
     assert torch.allclose(*ends, atol=2e-3)
 
 
-def test_substeps_must_be_positive():
-    with pytest.raises(ValueError, match="`substeps` must be at least 1"):
-        DiffGM3(load_vehicle("bicycle"), substeps=0)
+@pytest.mark.parametrize(
+    ("substeps", "told"), [(0, "must be at least 1"), (1.5, "must be a whole number")]
+)
+@pytest.mark.usefixtures("unchecked")
+def test_substeps_are_a_positive_whole_number(substeps, told):
+    with pytest.raises(ValueError, match=f"`substeps` {told}"):
+        DiffGM3(load_vehicle("bicycle"), substeps=substeps)
+
+
+@pytest.mark.parametrize("tire", ["paper", ConsistentBrush])
+@pytest.mark.usefixtures("unchecked")
+def test_the_name_of_a_tyre_law_is_none(tire):
+    with pytest.raises(TypeError, match="`tire` must be a tyre law"):
+        DiffGM3(load_vehicle("bicycle"), tire=tire)
 
 
 @pytest.mark.parametrize("name", vehicle_names())

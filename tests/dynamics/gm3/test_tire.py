@@ -133,3 +133,12 @@ def bicycle_forces_at(law, load, slip):
 def test_impossible_width_is_refused(build, told):
     with pytest.raises(ValueError, match=f"`{told}` must be positive"):
         build()
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("place", range(8))
+def test_a_number_in_the_place_of_a_tensor_is_refused(place):
+    given = [torch.tensor(number) for number in (400.0, 0.1, 0.1, 0.1, 0.0, 0.8, 1.5e6, 0.045)]
+    given[place] = given[place].item()
+    with pytest.raises(TypeError, match=r"must be a tensor, but got float. Write torch.as_tensor"):
+        ConsistentBrush()(*given)
