@@ -71,12 +71,51 @@ def require_fitting(
     found, wanted = tuple(value.shape), tuple(states.shape[:-1])
     remedy = "Sum over the columns of states and controls only: one cost per problem and time."
     require(found == wanted, "cost", f"return the shape {wanted}", found, "", remedy)
-    _require_precision("cost", value, state)
     _require_gradient("dynamics", dynamics, state, controls[..., 0, :])
-    _require_gradient("cost", cost, states, padded)
-    if on_host(value):  # another device would be waited for
-        _require_separable(cost, states, padded, value)
+    _require_stagewise("cost", cost, states, padded, value)
     _known.add(key)
+
+
+@torch.no_grad()
+def require_fitting_constraint(
+    name: str,
+    constraint: Callable[[Tensor, Tensor], Tensor],
+    states: Float[Tensor, "*b T1 n"],
+    controls: Float[Tensor, "*b T1 m"],
+    value: Float[Tensor, "*b T1 k"],
+) -> None:
+    """Refuse a constraint whose result the solver cannot work with, for the reasons of a cost.
+
+    Args:
+        name: What to call it.
+        constraint: Gives the values of all times.
+        states: Where it was asked.
+        controls: The same, with a row for the end.
+        value: What it returned there, of the shape that it has to be.
+
+    Raises:
+        ValueError: The value has the wrong precision or no gradient, or that of a time depends on
+            another one.
+    """
+    key = (kind(constraint), states.shape, controls.shape, states.dtype)
+    if key in _known or value.numel() == 0:
+        return
+    _require_stagewise(name, constraint, states, controls, value)
+    _known.add(key)
+
+
+def _require_stagewise(
+    name: str,
+    function: Callable[[Tensor, Tensor], Tensor],
+    states: Float[Tensor, "*b T1 n"],
+    controls: Float[Tensor, "*b T1 m"],
+    value: Tensor,
+) -> None:
+    """Refuse a function along a trajectory that is not one of each time, in its precision."""
+    _require_precision(name, value, states)
+    _require_gradient(name, function, states, controls)
+    if on_host(value):  # another device would be waited for
+        _require_separable(name, function, states, controls, value)
 
 
 def _require_precision(name: str, result: Tensor, state: Tensor) -> None:
@@ -106,23 +145,25 @@ def _require_gradient(
 
 
 def _require_separable(
-    cost: Cost,
+    name: str,
+    function: Callable[[Tensor, Tensor], Tensor],
     states: Float[Tensor, "*b T1 n"],
     controls: Float[Tensor, "*b T1 m"],
-    value: Float[Tensor, "*b T1"],
+    value: Tensor,
 ) -> None:
-    """Refuse a cost whose entry of one time changes with states or controls of another."""
-    late = torch.arange(states.shape[-2]) >= states.shape[-2] // 2
+    """Refuse a function whose entries of one time change with states or controls of another."""
+    time = states.dim() - 2
+    late = torch.arange(states.shape[time]) >= states.shape[time] // 2
     # what is not finite tells nothing, and sums may be rounded otherwise
-    size = value.abs().amax(-1, keepdim=True).nan_to_num(torch.inf, torch.inf)
+    size = value.abs().amax(time, keepdim=True).nan_to_num(torch.inf, torch.inf)
     allowed = ROUNDED * torch.finfo(value.dtype).eps * (1 + size)
     for half in (late, ~late):
         others = half.to(value).unsqueeze(-1)
         moved = (part + others * MOVED * (1 + part.abs()) for part in (states, controls))
-        follows = ((cost(*moved) - value).abs() > allowed) & ~half
+        follows = (function(*moved) - value).abs() > allowed
         require(
-            not bool(follows.any()),
-            "cost",
+            not bool(follows.movedim(time, 0)[~half].any()),
+            name,
             "depend at each time on state and control of that time alone",
             "one that changes with those of other times",
             remedy="Make what it compares, such as the control before, a part of the state.",

@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from diffstack_mmv.checks import message, require
+from diffstack_mmv.checks import message, require, require_tensor
 from diffstack_mmv.control.expansion import pad_controls
+from diffstack_mmv.control.fitting import require_fitting_constraint
 from diffstack_mmv.control.optimizer import ConstraintFunction, Constraints
 from diffstack_mmv.control.selection import Selectable
 
@@ -60,7 +61,15 @@ Constraint = Inequality | Equality
 
 
 def listed(constraints: Constraints) -> list[Constraint]:
-    """A hard constraint for each function of a record."""
+    """A hard constraint for each function of a record.
+
+    Raises:
+        TypeError: It is no record.
+    """
+    if not isinstance(constraints, Constraints):
+        remedy = "Write Constraints(inequality=g, equality=h)."
+        found = type(constraints).__name__
+        raise TypeError(message("constraints", "be Constraints", found, "", remedy))
     both: list[Constraint] = []
     if constraints.inequality is not None:
         both.append(Inequality(constraints.inequality))
@@ -127,23 +136,28 @@ def gather(
     """Lay constraints out as rows, their sizes taken from the values along a trajectory.
 
     Raises:
-        ValueError: A constraint function does not return one row per time, or a price does not
-            broadcast or is negative.
+        ValueError: A constraint function does not return one row per time, or one that looks at
+            other times, or a price does not broadcast or is negative.
+        TypeError: A constraint is neither an `Inequality` nor an `Equality`.
     """
     acting, parts = pad_controls(controls), []
     for number, constraint in enumerate(constraints):
+        name = f"constraints[{number}]"
+        _require_constraint(name, constraint)
         values = constraint.function(states, acting)
+        require_tensor(f"{name}(states, controls)", values)
         require(
             values.shape[:-1] == states.shape[:-1],
-            f"constraints[{number}]",
+            name,
             f"return values of shape ({', '.join(map(str, states.shape[:-1]))}, k)",
             tuple(values.shape),
         )
+        require_fitting_constraint(name, constraint.function, states, acting, values)
         applies = torch.zeros(values.shape[-2:], dtype=torch.bool, device=values.device)
         applies[constraint.times] = True
         linear, quadratic = (
-            _priced(price, values, applies, f"constraints[{number}].slack.{name}")
-            for name, price in vars(constraint.slack).items()
+            _priced(price, values, applies, f"{name}.slack.{which}")
+            for which, price in vars(constraint.slack).items()
         )
         signed = torch.full_like(applies[0], isinstance(constraint, Equality))
         parts.append((linear, quadratic, signed, applies))
@@ -151,6 +165,13 @@ def gather(
     widths = tuple(applies.shape[1] for *_, applies in parts)
     functions = tuple(constraint.function for constraint in constraints)
     return ConstraintRows(*[functions, *columns, widths])
+
+
+def _require_constraint(name: str, constraint: object) -> None:
+    if not isinstance(constraint, Inequality | Equality):
+        remedy = "Write Inequality(function) or Equality(function)."
+        found = type(constraint).__name__
+        raise TypeError(message(name, "be an Inequality or an Equality", found, "", remedy))
 
 
 def _priced(price: float | Tensor, values: Tensor, applies: Tensor, name: str) -> Tensor:

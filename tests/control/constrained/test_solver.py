@@ -4,7 +4,13 @@ import pytest
 import torch
 
 from diffstack_mmv.control import ILQR, Batched, Bounds, Constraints, SolverStatus
-from diffstack_mmv.control.constrained import ConstrainedILQR, Equality, Inequality, Slack
+from diffstack_mmv.control.constrained import (
+    ConstrainedILQR,
+    Equality,
+    Inequality,
+    Slack,
+    listed,
+)
 from tests.control.constrained.problems import braking, constraints, drives, solve
 
 pytestmark = pytest.mark.usefixtures("double")
@@ -311,6 +317,10 @@ def test_too_few_iterations_are_a_status():
     ("limit", "given", "told"),
     [
         (lambda x, u: x[..., 1:, :1], {}, r"constraints\[0\].*must return values of shape"),
+        (lambda x, u: u.diff(dim=-2, append=u[..., :1, :]), {}, "depend at each time on state"),
+        (lambda x, u: u.diff(dim=-2, prepend=u[..., :1, :]), {}, "depend at each time on state"),
+        (lambda x, u: x[..., :1].detach(), {}, "must be differentiable in state or control"),
+        (lambda x, u: x[..., :1].float(), {}, "must return torch.float64 as the state"),
         (wall, {"slack": Slack(linear=-1.0)}, r"slack.linear.*must be zero or positive"),
         (wall, {"slack": Slack(quadratic=torch.ones(7, 5))}, r"slack.quadratic.*must broadcast"),
     ],
@@ -318,6 +328,14 @@ def test_too_few_iterations_are_a_status():
 def test_constraints_that_do_not_fit_are_refused(limit, given, told):
     with pytest.raises(ValueError, match=told):
         brought([Inequality(limit, **given)])
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_constraints_of_another_kind_are_refused():
+    with pytest.raises(TypeError, match=r"constraints\[0\]` must be an Inequality or an Equality"):
+        brought([wall])
+    with pytest.raises(TypeError, match="`constraints` must be Constraints, but got list"):
+        listed([wall])
 
 
 @pytest.mark.usefixtures("unchecked")
