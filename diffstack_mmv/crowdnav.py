@@ -12,9 +12,9 @@ from tempfile import TemporaryDirectory
 from types import MappingProxyType
 from typing import Any
 
-from diffstack_mmv.checks import require, require_positive
+from diffstack_mmv.checks import require, require_one_of, require_positive, require_whole
 from diffstack_mmv.dynamics.catalogue import load_dynamics
-from diffstack_mmv.dynamics.config_files import chosen_in, factory, settings_of
+from diffstack_mmv.dynamics.config_files import chosen_in, factory, names_in, settings_of
 from diffstack_mmv.simulation import (
     Campaign,
     Controller,
@@ -36,6 +36,12 @@ LIMITS: Mapping[str, float] = MappingProxyType(
     {"speed_max_mps": 3.0, "acceleration_min_mps2": -3.0, "acceleration_max_mps2": 2.0}
 )
 """Of the vehicle among people; the tighter of these and its own hold."""
+
+_GROUPS = (
+    *("dynamics", "scenario", "crowd", "controller", "people", "cost"),
+    *("footprint", "sensing"),
+)
+"""Attributes that name a file of the group of their name."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +89,12 @@ class CrowdNav:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Check the delay at the border, where it has its name."""
+        """Check names, seed and delay at the border, before a drive has begun."""
+        for group in _GROUPS:
+            name = getattr(self, group)
+            if name is not None:
+                require_one_of(group, name, names_in(config_folder() / group))
+        require_whole("seed", self.seed)
         if self.controller == "diffmpc_delay":
             remedy = "It expects the robot's; `diffmpc` expects none."
             require_positive("delay_s", self.delay_s, "controller 'diffmpc_delay'", remedy)

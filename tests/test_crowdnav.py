@@ -86,12 +86,15 @@ def test_cases_are_driven_and_kept(tmp_path):
     assert math.isfinite(study.drive([0])["mean_episode_min_dist_m"])
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("given", "told"),
     [
         ({"controller": "diffmcp"}, "`controller` must be one of blind, diffmpc"),
         ({"dynamics": "magic"}, "`dynamics` must be one of gm3"),
         ({"controller": "diffmpc_delay"}, "`delay_s` must be positive, but got 0.0"),
+        ({"sensing": "ears"}, "`sensing` must be one of everything, within_5m"),
+        ({"seed": "one"}, "`seed` must be a whole number, but got 'one'"),
         ({"people": "predictor"}, "`path` must be a plain value, but got '${people_checkpoint}'"),
     ],
 )
@@ -99,3 +102,8 @@ def test_names_of_nothing_are_refused(given, told):
     with pytest.raises(ValueError, match="`") as raised:
         CrowdNav(**given).driver()
     assert told in str(raised.value)
+
+
+def test_names_are_checked_before_anything_is_built():
+    with pytest.raises(ValueError, match="`crowd` must be one of"):
+        CrowdNav(crowd="tourists")

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
+from diffstack_mmv.checks import message
 from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.types import map_tensors
 
@@ -35,10 +36,38 @@ class Controller(Protocol):
         ...
 
 
+def require_controller(controller: object) -> None:
+    """Refuse what is no controller.
+
+    Raises:
+        TypeError: It lacks a method.
+    """
+    if not isinstance(controller, Controller) or isinstance(controller, type):
+        found = getattr(controller, "__name__", type(controller).__name__)
+        remedy = "Give an object of a class that has both methods."
+        raise TypeError(message("controller", "have init and act", found, "", remedy))
+
+
+def decide(controller: Controller, state: Any, observation: Observation) -> Decided:
+    """What a controller decides.
+
+    Raises:
+        TypeError: It answers with something else than an action and a state.
+    """
+    answer = controller.act(state, observation)
+    if not isinstance(answer, tuple) or len(answer) != len(Decided._fields):
+        found = type(answer).__name__
+        wanted = "return an action and the state for the next decision"
+        remedy = "Write `return Decided(action, state)`."
+        where = f"from {type(controller).__name__}.act"
+        raise TypeError(message("controller", wanted, found, where, remedy))
+    return Decided(*answer)
+
+
 def unbatched(controller: Controller, state: Any, observation: Observation) -> Decided:
     """Decide for a single episode as for a batch of one, whose state has that leading dimension."""
     one = map_tensors(lambda entry: entry.unsqueeze(0), observation)
-    action, after = controller.act(state, one)
+    action, after = decide(controller, state, one)
     return Decided(action.squeeze(0), after)
 
 

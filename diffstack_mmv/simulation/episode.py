@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.simulation.decisions import Controller
+from diffstack_mmv.simulation.decisions import Controller, decide, require_controller
 from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.verdict import Judgement
 from diffstack_mmv.simulation.world import World, WorldState
@@ -43,14 +43,16 @@ def drive(world: World, scene: Scene, controller: Controller) -> DrivenEpisodes:
 
     Raises:
         ValueError: A pedestrian stands in the robot at the start, or an action has the wrong shape.
+        TypeError: The controller is none, or answers with something else than a decision.
     """
+    require_controller(controller)
     state = world.start(scene)
     states, rows = [state], []
     running = torch.ones_like(state.time, dtype=torch.bool)
     known = controller.init(world.observe(state))
     for _ in counted(range(world.max_steps), "drive", "step"):
         seen = world.observe(state)._replace(running=running)
-        action, known = controller.act(known, seen)
+        action, known = decide(controller, known, seen)
         state, judgement = world.step(state, action)
         states.append(state)
         rows.append(_Row(action, judgement, running))

@@ -5,7 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least
-from diffstack_mmv.simulation.decisions import Controller
+from diffstack_mmv.simulation.decisions import Controller, decide
 from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.world import World
 
@@ -46,9 +46,9 @@ def imitation_loss(
     largest = torch.maximum(bounds.upper, -bounds.lower)
     for _ in range(steps):
         seen = world.observe(state)
-        action, own = learner.act(own, seen)
+        action, own = decide(learner, own, seen)
         with torch.no_grad():
-            wanted, taught = teacher.act(taught, seen)
+            wanted, taught = decide(teacher, taught, seen)
         errors.append(((action - wanted) / largest.to(action)).square().mean())
         state = world.step(state, action).state
     return torch.stack(errors).mean()
@@ -73,7 +73,7 @@ def way_left_loss(world: World, scene: Scene, learner: Controller, steps: int) -
     state = world.start(scene)
     known = learner.init(world.observe(state))
     for _ in range(steps):
-        action, known = learner.act(known, world.observe(state))
+        action, known = decide(learner, known, world.observe(state))
         state = world.step(state, action).state
     way = world.observe(state).motion.position - state.goal
     return way.square().sum(-1).sqrt().mean()

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import (
     message,
+    require,
     require_columns,
     require_finite,
     require_multiple,
@@ -124,9 +125,11 @@ class World:
             The next state and the verdict on the step.
 
         Raises:
-            ValueError: The action has the wrong number of columns, or is not finite.
+            ValueError: The action has the wrong number of columns or episodes, or is not finite.
         """
         require_columns("action", action, len(self.robot.bounds.lower))
+        found, wanted = tuple(action.shape[:-1]), tuple(state.time.shape)
+        require(found == wanted, "action", f"have one row per episode, {wanted}", found)
         require_finite("action", action, "", "The controller has to answer with numbers.")
         seen = seen_by_pedestrians(self.robot, state.robot)
         velocity = self.crowd(state.pedestrians, self.dt_s, seen if self.robot_visible else None)

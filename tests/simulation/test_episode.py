@@ -123,3 +123,33 @@ def test_a_standing_robot_runs_out_of_time_exactly_at_the_limit(world_with, scen
 def test_a_policy_without_speed_is_refused(policy):
     with pytest.raises(ValueError, match="`speed_mps` must be positive"):
         policy(speed_mps=0.0)
+
+
+class Answering:
+    """Answers with what a function makes of the observation."""
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def init(self, observation):
+        return None
+
+    def act(self, state, observation):
+        return self.answer(torch.zeros_like(observation.motion.position))
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("controller", "error", "told"),
+    [
+        (Answering(lambda still: still), TypeError, "return an action and the state .* got Tensor"),
+        (Answering(lambda still: None), TypeError, "but got NoneType from Answering.act"),
+        (Answering(lambda still: Decided(still[:2], None)), ValueError, r"row per episode, \(5,\)"),
+        (Answering(lambda still: Decided(still[0], None)), ValueError, r"row per episode, \(5,\)"),
+        (Answering, TypeError, "`controller` must have init and act, but got Answering"),
+        (object(), TypeError, "`controller` must have init and act, but got object"),
+    ],
+)
+def test_a_controller_that_answers_otherwise_is_told(world_with, controller, error, told):
+    with pytest.raises(error, match=told):
+        drive(world_with(), CircleCrossing().cases("test", range(5)), controller)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.geometry import length
-from diffstack_mmv.simulation.decisions import Controller
+from diffstack_mmv.simulation.decisions import Controller, decide
 from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.world import World
 
@@ -64,7 +64,7 @@ class DrivingLoss:
         running = torch.ones_like(state.time, dtype=torch.bool)
         for _ in range(self.steps):
             seen = world.observe(state)._replace(running=running)
-            action, known = controller.act(known, seen)
+            action, known = decide(controller, known, seen)
             state, judgement = world.step(state, action)
             way = self._way(world, state)
             lack = (1 - judgement.clearance / self.clearance_m).clamp_min(0)
