@@ -5,7 +5,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from diffstack_mmv.checks import require, require_at_least, require_one_of
+from diffstack_mmv.checks import (
+    message,
+    require,
+    require_at_least,
+    require_columns,
+    require_one_of,
+)
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.identification.inference.assumptions import TrackingAssumptions
 from diffstack_mmv.identification.inference.comparison import (
@@ -110,11 +116,15 @@ class IdentificationStudy:
             models: What builds each model, by its name.
 
         Raises:
-            ValueError: The recorded controls are not those of the first model, the tracks do not
-                hold enough segments, or a name of a parameter is unknown.
+            ValueError: No model is given, the recorded controls are not those of the first model,
+                the tracks do not hold enough segments, or a name of a parameter is unknown.
+            TypeError: A model stands where what builds one is asked for.
         """
+        _require_builders(models)
         (name, build), *others = models.items()
         self._require_names(build())
+        if self.assumptions.controls:
+            _require_widths(recordings, build())
         segments = cut_tracks(recordings, self.segments)
         split = split_segments(segments, self.selection, self.tracks, self.heldout, self.seed)
         settings = self.assumptions.settings(recordings, self.spec, split.fitted, self.dt_s)
@@ -149,3 +159,19 @@ class IdentificationStudy:
             "%s is not compared: its controls %s were not recorded", type(model).__name__, own
         )
         return False
+
+
+def _require_builders(models: Mapping[str, object]) -> None:
+    """Refuse no models, and those that are built already: each fit begins with a new one."""
+    require(len(models) > 0, "models", "name at least one model", "none")
+    for name, build in models.items():
+        if isinstance(build, DynamicsModel) or not callable(build):
+            found, remedy = type(build).__name__, "Write lambda: DiffKBM(spec)."
+            raise TypeError(message(f"models[{name!r}]", "build a model", found, "", remedy))
+
+
+def _require_widths(recordings: Recordings, model: DynamicsModel) -> None:
+    """Refuse recorded controls of other columns than the model has."""
+    own = model.Control._fields
+    for name, controls in (recordings.controls or {}).items():
+        require_columns(f"controls[{name!r}]", controls, len(own), own)

@@ -60,8 +60,10 @@ def cut_tracks(recordings: Recordings, settings: SegmentSettings) -> list[TrackS
         settings: What a segment must be.
 
     Raises:
-        ValueError: No track holds a segment of the shortest length.
+        ValueError: No track holds a segment of the shortest length, or what was measured beside a
+            track is of another length, or of no track.
     """
+    _require_rows(recordings)
     longest = round(settings.max_s / settings.dt_s) + 1
     shortest = round(settings.min_s / settings.dt_s) + 1
     segments = []
@@ -74,6 +76,18 @@ def cut_tracks(recordings: Recordings, settings: SegmentSettings) -> list[TrackS
                     segments.append(_segment(name, motion, beside, rows, settings.dt_s))
     _require_some(segments, recordings, settings)
     return segments
+
+
+def _require_rows(recordings: Recordings) -> None:
+    """Refuse what was measured beside a track without a row for each of its times."""
+    motions = recordings.motions
+    require(len(motions) > 0, "motions", "hold at least one track", "none")
+    for kind in ("leans", "controls"):
+        for name, rows in (getattr(recordings, kind) or {}).items():
+            require(name in motions, kind, f"be of tracks such as {next(iter(motions))!r}", name)
+            wanted, found = len(motions[name].heading), len(rows)
+            where = f"for track {name!r}"
+            require(found == wanted, kind, f"have {wanted} rows, one per time", found, where)
 
 
 def _usable(

@@ -6,6 +6,7 @@ from functools import partial
 import pytest
 import torch
 
+from diffstack_mmv.dynamics import DiffKBM
 from diffstack_mmv.dynamics.catalogue import model_of
 from diffstack_mmv.identification import (
     IdentificationStudy,
@@ -109,3 +110,23 @@ def test_motions_are_given_as_arrays_of_a_figure(finished):
 def test_controls_of_another_model_are_refused():
     with pytest.raises(ValueError, match="`controls` must name acceleration, steer in this order"):
         study(controls={"steer": 0.1})(recordings(), builders("kbm"))
+
+
+def test_recorded_controls_of_other_columns_are_refused():
+    given = recordings()
+    wide = {name: torch.cat([each, each], -1) for name, each in given.controls.items()}
+    with pytest.raises(ValueError, match=r"2 columns \(acceleration, steer\)"):
+        study()(given._replace(controls=wide), builders("kbm"))
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("models", "error", "told"),
+    [
+        ({}, ValueError, "`models` must name at least one model"),
+        ({"kbm": DiffKBM(load_vehicle("bicycle"))}, TypeError, "must build a model, but got Diff"),
+    ],
+)
+def test_models_that_are_none_or_built_already_are_refused(models, error, told):
+    with pytest.raises(error, match=told):
+        study()(recordings(), models)

@@ -52,3 +52,17 @@ def test_where_controls_are_asked_for_segments_have_them_all_along():
 def test_tracks_without_controls_where_they_are_asked_for_are_refused():
     with pytest.raises(ValueError, match="`tracks` must hold a segment .* with recorded controls"):
         cut({"a": circling(12.0)}, controls={})
+
+
+@pytest.mark.parametrize(
+    ("tracks", "beside", "told"),
+    [
+        ({}, {}, "`motions` must hold at least one track"),
+        ({"a": circling(6.0)}, {"controls": {"a": torch.zeros(60, 2)}}, "have 61 rows,.*got 60"),
+        ({"a": circling(6.0)}, {"leans": {"a": torch.zeros(62)}}, "have 61 rows,.*got 62 for"),
+        ({"a": circling(6.0)}, {"leans": {"b": torch.zeros(61)}}, "`leans` must be of tracks"),
+    ],
+)
+def test_what_does_not_fit_the_tracks_is_refused(tracks, beside, told):
+    with pytest.raises(ValueError, match=told):
+        cut(tracks, **beside)
