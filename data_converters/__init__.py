@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from data_converters.imptc import ImptcDataset, ImptcVruDataset, SequenceSplit, TrackFilter
     from data_converters.imptc.sample import generate_sample, generate_vru_sample
     from data_converters.limits import RecordingLimits
+    from data_converters.live import LiveTracks
     from data_converters.modes import default_extent
     from data_converters.opening import open_cache
     from data_converters.report import ConversionReport
@@ -42,6 +43,7 @@ __all__ = [
     "EthUcyDataset",
     "ImptcDataset",
     "ImptcVruDataset",
+    "LiveTracks",
     "Mode",
     "RecordingLimits",
     "RecordingSplit",

@@ -25,12 +25,17 @@ _DEFAULT_EXTENT_M = {
 }
 
 
+def usual_size(mode: Mode) -> tuple[float, float, float]:
+    """Size assumed for a mode, (length, width, height) in m, rider or pusher included."""
+    return _DEFAULT_EXTENT_M[mode]
+
+
 def default_extent(mode: Mode) -> FixedExtent:
-    """Size assumed for a mode, (length, width, height) in m, rider or pusher included.
+    """The size assumed for a mode, in m, as trajdata has it.
 
     Only vehicles of the IMPTC sequences carry a measured size (their cuboid); every other agent
     gets this one. Values are typical outer dimensions, not measurements of the data sets.
     """
     from trajdata.data_structures.agent import FixedExtent
 
-    return FixedExtent(*_DEFAULT_EXTENT_M[mode])
+    return FixedExtent(*usual_size(mode))

@@ -135,6 +135,16 @@ def motion_in_frame(
     )
 
 
+def motion_from_frame(
+    motion: Motion, origin: Float[Tensor, "*#b 2"], heading: Float[Tensor, "*#b"]
+) -> Motion:
+    """Express a motion in a frame with this origin (m) and heading (rad) in the world."""
+    return motion._replace(
+        position=position_from_frame(motion.position, origin, heading),
+        heading=wrap_angle(motion.heading + heading),
+    )
+
+
 def root(square: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
     """Correctly rounded square root, NaN below zero; its derivative at zero is told as zero.
 

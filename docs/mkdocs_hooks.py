@@ -37,6 +37,7 @@ MODULES = {
     "diffstack_mmv.identification.measured": "Identification from measured controls",
     "diffstack_mmv.data": "Samples",
     "diffstack_mmv.stack": "Stack",
+    "diffstack_mmv.online": "A trained stack on live tracks",
     "diffstack_mmv.types": "Types",
     "data_converters": "Converters",
 }

@@ -26,6 +26,7 @@ ALLOWED = {
     "failures": {"override_errors"},
     "run_checks": {"config_checks"},
     "training_checks": {"config_checks", "metrics"},
+    "online": {"checks", "data", "geometry", "planning", "stack", "types"},
     "crowdnav": {"checks", "dynamics", "simulation", "vehicles"},
     "override_errors": set(),
     "child_processes": set(),
@@ -73,6 +74,7 @@ CONVENTIONS = {
     },
     "training_checks": {"dmmv_conventions.checks"},
     "jobs": {"dmmv_conventions.checks"},
+    "online": {"dmmv_conventions.observed"},
     "table_jobs": {"dmmv_conventions.checks"},
     "types": {"dmmv_conventions.modes"},
     "control": {"dmmv_conventions.libraries"},
@@ -98,6 +100,7 @@ CONVENTIONS = {
     },
     "stack": {
         "dmmv_conventions.checkpoints",
+        "dmmv_conventions.differences",
         "dmmv_conventions.memory",
         "dmmv_conventions.pretrained",
         "dmmv_conventions.targets",

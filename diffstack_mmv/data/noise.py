@@ -8,7 +8,7 @@ from torch import Generator, Tensor
 
 from diffstack_mmv.checks import require_between, require_positive
 from diffstack_mmv.data.augment import like, uniform
-from diffstack_mmv.data.batch import STANDSTILL_MPS, yaw_rate
+from diffstack_mmv.data.motions import STANDSTILL_MPS, yaw_rate
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.types import Motion, StackBatch, Tracks
 

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from diffstack_mmv.checks import require
-from diffstack_mmv.data.batch import STANDSTILL_MPS, yaw_rate
 from diffstack_mmv.data.converted import agent_rows, converted, scene_of
+from diffstack_mmv.data.motions import STANDSTILL_MPS, yaw_rate
 from diffstack_mmv.data.sources import ConvertedCache, WindowSource
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.types import Mode, Motion

@@ -110,10 +110,19 @@ class DiffStackMMV(pl.LightningModule):
         """Predict all agents, choose the goal, and plan."""
         return self.plan(batch, self.predictor.predict(batch))
 
-    def plan(self, batch: StackBatch, forecast: Forecast) -> StackOutput:
-        """Choose the goal and plan, given a forecast of all agents."""
+    def plan(
+        self, batch: StackBatch, forecast: Forecast, source: GoalSource | None = None
+    ) -> StackOutput:
+        """Choose the goal and plan, given a forecast of all agents.
+
+        Args:
+            batch: Samples.
+            forecast: Of all their agents, `B 1+N`.
+            source: Where the goal comes from, if not from where the stack itself takes it.
+        """
+        source = source or self.goal
         ego = ego_forecast(forecast)
-        goal = self.goal(batch, ego)
+        goal = source(batch, ego)
         neighbors = batch.neighbors_past.present()
         obstacles = predicted_obstacles(
             neighbors.motion.position,
@@ -121,7 +130,7 @@ class DiffStackMMV(pl.LightningModule):
             neighbors.valid,
             strongest(neighbors_forecast(forecast), self.obstacle_components),
         )
-        path = self.goal.expected_path(ego, goal)
+        path = source.expected_path(ego, goal)
         motion = motion_along(path, batch.ego_past, batch.dt_s)
         reference = predicted_reference(motion, path, goal, batch.dt_s)
         tracked = tracked_ego(motion, batch.ego_past.extent, goal)

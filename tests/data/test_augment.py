@@ -13,7 +13,7 @@ from diffstack_mmv.data import (
     SpeedScale,
     stack_batch,
 )
-from diffstack_mmv.data.batch import STANDSTILL_MPS
+from diffstack_mmv.data.motions import STANDSTILL_MPS
 from diffstack_mmv.geometry import position_from_frame, rotate, wrap_angle
 
 CHAIN = Chain([Mirror(0.5), Rotation(0.3), SpeedScale()])

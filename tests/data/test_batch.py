@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from diffstack_mmv.data import ConvertedCache, WindowSettings, stack_batch
-from diffstack_mmv.data.batch import yaw_rate
+from diffstack_mmv.data.motions import yaw_rate
 from diffstack_mmv.geometry import wrap_angle
 from diffstack_mmv.types import Mode
 

@@ -1,0 +1,175 @@
+"""Tracks as they come in, sampled up to now as a conversion would sample them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from data_converters.errors import require
+from data_converters.heading import heading_from_motion
+from data_converters.modes import usual_size
+from data_converters.tracks import ResampleSettings
+from dmmv_conventions.modes import Mode
+from dmmv_conventions.observed import ObservedAgents
+
+Array = NDArray[np.float64]
+
+COLUMNS = ("time", "agent", "mode", "x", "y")
+SIZE = ("length", "width")
+NUMBERS = ("time", "x", "y", *SIZE)
+
+
+class _Sampled(NamedTuple):
+    position: Array  # H 2, m
+    velocity: Array  # H 2, m/s
+    heading: Array  # H, rad
+
+
+@dataclass(frozen=True)
+class LiveTracks:
+    """Smooths and samples what was observed so far, for a stack that decides now.
+
+    A row of an agent is that of a conversion with the same settings: the smoother sees no later
+    sample than the row. An agent whose last sample is not much older than now is taken to move on
+    as its smoothed track does; one that is older is absent now.
+
+    Attributes:
+        settings: Step, longest gap, standstill and smoother, as of the conversion of the training
+            data; its `min_duration_s` plays no part.
+        late_s: How old the last sample of an agent may be.
+
+    Raises:
+        ConversionError: The smoother looks ahead, or `late_s` is negative.
+    """
+
+    settings: ResampleSettings = field(default_factory=ResampleSettings)
+    late_s: float = 0.15
+
+    def __post_init__(self) -> None:
+        ahead = self.settings.smoother.lookahead_s
+        remedy = "Use CausalSmoother()."
+        require(ahead == 0.0, "smoother", "not look ahead", f"{ahead:g} s", "", remedy)
+        require(self.late_s >= 0.0, "late_s", "be at least 0", self.late_s)
+
+    def __call__(
+        self, table: pd.DataFrame, ego: str, history_s: float = 4.0, now_s: float | None = None
+    ) -> ObservedAgents:
+        """Sample the agents of a table.
+
+        Args:
+            table: One row per agent and time, in any order: `time` in s on one clock, `agent`,
+                `mode` (such as bicycle), `x` and `y` in m; `length` and `width` in m where they are
+                measured. A few seconds more than `history_s` are enough.
+            ego: Name of the agent that decides.
+            history_s: Length of the past, a multiple of the step.
+            now_s: The present; by default the time of the last sample of the ego. Later samples are
+                left out.
+
+        Returns:
+            The ego, and all others that are present now, in the order of the table.
+
+        Raises:
+            ConversionError: A column is missing, a value is none of its kind, an agent has two
+                samples of one time or two modes, or the ego is not present now.
+        """
+        _require_columns(table)
+        names = table["agent"].astype(str)
+        known = (names == ego).any()
+        told = ", ".join(sorted(names.unique())[:5]) or "no agents"
+        require(bool(known), "ego", f"be an agent of the table, such as {told}", ego)
+        now = float(table.loc[names == ego, "time"].max()) if now_s is None else now_s
+        # seconds since 1970 resolve a quarter of a microsecond: a sample at a row stays there
+        seen = table.assign(agent=names, time=(table["time"].astype(float) - now).round(6))
+        seen = seen[seen["time"] <= 0.0].sort_values("time", kind="stable")
+        rows = self._rows(history_s)
+        order = [ego, *(name for name in dict.fromkeys(names) if name != ego)]
+        grouped = dict(iter(seen.groupby("agent", sort=False)))
+        tracks = {name: self._sampled(grouped.get(name), name, rows) for name in order}
+        present = {name: track for name, track in tracks.items() if track is not None}
+        require(
+            ego in present,
+            "ego",
+            f"be observed for {self.settings.smoother.warmup_s:g} s and more, "
+            f"up to {self.late_s:g} s before {now:g} s",
+            ego,
+            remedy="Wait for more samples, or raise `late_s`.",
+        )
+        modes = {name: _mode(grouped[name], name) for name in present}
+        return ObservedAgents(
+            names=tuple(present),
+            modes=tuple(mode.label for mode in modes.values()),
+            extent=np.stack([_extent(grouped[name], mode) for name, mode in modes.items()]),
+            position=np.stack([track.position for track in present.values()]),
+            velocity=np.stack([track.velocity for track in present.values()]),
+            heading=np.stack([track.heading for track in present.values()]),
+            dt_s=self.settings.dt_s,
+        )
+
+    def _rows(self, history_s: float) -> int:
+        steps = history_s / self.settings.dt_s
+        whole = steps >= 1.0 - 1e-6 and abs(steps - round(steps)) < 1e-6
+        require(whole, "history_s", f"be a multiple of {self.settings.dt_s:g} s", history_s)
+        return round(steps) + 1
+
+    def _sampled(self, samples: pd.DataFrame | None, name: str, rows: int) -> _Sampled | None:
+        """The last stretch without a gap, with NaN before its start; None if it is absent now."""
+        if samples is None:
+            return None
+        time_s = samples["time"].to_numpy(float)
+        steps = np.diff(time_s)
+        same = int((steps <= 0.0).sum())
+        where = f"the track of {name!r}"
+        require(same == 0, "time", "differ from sample to sample", f"{same} repeated", where)
+        gaps = np.flatnonzero(steps > self.settings.max_gap_s + 1e-6)
+        last = slice(int(gaps[-1]) + 1 if len(gaps) else 0, None)
+        time_s = time_s[last]
+        smoother, dt_s = self.settings.smoother, self.settings.dt_s
+        late = time_s[-1] < -self.late_s - 1e-9
+        if late or len(time_s) < smoother.samples_needed:
+            return None
+        # from the start of the stretch on: a heading is held for as long as the agent stands
+        first = int(np.ceil(smoother.ready_s(time_s) / dt_s - 1e-6))
+        at_s = dt_s * np.arange(first, 1)
+        if len(at_s) == 0:
+            return None
+        place = samples[["x", "y"]].to_numpy(float)[last]
+        smooth = smoother(time_s, place, at_s)
+        heading = heading_from_motion(smooth.rate, self.settings.standstill_mps, backfill=False)
+        found = np.column_stack([smooth.value, smooth.rate, heading.angle])[-rows:]
+        sampled = np.full((rows, found.shape[1]), np.nan)
+        sampled[rows - len(found) :] = found
+        return _Sampled(sampled[:, :2], sampled[:, 2:4], sampled[:, 4])
+
+
+def _require_columns(table: pd.DataFrame) -> None:
+    absent = [name for name in COLUMNS if name not in table]
+    have = ", ".join(map(str, table.columns))
+    require(not absent, "table", f"have the columns {', '.join(COLUMNS)}", have)
+    for name in NUMBERS:
+        if name not in table:
+            continue
+        number = pd.api.types.is_numeric_dtype(table[name])
+        require(number, name, "hold numbers", table[name].dtype, "the table")
+        lost = int((~np.isfinite(table[name].to_numpy(float))).sum())
+        remedy = "Leave those rows out."
+        require(lost == 0, name, "be finite in all rows", f"{lost} that are not", "", remedy)
+
+
+def _mode(samples: pd.DataFrame, name: str) -> Mode:
+    told = sorted({str(each) for each in samples["mode"]})
+    where = f"the track of {name!r}"
+    require(len(told) == 1, "mode", "be the same in all rows", " and ".join(told), where)
+    return Mode.named(told[0])
+
+
+def _extent(samples: pd.DataFrame, mode: Mode) -> Array:
+    if all(name in samples for name in SIZE):
+        size = samples[list(SIZE)].to_numpy(float)[-1]
+        require(bool((size > 0.0).all()), "length, width", "be positive", size.tolist())
+        return size
+    length_m, width_m, _ = usual_size(mode)
+    return np.array([length_m, width_m])

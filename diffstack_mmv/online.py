@@ -1,0 +1,193 @@
+"""A trained stack from Python: what was observed up to now goes in, forecast and plan come out."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffstack_mmv.checks import require, require_at_least, require_positive
+from diffstack_mmv.data.motions import tracks_of
+from diffstack_mmv.geometry import (
+    motion_from_frame,
+    position_from_frame,
+    position_in_frame,
+    rotate,
+    wrap_angle,
+)
+from diffstack_mmv.planning import FutureGoal, PredictedGoal
+from diffstack_mmv.stack import load_stack
+from diffstack_mmv.types import Forecast, Mode, Motion, Pose, StackBatch, Tracks, map_tensors
+from dmmv_conventions.observed import ObservedAgents
+
+
+class Decision(NamedTuple):
+    """What a stack decides, in the world of the observed agents and in float64."""
+
+    plan: Motion  # T+1, the first row is now
+    controls: Float[Tensor, "T m"]  # SI units, each held for one step
+    control_names: tuple[str, ...]  # m
+    solved: bool  # whether the optimiser converged
+    goal: Float[Tensor, " 2"]  # m
+    forecast: Forecast  # A K T, of the agents that counted
+    names: tuple[str, ...]  # A, the ego first
+
+
+class OnlineStack:
+    """Forecasts all agents around an ego and plans for it, outside of any data set.
+
+    Args:
+        checkpoint: A checkpoint of a training, or the name of a shipped one: pretrained.
+        neighbors: At most so many of the nearest agents count.
+        radius_m: Agents further away do not.
+        device: Where the stack is to be.
+        compiled: Whether expensive parts are compiled at the first decision, which then takes half
+            a minute if the disk does not hold them, and later ones a fraction of the time.
+
+    Raises:
+        ValueError: There is no usable checkpoint, or a number is out of range.
+    """
+
+    def __init__(
+        self,
+        checkpoint: Path | str,
+        neighbors: int = 16,
+        radius_m: float = 30.0,
+        device: torch.device | str = "cpu",
+        compiled: bool = False,
+    ) -> None:
+        require_at_least("neighbors", neighbors, 0)
+        require_positive("radius_m", radius_m)
+        self.stack, config = load_stack(checkpoint, device)
+        if compiled:
+            self.stack.compile_kernels()
+        self.neighbors = neighbors
+        self.radius_m = radius_m
+        self.dt_s: float = config["dt_s"]
+        self.history_s: float = config["history_s"]
+        self.horizon_s: float = config["horizon_s"]
+        self.modes: tuple[str, ...] = tuple(config["modes"])
+
+    @torch.no_grad()
+    def __call__(self, observed: ObservedAgents, goal: Sequence[float] | None = None) -> Decision:
+        """Decide for the first agent.
+
+        Args:
+            observed: The agents, the last row is now.
+            goal: Where the ego is to be after `horizon_s`, x and y in m in the world; where it is
+                expected to go by itself if None.
+
+        Returns:
+            Forecast and plan.
+
+        Raises:
+            ValueError: The step is not that of the stack, the ego is none of its modes or not
+                observed now, arrays do not fit, or the goal is no point.
+        """
+        self._require_fitting(observed)
+        origin = torch.from_numpy(observed.position[0, -1]).double()
+        course = torch.tensor(float(observed.heading[0, -1]), dtype=torch.float64)
+        chosen = self._chosen(observed)
+        batch = self._batch(observed, chosen, origin, course)
+        source = PredictedGoal()
+        if goal is not None:
+            wanted = torch.as_tensor(goal, dtype=torch.float64)
+            point = wanted.shape == (2,) and bool(wanted.isfinite().all())
+            require(point, "goal", "be x and y in m", goal)
+            source = FutureGoal()
+            place = position_in_frame(wanted, origin, course).unsqueeze(0)
+            batch = batch._replace(goal=place.to(batch.goal))
+        output = self.stack.plan(batch, self.stack.predictor.predict(batch), source)
+        motion, controls, aim = map_tensors(
+            lambda entry: entry.squeeze(0).double().cpu(),
+            (output.plan.motion, output.plan.controls, output.goal),
+        )
+        return Decision(
+            plan=motion_from_frame(motion, origin, course),
+            controls=controls,
+            control_names=self.stack.planner.dynamics.Control._fields,
+            solved=bool(output.plan.converged),
+            goal=position_from_frame(aim, origin, course),
+            forecast=_forecast_in_world(output.forecast, origin, course),
+            names=tuple(observed.names[index] for index in chosen),
+        )
+
+    def _require_fitting(self, observed: ObservedAgents) -> None:
+        count, rows = len(observed.names), observed.heading.shape[-1]
+        require(count > 0, "observed", "hold the ego", "no agent")
+        for name, last in (("position", (2,)), ("velocity", (2,)), ("heading", ())):
+            found, wanted = getattr(observed, name).shape, (count, rows, *last)
+            require(found == wanted, f"observed.{name}", f"have the shape {wanted}", found)
+        told = (len(observed.modes), tuple(observed.extent.shape))
+        wanted = (count, (count, 2))
+        require(told == wanted, "observed.modes, extent", f"be of {count} agents", told)
+        same = abs(observed.dt_s - self.dt_s) < 1e-9
+        remedy = "Sample with the step of the stack, `dt_s`."
+        require(same, "observed.dt_s", f"be {self.dt_s:g} s", observed.dt_s, "", remedy)
+        steps = round(self.history_s / self.dt_s)
+        remedy = "Sample with the history of the stack, `history_s`."
+        require(rows == steps + 1, "observed", f"have {steps + 1} rows", rows, "", remedy)
+        known = bool(np.isfinite(observed.position[0, -1]).all())
+        require(known, "ego", "be observed now", "NaN", f"for agent {observed.names[0]!r}")
+        mode = Mode.named(observed.modes[0]).label
+        remedy = "Take a checkpoint of that mode."
+        wanted = f"be one that the stack was trained on, {', '.join(self.modes)}"
+        require(mode in self.modes, "mode of the ego", wanted, repr(mode), "", remedy)
+
+    def _chosen(self, observed: ObservedAgents) -> list[int]:
+        """The ego and the nearest others that are present now."""
+        place = observed.position[:, -1]
+        distance = np.linalg.norm(place - place[0], axis=-1)
+        near = [index for index in range(1, len(place)) if distance[index] <= self.radius_m]
+        return [0, *sorted(near, key=lambda index: distance[index])[: self.neighbors]]
+
+    def _batch(
+        self, observed: ObservedAgents, chosen: list[int], origin: Tensor, course: Tensor
+    ) -> StackBatch:
+        """One sample without a future, in the frame of the ego now."""
+        position, velocity, heading = (
+            torch.from_numpy(np.ascontiguousarray(part[chosen])).double()
+            for part in (observed.position, observed.velocity, observed.heading)
+        )
+        states = torch.cat(
+            [
+                position_in_frame(position, origin, course),
+                rotate(velocity, -course),
+                wrap_angle(heading - course).unsqueeze(-1),
+            ],
+            -1,
+        )
+        modes = torch.tensor([int(Mode.named(observed.modes[index])) for index in chosen])
+        extent = torch.from_numpy(observed.extent[chosen]).float()
+        past = tracks_of(states.float(), extent, modes, states.shape[-2], self.dt_s)
+        future = _without_rows(past, self.stack.predictor.horizon_steps)
+        ego_past, ego_future, others_past, others_future = (
+            map_tensors(lambda entry, part=part: entry[part].unsqueeze(0), tracks)
+            for part in (0, slice(1, None))
+            for tracks in (past, future)
+        )
+        pose = Pose(origin.float()[None], course.float()[None], torch.ones(1, dtype=torch.bool))
+        goal = torch.zeros(1, 2)
+        made = StackBatch(ego_past, ego_future, others_past, others_future, goal, self.dt_s, pose)
+        return map_tensors(lambda entry: entry.to(self.stack.device), made)
+
+
+def _without_rows(tracks: Tracks, rows: int) -> Tracks:
+    """The same agents with so many rows of which none was observed."""
+    motion = Motion(*(entry[:, :1].expand(-1, rows, *entry.shape[2:]) for entry in tracks.motion))
+    absent = torch.zeros(len(tracks.mode), rows, dtype=torch.bool)
+    return tracks._replace(motion=map_tensors(torch.zeros_like, motion), valid=absent)
+
+
+def _forecast_in_world(forecast: Forecast, origin: Tensor, course: Tensor) -> Forecast:
+    """A forecast `1 A` of the frame of the ego as one `A` of the world."""
+    here = map_tensors(lambda entry: entry.squeeze(0).double().cpu(), forecast)
+    turned = rotate(here.scale_tril.mT, course).mT
+    return Forecast(
+        here.log_weight,
+        position_from_frame(here.mean, origin, course),
+        torch.linalg.cholesky(turned @ turned.mT),
+    )

@@ -1,0 +1,133 @@
+"""Tracks as they come in, sampled up to now."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from data_converters import CausalSmoother, LiveTracks, ResampleSettings, ZeroPhaseSmoother
+from data_converters.resampling import resample
+from data_converters.tracks import RawTrack
+from dmmv_conventions.modes import Mode
+
+TIME_S = np.arange(0.0, 6.01, 0.08)
+
+
+def samples(name="me", mode="bicycle", time_s=TIME_S, shift=0.0, **columns):
+    """A weaving ride, seen with noise."""
+    noise = np.random.default_rng(len(name)).normal(0.0, 0.03, (len(time_s), 2))
+    x, y = 4.0 * time_s + shift + noise[:, 0], np.sin(time_s) + noise[:, 1]
+    table = {"time": time_s, "agent": name, "mode": mode, "x": x, "y": y}
+    return pd.DataFrame(table | columns)
+
+
+def test_rows_are_those_of_a_conversion():
+    table, now_s = samples(), 4.8
+    place = np.column_stack([table[["x", "y"]], np.zeros(len(table))])
+    track = RawTrack("me", Mode.BICYCLE, TIME_S, place, "here")
+    converted = resample(track, ResampleSettings())
+    last = 48 - converted.first_step + 1
+    rows = converted.rows.iloc[last - 41 : last]
+    seen = LiveTracks()(table, "me", now_s=now_s)
+    assert np.allclose(seen.position[0], rows[["x", "y"]], atol=1e-9)
+    assert np.allclose(seen.velocity[0], rows[["vx", "vy"]], atol=1e-9)
+    assert np.allclose(seen.heading[0], rows["heading"], atol=1e-9)
+
+
+def test_neither_the_order_of_the_rows_nor_the_origin_of_the_clock_counts():
+    table = pd.concat([samples(), samples("other", "pedestrian", shift=9.0)])
+    seen = LiveTracks()(table, "me")
+    mixed = table.sample(frac=1.0, random_state=0).assign(time=lambda rows: rows["time"] + 1.7e9)
+    again = LiveTracks()(mixed, "me")
+    assert seen.names == again.names == ("me", "other")
+    assert seen.modes == ("bicycle", "pedestrian")
+    assert np.allclose(seen.position, again.position, atol=1e-4)
+
+
+def test_later_samples_are_not_looked_at():
+    table = samples()
+    before = LiveTracks()(table[table["time"] <= 4.0], "me", now_s=4.0)
+    after = LiveTracks()(
+        table.assign(x=np.where(table["time"] > 4.0, 1e3, table["x"])), "me", now_s=4.0
+    )
+    assert np.array_equal(before.position, after.position, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("late_s", "present"), [(0.0, True), (0.08, True), (0.16, False), (3.0, False)]
+)
+def test_who_was_seen_just_before_now_is_present(late_s, present):
+    late = samples("late", "scooter", TIME_S[TIME_S[-1] - TIME_S >= late_s - 1e-6])
+    seen = LiveTracks()(pd.concat([samples(), late]), "me")
+    assert ("late" in seen.names) == present
+
+
+def test_who_is_late_moves_on():
+    late = samples("late", time_s=TIME_S[:-1])
+    seen = LiveTracks()(pd.concat([samples(), late]), "me")
+    assert abs(seen.position[1, -1, 0] - 4.0 * TIME_S[-1]) < 0.1
+
+
+def test_a_track_begins_after_its_last_gap():
+    table = samples()
+    gap = table[(table["time"] < 2.0) | (table["time"] > 3.0)]
+    seen = LiveTracks()(gap, "me")
+    known = np.isfinite(seen.position[0, :, 0])
+    assert known.sum() == int(np.floor((TIME_S[-1] - 3.04 - 0.6) / 0.1 + 1e-6)) + 1
+    assert known[-1]
+
+
+def test_whoever_has_not_moved_yet_has_no_course():
+    still = samples().assign(x=1.0, y=2.0)
+    assert (LiveTracks()(still, "me").heading == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("given", "size"), [({}, (1.8, 0.6)), ({"length": 2.5, "width": 0.9}, (2.5, 0.9))]
+)
+def test_a_size_that_was_not_measured_is_that_of_the_mode(given, size):
+    assert tuple(LiveTracks()(samples(**given), "me").extent[0]) == size
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda rows: rows.drop(columns="x"), "`table` must have the columns time, agent, mode"),
+        (lambda rows: rows.assign(x="a"), "`x` must hold numbers"),
+        (lambda rows: rows.assign(y=np.nan), "`y` must be finite in all rows, but got '76 that"),
+        (
+            lambda rows: rows.assign(time=1.0),
+            "`time` must differ from sample to sample, but got '75 rep",
+        ),
+        (lambda rows: rows.assign(mode="bike"), "`mode` must be one of bicycle"),
+        (
+            lambda rows: rows.assign(mode=["bicycle", *["car"] * 75]),
+            "`mode` must be the same in all rows, but got 'bicycle and car'",
+        ),
+        (lambda rows: rows.assign(length=0.0, width=1.0), "`length, width` must be positive"),
+        (lambda rows: rows.assign(agent="you"), "`ego` must be an agent of the table, such as you"),
+        (lambda rows: rows[:3], "`ego` must be observed for 0.6 s and more"),
+        (lambda rows: rows[:0], "`ego` must be an agent of the table, such as no agents"),
+    ],
+)
+def test_what_cannot_be_used_is_told(change, told):
+    with pytest.raises(ValueError, match=told):
+        LiveTracks()(change(samples()), "me")
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"settings": ResampleSettings(smoother=ZeroPhaseSmoother())}, "`smoother` must not look"),
+        ({"late_s": -0.1}, "`late_s` must be at least 0"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(settings, told):
+    with pytest.raises(ValueError, match=told):
+        LiveTracks(**settings)
+
+
+@pytest.mark.parametrize("history_s", [0.0, 0.25])
+def test_the_history_is_a_multiple_of_the_step(history_s):
+    tracks = LiveTracks(ResampleSettings(smoother=CausalSmoother()))
+    with pytest.raises(ValueError, match="`history_s` must be a multiple of 0.1 s"):
+        tracks(samples(), "me", history_s=history_s)

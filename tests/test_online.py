@@ -1,0 +1,135 @@
+"""A trained stack from Python, outside of any data set."""
+
+import numpy as np
+import pytest
+import torch
+
+from diffstack_mmv.data import ConvertedCache, WindowSettings, stack_batch
+from diffstack_mmv.geometry import motion_from_frame, rotate
+from diffstack_mmv.online import OnlineStack
+from diffstack_mmv.planning import FutureGoal, PredictedGoal
+from diffstack_mmv.types import Mode
+from dmmv_conventions.observed import ObservedAgents
+from tests.data.conftest import ToyAgent, write_cache
+
+DT_S, ROWS = 0.1, 41
+AGENTS = [
+    ToyAgent("me", Mode.BICYCLE, 80, start=(4.0, 7.0, 2.0), yaw_rate=0.2),
+    ToyAgent("walker", Mode.PEDESTRIAN, 80, start=(-8.0, 16.0, 0.3), speed=1.2),
+    ToyAgent("late", Mode.CAR, 60, first=20, start=(9.0, 12.0, -2.0), speed=2.0, yaw_rate=-0.1),
+]
+
+
+@pytest.fixture(scope="module")
+def online():
+    return OnlineStack("pretrained")
+
+
+def observed(turn=0.0, shift=(0.0, 0.0)):
+    """The agents at row 40 of their tables, in a world turned and shifted."""
+    rows = np.full((len(AGENTS), ROWS, 5), np.nan)
+    for number, agent in enumerate(AGENTS):
+        table = agent.table()[["x", "y", "vx", "vy", "heading"]].to_numpy()
+        rows[number, agent.first :] = table[: ROWS - agent.first]
+    place, velocity = (
+        rotate(torch.tensor(rows[..., part]), torch.tensor(turn, dtype=torch.float64)).numpy()
+        for part in (slice(0, 2), slice(2, 4))
+    )
+    return ObservedAgents(
+        names=tuple(agent.name for agent in AGENTS),
+        modes=tuple(agent.mode.label for agent in AGENTS),
+        extent=np.tile([1.8, 0.6], (len(AGENTS), 1)),
+        position=place + np.array(shift),
+        velocity=velocity,
+        heading=rows[..., 4] + turn,
+        dt_s=DT_S,
+    )
+
+
+@pytest.mark.parametrize("goal", [None, (1.0, 13.0)])
+def test_a_decision_is_that_of_an_evaluation(online, tmp_path, goal):
+    settings = WindowSettings(ego_modes=("bicycle",))
+    write_cache(tmp_path, {"only": ("train", AGENTS)})
+    opened = ConvertedCache("toy", str(tmp_path)).open("train", settings)
+    batch = stack_batch(opened.get_collate_fn()([opened[0]]), settings)
+    place, course = batch.frame.position[0].double(), batch.frame.heading[0].double()
+    source = PredictedGoal()
+    if goal is not None:
+        wanted = rotate(torch.tensor(goal, dtype=torch.float64) - place, -course)
+        batch, source = batch._replace(goal=wanted[None].float()), FutureGoal()
+    with torch.no_grad():
+        expected = online.stack.plan(batch, online.stack.predictor.predict(batch), source)
+    found = online(observed(), goal)
+    motion = motion_from_frame(
+        type(found.plan)(*(part[0].double() for part in expected.plan.motion)), place, course
+    )
+    assert found.names == ("me", "walker", "late")
+    assert found.solved == bool(expected.plan.converged)
+    torch.testing.assert_close(found.plan.position, motion.position, atol=2e-3, rtol=0)
+    weights = expected.forecast.log_weight[0].double()
+    torch.testing.assert_close(found.forecast.log_weight, weights, atol=2e-3, rtol=0)
+
+
+@pytest.mark.parametrize("turn", [0.7, -2.0])
+def test_the_world_may_be_turned_and_lie_far_away(online, turn):
+    shift = (511570.0, 5535358.0)
+    here, there = online(observed()), online(observed(turn, shift))
+    angle = torch.tensor(turn, dtype=torch.float64)
+
+    def moved(place):
+        return rotate(place, angle) + torch.tensor(shift, dtype=torch.float64)
+
+    torch.testing.assert_close(there.plan.position, moved(here.plan.position), atol=2e-3, rtol=0)
+    torch.testing.assert_close(there.goal, moved(here.goal), atol=2e-3, rtol=0)
+    torch.testing.assert_close(there.controls, here.controls, atol=5e-3, rtol=0)
+    # density at the same point of the world
+    point = here.forecast.mean[:, 0] + 0.3
+    before, after = (
+        here.forecast.log_prob(point),
+        there.forecast.log_prob(moved(point)),
+    )
+    torch.testing.assert_close(after, before, atol=0.05, rtol=0)
+
+
+def test_a_plan_goes_to_a_given_goal(online):
+    ahead = online(observed()).plan.position[-1]
+    goal = ahead + torch.tensor([0.5, -0.4], dtype=torch.float64)
+    decided = online(observed(), goal.tolist())
+    assert decided.goal.tolist() == pytest.approx(goal.tolist(), abs=1e-3)
+    assert (decided.plan.position[-1] - goal).norm() < (ahead - goal).norm() / 2
+    assert decided.control_names == ("acceleration", "steer")
+    assert decided.controls.shape == (30, 2)
+
+
+def test_only_the_nearest_count():
+    one = OnlineStack("pretrained", neighbors=1)(observed())
+    none = OnlineStack("pretrained", radius_m=1.0)(observed())
+    assert one.names == ("me", "walker")
+    assert none.names == ("me",)
+    assert none.forecast.mean.shape[0] == 1
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("change", "goal", "told"),
+    [
+        ({"dt_s": 0.2}, None, "`observed.dt_s` must be 0.1 s, but got 0.2"),
+        ({"heading": np.zeros((3, 41))[:2]}, None, r"`observed.heading` must have the shape"),
+        ({"extent": np.ones((2, 2))}, None, "`observed.modes, extent` must be of 3 agents"),
+        ({"modes": ("car", "car", "car")}, None, "`mode of the ego` must be one that"),
+        ({"modes": ("bike", "car", "car")}, None, "`mode` must be one of bicycle"),
+        ({"position": np.full((3, 41, 2), np.nan)}, None, "`ego` must be observed now"),
+        ({}, (1.0,), "`goal` must be x and y in m"),
+        ({}, (1.0, float("nan")), "`goal` must be x and y in m"),
+    ],
+)
+def test_what_does_not_fit_is_told(online, change, goal, told):
+    with pytest.raises(ValueError, match=told):
+        online(observed()._replace(**change), goal)
+
+
+def test_a_short_history_is_told(online):
+    whole = observed()
+    short = {name: getattr(whole, name)[:, 1:] for name in ("position", "velocity", "heading")}
+    with pytest.raises(ValueError, match="`observed` must have 41 rows, but got 40"):
+        online(whole._replace(**short))
