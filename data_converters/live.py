@@ -56,7 +56,11 @@ class LiveTracks:
         require(self.late_s >= 0.0, "late_s", "be at least 0", self.late_s)
 
     def __call__(
-        self, table: pd.DataFrame, ego: str, history_s: float = 4.0, now_s: float | None = None
+        self,
+        table: pd.DataFrame,
+        ego: str | int,
+        history_s: float = 4.0,
+        now_s: float | None = None,
     ) -> ObservedAgents:
         """Sample the agents of a table.
 
@@ -77,7 +81,7 @@ class LiveTracks:
                 samples of one time or two modes, or the ego is not present now.
         """
         _require_columns(table)
-        names = table["agent"].astype(str)
+        names, ego = table["agent"].astype(str), str(ego)
         known = (names == ego).any()
         told = ", ".join(sorted(names.unique())[:5]) or "no agents"
         require(bool(known), "ego", f"be an agent of the table, such as {told}", ego)

@@ -43,6 +43,12 @@ def test_neither_the_order_of_the_rows_nor_the_origin_of_the_clock_counts():
     assert np.allclose(seen.position, again.position, atol=1e-4)
 
 
+@pytest.mark.parametrize("ego", [7, "7"])
+def test_agents_may_be_numbers(ego):
+    table = pd.concat([samples().assign(agent=12), samples().assign(agent=7)])
+    assert LiveTracks()(table, ego).names == ("7", "12")
+
+
 def test_later_samples_are_not_looked_at():
     table = samples()
     before = LiveTracks()(table[table["time"] <= 4.0], "me", now_s=4.0)
