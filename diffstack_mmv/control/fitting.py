@@ -5,6 +5,7 @@ from collections.abc import Callable, Hashable
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch._functorch import pyfunctorch
 
 from diffstack_mmv.checks import message, require, require_tensor
 from diffstack_mmv.control.expansion import pad_controls
@@ -20,11 +21,16 @@ _known: set[tuple[Hashable, ...]] = set()
 
 
 def require_tensors(bounds: object, state: object, controls: object) -> None:
-    """Refuse arguments of other types than the solver takes.
+    """Refuse arguments of other types than the solver takes, and a `torch.func` transform of it.
 
     Raises:
         TypeError: State, controls or a bound is no tensor, or the bounds are no `Bounds`.
+        ValueError: A transform, such as `vmap`, is at work.
     """
+    transforms = [each.key().name for each in pyfunctorch.retrieve_all_functorch_interpreters()]
+    remedy = "Give a batch instead of vmap, and take derivatives by autograd."
+    told = ", ".join(transforms)
+    require(not transforms, "ILQR", "be called outside of torch.func", told, "", remedy)
     if not isinstance(bounds, Bounds):
         remedy = "Write Bounds(lower, upper)."
         raise TypeError(message("bounds", "be Bounds", type(bounds).__name__, "", remedy))

@@ -99,6 +99,20 @@ def test_nothing_is_refused_where_autograd_is_off():
         assert ILQR()(lambda x, u: step(x, u), cost, BOX, STATE, CONTROLS).converged.all()
 
 
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("transform", "told"), [(torch.func.grad, "Grad"), (torch.func.vmap, "Vmap")]
+)
+def test_transforms_of_a_whole_solve_are_refused(transform, told):
+    def end(weight):
+        cost = functools.partial(fitting, weight=weight.expand(3))
+        return ILQR()(step, cost, BOX, STATE, CONTROLS).cost.sum()
+
+    given = torch.tensor(1.0) if transform is torch.func.grad else torch.ones(2)
+    with pytest.raises(ValueError, match=f"`ILQR` must be called outside of torch.func.*{told}"):
+        transform(end)(given)
+
+
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 def test_costs_of_one_time_are_accepted_at_any_scale(scale):
     """Weights that change over time make no cost depend on other times."""
