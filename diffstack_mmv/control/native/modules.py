@@ -3,7 +3,9 @@
 import ctypes
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +16,7 @@ from torch import Tensor, nn
 from diffstack_mmv.control.native.lowering import CannotLowerError, Lowering
 from diffstack_mmv.control.native.operations import HANDLERS, decompositions
 from diffstack_mmv.control.native.scalar import Program
-from diffstack_mmv.control.native.solver import REALS
+from diffstack_mmv.control.native.solver import LONG_SOURCE, REALS
 from diffstack_mmv.control.native.stages import StagedStep, staged_step
 from dmmv_conventions.libraries import CannotBuildError, load
 from dmmv_conventions.progress import waiting
@@ -22,6 +24,13 @@ from dmmv_conventions.progress import waiting
 LOGGER = logging.getLogger(__name__)
 Source = Callable[[StagedStep, bool, str], str]
 """(step, whether its numbers are learned, "float" or "double") -> C++."""
+
+
+class Part(NamedTuple):
+    """A function of a library that can be built by itself, with options of the compiler."""
+
+    name: str
+    flags: tuple[str, ...]
 
 
 class TakenModule(NamedTuple):
@@ -105,10 +114,12 @@ class ModelWorkshop:
 
     Args:
         purpose: What they are for, told to people.
+        parts: Functions of a library; those of a long source are built side by side.
     """
 
-    def __init__(self, purpose: str) -> None:
+    def __init__(self, purpose: str, parts: Sequence[Part]) -> None:
         self.purpose = purpose
+        self.parts = parts
         self.taken: TakenModule | None = None
         self.is_refused = False
 
@@ -146,9 +157,20 @@ class ModelWorkshop:
             LOGGER.info("Compiling %s: one library", self.purpose)
             with waiting(f"compile {self.purpose}"):
                 # the problem is kept, so that no other one gets its identity
-                _LIBRARIES[key] = problem, load(source(problem, learns, REALS[dtype]))
+                code = source(problem, learns, REALS[dtype])
+                _LIBRARIES[key] = problem, _loaded(code, self.parts)
             LOGGER.info("Compiled it in %.1f s", time.perf_counter() - began_s)
         return _LIBRARIES[key][1]
+
+
+def _loaded(code: str, parts: Sequence[Part]) -> Any:
+    """The functions of a source, from one library or, of a long one, from one each."""
+    if len(code) <= LONG_SOURCE:
+        return load(code)
+    with ThreadPoolExecutor(len(parts), "build") as builders:
+        built = list(builders.map(lambda part: load(code, *part.flags), parts))
+    each = zip(parts, built, strict=True)
+    return SimpleNamespace(**{part.name: getattr(library, part.name) for part, library in each})
 
 
 _LIBRARIES: dict[tuple[int, Source, bool, torch.dtype], tuple[StagedStep, Any]] = {}

@@ -197,6 +197,8 @@ void pull_all(const std::vector<long>& live, long threads, long T, const Real* q
 #pragma GCC visibility push(default)
 extern "C" {
 
+// either function may be built by itself, so that both can be built side by side
+#ifndef DMMV_ADJOINT_ALONE
 // Moments of `count` roll-outs of T steps, row-major: parameters (PARAMETERS), start (count, n), covariance at the
 // start (count, n, n), controls (count, T, m), Cholesky factors of their covariances (count, T, m, m) -> mean
 // (count, T, 2), covariance (count, T, 2, 2), and what the adjoint reads (count, T, KEPT), where asked for.
@@ -207,7 +209,9 @@ void dmmv_moments(long count, long threads, long T, const Real* parameters, cons
   P::prelude(parameters, q);
   dmmv::moments_of_all<P>(count, threads, T, q, start, first, u, scale, mean, covariance, kept);
 }
+#endif
 
+#ifndef DMMV_MOMENTS_ALONE
 // Gradient by all inputs for that by mean and covariance. Rows without one are left out.
 void dmmv_moments_adjoint(long count, long threads, long T, const Real* parameters, const Real* u, const Real* scale,
                           Real* kept, const Real* g_mean, const Real* g_covariance, Real* g_parameters,
@@ -236,6 +240,7 @@ void dmmv_moments_adjoint(long count, long threads, long T, const Real* paramete
     P::prelude_adjoint(parameters, total.data(), g_parameters);
   }
 }
+#endif
 
 }  // extern "C"
 #pragma GCC visibility pop

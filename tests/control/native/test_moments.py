@@ -131,6 +131,20 @@ def test_changed_numbers_of_a_model_reach_its_library():
     torch.testing.assert_close(after, rollout(dynamics, *inputs[::2])[:, 1:, :2])
 
 
+def test_functions_that_are_built_side_by_side_are_those_of_one_library(monkeypatch):
+    found = []
+    for limit in (modules.LONG_SOURCE, 0):
+        monkeypatch.setattr(modules, "LONG_SOURCE", limit)
+        dynamics = model(DiffKBM, True)
+        inputs = rows(dynamics)
+        results = by_library(dynamics, *inputs)
+        sources = inputs + [each for each in dynamics.parameters() if each.requires_grad]
+        total = sum(result.sin().sum() for result in results)
+        found.append([*results, *torch.autograd.grad(total, sources, materialize_grads=True)])
+    for alone, apart in zip(*found, strict=True):
+        torch.testing.assert_close(alone, apart, rtol=1e-12, atol=1e-14)
+
+
 @pytest.mark.parametrize("reason", ["no compiler", "no scalar form"])
 def test_without_a_library_there_are_no_moments(monkeypatch, reason):
     def refuse(*_):
