@@ -37,10 +37,7 @@ LIMITS: Mapping[str, float] = MappingProxyType(
 )
 """Of the vehicle among people; the tighter of these and its own hold."""
 
-_GROUPS = (
-    *("dynamics", "scenario", "crowd", "controller", "people", "cost"),
-    *("footprint", "sensing"),
-)
+_GROUPS = ("dynamics", "scenario", "crowd", "controller", "people", "cost", "footprint", "sensing")
 """Attributes that name a file of the group of their name."""
 
 

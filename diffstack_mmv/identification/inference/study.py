@@ -122,9 +122,10 @@ class IdentificationStudy:
         """
         _require_builders(models)
         (name, build), *others = models.items()
-        self._require_names(build())
+        model = build()
+        self._require_names(model)
         if self.assumptions.controls:
-            _require_widths(recordings, build())
+            _require_widths(recordings, model)
         segments = cut_tracks(recordings, self.segments)
         split = split_segments(segments, self.selection, self.tracks, self.heldout, self.seed)
         settings = self.assumptions.settings(recordings, self.spec, split.fitted, self.dt_s)
