@@ -130,7 +130,8 @@ class OnlineStack:
         steps = round(self.history_s / self.dt_s)
         remedy = "Sample with the history of the stack, `history_s`."
         require(rows == steps + 1, "observed", f"have {steps + 1} rows", rows, "", remedy)
-        known = bool(np.isfinite(observed.position[0, -1]).all())
+        rows_of_ego = (observed.position, observed.velocity, observed.heading)
+        known = all(bool(np.isfinite(part[0, -1]).all()) for part in rows_of_ego)
         require(known, "ego", "be observed now", "NaN", f"for agent {observed.names[0]!r}")
         mode = Mode.named(observed.modes[0]).label
         remedy = "Take a checkpoint of that mode."

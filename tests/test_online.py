@@ -119,6 +119,7 @@ def test_only_the_nearest_count():
         ({"modes": ("car", "car", "car")}, None, "`mode of the ego` must be one that"),
         ({"modes": ("bike", "car", "car")}, None, "`mode` must be one of bicycle"),
         ({"position": np.full((3, 41, 2), np.nan)}, None, "`ego` must be observed now"),
+        ({"heading": np.full((3, 41), np.nan)}, None, "`ego` must be observed now"),
         ({}, (1.0,), "`goal` must be x and y in m"),
         ({}, (1.0, float("nan")), "`goal` must be x and y in m"),
     ],
