@@ -153,6 +153,10 @@ class Forecast(NamedTuple):
         """The component with the largest weight alone, which keeps its weight: `*b 1`."""
         return taken(self, self.log_weight.argmax(-1, keepdim=True))
 
+    def expected(self) -> Float[Tensor, "*b T 2"]:
+        """Expected path in m, the mean of the components' means: the least mean squared error."""
+        return (self.log_weight.exp()[..., None, None] * self.mean).sum(-3)
+
     def median(self, iterations: int = 10) -> Float[Tensor, "*b T 2"]:
         """Path in m with the least expected mean distance to the paths of the components.
 

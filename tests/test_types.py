@@ -35,6 +35,17 @@ def test_most_likely_path_is_that_of_the_heaviest_component():
         assert torch.equal(forecast.most_likely()[i], forecast.mean[i, best[i]])
 
 
+def test_expected_path_is_the_mean_of_the_mixture():
+    forecast = example_forecast()
+    mixture = MixtureSameFamily(
+        Categorical(logits=forecast.log_weight),
+        MultivariateNormal(
+            forecast.mean[..., -1, :], scale_tril=forecast.scale_tril[..., -1, :, :]
+        ),
+    )
+    assert torch.allclose(forecast.expected()[:, -1], mixture.mean, atol=1e-5)
+
+
 def test_median_path_follows_the_majority_and_its_gradient_reaches_all_weights():
     ends = torch.tensor([[0.0, 0.0], [0.1, 0.0], [10.0, 0.0]])
     weight = torch.tensor([0.4, 0.3, 0.3], requires_grad=True)

@@ -32,6 +32,8 @@ OPEN_LOOP = _by_name(
     Score("fde", "FDE", "m", True),
     Score("median_ade", "ADE of the median", "m", True),
     Score("median_fde", "FDE of the median", "m", True),
+    Score("mean_ade", "ADE of the mean", "m", True),
+    Score("mean_fde", "FDE of the mean", "m", True),
     Score("nll", "NLL", "nats", True),
     Score("plan_ade", "plan ADE", "m", True),
     Score("plan_fde", "plan FDE", "m", True),
@@ -46,10 +48,21 @@ OPEN_LOOP = _by_name(
 )
 """Scores of samples: predictions and plans beside what the human did.
 
-`ade` and `fde` are those of the most likely path, `median_*` those of the median of the forecast.
+`ade` and `fde` are those of the most likely path, `median_*` and `mean_*` those of the median and
+the mean of the forecast.
 """
 
-OF_THE_PREDICTION = ("ade", "fde", "median_ade", "median_fde", "nll", "min_ade", "miss_rate")
+OF_THE_PREDICTION = (
+    "ade",
+    "fde",
+    "median_ade",
+    "median_fde",
+    "mean_ade",
+    "mean_fde",
+    "nll",
+    "min_ade",
+    "miss_rate",
+)
 """Names of those of `OPEN_LOOP` that need no plan."""
 
 CALIBRATION = _by_name(

@@ -14,7 +14,12 @@ from diffstack_mmv.reporting.table import cell
 BASELINE_SCORES = ("ade", "fde")
 """Scores that it holds for every baseline."""
 MEDIAN = "prediction (median)"
-OWN_PATHS = {"prediction (most likely)": "", MEDIAN: "median_", "plan": "plan_"}
+OWN_PATHS = {
+    "prediction (most likely)": "",
+    MEDIAN: "median_",
+    "prediction (mean)": "mean_",
+    "plan": "plan_",
+}
 """Paths of a stack, and what the names of their scores begin with."""
 MISSING = "n_missing"
 COST = "cost/"

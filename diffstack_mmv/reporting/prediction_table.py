@@ -11,6 +11,7 @@ from diffstack_mmv.reporting.table import NONE
 
 METHODS: Mapping[str, tuple[str, str]] = {
     "one path (median)": ("median_ade", "median_fde"),
+    "one path (mean)": ("mean_ade", "mean_fde"),
     "most likely path": ("ade", "fde"),
     "best of 20 paths": ("best_of_20_ade", "best_of_20_fde"),
     "best of 20 spread paths": ("best_of_20_spread_ade", "best_of_20_spread_fde"),
@@ -57,13 +58,16 @@ def named_apart(runs: Sequence[Run]) -> Callable[[Run], str]:
 
 
 def _values(run: Run, told: Any, models: Mapping[str, str]) -> dict[str, np.ndarray]:
-    """ADE and FDE of each method of a run, NaN for one that has not ended."""
+    """ADE and FDE of each method of a run, NaN for what an earlier version did not score.
+
+    All are NaN where the run has not ended.
+    """
     titles = {method: f"{models[run.model]}, {method}" for method in METHODS}
     if told is None:
         return dict.fromkeys(titles.values(), np.full(2, np.nan))
     own = told["modes"][run.mode]
     values = {
-        titles[method]: np.array([own[name] for name in names], np.float64)
+        titles[method]: np.array([own.get(name) for name in names], np.float64)
         for method, names in METHODS.items()
     }
     for name, per_mode in told["baselines"].items():

@@ -27,9 +27,13 @@ def prediction_scores(batch: StackBatch, forecast: Forecast) -> dict[str, Float[
     """Scores that need no plan, by the names of `OF_THE_PREDICTION`."""
     future, ego = batch.ego_future, ego_forecast(forecast)
     middle = ego.median()
+    paths = {"": ego.most_likely(), "median_": middle, "mean_": ego.expected()}
     return {
-        **displacements(ego.most_likely(), future),
-        **{f"median_{score}": value for score, value in displacements(middle, future).items()},
+        **{
+            prefix + score: value
+            for prefix, path in paths.items()
+            for score, value in displacements(path, future).items()
+        },
         "nll": negative_log_likelihood(ego, future),
         "min_ade": best_average_displacement(ego, future),
         "miss_rate": missed(middle, future),

@@ -50,3 +50,13 @@ def test_modes_of_one_set_are_not_averaged(runs):
     )
     assert row["eth, pedestrian"] == row["hotel"] == "1.10 / 1.10"
     assert row["eth, bicycle"] == "3.00 / 3.00"
+
+
+def test_a_path_that_an_earlier_version_did_not_score_is_told_by_a_dash(runs):
+    for run in runs[2:]:
+        own = {name: 1.0 for name in PREDICTED if not name.startswith("mean_")}
+        told = {"modes": {"pedestrian": own}, "baselines": {}}
+        write_json(run.report / "metrics.json", told)
+    row = prediction_table(runs, MODELS).set_index("method").loc["Trajectron++, one path (mean)"]
+    assert row["eth"] == "1.10 / 1.10"
+    assert row["hotel"] == row["mean"] == "–"

@@ -67,7 +67,7 @@ def test_rows_hold_every_score_and_those_of_the_baselines():
     ("weights", "heaviest"),
     [((0.4, 0.3, 0.3), 0.0), ((0.3, 0.4, 0.3), 1.0), ((0.3, 0.3, 0.4), 2.0)],
 )
-def test_the_heaviest_component_is_scored_beside_the_median(weights, heaviest):
+def test_the_heaviest_component_is_scored_beside_median_and_mean(weights, heaviest):
     predictor = ThreeWays(STEPS, 0.1)
     predictor.weights = weights
     stack = stack_of(PredictedGoal(), predictor)
@@ -75,6 +75,9 @@ def test_the_heaviest_component_is_scored_beside_the_median(weights, heaviest):
     assert samples["ade"].to_numpy() == pytest.approx(heaviest, abs=0.02)
     assert samples["fde"].to_numpy() == pytest.approx(heaviest, abs=0.02)
     assert samples["median_ade"].to_numpy() == pytest.approx(1.0, abs=0.15)
+    mean = weights[1] + 2 * weights[2]
+    assert samples["mean_ade"].to_numpy() == pytest.approx(mean, abs=0.02)
+    assert samples["mean_fde"].to_numpy() == pytest.approx(mean, abs=0.02)
 
 
 @pytest.mark.parametrize(("count", "enough"), [(8, False), (9, True)])
