@@ -53,10 +53,9 @@ class ControlDecoder(nn.Module):
         dropout: Share of units of the context dropped in training.
         jacobians: Linearises the dynamics, see `integrate`.
         generated: Integrates in one call where it can, see `integrate`.
-        first_estimate: What a component starts from before training, see `StartBlend`.
 
     Raises:
-        ValueError: There is no step, or no such estimate.
+        ValueError: There is no step.
     """
 
     def __init__(
@@ -69,7 +68,6 @@ class ControlDecoder(nn.Module):
         dropout: float = 0.0,
         jacobians: Jacobians = linearise,
         generated: GaussianRollout | None = None,
-        first_estimate: str = "fit",
     ) -> None:
         super().__init__()
         require_at_least("horizon_steps", horizon_steps, 1)
@@ -78,7 +76,7 @@ class ControlDecoder(nn.Module):
         self.blocks: Blocks | None = None
         size = dynamics.control_dim
         self.dropout = nn.Dropout(dropout)
-        self.start = StartBlend(context_size, components, first_estimate)
+        self.start = StartBlend(context_size, components)
         self.start_context = nn.Linear(context_size, hidden)
         self.start_component = nn.Parameter(torch.randn(components, hidden) / math.sqrt(hidden))
         self.gate_context = nn.Linear(context_size, 3 * hidden)

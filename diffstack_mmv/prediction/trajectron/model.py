@@ -96,12 +96,9 @@ class Trajectron(Predictor):
             trained; None: no site encoding. It is also left out when only tracks are given.
         rough: Whether it is told how noisy each track is, see `roughness`: for recordings that are
             not smoothed and not equally noisy.
-        first_estimate: What a component starts from before training, see `StartBlend`: "fit", or
-            "last_step" for recordings without noise, whose last step tells the next one.
 
     Raises:
-        ValueError: The models differ in their time step, a number is out of its range, or there is
-            no such estimate.
+        ValueError: The models differ in their time step, or a number is out of its range.
     """
 
     def __init__(  # noqa: PLR0913 - each is a part that can be exchanged
@@ -119,7 +116,6 @@ class Trajectron(Predictor):
         generated: GaussianRollout | None = None,
         site: Site | None = None,
         rough: bool = False,
-        first_estimate: str = "fit",
     ) -> None:
         super().__init__(horizon_steps, ego_dynamics.dt_s)
         require_at_least("neighbor_components", neighbor_components, 0)
@@ -144,7 +140,7 @@ class Trajectron(Predictor):
             count = components if role == EGO else max(neighbor_components, 1)
             decoder = ControlDecoder(
                 model, context, count, horizon_steps, sizes.decoder,
-                sizes.dropout, jacobians, generated, first_estimate,
+                sizes.dropout, jacobians, generated,
             )  # fmt: skip
             self.branches.append(Branch(Latent(context, sizes.future, count), decoder))
         self.register_buffer("training_step", torch.zeros((), dtype=torch.long))

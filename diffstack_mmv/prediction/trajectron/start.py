@@ -4,7 +4,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from diffstack_mmv.checks import require_one_of
 from diffstack_mmv.prediction.current import MEMORY_S, Trend, mean_velocity, rest, trends
 from diffstack_mmv.types import Tracks
 
@@ -13,8 +12,6 @@ OTHER_MEMORIES_S = (0.3, 1.5)
 REST_MEMORY_S = 1.0
 REST_REACH_M = 0.5
 ESTIMATES = 4 + len(OTHER_MEMORIES_S)
-FIRST_ESTIMATES = {"fit": 0, "last_step": 2 + len(OTHER_MEMORIES_S)}
-"""Which of `estimates` a component may start from before training."""
 START_FEATURES = 6 * ESTIMATES - 18  # without what is zero or follows from others
 OFFSET_SCALE_M = 0.3
 ACCELERATION_SCALE_MPS2 = 2.0
@@ -45,26 +42,21 @@ def start_features(starts: Trend) -> Float[Tensor, "R f"]:
 
 
 class StartBlend(nn.Module):
-    """The present motion by each component: one estimate x₁, moved to the others by gains.
+    """The present motion by each component: the first estimate x₁, moved to the others by gains.
 
         x = x₁ + Σ_k tanh(g_k) (x_k - x₁),    g = W [context, 1] + W_z
 
-    The gains start at zero, so that an untrained predictor starts from x₁. They are the learned
-    counterpart of those of a Kalman filter, which also tell noise from manoeuvres.
+    The gains start at zero, so that an untrained predictor starts from the first estimate. They are
+    the learned counterpart of those of a Kalman filter, which also tell noise from manoeuvres.
 
     Args:
         context_size: Size of the encoding of the present scene.
         components: Number K of components.
-        first: Which estimate is x₁, one of `FIRST_ESTIMATES`: the fit, or the way of the last step.
-
-    Raises:
-        ValueError: There is no such estimate.
     """
 
-    def __init__(self, context_size: int, components: int, first: str = "fit") -> None:
+    def __init__(self, context_size: int, components: int) -> None:
         super().__init__()
-        require_one_of("first_estimate", first, tuple(FIRST_ESTIMATES))
-        self.components, self.first = components, FIRST_ESTIMATES[first]
+        self.components = components
         self.gains = nn.Linear(context_size, components * (ESTIMATES - 1))
         nn.init.zeros_(self.gains.weight)
         nn.init.zeros_(self.gains.bias)
@@ -72,10 +64,5 @@ class StartBlend(nn.Module):
     def forward(self, context: Float[Tensor, "R c"], starts: Trend) -> Trend:
         """Motion `R K` of each row and component, in the frame of the estimates."""
         gain = torch.tanh(self.gains(context)).unflatten(-1, (self.components, -1))
-        return Trend(*(self._moved(gain, field) for field in starts))
-
-    def _moved(
-        self, gain: Float[Tensor, "R K S1"], field: Float[Tensor, "R S 2"]
-    ) -> Float[Tensor, "R K 2"]:
-        before, first, after = field.tensor_split((self.first, self.first + 1), 1)
-        return first + gain @ (torch.cat([before, after], 1) - first)
+        moved = (gain @ (field[:, 1:] - field[:, :1]) for field in starts)
+        return Trend(*(field[:, :1] + move for field, move in zip(starts, moved, strict=True)))

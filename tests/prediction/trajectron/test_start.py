@@ -3,11 +3,9 @@
 import pytest
 import torch
 
-from diffstack_mmv.dynamics import SingleIntegrator
 from diffstack_mmv.prediction.current import Trend, current_course
 from diffstack_mmv.prediction.trajectron.start import (
     ESTIMATES,
-    FIRST_ESTIMATES,
     START_FEATURES,
     StartBlend,
     estimates,
@@ -60,35 +58,17 @@ def test_features_are_of_order_one(noise_m):
     assert features.abs().max() < 10.0
 
 
-@pytest.mark.parametrize("first", FIRST_ESTIMATES)
 @pytest.mark.parametrize("chosen", range(ESTIMATES))
-def test_gains_lead_from_the_first_estimate_to_any_other(first, chosen):
-    blend = StartBlend(context_size=4, components=2, first=first).double()
+def test_gains_lead_from_the_first_estimate_to_any_other(chosen):
+    blend = StartBlend(context_size=4, components=2).double()
     starts = estimates(riders((1.0, 0.5), noise_m=0.1), DT_S)
-    base = FIRST_ESTIMATES[first]
-    if chosen != base:
+    if chosen > 0:
         with torch.no_grad():
-            blend.gains.bias[chosen - (chosen > base)] = 20.0  # of the first component
+            blend.gains.bias[chosen - 1] = 20.0  # of the first component
     made = blend(torch.zeros(3, 4, dtype=torch.float64), starts)
     for field, estimate in zip(made, starts, strict=True):
         assert torch.allclose(field[:, 0], estimate[:, chosen])
-        assert torch.allclose(field[:, 1], estimate[:, base])
-
-
-def test_an_untrained_predictor_that_trusts_the_last_step_goes_on_with_it():
-    tracks = riders((6.0, 1.0), noise_m=0.05)
-    nobody = scene(batch=(3,), neighbors=0, history=41, dtype=torch.float64).neighbors_past
-    last, before = tracks.motion.position[:, -1], tracks.motion.position[:, -2]
-    model = trajectron(SingleIntegrator(DT_S), first_estimate="last_step").double()
-    with torch.no_grad():
-        model.branches[0].decoder.mean_head.weight.zero_()
-    path = model(tracks, nobody).mean[:, 0, :, 0]
-    assert torch.allclose(path, (2 * last - before).unsqueeze(1).expand_as(path), atol=1e-3)
-
-
-def test_an_estimate_that_does_not_exist_is_refused():
-    with pytest.raises(ValueError, match=r"first_estimate` must be one of fit, last_step.*'kalman'"):
-        trajectron(first_estimate="kalman")
+        assert torch.allclose(field[:, 1], estimate[:, 0])
 
 
 def test_a_component_that_starts_at_rest_stays_there():
