@@ -11,7 +11,7 @@ class HeldHeading(DatasetAugmentation):
     """Hold the heading of an agent while it stands still.
 
     Several of trajdata's loaders take the heading from the velocity, which has no direction at
-    rest. Rows before the first motion of an agent take the heading of that first motion.
+    rest. Rows before the first motion of an agent keep theirs: what comes later is not known then.
     """
 
     def __init__(self, standstill_mps: float = 0.4) -> None:
@@ -27,7 +27,7 @@ class HeldHeading(DatasetAugmentation):
         """Overwrite the column `heading` (rad) of a scene; rows are sorted by agent and time."""
         moving = np.hypot(scene_data_df["vx"], scene_data_df["vy"]) >= self.standstill_mps
         known = scene_data_df["heading"].where(moving)
-        held = known.groupby(level=0).transform(lambda heading: heading.ffill().bfill())
+        held = known.groupby(level=0).ffill()
         scene_data_df["heading"] = held.fillna(scene_data_df["heading"])
 
 

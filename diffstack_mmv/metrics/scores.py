@@ -113,4 +113,7 @@ CLOSED_LOOP = _by_name(
 """Scores of closed-loop episodes."""
 
 DISPLACEMENT = Score("displacement", "mean distance to the human", "m", True)
-"""The curve over the horizon whose mean over time is the ADE and whose last value the FDE."""
+"""The curve over the horizon whose mean over time is an ADE and whose last value an FDE.
+
+Of a prediction it is that of the median of the forecast.
+"""

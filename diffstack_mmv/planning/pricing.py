@@ -74,15 +74,16 @@ class PlanScore(Protocol):
 
 @dataclass(frozen=True)
 class CostScore:
-    """The planner's cost alone, summed over the plan; every plan counts as safe."""
+    """The planner's cost alone, summed over the plan; every plan with a finite cost is safe."""
 
     differentiable = True
 
     def __call__(self, plans: Plans, situation: Situation) -> ScoredPlans:
         """Score plans; see `PlanScore`."""
         total = situation.cost(plans.motion, plans.controls).sum(-1)
-        safe = torch.ones_like(total, dtype=torch.bool)
-        return ScoredPlans(plans, total, safe, torch.zeros_like(total))
+        usable = total.isfinite()
+        cost = torch.where(usable, total, torch.inf)
+        return ScoredPlans(plans, cost, usable, torch.zeros_like(total))
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,12 @@ def closest_candidate(
     human: Float[Tensor, "*b T 2"],
     valid: Bool[Tensor, "*b T"],
 ) -> Int[Tensor, "*b"]:
-    """Index of the candidate with the smallest mean squared distance (m²) from the human."""
+    """Index of the candidate with the smallest mean squared distance (m²) from the human.
+
+    Rows that are not valid count for nothing, whatever stands in them.
+    """
     error = (positions - human.unsqueeze(-3)).square().sum(-1)
-    return (error * valid.unsqueeze(-2)).sum(-1).argmin(-1)
+    return torch.where(valid.unsqueeze(-2), error, 0.0).sum(-1).argmin(-1)
 
 
 def cross_entropy(logits: Float[Tensor, "*b C"], target: Int[Tensor, "*b"]) -> Float[Tensor, "*b"]:

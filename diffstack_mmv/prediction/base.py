@@ -137,7 +137,12 @@ def forecasts_of(predictor: Predictor, agents: Tracks) -> Forecast:
     agent_dim = agents.mode.dim() - 1
     count = agents.mode.shape[-1]
     if predictor.forecast_neighbors:
-        absent = map_tensors(lambda entry: torch.zeros_like(entry.select(agent_dim, 0)), agents)
+        absent = map_tensors(
+            lambda entry: entry.new_zeros(
+                (*entry.shape[:agent_dim], *entry.shape[agent_dim + 1 :])
+            ),
+            agents,
+        )
         return neighbors_forecast(predictor(absent, agents))
     number = torch.arange(count, device=agents.mode.device)
     others = number.repeat(count, 1)[number != number.unsqueeze(-1)]

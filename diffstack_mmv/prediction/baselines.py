@@ -91,8 +91,9 @@ class Extrapolation(Predictor):
     def forward(self, past: Tracks, neighbors: Tracks) -> Forecast:
         """Forecast all agents, `*b 1+N`."""
         tracks = all_agents(past, neighbors)
-        time = self.dt_s * torch.arange(1, self.horizon_steps + 1, device=tracks.valid.device)
-        time = time.to(tracks.motion.position.dtype)
+        given = tracks.motion.position
+        steps = torch.arange(1, self.horizon_steps + 1, dtype=given.dtype, device=given.device)
+        time = self.dt_s * steps
         heading = current_heading(tracks)
         speed = safe_norm(mean_velocity(tracks, SPREAD_ROWS, self.dt_s))
         return single_component(

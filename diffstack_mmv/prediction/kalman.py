@@ -51,9 +51,8 @@ class KalmanConstantVelocity(Predictor):
         """Forecast all agents, `*b 1+N`."""
         tracks = all_agents(past, neighbors)
         state, covariance = self.filtered(tracks)
-        time = self.dt_s * torch.arange(1, self.horizon_steps + 1, device=state.device).to(
-            state.dtype
-        )
+        steps = torch.arange(1, self.horizon_steps + 1, dtype=state.dtype, device=state.device)
+        time = self.dt_s * steps
         column = time[:, None, None]
         position, velocity = state[..., None, :2], state[..., None, 2:]
         blocks = covariance.unsqueeze(-3)

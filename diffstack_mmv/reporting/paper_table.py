@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from diffstack_mmv.reporting.bootstrapping import bootstrap
+from diffstack_mmv.reporting.comparison import SAMPLE
 from diffstack_mmv.reporting.files import read_parquet
 from diffstack_mmv.reporting.runs import Run
 from diffstack_mmv.reporting.scores import ScoreHeading, Scores
@@ -85,9 +86,19 @@ def write_paper_table(folder: Path, table: pd.DataFrame, remarks: Sequence[str])
 
 
 def _over_seeds(runs: Sequence[Run], mode: str) -> pd.DataFrame:
-    """Scores of each sample of a mode, averaged over seeds; NaN where a seed could not judge it."""
+    """Scores of each sample of a mode, averaged over seeds; NaN where a seed could not judge it.
+
+    Raises:
+        ValueError: The seeds were judged on different samples.
+    """
     frames = [read_parquet(run.report / "samples.parquet") for run in runs]
-    own = [frame[frame["mode"] == mode].reset_index(drop=True) for frame in frames]
+    own = [frame[frame["mode"] == mode].sort_values(SAMPLE, ignore_index=True) for frame in frames]
+    for run, frame in zip(runs, own, strict=True):
+        if not frame[SAMPLE].equals(own[0][SAMPLE]):
+            raise ValueError(
+                f"{run.report} and {runs[0].report} were judged on different windows of {mode} "
+                f"({len(frame)} and {len(own[0])}). Evaluate them on the same conversion."
+            )
     mean = np.mean([frame[list(SHOWN)].to_numpy(np.float64) for frame in own], 0)
     return pd.DataFrame(mean, columns=list(SHOWN)).assign(scene=own[0]["scene"])
 

@@ -16,6 +16,7 @@ from diffstack_mmv.prediction.trajectron.agent_batch import PEDESTRIAN
 from diffstack_mmv.stack.module import DiffStackMMV
 from dmmv_conventions.checkpoints import read_plain
 from dmmv_conventions.differences import differences
+from dmmv_conventions.disk import replacing
 from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.targets import OF_A_STACK, require_buildable
 
@@ -236,7 +237,8 @@ def write_lean(source: Path, target: Path) -> None:
     kept = {name: provenance["config"][name] for name in BUILT_FROM}
     lean = {"state_dict": content["state_dict"], "provenance": provenance | {"config": kept}}
     target.parent.mkdir(parents=True, exist_ok=True)
-    torch.save(lean, target)
+    with replacing(target) as unfinished:
+        torch.save(lean, unfinished)
 
 
 def _within(content: Any, key: str) -> Any:

@@ -162,7 +162,7 @@ class DiffStackMMV(pl.LightningModule):
         self, batch: StackBatch, output: StackOutput
     ) -> dict[str, Float[Tensor, " B"]]:
         """Cost of each plan under the true futures of the other agents, by term, dimensionless."""
-        truth = observed_obstacles(batch.neighbors_past, batch.neighbors_future)
+        truth = observed_obstacles(batch.neighbors_past, batch.neighbors_future).of_valid()
         return self.planner.hindsight_cost(output.plan, output.problem._replace(obstacles=truth))
 
     def _plan_judged(self, batch: StackBatch) -> Bool[Tensor, " B"]:

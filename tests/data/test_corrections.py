@@ -15,7 +15,14 @@ def scene(**columns):
 def test_a_heading_is_held_at_standstill_within_each_agent():
     rows = scene(vx=[0, 2, 0, 0, 0, 0], vy=[0] * 6, heading=[9, 1, 0, 0, 5, 6])
     HeldHeading().apply(rows)
-    assert rows["heading"].tolist() == [1, 1, 1, 1, 5, 6]
+    assert rows["heading"].tolist() == [9, 1, 1, 1, 5, 6]
+
+
+@pytest.mark.parametrize("later", [1.0, -2.0])
+def test_who_has_not_moved_yet_does_not_know_where_it_will_go(later):
+    rows = scene(vx=[0, 0, 0, 2, 0, 0], vy=[0] * 6, heading=[3, 3, 3, later, 5, 6])
+    HeldHeading().apply(rows)
+    assert rows["heading"].tolist() == [3, 3, 3, later, 5, 6]
 
 
 def test_turning_y_up_turns_a_right_turn_into_a_left_turn():

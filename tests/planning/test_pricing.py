@@ -116,3 +116,14 @@ def test_the_best_is_the_cheapest_safe_or_the_least_unsafe(cost, safe, shortfall
 def test_numbers_out_of_range_are_refused(name):
     with pytest.raises(ValueError, match=name):
         PlanPrice(**{name: -1.0})
+
+
+def test_a_plan_without_a_finite_cost_is_not_safe():
+    problem, plans = along_y(3.0)
+
+    def diverged(motion, controls):
+        return torch.full(motion.heading.shape, torch.nan)
+
+    scored = CostScore()(plans, Situation(problem, diverged, torch.zeros(1), 0.25))
+    assert scored.cost.isinf().all()
+    assert not scored.safe.any()

@@ -120,3 +120,24 @@ def test_loss_without_prediction_judges_the_ego_alone():
 def test_impossible_horizon_is_refused(options, argument):
     with pytest.raises(ValueError, match=f"`{argument}` must"):
         ConstantVelocity(*options)
+
+
+@pytest.mark.parametrize("predictor", [ConstantVelocity(10, DT_S), trajectron()])
+def test_nobody_has_an_empty_forecast(predictor):
+    nobody = scene(batch=(2,), neighbors=0).neighbors_past
+    assert forecasts_of(predictor, nobody).mean.shape[:2] == (2, 0)
+
+
+def test_times_are_as_exact_as_the_tracks():
+    batch = scene(batch=(2,), neighbors=0, dtype=torch.float64)
+    still = batch.ego_past._replace(
+        motion=map_tensors(torch.zeros_like, batch.ego_past.motion),
+        valid=torch.ones_like(batch.ego_past.valid),
+    )
+    time = DT_S * torch.arange(1 - still.valid.shape[-1], 1, dtype=torch.float64)
+    position = still.motion.position.clone()
+    position[..., 0] = 3.0 * time
+    tracks = still._replace(motion=still.motion._replace(position=position))
+    path = ConstantVelocity(10, DT_S)(tracks, batch.neighbors_past).mean[:, 0, 0, :, 0]
+    expected = 3.0 * DT_S * torch.arange(1, 11, dtype=torch.float64)
+    assert torch.allclose(path, expected.expand_as(path), atol=1e-12)

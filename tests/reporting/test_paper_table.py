@@ -82,3 +82,17 @@ def test_files_and_remarks(runs, tmp_path):
     assert "- imptc: no recordings" in (tmp_path / "results.md").read_text()
     assert len(pd.read_csv(tmp_path / "results.csv")) == len(table)
     assert r"\begin{tabular}" in (tmp_path / "results.tex").read_text()
+
+
+def test_seeds_are_averaged_by_sample_and_not_by_row(runs):
+    table = paper_table(runs, MODELS, OPEN_LOOP, resamples=20)
+    frame = samples(1)
+    write_run(runs[1].report, "unicycle", 1, frame=frame.iloc[::-1].reset_index(drop=True))
+    again = paper_table(runs, MODELS, OPEN_LOOP, resamples=20)
+    assert again["ADE [m]"][0] == table["ADE [m]"][0]
+
+
+def test_seeds_that_were_judged_on_different_windows_are_refused(runs):
+    write_run(runs[1].report, "unicycle", 1, frame=samples(1).assign(row=np.arange(60) + 1))
+    with pytest.raises(ValueError, match="were judged on different windows of bicycle"):
+        paper_table(runs, MODELS, OPEN_LOOP, resamples=20)

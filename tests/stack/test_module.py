@@ -238,6 +238,35 @@ def test_a_sample_without_future_adds_nothing_to_the_training_loss(goal):
     assert gradients[0].abs().max() > 0
 
 
+def test_what_stands_in_rows_that_are_not_valid_counts_for_nothing():
+    stack, batch = stack_of(PredictedGoal(), StandStill(STEPS, 0.1)), batch_of()
+    stack.log_dict = lambda *args, **kwargs: None
+
+    def spoilt(tracks, filling):
+        valid = tracks.valid.clone()
+        valid[1:, ..., STEPS // 2 :] = False
+
+        def filled(field):
+            at = valid.reshape(valid.shape + (1,) * (field.dim() - valid.dim()))
+            return torch.where(at, field, filling)
+
+        return tracks._replace(motion=map_tensors(filled, tracks.motion), valid=valid)
+
+    losses, gradients = [], []
+    for filling in (0.0, torch.nan):
+        given = batch._replace(
+            ego_future=spoilt(batch.ego_future, filling),
+            neighbors_future=spoilt(batch.neighbors_future, filling),
+        )
+        stack.zero_grad()
+        losses.append(stack.training_step(given, 0))
+        losses[-1].backward()
+        gradients.append(stack.planner.cost.log_weight.grad.clone())
+    assert losses[1].item() == losses[0].item()
+    assert torch.equal(gradients[1], gradients[0])
+    assert gradients[0].abs().max() > 0
+
+
 def test_a_batch_without_any_future_has_a_finite_loss_and_no_gradient():
     stack, batch = stack_of(PredictedGoal()), batch_of(count=1)
     stack.log_dict = lambda *args, **kwargs: None
