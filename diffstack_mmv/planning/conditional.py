@@ -15,10 +15,11 @@ def given_end(forecast: Forecast, end: Float[Tensor, "*b 2"], width_m: float = W
 
     A component counts by its weight times its density at the end, and is moved there:
 
-        w_k ∝ w_k N(g; μ_kT, Σ_kT + σ² I),    μ_kt + ρ_t L_kt L_kT⁻¹ (g - μ_kT),    ρ_t = √(t / T)
+        w_k ∝ w_k N(g; μ_kT, Σ_kT + σ² I),    μ_kt + ρ_t S_kt S_kT⁻¹ (g - μ_kT),    ρ_t = √(t / T)
 
-    with L Lᵀ = Σ and the correlation ρ_t between the position at t and at the end that independent
-    steps have; what is left of the covariance at t is (1 - ρ_t²) Σ_kt.
+    with the symmetric root S of Σ, which turns with the frame as no Cholesky factor does, and the
+    correlation ρ_t between the position at t and at the end that independent steps have; what is
+    left of the covariance at t is (1 - ρ_t²) Σ_kt + σ² I.
 
     Args:
         forecast: Mixtures, *b K T.
@@ -36,17 +37,24 @@ def given_end(forecast: Forecast, end: Float[Tensor, "*b 2"], width_m: float = W
     error = end.unsqueeze(-2) - mean[..., -1, :]
     steps = mean.shape[-2]
     share = torch.arange(1, steps + 1, dtype=mean.dtype, device=mean.device) / steps
-    white = _whitened(error, scale[..., -1, :, :]).unsqueeze(-3)
-    moved = mean + share.sqrt().unsqueeze(-1) * (scale @ white).squeeze(-1)
-    floor = width_m * torch.eye(2, dtype=mean.dtype, device=mean.device)
-    rest = (1 - share).sqrt()[:, None, None] * scale + floor
-    blurred = torch.linalg.cholesky(scale[..., -1, :, :] @ scale[..., -1, :, :].mT + floor**2)
-    log_density = -0.5 * _whitened(error, blurred).square().sum((-2, -1))
+    root, last = _symmetric_root(scale), scale[..., -1, :, :]
+    precise = torch.cholesky_solve(error.unsqueeze(-1), last)  # Σ_T⁻¹ (g - μ_T)
+    white = (root[..., -1, :, :] @ precise).unsqueeze(-3)
+    moved = mean + share.sqrt().unsqueeze(-1) * (root @ white).squeeze(-1)
+    floor = width_m**2 * torch.eye(2, dtype=mean.dtype, device=mean.device)
+    covariance = scale @ scale.mT
+    rest = torch.linalg.cholesky((1 - share)[:, None, None] * covariance + floor)
+    blurred = torch.linalg.cholesky(covariance[..., -1, :, :] + floor)
+    surprise = torch.linalg.solve_triangular(blurred, error.unsqueeze(-1), upper=False)
+    log_density = -0.5 * surprise.square().sum((-2, -1))
     log_density = log_density - blurred.diagonal(dim1=-2, dim2=-1).log().sum(-1)
     return Forecast((forecast.log_weight + log_density).log_softmax(-1), moved, rest)
 
 
-def _whitened(
-    error: Float[Tensor, "*b 2"], scale_tril: Float[Tensor, "*b 2 2"]
-) -> Float[Tensor, "*b 2 1"]:
-    return torch.linalg.solve_triangular(scale_tril, error.unsqueeze(-1), upper=False)
+def _symmetric_root(scale_tril: Float[Tensor, "*b 2 2"]) -> Float[Tensor, "*b 2 2"]:
+    """Root S = Sᵀ of the covariance L Lᵀ = S S, in closed form (Cayley and Hamilton)."""
+    covariance = scale_tril @ scale_tril.mT
+    determinant = scale_tril.diagonal(dim1=-2, dim2=-1).prod(-1)  # of S
+    trace = (covariance.diagonal(dim1=-2, dim2=-1).sum(-1) + 2 * determinant).sqrt()  # of S
+    identity = torch.eye(2, dtype=scale_tril.dtype, device=scale_tril.device)
+    return (covariance + determinant[..., None, None] * identity) / trace[..., None, None]

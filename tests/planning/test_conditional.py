@@ -1,7 +1,11 @@
 """A forecast that is told where it ends."""
 
+import math
+
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from diffstack_mmv.planning.conditional import given_end
 from diffstack_mmv.types import Forecast
@@ -35,6 +39,45 @@ def test_where_a_component_ends_already_it_stays():
     widths = told.scale_tril.diagonal(dim1=-2, dim2=-1)
     assert widths.amin() >= 0.1
     assert torch.isfinite(told.log_prob(told.mean[0])).all()
+
+
+def turning(angle, batch=5):
+    """Paths along a circle, less sure along than across, in a frame turned by an angle in rad."""
+    time = torch.linspace(0.3, 3.0, 10, dtype=torch.float64)
+    course = 0.5 * time
+    path = 8.0 * torch.stack([course.sin(), 1 - course.cos()], -1)
+    along = torch.stack([course.cos(), course.sin()], -1)
+    across = torch.stack([-course.sin(), course.cos()], -1)
+    axes = torch.stack([0.9 * time[:, None] * along, 0.3 * time[:, None] * across], -1)
+    frame = torch.tensor(
+        [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]],
+        dtype=torch.float64,
+    )
+    covariance = frame @ axes @ axes.mT @ frame.mT
+    mean = (path @ frame.mT).expand(batch, 1, 10, 2)
+    scale = torch.linalg.cholesky(covariance).expand(batch, 1, 10, 2, 2)
+    return frame, Forecast(torch.zeros(batch, 1, dtype=torch.float64), mean, scale)
+
+
+@given(st.floats(-3.1, 3.1))
+def test_a_forecast_that_is_told_its_end_turns_with_the_frame(angle):
+    (_, plain), (frame, turned) = turning(0.0), turning(angle)
+    end = plain.mean[:, 0, -1] + torch.tensor([1.0, 0.5], dtype=torch.float64)
+    told, other = given_end(plain, end), given_end(turned, end @ frame.mT)
+    assert torch.allclose(other.mean, told.mean @ frame.mT, atol=1e-9)
+    left = frame @ told.scale_tril @ told.scale_tril.mT @ frame.mT
+    assert torch.allclose(other.scale_tril @ other.scale_tril.mT, left, atol=1e-9)
+
+
+def test_gradients_of_a_forecast_that_is_told_its_end():
+    _, forecast = turning(0.4, batch=2)
+    fields = [field.clone().requires_grad_() for field in forecast]
+    end = forecast.mean[:, 0, -1] + 0.5
+
+    def told(weight, mean, scale):
+        return tuple(given_end(Forecast(weight, mean, scale.tril()), end))
+
+    assert torch.autograd.gradcheck(told, fields)
 
 
 def test_a_width_that_is_not_positive_is_refused():
