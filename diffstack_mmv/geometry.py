@@ -188,3 +188,15 @@ def distance_to_segment(
     along = ((-start[..., 0] * x + -start[..., 1] * y) / apart).clamp(0, 1)
     near_x, near_y = start[..., 0] + along * x, start[..., 1] + along * y
     return root(near_x * near_x + near_y * near_y)
+
+
+def symmetric_root(scale_tril: Float[Tensor, "*b 2 2"]) -> Float[Tensor, "*b 2 2"]:
+    """Root S = Sᵀ of the covariance L Lᵀ = S S, in closed form (Cayley and Hamilton).
+
+    It turns with the frame, S of R Σ Rᵀ is R S Rᵀ, as no Cholesky factor does.
+    """
+    covariance = scale_tril @ scale_tril.mT
+    determinant = scale_tril.diagonal(dim1=-2, dim2=-1).prod(-1)  # of S
+    trace = (covariance.diagonal(dim1=-2, dim2=-1).sum(-1) + 2 * determinant).sqrt()  # of S
+    identity = torch.eye(2, dtype=scale_tril.dtype, device=scale_tril.device)
+    return (covariance + determinant[..., None, None] * identity) / trace[..., None, None]

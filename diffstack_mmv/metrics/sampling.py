@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.quasirandom import SobolEngine
 
+from diffstack_mmv.geometry import symmetric_root
 from diffstack_mmv.metrics.displacement import displacement_curve
 from diffstack_mmv.metrics.draws import components_of, drawn_rows
 from diffstack_mmv.metrics.means import time_mean
@@ -21,7 +22,9 @@ def sampled_paths(
 ) -> Float[Tensor, "*b S T 2"]:
     """Draw paths in m: a component, and one deviation in units of its covariance for all times.
 
-        p_t = μ_zt + L_zt ε,    z ~ w,    ε ~ N(0, I)
+        p_t = μ_zt + S_zt ε,    z ~ w,    ε ~ N(0, I)
+
+    with the symmetric root S of the covariance, so that draws do not depend on the axes.
 
     Each time alone is distributed as forecast; the deviation lasts, as those of people do.
 
@@ -79,7 +82,7 @@ def _paths(
     which = component[..., None, None]
     mean = forecast.mean.take_along_dim(which, -3)
     scale = forecast.scale_tril.take_along_dim(which.unsqueeze(-1), -4)
-    return mean + (scale @ noise[..., None, :, None]).squeeze(-1)
+    return mean + (symmetric_root(scale) @ noise[..., None, :, None]).squeeze(-1)
 
 
 def best_of_samples(

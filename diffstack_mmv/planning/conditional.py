@@ -5,6 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
+from diffstack_mmv.geometry import symmetric_root
 from diffstack_mmv.types import Forecast
 
 WIDTH_M = 0.1
@@ -37,7 +38,7 @@ def given_end(forecast: Forecast, end: Float[Tensor, "*b 2"], width_m: float = W
     error = end.unsqueeze(-2) - mean[..., -1, :]
     steps = mean.shape[-2]
     share = torch.arange(1, steps + 1, dtype=mean.dtype, device=mean.device) / steps
-    root, last = _symmetric_root(scale), scale[..., -1, :, :]
+    root, last = symmetric_root(scale), scale[..., -1, :, :]
     precise = torch.cholesky_solve(error.unsqueeze(-1), last)  # Σ_T⁻¹ (g - μ_T)
     white = (root[..., -1, :, :] @ precise).unsqueeze(-3)
     moved = mean + share.sqrt().unsqueeze(-1) * (root @ white).squeeze(-1)
@@ -49,12 +50,3 @@ def given_end(forecast: Forecast, end: Float[Tensor, "*b 2"], width_m: float = W
     log_density = -0.5 * surprise.square().sum((-2, -1))
     log_density = log_density - blurred.diagonal(dim1=-2, dim2=-1).log().sum(-1)
     return Forecast((forecast.log_weight + log_density).log_softmax(-1), moved, rest)
-
-
-def _symmetric_root(scale_tril: Float[Tensor, "*b 2 2"]) -> Float[Tensor, "*b 2 2"]:
-    """Root S = Sᵀ of the covariance L Lᵀ = S S, in closed form (Cayley and Hamilton)."""
-    covariance = scale_tril @ scale_tril.mT
-    determinant = scale_tril.diagonal(dim1=-2, dim2=-1).prod(-1)  # of S
-    trace = (covariance.diagonal(dim1=-2, dim2=-1).sum(-1) + 2 * determinant).sqrt()  # of S
-    identity = torch.eye(2, dtype=scale_tril.dtype, device=scale_tril.device)
-    return (covariance + determinant[..., None, None] * identity) / trace[..., None, None]

@@ -127,3 +127,26 @@ def test_spread_paths_leave_out_what_is_impossible():
     paths = spread_paths(Forecast(log_weight, forecast.mean, forecast.scale_tril), 20)
     assert (paths[..., -1, 1] > paths[..., -1, 0]).all()
     assert paths.isfinite().all()
+
+
+@pytest.mark.parametrize("angle", [0.5, 1.6, -0.7])
+def test_the_best_of_many_is_the_same_in_a_turned_scene(angle):
+    count, time = 3000, torch.linspace(0.3, 3.0, 6)
+    course = 0.5 * time
+    along = torch.stack([course.cos(), course.sin()], -1)
+    across = torch.stack([-course.sin(), course.cos()], -1)
+    axes = torch.stack([0.9 * time[:, None] * along, 0.3 * time[:, None] * across], -1)
+    noise = torch.randn(count, 1, 2, 1, generator=torch.Generator().manual_seed(0))
+    truth = (axes @ noise).squeeze(-1)
+    turn = torch.tensor([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+
+    def best(frame):
+        covariance = frame @ axes @ axes.mT @ frame.mT
+        scale = torch.linalg.cholesky(covariance).expand(count, 1, 6, 2, 2)
+        forecast = Forecast(torch.zeros(count, 1), torch.zeros(count, 1, 6, 2), scale)
+        return best_of_samples(forecast, future_of(truth @ frame.mT))
+
+    plain, turned = best(torch.eye(2)), best(turn)
+    for name in ("best_of_20_ade", "best_of_20_fde"):
+        value = plain[name]
+        assert turned[name].mean().item() == pytest.approx(value.mean().item(), rel=0.04)
