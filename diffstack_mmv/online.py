@@ -18,7 +18,7 @@ from diffstack_mmv.geometry import (
     rotate,
     wrap_angle,
 )
-from diffstack_mmv.planning import FutureGoal, PredictedGoal
+from diffstack_mmv.planning import PredictedGoal, WantedGoal
 from diffstack_mmv.stack import load_stack
 from diffstack_mmv.types import Forecast, Mode, Motion, Pose, StackBatch, Tracks, map_tensors
 from dmmv_conventions.observed import ObservedAgents
@@ -32,6 +32,7 @@ class Decision(NamedTuple):
     control_names: tuple[str, ...]  # m
     solved: bool  # whether the optimiser converged
     goal: Float[Tensor, " 2"]  # m
+    miss_m: float  # from the end of the plan to the goal: large where it is out of reach
     forecast: Forecast  # A K T, of the agents that counted
     names: tuple[str, ...]  # A, the ego first
 
@@ -78,7 +79,8 @@ class OnlineStack:
         Args:
             observed: The agents, the last row is now.
             goal: Where the ego is to be after `horizon_s`, x and y in m in the world; where it is
-                expected to go by itself if None.
+                expected to go by itself if None. It is a wish: the plan begins with the observed
+                motion, and leads as near as the limits of the planner let it, see `miss_m`.
 
         Returns:
             Forecast and plan.
@@ -97,7 +99,7 @@ class OnlineStack:
             wanted = torch.as_tensor(goal, dtype=torch.float64)
             point = wanted.shape == (2,) and bool(wanted.isfinite().all())
             require(point, "goal", "be x and y in m", goal)
-            source = FutureGoal()
+            source = WantedGoal()
             place = position_in_frame(wanted, origin, course).unsqueeze(0)
             batch = batch._replace(goal=place.to(batch.goal))
         output = self.stack.plan(batch, self.stack.predictor.predict(batch), source)
@@ -105,12 +107,17 @@ class OnlineStack:
             lambda entry: entry.squeeze(0).double().cpu(),
             (output.plan.motion, output.plan.controls, output.goal),
         )
+        plan, wish = (
+            motion_from_frame(motion, origin, course),
+            position_from_frame(aim, origin, course),
+        )
         return Decision(
-            plan=motion_from_frame(motion, origin, course),
+            plan=plan,
             controls=controls,
             control_names=self.stack.planner.dynamics.Control._fields,
             solved=bool(output.plan.converged),
-            goal=position_from_frame(aim, origin, course),
+            goal=wish,
+            miss_m=float((plan.position[-1] - wish).norm()),
             forecast=_forecast_in_world(output.forecast, origin, course),
             names=tuple(observed.names[index] for index in chosen),
         )

@@ -7,7 +7,7 @@ import torch
 from diffstack_mmv.data import ConvertedCache, WindowSettings, stack_batch
 from diffstack_mmv.geometry import motion_from_frame, rotate
 from diffstack_mmv.online import OnlineStack
-from diffstack_mmv.planning import FutureGoal, PredictedGoal
+from diffstack_mmv.planning import PredictedGoal, WantedGoal
 from diffstack_mmv.types import Mode
 from dmmv_conventions.observed import ObservedAgents
 from tests.data.conftest import ToyAgent, write_cache
@@ -56,7 +56,7 @@ def test_a_decision_is_that_of_an_evaluation(online, tmp_path, goal):
     source = PredictedGoal()
     if goal is not None:
         wanted = rotate(torch.tensor(goal, dtype=torch.float64) - place, -course)
-        batch, source = batch._replace(goal=wanted[None].float()), FutureGoal()
+        batch, source = batch._replace(goal=wanted[None].float()), WantedGoal()
     with torch.no_grad():
         expected = online.stack.plan(batch, online.stack.predictor.predict(batch), source)
     found = online(observed(), goal)
@@ -68,6 +68,21 @@ def test_a_decision_is_that_of_an_evaluation(online, tmp_path, goal):
     torch.testing.assert_close(found.plan.position, motion.position, atol=2e-3, rtol=0)
     weights = expected.forecast.log_weight[0].double()
     torch.testing.assert_close(found.forecast.log_weight, weights, atol=2e-3, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("goal", "missed_m"), [((-4.9, 15.0), 0.5), ((2000.0, 2500.0), 3000.0)], ids=["near", "far"]
+)
+def test_a_wish_does_not_change_how_the_ego_moves_now(online, goal, missed_m):
+    expected, found = online(observed()).plan, online(observed(), goal)
+    for part in ("position", "heading", "velocity"):
+        now, then = getattr(found.plan, part)[0], getattr(expected, part)[0]
+        torch.testing.assert_close(now, then, atol=1e-5, rtol=0, msg=part)
+    end = torch.tensor(goal, dtype=torch.float64)
+    torch.testing.assert_close(found.goal, end, atol=1e-3, rtol=0)
+    assert found.miss_m == pytest.approx((found.plan.position[-1] - end).norm().item(), abs=1e-3)
+    assert found.miss_m > missed_m, "nobody stops at once, or drives on at 1 km/s"
+    assert found.plan.velocity.norm(dim=-1).max() < 25.0
 
 
 @pytest.mark.parametrize("turn", [0.7, -2.0])

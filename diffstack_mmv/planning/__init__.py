@@ -17,7 +17,7 @@ from diffstack_mmv.planning.coordinates import (
 )
 from diffstack_mmv.planning.detours import DetourFan
 from diffstack_mmv.planning.generated import generated_moments
-from diffstack_mmv.planning.goal import FutureGoal, GoalSource, PredictedGoal
+from diffstack_mmv.planning.goal import FutureGoal, GoalSource, PredictedGoal, WantedGoal
 from diffstack_mmv.planning.homotopy import best_of_each, homotopy_class
 from diffstack_mmv.planning.limits import (
     ClearanceKept,
@@ -83,6 +83,7 @@ __all__ = [
     "SharesAboveRest",
     "Situation",
     "TakeOptimum",
+    "WantedGoal",
     "above_rest",
     "best_of_each",
     "build_problem",

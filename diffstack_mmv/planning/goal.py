@@ -49,6 +49,27 @@ class FutureGoal:
         return forecast.mean[..., 0, :, :] if alone else given_end(forecast, goal).median()
 
 
+class WantedGoal:
+    """A goal that somebody wishes for, which tells nothing about how the ego moves now.
+
+    What is known of a human's future (`FutureGoal`) also corrects the estimate of the present
+    velocity; a wish that the ego will not fulfil by itself must not.
+    """
+
+    name = "wanted"
+    uses_future = True
+
+    def __call__(self, batch: StackBatch, forecast: Forecast) -> Float[Tensor, "B 2"]:
+        """Goal in m, as it was given."""
+        return batch.goal
+
+    def expected_path(
+        self, forecast: Forecast, goal: Float[Tensor, "B 2"]
+    ) -> Float[Tensor, "B T 2"]:
+        """Median of the forecast, for `predicted_reference` to bend with the least acceleration."""
+        return forecast.median()
+
+
 class PredictedGoal:
     """The end of the path that the forecast of the ego expects: no future is used at all."""
 

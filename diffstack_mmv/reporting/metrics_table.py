@@ -167,6 +167,7 @@ def write_metrics(folder: Path, metrics: Mapping[str, Any], scores: Scores) -> N
 def _markdown(metrics: Mapping[str, Any], scores: Scores) -> str:
     told = {
         "future": "given (the human's position at the horizon)",
+        "wanted": "given as a wish (the human's position at the horizon)",
         "predicted": "predicted (no future used)",
     }
     title = (

@@ -2,7 +2,7 @@
 
 import torch
 
-from diffstack_mmv.planning import FutureGoal, predicted_reference
+from diffstack_mmv.planning import FutureGoal, WantedGoal, predicted_reference
 from diffstack_mmv.planning.conditional import given_end
 from diffstack_mmv.prediction import hermite_spline
 from diffstack_mmv.types import Forecast, Motion
@@ -36,3 +36,10 @@ def test_of_several_paths_those_near_the_goal_count():
     assert torch.equal(expected, given_end(paths, goal).median())
     assert torch.allclose(expected[:, -1], goal, atol=1e-3)
     assert (expected - paths.mean[:, 1]).norm(dim=-1).max() < 0.5
+
+
+def test_a_wish_bends_the_path_and_not_its_start():
+    paths, goal = forecast([9.0, 0.0], [6.0, 4.0], [6.0, -4.0]), torch.tensor([[60.0, 3.7]])
+    expected = WantedGoal().expected_path(paths, goal)
+    assert torch.equal(expected, paths.median())
+    assert FutureGoal().expected_path(paths, goal)[0, 0, 0] > 1.3 * expected[0, 0, 0]
