@@ -2,10 +2,13 @@
 
 from typing import Protocol, runtime_checkable
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from diffstack_mmv.checks import require_between
 from diffstack_mmv.planning.conditional import given_end
+from diffstack_mmv.planning.problem import bent_to_goal, straightened
 from diffstack_mmv.types import Forecast, StackBatch
 
 
@@ -28,10 +31,21 @@ class GoalSource(Protocol):
 
 
 class FutureGoal:
-    """The human's position at the horizon: the route is known, as in DMMV."""
+    """The human's position at the horizon: the route is known, as in DMMV.
+
+    Args:
+        steadiness: κ of `expected_path`, from 0 to 1.
+
+    Raises:
+        ValueError: The steadiness is not in this range.
+    """
 
     name = "future"
     uses_future = True
+
+    def __init__(self, steadiness: float = 1 / 3) -> None:
+        require_between("steadiness", steadiness, 0, 1)
+        self.steadiness = steadiness
 
     def __call__(self, batch: StackBatch, forecast: Forecast) -> Float[Tensor, "B 2"]:
         """Goal in m from the recording."""
@@ -40,13 +54,23 @@ class FutureGoal:
     def expected_path(
         self, forecast: Forecast, goal: Float[Tensor, "B 2"]
     ) -> Float[Tensor, "B T 2"]:
-        """Median of the forecast given that it ends at the goal, see `given_end`.
+        """Median of the forecast given that it ends at the goal, see `given_end`, made steadier.
+
+            (1 - κ) m(s) + κ (p₀ + s (g - p₀)),    s = t / T
+
+        with p₀ where the path m begins: of how it differs from a constant velocity to the goal g, a
+        share κ is what the end did not tell apart from noise.
 
         A single path has no alternatives to weigh, and how its error grows was not learned: it is
-        left as it is, for `predicted_reference` to bend with the least acceleration.
+        bent to the goal with the least acceleration instead, see `bent_to_goal`.
         """
         alone = forecast.mean.shape[-3] == 1
-        return forecast.mean[..., 0, :, :] if alone else given_end(forecast, goal).median()
+        path = (
+            bent_to_goal(forecast.mean[..., 0, :, :], goal)
+            if alone
+            else given_end(forecast, goal).median()
+        )
+        return torch.lerp(path, straightened(path, goal), self.steadiness)
 
 
 class WantedGoal:

@@ -222,8 +222,24 @@ def bent_to_goal(
     which adds the least squared acceleration that leads to the goal g, free at its end. Bent
     constant velocity is the cubic Hermite spline to the goal.
     """
-    steps = path.shape[-2]
-    count = torch.arange(1, steps + 1, device=path.device, dtype=path.dtype).unsqueeze(-1)
-    share = count / steps
+    share = _shares(path)
     shape = 0.5 * share.square() * (3 - share)
     return path + shape * (goal - path[..., -1, :]).unsqueeze(-2)
+
+
+def straightened(
+    path: Float[Tensor, "*b T 2"], goal: Float[Tensor, "*b 2"]
+) -> Float[Tensor, "*b T 2"]:
+    """From where a path (m) begins to the goal at a constant velocity: p₀ + s (g - p₀), s = t / T.
+
+    It begins a step before its first position, as far back as that is from the second.
+    """
+    first, second = path[..., :1, :], path[..., 1:2, :]
+    start = 2 * first - second if path.shape[-2] > 1 else first
+    return torch.lerp(start, goal.unsqueeze(-2), _shares(path))
+
+
+def _shares(path: Float[Tensor, "*b T 2"]) -> Float[Tensor, "T 1"]:
+    """The part s = t / T of the horizon at each position of a path."""
+    steps = path.shape[-2]
+    return torch.arange(1, steps + 1, device=path.device, dtype=path.dtype).unsqueeze(-1) / steps

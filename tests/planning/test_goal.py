@@ -1,5 +1,8 @@
 """Where the ego is expected to go once its goal is known."""
 
+import math
+
+import pytest
 import torch
 
 from diffstack_mmv.planning import FutureGoal, WantedGoal, predicted_reference
@@ -22,20 +25,43 @@ def forecast(*ends):
 def test_a_single_path_is_bent_to_the_goal_as_a_spline():
     """Constant velocity and a known end: the cubic Hermite spline of the baselines."""
     paths, goal = forecast([9.0, 0.0]), torch.tensor([[6.0, 3.0]])
-    expected, path = FutureGoal().expected_path(paths, goal), paths.mean[:, 0]
-    assert torch.equal(expected, path)
+    expected = FutureGoal(steadiness=0.0).expected_path(paths, goal)
     still = torch.zeros(1, 2)
     now = Motion(still, still[:, 0], torch.tensor([[3.0, 0.0]]), still[:, 0])
-    bent = predicted_reference(now, expected, goal, DT_S).path[:, 1:]
-    assert torch.allclose(bent, hermite_spline(now, goal, STEPS, DT_S), atol=1e-5)
+    assert torch.allclose(expected, hermite_spline(now, goal, STEPS, DT_S), atol=1e-5)
+    assert torch.equal(predicted_reference(now, expected, goal, DT_S).path[:, 1:], expected)
 
 
 def test_of_several_paths_those_near_the_goal_count():
     paths, goal = forecast([9.0, 0.0], [6.0, 4.0], [6.0, -4.0]), torch.tensor([[6.2, 3.7]])
-    expected = FutureGoal().expected_path(paths, goal)
+    expected = FutureGoal(steadiness=0.0).expected_path(paths, goal)
     assert torch.equal(expected, given_end(paths, goal).median())
     assert torch.allclose(expected[:, -1], goal, atol=1e-3)
     assert (expected - paths.mean[:, 1]).norm(dim=-1).max() < 0.5
+
+
+@pytest.mark.parametrize("ends", [[[9.0, 0.0]], [[9.0, 0.0], [6.0, 4.0], [6.0, -4.0]]])
+@pytest.mark.parametrize("steps", [1, 2, STEPS])
+def test_the_steadiest_path_to_the_goal_is_the_straight_line(ends, steps):
+    paths, goal = forecast(*ends), torch.tensor([[6.2, 3.7]])
+    paths = Forecast(paths.log_weight, paths.mean[:, :, :steps], paths.scale_tril[:, :, :steps])
+    free, line, between = (
+        FutureGoal(share).expected_path(paths, goal) for share in (0.0, 1.0, 0.25)
+    )
+    pieces = line.diff(dim=-2)
+    assert torch.allclose(pieces, pieces[:, :1].expand_as(pieces), atol=1e-5)
+    assert torch.allclose(line[:, -1], goal, atol=1e-5)
+    if steps > 1:  # they begin at one place
+        assert torch.allclose(
+            (2 * line - line.roll(-1, -2))[:, 0], (2 * free[:, 0] - free[:, 1]), atol=1e-5
+        )
+    assert torch.allclose(between, 0.75 * free + 0.25 * line, atol=1e-5)
+
+
+@pytest.mark.parametrize("steadiness", [-0.1, 1.5, math.nan])
+def test_the_steadiness_is_a_share(steadiness):
+    with pytest.raises(ValueError, match="`steadiness` must lie in"):
+        FutureGoal(steadiness)
 
 
 def test_a_wish_bends_the_path_and_not_its_start():
