@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from diffstack_mmv.config_checks import require_folder
-from dmmv_conventions.cache import read_state
+from dmmv_conventions.cache import SPLITS, read_state
 from dmmv_conventions.checks import (
     require,
     require_at_least,
@@ -170,8 +170,7 @@ def require_split(argument: str, split: str, source: Mapping[str, Any]) -> None:
         ValueError: No scene belongs to it.
     """
     if "root" not in source and split != "all":
-        scenes = read_state(Path(source["folder"]), source["name"])["scenes"]
-        require_one_of(argument, split, sorted({scene["split"] for scene in scenes}))
+        require_one_of(argument, split, _splits_of(_scenes(source)))
 
 
 def require_tracks(source: Mapping[str, Any], splits: Sequence[str], mode: str) -> None:
@@ -183,14 +182,15 @@ def require_tracks(source: Mapping[str, Any], splits: Sequence[str], mode: str) 
         mode: Mode of transport.
 
     Raises:
-        ValueError: The folder is missing or no finished conversion, the mode is unknown, or nobody
-            travels like that.
+        ValueError: The folder is missing or no finished conversion, the mode or a split is
+            unknown, or nobody travels like that.
     """
     require_recordings(source)
     label = Mode.named(mode).label
     if "root" in source:
         return
-    scenes = read_state(Path(source["folder"]), source["name"])["scenes"]
+    scenes = _scenes(source)
+    _require_splits(splits, _splits_of(scenes))
     # earlier caches do not say who is in a scene
     found = any(
         scene["split"] in splits and scene.get("agents", {label: 1}).get(label) for scene in scenes
@@ -198,3 +198,22 @@ def require_tracks(source: Mapping[str, Any], splits: Sequence[str], mode: str) 
     remedy = "Choose another data set or another vehicle."
     where = f"in the splits {', '.join(splits)} of '{source['name']}'"
     require(found, "mode", "have tracks", f"none of mode '{mode}'", where, remedy)
+
+
+def _scenes(source: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """What a finished conversion tells of its scenes."""
+    return read_state(Path(source["folder"]), source["name"])["scenes"]
+
+
+def _splits_of(scenes: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Splits that scenes belong to, sorted."""
+    return sorted({scene["split"] for scene in scenes})
+
+
+def _require_splits(splits: Sequence[str], known: Sequence[str]) -> None:
+    """Refuse splits of no scene, but a usual one beside another that has some."""
+    require(len(splits) > 0, "splits", f"name some of {', '.join(known)}", "[]")
+    some = not set(splits).isdisjoint(known)
+    for split in splits:
+        if not (some and split in SPLITS):
+            require_one_of("splits", split, known)

@@ -3,6 +3,7 @@
 Every message reads "`argument` must requirement, but got value where. remedy".
 """
 
+import difflib
 import math
 from collections.abc import Sequence
 from numbers import Integral
@@ -108,15 +109,29 @@ def require_between(
     require(inside, argument, f"lie in [{low}, {high}]", value, where, remedy)
 
 
+def did_you_mean(name: str, choices: Sequence[str]) -> str:
+    """The question whether the known name that is most like a wrong one was meant.
+
+    Args:
+        name: What was given; case does not count.
+        choices: The known names.
+
+    Returns:
+        The question, "" where none is alike.
+    """
+    close = difflib.get_close_matches(name.lower(), choices, 1)
+    return f"Did you mean '{close[0]}'?" if close else ""
+
+
 def require_one_of(argument: str, value: str, choices: Sequence[str], where: str = "") -> None:
-    """Refuse a name that is not among the known ones.
+    """Refuse a name that is not among the known ones, and ask for the one that may be meant.
 
     Raises:
         ValueError: `value` is not in `choices`.
     """
-    require(
-        value in choices, argument, f"be one of {', '.join(sorted(choices))}", repr(value), where
-    )
+    needs = f"be one of {', '.join(sorted(choices))}"
+    known, meant = value in choices, did_you_mean(str(value), choices)
+    require(known, argument, needs, repr(value), where, meant)
 
 
 def require_multiple(argument: str, value: float | int, step: float | int, where: str = "") -> int:

@@ -1,9 +1,8 @@
 """Modes of transport: how agents travel, in caches, batches, configurations and tables."""
 
-import difflib
 from enum import IntEnum
 
-from dmmv_conventions.checks import require
+from dmmv_conventions.checks import require_one_of
 
 
 class Mode(IntEnum):
@@ -34,10 +33,7 @@ class Mode(IntEnum):
             ValueError: There is no such mode.
         """
         labels = sorted(mode.label for mode in cls)
-        known = name.lower() in labels
-        close = difflib.get_close_matches(name.lower(), labels, 1)
-        remedy = f"Did you mean '{close[0]}'?" if close else ""
-        require(known, "mode", f"be one of {', '.join(labels)}", repr(name.lower()), "", remedy)
+        require_one_of("mode", name.lower(), labels)
         return cls[name.upper()]
 
     @property

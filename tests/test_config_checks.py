@@ -170,11 +170,24 @@ def test_a_source_needs_its_folder(tmp_path, monkeypatch, place, told):
         require_recordings(place)
 
 
-@pytest.mark.parametrize(("splits", "mode"), [(["train"], "scooter"), (["val"], "bicycle")])
-def test_a_source_needs_tracks_of_the_mode(source, splits, mode):
+def test_a_source_needs_tracks_of_the_mode(source):
     require_tracks(source, ["train", "val"], "bicycle")
     with pytest.raises(ValueError, match="`mode` must have tracks"):
-        require_tracks(source, splits, mode)
+        require_tracks(source, ["train"], "scooter")
+
+
+@pytest.mark.parametrize(
+    ("splits", "told"),
+    [
+        (["train", "vla"], "`splits` must be one of train, but got 'vla'[.]$"),
+        (["train", "trian"], "but got 'trian'. Did you mean 'train'[?]$"),
+        (["val"], "`splits` must be one of train, but got 'val'"),
+        ([], r"`splits` must name some of train, but got \[\]"),
+    ],
+)
+def test_splits_without_scenes_are_named_beside_those_that_are_there(source, splits, told):
+    with pytest.raises(ValueError, match=told):
+        require_tracks(source, splits, "bicycle")
 
 
 @pytest.mark.parametrize("split", ["train", "all"])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dmmv_conventions.checks import message, require, require_multiple
+from dmmv_conventions.checks import message, require, require_multiple, require_one_of
 
 
 @pytest.mark.parametrize(
@@ -38,3 +38,13 @@ def test_a_value_is_refused_with_the_error_of_the_caller(error):
 def test_a_step_that_is_not_positive_is_told(step):
     with pytest.raises(ValueError, match="`horizon_s` must be a multiple of a positive step"):
         require_multiple("horizon_s", 3.0, step)
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [("vla", "but got 'vla'. Did you mean 'val'[?]$"), ("horse", "but got 'horse'[.]$")],
+)
+def test_a_wrong_name_is_told_the_one_that_may_be_meant(name, told):
+    require_one_of("split", "val", ["train", "val"])
+    with pytest.raises(ValueError, match=f"`split` must be one of train, val, {told}"):
+        require_one_of("split", name, ["train", "val"])
