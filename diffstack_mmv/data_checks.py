@@ -3,6 +3,7 @@
 As in `config_checks`, a mistake is told before what takes seconds is imported.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -198,6 +199,24 @@ def require_tracks(source: Mapping[str, Any], splits: Sequence[str], mode: str) 
     remedy = "Choose another data set or another vehicle."
     where = f"in the splits {', '.join(splits)} of '{source['name']}'"
     require(found, "mode", "have tracks", f"none of mode '{mode}'", where, remedy)
+
+
+def require_step_of(source: Mapping[str, Any], dt_s: float) -> None:
+    """Refuse another step than that of the tracks, which are read row by row.
+
+    Args:
+        source: Configuration of a data source, see `require_recordings`.
+        dt_s: Step of the configuration in s.
+
+    Raises:
+        ValueError: The folder is no finished conversion, or its step differs.
+    """
+    if "root" in source:
+        return
+    found = read_state(Path(source["folder"]), source["name"])["dt_s"]
+    remedy = f"Give dt_s={found:g}, or convert the data with dt_s={dt_s:g}."
+    same, where = math.isclose(found, dt_s, rel_tol=1e-6), f"for '{source['name']}'"
+    require(same, "dt_s", f"be {found:g} as in the conversion", dt_s, where, remedy)
 
 
 def _scenes(source: Mapping[str, Any]) -> list[dict[str, Any]]:

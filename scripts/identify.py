@@ -4,9 +4,10 @@ import logging
 from datetime import date
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from diffstack_mmv.cli import DictConfig, command, instantiate
-from diffstack_mmv.data_checks import require_tracks
+from diffstack_mmv.data_checks import require_step_of, require_tracks
 from dmmv_conventions.checks import message, require
 from dmmv_conventions.configs import config_folder
 
@@ -18,8 +19,9 @@ MEASURED = "measured"
 
 
 def check(config: DictConfig) -> None:
-    """Refuse a study without recordings of the vehicle."""
+    """Refuse a study without recordings of the vehicle, or of what cannot be identified."""
     require_tracks(config.data.module.source, config.splits, config.vehicle.mode)
+    require_step_of(config.data.module.source, config.dt_s)
     # for their mistakes alone, before the recordings are read
     measured = config.controls == MEASURED
     named = isinstance(config.controls, str) and not measured
@@ -28,10 +30,20 @@ def check(config: DictConfig) -> None:
     for name in ("parameters", "profile"):
         given = config.study.get(name)
         require(not isinstance(given, str), name, "be a list of names, as in [wheelbase]", given)
-    studied = (config.measured, config.thresholds) if measured else (config.study,)
-    models = (config.dynamics, *(each for each in config.others.values() if each))
-    for part in (*studied, *models):
-        instantiate(part)
+    if measured:
+        instantiate(config.thresholds)
+    study = instantiate(config.measured if measured else config.study)
+    study.require_models(builders(config))
+
+
+def builders(config: DictConfig) -> dict[str, partial[Any]]:
+    """What builds each model by its name, the one to identify first."""
+    name = config.names.dynamics
+    others = {each: node for each, node in config.others.items() if node and each != name}
+    return {
+        each: partial(instantiate, node)
+        for each, node in ({name: config.dynamics} | others).items()
+    }
 
 
 @command(config_folder(), "identify", check)
@@ -56,9 +68,7 @@ def main(config: DictConfig) -> None:
     from diffstack_mmv.vehicles import save_vehicle
 
     name, place = config.names.dynamics, (source, config.splits, study.spec.mode)
-    others = {other: model for other, model in config.others.items() if model and other != name}
-    models = {each: partial(instantiate, model) for each, model in others.items()}
-    models = {name: partial(instantiate, config.dynamics)} | models
+    models = builders(config)
     columns, motions, leans = (
         models[name]().Control._fields,
         read_tracks(*place),
@@ -100,10 +110,8 @@ def identify_measured(config: DictConfig) -> None:
     from diffstack_mmv.vehicles import save_vehicle
 
     study, source, out = instantiate(config.measured), instantiate(config.source), Path(config.out)
-    place, name = (source, config.splits, study.spec.mode), config.names.dynamics
-    rides = measured_rides(*read_rides(*place))
-    models = {name: config.dynamics} | {each: node for each, node in config.others.items() if node}
-    result = study(rides, {each: partial(instantiate, node) for each, node in models.items()})
+    rides = measured_rides(*read_rides(source, config.splits, study.spec.mode))
+    result = study(rides, builders(config))
     header = {**config.header, "date": date.today().isoformat(), "controls": MEASURED}
     content = measured_result(study, result, instantiate(config.thresholds))
     write_tables(out, header | content, measured_tables(content))

@@ -22,6 +22,7 @@ from diffstack_mmv.data_checks import (
     require_same_horizon,
     require_situations,
     require_split,
+    require_step_of,
     require_tracks,
     require_windows,
 )
@@ -151,7 +152,7 @@ def test_a_checkpoint_is_an_archive(tmp_path, name, needs):
 def source(tmp_path):
     """A finished conversion of a scene in which somebody rides a bicycle."""
     scenes = [{"split": "train", "agents": {"bicycle": 1}}]
-    state = {"format_version": 1, "complete": True, "scenes": scenes}
+    state = {"format_version": 1, "complete": True, "dt_s": 0.1, "scenes": scenes}
     (tmp_path / "toy").mkdir()
     (tmp_path / "toy" / "cache.json").write_text(json.dumps(state))
     return {"folder": str(tmp_path), "name": "toy"}
@@ -188,6 +189,15 @@ def test_a_source_needs_tracks_of_the_mode(source):
 def test_splits_without_scenes_are_named_beside_those_that_are_there(source, splits, told):
     with pytest.raises(ValueError, match=told):
         require_tracks(source, splits, "bicycle")
+
+
+def test_tracks_that_are_read_row_by_row_keep_their_step(source):
+    require_step_of(source, 0.1)
+    require_step_of({"root": "recordings"}, 0.2)
+    with pytest.raises(
+        ValueError, match="`dt_s` must be 0.1 as in .* got 0.2 for 'toy'. Give dt_s"
+    ):
+        require_step_of(source, 0.2)
 
 
 @pytest.mark.parametrize("split", ["train", "all"])

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from diffstack_mmv.checks import require_positive
 from diffstack_mmv.identification.inference.rider_scales import estimate_rider_scales
 from diffstack_mmv.identification.shooting.settings import TrackingSettings
 from diffstack_mmv.identification.tracks.cutting import Recordings
@@ -26,6 +27,9 @@ class TrackingAssumptions:
         start_position_m: Standard deviation of the initial position.
         start_course_rad: Standard deviation of the initial course.
         start_speed_mps: Standard deviation of the initial speed.
+
+    Raises:
+        ValueError: A number is not positive.
     """
 
     along_m: float | None = None
@@ -38,6 +42,16 @@ class TrackingAssumptions:
     start_position_m: float = TrackingSettings.start_position_m
     start_course_rad: float = TrackingSettings.start_course_rad
     start_speed_mps: float = TrackingSettings.start_speed_mps
+
+    def __post_init__(self) -> None:
+        for name in (
+            *("along_m", "across_m", "jerk_mps3", "curvature_rate", "segment_steps"),
+            *("steer_rate_radps", "start_position_m", "start_course_rad", "start_speed_mps"),
+        ):
+            if getattr(self, name) is not None:
+                require_positive(name, getattr(self, name))
+        for name, noise in (self.controls or {}).items():
+            require_positive(f"controls.{name}", noise)
 
     def settings(
         self,

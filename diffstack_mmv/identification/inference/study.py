@@ -27,6 +27,7 @@ from diffstack_mmv.identification.inference.profile_likelihood import (
 )
 from diffstack_mmv.identification.shooting.parameters import ParameterVector
 from diffstack_mmv.identification.shooting.settings import TrackingSettings
+from diffstack_mmv.identification.shooting.tracking_model import require_driven
 from diffstack_mmv.identification.tracks.cutting import Recordings, SegmentSettings, cut_tracks
 from diffstack_mmv.identification.tracks.selection import ExcitationSelection, SegmentSelection
 from diffstack_mmv.identification.tracks.splitting import (
@@ -88,7 +89,7 @@ class IdentificationStudy:
         profile: Names of the parameters whose profile likelihood is computed.
 
     Raises:
-        ValueError: `prediction_s` is less than one step.
+        ValueError: A number is too small, or `prediction_s` too long for the segments.
     """
 
     spec: VehicleSpec
@@ -106,7 +107,15 @@ class IdentificationStudy:
     profile: Sequence[str] = ()
 
     def __post_init__(self) -> None:
+        require_at_least("tracks", self.tracks, 1)
+        require_at_least("heldout", self.heldout, 1)
+        fits = self.folds == 0 or self.folds >= 2
+        require(fits, "folds", "be 0 or at least 2", self.folds)
         require_at_least("prediction_s", self.prediction_s, self.dt_s)
+        half_s = 0.5 * (self.segments.max_s + self.dt_s)
+        needs, remedy = "be at most half of a segment", "Raise `max_s`, or predict less."
+        told = f"{self.prediction_s} of {self.segments.max_s} s"
+        require(self.prediction_s <= half_s, "prediction_s", needs, told, "", remedy)
 
     def __call__(self, recordings: Recordings, models: Mapping[str, ModelBuilder]) -> StudyResult:
         """Identify the first model, then the others, on the same segments.
@@ -117,19 +126,18 @@ class IdentificationStudy:
 
         Raises:
             ValueError: No model is given, the recorded controls are not those of the first model,
-                the tracks do not hold enough segments, or a name of a parameter is unknown.
+                the tracks do not hold enough segments, a name of a parameter is unknown, or a model
+                is driven by no acceleration.
             TypeError: A model stands where what builds one is asked for.
         """
-        _require_builders(models)
+        self.require_models(models)
         (name, build), *others = models.items()
-        model = build()
-        self._require_names(model)
         if self.assumptions.controls:
-            _require_widths(recordings, model)
+            _require_widths(recordings, build())
         segments = cut_tracks(recordings, self.segments)
         split = split_segments(segments, self.selection, self.tracks, self.heldout, self.seed)
-        settings = self.assumptions.settings(recordings, self.spec, split.fitted, self.dt_s)
         folds = cross_validation_splits(split, self.folds, self.seed) if self.folds else ()
+        settings = self.assumptions.settings(recordings, self.spec, split.fitted, self.dt_s)
         steps = round(self.prediction_s / self.dt_s)
         compare = ModelComparison(self.spec, split, settings, self.identifier, steps, folds)
         results = {name: compare(build, self.parameters)}
@@ -141,9 +149,28 @@ class IdentificationStudy:
         profiles = profile_likelihoods(problem.simulator, problem.data, found, method, self.profile)
         return StudyResult(results, split, settings, profiles)
 
+    def require_models(self, models: Mapping[str, ModelBuilder]) -> None:
+        """Refuse models that cannot be identified, before the work begins.
+
+        Args:
+            models: As for the study itself.
+
+        Raises:
+            ValueError: No model is given, one has another step or is driven by no acceleration, or
+                the first has not the recorded controls or the parameters that are named.
+            TypeError: A model stands where what builds one is asked for.
+        """
+        _require_builders(models)
+        built = [build() for build in models.values()]
+        for model in built:
+            require_driven(model)
+            require(
+                model.dt_s == self.dt_s, "dt_s", f"be that of the model, {model.dt_s}", self.dt_s
+            )
+        self._require_names(built[0])
+
     def _require_names(self, model: DynamicsModel) -> None:
-        """Refuse controls and parameters that the model does not have, before the work begins."""
-        require(model.dt_s == self.dt_s, "dt_s", f"be that of the model, {model.dt_s}", self.dt_s)
+        """Refuse controls and parameters that the model does not have."""
         own, known = model.Control._fields, tuple(self.assumptions.controls or ())
         expected = f"name {', '.join(own)} in this order"
         require(not known or own == known, "controls", expected, ", ".join(known))

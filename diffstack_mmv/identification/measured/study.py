@@ -5,6 +5,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import torch
+
+from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.identification.measured.baselines import Baselines
 from diffstack_mmv.identification.measured.fit import MeasuredFitter
@@ -89,6 +92,9 @@ class MeasuredStudy:
         reference: Model that noise and priors are learned with, and that all others start from;
             the first if it is not among them.
         parts: Keeps what is finished.
+
+    Raises:
+        ValueError: A number is too small.
     """
 
     spec: VehicleSpec
@@ -101,6 +107,11 @@ class MeasuredStudy:
     every_s: float = 1.0
     reference: str = "kbm"
     parts: FinishedParts = FinishedParts()
+
+    def __post_init__(self) -> None:
+        require_at_least("noise_rounds", self.noise_rounds, 0)
+        for name in ("history_s", "horizon_s", "every_s"):
+            require_at_least(name, getattr(self, name), self.fitted.dt_s)
 
     @property
     def history_steps(self) -> int:
@@ -143,6 +154,20 @@ class MeasuredStudy:
         noise, priors = first.simulator.noise, first.fit.instruments.given
         seconds = {name: fitting.seconds[name] for name in models}
         return MeasuredStudyResult(windows, rollouts, found, baselines, noise, priors, seconds)
+
+    def require_models(self, models: Models) -> None:
+        """Refuse models that no steering angle drives, before the work begins.
+
+        Args:
+            models: As for the study itself.
+
+        Raises:
+            ValueError: A model does not say what a steering angle does.
+        """
+        for build in models.values():
+            model = build()
+            idle = (torch.zeros(size) for size in (model.state_dim, model.control_dim))
+            model.driver_input(*idle)
 
     def _fitting(self, windows: RideWindows, rollouts: RideWindows) -> "Fitting":
         """How models are fitted, what is finished found again for the same data and settings."""

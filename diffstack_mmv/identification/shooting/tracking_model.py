@@ -20,6 +20,21 @@ from diffstack_mmv.identification.tracks.segments import SegmentBatch
 from diffstack_mmv.types import Motion
 
 SLOWEST_MPS = 1.0  # for curvatures of the guess
+ACCELERATION = "acceleration"
+"""The control whose bounds the rider's command keeps."""
+
+
+def require_driven(model: DynamicsModel) -> None:
+    """Refuse a model that no rider drives by an acceleration: its tracks tell nothing of it.
+
+    Raises:
+        ValueError: The acceleration is none of its controls.
+    """
+    own, name = model.Control._fields, type(model).__name__
+    needs = f"have the control `{ACCELERATION}` to be identified"
+    found = f"{name} with {', '.join(own)}"
+    remedy = "Choose a model of a vehicle: gm3, kbm or unicycle, in any of their forms."
+    require(ACCELERATION in own, "dynamics", needs, found, "", remedy)
 
 
 class TrackingModel(nn.Module):
@@ -32,11 +47,13 @@ class TrackingModel(nn.Module):
         settings: Noise and regularisation.
 
     Raises:
-        ValueError: The number of noises of controls is not that of the model's controls.
+        ValueError: The number of noises of controls is not that of the model's controls, or the
+            model is driven by no acceleration.
     """
 
     def __init__(self, model: DynamicsModel, settings: TrackingSettings) -> None:
         super().__init__()
+        require_driven(model)
         noise = settings.control_noise
         if noise is not None:
             count = model.control_dim
@@ -166,7 +183,7 @@ class TrackingModel(nn.Module):
         speed = 0.5 * (segments.speed[:, 1:] + segments.speed[:, :-1])
         curvature = segments.course.diff(dim=-1) / (dt_s * speed.clamp_min(SLOWEST_MPS))
         acceleration = segments.speed.diff(dim=-1) / dt_s
-        which = self.model.Control._fields.index("acceleration")
+        which = self.model.Control._fields.index(ACCELERATION)
         acceleration = acceleration.clamp(float(lower[which]), float(upper[which]))
         both = torch.stack([acceleration, curvature], -1)
         return torch.cat([both, both[:, -1:]], 1)

@@ -43,3 +43,16 @@ def test_no_limit_of_the_shooting_intervals_is_single_shooting(bicycle, steps):
 def test_noise_of_recorded_controls_keeps_their_order(bicycle):
     controls = {"acceleration": 0.05, "steer": 0.002}
     assert settings(bicycle, **KNOWN_RIDER, controls=controls).control_noise == (0.05, 0.002)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"along_m": -1.0}, "`along_m` must be positive, but got -1.0"),
+        ({"controls": {"steer": 0.0}}, "`controls.steer` must be positive, but got 0.0"),
+        ({"segment_steps": 0}, "`segment_steps` must be positive"),
+    ],
+)
+def test_deviations_that_are_not_positive_are_refused_by_name(given, told):
+    with pytest.raises(ValueError, match=told):
+        TrackingAssumptions(**given)

@@ -130,3 +130,25 @@ def test_recorded_controls_of_other_columns_are_refused():
 def test_models_that_are_none_or_built_already_are_refused(models, error, told):
     with pytest.raises(error, match=told):
         study()(recordings(), models)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"folds": 1}, "`folds` must be 0 or at least 2, but got 1"),
+        ({"folds": -1}, "`folds` must be 0 or at least 2"),
+        ({"prediction_s": 2.1}, "`prediction_s` must be at most half of a segment, but got 2.1 of"),
+        ({"prediction_s": 0.0}, "`prediction_s` must be at least 0.1"),
+    ],
+)
+def test_a_study_that_cannot_be_is_refused_before_it_begins(options, told):
+    with pytest.raises(ValueError, match=told):
+        study(**options)
+
+
+@pytest.mark.parametrize("names", [["holonomic"], ["kbm", "holonomic"]])
+def test_a_model_that_no_acceleration_drives_is_refused_by_name(names):
+    told = "have the control `acceleration` to be identified, but got Holonomic with velocity_x"
+    study().require_models(builders("kbm", "unicycle"))
+    with pytest.raises(ValueError, match=told):
+        study().require_models(builders(*names))

@@ -1,11 +1,13 @@
 """Vehicle and instruments are found again in rides of a known vehicle, and the ego on them."""
 
 import json
+from functools import partial
 
 import pytest
 import torch
 
 from diffstack_mmv.dynamics import DiffKBM
+from diffstack_mmv.dynamics.catalogue import model_of
 from diffstack_mmv.identification import ParameterVector
 from diffstack_mmv.identification.inference import IdentifiabilityThresholds
 from diffstack_mmv.identification.measured import (
@@ -187,3 +189,24 @@ def test_paired_test_counts_recordings_not_windows():
     owner = torch.tensor([0, 0, 0, 1, 1])
     test = paired_by_recording(torch.zeros(5), torch.tensor([1.0, 1, 1, 2, 2]), owner)
     assert (test.mean, test.recordings, test.smaller) == (-1.5, 2, 2)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"noise_rounds": -1}, "`noise_rounds` must be at least 0"),
+        ({"horizon_s": 0.0}, "`horizon_s` must be at least 0.1"),
+    ],
+)
+def test_a_measured_study_that_cannot_be_is_refused(given, told):
+    with pytest.raises(ValueError, match=told):
+        MeasuredStudy(load_vehicle("autobike"), **given)
+
+
+def test_a_measured_model_needs_a_steering_angle():
+    spec = load_vehicle("autobike")
+    study = MeasuredStudy(spec)
+    build = partial(model_of, spec, dt_s=0.1)
+    study.require_models({name: partial(build, name) for name in ("gm3", "kbm", "unicycle")})
+    with pytest.raises(ValueError, match="`dynamics` must be steered by an angle, but got Holonom"):
+        study.require_models({"holonomic": partial(build, "holonomic")})
