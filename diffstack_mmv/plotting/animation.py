@@ -24,13 +24,10 @@ from diffstack_mmv.plotting.episodes import (
     set_range,
     told,
 )
-from diffstack_mmv.plotting.figures import PALETTE, new_figure
+from diffstack_mmv.plotting.figures import PALETTE, control_title, new_figure
 from diffstack_mmv.types import EpisodeRecord
 from dmmv_conventions.disk import replacing
 from dmmv_conventions.extras import needs
-
-UNITS = {"acceleration": "m/s²", "steer": "rad", "yaw_rate": "rad/s"}
-"""Of the controls that have a name."""
 
 
 def save_animation(episode: Episode, path: Path) -> None:
@@ -180,8 +177,7 @@ def draw_curves(above: Axes, below: Axes, episode: Episode) -> list[Line2D]:
     values = record.controls[: len(record.clearance) - 1]
     time = record.dt_s * torch.arange(len(values) + 1)
     for column, held in enumerate(values.unbind(-1)):
-        name = names[column] if names else f"control {column + 1}"
-        label = f"{name} [{UNITS[name]}]" if name in UNITS else name
+        label = control_title(names[column]) if names else f"control {column + 1}"
         below.stairs(held, time, baseline=None, color=PALETTE[column], label=label)
     # above it: between the two pictures no curve is hidden
     place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": values.shape[-1]}

@@ -9,9 +9,19 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from diffstack_mmv.plotting.figures import PALETTE, new_figure, save_figure
+from diffstack_mmv.plotting.figures import PALETTE, control_title, new_figure, save_figure
 
 Array = NDArray[np.float64]
+
+DASHES = ("-", "--", ":", "-.")
+"""Of lines, in turn, once every colour is in use."""
+LEGEND_ROWS = 40
+"""Most names in a column of a legend."""
+NO_INFORMATION = 1e-6
+"""Information of tracks over that of the prior below which it is none.
+
+It takes less than a millionth off the deviation of the prior; what is far below is rounding alone.
+"""
 
 
 class FittedTrack(NamedTuple):
@@ -55,18 +65,31 @@ def draw_tracks(tracks: Sequence[FittedTrack], columns: int = 6) -> Figure:
     return figure
 
 
-def draw_controls(tracks: Sequence[FittedTrack], titles: Sequence[str], dt_s: float) -> Figure:
-    """Draw the inferred controls of all tracks over time, one panel per control."""
-    figure = new_figure(7.0, 2.4 * len(titles))
-    for row, title in enumerate(titles):
-        axes = figure.add_subplot(len(titles), 1, row + 1)
+def draw_controls(tracks: Sequence[FittedTrack], names: Sequence[str], dt_s: float) -> Figure:
+    """Draw the inferred controls of all tracks over time, one panel per control.
+
+    Args:
+        tracks: The tracks; the legend names them.
+        names: Names of the controls.
+        dt_s: Length of a step in s.
+    """
+    figure = new_figure(9.0, 2.4 * len(names))
+    for row, name in enumerate(names):
+        axes = figure.add_subplot(len(names), 1, row + 1)
         for index, track in enumerate(tracks):
-            time_s = dt_s * np.arange(len(track.controls))
-            color = PALETTE[index % len(PALETTE)]
-            axes.step(time_s, track.controls[:, row], where="post", color=color, linewidth=0.7)
-        axes.set_ylabel(title)
+            time_s, held = dt_s * np.arange(len(track.controls)), track.controls[:, row]
+            turn, color = divmod(index, len(PALETTE))
+            (line,) = axes.step(time_s, held, where="post", color=PALETTE[color], linewidth=0.8)
+            line.set_linestyle(DASHES[turn % len(DASHES)])
+            # once for all panels
+            line.set_label(track.name if row == 0 else "_")
+        axes.set_ylabel(control_title(name))
         axes.grid(alpha=0.3)
     figure.supxlabel("time [s]", fontsize=9)
+    columns = max(1, math.ceil(len(tracks) / LEGEND_ROWS))
+    figure.legend(
+        loc="outside right upper", fontsize=5, title="track", title_fontsize=6, ncols=columns
+    )
     return figure
 
 
@@ -92,12 +115,18 @@ def draw_estimates(estimates: Sequence[Estimate]) -> Figure:
 
 
 def draw_spectrum(eigenvalues: Sequence[float]) -> Figure:
-    """Draw the eigenvalues of the information in units of that of the priors; 1 is as much."""
+    """Draw the eigenvalues of the information in units of that of the priors; 1 is as much.
+
+    Those below `NO_INFORMATION` are marked at the lower edge as such, not drawn with a value.
+    """
     figure = new_figure(5.0, 3.2)
     axes = figure.add_subplot()
-    floor = 1e-9
-    order = np.arange(1, len(eigenvalues) + 1)
-    axes.semilogy(order, np.maximum(eigenvalues, floor), "o", color=PALETTE[0])
+    order, values = np.arange(1, len(eigenvalues) + 1), np.array(eigenvalues)
+    told = values >= NO_INFORMATION
+    axes.semilogy(order[told], values[told], "o", color=PALETTE[0])
+    if not told.all():
+        floor, label = np.full((~told).sum(), NO_INFORMATION), f"none: below {NO_INFORMATION:g}"
+        axes.semilogy(order[~told], floor, "v", color=PALETTE[0], fillstyle="none", label=label)
     axes.axhline(1.0, color=PALETTE[1], linestyle="--", label="information of the prior")
     axes.set(xlabel="direction", ylabel="information of the tracks / prior", xticks=order)
     axes.grid(alpha=0.3)

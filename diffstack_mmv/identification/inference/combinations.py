@@ -48,6 +48,7 @@ def quantities(model: DynamicsModel) -> Float[Tensor, " q"]:
         return _Quantities(model)()
 
 
+@torch.no_grad()
 def combinations(
     model: DynamicsModel,
     parameters: ParameterVector,

@@ -3,6 +3,8 @@
 import json
 from dataclasses import asdict
 
+import numpy as np
+import pytest
 import torch
 
 from diffstack_mmv.identification import (
@@ -15,7 +17,12 @@ from diffstack_mmv.identification import (
     tracking_losses,
     validation_errors,
 )
-from diffstack_mmv.plotting import FittedTrack, save_identification
+from diffstack_mmv.plotting import (
+    FittedTrack,
+    draw_controls,
+    draw_spectrum,
+    save_identification,
+)
 from diffstack_mmv.reporting import write_identification
 from tests.identification.conftest import LIVELY, synthetic_problem
 from tests.identification.report.conftest import leaning
@@ -54,6 +61,27 @@ def test_figures_are_drawn(result, tmp_path):
     }
 
 
+def test_controls_have_units_and_their_tracks_a_line_of_their_own():
+    line = np.zeros((3, 2))
+    tracks = [FittedTrack(f"track {index}", line, line, line) for index in range(12)]
+    figure = draw_controls(tracks, ("acceleration", "steer"), 0.1)
+    assert [axes.get_ylabel() for axes in figure.axes] == ["acceleration [m/s²]", "steer [rad]"]
+    lines = figure.axes[0].get_lines()
+    assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == 12
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == [each.name for each in tracks]
+
+
+def test_directions_without_information_are_marked_as_such():
+    (axes,) = draw_spectrum([2.0, 1e-5, 1e-17, -1e-18]).axes
+    told, none, prior = axes.get_lines()
+    assert list(told.get_ydata()) == [2.0, 1e-5]
+    assert list(none.get_ydata()) == [1e-6, 1e-6]
+    assert none.get_label() == "none: below 1e-06"
+    assert "none" not in str(draw_spectrum([2.0, 1.0]).axes[0].get_legend().get_texts())
+    assert prior.get_label() == "information of the prior"
+
+
 def test_report_tells_what_was_assumed_and_what_was_held_out(result, tmp_path):
     setup, found, summary = result
     models = {"kbm": tracking_losses(setup.simulator, setup.data, found)}
@@ -78,3 +106,11 @@ def test_model_without_parameters_only_follows_tracks():
     summary = summarise(setup.simulator, setup.data, found, IdentifiabilityThresholds())
     assert summary["parameters"] == {}
     assert summary["loss_before"] == summary["loss_after"]
+
+
+@pytest.mark.filterwarnings("error::UserWarning")
+def test_parameters_that_are_left_out_do_not_warn():
+    setup = synthetic_problem("gm3", {}, manoeuvres=LIVELY[:1], parameters=["tread_stiffness"])
+    found = Identifier(starts=0)(setup.simulator, setup.data)
+    summary = summarise(setup.simulator, setup.data, found, IdentifiabilityThresholds())
+    assert any(entry["std"] > 0 for entry in summary["combinations"].values())
