@@ -21,14 +21,38 @@ class Excitation(NamedTuple):
     braking_mps2: float
     driving_mps2: float
     yaw_rate_radps: float
-    adhesion: float  # share of μ g that is used, with μ = 0.8 where the model has none
+    adhesion: float  # share of μ g that is used
+    friction: float  # μ, the mean of the wheels
+
+
+USUAL_FRICTION = 0.8
+"""μ where the model has none."""
+
+
+def friction_of(simulator: TrackSimulator, theta: Float[Tensor, " p"]) -> float:
+    """Friction coefficient μ of a model, the mean of its wheels; `USUAL_FRICTION` if it has none.
+
+    Args:
+        simulator: Model of the tracks.
+        theta: Its learned parameters; a friction that is not among them is that of the vehicle.
+    """
+    parameters = simulator.parameters
+    known = simulator.vehicle.model.physical_parameters().get("friction")
+    learned = [
+        value
+        for name, value in zip(parameters.names, parameters.values(theta), strict=True)
+        if name.split(".")[0] == "friction"
+    ]
+    if known is None:
+        return USUAL_FRICTION
+    return float((torch.stack(learned) if learned else known).detach().mean())
 
 
 def measure_excitation(
     simulator: TrackSimulator,
     problem: TrackingProblem,
     simulated: TrackSimulation,
-    friction: float = 0.8,
+    friction: float,
 ) -> Excitation:
     """Largest speed, accelerations and share of the adhesion limit over all recorded samples.
 
@@ -51,6 +75,7 @@ def measure_excitation(
         max(_top_quantile(along), 0.0),
         _top_quantile((speed * curvature).abs()),
         _top_quantile(demand),
+        friction,
     )
 
 

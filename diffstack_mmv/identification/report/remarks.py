@@ -67,7 +67,9 @@ def unobservable_parameters(
 def _reasons(settings: TrackingSettings, demands: Excitation) -> dict[str, str]:
     """Why a parameter may not be observable, by its name."""
     free = settings.steer_rate_radps is None and settings.control_noise is None
-    adhesion = f"{100 * demands.adhesion:.0f} % of the adhesion limit"
+    adhesion = (
+        f"{100 * demands.adhesion:.0f} % of the adhesion limit μ g, with μ = {demands.friction:.2f}"
+    )
     return {
         "friction": f"the tyres are never asked for more than {adhesion}"
         if demands.adhesion < NEAR_THE_LIMIT

@@ -3,7 +3,7 @@
 from typing import Any
 
 from diffstack_mmv.identification.inference.combinations import combinations
-from diffstack_mmv.identification.inference.excitation import measure_excitation
+from diffstack_mmv.identification.inference.excitation import friction_of, measure_excitation
 from diffstack_mmv.identification.inference.identifier import Identification
 from diffstack_mmv.identification.inference.influence import regularisation_influence
 from diffstack_mmv.identification.inference.optima import posterior_shares
@@ -48,7 +48,8 @@ def summarise(
 ) -> dict[str, Any]:
     """Content of `identification.json` as far as it follows from one model."""
     before, after = found.before, found.after
-    demands = measure_excitation(simulator, data.fitted, after.fitted.simulated)
+    friction = friction_of(simulator, after.theta)
+    demands = measure_excitation(simulator, data.fitted, after.fitted.simulated, friction)
     names = simulator.parameters.names
     influence = regularisation_influence(simulator, data.fitted, after, found.active)
     return {

@@ -1,6 +1,18 @@
 """Sentences about an identification."""
 
-from diffstack_mmv.identification import IdentifiabilityThresholds, Identifier, summarise
+import pytest
+
+from diffstack_mmv.dynamics.catalogue import altered, model_of
+from diffstack_mmv.identification import (
+    IdentifiabilityThresholds,
+    Identifier,
+    ParameterVector,
+    TrackingModel,
+    TrackingSettings,
+    TrackSimulator,
+    summarise,
+)
+from diffstack_mmv.identification.inference.excitation import friction_of
 from diffstack_mmv.identification.report.remarks import misfit, other_optima
 from tests.identification.conftest import LIVELY, synthetic_problem
 
@@ -36,3 +48,30 @@ def test_residuals_above_the_noise_are_named(result):
     (remark,) = misfit(found._replace(noise_factor=1.5))
     assert "1.50 times the assumed noise" in remark
     assert misfit(found) == []
+
+
+@pytest.mark.parametrize(
+    ("dynamics", "friction", "expected"),
+    [("kbm", None, 0.8), ("gm3", 0.4, 0.4), ("gm3", None, 0.6)],
+    ids=["none", "of the vehicle", "learned"],
+)
+def test_adhesion_is_judged_by_the_friction_of_the_model(bicycle, dynamics, friction, expected):
+    spec = bicycle if friction is None else altered(bicycle, friction=friction)
+    model = model_of(spec, dynamics, 0.1).double()
+    parameters = ParameterVector(model, spec)
+    simulator = TrackSimulator(TrackingModel(model, TrackingSettings()), parameters)
+    values = parameters.prior.mean.clone()
+    for wheel, value in (("front", 0.5), ("rear", 0.7)):
+        if f"friction.{wheel}" in parameters.names:
+            values[parameters.names.index(f"friction.{wheel}")] = value
+    found = friction_of(simulator, parameters.theta_for(values))
+    assert found == pytest.approx(expected)
+
+
+def test_the_friction_of_the_adhesion_limit_is_told():
+    setup = synthetic_problem("gm3", {}, known=False, manoeuvres=LIVELY[:1])
+    found = Identifier(starts=0)(setup.simulator, setup.data)
+    summary = summarise(setup.simulator, setup.data, found, IdentifiabilityThresholds())
+    assert summary["excitation"]["friction"] == pytest.approx(0.8)
+    (remark,) = [each for each in summary["remarks"] if each.startswith("friction is not")]
+    assert "% of the adhesion limit μ g, with μ = 0.80" in remark
