@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import re
 from collections.abc import Collection
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ SEPARATORS = (",", ";", "\t", "|")
 
 
 def read_table(path: Path, names: Collection[str]) -> pd.DataFrame:
-    """A table as it is, its rows numbered from 0.
+    """A table as it is, its rows numbered from 0; names of text files without blanks around them.
 
     Args:
         path: The file.
@@ -29,10 +30,15 @@ def read_table(path: Path, names: Collection[str]) -> pd.DataFrame:
     """
     if path.suffix != ".parquet":
         with told_as_fault(path):
-            table = pd.read_csv(
-                path, sep=_separator(path), encoding="utf-8-sig", dtype=dict.fromkeys(names, str)
-            )
+            read = partial(pd.read_csv, path, sep=_separator(path), encoding="utf-8-sig")
+            written = [str(column) for column in read(nrows=0).columns]
+            table = read(dtype={each: str for each in written if each.strip() in names})
         require_header(table, path)
+        table = table.rename(columns=str.strip)
+        twice = sorted(set(table.columns[table.columns.duplicated()]))
+        if twice:
+            needs, remedy = "name every column once", "Rename one, blanks do not count."
+            refuse_track(RejectReason.MISSING_FIELD, "header", needs, twice, path, remedy)
         return table
     from pyarrow.lib import ArrowException
 

@@ -155,12 +155,17 @@ _COLUMNS = ("acceleration_mps2", "steer_rad")
 
 
 def _read_rows(path: Path, where: str) -> list[dict[str, str]]:
-    """Rows of a CSV file, by the names of their columns."""
+    """Rows of a CSV file, by the names of their columns.
+
+    A byte-order mark, and blanks around names and numbers, are left out: spreadsheets write them.
+    """
     wanted = f"be a CSV file of numbers with the columns {', '.join(_COLUMNS)}"
     try:
-        with path.open(newline="") as stream:
-            reader = csv.DictReader(stream, strict=True)
-            names, rows = reader.fieldnames or [], list(reader)
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            reader = csv.DictReader(stream, strict=True, skipinitialspace=True)
+            names = [name.strip() for name in reader.fieldnames or ()]
+            reader.fieldnames = names
+            rows = list(reader)
     except (OSError, ValueError, csv.Error) as problem:
         raise ValueError(message("controls", wanted, f"{path} ({problem})")) from problem
     lacking = [name for name in _COLUMNS if name not in names]

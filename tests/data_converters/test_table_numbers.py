@@ -24,6 +24,19 @@ def test_a_byte_order_mark_and_decimal_commas_are_read(tmp_path):
     np.testing.assert_allclose(track.position[:, 0], 4.0 * TABLE_TIME_S, atol=1e-9)
 
 
+def test_blanks_around_the_names_of_columns_do_not_matter(tmp_path):
+    text = table(agent="0007").to_csv(index=False).replace(",", " , ")
+    (track,) = first_scene(written(tmp_path, text.encode("utf-8-sig"))).tracks
+    assert track.name == "0007"
+    np.testing.assert_allclose(track.position[:, 0], 4.0 * TABLE_TIME_S, atol=1e-9)
+
+
+def test_columns_that_differ_by_blanks_alone_are_refused(tmp_path):
+    text = table(note=1).to_csv(index=False).replace("note", "x ")
+    with pytest.raises(ConversionError, match=r"`header` must name every column once.*\['x'\]"):
+        first_scene(written(tmp_path, text))
+
+
 def test_controls_have_decimal_commas_too(tmp_path):
     text = table(steer=0.25).to_csv(index=False, sep=";", decimal=",")
     columns = TableColumns(controls={"steer": "steer"})

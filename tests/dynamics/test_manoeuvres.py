@@ -71,6 +71,14 @@ def test_recorded_controls_may_have_a_clock_and_other_columns(tmp_path):
     assert inputs.steer.tolist() == [0.1, 0.2]
 
 
+def test_a_byte_order_mark_and_blanks_in_a_table_of_controls_do_not_matter(tmp_path):
+    text = " time_s , acceleration_mps2, steer_rad \n3.0, 0.5, 0.1\n 3.1 ,0.6 , 0.2 \n"
+    (tmp_path / "controls.csv").write_text(text, encoding="utf-8-sig")
+    inputs = RecordedControls(tmp_path / "controls.csv")(1.0, 0.1)
+    assert inputs.acceleration.tolist() == [0.5, 0.6]
+    assert inputs.steer.tolist() == [0.1, 0.2]
+
+
 def test_truth_follows_its_commands_with_a_lag():
     command = torch.tensor([1.0, 0.05]).double().expand(30, 2)
     signals = LaggedTruth(drag=0.0)(command, 3.0, 0.1)
