@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from data_converters.errors import RejectReason, refuse_track, require
 from data_converters.tracks import AgentRows, RawTrack
+from dmmv_conventions.checks import did_you_mean
 from dmmv_conventions.modes import Mode
 
 Array = NDArray[np.float64]
@@ -69,8 +70,9 @@ class RecordingLimits:
             value = getattr(self, name)
             require(value > 0.0, name, "be positive", value, "", "Give SI units.")
         for mode, speed in self.speed_mps.items():
-            needs, remedy = f"name {', '.join(SPEED_MAX_MPS)}", "Correct the mode."
-            require(mode in SPEED_MAX_MPS, "speed_mps", needs, mode, "", remedy)
+            known, needs = list(SPEED_MAX_MPS), f"name {', '.join(SPEED_MAX_MPS)}"
+            remedy = did_you_mean(str(mode), known) or "Correct the mode."
+            require(mode in known, "speed_mps", needs, mode, "", remedy)
             require(speed > 0.0, f"speed_mps.{mode}", "be positive", speed, "", "Give m/s.")
 
     def speed_of(self, mode: Mode) -> float:

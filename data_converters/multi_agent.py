@@ -88,9 +88,9 @@ class MultiAgentDataset(RecordingDataset):
             Columns agent (name, NaN where there is none), mode (number of a `Mode`, NaN where the
             class is not known), time_s (s, on the clock that all files of the recording share),
             x, y (m, x east, y north); optionally z (m), speed (m/s), heading (rad), label (of the
-            class, for messages), id (number of the agent, which must be one) and `SIZES` (m),
-            whose median over an agent is its size, and fault (text where a row
-            cannot be read).
+            class, for messages), advice (text: what to do where the class is not known), id (number
+            of the agent, which must be one) and `SIZES` (m), whose median over an agent is its
+            size, and fault (text where a row cannot be read).
 
         Raises:
             TrackError: If the file cannot be used.
@@ -284,9 +284,14 @@ def _in_order(rows: pd.DataFrame, where: str, raw: RawScene) -> pd.DataFrame:
 
 def _mode(rows: pd.DataFrame, where: str) -> Mode:
     modes = rows["mode"].unique()
-    if len(modes) != 1 or not np.isfinite(modes[0]):
+    known = np.isfinite(modes)
+    if len(modes) != 1 or not known.all():
         labels = sorted({str(label) for label in rows.get("label", rows["mode"])})
         needs, remedy = "be one known class for all rows of an agent", "Map it to a mode."
+        if known.all():
+            remedy = "Give it one class, or another name to each of several agents."
+        elif "advice" in rows:
+            remedy = str(rows["advice"][rows["mode"].isna()].iloc[0])
         refuse_track(RejectReason.UNKNOWN_CLASS, "type", needs, ", ".join(labels), where, remedy)
     return Mode(int(modes[0]))
 

@@ -29,6 +29,7 @@ from data_converters.tables.reading import names_of
 from data_converters.tables.scenes import UNNAMED, SceneTables
 from data_converters.tables.units import Plausibility, TableUnits
 from dmmv_conventions.cache import CONTROLS_TABLE, SPLITS
+from dmmv_conventions.checks import did_you_mean
 from dmmv_conventions.modes import Mode
 
 ENDINGS = ("csv", "csv.gz", "parquet")
@@ -70,9 +71,13 @@ class TableDataset(MultiAgentDataset):
         fits = re.fullmatch(r"\w+", self.called, re.ASCII) is not None
         require(fits, "name", needs, self.called, "", remedy)
         given = {} if self.mode is None else {"mode": self.mode}
-        for kind, label in {**self.types, **given}.items():
+        for place, label in {
+            **{f"types.{k}": each for k, each in self.types.items()},
+            **given,
+        }.items():
             known, needs = str(label).lower() in OWN_NAMES, f"be one of {', '.join(OWN_NAMES)}"
-            require(known, f"types.{kind}", needs, label, "", "Correct it.")
+            meant = did_you_mean(str(label), list(OWN_NAMES))
+            require(known, place, needs, label, "", meant or "Choose one.")
         needs, remedy = "be given where the tables have no type", "Set data.mode or a column."
         typed = self.columns.type is not None or self.mode is not None
         require(typed, "mode", needs, self.mode, "", remedy)
@@ -202,7 +207,18 @@ class TableDataset(MultiAgentDataset):
             return {"mode": float(Mode.named(str(self.mode)))}
         known = {str(kind): Mode.named(str(label)) for kind, label in self.types.items()}
         labels = names_of(rows[self.columns.type])
-        return {"mode": modes_of(labels, known), "label": labels}
+        modes = modes_of(labels, known)
+        unknown = {label: self._advice(label) for label in labels[modes.isna()].unique()}
+        return {"mode": modes, "label": labels, "advice": labels.map(unknown)}
+
+    def _advice(self, label: object) -> str:
+        """What to do about a type without a mode; NaN stands for none."""
+        column = f"column '{self.columns.type}'"
+        if not isinstance(label, str):
+            return f"Fill in {column} in every row."
+        meant = did_you_mean(label, [kind.lower() for kind in self.types])
+        setting = f"+data.types.{label}=MODE" if re.fullmatch(r"[\w-]+", label) else "`types`"
+        return f"{meant} Correct {column}, or add the type: {setting}.".lstrip()
 
     def _measured(self, rows: pd.DataFrame) -> dict[str, pd.Series]:
         """Optional columns in SI units."""

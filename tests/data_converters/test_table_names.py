@@ -40,6 +40,27 @@ def test_a_type_that_is_missing_costs_its_agent_alone(dataset, kind):
     assert [item.reason for item in raw.rejected] == [RejectReason.UNKNOWN_CLASS]
 
 
+@pytest.mark.parametrize(
+    ("kind", "says"),
+    [
+        (
+            "scoter",
+            "Did you mean 'scooter'[?] Correct column 'type', or add .* [+]data.types.scoter=",
+        ),
+        (
+            "horse",
+            "'horse' in day.csv, agent 7. Correct column 'type', or add the type: [+]data.types",
+        ),
+        ("zebra crossing", "or add the type: `types`"),
+        (np.nan, "'nan' in .* Fill in column 'type' in every row"),
+        (np.where(TABLE_TIME_S < 5.0, "scooter", "car"), "'car, scooter' in .* Give it one class"),
+    ],
+)
+def test_a_type_that_is_not_known_is_told_what_to_do(dataset, kind, says):
+    with pytest.raises(TrackError, match=f"`type` must be one known class .*{says}"):
+        first_scene(dataset(tables={"day": pd.concat([table(type=kind), table(agent=8)])}))
+
+
 def test_names_in_a_parquet_file_are_those_of_a_csv_file(tmp_path):
     numbers = pd.Series([7.0, np.nan, 1234567890123456.0, 1234567890123457.0, 1.5])
     names = ["7", None, "1234567890123456", "1234567890123457", "1.5"]

@@ -141,7 +141,12 @@ def test_a_table_without_a_place_is_no_fault_of_the_units(dataset):
     ("options", "says"),
     [
         ({"called": "my-scooters"}, "`name` must consist of letters"),
-        ({"types": {"roller": "hovercraft"}}, "`types.roller` must be one of"),
+        (
+            {"types": {"roller": "hovercraft"}},
+            "`types.roller` must be one of.*'hovercraft'. Choose",
+        ),
+        ({"types": {"roller": "scoter"}}, "`types.roller` must be .*Did you mean 'scooter'[?]"),
+        ({"mode": "bicyle"}, "`mode` must be one of .*'bicyle'. Did you mean 'bicycle'[?]"),
         ({"columns": TableColumns(type=None)}, "`mode` must be given"),
     ],
 )
