@@ -236,14 +236,22 @@ def _warn_of_empty_splits(reports: list[SceneReport]) -> None:
 
 
 def _warn_of_standstill(settings: ConversionSettings, usable: list[SceneReport]) -> None:
-    """Say that nobody moves: positions in km, read as m, look like that."""
-    if all(scene.heading_rows.get(NEVER_MOVED) == scene.rows for scene in usable):
+    """Say that nobody moves: positions in m, read as mm, look like that."""
+    slow_mps = settings.resample.standstill_mps
+    if all(_stands(scene, slow_mps) for scene in usable):
+        fastest = max(scene.fastest_mps or 0.0 for scene in usable)
         logger.warning(
-            "No agent of '%s' ever moves faster than %g m/s. Check the unit of its positions "
-            "(data.units.length of own tables).",
-            settings.dataset.name,
-            settings.resample.standstill_mps,
+            "No agent of '%s' ever moves faster than %g m/s (the fastest: %.2g m/s). "
+            "Positions are read as %s: check their unit.",
+            *(settings.dataset.name, slow_mps, fastest, settings.dataset.unit_of_positions),
         )
+
+
+def _stands(scene: SceneReport, slow_mps: float) -> bool:
+    """Whether nobody in a scene moves; an earlier report tells it of headings alone."""
+    if scene.fastest_mps is None:
+        return scene.heading_rows.get(NEVER_MOVED) == scene.rows
+    return scene.fastest_mps < slow_mps
 
 
 def _state(settings: ConversionSettings, usable: list[SceneReport]) -> dict[str, Any]:

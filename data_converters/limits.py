@@ -39,6 +39,9 @@ SIZES = ("length", "width", "height")
 OVERSHOOT = 1.25
 """Factor by which a smoothed speed may exceed the limit, because of noise."""
 
+SMALL_UNITS = (("cm", 1e-2), ("mm", 1e-3))
+"""Units in m that positions may have in the place of metres, the larger first."""
+
 
 @dataclass(frozen=True)
 class RecordingLimits:
@@ -132,13 +135,28 @@ class RecordingLimits:
             refuse_track(
                 RejectReason.TIME_SPAN, "track", needs, f"{steps:.3g}", track.source, remedy
             )
-        moved = np.hypot(*np.diff(track.position[:, :2], axis=0).T)
-        passed = np.diff(track.time_s)
-        beyond = moved - self.speed_of(track.mode) * passed
+        self.check_steps(track.time_s, track.position, track.mode, track.source)
+
+    def check_steps(self, time_s: Array, position: Array, mode: Mode, where: object) -> None:
+        """Refuse samples that are farther apart than anybody travels.
+
+        Args:
+            time_s: (n,) s, rising.
+            position: (n, k) m, x and y first.
+            mode: Mode of the agent.
+            where: The track, for messages.
+
+        Raises:
+            TrackError: Two samples are too far apart.
+        """
+        moved = np.hypot(*np.diff(position[:, :2], axis=0).T)
+        passed = np.diff(time_s)
+        beyond = moved - self.speed_of(mode) * passed
         if len(beyond) and beyond.max() > self.slack_m:
             worst = int(beyond.argmax())
             found = f"{moved[worst]:g} m in {passed[worst]:g} s"
-            self._refuse_speed(track.mode, found, f"{track.source}, sample {worst + 1}")
+            usual = float(np.median(moved / passed))
+            self._refuse_speed(mode, found, f"{where}, sample {worst + 1}", usual)
 
     def _check_extent(self, track: RawTrack) -> None:
         for name in () if track.extent is None else SIZES:
@@ -162,13 +180,32 @@ class RecordingLimits:
             refuse_track(
                 RejectReason.NOT_FINITE, "rows", "be finite when smoothed", "NaN", where, remedy
             )
-        fastest = float(np.hypot(values[:, 3], values[:, 4]).max())
-        if fastest > OVERSHOOT * self.speed_of(rows.mode):
-            self._refuse_speed(rows.mode, f"{fastest:g} m/s when smoothed", where)
+        self.check_smoothed(values[:, 3:5], rows.mode, where)
 
-    def _refuse_speed(self, mode: Mode, found: str, where: object) -> None:
-        needs = f"be at most {self.speed_of(mode):g} m/s for mode '{mode.label}'"
+    def check_smoothed(self, velocity: Array, mode: Mode, where: object) -> None:
+        """Refuse smoothed velocities beyond the limit and what a smoother may add to it.
+
+        Args:
+            velocity: (n, 2) m/s, finite.
+            mode: Mode of the agent.
+            where: The track, for messages.
+
+        Raises:
+            TrackError: One is too fast.
+        """
+        speed = np.hypot(velocity[:, 0], velocity[:, 1])
+        if len(speed) and speed.max() > OVERSHOOT * self.speed_of(mode):
+            found = f"{speed.max():g} m/s when smoothed"
+            self._refuse_speed(mode, found, where, float(np.median(speed)))
+
+    def _refuse_speed(self, mode: Mode, found: str, where: object, usual_mps: float) -> None:
+        limit = self.speed_of(mode)
+        needs = f"be at most {limit:g} m/s for mode '{mode.label}'"
         remedy = "Give metres and seconds, or raise `speed_mps`."
+        if usual_mps > limit:
+            fitting = [unit for unit, metres in SMALL_UNITS if usual_mps * metres <= limit]
+            likely = f", as if positions were in {fitting[0]}" if fitting else ""
+            remedy = f"It is {usual_mps:.3g} m/s as a rule{likely}. {remedy}"
         refuse_track(RejectReason.SPEED, "speed", needs, found, where, remedy)
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from data_converters.errors import require
 from data_converters.heading import heading_from_motion
+from data_converters.limits import RecordingLimits
 from data_converters.modes import usual_size
 from data_converters.tracks import ResampleSettings
 from dmmv_conventions.modes import Mode
@@ -41,6 +42,7 @@ class LiveTracks:
         settings: Step, longest gap, standstill and smoother, as of the conversion of the training
             data; its `min_duration_s` plays no part.
         late_s: How old the last sample of an agent may be.
+        limits: Speeds that are believed, as of a conversion.
 
     Raises:
         ConversionError: The smoother looks ahead, or `late_s` is negative.
@@ -48,6 +50,7 @@ class LiveTracks:
 
     settings: ResampleSettings = field(default_factory=ResampleSettings)
     late_s: float = 0.15
+    limits: RecordingLimits = field(default_factory=RecordingLimits)
 
     def __post_init__(self) -> None:
         ahead = self.settings.smoother.lookahead_s
@@ -78,7 +81,8 @@ class LiveTracks:
 
         Raises:
             ConversionError: A column is missing, a value is none of its kind, an agent has two
-                samples of one time or two modes, or the ego is not present now.
+                samples of one time or two modes or is faster than its mode, or the ego is not
+                present now.
         """
         _require_columns(table)
         names, ego = table["agent"].astype(str), str(ego)
@@ -91,8 +95,11 @@ class LiveTracks:
         seen = seen[seen["time"] <= 0.0].sort_values("time", kind="stable")
         rows = self._rows(history_s)
         order = [ego, *(name for name in dict.fromkeys(names) if name != ego)]
-        grouped = dict(iter(seen.groupby("agent", sort=False)))
-        tracks = {name: self._sampled(grouped.get(name), name, rows) for name in order}
+        grouped = {
+            str(name): self._last_stretch(samples, str(name))
+            for name, samples in seen.groupby("agent", sort=False)
+        }
+        tracks = {name: self._sampled(grouped.get(name), rows) for name in order}
         present = {name: track for name, track in tracks.items() if track is not None}
         require(
             ego in present,
@@ -103,6 +110,8 @@ class LiveTracks:
             remedy="Wait for more samples, or raise `late_s`.",
         )
         modes = {name: _mode(grouped[name], name) for name in present}
+        for name, mode in modes.items():
+            self._require_speed(grouped[name], present[name], mode, f"the track of {name!r}")
         return ObservedAgents(
             names=tuple(present),
             modes=tuple(mode.label for mode in modes.values()),
@@ -119,18 +128,30 @@ class LiveTracks:
         require(whole, "history_s", f"be a multiple of {self.settings.dt_s:g} s", history_s)
         return round(steps) + 1
 
-    def _sampled(self, samples: pd.DataFrame | None, name: str, rows: int) -> _Sampled | None:
-        """The last stretch without a gap, with NaN before its start; None if it is absent now."""
-        if samples is None:
-            return None
+    def _last_stretch(self, samples: pd.DataFrame, name: str) -> pd.DataFrame:
+        """Samples of an agent, in the order of time, since its last gap."""
         time_s = samples["time"].to_numpy(float)
         steps = np.diff(time_s)
         same = int((steps <= 0.0).sum())
         where = f"the track of {name!r}"
         require(same == 0, "time", "differ from sample to sample", f"{same} repeated", where)
         gaps = np.flatnonzero(steps > self.settings.max_gap_s + 1e-6)
-        last = slice(int(gaps[-1]) + 1 if len(gaps) else 0, None)
-        time_s = time_s[last]
+        return samples.iloc[int(gaps[-1]) + 1 if len(gaps) else 0 :]
+
+    def _require_speed(
+        self, samples: pd.DataFrame, track: _Sampled, mode: Mode, where: str
+    ) -> None:
+        """Refuse who is faster than anybody of the mode: positions have another unit, or jump."""
+        time_s, place = samples["time"].to_numpy(float), samples[["x", "y"]].to_numpy(float)
+        self.limits.check_steps(time_s, place, mode, where)
+        known = np.isfinite(track.velocity).all(axis=1)
+        self.limits.check_smoothed(track.velocity[known], mode, where)
+
+    def _sampled(self, samples: pd.DataFrame | None, rows: int) -> _Sampled | None:
+        """A stretch, with NaN before its start; None if it is absent now."""
+        if samples is None:
+            return None
+        time_s = samples["time"].to_numpy(float)
         smoother, dt_s = self.settings.smoother, self.settings.dt_s
         late = time_s[-1] < -self.late_s - 1e-9
         if late or len(time_s) < smoother.samples_needed:
@@ -140,7 +161,7 @@ class LiveTracks:
         at_s = dt_s * np.arange(first, 1)
         if len(at_s) == 0:
             return None
-        place = samples[["x", "y"]].to_numpy(float)[last]
+        place = samples[["x", "y"]].to_numpy(float)
         smooth = smoother(time_s, place, at_s)
         heading = heading_from_motion(smooth.rate, self.settings.standstill_mps, backfill=False)
         found = np.column_stack([smooth.value, smooth.rate, heading.angle])[-rows:]

@@ -98,6 +98,11 @@ class RecordingDataset(ABC):
         """Origin of the recording's own frame, in the frame of the tracks."""
         return 0.0, 0.0, 0.0
 
+    @property
+    def unit_of_positions(self) -> str:
+        """Unit that positions of the recordings are taken to have, for messages."""
+        return "m"
+
     @abstractmethod
     def scenes(self) -> list[SceneSource]:
         """All scenes in a fixed order.

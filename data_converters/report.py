@@ -22,7 +22,8 @@ class SceneReport:
     """Counts of one scene; plain values, so that it survives a trip through JSON.
 
     `residual` holds the sums of `Residual` per mode; older reports lack the last two. `windows`
-    counts per mode the time steps with 4 s of history and 3 s of future.
+    counts per mode the time steps with 4 s of history and 3 s of future. `fastest_mps` is the
+    largest smoothed speed; older reports lack it.
     """
 
     name: str
@@ -39,6 +40,7 @@ class SceneReport:
     speed_errors_mps: list[float] = field(default_factory=list)
     rejected: list[dict[str, str]] = field(default_factory=list)
     notes: dict[str, int] = field(default_factory=dict)
+    fastest_mps: float | None = None
 
     @property
     def usable(self) -> bool:
@@ -80,6 +82,8 @@ def report_scene(
         if np.isfinite(agent.speed_error):
             report.speed_errors_mps.append(round(agent.speed_error, 4))
         report.steps = max(report.steps, agent.first_step + len(agent.rows))
+        fastest = float(np.hypot(agent.rows["vx"], agent.rows["vy"]).max())
+        report.fastest_mps = max(report.fastest_mps or 0.0, round(fastest, 6))
     return report
 
 

@@ -87,6 +87,11 @@ class TableDataset(MultiAgentDataset):
         """The name in the cache."""
         return self.called
 
+    @property
+    def unit_of_positions(self) -> str:
+        """The unit, with its setting."""
+        return f"{self.units.length} (data.units.length)"
+
     def settings(self) -> Mapping[str, object]:
         """All that changes what is read."""
         return {

@@ -4,7 +4,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from data_converters import CausalSmoother, LiveTracks, ResampleSettings, ZeroPhaseSmoother
+from data_converters import (
+    CausalSmoother,
+    LiveTracks,
+    RecordingLimits,
+    ResampleSettings,
+    ZeroPhaseSmoother,
+)
 from data_converters.resampling import resample
 from data_converters.tracks import RawTrack
 from dmmv_conventions.modes import Mode
@@ -118,6 +124,28 @@ def test_a_size_that_was_not_measured_is_that_of_the_mode(given, size):
 def test_what_cannot_be_used_is_told(change, told):
     with pytest.raises(ValueError, match=told):
         LiveTracks()(change(samples()), "me")
+
+
+@pytest.mark.parametrize(
+    ("metres", "unit"), [(1e2, "cm"), (1e3, "mm")], ids=["centimetres", "millimetres"]
+)
+def test_positions_in_another_unit_are_told_with_agent_speed_and_unit(metres, unit):
+    other = samples("other", "scooter")
+    table = pd.concat([samples(), other.assign(x=metres * other["x"], y=metres * other["y"])])
+    told = f"most 30 m/s for mode 'scooter', .* in the track of 'other'.*positions were in {unit}"
+    with pytest.raises(ValueError, match=f"`speed` must be at {told}"):
+        LiveTracks()(table, "me")
+
+
+def test_a_jump_is_refused_until_a_gap_parts_it_from_the_present():
+    table = samples()
+    jump = table.assign(x=table["x"] + 9.0 * (table["time"] > 2.0))
+    with pytest.raises(
+        ValueError, match="`speed` must .*'9.* m in 0.08 s' in the track of 'me', s"
+    ):
+        LiveTracks()(jump, "me")
+    LiveTracks(limits=RecordingLimits(slack_m=10.0))(jump, "me")
+    LiveTracks()(jump[(jump["time"] < 1.5) | (jump["time"] > 2.5)], "me")
 
 
 @pytest.mark.parametrize(

@@ -94,6 +94,11 @@ MISTAKES = {
         {},
         "`position` must be in metres.*longitude",
     ),
+    "metres as millimetres": (
+        {"v": 4.0},
+        {"columns": TableColumns(speed="v"), "units": TableUnits(length="mm")},
+        "speed.*e[+]03 times as much in column v.*check the units of x, y",
+    ),
     "the rate": ({}, {"plausible": Plausibility(rate_hz=25.0)}, "`rate` must be 25 Hz.*10 Hz"),
 }
 
@@ -205,11 +210,14 @@ def test_two_riders_of_one_name_are_not_made_one(dataset):
     assert "`agent` must be in one place at a time, but got 'two 8 m apart" in rejection.detail
 
 
-@pytest.mark.parametrize(("metres", "told"), [(4.0, False), (4e-3, True)])
-def test_positions_in_km_are_told_where_nobody_moves(dataset, tmp_path, caplog, metres, told):
-    found = dataset(tables={"day": table(x=metres * TIME_S)})
+@pytest.mark.parametrize("columns", [TableColumns(), TableColumns(heading="face")])
+@pytest.mark.parametrize(("unit", "told"), [("m", False), ("cm", True), ("mm", True)])
+def test_a_small_unit_is_told_where_nobody_moves(dataset, tmp_path, caplog, columns, unit, told):
+    rows, units = table(face=0.0), TableUnits(length=unit)
+    found = dataset(tables={"day": rows}, columns=columns, units=units)
     convert(ConversionSettings(found, tmp_path / "cache", progress=False))
-    assert ("data.units.length" in caplog.text) == told
+    says = f"Positions are read as {unit} (data.units.length): check their unit."
+    assert (says in caplog.text) == told
 
 
 def test_a_broken_file_is_counted_and_the_others_kept(dataset, tmp_path):
