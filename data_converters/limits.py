@@ -149,14 +149,21 @@ class RecordingLimits:
         Raises:
             TrackError: Two samples are too far apart.
         """
-        moved = np.hypot(*np.diff(position[:, :2], axis=0).T)
-        passed = np.diff(time_s)
+        moved, passed = _steps(time_s, position)
         beyond = moved - self.speed_of(mode) * passed
         if len(beyond) and beyond.max() > self.slack_m:
             worst = int(beyond.argmax())
             found = f"{moved[worst]:g} m in {passed[worst]:g} s"
             usual = float(np.median(moved / passed))
             self._refuse_speed(mode, found, f"{where}, sample {worst + 1}", usual)
+
+    def jumps(self, time_s: Array, position: Array, mode: Mode) -> NDArray[np.bool_]:
+        """Steps, (n - 1,), between samples that are farther apart than anybody travels.
+
+        Arguments are those of `check_steps`.
+        """
+        moved, passed = _steps(time_s, position)
+        return moved - self.speed_of(mode) * passed > self.slack_m
 
     def _check_extent(self, track: RawTrack) -> None:
         for name in () if track.extent is None else SIZES:
@@ -229,3 +236,8 @@ def on_one_clock(first: Mapping[str, float], last: Mapping[str, float], span: fl
         if len(fits) >= len(chosen) and fits:
             chosen = fits
     return chosen
+
+
+def _steps(time_s: Array, position: Array) -> tuple[Array, Array]:
+    """Ways in m and durations in s from sample to sample."""
+    return np.hypot(*np.diff(position[:, :2], axis=0).T), np.diff(time_s)

@@ -111,7 +111,9 @@ class LiveTracks:
         )
         modes = {name: _mode(grouped[name], name) for name in present}
         for name, mode in modes.items():
-            self._require_speed(grouped[name], present[name], mode, f"the track of {name!r}")
+            velocity = present[name].velocity
+            known = np.isfinite(velocity).all(axis=1)
+            self.limits.check_smoothed(velocity[known], mode, f"the track of {name!r}")
         return ObservedAgents(
             names=tuple(present),
             modes=tuple(mode.label for mode in modes.values()),
@@ -129,23 +131,21 @@ class LiveTracks:
         return round(steps) + 1
 
     def _last_stretch(self, samples: pd.DataFrame, name: str) -> pd.DataFrame:
-        """Samples of an agent, in the order of time, since its last gap."""
-        time_s = samples["time"].to_numpy(float)
+        """Samples of an agent, in the order of time, since its last gap or jump.
+
+        A tracker that takes one for another jumps once; where most samples jump, the unit is wrong.
+        """
+        time_s, place = samples["time"].to_numpy(float), samples[["x", "y"]].to_numpy(float)
         steps = np.diff(time_s)
         same = int((steps <= 0.0).sum())
         where = f"the track of {name!r}"
         require(same == 0, "time", "differ from sample to sample", f"{same} repeated", where)
-        gaps = np.flatnonzero(steps > self.settings.max_gap_s + 1e-6)
-        return samples.iloc[int(gaps[-1]) + 1 if len(gaps) else 0 :]
-
-    def _require_speed(
-        self, samples: pd.DataFrame, track: _Sampled, mode: Mode, where: str
-    ) -> None:
-        """Refuse who is faster than anybody of the mode: positions have another unit, or jump."""
-        time_s, place = samples["time"].to_numpy(float), samples[["x", "y"]].to_numpy(float)
-        self.limits.check_steps(time_s, place, mode, where)
-        known = np.isfinite(track.velocity).all(axis=1)
-        self.limits.check_smoothed(track.velocity[known], mode, where)
+        mode = Mode.named(str(samples["mode"].iloc[-1]))
+        jumps = self.limits.jumps(time_s, place, mode)
+        if 2 * jumps.sum() > len(jumps):
+            self.limits.check_steps(time_s, place, mode, where)
+        breaks = np.flatnonzero(jumps | (steps > self.settings.max_gap_s + 1e-6))
+        return samples.iloc[int(breaks[-1]) + 1 if len(breaks) else 0 :]
 
     def _sampled(self, samples: pd.DataFrame | None, rows: int) -> _Sampled | None:
         """A stretch, with NaN before its start; None if it is absent now."""

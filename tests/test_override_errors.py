@@ -29,8 +29,8 @@ def answer(monkeypatch, capsys, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["goal=futur"], "`goal` must be one of future, predicted, but got 'futur' on the command"
-         " line. Did you mean goal=future?"),
+        (["goal=futur"], "`goal` must be one of future, predicted, wanted, but got 'futur' on the "
+         "command line. Did you mean goal=future?"),
         (["dynamics=kbmm"], "but got 'kbmm' on the command line. Did you mean dynamics=kbm"),
         (["vehicle=bike"], "bicycle? A vehicle of your own is the path of a YAML file."),
         (["epoch=3"], "`epoch` must be a key of the configuration of train, but got epoch=3 on the"

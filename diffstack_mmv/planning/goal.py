@@ -43,7 +43,7 @@ class FutureGoal:
     name = "future"
     uses_future = True
 
-    def __init__(self, steadiness: float = 1 / 3) -> None:
+    def __init__(self, steadiness: float = 0.2) -> None:
         require_between("steadiness", steadiness, 0, 1)
         self.steadiness = steadiness
 

@@ -137,15 +137,17 @@ def test_positions_in_another_unit_are_told_with_agent_speed_and_unit(metres, un
         LiveTracks()(table, "me")
 
 
-def test_a_jump_is_refused_until_a_gap_parts_it_from_the_present():
+def test_a_jump_parts_a_track_as_a_gap_does():
     table = samples()
     jump = table.assign(x=table["x"] + 9.0 * (table["time"] > 2.0))
-    with pytest.raises(
-        ValueError, match="`speed` must .*'9.* m in 0.08 s' in the track of 'me', s"
-    ):
-        LiveTracks()(jump, "me")
-    LiveTracks(limits=RecordingLimits(slack_m=10.0))(jump, "me")
-    LiveTracks()(jump[(jump["time"] < 1.5) | (jump["time"] > 2.5)], "me")
+    parted = jump[jump["time"] > 2.0]
+    for whole, after in zip(LiveTracks()(jump, "me"), LiveTracks()(parted, "me"), strict=True):
+        np.testing.assert_array_equal(whole, after)
+    believed = LiveTracks(limits=RecordingLimits(slack_m=10.0, speed_mps={"bicycle": 300.0}))
+    assert (
+        np.isfinite(believed(jump, "me").position).sum()
+        > np.isfinite(LiveTracks()(jump, "me").position).sum()
+    )
 
 
 @pytest.mark.parametrize(
