@@ -3,6 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from copy import copy
 from typing import Any, ClassVar, Self
 
 import torch
@@ -127,6 +128,18 @@ class DynamicsModel(nn.Module, ABC):
         return self.initial_state(motion)
 
     # what a new model has to think about
+
+    def lengthened(self, repeats: int) -> Self:
+        """The model with so many steps as one, which shares its parameters.
+
+        For what a control means that is held so long: a model whose `control_for` needs the step
+        takes the longer one, as here by default. One that tries a step there takes its own steps
+        within it.
+        """
+        # a copy of a module shares the mappings of its parameters
+        longer = copy(self)
+        longer.dt_s = self.dt_s * repeats
+        return longer
 
     @property
     def reference_ahead_m(self) -> float:

@@ -45,6 +45,8 @@ class ZeroOrderHold(DynamicsModel):
         lower, upper = (bound.tolist() for bound in model.bounds)
         super().__init__(model.dt_s * repeats, lower, upper)
         self.model = model
+        # in a tuple it is no part of its own, with the parameters a second time
+        self._lengthened = (model.lengthened(repeats),)
         self.repeats = repeats
         self.ahead_m = ahead_m
         self.governor = None if speed_max_mps is None else Governor(model, speed_max_mps)
@@ -76,8 +78,11 @@ class ZeroOrderHold(DynamicsModel):
         acceleration: Float[Tensor, "*#b"],
         curvature: Float[Tensor, "*#b"],
     ) -> Float[Tensor, "*b m"]:
-        """Control of the model that holds an acceleration (m/s²) and a curvature (1/m)."""
-        return self.model.control_for(state, acceleration, curvature)
+        """Control of the model that holds an acceleration (m/s²) and a curvature (1/m).
+
+        Over the whole hold: a model whose controls say where a step ends is asked for its end.
+        """
+        return self._whole.control_for(state, acceleration, curvature)
 
     def curvature_within_grip(
         self,
@@ -99,9 +104,23 @@ class ZeroOrderHold(DynamicsModel):
         return self.model.longest_step_s
 
     @property
+    def moves_with_pose(self) -> bool:
+        """Whether a moved and turned vehicle does the same, moved and turned."""
+        return self.model.moves_with_pose
+
+    @property
+    def keeps_top_speed(self) -> bool:
+        """Whether the model, or the governor of its drive, keeps the top speed."""
+        return self.governor is not None or self.model.keeps_top_speed
+
+    @property
     def can_reverse(self) -> bool:
         """Whether the vehicle drives backwards where it brakes on."""
         return self.model.can_reverse
+
+    def acceleration_to_rest(self, state: Float[Tensor, "*b n"]) -> Float[Tensor, "*b"] | None:
+        """Acceleration in m/s² that stops at the end of the hold; harder braking stops sooner."""
+        return self._whole.acceleration_to_rest(state)
 
     @property
     def driver_input_needs_state(self) -> bool:
@@ -112,13 +131,13 @@ class ZeroOrderHold(DynamicsModel):
         self, state: Float[Tensor, "*b n"], driver: DriverInput
     ) -> Float[Tensor, "*b m"]:
         """Control of the model that is an acceleration (m/s²) and a steering angle (rad)."""
-        return self.model.control_for_driver(state, driver)
+        return self._whole.control_for_driver(state, driver)
 
     def driver_input(
         self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
     ) -> DriverInput:
         """What a control of the model means to a driver, m/s² and rad."""
-        return self.model.driver_input(state, control)
+        return self._whole.driver_input(state, control)
 
     def wheel_forces(
         self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
@@ -133,6 +152,11 @@ class ZeroOrderHold(DynamicsModel):
     def description(self) -> dict[str, Any]:
         """The model itself, with its own step."""
         return self.model.description()
+
+    @property
+    def _whole(self) -> DynamicsModel:
+        """The model with the hold as its step."""
+        return self._lengthened[0]
 
 
 def _moved(motion: Motion, ahead_m: float) -> Motion:

@@ -1,11 +1,17 @@
 """Longer control steps, and another point of the body."""
 
+import copy
+
 import pytest
 import torch
 
-from diffstack_mmv.dynamics.catalogue import model_of
+from diffstack_mmv.dynamics import SoftplusFloor, rollout
+from diffstack_mmv.dynamics.catalogue import dynamics_names, model_of
+from diffstack_mmv.dynamics.gm3 import DiffGM3WheelSpeed
+from diffstack_mmv.dynamics.kbm import DiffKBM
 from diffstack_mmv.simulation import ZeroOrderHold
 from diffstack_mmv.types import Motion
+from diffstack_mmv.vehicles import load_vehicle
 
 
 @pytest.fixture(params=["kbm", "gm3"])
@@ -93,3 +99,104 @@ def test_below_the_top_speed_nothing_is_changed(governed):
 def test_a_top_speed_needs_an_acceleration_to_govern():
     with pytest.raises(ValueError, match=r"`controls` must contain acceleration.*top speed needs"):
         ZeroOrderHold(model_of("bicycle", "holonomic", 0.05), 5, speed_max_mps=1.0)
+
+
+MODELS = {
+    **{
+        name: lambda step_s, name=name: model_of("bicycle", name, step_s)
+        for name in dynamics_names()
+    },
+    "wheel_speed": lambda step_s: DiffGM3WheelSpeed(load_vehicle("bicycle"), step_s),
+}
+
+
+def going(model, at):
+    """States of speeds `at` (m/s), straight ahead."""
+    speed = torch.tensor(at, dtype=torch.double)
+    zero = torch.zeros_like(speed)
+    flat = torch.stack([zero, zero], -1)
+    return model.initial_state(Motion(flat, zero, torch.stack([speed, zero], -1), zero))
+
+
+def faster(model, state, control):
+    """Mean acceleration (m/s²) over a control step."""
+    ends = [model.motion(each, control).velocity[..., 0] for each in (state, model(state, control))]
+    return ((ends[1] - ends[0]) / model.dt_s).detach()
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_acceleration_over_the_hold_is_the_one_that_was_asked_for(name):
+    held = ZeroOrderHold(MODELS[name](0.05).double(), 5)
+    state = going(held, (2.0, 3.0))
+    for asked in (-1.0, 0.0, 0.8):
+        wanted = torch.full((2,), asked).double()
+        control = held.control_for(state, wanted, torch.zeros_like(wanted))
+        assert torch.allclose(faster(held, state, control), wanted, atol=0.05)
+
+
+@pytest.mark.parametrize("name", ["holonomic", "unicycle"])
+def test_the_turn_over_the_hold_is_the_one_that_was_asked_for(name):
+    held = ZeroOrderHold(MODELS[name](0.05).double(), 5)
+    state, wanted = going(held, (2.0,)), torch.tensor([0.4]).double()
+    control = held.control_for(state, 0.5 + torch.zeros_like(wanted), wanted)
+    turned = held(state, control)[..., 2] - state[..., 2]
+    assert torch.allclose(turned, wanted * 0.25 * (2.0 + 0.0625), atol=0.01)
+
+
+@pytest.mark.parametrize("name", ["holonomic", "kbm_reversing"])
+def test_the_hardest_braking_that_only_stops_ends_at_rest(name):
+    held = ZeroOrderHold(MODELS[name](0.05).double(), 5)
+    state = going(held, (0.4,))
+    braking = held.hardest_braking(state)
+    control = held.control_for(state, braking, torch.zeros_like(braking))
+    assert held.motion(held(state, control), control).velocity[..., 0].abs() < 0.02
+
+
+def test_the_acceleration_to_rest_stops_at_the_end_of_the_hold():
+    held = ZeroOrderHold(MODELS["kbm"](0.05).double(), 5)
+    state = going(held, (0.2, 0.5))
+    rest = held.acceleration_to_rest(state)
+    for share, stopped in ((1.0, True), (0.9, False)):
+        states = rollout(held, state, torch.stack([share * rest, 0 * rest], -1)[:, None])
+        assert bool((states[:, -1, 3].abs() < 1e-12).all()) == stopped
+    smooth = DiffKBM(load_vehicle("bicycle"), 0.05, SoftplusFloor())
+    assert ZeroOrderHold(smooth, 5).acceleration_to_rest(state) is None
+
+
+def test_what_a_model_says_of_itself_holds_for_its_hold():
+    for name in MODELS:
+        model = MODELS[name](0.05)
+        held = ZeroOrderHold(model, 5)
+        assert held.moves_with_pose == model.moves_with_pose
+        assert held.keeps_top_speed == model.keeps_top_speed
+    assert ZeroOrderHold(MODELS["kbm"](0.05), 5, speed_max_mps=1.0).keeps_top_speed
+
+
+def test_the_hold_of_a_model_has_the_parameters_of_the_model_alone():
+    model = MODELS["wheel_speed"](0.05)
+    held = ZeroOrderHold(model, 5)
+    assert list(held.state_dict()) == [f"model.{name}" for name in model.state_dict()]
+    assert (model.dt_s, model.substeps) == (0.05, 1)
+
+
+@pytest.mark.parametrize("name", ["kbm", "wheel_speed"])
+def test_a_copy_of_a_hold_asks_its_own_model(name):
+    held = ZeroOrderHold(MODELS[name](0.05), 5)
+    again = copy.deepcopy(held).double()
+    before = held.control_for(going(held, (2.0,)).float(), *torch.tensor([[0.5], [0.1]]))
+    with torch.no_grad():
+        for each in again.parameters():
+            each.add_(0.5)
+    wanted = torch.tensor([[0.5], [0.1]]).double()
+    expected = again.model.lengthened(5).control_for(going(again, (2.0,)), *wanted)
+    assert torch.equal(again.control_for(going(again, (2.0,)), *wanted), expected)
+    assert not torch.allclose(before.double(), expected)
+
+
+@pytest.mark.parametrize("name", ["gm3", "gm3_fine", "wheel_speed", "unicycle"])
+def test_a_lengthened_model_takes_as_many_steps_at_once(name):
+    model = MODELS[name](0.05).double()
+    state, zero = going(model, (2.0, 3.0)), torch.zeros(2).double()
+    control = model.control_for(state, zero + 0.5, zero + 0.1)
+    expected = ZeroOrderHold(model, 5)(state, control)
+    assert torch.allclose(model.lengthened(5)(state, control), expected, atol=1e-9)

@@ -1,7 +1,7 @@
 """DiffGM3: differentiable brush-tyre dynamics for any layout of wheels."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import torch
 from jaxtyping import Float
@@ -232,6 +232,12 @@ class DiffGM3(DynamicsModel):
         tangent = linear_steer(self.chassis, self.physics(), *flat).reshape(speed.shape)
         steering = self.chassis.steering
         return steering.command_for(steering.angle_for(tangent))
+
+    def lengthened(self, repeats: int) -> Self:
+        """The model with so many steps as one, taken as substeps."""
+        longer = super().lengthened(repeats)
+        longer.substeps = self.substeps * repeats
+        return longer
 
     @property
     def moves_with_pose(self) -> bool:
