@@ -4,13 +4,14 @@ As in `config_checks`, a mistake is told before what takes seconds is imported.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from diffstack_mmv.config_checks import require_folder
 from dmmv_conventions.cache import SPLITS, read_state
 from dmmv_conventions.checks import (
+    message,
     require,
     require_at_least,
     require_multiple,
@@ -156,6 +157,36 @@ def require_recordings(source: Mapping[str, Any]) -> None:
         require_folder("root", source["root"], "Give data.root=FOLDER.")
     else:
         read_state(Path(source["folder"]), source["name"])
+
+
+class Conversion(NamedTuple):
+    """A converted data set that is read, and the command that makes it."""
+
+    name: str
+    cache: Path
+    command: str
+
+
+def require_conversions(wanted: Iterable[Conversion]) -> None:
+    """Refuse to begin before all data sets are converted, and tell how each is.
+
+    Raises:
+        ValueError: A cache is missing, unfinished or of another version.
+    """
+    lacking = [each for each in dict.fromkeys(wanted) if not _is_finished(each)]
+    if lacking:
+        found = ", ".join(f"none of '{each.name}' in {each.cache}" for each in lacking)
+        remedy = f"Run {'; '.join(each.command for each in lacking)}"
+        needs = "hold the finished conversion of every data set"
+        raise ValueError(message("data.cache", needs, found, "", remedy))
+
+
+def _is_finished(conversion: Conversion) -> bool:
+    try:
+        read_state(conversion.cache, conversion.name)
+    except ValueError:
+        return False
+    return True
 
 
 def require_split(argument: str, split: str, source: Mapping[str, Any]) -> None:

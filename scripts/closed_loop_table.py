@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from diffstack_mmv.cli import DictConfig, command, instantiate
+from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
 from diffstack_mmv.command_line import quoted
+from diffstack_mmv.config_checks import require_checkpoint
+from diffstack_mmv.data_checks import Conversion, require_conversions
 from diffstack_mmv.jobs import Job
 from diffstack_mmv.table_jobs import TableJobs, require_same_jobs
 from dmmv_conventions.checks import require
@@ -26,12 +28,19 @@ ALONE = ("beside=[]", "wandb=none", "animate=0")
 
 
 def check(config: DictConfig) -> None:
-    """Refuse a choice of rows or places that the table does not have."""
+    """Refuse rows and places that the table does not have, and drives that lack their data."""
     for name in ("rows", "places"):
         known = list(config.table[name])
         unknown = sorted(set(config[name] or ()) - set(known))
         require(not unknown, name, f"be some of {known}", unknown)
     instantiate(config.launcher)
+    out = Path(config.out)
+    left = [row for row in _rows(config, out) if not row.result.is_file()]
+    drives = [_settings(config, row) for row in left]
+    require_conversions(each for drive in drives for each in _conversions(drive))
+    for drive in map(_values, drives):
+        if drive.get("people") == "predictor":
+            require_checkpoint("people_checkpoint", drive.get("people_checkpoint"))
 
 
 def admit(config: DictConfig) -> None:
@@ -76,18 +85,43 @@ def _rows(config: DictConfig, out: Path) -> Iterator[DrivenRow]:
 
 
 def _job(config: DictConfig, row: DrivenRow, out: Path) -> Job:
-    table = config.table
-    parts = table.settings, table.places[row.place], table.rows[row.name], config.overrides
-    settings = [setting for part in parts for setting in part]
-    # as they would be typed: a later setting of the same key replaces an earlier one
-    last = {setting.split("=", 1)[0]: setting for setting in settings}
-    drive = (sys.executable, str(NAVIGATE), *ALONE, *last.values(), f"out={quoted(row.folder)}")
+    settings = _settings(config, row)
+    drive = (sys.executable, str(NAVIGATE), *ALONE, *settings.values(), f"out={quoted(row.folder)}")
     log = out / "logs" / f"{row.place}.{row.name}.log"
     name = f"{row.place}, {row.name}"
     partial = row.folder / "episodes"
     return Job(
         name, "drive", (drive,), row.result, log, folder=row.folder, root=out, partial=partial
     )
+
+
+def _settings(config: DictConfig, row: DrivenRow) -> dict[str, str]:
+    """Key -> setting as it would be typed: a later one of a key replaces an earlier one."""
+    table = config.table
+    parts = table.settings, table.places[row.place], table.rows[row.name], config.overrides
+    return {str(each).partition("=")[0]: str(each) for part in parts for each in part}
+
+
+def _values(settings: Mapping[str, str]) -> dict[str, str]:
+    """Key -> value without the quotes that Hydra takes off."""
+    return {key: each.partition("=")[2].strip("'\"") for key, each in settings.items()}
+
+
+def _conversions(settings: Mapping[str, str]) -> Iterator[Conversion]:
+    """The converted data set that a drive among recorded people reads."""
+    values = _values(settings)
+    file = config_folder() / "data" / f"{values.get('data')}.yaml"
+    if not values.get("crowd", "").startswith("replay") or not file.is_file():
+        return
+    config = OmegaConf.create({"data": OmegaConf.load(file)})
+    # what has a module of its own reads the recordings themselves
+    if "module" in config.data or "data.cache" not in values:
+        return
+    for key in (key for key in values if key.startswith("data.")):
+        OmegaConf.update(config, key, values[key])
+    words = [each for key, each in settings.items() if key.partition(".")[0] == "data"]
+    command = f"python scripts/convert.py {' '.join(words)} data.root=RECORDINGS"
+    yield Conversion(str(config.data.name), Path(config.data.cache), command)
 
 
 if __name__ == "__main__":

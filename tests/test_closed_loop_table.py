@@ -74,6 +74,38 @@ def test_a_dry_run_tells_what_is_left_or_wrong(table, arguments, ended, line):
     assert line in told
 
 
+CITR = ["table=recorded", "places=[CITR]", "rows=[straight]"]
+
+
+def test_no_drive_is_begun_before_the_recordings_are_converted(table, tmp_path):
+    rows = "rows=[straight,stop and go]"
+    status, told = table("table=recorded", rows, f"table.caches={tmp_path}/none")
+    assert status == 1
+    last = told.strip().splitlines()[-1]
+    assert last.startswith("`data.cache` must hold the finished conversion of every data set, but")
+    assert f"none of 'eth_ucy_eth' in {tmp_path}/none/eth_ucy, none of 'citr' in" in last
+    held_out = "data=eth_ucy data.held_out=eth"
+    for each in (held_out, "data=citr", "data=dut", "data=sdd"):
+        name = each.split()[0].removeprefix("data=")
+        assert f"{each} data.cache={tmp_path}/none/{name} data.root=RECORDINGS" in last
+    assert last.count("scripts/convert.py") == 4
+    assert not (tmp_path / "logs").exists()
+
+
+def test_converted_recordings_are_driven_through(table, tmp_path):
+    (tmp_path / "caches" / "citr" / "citr").mkdir(parents=True)
+    state = tmp_path / "caches" / "citr" / "citr" / "cache.json"
+    state.write_text('{"format_version": 1, "complete": true, "scenes": []}')
+    status, told = table(*CITR, f"table.caches={tmp_path}/caches", "dry_run=true")
+    assert (status, "1 of 1 drives to do" in told) == (0, True)
+    lacking = f"table.people_checkpoint={tmp_path}/no.ckpt"
+    rows = "rows=['DiffMPC, trained predictor']"
+    status, told = table(*CITR, rows, f"table.caches={tmp_path}/caches", lacking)
+    assert status == 1
+    assert "`people_checkpoint` must be" in told
+    assert "no.ckpt" in told
+
+
 @pytest.mark.slow
 def test_drives_are_done_once_and_told_in_one_table(table, tmp_path):
     part = ["table=crowdnav", "places=[circle]", "rows=[straight,blind driver]"]
