@@ -1,11 +1,15 @@
 """What a robot sees of the pedestrians, and what a tracker makes of it."""
 
+from dataclasses import fields
+
 import pytest
 import torch
 
 from diffstack_mmv.simulation import CircleCrossing, LimitedSensing, PedestrianTracker
 from diffstack_mmv.simulation.pedestrians.base import PedestrianHistory
 from diffstack_mmv.simulation.views import FAR
+from dmmv_conventions.configs import config_folder
+from dmmv_conventions.yaml_files import load_plain
 
 
 @pytest.fixture
@@ -90,3 +94,9 @@ def test_who_was_never_seen_stays_unseen(seen):
     hidden = seen._replace(seen=torch.zeros_like(seen.seen))
     tracked = tracker(tracker(None, hidden), hidden._replace(time=hidden.time + 0.25))
     assert not tracker.believed(tracked, hidden).seen.any()
+
+
+@pytest.mark.parametrize("path", sorted((config_folder() / "sensing").glob("*.yaml")))
+def test_every_setting_of_a_sensor_can_be_given_on_the_command_line(path):
+    told = set(load_plain(path.read_text(encoding="utf-8"))) - {"_target_"}
+    assert told == {each.name for each in fields(LimitedSensing)}
