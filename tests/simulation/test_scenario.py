@@ -78,11 +78,36 @@ def test_an_unknown_phase_is_refused_with_the_known_ones():
         CircleCrossing().case("exam", 0)
 
 
-@pytest.mark.parametrize("family", [CircleCrossing, SquareCrossing])
-def test_too_many_pedestrians_are_refused_after_a_bounded_search(monkeypatch, family):
+@pytest.mark.parametrize(("family", "humans"), [(CircleCrossing, 40), (SquareCrossing, 170)])
+def test_too_many_pedestrians_are_refused_after_a_bounded_search(monkeypatch, family, humans):
     monkeypatch.setattr(scenario_module, "MAX_TRIES", 300)
-    with pytest.raises(ValueError, match="`humans` must fit into the scenario.*got 400"):
-        family(humans=400).case("test", 0)
+    with pytest.raises(ValueError, match=f"`humans` must fit into the scenario.*got {humans}"):
+        family(humans=humans).case("test", 0)
+
+
+@pytest.mark.parametrize("family", [CircleCrossing, SquareCrossing])
+def test_more_pedestrians_than_there_is_room_for_are_refused_without_a_search(family):
+    with pytest.raises(ValueError, match="`humans` must fit into the scenario, in which at most"):
+        family(humans=200)
+
+
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        {"circle_radius_m": 1.5},
+        {"circle_radius_m": 8.0, "pedestrian_speed_mps": 0.01},
+        {"circle_radius_m": 0.4, "pedestrian_speed_mps": 0.1},
+    ],
+)
+def test_a_search_ends_before_there_is_no_room_at_all(monkeypatch, sizes):
+    monkeypatch.setattr(scenario_module, "MAX_TRIES", 30_000)
+
+    def draw_more_and_more():
+        for humans in range(1, 40):
+            CircleCrossing(humans=humans, **sizes).case("val", 0)
+
+    with pytest.raises(ValueError, match="has no place for pedestrian"):
+        draw_more_and_more()
 
 
 def test_a_place_that_is_hard_to_find_is_found_and_one_that_is_not_there_is_refused(monkeypatch):
