@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from diffstack_mmv.cli import DictConfig, OmegaConf, command, get_class, instantiate
+from diffstack_mmv.composition import changed_defaults
 from diffstack_mmv.config_checks import require_checkpoint, require_file
+from dmmv_conventions.cache import SPLITS
 from dmmv_conventions.checks import require, require_at_least, require_one_of
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
@@ -28,6 +30,8 @@ logger = logging.getLogger(__name__)
 
 def check(config: DictConfig) -> None:
     """Refuse a world or a controller that cannot be built, before any baseline has driven."""
+    require_one_of("phase", config.phase, SPLITS)
+    _require_known_delay(config)
     if "predictor" in config.people:
         require_checkpoint("people_checkpoint", config.people.predictor.path)
     if config.names.controller == "ppo":
@@ -55,6 +59,16 @@ def check(config: DictConfig) -> None:
     driven = (config.actual, config.believed, config.search)
     for part in (config.scenario, config.world, config.controller, *driven):
         instantiate(part)
+
+
+def _require_known_delay(config: DictConfig) -> None:
+    """Refuse a delay that no controller is told."""
+    told = any(each.get("delay") for _, each in _controllers(config))
+    given = "known_delay_s" in changed_defaults("navigate")
+    remedy = "Add controller=diffmpc_delay, or leave it out; the robot's delay is robot.delay_s."
+    found = f"{config.known_delay_s} with controller={config.names.controller}"
+    wanted = "be given with a controller that makes up for it"
+    require(told or not given, "known_delay_s", wanted, found, "", remedy)
 
 
 def admit(config: DictConfig) -> None:
