@@ -15,6 +15,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from dmmv_conventions.checks import message
+
 LOGGER = logging.getLogger(__name__)
 FLAGS = (
     *("-std=c++20", "-O2", "-fPIC", "-shared", "-Wno-psabi", "-pthread"),
@@ -68,6 +70,22 @@ def build(source: str, target: Path, machine: str = "native", *flags: str) -> No
         if done.returncode:
             raise CannotBuildError(next(iter(done.stderr.splitlines()), "no message"))
         os.replace(library, target)
+
+
+def require_machine(machine: str) -> None:
+    """Refuse a processor that the C++ compiler does not build for, by a library of nothing.
+
+    Raises:
+        ValueError: It cannot be built; this says why.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            build("", Path(folder, "nothing.so"), machine)
+        except CannotBuildError as failure:
+            found = f"{machine!r} ({failure})"
+            remedy = "Give native, or what the option -march= of the compiler takes."
+            wanted = "be a processor that the C++ compiler builds for"
+            raise ValueError(message("machine", wanted, found, "", remedy)) from failure
 
 
 @functools.cache

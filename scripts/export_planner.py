@@ -25,8 +25,14 @@ def check(config: DictConfig) -> None:
 
 @command(config_folder(), "export_planner", check)
 def main(config: DictConfig) -> None:
-    """Build the planner, or load it from a checkpoint; write library, header and source."""
+    """Build the planner, or load it from a checkpoint; write library, header and source.
+
+    Raises:
+        ValueError: There is no library for it.
+    """
+    from diffstack_mmv.control.native.lowering import CannotLowerError
     from diffstack_mmv.planning.export import export_planner
+    from dmmv_conventions.libraries import CannotBuildError
 
     if config.checkpoint:
         from diffstack_mmv.stack import load_stack
@@ -36,7 +42,10 @@ def main(config: DictConfig) -> None:
         planner = instantiate(config.planner)
     planner = planner.double() if config.double else planner.float()
     sizes = config.agents, config.components, config.discs
-    written = export_planner(planner, Path(config.out), *sizes, machine=config.machine)
+    try:
+        written = export_planner(planner, Path(config.out), *sizes, machine=config.machine)
+    except (CannotLowerError, CannotBuildError) as failure:
+        raise ValueError(f"There is no library for this planner: {failure}") from failure
     logger.info("Library %s, declared in %s", written.library, written.header)
 
 

@@ -1,9 +1,9 @@
 """Write what the locked environment consists of: a CycloneDX list and a table of licences."""
 
+import argparse
 import json
 import logging
 import re
-import sys
 from importlib.metadata import Distribution, distribution
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -88,4 +88,8 @@ def main(out: Path, root: Path) -> None:
 
 if __name__ == "__main__":
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    main(Path((sys.argv[1:] or ["outputs"])[0]), Path(__file__).resolve().parents[1])
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "out", nargs="?", type=Path, default="outputs", help="folder (default: outputs)"
+    )
+    main(parser.parse_args().out, Path(__file__).resolve().parents[1])

@@ -48,3 +48,11 @@ def test_an_audit_without_its_service_says_that_nothing_was_audited(root):
     assert done.returncode == 1
     assert needs.startswith("make audit needs https://pypi.org/pypi/")
     assert nothing.startswith("Nothing was audited.")
+
+
+@pytest.mark.parametrize("name", ["sbom", "needs_cuda"])
+def test_a_script_of_make_tells_what_it_does_and_writes_nothing(name, tmp_path):
+    command = [sys.executable, str(ROOT / "scripts" / f"{name}.py"), "--help"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("usage:")
+    assert not list(tmp_path.iterdir())

@@ -18,6 +18,7 @@ from diffstack_mmv.planning.problem import (
     straight_reference,
 )
 from diffstack_mmv.types import Discs, Ego, Forecast, HeadingOf, Motion, PlanningProblem
+from dmmv_conventions.libraries import require_machine
 
 AWAY_M = 1e3
 """Where agents are by default that are not there."""
@@ -50,13 +51,16 @@ def export_planner(
         The files, and the entries of the parameters.
 
     Raises:
-        ValueError: A number is not positive, or the planner has constraints.
+        ValueError: A number is not positive, the planner has constraints, or the compiler does not
+            build for the processor.
         TypeError: The solver is no `ILQR`.
         CannotLowerError: Dynamics or cost have an operation that has no scalar form.
         CannotBuildError: There is no C++ compiler.
     """
     for name, value in (("agents", agents), ("components", components), ("discs", discs)):
         require_at_least(name, value, 1)
+    if machine != "native":
+        require_machine(machine)
     solver = planner.solver
     if not isinstance(solver, ILQR):
         raise TypeError(message("planner.solver", "be an ILQR", type(solver).__name__))

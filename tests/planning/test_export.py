@@ -157,3 +157,12 @@ def test_a_planner_with_constraints_is_refused(tmp_path):
     planner.constraints = PlanConstraints({"speed": SpeedWithin()})
     with pytest.raises(ValueError, match="`planner.constraints` must be none"):
         export_planner(planner, tmp_path)
+
+
+def test_a_processor_that_the_compiler_does_not_know_is_refused_before_anything_is_written(
+    tmp_path,
+):
+    told = "`machine` must be a processor that the C.. compiler builds for, but got 'foo'"
+    with pytest.raises(ValueError, match=told):
+        export_planner(training(), tmp_path, machine="foo")
+    assert not list(tmp_path.iterdir())
