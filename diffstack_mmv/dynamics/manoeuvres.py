@@ -10,8 +10,27 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import message, require, require_positive
+from diffstack_mmv.checks import (
+    message,
+    require,
+    require_at_least,
+    require_between,
+    require_positive,
+    require_whole,
+)
 from diffstack_mmv.dynamics.records import DriverInput
+
+LARGEST = 1000
+"""What no speed, acceleration, angle or curvature of a vehicle reaches, SI units."""
+LONGEST_S = 3600
+"""What takes longer is a mistake in a number, and more steps than are worth to be driven."""
+
+
+def _require_duration(duration_s: float, remedy: str) -> None:
+    """Refuse a manoeuvre that hardly ever ends."""
+    ends = duration_s <= LONGEST_S
+    found = f"{duration_s:g} s"
+    require(ends, "manoeuvre", f"take at most {LONGEST_S} s", found, "", remedy)
 
 
 def _times(duration_s: float, dt_s: float) -> Float[Tensor, " T"]:
@@ -30,7 +49,8 @@ class Slalom:
         acceleration_mps2: Acceleration throughout.
 
     Raises:
-        ValueError: The period is not positive.
+        ValueError: The period is not positive, there is not at least one, or a number is negative
+            or too large.
     """
 
     speed_mps: float
@@ -40,7 +60,13 @@ class Slalom:
     acceleration_mps2: float = 0.0
 
     def __post_init__(self) -> None:
+        require_between("speed_mps", self.speed_mps, 0, LARGEST)
         require_positive("period_s", self.period_s)
+        require_whole("periods", self.periods)
+        require_at_least("periods", self.periods, 1)
+        for name in ("curvature", "acceleration_mps2"):
+            require_between(name, getattr(self, name), -LARGEST, LARGEST)
+        _require_duration(self.period_s * self.periods, "Give fewer or shorter periods.")
 
     def __call__(self, wheelbase_m: float, dt_s: float) -> DriverInput:
         """Inputs for a vehicle of this wheelbase."""
@@ -64,7 +90,8 @@ class Turn:
         acceleration_mps2: Acceleration throughout.
 
     Raises:
-        ValueError: Speed, radius or ramp is not positive.
+        ValueError: Speed, radius or ramp is not positive, a number is out of its range, or the turn
+            takes too long.
     """
 
     speed_mps: float
@@ -77,11 +104,20 @@ class Turn:
     def __post_init__(self) -> None:
         for name in ("speed_mps", "radius_m", "ramp_s"):
             require_positive(name, getattr(self, name))
+        for name in ("angle_rad", "acceleration_mps2"):
+            require_between(name, getattr(self, name), -LARGEST, LARGEST)
+        require_at_least("straight_s", self.straight_s, 0)
+        remedy = "Give a higher speed_mps, or a smaller radius_m."
+        _require_duration(self._turning_s + 2 * self.straight_s, remedy)
+
+    @property
+    def _turning_s(self) -> float:
+        # a ramp up and one down turn as far as one of them at full curvature
+        return abs(self.angle_rad) * self.radius_m / self.speed_mps + self.ramp_s
 
     def __call__(self, wheelbase_m: float, dt_s: float) -> DriverInput:
         """Inputs for a vehicle of this wheelbase; the hold lasts until the angle is reached."""
-        # a ramp up and one down turn as far as one of them at full curvature
-        turning_s = abs(self.angle_rad) * self.radius_m / self.speed_mps + self.ramp_s
+        turning_s = self._turning_s
         times = _times(turning_s + 2 * self.straight_s, dt_s) - self.straight_s
         edge = torch.minimum(times, turning_s - times) / self.ramp_s
         share = 0.5 - 0.5 * (math.pi * edge.clamp(0, 1)).cos()
@@ -100,6 +136,9 @@ class Braking:
         acceleration_mps2: Braking, negative.
         roll_s: Rolling before.
         hold_s: Braking after the halt.
+
+    Raises:
+        ValueError: The braking is not negative, a number is out of its range, or it takes too long.
     """
 
     speed_mps: float
@@ -107,10 +146,22 @@ class Braking:
     roll_s: float = 1.0
     hold_s: float = 1.0
 
+    def __post_init__(self) -> None:
+        require_between("speed_mps", self.speed_mps, 0, LARGEST)
+        require_between("acceleration_mps2", self.acceleration_mps2, -LARGEST, LARGEST)
+        brakes, value = self.acceleration_mps2 < 0, self.acceleration_mps2
+        require(brakes, "acceleration_mps2", "be negative, as it brakes", value)
+        for name in ("roll_s", "hold_s"):
+            require_at_least(name, getattr(self, name), 0)
+        _require_duration(self._duration_s, "Brake harder, or roll and hold shorter.")
+
+    @property
+    def _duration_s(self) -> float:
+        return self.roll_s + self.speed_mps / abs(self.acceleration_mps2) + self.hold_s
+
     def __call__(self, wheelbase_m: float, dt_s: float) -> DriverInput:
         """Inputs; straight for any wheelbase."""
-        braking_s = self.speed_mps / abs(self.acceleration_mps2)
-        times = _times(self.roll_s + braking_s + self.hold_s, dt_s)
+        times = _times(self._duration_s, dt_s)
         acceleration = torch.where(times < self.roll_s, 0.0, self.acceleration_mps2).double()
         return DriverInput(acceleration, torch.zeros_like(times))
 
@@ -125,10 +176,16 @@ class RecordedControls:
     Args:
         path: The file, one row per control step.
         speed_mps: Speed at the start.
+
+    Raises:
+        ValueError: The speed is negative or too large.
     """
 
     path: str | Path
     speed_mps: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_between("speed_mps", self.speed_mps, 0, LARGEST)
 
     def __call__(self, wheelbase_m: float, dt_s: float) -> DriverInput:
         """Inputs as recorded.

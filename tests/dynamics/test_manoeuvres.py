@@ -42,6 +42,43 @@ def test_braking_stops_the_vehicle():
     assert motion.velocity[-1].norm() < 0.05
 
 
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("kind", "given", "told"),
+    [
+        (Braking, {"acceleration_mps2": 0.0}, "`acceleration_mps2` must be negative, as it brakes"),
+        (Braking, {"acceleration_mps2": 3.0}, "`acceleration_mps2` must be negative, as it brakes"),
+        (
+            Braking,
+            {"acceleration_mps2": -1e-9},
+            "`manoeuvre` must take at most 3600 s, but got 5e+",
+        ),
+        (Braking, {"acceleration_mps2": math.nan}, "`acceleration_mps2` must lie in"),
+        (Braking, {"hold_s": -1.0}, "`hold_s` must be at least 0"),
+        (Slalom, {"periods": 0}, "`periods` must be at least 1"),
+        (Slalom, {"periods": 1.5}, "`periods` must be a whole number"),
+        (Slalom, {"period_s": 1e9}, "`manoeuvre` must take at most 3600 s"),
+        (Slalom, {"curvature": math.inf}, "`curvature` must lie in [-1000, 1000]"),
+        (Slalom, {"speed_mps": -1.0}, "`speed_mps` must lie in [0, 1000]"),
+        (Turn, {"speed_mps": 1e-9}, "Give a higher speed_mps, or a smaller radius_m."),
+        (Turn, {"angle_rad": math.nan}, "`angle_rad` must lie in [-1000, 1000]"),
+        (Turn, {"straight_s": -1.0}, "`straight_s` must be at least 0"),
+        (Turn, {"acceleration_mps2": math.inf}, "`acceleration_mps2` must lie in"),
+        (RecordedControls, {"speed_mps": math.nan}, "`speed_mps` must lie in [0, 1000]"),
+    ],
+)
+def test_numbers_that_make_no_manoeuvre_are_refused(kind, given, told):
+    usual = {
+        Braking: {"speed_mps": 5.0},
+        Slalom: {"speed_mps": 5.0, "curvature": 0.1, "period_s": 4.0},
+        Turn: {"speed_mps": 5.0, "angle_rad": 1.0, "radius_m": 6.0},
+        RecordedControls: {"path": "none.csv"},
+    }[kind]
+    with pytest.raises(ValueError, match="must") as raised:
+        kind(**{**usual, **given})
+    assert told in str(raised.value)
+
+
 def test_recorded_controls_are_driven_and_saved(tmp_path):
     (tmp_path / "controls.csv").write_text("acceleration_mps2,steer_rad\n0.5,0.0\n0.5,0.1\n")
     recorded = RecordedControls(tmp_path / "controls.csv", 2.0)
