@@ -2,18 +2,19 @@
 
 import logging
 from pathlib import Path
+from typing import Any
 
-from diffstack_mmv.cli import DictConfig, command, instantiate
+from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
 from diffstack_mmv.config_checks import require_file
-from dmmv_conventions.checks import require_at_least, require_positive
+from diffstack_mmv.run_checks import require_same_run
+from dmmv_conventions.checks import require_positive
 from dmmv_conventions.configs import config_folder
 
 logger = logging.getLogger(__name__)
 
 
 def check(config: DictConfig) -> None:
-    """Refuse a speed that is none, and recorded controls that are not there."""
-    require_at_least("speed_mps", config.speed_mps, 0.0)
+    """Refuse recorded controls that are not there, and parts that cannot be built."""
     if config.controls:
         require_file("controls", config.controls, "Give controls=FILE.csv.")
     require_positive("dt_s", config.dt_s)
@@ -23,7 +24,13 @@ def check(config: DictConfig) -> None:
         instantiate(part)
 
 
-@command(config_folder(), "simulate", check)
+def admit(config: DictConfig) -> None:
+    """Refuse a folder with a drive of other settings: a page would show the models of both."""
+    content: Any = OmegaConf.to_container(config)
+    require_same_run(Path(config.out), "simulate", content)
+
+
+@command(config_folder(), "simulate", check, admit)
 def main(config: DictConfig) -> None:
     """Run the models, write trajectories and figures."""
     from diffstack_mmv.dynamics.open_loop import drive, save_run, wheel_history

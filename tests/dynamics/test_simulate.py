@@ -33,6 +33,20 @@ def test_recorded_controls_drive_all_models_beside_each_other(succeed, controls,
         assert (tmp_path / figure).stat().st_size > 10_000
 
 
+def test_a_drive_of_other_settings_is_no_part_of_the_same_folder(succeed, refusal, tmp_path):
+    given = ["others.unicycle=null", "others.kbm=null", "dynamics=kbm", f"out={tmp_path}"]
+    succeed("simulate", *given)
+    before = {file: file.read_bytes() for file in tmp_path.glob("*.csv")}
+    for changed, told in (
+        ("vehicle=scooter", "`out` must hold no result of simulate with another "),
+        ("dynamics=unicycle", "`out` must hold no result of simulate with another dynamics."),
+        ("speed_mps=3", "another speed_mps than 3, but got 5.0 in"),
+    ):
+        assert told in refusal("simulate", *given, changed)
+    assert {file: file.read_bytes() for file in tmp_path.glob("*.csv")} == before
+    succeed("simulate", *given)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [path.stem for path in MANOEUVRES])
 def test_every_manoeuvre_turns_to_its_side_with_every_model(succeed, name, tmp_path):
