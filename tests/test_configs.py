@@ -107,6 +107,13 @@ def test_experiments_only_override(experiment):
         assert composed("train", f"experiment={experiment}").epochs > 0
 
 
+def test_the_quickstart_takes_any_predictor():
+    for name in ("constant_velocity", "trajectron"):
+        config = composed("train", "experiment=quickstart", f"predictor={name}")
+        assert config.predictor == composed("train", f"predictor={name}").predictor
+    assert composed("train", "experiment=quickstart").predictor.components == 10
+
+
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     "experiment", [[], *([f"experiment={name}"] for name in ("eth_ucy", "shared_space"))]
