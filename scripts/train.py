@@ -87,6 +87,7 @@ def main(config: DictConfig) -> float | None:
         if resume is None:
             _save_as_it_is(trainer, stack, checkpoints)
         return None
+    stack.require_learnable()  # before the windows are exported
     for each in loggers:
         each.log_hyperparams(content)
     with own_processes():

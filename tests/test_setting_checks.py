@@ -52,6 +52,11 @@ WRONG = [
     ("train", "+trainer.enable_progress_bar=false", "Add callbacks.progress=null."),
     ("train", "watched=ade", "`watched` must be val/SCORE or val/MODE/SCORE with one of ade"),
     ("train", "watched=val/horse/ade", "A mode has to be one of `modes`."),
+    (
+        "train",
+        "loss=prediction",
+        "`loss` must reach something that is learned, but got a predictor",
+    ),
     ("train", "loss=prediction watched=val/plan_ade", "`watched` must be val/SCORE"),
     ("train", "callbacks.early_stopping.monitor=val/x", "`callbacks.early_stopping.monitor` must"),
     ("train", "+callbacks.early_stopping.mode=up", "`callbacks.early_stopping.mode` must be one"),

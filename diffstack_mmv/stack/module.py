@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from diffstack_mmv.checks import require_at_least
+from diffstack_mmv.checks import require, require_at_least
 from diffstack_mmv.metrics import (
     OF_THE_PREDICTION,
     OPEN_LOOP,
@@ -245,8 +245,26 @@ class DiffStackMMV(pl.LightningModule):
         }
         return {name: scores[name] for name in OPEN_LOOP}
 
+    def require_learnable(self) -> None:
+        """Refuse a stack in which the loss reaches nothing that is learned.
+
+        Raises:
+            ValueError: The predictor learns nothing and no plan is in the loss, or nothing at all.
+        """
+        reached = self if self.loss_weights.plans else self.predictor
+        some = any(each.requires_grad for each in reached.parameters())
+        wanted = "reach something that is learned"
+        found = "a predictor that learns nothing" if reached is not self else "no parameter at all"
+        remedy = "Give another predictor or loss, or epochs=0 for a checkpoint of it as it is."
+        require(some, "loss", wanted, found, "", remedy)
+
     def configure_optimizers(self) -> Any:
-        """Optimizer over all learnable parameters, with its schedule where one is given."""
+        """Optimizer over all learnable parameters, with its schedule where one is given.
+
+        Raises:
+            ValueError: The loss reaches none of them.
+        """
+        self.require_learnable()
         optimizer = self.physics.optimizer(self.optimizer, self, self.planner.dynamics)
         if self.scheduler is None:
             return optimizer

@@ -151,6 +151,16 @@ def test_nothing_is_planned_where_planning_weighs_nothing():
     assert not any("plan" in name for name in logged)
 
 
+def test_a_loss_that_reaches_nothing_that_is_learned_is_refused():
+    alone = LossWeights(planning=0.0, control=0.0)
+    with pytest.raises(ValueError, match="`loss` must reach something that is learned, but got a"):
+        stack_of(PredictedGoal(), loss=alone).configure_optimizers()
+    planned = stack_of(PredictedGoal())
+    planned.require_learnable()
+    with pytest.raises(ValueError, match="but got no parameter at all. Give another predictor"):
+        planned.requires_grad_(False).require_learnable()
+
+
 def test_scores_of_the_prediction_need_no_plan():
     plain, whole = (stack_of(PredictedGoal(), loss=LossWeights(1.0, w, w, w)) for w in (0.0, 1.0))
     for stack in (plain, whole):
