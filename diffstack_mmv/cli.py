@@ -46,6 +46,7 @@ __all__ = [
     "DictConfig",
     "OmegaConf",
     "admit_any",
+    "changed_defaults",
     "command",
     "folders_as",
     "get_class",

@@ -6,8 +6,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from diffstack_mmv.cli import DictConfig, OmegaConf, command, get_class, instantiate
-from diffstack_mmv.composition import changed_defaults
+from diffstack_mmv.cli import (
+    DictConfig,
+    OmegaConf,
+    changed_defaults,
+    command,
+    get_class,
+    instantiate,
+)
 from diffstack_mmv.config_checks import require_checkpoint, require_file
 from dmmv_conventions.cache import SPLITS
 from dmmv_conventions.checks import require, require_at_least, require_one_of
