@@ -5,7 +5,7 @@ same too.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,7 +14,13 @@ from typing import Any
 
 from diffstack_mmv.checks import require, require_one_of, require_positive, require_whole
 from diffstack_mmv.dynamics.catalogue import load_dynamics
-from diffstack_mmv.dynamics.config_files import chosen_in, factory, names_in, settings_of
+from diffstack_mmv.dynamics.config_files import (
+    chosen_in,
+    factory,
+    interpolations,
+    names_in,
+    settings_of,
+)
 from diffstack_mmv.simulation import (
     Campaign,
     Controller,
@@ -37,8 +43,26 @@ LIMITS: Mapping[str, float] = MappingProxyType(
 )
 """Of the vehicle among people; the tighter of these and its own hold."""
 
-_GROUPS = ("dynamics", "scenario", "crowd", "controller", "people", "cost", "footprint", "sensing")
-"""Attributes that name a file of the group of their name."""
+_GROUPS: Mapping[str, frozenset[str]] = MappingProxyType(
+    {
+        "scenario": frozenset(),
+        "crowd": frozenset({"seed"}),
+        "controller": frozenset(
+            {
+                *("dt_s", "seed", "compile", "cruise_mps", "model", "actuate", "people", "cost"),
+                *("constraints", "actual", "believed", "vehicle", "dynamics", "limits"),
+                *("names.dynamics", "known_delay_s"),
+            }
+        ),
+        "people": frozenset({"dt_s", "seed"}),
+        "cost": frozenset({"turning_radius_m"}),
+        "footprint": frozenset({"actual"}),
+        "sensing": frozenset({"seed"}),
+    }
+)
+"""Attributes that name a file of the group of their name, and what such a file is handed."""
+_BY_DEFAULT = ("people", "cost")
+"""Those that may be None."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +90,8 @@ class CrowdNav:
         seed: Of the noise, and of what crowd and controller draw.
 
     Raises:
-        ValueError: There is no such vehicle or file, or the times do not fit.
+        ValueError: There is no such vehicle or file, a file is for the command line alone, or the
+            limits or the times do not fit.
     """
 
     vehicle: str | Path | VehicleSpec = "bicycle"
@@ -86,11 +111,13 @@ class CrowdNav:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Check names, seed and delay at the border, before a drive has begun."""
-        for group in _GROUPS:
+        """Check names, vehicle, seed and delay at the border, before a drive has begun."""
+        require_one_of("dynamics", self.dynamics, names_in(config_folder() / "dynamics"))
+        for group, given in _GROUPS.items():
             name = getattr(self, group)
-            if name is not None:
-                require_one_of(group, name, names_in(config_folder() / group))
+            if name is not None or group not in _BY_DEFAULT:
+                _require_file(group, str(name), given)
+        self.simulated().spec()
         require_whole("seed", self.seed)
         if self.controller == "diffmpc_delay":
             remedy = "It expects the robot's; `diffmpc` expects none."
@@ -166,8 +193,12 @@ class CrowdNav:
             Rates, times (s) and distances (m) as in `closed_loop.json`, and the cases one by one.
 
         Raises:
-            ValueError: A case does not exist, or the folder holds episodes of other settings.
+            ValueError: A case does not exist or is named twice, or the folder holds episodes of
+                other settings.
         """
+        listed = isinstance(cases, Sequence) and not isinstance(cases, str)
+        remedy = "Write range(3) for the first three, or [3] for one."
+        require(listed, "cases", "be a list or a range of numbers", repr(cases), "", remedy)
         method = Method(self.controller, self.world(), self.driver, repr(self))
         with TemporaryDirectory() as passing:
             kept = Path(passing) if folder is None else folder
@@ -175,9 +206,16 @@ class CrowdNav:
             return summarise(list(campaign.run()))
 
 
-def _built(group: str, name: str, given: Mapping[str, Any]) -> Any:
-    """What a file of a configuration group describes."""
+def _require_file(group: str, name: str, given: Set[str]) -> None:
+    """Refuse what is no file of a configuration group, or for the command line alone."""
     settings = settings_of(name, config_folder() / group)
     remedy = "Use the command line, dmmv-navigate."
     require("_target_" in settings, group, "describe one part", name, "", remedy)
-    return factory(settings, given)()
+    lacking = [each for each in interpolations(settings) if each not in given]
+    told = f"{name}, which needs {' and '.join(dict.fromkeys(lacking))}"
+    require(not lacking, group, "need nothing that the command line alone knows", told, "", remedy)
+
+
+def _built(group: str, name: str, given: Mapping[str, Any]) -> Any:
+    """What a file of a configuration group describes."""
+    return factory(settings_of(name, config_folder() / group), given)()

@@ -9,7 +9,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 
 import diffstack_mmv.cli  # noqa: F401  registers the resolvers
-from diffstack_mmv.crowdnav import CrowdNav
+from diffstack_mmv.crowdnav import LIMITS, CrowdNav
 from diffstack_mmv.dynamics.config_files import names_in
 from diffstack_mmv.simulation import DiffMPCController, drive
 from diffstack_mmv.vehicles import config_folder, load_vehicle
@@ -69,12 +69,20 @@ def test_every_controller_without_files_of_its_own_is_that_of_the_command_line(n
 
 
 @pytest.mark.parametrize(
-    ("name", "place"), [("diffmpc_ego", "...instruments.position_m"), ("ppo", "policy")]
+    ("given", "told"),
+    [
+        ({"controller": "diffmpc_ego"}, "diffmpc_ego, which needs ...instruments.position_m"),
+        ({"controller": "ppo"}, "`controller` must need nothing that the command line alone knows"),
+        ({"controller": "ppo"}, "but got ppo, which needs policy"),
+        ({"people": "predictor"}, "but got predictor, which needs people_checkpoint"),
+        ({"scenario": "replay"}, "`scenario` must describe one part, but got replay"),
+        ({"crowd": "replay"}, "`crowd` must describe one part, but got replay"),
+    ],
 )
-def test_what_the_command_line_alone_can_build_is_told(name, place):
-    with pytest.raises(ValueError, match="or use the command line") as raised:
-        CrowdNav(controller=name).driver()
-    assert f"'${{{place}}}'" in str(raised.value)
+def test_what_the_command_line_alone_can_build_is_told(given, told):
+    with pytest.raises(ValueError, match="Use the command line, dmmv-navigate") as raised:
+        CrowdNav(**given)
+    assert told in str(raised.value)
 
 
 def test_cases_are_driven_and_kept(tmp_path):
@@ -95,12 +103,36 @@ def test_cases_are_driven_and_kept(tmp_path):
         ({"controller": "diffmpc_delay"}, "`delay_s` must be positive, but got 0.0"),
         ({"sensing": "ears"}, "`sensing` must be one of everything, within_5m"),
         ({"seed": "one"}, "`seed` must be a whole number, but got 'one'"),
-        ({"people": "predictor"}, "`path` must be a plain value, but got '${people_checkpoint}'"),
+        ({"dynamics": None}, "`dynamics` must be one of gm3"),
+        ({"vehicle": "bike"}, "`vehicle` must be one of autobike, bicycle"),
+        ({"limits": {"speed_max_mps": 2.0}}, "`limits` must hold speed_max_mps, acceleration_min_"),
+        ({"limits": {**LIMITS, "jerk": 1.0}}, "Give these three and no other."),
+        (
+            {"limits": {**LIMITS, "speed_max_mps": "fast"}},
+            "`limits.speed_max_mps` must be a number",
+        ),
+        ({"limits": {**LIMITS, "speed_max_mps": 0.0}}, "`limits.speed_max_mps` must be positive"),
     ],
 )
-def test_names_of_nothing_are_refused(given, told):
+def test_settings_of_nothing_are_refused(given, told):
     with pytest.raises(ValueError, match="`") as raised:
-        CrowdNav(**given).driver()
+        CrowdNav(**given)
+    assert told in str(raised.value)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("cases", "told"),
+    [
+        (3, "`cases` must be a list or a range of numbers, but got 3. Write range(3) for the fir"),
+        ("12", "`cases` must be a list or a range of numbers, but got '12'"),
+        ([3, 4, 3], "`cases` must name each case once, but got 3 more than once"),
+        ([], "`cases` must name at least one case"),
+    ],
+)
+def test_cases_that_cannot_be_counted_are_refused(cases, told):
+    with pytest.raises(ValueError, match="`cases`") as raised:
+        CrowdNav(controller="straight").drive(cases)
     assert told in str(raised.value)
 
 

@@ -5,7 +5,7 @@ build on others beside it (`defaults`).
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
@@ -75,6 +75,18 @@ def factory(settings: Mapping[str, Any], given: Mapping[str, Any] | None = None)
     return partial(resolve_name(settings["_target_"]), **arguments)
 
 
+def interpolations(settings: Any) -> Iterator[str]:
+    """Names of what some settings leave to others: `model` for `${model}`."""
+    if isinstance(settings, Mapping):
+        for value in settings.values():
+            yield from interpolations(value)
+    elif isinstance(settings, list):
+        for value in settings:
+            yield from interpolations(value)
+    elif isinstance(settings, str) and "${" in settings:
+        yield _name_in(settings) or settings
+
+
 def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
     """Settings of `above` over those of `below`, mapping by mapping."""
     merged = dict(below)
@@ -94,8 +106,14 @@ def _built(content: Any, place: str, given: Mapping[str, Any]) -> Any:
         return [_built(value, place, given) for value in content]
     if not (isinstance(content, str) and "${" in content):
         return content
-    name = re.match(r"\$\{([\w.]+)[:}]", content)
-    if name is None or name[1] not in given:
+    name = _name_in(content)
+    if name not in given:
         remedy = "Write the value, or use the command line, which knows it."
         raise ValueError(message(place, "be a plain value", repr(content), "", remedy))
-    return given[name[1]]
+    return given[name]
+
+
+def _name_in(content: str) -> str:
+    """The name of an interpolation `${name}` or `${name:...}`, "" of anything else."""
+    found = re.match(r"\$\{([\w.]+)[:}]", content)
+    return found[1] if found else ""

@@ -30,6 +30,9 @@ class SimulatedVehicle:
         mass_factor: Scales the mass.
         friction: Friction coefficient of all tyres; the vehicle's own if None.
         name: Name of `dynamics` where it is no name itself.
+
+    Raises:
+        ValueError: A limit is missing, unknown or no number.
     """
 
     vehicle: Mapping[str, Any]
@@ -38,6 +41,15 @@ class SimulatedVehicle:
     mass_factor: float = 1.0
     friction: float | None = None
     name: str = ""
+
+    def __post_init__(self) -> None:
+        wanted = ("speed_max_mps", "acceleration_min_mps2", "acceleration_max_mps2")
+        complete = isinstance(self.limits, Mapping) and set(self.limits) == set(wanted)
+        remedy = "Give these three and no other."
+        require(complete, "limits", f"hold {', '.join(wanted)}", self.limits, "", remedy)
+        for key, value in self.limits.items():
+            number = hasattr(value, "__float__")
+            require(number, f"limits.{key}", "be a number", repr(value))
 
     @property
     def dynamics_name(self) -> str:

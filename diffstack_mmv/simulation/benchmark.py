@@ -2,6 +2,7 @@
 
 import logging
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -90,7 +91,8 @@ class Campaign:
         phase: "train", "val" or "test".
 
     Raises:
-        ValueError: There is no case, one is beyond the phase, or the chunks have no size.
+        ValueError: There is no case, one is beyond the phase or named twice, or the chunks have no
+            size.
     """
 
     method: Method
@@ -104,6 +106,9 @@ class Campaign:
         require(len(self.cases) > 0, "cases", "name at least one case", "none")
         for number in (min(self.cases), max(self.cases)):
             require_case(self.phase, number)
+        twice = sorted(case for case, count in Counter(self.cases).items() if count > 1)
+        told = ", ".join(map(str, twice))
+        require(not twice, "cases", "name each case once", f"{told} more than once")
         require_whole("chunk_size", self.chunk_size)
         require_at_least("chunk_size", self.chunk_size, 1)
 
