@@ -168,6 +168,27 @@ class Scenario(ABC):
         reach = self.pedestrian_radius_m + radii + self.clearance_m
         return ~(np.sqrt(x * x + y * y) < reach).any(-1)
 
+    @property
+    def _half_gap_m(self) -> float:
+        """Half of the smallest distance between two pedestrians at the start."""
+        return self.pedestrian_radius_m + self.clearance_m / 2
+
+    def _require_room(self, area_m2: float, places: int = 1) -> None:
+        """Refuse more pedestrians than ever find a place, without a search.
+
+        Args:
+            area_m2: Of all discs of half the smallest distance around where they may start.
+            places: That each of them takes: two where the goal is kept free as well.
+
+        Raises:
+            ValueError: There are more.
+        """
+        share = FULLEST * area_m2 / (math.pi * self._half_gap_m**2)
+        most = int((share + 2) / places)  # a small region holds more, by its edge
+        wanted = f"fit into the scenario, in which at most {most} find a place"
+        remedy = "Take fewer, or a larger scenario."
+        require(self.humans <= most, "humans", wanted, self.humans, "", remedy)
+
     def _too_crowded(self, pedestrian: int) -> str:
         """Explain that the scenario has no room for one more pedestrian."""
         wanted = (
@@ -189,14 +210,11 @@ class CircleCrossing(Scenario):
     def __post_init__(self) -> None:
         """Check the sizes once, at the border; starts and goals share a ring."""
         super().__post_init__()
-        half = self.pedestrian_radius_m + self.clearance_m / 2
-        aside = math.sqrt(0.5) * self.pedestrian_speed_mps + half
-        inner, outer = max(self.circle_radius_m - aside, 0), self.circle_radius_m + aside
-        # two more than the share, as a small region holds more by its edge
-        most = int((FULLEST * (outer**2 - inner**2) / half**2 + 2) / 2)
-        wanted = f"fit into the scenario, in which at most {most} find a place"
-        remedy = "Take fewer, or a larger scenario."
-        require(self.humans <= most, "humans", wanted, self.humans, "", remedy)
+        aside = math.sqrt(0.5) * self.pedestrian_speed_mps
+        inner, outer = self.circle_radius_m - aside, self.circle_radius_m + aside
+        half = self._half_gap_m
+        area = math.pi * ((outer + half) ** 2 - max(inner - half, 0) ** 2)
+        self._require_room(area, places=2)
 
     def _place(
         self, placed: _Placed, random: np.random.RandomState
@@ -241,12 +259,7 @@ class SquareCrossing(Scenario):
         """Check the sizes once, at the border."""
         super().__post_init__()
         require_positive("square_width_m", self.square_width_m)
-        half = self.pedestrian_radius_m + self.clearance_m / 2
-        area = (self.square_width_m + 2 * half) ** 2
-        most = int(FULLEST * area / (math.pi * half**2) + 2)
-        wanted = f"fit into the scenario, in which at most {most} find a place"
-        remedy = "Take fewer, or a larger scenario."
-        require(self.humans <= most, "humans", wanted, self.humans, "", remedy)
+        self._require_room((self.square_width_m + 2 * self._half_gap_m) ** 2)
 
     def _place(
         self, placed: _Placed, random: np.random.RandomState
