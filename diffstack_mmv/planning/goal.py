@@ -43,7 +43,7 @@ class FutureGoal:
     name = "future"
     uses_future = True
 
-    def __init__(self, steadiness: float = 0.2) -> None:
+    def __init__(self, steadiness: float = 0.15) -> None:
         require_between("steadiness", steadiness, 0, 1)
         self.steadiness = steadiness
 
@@ -54,22 +54,22 @@ class FutureGoal:
     def expected_path(
         self, forecast: Forecast, goal: Float[Tensor, "B 2"]
     ) -> Float[Tensor, "B T 2"]:
-        """Median of the forecast given that it ends at the goal, see `given_end`, made steadier.
+        """The way to the goal, in the middle of what two estimates and a constant velocity say.
 
             (1 - κ) m(s) + κ (p₀ + s (g - p₀)),    s = t / T
 
-        with p₀ where the path m begins: of how it differs from a constant velocity to the goal g, a
-        share κ is what the end did not tell apart from noise.
+        with p₀ where the path m begins, half the median of the forecast given that it ends at the
+        goal g (`given_end`) and half its median bent to g with the least acceleration
+        (`bent_to_goal`): the first moves the present motion as well, the second only what follows.
+        Of how m differs from a constant velocity, a share κ is what the end did not tell apart from
+        noise.
 
-        A single path has no alternatives to weigh, and how its error grows was not learned: it is
-        bent to the goal with the least acceleration instead, see `bent_to_goal`.
+        A single path is only bent: how its error grows was not learned, nor from whom it comes.
         """
-        alone = forecast.mean.shape[-3] == 1
-        path = (
-            bent_to_goal(forecast.mean[..., 0, :, :], goal)
-            if alone
-            else given_end(forecast, goal).median()
-        )
+        path = bent_to_goal(forecast.median(), goal)
+        if forecast.mean.shape[-3] == 1:
+            return path
+        path = torch.lerp(path, given_end(forecast, goal).median(), 0.5)
         return torch.lerp(path, straightened(path, goal), self.steadiness)
 
 

@@ -7,6 +7,7 @@ import torch
 
 from diffstack_mmv.planning import FutureGoal, WantedGoal, predicted_reference
 from diffstack_mmv.planning.conditional import given_end
+from diffstack_mmv.planning.problem import bent_to_goal
 from diffstack_mmv.prediction import hermite_spline
 from diffstack_mmv.types import Forecast, Motion
 
@@ -25,7 +26,7 @@ def forecast(*ends):
 def test_a_single_path_is_bent_to_the_goal_as_a_spline():
     """Constant velocity and a known end: the cubic Hermite spline of the baselines."""
     paths, goal = forecast([9.0, 0.0]), torch.tensor([[6.0, 3.0]])
-    expected = FutureGoal(steadiness=0.0).expected_path(paths, goal)
+    expected = FutureGoal().expected_path(paths, goal)
     still = torch.zeros(1, 2)
     now = Motion(still, still[:, 0], torch.tensor([[3.0, 0.0]]), still[:, 0])
     assert torch.allclose(expected, hermite_spline(now, goal, STEPS, DT_S), atol=1e-5)
@@ -35,15 +36,15 @@ def test_a_single_path_is_bent_to_the_goal_as_a_spline():
 def test_of_several_paths_those_near_the_goal_count():
     paths, goal = forecast([9.0, 0.0], [6.0, 4.0], [6.0, -4.0]), torch.tensor([[6.2, 3.7]])
     expected = FutureGoal(steadiness=0.0).expected_path(paths, goal)
-    assert torch.equal(expected, given_end(paths, goal).median())
+    told = given_end(paths, goal).median()
+    assert (told - paths.mean[:, 1]).norm(dim=-1).max() < 0.5
+    assert torch.allclose(expected, (told + bent_to_goal(paths.median(), goal)) / 2, atol=1e-6)
     assert torch.allclose(expected[:, -1], goal, atol=1e-3)
-    assert (expected - paths.mean[:, 1]).norm(dim=-1).max() < 0.5
 
 
-@pytest.mark.parametrize("ends", [[[9.0, 0.0]], [[9.0, 0.0], [6.0, 4.0], [6.0, -4.0]]])
 @pytest.mark.parametrize("steps", [1, 2, STEPS])
-def test_the_steadiest_path_to_the_goal_is_the_straight_line(ends, steps):
-    paths, goal = forecast(*ends), torch.tensor([[6.2, 3.7]])
+def test_the_steadiest_path_to_the_goal_is_the_straight_line(steps):
+    paths, goal = forecast([9.0, 0.0], [6.0, 4.0], [6.0, -4.0]), torch.tensor([[6.2, 3.7]])
     paths = Forecast(paths.log_weight, paths.mean[:, :, :steps], paths.scale_tril[:, :, :steps])
     free, line, between = (
         FutureGoal(share).expected_path(paths, goal) for share in (0.0, 1.0, 0.25)
@@ -51,10 +52,9 @@ def test_the_steadiest_path_to_the_goal_is_the_straight_line(ends, steps):
     pieces = line.diff(dim=-2)
     assert torch.allclose(pieces, pieces[:, :1].expand_as(pieces), atol=1e-5)
     assert torch.allclose(line[:, -1], goal, atol=1e-5)
-    if steps > 1:  # they begin at one place
-        assert torch.allclose(
-            (2 * line - line.roll(-1, -2))[:, 0], (2 * free[:, 0] - free[:, 1]), atol=1e-5
-        )
+    if steps > 1:
+        begins = [2 * path[:, 0] - path[:, 1] for path in (free, line)]
+        assert torch.allclose(*begins, atol=1e-5)
     assert torch.allclose(between, 0.75 * free + 0.25 * line, atol=1e-5)
 
 
@@ -68,4 +68,4 @@ def test_a_wish_bends_the_path_and_not_its_start():
     paths, goal = forecast([9.0, 0.0], [6.0, 4.0], [6.0, -4.0]), torch.tensor([[60.0, 3.7]])
     expected = WantedGoal().expected_path(paths, goal)
     assert torch.equal(expected, paths.median())
-    assert FutureGoal().expected_path(paths, goal)[0, 0, 0] > 1.3 * expected[0, 0, 0]
+    assert FutureGoal().expected_path(paths, goal)[0, 0, 0] > 1.2 * expected[0, 0, 0]
