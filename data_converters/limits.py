@@ -39,6 +39,9 @@ SIZES = ("length", "width", "height")
 OVERSHOOT = 1.25
 """Factor by which a smoothed speed may exceed the limit, because of noise."""
 
+UNLIKELY = 5.0
+"""Factor of the limit beyond which a usual speed tells of a wrong unit, not of a wrong mode."""
+
 SMALL_UNITS = (("cm", 1e-2), ("mm", 1e-3))
 """Units in m that positions may have in the place of metres, the larger first."""
 
@@ -149,7 +152,8 @@ class RecordingLimits:
         Raises:
             TrackError: Two samples are too far apart.
         """
-        moved, passed = _steps(time_s, position)
+        moved = np.hypot(*np.diff(position[:, :2], axis=0).T)
+        passed = np.diff(time_s)
         beyond = moved - self.speed_of(mode) * passed
         if len(beyond) and beyond.max() > self.slack_m:
             worst = int(beyond.argmax())
@@ -157,13 +161,9 @@ class RecordingLimits:
             usual = float(np.median(moved / passed))
             self._refuse_speed(mode, found, f"{where}, sample {worst + 1}", usual)
 
-    def jumps(self, time_s: Array, position: Array, mode: Mode) -> NDArray[np.bool_]:
-        """Steps, (n - 1,), between samples that are farther apart than anybody travels.
-
-        Arguments are those of `check_steps`.
-        """
-        moved, passed = _steps(time_s, position)
-        return moved - self.speed_of(mode) * passed > self.slack_m
+    def too_far(self, moved_m: Array, passed_s: Array, mode: Mode) -> NDArray[np.bool_]:
+        """Whether ways are longer than anybody of a mode travels in the time that passed."""
+        return moved_m - self.speed_of(mode) * passed_s > self.slack_m
 
     def _check_extent(self, track: RawTrack) -> None:
         for name in () if track.extent is None else SIZES:
@@ -209,7 +209,7 @@ class RecordingLimits:
         limit = self.speed_of(mode)
         needs = f"be at most {limit:g} m/s for mode '{mode.label}'"
         remedy = "Give metres and seconds, or raise `speed_mps`."
-        if usual_mps > limit:
+        if usual_mps > UNLIKELY * limit:
             fitting = [unit for unit, metres in SMALL_UNITS if usual_mps * metres <= limit]
             likely = f", as if positions were in {fitting[0]}" if fitting else ""
             remedy = f"It is {usual_mps:.3g} m/s as a rule{likely}. {remedy}"
@@ -236,8 +236,3 @@ def on_one_clock(first: Mapping[str, float], last: Mapping[str, float], span: fl
         if len(fits) >= len(chosen) and fits:
             chosen = fits
     return chosen
-
-
-def _steps(time_s: Array, position: Array) -> tuple[Array, Array]:
-    """Ways in m and durations in s from sample to sample."""
-    return np.hypot(*np.diff(position[:, :2], axis=0).T), np.diff(time_s)

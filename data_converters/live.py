@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 COLUMNS = ("time", "agent", "mode", "x", "y")
 SIZE = ("length", "width")
 NUMBERS = ("time", "x", "y", *SIZE)
+ENOUGH_STEPS = 5
+"""Steps of a track from which on its unit is judged."""
 
 
 class _Sampled(NamedTuple):
@@ -42,7 +44,8 @@ class LiveTracks:
         settings: Step, longest gap, standstill and smoother, as of the conversion of the training
             data; its `min_duration_s` plays no part.
         late_s: How old the last sample of an agent may be.
-        limits: Speeds that are believed, as of a conversion.
+        limits: Speeds that are believed, as of a conversion. A single sample that jumps is left
+            out; a track that jumps for good begins anew there.
 
     Raises:
         ConversionError: The smoother looks ahead, or `late_s` is negative.
@@ -81,8 +84,8 @@ class LiveTracks:
 
         Raises:
             ConversionError: A column is missing, a value is none of its kind, an agent has two
-                samples of one time or two modes or is faster than its mode, or the ego is not
-                present now.
+                samples of one time or two modes, or the ego is not present now or faster than its
+                mode.
         """
         _require_columns(table)
         names, ego = table["agent"].astype(str), str(ego)
@@ -98,7 +101,9 @@ class LiveTracks:
         grouped = {
             str(name): self._last_stretch(samples, str(name))
             for name, samples in seen.groupby("agent", sort=False)
+            if samples["time"].iloc[-1] >= self._oldest_s
         }
+        self._require_metres(seen[seen["agent"] == ego], f"the track of {ego!r}")
         tracks = {name: self._sampled(grouped.get(name), rows) for name in order}
         present = {name: track for name, track in tracks.items() if track is not None}
         require(
@@ -110,10 +115,9 @@ class LiveTracks:
             remedy="Wait for more samples, or raise `late_s`.",
         )
         modes = {name: _mode(grouped[name], name) for name in present}
-        for name, mode in modes.items():
-            velocity = present[name].velocity
-            known = np.isfinite(velocity).all(axis=1)
-            self.limits.check_smoothed(velocity[known], mode, f"the track of {name!r}")
+        velocity = present[ego].velocity
+        known = np.isfinite(velocity).all(axis=1)
+        self.limits.check_smoothed(velocity[known], modes[ego], f"the track of {ego!r}")
         return ObservedAgents(
             names=tuple(present),
             modes=tuple(mode.label for mode in modes.values()),
@@ -131,21 +135,47 @@ class LiveTracks:
         return round(steps) + 1
 
     def _last_stretch(self, samples: pd.DataFrame, name: str) -> pd.DataFrame:
-        """Samples of an agent, in the order of time, since its last gap or jump.
+        """Samples of an agent, in the order of time, since its last gap or lasting jump.
 
-        A tracker that takes one for another jumps once; where most samples jump, the unit is wrong.
+        A single sample that lies apart from both its neighbors is left out, and so is the last one
+        where it jumps: the next will tell whether a tracker took one for another.
         """
-        time_s, place = samples["time"].to_numpy(float), samples[["x", "y"]].to_numpy(float)
-        steps = np.diff(time_s)
+        steps = np.diff(samples["time"].to_numpy(float))
         same = int((steps <= 0.0).sum())
         where = f"the track of {name!r}"
         require(same == 0, "time", "differ from sample to sample", f"{same} repeated", where)
-        mode = Mode.named(str(samples["mode"].iloc[-1]))
-        jumps = self.limits.jumps(time_s, place, mode)
-        if 2 * jumps.sum() > len(jumps):
-            self.limits.check_steps(time_s, place, mode, where)
-        breaks = np.flatnonzero(jumps | (steps > self.settings.max_gap_s + 1e-6))
+        into = self._jumps(samples)
+        stray = np.zeros(len(samples), dtype=np.bool_)
+        stray[1:-1] = into[:-1] & into[1:] & ~self._jumps(samples, 2)
+        stray[-1] = into[-1:].any() and not stray[-2:-1].any()
+        samples = samples.iloc[~stray]
+        steps = np.diff(samples["time"].to_numpy(float))
+        breaks = np.flatnonzero(self._jumps(samples) | (steps > self.settings.max_gap_s + 1e-6))
         return samples.iloc[int(breaks[-1]) + 1 if len(breaks) else 0 :]
+
+    def _jumps(self, samples: pd.DataFrame, apart: int = 1) -> NDArray[np.bool_]:
+        """Whether samples so many rows apart are farther apart than anybody of the mode travels."""
+        if len(samples) <= apart:
+            return np.zeros(0, dtype=np.bool_)
+        time_s, place = samples["time"].to_numpy(float), samples[["x", "y"]].to_numpy(float)
+        mode = Mode.named(str(samples["mode"].iloc[-1]))
+        moved = np.hypot(*(place[apart:] - place[:-apart]).T)
+        return self.limits.too_far(moved, time_s[apart:] - time_s[:-apart], mode)
+
+    def _require_metres(self, samples: pd.DataFrame, where: str) -> None:
+        """Refuse an ego that is nearly always too fast: positions have another unit.
+
+        One is enough to tell; no decision ends because of what a tracker makes of somebody else.
+        """
+        jumps = self._jumps(samples)
+        if len(jumps) >= ENOUGH_STEPS and 2 * jumps.sum() > len(jumps):
+            time_s, place = samples["time"].to_numpy(float), samples[["x", "y"]].to_numpy(float)
+            self.limits.check_steps(time_s, place, Mode.named(str(samples["mode"].iloc[-1])), where)
+
+    @property
+    def _oldest_s(self) -> float:
+        """Time of the last sample of whoever is present now, at least."""
+        return -self.late_s - 1e-9
 
     def _sampled(self, samples: pd.DataFrame | None, rows: int) -> _Sampled | None:
         """A stretch, with NaN before its start; None if it is absent now."""
@@ -153,7 +183,7 @@ class LiveTracks:
             return None
         time_s = samples["time"].to_numpy(float)
         smoother, dt_s = self.settings.smoother, self.settings.dt_s
-        late = time_s[-1] < -self.late_s - 1e-9
+        late = time_s[-1] < self._oldest_s
         if late or len(time_s) < smoother.samples_needed:
             return None
         # from the start of the stretch on: a heading is held for as long as the agent stands

@@ -130,9 +130,9 @@ def test_what_cannot_be_used_is_told(change, told):
     ("metres", "unit"), [(1e2, "cm"), (1e3, "mm")], ids=["centimetres", "millimetres"]
 )
 def test_positions_in_another_unit_are_told_with_agent_speed_and_unit(metres, unit):
-    other = samples("other", "scooter")
-    table = pd.concat([samples(), other.assign(x=metres * other["x"], y=metres * other["y"])])
-    told = f"most 30 m/s for mode 'scooter', .* in the track of 'other'.*positions were in {unit}"
+    table = samples("me", "scooter")
+    table = table.assign(x=metres * table["x"], y=metres * table["y"])
+    told = f"most 30 m/s for mode 'scooter', .* in the track of 'me'.*positions were in {unit}"
     with pytest.raises(ValueError, match=f"`speed` must be at {told}"):
         LiveTracks()(table, "me")
 
@@ -148,6 +148,34 @@ def test_a_jump_parts_a_track_as_a_gap_does():
         np.isfinite(believed(jump, "me").position).sum()
         > np.isfinite(LiveTracks()(jump, "me").position).sum()
     )
+
+
+@pytest.mark.parametrize("back", [1, 2, 9], ids=["last", "last but one", "earlier"])
+def test_a_stray_sample_is_left_out(back):
+    """Nobody vanishes, and nobody speeds away, because of one of them."""
+    table = samples()
+    stray = table.copy()
+    row = stray.index[stray["time"].argsort().iloc[-back]]
+    stray.loc[row, "x"] += 8.0
+    now = table["time"].max()
+    found, without = (
+        LiveTracks()(rows, "me", now_s=now) for rows in (stray, stray.drop(index=row))
+    )
+    for one, other in zip(found, without, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_what_a_tracker_makes_of_others_ends_no_decision():
+    table, other = samples(), samples("other", "pedestrian")
+    two = other.tail(2).assign(x=[0.0, 20.0])
+    flickering = other.assign(x=other["x"] + 30.0 * (np.arange(len(other)) % 3 == 0))
+    moped = other.assign(x=17.0 * other["time"])
+    unknown = other.head(5).assign(mode="drone")
+    alone = LiveTracks()(table, "me")
+    for others in (two, flickering, moped, unknown):
+        found = LiveTracks()(pd.concat([table, others]), "me")
+        np.testing.assert_array_equal(found.position[0], alone.position[0])
+    assert LiveTracks()(pd.concat([table, moped]), "me").names == ("me", "other")
 
 
 @pytest.mark.parametrize(
