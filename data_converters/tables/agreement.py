@@ -16,6 +16,8 @@ LONGEST_SPAN_S = 2.0
 """Across a longer gap nobody knows the course."""
 MOVING_MPS = 1.0
 """Speed from which on an agent has a course."""
+MOST = 0.75
+"""Share of its rows in which an agent says that it moves, for it to be believed."""
 ENOUGH_ROWS = 20
 """Moving rows from which on a median is believed."""
 TURN_SLACK = 1.01
@@ -58,9 +60,17 @@ def require_agreement(
     if "heading" in table:
         _require_course(moving, columns, where)
     if "speed" in table:
-        # where positions hardly move, those who say that they do
-        stated = steps[steps["stated"].abs() >= MOVING_MPS]
-        _require_speed(moving if len(moving) >= ENOUGH_ROWS else stated, columns, units, where)
+        few = len(moving) < ENOUGH_ROWS
+        _require_speed(_said_to_move(steps) if few else moving, columns, units, where)
+
+
+def _said_to_move(steps: pd.DataFrame) -> pd.DataFrame:
+    """All rows of agents that say in most of them that they move, wherever positions hardly do.
+
+    Single rows above the threshold would be those in which noise is high.
+    """
+    usual = steps["stated"].abs().groupby(steps["agent"]).transform("quantile", 1.0 - MOST)
+    return steps[usual >= MOVING_MPS]
 
 
 def _require_turns(

@@ -135,6 +135,25 @@ def test_what_can_be_is_believed(dataset, changes):
     assert len(first_scene(found, strict=False).tracks) == 1
 
 
+# their own differences at 25 Hz, of places with noise of 2 cm; the noise of a speedometer alone
+@pytest.mark.parametrize(
+    ("pace", "noise_m", "noise_mps"), [(0.3, 0.02, 0.0), (0.0, 0.0, 0.5)], ids=["walk", "stand"]
+)
+def test_noisy_speeds_of_the_slow_are_believed(dataset, pace, noise_m, noise_mps):
+    random = np.random.default_rng(1)
+    time_s = np.arange(0.0, 20.0, 0.04)
+    rows = []
+    for agent in range(3):
+        x = pace * time_s + random.normal(0.0, noise_m, len(time_s))
+        y = 2.0 * agent + random.normal(0.0, noise_m, len(time_s))
+        differences = np.hypot(np.gradient(x, time_s), np.gradient(y, time_s))
+        v = np.abs(differences + random.normal(0.0, noise_mps, len(time_s)))
+        path = {"time": time_s, "x": x, "y": y, "v": v}
+        rows.append(pd.DataFrame({**path, "agent": agent, "type": "pedestrian"}))
+    found = dataset(tables={"day": pd.concat(rows)}, columns=TableColumns(speed="v"))
+    assert len(first_scene(found).tracks) == 3
+
+
 def test_a_table_without_a_place_is_no_fault_of_the_units(dataset):
     columns = TableColumns(heading="face", speed="v")
     rows = table(face=0.0, v=4.0, x=np.nan)
