@@ -18,15 +18,16 @@ from data_converters.plain_files import require_plain
 SEPARATORS = (",", ";", "\t", "|")
 
 
-def read_table(path: Path, names: Collection[str]) -> pd.DataFrame:
+def read_table(path: Path, names: Collection[str], numbers: Collection[str] = ()) -> pd.DataFrame:
     """A table as it is, its rows numbered from 0; names of text files without blanks around them.
 
     Args:
         path: The file.
         names: Columns that hold names: a number of many digits stays as it is written.
+        numbers: Columns that hold numbers; all others are not read, and may have any name.
 
     Raises:
-        TrackError: If it is none.
+        TrackError: If it is none, or has a column that is read twice.
     """
     if path.suffix != ".parquet":
         with told_as_fault(path):
@@ -35,7 +36,7 @@ def read_table(path: Path, names: Collection[str]) -> pd.DataFrame:
             table = read(dtype={each: str for each in written if each.strip() in names})
         require_header(table, path)
         table = table.rename(columns=str.strip)
-        twice = sorted(set(table.columns[table.columns.duplicated()]))
+        twice = sorted({*names, *numbers} & set(table.columns[table.columns.duplicated()]))
         if twice:
             needs, remedy = "name every column once", "Rename one, blanks do not count."
             refuse_track(RejectReason.MISSING_FIELD, "header", needs, twice, path, remedy)

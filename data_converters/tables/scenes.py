@@ -37,7 +37,8 @@ class SceneTables:
         if path not in self._latest:
             self._latest.clear()
             named = self.columns.named()
-            self._latest[path] = read_table(path, {named[each] for each in NAMES if each in named})
+            names = {named[each] for each in NAMES if each in named}
+            self._latest[path] = read_table(path, names, self.columns.numbers())
         return self._latest[path]
 
     def scenes(self, path: Path) -> Mapping[str | None, str]:

@@ -37,6 +37,12 @@ def test_columns_that_differ_by_blanks_alone_are_refused(tmp_path):
         first_scene(written(tmp_path, text))
 
 
+def test_columns_that_are_not_read_may_have_one_name(tmp_path):
+    rows = table(note=1, other=2, gap=3, hole=4).to_csv(index=False)
+    text = rows.replace("other", " note").replace("gap", " ").replace("hole", "  ")
+    assert len(first_scene(written(tmp_path, text)).tracks) == 1
+
+
 def test_controls_have_decimal_commas_too(tmp_path):
     text = table(steer=0.25).to_csv(index=False, sep=";", decimal=",")
     columns = TableColumns(controls={"steer": "steer"})
