@@ -5,12 +5,15 @@ same too.
 """
 
 import math
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
+from operator import index
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
-from typing import Any
+from typing import Any, SupportsIndex
+
+from torch import Tensor
 
 from diffstack_mmv.checks import require, require_one_of, require_positive, require_whole
 from diffstack_mmv.dynamics.catalogue import load_dynamics
@@ -180,7 +183,10 @@ class CrowdNav:
         return _built("controller", self.controller, given)
 
     def drive(
-        self, cases: Sequence[int] = range(100), phase: str = "test", folder: Path | None = None
+        self,
+        cases: Iterable[SupportsIndex] = range(100),
+        phase: str = "test",
+        folder: Path | None = None,
     ) -> dict[str, Any]:
         """Drive cases, all of them as one batch, and judge them.
 
@@ -193,17 +199,32 @@ class CrowdNav:
             Rates, times (s) and distances (m) as in `closed_loop.json`, and the cases one by one.
 
         Raises:
-            ValueError: A case does not exist or is named twice, or the folder holds episodes of
-                other settings.
+            ValueError: A case is no whole number, does not exist or is named twice, or the folder
+                holds episodes of other settings.
         """
-        listed = isinstance(cases, Sequence) and not isinstance(cases, str)
-        remedy = "Write range(3) for the first three, or [3] for one."
-        require(listed, "cases", "be a list or a range of numbers", repr(cases), "", remedy)
+        numbers = _listed(cases)
         method = Method(self.controller, self.world(), self.driver, repr(self))
         with TemporaryDirectory() as passing:
             kept = Path(passing) if folder is None else folder
-            campaign = Campaign(method, self.cases(), cases, kept, len(cases), phase)
+            campaign = Campaign(method, self.cases(), numbers, kept, len(numbers), phase)
             return summarise(list(campaign.run()))
+
+
+def _listed(cases: Iterable[SupportsIndex]) -> list[int]:
+    """Numbers of cases, those of an array or of a generator too.
+
+    Raises:
+        ValueError: There are none to go through, or one is not whole.
+    """
+    text = isinstance(cases, str | bytes)
+    # an array or a tensor without dimensions has an `__iter__` that fails
+    listed = isinstance(cases, Iterable) and not text and getattr(cases, "ndim", 1) > 0
+    remedy = "Write range(3) for the first three, or [3] for one."
+    require(listed, "cases", "be a list or a range of numbers", repr(cases), "", remedy)
+    numbers = cases.tolist() if isinstance(cases, Tensor) else list(cases)
+    for place, number in enumerate(numbers):
+        require_whole(f"cases[{place}]", number)
+    return [index(number) for number in numbers]
 
 
 def _require_file(group: str, name: str, given: Set[str]) -> None:

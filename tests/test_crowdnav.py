@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
@@ -94,6 +95,15 @@ def test_cases_are_driven_and_kept(tmp_path):
     assert math.isfinite(study.drive([0])["mean_episode_min_dist_m"])
 
 
+@pytest.mark.parametrize(
+    "cases",
+    [np.arange(2), torch.arange(2), (case for case in (0, 1))],
+    ids=["array", "tensor", "generator"],
+)
+def test_cases_are_any_whole_numbers(cases):
+    assert CrowdNav(controller="straight", limit_s=0.25).drive(cases)["n"] == 2
+
+
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("given", "told"),
@@ -127,11 +137,13 @@ def test_settings_of_nothing_are_refused(given, told):
         (3, "`cases` must be a list or a range of numbers, but got 3. Write range(3) for the fir"),
         ("12", "`cases` must be a list or a range of numbers, but got '12'"),
         ([3, 4, 3], "`cases` must name each case once, but got 3 more than once"),
+        (np.array(3), "`cases` must be a list or a range of numbers, but got array(3)"),
+        ([0, 1.5], "`cases[1]` must be a whole number, but got 1.5"),
         ([], "`cases` must name at least one case"),
     ],
 )
 def test_cases_that_cannot_be_counted_are_refused(cases, told):
-    with pytest.raises(ValueError, match="`cases`") as raised:
+    with pytest.raises(ValueError, match="`cases") as raised:
         CrowdNav(controller="straight").drive(cases)
     assert told in str(raised.value)
 
