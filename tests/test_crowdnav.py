@@ -119,8 +119,10 @@ def test_cases_are_any_whole_numbers(cases):
         ({"limits": {**LIMITS, "jerk": 1.0}}, "Give these three and no other."),
         (
             {"limits": {**LIMITS, "speed_max_mps": "fast"}},
-            "`limits.speed_max_mps` must be a number",
+            "`limits.speed_max_mps` must be a finite number, but got 'fast'",
         ),
+        ({"limits": {**LIMITS, "speed_max_mps": math.nan}}, "be a finite number, but got nan"),
+        ({"limits": {**LIMITS, "speed_max_mps": True}}, "be a finite number, but got True"),
         ({"limits": {**LIMITS, "speed_max_mps": 0.0}}, "`limits.speed_max_mps` must be positive"),
     ],
 )

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any
 
 import torch
@@ -32,7 +33,7 @@ class SimulatedVehicle:
         name: Name of `dynamics` where it is no name itself.
 
     Raises:
-        ValueError: A limit is missing, unknown or no number.
+        ValueError: A limit is missing, unknown or no finite number.
     """
 
     vehicle: Mapping[str, Any]
@@ -48,8 +49,10 @@ class SimulatedVehicle:
         remedy = "Give these three and no other."
         require(complete, "limits", f"hold {', '.join(wanted)}", self.limits, "", remedy)
         for key, value in self.limits.items():
-            number = hasattr(value, "__float__")
-            require(number, f"limits.{key}", "be a number", repr(value))
+            number = isinstance(value, Real) and not isinstance(value, bool)
+            # beside the vehicle's own, what is not a number would count as no limit
+            finite = number and math.isfinite(value)
+            require(finite, f"limits.{key}", "be a finite number", repr(value))
 
     @property
     def dynamics_name(self) -> str:
