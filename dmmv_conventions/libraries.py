@@ -45,31 +45,36 @@ def build(source: str, target: Path, machine: str = "native", *flags: str) -> No
     Raises:
         CannotBuildError: There is no compiler, it refuses the source, or it takes too long.
     """
-    from torch._inductor.cpp_builder import get_cpp_compiler
-    from torch._inductor.exc import InvalidCxxCompiler
-
     target.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=target.parent) as folder:
         written, library = Path(folder, "source.cpp"), Path(folder, target.name)
         written.write_text(source)
+        options = (*FLAGS, *flags, f"-march={machine}")
+        command = [_compiler(), *options, str(written), "-o", str(library)]
         try:
-            command = [
-                get_cpp_compiler(),
-                *FLAGS,
-                *flags,
-                f"-march={machine}",
-                str(written),
-                "-o",
-                str(library),
-            ]
             done = subprocess.run(
                 command, capture_output=True, text=True, timeout=LIMIT_S, check=False
             )
-        except (InvalidCxxCompiler, OSError, subprocess.TimeoutExpired) as failure:
+        except (OSError, subprocess.TimeoutExpired) as failure:
             raise CannotBuildError(str(failure)) from failure
         if done.returncode:
             raise CannotBuildError(next(iter(done.stderr.splitlines()), "no message"))
         os.replace(library, target)
+
+
+def _compiler() -> str:
+    """The C++ compiler.
+
+    Raises:
+        CannotBuildError: There is none.
+    """
+    from torch._inductor.cpp_builder import get_cpp_compiler
+    from torch._inductor.exc import InvalidCxxCompiler
+
+    try:
+        return get_cpp_compiler()
+    except (InvalidCxxCompiler, OSError) as failure:
+        raise CannotBuildError(str(failure)) from failure
 
 
 def require_machine(machine: str) -> None:
@@ -77,7 +82,9 @@ def require_machine(machine: str) -> None:
 
     Raises:
         ValueError: It cannot be built; this says why.
+        CannotBuildError: There is no compiler.
     """
+    _compiler()  # without one, no processor is to blame
     with tempfile.TemporaryDirectory() as folder:
         try:
             build("", Path(folder, "nothing.so"), machine)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from torch._inductor.exc import InvalidCxxCompiler
 
 from dmmv_conventions import libraries
 from dmmv_conventions.libraries import CannotBuildError
@@ -37,3 +38,12 @@ def test_what_cannot_be_built_is_told_once(monkeypatch, caplog):
     assert tried == ["int never_built;"]
     told = [each.getMessage() for each in caplog.records if each.name == libraries.__name__]
     assert told == ["No library for nothing at all (no compiler): tensors"]
+
+
+def test_without_a_compiler_no_processor_is_to_blame(monkeypatch):
+    def nothing(search):
+        raise InvalidCxxCompiler
+
+    monkeypatch.setattr("torch._inductor.cpp_builder.cpp_compiler_search", nothing)
+    with pytest.raises(CannotBuildError, match="No working C"):
+        libraries.require_machine("x86-64")
