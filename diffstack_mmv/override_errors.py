@@ -1,6 +1,5 @@
 """What is wrong with a command line that Hydra cannot compose, told in one line."""
 
-import difflib
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ from hydra.errors import HydraException, MissingConfigException, OverrideParseEx
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from dmmv_conventions.checks import message
+from dmmv_conventions.checks import alike, did_you_mean, message
 
 PLACE = "on the command line"
 _ALL_KEYS = "`--cfg job` prints all keys."
@@ -71,7 +70,7 @@ def told_of_folder(error: OSError) -> str:
 def _unknown_option(file: str, options: Sequence[str]) -> str:
     group, _, name = file.rpartition("/")
     extra = next((_EXTRAS[begin] for begin in _EXTRAS if file.startswith(begin)), None)
-    close = difflib.get_close_matches(name, options, 2, 0.5)
+    close = alike(name, options, 2, 0.5)
     remedy = f"Did you mean {group}={' or '.join(close)}?" if close else ""
     if extra is not None:
         remedy = f"Install it: pip install 'diffstack_mmv[{extra}]'."
@@ -88,10 +87,8 @@ def _unknown_key(key: str, arguments: Sequence[str], folder: Path, config_name: 
         given = _given(bare, arguments)
         return message(bare, "hold no other keys than it has", given, PLACE, remedy)
     last = [each for each in keys if each.rpartition(".")[2] == bare.rpartition(".")[2]]
-    close = difflib.get_close_matches(bare, last, 1, 0.0) or difflib.get_close_matches(
-        bare, keys, 1
-    )
-    remedy = f"Did you mean `{close[0]}`? {_ALL_KEYS}" if close else _ALL_KEYS
+    meant = did_you_mean(bare, last, "`", 0.0) or did_you_mean(bare, keys, "`")
+    remedy = f"{meant} {_ALL_KEYS}".lstrip()
     wanted = f"be a key of the configuration of {config_name}"
     return message(bare, wanted, _given(bare, arguments), PLACE, remedy)
 

@@ -4,12 +4,11 @@ A word too many is otherwise told when the part is built, after everything that 
 imported, and with a traceback.
 """
 
-import difflib
 from collections.abc import Mapping
 from operator import itemgetter
 from typing import Any
 
-from dmmv_conventions.checks import message
+from dmmv_conventions.checks import did_you_mean, message
 from dmmv_conventions.definitions import defined
 from dmmv_conventions.targets import nodes
 
@@ -37,8 +36,7 @@ def require_arguments(content: Any) -> None:
         if taken is None:
             continue
         for name in sorted(set(node) - _OF_HYDRA - taken):
-            close = difflib.get_close_matches(name, taken, 1)
-            remedy = f"Did you mean `{close[0]}`?" if close else "Remove it."
+            remedy = did_you_mean(name, taken, "`") or "Remove it."
             key = f"{place}.{name}".lstrip(".")
             wanted = f"be an argument of {target}"
             raise ValueError(message(key, wanted, node[name], "in the configuration", remedy))

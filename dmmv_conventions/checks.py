@@ -5,7 +5,7 @@ Every message reads "`argument` must requirement, but got value where. remedy".
 
 import difflib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from numbers import Integral
 
 
@@ -109,18 +109,36 @@ def require_between(
     require(inside, argument, f"lie in [{low}, {high}]", value, where, remedy)
 
 
-def did_you_mean(name: str, choices: Sequence[str]) -> str:
+def alike(name: str, choices: Iterable[str], count: int = 1, likeness: float = 0.6) -> list[str]:
+    """Known names that are most like a wrong one; case does not count.
+
+    Args:
+        name: What was given.
+        choices: The known names.
+        count: How many at most.
+        likeness: How much they have in common at least: 1 is everything, 0 is nothing.
+
+    Returns:
+        The names as they are known, the most alike first.
+    """
+    known = {choice.lower(): choice for choice in choices}
+    return [known[each] for each in difflib.get_close_matches(name.lower(), known, count, likeness)]
+
+
+def did_you_mean(name: str, choices: Iterable[str], mark: str = "'", likeness: float = 0.6) -> str:
     """The question whether the known name that is most like a wrong one was meant.
 
     Args:
         name: What was given; case does not count.
         choices: The known names.
+        mark: What stands around the name: a ` around that of a key or an argument.
+        likeness: As in `alike`.
 
     Returns:
         The question, "" where none is alike.
     """
-    close = difflib.get_close_matches(name.lower(), choices, 1)
-    return f"Did you mean '{close[0]}'?" if close else ""
+    close = alike(name, choices, 1, likeness)
+    return f"Did you mean {mark}{close[0]}{mark}?" if close else ""
 
 
 def require_one_of(argument: str, value: str, choices: Sequence[str], where: str = "") -> None:

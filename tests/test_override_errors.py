@@ -35,6 +35,8 @@ def answer(monkeypatch, capsys, tmp_path):
         (["vehicle=bike"], "bicycle? A vehicle of your own is the path of a YAML file."),
         (["epoch=3"], "`epoch` must be a key of the configuration of train, but got epoch=3 on the"
          " command line. Did you mean `epochs`?"),
+        (["dynamics=KBM"], "Did you mean dynamics=kbm"),
+        (["EPOCHS=3"], "Did you mean `epochs`?"),
         (["optim.lr=3"], "Did you mean `optim.optimizer.lr`?"),
         (["data=csv", "data.columns.xx=a"], "Did you mean `data.columns.x`?"),
         (["~goall"], "`goall` must be a key of the configuration of train, but got ~goall"),

@@ -76,7 +76,7 @@ class TableDataset(MultiAgentDataset):
             **given,
         }.items():
             known, needs = str(label).lower() in OWN_NAMES, f"be one of {', '.join(OWN_NAMES)}"
-            meant = did_you_mean(str(label), list(OWN_NAMES))
+            meant = did_you_mean(str(label), OWN_NAMES)
             require(known, place, needs, label, "", meant or "Choose one.")
         needs, remedy = "be given where the tables have no type", "Set data.mode or a column."
         typed = self.columns.type is not None or self.mode is not None
@@ -221,7 +221,7 @@ class TableDataset(MultiAgentDataset):
         column = f"column '{self.columns.type}'"
         if not isinstance(label, str):
             return f"Fill in {column} in every row."
-        meant = did_you_mean(label, [kind.lower() for kind in self.types])
+        meant = did_you_mean(label, map(str, self.types))
         setting = f"+data.types.{label}=MODE" if re.fullmatch(r"[\w-]+", label) else "`types`"
         return f"{meant} Correct {column}, or add the type: {setting}.".lstrip()
 

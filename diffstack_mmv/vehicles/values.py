@@ -1,11 +1,10 @@
 """Single values of a vehicle's file: what is refused is told with its place in the file."""
 
-import difflib
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
 from typing import Any
 
-from dmmv_conventions.checks import require
+from dmmv_conventions.checks import did_you_mean, require
 
 
 def require_keys(
@@ -32,8 +31,7 @@ def require_keys(
     )
     known = [*required, *optional]
     for key in mapping:
-        close = difflib.get_close_matches(str(key), known, 1, 0.5)
-        hint = f"Did you mean `{close[0]}`?" if close else "Remove it."
+        hint = did_you_mean(str(key), known, "`", 0.5) or "Remove it."
         require(
             key in known,
             f"{path}{key}",

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dmmv_conventions.checks import message, require, require_multiple, require_one_of
+from dmmv_conventions.checks import did_you_mean, message, require, require_multiple, require_one_of
 
 
 @pytest.mark.parametrize(
@@ -48,3 +48,8 @@ def test_a_wrong_name_is_told_the_one_that_may_be_meant(name, told):
     require_one_of("split", "val", ["train", "val"])
     with pytest.raises(ValueError, match=f"`split` must be one of train, val, {told}"):
         require_one_of("split", name, ["train", "val"])
+
+
+@pytest.mark.parametrize("name", ["DIFFKBM", "diffkbm", "DiffKMB"])
+def test_case_does_not_count_where_a_name_is_looked_for(name):
+    assert did_you_mean(name, ["DiffGM3", "DiffKBM"]) == "Did you mean 'DiffKBM'?"

@@ -32,6 +32,7 @@ MISTAKES = [
     ("mass_kg", -90.0, "`mass_kg` must be positive, but got -90.0 for vehicle 'bicycle'"),
     ("mass_kg", "90 kg", "`mass_kg` must be a number, but got '90 kg'"),
     ("mass", 90.0, "Did you mean `mass_kg`"),
+    ("MASS_KG", 90.0, "Did you mean `mass_kg`"),
     ("height_m", None, "`height_m` must be given"),
     ("parameters/friction/unit", None, "`parameters.friction.unit` must be given"),
     ("parameters/friction/unit", "N", "`parameters.friction.unit` must be '1', but got 'N'"),
