@@ -16,6 +16,7 @@ from diffstack_mmv.simulation import DiffMPCController, drive
 from diffstack_mmv.vehicles import config_folder, load_vehicle
 
 CONTROLLERS = config_folder() / "controller"
+EGO = {"controller": "diffmpc_ego"}
 OTHER = {
     "vehicle": "scooter", "dynamics": "gm3", "scenario": "square_crossing", "footprint": "vehicle",
     "people": "constant_velocity", "controller": "diffmpc_crowded",
@@ -33,8 +34,11 @@ def composed(choices, limit_s):
 
 @pytest.mark.parametrize(
     "choices",
-    [{"controller": "mppi"}, *(pytest.param(each, marks=pytest.mark.slow) for each in ({}, OTHER))],
-    ids=["mppi", "as configured", "all others"],
+    [
+        {"controller": "mppi"},
+        *(pytest.param(each, marks=pytest.mark.slow) for each in ({}, EGO, OTHER)),
+    ],
+    ids=["mppi", "as configured", "estimating", "all others"],
 )
 def test_episodes_are_those_of_the_command_line(choices):
     own = CrowdNav(**choices, limit_s=0.25)
@@ -58,7 +62,7 @@ def test_a_disturbed_robot_is_that_of_the_command_line():
     assert own.driver().delay.share == controller.delay.share
 
 
-@pytest.mark.parametrize("name", sorted(set(names_in(CONTROLLERS)) - {"diffmpc_ego", "ppo"}))
+@pytest.mark.parametrize("name", sorted(set(names_in(CONTROLLERS)) - {"ppo"}))
 def test_every_controller_without_files_of_its_own_is_that_of_the_command_line(name):
     own = CrowdNav(controller=name, delay_s=0.15).driver()
     _, expected, _ = composed({"controller": name}, 0.25)
@@ -72,7 +76,6 @@ def test_every_controller_without_files_of_its_own_is_that_of_the_command_line(n
 @pytest.mark.parametrize(
     ("given", "told"),
     [
-        ({"controller": "diffmpc_ego"}, "diffmpc_ego, which needs ...instruments.position_m"),
         ({"controller": "ppo"}, "`controller` must need nothing that the command line alone knows"),
         ({"controller": "ppo"}, "but got ppo, which needs policy"),
         ({"people": "predictor"}, "but got predictor, which needs people_checkpoint"),

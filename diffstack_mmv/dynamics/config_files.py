@@ -5,13 +5,13 @@ build on others beside it (`defaults`).
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
-from diffstack_mmv.checks import message, require_one_of
+from diffstack_mmv.checks import message, require, require_one_of
 from dmmv_conventions.yaml_files import load_plain
 
 SELF = "_self_"
@@ -32,19 +32,13 @@ def settings_of(name: str, folder: Path) -> dict[str, Any]:
         folder: The folder of the file and of those it builds on; its name is that of the group.
 
     Returns:
-        Plain values; interpolations as they are written.
+        Plain values; interpolations as they are written, but for those within the file (`${.x}`).
 
     Raises:
-        ValueError: There is no such file.
+        ValueError: There is no such file, or nothing where an interpolation within it points.
     """
-    content = _content(name, folder)
-    bases = [base for base in content.pop("defaults", []) if not isinstance(base, Mapping)]
-    settings: dict[str, Any] = {}
-    for base in bases if SELF in bases else [*bases, SELF]:
-        sibling, _, key = base.partition("@")
-        below = content if base == SELF else settings_of(sibling, folder)
-        settings = _merged(settings, {key: below} if key else below)
-    return settings
+    settings = _layered(name, folder)
+    return _with_relatives(settings, [settings])
 
 
 def chosen_in(name: str, folder: Path) -> dict[str, str]:
@@ -52,6 +46,43 @@ def chosen_in(name: str, folder: Path) -> dict[str, str]:
     bases = _content(name, folder).get("defaults", [])
     overrides = [each for base in bases if isinstance(base, Mapping) for each in base.items()]
     return {key.removeprefix("override /").partition("@")[0]: option for key, option in overrides}
+
+
+def _layered(name: str, folder: Path) -> dict[str, Any]:
+    """Settings of one file over those of the files it builds on."""
+    content = _content(name, folder)
+    bases = [base for base in content.pop("defaults", []) if not isinstance(base, Mapping)]
+    settings: dict[str, Any] = {}
+    for base in bases if SELF in bases else [*bases, SELF]:
+        sibling, _, key = base.partition("@")
+        below = content if base == SELF else _layered(sibling, folder)
+        settings = _merged(settings, {key: below} if key else below)
+    return settings
+
+
+def _with_relatives(content: Any, holders: Sequence[Any]) -> Any:
+    """Settings in which `${.x}` is the neighbour x, and each further dot is one level up.
+
+    Args:
+        content: Some of the settings.
+        holders: All settings, what lies in them on the way to these, and these.
+
+    Raises:
+        ValueError: There is no such neighbour.
+    """
+    if isinstance(content, Mapping):
+        return {k: _with_relatives(value, [*holders, value]) for k, value in content.items()}
+    if isinstance(content, list):
+        return [_with_relatives(value, [*holders, value]) for value in content]
+    found = re.fullmatch(r"\$\{(\.+)([\w.]+)\}", content) if isinstance(content, str) else None
+    if found is None or len(found[1]) >= len(holders):
+        return content
+    path = list(holders[: -len(found[1])])
+    for key in found[2].split("."):
+        inside = isinstance(path[-1], Mapping) and key in path[-1]
+        require(inside, "settings", "hold what their interpolations name", repr(content))
+        path.append(path[-1][key])
+    return _with_relatives(path[-1], path)
 
 
 def _content(name: str, folder: Path) -> dict[str, Any]:

@@ -56,6 +56,16 @@ def test_a_setting_that_only_a_command_line_knows_is_refused(tmp_path):
         factory(settings_of("mine", tmp_path))
 
 
+def test_interpolations_within_a_file_are_followed_as_by_omegaconf(tmp_path):
+    text = "a: {b: 1, c: '${.b}', d: {e: '${..c}', f: ['${....a.d.e}']}}\ng: '${.a.d}'\n"
+    (tmp_path / "mine.yaml").write_text(text)
+    resolved = OmegaConf.to_container(OmegaConf.create(text), resolve=True)
+    assert settings_of("mine", tmp_path) == resolved
+    (tmp_path / "mine.yaml").write_text("a: {b: '${..c}'}")
+    with pytest.raises(ValueError, match=r"`settings` must hold .*, but got '\$\{\.\.c\}'"):
+        settings_of("mine", tmp_path)
+
+
 def test_installed_files_are_found_as_well(monkeypatch, tmp_path):
     installed = tmp_path / "diffstack_mmv_configs"
     shutil.copytree(config_folder() / "dynamics", installed / "dynamics")
