@@ -34,7 +34,13 @@ with needs_to_run("stack", "the command lines"):
 
     from diffstack_mmv.child_processes import end_with_parent
     from diffstack_mmv.command_line import folders_as, understood
-    from diffstack_mmv.composition import changed_defaults, composed_once, value_of
+    from diffstack_mmv.composition import (
+        Setting,
+        changed_defaults,
+        composed_once,
+        settings_in,
+        value_of,
+    )
     from diffstack_mmv.config_checks import require_complete, require_same_type, require_seed
     from diffstack_mmv.failures import composition_told, failures_told
     from diffstack_mmv.run_checks import config_file, require_own_config, require_own_folder
@@ -45,6 +51,7 @@ with needs_to_run("stack", "the command lines"):
 __all__ = [
     "DictConfig",
     "OmegaConf",
+    "Setting",
     "admit_any",
     "changed_defaults",
     "command",
@@ -52,6 +59,7 @@ __all__ = [
     "get_class",
     "instantiate",
     "save_config",
+    "settings_in",
 ]
 
 # `${smaller:a,b}`, and the smallest turning radius of a vehicle

@@ -4,10 +4,10 @@ Left to itself Hydra composes it a second time to find its mode, and the default
 compared with would be a third: half a second of the time until a mistake is told.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any
+from typing import Any, NamedTuple
 
 from hydra import compose
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
@@ -15,8 +15,11 @@ from hydra._internal.hydra import Hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
+from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+
+from dmmv_conventions.checks import message
 
 _ELSEWHERE = ("--config", "-cd", "-cn", "-cp", "hydra")
 """What in a command line may change the mode of Hydra, besides its own options for that."""
@@ -68,6 +71,38 @@ def changed_defaults(config_name: str) -> Mapping[str, Any]:
     others = [str(each.input_line) for each in parsed if each.get_key_element() not in keys]
     defaults = compose(config_name, others) if keys else OmegaConf.create()
     return {key: value_of(defaults, key) for key in keys}
+
+
+class Setting(NamedTuple):
+    """A word of a command line.
+
+    Attributes:
+        word: As it is typed.
+        value: What Hydra reads of it, without quotes.
+    """
+
+    word: str
+    value: Any
+
+
+def settings_in(words: Iterable[str]) -> dict[str, Setting]:
+    """Key -> setting that the words of a command line leave it, whether it is changed or added.
+
+    Raises:
+        ValueError: A word is no setting.
+    """
+    found: dict[str, Setting] = {}
+    parser = OverridesParser.create()
+    for word in words:
+        try:
+            parsed = parser.parse_override(word)
+        except HydraException as error:
+            raise ValueError(message("settings", "read key=value", repr(word))) from error
+        key = parsed.get_key_element().lstrip("+~")
+        found.pop(key, None)
+        if not parsed.is_delete():
+            found[key] = Setting(word, parsed.value())
+    return found
 
 
 def _changed(overrides: Sequence[Override]) -> list[str]:

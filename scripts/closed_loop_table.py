@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
+from diffstack_mmv.cli import DictConfig, OmegaConf, Setting, command, instantiate, settings_in
 from diffstack_mmv.command_line import quoted
 from diffstack_mmv.config_checks import require_checkpoint
 from diffstack_mmv.data_checks import Conversion, require_conversions
@@ -28,19 +28,27 @@ ALONE = ("beside=[]", "wandb=none", "animate=0")
 
 
 def check(config: DictConfig) -> None:
-    """Refuse rows and places that the table does not have, and drives that lack their data."""
+    """Refuse rows and places that the table does not have, and drives that lack their data.
+
+    What is left can be told without them.
+    """
     for name in ("rows", "places"):
         known = list(config.table[name])
         unknown = sorted(set(config[name] or ()) - set(known))
         require(not unknown, name, f"be some of {known}", unknown)
     instantiate(config.launcher)
-    out = Path(config.out)
-    left = [row for row in _rows(config, out) if not row.result.is_file()]
-    drives = [_settings(config, row) for row in left]
+    if not config.dry_run:
+        _require_read(config)
+
+
+def _require_read(config: DictConfig) -> None:
+    """Refuse drives that lack what they read."""
+    left = [row for row in _rows(config, Path(config.out)) if not row.result.is_file()]
+    drives = [settings_in(_settings(config, row).values()) for row in left]
     require_conversions(each for drive in drives for each in _conversions(drive))
-    for drive in map(_values, drives):
-        if drive.get("people") == "predictor":
-            require_checkpoint("people_checkpoint", drive.get("people_checkpoint"))
+    for drive in drives:
+        if _text(drive, "people") == "predictor":
+            require_checkpoint("people_checkpoint", _text(drive, "people_checkpoint"))
 
 
 def admit(config: DictConfig) -> None:
@@ -102,24 +110,24 @@ def _settings(config: DictConfig, row: DrivenRow) -> dict[str, str]:
     return {str(each).partition("=")[0]: str(each) for part in parts for each in part}
 
 
-def _values(settings: Mapping[str, str]) -> dict[str, str]:
-    """Key -> value without the quotes that Hydra takes off."""
-    return {key: each.partition("=")[2].strip("'\"") for key, each in settings.items()}
+def _text(drive: Mapping[str, Setting], key: str) -> str | None:
+    """Value of a key as text, none where it is not given or none."""
+    value = drive[key].value if key in drive else None
+    return None if value is None else str(value)
 
 
-def _conversions(settings: Mapping[str, str]) -> Iterator[Conversion]:
+def _conversions(drive: Mapping[str, Setting]) -> Iterator[Conversion]:
     """The converted data set that a drive among recorded people reads."""
-    values = _values(settings)
-    file = config_folder() / "data" / f"{values.get('data')}.yaml"
-    if not values.get("crowd", "").startswith("replay") or not file.is_file():
+    file = config_folder() / "data" / f"{_text(drive, 'data')}.yaml"
+    if not (_text(drive, "crowd") or "").startswith("replay") or not file.is_file():
         return
     config = OmegaConf.create({"data": OmegaConf.load(file)})
     # what has a module of its own reads the recordings themselves
-    if "module" in config.data or "data.cache" not in values:
+    if "module" in config.data or "data.cache" not in drive:
         return
-    for key in (key for key in values if key.startswith("data.")):
-        OmegaConf.update(config, key, values[key])
-    words = [each for key, each in settings.items() if key.partition(".")[0] == "data"]
+    for key in (key for key in drive if key.startswith("data.")):
+        OmegaConf.update(config, key, drive[key].value)
+    words = [each.word for key, each in drive.items() if key.partition(".")[0] == "data"]
     command = f"python scripts/convert.py {' '.join(words)} data.root=RECORDINGS"
     yield Conversion(str(config.data.name), Path(config.data.cache), command)
 

@@ -9,6 +9,7 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
 from dmmv_conventions.configs import config_folder
+from scripts.closed_loop_table import check
 
 TABLES = sorted(path.stem for path in (config_folder() / "table").glob("*.yaml"))
 
@@ -92,12 +93,23 @@ def test_no_drive_is_begun_before_the_recordings_are_converted(table, tmp_path):
     assert not (tmp_path / "logs").exists()
 
 
-def test_converted_recordings_are_driven_through(table, tmp_path):
+@pytest.mark.parametrize("lacking", ["caches", "people_checkpoint"])
+def test_a_dry_run_needs_no_recordings_and_no_checkpoint(table, tmp_path, lacking):
+    status, told = table("table=recorded", f"table.{lacking}={tmp_path}/none", "dry_run=true")
+    assert (status, "52 of 52 drives to do" in told) == (0, True)
+
+
+@pytest.mark.parametrize(
+    "where", ["table.caches={}", "overrides=['++data.cache=\"{}/citr\"']"], ids=["table", "added"]
+)
+def test_converted_recordings_are_driven_through(table, tmp_path, where):
     (tmp_path / "caches" / "citr" / "citr").mkdir(parents=True)
     state = tmp_path / "caches" / "citr" / "citr" / "cache.json"
     state.write_text('{"format_version": 1, "complete": true, "scenes": []}')
-    status, told = table(*CITR, f"table.caches={tmp_path}/caches", "dry_run=true")
-    assert (status, "1 of 1 drives to do" in told) == (0, True)
+    given = [*CITR, where.format(tmp_path / "caches")]
+    with initialize_config_dir(str(config_folder()), version_base="1.3"):
+        check(compose("closed_loop_table", [*given, f"out={tmp_path}"]))
+    GlobalHydra.instance().clear()
     lacking = f"table.people_checkpoint={tmp_path}/no.ckpt"
     rows = "rows=['DiffMPC, trained predictor']"
     status, told = table(*CITR, rows, f"table.caches={tmp_path}/caches", lacking)

@@ -9,7 +9,7 @@ from hydra.core.global_hydra import GlobalHydra
 
 from diffstack_mmv import composition
 from diffstack_mmv.cli import command
-from diffstack_mmv.composition import changed_defaults
+from diffstack_mmv.composition import changed_defaults, settings_in
 
 CONTENT = """
 defaults: [part: coarse, _self_]
@@ -73,3 +73,12 @@ def test_a_configuration_is_composed_once(run, monkeypatch):
     monkeypatch.setattr(ConfigLoaderImpl, "load_configuration", counted)
     assert run("count=2") == [{"count": 1}]
     assert len(composed) == 1
+
+
+def test_settings_of_a_command_line_are_read_as_by_hydra():
+    words = ["a=1", "+b.c='x y'", "++a=[2]", "d=null", "e=1", "~e", "data@other=f"]
+    found = {key: setting.value for key, setting in settings_in(words).items()}
+    assert found == {"a": [2], "b.c": "x y", "d": None, "data@other": "f"}
+    assert settings_in(words)["a"].word == "++a=[2]"
+    with pytest.raises(ValueError, match=r"`settings` must read key=value, but got 'a=\[1'"):
+        settings_in(["a=[1"])

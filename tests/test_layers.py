@@ -58,6 +58,7 @@ EVERYBODYS = {f"dmmv_conventions.{name}" for name in ("disk", "extras", "on_dema
 # who takes what from the conventions; all others find modes and checks in `types` and `checks`
 CONVENTIONS = {
     "checks": {"dmmv_conventions.checks"},
+    "composition": {"dmmv_conventions.checks"},
     "config_checks": {"dmmv_conventions.checks", "dmmv_conventions.pretrained"},
     "data_checks": {
         "dmmv_conventions.cache",
