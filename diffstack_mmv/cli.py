@@ -36,6 +36,7 @@ with needs_to_run("stack", "the command lines"):
     from diffstack_mmv.command_line import folders_as, understood
     from diffstack_mmv.composition import (
         Setting,
+        as_written,
         changed_defaults,
         composed_once,
         settings_in,
@@ -53,6 +54,7 @@ __all__ = [
     "OmegaConf",
     "Setting",
     "admit_any",
+    "as_written",
     "changed_defaults",
     "command",
     "folders_as",

@@ -73,6 +73,16 @@ def changed_defaults(config_name: str) -> Mapping[str, Any]:
     return {key: value_of(defaults, key) for key in keys}
 
 
+def as_written(config_name: str) -> DictConfig:
+    """The configuration of the present job with its interpolations, which the job has resolved.
+
+    Args:
+        config_name: Name of the configuration.
+    """
+    words: Any = OmegaConf.to_container(HydraConfig.get().overrides.task, resolve=False)
+    return compose(config_name, words)
+
+
 class Setting(NamedTuple):
     """A word of a command line.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from diffstack_mmv.cli import (
     DictConfig,
     OmegaConf,
+    as_written,
     changed_defaults,
     command,
     get_class,
@@ -37,7 +38,7 @@ logger = logging.getLogger(__name__)
 def check(config: DictConfig) -> None:
     """Refuse a world or a controller that cannot be built, before any baseline has driven."""
     require_one_of("phase", config.phase, SPLITS)
-    _require_known_delay(config)
+    _tell_unknown_delay(config)
     if "predictor" in config.people:
         require_checkpoint("people_checkpoint", config.people.predictor.path)
     if config.names.controller == "ppo":
@@ -67,14 +68,21 @@ def check(config: DictConfig) -> None:
         instantiate(part)
 
 
-def _require_known_delay(config: DictConfig) -> None:
-    """Refuse a delay that no controller is told."""
-    told = any(each.get("delay") for _, each in _controllers(config))
-    given = "known_delay_s" in changed_defaults("navigate")
-    remedy = "Add controller=diffmpc_delay, or leave it out; the robot's delay is robot.delay_s."
-    found = f"{config.known_delay_s} with controller={config.names.controller}"
-    wanted = "be given with a controller that makes up for it"
-    require(told or not given, "known_delay_s", wanted, found, "", remedy)
+def _tell_unknown_delay(config: DictConfig) -> None:
+    """Warn of a delay that no controller is told; in a sweep, another job's may be."""
+    if "known_delay_s" not in changed_defaults("navigate"):
+        return
+    if not any(_uses_delay(each) for _, each in _controllers(as_written("navigate"))):
+        logger.warning(
+            "controller=%s makes up for no delay: known_delay_s=%s changes nothing. "
+            "controller=diffmpc_delay does; the robot's delay is robot.delay_s.",
+            config.names.controller, config.known_delay_s,
+        )  # fmt: skip
+
+
+def _uses_delay(controller: DictConfig) -> bool:
+    """Whether a controller refers to the known delay."""
+    return "${known_delay_s}" in OmegaConf.to_yaml(controller)
 
 
 def admit(config: DictConfig) -> None:

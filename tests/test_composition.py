@@ -6,10 +6,11 @@ import sys
 import pytest
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra.core.global_hydra import GlobalHydra
+from omegaconf import OmegaConf
 
 from diffstack_mmv import composition
 from diffstack_mmv.cli import command
-from diffstack_mmv.composition import changed_defaults, settings_in
+from diffstack_mmv.composition import as_written, changed_defaults, settings_in
 
 CONTENT = """
 defaults: [part: coarse, _self_]
@@ -82,3 +83,12 @@ def test_settings_of_a_command_line_are_read_as_by_hydra():
     assert settings_in(words)["a"].word == "++a=[2]"
     with pytest.raises(ValueError, match=r"`settings` must read key=value, but got 'a=\[1'"):
         settings_in(["a=[1"])
+
+
+def test_interpolations_are_seen_as_they_were_written(run):
+    def written(config):
+        return OmegaConf.to_container(as_written("task"))
+
+    assert run("+twice=${count}", "count=3", task=written) == [
+        {"part": {"step": 0.5}, "count": 3, "twice": "${count}"}
+    ]

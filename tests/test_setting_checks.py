@@ -90,7 +90,6 @@ WRONG = [
     ("navigate", "phase=tset", "`phase` must be one of test, train, val, but got 'tset'"),
     ("navigate", "scenario.humans=200", "`humans` must fit into the scenario, in which at most 42"),
     ("navigate", "sensing.range_m=0", "`range_m` must be positive, but got 0"),
-    ("navigate", "known_delay_s=0.3", "but got 0.3 with controller=straight. Add controller=diff"),
     (
         "navigate",
         "controller=diffmpc_delay known_delay_s=0.3",

@@ -41,6 +41,24 @@ def test_it_writes_results_baselines_and_paired_tests_and_resumes(navigate, tmp_
     assert again["paired"][1]["success"] == {"only_own": 0, "only_other": 0, "p": None}
 
 
+@pytest.mark.parametrize(
+    ("controller", "warned"),
+    [
+        (["controller=straight"], True),
+        (["controller=straight", "beside=[own]", "+controller@baselines.own=diffmpc_delay"], False),
+        (["controller.planner.score.margin.horizon_s=${known_delay_s}"], False),
+    ],
+    ids=["nobody", "a baseline", "under a key of one's own"],
+)
+def test_a_delay_that_nobody_makes_up_for_is_told(command, capfd, tmp_path, controller, warned):
+    # what follows the warning is refused, so that nothing is driven
+    given = ["known_delay_s=0.2", "animate=-1", f"out={tmp_path}"]
+    assert command("navigate", *controller, *given) == 1
+    told = "".join(capfd.readouterr())
+    assert "`animate` must be at least 0" in told
+    assert ("known_delay_s=0.2 changes nothing" in told) == warned
+
+
 @pytest.mark.slow
 def test_a_run_of_anything_else_is_refused_before_it_replaces_a_file(navigate, refusal, tmp_path):
     given = ["controller=straight", "cases=1", "chunk=1", "beside=[]", "search=null", "animate=0",
