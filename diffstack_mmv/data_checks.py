@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from diffstack_mmv.config_checks import require_folder
-from dmmv_conventions.cache import SPLITS, read_state
+from dmmv_conventions.cache import SPLITS, conversion_command, read_state
 from dmmv_conventions.checks import (
     message,
     require,
@@ -160,11 +160,10 @@ def require_recordings(source: Mapping[str, Any]) -> None:
 
 
 class Conversion(NamedTuple):
-    """A converted data set that is read, and the command that makes it."""
+    """A converted data set that is read."""
 
     name: str
     cache: Path
-    command: str
 
 
 def require_conversions(wanted: Iterable[Conversion]) -> None:
@@ -176,7 +175,7 @@ def require_conversions(wanted: Iterable[Conversion]) -> None:
     lacking = [each for each in dict.fromkeys(wanted) if not _is_finished(each)]
     if lacking:
         found = ", ".join(f"none of '{each.name}' in {each.cache}" for each in lacking)
-        remedy = f"Run {'; '.join(each.command for each in lacking)}"
+        remedy = f"Run {'; '.join(conversion_command(*each) for each in lacking)}"
         needs = "hold the finished conversion of every data set"
         raise ValueError(message("data.cache", needs, found, "", remedy))
 

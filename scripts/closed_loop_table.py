@@ -127,9 +127,7 @@ def _conversions(drive: Mapping[str, Setting]) -> Iterator[Conversion]:
         return
     for key in (key for key in drive if key.startswith("data.")):
         OmegaConf.update(config, key, drive[key].value)
-    words = [each.word for key, each in drive.items() if key.partition(".")[0] == "data"]
-    command = f"python scripts/convert.py {' '.join(words)} data.root=RECORDINGS"
-    yield Conversion(str(config.data.name), Path(config.data.cache), command)
+    yield Conversion(str(config.data.name), Path(config.data.cache))
 
 
 if __name__ == "__main__":

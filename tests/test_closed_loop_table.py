@@ -88,7 +88,7 @@ def test_no_drive_is_begun_before_the_recordings_are_converted(table, tmp_path):
     held_out = "data=eth_ucy data.held_out=eth"
     for each in (held_out, "data=citr", "data=dut", "data=sdd"):
         name = each.split()[0].removeprefix("data=")
-        assert f"{each} data.cache={tmp_path}/none/{name} data.root=RECORDINGS" in last
+        assert f"{each} data.root=RECORDINGS data.cache={tmp_path}/none/{name}" in last
     assert last.count("scripts/convert.py") == 4
     assert not (tmp_path / "logs").exists()
 

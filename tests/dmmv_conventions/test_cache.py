@@ -2,16 +2,20 @@
 
 import json
 import re
+import shlex
 
 import pytest
+from hydra import compose, initialize_config_dir
 
 from data_converters import CacheError
 from dmmv_conventions.cache import (
     FORMAT_VERSION,
     STATE_FILE,
+    conversion_of,
     read_state,
     staging_folder,
 )
+from dmmv_conventions.configs import config_folder
 
 STATE = {"format_version": FORMAT_VERSION, "complete": True}
 
@@ -47,7 +51,7 @@ def test_a_cache_of_another_state_names_the_file_and_the_remedy(write, text, com
     with pytest.raises(error, match=re.escape(complaint)) as caught:
         read_state(folder, "toy", error)
     assert str(folder / "toy" / STATE_FILE) in str(caught.value)
-    assert f"data=toy data.root=RECORDINGS data.cache={folder}" in str(caught.value)
+    assert conversion_of("toy", folder) in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -63,3 +67,22 @@ def test_an_absent_state_is_told_from_an_interrupted_conversion(tmp_path, name, 
 def test_a_state_that_is_no_object_is_told(write, text):
     with pytest.raises(ValueError, match="`cache` must have a state in JSON"):
         read_state(write(text), "toy")
+
+
+@pytest.mark.parametrize(
+    ("name", "choice"),
+    [
+        ("imptc", "data=imptc"),
+        ("sdd", "data=sdd"),
+        ("csv", "data=csv"),
+        ("eth_ucy_zara1", "data=eth_ucy data.held_out=zara1"),
+        ("rides", "data=csv data.name=rides"),
+    ],
+)
+def test_the_command_of_a_conversion_makes_the_environment_of_that_name(tmp_path, name, choice):
+    told = conversion_of(name, tmp_path / "my cache")
+    given = ["data.root=RECORDINGS", f"data.cache={tmp_path}/my cache"]
+    assert shlex.split(told) == ["Run", "python", "scripts/convert.py", *choice.split(), *given]
+    with initialize_config_dir(str(config_folder()), version_base=None):
+        made = compose("convert", [*choice.split(), *given])
+    assert (made.data.name, made.data.cache) == (name, f"{tmp_path}/my cache")

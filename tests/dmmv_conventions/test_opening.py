@@ -47,7 +47,7 @@ def foreign(tmp_path, monkeypatch):
 def test_pickles_of_another_user_are_refused_with_a_way_to_make_them_anew(foreign):
     with pytest.raises(ValueError, match="`cache` must be written by you") as told:
         CachedEnvironment(foreign, STATE)
-    assert f"data=toy data.root=RECORDINGS data.cache={foreign}" in str(told.value)
+    assert f"data=csv data.name=toy data.root=RECORDINGS data.cache={foreign}" in str(told.value)
 
 
 def test_the_cache_of_a_trusted_user_is_read(foreign, monkeypatch):
