@@ -18,6 +18,7 @@ from tqdm import tqdm
 from diffstack_mmv.checks import message
 from diffstack_mmv.data.dataset import EXPORT_VERSION, MARKER, SAMPLES, USABLE, sample_table
 from diffstack_mmv.data.export_chunks import LABELS, ChunkWriter
+from diffstack_mmv.data.faults import raising_faults
 from diffstack_mmv.data.layout import create, fields
 from diffstack_mmv.data.loading import unchanged
 from diffstack_mmv.data.registration import TrajdataWindows, WindowLocation
@@ -66,7 +67,7 @@ def export_windows(export: Export, settings: ExportSettings) -> Path:
         The folder of the export.
 
     Raises:
-        ValueError: The source cannot be opened or holds no window.
+        ValueError: The source cannot be opened, holds no window, or one of its files is damaged.
         OSError: The disk is full.
     """
     target = export.folder(settings)
@@ -108,7 +109,7 @@ def _write(export: Export, settings: ExportSettings, target: Path) -> None:
     title = f"export {export.source.name} {export.split}"
     with tqdm(total=count, desc=title, unit="window", disable=not settings.progress) as bar:
         bar.update(count - sum(writer.size(number) for number in pending))
-        for number in loader:
+        for number in raising_faults(loader):
             writer.marker(number).touch()
             bar.update(writer.size(number))
     _finish(export, source, where, partial)

@@ -7,6 +7,7 @@ import torch
 from torch.utils.data import Dataset
 
 from diffstack_mmv.data.batch import stack_batch
+from diffstack_mmv.data.faults import passing_faults
 from diffstack_mmv.data.layout import FieldLayout, pack, write_windows
 from diffstack_mmv.data.registration import TrajdataWindows, WindowLocation
 from diffstack_mmv.data.riding import Situations, situations
@@ -40,6 +41,7 @@ class ChunkWriter(Dataset[int]):
         """File that says that a chunk is written."""
         return self._folder / "done" / str(number)
 
+    @passing_faults
     def __getitem__(self, number: int) -> int:
         end = number * CHUNK + self.size(number)
         for first in range(number * CHUNK, end, PIECE):

@@ -9,6 +9,7 @@ from torch.utils.data import DataLoader, Dataset
 from diffstack_mmv.checks import require
 from diffstack_mmv.data.augment import Augmentation
 from diffstack_mmv.data.dataset import WindowDataset
+from diffstack_mmv.data.faults import passing_faults, raising_faults
 from diffstack_mmv.data.sampling import Draw, WindowSampler
 from diffstack_mmv.types import StackBatch
 
@@ -27,6 +28,7 @@ class DrawnWindows(Dataset[StackBatch]):
         """Number of samples."""
         return len(self.windows)
 
+    @passing_faults
     def __getitem__(self, draw: Draw) -> StackBatch:
         """Return a batch; its augmentation depends on the draw only, not on the worker."""
         batch = self.windows[draw.indices]
@@ -57,9 +59,13 @@ class WindowLoader(DataLoader[StackBatch]):
         self._taken = 0
 
     def __iter__(self) -> Iterator[StackBatch]:  # type: ignore[override]
-        """Batches of the present epoch, from where a loaded state stopped."""
+        """Batches of the present epoch, from where a loaded state stopped.
+
+        Raises:
+            ValueError: A file of the data set is damaged.
+        """
         self._taken = self.sampler.start
-        for batch in super().__iter__():
+        for batch in raising_faults(super().__iter__()):
             # counted when handed out: workers are further ahead than the training step
             self._taken += 1
             yield batch

@@ -1,11 +1,13 @@
 """Windows of trajdata 1.4.0: this and `dmmv_conventions.opening` alone know its inside."""
 
+import pickle
 from collections.abc import Mapping, Sequence
 from math import isclose
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from trajdata.augmentation.augmentation import DatasetAugmentation
 from trajdata.caching.df_cache import STATE_FORMAT_STR, DataFrameCache
@@ -21,10 +23,10 @@ from trajdata.utils import scene_utils
 from diffstack_mmv.data.damage import told_as_damage
 from diffstack_mmv.data.settings import WindowSettings
 from diffstack_mmv.data.window_counts import WindowCounts
+from dmmv_conventions.cache import conversion_of
 from dmmv_conventions.opening import CachedUnifiedDataset, encoded
 
 OBSERVED = "x,y,xd,yd,h"
-CONVERT_AGAIN = "Convert the recordings again."
 
 
 class SceneTable(DataFrameCache):
@@ -35,13 +37,33 @@ class SceneTable(DataFrameCache):
     """
 
     def __init__(
-        self, cache_path: Path, scene: Scene, corrections: Sequence[DatasetAugmentation]
+        self,
+        cache_path: Path,
+        scene: Scene,
+        corrections: Sequence[DatasetAugmentation],
+        remedy: str,
     ) -> None:
-        """Read the rows of `scene` and apply `corrections` to them."""
+        """Read the rows of `scene` and apply `corrections` to them.
+
+        Raises:
+            ValueError: A file is missing or damaged; `remedy` says how to make it anew.
+        """
+        self._remedy = remedy
         super().__init__(cache_path, scene, list(corrections))
         # one block of memory instead of one per column
         self.scene_data_df = self.scene_data_df.copy()
         self._states = self.scene_data_df.iloc[:, : self._state_dim].to_numpy()
+
+    def _load_agent_data(self, scene_dt: float) -> None:
+        """Read both files as the base class does, so that the damaged one is named."""
+        rows = self.scene_dir / self._agent_data_file(scene_dt)
+        index = self.scene_dir / self._agent_data_index_file(scene_dt)
+        with told_as_damage(rows, self._remedy):
+            table = pd.read_feather(rows, use_threads=False)
+            self.scene_data_df = table.set_index(["agent_id", "scene_ts"])
+            self._get_and_reorder_col_idxs()
+        with told_as_damage(index, self._remedy):
+            self.index_dict = pickle.loads(index.read_bytes())
 
     def get_raw_state(self, agent_id: str, scene_ts: int) -> StateArray:
         """State of an agent at one time, in the world."""
@@ -137,6 +159,7 @@ class TrajdataWindows(CachedUnifiedDataset):
         self._modes: list[list[int]] = []
         self._corrections = tuple(corrections)
         self.windows = windows
+        self._remedies = {each.name: conversion_of(each.name, cache) for each in environments}
         self.counts = WindowCounts(windows)
         history, future = windows.history_s, windows.horizon_s
         super().__init__(
@@ -160,7 +183,7 @@ class TrajdataWindows(CachedUnifiedDataset):
     def _get_data_index(self, num_workers: int, scene_paths: list[Path]) -> list[Any]:
         index = []
         for scene_path in scene_paths:
-            with told_as_damage(Path(scene_path), CONVERT_AGAIN):
+            with told_as_damage(Path(scene_path), self._remedy(scene_path)):
                 entry: tuple[Any, ...] = self._get_data_index_agent(
                     scene_path,
                     incl_robot_future=False,
@@ -201,12 +224,18 @@ class TrajdataWindows(CachedUnifiedDataset):
         )
 
     def _open(self, path: str) -> _OpenScene:
-        with told_as_damage(Path(path), CONVERT_AGAIN):
+        with told_as_damage(Path(path), self._remedy(path)):
             scene = EnvCache.load(path)
             scene_utils.enforce_desired_dt(scene, self.desired_dt)
-            table = SceneTable(self.cache_path, scene, self._corrections)
+        table = SceneTable(self.cache_path, scene, self._corrections, self._remedy(path))
         table.set_obs_format(self.obs_format)
         return _OpenScene(path, scene, table)
+
+    def _remedy(self, scene_path: str | Path) -> str:
+        """How to make the files of a scene anew: our conversion, or what trajdata itself keeps."""
+        environment = Path(scene_path).parents[1]
+        anew = f"Delete {environment} and run again: it is made anew."
+        return self._remedies.get(environment.name, anew)
 
     def locations(self) -> WindowLocation:
         """List every `stride`-th window of each agent, scene by scene."""
