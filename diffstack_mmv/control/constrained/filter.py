@@ -11,7 +11,7 @@ from diffstack_mmv.control.constrained.barrier import Barrier, BarrierResidual, 
 BOUNDARY = 0.99  # of the way to the boundary that a step may go
 SIZES = 12  # step sizes, halved each time
 MARGIN = 1e-5  # by which a step has to improve on what was there before
-FEASIBLE = 1e-8  # sum of violations below which only the objective counts
+FEASIBLE = 1e-8  # sum of violations below which only the objective counts; rounding may be more
 ROUNDING = 10.0  # units of the precision of the objective that count as no increase
 
 
@@ -52,13 +52,14 @@ def search(
     primal, dual = longest(barrier, point, step)
     violation, objective = residual.total, barrier.objective(point, mu)
     noise = ROUNDING * torch.finfo(mu.dtype).eps * objective.abs()
+    feasible = _rounded_violation(point).clamp_min(FEASIBLE)
     taken, best = torch.zeros_like(which), point
     for _ in range(SIZES):
         trial, total = _slackened(barrier, point.moved(step, primal, dual))
         value = barrier.objective(trial, mu)
         lower = value <= objective + noise
         better = (total <= (1 - MARGIN) * violation) | (value <= objective - MARGIN * violation)
-        better = torch.where(violation <= FEASIBLE, lower & (total <= 10 * FEASIBLE), better)
+        better = torch.where(violation <= feasible, lower & (total <= 10 * feasible), better)
         good = better & visited.beaten_by(total, value) & value.isfinite() & total.isfinite()
         good = good & which & ~taken
         mask = good[..., None, None]
@@ -68,6 +69,15 @@ def search(
             break
         primal = 0.5 * primal
     return Accepted(best, taken, violation, objective)
+
+
+def _rounded_violation(point: Interior) -> Float[Tensor, "*b"]:
+    """Sum of violations that is nothing but rounding: no step makes less of it.
+
+    In float64 it is far below `FEASIBLE`.
+    """
+    size = sum(part.abs().sum((-2, -1)) for part in (point.x, point.s, point.sigma))
+    return torch.finfo(point.x.dtype).eps * size  # pyright: ignore
 
 
 def _slackened(barrier: Barrier, point: Interior) -> tuple[Interior, Tensor]:

@@ -127,23 +127,40 @@ def test_contradictory_constraints_are_infeasible():
     assert solution.violation.min() > 0.1
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_violation_that_no_step_lowers_is_infeasible_in_either_precision(dtype):
+    """In float32 rounding alone is more than what counts as feasible."""
+
+    def far(states, forces):
+        return 5 - states[..., :1]
+
+    box = Bounds(*(bound.to(dtype) for bound in BOX))
+    start, guess = torch.zeros(1, 2, dtype=dtype), torch.zeros(1, 15, 1, dtype=dtype)
+    found = SOLVER(cart, reach, [Inequality(far, times=slice(1, None))], box, start, guess)
+    assert found.status.tolist() == [SolverStatus.INFEASIBLE]
+    assert float(found.violation.max()) == pytest.approx(5.0)
+
+
 def test_what_the_box_does_not_allow_is_infeasible():
     weak = Bounds(torch.tensor([-0.1]), torch.tensor([0.1]))
     far = Equality(lambda states, forces: states[..., :1] - 2, times=slice(-1, None))
     assert brought([far], weak).infeasible.all()
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize(
     ("times", "status"),
     [(slice(None), SolverStatus.INFEASIBLE), (slice(1, None), SolverStatus.CONVERGED)],
 )
-def test_a_state_that_is_given_cannot_be_constrained(times, status):
-    moving = torch.tensor([[1.5, 1.2]])
+def test_a_state_that_is_given_cannot_be_constrained(times, status, dtype):
+    moving = torch.tensor([[1.5, 1.2]], dtype=dtype)
 
     def limit(states, forces):
         return states[..., 1:] - 1
 
-    found = SOLVER(cart, reach, [Inequality(limit, times=times)], BOX, moving, torch.zeros(1, 9, 1))
+    still = torch.zeros(1, 9, 1, dtype=dtype)
+    box = Bounds(*(bound.to(dtype) for bound in BOX))
+    found = SOLVER(cart, reach, [Inequality(limit, times=times)], box, moving, still)
     assert found.status.tolist() == [status]
 
 
