@@ -58,8 +58,8 @@ def require_fitting(
         controls: Guess of the controls.
 
     Raises:
-        ValueError: A result has the wrong shape or precision or no gradient, or the cost of a time
-            depends on another one.
+        ValueError: A result has the wrong shape or precision or no gradient, the cost of a time
+            depends on another one, or `vmap` cannot call one of them, as with an `if` on tensors.
         TypeError: A result is no tensor.
     """
     key = (kind(dynamics), kind(cost), state.shape, controls.shape, state.dtype)
@@ -78,6 +78,7 @@ def require_fitting(
     remedy = "Sum over the columns of states and controls only: one cost per problem and time."
     require(found == wanted, "cost", f"return the shape {wanted}", found, "", remedy)
     _require_gradient("dynamics", dynamics, state, controls[..., 0, :])
+    _require_batchable("dynamics", dynamics, state, controls[..., 0, :])
     _require_stagewise("cost", cost, states, padded, value)
     _known.add(key)
 
@@ -100,8 +101,8 @@ def require_fitting_constraint(
         value: What it returned there, of the shape that it has to be.
 
     Raises:
-        ValueError: The value has the wrong precision or no gradient, or that of a time depends on
-            another one.
+        ValueError: The value has the wrong precision or no gradient, that of a time depends on
+            another one, or `vmap` cannot call the constraint.
     """
     key = (kind(constraint), states.shape, controls.shape, states.dtype)
     if key in _known or value.numel() == 0:
@@ -120,6 +121,7 @@ def _require_stagewise(
     """Refuse a function along a trajectory that is not one of each time, in its precision."""
     _require_precision(name, value, states)
     _require_gradient(name, function, states, controls)
+    _require_batchable(name, function, states, controls)
     if on_host(value):  # another device would be waited for
         _require_separable(name, function, states, controls, value)
 
@@ -148,6 +150,25 @@ def _require_gradient(
         "a result without a gradient",
         remedy="Use operations of torch, without detach(), item() and no_grad().",
     )
+
+
+def _require_batchable(
+    name: str, function: Callable[[Tensor, Tensor], Tensor], state: Tensor, controls: Tensor
+) -> None:
+    """Refuse a function that `vmap` cannot call for many times or step sizes at once."""
+    try:
+        # a bare module would be printed by vmap
+        torch.vmap(lambda x, u: function(x, u))(state.unsqueeze(0), controls.unsqueeze(0))
+    except RuntimeError as unable:
+        if type(unable) is not RuntimeError:  # such as one for want of memory
+            raise
+        told = str(unable).removeprefix("vmap: ").partition(". ")[0]
+        remedy = (
+            "Write torch.where instead of `if` on tensors or a mask as index, no item(), and "
+            "torch.stack instead of writing into a tensor."
+        )
+        needs, found = "be one that torch.vmap can call", f"'{told}'"
+        raise ValueError(message(name, needs, found, "", remedy)) from unable
 
 
 def _require_separable(

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from diffstack_mmv.control import ILQR, Batched, Bounds
+from diffstack_mmv.control.constrained import ConstrainedILQR, Inequality
 
 STATE, CONTROLS = torch.zeros(3, 2), torch.zeros(3, 8, 1)
 BOX = Bounds(-torch.ones(1), torch.ones(1))
@@ -91,6 +92,47 @@ def test_dynamics_cut_off_from_their_arguments_are_refused():
     cost = functools.partial(fitting, weight=WEIGHT)
     with pytest.raises(ValueError, match="`dynamics` must be differentiable in state or control"):
         ILQR()(lambda x, u: step(x, u).detach(), cost, BOX, STATE, CONTROLS)
+
+
+def branching(state, control):
+    return step(state, control) if (state[..., 1] < 1).all() else state + 0 * control
+
+
+def reading(state, control):
+    return step(state, control) * max(1.0, state.max().item())
+
+
+def writing(state, control):
+    following = torch.zeros(state.shape)
+    following[..., 0] += step(state, control)[..., 0]
+    return following
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("dynamics", [branching, reading, writing])
+def test_what_cannot_be_called_for_many_times_at_once_is_refused_with_the_remedy(dynamics):
+    cost = functools.partial(fitting, weight=WEIGHT)
+    with pytest.raises(
+        ValueError, match=r"`dynamics` must be one that torch.vmap can call.*Write torch\.where"
+    ):
+        ILQR()(dynamics, cost, BOX, STATE, CONTROLS)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_cost_and_a_constraint_that_branch_are_refused_as_well():
+    def dear(states, controls):
+        return fitting(states, controls, WEIGHT) * (2 if (states > 1).any() else 1)
+
+    with pytest.raises(
+        ValueError, match=r"`cost` must be one that torch.vmap can call.*control flow'\. Write"
+    ):
+        ILQR()(step, dear, BOX, STATE, CONTROLS)
+    cost = functools.partial(fitting, weight=WEIGHT)
+    wall = Inequality(lambda states, controls: states[..., :1] - (2 if (states > 1).any() else 1))
+    with pytest.raises(
+        ValueError, match=r" must be one that torch.vmap can call.*control flow'\. Write"
+    ):
+        ConstrainedILQR()(step, cost, [wall], BOX, STATE, CONTROLS)
 
 
 def test_nothing_is_refused_where_autograd_is_off():

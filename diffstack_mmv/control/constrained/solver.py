@@ -38,7 +38,7 @@ class ConstrainedILQR:
     which leaves violations of the order of the rounding. Problems that do not come through are
     solved once more with all constraints at a high price (elastic): that gives a solution, or a
     violation that no step lowers, `SolverStatus.INFEASIBLE`; in float32 one below 1.7e-3 is too
-    small to tell, and left as `SolverStatus.ITERATION_LIMIT`. Finished problems are frozen, and left
+    small to tell, and stays `SolverStatus.ITERATION_LIMIT`. Finished problems are frozen, and left
     behind if the callables are `Selectable`; no answer depends on the batch mates.
 
     A soft constraint has a `Slack`, the price of its violation. With multipliers of a similar
