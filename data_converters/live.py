@@ -14,6 +14,7 @@ from data_converters.heading import heading_from_motion
 from data_converters.limits import RecordingLimits
 from data_converters.modes import usual_size
 from data_converters.tracks import ResampleSettings
+from dmmv_conventions.checks import is_number
 from dmmv_conventions.modes import Mode
 from dmmv_conventions.observed import ObservedAgents
 
@@ -48,7 +49,8 @@ class LiveTracks:
             out; a track that jumps for good begins anew there.
 
     Raises:
-        ConversionError: The smoother looks ahead, or `late_s` is negative.
+        ConversionError: The smoother looks ahead, `late_s` is negative, or settings or limits are
+            something else.
     """
 
     settings: ResampleSettings = field(default_factory=ResampleSettings)
@@ -56,10 +58,14 @@ class LiveTracks:
     limits: RecordingLimits = field(default_factory=RecordingLimits)
 
     def __post_init__(self) -> None:
+        for name, kind in (("settings", ResampleSettings), ("limits", RecordingLimits)):
+            found = getattr(self, name)
+            require(isinstance(found, kind), name, f"be {kind.__name__}", type(found).__name__)
         ahead = self.settings.smoother.lookahead_s
         remedy = "Use CausalSmoother()."
         require(ahead == 0.0, "smoother", "not look ahead", f"{ahead:g} s", "", remedy)
-        require(self.late_s >= 0.0, "late_s", "be at least 0", self.late_s)
+        known = is_number(self.late_s) and self.late_s >= 0.0
+        require(known, "late_s", "be at least 0", self.late_s)
 
     def __call__(
         self,
@@ -83,9 +89,9 @@ class LiveTracks:
             The ego, and all others that are present now, in the order of the table.
 
         Raises:
-            ConversionError: A column is missing, a value is none of its kind, an agent has two
-                samples of one time or two modes, or the ego is not present now or faster than its
-                mode.
+            ConversionError: The table is no DataFrame, a column is missing, a value is none of its
+                kind, an agent has two samples of one time or two modes, or the ego is not present
+                now or faster than its mode.
         """
         _require_columns(table)
         names, ego = table["agent"].astype(str), str(ego)
@@ -93,6 +99,8 @@ class LiveTracks:
         told = ", ".join(sorted(names.unique())[:5]) or "no agents"
         require(bool(known), "ego", f"be an agent of the table, such as {told}", ego)
         now = float(table.loc[names == ego, "time"].max()) if now_s is None else now_s
+        there = is_number(now) and np.isfinite(now)
+        require(bool(there), "now_s", "be a finite time in s", now)
         # seconds since 1970 resolve a quarter of a microsecond: a sample at a row stays there
         seen = table.assign(agent=names, time=(table["time"].astype(float) - now).round(6))
         seen = seen[seen["time"] <= 0.0].sort_values("time", kind="stable")
@@ -129,8 +137,8 @@ class LiveTracks:
         )
 
     def _rows(self, history_s: float) -> int:
-        steps = history_s / self.settings.dt_s
-        whole = steps >= 1.0 - 1e-6 and abs(steps - round(steps)) < 1e-6
+        steps = history_s / self.settings.dt_s if is_number(history_s) else 0.0
+        whole = 1.0 - 1e-6 <= steps < np.inf and abs(steps - round(steps)) < 1e-6
         require(whole, "history_s", f"be a multiple of {self.settings.dt_s:g} s", history_s)
         return round(steps) + 1
 
@@ -201,6 +209,9 @@ class LiveTracks:
 
 
 def _require_columns(table: pd.DataFrame) -> None:
+    remedy = f"Make one with the columns {', '.join(COLUMNS)}."
+    framed, found = isinstance(table, pd.DataFrame), type(table).__name__
+    require(framed, "table", "be a DataFrame of pandas", found, "", remedy)
     absent = [name for name in COLUMNS if name not in table]
     have = ", ".join(map(str, table.columns))
     require(not absent, "table", f"have the columns {', '.join(COLUMNS)}", have)

@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require, require_at_least, require_positive
+from diffstack_mmv.checks import require, require_at_least, require_positive, require_whole
 from diffstack_mmv.data.motions import tracks_of
+from diffstack_mmv.device_checks import usable_device
 from diffstack_mmv.geometry import (
     motion_from_frame,
     position_from_frame,
@@ -18,6 +19,7 @@ from diffstack_mmv.geometry import (
     rotate,
     wrap_angle,
 )
+from diffstack_mmv.online_checks import point_of, require_known_now, require_observed
 from diffstack_mmv.planning import PredictedGoal, WantedGoal
 from diffstack_mmv.stack import load_stack
 from diffstack_mmv.types import Forecast, Mode, Motion, Pose, StackBatch, Tracks, map_tensors
@@ -44,12 +46,12 @@ class OnlineStack:
         checkpoint: A checkpoint of a training, or the name of a shipped one: pretrained.
         neighbors: At most so many of the nearest agents count.
         radius_m: Agents further away do not.
-        device: Where the stack is to be.
+        device: Where the stack is to be; auto is a GPU where there is one.
         compiled: Whether expensive parts are compiled at the first decision, which then takes half
             a minute if the disk does not hold them, and later ones a fraction of the time.
 
     Raises:
-        ValueError: There is no usable checkpoint, or a number is out of range.
+        ValueError: There is no usable checkpoint or no such device, or a number is out of range.
     """
 
     def __init__(
@@ -60,9 +62,10 @@ class OnlineStack:
         device: torch.device | str = "cpu",
         compiled: bool = False,
     ) -> None:
+        require_whole("neighbors", neighbors)
         require_at_least("neighbors", neighbors, 0)
         require_positive("radius_m", radius_m)
-        self.stack, config = load_stack(checkpoint, device)
+        self.stack, config = load_stack(checkpoint, usable_device(str(device)))
         if compiled:
             self.stack.compile_kernels()
         self.neighbors = neighbors
@@ -87,8 +90,11 @@ class OnlineStack:
 
         Raises:
             ValueError: The step is not that of the stack, the ego is none of its modes or not
-                observed now, arrays do not fit, or the goal is no point.
+                observed now, somebody else has a position now but no size, velocity or heading,
+                arrays do not fit, or the goal is no point.
+            TypeError: These are no observed agents, or a part of them is no array of numbers.
         """
+        require_observed(observed)
         self._require_fitting(observed)
         origin = torch.from_numpy(observed.position[0, -1]).double()
         course = torch.tensor(float(observed.heading[0, -1]), dtype=torch.float64)
@@ -96,11 +102,8 @@ class OnlineStack:
         batch = self._batch(observed, chosen, origin, course)
         source = PredictedGoal()
         if goal is not None:
-            wanted = torch.as_tensor(goal, dtype=torch.float64)
-            point = wanted.shape == (2,) and bool(wanted.isfinite().all())
-            require(point, "goal", "be x and y in m", goal)
             source = WantedGoal()
-            place = position_in_frame(wanted, origin, course).unsqueeze(0)
+            place = position_in_frame(point_of(goal), origin, course).unsqueeze(0)
             batch = batch._replace(goal=place.to(batch.goal))
         output = self.stack.plan(batch, self.stack.predictor.predict(batch), source)
         motion, controls, aim = map_tensors(
@@ -123,23 +126,14 @@ class OnlineStack:
         )
 
     def _require_fitting(self, observed: ObservedAgents) -> None:
-        count, rows = len(observed.names), observed.heading.shape[-1]
-        require(count > 0, "observed", "hold the ego", "no agent")
-        for name, last in (("position", (2,)), ("velocity", (2,)), ("heading", ())):
-            found, wanted = getattr(observed, name).shape, (count, rows, *last)
-            require(found == wanted, f"observed.{name}", f"have the shape {wanted}", found)
-        told = (len(observed.modes), tuple(observed.extent.shape))
-        wanted = (count, (count, 2))
-        require(told == wanted, "observed.modes, extent", f"be of {count} agents", told)
+        require_positive("observed.dt_s", observed.dt_s)
         same = abs(observed.dt_s - self.dt_s) < 1e-9
         remedy = "Sample with the step of the stack, `dt_s`."
         require(same, "observed.dt_s", f"be {self.dt_s:g} s", observed.dt_s, "", remedy)
-        steps = round(self.history_s / self.dt_s)
+        rows, steps = observed.heading.shape[1], round(self.history_s / self.dt_s)
         remedy = "Sample with the history of the stack, `history_s`."
         require(rows == steps + 1, "observed", f"have {steps + 1} rows", rows, "", remedy)
-        rows_of_ego = (observed.position, observed.velocity, observed.heading)
-        known = all(bool(np.isfinite(part[0, -1]).all()) for part in rows_of_ego)
-        require(known, "ego", "be observed now", "NaN", f"for agent {observed.names[0]!r}")
+        require_known_now(observed)
         mode = Mode.named(observed.modes[0]).label
         remedy = "Take a checkpoint of that mode."
         wanted = f"be one that the stack was trained on, {', '.join(self.modes)}"

@@ -1,8 +1,9 @@
 """Names of the checkpoints that the package ships."""
 
+from os import PathLike
 from pathlib import Path
 
-from dmmv_conventions.checks import require_one_of
+from dmmv_conventions.checks import require, require_one_of
 
 PRETRAINED = "pretrained"
 """What such a name begins with: pretrained, pretrained/gm3."""
@@ -17,8 +18,10 @@ def checkpoint_path(checkpoint: str | Path) -> Path:
     name goes first.
 
     Raises:
-        ValueError: No checkpoint of that name is shipped.
+        ValueError: No checkpoint of that name is shipped, or it is neither path nor name.
     """
+    named = isinstance(checkpoint, (str, PathLike))
+    require(named, "checkpoint", "be a path, or a name such as pretrained", repr(checkpoint))
     name, _, dynamics = str(checkpoint).partition("/")
     if name != PRETRAINED or Path(checkpoint).exists():
         return Path(checkpoint)

@@ -46,6 +46,11 @@ def observed(turn=0.0, shift=(0.0, 0.0)):
     )
 
 
+def sized(length_m):
+    """Sizes of the agents, the second one as long as given."""
+    return np.array([[1.8, 0.6], [length_m, 0.6], [1.8, 0.6]])
+
+
 @pytest.mark.parametrize("goal", [None, (1.0, 13.0)])
 def test_a_decision_is_that_of_an_evaluation(online, tmp_path, goal):
     settings = WindowSettings(ego_modes=("bicycle",))
@@ -135,6 +140,17 @@ def test_only_the_nearest_count():
         ({"modes": ("bike", "car", "car")}, None, "`mode` must be one of bicycle"),
         ({"position": np.full((3, 41, 2), np.nan)}, None, "`ego` must be observed now"),
         ({"heading": np.full((3, 41), np.nan)}, None, "`ego` must be observed now"),
+        ({"extent": sized(float("nan"))}, None, r"`observed.extent` must be positive.*'walker'"),
+        ({"extent": sized(0.0)}, None, r"`observed.extent` must be positive.*\[0.0, 0.6\]"),
+        ({"extent": sized(-1.8)}, None, r"`observed.extent` must be positive"),
+        ({"extent": sized(float("inf"))}, None, r"`observed.extent` must be positive"),
+        ({"heading": np.zeros(())}, None, r"`observed.heading` must have the shape \(3, rows\)"),
+        ({"names": ()}, None, "`observed` must hold the ego"),
+        ({"dt_s": "0.1"}, None, "`observed.dt_s` must be a number"),
+        ({}, "here", "`goal` must be x and y in m, but got 'here'"),
+        ({}, ["a", "b"], "`goal` must be x and y in m"),
+        ({}, (None, 1.0), "`goal` must be x and y in m"),
+        ({}, {}, "`goal` must be x and y in m"),
         ({}, (1.0,), "`goal` must be x and y in m"),
         ({}, (1.0, float("nan")), "`goal` must be x and y in m"),
     ],
@@ -142,6 +158,58 @@ def test_only_the_nearest_count():
 def test_what_does_not_fit_is_told(online, change, goal, told):
     with pytest.raises(ValueError, match=told):
         online(observed()._replace(**change), goal)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("part", ["velocity", "heading"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_whoever_has_a_position_now_needs_the_rest(online, part, value):
+    whole = observed()
+    changed = getattr(whole, part).copy()
+    changed[1, -1] = value
+    told = f"`observed.{part}` must be finite now as the position is.* for agent 'walker'"
+    with pytest.raises(ValueError, match=told):
+        online(whole._replace(**{part: changed}))
+    place = whole.position.copy()
+    place[1, -1] = np.nan
+    assert online(whole._replace(position=place, **{part: changed})).names == ("me", "late")
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda whole: None, "`observed` must be ObservedAgents, but got NoneType. Take what"),
+        (lambda whole: whole._asdict(), "`observed` must be ObservedAgents, but got dict"),
+        (lambda whole: whole._replace(position=[[0.0]]), "`observed.position` .* got list. Write"),
+        (lambda whole: whole._replace(extent=torch.ones(3, 2)), "`observed.extent` .* got Tensor"),
+        (
+            lambda whole: whole._replace(heading=whole.heading.astype(object)),
+            "`observed.heading` must be an array of numbers, but got one of object",
+        ),
+        (lambda whole: whole._replace(modes=(1, 2, 3)), "`observed.modes` must be a tuple of text"),
+        (lambda whole: whole._replace(names=None), "`observed.names` must be a tuple of text"),
+    ],
+)
+def test_other_containers_are_refused_by_name(online, change, told):
+    with pytest.raises(TypeError, match=told):
+        online(change(observed()))
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"device": "horse"}, "`device` must be auto, cpu, or a device of this machine"),
+        ({"device": "cuda:99"}, "`device` must be auto, cpu, or a device of this machine"),
+        ({"neighbors": 2.5}, "`neighbors` must be a whole number"),
+        ({"radius_m": None}, "`radius_m` must be positive"),
+        ({"checkpoint": None}, "`checkpoint` must be a path, or a name such as pretrained"),
+    ],
+)
+def test_settings_that_cannot_be_are_told(given, told):
+    with pytest.raises(ValueError, match=told):
+        OnlineStack(**({"checkpoint": "pretrained"} | given))
 
 
 def test_a_short_history_is_told(online):

@@ -126,6 +126,20 @@ def test_what_cannot_be_used_is_told(change, told):
         LiveTracks()(change(samples()), "me")
 
 
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("table", [None, [], {}, np.zeros((3, 5)), pd.Series([1.0])])
+def test_what_is_no_table_is_refused(table):
+    with pytest.raises(ValueError, match="`table` must be a DataFrame of pandas, but got .* Make"):
+        LiveTracks()(table, "me")
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("now_s", ["6", np.nan])
+def test_the_present_is_a_time(now_s):
+    with pytest.raises(ValueError, match="`now_s` must be a finite time in s"):
+        LiveTracks()(samples(), "me", now_s=now_s)
+
+
 @pytest.mark.parametrize(
     ("metres", "unit"), [(1e2, "cm"), (1e3, "mm")], ids=["centimetres", "millimetres"]
 )
@@ -178,11 +192,15 @@ def test_what_a_tracker_makes_of_others_ends_no_decision():
     assert LiveTracks()(pd.concat([table, moped]), "me").names == ("me", "other")
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
         ({"settings": ResampleSettings(smoother=ZeroPhaseSmoother())}, "`smoother` must not look"),
         ({"late_s": -0.1}, "`late_s` must be at least 0"),
+        ({"late_s": None}, "`late_s` must be at least 0"),
+        ({"settings": None}, "`settings` must be ResampleSettings, but got 'NoneType'"),
+        ({"limits": {}}, "`limits` must be RecordingLimits, but got 'dict'"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(settings, told):
@@ -190,7 +208,8 @@ def test_settings_that_cannot_be_are_refused(settings, told):
         LiveTracks(**settings)
 
 
-@pytest.mark.parametrize("history_s", [0.0, 0.25])
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("history_s", [0.0, 0.25, np.inf, "4", None])
 def test_the_history_is_a_multiple_of_the_step(history_s):
     tracks = LiveTracks(ResampleSettings(smoother=CausalSmoother()))
     with pytest.raises(ValueError, match="`history_s` must be a multiple of 0.1 s"):
