@@ -35,7 +35,6 @@ with needs_to_run("stack", "the command lines"):
     from diffstack_mmv.child_processes import end_with_parent
     from diffstack_mmv.command_line import folders_as, understood
     from diffstack_mmv.composition import (
-        Setting,
         as_written,
         changed_defaults,
         composed_once,
@@ -52,7 +51,6 @@ with needs_to_run("stack", "the command lines"):
 __all__ = [
     "DictConfig",
     "OmegaConf",
-    "Setting",
     "admit_any",
     "as_written",
     "changed_defaults",

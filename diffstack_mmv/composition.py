@@ -7,7 +7,7 @@ compared with would be a third: half a second of the time until a mistake is tol
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, NamedTuple
+from typing import Any
 
 from hydra import compose
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
@@ -83,25 +83,13 @@ def as_written(config_name: str) -> DictConfig:
     return compose(config_name, words)
 
 
-class Setting(NamedTuple):
-    """A word of a command line.
-
-    Attributes:
-        word: As it is typed.
-        value: What Hydra reads of it, without quotes.
-    """
-
-    word: str
-    value: Any
-
-
-def settings_in(words: Iterable[str]) -> dict[str, Setting]:
-    """Key -> setting that the words of a command line leave it, whether it is changed or added.
+def settings_in(words: Iterable[str]) -> dict[str, Any]:
+    """Key -> value that the words of a command line leave it, whether it is changed or added.
 
     Raises:
         ValueError: A word is no setting.
     """
-    found: dict[str, Setting] = {}
+    found: dict[str, Any] = {}
     parser = OverridesParser.create()
     for word in words:
         try:
@@ -111,7 +99,7 @@ def settings_in(words: Iterable[str]) -> dict[str, Setting]:
         key = parsed.get_key_element().lstrip("+~")
         found.pop(key, None)
         if not parsed.is_delete():
-            found[key] = Setting(word, parsed.value())
+            found[key] = parsed.value()
     return found
 
 

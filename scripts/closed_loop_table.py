@@ -6,9 +6,9 @@ import logging
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from diffstack_mmv.cli import DictConfig, OmegaConf, Setting, command, instantiate, settings_in
+from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate, settings_in
 from diffstack_mmv.command_line import quoted
 from diffstack_mmv.config_checks import require_checkpoint
 from diffstack_mmv.data_checks import Conversion, require_conversions
@@ -110,13 +110,13 @@ def _settings(config: DictConfig, row: DrivenRow) -> dict[str, str]:
     return {str(each).partition("=")[0]: str(each) for part in parts for each in part}
 
 
-def _text(drive: Mapping[str, Setting], key: str) -> str | None:
+def _text(drive: Mapping[str, Any], key: str) -> str | None:
     """Value of a key as text, none where it is not given or none."""
-    value = drive[key].value if key in drive else None
+    value = drive.get(key)
     return None if value is None else str(value)
 
 
-def _conversions(drive: Mapping[str, Setting]) -> Iterator[Conversion]:
+def _conversions(drive: Mapping[str, Any]) -> Iterator[Conversion]:
     """The converted data set that a drive among recorded people reads."""
     file = config_folder() / "data" / f"{_text(drive, 'data')}.yaml"
     if not (_text(drive, "crowd") or "").startswith("replay") or not file.is_file():
@@ -126,7 +126,7 @@ def _conversions(drive: Mapping[str, Setting]) -> Iterator[Conversion]:
     if "module" in config.data or "data.cache" not in drive:
         return
     for key in (key for key in drive if key.startswith("data.")):
-        OmegaConf.update(config, key, drive[key].value)
+        OmegaConf.update(config, key, drive[key])
     yield Conversion(str(config.data.name), Path(config.data.cache))
 
 
