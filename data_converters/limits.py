@@ -162,7 +162,7 @@ class RecordingLimits:
             self._refuse_speed(mode, found, f"{where}, sample {worst + 1}", usual)
 
     def too_far(self, moved_m: Array, passed_s: Array, mode: Mode) -> NDArray[np.bool_]:
-        """Whether ways are longer than anybody of a mode travels in the time that passed."""
+        """Whether ways, (n,) m, are longer than anybody of a mode travels in the times, (n,) s."""
         return moved_m - self.speed_of(mode) * passed_s > self.slack_m
 
     def _check_extent(self, track: RawTrack) -> None:

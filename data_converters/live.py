@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from data_converters.believed import Believed
 from data_converters.errors import require
 from data_converters.heading import heading_from_motion
 from data_converters.limits import RecordingLimits
@@ -23,8 +24,6 @@ Array = NDArray[np.float64]
 COLUMNS = ("time", "agent", "mode", "x", "y")
 SIZE = ("length", "width")
 NUMBERS = ("time", "x", "y", *SIZE)
-ENOUGH_STEPS = 5
-"""Steps of a track from which on its unit is judged."""
 
 
 class _Sampled(NamedTuple):
@@ -106,12 +105,14 @@ class LiveTracks:
         seen = seen[seen["time"] <= 0.0].sort_values("time", kind="stable")
         rows = self._rows(history_s)
         order = [ego, *(name for name in dict.fromkeys(names) if name != ego)]
+        believed = Believed(self.limits, self.settings.max_gap_s)
         grouped = {
-            str(name): self._last_stretch(samples, str(name))
+            str(name): believed.stretch(samples, f"the track of {str(name)!r}")
             for name, samples in seen.groupby("agent", sort=False)
             if samples["time"].iloc[-1] >= self._oldest_s
         }
-        self._require_metres(seen[seen["agent"] == ego], f"the track of {ego!r}")
+        # one is enough to tell; no decision ends because of what a tracker makes of somebody else
+        believed.require_metres(seen[seen["agent"] == ego], f"the track of {ego!r}")
         tracks = {name: self._sampled(grouped.get(name), rows) for name in order}
         present = {name: track for name, track in tracks.items() if track is not None}
         require(
@@ -141,44 +142,6 @@ class LiveTracks:
         whole = 1.0 - 1e-6 <= steps < np.inf and abs(steps - round(steps)) < 1e-6
         require(whole, "history_s", f"be a multiple of {self.settings.dt_s:g} s", history_s)
         return round(steps) + 1
-
-    def _last_stretch(self, samples: pd.DataFrame, name: str) -> pd.DataFrame:
-        """Samples of an agent, in the order of time, since its last gap or lasting jump.
-
-        A single sample that lies apart from both its neighbors is left out, and so is the last one
-        where it jumps: the next will tell whether a tracker took one for another.
-        """
-        steps = np.diff(samples["time"].to_numpy(float))
-        same = int((steps <= 0.0).sum())
-        where = f"the track of {name!r}"
-        require(same == 0, "time", "differ from sample to sample", f"{same} repeated", where)
-        into = self._jumps(samples)
-        stray = np.zeros(len(samples), dtype=np.bool_)
-        stray[1:-1] = into[:-1] & into[1:] & ~self._jumps(samples, 2)
-        stray[-1] = into[-1:].any() and not stray[-2:-1].any()
-        samples = samples.iloc[~stray]
-        steps = np.diff(samples["time"].to_numpy(float))
-        breaks = np.flatnonzero(self._jumps(samples) | (steps > self.settings.max_gap_s + 1e-6))
-        return samples.iloc[int(breaks[-1]) + 1 if len(breaks) else 0 :]
-
-    def _jumps(self, samples: pd.DataFrame, apart: int = 1) -> NDArray[np.bool_]:
-        """Whether samples so many rows apart are farther apart than anybody of the mode travels."""
-        if len(samples) <= apart:
-            return np.zeros(0, dtype=np.bool_)
-        time_s, place = samples["time"].to_numpy(float), samples[["x", "y"]].to_numpy(float)
-        mode = Mode.named(str(samples["mode"].iloc[-1]))
-        moved = np.hypot(*(place[apart:] - place[:-apart]).T)
-        return self.limits.too_far(moved, time_s[apart:] - time_s[:-apart], mode)
-
-    def _require_metres(self, samples: pd.DataFrame, where: str) -> None:
-        """Refuse an ego that is nearly always too fast: positions have another unit.
-
-        One is enough to tell; no decision ends because of what a tracker makes of somebody else.
-        """
-        jumps = self._jumps(samples)
-        if len(jumps) >= ENOUGH_STEPS and 2 * jumps.sum() > len(jumps):
-            time_s, place = samples["time"].to_numpy(float), samples[["x", "y"]].to_numpy(float)
-            self.limits.check_steps(time_s, place, Mode.named(str(samples["mode"].iloc[-1])), where)
 
     @property
     def _oldest_s(self) -> float:

@@ -181,7 +181,7 @@ def test_a_source_needs_tracks_of_the_mode(source):
     ("splits", "told"),
     [
         (["train", "vla"], "`splits` must be one of train, but got 'vla'[.]$"),
-        (["train", "trian"], "but got 'trian'. Did you mean 'train'[?]$"),
+        (["train", "trainn"], "but got 'trainn'. Did you mean 'train'[?]$"),
         (["val"], "`splits` must be one of train, but got 'val'"),
         ([], r"`splits` must name some of train, but got \[\]"),
     ],

@@ -41,7 +41,7 @@ def friction_of(simulator: TrackSimulator, theta: Float[Tensor, " p"]) -> float:
     learned = [
         value
         for name, value in zip(parameters.names, parameters.values(theta), strict=True)
-        if name.split(".")[0] == "friction"
+        if name.startswith("friction")
     ]
     if known is None:
         return USUAL_FRICTION
