@@ -154,9 +154,8 @@ class RecordingLimits:
         """
         moved = np.hypot(*np.diff(position[:, :2], axis=0).T)
         passed = np.diff(time_s)
-        beyond = moved - self.speed_of(mode) * passed
-        if len(beyond) and beyond.max() > self.slack_m:
-            worst = int(beyond.argmax())
+        if self.too_far(moved, passed, mode).any():
+            worst = int((moved - self.speed_of(mode) * passed).argmax())
             found = f"{moved[worst]:g} m in {passed[worst]:g} s"
             usual = float(np.median(moved / passed))
             self._refuse_speed(mode, found, f"{where}, sample {worst + 1}", usual)
