@@ -34,6 +34,8 @@ OPEN_LOOP = _by_name(
     Score("median_fde", "FDE of the median", "m", True),
     Score("mean_ade", "ADE of the mean", "m", True),
     Score("mean_fde", "FDE of the mean", "m", True),
+    Score("combined_ade", "ADE of the combined path", "m", True),
+    Score("combined_fde", "FDE of the combined path", "m", True),
     Score("nll", "NLL", "nats", True),
     Score("plan_ade", "plan ADE", "m", True),
     Score("plan_fde", "plan FDE", "m", True),
@@ -49,7 +51,7 @@ OPEN_LOOP = _by_name(
 """Scores of samples: predictions and plans beside what the human did.
 
 `ade` and `fde` are those of the most likely path, `median_*` and `mean_*` those of the median and
-the mean of the forecast.
+the mean of the forecast, `combined_*` those of both and constant velocity (`combined_path`).
 """
 
 OF_THE_PREDICTION = (
@@ -59,6 +61,8 @@ OF_THE_PREDICTION = (
     "median_fde",
     "mean_ade",
     "mean_fde",
+    "combined_ade",
+    "combined_fde",
     "nll",
     "min_ade",
     "miss_rate",

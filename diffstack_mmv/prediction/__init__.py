@@ -20,6 +20,7 @@ from diffstack_mmv.prediction.baselines import (
     single_component,
     without_dynamics,
 )
+from diffstack_mmv.prediction.combination import combined_path
 from diffstack_mmv.prediction.ctra import ConstantTurnRateAcceleration
 from diffstack_mmv.prediction.current import motion_along
 from diffstack_mmv.prediction.ensemble import Ensemble
@@ -49,6 +50,7 @@ __all__ = [
     "StandStill",
     "Trajectron",
     "all_agents",
+    "combined_path",
     "constant_acceleration",
     "ego_forecast",
     "forecasts_of",

@@ -10,7 +10,12 @@ from torch import Tensor
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.prediction.base import Predictor, all_agents
-from diffstack_mmv.prediction.current import current_heading, current_position, mean_velocity
+from diffstack_mmv.prediction.current import (
+    current_heading,
+    current_position,
+    mean_velocity,
+    steady_path,
+)
 from diffstack_mmv.prediction.gaussian import covariance_along, scale_from_covariance
 from diffstack_mmv.smooth import safe_norm
 from diffstack_mmv.types import Forecast, StackBatch, Tracks
@@ -139,8 +144,7 @@ class ConstantVelocity(Extrapolation):
 
     def positions(self, tracks: Tracks, time: Float[Tensor, " T"]) -> Float[Tensor, "*b T 2"]:
         """Positions in m of agents `*b` at times in s after their last row."""
-        velocity = mean_velocity(tracks, self.rows, self.dt_s)
-        return current_position(tracks).unsqueeze(-2) + time.unsqueeze(-1) * velocity.unsqueeze(-2)
+        return steady_path(tracks, time, self.rows, self.dt_s)
 
 
 class NoPrediction(ConstantVelocity):

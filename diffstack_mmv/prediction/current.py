@@ -68,6 +68,14 @@ def mean_velocity(tracks: Tracks, rows: int, dt_s: float) -> Float[Tensor, "*b 2
     return torch.where(observed, way / (first.clamp_min(1) * dt_s), current_velocity(tracks))
 
 
+def steady_path(
+    tracks: Tracks, time: Float[Tensor, " T"], rows: int, dt_s: float
+) -> Float[Tensor, "*b T 2"]:
+    """Positions in m at times in s after the last row, at the `mean_velocity` of `rows` steps."""
+    velocity = mean_velocity(tracks, rows, dt_s)
+    return current_position(tracks).unsqueeze(-2) + time.unsqueeze(-1) * velocity.unsqueeze(-2)
+
+
 def trend(tracks: Tracks, memory_s: float, dt_s: float) -> Trend:
     """Velocity and acceleration at the last row, from a parabola with fading memory.
 

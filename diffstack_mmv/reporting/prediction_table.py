@@ -12,6 +12,7 @@ from diffstack_mmv.reporting.table import NONE
 METHODS: Mapping[str, tuple[str, str]] = {
     "one path (median)": ("median_ade", "median_fde"),
     "one path (mean)": ("mean_ade", "mean_fde"),
+    "one path (combined)": ("combined_ade", "combined_fde"),
     "most likely path": ("ade", "fde"),
     "best of 20 paths": ("best_of_20_ade", "best_of_20_fde"),
     "best of 20 spread paths": ("best_of_20_spread_ade", "best_of_20_spread_fde"),

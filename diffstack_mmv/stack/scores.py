@@ -18,7 +18,7 @@ from diffstack_mmv.metrics import (
     solved,
 )
 from diffstack_mmv.planning import observed_obstacles
-from diffstack_mmv.prediction import ego_forecast
+from diffstack_mmv.prediction import combined_path, ego_forecast
 from diffstack_mmv.stack.output import StackOutput
 from diffstack_mmv.types import Forecast, StackBatch
 
@@ -27,7 +27,12 @@ def prediction_scores(batch: StackBatch, forecast: Forecast) -> dict[str, Float[
     """Scores that need no plan, by the names of `OF_THE_PREDICTION`."""
     future, ego = batch.ego_future, ego_forecast(forecast)
     middle = ego.median()
-    paths = {"": ego.most_likely(), "median_": middle, "mean_": ego.expected()}
+    paths = {
+        "": ego.most_likely(),
+        "median_": middle,
+        "mean_": ego.expected(),
+        "combined_": combined_path(ego, batch.ego_past, batch.dt_s),
+    }
     return {
         **{
             prefix + score: value

@@ -207,7 +207,7 @@ def test_baselines_answer_with_paths(baseline, error):
     assert distance.max() < 0.01 if error is not None else distance.max() > 2.0
 
 
-OF_THE_END = {"fde", "median_fde", "mean_fde", "plan_fde", "miss_rate"}
+OF_THE_END = {"fde", "median_fde", "mean_fde", "combined_fde", "plan_fde", "miss_rate"}
 NOT_PREDICTED = set(OPEN_LOOP) - set(OF_THE_PREDICTION)
 WITHOUT_TRUTH = {"collision_rate", "solved"}
 
