@@ -77,11 +77,12 @@ def composition_told(folder: Path, config_name: str) -> Iterator[None]:
 def failures_told() -> Iterator[None]:
     """Tell the failure of a job in one line.
 
-    A job of a sweep raises it: the others go on, and the command ends with it. Within the job the
-    environment is that of the user, since it may start further processes.
+    A job of a sweep raises it: the others go on, and the command ends with it. A job that was told
+    to end takes the sweep with it: that was meant for all of it. Within the job the environment is
+    that of the user, since it may start further processes.
 
     Raises:
-        SystemExit: The only job of the command failed.
+        SystemExit: The only job of the command failed, or one was told to end.
         CommandError: A job of a sweep failed.
     """
     raising = _RAISING.get()
@@ -89,6 +90,8 @@ def failures_told() -> Iterator[None]:
         del os.environ[FULL_ERROR]
     try:
         yield
+    except InterruptedError as told_to_end:
+        _exit(_told(told_to_end))
     except EXPECTED as error:
         if raising and HydraConfig.get().mode is RunMode.RUN:
             _exit(_told(error))

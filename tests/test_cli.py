@@ -319,3 +319,17 @@ def test_a_sweep_without_a_folder_gets_one_of_its_own(tmp_path, monkeypatch):
     GlobalHydra.instance().clear()
     assert [folder.split("/")[-4:-2] for folder in seen] == [["outputs", "task"]] * 2
     assert [folder.split("/")[-1] for folder in seen] == ["0", "1"]
+
+
+@pytest.mark.parametrize(("failure", "begun"), [(InterruptedError, [1]), (ValueError, [1, 2])])
+def test_a_job_that_is_told_to_end_takes_the_sweep_with_it(failure, begun, run):
+    """A failed one lets the others go on."""
+    seen = []
+
+    def end(config):
+        seen.append(config.needed)
+        raise failure("`out` must be told, but got nothing.")
+
+    _, told = run("-m", "needed=1,2", task=end)
+    assert seen == begun
+    assert "`out` must be told" in told

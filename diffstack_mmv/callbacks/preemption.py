@@ -62,7 +62,8 @@ class Preemption(Checkpoint):
             _requeue()
         name = self._received.name if self._received else "a signal to another process"
         raise InterruptedError(
-            f"Stopped by {name}; {self.path} is saved. Give the same command again to go on."
+            f"Stopped by {name}; {self.path} is saved. Give the same command again, with the same "
+            "`out`, to go on."
         )
 
     def teardown(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
