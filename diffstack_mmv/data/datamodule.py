@@ -13,7 +13,7 @@ from diffstack_mmv.checks import require
 from diffstack_mmv.data.augment import Augmentation
 from diffstack_mmv.data.dataset import DirectWindows, ExportedWindows, WindowDataset
 from diffstack_mmv.data.export import Export, export_windows
-from diffstack_mmv.data.loading import DrawnWindows, WindowLoader
+from diffstack_mmv.data.loading import DrawnWindows, WindowLoader, require_a_batch
 from diffstack_mmv.data.sampling import Balance, EvaluationSampler, Share, TrainingSampler
 from diffstack_mmv.data.settings import ExportSettings, LoaderSettings, WindowSettings
 from diffstack_mmv.data.sources import WindowSource
@@ -123,7 +123,8 @@ class TrajdataModule(LightningDataModule):
         """Batches for training: shuffled, augmented, balanced.
 
         Raises:
-            ValueError: There are fewer samples than processes, or the balance does not fit them.
+            ValueError: There are fewer samples than processes, the balance does not fit them, or
+                the trainer takes a share that holds no batch.
         """
         dataset = self.dataset(self.splits.train)
         weights = None if self.balance is None else self.balance.weights(dataset.samples)
@@ -134,11 +135,22 @@ class TrajdataModule(LightningDataModule):
         )
         sampler = TrainingSampler(len(dataset), loading.batch_size, loading.seed, share, weights)
         sampler.set_epoch(self.trainer.current_epoch if self.trainer else 0)
-        return WindowLoader(DrawnWindows(dataset, self.augmentation), sampler, loading.workers)
+        loader = WindowLoader(DrawnWindows(dataset, self.augmentation), sampler, loading.workers)
+        if self.trainer:
+            limit = self.trainer.limit_train_batches
+            require_a_batch("trainer.limit_train_batches", limit or 0, len(loader))
+        return loader
 
     def val_dataloader(self) -> WindowLoader:
-        """Batches for validation, in order."""
-        return self.evaluation_loader(self.splits.val)
+        """Batches for validation, in order.
+
+        Raises:
+            ValueError: The trainer takes a share that holds no batch.
+        """
+        loader = self.evaluation_loader(self.splits.val)
+        if self.trainer:
+            require_a_batch("validation.share", self.trainer.limit_val_batches or 0, len(loader))
+        return loader
 
     def test_dataloader(self) -> WindowLoader:
         """Batches for the test, in order."""

@@ -102,6 +102,20 @@ def test_only_the_splits_of_the_stage_are_exported(module, tmp_path):
     assert exports[0].startswith("toy_val_")
 
 
+@pytest.mark.parametrize(
+    ("limit", "setting"),
+    [("train", "trainer.limit_train_batches"), ("val", "validation.share")],
+)
+def test_a_share_that_holds_no_batch_is_refused_with_the_least_that_does(
+    module, tmp_path, limit, setting
+):
+    built = module(batch_size=1000)
+    wanted = f"`{setting}` must be at least 1, one of 1 batches, but got 0.5"
+    taken = trainer(tmp_path, max_epochs=1, **{f"limit_{limit}_batches": 0.5})
+    with pytest.raises(ValueError, match=wanted):
+        taken.fit(Recorder(), datamodule=built)
+
+
 @pytest.mark.parametrize("workers", [0, 2])
 @pytest.mark.parametrize("stop", [5, 21])
 def test_training_resumes_within_an_epoch_where_it_stopped(module, tmp_path, workers, stop):
