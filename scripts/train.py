@@ -113,7 +113,7 @@ def _save_as_it_is(trainer: pl.Trainer, stack: DiffStackMMV, folder: Path) -> No
     """Write the checkpoints of a training that learns nothing, so that it can be evaluated."""
     trainer.strategy.connect(stack)
     for name in ("best", "last"):
-        trainer.save_checkpoint(folder / f"{name}.ckpt")
+        trainer.save_checkpoint(folder / f"{name}.ckpt", weights_only=False)
 
 
 if __name__ == "__main__":
