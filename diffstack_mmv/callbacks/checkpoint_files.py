@@ -1,5 +1,6 @@
 """Files of checkpoints: written whole beside the earlier one, which then goes."""
 
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -29,5 +30,8 @@ class WholeCheckpoints(TorchCheckpointIO):
         Raises:
             OSError: It cannot be written; the earlier file stays.
         """
+        # torch itself would not say that a disk is full
+        content = BytesIO()
+        torch.save(checkpoint, content)
         with replacing(Path(path)) as unfinished:
-            torch.save(checkpoint, unfinished)
+            unfinished.write_bytes(content.getbuffer())
