@@ -13,7 +13,8 @@ from hydra.errors import CompactHydraException, HydraException
 from hydra.types import RunMode
 from omegaconf.errors import OmegaConfBaseException
 
-from diffstack_mmv.override_errors import one_line, told, told_of_folder
+from diffstack_mmv.override_errors import one_line, told, told_of_disk, told_of_folder
+from dmmv_conventions.disk import disk_is_full
 from dmmv_conventions.extras import MissingExtraError
 
 EXPECTED = (
@@ -114,5 +115,7 @@ def _told(error: BaseException) -> str:
     """
     while isinstance(error, HydraException) and error.__cause__ is not None:
         error = error.__cause__
+    if isinstance(error, OSError) and disk_is_full(error):
+        return told_of_disk(error, HydraConfig.get().runtime.output_dir)
     line = one_line(str(error))
     return line if line.startswith("`") else f"{type(error).__name__}: {line}"

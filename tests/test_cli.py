@@ -1,6 +1,7 @@
 """What all command lines share: complete configurations, files of vehicles, one message."""
 
 import contextlib
+import errno
 import gc
 import logging
 import shlex
@@ -143,6 +144,25 @@ def test_a_failure_shows_no_traceback(run):
     _, told = run("needed=1", task=fail)
     assert "KeyError: 'key'" in told
     assert "Traceback" not in told
+
+
+@pytest.mark.parametrize(
+    ("said", "file", "told"),
+    [
+        (
+            "No space left",
+            None,
+            "`disk` must have free space, but got No space left at {out}. Free",
+        ),
+        ("No space left", "here", "`disk` must have free space, but got No space left at here. Fr"),
+        ("`folder` must have free disk space.", None, "`folder` must have free disk space.\n"),
+    ],
+)
+def test_a_full_disk_is_told_with_its_place_and_a_remedy(said, file, told, run, tmp_path):
+    def fill(config):
+        raise OSError(errno.ENOSPC, said, file)
+
+    assert run("needed=1", task=fill)[1].startswith(told.format(out=tmp_path / "out"))
 
 
 def test_who_interrupts_a_command_sees_no_traceback(run):
