@@ -13,7 +13,8 @@ from hydra.errors import CompactHydraException, HydraException
 from hydra.types import RunMode
 from omegaconf.errors import OmegaConfBaseException
 
-from diffstack_mmv.override_errors import one_line, told, told_of_folder
+from diffstack_mmv.override_errors import one_line, told, told_of_disk, told_of_folder
+from dmmv_conventions.disk import disk_is_full
 from dmmv_conventions.extras import MissingExtraError
 
 EXPECTED = (
@@ -77,11 +78,12 @@ def composition_told(folder: Path, config_name: str) -> Iterator[None]:
 def failures_told() -> Iterator[None]:
     """Tell the failure of a job in one line.
 
-    A job of a sweep raises it: the others go on, and the command ends with it. Within the job the
-    environment is that of the user, since it may start further processes.
+    A job of a sweep raises it: the others go on, and the command ends with it. A job that was told
+    to end takes the sweep with it: that was meant for all of it. Within the job the environment is
+    that of the user, since it may start further processes.
 
     Raises:
-        SystemExit: The only job of the command failed.
+        SystemExit: The only job of the command failed, or one was told to end.
         CommandError: A job of a sweep failed.
     """
     raising = _RAISING.get()
@@ -89,6 +91,8 @@ def failures_told() -> Iterator[None]:
         del os.environ[FULL_ERROR]
     try:
         yield
+    except InterruptedError as told_to_end:
+        _exit(_told(told_to_end))
     except EXPECTED as error:
         if raising and HydraConfig.get().mode is RunMode.RUN:
             _exit(_told(error))
@@ -111,5 +115,7 @@ def _told(error: BaseException) -> str:
     """
     while isinstance(error, HydraException) and error.__cause__ is not None:
         error = error.__cause__
+    if isinstance(error, OSError) and disk_is_full(error):
+        return told_of_disk(error, HydraConfig.get().runtime.output_dir)
     line = one_line(str(error))
     return line if line.startswith("`") else f"{type(error).__name__}: {line}"

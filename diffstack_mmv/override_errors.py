@@ -67,6 +67,20 @@ def told_of_folder(error: OSError) -> str:
     return message("out", "be a folder that can be written", found, "", "Give another one.")
 
 
+def told_of_disk(error: OSError, out: str) -> str:
+    """The message for a disk that is full; a file is told only where it was opened.
+
+    Args:
+        error: The failure; what told it already in words of its own stays.
+        out: Folder of the run, where most is written.
+    """
+    said = str(error.strerror)
+    remedy = "Free space, or raise your limit, and give the same command again."
+    where = f"at {error.filename or out}"
+    told = message("disk", "have free space", said, where, remedy)
+    return one_line(said) if said.startswith("`") else told
+
+
 def _unknown_option(file: str, options: Sequence[str]) -> str:
     group, _, name = file.rpartition("/")
     extra = next((_EXTRAS[begin] for begin in _EXTRAS if file.startswith(begin)), None)

@@ -43,23 +43,24 @@ def build(source: str, target: Path, machine: str = "native", *flags: str) -> No
         flags: Options of the compiler besides `FLAGS`.
 
     Raises:
-        CannotBuildError: There is no compiler, it refuses the source, or it takes too long.
+        CannotBuildError: There is no compiler, it refuses the source, it takes too long, or the
+            library cannot be written.
     """
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=target.parent) as folder:
-        written, library = Path(folder, "source.cpp"), Path(folder, target.name)
-        written.write_text(source)
-        options = (*FLAGS, *flags, f"-march={machine}")
-        command = [_compiler(), *options, str(written), "-o", str(library)]
-        try:
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=target.parent) as folder:
+            written, library = Path(folder, "source.cpp"), Path(folder, target.name)
+            written.write_text(source)
+            options = (*FLAGS, *flags, f"-march={machine}")
+            command = [_compiler(), *options, str(written), "-o", str(library)]
             done = subprocess.run(
                 command, capture_output=True, text=True, timeout=LIMIT_S, check=False
             )
-        except (OSError, subprocess.TimeoutExpired) as failure:
-            raise CannotBuildError(str(failure)) from failure
-        if done.returncode:
-            raise CannotBuildError(next(iter(done.stderr.splitlines()), "no message"))
-        os.replace(library, target)
+            if done.returncode:
+                raise CannotBuildError(next(iter(done.stderr.splitlines()), "no message"))
+            os.replace(library, target)
+    except (OSError, subprocess.TimeoutExpired) as failure:
+        raise CannotBuildError(str(failure)) from failure
 
 
 def _compiler() -> str:
@@ -104,25 +105,36 @@ def load(source: str, *flags: str) -> ctypes.CDLL:
         flags: Options of the compiler besides `FLAGS`.
 
     Raises:
-        CannotBuildError: It cannot be built, or another user wrote it.
+        CannotBuildError: It cannot be built or read, or another user wrote it.
     """
     from torch._inductor.runtime.cache_dir_utils import cache_dir
 
-    told = (
-        source,
-        " ".join(FLAGS + flags),
-        platform.machine(),
-        torch.backends.cpu.get_cpu_capability(),
-    )
+    told = (source, " ".join(FLAGS + flags), platform.machine(), processor())
     name = hashlib.sha256("\n".join(told).encode()).hexdigest()
-    path = Path(cache_dir(), "dmmv", f"{name}.so")
-    if not path.exists():
-        build(source, path, "native", *flags)
-    _require_own(path)
     try:
+        path = Path(cache_dir(), "dmmv", f"{name}.so")
+        if not path.exists():
+            build(source, path, "native", *flags)
+        _require_own(path)
         return ctypes.CDLL(str(path))
     except OSError as failure:
         raise CannotBuildError(str(failure)) from failure
+
+
+@functools.cache
+def processor() -> str:
+    """Model and abilities of this machine's processor.
+
+    Machines of a cluster may share the compiler's folder: what was built for one of them has
+    instructions that another may lack, and would end the process.
+    """
+    file = Path("/proc/cpuinfo")
+    lines = file.read_text().splitlines() if file.is_file() else [platform.processor()]
+    told = {line for line in lines if line.startswith(_TELLING)}
+    return "\n".join([torch.backends.cpu.get_cpu_capability(), *sorted(told or lines[:1])])
+
+
+_TELLING = ("model name", "flags", "Features", "CPU part")
 
 
 def libraries_loaded() -> int:

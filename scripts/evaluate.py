@@ -167,10 +167,10 @@ def main(config: DictConfig) -> None:
         )
     header["data_sha256"] = windows.digest()
     write_parquet(out / "samples.parquet", evaluation.samples)
-    write_metrics(out, header | metrics, scores)
     _remove_drawings(out)
     if config.plots:
         _draw(config, stack, windows, evaluation)
+    write_metrics(out, header | metrics, scores)
     if config.get("wandb"):
         instantiate(config.wandb)(read_record(out, Titles(scores, CLOSED_LOOP)))
     logger.info("Report: %s; as a page: dmmv-report %s", out / "metrics.md", out)

@@ -6,8 +6,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from diffstack_mmv.cli import DictConfig, command, instantiate
+from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
 from diffstack_mmv.data_checks import require_step_of, require_tracks
+from diffstack_mmv.run_checks import require_same_run
 from dmmv_conventions.checks import message, require
 from dmmv_conventions.configs import config_folder
 
@@ -46,7 +47,13 @@ def builders(config: DictConfig) -> dict[str, partial[Any]]:
     }
 
 
-@command(config_folder(), "identify", check)
+def admit(config: DictConfig) -> None:
+    """Refuse a folder with what was identified with other settings: figures of both would stay."""
+    content: Any = OmegaConf.to_container(config)
+    require_same_run(Path(config.out), "identify", content)
+
+
+@command(config_folder(), "identify", check, admit)
 def main(config: DictConfig) -> None:
     """Identify the model, and write the calibrated vehicle, its table and its figures.
 

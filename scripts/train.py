@@ -67,7 +67,7 @@ def main(config: DictConfig) -> float | None:
     import pytorch_lightning as pl
 
     from diffstack_mmv.callbacks import Provenance
-    from diffstack_mmv.stack import learned_from, own_processes, start_from
+    from diffstack_mmv.stack import interrupts_raised, learned_from, own_processes, start_from
 
     pl.seed_everything(config.seed, workers=True)
     content: Any = OmegaConf.to_container(config)
@@ -90,7 +90,7 @@ def main(config: DictConfig) -> float | None:
     stack.require_learnable()  # before the windows are exported
     for each in loggers:
         each.log_hyperparams(content)
-    with own_processes():
+    with own_processes(), interrupts_raised():
         trainer.fit(stack, data, ckpt_path=resume)
     best = trainer.checkpoint_callback
     if trainer.is_global_zero:
@@ -113,7 +113,7 @@ def _save_as_it_is(trainer: pl.Trainer, stack: DiffStackMMV, folder: Path) -> No
     """Write the checkpoints of a training that learns nothing, so that it can be evaluated."""
     trainer.strategy.connect(stack)
     for name in ("best", "last"):
-        trainer.save_checkpoint(folder / f"{name}.ckpt")
+        trainer.save_checkpoint(folder / f"{name}.ckpt", weights_only=False)
 
 
 if __name__ == "__main__":

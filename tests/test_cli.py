@@ -1,6 +1,7 @@
 """What all command lines share: complete configurations, files of vehicles, one message."""
 
 import contextlib
+import errno
 import gc
 import logging
 import shlex
@@ -143,6 +144,25 @@ def test_a_failure_shows_no_traceback(run):
     _, told = run("needed=1", task=fail)
     assert "KeyError: 'key'" in told
     assert "Traceback" not in told
+
+
+@pytest.mark.parametrize(
+    ("said", "file", "told"),
+    [
+        (
+            "No space left",
+            None,
+            "`disk` must have free space, but got No space left at {out}. Free",
+        ),
+        ("No space left", "here", "`disk` must have free space, but got No space left at here. Fr"),
+        ("`folder` must have free disk space.", None, "`folder` must have free disk space.\n"),
+    ],
+)
+def test_a_full_disk_is_told_with_its_place_and_a_remedy(said, file, told, run, tmp_path):
+    def fill(config):
+        raise OSError(errno.ENOSPC, said, file)
+
+    assert run("needed=1", task=fill)[1].startswith(told.format(out=tmp_path / "out"))
 
 
 def test_who_interrupts_a_command_sees_no_traceback(run):
@@ -319,3 +339,17 @@ def test_a_sweep_without_a_folder_gets_one_of_its_own(tmp_path, monkeypatch):
     GlobalHydra.instance().clear()
     assert [folder.split("/")[-4:-2] for folder in seen] == [["outputs", "task"]] * 2
     assert [folder.split("/")[-1] for folder in seen] == ["0", "1"]
+
+
+@pytest.mark.parametrize(("failure", "begun"), [(InterruptedError, [1]), (ValueError, [1, 2])])
+def test_a_job_that_is_told_to_end_takes_the_sweep_with_it(failure, begun, run):
+    """A failed one lets the others go on."""
+    seen = []
+
+    def end(config):
+        seen.append(config.needed)
+        raise failure("`out` must be told, but got nothing.")
+
+    _, told = run("-m", "needed=1,2", task=end)
+    assert seen == begun
+    assert "`out` must be told" in told

@@ -178,6 +178,24 @@ def test_runs_are_compared_in_one_table(succeed, workplace, tmp_path):
     assert (tmp_path / "table.tex").is_file()
 
 
+@pytest.mark.slow
+def test_an_evaluation_that_ends_while_it_draws_is_not_taken_for_finished(
+    refusal, workplace, tmp_path, monkeypatch
+):
+    """Tables of many runs go by `metrics.json`, and would leave the drawings out for good."""
+
+    def fail(*_):
+        raise OSError("no more drawings")
+
+    monkeypatch.setattr("diffstack_mmv.plotting.save_evaluation", fail)
+    checkpoint = f"checkpoint={workplace / 'run' / 'checkpoints' / 'best.ckpt'}"
+    options = ["plans=false", "baselines.simple={}", "wandb=none"]
+    told = refusal("evaluate", checkpoint, *data_of(workplace), *options, f"out={tmp_path}")
+    assert "no more drawings" in told
+    assert not (tmp_path / "metrics.json").exists()
+    assert (tmp_path / "samples.parquet").is_file()
+
+
 def test_identification_calibrates_a_vehicle_that_other_commands_accept(
     succeed, workplace, tmp_path
 ):

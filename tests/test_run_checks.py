@@ -3,6 +3,7 @@
 import re
 
 import pytest
+from omegaconf import OmegaConf
 
 from diffstack_mmv.run_checks import (
     config_file,
@@ -10,6 +11,7 @@ from diffstack_mmv.run_checks import (
     require_reports,
     require_same_run,
 )
+from scripts import identify
 
 
 @pytest.fixture
@@ -72,6 +74,17 @@ def test_results_of_other_settings_are_not_replaced(tmp_path):
     )
     with pytest.raises(ValueError, match=re.escape(told)):
         require_same_run(tmp_path, "tune", again | {"loss": {"_target_": "a.Loss", "margin": 2.0}})
+
+
+def test_an_identification_of_other_settings_is_not_replaced(tmp_path):
+    """Its vehicle, and figures that only one of them draws, would be taken for those of both."""
+    (tmp_path / "config.yaml").write_text(f"out: {tmp_path}\nprofile: [wheelbase]\n")
+    (tmp_path / "identification.json").touch()
+    config = OmegaConf.create({"out": str(tmp_path), "profile": ["wheelbase"]})
+    identify.admit(config)
+    config.profile = []
+    with pytest.raises(ValueError, match="no result of identify with another profile"):
+        identify.admit(config)
 
 
 @pytest.mark.parametrize(

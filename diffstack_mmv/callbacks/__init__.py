@@ -5,6 +5,7 @@ from dmmv_conventions.extras import needs
 with needs("stack", "diffstack_mmv.callbacks"):
     from diffstack_mmv.callbacks.artifacts import CheckpointArtifact
     from diffstack_mmv.callbacks.averaging import AveragedWeights
+    from diffstack_mmv.callbacks.checkpoint_files import WholeCheckpoints
     from diffstack_mmv.callbacks.compilation import CompiledSolver
     from diffstack_mmv.callbacks.csv_log import KeptRows, ResumableCSVLogger
     from diffstack_mmv.callbacks.dashboard import build_dashboard, dashboard
@@ -44,6 +45,7 @@ __all__ = [
     "Throughput",
     "WallClock",
     "WandbResults",
+    "WholeCheckpoints",
     "build_dashboard",
     "dashboard",
     "resume_point",

@@ -57,12 +57,13 @@ class Preemption(Checkpoint):
         told = told and (batch[-1] + 1) % trainer.accumulate_grad_batches == 0
         if not trainer.strategy.reduce_boolean_decision(told, all=False):
             return
-        trainer.save_checkpoint(self.path)
+        trainer.save_checkpoint(self.path, weights_only=False)
         if trainer.is_global_zero:
             _requeue()
         name = self._received.name if self._received else "a signal to another process"
         raise InterruptedError(
-            f"Stopped by {name}; {self.path} is saved. Give the same command again to go on."
+            f"Stopped by {name}; {self.path} is saved. Give the same command again, with the same "
+            "`out`, to go on."
         )
 
     def teardown(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:

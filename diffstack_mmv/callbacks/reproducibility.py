@@ -135,13 +135,16 @@ def resume_point(last: Path, config: Mapping[str, Any]) -> Path | None:
     if not isinstance(before, dict):
         fault = message("checkpoint", "hold its configuration", "none", f"in {last}", remedy)
         raise ValueError(fault)
-    _require_same_training(last, before, config)
+    may_differ = _ELSEWHERE_AND_MOVED if _DATA in content else _ELSEWHERE
+    _require_same_training(last, before, config, may_differ)
     return last
 
 
-def _require_same_training(last: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+def _require_same_training(
+    last: Path, before: Mapping[str, Any], now: Mapping[str, Any], may_differ: re.Pattern[str]
+) -> None:
     """Refuse a checkpoint of other settings, and name the outermost that differs."""
-    found = first_difference(before, now, _ELSEWHERE)
+    found = first_difference(before, now, may_differ)
     if found is not None:
         requirement = "be a new folder, or that of the same run"
         got = f"with another {found.place}: {found.before!r} before, now {found.now!r}"
@@ -158,3 +161,9 @@ _ELSEWHERE = re.compile(
     r"|throughput|plans|artifact|progress))(\.|\[|$)"
 )
 """Settings that may change when a run goes on: how long, where, what is read and shown."""
+
+_DATA = "TrajdataModule"
+"""Where Lightning keeps the state of the data module, which refuses other recordings."""
+_MOVED = r"data\.(cache|module\.(source|export)\.folder)$"
+_ELSEWHERE_AND_MOVED = re.compile(f"{_ELSEWHERE.pattern}|{_MOVED}")
+"""And the place of the cache, which a job may copy to a disk of its own."""

@@ -1,6 +1,8 @@
 """The data module: recordings in, `StackBatch` out."""
 
-from collections.abc import Sequence
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -13,7 +15,7 @@ from diffstack_mmv.checks import require
 from diffstack_mmv.data.augment import Augmentation
 from diffstack_mmv.data.dataset import DirectWindows, ExportedWindows, WindowDataset
 from diffstack_mmv.data.export import Export, export_windows
-from diffstack_mmv.data.loading import DrawnWindows, WindowLoader
+from diffstack_mmv.data.loading import DrawnWindows, WindowLoader, require_a_batch
 from diffstack_mmv.data.sampling import Balance, EvaluationSampler, Share, TrainingSampler
 from diffstack_mmv.data.settings import ExportSettings, LoaderSettings, WindowSettings
 from diffstack_mmv.data.sources import WindowSource
@@ -27,6 +29,9 @@ class Splits:
     val: str = "val"
     test: str = "test"
 
+
+_READING = ("root", "trajdata")
+"""Where recordings lie and what reads them: not what they are."""
 
 _NEEDED = {"fit": ("train", "val"), "validate": ("val",), "test": ("test",), "predict": ("test",)}
 
@@ -70,6 +75,7 @@ class TrajdataModule(LightningDataModule):
         self.augmentation = augmentation
         self.balance = balance
         self._datasets: dict[str, WindowDataset] = {}
+        self._recordings: str | None = None
 
     def prepare_data(self) -> None:
         """Export the splits that are needed, unless they are there; runs in one process per node.
@@ -98,8 +104,24 @@ class TrajdataModule(LightningDataModule):
         Raises:
             ValueError: A split was not exported, or its export is damaged.
         """
+        self._recordings = self._digest()
         for split in self._needed(stage):
             self.dataset(split)
+
+    def state_dict(self) -> dict[str, str]:
+        """A hash of the recordings and their conversion; a checkpoint holds it."""
+        return {"recordings": self._recordings or self._digest()}
+
+    def load_state_dict(self, state_dict: Mapping[str, str]) -> None:
+        """Refuse to go on with other data than those of the checkpoint.
+
+        Raises:
+            ValueError: The recordings or their conversion are others.
+        """
+        same = state_dict["recordings"] == (self._recordings or self._digest())
+        needs = f"be the recordings of '{self.source.name}', converted as when the training began"
+        remedy = "Convert them as before, or train in another `out`."
+        require(same, "data", needs, "others", "", remedy)
 
     def dataset(self, split: str) -> WindowDataset:
         """Samples of a split of the source, by number, without augmentation.
@@ -123,7 +145,8 @@ class TrajdataModule(LightningDataModule):
         """Batches for training: shuffled, augmented, balanced.
 
         Raises:
-            ValueError: There are fewer samples than processes, or the balance does not fit them.
+            ValueError: There are fewer samples than processes, the balance does not fit them, or
+                the trainer takes a share that holds no batch.
         """
         dataset = self.dataset(self.splits.train)
         weights = None if self.balance is None else self.balance.weights(dataset.samples)
@@ -134,11 +157,22 @@ class TrajdataModule(LightningDataModule):
         )
         sampler = TrainingSampler(len(dataset), loading.batch_size, loading.seed, share, weights)
         sampler.set_epoch(self.trainer.current_epoch if self.trainer else 0)
-        return WindowLoader(DrawnWindows(dataset, self.augmentation), sampler, loading.workers)
+        loader = WindowLoader(DrawnWindows(dataset, self.augmentation), sampler, loading.workers)
+        if self.trainer:
+            limit = self.trainer.limit_train_batches
+            require_a_batch("trainer.limit_train_batches", limit or 0, len(loader))
+        return loader
 
     def val_dataloader(self) -> WindowLoader:
-        """Batches for validation, in order."""
-        return self.evaluation_loader(self.splits.val)
+        """Batches for validation, in order.
+
+        Raises:
+            ValueError: The trainer takes a share that holds no batch.
+        """
+        loader = self.evaluation_loader(self.splits.val)
+        if self.trainer:
+            require_a_batch("validation.share", self.trainer.limit_val_batches or 0, len(loader))
+        return loader
 
     def test_dataloader(self) -> WindowLoader:
         """Batches for the test, in order."""
@@ -155,6 +189,10 @@ class TrajdataModule(LightningDataModule):
             len(dataset), self.loading.batch_size, self.loading.seed, self._share()
         )
         return WindowLoader(DrawnWindows(dataset), sampler, self.loading.workers)
+
+    def _digest(self) -> str:
+        told = {key: each for key, each in self.source.identity().items() if key not in _READING}
+        return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()
 
     def _open(self, split: str) -> WindowDataset:
         if self.export is None:

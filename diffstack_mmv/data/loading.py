@@ -1,5 +1,6 @@
 """Data loader whose position within an epoch is part of a checkpoint."""
 
+import math
 from collections.abc import Iterator
 from typing import TypeVar
 
@@ -95,6 +96,23 @@ class WindowLoader(DataLoader[StackBatch]):
             "processes": self.sampler.share.processes,
             "samples": self.sampler.count,
         }
+
+
+def require_a_batch(argument: str, share: float, batches: int) -> None:
+    """Refuse a share of the batches of an epoch that holds none of them.
+
+    Args:
+        argument: Name of the setting.
+        share: A share in (0, 1], or a whole number of batches.
+        batches: Batches of the epoch, of this process.
+
+    Raises:
+        ValueError: Not one batch is left.
+    """
+    if isinstance(share, float) and int(share * batches) == 0 < batches:
+        least = math.ceil(1e3 / batches) / 1e3
+        needs = f"be at least {least:g}, one of {batches} batches"
+        require(False, argument, needs, share, "", "A whole number N takes the first N batches.")
 
 
 def unchanged(item: Item) -> Item:

@@ -149,7 +149,9 @@ def situation_table(metrics: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def write_metrics(folder: Path, metrics: Mapping[str, Any], scores: Scores) -> None:
-    """Write `metrics.json`, `metrics.csv` and `metrics.md` into a folder.
+    """Write `metrics.csv`, `metrics.md` and `metrics.json` into a folder.
+
+    The last one is there as soon as all of them are: tables of many runs go by it.
 
     Args:
         folder: The folder.
@@ -159,9 +161,9 @@ def write_metrics(folder: Path, metrics: Mapping[str, Any], scores: Scores) -> N
     Raises:
         ValueError: A number is NaN or infinite.
     """
-    write_json(folder / "metrics.json", metrics)
     write_text(folder / "metrics.csv", mode_table(metrics, scores).to_csv())
     write_text(folder / "metrics.md", _markdown(metrics, scores))
+    write_json(folder / "metrics.json", metrics)
 
 
 def _markdown(metrics: Mapping[str, Any], scores: Scores) -> str:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from diffstack_mmv.stack.output import StackOutput
     from diffstack_mmv.stack.physics import PhysicsLearning
     from diffstack_mmv.stack.precision import MixedPrecision
-    from diffstack_mmv.stack.processes import own_processes
+    from diffstack_mmv.stack.processes import interrupts_raised, own_processes
 
 __getattr__ = on_demand(__name__, __file__, "stack")
 __all__ = [
@@ -47,6 +47,7 @@ __all__ = [
     "assemble",
     "evaluate_windows",
     "fitted_calibration",
+    "interrupts_raised",
     "learned_from",
     "load_ensemble",
     "load_predictor",

@@ -1,6 +1,7 @@
-"""Training with several processes that leaves nothing behind in the one that began it."""
+"""Training that leaves nothing behind in the process that began it, and ends as it was told."""
 
 import os
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -23,3 +24,22 @@ def own_processes() -> Iterator[None]:
         for name in os.environ.keys() - before.keys():
             del os.environ[name]
         os.environ.update(before)
+
+
+@contextmanager
+def interrupts_raised() -> Iterator[None]:
+    """Have Ctrl-C end a training as it ends anything else.
+
+    Lightning would leave with the status of a failure, and leave the signal switched off.
+
+    Raises:
+        KeyboardInterrupt: The training was interrupted.
+    """
+    handler = signal.getsignal(signal.SIGINT)
+    try:
+        yield
+    except SystemExit as left:
+        if not isinstance(left.__context__, KeyboardInterrupt):
+            raise
+        signal.signal(signal.SIGINT, handler)
+        raise KeyboardInterrupt from None

@@ -86,6 +86,21 @@ def test_a_run_goes_on_elsewhere_for_longer_and_with_another_display(tmp_path):
     assert resume_point(path, CONFIG | moved) == path
 
 
+@pytest.mark.parametrize("told", [True, False])
+def test_a_cache_may_lie_elsewhere_if_the_checkpoint_tells_its_content(told, tmp_path):
+    def of(cache):
+        source, export = {"folder": cache}, {"folder": f"{cache}/exports"}
+        return CONFIG | {"data": {"cache": cache, "module": {"source": source, "export": export}}}
+
+    path = save(tmp_path, of("disk"))
+    if told:
+        torch.save(torch.load(path) | {"TrajdataModule": {"recordings": "a hash"}}, path)
+        assert resume_point(path, of("local")) == path
+        return
+    with pytest.raises(ValueError, match=r"another data\.cache: 'disk' before, now 'local'"):
+        resume_point(path, of("local"))
+
+
 def test_patience_ends_no_run_that_was_not_validated():
     stopping, trainer = EarlyStopping("val/ade", patience=0), SimpleNamespace(should_stop=False)
     stopping.on_train_start(trainer, None)

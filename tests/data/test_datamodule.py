@@ -1,11 +1,14 @@
 """The data module inside and outside of Lightning."""
 
+import shutil
+
 import pytest
 import pytorch_lightning as pl
 import torch
 from torch.utils._pytree import tree_flatten
 
 from diffstack_mmv.data import (
+    ConvertedCache,
     EqualModes,
     LoaderSettings,
     Mirror,
@@ -102,6 +105,20 @@ def test_only_the_splits_of_the_stage_are_exported(module, tmp_path):
     assert exports[0].startswith("toy_val_")
 
 
+@pytest.mark.parametrize(
+    ("limit", "setting"),
+    [("train", "trainer.limit_train_batches"), ("val", "validation.share")],
+)
+def test_a_share_that_holds_no_batch_is_refused_with_the_least_that_does(
+    module, tmp_path, limit, setting
+):
+    built = module(batch_size=1000)
+    wanted = f"`{setting}` must be at least 1, one of 1 batches, but got 0.5"
+    taken = trainer(tmp_path, max_epochs=1, **{f"limit_{limit}_batches": 0.5})
+    with pytest.raises(ValueError, match=wanted):
+        taken.fit(Recorder(), datamodule=built)
+
+
 @pytest.mark.parametrize("workers", [0, 2])
 @pytest.mark.parametrize("stop", [5, 21])
 def test_training_resumes_within_an_epoch_where_it_stopped(module, tmp_path, workers, stop):
@@ -114,6 +131,20 @@ def test_training_resumes_within_an_epoch_where_it_stopped(module, tmp_path, wor
     assert 5 < len(whole) // 2 < 21 < len(whole)
     rest = fit(Recorder(), ckpt_path=tmp_path / "some.ckpt", weights_only=False)
     assert rest == whole[stop:]
+
+
+def test_a_run_goes_on_with_the_conversion_it_began_with_alone(module, source, tmp_path):
+    """Wherever it lies: a job may have copied it to a disk of its own."""
+    saved, moved = tmp_path / "some.ckpt", tmp_path / "moved"
+    trainer(tmp_path, max_epochs=1).fit(Recorder(1, saved), datamodule=module())
+    shutil.copytree(source.folder, moved)
+    elsewhere = module()
+    elsewhere.source = ConvertedCache(source.name, str(moved))
+    again = trainer(tmp_path, max_epochs=1)
+    again.fit(Recorder(), datamodule=elsewhere, ckpt_path=saved, weights_only=False)
+    (moved / source.name / "conversion_report.json").write_text('{"smoother": "another"}')
+    with pytest.raises(ValueError, match="`data` must be the recordings of 'toy', converted as"):
+        again.fit(Recorder(), datamodule=elsewhere, ckpt_path=saved, weights_only=False)
 
 
 def test_a_run_after_a_whole_epoch_goes_on_with_the_next_one(module, tmp_path):

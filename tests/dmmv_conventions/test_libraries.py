@@ -47,3 +47,24 @@ def test_without_a_compiler_no_processor_is_to_blame(monkeypatch):
     monkeypatch.setattr("torch._inductor.cpp_builder.cpp_compiler_search", nothing)
     with pytest.raises(CannotBuildError, match="No working C"):
         libraries.require_machine("x86-64")
+
+
+def test_a_folder_that_cannot_be_written_costs_the_library_alone(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path / "file" / "folder"))
+    with pytest.raises(CannotBuildError, match="Not a directory|File exists"):
+        libraries.load("int not_to_be_written;")
+    with pytest.raises(CannotBuildError, match="Not a directory|File exists"):
+        libraries.build("int not_to_be_written;", tmp_path / "file" / "folder" / "library.so")
+
+
+def test_another_processor_gets_a_library_of_its_own(tmp_path, monkeypatch):
+    """Machines of a cluster may share the folder, but not all instructions."""
+    built = []
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(libraries, "build", lambda source, path, *_: built.append(path))
+    for name in ("one", "one", "another"):
+        monkeypatch.setattr(libraries, "processor", lambda name=name: name)
+        with pytest.raises(CannotBuildError):
+            libraries.load("int of_a_processor;")
+    assert built[0] == built[1] != built[2]

@@ -13,6 +13,7 @@ from diffstack_mmv.planning import PhysicalControls, PlanConstraints, SpeedWithi
 from diffstack_mmv.planning.export import export_planner
 from diffstack_mmv.planning.objective import NAMES, batched_objective
 from diffstack_mmv.vehicles import load_vehicle
+from dmmv_conventions.libraries import CannotBuildError
 from tests.planning.test_planner import problem, training
 
 COMPILER = shutil.which("cc") or shutil.which("gcc")
@@ -144,6 +145,17 @@ def test_entries_are_named_and_follow_one_another(tmp_path, monkeypatch):
     offsets = [entry.offset + torch.Size(entry.shape).numel() for entry in written.entries]
     assert [0, *offsets[:-1]] == [entry.offset for entry in written.entries]
     assert "#define DMMV_AT_GOAL" in written.header.read_text()
+
+
+def test_an_earlier_library_is_never_beside_the_declarations_of_another(tmp_path, monkeypatch):
+    def failing(*arguments):
+        raise CannotBuildError("no space")
+
+    (tmp_path / "libplanner.so").write_bytes(b"of other sizes")
+    monkeypatch.setattr("diffstack_mmv.control.native.export.build", failing)
+    with pytest.raises(CannotBuildError):
+        export_planner(training(), tmp_path)
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["planner.cpp", "planner.h"]
 
 
 @pytest.mark.parametrize("name", ["agents", "components", "discs"])

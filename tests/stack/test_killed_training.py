@@ -6,10 +6,9 @@ import signal
 import pandas as pd
 import pytest
 import torch
-from lightning_fabric.plugins.io import torch_io
-from lightning_fabric.utilities import cloud_io
 
 from benchmarks.faults.workplace import base, said
+from diffstack_mmv.callbacks import WholeCheckpoints
 from diffstack_mmv.stack import DiffStackMMV
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("unchecked")]
@@ -34,11 +33,7 @@ def dying(owner, name, call):
 def in_a_write(number):
     """Die in the place of the write of a checkpoint."""
 
-    def prepare():
-        dying(cloud_io, "_atomic_save", number)()
-        torch_io._atomic_save = cloud_io._atomic_save
-
-    return prepare
+    return dying(WholeCheckpoints, "save_checkpoint", number)
 
 
 def train(out, prepare=lambda: None):

@@ -21,6 +21,7 @@ from diffstack_mmv.control.native.solver import REALS
 from diffstack_mmv.control.optimizer import Dynamics
 from diffstack_mmv.control.selection import Batched
 from diffstack_mmv.types import Bounds, SolverStatus
+from dmmv_conventions.disk import replacing
 from dmmv_conventions.libraries import build
 
 FILES = ("libplanner.so", "planner.h", "planner.cpp")
@@ -101,9 +102,12 @@ class Export:
         code = source(taken.problem, Library.SOLVE, real)
         fixed = _fixed(self.solver, bounds, taken.parameters, state)
         body = "\n".join([code, declared, fixed, header("exported")]) + "\n"
-        written.source.write_text(body)
-        written.header.write_text(_guarded(declared))
-        build(body, written.library, self.machine)
+        # an earlier library has other parameters than those that are declared from here on
+        library.unlink(missing_ok=True)
+        for file, text in ((generated, body), (declared_in, _guarded(declared))):
+            with replacing(file) as unfinished:
+                unfinished.write_text(text)
+        build(body, library, self.machine)
         return written
 
 
