@@ -21,10 +21,11 @@ from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.dynamics.catalogue import VehicleSpec, load_vehicle, model_of
 from diffstack_mmv.simulation.assembly import vehicle_box
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint
+from diffstack_mmv.simulation.crossings import SCENARIOS
 from diffstack_mmv.simulation.pedestrians import OrcaCrowd
 from diffstack_mmv.simulation.phases import PHASES
 from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
-from diffstack_mmv.simulation.scenario import SCENARIOS, Scenario
+from diffstack_mmv.simulation.scenario import Scenario
 from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.vehicle_robot import FINEST_NEEDED_S, VehicleRobot
 from diffstack_mmv.simulation.verdicts import verdict_named
