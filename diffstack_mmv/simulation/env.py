@@ -9,6 +9,7 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
+from jaxtyping import Float
 
 from diffstack_mmv.checks import (
     require,
@@ -187,13 +188,13 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         return self._state
 
     @property
-    def human_positions(self) -> np.ndarray:
-        """Positions of the pedestrians, (humans, 2) m."""
+    def human_positions(self) -> Float[np.ndarray, "humans 2"]:
+        """Positions of the pedestrians in m."""
         return self.state.pedestrians.position.numpy().copy()
 
     @property
-    def robot_position(self) -> np.ndarray:
-        """Position of the robot's centre, (2,) m."""
+    def robot_position(self) -> Float[np.ndarray, " 2"]:
+        """Position of the robot's centre in m."""
         return self.world.robot.motion(self.state.robot).position.numpy().copy()
 
     def reset(
