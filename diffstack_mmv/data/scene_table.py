@@ -59,7 +59,7 @@ class SceneTable(DataFrameCache):
         return StateArray.from_array(state, STATE_FORMAT_STR)
 
     def get_states(self, agent_ids: list[str], scene_ts: int) -> StateArray:
-        """States of some agents at one time, as observed."""
+        """States (agents, 5) of some agents at one time, as observed: x, y, velocity, heading."""
         rows = [self.index_dict[agent_id, scene_ts] for agent_id in agent_ids]
         return self._observation(self._states[rows])
 
@@ -69,7 +69,10 @@ class SceneTable(DataFrameCache):
         agents: list[AgentMetadata],
         history_sec: tuple[float | None, float | None],
     ) -> tuple[list[Any], list[NDArray[np.float64]], NDArray[np.int64]]:
-        """Futures of the neighbors; none for one that ends now: trajdata repeats its present."""
+        """Futures (steps, 5), extents (steps, 3) in m and lengths, neighbor by neighbor.
+
+        There is none for one that ends now, of whom trajdata repeats the present.
+        """
         futures, extents, lengths = super().get_agents_future(scene_ts, agents, history_sec)
         ongoing = np.array([agent.last_timestep > scene_ts for agent in agents], dtype=bool)
         kept = [
