@@ -23,6 +23,8 @@ ALLOWED = {
     "config_checks": set(),
     "data_checks": {"config_checks"},
     "device_checks": set(),
+    "drive_checks": {"config_checks"},
+    "evaluation_checks": {"config_checks", "data_checks"},
     "failures": {"override_errors"},
     "run_checks": {"config_checks"},
     "training_checks": {"config_checks", "metrics"},
@@ -72,6 +74,12 @@ CONVENTIONS = {
         "dmmv_conventions.modes",
     },
     "device_checks": {"dmmv_conventions.checks"},
+    "drive_checks": {
+        "dmmv_conventions.cache",
+        "dmmv_conventions.checks",
+        "dmmv_conventions.configs",
+    },
+    "evaluation_checks": {"dmmv_conventions.checks"},
     "override_errors": {"dmmv_conventions.checks"},
     "run_checks": {
         "dmmv_conventions.checks",
