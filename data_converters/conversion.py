@@ -5,36 +5,27 @@ from __future__ import annotations
 import logging
 import os
 import shutil
-from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from importlib.metadata import version
-from multiprocessing import get_context, parent_process
 from pathlib import Path
-from threading import Thread
-from typing import Any, ClassVar, NoReturn
+from typing import Any
 
 from tqdm import tqdm
 
 from data_converters.cache import write_json
 from data_converters.conversion_settings import ConversionSettings
 from data_converters.errors import ConversionError, fault
-from data_converters.heading import HeadingSource
 from data_converters.origin import require_same_origin, write_origin
 from data_converters.recordings import SceneSource
+from data_converters.remarks import refuse_all, warn_of_empty_splits, warn_of_standstill
 from data_converters.report import ConversionReport, SceneReport
-from data_converters.scene_conversion import convert_scene, finished_scene
+from data_converters.scene_conversion import finished_scene
+from data_converters.workers import converted_scenes
 from dmmv_conventions.cache import FORMAT_VERSION, REPORT_FILE, STATE_FILE
 from dmmv_conventions.checks import message
 from dmmv_conventions.disk import disk_is_full
 from dmmv_conventions.locks import in_turn
 
 logger = logging.getLogger(__name__)
-
-NEVER_MOVED = HeadingSource.UNKNOWN.name.lower()
-"""Rows before the first motion of their agent, in the counts of a scene."""
-
-SHOWN = 5
-"""Names of recordings in one message."""
 
 
 def convert(settings: ConversionSettings) -> ConversionReport:
@@ -105,63 +96,10 @@ def _convert_scenes(settings: ConversionSettings, sources: list[SceneSource]) ->
         disable=not settings.progress,
     )
     with bar:
-        for report in _run(settings, pending):
+        for report in converted_scenes(settings, pending):
             done[report.name] = report
             bar.update()
     return [done[source.name] for source in sources]
-
-
-def _run(settings: ConversionSettings, pending: list[SceneSource]) -> Iterator[SceneReport]:
-    """Convert scenes; at most two per worker are under way, so memory does not grow with them."""
-    if settings.workers == 1:
-        for source in pending:
-            yield convert_scene(settings, source)
-        return
-    import trajdata  # noqa: F401  before the workers are forked, which then share it
-
-    todo = iter(pending)
-    running: set[Future[SceneReport]] = set()
-    pool = ProcessPoolExecutor(
-        settings.workers,
-        mp_context=get_context("fork"),
-        initializer=_WorkerSettings.keep,
-        initargs=(settings,),
-    )
-    with pool:
-        try:
-            for source in todo:
-                running.add(pool.submit(_WorkerSettings.convert, source))
-                if len(running) >= 2 * settings.workers:
-                    finished, running = wait(running, return_when=FIRST_COMPLETED)
-                    yield from (future.result() for future in finished)
-            while running:
-                finished, running = wait(running, return_when=FIRST_COMPLETED)
-                yield from (future.result() for future in finished)
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-class _WorkerSettings:
-    """The settings of a forked worker, inherited once: a data set may hold all its tracks."""
-
-    settings: ClassVar[ConversionSettings]
-
-    @classmethod
-    def keep(cls, settings: ConversionSettings) -> None:
-        cls.settings = settings
-        Thread(target=_end_with_parent, daemon=True).start()
-
-    @classmethod
-    def convert(cls, source: SceneSource) -> SceneReport:
-        return convert_scene(cls.settings, source)
-
-
-def _end_with_parent() -> None:
-    """End this worker once its parent is gone: killed, it tells nobody, who would wait for ever."""
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> ConversionReport:
@@ -182,9 +120,9 @@ def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> Convers
     usable = [scene for scene in reports if scene.usable]
     if not usable:
         write_json(settings.cache / REPORT_FILE, report.as_dict())
-        _refuse_all(settings, report)
-    _warn_of_empty_splits(reports)
-    _warn_of_standstill(settings, usable)
+        refuse_all(settings, report)
+    warn_of_empty_splits(reports)
+    warn_of_standstill(settings, usable)
     from trajdata.caching.env_cache import EnvCache
 
     location = settings.dataset.location
@@ -203,55 +141,6 @@ def _remove_leftovers(staging: Path, scenes: set[str]) -> None:
     for folder in staging.iterdir():
         if folder.is_dir() and folder.name not in scenes:
             shutil.rmtree(folder, ignore_errors=True)
-
-
-def _refuse_all(settings: ConversionSettings, report: ConversionReport) -> NoReturn:
-    """Refuse a data set without a usable track, with the first fault of its tracks.
-
-    Raises:
-        ConversionError: Always.
-    """
-    faults = [item["detail"] for scene in report.scenes for item in scene.rejected]
-    tracks = sum(scene.tracks_read for scene in report.scenes)
-    found = f"0 of {tracks} ({report.rejected_by_reason})"
-    remedy = f"All are in {settings.cache / REPORT_FILE}."
-    if faults:
-        remedy = f"The first fault: {faults[0]} {remedy}"
-    where = f"in {settings.dataset.root}"
-    raise ConversionError(message("root", "hold a usable track", found, where, remedy))
-
-
-def _warn_of_empty_splits(reports: list[SceneReport]) -> None:
-    """Say which splits lost all they should hold: nothing can be trained or measured there."""
-    kept = {scene.split for scene in reports if scene.usable}
-    for split in sorted({scene.split for scene in reports} - kept):
-        names = [scene.name for scene in reports if scene.split == split]
-        shown = ", ".join(names[:SHOWN]) + (", ..." if len(names) > SHOWN else "")
-        logger.warning(
-            "The split '%s' holds no agent, because nothing in its recordings can be used: %s. "
-            "Correct them, or move them away: recordings that are dealt are then dealt anew.",
-            split,
-            shown,
-        )
-
-
-def _warn_of_standstill(settings: ConversionSettings, usable: list[SceneReport]) -> None:
-    """Say that nobody moves: positions in m, read as mm, look like that."""
-    slow_mps = settings.resample.standstill_mps
-    if all(_stands(scene, slow_mps) for scene in usable):
-        fastest = max(scene.fastest_mps or 0.0 for scene in usable)
-        logger.warning(
-            "No agent of '%s' ever moves faster than %g m/s (the fastest: %.2g m/s). "
-            "Positions are read as %s: check their unit.",
-            *(settings.dataset.name, slow_mps, fastest, settings.dataset.unit_of_positions),
-        )
-
-
-def _stands(scene: SceneReport, slow_mps: float) -> bool:
-    """Whether nobody in a scene moves; an earlier report tells it of headings alone."""
-    if scene.fastest_mps is None:
-        return scene.heading_rows.get(NEVER_MOVED) == scene.rows
-    return scene.fastest_mps < slow_mps
 
 
 def _state(settings: ConversionSettings, usable: list[SceneReport]) -> dict[str, Any]:

@@ -5,7 +5,7 @@ same too.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import index
 from pathlib import Path
@@ -16,14 +16,9 @@ from typing import Any, SupportsIndex
 from torch import Tensor
 
 from diffstack_mmv.checks import require, require_one_of, require_positive, require_whole
+from diffstack_mmv.drive_parts import HANDED, built_part, left_open, require_part
 from diffstack_mmv.dynamics.catalogue import load_dynamics
-from diffstack_mmv.dynamics.config_files import (
-    chosen_in,
-    factory,
-    interpolations,
-    names_in,
-    settings_of,
-)
+from diffstack_mmv.dynamics.config_files import chosen_in, names_in
 from diffstack_mmv.simulation import (
     Campaign,
     Controller,
@@ -46,26 +41,8 @@ LIMITS: Mapping[str, float] = MappingProxyType(
 )
 """Of the vehicle among people; the tighter of these and its own hold."""
 
-_GROUPS: Mapping[str, frozenset[str]] = MappingProxyType(
-    {
-        "scenario": frozenset(),
-        "crowd": frozenset({"seed"}),
-        "controller": frozenset(
-            {
-                *("dt_s", "seed", "compile", "cruise_mps", "model", "actuate", "people", "cost"),
-                *("constraints", "actual", "believed", "vehicle", "dynamics", "limits"),
-                *("names.dynamics", "known_delay_s"),
-            }
-        ),
-        "people": frozenset({"dt_s", "seed"}),
-        "cost": frozenset({"turning_radius_m"}),
-        "footprint": frozenset({"actual"}),
-        "sensing": frozenset({"seed"}),
-    }
-)
-"""Attributes that name a file of the group of their name, and what such a file is handed."""
 _BY_DEFAULT = ("people", "cost")
-"""Those that may be None."""
+"""Parts that may be None."""
 
 
 @dataclass(frozen=True)
@@ -116,15 +93,15 @@ class CrowdNav:
     def __post_init__(self) -> None:
         """Check names, vehicle, seed and delay at the border, before a drive has begun."""
         require_one_of("dynamics", self.dynamics, names_in(config_folder() / "dynamics"))
-        for group, given in _GROUPS.items():
+        for group in HANDED:
             name = getattr(self, group)
             if name is not None or group not in _BY_DEFAULT:
-                _require_file(group, str(name), given)
+                require_part(group, str(name))
         self.simulated().spec()
         require_whole("seed", self.seed)
-        if self.controller == "diffmpc_delay":
+        if "known_delay_s" in left_open("controller", self.controller):
             remedy = "It expects the robot's; `diffmpc` expects none."
-            require_positive("delay_s", self.delay_s, "controller 'diffmpc_delay'", remedy)
+            require_positive("delay_s", self.delay_s, f"for '{self.controller}'", remedy)
 
     def simulated(self) -> SimulatedVehicle:
         """The vehicle as simulator and controller know it."""
@@ -137,11 +114,11 @@ class CrowdNav:
 
     def cases(self) -> Scenario:
         """Where the cases come from."""
-        return _built("scenario", self.scenario, {})
+        return built_part("scenario", self.scenario, {})
 
     def world(self) -> World:
         """The world in which the controller drives."""
-        outline = _built("footprint", self.footprint, {"actual": self.simulated()})
+        outline = built_part("footprint", self.footprint, {"actual": self.simulated()})
         robot = vehicle_robot(
             self.simulated(),
             delay_s=self.delay_s,
@@ -150,7 +127,8 @@ class CrowdNav:
             footprint=outline,
         )
         given = {"seed": self.seed}
-        crowd, sensing = _built("crowd", self.crowd, given), _built("sensing", self.sensing, given)
+        crowd = built_part("crowd", self.crowd, given)
+        sensing = built_part("sensing", self.sensing, given)
         world = study_world(robot, crowd, "exact", self.limit_s, self.dt_s, sensing=sensing)
         return world_for(world, type(self.driver()))
 
@@ -169,9 +147,9 @@ class CrowdNav:
             "cruise_mps": limits.speed_max_mps,
             "model": controller_model(vehicle, vehicle, self.dt_s),
             "actuate": actuation(vehicle, vehicle),
-            "people": _built("people", people, {"dt_s": self.dt_s, "seed": self.seed}),
-            "constraints": _built("constraints", "none", {}),
-            "cost": _built("cost", cost, {"turning_radius_m": wheelbase / math.tan(steer)}),
+            "people": built_part("people", people, {"dt_s": self.dt_s, "seed": self.seed}),
+            "constraints": built_part("constraints", "none", {}),
+            "cost": built_part("cost", cost, {"turning_radius_m": wheelbase / math.tan(steer)}),
             "actual": vehicle,
             "believed": vehicle,
             "vehicle": content,
@@ -180,7 +158,7 @@ class CrowdNav:
             "names.dynamics": vehicle.name,
             "known_delay_s": self.delay_s,
         }
-        return _built("controller", self.controller, given)
+        return built_part("controller", self.controller, given)
 
     def drive(
         self,
@@ -225,18 +203,3 @@ def _listed(cases: Iterable[SupportsIndex]) -> list[int]:
     for place, number in enumerate(numbers):
         require_whole(f"cases[{place}]", number)
     return [index(number) for number in numbers]
-
-
-def _require_file(group: str, name: str, given: Set[str]) -> None:
-    """Refuse what is no file of a configuration group, or for the command line alone."""
-    settings = settings_of(name, config_folder() / group)
-    remedy = "Use the command line, dmmv-navigate."
-    require("_target_" in settings, group, "describe one part", name, "", remedy)
-    lacking = [each for each in interpolations(settings) if each not in given]
-    told = f"{name}, which needs {' and '.join(dict.fromkeys(lacking))}"
-    require(not lacking, group, "need nothing that the command line alone knows", told, "", remedy)
-
-
-def _built(group: str, name: str, given: Mapping[str, Any]) -> Any:
-    """What a file of a configuration group describes."""
-    return factory(settings_of(name, config_folder() / group), given)()

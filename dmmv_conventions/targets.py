@@ -82,7 +82,8 @@ OF_A_RUN = Buildable(
     )
     | _of("pytorch_lightning.loggers", "CSVLogger TensorBoardLogger WandbLogger")
     | _of("pytorch_lightning.strategies", "DDPStrategy FSDPStrategy"),
-    apart=("diffstack_mmv.data.registration",),  # opens the pickles of a cache when it is built
+    # open the pickles of a cache when they are built
+    apart=("diffstack_mmv.data.registration", "diffstack_mmv.data.scene_table"),
 )
 """What the configuration of a command may hold."""
 

@@ -8,20 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
-from diffstack_mmv.config_checks import require_checkpoint
-from diffstack_mmv.data_checks import (
-    other_history,
-    other_modes,
-    require_data,
-    require_recordings,
-    require_same_horizon,
-    require_situations,
-    require_split,
-    require_windows,
-    told_of_data,
-)
+from diffstack_mmv.data_checks import other_history, other_modes, require_same_horizon, told_of_data
 from diffstack_mmv.device_checks import usable_device
-from dmmv_conventions.checks import require
+from diffstack_mmv.evaluation_checks import require_evaluation
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.versions import code_version, file_hash
@@ -36,22 +25,7 @@ logger = logging.getLogger(__name__)
 
 def check(config: DictConfig) -> None:
     """Refuse an evaluation without checkpoint or recordings."""
-    require_checkpoint("checkpoint", config.checkpoint)
-    for place, path in enumerate(config.ensemble):
-        require_checkpoint(f"ensemble[{place}]", path)
-    require_windows(
-        config.modes or [], config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
-    )
-    require_data(config.data.module.windows, config.batch_size)
-    require_recordings(config.data.module.source)
-    require_split("split", config.split, config.data.module.source)
-    fitted_on = config.calibration.split
-    if fitted_on is not None:
-        require_split("calibration.split", fitted_on, config.data.module.source)
-        apart = config.split not in (fitted_on, "all")
-        remedy = "Regions that were corrected on what they are judged on hold what they should."
-        require(apart, "calibration.split", "be no part of `split`", fitted_on, "", remedy)
-    require_situations(config.situations)
+    require_evaluation(config)
     # for their mistakes alone, before the checkpoint is read and the windows are looked for
     usable_device(config.device)
     replaced = (config.get("goal"), config.get("solver"))

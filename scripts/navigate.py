@@ -15,9 +15,7 @@ from diffstack_mmv.cli import (
     get_class,
     instantiate,
 )
-from diffstack_mmv.config_checks import require_checkpoint, require_file
-from dmmv_conventions.cache import SPLITS
-from dmmv_conventions.checks import require, require_at_least, require_one_of
+from diffstack_mmv.drive_checks import require_drive
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.versions import code_version, file_hash
@@ -37,32 +35,8 @@ logger = logging.getLogger(__name__)
 
 def check(config: DictConfig) -> None:
     """Refuse a world or a controller that cannot be built, before any baseline has driven."""
-    require_one_of("phase", config.phase, SPLITS)
     _tell_unknown_delay(config)
-    if "predictor" in config.people:
-        require_checkpoint("people_checkpoint", config.people.predictor.path)
-    if config.names.controller == "ppo":
-        require_file(
-            "policy", config.policy, "Train one: dmmv-train-policy, policy=DIR/policy.zip."
-        )
-    require_at_least("animate", config.animate, 0)
-    require_one_of("movie", config.movie, ("gif", "mp4"))
-    known = sorted(path.stem for path in (config_folder() / "controller").glob("*.yaml"))
-    for name in config.beside:
-        require_one_of("beside", name, known)
-        if name not in (config.get("baselines") or ()):
-            logger.warning("%s of `beside` is no baseline of this run: it does not drive.", name)
-    for folder in config.against:
-        require_file("against", str(Path(folder) / "closed_loop.json"), "Give runs of navigate.py.")
-    for case in config.show:
-        require(case in _cases(config), "show", "be among the cases that are driven", case)
-    same = config.dt_s == config.model.dt_s
-    remedy = f"Give model.dt_s={config.dt_s} too; planner.steps are steps of it."
-    require(same, "dt_s", f"be that of the controller's model, {config.model.dt_s}", config.dt_s,
-            "", remedy)  # fmt: skip
-    remedy = "Add search=null, or search.samples=NUMBER."
-    named = isinstance(config.search, str)
-    require(not named, "search", "be settings of a search or none", config.search, "", remedy)
+    require_drive(config, _cases(config))
     driven = (config.actual, config.believed, config.search)
     for part in (config.scenario, config.world, config.controller, *driven):
         instantiate(part)

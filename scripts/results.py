@@ -132,8 +132,8 @@ def _write(
     if config.plans:
         table = paper_table(rows, titles, OPEN_LOOP, config.resamples)
     else:
-        arranged = ablation_table if config.rows == "sets" else prediction_table
-        table = arranged(rows, titles)
+        arranged = {"methods": prediction_table, "sets": ablation_table}
+        table = arranged[config.rows](rows, titles)
     write_paper_table(out, table, remarks)
     drawn = shown if config.plans else []
     _write_excitation([run for run in drawn if run.ended], out)

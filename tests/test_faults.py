@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks.faults import caches, replays, results_files
+from benchmarks.faults import caches, interruptions, replays, results_files
 from benchmarks.faults.__main__ import SOURCES, table
 from benchmarks.faults.trial import Result, Told, Trial, attempt
 
@@ -40,3 +40,9 @@ def test_an_error_is_a_message_only_where_a_command_tells_it_as_one(error, resul
 def test_the_table_counts_by_kind():
     told = [Told(Trial("a", str(n), None), Result.REFUSED, "") for n in range(3)]
     assert "| a | 3 | 3 | 0 | 0 | 0 | 0 | 0 |" in table(told)
+
+
+@pytest.mark.parametrize("number", [0, 8])
+def test_a_conversion_is_killed_where_its_trial_says(number):
+    kills = [each for each in interruptions.trials() if each.kind == "kills while converting"]
+    assert attempt(kills[number]).result is Result.HELD

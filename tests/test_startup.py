@@ -22,6 +22,8 @@ LIGHT = {
     "diffstack_mmv.config_checks",
     "diffstack_mmv.data_checks",
     "diffstack_mmv.device_checks",
+    "diffstack_mmv.drive_checks",
+    "diffstack_mmv.evaluation_checks",
     "diffstack_mmv.experiment_jobs",
     "diffstack_mmv.jobs",
     "diffstack_mmv.run_checks",

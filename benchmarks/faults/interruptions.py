@@ -31,8 +31,11 @@ def in_a_child(work: Callable[[], object]) -> bool:
     """Do something in a process of its own; whether it was killed."""
     child = os.fork()
     if child == 0:
-        work()
-        os._exit(0)
+        # whatever happens, a child never goes on with the trials of its parent
+        try:
+            work()
+        finally:
+            os._exit(0)
     return os.WIFSIGNALED(os.waitpid(child, 0)[1])
 
 
@@ -47,9 +50,8 @@ def dying(module: object, name: str, call: int) -> None:
     setattr(module, name, lambda *a, **k: die() if next(count) == call else original(*a, **k))
 
 
-def conversion(name: str, call: int, folder: Path) -> Result:
+def conversion(module: str, name: str, call: int, folder: Path) -> Result:
     """A conversion that is killed and begun again gives the same as one that never was."""
-    module = import_module("data_converters.conversion")
     place = folder / "cyclists" / "moving"
     place.mkdir(parents=True)
     for number in range(4):
@@ -59,7 +61,7 @@ def conversion(name: str, call: int, folder: Path) -> Result:
         return ConversionSettings(ThabVruDataset(folder), folder / where, progress=False)
 
     def interrupted() -> None:
-        dying(module, name, call)
+        dying(import_module(f"data_converters.{module}"), name, call)
         convert(settings("cache"))
 
     if not in_a_child(interrupted):
@@ -122,8 +124,12 @@ def foreign_cache(folder: Path) -> Result:
 def trials() -> Iterator[Trial]:
     """All interruptions."""
     torch.set_num_threads(1)
-    points = [("write_scene", n) for n in (1, 3)] + [("write_json", n) for n in range(1, 8)]
-    kills = ((f"{name}, call {n}", partial(conversion, name, n)) for name, n in points)
+    points = [("scene_conversion", "write_scene", n) for n in (1, 3)]
+    points += [("scene_conversion", "write_json", n) for n in range(1, 5)]
+    points += [("conversion", "write_json", n) for n in range(1, 4)]
+    kills = (
+        (f"{name} of {at}, call {n}", partial(conversion, at, name, n)) for at, name, n in points
+    )
     yield from each("kills while converting", kills)
     batches = ((f"batch {n}", partial(episodes, n)) for n in (1, 2))
     yield from each("kills while navigating", batches)

@@ -10,18 +10,20 @@ with needs("stack", "diffstack_mmv.plotting"):
     )
     from diffstack_mmv.plotting.closed_loop import save_stories
     from diffstack_mmv.plotting.episodes import CaseStart, Episode, draw_episode, episode_of
+    from diffstack_mmv.plotting.estimates import (
+        Estimate,
+        draw_estimates,
+        draw_profiles,
+        draw_spectrum,
+    )
     from diffstack_mmv.plotting.evaluation import PLANS_FILE, remove_evaluation, save_evaluation
     from diffstack_mmv.plotting.excitation import draw_by_excitation, save_by_excitation
     from diffstack_mmv.plotting.figures import save_figure
     from diffstack_mmv.plotting.horizon import draw_error_over_horizon
     from diffstack_mmv.plotting.identification import (
-        Estimate,
         FittedTrack,
         draw_controls,
-        draw_estimates,
         draw_lean,
-        draw_profiles,
-        draw_spectrum,
         draw_tracks,
         save_identification,
     )

@@ -12,14 +12,8 @@ with needs("stack", "diffstack_mmv.reporting"):
         write_by_excitation,
     )
     from diffstack_mmv.reporting.closed_loop import closed_loop_table, write_closed_loop
-    from diffstack_mmv.reporting.comparison import (
-        Comparison,
-        compare,
-        paired_tests,
-        read_runs,
-        require_score,
-        write_comparison,
-    )
+    from diffstack_mmv.reporting.compared_runs import read_runs
+    from diffstack_mmv.reporting.comparison import Comparison, compare, write_comparison
     from diffstack_mmv.reporting.earlier import require_same_drive, require_same_evaluation
     from diffstack_mmv.reporting.files import (
         read_json,
@@ -42,6 +36,7 @@ with needs("stack", "diffstack_mmv.reporting"):
         paired_with_run,
         require_comparable,
     )
+    from diffstack_mmv.reporting.paired_tests import paired_tests, require_score
     from diffstack_mmv.reporting.paper_table import paper_table, write_paper_table
     from diffstack_mmv.reporting.prediction_table import prediction_table
     from diffstack_mmv.reporting.runs import Run

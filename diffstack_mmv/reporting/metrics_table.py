@@ -101,7 +101,8 @@ def mode_table(metrics: Mapping[str, Any], scores: Scores) -> pd.DataFrame:
     }
     frame = pd.DataFrame.from_dict(rows, orient="index")
     frame.index.name = "mode"
-    return frame if (frame["not judged"] != "0").any() else frame.drop(columns="not judged")
+    missing = any(told[MISSING] for told in metrics["modes"].values())
+    return frame if missing else frame.drop(columns="not judged")
 
 
 def baseline_table(metrics: Mapping[str, Any], scores: Scores) -> pd.DataFrame:

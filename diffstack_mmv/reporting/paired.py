@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binomtest
 
-from diffstack_mmv.reporting.comparison import signed_rank
 from diffstack_mmv.reporting.files import read_json, told_as_broken
+from diffstack_mmv.reporting.paired_tests import signed_rank
 from diffstack_mmv.reporting.scores import Scores
 from diffstack_mmv.reporting.table import cell
 

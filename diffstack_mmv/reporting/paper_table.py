@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from diffstack_mmv.reporting.bootstrapping import bootstrap
-from diffstack_mmv.reporting.comparison import SAMPLE
+from diffstack_mmv.reporting.compared_runs import SAMPLE
 from diffstack_mmv.reporting.files import read_parquet
 from diffstack_mmv.reporting.runs import Run
 from diffstack_mmv.reporting.scores import ScoreHeading, Scores

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
 from diffstack_mmv.reporting.files import write_text
 
@@ -21,6 +22,11 @@ def cell(value: Any, form: str = ".3f") -> str:
     if isinstance(value, float | np.floating):
         return format(value, form)
     return str(value)
+
+
+def known_mean(known: Float[np.ndarray, " n"]) -> float:
+    """Mean of the known values; NaN of none."""
+    return float(known.mean()) if len(known) > 0 else float("nan")
 
 
 def mean_std(values: Sequence[float] | np.ndarray) -> str:

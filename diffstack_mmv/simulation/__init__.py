@@ -14,6 +14,7 @@ from diffstack_mmv.simulation.benchmark import Campaign, Method
 from diffstack_mmv.simulation.chunks import Chunk, read_chunk, read_episode, read_thoughts
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint, RectangleFootprint
 from diffstack_mmv.simulation.controller import DiffMPCController
+from diffstack_mmv.simulation.crossings import CircleCrossing, SquareCrossing
 from diffstack_mmv.simulation.decisions import Controller, Decided
 from diffstack_mmv.simulation.delay import DelayCompensation
 from diffstack_mmv.simulation.ego import EgoInstruments, EgoStateEstimator, EstimatingController
@@ -50,7 +51,7 @@ from diffstack_mmv.simulation.recorded import (
     RecordedCrossing,
 )
 from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
-from diffstack_mmv.simulation.scenario import CircleCrossing, Scenario, SquareCrossing
+from diffstack_mmv.simulation.scenario import Scenario
 from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.sensing import LimitedSensing
 from diffstack_mmv.simulation.study import models_told, study_world, world_for

@@ -9,6 +9,7 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
+from jaxtyping import Float
 
 from diffstack_mmv.checks import (
     require,
@@ -21,10 +22,11 @@ from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.dynamics.catalogue import VehicleSpec, load_vehicle, model_of
 from diffstack_mmv.simulation.assembly import vehicle_box
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint
+from diffstack_mmv.simulation.crossings import SCENARIOS
 from diffstack_mmv.simulation.pedestrians import OrcaCrowd
 from diffstack_mmv.simulation.phases import PHASES
 from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
-from diffstack_mmv.simulation.scenario import SCENARIOS, Scenario
+from diffstack_mmv.simulation.scenario import Scenario
 from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.vehicle_robot import FINEST_NEEDED_S, VehicleRobot
 from diffstack_mmv.simulation.verdicts import verdict_named
@@ -186,13 +188,13 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         return self._state
 
     @property
-    def human_positions(self) -> np.ndarray:
-        """Positions of the pedestrians, (humans, 2) m."""
+    def human_positions(self) -> Float[np.ndarray, "humans 2"]:
+        """Positions of the pedestrians in m."""
         return self.state.pedestrians.position.numpy().copy()
 
     @property
-    def robot_position(self) -> np.ndarray:
-        """Position of the robot's centre, (2,) m."""
+    def robot_position(self) -> Float[np.ndarray, " 2"]:
+        """Position of the robot's centre in m."""
         return self.world.robot.motion(self.state.robot).position.numpy().copy()
 
     def reset(

@@ -1,19 +1,14 @@
 """Initial states of episodes: a case is a number, and the same number always gives the same case.
 
-The draws and their order are those of the CrowdNav benchmark, from a generator of their own; the
-global generator of numpy is left alone.
+A case is drawn from a generator of its own; the global generator of numpy is left alone.
 """
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
-from torch import Tensor
 
 from diffstack_mmv.checks import (
     message,
@@ -22,35 +17,20 @@ from diffstack_mmv.checks import (
     require_positive,
     require_whole,
 )
-from diffstack_mmv.simulation.pedestrians import CrowdState
 from diffstack_mmv.simulation.phases import generator
-from diffstack_mmv.simulation.placement import first_accepted
 from diffstack_mmv.simulation.scene import Scene, stacked
 
 MAX_TRIES = 20_000_000
 """Draws for one pedestrian before a scenario counts as too crowded; the benchmark never stops."""
 
-FULLEST = 0.75
-"""Share of a region that discs never cover which are placed in it at random, one after the other.
-
-A line jams at 0.75 (Rényi 1958), a plane at 0.55. Nobody has to draw millions of times for it.
-"""
-
-
-class _Placed(NamedTuple):
-    """Discs that a newcomer has to keep clear of: the robot and the pedestrians placed so far."""
-
-    position: np.ndarray
-    goal: np.ndarray
-
 
 @dataclass(frozen=True)
 class Scenario(ABC):
-    """A family of cases: the robot crosses from (0, -R) to (0, R), the pedestrians get in its way.
+    """A family of cases: where robot and pedestrians start, and where they want to go.
 
     Attributes:
         humans: Number of pedestrians, by the word of the benchmark.
-        circle_radius_m: R, half of the robot's way.
+        circle_radius_m: R, of the circle around the origin that is crossed.
         pedestrian_radius_m: Radius of each pedestrian.
         pedestrian_speed_mps: Preferred speed of each pedestrian.
         robot_radius_m: Radius of the robot that the placement keeps clear of.
@@ -58,9 +38,6 @@ class Scenario(ABC):
 
     Raises:
         ValueError: A size is out of range.
-
-    Source:
-        Chen et al., Crowd-Robot Interaction (ICRA 2019).
     """
 
     humans: int = 5
@@ -116,6 +93,7 @@ class Scenario(ABC):
         require(bool(scenes), "numbers", "name at least one case", "none")
         return stacked(scenes)
 
+    @abstractmethod
     def sample(self, random: np.random.RandomState) -> Scene:
         """Draw a scene.
 
@@ -128,66 +106,6 @@ class Scenario(ABC):
         Raises:
             ValueError: No free place was found for a pedestrian.
         """
-        radius = self.circle_radius_m
-        position, goal = np.zeros((2, self.humans + 1, 2))
-        position[0], goal[0] = (0, -radius), (0, radius)
-        for pedestrian in range(1, self.humans + 1):
-            placed = _Placed(position[:pedestrian], goal[:pedestrian])
-            position[pedestrian], goal[pedestrian] = self._place(placed, random)
-        return self._scene(torch.from_numpy(position), torch.from_numpy(goal))
-
-    def _scene(self, position: Float[Tensor, "a 2"], goal: Float[Tensor, "a 2"]) -> Scene:
-        """Turn positions and goals in m, the robot's first, into a scene."""
-        each = position.new_full((self.humans,), 1.0)
-        return Scene(
-            robot_position=position[0],
-            robot_heading=position.new_tensor(np.pi / 2),
-            robot_goal=goal[0],
-            pedestrians=CrowdState(
-                position=position[1:],
-                velocity=torch.zeros_like(position[1:]),
-                goal=goal[1:],
-                radius=each * self.pedestrian_radius_m,
-                preferred_speed=each * self.pedestrian_speed_mps,
-            ),
-        )
-
-    @abstractmethod
-    def _place(
-        self, placed: _Placed, random: np.random.RandomState
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Draw position and goal in m of the next pedestrian."""
-
-    def _free(
-        self, places: Float[np.ndarray, "k 2"], others: Float[np.ndarray, "n 2"]
-    ) -> Bool[np.ndarray, " k"]:
-        """Which discs at `places` keep clear of the discs at `others`, all in m."""
-        radii = np.full(len(others), self.pedestrian_radius_m)
-        radii[0] = self.robot_radius_m
-        x, y = np.moveaxis(others - places[:, None], -1, 0)
-        reach = self.pedestrian_radius_m + radii + self.clearance_m
-        return ~(np.sqrt(x * x + y * y) < reach).any(-1)
-
-    @property
-    def _half_gap_m(self) -> float:
-        """Half of the smallest distance between two pedestrians at the start."""
-        return self.pedestrian_radius_m + self.clearance_m / 2
-
-    def _require_room(self, area_m2: float, places: int = 1) -> None:
-        """Refuse more pedestrians than ever find a place, without a search.
-
-        Args:
-            area_m2: Of all discs of half the smallest distance around where they may start.
-            places: That each of them takes: two where the goal is kept free as well.
-
-        Raises:
-            ValueError: There are more.
-        """
-        share = FULLEST * area_m2 / (math.pi * self._half_gap_m**2)
-        most = int((share + 2) / places)  # a small region holds more, by its edge
-        wanted = f"fit into the scenario, in which at most {most} find a place"
-        remedy = "Take fewer, or a larger scenario."
-        require(self.humans <= most, "humans", wanted, self.humans, "", remedy)
 
     def _too_crowded(self, pedestrian: int) -> str:
         """Explain that the scenario has no room for one more pedestrian."""
@@ -197,100 +115,3 @@ class Scenario(ABC):
         )
         remedy = f"Take at most {max(pedestrian - 1, 1)}, or a larger scenario."
         return message("humans", wanted, self.humans, remedy=remedy)
-
-
-@dataclass(frozen=True)
-class CircleCrossing(Scenario):
-    """Pedestrians start near a circle of radius R and walk to the opposite point.
-
-    Raises:
-        ValueError: As in `Scenario`, or there is no room for so many.
-    """
-
-    def __post_init__(self) -> None:
-        """Check the sizes once, at the border; starts and goals share a ring."""
-        super().__post_init__()
-        aside = math.sqrt(0.5) * self.pedestrian_speed_mps
-        inner, outer = self.circle_radius_m - aside, self.circle_radius_m + aside
-        half = self._half_gap_m
-        area = math.pi * ((outer + half) ** 2 - max(inner - half, 0) ** 2)
-        self._require_room(area, places=2)
-
-    def _place(
-        self, placed: _Placed, random: np.random.RandomState
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Draw an angle and a displacement until the place is free.
-
-        Raises:
-            ValueError: None is found.
-        """
-
-        def accepted(draws: Float[np.ndarray, "k 3"]) -> Bool[np.ndarray, " k"]:
-            starts = self._starts(draws)
-            return self._free(starts, placed.position) & self._free(starts, placed.goal)
-
-        draw = first_accepted(random, 3, accepted, MAX_TRIES)
-        if draw is None:
-            raise ValueError(self._too_crowded(len(placed.position)))
-        (start,) = self._starts(draw[None])
-        return start, -start
-
-    def _starts(self, draws: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 2"]:
-        """Places in m of an angle and a displacement, drawn from [0, 1)."""
-        angle = draws[:, 0] * np.pi * 2
-        shift = (draws[:, 1:] - 0.5) * self.pedestrian_speed_mps
-        return self.circle_radius_m * np.stack([np.cos(angle), np.sin(angle)], -1) + shift
-
-
-@dataclass(frozen=True)
-class SquareCrossing(Scenario):
-    """Pedestrians start in one half of a square and walk to a point in the other one.
-
-    Attributes:
-        square_width_m: Width of the square.
-
-    Raises:
-        ValueError: As in `Scenario`, or there is no room for so many.
-    """
-
-    square_width_m: float = 10.0
-
-    def __post_init__(self) -> None:
-        """Check the sizes once, at the border."""
-        super().__post_init__()
-        require_positive("square_width_m", self.square_width_m)
-        self._require_room((self.square_width_m + 2 * self._half_gap_m) ** 2)
-
-    def _place(
-        self, placed: _Placed, random: np.random.RandomState
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Draw a side, then a free place on it, then a free goal on the other side."""
-        side = -1 if random.random_sample() > 0.5 else 1
-        start = self._free_place(placed.position, side, random)
-        return start, self._free_place(placed.goal, -side, random)
-
-    def _free_place(
-        self, others: np.ndarray, side: int, random: np.random.RandomState
-    ) -> np.ndarray:
-        """Draw a free place in m in the half with this sign of x.
-
-        Raises:
-            ValueError: None is found.
-        """
-        draw = first_accepted(
-            random, 2, lambda draws: self._free(self._places(draws, side), others), MAX_TRIES
-        )
-        if draw is None:
-            raise ValueError(self._too_crowded(len(others)))
-        return self._places(draw[None], side)[0]
-
-    def _places(self, draws: Float[np.ndarray, "k 2"], side: int) -> Float[np.ndarray, "k 2"]:
-        """Places in m in one half of the square, drawn from [0, 1)."""
-        x = draws[:, 0] * self.square_width_m * 0.5 * side
-        return np.stack([x, (draws[:, 1] - 0.5) * self.square_width_m], -1)
-
-
-SCENARIOS: dict[str, type[Scenario]] = {
-    "circle_crossing": CircleCrossing,
-    "square_crossing": SquareCrossing,
-}

@@ -127,9 +127,3 @@ class WanderingCrossing(Scenario):
             gives_up=torch.from_numpy(gives_up),
             times=torch.from_numpy(times),
         )
-
-    def _place(
-        self, placed: object, random: np.random.RandomState
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Not used: everybody is placed by `sample`."""
-        raise NotImplementedError

@@ -108,11 +108,11 @@ def test_an_interrupted_conversion_goes_on_where_it_stopped(thab_settings, monke
 KILLED = """
 import sys, time
 from pathlib import Path
-from data_converters import ConversionSettings, ThabVruDataset, conversion
+from data_converters import ConversionSettings, ThabVruDataset, conversion, workers
 def stay(settings, source):
     print("begun", flush=True)
     time.sleep(60)
-conversion.convert_scene = stay
+workers.convert_scene = stay
 root, cache = map(Path, sys.argv[1:])
 conversion.convert(ConversionSettings(ThabVruDataset(root), cache, workers=2, progress=False))
 """

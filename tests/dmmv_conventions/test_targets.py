@@ -35,6 +35,7 @@ HOSTILE = (
     "diffstack_mmv.stack.DiffStackMMV.load_from_checkpoint",
     "diffstack_mmv.stack.DiffStackMMV.__class__",
     "diffstack_mmv.data.registration.TrajdataWindows",
+    "diffstack_mmv.data.scene_table.SceneTable",
     "dmmv_conventions.opening.CachedUnifiedDataset",
     "data_converters.conversion.shutil.rmtree",
     "data_converters.imptc.download.download_imptc",

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffstack_mmv.reporting.comparison import signed_rank
+from diffstack_mmv.reporting.paired_tests import signed_rank
 
 DIFFERENCES = st.lists(st.floats(0.01, 5), min_size=6, max_size=20, unique=True)
 

@@ -16,8 +16,8 @@ from diffstack_mmv.reporting import (
     write_comparison,
     write_json,
 )
-from diffstack_mmv.reporting.comparison import require_score
 from diffstack_mmv.reporting.metrics_table import mode_table
+from diffstack_mmv.reporting.paired_tests import require_score
 from tests.reporting.runs import SITUATIONS, samples, write_run
 
 

@@ -5,8 +5,7 @@ import pytest
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from diffstack_mmv.simulation import CircleCrossing, SquareCrossing
-from diffstack_mmv.simulation import scenario as scenario_module
+from diffstack_mmv.simulation import CircleCrossing, SquareCrossing, crossings
 from diffstack_mmv.simulation.phases import generator
 
 RECORDINGS = [
@@ -80,7 +79,7 @@ def test_an_unknown_phase_is_refused_with_the_known_ones():
 
 @pytest.mark.parametrize(("family", "humans"), [(CircleCrossing, 40), (SquareCrossing, 170)])
 def test_too_many_pedestrians_are_refused_after_a_bounded_search(monkeypatch, family, humans):
-    monkeypatch.setattr(scenario_module, "MAX_TRIES", 300)
+    monkeypatch.setattr(crossings, "MAX_TRIES", 300)
     with pytest.raises(ValueError, match=f"`humans` must fit into the scenario.*got {humans}"):
         family(humans=humans).case("test", 0)
 
@@ -100,7 +99,7 @@ def test_more_pedestrians_than_there_is_room_for_are_refused_without_a_search(fa
     ],
 )
 def test_a_search_ends_before_there_is_no_room_at_all(monkeypatch, sizes):
-    monkeypatch.setattr(scenario_module, "MAX_TRIES", 30_000)
+    monkeypatch.setattr(crossings, "MAX_TRIES", 30_000)
 
     def draw_more_and_more():
         for humans in range(1, 40):
@@ -115,7 +114,7 @@ def test_a_place_that_is_hard_to_find_is_found_and_one_that_is_not_there_is_refu
     scene = crowded.case("test", 66)  # the last place is that of the 611,896th draw
     offset = scene.pedestrians.position[:, None] - scene.pedestrians.position
     assert (offset.norm(dim=-1) + 9 * np.eye(20) >= 0.8).all()
-    monkeypatch.setattr(scenario_module, "MAX_TRIES", 1000)
+    monkeypatch.setattr(crossings, "MAX_TRIES", 1000)
     with pytest.raises(ValueError, match="no place for pedestrian 20.*case 213 of phase 'val'"):
         crowded.case("val", 213)
 

@@ -43,14 +43,15 @@ class Lowering:
         known: dict[Any, Any] = {}
         given = iter(inputs)
         for node in graph.graph.nodes:
-            if node.op == "placeholder":
-                known[node] = next(given)
-            elif node.op == "get_attr":
-                known[node] = self.constants(getattr(graph, str(node.target)))
-            elif node.op == "output":
-                return [known[each] for each in node.args[0]]
-            else:
-                known[node] = self._called(node, known)
+            match node.op:
+                case "placeholder":
+                    known[node] = next(given)
+                case "get_attr":
+                    known[node] = self.constants(getattr(graph, str(node.target)))
+                case "output":
+                    return [known[each] for each in node.args[0]]
+                case _:
+                    known[node] = self._called(node, known)
         raise CannotLowerError("a graph without output")
 
     def constants(self, value: Tensor | float | bool | list[Any]) -> Entries:

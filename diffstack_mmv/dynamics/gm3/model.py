@@ -10,14 +10,15 @@ from torch import Tensor
 from diffstack_mmv.checks import message, require_at_least, require_whole
 from diffstack_mmv.dynamics.base import DynamicsModel
 from diffstack_mmv.dynamics.gm3.chassis import Chassis, Physics
+from diffstack_mmv.dynamics.gm3.columns import side_by_side
 from diffstack_mmv.dynamics.gm3.drive import Command, Drive, split_acceleration
 from diffstack_mmv.dynamics.gm3.grip import within_grip
 from diffstack_mmv.dynamics.gm3.lean import LeanLaw
-from diffstack_mmv.dynamics.gm3.side_slip import side_slip
-from diffstack_mmv.dynamics.gm3.steady import linear_steer
+from diffstack_mmv.dynamics.gm3.side_slip import body_motion
+from diffstack_mmv.dynamics.gm3.steady import steer_command
 from diffstack_mmv.dynamics.gm3.stepper import LIM2, Stepper
 from diffstack_mmv.dynamics.gm3.tire import ConsistentBrush, Tire
-from diffstack_mmv.dynamics.gm3.understeer import axle_quantities
+from diffstack_mmv.dynamics.gm3.understeer import axle_quantities, steer_per_curvature
 from diffstack_mmv.dynamics.gm3.wheel_forces import forces_at_wheels
 from diffstack_mmv.dynamics.gm3.zero_order_hold import ZeroOrderHoldDynamics
 from diffstack_mmv.dynamics.records import DerivedQuantity, DriverInput, WheelForces
@@ -34,7 +35,6 @@ from diffstack_mmv.vehicles import (
 
 COMMAND_RANGE = 2.0  # steering commands may go that far beyond the soft limit: tanh(2) = 0.96
 COMMAND_LIMIT = 1e3  # m/s^2, far beyond friction; keeps powers of a wild command finite
-PACE_MPS = 5.0  # speed at which the steering per curvature is told
 
 
 class ControlRange(NamedTuple):
@@ -156,19 +156,18 @@ class DiffGM3(DynamicsModel):
         self, state: Float[Tensor, "*#b 8"], control: Float[Tensor, "*#b m"]
     ) -> Float[Tensor, "*b 8"]:
         """Continuous-time right-hand side x' = f(x, u), SI units per second."""
-        shape = torch.broadcast_shapes(state.shape[:-1], control.shape[:-1])
-        held = self.hold(as_columns(control, shape))
-        return _rows(held.derivative(as_columns(state, shape)), shape)
+        columns = side_by_side(state, control)
+        return columns.as_rows(self.hold(columns.control).derivative(columns.state))
 
     def step(
         self, state: Float[Tensor, "*#b 8"], control: Float[Tensor, "*#b m"]
     ) -> Float[Tensor, "*b 8"]:
         """Advance by one control step."""
-        shape = torch.broadcast_shapes(state.shape[:-1], control.shape[:-1])
-        columns, held = as_columns(state, shape), self.hold(as_columns(control, shape))
+        columns = side_by_side(state, control)
+        held, reached = self.hold(columns.control), columns.state
         for _ in range(self.substeps):
-            columns = self.stepper(held, columns, self.dt_s / self.substeps)
-        return _rows(columns, shape)
+            reached = self.stepper(held, reached, self.dt_s / self.substeps)
+        return columns.as_rows(reached)
 
     def motion(self, states: Float[Tensor, "*b 8"], controls: Float[Tensor, "*b m"]) -> Motion:
         """Motion of the centre of gravity; it does not depend on the controls."""
@@ -186,10 +185,7 @@ class DiffGM3(DynamicsModel):
 
         See `side_slip` for the angle between them.
         """
-        speed = motion.velocity[..., 0]
-        beta = side_slip(speed, motion.yaw_rate, self._turning_axle_m)
-        turned = torch.stack([speed * beta.cos(), speed * beta.sin()], -1)
-        return self.initial_state(motion._replace(heading=motion.heading - beta, velocity=turned))
+        return self.initial_state(body_motion(motion, self._turning_axle_m))
 
     def control_for(
         self,
@@ -227,11 +223,7 @@ class DiffGM3(DynamicsModel):
         self, state: Float[Tensor, "*#b 8"], curvature: Float[Tensor, "*#b"]
     ) -> Float[Tensor, "*b"]:
         """Steering command in rad that holds a curvature in 1/m at the speed of a state."""
-        speed, curvature = torch.broadcast_tensors(state[..., 2], curvature)
-        flat = (speed.reshape(-1), curvature.reshape(-1))
-        tangent = linear_steer(self.chassis, self.physics(), *flat).reshape(speed.shape)
-        steering = self.chassis.steering
-        return steering.command_for(steering.angle_for(tangent))
+        return steer_command(self.chassis, self.physics(), state[..., 2], curvature)
 
     def lengthened(self, repeats: int) -> Self:
         """The model with so many steps as one, taken as substeps."""
@@ -273,9 +265,8 @@ class DiffGM3(DynamicsModel):
         self, state: Float[Tensor, "*b 8"], control: Float[Tensor, "*b m"]
     ) -> WheelForces:
         """Loads, slips and forces of all wheels under a state and a control."""
-        shape = torch.broadcast_shapes(state.shape[:-1], control.shape[:-1])
-        held = self.hold(as_columns(control, shape))
-        return forces_at_wheels(held, as_columns(state, shape), shape)
+        columns = side_by_side(state, control)
+        return forces_at_wheels(self.hold(columns.control), columns.state, columns.shape)
 
     def derived_quantities(self) -> Mapping[str, DerivedQuantity]:
         """Steering per curvature, normalised cornering stiffnesses C / F_z, understeer gradient.
@@ -283,14 +274,10 @@ class DiffGM3(DynamicsModel):
         The steering angle per curvature at 5 m/s holds all that acts as understeer in one number:
         tyres, yaw damping and aligning moment. The others exist where both axles are tyred.
         """
-        pace, small, zero = self.bounds.lower.new_tensor([PACE_MPS, 1e-4, 0.0])
-        ahead = Motion(zero.expand(2), zero, torch.stack([pace, zero]), zero)
-        steer = self.steer_for(self.initial_state(ahead), small) / small
-        name = f"steer_per_curvature_at_{PACE_MPS:g}_mps"
         tread = self.get_submodule("tread_stiffness")()
         length = self.get_submodule("contact_half_length")()
-        each = 2 * tread * length.square()
-        return {name: DerivedQuantity(steer, "m")} | axle_quantities(self.spec, each)
+        steer = steer_per_curvature(self.chassis, self.physics())
+        return steer | axle_quantities(self.spec, tread, length)
 
     def description(self) -> dict[str, Any]:
         """What a results file tells of the model: tyre law with its numbers, and the scheme."""
@@ -309,13 +296,3 @@ def _law(tire: Tire | None) -> Tire:
         found = f"{type(tire).__name__} {tire!r}"
         raise TypeError(message("tire", "be a tyre law", found, "", remedy))
     return tire or ConsistentBrush()
-
-
-def as_columns(rows: Float[Tensor, "*b c"], shape: torch.Size) -> Float[Tensor, "c n"]:
-    """Flatten the leading dimensions and put them last, where elementwise operations are fast."""
-    return rows.expand(*shape, rows.shape[-1]).reshape(-1, rows.shape[-1]).mT.contiguous()
-
-
-def _rows(columns: Float[Tensor, "c n"], shape: torch.Size) -> Float[Tensor, "*b c"]:
-    """Undo `as_columns`; laid out like any state, so that a compiled step has one graph."""
-    return columns.mT.reshape(*shape, columns.shape[0]).contiguous()

@@ -4,6 +4,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from diffstack_mmv.types import Motion
+
 SLOW_MPS = 0.2  # below, a course says little about the heading
 
 
@@ -24,3 +26,16 @@ def side_slip(
     # the arcsine of the softly limited ratio S(x), as a tangent that is smooth everywhere
     square = ratio.square()
     return torch.atan(ratio * (square + (1 + square.square()).sqrt()).sqrt())
+
+
+def body_motion(motion: Motion, turning_axle_m: float) -> Motion:
+    """Motion of the body of a vehicle, from that along its course.
+
+    Args:
+        motion: `heading` is the course in rad, the forward velocity the speed along it in m/s.
+        turning_axle_m: As in `side_slip`.
+    """
+    speed = motion.velocity[..., 0]
+    beta = side_slip(speed, motion.yaw_rate, turning_axle_m)
+    turned = torch.stack([speed * beta.cos(), speed * beta.sin()], -1)
+    return motion._replace(heading=motion.heading - beta, velocity=turned)

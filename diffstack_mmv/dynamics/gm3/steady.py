@@ -56,3 +56,16 @@ def linear_steer(
     numerator = needed * turn_per_slip - moment * per_slip
     denominator = per_steer * turn_per_slip - turn_per_steer * per_slip
     return numerator / denominator * curvature
+
+
+def steer_command(
+    chassis: Chassis,
+    physics: Physics,
+    speed: Float[Tensor, "*#b"],
+    curvature: Float[Tensor, "*#b"],
+) -> Float[Tensor, "*b"]:
+    """Steering command in rad that holds a curvature in 1/m at a speed in m/s."""
+    speed, curvature = torch.broadcast_tensors(speed, curvature)
+    flat = (speed.reshape(-1), curvature.reshape(-1))
+    tangent = linear_steer(chassis, physics, *flat).reshape(speed.shape)
+    return chassis.steering.command_for(chassis.steering.angle_for(tangent))

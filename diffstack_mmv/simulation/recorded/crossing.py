@@ -4,8 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import torch
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float, Int
 
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.planning import disc_radius
@@ -24,11 +23,11 @@ FLOW_M = 4.0
 class RecordedRows(NamedTuple):
     """Recorded agents at the times of the world's steps; who is never there is left out."""
 
-    position: NDArray[np.float64]  # agents, rows, 2: m
-    inside: NDArray[np.bool_]  # agents, rows: recorded in this row and in the one before
-    radius: NDArray[np.float64]  # agents: m, of the disc with the area of the box
+    position: Float[np.ndarray, "agents rows 2"]  # m
+    inside: Bool[np.ndarray, "agents rows"]  # recorded in this row and in the one before
+    radius: Float[np.ndarray, " agents"]  # m, of the disc with the area of the box
 
-    def of(self, chosen: NDArray[np.int64] | NDArray[np.bool_]) -> "RecordedRows":
+    def of(self, chosen: Int[np.ndarray, " k"] | Bool[np.ndarray, " agents"]) -> "RecordedRows":
         """Some of the agents."""
         return RecordedRows(self.position[chosen], self.inside[chosen], self.radius[chosen])
 
@@ -37,8 +36,8 @@ class RecordedRows(NamedTuple):
         return RecordedRows(self.position[:, first:end], self.inside[:, first:end], self.radius)
 
 
-def rows_of(scene: RecordedScene, time_s: NDArray[np.float64]) -> RecordedRows:
-    """Agents at equally distant times (T,) in s; between two recorded rows they move straight.
+def rows_of(scene: RecordedScene, time_s: Float[np.ndarray, " T"]) -> RecordedRows:
+    """Agents at equally distant times in s; between two recorded rows they move straight.
 
     Args:
         scene: The recording.
@@ -70,15 +69,14 @@ def rows_of(scene: RecordedScene, time_s: NDArray[np.float64]) -> RecordedRows:
 class Crossing(NamedTuple):
     """A way through a recording."""
 
-    centre: NDArray[np.float64]  # m
+    centre: Float[np.ndarray, " 2"]  # m
     heading: float  # rad
 
-    def seen_from(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Positions, (..., 2) in m, in the frame whose y axis is the way, through the origin."""
+    def seen_from(self, position: Float[np.ndarray, "*b 2"]) -> Float[np.ndarray, "*b 2"]:
+        """Positions in m in the frame whose y axis is the way, through the origin."""
         angle = np.pi / 2 - self.heading
         cos, sin = np.cos(angle), np.sin(angle)
-        turned: NDArray[np.float64] = (position - self.centre) @ np.array([[cos, sin], [-sin, cos]])
-        return turned
+        return (position - self.centre) @ np.array([[cos, sin], [-sin, cos]])
 
 
 @dataclass(frozen=True)
@@ -137,8 +135,3 @@ class CrossingRules:
         turn = np.deg2rad(self.turn_deg) * (2 * random.random_sample() - 1)
         side = np.pi / 2 if random.random_sample() < 0.5 else -np.pi / 2
         return Crossing(centre, float(np.arctan2(axis[1], axis[0]) + side + turn))
-
-
-def as_tensor(array: NDArray[np.float64]) -> torch.Tensor:
-    """A tensor with memory of its own."""
-    return torch.from_numpy(np.ascontiguousarray(array))

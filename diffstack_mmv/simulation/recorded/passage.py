@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 
 from diffstack_mmv.checks import require_positive
@@ -71,15 +72,14 @@ class Walks:
     radius: NDArray[np.float64]
     step_s: float = field(default=0.25)
 
-    def free(self, path: NDArray[np.float64], apart_m: float) -> NDArray[np.bool_]:
+    def free(
+        self, path: Float[np.ndarray, "points 2"], apart_m: float
+    ) -> Bool[np.ndarray, "rows points"]:
         """Which points of a path are further than `apart_m` from the outline of everybody.
 
         Args:
-            path: Points in m, (points, 2).
+            path: Points in m.
             apart_m: Distance in m.
-
-        Returns:
-            By row and point.
         """
         offset = self.position[:, :, None, :] - path
         squared = np.square(offset).sum(-1)

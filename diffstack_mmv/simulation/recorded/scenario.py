@@ -15,23 +15,16 @@ from diffstack_mmv.checks import (
     require_positive,
     require_whole,
 )
-from diffstack_mmv.simulation.pedestrians import RecordedCrowdState
-from diffstack_mmv.simulation.pedestrians.recorded import far_away
 from diffstack_mmv.simulation.phases import generator
-from diffstack_mmv.simulation.recorded.crossing import (
-    CrossingRules,
-    RecordedRows,
-    as_tensor,
-    rows_of,
-)
+from diffstack_mmv.simulation.recorded.blind_drive import BlindDrive
+from diffstack_mmv.simulation.recorded.case_scene import USUAL_RADIUS_M, case_scene
+from diffstack_mmv.simulation.recorded.crossing import CrossingRules, RecordedRows, rows_of
 from diffstack_mmv.simulation.recorded.passage import PassageRules, Walks
 from diffstack_mmv.simulation.scene import Scene, stacked
 from diffstack_mmv.types import RecordedScene
 
 MAX_TRIES = 2000
 """Draws for one case before a recording counts as too empty or too full."""
-SLOWEST_MPS = 0.1
-"""The preferred speed of nobody is smaller."""
 NEAR_WAY_M = 2.0
 """Who comes closer to the way is met."""
 
@@ -124,7 +117,7 @@ class RecordedCrossing:
     @property
     def pedestrian_radius_m(self) -> float:
         """Radius of a pedestrian in a picture; everybody has one of its own."""
-        return 0.3
+        return USUAL_RADIUS_M
 
     def cases(self, phase: str, numbers: Iterable[int]) -> Scene:
         """Several cases as one batch.
@@ -200,7 +193,9 @@ class RecordedCrossing:
             return None
         seen = rows._replace(position=crossing.seen_from(rows.position))
         seen = seen.of(self._nearest(seen.later(lead)))
-        return self._scene(seen, lead) if self._is_case(seen.later(lead)) else None
+        if not self._is_case(seen.later(lead)):
+            return None
+        return case_scene(seen, lead, self.dt_s, self.way_m, self.humans)
 
     def _nearest(self, rows: RecordedRows) -> np.ndarray:
         """Numbers of the agents that come nearest to the way, no more than there is room for."""
@@ -220,9 +215,12 @@ class RecordedCrossing:
         way = self._from_way(rows.later(0, soon))
         if int((way.min(-1, initial=np.inf) < NEAR_WAY_M).sum()) < self.met:
             return False
-        if self._somebody_appears(rows) or self._is_clear(rows):
+        if self._somebody_appears(rows):
             return False
         walks = Walks(rows.position, rows.inside, rows.radius, self.dt_s)
+        blind = BlindDrive(self.blind_mps, self.passage.acceleration_mps2, self.way_m)
+        if self.blind_mps and not blind.hits(walks, self.robot_radius_m):
+            return False
         at_start = round(0.5 / self.dt_s) + 1
         start = np.array([[0.0, -self.way_m / 2]])
         free = walks.free(start, self.robot_radius_m + self.clearance_m)
@@ -230,57 +228,8 @@ class RecordedCrossing:
             return False
         return self.passage.passable(walks, self.way_m, self.robot_radius_m)
 
-    def _is_clear(self, rows: RecordedRows) -> bool:
-        """Whether a straight drive that looks at nobody hits nobody."""
-        if not self.blind_mps:
-            return False
-        time = self.dt_s * np.arange(rows.inside.shape[1])
-        ramp = self.blind_mps / self.passage.acceleration_mps2
-        way = np.where(
-            time < ramp,
-            0.5 * self.passage.acceleration_mps2 * time**2,
-            self.blind_mps * (time - 0.5 * ramp),
-        )
-        under_way = way < self.way_m
-        path = np.stack((np.zeros_like(way), way - self.way_m / 2), -1)
-        apart = np.linalg.norm(rows.position - path, axis=-1) - rows.radius[:, None]
-        hit = (apart < self.robot_radius_m) & rows.inside
-        return not bool(hit[:, under_way].any())
-
     def _somebody_appears(self, rows: RecordedRows) -> bool:
         """Whether a track begins beside the way after the start: nobody could know of it."""
         covered = rows.later(0, round(self.cover_s / self.dt_s))
         entered = ~covered.inside[:, :-1] & covered.inside[:, 1:]
         return bool((self._from_way(covered)[:, 1:][entered] < self.entry_m).any())
-
-    def _scene(self, rows: RecordedRows, lead: int) -> Scene:
-        """The scene of a case, padded to the largest number of agents."""
-        count, steps = rows.inside.shape
-        track = np.zeros((self.humans, steps, 2))
-        inside = np.zeros((self.humans, steps), dtype=bool)
-        track[:count], inside[:count] = rows.position, rows.inside
-        sizes = np.full(self.humans, self.pedestrian_radius_m)
-        sizes[:count] = rows.radius
-        position, present = as_tensor(track[:, lead]), torch.from_numpy(inside[:, lead])[:, None]
-        velocity = as_tensor(track[:, lead] - track[:, lead - 1]) / self.dt_s
-        last = np.where(inside.any(-1), steps - 1 - inside[:, ::-1].argmax(-1), 0)
-        moved = np.linalg.norm(np.diff(track, axis=1), axis=-1) * inside[:, 1:]
-        speed = moved.sum(-1) / np.maximum(inside[:, 1:].sum(-1), 1) / self.dt_s
-        half = torch.tensor([0.0, self.way_m / 2], dtype=torch.float64)
-        return Scene(
-            robot_position=-half,
-            robot_heading=half.new_tensor(np.pi / 2),
-            robot_goal=half,
-            pedestrians=RecordedCrowdState(
-                position=torch.where(present, position, far_away(position)),
-                velocity=torch.where(present, velocity, torch.zeros_like(velocity)),
-                goal=as_tensor(track[np.arange(self.humans), last]),
-                radius=as_tensor(sizes),
-                preferred_speed=as_tensor(np.maximum(speed, SLOWEST_MPS)),
-                track=as_tensor(track),
-                inside=torch.from_numpy(inside),
-                row=torch.tensor(lead),
-                lead=torch.tensor(lead),
-                step_s=half.new_tensor(self.dt_s),
-            ),
-        )

@@ -16,7 +16,7 @@ from diffstack_mmv.simulation import (
     World,
     drive,
 )
-from diffstack_mmv.simulation.scenario import CircleCrossing
+from diffstack_mmv.simulation.crossings import CircleCrossing
 from diffstack_mmv.types import map_tensors
 from tests.simulation.test_forecasters import paths
 
