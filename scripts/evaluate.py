@@ -188,6 +188,7 @@ def _header(
     others = _checkpoints(config)[1:]
     return {
         "goal": stack.goal.name,
+        "steadiness": getattr(stack.goal, "steadiness", None),  # other goals have none
         "dynamics": trained["names"]["dynamics"],
         "vehicle": trained["vehicle"]["name"],
         "data": config.data.name,

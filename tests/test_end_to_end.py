@@ -160,6 +160,19 @@ def test_an_ensemble_of_equals_predicts_as_one_of_them(succeed, workplace, tmp_p
             assert mixed["modes"][mode][name] == pytest.approx(scores[name], rel=1e-4)
 
 
+def test_a_report_tells_which_way_its_plans_take_to_a_given_goal(
+    succeed, refusal, workplace, tmp_path
+):
+    checkpoint = f"checkpoint={workplace / 'run' / 'checkpoints' / 'best.ckpt'}"
+    asked = checkpoint, *data_of(workplace), "plans=false", "plots=false", f"out={tmp_path}"
+    succeed("evaluate", *asked, "goal=future", "goal.steadiness=0.3")
+    assert json.loads((tmp_path / "metrics.json").read_text())["steadiness"] == 0.3
+    told = refusal("evaluate", *asked, "goal=future")
+    assert "`out` must hold no report with another steadiness than 0.15, but got 0.3" in told
+    unaimed = json.loads((workplace / "report" / "metrics.json").read_text())
+    assert unaimed["steadiness"] is None
+
+
 def test_a_refused_evaluation_leaves_the_configuration_of_the_folder(refusal, workplace):
     checkpoint = f"checkpoint={workplace / 'run' / 'checkpoints' / 'best.ckpt'}"
     arguments, report = [checkpoint, *data_of(workplace)], workplace / "report"
