@@ -17,6 +17,7 @@ from typing import Any
 
 from dmmv_conventions.annotations import require_types
 from dmmv_conventions.arguments import require_arguments
+from dmmv_conventions.data_names import require_name_of_converter
 from dmmv_conventions.disk import replacing
 from dmmv_conventions.extras import needs_to_run
 from dmmv_conventions.foretold import require_foretold
@@ -121,6 +122,7 @@ def command(
                 require_arguments(content)
                 require_types(content)
                 require_foretold(content)
+                require_name_of_converter(content.get("data"))
                 check(config)
                 with alone_in(Path(config.out), "out"), _single_job():
                     require_own_folder(Path(config.out), config_name)

@@ -93,6 +93,7 @@ CONVENTIONS = {
         "dmmv_conventions.annotations",
         "dmmv_conventions.bars",
         "dmmv_conventions.arguments",
+        "dmmv_conventions.data_names",
         "dmmv_conventions.foretold",
         "dmmv_conventions.locks",
         "dmmv_conventions.targets",
