@@ -8,7 +8,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -26,6 +26,7 @@ from diffstack_mmv.simulation.pedestrians import CrowdState
 from diffstack_mmv.simulation.phases import generator
 from diffstack_mmv.simulation.placement import first_accepted
 from diffstack_mmv.simulation.scene import Scene, stacked
+from diffstack_mmv.simulation.vacancy import Taken, may_have_place
 
 MAX_TRIES = 20_000_000
 """Draws for one pedestrian before a scenario counts as too crowded; the benchmark never stops."""
@@ -69,6 +70,7 @@ class Scenario(ABC):
     pedestrian_speed_mps: float = 1.0
     robot_radius_m: float = 0.3
     clearance_m: float = 0.2
+    _sized_by: ClassVar[str] = "circle_radius_m"
 
     def __post_init__(self) -> None:
         """Check the sizes once, at the border."""
@@ -158,15 +160,11 @@ class Scenario(ABC):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Draw position and goal in m of the next pedestrian."""
 
-    def _free(
-        self, places: Float[np.ndarray, "k 2"], others: Float[np.ndarray, "n 2"]
-    ) -> Bool[np.ndarray, " k"]:
-        """Which discs at `places` keep clear of the discs at `others`, all in m."""
+    def _taken(self, others: Float[np.ndarray, "n 2"]) -> Taken:
+        """Where no pedestrian can be placed beside the robot, the first, and others, all in m."""
         radii = np.full(len(others), self.pedestrian_radius_m)
         radii[0] = self.robot_radius_m
-        x, y = np.moveaxis(others - places[:, None], -1, 0)
-        reach = self.pedestrian_radius_m + radii + self.clearance_m
-        return ~(np.sqrt(x * x + y * y) < reach).any(-1)
+        return Taken(others, self.pedestrian_radius_m + radii + self.clearance_m)
 
     @property
     def _half_gap_m(self) -> float:
@@ -186,17 +184,16 @@ class Scenario(ABC):
         share = FULLEST * area_m2 / (math.pi * self._half_gap_m**2)
         most = int((share + 2) / places)  # a small region holds more, by its edge
         wanted = f"fit into the scenario, in which at most {most} find a place"
-        remedy = "Take fewer, or a larger scenario."
-        require(self.humans <= most, "humans", wanted, self.humans, "", remedy)
+        require(self.humans <= most, "humans", wanted, self.humans, "", self._remedy(most))
 
     def _too_crowded(self, pedestrian: int) -> str:
         """Explain that the scenario has no room for one more pedestrian."""
-        wanted = (
-            f"fit into the scenario, which has no place for pedestrian {pedestrian} in "
-            f"{MAX_TRIES} draws"
-        )
-        remedy = f"Take at most {max(pedestrian - 1, 1)}, or a larger scenario."
-        return message("humans", wanted, self.humans, remedy=remedy)
+        wanted = f"fit into the scenario, which has no place for pedestrian {pedestrian}"
+        return message("humans", wanted, self.humans, remedy=self._remedy(pedestrian - 1))
+
+    def _remedy(self, most: int) -> str:
+        size = f"scenario.{self._sized_by} than {getattr(self, self._sized_by):g}"
+        return f"Take scenario.humans={max(most, 1)} at most, or a larger {size}."
 
 
 @dataclass(frozen=True)
@@ -224,12 +221,15 @@ class CircleCrossing(Scenario):
         Raises:
             ValueError: None is found.
         """
-
-        def accepted(draws: Float[np.ndarray, "k 3"]) -> Bool[np.ndarray, " k"]:
-            starts = self._starts(draws)
-            return self._free(starts, placed.position) & self._free(starts, placed.goal)
-
-        draw = first_accepted(random, 3, accepted, MAX_TRIES)
+        taken = self._taken(placed.position).and_of(self._taken(placed.goal))
+        extent = self.circle_radius_m + self.pedestrian_speed_mps / 2
+        draw = first_accepted(
+            random,
+            3,
+            lambda draws: taken.room(self._starts(draws)) >= 0,
+            MAX_TRIES,
+            lambda: may_have_place(self._meets_starts, taken, extent),
+        )
         if draw is None:
             raise ValueError(self._too_crowded(len(placed.position)))
         (start,) = self._starts(draw[None])
@@ -240,6 +240,15 @@ class CircleCrossing(Scenario):
         angle = draws[:, 0] * np.pi * 2
         shift = (draws[:, 1:] - 0.5) * self.pedestrian_speed_mps
         return self.circle_radius_m * np.stack([np.cos(angle), np.sin(angle)], -1) + shift
+
+    def _meets_starts(
+        self, centers: Float[np.ndarray, "k 2"], half_m: float
+    ) -> Bool[np.ndarray, " k"]:
+        """Which squares have a place in them that can be drawn: the circle comes near enough."""
+        aside = half_m + self.pedestrian_speed_mps / 2
+        far, near = abs(centers) + aside, np.maximum(abs(centers) - aside, 0)
+        radius = self.circle_radius_m
+        return (np.hypot(*near.T) <= radius) & (radius <= np.hypot(*far.T))
 
 
 @dataclass(frozen=True)
@@ -254,6 +263,7 @@ class SquareCrossing(Scenario):
     """
 
     square_width_m: float = 10.0
+    _sized_by: ClassVar[str] = "square_width_m"
 
     def __post_init__(self) -> None:
         """Check the sizes once, at the border."""
@@ -277,8 +287,18 @@ class SquareCrossing(Scenario):
         Raises:
             ValueError: None is found.
         """
+        taken, width = self._taken(others), self.square_width_m
+
+        def meets(centers: Float[np.ndarray, "k 2"], half_m: float) -> Bool[np.ndarray, " k"]:
+            x, y = centers[:, 0] * side, centers[:, 1]
+            return (x + half_m >= 0) & (x - half_m <= width / 2) & (abs(y) - half_m <= width / 2)
+
         draw = first_accepted(
-            random, 2, lambda draws: self._free(self._places(draws, side), others), MAX_TRIES
+            random,
+            2,
+            lambda draws: taken.room(self._places(draws, side)) >= 0,
+            MAX_TRIES,
+            lambda: may_have_place(meets, taken, width / 2),
         )
         if draw is None:
             raise ValueError(self._too_crowded(len(others)))
