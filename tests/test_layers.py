@@ -77,7 +77,7 @@ CONVENTIONS = {
         "dmmv_conventions.differences",
         "dmmv_conventions.yaml_files",
     },
-    "training_checks": {"dmmv_conventions.checks"},
+    "training_checks": {"dmmv_conventions.checks", "dmmv_conventions.targets"},
     "jobs": {"dmmv_conventions.checks"},
     "online": {"dmmv_conventions.observed"},
     "online_checks": {"dmmv_conventions.observed"},
