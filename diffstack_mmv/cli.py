@@ -39,6 +39,7 @@ with needs_to_run("stack", "the command lines"):
         as_written,
         changed_defaults,
         composed_once,
+        require_resolvable,
         settings_in,
         value_of,
     )
@@ -112,7 +113,9 @@ def command(
                 _read_vehicle_file(config)
                 require_own_config(str(HydraConfig.get().job.config_name), config_name)
                 require_complete(OmegaConf.to_container(config))
-                for key, default in changed_defaults(config_name).items():
+                defaults = changed_defaults(config_name)
+                require_resolvable(config, defaults)
+                for key, default in defaults.items():
                     require_same_type(key, default, value_of(config, key))
                 OmegaConf.resolve(config)
                 require_seed(config.get("seed"))
