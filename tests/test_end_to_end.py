@@ -108,6 +108,8 @@ def test_report_has_a_row_per_mode_beside_the_baselines(workplace):
     assert {"bicycle", "scooter", "motorcycle"} >= set(metrics["modes"])
     assert metrics["modes"]
     assert metrics["goal"] == "predicted"
+    assert metrics["modes_of_other_vehicles"] == ["scooter", "motorcycle"]
+    assert "are driven with the vehicle bicycle" in (workplace / "report/metrics.md").read_text()
     for name in ("stand_still", "constant_velocity", "kalman", "ctra"):
         assert set(metrics["baselines"][name]) == set(metrics["modes"])
     checkpoint = (workplace / "run" / "checkpoints" / "best.ckpt").read_bytes()

@@ -31,6 +31,15 @@ def test_metrics_have_the_keys_that_users_rely_on(tmp_path):
     assert metrics["baselines"]["stand_still"]["scooter"] == {"ade": 2.0, "fde": 4.0}
 
 
+def test_who_is_driven_with_the_vehicle_of_another_mode_is_told_above_the_scores(tmp_path):
+    told = "Agents of mode scooter are driven with the vehicle bicycle."
+    write_run(tmp_path, "kbm", 0, modes_of_other_vehicles=["motorcycle", "scooter"])
+    assert told in (tmp_path / "metrics.md").read_text().partition("## ")[0]
+    for more in ({}, {"modes_of_other_vehicles": []}):
+        write_run(tmp_path, "kbm", 0, **more)
+        assert "are driven with" not in (tmp_path / "metrics.md").read_text()
+
+
 def test_costs_are_told_by_term(tmp_path):
     frame = samples().assign(**{"cost/goal": 2.0, "cost/collision": 0.5})
     write_run(tmp_path, "kbm", 0, frame=frame)
