@@ -17,6 +17,7 @@ from typing import Any
 
 from dmmv_conventions.annotations import require_types
 from dmmv_conventions.arguments import require_arguments
+from dmmv_conventions.data_names import require_name_of_converter
 from dmmv_conventions.disk import replacing
 from dmmv_conventions.extras import needs_to_run
 from dmmv_conventions.foretold import require_foretold
@@ -38,6 +39,7 @@ with needs_to_run("stack", "the command lines"):
         as_written,
         changed_defaults,
         composed_once,
+        require_resolvable,
         settings_in,
         value_of,
     )
@@ -111,7 +113,9 @@ def command(
                 _read_vehicle_file(config)
                 require_own_config(str(HydraConfig.get().job.config_name), config_name)
                 require_complete(OmegaConf.to_container(config))
-                for key, default in changed_defaults(config_name).items():
+                defaults = changed_defaults(config_name)
+                require_resolvable(config, defaults)
+                for key, default in defaults.items():
                     require_same_type(key, default, value_of(config, key))
                 OmegaConf.resolve(config)
                 require_seed(config.get("seed"))
@@ -121,6 +125,7 @@ def command(
                 require_arguments(content)
                 require_types(content)
                 require_foretold(content)
+                require_name_of_converter(content.get("data"))
                 check(config)
                 with alone_in(Path(config.out), "out"), _single_job():
                     require_own_folder(Path(config.out), config_name)

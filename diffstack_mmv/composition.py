@@ -17,7 +17,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
 
 from dmmv_conventions.checks import message
 
@@ -115,7 +115,29 @@ def _changed(overrides: Sequence[Override]) -> list[str]:
 def value_of(config: DictConfig, key: str) -> Any:
     """Value of a key in plain containers, none where it has none yet."""
     try:
-        value = OmegaConf.select(config, key, throw_on_missing=False)
-        return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+        return _resolved(config, key)
     except OmegaConfBaseException:
         return None
+
+
+def require_resolvable(config: DictConfig, keys: Iterable[str]) -> None:
+    """Refuse values that are interpolations of nothing, or of themselves.
+
+    Args:
+        config: A configuration.
+        keys: Of the values.
+
+    Raises:
+        ValueError: One leads to no value.
+    """
+    for key in keys:
+        try:
+            _resolved(config, key)
+        except InterpolationResolutionError as error:
+            found = f"an interpolation that leads to none ({str(error).splitlines()[0]})"
+            raise ValueError(message(key, "be a value", found)) from error
+
+
+def _resolved(config: DictConfig, key: str) -> Any:
+    value = OmegaConf.select(config, key, throw_on_missing=False)
+    return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value

@@ -11,6 +11,7 @@ from typing import Any
 from diffstack_mmv.config_checks import require_share
 from diffstack_mmv.metrics import OF_THE_PREDICTION, OPEN_LOOP
 from dmmv_conventions.checks import message, require, require_at_least, require_one_of
+from dmmv_conventions.targets import nodes
 
 ACCELERATORS = ("auto", "cpu", "cuda", "gpu", "mps", "tpu")
 STRATEGIES = ("auto", "ddp", "deepspeed", "fsdp", "single", "xla")
@@ -37,6 +38,8 @@ UNWANTED = {
     "enable_model_summary": "ModelSummary",
 }
 """What Lightning refuses to switch off while a callback of the configuration does it."""
+NOWHERE = {"Mirror": 0.5, "SpeedScale": 1.0}
+"""Augmentations after which a sample is nowhere in the world, with their default probabilities."""
 DURATION = re.compile(r"\d+:\d\d:\d\d:\d\d")
 
 
@@ -64,6 +67,30 @@ def require_training(config: Mapping[str, Any]) -> None:
     _require_watched(config, callbacks)
     _require_optimizer(config["optim"]["optimizer"])
     _require_scheduler(config["optim"].get("scheduler"), config["epochs"])
+
+
+def require_places(predictor: Mapping[str, Any], augmentation: Any) -> None:
+    """Refuse a predictor that learns what places mean from samples none of which is at its place.
+
+    Args:
+        predictor: Configuration of the predictor.
+        augmentation: Configuration of what changes its samples, plain containers.
+
+    Raises:
+        ValueError: An augmentation changes every sample so that it is nowhere in the world.
+    """
+    if predictor.get("site") is None:
+        return
+    for place, node in nodes(augmentation, "data.module.augmentation"):
+        kind = str(node.get("_target_")).rpartition(".")[2] if isinstance(node, Mapping) else ""
+        if kind in NOWHERE:
+            share = node.get("probability", NOWHERE[kind])
+            wanted = (
+                "be below 1 beside a predictor with a site, which learns from the other samples"
+            )
+            key = re.sub(r"\[(\d+)\]", r".\1", place)  # as command lines name entries of a list
+            remedy = f"Add ++{key}.probability=0.5, or take a predictor without a site."
+            require(share < 1, f"{place}.probability", wanted, share, f"for {kind}", remedy)
 
 
 def _require_limits(trainer: Mapping[str, Any]) -> None:

@@ -5,14 +5,13 @@
 
 import json
 import os
-import re
 import shlex
 from functools import cache as remembered
 from pathlib import Path
 from typing import Any
 
 from dmmv_conventions.checks import message, require
-from dmmv_conventions.configs import config_folder
+from dmmv_conventions.data_names import choice_of
 
 FORMAT_VERSION = 1
 STATE_FILE = "cache.json"
@@ -24,13 +23,6 @@ LEAN_TABLE = "lean"
 
 TRUSTED_VARIABLE = "DMMV_TRUSTED_CACHES"
 """Environment variable with folders of caches of others that are read all the same, by colons."""
-
-TABLES = "csv"
-"""Data set of tables of one's own, which has any name."""
-
-_NAME = re.compile(r"^name: (\S+)", re.MULTILINE)
-_RECORDINGS = re.compile(r"^recordings:", re.MULTILINE)
-_SETTING = re.compile(r"\$\{([\w.]+)\}")
 
 ADMINISTRATOR = 0
 """User whose files everyone trusts anyway."""
@@ -96,36 +88,7 @@ def conversion_of(name: str, cache: Path) -> str:
 def conversion_command(name: str, cache: Path) -> str:
     """The command that makes an environment in the folder of a cache."""
     place = shlex.quote(f"data.cache={cache}")
-    return f"python scripts/convert.py {_choice_of(name)} data.root=RECORDINGS {place}"
-
-
-@remembered
-def _choice_of(name: str) -> str:
-    """The settings that choose a data set by its name; one that none is called is tables."""
-    texts = {
-        file.stem: file.read_text(encoding="utf-8")
-        for file in sorted((config_folder() / "data").glob("*.yaml"))
-    }
-    settings = {data: _settings_of(name, text) for data, text in texts.items()}
-    known = (
-        " ".join([f"data={data}", *each]) for data, each in settings.items() if each is not None
-    )
-    return next(known, f"data={TABLES} data.name={name}")
-
-
-def _settings_of(name: str, text: str) -> list[str] | None:
-    """The settings with which a data set of this configuration is called so, None if it never is.
-
-    One without a converter of ours is never converted.
-    """
-    called = _NAME.search(text)
-    if called is None or _RECORDINGS.search(text) is None:
-        return None
-    parts = _SETTING.split(called[1])  # text and names of settings by turns
-    found = re.fullmatch("(.+)".join(map(re.escape, parts[::2])), name)
-    if found is None:
-        return None
-    return [f"{key}={value}" for key, value in zip(parts[1::2], found.groups(), strict=True)]
+    return f"python scripts/convert.py {choice_of(name)} data.root=RECORDINGS {place}"
 
 
 def require_own(folder: Path, remedy: str) -> None:

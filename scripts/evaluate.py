@@ -132,7 +132,7 @@ def main(config: DictConfig) -> None:
     )
     scores = EVALUATED if config.plans else PREDICTED
     vehicle = trained["vehicle"]["name"]
-    for mode in other_modes(config.modes, trained["vehicle"]):
+    for mode in header["modes_of_other_vehicles"]:
         logger.warning("Agents of mode '%s' are driven with the vehicle '%s'.", mode, vehicle)
     metrics = summarise_modes(evaluation.samples, config.situations, vehicle, scores)
     for mode in set(config.modes) - set(metrics["modes"]):
@@ -162,6 +162,7 @@ def _header(
     others = _checkpoints(config)[1:]
     return {
         "goal": stack.goal.name,
+        "steadiness": getattr(stack.goal, "steadiness", None),  # other goals have none
         "dynamics": trained["names"]["dynamics"],
         "vehicle": trained["vehicle"]["name"],
         "data": config.data.name,
@@ -170,6 +171,7 @@ def _header(
         "smoother": module.source.smoother(),
         "calibrated_on": config.calibration.split,
         "ego_modes": sorted(config.modes),
+        "modes_of_other_vehicles": other_modes(config.modes, trained["vehicle"]),
         "plans": config.plans,
         "history_s": config.history_s,
         "stride": config.data.stride,

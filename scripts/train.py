@@ -17,7 +17,7 @@ from diffstack_mmv.data_checks import (
     told_of_data,
 )
 from diffstack_mmv.device_checks import require_accelerator
-from diffstack_mmv.training_checks import require_training
+from diffstack_mmv.training_checks import require_places, require_training
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 
@@ -36,6 +36,8 @@ def check(config: DictConfig) -> None:
         config.modes, config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
     )
     require_training(config)
+    module: Any = OmegaConf.to_container(config.data.module)
+    require_places(config.predictor, module["augmentation"])
     require_own_vehicle(config.modes, config.vehicle, shared=config.shared_vehicle)
     require_data(config.data.module.windows, config.batch_size)
     require_recordings(config.data.module.source)

@@ -53,6 +53,15 @@ def run(tmp_path, monkeypatch, capsys):
     return go
 
 
+@pytest.mark.parametrize("value", ["${smallest}", "${vehicle}", "${vehicle.name}", "${nothing}"])
+def test_a_setting_that_leads_back_to_itself_or_nowhere_is_named(run, value):
+    key = "vehicle.name" if "vehicle" in value else "smallest"
+    config, told = run("needed=1", f"{key}={value}")
+    assert config is None
+    assert told.startswith(f"`{key}` must be a value, but got an interpolation that leads to none")
+    assert told.count("\n") == 1
+
+
 def test_a_value_that_must_be_given_is_named(run):
     config, told = run()
     assert config is None

@@ -108,6 +108,8 @@ def test_report_has_a_row_per_mode_beside_the_baselines(workplace):
     assert {"bicycle", "scooter", "motorcycle"} >= set(metrics["modes"])
     assert metrics["modes"]
     assert metrics["goal"] == "predicted"
+    assert metrics["modes_of_other_vehicles"] == ["scooter", "motorcycle"]
+    assert "are driven with the vehicle bicycle" in (workplace / "report/metrics.md").read_text()
     for name in ("stand_still", "constant_velocity", "kalman", "ctra"):
         assert set(metrics["baselines"][name]) == set(metrics["modes"])
     checkpoint = (workplace / "run" / "checkpoints" / "best.ckpt").read_bytes()
@@ -158,6 +160,19 @@ def test_an_ensemble_of_equals_predicts_as_one_of_them(succeed, workplace, tmp_p
     for mode, scores in alone["modes"].items():
         for name in ("median_ade", "nll"):
             assert mixed["modes"][mode][name] == pytest.approx(scores[name], rel=1e-4)
+
+
+def test_a_report_tells_which_way_its_plans_take_to_a_given_goal(
+    succeed, refusal, workplace, tmp_path
+):
+    checkpoint = f"checkpoint={workplace / 'run' / 'checkpoints' / 'best.ckpt'}"
+    asked = checkpoint, *data_of(workplace), "plans=false", "plots=false", f"out={tmp_path}"
+    succeed("evaluate", *asked, "goal=future", "goal.steadiness=0.3")
+    assert json.loads((tmp_path / "metrics.json").read_text())["steadiness"] == 0.3
+    told = refusal("evaluate", *asked, "goal=future")
+    assert "`out` must hold no report with another steadiness than 0.15, but got 0.3" in told
+    unaimed = json.loads((workplace / "report" / "metrics.json").read_text())
+    assert unaimed["steadiness"] is None
 
 
 def test_a_refused_evaluation_leaves_the_configuration_of_the_folder(refusal, workplace):

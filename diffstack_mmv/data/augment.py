@@ -65,11 +65,7 @@ class Mirror:
             position, velocity = motion.position * flip, motion.velocity * flip
             return Motion(position, motion.heading * factor, velocity, motion.yaw_rate * factor)
 
-        changed = _map_motions(batch, mirrored)
-        if batch.frame is None:
-            return changed
-        frame = batch.frame._replace(known=batch.frame.known & ~chosen)
-        return changed._replace(frame=frame)
+        return _nowhere(_map_motions(batch, mirrored), chosen)
 
 
 @dataclass(frozen=True)
@@ -112,26 +108,33 @@ class SpeedScale:
     """Scale the plane about the ego: everybody is faster and further away by one factor per sample.
 
     Positions and velocities scale together, headings and yaw rates stay, so that each track remains
-    consistent; turning radii and accelerations scale as well. Extents stay.
+    consistent; turning radii and accelerations scale as well. Extents stay. No place in the world
+    looks like a scaled sample: lanes and crossings are where they were.
 
     Attributes:
         low: Smallest factor.
         high: Largest factor.
+        probability: Share of the samples that are scaled.
 
     Raises:
-        ValueError: The factors are not positive or not in order.
+        ValueError: The factors are not positive or not in order, or the share is not in [0, 1].
     """
 
     low: float = 0.9
     high: float = 1.1
+    probability: float = 1.0
 
     def __post_init__(self) -> None:
         require_positive("low", self.low)
         require_at_least("high", self.high, self.low)
+        require_between("probability", self.probability, 0.0, 1.0)
 
     def __call__(self, batch: StackBatch, generator: Generator) -> StackBatch:
         """Scale positions and velocities."""
         scale = uniform(batch, self.low, self.high, generator)
+        if self.probability < 1.0:
+            chosen = uniform(batch, 0.0, 1.0, generator) < self.probability
+            scale = torch.where(chosen, scale, 1.0)
 
         def scaled(motion: Motion) -> Motion:
             factor = like(scale, motion.heading)[..., None]
@@ -139,7 +142,7 @@ class SpeedScale:
                 position=motion.position * factor, velocity=motion.velocity * factor
             )
 
-        return _map_motions(batch, scaled)
+        return _nowhere(_map_motions(batch, scaled), scale != 1.0)
 
 
 def uniform(
@@ -158,6 +161,13 @@ def like(value: Float[Tensor, " B"], reference: Shaped[Tensor, "B ..."]) -> Tens
 def _map_motions(batch: StackBatch, change: MotionMap) -> StackBatch:
     tracks = [track._replace(motion=change(track.motion)) for track in _all_tracks(batch)]
     return _joined(batch, tracks)
+
+
+def _nowhere(batch: StackBatch, changed: Bool[Tensor, " B"]) -> StackBatch:
+    """Have samples forget where in the world they are, since no place there looks like them."""
+    if batch.frame is None:
+        return batch
+    return batch._replace(frame=batch.frame._replace(known=batch.frame.known & ~changed))
 
 
 def _keep_absent_zero(batch: StackBatch) -> StackBatch:

@@ -35,7 +35,8 @@ def settings_of(name: str, folder: Path) -> dict[str, Any]:
         Plain values; interpolations as they are written, but for those within the file (`${.x}`).
 
     Raises:
-        ValueError: There is no such file, or nothing where an interpolation within it points.
+        ValueError: There is no such file, nothing where an interpolation within it points, or one
+            leads back to itself.
     """
     settings = _layered(name, folder)
     return _with_relatives(settings, [settings])
@@ -60,20 +61,23 @@ def _layered(name: str, folder: Path) -> dict[str, Any]:
     return settings
 
 
-def _with_relatives(content: Any, holders: Sequence[Any]) -> Any:
+def _with_relatives(
+    content: Any, holders: Sequence[Any], followed: Sequence[tuple[int, str]] = ()
+) -> Any:
     """Settings in which `${.x}` is the neighbour x, and each further dot is one level up.
 
     Args:
         content: Some of the settings.
         holders: All settings, what lies in them on the way to these, and these.
+        followed: Where the interpolations point that led to these: a holder and a key in it each.
 
     Raises:
-        ValueError: There is no such neighbour.
+        ValueError: There is no such neighbour, or what it is depends on itself.
     """
     if isinstance(content, Mapping):
-        return {k: _with_relatives(value, [*holders, value]) for k, value in content.items()}
+        return {k: _with_relatives(v, [*holders, v], followed) for k, v in content.items()}
     if isinstance(content, list):
-        return [_with_relatives(value, [*holders, value]) for value in content]
+        return [_with_relatives(value, [*holders, value], followed) for value in content]
     found = re.fullmatch(r"\$\{(\.+)([\w.]+)\}", content) if isinstance(content, str) else None
     if found is None or len(found[1]) >= len(holders):
         return content
@@ -82,7 +86,10 @@ def _with_relatives(content: Any, holders: Sequence[Any]) -> Any:
         inside = isinstance(path[-1], Mapping) and key in path[-1]
         require(inside, "settings", "hold what their interpolations name", repr(content))
         path.append(path[-1][key])
-    return _with_relatives(path[-1], path)
+    place = id(path[-2]), found[2].rpartition(".")[2]
+    needs = "hold no interpolation that leads back to itself"
+    require(place not in followed, "settings", needs, repr(content))
+    return _with_relatives(path[-1], path, (*followed, place))
 
 
 def _content(name: str, folder: Path) -> dict[str, Any]:

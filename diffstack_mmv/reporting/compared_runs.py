@@ -13,8 +13,9 @@ COMPARED = ("ade", "median_ade", "nll", "plan_ade", "planning_loss", "collision_
 """Scores in the table, by name."""
 IN_EVERY_REPORT = ("ade", "nll")
 """Those of them that every report has."""
-JUDGED_BY = ("smoother", "hindsight")
-"""Settings of a report that change what its scores mean: the tracks, and the planning loss."""
+JUDGED_BY = ("smoother", "hindsight", "steadiness")
+"""Settings of a report that change what its scores mean: the tracks, the planning loss, and which
+way a plan takes to a known goal."""
 GIVEN = ("future", "wanted")
 """The goal with which the trivial paths to it know it; those that are forecasts have an NLL."""
 SAMPLE = ["scene", "agent", "row"]
@@ -110,17 +111,23 @@ def _require_same_windows(folders: Sequence[Path]) -> None:
             other = seen.setdefault(place, judged)
             for name, value in judged.settings.items():
                 if other.settings[name] != value:
-                    told = f"{other.settings[name]} in {other.folder} and {value} in {folder}"
+                    before, now = (_or_untold(each) for each in (other.settings[name], value))
+                    told = f"{before} in {other.folder} and {now} in {folder}"
                     raise ValueError(_of_other(name, place, told))
             if not other.samples.equals(keys):
                 told = f"{len(other.samples)} in {other.folder} and {len(keys)} in {folder}"
                 raise ValueError(_of_other("windows", place, told))
 
 
+def _or_untold(setting: Any) -> str:
+    """A setting as it is told; reports of earlier versions do not tell all of them."""
+    return "none told" if setting is None else str(setting)
+
+
 def _of_other(what: str, place: Sequence[Any], told: str) -> str:
     where = ", ".join(map(str, place))
     remedy = (
-        "Evaluate them on the same conversion with the same data.stride, history_s and dt_s, and "
-        "trained with the same loss.hindsight."
+        "Evaluate them on the same conversion with the same data.stride, history_s, dt_s and "
+        "goal.steadiness, and trained with the same loss.hindsight."
     )
     return f"`runs` must have the same {what} for {where}, but got {told}. {remedy}"

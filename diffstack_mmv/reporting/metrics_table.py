@@ -176,7 +176,7 @@ def _markdown(metrics: Mapping[str, Any], scores: Scores) -> str:
     title = (
         f"# {metrics['dynamics']} · {metrics['vehicle']} · {metrics['data']}/{metrics['split']}\n\n"
         f"Goal: {told.get(metrics['goal'], metrics['goal'])}. Seed {metrics['seed']}. "
-        f"Smoother: {metrics.get('smoother', 'unknown')}.\n\n"
+        f"Smoother: {metrics.get('smoother', 'unknown')}.{_borrowed(metrics)}\n\n"
     )
     ade, fde = (scores[name] for name in BASELINE_SCORES)
     beside = f"Beside the trivial baselines ({ade.title} and {fde.title} in {ade.unit})"
@@ -194,6 +194,14 @@ def _markdown(metrics: Mapping[str, Any], scores: Scores) -> str:
         if len(frame.columns)
     )
     return title + body + "\n"
+
+
+def _borrowed(metrics: Mapping[str, Any]) -> str:
+    """The sentence that tells who is driven with a vehicle of another mode, "" where nobody is."""
+    told = metrics.get("modes_of_other_vehicles", ())
+    others = [mode for mode in metrics["modes"] if mode in map(str.lower, told)]
+    vehicle = f"are driven with the vehicle {metrics['vehicle']}"
+    return f" Agents of mode {' and '.join(others)} {vehicle}." if others else ""
 
 
 def _table(frame: pd.DataFrame, index: bool) -> str:

@@ -14,6 +14,9 @@ def case_noise(
 ) -> Float[Tensor, "..."]:
     """Draw independent standard normal errors `*b *d`, float64, with a generator for every case.
 
+    Draws of the same case, moment and seed are the same, whatever asks for them: sources that count
+    moments alike need seeds of their own to be independent of each other.
+
     Args:
         case: Numbers of the cases.
         moment: What tells the draws of one case apart, as the number of a step.

@@ -7,7 +7,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -19,6 +19,7 @@ from diffstack_mmv.simulation.pedestrians import CrowdState
 from diffstack_mmv.simulation.placement import first_accepted
 from diffstack_mmv.simulation.scenario import MAX_TRIES, Scenario
 from diffstack_mmv.simulation.scene import Scene
+from diffstack_mmv.simulation.vacancy import Region, Taken, may_have_place
 
 FULLEST = 0.75
 """Share of a region that discs never cover which are placed in it at random, one after the other.
@@ -32,6 +33,15 @@ class _Placed(NamedTuple):
 
     position: np.ndarray
     goal: np.ndarray
+
+
+class _Ground(NamedTuple):
+    """Where places are drawn."""
+
+    numbers: int  # that a draw takes, in [0, 1)
+    places: Callable[[Float[np.ndarray, "k n"]], Float[np.ndarray, "k 2"]]  # m, of draws
+    meets: Region
+    extent_m: float  # half the side of a square about the origin that holds it
 
 
 @dataclass(frozen=True)
@@ -81,31 +91,29 @@ class Crossing(Scenario):
         """Draw position and goal in m of the next pedestrian."""
 
     def _first_free(
-        self,
-        random: np.random.RandomState,
-        numbers: int,
-        is_free: Callable[[Float[np.ndarray, "k n"]], Bool[np.ndarray, " k"]],
-        pedestrian: int,
-    ) -> Float[np.ndarray, "1 n"]:
-        """The first draw of so many numbers that gives a pedestrian a free place.
+        self, random: np.random.RandomState, ground: _Ground, taken: Taken, pedestrian: int
+    ) -> Float[np.ndarray, "2"]:
+        """The first place in m that is drawn on a ground and not taken, for a pedestrian.
 
         Raises:
-            ValueError: None does.
+            ValueError: None is.
         """
-        draw = first_accepted(random, numbers, is_free, MAX_TRIES)
+        draw = first_accepted(
+            random,
+            ground.numbers,
+            lambda draws: taken.room(ground.places(draws)) >= 0,
+            MAX_TRIES,
+            lambda: may_have_place(ground.meets, taken, ground.extent_m),
+        )
         if draw is None:
             raise ValueError(self._too_crowded(pedestrian))
-        return draw[None]
+        return ground.places(draw[None])[0]
 
-    def _free(
-        self, places: Float[np.ndarray, "k 2"], others: Float[np.ndarray, "n 2"]
-    ) -> Bool[np.ndarray, " k"]:
-        """Which discs at `places` keep clear of the discs at `others`, all in m."""
+    def _taken(self, others: Float[np.ndarray, "n 2"]) -> Taken:
+        """Where no pedestrian can be placed beside the robot, the first, and others, all in m."""
         radii = np.full(len(others), self.pedestrian_radius_m)
         radii[0] = self.robot_radius_m
-        x, y = np.moveaxis(others - places[:, None], -1, 0)
-        reach = self.pedestrian_radius_m + radii + self.clearance_m
-        return ~(np.sqrt(x * x + y * y) < reach).any(-1)
+        return Taken(others, self.pedestrian_radius_m + radii + self.clearance_m)
 
     @property
     def _half_gap_m(self) -> float:
@@ -125,8 +133,7 @@ class Crossing(Scenario):
         share = FULLEST * area_m2 / (math.pi * self._half_gap_m**2)
         most = int((share + 2) / places)  # a small region holds more, by its edge
         wanted = f"fit into the scenario, in which at most {most} find a place"
-        remedy = "Take fewer, or a larger scenario."
-        require(self.humans <= most, "humans", wanted, self.humans, "", remedy)
+        require(self.humans <= most, "humans", wanted, self.humans, "", self._remedy(most))
 
 
 @dataclass(frozen=True)
@@ -150,13 +157,10 @@ class CircleCrossing(Crossing):
         self, placed: _Placed, random: np.random.RandomState
     ) -> tuple[np.ndarray, np.ndarray]:
         """Draw an angle and a displacement until the place is free."""
-
-        def is_free(draws: Float[np.ndarray, "k 3"]) -> Bool[np.ndarray, " k"]:
-            starts = self._starts(draws)
-            return self._free(starts, placed.position) & self._free(starts, placed.goal)
-
-        draw = self._first_free(random, 3, is_free, len(placed.position))
-        (start,) = self._starts(draw)
+        taken = self._taken(placed.position).and_of(self._taken(placed.goal))
+        extent = self.circle_radius_m + self.pedestrian_speed_mps / 2
+        ground = _Ground(3, self._starts, self._meets_starts, extent)
+        start = self._first_free(random, ground, taken, len(placed.position))
         return start, -start
 
     def _starts(self, draws: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 2"]:
@@ -164,6 +168,15 @@ class CircleCrossing(Crossing):
         angle = draws[:, 0] * np.pi * 2
         shift = (draws[:, 1:] - 0.5) * self.pedestrian_speed_mps
         return self.circle_radius_m * np.stack([np.cos(angle), np.sin(angle)], -1) + shift
+
+    def _meets_starts(
+        self, centers: Float[np.ndarray, "k 2"], half_m: float
+    ) -> Bool[np.ndarray, " k"]:
+        """Which squares have a place in them that can be drawn: the circle comes near enough."""
+        aside = half_m + self.pedestrian_speed_mps / 2
+        far, near = abs(centers) + aside, np.maximum(abs(centers) - aside, 0)
+        radius = self.circle_radius_m
+        return (np.hypot(*near.T) <= radius) & (radius <= np.hypot(*far.T))
 
 
 @dataclass(frozen=True)
@@ -178,6 +191,7 @@ class SquareCrossing(Crossing):
     """
 
     square_width_m: float = 10.0
+    _sized_by: ClassVar[str] = "square_width_m"
 
     def __post_init__(self) -> None:
         """Check the sizes once, at the border."""
@@ -197,12 +211,14 @@ class SquareCrossing(Crossing):
         self, others: np.ndarray, side: int, random: np.random.RandomState
     ) -> np.ndarray:
         """Draw a free place in m in the half with this sign of x."""
+        width = self.square_width_m
 
-        def is_free(draws: Float[np.ndarray, "k 2"]) -> Bool[np.ndarray, " k"]:
-            return self._free(self._places(draws, side), others)
+        def meets(centers: Float[np.ndarray, "k 2"], half_m: float) -> Bool[np.ndarray, " k"]:
+            x, y = centers[:, 0] * side, centers[:, 1]
+            return (x + half_m >= 0) & (x - half_m <= width / 2) & (abs(y) - half_m <= width / 2)
 
-        draw = self._first_free(random, 2, is_free, len(others))
-        return self._places(draw, side)[0]
+        ground = _Ground(2, lambda draws: self._places(draws, side), meets, width / 2)
+        return self._first_free(random, ground, self._taken(others), len(others))
 
     def _places(self, draws: Float[np.ndarray, "k 2"], side: int) -> Float[np.ndarray, "k 2"]:
         """Places in m in one half of the square, drawn from [0, 1)."""

@@ -7,6 +7,8 @@ from jaxtyping import Bool, Float
 
 FIRST_BLOCK = 4
 LARGEST_BLOCK = 2**14
+DOUBTFUL = 2**14
+"""Draws without success after which it is worth asking whether there can be any."""
 
 
 def first_accepted(
@@ -14,6 +16,7 @@ def first_accepted(
     numbers: int,
     accepted: Callable[[Float[np.ndarray, "k n"]], Bool[np.ndarray, " k"]],
     most: int,
+    possible: Callable[[], bool] = lambda: True,
 ) -> Float[np.ndarray, " n"] | None:
     """The first draw that is accepted, as a loop over single draws would find it.
 
@@ -25,12 +28,17 @@ def first_accepted(
         numbers: How many uniform numbers in [0, 1) a draw takes.
         accepted: Judges draws.
         most: Largest number of draws.
+        possible: Whether any draw can be accepted: asked once, where many were not.
 
     Returns:
-        The uniform numbers of the draw, or None if none of `most` is accepted.
+        The uniform numbers of the draw, or None if none of `most` is accepted, or none ever would.
     """
-    tried, block = 0, FIRST_BLOCK
+    tried, block, asked = 0, FIRST_BLOCK, False
     while tried < most:
+        if tried >= DOUBTFUL and not asked:
+            if not possible():
+                return None
+            asked = True
         block = min(block, most - tried)
         before = random.get_state()
         draws = random.random_sample((block, numbers))

@@ -6,6 +6,7 @@ A case is drawn from a generator of its own; the global generator of numpy is le
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -46,6 +47,7 @@ class Scenario(ABC):
     pedestrian_speed_mps: float = 1.0
     robot_radius_m: float = 0.3
     clearance_m: float = 0.2
+    _sized_by: ClassVar[str] = "circle_radius_m"
 
     def __post_init__(self) -> None:
         """Check the sizes once, at the border."""
@@ -109,9 +111,9 @@ class Scenario(ABC):
 
     def _too_crowded(self, pedestrian: int) -> str:
         """Explain that the scenario has no room for one more pedestrian."""
-        wanted = (
-            f"fit into the scenario, which has no place for pedestrian {pedestrian} in "
-            f"{MAX_TRIES} draws"
-        )
-        remedy = f"Take at most {max(pedestrian - 1, 1)}, or a larger scenario."
-        return message("humans", wanted, self.humans, remedy=remedy)
+        wanted = f"fit into the scenario, which has no place for pedestrian {pedestrian}"
+        return message("humans", wanted, self.humans, remedy=self._remedy(pedestrian - 1))
+
+    def _remedy(self, most: int) -> str:
+        size = f"scenario.{self._sized_by} than {getattr(self, self._sized_by):g}"
+        return f"Take scenario.humans={max(most, 1)} at most, or a larger {size}."

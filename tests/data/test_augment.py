@@ -81,9 +81,31 @@ def test_mirroring_twice_changes_nothing(batch):
     assert all(torch.equal(a, b) for a, b in zip(tensors(batch), tensors(twice), strict=True))
 
 
-def test_the_world_has_no_place_that_looks_like_a_mirrored_sample(batch):
+@pytest.mark.parametrize("augmentation", [Mirror(1.0), SpeedScale()], ids=["mirrored", "scaled"])
+def test_the_world_has_no_place_that_looks_like_a_changed_sample(batch, augmentation):
     assert batch.frame.known.all()
-    assert not Mirror(1.0)(batch, generator()).frame.known.any()
+    assert not augmentation(batch, generator()).frame.known.any()
+
+
+@pytest.mark.parametrize("augmentation", [Mirror(0.5), SpeedScale(0.8, 1.2, probability=0.5)])
+def test_samples_that_are_left_as_they_are_know_their_place(batch, augmentation):
+    changed = augmentation(batch, generator())
+    same = torch.stack(
+        [
+            (after == before).flatten(1).all(-1)
+            for after, before in zip(changed.ego_past.motion, batch.ego_past.motion, strict=True)
+        ]
+    ).all(0)
+    assert torch.equal(changed.frame.known, same)
+    assert 0.2 < same.float().mean() < 0.8
+
+
+def test_samples_without_a_frame_are_scaled_and_mirrored_as_well(batch):
+    bare = batch._replace(frame=None)
+    for augmentation in (Mirror(1.0), SpeedScale()):
+        changed = augmentation(bare, generator())
+        assert changed.frame is None
+        assert torch.equal(changed.goal, augmentation(batch, generator()).goal)
 
 
 def test_a_turned_frame_leaves_the_agents_where_they_are_in_the_world(batch):
@@ -202,6 +224,7 @@ def test_a_recording_is_noisy_in_part_of_the_samples_alone(batch):
         (lambda: Mirror(2.0), "`probability` must lie in"),
         (lambda: Rotation(0.0), "`limit_rad` must be positive"),
         (lambda: SpeedScale(1.2, 0.9), "`high` must be at least 1.2"),
+        (lambda: SpeedScale(probability=1.5), "`probability` must lie in"),
         (lambda: PositionNoise(-1.0), "`std_m` must be positive"),
         (lambda: RecordingNoise(0.0, 0.1), "`most_m` must be positive"),
         (lambda: RecordingNoise(0.05, 0.0), "`dt_s` must be positive"),

@@ -66,6 +66,29 @@ def test_interpolations_within_a_file_are_followed_as_by_omegaconf(tmp_path):
         settings_of("mine", tmp_path)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a: '${.a}'",
+        "a: '${.b}'\nb: '${.a}'",
+        "a: {b: '${..a}'}",
+        "a: {b: '${..c.d}'}\nc: {d: ['${...a}']}",
+    ],
+)
+def test_an_interpolation_that_leads_back_to_itself_is_refused(tmp_path, text):
+    (tmp_path / "mine.yaml").write_text(text)
+    told = r"`settings` must hold no interpolation that leads back to itself, but got '\$\{\.+"
+    with pytest.raises(ValueError, match=told):
+        settings_of("mine", tmp_path)
+
+
+def test_the_same_interpolation_may_be_met_again_elsewhere(tmp_path):
+    text = "a: {x: '${.y}', y: '${..b.x}'}\nb: {x: '${.y}', y: 1}\nc: '${.a}'\n"
+    (tmp_path / "mine.yaml").write_text(text)
+    found = settings_of("mine", tmp_path)
+    assert found == {"a": {"x": 1, "y": 1}, "b": {"x": 1, "y": 1}, "c": {"x": 1, "y": 1}}
+
+
 def test_installed_files_are_found_as_well(monkeypatch, tmp_path):
     installed = tmp_path / "diffstack_mmv_configs"
     shutil.copytree(config_folder() / "dynamics", installed / "dynamics")

@@ -6,7 +6,7 @@ from diffstack_mmv.reporting import require_same_drive, require_same_evaluation,
 
 HEADER = {
     "calibrated_on": None, "data": "thab_vru", "split": "val", "goal": "predicted", "seed": 1,
-    "plans": True, "stride": 5, "solver": None, "ensemble": [],
+    "plans": True, "stride": 5, "solver": None, "ensemble": [], "steadiness": None,
     "checkpoint": "runs/1/best.ckpt", "checkpoint_sha256": "a", "code": "1",
 }  # fmt: skip
 
@@ -37,6 +37,7 @@ def test_a_checkpoint_that_was_moved_is_the_same(tmp_path):
     [
         ({"split": "test"}, "another split than test, but got val"),
         ({"goal": "future"}, "another goal than future"),
+        ({"steadiness": 0.5}, "another steadiness than 0.5, but got None"),
         ({"plans": False}, "another plans than False, but got True"),
         ({"stride": 9}, "another stride than 9"),
         ({"solver": {"max_iterations": 1}}, "another solver than {'max_iterations': 1}"),

@@ -31,6 +31,15 @@ def test_metrics_have_the_keys_that_users_rely_on(tmp_path):
     assert metrics["baselines"]["stand_still"]["scooter"] == {"ade": 2.0, "fde": 4.0}
 
 
+def test_who_is_driven_with_the_vehicle_of_another_mode_is_told_above_the_scores(tmp_path):
+    told = "Agents of mode scooter are driven with the vehicle bicycle."
+    write_run(tmp_path, "kbm", 0, modes_of_other_vehicles=["motorcycle", "scooter"])
+    assert told in (tmp_path / "metrics.md").read_text().partition("## ")[0]
+    for more in ({}, {"modes_of_other_vehicles": []}):
+        write_run(tmp_path, "kbm", 0, **more)
+        assert "are driven with" not in (tmp_path / "metrics.md").read_text()
+
+
 def test_costs_are_told_by_term(tmp_path):
     frame = samples().assign(**{"cost/goal": 2.0, "cost/collision": 0.5})
     write_run(tmp_path, "kbm", 0, frame=frame)
@@ -125,6 +134,26 @@ def test_planning_losses_of_other_weights_are_not_compared(tmp_path):
     ]
     with pytest.raises(ValueError, match="must have the same hindsight .* 0.01 in .* and 0.0 in"):
         read_runs(folders)
+
+
+def test_plans_to_a_goal_by_another_way_are_not_compared(tmp_path):
+    """Nor pooled as seeds of one row."""
+    folders = [
+        write_run(tmp_path / str(share), "kbm", seed, goal="future", steadiness=share)
+        for seed, share in enumerate((0.15, 0.0))
+    ]
+    told = "the same steadiness for .*, future, bicycle, but got 0.15 in .* and 0.0 in"
+    with pytest.raises(ValueError, match=f"{told}.*goal.steadiness"):
+        read_runs(folders)
+
+
+def test_reports_of_before_the_steadiness_was_told_are_compared_with_their_like(tmp_path):
+    before = [write_run(tmp_path / str(seed), "kbm", seed, goal="future") for seed in (0, 1)]
+    table = compare(read_runs(before), OPEN_LOOP).table.set_index(["mode", "dynamics"])
+    assert table["seeds"]["bicycle", "kbm"] == 2
+    now = write_run(tmp_path / "now", "gm3", 0, goal="future", steadiness=0.15)
+    with pytest.raises(ValueError, match="same steadiness .* but got none told in .* and 0.15 in"):
+        read_runs([*before, now])
 
 
 def test_only_windows_that_both_judged_are_paired(tmp_path):

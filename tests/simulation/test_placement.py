@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diffstack_mmv.simulation.placement import first_accepted
+from diffstack_mmv.simulation.placement import DOUBTFUL, first_accepted
 
 
 def one_by_one(random, numbers, accepted, most):
@@ -35,3 +35,22 @@ def test_no_more_than_the_allowed_draws_are_tried():
 
     assert first_accepted(np.random.RandomState(0), 2, refused, 1000) is None
     assert sum(tried) == 1000
+
+
+@pytest.mark.parametrize("possible", [False, True])
+def test_whether_any_draw_can_be_accepted_is_asked_once_and_late(possible):
+    tried, asked = [], []
+
+    def refused(draws):
+        tried.append(len(draws))
+        return np.zeros(len(draws), dtype=bool)
+
+    def answer():
+        asked.append(sum(tried))
+        return possible
+
+    most = 5 * DOUBTFUL
+    assert first_accepted(np.random.RandomState(0), 2, refused, most, answer) is None
+    assert len(asked) == 1
+    assert DOUBTFUL <= asked[0] < 3 * DOUBTFUL
+    assert sum(tried) == (most if possible else asked[0])

@@ -1,5 +1,7 @@
 """Scenarios against the recorded starts, and their refusals."""
 
+import re
+
 import numpy as np
 import pytest
 from hydra.utils import instantiate
@@ -7,6 +9,7 @@ from omegaconf import OmegaConf
 
 from diffstack_mmv.simulation import CircleCrossing, SquareCrossing, crossings
 from diffstack_mmv.simulation.phases import generator
+from diffstack_mmv.simulation.vacancy import Taken
 
 RECORDINGS = [
     f"{scenario}_crossing_{size}"
@@ -82,6 +85,37 @@ def test_too_many_pedestrians_are_refused_after_a_bounded_search(monkeypatch, fa
     monkeypatch.setattr(crossings, "MAX_TRIES", 300)
     with pytest.raises(ValueError, match=f"`humans` must fit into the scenario.*got {humans}"):
         family(humans=humans).case("test", 0)
+
+
+@pytest.mark.parametrize("humans", [26, 42])
+def test_who_finds_no_place_on_a_full_circle_is_refused_without_a_long_search(monkeypatch, humans):
+    """All the millions of draws would take minutes, and find nothing."""
+    judged, room = [], Taken.room
+    monkeypatch.setattr(Taken, "room", lambda *given: judged.append(len(given[1])) or room(*given))
+    told = "`humans` must fit into the scenario, which has no place for pedestrian 26, "
+    told += f"but got {humans}. Take scenario.humans=25 at most, or a larger "
+    told += "scenario.circle_radius_m than 4. This was case 3 of phase 'test'."
+    with pytest.raises(ValueError, match=f"^{re.escape(told)}$"):
+        CircleCrossing(humans=humans).case("test", 3)
+    assert sum(judged) < 200_000
+
+
+@pytest.mark.parametrize("case", range(3))
+def test_a_place_is_called_missing_only_where_no_draw_finds_one(monkeypatch, case):
+    monkeypatch.setattr(crossings, "MAX_TRIES", 100_000)
+    searched = crossings.first_accepted
+
+    def without_doubt(random, numbers, accepted, most, possible):
+        before = random.get_state()
+        found = searched(random, numbers, accepted, most, possible)
+        random.set_state(before)
+        whole = searched(random, numbers, accepted, most)
+        assert (found is None) == (whole is None)
+        return whole
+
+    monkeypatch.setattr(crossings, "first_accepted", without_doubt)
+    with pytest.raises(ValueError, match="no place for pedestrian"):
+        CircleCrossing(humans=16, circle_radius_m=1.5).case("val", case)
 
 
 @pytest.mark.parametrize("family", [CircleCrossing, SquareCrossing])

@@ -143,7 +143,7 @@ def test_the_turn_over_the_hold_is_the_one_that_was_asked_for(name):
     assert torch.allclose(turned, wanted * 0.25 * (2.0 + 0.0625), atol=0.01)
 
 
-@pytest.mark.parametrize("name", ["holonomic", "kbm_reversing"])
+@pytest.mark.parametrize("name", ["holonomic", "kbm_reversing", "wheel_speed"])
 def test_the_hardest_braking_that_only_stops_ends_at_rest(name):
     held = ZeroOrderHold(MODELS[name](0.05).double(), 5)
     state = going(held, (0.4,))

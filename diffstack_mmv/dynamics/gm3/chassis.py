@@ -76,9 +76,9 @@ class Chassis(ExactBuffers):
         self.rolling = [i for i, wheel in enumerate(spec.wheels) if not wheel.caster]
         self.has_casters = len(self.rolling) < len(spec.wheels)
         wheels = [spec.wheels[index] for index in self.rolling]
-        self.loads = LoadTransfer(spec)
         self.steering = build_steering(spec.steering, wheels, spec.limits.steer_max_rad)
         self.drive = drive(spec, self.rolling) if drive else _default_drive(spec, self.rolling)
+        self.loads = LoadTransfer(spec, self.drive.braking)
         self.register_buffer("rolling_index", torch.tensor(self.rolling), persistent=False)
         per_wheel = {
             "x": [wheel.x_m for wheel in wheels],

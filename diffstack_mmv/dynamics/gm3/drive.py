@@ -6,7 +6,7 @@ memory. Source: AUDIT of the GM3 equations; GM3 itself takes wheel speeds (`Spee
 """
 
 from abc import abstractmethod
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -100,6 +100,9 @@ class Drive(ExactBuffers):
         spec: The vehicle.
         rolling: Indices of the wheels that are no casters.
     """
+
+    braking: ClassVar[str] = "braked"
+    """Which wheels brake: those with a brake, or the driven ones."""
 
     def __init__(self, spec: VehicleSpec, rolling: list[int]) -> None:
         super().__init__()
@@ -242,8 +245,11 @@ class DifferentialYawDrive(AccelerationDrive):
 class SpeedDrive(Drive):
     """Driven wheels turn at given speeds, all others roll freely: the interface of GM3 itself.
 
-    σ_x = (V_r - V_x) / D with V_r = R Ω held, so that F_x = (k / D) (V_r - g · v).
+    σ_x = (V_r - V_x) / D with V_r = R Ω held, so that F_x = (k / D) (V_r - g · v). A driven wheel
+    that turns too slowly brakes, no other one does.
     """
+
+    braking: ClassVar[str] = "driven"
 
     @staticmethod
     def _given(command: Command) -> Float[Tensor, "wheels n"]:

@@ -88,12 +88,13 @@ class LoadTransfer(ExactBuffers):
 
     Args:
         spec: The vehicle.
+        braking: Which wheels brake, "braked" or "driven" ones.
 
     Raises:
         ValueError: A wheel would carry no load at rest.
     """
 
-    def __init__(self, spec: VehicleSpec) -> None:
+    def __init__(self, spec: VehicleSpec, braking: str = "braked") -> None:
         super().__init__()
         static = _static_loads(spec)
         pitch = _pitch_pattern(spec, static)
@@ -119,15 +120,15 @@ class LoadTransfer(ExactBuffers):
         self._paired_gain = float(mass_height * pitch[paired].sum())
         self._lift = [_lift(static, mass_height * pitch, sign) for sign in (1.0, -1.0)]
         self._sets = []
-        for name in ("driven", "braked"):
-            members = np.array(spec.per_wheel(name))
+        for name, wheels in (("drive", "driven"), ("brake", braking)):
+            members = np.array(spec.per_wheel(wheels))
             self.register_exact(name, [[value] for value in (members / members.sum()).tolist()])
             self._sets.append(_wheel_set(static, spec.height_m * pitch, members, name))
 
     def limits(
         self, friction: Float[Tensor, "all 1"], length_scale: Float[Tensor, ""]
     ) -> AccelerationLimits:
-        """Largest accelerations of the driven and the braked wheels.
+        """Largest accelerations by the wheels that drive and by those that brake.
 
         A = min(μ g w / (1 ∓ μ h c_set), lift): w is the static load share of the set, c_set its
         pitch pattern, whose load grows or falls with the acceleration itself, and lift the

@@ -41,6 +41,18 @@ def test_the_asked_curvature_is_held_after_ten_steps(name):
     torch.testing.assert_close(state[:, 5] / state[:, 2], asked, rtol=0.05, atol=0)
 
 
+@pytest.mark.parametrize("name", ["bicycle", "scooter", "motorcycle", "cart"])
+def test_a_locked_wheel_brakes_with_the_load_that_its_braking_leaves_on_it(name):
+    """Brakes of other wheels take no load off it: they do nothing here."""
+    model = driven(name, 0.02)
+    state, control = riding(model, 3.0), torch.zeros(1, len(model.Control._fields)).double()
+    braking = (model.step(state, control) - state)[0, 2] / 0.02
+    places = torch.tensor(model.spec.per_wheel("x_m")).double()
+    moment = (model.wheel_forces(state, control).normal_load * places).sum()
+    pitching = -model.spec.mass_kg * model.spec.height_m * braking
+    assert torch.allclose(moment, pitching, rtol=0.05)  # the air brakes too
+
+
 def test_a_full_stop_is_asked_for_with_a_gradient():
     model = driven("wheelchair", 0.1)
     asked = torch.zeros(1).double().requires_grad_()
