@@ -30,6 +30,10 @@ FUNCTIONS = {
     "truths": lambda a: a * (a > 0) + (a < 0).to(a).sum(),
     "nothing": lambda a: a + a[:, :0].sum(-1, keepdim=True) + a[:0].sum(0),
     "sums": lambda a: a.sum(-1) + a.mean() + a.prod(-1) + a.norm(dim=-1),
+    "divided with a rest": lambda a: (
+        torch.fmod(3 * a, a.flip(0) + 0.35) + torch.remainder(a, a.flip(0) + 0.35)
+    ),
+    "powers of zero": lambda a: a.relu() ** (a.flip(0) + 0.3) + (a + 2) ** (0 * a),
     "losses": lambda a: (
         torch.nn.functional.huber_loss(a, a.flip(0), delta=0.3)
         + torch.nn.functional.smooth_l1_loss(a, a.flip(0), reduction="sum", beta=0.3)
@@ -68,8 +72,10 @@ def _computed(name, *arguments):
     """An operation as a processor does it: what is too large is infinite."""
     try:
         return FOLDS[name](*arguments)
-    except OverflowError:
+    except (OverflowError, ZeroDivisionError):
         return math.inf
+    except ValueError:  # the logarithm of zero
+        return -math.inf
 
 
 def lowered(function, argument):
