@@ -158,12 +158,13 @@ class Forecast(NamedTuple):
         return (self.log_weight.exp()[..., None, None] * self.mean).sum(-3)
 
     def median(self, iterations: int = 10) -> Float[Tensor, "*b T 2"]:
-        """Path in m with the least expected mean distance to the paths of the components.
+        """Path in m with nearly the least expected mean distance to the paths of the components.
 
-        The geometric median of the components' means by Weiszfeld's iteration: the answer of one
-        path to the question that the ADE asks. Its gradient is that of the last iteration, and
-        reaches the means of those components that have at least `COUNTING_SHARE` in it: the decoder
-        leaves out whatever has no gradient.
+        By Weiszfeld's iteration with one share of a component for all times: the answer of one
+        path to the question that the ADE asks. A share for each time would come closer, by 0.4 %
+        of that distance in the mean over random mixtures and 4 % at most. Its gradient is that of
+        the last iteration, and reaches the means of those components that have at least
+        `COUNTING_SHARE` in it: the decoder leaves out whatever has no gradient.
         """
         weight = self.log_weight.exp()
         known = self.mean.detach()

@@ -7,7 +7,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import message, require, require_at_least, require_positive
+from diffstack_mmv.checks import (
+    message,
+    require,
+    require_at_least,
+    require_positive,
+    require_whole,
+)
 from diffstack_mmv.control.batch_last import to_batch_last
 from diffstack_mmv.control.compilation import (
     Kernels,
@@ -81,7 +87,8 @@ class ILQR:
             On a CPU this is the faster way for any number whose shapes stay the same.
 
     Raises:
-        ValueError: A number is not positive, or `Unrolled` is to run compiled kernels.
+        ValueError: A number is not positive, one that counts is not whole, or `Unrolled` is to run
+            compiled kernels.
 
     Source:
         Tassa et al., Control-Limited Differential Dynamic Programming, ICRA 2014; differs in the
@@ -127,11 +134,11 @@ class ILQR:
             part = getattr(self, name)
             fits = isinstance(part, form) and not isinstance(part, type)
             require(fits, name, f"be a {form.__name__}", repr(part), "", f"For instance {example}.")
-        require_at_least("max_iterations", self.max_iterations, 1)
         require_positive("tolerance", self.tolerance)
-        require_at_least("line_search_steps", self.line_search_steps, 1)
         require_positive("regularisation", self.regularisation)
-        require_at_least("one_by_one", self.one_by_one, 0)
+        for name, least in (("max_iterations", 1), ("line_search_steps", 1), ("one_by_one", 0)):
+            require_at_least(name, getattr(self, name), least)
+            require_whole(name, getattr(self, name))
         eager = not (self.compile and self.gradient.through_iterations)
         require(eager, "compile", f"be false with {self.gradient}", self.compile)
 

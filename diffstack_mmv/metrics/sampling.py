@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.quasirandom import SobolEngine
 
+from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.geometry import symmetric_root
 from diffstack_mmv.metrics.displacement import displacement_curve
 from diffstack_mmv.metrics.draws import components_of, drawn_rows
@@ -116,7 +117,11 @@ def energy_score(
 
     Returns:
         The score; NaN where no time is valid.
+
+    Raises:
+        ValueError: Fewer than two draws, which make no pair.
     """
+    require_at_least("count", count, 2)
     # imported here, since it compiles for seconds and only evaluations need it
     from scoringrules import es_ensemble
 

@@ -233,6 +233,8 @@ def test_settings_must_be_positive(field):
         ({"curvature": DifferencedCurvature}, "For instance DifferencedCurvature()"),
         ({"tolerance": None}, "`tolerance` must be positive, but got None"),
         ({"max_iterations": "5"}, "`max_iterations` must be a number, but got '5'"),
+        ({"max_iterations": 1.5}, "`max_iterations` must be a whole number, but got 1.5"),
+        ({"line_search_steps": True}, "`line_search_steps` must be a whole number, but got True"),
     ],
 )
 def test_settings_of_another_kind_are_refused(settings, told):

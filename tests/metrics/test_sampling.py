@@ -86,6 +86,12 @@ def test_the_energy_score_of_a_gaussian_is_the_closed_form(offset):
         assert abs(energy_score(gaussian(1.0), future).mean() - at_the_mean) < 0.02
 
 
+def test_an_energy_score_of_one_draw_is_refused():
+    """It has no pair to be compared: the score was NaN, as if nothing were known of the truth."""
+    with pytest.raises(ValueError, match="`count` must be at least 2, but got 1"):
+        energy_score(gaussian(1.0, 1), future_of(torch.zeros(1, 2, 2)), count=1)
+
+
 def test_no_forecast_has_a_better_energy_score_than_the_truth():
     drawn = torch.randn(3000, 2, 2, generator=torch.Generator().manual_seed(1))
     true, narrow, wide = (

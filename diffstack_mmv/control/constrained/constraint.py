@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -137,13 +137,11 @@ def gather(
 
     Raises:
         ValueError: A constraint function does not return one row per time, or one that looks at
-            other times, or a price does not broadcast or is negative.
-        TypeError: A constraint is neither an `Inequality` nor an `Equality`.
+            other times, or a price does not broadcast or is negative, or that of squares infinite.
     """
     acting, parts = pad_controls(controls), []
     for number, constraint in enumerate(constraints):
         name = f"constraints[{number}]"
-        _require_constraint(name, constraint)
         values = constraint.function(states, acting)
         require_tensor(f"{name}(states, controls)", values)
         require(
@@ -167,16 +165,35 @@ def gather(
     return ConstraintRows(*[functions, *columns, widths])
 
 
-def _require_constraint(name: str, constraint: object) -> None:
-    if not isinstance(constraint, Inequality | Equality):
+def require_constraints(constraints: object) -> None:
+    """Refuse what is no sequence of constraints, each with a `Slack`.
+
+    Raises:
+        TypeError: It is another thing, or a part of it is.
+    """
+    if not isinstance(constraints, Sequence):
+        remedy = "Write a list: [Inequality(g), Equality(h)]."
+        found = type(constraints).__name__
+        raise TypeError(message("constraints", "be a sequence", found, "", remedy))
+    for number, constraint in enumerate(constraints):
+        name = f"constraints[{number}]"
         remedy = "Write Inequality(function) or Equality(function)."
-        found = type(constraint).__name__
-        raise TypeError(message(name, "be an Inequality or an Equality", found, "", remedy))
+        _require_kind(name, constraint, "an Inequality or an Equality", Constraint, remedy)
+        remedy = "Write Slack(linear=...)."
+        _require_kind(f"{name}.slack", constraint.slack, "a Slack", Slack, remedy)
+
+
+def _require_kind(name: str, value: object, wanted: str, kind: Any, remedy: str) -> None:
+    if not isinstance(value, kind):
+        raise TypeError(message(name, f"be {wanted}", type(value).__name__, "", remedy))
 
 
 def _priced(price: float | Tensor, values: Tensor, applies: Tensor, name: str) -> Tensor:
     given = torch.as_tensor(price, dtype=values.dtype, device=values.device)
     require(bool((given >= 0).all()), name, "be zero or positive", given.tolist())
+    if name.endswith("quadratic"):
+        remedy = "A violation without a price that it could pay is that of Slack(math.inf)."
+        require(bool(given.isfinite().all()), name, "be finite", given.tolist(), "", remedy)
     try:
         whole = given.expand(values.shape)
     except RuntimeError:

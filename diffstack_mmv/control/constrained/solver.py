@@ -7,17 +7,29 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require, require_at_least, require_positive
+from diffstack_mmv.checks import (
+    message,
+    require,
+    require_at_least,
+    require_positive,
+    require_tensor,
+    require_whole,
+)
 from diffstack_mmv.control.constrained.augmented import Approach, AugmentedLagrangian
 from diffstack_mmv.control.constrained.conclusion import conclude
-from diffstack_mmv.control.constrained.constraint import Constraint, ConstraintRows, gather
+from diffstack_mmv.control.constrained.constraint import (
+    Constraint,
+    ConstraintRows,
+    gather,
+    require_constraints,
+)
 from diffstack_mmv.control.constrained.implicit import attach
 from diffstack_mmv.control.constrained.local import Problem
 from diffstack_mmv.control.constrained.newton import PrimalDual
 from diffstack_mmv.control.constrained.phases import Phases
 from diffstack_mmv.control.constrained.solution import ConstrainedSolution
 from diffstack_mmv.control.expansion import pad_controls
-from diffstack_mmv.control.fitting import require_fitting
+from diffstack_mmv.control.fitting import require_fitting, require_tensors
 from diffstack_mmv.control.ilqr import ILQR, check_problem
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.types import Bounds
@@ -60,7 +72,8 @@ class ConstrainedILQR:
             where a gradient is taken.
 
     Raises:
-        ValueError: A number is not positive.
+        ValueError: A number is not positive, or no whole one where it counts.
+        TypeError: The solver is no `ILQR`.
 
     Source:
         Wächter and Biegler, On the implementation of an interior-point filter line-search algorithm
@@ -95,7 +108,11 @@ class ConstrainedILQR:
     persistent: bool = True
 
     def __post_init__(self) -> None:
+        if not isinstance(self.solver, ILQR):
+            found = repr(self.solver)
+            raise TypeError(message("solver", "be an ILQR", found, "", "Write ILQR()."))
         require_at_least("max_iterations", self.max_iterations, 1)
+        require_whole("max_iterations", self.max_iterations)
         require_positive("tolerance", self.tolerance)
 
     def __call__(
@@ -124,19 +141,25 @@ class ConstrainedILQR:
 
         Raises:
             ValueError: Shapes, precision, the order of the bounds or a price do not fit.
-            TypeError: The state is not of a floating-point type.
+            TypeError: The state is not of a floating-point type, or something is no tensor, no
+                constraint or no sequence of them.
         """
+        require_tensors(bounds, state, controls)
         check_problem(bounds, state, controls)
         require_fitting(dynamics, cost, state, controls)
         differentiates = torch.is_grad_enabled()
         if not constraints:
-            plain = self.solver(dynamics, cost, bounds, state, controls)
-            return ConstrainedSolution(*plain, torch.zeros_like(plain.cost).detach(), ())
+            return self._unconstrained(dynamics, cost, bounds, state, controls, ())
+        require_constraints(constraints)
         lower, upper = (bound.detach().to(state) for bound in bounds)
         u = controls.detach().clamp(lower, upper)
         # where they are evaluated does not matter: only the shapes do
         standing = state.detach().unsqueeze(-2).expand(*pad_controls(u).shape[:-1], -1)
-        posed = Problem(dynamics, cost, gather(constraints, standing, u), bounds, state)
+        rows = gather(constraints, standing, u)
+        if sum(rows.widths) == 0:  # such as of nobody to keep clear of
+            nothing = rows.linear.detach().split(list(rows.widths), -1)
+            return self._unconstrained(dynamics, cost, bounds, state, controls, nothing)
+        posed = Problem(dynamics, cost, rows, bounds, state)
         with torch.no_grad():
             fixed = posed.constant()
             given = _given(multipliers, fixed.rows)
@@ -149,6 +172,18 @@ class ConstrainedILQR:
             conclusion = conclude(fixed, self._phases(fixed).run(fixed, u, start))
         attached = attach(posed, conclusion.point) if differentiates else None
         return conclusion.solution(posed.rows.widths, attached)
+
+    def _unconstrained(
+        self,
+        dynamics: Dynamics,
+        cost: Cost,
+        bounds: Bounds,
+        state: Tensor,
+        controls: Tensor,
+        multipliers: tuple[Tensor, ...],
+    ) -> ConstrainedSolution:
+        plain = self.solver(dynamics, cost, bounds, state, controls)
+        return ConstrainedSolution(*plain, torch.zeros_like(plain.cost).detach(), multipliers)
 
     def _approached(self, problem: Problem, u: Tensor, multipliers: Tensor) -> Approach:
         tolerance = self._phases(problem).tolerance
@@ -177,6 +212,8 @@ def _given(multipliers: Sequence[Tensor] | None, rows: ConstraintRows) -> Tensor
     none = torch.zeros_like(rows.linear)
     if multipliers is None:
         return none
+    for number, each in enumerate(multipliers):
+        require_tensor(f"multipliers[{number}]", each)
     given = torch.cat(list(multipliers), -1).detach().to(none)
     remedy = "Take those of a solution with the same constraints."
     shape = tuple(none.shape)

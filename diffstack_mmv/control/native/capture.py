@@ -8,8 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from diffstack_mmv.control.native.core_forms import decompositions
 from diffstack_mmv.control.native.lowering import CannotLowerError, Entries, Lowering
-from diffstack_mmv.control.native.operations import HANDLERS, decompositions
+from diffstack_mmv.control.native.operations import HANDLERS
 from diffstack_mmv.control.native.scalar import Program
 from diffstack_mmv.control.native.stages import Sizes, StagedProblem, staged
 from diffstack_mmv.control.optimizer import Cost, Dynamics

@@ -67,9 +67,22 @@ def _div(p: Program, node: Node, arguments: tuple[Node, ...]) -> tuple[Node, ...
 
 
 def _pow(p: Program, node: Node, arguments: tuple[Node, ...]) -> tuple[Node, ...]:
+    """No slope where torch tells none: by the base of a power of zero, by the power of a zero."""
     a, b = arguments
+    zero = p.constant(0.0)
     lower = p.apply("pow", a, p.apply("sub", b, p.constant(1.0)))
-    return p.apply("mul", b, lower), p.apply("mul", node, p.apply("log", a))
+    by_base = p.apply("where", p.apply("eq", b, zero), zero, p.apply("mul", b, lower))
+    flat = p.apply("and", p.apply("eq", a, zero), p.apply("ge", b, zero))
+    by_power = p.apply("where", flat, zero, p.apply("mul", node, p.apply("log", a)))
+    return by_base, by_power
+
+
+def _fmod(p: Program, node: Node, arguments: tuple[Node, ...]) -> tuple[Node, ...]:
+    """The number of times that the divisor was taken off is whole: rounded, it has no slope."""
+    a, b = arguments
+    times = p.apply("div", p.apply("sub", a, node), b)
+    whole = p.apply("floor", p.apply("add", times, p.constant(0.5)))
+    return p.constant(1.0), p.apply("neg", whole)
 
 
 def _larger(name: str) -> Rule:
@@ -154,7 +167,7 @@ RULES: dict[str, Rule] = {
     "log1p": _unary(lambda p, y, a: _reciprocal(p, p.apply("add", p.constant(1.0), a))),
     "expm1": _unary(lambda p, y, a: p.apply("add", p.constant(1.0), y)),
     "erf": _unary(_erf),
-    "fmod": lambda p, node, arguments: (p.constant(1.0), None),
+    "fmod": _fmod,
     **dict.fromkeys(("lt", "le", "gt", "ge", "eq", "ne", "and", "or"), _none),
     **dict.fromkeys(("not", "sign", "floor", "ceil"), _none),
 }

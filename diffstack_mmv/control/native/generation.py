@@ -1,6 +1,6 @@
 """The C++ source of a solver for one problem."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from enum import StrEnum
 
 from diffstack_mmv.control.native.code import function, into, rows_of, table
@@ -14,13 +14,14 @@ from diffstack_mmv.control.native.library import (
     opening,
     plain,
 )
+from diffstack_mmv.control.native.linearity import is_linear_quadratic
 from diffstack_mmv.control.native.own_numbers import number_gradients, prelude, prelude_adjoint
 from diffstack_mmv.control.native.repetition import (
     Summand,
     added_terms,
     with_sums,
 )
-from diffstack_mmv.control.native.scalar import LEAF, Node, Program, needed
+from diffstack_mmv.control.native.scalar import Node, Program, needed
 from diffstack_mmv.control.native.stages import Sizes, Stage, StagedProblem
 from diffstack_mmv.types import SolverStatus
 
@@ -59,7 +60,7 @@ def source(problem: StagedProblem, library: str, real: str) -> str:
     status["LIMIT"] = int(SolverStatus.ITERATION_LIMIT)
     step = derived(problem.step, problem.sizes)
     costs = [derived(cost, problem.sizes) for cost in problem.costs]
-    is_linear = _is_linear_quadratic(step, costs)
+    is_linear = is_linear_quadratic(step, costs)
     parts = [
         *(f"#define DMMV_{name} {value}" for name, value in status.items()),
         *(["#define DMMV_LINEAR_QUADRATIC"] if is_linear else []),
@@ -109,19 +110,6 @@ def is_short(program: Program, written: Sequence[Node] | None, instead: Sequence
         return False
     columns = -(-(len(written) // max(len(instead), 1)) // LANES)
     return len(needed(program, written)) <= SLOPES_COST * columns * len(needed(program, instead))
-
-
-def _is_linear_quadratic(step: Derived, costs: Sequence[Derived]) -> bool:
-    """Whether derivatives depend on parameters alone: the Jacobian of a step, Hessians of costs."""
-    if any(cost.hessian is None or cost.stage.repeated for cost in costs):
-        return False
-    each = [(step, step.jacobian), *((cost, cost.hessian or ()) for cost in costs)]
-    return not any(_sees_trajectory(stage.stage.program, nodes) for stage, nodes in each)
-
-
-def _sees_trajectory(program: Program, nodes: Iterable[Node]) -> bool:
-    operations = (program.operations[node] for node in needed(program, nodes))
-    return any(operation[0] == LEAF and operation[1] in "xu" for operation in operations)
 
 
 def _step(step: Derived) -> list[str]:

@@ -13,8 +13,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from diffstack_mmv.control.native.core_forms import decompositions
 from diffstack_mmv.control.native.lowering import CannotLowerError, Lowering
-from diffstack_mmv.control.native.operations import HANDLERS, decompositions
+from diffstack_mmv.control.native.operations import HANDLERS
 from diffstack_mmv.control.native.scalar import Program
 from diffstack_mmv.control.native.solver import LONG_SOURCE, REALS
 from diffstack_mmv.control.native.stages import StagedStep, staged_step

@@ -247,12 +247,3 @@ HANDLERS: dict[str, Handler] = {
     "_to_copy": _copy,
     **VIEWS,
 }
-
-
-def decompositions() -> dict[Any, Any]:
-    """How torch writes its operations in core ones, but for those that are better done whole."""
-    from torch._decomp import core_aten_decompositions
-
-    table: Any = core_aten_decompositions()
-    # exp(a) overflows in the branch that is not taken
-    return {name: how for name, how in table.items() if name != torch.ops.aten.softplus.default}

@@ -72,7 +72,7 @@ class DiffGM3(DynamicsModel):
     Raises:
         ValueError: The step or the number of substeps is not positive, or a wheel would carry no
             load.
-        TypeError: The tyre law is none, such as the name of one.
+        TypeError: Tyre law, method or lean law is none, such as the name or the class of one.
     """
 
     drive: ClassVar[type[Drive] | None] = None  # the vehicle's own way from accelerations
@@ -105,6 +105,8 @@ class DiffGM3(DynamicsModel):
         lean: LeanLaw | None = None,
     ) -> None:
         require_vehicle(spec)
+        for argument, part in (("tire", tire), ("stepper", stepper), ("lean", lean)):
+            _require_part(argument, part)
         require_whole("substeps", substeps)
         require_at_least("substeps", substeps, 1)
         self.Control = self.control_record(spec)
@@ -112,7 +114,7 @@ class DiffGM3(DynamicsModel):
         self.spec = spec
         self.substeps = substeps
         self.stepper = stepper or LIM2()
-        self.chassis = Chassis(spec, _law(tire), self.drive, lean)
+        self.chassis = Chassis(spec, tire or ConsistentBrush(), self.drive, lean)
         for name in WHEEL_PARAMETERS:
             self.add_module(name, SoftClamped(spec.wheel_parameter(name)))
         for name in BODY_PARAMETERS:
@@ -289,10 +291,17 @@ class DiffGM3(DynamicsModel):
         }
 
 
-def _law(tire: Tire | None) -> Tire:
-    """The tyre law of all wheels; a vehicle would refuse another thing at its first step."""
-    if tire is not None and not isinstance(tire, Tire):
-        remedy = "Give ConsistentBrush(), PaperBrush() or SharpBrush()."
-        found = f"{type(tire).__name__} {tire!r}"
-        raise TypeError(message("tire", "be a tyre law", found, "", remedy))
-    return tire or ConsistentBrush()
+_PARTS: dict[str, tuple[type, str, str]] = {
+    "tire": (Tire, "a tyre law", "Give ConsistentBrush(), PaperBrush() or SharpBrush()."),
+    "stepper": (Stepper, "a numerical method", "Give LIM2(), RungeKutta4() or ExplicitEuler()."),
+    "lean": (LeanLaw, "a lean law", "Give PrescribedLean() or CoordinatedLean()."),
+}
+"""The parts that can be exchanged: their kind, what it is called, and what there is of it."""
+
+
+def _require_part(argument: str, part: object) -> None:
+    """Refuse the name or the class of a part in its place, at which the first step would break."""
+    kind, wanted, remedy = _PARTS[argument]
+    if part is not None and (isinstance(part, type) or not isinstance(part, kind)):
+        found = f"{type(part).__name__} {part!r}"
+        raise TypeError(message(argument, f"be {wanted}", found, "", remedy))

@@ -340,6 +340,7 @@ def test_too_few_iterations_are_a_status():
         (lambda x, u: x[..., :1].float(), {}, "must return torch.float64 as the state"),
         (wall, {"slack": Slack(linear=-1.0)}, r"slack.linear.*must be zero or positive"),
         (wall, {"slack": Slack(quadratic=torch.ones(7, 5))}, r"slack.quadratic.*must broadcast"),
+        (wall, {"slack": Slack(quadratic=torch.inf)}, r"slack.quadratic.*must be finite"),
     ],
 )
 def test_constraints_that_do_not_fit_are_refused(limit, given, told):
@@ -351,8 +352,33 @@ def test_constraints_that_do_not_fit_are_refused(limit, given, told):
 def test_constraints_of_another_kind_are_refused():
     with pytest.raises(TypeError, match=r"constraints\[0\]` must be an Inequality or an Equality"):
         brought([wall])
+    with pytest.raises(TypeError, match=r"constraints\[0\].slack` must be a Slack, but got float"):
+        brought([Inequality(wall, slack=5.0)])
+    with pytest.raises(TypeError, match="`constraints` must be a sequence, but got Inequality"):
+        brought(Inequality(wall))
     with pytest.raises(TypeError, match="`constraints` must be Constraints, but got list"):
         listed([wall])
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_what_is_no_tensor_is_refused_as_without_constraints():
+    with pytest.raises(TypeError, match="`bounds` must be Bounds, but got tuple"):
+        brought([Inequality(wall)], box=tuple(BOX))
+    with pytest.raises(TypeError, match=r"`bounds.lower` must be a tensor, but got list"):
+        brought([Inequality(wall)], box=Bounds([-1.0], [1.0]))
+    with pytest.raises(TypeError, match=r"`multipliers\[0\]` must be a tensor, but got list"):
+        brought([Inequality(wall)], multipliers=[[0.0]])
+    with pytest.raises(TypeError, match="`solver` must be an ILQR, but got None"):
+        ConstrainedILQR(None)
+
+
+def test_constraints_without_rows_constrain_nothing():
+    """Such as those of nobody to keep clear of."""
+    nobody = Inequality(lambda x, u: x[..., :0])
+    free, none = brought([]), brought([nobody])
+    assert all((a == b).all() for a, b in zip(free.solution, none.solution, strict=True))
+    assert [each.shape for each in none.multipliers] == [(3, 16, 0)]
+    assert brought([nobody], multipliers=none.multipliers).converged.all()
 
 
 @pytest.mark.usefixtures("unchecked")

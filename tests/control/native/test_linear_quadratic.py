@@ -4,6 +4,8 @@ import pytest
 import torch
 
 from diffstack_mmv.control import ILQR, Batched, Bounds, SolverStatus
+from diffstack_mmv.control.native.capture import Recorder, Trajectory
+from diffstack_mmv.control.native.generation import Library, source
 from tests.control.native.test_solver import natively
 
 pytestmark = pytest.mark.usefixtures("double")
@@ -132,3 +134,44 @@ def test_the_number_of_iterations_is_limited():
     solver = ILQR(tolerance=1e-15, one_by_one=1000, max_iterations=2)
     found = natively(solver, dynamics, cost, box, problems.state, torch.zeros(COUNT, STEPS, M))
     assert (found.status == SolverStatus.ITERATION_LIMIT).any()
+
+
+KINKED = {
+    "effort by its modulus": lambda x, u: x.square().sum(-1) + u.abs().sum(-1),
+    "hinge": lambda x, u: u.square().sum(-1) + (x[..., 0] - 1).relu(),
+    "larger of two": lambda x, u: u.square().sum(-1) + torch.maximum(x[..., 0], x[..., 1]),
+    "stairs": lambda x, u: u.square().sum(-1) + x[..., 0].floor(),
+}
+
+
+def is_linear_quadratic(dynamics, cost):
+    at = Trajectory(torch.zeros(1, 4, 2), torch.zeros(1, 4, 1))
+    problem = Recorder()(at, dynamics, cost).problem
+    return "#define DMMV_LINEAR_QUADRATIC" in source(problem, Library.SOLVE, "double")
+
+
+def drift(state, control):
+    return state + 0.1 * control
+
+
+@pytest.mark.parametrize("name", KINKED)
+def test_kinks_and_jumps_without_curvature_are_not_linear(name):
+    """Their Hessian is that of a quadratic cost, whose minimum was returned as converged."""
+    assert not is_linear_quadratic(drift, KINKED[name])
+
+
+def test_dynamics_that_jump_are_not_linear():
+    def stepwise(state, control):
+        return state + 0.1 * control.ceil()
+
+    assert not is_linear_quadratic(stepwise, lambda x, u: x.square().sum(-1) + u.square().sum(-1))
+
+
+def test_what_parameters_choose_stays_linear():
+    low = torch.tensor([True, False])
+
+    def chosen(states, controls):
+        off = torch.where(low, states, 2 * states) - 1
+        return off.square().sum(-1) + 0.1 * controls.square().sum(-1)
+
+    assert is_linear_quadratic(drift, chosen)

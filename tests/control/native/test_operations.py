@@ -5,9 +5,10 @@ import math
 import pytest
 import torch
 
+from diffstack_mmv.control.native.core_forms import decompositions
 from diffstack_mmv.control.native.derivative import RULES, gradient
 from diffstack_mmv.control.native.lowering import CannotLowerError, Lowering
-from diffstack_mmv.control.native.operations import HANDLERS, decompositions
+from diffstack_mmv.control.native.operations import HANDLERS
 from diffstack_mmv.control.native.scalar import CONSTANT, FOLDS, LEAF, Program, needed
 
 VALUES = [[-0.7, 0.0, 0.4], [0.9, 0.4, -0.2]]
@@ -29,6 +30,15 @@ FUNCTIONS = {
     "truths": lambda a: a * (a > 0) + (a < 0).to(a).sum(),
     "nothing": lambda a: a + a[:, :0].sum(-1, keepdim=True) + a[:0].sum(0),
     "sums": lambda a: a.sum(-1) + a.mean() + a.prod(-1) + a.norm(dim=-1),
+    "divided with a rest": lambda a: (
+        torch.fmod(3 * a, a.flip(0) + 0.35) + torch.remainder(a, a.flip(0) + 0.35)
+    ),
+    "powers of zero": lambda a: a.relu() ** (a.flip(0) + 0.3) + (a + 2) ** (0 * a),
+    "losses": lambda a: (
+        torch.nn.functional.huber_loss(a, a.flip(0), delta=0.3)
+        + torch.nn.functional.smooth_l1_loss(a, a.flip(0), reduction="sum", beta=0.3)
+        + torch.nn.functional.smooth_l1_loss(a, a.flip(0), beta=0.0)
+    ),
     "rounding": lambda a: torch.fmod(a, 0.3) + torch.remainder(a, 0.3) + a.floor() * a + a.ceil(),
     "softmax": lambda a: torch.softmax(a, -1) * a,
     "products": lambda a: a @ a.mT @ a,
@@ -62,8 +72,10 @@ def _computed(name, *arguments):
     """An operation as a processor does it: what is too large is infinite."""
     try:
         return FOLDS[name](*arguments)
-    except OverflowError:
+    except (OverflowError, ZeroDivisionError):
         return math.inf
+    except ValueError:  # the logarithm of zero
+        return -math.inf
 
 
 def lowered(function, argument):
@@ -110,6 +122,29 @@ def test_what_saturates_has_a_slope_at_any_number(function):
     given = {("p", i): value for i, value in enumerate(numbers.tolist())}
     found = torch.tensor(run(program, [*first, *second], given), dtype=torch.float64)
     torch.testing.assert_close(found, torch.cat([slopes, bends]).detach(), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda a: torch.nn.functional.huber_loss(a, 0 * a, reduction="none", delta=0.5),
+        lambda a: torch.nn.functional.smooth_l1_loss(a, 0 * a, reduction="none", beta=0.5),
+        torch.nn.functional.logsigmoid,
+    ],
+)
+def test_what_is_smooth_at_zero_bends_there(function):
+    """The core forms of torch are written with |a|, whose square has no curvature at zero."""
+    numbers = torch.tensor([-800.0, -0.3, 0.0, 0.3, 800.0], dtype=torch.float64)
+    numbers.requires_grad_()
+    (slopes,) = torch.autograd.grad(function(numbers).sum(), numbers, create_graph=True)
+    (bends,) = torch.autograd.grad(slopes.sum(), numbers)
+    assert bends[2] != 0
+    program, leaves, result = lowered(function, numbers.detach())
+    first = gradient(program, dict.fromkeys(result.flat, program.constant(1.0)), leaves)
+    second = gradient(program, dict.fromkeys(first, program.constant(1.0)), leaves)
+    given = {("p", i): value for i, value in enumerate(numbers.tolist())}
+    found = torch.tensor(run(program, [*first, *second], given), dtype=torch.float64)
+    torch.testing.assert_close(found, torch.cat([slopes, bends]).detach())
 
 
 def test_a_choice_hides_the_infinite_slope_of_what_is_not_taken():

@@ -5,7 +5,9 @@ import torch
 
 from diffstack_mmv.dynamics import DiffGM3, rollout
 from diffstack_mmv.dynamics.gm3 import (
+    LIM2,
     ConsistentBrush,
+    CoordinatedLean,
     DiffGM3WheelSpeed,
     ExplicitEuler,
     PaperBrush,
@@ -114,11 +116,20 @@ def test_substeps_are_a_positive_whole_number(substeps, told):
         DiffGM3(load_vehicle("bicycle"), substeps=substeps)
 
 
-@pytest.mark.parametrize("tire", ["paper", ConsistentBrush])
+@pytest.mark.parametrize(
+    ("part", "told"),
+    [
+        ({"tire": "paper"}, "`tire` must be a tyre law"),
+        ({"tire": ConsistentBrush}, "`tire` must be a tyre law"),
+        ({"stepper": "rk4"}, "`stepper` must be a numerical method"),
+        ({"stepper": LIM2}, "`stepper` must be a numerical method"),
+        ({"lean": CoordinatedLean}, "`lean` must be a lean law"),
+    ],
+)
 @pytest.mark.usefixtures("unchecked")
-def test_the_name_of_a_tyre_law_is_none(tire):
-    with pytest.raises(TypeError, match="`tire` must be a tyre law"):
-        DiffGM3(load_vehicle("bicycle"), tire=tire)
+def test_the_name_or_the_class_of_a_part_is_none(part, told):
+    with pytest.raises(TypeError, match=told):
+        DiffGM3(load_vehicle("bicycle"), **part)
 
 
 @pytest.mark.parametrize("name", vehicle_names())
