@@ -111,21 +111,7 @@ def command(
             with failures_told():
                 config.out = HydraConfig.get().runtime.output_dir
                 _read_vehicle_file(config)
-                require_own_config(str(HydraConfig.get().job.config_name), config_name)
-                require_complete(OmegaConf.to_container(config))
-                defaults = changed_defaults(config_name)
-                require_resolvable(config, defaults)
-                for key, default in defaults.items():
-                    require_same_type(key, default, value_of(config, key))
-                OmegaConf.resolve(config)
-                require_seed(config.get("seed"))
-                content: Any = OmegaConf.to_container(config)
-                require_buildable(content, OF_A_RUN, "in the configuration")
-                _judge_vehicles(content)
-                require_arguments(content)
-                require_types(content)
-                require_foretold(content)
-                require_name_of_converter(content.get("data"))
+                _resolve(config, config_name)
                 check(config)
                 with alone_in(Path(config.out), "out"), _single_job():
                     require_own_folder(Path(config.out), config_name)
@@ -154,6 +140,25 @@ def command(
         return main
 
     return decorate
+
+
+def _resolve(config: DictConfig, config_name: str) -> None:
+    """Resolve a configuration, and refuse what no command can run."""
+    require_own_config(str(HydraConfig.get().job.config_name), config_name)
+    require_complete(OmegaConf.to_container(config))
+    defaults = changed_defaults(config_name)
+    require_resolvable(config, defaults)
+    for key, default in defaults.items():
+        require_same_type(key, default, value_of(config, key))
+    OmegaConf.resolve(config)
+    require_seed(config.get("seed"))
+    content: Any = OmegaConf.to_container(config)
+    require_buildable(content, OF_A_RUN, "in the configuration")
+    _judge_vehicles(content)
+    require_arguments(content)
+    require_types(content)
+    require_foretold(content)
+    require_name_of_converter(content.get("data"))
 
 
 @contextmanager

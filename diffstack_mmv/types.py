@@ -160,11 +160,10 @@ class Forecast(NamedTuple):
     def median(self, iterations: int = 10) -> Float[Tensor, "*b T 2"]:
         """Path in m with nearly the least expected mean distance to the paths of the components.
 
-        By Weiszfeld's iteration with one share of a component for all times: the answer of one
-        path to the question that the ADE asks. A share for each time would come closer, by 0.4 %
-        of that distance in the mean over random mixtures and 4 % at most. Its gradient is that of
-        the last iteration, and reaches the means of those components that have at least
-        `COUNTING_SHARE` in it: the decoder leaves out whatever has no gradient.
+        By Weiszfeld's iteration with one share of a component for all times, as the ADE asks for
+        one path. A share for each time would come closer, by 0.4 % in the mean over random mixtures
+        and 4 % at most. Its gradient is that of the last iteration, and reaches the means of the
+        components with at least `COUNTING_SHARE` in it: the decoder leaves out what has none.
         """
         weight = self.log_weight.exp()
         known = self.mean.detach()

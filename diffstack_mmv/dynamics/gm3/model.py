@@ -105,8 +105,7 @@ class DiffGM3(DynamicsModel):
         lean: LeanLaw | None = None,
     ) -> None:
         require_vehicle(spec)
-        for argument, part in (("tire", tire), ("stepper", stepper), ("lean", lean)):
-            _require_part(argument, part)
+        _require_parts(tire=tire, stepper=stepper, lean=lean)
         require_whole("substeps", substeps)
         require_at_least("substeps", substeps, 1)
         self.Control = self.control_record(spec)
@@ -299,9 +298,10 @@ _PARTS: dict[str, tuple[type, str, str]] = {
 """The parts that can be exchanged: their kind, what it is called, and what there is of it."""
 
 
-def _require_part(argument: str, part: object) -> None:
+def _require_parts(**parts: object) -> None:
     """Refuse the name or the class of a part in its place, at which the first step would break."""
-    kind, wanted, remedy = _PARTS[argument]
-    if part is not None and (isinstance(part, type) or not isinstance(part, kind)):
-        found = f"{type(part).__name__} {part!r}"
-        raise TypeError(message(argument, f"be {wanted}", found, "", remedy))
+    for argument, part in parts.items():
+        kind, wanted, remedy = _PARTS[argument]
+        if part is not None and (isinstance(part, type) or not isinstance(part, kind)):
+            found = f"{type(part).__name__} {part!r}"
+            raise TypeError(message(argument, f"be {wanted}", found, "", remedy))
