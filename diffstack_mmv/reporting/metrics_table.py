@@ -18,6 +18,7 @@ OWN_PATHS = {
     "prediction (most likely)": "",
     MEDIAN: "median_",
     "prediction (mean)": "mean_",
+    "prediction (combined)": "combined_",
     "plan": "plan_",
 }
 """Paths of a stack, and what the names of their scores begin with."""
