@@ -5,7 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.prediction.current import steady_path
-from diffstack_mmv.types import Forecast, Tracks
+from diffstack_mmv.types import Tracks
 
 STEADY_SHARE = 0.2
 """Share of the constant velocity, chosen on the validation splits of ETH and UCY."""
@@ -13,7 +13,9 @@ WINDOW_S = 0.5
 """Time over which the velocity is measured, as by `ConstantVelocity`."""
 
 
-def combined_path(forecast: Forecast, past: Tracks, dt_s: float) -> Float[Tensor, "*b T 2"]:
+def combined_path(
+    median: Float[Tensor, "*b T 2"], mean: Float[Tensor, "*b T 2"], past: Tracks, dt_s: float
+) -> Float[Tensor, "*b T 2"]:
     """The middle of median and mean of a forecast, a fifth of the way towards constant velocity.
 
         (1 - κ) (q(t) + m(t)) / 2 + κ (p₀ + t v₀),    κ = 0.2
@@ -24,15 +26,14 @@ def combined_path(forecast: Forecast, past: Tracks, dt_s: float) -> Float[Tensor
     end, the last steps of a track that was annotated smoothly know more of the beginning.
 
     Args:
-        forecast: Of the agents.
+        median: q, of the forecast of the agents, in m.
+        mean: m, of the same forecast, in m.
         past: Their tracks, in the same frame.
         dt_s: Length of one step in s.
 
     Returns:
         Path in m.
     """
-    steps = forecast.mean.shape[-2]
-    time = dt_s * torch.arange(1, steps + 1, dtype=forecast.mean.dtype, device=forecast.mean.device)
+    time = dt_s * torch.arange(1, mean.shape[-2] + 1, dtype=mean.dtype, device=mean.device)
     steady = steady_path(past, time, max(round(WINDOW_S / dt_s), 1), dt_s)
-    learned = torch.lerp(forecast.median(), forecast.expected(), 0.5)
-    return torch.lerp(learned, steady, STEADY_SHARE)
+    return torch.lerp(torch.lerp(median, mean, 0.5), steady, STEADY_SHARE)

@@ -26,12 +26,12 @@ from diffstack_mmv.types import Forecast, StackBatch
 def prediction_scores(batch: StackBatch, forecast: Forecast) -> dict[str, Float[Tensor, " B"]]:
     """Scores that need no plan, by the names of `OF_THE_PREDICTION`."""
     future, ego = batch.ego_future, ego_forecast(forecast)
-    middle = ego.median()
+    middle, mean = ego.median(), ego.expected()
     paths = {
         "": ego.most_likely(),
         "median_": middle,
-        "mean_": ego.expected(),
-        "combined_": combined_path(ego, batch.ego_past, batch.dt_s),
+        "mean_": mean,
+        "combined_": combined_path(middle, mean, batch.ego_past, batch.dt_s),
     }
     return {
         **{
