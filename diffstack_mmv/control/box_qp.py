@@ -148,6 +148,12 @@ def largest(Q: Float[Tensor, "m m N"]) -> Float[Tensor, " N"]:
     return torch.maximum(diagonal, Q[0, -1].abs())
 
 
+def parted(Q: Float[Tensor, "m m N"], free: Bool[Tensor, "m N"]) -> Float[Tensor, "m m N"]:
+    """A symmetric Q in which the rows that are not free have their diagonal alone."""
+    eye = torch.eye(len(Q), dtype=torch.bool, device=Q.device).unsqueeze(-1)
+    return torch.where(free.unsqueeze(0) & free.unsqueeze(1) | eye, Q, torch.zeros_like(Q))
+
+
 def positive_lift(Q: Float[Tensor, "m m N"], definite: float) -> Float[Tensor, "m N"]:
     """What to add to the diagonal of a symmetric Q to make it positive definite; zero where it is.
 

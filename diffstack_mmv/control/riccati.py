@@ -20,6 +20,7 @@ from diffstack_mmv.control.batch_last import (
 from diffstack_mmv.control.box_qp import (
     free_inverse,
     largest,
+    parted,
     positive_lift,
     regular_inverse,
     solve_box_qp,
@@ -232,7 +233,8 @@ def box_policy(
     with Q_uu + μ max|Q_uu| I, its diagonal lifted where it is not positive definite. All this
     counts as a part of the cost of δu, so that the policy minimises one convex model and is a
     direction of descent. A control that its bound holds, by the gradient of the total cost, stays
-    there: a stage that released it would count on what other stages cannot do.
+    there: a stage that released it would count on what other stages cannot do. Nor does its
+    curvature lift that of the free ones, which would make Newton's steps on them too short.
 
     Args:
         lq: The model around the present trajectory.
@@ -259,7 +261,7 @@ def box_policy(
         xx = xx + eye * lifted * dominance(xx, cross.sum(0))
         uu = uu + eye_u * lifted * dominance(uu, cross.sum(1))
         Q = _action(value, (*first, xx, ux, uu))
-        lift = positive_lift(Q.uu, DEFINITE)
+        lift = positive_lift(parted(Q.uu, least < most), DEFINITE)
         Q_uu = Q.uu + (lift + damping * largest(Q.uu)) * eye_u
         curvature = Q.uu.diagonal(dim1=0, dim2=1).movedim(-1, 0) + lift
         k, free = solve_box_qp(Q_uu, Q.u, least, most)

@@ -67,3 +67,12 @@ def test_an_exact_model_that_overflows_over_a_long_horizon_leaves_it_to_the_conv
     """In single precision the indefinite recursion does so from some sixty steps on."""
     given = {"tolerance": 1e-4, "steps": 100, "compile": compile, "one_by_one": COUNT}
     assert solved(limit, torch.float32, **given).converged.all()
+
+
+@pytest.mark.parametrize("compile", [False, True])
+def test_controls_held_at_their_bounds_leave_the_others_the_steps_of_newton(best, compile):
+    """Where a held control has negative curvature the free one was lifted, up to 65 iterations."""
+    solution = solved(1.0, tolerance=1e-13, max_iterations=200, compile=compile, one_by_one=COUNT)
+    assert solution.converged.all()
+    assert solution.iterations.max() <= 30
+    assert (solution.cost < best[1.0] * (1 + 1e-9)).all()

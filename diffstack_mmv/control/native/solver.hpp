@@ -167,9 +167,12 @@ struct Solver {
 
   // k and K of one time; damps and lifts Q_uu
   void act(int t, Real infinity, Real* uu, const Real* ux, const Real* Q_u) {
-    Real lift[m], low[m], high[m], inverse[m * m], product_[m * n];
+    Real parted[m * m], lift[m], low[m], high[m], inverse[m * m], product_[m * n];
     bool is_free[m];
-    positive_lift<m>(uu, lift);
+    for (int i = 0; i < m; ++i)
+      for (int j = 0; j < m; ++j)
+        parted[i * m + j] = i != j && (held(t, i) || held(t, j)) ? Real(0) : uu[i * m + j];
+    positive_lift<m>(parted, lift);
     const Real weight = damping * largest<m>(uu);
     for (int i = 0; i < m; ++i) {
       const Real curvature = uu[i * m + i] + lift[i];
