@@ -76,14 +76,10 @@ class DynamicsModel(nn.Module, ABC):
         """Advance by one control step.
 
         Raises:
-            ValueError: State or control has the wrong number of columns.
+            ValueError: State or control has the wrong number of columns, or their leading
+                dimensions do not fit each other.
         """
-        require_columns("state", state, self.state_dim, self.State._fields)
-        require_columns("control", control, self.control_dim, self.Control._fields)
-        if state.shape[:-1] != control.shape[:-1]:
-            shape = torch.broadcast_shapes(state.shape[:-1], control.shape[:-1])
-            state, control = state.expand(*shape, -1), control.expand(*shape, -1)
-        return self.step(state, control)
+        return self.step(*self._fitting(state, control))
 
     @abstractmethod
     def step(
@@ -252,6 +248,25 @@ class DynamicsModel(nn.Module, ABC):
     def select(self, index: Int[Tensor, " k"]) -> Self:
         """The model for the problems `index` of a batch: itself, as all share its parameters."""
         return self
+
+    def _fitting(
+        self, state: Float[Tensor, "*#b n"], control: Float[Tensor, "*#b m"]
+    ) -> tuple[Float[Tensor, "*b n"], Float[Tensor, "*b m"]]:
+        """State and control of one batch, each with the columns of the model."""
+        self._require_states("state", state)
+        require_columns("control", control, self.control_dim, self.Control._fields)
+        batch, other = state.shape[:-1], control.shape[:-1]
+        if batch == other:
+            return state, control
+        fits = all(a == b or 1 in (a, b) for a, b in zip(batch[::-1], other[::-1], strict=False))
+        needs = f"have leading dimensions that fit those of the state, {tuple(batch)}"
+        require(fits, "control", needs, f"shape {tuple(control.shape)}")
+        shape = torch.broadcast_shapes(batch, other)
+        return state.expand(*shape, -1), control.expand(*shape, -1)
+
+    def _require_states(self, argument: str, states: Tensor) -> None:
+        """Refuse states of another model, in whose columns stands something else."""
+        require_columns(argument, states, self.state_dim, self.State._fields)
 
     def _no_driver(self, method: str) -> str:
         remedy = f"Write `{method}` for it."

@@ -76,6 +76,7 @@ class Holonomic(DynamicsModel):
 
     def motion(self, states: Float[Tensor, "*b 4"], controls: Float[Tensor, "*b 2"]) -> Motion:
         """Motion of the point; it turns at once, so it tells no yaw rate (rad/s)."""
+        self._require_states("states", states)
         speed = states[..., 3]
         zero = torch.zeros_like(speed)
         return Motion(states[..., :2], states[..., 2], torch.stack([speed, zero], -1), zero)

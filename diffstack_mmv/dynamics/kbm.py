@@ -145,6 +145,7 @@ class DiffKBM(DynamicsModel):
 
     def motion(self, states: Float[Tensor, "*b 4"], controls: Float[Tensor, "*b 2"]) -> Motion:
         """Motion of the rear axle, which has no lateral velocity; yaw rate v tan δ / L in rad/s."""
+        self._require_states("states", states)
         speed = states[..., 3]
         steer = saturate(controls, *self.bounds)[..., 1]
         return Motion(

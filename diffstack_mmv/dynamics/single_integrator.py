@@ -60,6 +60,7 @@ class SingleIntegrator(DynamicsModel):
 
     def motion(self, states: Float[Tensor, "*b 4"], controls: Float[Tensor, "*b 2"]) -> Motion:
         """Motion whose heading is the course (rad); the point has no yaw rate of its own."""
+        self._require_states("states", states)
         velocity = states[..., 2:]
         # the course at rest is zero, and so is its gradient
         moving = velocity.square().sum(-1) > 0

@@ -88,6 +88,7 @@ class ExtendedUnicycle(DynamicsModel):
 
     def motion(self, states: Float[Tensor, "*b 4"], controls: Float[Tensor, "*b 2"]) -> Motion:
         """Motion of the point itself."""
+        self._require_states("states", states)
         speed = states[..., 3]
         return Motion(
             position=states[..., :2],

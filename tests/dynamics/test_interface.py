@@ -110,6 +110,32 @@ def test_states_and_controls_of_different_batches_are_broadcast(dynamics):
     assert model(state[:, 0], control[0]).shape == (5, n)
 
 
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("dynamics", dynamics_names())
+def test_states_and_controls_of_batches_that_do_not_fit_are_told_by_shape(dynamics):
+    model = model_of(load_vehicle("bicycle"), load_dynamics(dynamics), 0.05)
+    state, control = torch.zeros(2, 4, model.state_dim), torch.zeros(3, model.control_dim)
+    needs = r"`control` must have leading dimensions that fit those of the state, \(2, 4\), but got"
+    with pytest.raises(ValueError, match=rf"{needs} shape \(3, {model.control_dim}\)"):
+        model(state, control)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("dynamics", dynamics_names())
+def test_the_motion_of_states_of_another_model_is_refused(dynamics):
+    model = model_of(load_vehicle("bicycle"), load_dynamics(dynamics), 0.05)
+    wide = torch.zeros(2, model.state_dim + 4)
+    with pytest.raises(ValueError, match=f"`states` must have {model.state_dim} columns"):
+        model.motion(wide, torch.zeros(2, model.control_dim))
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_the_right_hand_side_of_gm3_refuses_columns_that_it_would_not_read():
+    model = DiffGM3(load_vehicle("bicycle"))
+    with pytest.raises(ValueError, match=r"`control` must have 2 columns \(acceleration, steer\)"):
+        model.derivative(torch.zeros(2, 8), torch.zeros(2, 3))
+
+
 @pytest.mark.parametrize("dynamics", dynamics_names())
 def test_a_model_survives_pickling(dynamics):
     model = model_of(load_vehicle("bicycle"), load_dynamics(dynamics), 0.05)

@@ -156,8 +156,12 @@ class DiffGM3(DynamicsModel):
     def derivative(
         self, state: Float[Tensor, "*#b 8"], control: Float[Tensor, "*#b m"]
     ) -> Float[Tensor, "*b 8"]:
-        """Continuous-time right-hand side x' = f(x, u), SI units per second."""
-        columns = side_by_side(state, control)
+        """Continuous-time right-hand side x' = f(x, u), SI units per second.
+
+        Raises:
+            ValueError: As `forward` does.
+        """
+        columns = side_by_side(*self._fitting(state, control))
         return columns.as_rows(self.hold(columns.control).derivative(columns.state))
 
     def step(
@@ -172,6 +176,7 @@ class DiffGM3(DynamicsModel):
 
     def motion(self, states: Float[Tensor, "*b 8"], controls: Float[Tensor, "*b m"]) -> Motion:
         """Motion of the centre of gravity; it does not depend on the controls."""
+        self._require_states("states", states)
         return Motion(states[..., :2], states[..., 4], states[..., 2:4], states[..., 5])
 
     def initial_state(self, motion: Motion) -> Float[Tensor, "*b 8"]:
