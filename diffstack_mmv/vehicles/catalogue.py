@@ -8,7 +8,7 @@ from typing import Any
 
 from diffstack_mmv.vehicles.reading import config_from_spec
 from diffstack_mmv.vehicles.spec import VehicleSpec
-from dmmv_conventions.checks import message
+from dmmv_conventions.checks import did_you_mean, message
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.disk import replacing
 from dmmv_conventions.yaml_files import read_mapping, to_yaml
@@ -32,7 +32,8 @@ def load_vehicle(name_or_path: str | Path) -> VehicleSpec:
     path = shipped if is_name or shipped.is_file() else Path(name_or_path)
     if not path.is_file():
         wanted = f"be one of {', '.join(vehicle_names())}, or the path of a YAML file"
-        raise ValueError(message("vehicle", wanted, repr(text)))
+        remedy = did_you_mean(text, vehicle_names()) if is_name else "There is no such file."
+        raise ValueError(message("vehicle", wanted, repr(text), "", remedy))
     content = read_mapping(path, "vehicle")
     try:
         return VehicleSpec.from_config(content)

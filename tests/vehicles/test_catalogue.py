@@ -83,6 +83,16 @@ def test_calibrated_values_replace_the_priors():
     assert spec.wheelbase.source == "fit"
 
 
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [("bycicle", "Did you mean 'bicycle'?"), ("mine/bike.yaml", "There is no such file.")],
+)
+def test_unknown_vehicle_says_what_may_be_meant(name, remedy):
+    with pytest.raises(ValueError, match="`vehicle` must be one of") as told:
+        load_vehicle(name)
+    assert str(told.value).endswith(f"but got '{name}'. {remedy}")
+
+
 def test_unknown_calibrated_name_is_refused():
     with pytest.raises(ValueError, match="`colour` must be one of"):
         load_vehicle("bicycle").with_values({"colour": 1.0})
