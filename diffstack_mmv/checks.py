@@ -24,6 +24,7 @@ __all__ = [
     "require",
     "require_at_least",
     "require_between",
+    "require_callable",
     "require_columns",
     "require_finite",
     "require_multiple",
@@ -44,6 +45,17 @@ def require_tensor(argument: str, value: object) -> None:
         remedy = "Write torch.as_tensor(...) around it."
         found = type(value).__name__
         raise TypeError(message(argument, "be a tensor", found, "", remedy))
+
+
+def require_callable(argument: str, value: object, remedy: str = "") -> None:
+    """Refuse what cannot be called.
+
+    Raises:
+        TypeError: `value` is no function, method or module.
+    """
+    if not callable(value):
+        found = type(value).__name__
+        raise TypeError(message(argument, "be a function or a module", found, "", remedy))
 
 
 def require_columns(argument: str, tensor: Tensor, columns: int, names: Sequence[str] = ()) -> None:

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch._functorch import pyfunctorch
 
-from diffstack_mmv.checks import message, require, require_tensor
+from diffstack_mmv.checks import message, require, require_callable, require_tensor
 from diffstack_mmv.control.expansion import pad_controls
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.selection import kind
@@ -60,8 +60,10 @@ def require_fitting(
     Raises:
         ValueError: A result has the wrong shape or precision or no gradient, the cost of a time
             depends on another one, or `vmap` cannot call one of them, as with an `if` on tensors.
-        TypeError: A result is no tensor.
+        TypeError: One of them cannot be called, or a result is no tensor.
     """
+    require_callable("dynamics", dynamics, "It gives the next state: (state, control) -> state.")
+    require_callable("cost", cost, "It gives one cost per time: (states, controls) -> cost.")
     key = (kind(dynamics), kind(cost), state.shape, controls.shape, state.dtype)
     if key in _known or controls.numel() == 0:
         return

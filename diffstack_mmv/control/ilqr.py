@@ -193,6 +193,10 @@ class ILQR:
                 return other shapes.
             TypeError: The state is not of a floating-point type, or something is no tensor.
         """
+        if torch.compiler.is_compiling():
+            # only what stands around a solve can be compiled from outside
+            apart: Any = torch.compiler.disable(type(self).__call__)
+            return apart(self, dynamics, cost, bounds, state, controls, constraints)
         if constraints is not None:
             # it is built on this class
             from diffstack_mmv.control.constrained import ConstrainedILQR, listed

@@ -94,6 +94,16 @@ def test_dynamics_cut_off_from_their_arguments_are_refused():
         ILQR()(lambda x, u: step(x, u).detach(), cost, BOX, STATE, CONTROLS)
 
 
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("missing", ["dynamics", "cost"])
+def test_what_cannot_be_called_is_named(missing):
+    cost = functools.partial(fitting, weight=WEIGHT)
+    given = {"dynamics": step, "cost": cost, missing: None}
+    needs = f"`{missing}` must be a function or a module, but got NoneType"
+    with pytest.raises(TypeError, match=needs):
+        ILQR()(given["dynamics"], given["cost"], BOX, STATE, CONTROLS)
+
+
 def branching(state, control):
     return step(state, control) if (state[..., 1] < 1).all() else state + 0 * control
 

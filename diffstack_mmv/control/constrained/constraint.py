@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from diffstack_mmv.checks import message, require, require_tensor
+from diffstack_mmv.checks import message, require, require_callable, require_tensor
 from diffstack_mmv.control.expansion import pad_controls
 from diffstack_mmv.control.fitting import require_fitting_constraint
 from diffstack_mmv.control.optimizer import ConstraintFunction, Constraints
@@ -137,7 +137,8 @@ def gather(
 
     Raises:
         ValueError: A constraint function does not return one row per time, or one that looks at
-            other times, or a price does not broadcast or is negative, or that of squares infinite.
+            other times, or holds at none, or a price does not broadcast or is negative, or that of
+            squares infinite.
     """
     acting, parts = pad_controls(controls), []
     for number, constraint in enumerate(constraints):
@@ -153,6 +154,7 @@ def gather(
         require_fitting_constraint(name, constraint.function, states, acting, values)
         applies = torch.zeros(values.shape[-2:], dtype=torch.bool, device=values.device)
         applies[constraint.times] = True
+        _require_times(f"{name}.times", constraint.times, len(applies))
         linear, quadratic = (
             _priced(price, values, applies, f"{name}.slack.{which}")
             for which, price in vars(constraint.slack).items()
@@ -166,7 +168,7 @@ def gather(
 
 
 def require_constraints(constraints: object) -> None:
-    """Refuse what is no sequence of constraints, each with a `Slack`.
+    """Refuse what is no sequence of constraints, each with a function, a `Slack` and a slice.
 
     Raises:
         TypeError: It is another thing, or a part of it is.
@@ -181,6 +183,15 @@ def require_constraints(constraints: object) -> None:
         _require_kind(name, constraint, "an Inequality or an Equality", Constraint, remedy)
         remedy = "Write Slack(linear=...)."
         _require_kind(f"{name}.slack", constraint.slack, "a Slack", Slack, remedy)
+        require_callable(f"{name}.function", constraint.function)
+        remedy = "Write slice(t, t + 1) for one time t, slice(-1, None) for the end."
+        _require_kind(f"{name}.times", constraint.times, "a slice", slice, remedy)
+
+
+def _require_times(name: str, times: slice, count: int) -> None:
+    """Refuse times none of which the horizon has: the constraint would hold nowhere."""
+    some = len(range(*times.indices(count))) > 0
+    require(some, name, f"choose at least one of the times 0 .. {count - 1}", times)
 
 
 def _require_kind(name: str, value: object, wanted: str, kind: Any, remedy: str) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -144,6 +145,10 @@ class ConstrainedILQR:
             TypeError: The state is not of a floating-point type, or something is no tensor, no
                 constraint or no sequence of them.
         """
+        if torch.compiler.is_compiling():
+            # only what stands around a solve can be compiled from outside
+            apart: Any = torch.compiler.disable(type(self).__call__)
+            return apart(self, dynamics, cost, constraints, bounds, state, controls, multipliers)
         require_tensors(bounds, state, controls)
         check_problem(bounds, state, controls)
         require_fitting(dynamics, cost, state, controls)
@@ -212,10 +217,14 @@ def _given(multipliers: Sequence[Tensor] | None, rows: ConstraintRows) -> Tensor
     none = torch.zeros_like(rows.linear)
     if multipliers is None:
         return none
+    remedy = "Take those of a solution with the same constraints."
+    count, wanted = len(multipliers), len(rows.widths)
+    listed = not isinstance(multipliers, Tensor) and count == wanted
+    found = "a tensor" if isinstance(multipliers, Tensor) else f"{count} of them"
+    require(listed, "multipliers", f"be a list of {wanted}, one per constraint", found, "", remedy)
     for number, each in enumerate(multipliers):
         require_tensor(f"multipliers[{number}]", each)
     given = torch.cat(list(multipliers), -1).detach().to(none)
-    remedy = "Take those of a solution with the same constraints."
     shape = tuple(none.shape)
     require(
         given.shape == none.shape,

@@ -446,3 +446,39 @@ def test_a_cost_without_minimum_is_a_status_unless_a_constraint_stops_it(warm):
     stopped = SOLVER(step, place, [Inequality(beyond, times=slice(1, None))], *rest)
     assert stopped.converged.all()
     torch.testing.assert_close(stopped.states[:, 1:], torch.full((2, 6, 1), -2.0))
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("settings", "error", "told"),
+    [
+        ({"function": 5}, TypeError, r"`constraints\[0\].function` must be a function"),
+        ({"times": 3}, TypeError, r"times` must be a slice, but got int.*slice\(t, t"),
+        ({"times": slice(16, 20)}, ValueError, r"one of the times 0 \.\. 15, but got"),
+    ],
+    ids=["no function", "a number as times", "times beyond the horizon"],
+)
+def test_a_constraint_that_would_hold_nowhere_is_refused(settings, error, told):
+    with pytest.raises(error, match=told):
+        brought([Inequality(**{"function": wall, **settings})])
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("multipliers", [[], torch.zeros(3, 16, 1)], ids=["too few", "a tensor"])
+def test_multipliers_of_other_constraints_are_refused(multipliers):
+    with pytest.raises(ValueError, match=r"`multipliers` must be a list of 1, one per constraint"):
+        brought([Inequality(wall)], multipliers=multipliers)
+
+
+@pytest.mark.usefixtures("nothing_compiled")
+@pytest.mark.parametrize("constraints", [[], [Inequality(wall)]], ids=["plain", "constrained"])
+def test_a_function_around_a_solve_compiles_and_has_its_gradient(constraints):
+    def end(start):
+        solver, problem = (SOLVER, (constraints,)) if constraints else (ILQR(), ())
+        moved, still = start + 0.1, torch.zeros(3, 15, 1)
+        return solver(cart, reach, *problem, BOX, moved, still).states[:, -1].sum() * 2
+
+    start = torch.zeros(3, 2, requires_grad=True)
+    expected = torch.autograd.grad(end(start), start)
+    found = torch.autograd.grad(torch.compile(end, backend="eager")(start), start)
+    assert torch.equal(*expected, *found)
