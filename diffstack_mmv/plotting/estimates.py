@@ -42,14 +42,14 @@ def draw_estimates(estimates: Sequence[Estimate]) -> Figure:
         wide, narrow = 2 * each.prior_std / span, 2 * each.std / span
         axes.plot([0, 1], [row, row], color="0.9", linewidth=9, solid_capstyle="butt", zorder=0)
         axes.errorbar(prior, row + 0.15, xerr=wide, color=PALETTE[0], fmt="o", markersize=4)
-        told = each.verdict == "identifiable"
-        marker = "s" if told else "x"
+        marker = "s" if each.verdict == "identifiable" else "x"
         axes.errorbar(found, row - 0.15, xerr=narrow, color=PALETTE[1], fmt=marker, markersize=4)
     ends = [f"{e.name} [{e.unit}]\n{e.low:.3g} … {e.high:.3g}" for e in estimates]
     axes.set_yticks(range(len(estimates)), labels=ends, fontsize=6)
     axes.set(xlim=(-0.02, 1.02), xlabel="position in the range")
     axes.set_ylim(len(estimates) - 0.5, -0.5)  # the first on top, and room around a single one
-    axes.set_title("prior (circle), estimate (square: identifiable), 2 deviations", fontsize=8)
+    told = "prior (circle), estimate (square: identifiable, cross: not), 2 deviations"
+    axes.set_title(told, fontsize=8)
     return figure
 
 

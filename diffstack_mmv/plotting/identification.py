@@ -38,17 +38,21 @@ class FittedTrack(NamedTuple):
 
 def draw_tracks(tracks: Sequence[FittedTrack], columns: int = 6) -> Figure:
     """Draw each track (dots) and its fit (line) in a panel of its own."""
+    columns = min(columns, len(tracks))
     rows = math.ceil(len(tracks) / columns)
-    figure = new_figure(2.1 * columns, 2.1 * rows)
+    figure = new_figure(2.1 * columns, 2.1 * rows + 0.2)
     for index, track in enumerate(tracks):
         axes = figure.add_subplot(rows, columns, index + 1)
-        axes.plot(*track.recorded.T, ".", color=PALETTE[0], markersize=3)
-        axes.plot(*track.fitted.T, color=PALETTE[1], linewidth=1)
+        # once for all panels
+        recorded, fit = ("recorded", "fit") if index == 0 else ("_", "_")
+        axes.plot(*track.recorded.T, ".", color=PALETTE[0], markersize=3, label=recorded)
+        axes.plot(*track.fitted.T, color=PALETTE[1], linewidth=1, label=fit)
         axes.set_aspect("equal", adjustable="datalim")
         axes.set_title(track.name, fontsize=5)
         axes.tick_params(labelsize=5)
     figure.supxlabel("x [m]", fontsize=8)
     figure.supylabel("y [m]", fontsize=8)
+    figure.legend(loc="outside upper center", fontsize=6, ncols=2)
     return figure
 
 

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Sequence
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -10,6 +11,7 @@ import pandas as pd
 
 from diffstack_mmv.reporting.bootstrapping import bootstrap
 from diffstack_mmv.reporting.files import read_json, read_parquet, told_as_broken, write_text
+from diffstack_mmv.reporting.table import cell
 
 logger = logging.getLogger(__name__)
 
@@ -154,5 +156,6 @@ def write_by_excitation(folder: Path, paired: PairedSamples) -> None:
     table = by_excitation(paired)
     if table.empty:
         return
-    write_text(folder / "excitation.md", f"{table.to_markdown(index=False, floatfmt='.4f')}\n")
+    told = table.map(partial(cell, form=".4f")).to_markdown(index=False, disable_numparse=True)
+    write_text(folder / "excitation.md", f"{told}\n")
     write_text(folder / "excitation.csv", str(table.to_csv(index=False)))

@@ -42,9 +42,13 @@ def test_the_difference_is_where_the_human_rode_hard(tmp_path):
 def test_few_scenes_have_no_interval(tmp_path):
     frame = ridden().assign(scene=np.arange(60) % 3)
     folders = [write_run(tmp_path / name, name, 0, frame=frame) for name in ("kbm", "gm3")]
-    table = by_excitation(paired_samples(folders, "plan_ade", EXCITATION))
+    paired = paired_samples(folders, "plan_ade", EXCITATION)
+    table = by_excitation(paired)
     assert set(table["scenes"]) <= {1, 2, 3}
     assert table[["low", "high"]].isna().all(None)
+    write_by_excitation(tmp_path, paired)
+    rows = (tmp_path / "excitation.md").read_text().splitlines()[2:]
+    assert all(row.replace(" ", "").endswith("|–|–|") for row in rows)
 
 
 def test_samples_that_one_cannot_judge_count_for_none(tmp_path):

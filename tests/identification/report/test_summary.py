@@ -23,6 +23,7 @@ from diffstack_mmv.plotting import (
     draw_spectrum,
     save_identification,
 )
+from diffstack_mmv.plotting.identification import draw_tracks
 from diffstack_mmv.reporting import write_identification
 from tests.identification.conftest import LIVELY, synthetic_problem
 from tests.identification.report.conftest import leaning
@@ -70,6 +71,14 @@ def test_controls_have_units_and_their_tracks_a_line_of_their_own():
     assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == 12
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == [each.name for each in tracks]
+
+
+def test_few_tracks_fill_the_figure_and_a_legend_tells_fit_from_recording():
+    line = np.zeros((3, 2))
+    figure = draw_tracks([FittedTrack(f"track {index}", line, line, line) for index in range(4)])
+    assert [axes.get_gridspec().ncols for axes in figure.axes] == [4] * 4
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["recorded", "fit"]
 
 
 def test_directions_without_information_are_marked_as_such():
