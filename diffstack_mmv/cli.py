@@ -37,6 +37,7 @@ with needs_to_run("stack", "the command lines"):
     from diffstack_mmv.command_line import folders_as, understood
     from diffstack_mmv.composition import (
         as_written,
+        change_again,
         changed_defaults,
         composed_once,
         require_resolvable,
@@ -210,13 +211,20 @@ def _read_vehicle_file(config: DictConfig) -> None:
     if not path.is_file():
         raise ValueError(f"`vehicle` must be a name or an existing YAML file, but got {file!r}.")
     config.vehicle = read_mapping(path, "vehicle")
+    change_again(config, "vehicle")
 
 
 def _judge_vehicles(content: Any) -> None:
     """Have the vehicles of a configuration judge themselves, for which they need no tensor."""
     for _, node in nodes(content):
         if isinstance(node, dict) and node.get("_target_") == _VEHICLE:
-            VehicleSpec.from_config(node["mapping"])
+            try:
+                VehicleSpec.from_config(node["mapping"])
+            except ValueError as problem:
+                file = content.get("vehicle_file")
+                if file is None or node["mapping"] != content.get("vehicle"):
+                    raise
+                raise ValueError(f"{problem} (file {file})") from problem
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
 
 from dmmv_conventions.checks import message
@@ -71,6 +71,25 @@ def changed_defaults(config_name: str) -> Mapping[str, Any]:
     others = [str(each.input_line) for each in parsed if each.get_key_element() not in keys]
     defaults = compose(config_name, others) if keys else OmegaConf.create()
     return {key: value_of(defaults, key) for key in keys}
+
+
+def change_again(config: DictConfig, key: str) -> None:
+    """Have the command line of the present job change what a file has put under a key since.
+
+    Args:
+        config: The configuration.
+        key: The key; what is below it is changed.
+    """
+    words = list(HydraConfig.get().overrides.task)
+    for each in OverridesParser.create().parse_overrides(words):
+        parent, _, name = each.key_or_group.rpartition(".")
+        if not f"{parent}.".startswith(f"{key}."):
+            continue
+        if not each.is_delete():
+            OmegaConf.update(config, each.key_or_group, each.value(), merge=True, force_add=True)
+        elif (node := OmegaConf.select(config, parent)) is not None:
+            with open_dict(node):
+                node.pop(name, None)
 
 
 def as_written(config_name: str) -> DictConfig:

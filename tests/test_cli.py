@@ -4,6 +4,7 @@ import contextlib
 import errno
 import gc
 import logging
+import re
 import shlex
 import sys
 import warnings
@@ -144,6 +145,26 @@ def test_a_dry_run_leaves_no_configuration(run, tmp_path):
 def test_a_missing_vehicle_file_is_named(run):
     _, told = run("needed=1", "vehicle=nowhere.yaml")
     assert "must be a name or an existing YAML file, but got 'nowhere.yaml'" in told
+
+
+def test_the_command_line_changes_the_vehicle_of_a_file(run, tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("{name: mine, mass_kg: 90, drag: 1, limits: {speed_mps: 5}}")
+    words = "vehicle.mass_kg=200", "+vehicle.limits.steer_rad=1", "~vehicle.drag"
+    default = "vehicle={name: bicycle, mass_kg: 80, drag: 2, limits: {}}"
+    config, told = run("needed=1", f"+{default}", f"vehicle={file}", *words)
+    assert told == ""
+    limits = {"speed_mps": 5, "steer_rad": 1}
+    assert config.vehicle == {"name": "mine", "mass_kg": 200, "limits": limits}
+
+
+def test_an_impossible_vehicle_is_told_with_its_file(refusal, root, tmp_path):
+    file = tmp_path / "mine.yaml"
+    text = (root / "configs/vehicle/bicycle.yaml").read_text()
+    file.write_text(re.sub("mass_kg: [0-9.]+", "mass_kg: -5", text, count=1))
+    told = refusal("simulate", f"vehicle={file}", f"out={tmp_path / 'out'}")
+    assert "`mass_kg` must be positive, but got -5.0 for vehicle 'bicycle'." in told
+    assert told.strip().endswith(f"(file {file})")
 
 
 def test_a_failure_shows_no_traceback(run):
