@@ -127,6 +127,8 @@ def require_checkpoint(argument: str, file: str | None) -> None:
     """
     remedy = f"Give the path of a checkpoint that scripts/train.py wrote, or {PRETRAINED}."
     path = None if file is None else str(checkpoint_path(file))
+    if path is not None and (inside := Path(path) / "checkpoints/best.ckpt").is_file():
+        remedy = f"Did you mean {inside}?"  # of the run in that folder
     require_file(argument, path, remedy)
     whole = path is not None and zipfile.is_zipfile(path)
     require(whole, argument, "be readable", "no archive", f"in {file}", remedy)

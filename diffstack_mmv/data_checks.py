@@ -26,8 +26,10 @@ def require_modes(modes: Sequence[str]) -> None:
     """Refuse modes of transport that nobody knows.
 
     Raises:
-        ValueError: A mode is unknown.
+        ValueError: A mode is unknown, or there is a single name in place of a list.
     """
+    remedy = f"Write modes=[{modes}]."
+    require(not isinstance(modes, str), "modes", "be a list", repr(modes), "", remedy)
     for name in modes:
         Mode.named(name)
 

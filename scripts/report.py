@@ -25,11 +25,15 @@ def check(config: DictConfig) -> None:
 def report(config: DictConfig) -> None:
     """Read what the runs wrote, and write one HTML file that needs nothing else."""
     from diffstack_mmv.metrics import CLOSED_LOOP, EVALUATED
-    from diffstack_mmv.reporting.html import Titles, read_page, write_page
+    from diffstack_mmv.reporting.html import Titles, names_apart, read_page, write_page
 
     titles = Titles(EVALUATED, CLOSED_LOOP)
     beside = None if config.beside is None else Path(config.beside)
-    pages = [read_page(Path(run), titles, config.episodes, beside) for run in config.runs]
+    folders = [Path(run) for run in config.runs]
+    pages = [
+        read_page(folder, titles, config.episodes, beside)._replace(name=name)
+        for folder, name in zip(folders, names_apart(folders), strict=True)
+    ]
     write_page(Path(config.page), pages)
     logger.info("Page: %s", config.page)
 

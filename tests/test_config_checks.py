@@ -87,6 +87,12 @@ def test_windows_of_unknown_modes_or_broken_steps_are_refused(mode, horizon_s, t
         require_windows([mode], 0.1, horizon_s=horizon_s)
 
 
+@pytest.mark.usefixtures("unchecked")
+def test_one_mode_in_place_of_a_list_is_told_with_the_list():
+    with pytest.raises(ValueError, match=r"be a list, but got 'bicycle'. Write modes=\[bicycle\]"):
+        require_windows("bicycle", 0.1)
+
+
 @pytest.mark.parametrize(
     ("changed", "batch_size", "told"),
     [
@@ -146,6 +152,14 @@ def test_a_checkpoint_is_an_archive(tmp_path, name, needs):
     (tmp_path / "a.ckpt").write_text("text")
     with pytest.raises(ValueError, match=f"`start` must {needs}"):
         require_checkpoint("start", name and str(tmp_path / name))
+
+
+def test_the_folder_of_a_run_is_told_with_its_checkpoint(tmp_path):
+    best = tmp_path / "checkpoints" / "best.ckpt"
+    best.parent.mkdir()
+    best.touch()
+    with pytest.raises(ValueError, match=f"existing file, but got .* Did you mean {best}\\?"):
+        require_checkpoint("checkpoint", str(tmp_path))
 
 
 @pytest.fixture

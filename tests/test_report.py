@@ -3,6 +3,7 @@
 import pytest
 
 from diffstack_mmv.cli import folders_as
+from diffstack_mmv.reporting.html import names_apart
 from tests.reporting.html import runs
 
 
@@ -27,6 +28,22 @@ def test_one_page_tells_of_all_runs(succeed, tmp_path):
     text = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
     assert "first" in text
     assert "seed=0, b" in text
+
+
+def test_runs_whose_folders_have_one_name_are_told_apart(tmp_path):
+    folders = [tmp_path / each for each in ("runs/kbm", "reports/kbm", "kbm", "reports/gm3")]
+    alone = f"{tmp_path.name}/kbm"
+    assert names_apart(folders) == ["runs/kbm", "reports/kbm", alone, "gm3"]
+    assert names_apart([folders[0], folders[0]]) == ["kbm", "kbm"]
+
+
+def test_the_page_names_runs_apart(succeed, tmp_path):
+    for name in ("runs", "drives"):
+        (tmp_path / name).mkdir()
+    first, second = runs.training(tmp_path / "runs/kbm"), runs.simulation(tmp_path / "drives/kbm")
+    succeed("report", first, second, f"out={tmp_path / 'page'}")
+    text = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
+    assert "<title>runs/kbm, drives/kbm" in text
 
 
 def test_a_page_beside_a_run_leaves_its_configuration(succeed, tmp_path):

@@ -2,7 +2,7 @@
 
 from diffstack_mmv.reporting.html.evaluation import HORIZON_FILE, SCENES_FILE, horizon_content
 from diffstack_mmv.reporting.html.page import render, write_page
-from diffstack_mmv.reporting.html.readers import RunPage, Titles, read_page
+from diffstack_mmv.reporting.html.readers import RunPage, Titles, names_apart, read_page
 from diffstack_mmv.reporting.html.records import RunRecord, read_record
 
 __all__ = [
@@ -12,6 +12,7 @@ __all__ = [
     "RunRecord",
     "Titles",
     "horizon_content",
+    "names_apart",
     "read_page",
     "read_record",
     "render",

@@ -63,6 +63,23 @@ def read_page(
     return RunPage(folder.resolve().name, sections)
 
 
+def names_apart(folders: Sequence[Path]) -> list[str]:
+    """Name of each run: the end of its path, from where on no other run has the same.
+
+    Args:
+        folders: Folders of runs; one that is given twice has one name.
+    """
+    paths = [folder.resolve().parts for folder in folders]
+
+    def name(path: tuple[str, ...]) -> str:
+        others = [each for each in paths if each != path]
+        ends = (path[-count:] for count in range(1, len(path) + 1))
+        alone = (end for end in ends if all(each[-len(end) :] != end for each in others))
+        return "/".join(next(alone, path))
+
+    return [name(path) for path in paths]
+
+
 def _pictures(folder: Path) -> list[Section]:
     """All figures that the run has drawn, those of one mode or case after the other."""
     files = [
