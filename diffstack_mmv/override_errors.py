@@ -18,6 +18,7 @@ _ALL_KEYS = "`--cfg job` prints all keys."
 _EXTRAS = {"hydra/sweeper/optuna": "sweep", "hydra/launcher/submitit": "sweep"}
 _UNKNOWN_KEY = re.compile(r"Could not (?:override|delete from config\.|delete) '?([^'\s]+)'")
 _NO_CHOICE = re.compile(r"You must specify '(\S+)',.*?Available options:(.*)", re.DOTALL)
+_NOT_MERGED = re.compile(r"Error merging override ([^=\s]+)=")
 _TWICE = re.compile(r"Multiple values for (\S+)\.")
 
 
@@ -51,6 +52,10 @@ def told(
         return message(found[1], "be given once", given, PLACE, "Leave out the `+`.")
     if found := _NO_CHOICE.match(str(error)):
         return f"`{found[1]}` must be given. Add {found[1]}=NAME: {', '.join(found[2].split())}."
+    if found := _NOT_MERGED.match(str(error)):
+        bare = found[1].lstrip("+~")
+        needs = "have a value of the kind of its default, such as settings with their names"
+        return message(bare, needs, _given(bare, arguments), PLACE, "`--cfg job` prints it.")
     if found := _UNKNOWN_KEY.match(str(error)):
         return _unknown_key(found[1], arguments, folder, config_name)
     return one_line(str(error))

@@ -45,6 +45,8 @@ def answer(monkeypatch, capsys, tmp_path):
         (["seed=0,1"], "Ambiguous value for argument 'seed=0,1'"),
         (["-m", "seed=0,1", "goal=futur"], "Did you mean goal=future?"),
         (["hydra/launcher=submitit_none"], "pip install 'diffstack_mmv[sweep]'"),
+        (["optim.optimizer=[1]"], "`optim.optimizer` must have a value of the kind of its default, "
+         "such as settings with their names, but got optim.optimizer=[1] on the command line."),
         (["data.cache=nowhere"], "`cache` must hold a finished conversion of 'thab_vru', but got"),
     ],
 )  # fmt: skip

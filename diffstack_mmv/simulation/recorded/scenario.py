@@ -165,7 +165,7 @@ class RecordedCrossing:
             if scene is not None:
                 return scene._replace(number=torch.tensor(number))
         wanted = f"leave a passable crossing with {self.met} agents in {MAX_TRIES} draws"
-        remedy = "Lower it, or raise `limit_s`: the way takes its time."
+        remedy = "Lower it (scenario.met=0), or raise `limit_s`: the way takes its time."
         raise ValueError(message("met", wanted, self.met, f"in '{phase}'", remedy))
 
     def _long_enough(self, phase: str) -> tuple[list[str], dict[str, float]]:
