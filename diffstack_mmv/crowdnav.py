@@ -87,7 +87,7 @@ class CrowdNav:
     noise: Sequence[float] = ()
     limit_s: float = 10.0
     dt_s: float = 0.25
-    limits: Mapping[str, float] = field(default_factory=lambda: LIMITS, hash=False)
+    limits: Mapping[str, float] = field(default_factory=lambda: dict(LIMITS), hash=False)
     seed: int = 0
 
     def __post_init__(self) -> None:

@@ -32,14 +32,30 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
+STEP_S = 0.01
+"""Step of a model that is only asked what it has."""
+
 
 def check(config: DictConfig) -> None:
     """Refuse a world or a controller that cannot be built, before any baseline has driven."""
     _tell_unknown_delay(config)
+    for whose in ("actual", "believed"):
+        _tell_unfelt_friction(whose, config[whose])
     require_drive(config, _cases(config))
     driven = (config.actual, config.believed, config.search)
     for part in (config.scenario, config.world, config.controller, *driven):
         instantiate(part)
+
+
+def _tell_unfelt_friction(whose: str, vehicle: DictConfig) -> None:
+    """Warn of a friction that a model without tyres does not feel; in a sweep, another may."""
+    if vehicle.friction is None:
+        return
+    if "friction" not in instantiate(vehicle).model(STEP_S).physical_parameters():
+        logger.warning(
+            "%s.friction=%s changes nothing: %s has no tyres. dynamics=gm3 has.",
+            whose, vehicle.friction, vehicle.name,
+        )  # fmt: skip
 
 
 def _tell_unknown_delay(config: DictConfig) -> None:

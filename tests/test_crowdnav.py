@@ -1,6 +1,8 @@
 """CrowdNav from Python drives as the command line does."""
 
+import copy
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -133,6 +135,18 @@ def test_settings_of_nothing_are_refused(given, told):
     with pytest.raises(ValueError, match="`") as raised:
         CrowdNav(**given)
     assert told in str(raised.value)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_an_error_of_the_controls_that_is_no_list_is_refused():
+    with pytest.raises(ValueError, match="`noise` must be a list, with a number for each control"):
+        CrowdNav(controller="blind", noise=0.1).world()
+
+
+@pytest.mark.parametrize("again", [copy.deepcopy, lambda study: pickle.loads(pickle.dumps(study))])
+def test_a_study_goes_to_other_processes(again):
+    study = CrowdNav("scooter", limit_s=5.0)
+    assert again(study) == study
 
 
 @pytest.mark.usefixtures("unchecked")

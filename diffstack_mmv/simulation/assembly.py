@@ -115,6 +115,9 @@ def vehicle_robot(
     Raises:
         ValueError: The step, the delay, the noise or the bias does not fit.
     """
+    for name, errors in (("noise", noise), ("bias", bias)):
+        listed = isinstance(errors, Sequence) and not isinstance(errors, str)
+        require(listed, name, "be a list, with a number for each control", repr(errors))
     model = vehicle.model(step_s)
     top = vehicle.governed_speed_mps()
     return VehicleRobot(

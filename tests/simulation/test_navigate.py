@@ -59,6 +59,16 @@ def test_a_delay_that_nobody_makes_up_for_is_told(command, capfd, tmp_path, cont
     assert ("known_delay_s=0.2 changes nothing" in told) == warned
 
 
+@pytest.mark.parametrize(("dynamics", "warned"), [("kbm", True), ("gm3", False)])
+def test_a_friction_that_no_tyre_feels_is_told(command, capfd, tmp_path, dynamics, warned):
+    # what follows the warning is refused, so that nothing is driven
+    given = [f"dynamics={dynamics}", "actual.friction=0.3", "animate=-1", f"out={tmp_path}"]
+    assert command("navigate", *given) == 1
+    told = "".join(capfd.readouterr())
+    assert "`animate` must be at least 0" in told
+    assert ("actual.friction=0.3 changes nothing: kbm has no tyres" in told) == warned
+
+
 @pytest.mark.slow
 def test_a_run_of_anything_else_is_refused_before_it_replaces_a_file(navigate, refusal, tmp_path):
     given = ["controller=straight", "cases=1", "chunk=1", "beside=[]", "search=null", "animate=0",
