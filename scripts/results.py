@@ -90,7 +90,7 @@ def main(config: DictConfig) -> None:
     """Convert, train and evaluate whatever is not done yet, then write table and figures.
 
     Raises:
-        ValueError: A job failed.
+        ValueError: A job failed, or no data set has recordings.
     """
     experiment = _experiment(config)
     available, shown = experiment.available, _shown(experiment)
@@ -102,6 +102,8 @@ def main(config: DictConfig) -> None:
     work = TableJobs(experiment.stages(shown), launcher, "results", "job")
     work.tell(config.size.expected_s)
     if not config.dry_run:
+        wanted = f"hold recordings of one of {', '.join(map(str, experiment.sets))}"
+        require(len(shown) > 0, "raw", wanted, config.raw, "", "Give raw=FOLDER, see --help.")
         rows = [*shown, *experiment.ensembles(shown)]
         work.complete(lambda failures: _write(config, shown, rows, [*absent, *failures]))
 

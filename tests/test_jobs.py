@@ -292,6 +292,12 @@ def test_a_dry_run_names_the_sets_without_recordings(succeed, tmp_path):
     assert f"Left out: sdd: no recordings in {tmp_path}" in told
 
 
+def test_a_table_of_no_recordings_at_all_is_refused(refusal, tmp_path):
+    told = refusal("results", "experiment=cyclists", f"raw={tmp_path}", f"out={tmp_path / 'out'}")
+    assert f"`raw` must hold recordings of one of thab_vru, but got {tmp_path}" in told
+    assert not (tmp_path / "out" / "results.md").exists()
+
+
 def test_settings_of_a_set_for_its_training_are_given_to_that_alone():
     with initialize_config_dir(str(config_folder()), version_base="1.3"):
         config = compose("results", ["experiment=shared_space", "raw=recordings", "out=out"])
