@@ -85,7 +85,7 @@ def test_calibrated_values_replace_the_priors():
 
 @pytest.mark.parametrize(
     ("name", "remedy"),
-    [("bycicle", "Did you mean 'bicycle'?"), ("mine/bike.yaml", "There is no such file.")],
+    [("bicycles", "Did you mean 'bicycle'?"), ("mine/bike.yaml", "There is no such file.")],
 )
 def test_unknown_vehicle_says_what_may_be_meant(name, remedy):
     with pytest.raises(ValueError, match="`vehicle` must be one of") as told:
