@@ -34,6 +34,17 @@ def wrap(angle: Array) -> Array:
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
+def direction(vectors: Array) -> Array:
+    """Angle (n,) in rad of vectors (n, 2), counter-clockwise from their first axis.
+
+    Where there are gaps between the numbers of an input, numpy chooses one of two loops, which
+    differ in the last bits, by where the result happens to lie in memory. Without gaps every run
+    has the same bits.
+    """
+    first, second = np.ascontiguousarray(vectors.T)
+    return np.arctan2(second, first)
+
+
 def heading_from_motion(velocity: Array, standstill_mps: float, *, backfill: bool) -> HeadingTrack:
     """Direction of the velocity; held while the agent is slower than `standstill_mps`.
 
@@ -55,7 +66,7 @@ def heading_from_motion(velocity: Array, standstill_mps: float, *, backfill: boo
         return HeadingTrack(
             np.zeros(len(velocity)), np.full(len(velocity), HeadingSource.UNKNOWN, np.int8)
         )
-    angle = np.arctan2(velocity[:, 1], velocity[:, 0])
+    angle = direction(velocity)
     start = int(np.argmax(moving))
     latest = np.maximum.accumulate(np.where(moving, np.arange(len(angle)), start))
     angle = angle[latest]
@@ -93,7 +104,7 @@ def heading_from_axis(
     """
     doubled = np.column_stack([np.cos(2.0 * axis), np.sin(2.0 * axis)])
     smooth = smoother(time_s, doubled, at_s).value
-    angle = np.unwrap(np.arctan2(smooth[:, 1], smooth[:, 0])) / 2.0
+    angle = np.unwrap(direction(smooth)) / 2.0
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     moving = speed >= standstill_mps
     along = velocity[:, 0] * np.cos(angle) + velocity[:, 1] * np.sin(angle)
@@ -113,5 +124,5 @@ def heading_measured(
         Heading in rad at `at_s` (m,) s.
     """
     vector = smoother(time_s, np.column_stack([np.cos(heading), np.sin(heading)]), at_s).value
-    angle = np.arctan2(vector[:, 1], vector[:, 0])
+    angle = direction(vector)
     return HeadingTrack(wrap(angle), np.full(len(angle), HeadingSource.MEASURED, np.int8))

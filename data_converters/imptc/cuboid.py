@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_converters.errors import RejectReason, refuse_track
+from data_converters.heading import direction
 
 Array = NDArray[np.float64]
 
@@ -59,8 +60,7 @@ def measure_cuboids(edges: list[object], where: str) -> Cuboids:
     wrong = (astray > TOLERANCE_M) | (width < TOLERANCE_M) | (height < TOLERANCE_M)
     if wrong.any():
         _refuse(f"edges {np.round(points[wrong][0], 2).tolist()}", where)
-    longer = axes[:, :, 1]
-    return Cuboids(length, width, height, np.arctan2(longer[:, 1], longer[:, 0]) % np.pi)
+    return Cuboids(length, width, height, direction(axes[:, :, 1]) % np.pi)
 
 
 def _end_points(edges: list[object], where: str) -> Array:

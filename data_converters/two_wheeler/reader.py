@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from data_converters.csv_table import read_numbers
 from data_converters.errors import RejectReason, refuse_track
+from data_converters.heading import direction
 from data_converters.limits import USUAL, RecordingLimits
 
 Array = NDArray[np.float64]
@@ -87,4 +88,5 @@ def lean_to_the_left(upright: Array, velocity: Array) -> Array:
     """
     left = np.stack([-velocity[:, 1], velocity[:, 0]], axis=1)
     left /= np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-9)
-    return np.arctan2((upright[:, :2] * left).sum(axis=1), upright[:, 2])
+    sideways = (upright[:, :2] * left).sum(axis=1)
+    return direction(np.column_stack([upright[:, 2], sideways]))

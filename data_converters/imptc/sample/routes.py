@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from data_converters.heading import direction
+
 Array = NDArray[np.float64]
 
 SPACING_M = 0.1
@@ -76,7 +78,7 @@ def make_route(entry: int, leave: int, offset_m: float, reach_m: float, box_m: f
     at = np.arange(0.0, arc[-1], SPACING_M)
     points = np.column_stack([np.interp(at, arc, corners[:, i]) for i in range(2)])
     tangent = np.gradient(points, SPACING_M, axis=0)
-    heading = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+    heading = np.unwrap(direction(tangent))
     return Route(points, heading, _speed_limit(heading), reach_m - box_m, entry)
 
 
