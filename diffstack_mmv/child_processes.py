@@ -6,10 +6,11 @@ import subprocess
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from types import FrameType
-from typing import IO, Any, Self
+from contextlib import ExitStack
+from typing import IO, Self
 
-_ENDINGS = ("SIGTERM", "SIGHUP")  # the latter, a terminal that is closed, is unknown to Windows
+from diffstack_mmv.endings import endings_raised
+
 _PARENT = "DMMV_PARENT"
 """Environment variable with the number of the process that started a command."""
 
@@ -26,14 +27,10 @@ class ChildProcesses:
         self._lock = threading.Lock()
         self._running: set[subprocess.Popen[bytes]] = set()
         self._ended = False
-        self._handlers: dict[signal.Signals, Any] = {}
+        self._signals = ExitStack()
 
     def __enter__(self) -> Self:
-        if threading.current_thread() is threading.main_thread():
-            for ending in (signal.Signals[name] for name in _ENDINGS if hasattr(signal, name)):
-                # whoever ignores it, as under nohup, goes on doing so
-                if signal.getsignal(ending) is signal.SIG_DFL:
-                    self._handlers[ending] = signal.signal(ending, _left)
+        self._signals.enter_context(endings_raised())
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -44,8 +41,7 @@ class ChildProcesses:
             process.terminate()
         for process in running:
             process.wait()  # who runs one without a pool of threads would not wait for it to save
-        for ending, handler in self._handlers.items():
-            signal.signal(ending, handler)
+        self._signals.close()
 
     def run(
         self, command: Sequence[str], output: IO[str], environment: Mapping[str, str]
@@ -79,7 +75,3 @@ def _watch(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(0.5)
     os.kill(os.getpid(), signal.SIGTERM)
-
-
-def _left(number: int, _: FrameType | None) -> None:
-    raise SystemExit(128 + number)

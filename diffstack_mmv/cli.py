@@ -15,18 +15,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from dmmv_conventions.annotations import require_types
-from dmmv_conventions.arguments import require_arguments
-from dmmv_conventions.data_names import require_name_of_converter
-from dmmv_conventions.disk import replacing
+from diffstack_mmv.endings import endings_raised
 from dmmv_conventions.extras import needs_to_run
-from dmmv_conventions.foretold import require_foretold
-from dmmv_conventions.locks import alone_in
-from dmmv_conventions.progress import shown_by
-from dmmv_conventions.targets import OF_A_RUN, nodes, require_buildable
-from dmmv_conventions.yaml_files import read_mapping
 
-with needs_to_run("stack", "the command lines"):
+with endings_raised(), needs_to_run("stack", "the command lines"):
     import hydra
     from hydra.core.hydra_config import HydraConfig
     from hydra.types import RunMode
@@ -48,7 +40,16 @@ with needs_to_run("stack", "the command lines"):
     from diffstack_mmv.failures import composition_told, failures_told
     from diffstack_mmv.run_checks import config_file, require_own_config, require_own_folder
     from diffstack_mmv.vehicles import VehicleSpec
+    from dmmv_conventions.annotations import require_types
+    from dmmv_conventions.arguments import require_arguments
     from dmmv_conventions.bars import Bars
+    from dmmv_conventions.data_names import require_name_of_converter
+    from dmmv_conventions.disk import replacing
+    from dmmv_conventions.foretold import require_foretold
+    from dmmv_conventions.locks import alone_in
+    from dmmv_conventions.progress import shown_by
+    from dmmv_conventions.targets import OF_A_RUN, nodes, require_buildable
+    from dmmv_conventions.yaml_files import read_mapping
 
 # what commands use of Hydra is taken from here, so that all of them say in one line what is missing
 __all__ = [
@@ -133,6 +134,7 @@ def command(
             sys.argv[1:] = understood(sys.argv[1:], config_name)
             with (
                 _no_search_for_garbage(),
+                endings_raised(),
                 composition_told(config_folder, config_name),
                 composed_once(sys.argv[1:]),
             ):

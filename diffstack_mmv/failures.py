@@ -13,6 +13,7 @@ from hydra.errors import CompactHydraException, HydraException
 from hydra.types import RunMode
 from omegaconf.errors import OmegaConfBaseException
 
+from diffstack_mmv.endings import ToldToEndError
 from diffstack_mmv.override_errors import one_line, told, told_of_disk, told_of_folder
 from dmmv_conventions.disk import disk_is_full
 from dmmv_conventions.extras import MissingExtraError
@@ -59,6 +60,9 @@ def composition_told(folder: Path, config_name: str) -> Iterator[None]:
     except KeyboardInterrupt:
         sys.stderr.write("Interrupted.\n")
         raise SystemExit(_INTERRUPTED) from None
+    except ToldToEndError as ended:
+        sys.stderr.write(ended.told)
+        raise
     except BrokenPipeError:
         # whoever reads has seen enough, as in `--help | head`; nothing is left to be flushed either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -16,7 +16,7 @@ ALLOWED = {
     "__init__": set(),
     "cli": {
         *("command_line", "composition", "config_checks", "failures", "run_checks"),
-        *("child_processes", "vehicles"),
+        *("child_processes", "endings", "vehicles"),
     },
     "command_line": set(),
     "composition": set(),
@@ -25,7 +25,7 @@ ALLOWED = {
     "device_checks": set(),
     "drive_checks": {"config_checks"},
     "evaluation_checks": {"config_checks", "data_checks"},
-    "failures": {"override_errors"},
+    "failures": {"endings", "override_errors"},
     "run_checks": {"config_checks"},
     "training_checks": {"config_checks", "metrics"},
     "online": {
@@ -36,7 +36,8 @@ ALLOWED = {
     "crowdnav": {"checks", "drive_parts", "dynamics", "simulation", "vehicles"},
     "drive_parts": {"checks", "dynamics", "vehicles"},
     "override_errors": set(),
-    "child_processes": set(),
+    "child_processes": {"endings"},
+    "endings": set(),
     "jobs": {"child_processes", "command_line"},
     "table_jobs": {"jobs"},
     "experiment_jobs": {"command_line", "jobs", "reporting"},
