@@ -34,6 +34,7 @@ def main(config: DictConfig) -> None:
     """Train for a given processor time; write the policy and the curve of its outcomes."""
     import torch
 
+    from diffstack_mmv.reporting import write_text
     from diffstack_mmv.simulation import CrowdNavVectorEnv
 
     torch.manual_seed(config.seed)
@@ -43,7 +44,7 @@ def main(config: DictConfig) -> None:
     scenario, view = instantiate(config.scenario), instantiate(config.view)
     env = CrowdNavVectorEnv(world, scenario, config.envs, view, config.progress_reward)
     curve = instantiate(config.training)(env, out / "policy.zip")
-    (out / "curve.json").write_text(json.dumps(curve, indent=1), encoding="utf-8")
+    write_text(out / "curve.json", json.dumps(curve, indent=1))
     steps = curve[-1]["steps"] if curve else 0
     logger.info(
         "%d steps. Drive it: dmmv-navigate controller=ppo policy=%s", steps, out / "policy.zip"

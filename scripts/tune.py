@@ -9,7 +9,6 @@ from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
 from diffstack_mmv.run_checks import require_same_run
 from dmmv_conventions.checks import require, require_at_least
 from dmmv_conventions.configs import config_folder
-from dmmv_conventions.disk import replacing
 
 logger = logging.getLogger(__name__)
 
@@ -33,6 +32,7 @@ def main(config: DictConfig) -> None:
     """Tune; write after every round all of them, and the best weights as settings of `navigate`."""
     import torch
 
+    from diffstack_mmv.reporting import write_text
     from diffstack_mmv.simulation.tuning import Round, best
 
     torch.manual_seed(config.seed)
@@ -50,17 +50,12 @@ def main(config: DictConfig) -> None:
         logger.info("Round %d: loss %.4f, best %.4f, %.0f s.",
                     len(rounds), each.loss, best(rounds).loss, each.seconds)  # fmt: skip
         told = [row._asdict() for row in rounds]
-        _write(out / "rounds.json", json.dumps(told, indent=1))
+        write_text(out / "rounds.json", json.dumps(told, indent=1))
         lines = [f"cost.weights.{name}={w:.6g}" for name, w in best(rounds).weights.items()]
         steps = config.controller.planner.solver.max_iterations
         lines.append(f"controller.planner.solver.max_iterations={steps}")
-        _write(out / "settings.txt", "\n".join(lines) + "\n")
+        write_text(out / "settings.txt", "\n".join(lines) + "\n")
     logger.info("Drive it: dmmv-navigate ... $(cat %s)", out / "settings.txt")
-
-
-def _write(file: Path, text: str) -> None:
-    with replacing(file) as unfinished:
-        unfinished.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from gymnasium import spaces
 
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.simulation.vector_env import CrowdNavVectorEnv
+from dmmv_conventions.disk import replacing
 from dmmv_conventions.extras import needs
 
 with needs("rl", "reinforcement learning"):
@@ -140,7 +141,7 @@ class PPOTraining:
             require_positive(name, getattr(self, name))
 
     def __call__(self, env: CrowdNavVectorEnv, path: Path) -> list[dict[str, Any]]:
-        """Train, and keep the policy in a file.
+        """Train, and keep the policy in a file, all or nothing.
 
         Args:
             env: Where it drives.
@@ -161,8 +162,8 @@ class PPOTraining:
             policy_kwargs={"net_arch": list(self.layers), "log_std_init": -0.5}, seed=self.seed,
         )  # fmt: skip
         model.learn(2**40, callback=clock)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        model.save(path)
+        with replacing(path) as unfinished, unfinished.open("wb") as stream:
+            model.save(stream)
         return clock.curve
 
 

@@ -34,6 +34,23 @@ def test_a_trained_policy_drives(env, driven, tmp_path):
     assert bool(((record.controls >= lower) & (record.controls <= upper)).all())
 
 
+def test_a_policy_that_is_not_written_whole_leaves_the_earlier_one(env, tmp_path, monkeypatch):
+    from stable_baselines3 import PPO
+
+    from diffstack_mmv.simulation.reinforcement import PPOTraining
+
+    def break_off(_, stream):
+        stream.write(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(PPO, "save", break_off)
+    (tmp_path / "policy.zip").write_bytes(b"earlier")
+    training = PPOTraining(seconds=1e-3, steps=2, minibatch=4, epochs=1, layers=(8,))
+    with pytest.raises(KeyboardInterrupt):
+        training(env, tmp_path / "policy.zip")
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"earlier"]
+
+
 def test_shares_of_the_bounds_become_controls(env):
     from diffstack_mmv.simulation.reinforcement import StableBaselinesEnv
 
