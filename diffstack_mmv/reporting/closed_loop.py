@@ -24,7 +24,7 @@ def write_closed_loop(
     published: Sequence[Mapping[str, Any]] = (),
     pairs: Sequence[Mapping[str, Any]] = (),
 ) -> None:
-    """Write `closed_loop.json` and `closed_loop.md` into a folder.
+    """Write `closed_loop.md` and, last, `closed_loop.json` into a folder.
 
     Args:
         folder: The folder.
@@ -38,10 +38,11 @@ def write_closed_loop(
     Raises:
         ValueError: A number is NaN or infinite.
     """
-    write_json(folder / "closed_loop.json", _content(result, baselines, pairs))
     comparable = [each for each in published if _same_setting(each, result)]
     told = [_summary(result, baselines, scores), _paired(pairs, scores), _published(comparable)]
     write_text(folder / "closed_loop.md", "\n\n".join(part for part in told if part) + "\n")
+    # by this file a table knows that the drive is done
+    write_json(folder / "closed_loop.json", _content(result, baselines, pairs))
 
 
 def closed_loop_table(

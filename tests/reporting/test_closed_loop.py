@@ -91,6 +91,18 @@ def test_only_published_rows_of_the_same_setting_stand_beside_a_drive(
     assert ("## Published methods" in report) is told
 
 
+def test_the_file_that_says_that_a_drive_is_done_is_written_last(
+    result, numbers, tmp_path, monkeypatch
+):
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("diffstack_mmv.reporting.closed_loop.write_text", killed)
+    with pytest.raises(KeyboardInterrupt):
+        write_closed_loop(tmp_path, result, {"orca": numbers}, CLOSED_LOOP)
+    assert not (tmp_path / "closed_loop.json").exists()
+
+
 def test_files_hold_numbers_failures_and_sources(result, numbers, tmp_path):
     source = {"method": "SARL", "success": 0.9, "source": "Chen et al."}
     write_closed_loop(tmp_path, result, {"orca": numbers}, CLOSED_LOOP, [source])
