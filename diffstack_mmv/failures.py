@@ -14,7 +14,13 @@ from hydra.types import RunMode
 from omegaconf.errors import OmegaConfBaseException
 
 from diffstack_mmv.endings import ToldToEndError
-from diffstack_mmv.override_errors import one_line, told, told_of_disk, told_of_folder
+from diffstack_mmv.override_errors import (
+    one_line,
+    told,
+    told_of_access,
+    told_of_disk,
+    told_of_folder,
+)
 from dmmv_conventions.disk import disk_is_full
 from dmmv_conventions.extras import MissingExtraError
 
@@ -71,8 +77,10 @@ def composition_told(folder: Path, config_name: str) -> Iterator[None]:
         # outside of a job Hydra touches the disk for nothing else
         _exit(told_of_folder(error))
     except ValueError as error:
-        # what a job raises is told within it: this is of options that exclude each other
-        _exit(one_line(str(error)))
+        # what a job raises is told within it: this is of options that exclude each other, or of a
+        # log that cannot be written
+        of_log = error.__cause__
+        _exit(told_of_folder(of_log) if isinstance(of_log, OSError) else one_line(str(error)))
     finally:
         del os.environ[FULL_ERROR]
         _RAISING.reset(before)
@@ -119,7 +127,10 @@ def _told(error: BaseException) -> str:
     """
     while isinstance(error, HydraException) and error.__cause__ is not None:
         error = error.__cause__
+    out = HydraConfig.get().runtime.output_dir
     if isinstance(error, OSError) and disk_is_full(error):
-        return told_of_disk(error, HydraConfig.get().runtime.output_dir)
+        return told_of_disk(error, out)
+    if isinstance(error, PermissionError):
+        return told_of_access(error, out)
     line = one_line(str(error))
     return line if line.startswith("`") else f"{type(error).__name__}: {line}"

@@ -72,6 +72,21 @@ def told_of_folder(error: OSError) -> str:
     return message("out", "be a folder that can be written", found, "", "Give another one.")
 
 
+def told_of_access(error: PermissionError, out: str) -> str:
+    """The message for a file that may not be read or written.
+
+    Args:
+        error: The failure.
+        out: Folder of the run, where most is written.
+    """
+    if error.filename is None:
+        return one_line(str(error))
+    if Path(error.filename).absolute().is_relative_to(Path(out).absolute()):
+        return told_of_folder(error)
+    found = f"{str(error.filename)!r} ({error.strerror})"
+    return message("path", "be open to this user", found, "", "Allow it, or give another one.")
+
+
 def told_of_disk(error: OSError, out: str) -> str:
     """The message for a disk that is full; a file is told only where it was opened.
 

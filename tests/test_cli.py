@@ -211,6 +211,27 @@ def test_a_file_in_the_place_of_the_folder_is_named(run, tmp_path):
     assert "Traceback" not in told
 
 
+@pytest.mark.parametrize(
+    ("file", "told"),
+    [
+        ("out/result", "`out` must be a folder that can be written, but got '{file}' (Permission"),
+        ("cache", "`path` must be open to this user, but got '{file}' (Permission denied). Allow"),
+    ],
+)
+def test_a_file_that_may_not_be_touched_is_named(file, told, run, tmp_path):
+    def touch(config):
+        raise PermissionError(errno.EACCES, "Permission denied", str(tmp_path / file))
+
+    assert run("needed=1", task=touch)[1].startswith(told.format(file=tmp_path / file))
+
+
+def test_a_log_that_cannot_be_written_is_told_with_its_folder(run, tmp_path):
+    (tmp_path / "out" / "task.log").mkdir(parents=True)
+    _, told = run("needed=1", "hydra.job.name=task")
+    assert told.startswith("`out` must be a folder that can be written, but got")
+    assert str(tmp_path / "out" / "task.log") in told
+
+
 def test_a_part_that_is_not_installed_shows_no_traceback(run):
     def lack(config):
         with needs("dashboard", "the dashboard"):
