@@ -1,5 +1,6 @@
 """The words of a command line, put as Hydra understands them."""
 
+import os
 import re
 from collections.abc import Sequence
 from datetime import datetime
@@ -9,14 +10,15 @@ from pathlib import Path
 def understood(arguments: Sequence[str], name: str) -> list[str]:
     """Command line as Hydra understands it.
 
-    Options stand at the end, a sweep (`-m`) has a folder, and the file of a vehicle is one.
+    Options stand at the end, a sweep (`-m`) has a folder, `~` is the home folder, and the file of a
+    vehicle is one.
 
     Args:
         arguments: The command line without its first word.
         name: Name of the command.
     """
     words = _options_last(_sweep_in_folder(arguments, name))
-    return [_vehicle_from_file(each) for each in words]
+    return [_vehicle_from_file(_at_home(each)) for each in words]
 
 
 def _options_last(arguments: Sequence[str]) -> list[str]:
@@ -72,6 +74,16 @@ def folders_as(key: str, arguments: Sequence[str]) -> list[str]:
 def _is_folder(argument: str) -> bool:
     named = not argument.startswith("-") and "=" not in argument
     return named or Path(argument).is_dir()
+
+
+_IN_HOME = re.compile(r"(?P<key>[^=]+=)(?P<quote>['\"]?)(?P<path>~(/[^'\",\[\]{}]*)?)(?P=quote)")
+
+
+def _at_home(argument: str) -> str:
+    """`out=~/runs` is in the home folder: shells leave a `~` within a word as it is."""
+    found = _IN_HOME.fullmatch(argument)
+    path = os.path.expanduser(found["path"]) if found else "~"
+    return argument if found is None or path[0] == "~" else f"{found['key']}{quoted(path)}"
 
 
 def _vehicle_from_file(argument: str) -> str:
