@@ -35,6 +35,24 @@ with endings_raised():
     import careless
 print("went on")
 """
+CARELESS = f"""
+import time
+from diffstack_mmv.endings import endings_raised
+with endings_raised():
+    {SWALLOWED.strip().replace(chr(10), chr(10) + " " * 4)}
+    time.sleep(20)
+    print("went on")
+"""
+SLOW = """
+import time
+from diffstack_mmv.endings import endings_raised
+with endings_raised():
+    try:
+        os.kill(os.getpid(), sent)
+    finally:
+        time.sleep(1.2)
+        print("in order")
+"""
 FORKED = f"""
 from diffstack_mmv.endings import endings_raised
 with endings_raised():
@@ -73,6 +91,18 @@ def test_an_import_that_swallows_a_signal_does_not_go_on(sent, tmp_path):
     assert process.returncode == 128 + signal.Signals[sent]
     assert process.stdout == ""
     assert process.stderr in ("Interrupted.\n", "Ended by SIGTERM.\n")
+
+
+@pytest.mark.parametrize("sent", ["SIGINT", "SIGTERM"])
+def test_a_signal_that_was_swallowed_comes_again(sent, tmp_path):
+    process = ended(CARELESS, tmp_path, sent)
+    assert process.returncode != 0
+    assert process.stdout == ""
+
+
+def test_what_is_put_in_order_is_not_interrupted(tmp_path):
+    process = ended(SLOW, tmp_path, "SIGTERM")
+    assert (process.returncode, process.stdout) == (143, "in order\n")
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks a worker")
