@@ -1,6 +1,7 @@
 """The interface of a cost term."""
 
 from abc import ABC, abstractmethod
+from typing import ClassVar
 
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -15,7 +16,13 @@ class CostTerm(nn.Module, ABC):
     vehicle; their last row, at the horizon, is zero. The leading dimensions of `problem` are those
     of the motion without time, or broadcast to them from the right, so that many candidates are
     scored against one problem.
+
+    Attributes:
+        adds_components: Whether the value is a sum over the components of all agents, each times
+            its weight. Each component may then stand for an agent of its own.
     """
+
+    adds_components: ClassVar[bool] = True
 
     @abstractmethod
     def forward(

@@ -25,6 +25,8 @@ class ExpectedCollision(CostTerm):
         ValueError: The bandwidth is not positive.
     """
 
+    adds_components = False
+
     def __init__(self, bandwidth_m: float = 0.6) -> None:
         super().__init__()
         require_positive("bandwidth_m", bandwidth_m)

@@ -56,6 +56,11 @@ class WeightedCost(nn.Module):
             torch.tensor([math.log(weights[name]) for name in self.learned])
         )
 
+    @property
+    def adds_components(self) -> bool:
+        """Whether every term is a sum over the components of all agents, see `CostTerm`."""
+        return all(getattr(term, "adds_components", False) for term in self.terms.values())
+
     def weights(self) -> dict[str, Tensor | float]:
         """Present weight of every term."""
         learned = self.scale * torch.softmax(self.log_weight, 0)

@@ -26,6 +26,11 @@ NAMES = (
 class HasPlanCost(Protocol):
     """What an objective needs of a planner."""
 
+    @property
+    def adds_components(self) -> bool:
+        """Whether the cost is a sum over the components of all agents, each times its weight."""
+        ...
+
     def cost_of(
         self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
     ) -> Float[Tensor, "*b t"]:

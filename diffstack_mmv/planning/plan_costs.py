@@ -34,7 +34,7 @@ class PreparedCost:
         problem: The problems, `*b`.
         in_library: Whether a library may be generated.
         differentiable: Whether the cost has to carry gradients; without them impossible components
-            of agents are left out.
+            of agents are left out, where the cost adds up components.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class PreparedCost:
     def _prepared(self, rows: Tensor, controls: Tensor) -> Pricer | None:
         agents = self.problem.obstacles
         if not self.differentiable:
-            agents = possible(agents)
+            agents = possible(agents) if self.planner.adds_components else agents
             if agents.weight[0].numel() > MOST_PRICED:
                 return None
         problem = self.problem._replace(obstacles=filled_up(agents))

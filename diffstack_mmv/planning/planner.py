@@ -158,6 +158,11 @@ class MPCPlanner(Planner):
         other._modules = {**self._modules, "dynamics": dynamics}
         return other
 
+    @property
+    def adds_components(self) -> bool:
+        """Whether the cost is a sum over the components of all agents, see `CostTerm`."""
+        return self.cost.adds_components
+
     def cost_of(
         self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
     ) -> Float[Tensor, "*b t"]:

@@ -123,9 +123,9 @@ def likeliest(obstacles: Obstacles) -> Obstacles:
 def possible(obstacles: Obstacles) -> Obstacles:
     """The components of each problem that are possible, each as an agent of its own.
 
-    Costs and scores add up or compare components of agents and agents in one way, so nothing else
-    changes. Problems with fewer than the others get absent ones. On a device all are kept: to count
-    them the host would have to wait.
+    Scores, and costs that say so (`adds_components`), add up or compare components of agents and
+    agents in one way, so nothing else changes. Problems with fewer than the others get absent
+    ones. On a device all are kept: to count them the host would have to wait.
 
     Args:
         obstacles: Agents with one leading dimension, `b N K`.

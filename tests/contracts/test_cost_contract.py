@@ -134,6 +134,22 @@ def test_gradients_are_exact_and_finite_at_rest_on_the_goal(name, term, case):
 
 
 @every_term
+def test_a_term_adds_up_components_exactly_if_it_says_so(name, term, case):
+    motion, controls, problem = case
+    agents = problem.obstacles
+    alone = Obstacles(
+        agents.position.flatten(1, 2).unsqueeze(2),
+        agents.weight.flatten(1).unsqueeze(-1),
+        agents.radius.repeat_interleave(2, 1),
+        agents.valid.repeat_interleave(2, 1),
+    )
+    cost = build(name).terms[term]
+    together = cost(motion, controls, problem)
+    apart = cost(motion, controls, problem._replace(obstacles=alone))
+    assert torch.allclose(apart, together, atol=1e-9) == cost.adds_components
+
+
+@every_term
 def test_who_is_not_valid_costs_nothing(name, term, case):
     motion, controls, problem = case
     cost = build(name).terms[term]

@@ -39,6 +39,21 @@ def test_a_library_costs_what_tensors_cost():
     torch.testing.assert_close(found, expected, rtol=2e-5, atol=2e-4)
 
 
+def test_impossible_components_do_not_change_what_a_library_costs():
+    """The collision term takes an agent by its expected distance, not component by component."""
+    planner, problems = training(), crowded(problem(), 5)
+    weight = torch.tensor([0.0, 0.25, 0.25, 0.25, 0.25])
+    agents = problems.obstacles
+    problems = problems._replace(
+        obstacles=agents._replace(weight=weight.expand_as(agents.weight).clone())
+    )
+    with torch.no_grad():
+        given = plans(planner, problems)
+        found = PreparedCost(planner, problems, True, False)(*given)
+        expected = PreparedCost(planner, problems, False, False)(*given)
+    torch.testing.assert_close(found, expected, rtol=2e-5, atol=2e-4)
+
+
 def test_a_problem_too_long_for_a_library_leaves_it_to_others(monkeypatch, caplog):
     monkeypatch.setattr(prices, "LONGEST_SOURCE", 0)
     planner = training()
