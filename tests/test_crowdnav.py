@@ -61,7 +61,7 @@ def test_a_disturbed_robot_is_that_of_the_command_line():
     world, controller, _ = composed({"controller": "diffmpc_delay", **choices}, 0.25)
     assert own.world().robot.actuation == world.robot.actuation
     assert own.world().sensing == world.sensing
-    assert own.driver().delay.share == controller.delay.share
+    assert own.driver().delay.model.dt_s == controller.delay.model.dt_s
 
 
 @pytest.mark.parametrize("name", sorted(set(names_in(CONTROLLERS)) - {"ppo"}))

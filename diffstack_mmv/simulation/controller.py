@@ -132,12 +132,11 @@ class DiffMPCController:
         """
         if observation.time.dim() == 0:
             return unbatched(self, state, observation)
-        planner, delay = self.planner, self.delay
-        steps = planner.steps + (delay is not None)
-        told = self.forecaster(state.forecaster, observation, planner.dynamics.dt_s, steps)
+        planner, delay, step_s = self.planner, self.delay, self.planner.dynamics.dt_s
+        steps = planner.steps + (0 if delay is None else delay.more_steps(step_s))
+        told = self.forecaster(state.forecaster, observation, step_s, steps)
         if delay is not None:
-            later = delay.forecast(told.forecast, observation.pedestrian_position)
-            told = told._replace(forecast=later)
+            told = told._replace(forecast=delay.forecast(told.forecast, step_s))
             observation = delay.observation(observation, state.plan[:, 0])
         problem = self.problem(observation, told.forecast)
         state = self._progressed(state, problem)._replace(forecaster=told.state)

@@ -1,11 +1,13 @@
 """Planning from where the vehicle will be when a command acts."""
 
-import torch
+import math
+
 from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_between
 from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.geometry import rotate
 from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.types import Forecast, Motion
 
@@ -27,7 +29,6 @@ class DelayCompensation:
     def __init__(self, model: DynamicsModel, decision_s: float = 0.25) -> None:
         require_between("delay", model.dt_s, 0, decision_s, remedy="Decide less often.")
         self.model = model
-        self.share = model.dt_s / decision_s
 
     def observation(self, observation: Observation, acting: Float[Tensor, "b m"]) -> Observation:
         """What will be observed after the delay; the pedestrians walk on as they do.
@@ -41,22 +42,26 @@ class DelayCompensation:
         state = self.model.initial_state(motion)
         ahead = self.model.motion(self.model(state, acting.to(like)), acting.to(like))
         walked = self.model.dt_s * observation.pedestrian_velocity
+        later = Motion(*(new.to(old) for new, old in zip(ahead, observation.motion, strict=True)))
         return observation._replace(
-            motion=Motion(
-                *(new.to(old) for new, old in zip(ahead, observation.motion, strict=True))
-            ),
+            motion=later,
+            velocity=rotate(later.velocity, later.heading),
             pedestrian_position=observation.pedestrian_position + walked,
         )
 
-    def forecast(self, forecast: Forecast, now: Float[Tensor, "b h 2"]) -> Forecast:
-        """A forecast of one step more, seen from after the delay, a step shorter.
+    def more_steps(self, step_s: float) -> int:
+        """How many steps of `step_s` a forecast has to reach further than the plan."""
+        return math.ceil(self.model.dt_s / step_s - 1e-9)
+
+    def forecast(self, forecast: Forecast, step_s: float) -> Forecast:
+        """A forecast seen from after the delay, shorter by `more_steps`.
 
         Args:
-            forecast: Of T + 1 decisions, `b h K T1`.
-            now: Where everybody is at present in m.
+            forecast: In steps of `step_s`, which need not be those of the decisions.
+            step_s: Time between two of its positions.
         """
-        mean, scale = forecast.mean, forecast.scale_tril
-        start = now[..., None, None, :].expand_as(mean[..., :1, :])
-        path = torch.cat([start.to(mean), mean], -2)[..., 1:, :]
-        later = path[..., :-1, :] + self.share * path.diff(dim=-2)
-        return Forecast(forecast.log_weight, later, scale[..., 1:, :, :])
+        more, mean = self.more_steps(step_s), forecast.mean
+        share = self.model.dt_s / step_s - (more - 1)
+        path = mean[..., more - 1 :, :]
+        later = path[..., :-1, :] + share * path.diff(dim=-2)
+        return Forecast(forecast.log_weight, later, forecast.scale_tril[..., more:, :, :])
