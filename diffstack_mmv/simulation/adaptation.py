@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from diffstack_mmv.checks import require_between, require_positive
+from diffstack_mmv.checks import require, require_between, require_positive
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.simulation.controller import DiffMPCController, DiffMPCState, merged
 from diffstack_mmv.simulation.decisions import Decided, unbatched
@@ -37,12 +37,14 @@ class AdaptiveController:
 
     Args:
         controller: Decides; its own model is the first.
-        models: The other models, with the same step and controls, e.g. with less friction.
+        models: The other models, with the same controls, e.g. with less friction. The step of all
+            models is the time between two decisions, over which they are compared.
         discount: Weight of an error one decision later.
         tolerance_mps: A model replaces the first one if its error is smaller by the square of this.
 
     Raises:
-        ValueError: The discount is outside of (0, 1], or the tolerance not positive.
+        ValueError: The discount is outside of (0, 1], the tolerance not positive, or a model has
+            another step.
     """
 
     def __init__(
@@ -55,6 +57,10 @@ class AdaptiveController:
         require_between("discount", discount, 0, 1)
         require_positive("tolerance_mps", tolerance_mps)
         self.models = [controller.planner.dynamics, *models]
+        for model in self.models:
+            needs = f"have the step of a decision, {controller.dt_s:g} s"
+            fits = abs(model.dt_s - controller.dt_s) < 1e-9
+            require(fits, "models", needs, f"{model.dt_s:g} s", "", "Set `model.dt_s`.")
         self.controllers = [controller, *(controller.with_model(model) for model in models)]
         self.discount = discount
         self.tolerance_mps = tolerance_mps

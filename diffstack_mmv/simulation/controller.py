@@ -18,7 +18,7 @@ from diffstack_mmv.planning import (
     predicted_obstacles,
     straight_reference,
 )
-from diffstack_mmv.simulation.decisions import Decided, unbatched
+from diffstack_mmv.simulation.decisions import Decided, continued, unbatched
 from diffstack_mmv.simulation.delay import DelayCompensation
 from diffstack_mmv.simulation.forecasters import PedestrianForecast, PedestrianForecaster
 from diffstack_mmv.simulation.observation import Observation
@@ -141,7 +141,8 @@ class DiffMPCController:
         problem = self.problem(observation, told.forecast)
         state = self._progressed(state, problem)._replace(forecaster=told.state)
         rows = observation.running.nonzero().squeeze(-1)
-        before = PlannerState(self._continued(state.plan[rows]), state.waited[rows])
+        rest = continued(state.plan[rows], self.dt_s / step_s)
+        before = PlannerState(rest, state.waited[rows])
         plan = planner(map_tensors(lambda entry: entry[rows], problem), before)
         controls = state.plan.index_copy(0, rows, plan.controls)
         action = controls[:, 0] if self.actuate is None else self.actuate(controls[:, 0])
@@ -195,12 +196,6 @@ class DiffMPCController:
             nearest = torch.where(advances, way, state.nearest)
             more = torch.where(advances, -0.5 * self.dt_s, self.dt_s)
             return state._replace(nearest=nearest, waited=(state.waited + more).clamp_min(0))
-
-    def _continued(self, controls: Float[Tensor, "r T m"]) -> Float[Tensor, "r T m"]:
-        """A plan after the time of one decision; its last control goes on."""
-        steps = controls.shape[-2]
-        ahead = torch.arange(steps, device=controls.device) + self.dt_s / self.planner.dynamics.dt_s
-        return controls[..., ahead.floor().long().clamp(max=steps - 1), :]
 
 
 class _People(NamedTuple):

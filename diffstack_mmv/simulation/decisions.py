@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -69,6 +70,13 @@ def unbatched(controller: Controller, state: Any, observation: Observation) -> D
     one = map_tensors(lambda entry: entry.unsqueeze(0), observation)
     action, after = decide(controller, state, one)
     return Decided(action.squeeze(0), after)
+
+
+def continued(controls: Float[Tensor, "*b T m"], share: float) -> Float[Tensor, "*b T m"]:
+    """A plan after a share of one of its steps, or several; its last control goes on."""
+    steps = controls.shape[-2]
+    ahead = torch.arange(steps, device=controls.device) + share + 1e-6
+    return controls[..., ahead.floor().long().clamp(max=steps - 1), :]
 
 
 def diagnosis_of(controller: Controller, state: Any) -> dict[str, Float[Tensor, " E"]]:

@@ -14,7 +14,7 @@ from diffstack_mmv.planning import (
     predicted_obstacles,
 )
 from diffstack_mmv.simulation.case_noise import case_noise, milliseconds
-from diffstack_mmv.simulation.decisions import Decided, unbatched
+from diffstack_mmv.simulation.decisions import Decided, continued, unbatched
 from diffstack_mmv.simulation.forecasters import PedestrianForecaster
 from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.types import Forecast, map_tensors
@@ -36,10 +36,10 @@ class MPPIController:
 
     u ← Σ_k w_k u_k, u_k ~ N(u, σ²) in the box, w = softmax(-S / λ), S = Σ_t ‖p_t - g‖ up to the
     arrival, plus prices of collision, lack of clearance and excess of speed. The mean is shifted by
-    one step between decisions.
+    the time between decisions.
 
     Args:
-        dynamics: Model of the vehicle, whose step is the time between two decisions.
+        dynamics: Model of the vehicle.
         forecaster: Predicts the pedestrians.
         cruise_mps: Speed that costs nothing.
         steps: Horizon in steps of the model.
@@ -49,6 +49,7 @@ class MPPIController:
         margin_m: Clearance below which a plan is penalised.
         seed: Of the samples.
         actuate: Turns controls of the model into those of the robot.
+        decision_s: Time between two decisions; by default the step of the model.
 
     Raises:
         ValueError: A number is not positive.
@@ -57,7 +58,7 @@ class MPPIController:
         Williams et al., Information theoretic MPC for model-based reinforcement learning (2017).
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - each is a setting of its own
         self,
         dynamics: DynamicsModel,
         forecaster: PedestrianForecaster,
@@ -69,6 +70,7 @@ class MPPIController:
         margin_m: float = 0.3,
         seed: int = 0,
         actuate: Callable[[Tensor], Tensor] | None = None,
+        decision_s: float | None = None,
     ) -> None:
         require_at_least("steps", steps, 1)
         require_at_least("samples", samples, 2)
@@ -76,6 +78,7 @@ class MPPIController:
             ("cruise_mps", cruise_mps),
             ("temperature", temperature),
             ("deviation", deviation),
+            ("decision_s", dynamics.dt_s if decision_s is None else decision_s),
         ):
             require_positive(name, value)
         self.dynamics = dynamics
@@ -84,6 +87,7 @@ class MPPIController:
         self.temperature, self.deviation, self.margin_m = temperature, deviation, margin_m
         self.seed = seed
         self.actuate = actuate
+        self._passed = 1.0 if decision_s is None else decision_s / dynamics.dt_s
 
     def init(self, observation: Observation) -> MPPIState:
         """State at the start of episodes: zero controls, and the samples from their beginning."""
@@ -110,8 +114,7 @@ class MPPIController:
         weight = torch.softmax(-self._cost(seen, plans, forecast) / self.temperature, -1)
         averaged = state.mean.index_copy(0, rows, (weight[..., None, None] * plans).sum(1))
         action = averaged[:, 0]
-        shifted = torch.cat([averaged[:, 1:], averaged[:, -1:]], 1)
-        after = MPPIState(told.state, shifted)
+        after = MPPIState(told.state, continued(averaged, self._passed))
         return Decided(action if self.actuate is None else self.actuate(action), after)
 
     def _cost(

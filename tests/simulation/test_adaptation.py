@@ -65,3 +65,13 @@ def test_all_models_are_planned_with_in_the_same_way():
         assert each.planner.constraints is first.planner.constraints
         assert each.planner.coordinates is first.planner.coordinates
         assert each.delay is first.delay
+
+
+def test_models_that_foretell_another_time_than_a_decision_are_refused():
+    """Who decides every 0.1 s cannot judge what a model foretells for 0.25 s."""
+    with pytest.raises(ValueError, match=r"`models` must have the step of a decision, 0.1 s"):
+        AdaptiveController(controller_deciding_every(0.1), [])
+
+
+def controller_deciding_every(dt_s):
+    return instantiate(composed_navigate(f"dt_s={dt_s}", "limit_s=10").controller)

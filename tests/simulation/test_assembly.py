@@ -90,3 +90,18 @@ def test_mppi_drives_to_the_goal_and_repeats_itself(driven, world_with, scenario
     ]
     assert records[0].outcome.tolist() == [Outcome.SUCCESS]
     assert torch.equal(records[0].controls, records[1].controls)
+
+
+@pytest.mark.parametrize(("decision_s", "passed"), [(None, 1), (0.25, 1), (0.1, 0), (0.5, 2)])
+def test_the_plan_of_mppi_moves_on_by_the_time_between_decisions(
+    driven, world_with, scenario_of, decision_s, passed
+):
+    world = world_with(vehicle_robot(driven(), footprint=DiscFootprint()), exact=True, limit_s=10.0)
+    seen = world.observe(world.start(scenario_of("circle").cases("train", [3])))
+    model, people = controller_model(driven(), driven()), ConstantVelocityForecaster()
+    controller = MPPIController(model, people, samples=8, decision_s=decision_s)
+    one = MPPIController(model, people, samples=8, decision_s=model.dt_s / 2)
+    whole = one.act(one.init(seen), seen).state.mean
+    rest = controller.act(controller.init(seen), seen).state.mean
+    assert torch.equal(rest[:, : 12 - passed], whole[:, passed:])
+    assert torch.equal(rest[:, 12 - passed :], whole[:, -1:].expand(-1, passed, -1))
