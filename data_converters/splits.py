@@ -63,9 +63,9 @@ class RecordingSplit:
             middle = dealt + sizes[name] / 2.0
             numbers.append(min(int(np.searchsorted(bounds, middle)), 2))
             dealt += sizes[name]
-        if len(order) >= len(SPLITS) and min(self.shares) > 0.0:
-            # few recordings: the last ones make sure that no split is empty
-            numbers[-1] = 2
-            numbers[-2] = numbers[-2] if 1 in numbers else 1
-            numbers[0] = 0
+        if len(order) >= len(SPLITS):
+            # few recordings: the first and the last ones make sure that no split is empty
+            wanted = [number for number, share in enumerate(self.shares) if share > 0.0]
+            numbers[0], numbers[-1] = wanted[0], wanted[-1]
+            numbers[-2] = numbers[-2] if {*wanted} <= {*numbers} else wanted[1]
         return {name: SPLITS[number] for name, number in zip(order, numbers, strict=True)}

@@ -15,6 +15,14 @@ def test_every_recording_is_dealt_and_no_split_is_empty(sizes):
     assert dealt == RecordingSplit().deal(dict(reversed(sizes.items())))
 
 
+@pytest.mark.parametrize("shares", [(0.34, 0.33, 0.33), (0.2, 0.2, 0.6), (0.4, 0.6, 0.0)])
+def test_a_recording_that_is_most_of_all_leaves_no_split_empty(shares):
+    wanted = {name for name, share in zip(("train", "val", "test"), shares, strict=True) if share}
+    for salt in map(str, range(20)):
+        dealt = RecordingSplit(shares, salt).deal({"a": 500, "b": 2, "c": 1, "d": 1})
+        assert set(dealt.values()) == wanted
+
+
 def test_shares_hold_where_recordings_are_many():
     dealt = list(RecordingSplit().deal(dict.fromkeys(map(str, range(1000)), 1)).values())
     assert [dealt.count(split) for split in ("train", "val", "test")] == [700, 150, 150]
