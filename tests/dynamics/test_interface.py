@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from dataclasses import replace
 from typing import NamedTuple
 
 import pytest
@@ -222,6 +223,14 @@ def test_only_an_explicit_scheme_bounds_its_step():
 )
 def test_axle_quantities_exist_where_both_axles_are_tyred(name, count):
     assert len(DiffGM3(load_vehicle(name)).derived_quantities()) == count
+
+
+def test_axle_quantities_are_not_told_of_wheels_on_three_axles():
+    """The formulas of two axles would tell another sign of understeer than the vehicle has."""
+    spec = load_vehicle("tricycle")
+    front, left, right = spec.wheels
+    staggered = replace(spec, wheels=(front, left, replace(right, x_m=right.x_m + 0.2)))
+    assert list(DiffGM3(staggered).derived_quantities()) == ["steer_per_curvature_at_5_mps"]
 
 
 @pytest.mark.parametrize("name", dynamics_names())

@@ -9,6 +9,7 @@ from diffstack_mmv.dynamics.gm3.steady import steer_command
 from diffstack_mmv.dynamics.records import DerivedQuantity
 from diffstack_mmv.types import GRAVITY
 from diffstack_mmv.vehicles import VehicleSpec
+from diffstack_mmv.vehicles.layout import SAME_PLACE_M
 
 PACE_MPS = 5.0  # speed at which the steering per curvature is told
 SLIGHT = 1e-4  # 1/m, a curvature at which everything is linear
@@ -36,12 +37,16 @@ def axle_quantities(
         contact_half_length: ℓ of each wheel in m.
 
     Returns:
-        The quantities by name; none where one of the axles carries no lateral force.
+        The quantities by name; none where one of the axles carries no lateral force, or where
+        wheels stand elsewhere than on two axles.
     """
-    if spec.front_m <= 0 or any(wheel.caster for wheel in spec.wheels):
+    places = [wheel.x_m for wheel in spec.wheels]
+    ends = (spec.front_m, -spec.rear_m)
+    on_axles = all(min(abs(x - end) for end in ends) < SAME_PLACE_M for x in places)
+    if spec.front_m <= 0 or not on_axles or any(wheel.caster for wheel in spec.wheels):
         return {}
     cornering_stiffness = 2 * tread_stiffness * contact_half_length.square()
-    ahead = torch.tensor([wheel.x_m > 0 for wheel in spec.wheels])
+    ahead = torch.tensor([x > 0 for x in places])
     front, rear = cornering_stiffness[ahead].sum(), cornering_stiffness[~ahead].sum()
     wheelbase = spec.front_m + spec.rear_m
     weight = spec.mass_kg * GRAVITY
