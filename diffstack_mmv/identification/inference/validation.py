@@ -58,7 +58,7 @@ class ValidationErrors(NamedTuple):
 
 
 def drop_last_samples(problem: TrackingProblem, steps: int) -> TrackingProblem:
-    """The problem with zero weight of the last samples of each track.
+    """The problem with zero weight of the last samples of each track, and of what led to them.
 
     Args:
         problem: The tracks.
@@ -72,10 +72,12 @@ def drop_last_samples(problem: TrackingProblem, steps: int) -> TrackingProblem:
     shortest = int(lengths.min())
     remedy = "Take longer segments or predict less."
     require(shortest >= 2 * steps, "tracks", f"have {2 * steps} samples", shortest, "", remedy)
-    kept = torch.arange(weight.shape[1]) < lengths - steps
+    stage = torch.arange(weight.shape[1])
+    # the control beside the last sample that is kept acts after it
+    acting = stage < lengths - steps - 1
     measurements = problem.measurements._replace(
-        weight=weight * kept,
-        control_weight=problem.measurements.control_weight * kept.unsqueeze(-1),
+        weight=weight * (stage < lengths - steps),
+        control_weight=problem.measurements.control_weight * acting.unsqueeze(-1),
     )
     return problem._replace(measurements=measurements)
 

@@ -5,6 +5,7 @@ import torch
 
 from diffstack_mmv.identification import Identifier, ValidationErrors, validation_errors
 from diffstack_mmv.identification.inference.validation import drop_last_samples
+from diffstack_mmv.identification.shooting.tracking import infer_controls
 from tests.identification.conftest import synthetic_problem
 
 
@@ -30,6 +31,21 @@ def test_what_is_predicted_is_not_used():
     )
     assert float(far) == pytest.approx(7 * 2**0.5, abs=float(near))
     assert float(near) < 2.0
+
+
+def test_recorded_controls_of_what_is_predicted_are_not_used():
+    """The control beside a sample acts up to the next one, which is not known any more."""
+    setup = synthetic_problem("kbm", {}, known=True)
+    heldout, simulator = setup.data.heldout, setup.simulator
+    controls = heldout.measurements.controls.clone()
+    controls[:, -6:] += 1.0
+    other = heldout._replace(measurements=heldout.measurements._replace(controls=controls))
+    theta = simulator.parameters.start()
+    first, second = (
+        infer_controls(simulator, theta, drop_last_samples(each, 5), heldout.guess)
+        for each in (heldout, other)
+    )
+    assert torch.equal(first.simulated.states, second.simulated.states)
 
 
 def test_tracks_too_short_to_predict_are_refused():
