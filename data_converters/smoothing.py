@@ -22,12 +22,31 @@ SPACINGS = 20
 """Samples that a window counts at most: in any usual recording it then holds enough of them."""
 
 
+CLOSEST_S = 1e-3
+"""Of samples closer than this a spline takes one: it would swing through the noise of both."""
+
+
 class SmoothSeries(NamedTuple):
     """A smoothed series at m times: value, rate in 1/s, curvature in 1/s², each (m, k)."""
 
     value: Array
     rate: Array
     curvature: Array
+
+
+def _apart(time_s: Array, spacing_s: float) -> NDArray[np.int64]:
+    """Indices of samples of which each is `spacing_s` or more after the one before, the first one.
+
+    Args:
+        time_s: (n,) s, rising.
+        spacing_s: Time in s.
+    """
+    times = time_s.tolist()
+    index, found = 0, []
+    while index < len(times):
+        found.append(index)
+        index = bisect_left(times, times[index] + spacing_s, lo=index + 1)
+    return np.array(found, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -89,7 +108,7 @@ class ZeroPhaseSmoother(PolynomialSmoother):
 
     The series is brought to a uniform fine grid by a cubic spline in time and filtered with
     `scipy.signal.savgol_filter`, whose ends are fitted polynomials. Any quadratic series comes back
-    exactly, at any sampling.
+    exactly, at any sampling; of samples within `CLOSEST_S` the first one counts.
 
     Attributes:
         grid_s: Spacing of the grid in s, adjusted so that the grid ends with the series.
@@ -107,6 +126,8 @@ class ZeroPhaseSmoother(PolynomialSmoother):
 
     def __call__(self, time_s: Array, values: Array, at_s: Array) -> SmoothSeries:
         """See `Smoother`; shapes (n,), (n, k), (m,)."""
+        apart = _apart(time_s, CLOSEST_S - 1e-9)
+        time_s, values = time_s[apart], values[apart]
         count = max(ceil((time_s[-1] - time_s[0]) / self.grid_s) + 1, self.order + 3)
         grid, step = np.linspace(time_s[0], time_s[-1], count, retstep=True)
         uniform = CubicSpline(time_s, values)(grid)
@@ -164,12 +185,7 @@ class CausalSmoother(PolynomialSmoother):
 
     def _apart(self, time_s: Array) -> NDArray[np.int64]:
         """Indices of the samples that count, each `window_s` / `SPACINGS` after the one before."""
-        spacing, times = self.window_s / SPACINGS - 1e-9, time_s.tolist()
-        index, found = 0, []
-        while index < len(times):
-            found.append(index)
-            index = bisect_left(times, times[index] + spacing, lo=index + 1)
-        return np.array(found, dtype=np.int64)
+        return _apart(time_s, self.window_s / SPACINGS - 1e-9)
 
     def _fit(
         self,

@@ -40,6 +40,19 @@ def test_zero_phase_is_the_filter_of_scipy_on_a_uniform_grid():
     np.testing.assert_allclose(smooth.value, savgol_filter(values, 45, 2, axis=0), atol=1e-9)
 
 
+@pytest.mark.parametrize("smoother", SMOOTHERS[:2], ids=repr)
+@pytest.mark.parametrize("gap_s", [1e-4, 1e-7, 1e-12])
+def test_samples_that_nearly_coincide_do_not_make_the_track_swing(smoother, gap_s):
+    """Two sources with one clock: each tenth position comes twice, with noise of 5 cm."""
+    rng, once = np.random.default_rng(0), np.arange(0.0, 10.0, 0.08)
+    time_s = np.sort(np.concatenate([once, once[5::10] + gap_s]))
+    measured = 5.0 * time_s + rng.normal(0.0, 0.05, len(time_s))
+    at_s = np.arange(1.0, 9.0, 0.1)
+    smooth = smoother(time_s, measured[:, None], at_s)
+    assert np.abs(smooth.value[:, 0] - 5.0 * at_s).max() < 0.1
+    assert np.abs(smooth.rate[:, 0] - 5.0).max() < 0.5
+
+
 def test_zero_phase_commutes_with_reversing_time():
     rng = np.random.default_rng(1)
     time_s, values = irregular(rng), rng.normal(size=(120, 1))
