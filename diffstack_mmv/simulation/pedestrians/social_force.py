@@ -20,6 +20,9 @@ PACKAGE = "pysocialforce"
 LEFT_BEHIND = "file.log"
 """Empty log that the library leaves in the working folder when it is imported."""
 
+ASIDE_M = 1e-6
+"""By how much somebody who stands exactly in the place of another is taken to stand aside."""
+
 
 class _Agents(NamedTuple):
     """All agents of one episode as the library wants them, the robot last."""
@@ -107,10 +110,19 @@ class SocialForceCrowd:
 
     def _force(self, agents: _Agents) -> np.ndarray:
         """Force per mass in m/s² on every agent."""
-        simulator = _library().Simulator(agents.state.copy())
+        simulator = _library().Simulator(_apart(agents.state))
         # the library takes the speed at the start for the preferred one: nobody at rest would move
         simulator.peds.max_speeds = agents.speed
         return simulator.compute_forces()
+
+
+def _apart(state: np.ndarray) -> np.ndarray:
+    """Agents (a, 6) of whom none stands exactly where another does: no direction leads apart."""
+    _, first = np.unique(state[:, :2], axis=0, return_index=True)
+    later = np.setdiff1d(np.arange(len(state)), first)
+    moved = state.copy()
+    moved[later, 0] += ASIDE_M * np.arange(1, len(later) + 1)
+    return moved
 
 
 def _library() -> ModuleType:

@@ -51,6 +51,19 @@ def test_a_scene_alone_equals_the_scene_in_a_batch(crowd):
 
 
 @pytest.mark.usefixtures("social_force_library")
+def test_who_stands_exactly_where_others_do_walks_on(crowd):
+    """As somebody may who enters a recorded scene; the forces would be NaN."""
+    place = crowd.position[:, :1].expand_as(crowd.position).clone()
+    robot = VisibleRobot(place[:, 0], torch.zeros_like(place[:, 0]), torch.full((2,), 0.3).double())
+    together = crowd._replace(position=place)
+    for _ in range(3):
+        velocity = SocialForceCrowd()(together, 0.25, robot)
+        together = together.moved(velocity, 0.25)
+    assert velocity.isfinite().all()
+    assert (velocity.norm(dim=-1) > 0.1).all()
+
+
+@pytest.mark.usefixtures("social_force_library")
 def test_loading_the_library_leaves_logging_and_the_folder_alone(monkeypatch, tmp_path):
     for name in [name for name in sys.modules if name.partition(".")[0] == "pysocialforce"]:
         monkeypatch.delitem(sys.modules, name)
