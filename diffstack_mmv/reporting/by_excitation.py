@@ -93,9 +93,10 @@ def paired_samples(
         parts.append(part.assign(vehicle=vehicles, **place))
     if not parts:
         return PairedSamples(pd.DataFrame(), [], quantities)
-    joined = pd.concat(parts)
-    # the same sample has the same excitation up to rounding in every run
-    joined[names] = joined[names].round(3)
+    joined = pd.concat(parts, ignore_index=True)
+    # the same sample has the same excitation up to rounding in every run: that of the first counts
+    first = joined.groupby([*PLACE, *SAMPLE])[names].transform("first")
+    joined[names] = first.round(3)
     wide = joined.groupby([*PLACE, *SAMPLE, *names, "dynamics"])[score].mean().unstack()
     models = [str(name) for name in wide.columns]
     whole = [

@@ -58,6 +58,18 @@ def test_samples_that_one_cannot_judge_count_for_none(tmp_path):
     assert len(paired_samples(folders, "plan_ade", EXCITATION).table) == len(frame) - 6
 
 
+def test_a_rounding_error_of_the_excitation_costs_no_sample(tmp_path):
+    """One run was judged on a GPU, say: the same number is rounded up there and down here."""
+    frame = ridden()
+    frame[LATERAL] = 2.0005 - 1e-7
+    other = frame.assign(**{LATERAL: 2.0005 + 1e-7, SPEED: frame[SPEED] - 1e-7})
+    folders = [
+        write_run(tmp_path / "kbm", "kbm", 0, frame=frame),
+        write_run(tmp_path / "gm3", "gm3", 0, frame=other),
+    ]
+    assert len(paired_samples(folders, "plan_ade", EXCITATION).table) == len(frame)
+
+
 def test_reports_without_excitation_are_named(tmp_path, caplog):
     old = write_run(tmp_path / "old", "kbm", 0)
     paired = paired_samples([old], "plan_ade", EXCITATION)
