@@ -6,6 +6,7 @@ from itertools import product
 
 import pytest
 import torch
+import yaml
 from hydra.utils import instantiate
 
 from diffstack_mmv.planning import Planner, PlannerState, build_problem, straight_reference
@@ -24,6 +25,9 @@ def options(group):
     return sorted(path.stem for path in (config_folder() / group).glob("*.yaml"))
 
 
+CONTROLLERS = options("controller")
+
+
 def planner_of_training(name, dynamics):
     few = ["horizon_s=1.0", "solver.max_iterations=8"]
     config = composed("train", f"planner={name}", f"dynamics={dynamics}", *few)
@@ -38,11 +42,16 @@ def planner_of_controller(name, dynamics):
 
 
 def controllers_that_plan():
-    return [
-        name
-        for name in options("controller")
-        if "planner" in composed_navigate(f"controller={name}").controller
-    ]
+    """Those with a planner, their own or inherited; told by the files, as composing takes long."""
+    folder = config_folder() / "controller"
+    files = {name: yaml.safe_load((folder / f"{name}.yaml").read_text()) for name in CONTROLLERS}
+
+    def plans(name):
+        return "planner" in files[name] or any(
+            plans(other) for other in files[name].get("defaults", []) if other in CONTROLLERS
+        )
+
+    return [name for name in CONTROLLERS if plans(name)]
 
 
 # presets of one controller, which differ in settings: all of them in the slow tests
