@@ -29,6 +29,13 @@ settings.register_profile(
 settings.load_profile("deterministic")
 
 
+def pytest_collection_finish():
+    """Leave what is imported by now out of the search for garbage, which takes a tenth of all."""
+    from dmmv_conventions.memory import leave_alone
+
+    leave_alone()
+
+
 @pytest.fixture(autouse=True)
 def seeded():
     """Every test starts from the same random state, and the first calls in it are checked."""

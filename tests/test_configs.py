@@ -50,7 +50,8 @@ def composed(name, *overrides):
         HydraConfig.instance().set_config(config)
         OmegaConf.set_struct(config, False)
         config.pop("hydra")
-    OmegaConf.resolve(config)
+    # every interpolation leads somewhere; put in its place, it would be copied at every step to come
+    OmegaConf.to_container(config, resolve=True)
     return config
 
 
@@ -129,7 +130,7 @@ def test_no_job_of_the_tables_is_refused_by_its_own_command(experiment, tmp_path
     commands = {job.name: job.commands for job in jobs}
     assert len(commands) > len(runs) > 2
     for script, *arguments in (line[1:] for lines in commands.values() for line in lines):
-        content = OmegaConf.to_container(composed(Path(script).stem, *arguments))
+        content = OmegaConf.to_container(composed(Path(script).stem, *arguments), resolve=True)
         require_arguments(content)
         require_foretold(content)
 
@@ -216,7 +217,7 @@ def refused(judge, node):
 @pytest.mark.parametrize("name", ["train", "navigate", "identify", "tune"])
 def test_what_is_refused_ahead_is_what_the_parts_refuse(name, tmp_path, unchecked):
     """Every number of every part is made -1: parts say the same of it as their sources do."""
-    content = OmegaConf.to_container(composed(name, f"out={tmp_path}"))
+    content = OmegaConf.to_container(composed(name, f"out={tmp_path}"), resolve=True)
     require_foretold(content)
     changed = [
         {**node, key: -1}

@@ -37,18 +37,49 @@ LIGHT = {
 HEAVY = ("torch", "pandas", "scipy", "matplotlib", "trajdata", "wandb", "pytorch_lightning")
 OF_THE_WORK = ("matplotlib", "trajdata", "wandb", "pytorch_lightning", "torch._dynamo")
 """What no part needs to judge its values."""
-TELL = """
-import atexit, runpy, sys
-atexit.register(lambda: print("HEAVY", *[name for name in {heavy} if name in sys.modules]))
-sys.argv = {arguments}
-runpy.run_path(sys.argv[0], run_name="__main__")
+# imports what every command imports first, and goes on with each command in a fork of its own
+SERVE = """
+import atexit, json, os, runpy, sys
+import diffstack_mmv.cli
+for line in sys.stdin:
+    heavy, file, *sys.argv = json.loads(line)
+    if child := os.fork():
+        os.waitpid(child, 0)
+        print(flush=True)
+        continue
+    told = os.open(file, os.O_CREAT | os.O_WRONLY)
+    os.dup2(told, 1), os.dup2(told, 2)
+    atexit.register(lambda: print("HEAVY", *[name for name in heavy if name in sys.modules]))
+    runpy.run_path(sys.argv[0], run_name="__main__")
+    sys.exit()
 """
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
 
 
 def run(code):
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-c", code]
-    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment)
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=ENVIRONMENT)
+
+
+@pytest.fixture(scope="module")
+def ask(tmp_path_factory):
+    """Run a command in a process of its own; its output, and what it imported of some modules."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", SERVE], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        text=True, cwd=ROOT, env=ENVIRONMENT,
+    )  # fmt: skip
+    file = tmp_path_factory.mktemp("told") / "output"
+
+    def run_command(script, heavy, *arguments):
+        file.unlink(missing_ok=True)
+        asked = heavy, str(file), str(ROOT / "scripts" / f"{script}.py"), *arguments
+        print(json.dumps(asked), file=process.stdin, flush=True)
+        assert process.stdout.readline() == "\n"
+        told, _, imported = file.read_text().rpartition("HEAVY")
+        return told, imported.split()
+
+    with process:
+        yield run_command
 
 
 @pytest.mark.parametrize("script", SCRIPTS)
@@ -69,12 +100,11 @@ def test_scripts_import_nothing_heavy_at_first(script):
         ("navigate", ["people=predictor"], "`people_checkpoint` must be given"),
     ],
 )
-def test_answers_without_work_import_nothing_heavy(script, arguments, told, tmp_path):
+def test_answers_without_work_import_nothing_heavy(script, arguments, told, ask, tmp_path):
     out = [] if "--help" in arguments else [f"out={tmp_path}"]
-    argv = [str(ROOT / "scripts" / f"{script}.py"), *arguments, *out]
-    done = run(TELL.format(heavy=HEAVY, arguments=argv))
-    assert told in done.stdout + done.stderr
-    assert done.stdout.splitlines()[-1].split() == ["HEAVY"]
+    answer, imported = ask(script, HEAVY, *arguments, *out)
+    assert told in answer
+    assert imported == []
 
 
 @pytest.fixture(scope="module")
@@ -123,17 +153,16 @@ JUDGED_WITHOUT_TORCH = [
     + [(*row, HEAVY) for row in JUDGED_WITHOUT_TORCH],
 )
 def test_values_are_judged_before_the_work_is_imported(
-    script, arguments, told, absent, converted, tmp_path
+    script, arguments, told, absent, converted, ask, tmp_path
 ):
     given = [f"out={tmp_path}"]
     if script in ("train", "evaluate", "identify"):
         given.append(f"data.cache={converted}")
     if script == "evaluate":
         given += ["checkpoint=pretrained", "split=train"]
-    argv = [str(ROOT / "scripts" / f"{script}.py"), *given, *arguments]
-    done = run(TELL.format(heavy=absent, arguments=argv))
-    assert told in done.stdout + done.stderr
-    assert done.stdout.splitlines()[-1].split() == ["HEAVY"]
+    answer, imported = ask(script, absent, *given, *arguments)
+    assert told in answer
+    assert imported == []
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "configs").glob("*.yaml")))
