@@ -50,7 +50,7 @@ def composed(name, *overrides):
         HydraConfig.instance().set_config(config)
         OmegaConf.set_struct(config, False)
         config.pop("hydra")
-    # every interpolation leads somewhere; put in its place, it would be copied at every step to come
+    # every interpolation leads somewhere; put in its place, it would be copied again and again
     OmegaConf.to_container(config, resolve=True)
     return config
 

@@ -1,5 +1,7 @@
 """Every cost term: not negative, the same in every frame, and blind to other times."""
 
+import math
+
 import pytest
 import torch
 
@@ -216,3 +218,26 @@ def test_the_speed_limit_holds_backwards_too(double):
     problem = problem._replace(reference_speed=torch.ones(3))
     value = costs.SpeedLimit()(motion, controls, problem)
     assert torch.allclose(value, torch.tensor([4.0, 4.0, 0.0, 0.0, 0.0, 0.0]).expand(3, 6))
+
+
+def moving(position, heading=0.0, velocity=(1.0, 0.0), yaw_rate=0.0):
+    """A motion of one sample at one time."""
+    place, speed = torch.tensor([[position]]), torch.tensor([[velocity]])
+    return Motion(place, torch.tensor([[heading]]), speed, torch.tensor([[yaw_rate]]))
+
+
+VALUES = {
+    "the goal behind fades": (costs.HeadingToGoal(2.0), moving((2.0, 0.0)), 4 / math.sqrt(8)),
+    "the goal abeam fades": (costs.HeadingToGoal(0.5), moving((0.0, 1.0)), 1 / math.sqrt(1.25)),
+    "a goal on the left": (costs.GoalOutsideTurn(1.0), moving((0.0, -0.5)), 0.25),
+    "a goal on the right": (costs.GoalOutsideTurn(1.0), moving((0.0, 0.5)), 0.25),
+    "a turn": (costs.YawRate(), moving((0.0, 0.0), 0.0, (3.0, 0.2), 0.5), 0.25),
+    "a fast turn": (costs.LateralAcceleration(), moving((0.0, 0.0), 0.0, (3.0, 0.2), 0.5), 2.25),
+}
+
+
+@pytest.mark.parametrize(("term", "motion", "value"), VALUES.values(), ids=VALUES)
+def test_value_is_the_printed_formula(term, motion, value):
+    _, controls, problem = random_case(batch=1, times=1)
+    found = term(motion, controls, problem._replace(goal=torch.zeros(1, 2)))
+    assert float(found) == pytest.approx(value, abs=1e-5)

@@ -176,6 +176,17 @@ def test_velocities_of_a_noisy_recording_are_the_steps_between_its_positions(bat
     assert both.any()
 
 
+def test_a_velocity_is_as_sure_as_before_where_the_step_to_it_is_missing(batch):
+    batch = differentiated(batch)
+    valid = batch.ego_past.valid.clone()
+    valid[:, 5] = False
+    before = batch.ego_past._replace(valid=valid)
+    noisy = RecordingNoise(0.05, DT_S)(batch._replace(ego_past=before), generator()).ego_past
+    old, new = (rotate(each.motion.velocity, each.motion.heading) for each in (before, noisy))
+    assert torch.allclose(new[:, 6], old[:, 6], atol=1e-5)
+    assert not torch.allclose(new[:, 7], old[:, 7], atol=1e-2)
+
+
 def test_who_moves_in_a_noisy_recording_faces_where_it_goes(batch):
     noisy = RecordingNoise(0.05, DT_S)(differentiated(batch), generator()).ego_past.motion
     moving = noisy.velocity.norm(dim=-1) > STANDSTILL_MPS

@@ -112,6 +112,13 @@ def test_unsmoothed_samples_come_back_with_backward_differences():
     np.testing.assert_allclose(smooth.curvature[:, 0], [0.0, 0.0, 6.25, 6.25, 6.25])
 
 
+def test_unsmoothed_differences_are_divided_by_the_step_to_their_sample():
+    time_s = np.array([0.0, 1.0, 3.0, 4.0])
+    smooth = Unsmoothed()(time_s, np.array([[0.0], [1.0], [5.0], [8.0]]), time_s)
+    np.testing.assert_allclose(smooth.rate[:, 0], [0.0, 1.0, 2.0, 3.0])
+    np.testing.assert_allclose(smooth.curvature[:, 0], [0.0, 0.0, 0.5, 1.0])
+
+
 @pytest.mark.parametrize("apart_s", [1e-3, 0.01, 0.02, 0.05])
 def test_samples_that_come_in_pairs_do_not_make_velocities_explode(apart_s):
     single = np.arange(0.0, 30.0, 0.5)

@@ -60,7 +60,9 @@ def test_a_faulty_file_is_refused_with_its_name(text, reason):
     assert caught.value.reason is reason
 
 
-@pytest.mark.parametrize("piece", [slice(0, 15), slice(10, 25), slice(20, 40), slice(0, 40)])
+@pytest.mark.parametrize(
+    "piece", [slice(0, 15), slice(10, 25), slice(20, 40), slice(30, 40), slice(0, 40)]
+)
 def test_a_file_cut_out_of_another_is_contained_in_it(piece):
     long, other = walk(0), walk(1)
     assert find_contained({"a": long, "b": long[piece], "c": other}) == {"b": "a"}

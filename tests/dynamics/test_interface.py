@@ -273,3 +273,16 @@ def test_a_unicycle_tells_the_yaw_rate_that_it_turns_at():
     state, control = torch.tensor([0.0, 0.0, 0.0, 3.0]), torch.tensor([10.0, 0.0])
     turned = model(state, control)[2] / model.dt_s
     assert float(model.motion(state, control).yaw_rate) == pytest.approx(float(turned))
+
+
+@pytest.mark.parametrize("curvature", [-0.4, 0.4])
+@pytest.mark.parametrize(("model", "share"), [(DiffKBM, 1.0), (ExtendedUnicycle, 0.5)])
+def test_the_control_for_a_curvature_turns_by_it_along_the_way(model, share, curvature, double):
+    """The way of a step goes with the speed at its end, or in its middle."""
+    made = model(load_vehicle("bicycle"), dt_s=0.25)
+    speed, acceleration = 1.5, torch.tensor([1.2])
+    state = torch.tensor([[0.0, 0.0, 0.3, speed]])
+    control = made.control_for(state, acceleration, torch.tensor([curvature]))
+    way = 0.25 * (speed + share * 0.25 * 1.2)
+    turned = made(state, control)[0, 2].item() - 0.3
+    assert turned == pytest.approx(curvature * way, rel=1e-6)

@@ -134,3 +134,10 @@ def test_left_and_right_score_alike():
     chosen = command_profiles()
     left, right = (score(SPEC, chosen[f"{side} turn"], VARIANTS["E"]) for side in ("left", "right"))
     assert left == pytest.approx(right, rel=1e-6)
+
+
+@pytest.mark.parametrize("speed_mps", [6.0, 9.0])
+def test_the_truth_turns_no_sharper_than_its_grip_allows(speed_mps):
+    command = torch.tensor([0.0, 1.0]).double().expand(30, 2)
+    signals = LaggedTruth(drag=0.0, friction=0.5)(command, speed_mps, 0.1)
+    assert float(signals.realised[-1, 1]) == pytest.approx(0.5 * 9.81 / speed_mps**2, rel=1e-3)

@@ -79,3 +79,9 @@ def test_area_of_a_gaussian_region_is_that_of_its_ellipse():
 def test_without_held_out_truths_a_region_is_the_whole_plane():
     nobody = torch.zeros(0, 2)
     assert Calibration.fitted(nobody, nobody > 0).levels.isinf().all()
+
+
+@pytest.mark.parametrize(("count", "ranks"), [(9, (5, 9)), (10, (6, 10)), (19, (10, 18))])
+def test_the_level_of_a_region_is_the_rank_of_split_conformal(count, ranks):
+    levels = torch.arange(1.0, count + 1).flip(0)[:, None]
+    assert Calibration.fitted(levels, levels > 0).levels[:, 0].tolist() == list(ranks)

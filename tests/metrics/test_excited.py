@@ -52,3 +52,11 @@ def test_a_horizon_of_one_step_has_no_acceleration():
     found = excitation(scene(batch=(2,), horizon=1))
     assert torch.isfinite(found[SPEED]).all()
     assert found[LATERAL].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("speed", [0.2, 0.4])
+def test_the_slower_than_walking_the_less_lateral_acceleration_counts(speed):
+    """Below half a metre per second, in proportion."""
+    found = excitation(on_a_circle(speed, 0.5))
+    expected = torch.full((2,), 0.5 * speed * speed / 0.5)
+    assert torch.allclose(found[LATERAL], expected, rtol=0.03)

@@ -145,3 +145,12 @@ def test_who_has_walked_far_is_a_smaller_risk_where_expected_and_a_larger_one_be
 def test_absent_agents_are_no_risk():
     nowhere = torch.full((1, 1, 1, 1, 4), torch.inf)
     assert float(ClearanceMargin().risk(nowhere, walking(1.0), 0.25)) == 0
+
+
+@pytest.mark.parametrize("walked", [0.5, 1.0, 3.0])
+def test_a_vague_forecast_meets_whom_it_expects_as_often_as_its_spread_leaves(walked):
+    margin = ClearanceMargin(spread_growth=0.25, reach_m=0.6)
+    agent = agents(torch.tensor([[[[[0.0, 0.0], [walked, 0.0]]]]]))
+    found = margin.risk(torch.zeros(1, 1, 1, 1, 1), agent, 0.25)
+    expected = 0.25 * 0.36 / (0.36 + 2 * (0.25 * walked) ** 2)
+    assert float(found) == pytest.approx(expected, rel=1e-5)

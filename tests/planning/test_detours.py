@@ -7,7 +7,8 @@ import torch
 
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle, Holonomic, ReversingFloor
 from diffstack_mmv.planning import DetourFan, Pursuit, Reference, build_problem
-from diffstack_mmv.planning.detours import Detour
+from diffstack_mmv.planning.detours import Detour, backing_detours
+from diffstack_mmv.planning.pursuit import Leg
 from diffstack_mmv.simulation.zero_order_hold import ZeroOrderHold
 from diffstack_mmv.types import Discs, Ego, HeadingOf, Motion, Obstacles, map_tensors
 from diffstack_mmv.vehicles import load_vehicle
@@ -197,3 +198,34 @@ def test_a_fan_that_was_used_before_is_as_good_as_new():
             for steps in (12, 6):
                 expected = DetourFan(drawn=3)(model, given, steps)
                 assert torch.equal(used(model, given, steps).states, expected.states)
+
+
+def arc(pursuit, speed, leg, goal):
+    """What a wheelchair at the origin, heading along x at this speed in m/s, is asked for."""
+    model = ExtendedUnicycle(load_vehicle("wheelchair"), dt_s=0.25)
+    state, target = torch.tensor([[0.0, 0.0, 0.0, speed]]), torch.tensor([goal])
+    return pursuit.arc(model, state, leg, target, torch.tensor([9.0]))
+
+
+def leg(offset, share, detours):
+    return Leg(torch.tensor([offset]), torch.tensor([share]), torch.tensor([detours]))
+
+
+def test_who_still_rolls_forward_steers_for_the_way_back_already():
+    """So does who rolls backwards, by the same angle; both are below the speed that counts."""
+    back = leg(2.5, -0.8, True)
+    still, backwards = (arc(Pursuit(), speed, back, (5.0, 0.0)) for speed in (0.2, -0.2))
+    assert float(still.curvature) == float(backwards.curvature) != 0
+
+
+@pytest.mark.parametrize(("yaw_rate", "speed"), [(2.0, 2.0), (0.5, 0.5), (0.1, 0.3)])
+def test_a_turn_to_the_goal_is_as_slow_as_its_yaw_rate_asks(yaw_rate, speed):
+    """On an arc of radius 1 m, but never slower than creeping."""
+    pursuit = Pursuit(lateral_mps2=1e3, braking_mps2=1e3, yaw_rate_radps=yaw_rate)
+    asked = arc(pursuit, 1.0, leg(0.0, 1.0, False), (1.0, 1.0))
+    assert float(asked.acceleration) == pytest.approx((speed - 1.0) / 0.25, rel=1e-5)
+
+
+def test_no_backing_leg_is_slow():
+    first = backing_detours(16, 4.0).speed_share[:, 0]
+    assert -1 <= float(first.min()) < float(first.max()) <= -0.5

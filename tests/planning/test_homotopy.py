@@ -1,5 +1,6 @@
 """Homotopy classes of plans around agents."""
 
+import pytest
 import torch
 
 from diffstack_mmv.planning import best_of_each, homotopy_class
@@ -31,12 +32,15 @@ def test_agents_far_away_do_not_tell_classes_apart():
     assert homotopy_class(plans, agent).unique().numel() == 1
 
 
-def test_the_cheapest_plan_of_each_class_is_chosen():
-    price = torch.tensor([[3.0, 1.0, 2.0, 5.0]])
-    classes = torch.tensor([[0, 0, 0, 1]])
-    assert best_of_each(price, classes, 2).tolist() == [[1, 3]]
-
-
-def test_other_plans_follow_where_there_are_fewer_classes():
-    price = torch.tensor([[3.0, 1.0, 2.0]])
-    assert best_of_each(price, torch.zeros(1, 3, dtype=torch.long), 3).tolist() == [[1, 2, 0]]
+@pytest.mark.parametrize(
+    ("price", "classes", "chosen"),
+    [
+        ([3.0, 1.0, 2.0, 5.0], [0, 0, 0, 1], [1, 3]),
+        ([1.0, 2.0, 3.0, 4.0], [0, 1, 0, 2], [0, 1, 3]),
+        ([3.0, 1.0, 2.0], [0, 0, 0], [1, 2, 0]),
+    ],
+    ids=["two classes", "a class comes again", "others follow where there are fewer classes"],
+)
+def test_the_cheapest_plan_of_each_class_is_chosen(price, classes, chosen):
+    found = best_of_each(torch.tensor([price]), torch.tensor([classes]), len(chosen))
+    assert found.tolist() == [chosen]

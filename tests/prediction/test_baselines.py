@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from diffstack_mmv.geometry import wrap_angle
 from diffstack_mmv.prediction import (
     ConstantTurnRateAcceleration,
     ConstantVelocity,
@@ -126,3 +127,19 @@ def test_spread_grows_with_time_and_speed():
 def test_impossible_window_is_refused(options):
     with pytest.raises(ValueError, match="`window_s` must be positive"):
         ConstantVelocity(10, DT_S, **options)
+
+
+@pytest.mark.parametrize("walking", [0.5, 3.0])
+def test_ctra_turns_less_where_the_course_is_less_sure(walking):
+    """By v² / (v² + w²) of the turn that a sure course shows."""
+    batch = scene(neighbors=0, history=41)
+    settings = {"memory_s": 0.3, "yaw_rate_fade_s": 1e4, "acceleration_fade_s": 1e-3}
+
+    def turned(walking_mps):
+        predictor = ConstantTurnRateAcceleration(2, DT_S, walking_mps=walking_mps, **settings)
+        step = ego_forecast(predictor.predict(batch)).mean[:, 0].diff(dim=1)[:, 0]
+        return torch.atan2(step[:, 1], step[:, 0]), step.norm(dim=-1) / DT_S
+
+    (sure, speed), (unsure, _), (straight_on, _) = map(turned, (1e-3, walking, 1e4))
+    share = wrap_angle(unsure - straight_on) / wrap_angle(sure - straight_on)
+    assert torch.allclose(share, speed**2 / (speed**2 + walking**2), atol=0.02)

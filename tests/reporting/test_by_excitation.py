@@ -3,6 +3,7 @@
 from functools import partial
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from diffstack_mmv.metrics import EXCITATION, LATERAL, SPEED
@@ -107,3 +108,8 @@ def test_sets_of_one_kind_are_told_apart(tmp_path):
     shift = by_excitation(paired).groupby("data")["Δ"].sum()
     assert shift["a"] == pytest.approx(-shift["b"])
     assert shift["a"] < -0.5
+
+
+def test_a_mean_that_every_draw_has_is_sure_however_many_samples_a_recording_has():
+    recordings = pd.Series(np.repeat(np.arange(8), [1, 2, 3, 4, 20, 30, 40, 50]))
+    assert bootstrap(pd.Series(np.full(len(recordings), 2.5)), recordings) == (2.5, 2.5)

@@ -93,3 +93,12 @@ def test_nothing_to_try_is_refused():
         AvoidanceSearch(0)
     with pytest.raises(ValueError, match="until_s"):
         AvoidanceSearch(1)(world_with(1.0), SCENARIO.cases("train", [0]), torch.inf)
+
+
+def test_the_way_has_to_be_free_beyond_the_collision(monkeypatch):
+    """But no longer than the episode lasts."""
+    asked = []
+    monkeypatch.setattr(AvoidanceSearch, "__call__", lambda *told: asked.append(told[-1]) or 1.0)
+    cases = [{"case": 0, "outcome": "collision", "time_s": time_s} for time_s in (3.0, 9.5)]
+    AvoidanceSearch(8).judge(world_with(1.0), SCENARIO, "train", cases)
+    assert asked == [3.75, 10.0]

@@ -5,6 +5,7 @@ import torch
 
 from diffstack_mmv.simulation import (
     ConstantVelocityForecaster,
+    MixedForecaster,
     OrcaCrowd,
     OrcaForecaster,
     StandingForecaster,
@@ -121,3 +122,13 @@ def test_what_is_remembered_goes_in_and_comes_out(observed, scenario_of):
 def test_numbers_out_of_range_are_refused(name, value):
     with pytest.raises(ValueError, match=name):
         OrcaForecaster(OrcaCrowd(), **{name: value})
+
+
+@pytest.mark.parametrize(("shares", "weights"), [((3, 1), (0.75, 0.25)), ((0.2, 0.2), (0.5, 0.5))])
+def test_a_mixture_of_forecasts_has_the_weights_of_its_shares(
+    observed, scene_with, shares, weights
+):
+    seen = observed(scene_with((3.0, 0.0), (-6.0, 0.0)), 1)[-1]
+    mixed = MixedForecaster([ConstantVelocityForecaster(), StandingForecaster()], shares)
+    weight = mixed(mixed.init(seen), seen, 0.25, 4)[0].log_weight.exp().flatten()
+    assert weight.tolist() == pytest.approx(list(weights))

@@ -220,3 +220,15 @@ def test_longer_vehicle_turns_less():
         / held(short, moving(short, 3.0), 0.0, 0.1, 40)[0, -1, 5]
     )
     assert ratio.item() == pytest.approx(1 / 1.1, rel=0.02)
+
+
+@pytest.mark.parametrize("name", [*SINGLE_TRACK, "tricycle", "tadpole", "cart"])
+def test_the_understeer_gradient_is_that_of_the_axles(name):
+    model = build(name)
+    spec, per_wheel = model.spec, (3 * model.physics().cornering).squeeze(-1)
+    ahead = torch.tensor([wheel.x_m > 0 for wheel in spec.wheels])
+    front, rear = per_wheel[ahead].sum(), per_wheel[~ahead].sum()
+    shares = spec.rear_m / front, -spec.front_m / rear
+    expected = spec.mass_kg * sum(shares) / (spec.front_m + spec.rear_m)
+    told = model.derived_quantities()["understeer_gradient"]
+    assert float(told.value) == pytest.approx(float(expected), rel=1e-6)

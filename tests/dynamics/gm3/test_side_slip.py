@@ -5,7 +5,9 @@ import math
 import pytest
 import torch
 
-from diffstack_mmv.dynamics.gm3.side_slip import side_slip
+from diffstack_mmv.dynamics.gm3.side_slip import body_motion, side_slip
+from diffstack_mmv.geometry import rotate
+from diffstack_mmv.types import Motion
 
 
 def number(value):
@@ -33,3 +35,12 @@ def test_it_is_odd_below_a_quarter_turn_and_smooth_at_any_speed(speed, yaw_rate)
 
 def test_a_course_at_rest_says_nothing_of_the_heading():
     assert side_slip(number(0.0), number(2.0), -0.5) == 0
+
+
+@pytest.mark.parametrize("yaw_rate", [-0.9, 0.7])
+def test_the_body_moves_along_the_course_that_it_was_told(yaw_rate):
+    velocity = torch.tensor([6.0, 0.0], dtype=torch.float64)
+    course = Motion(torch.zeros(2).double(), number(0.4), velocity, number(yaw_rate))
+    body = body_motion(course, -0.5)
+    assert torch.allclose(rotate(body.velocity, body.heading), rotate(velocity, course.heading))
+    assert body.velocity[1] * yaw_rate > 0  # the axle behind follows on the inside

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from diffstack_mmv.dynamics import DriverInput
 from diffstack_mmv.dynamics.gm3 import DiffGM3WheelSpeed
 from diffstack_mmv.vehicles import load_vehicle
 
@@ -68,3 +69,15 @@ def test_the_gradient_of_a_control_is_exact():
     assert torch.autograd.gradcheck(
         model.control_for, [each.requires_grad_() for each in given], atol=1e-5
     )
+
+
+@pytest.mark.parametrize("yaw_rate", [-0.6, 0.6])
+@pytest.mark.parametrize("name", ["wheelchair", "hoverboard"])
+def test_who_coasts_in_a_turn_drives_each_wheel_at_the_speed_of_its_hub(name, yaw_rate):
+    model, none = driven(name, 0.1), torch.zeros(1).double()
+    state = riding(model, 1.0)
+    state[:, 5] = yaw_rate
+    speeds = model.control_for_driver(state, DriverInput(none, none))[0, :-1].tolist()
+    wheels = [wheel for wheel in model.spec.wheels if wheel.driven]
+    expected = [(1.0 - yaw_rate * wheel.y_m) / wheel.radius_m for wheel in wheels]
+    assert speeds == pytest.approx(expected)
