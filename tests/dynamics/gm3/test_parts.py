@@ -67,10 +67,12 @@ def test_wheel_without_load_is_refused():
         DiffGM3(edge)
 
 
-def test_staggered_wheels_take_the_pitching_moment_as_an_axle():
+@pytest.mark.parametrize("narrower", [1.0, 0.6], ids=["equal loads", "unequal loads"])
+def test_staggered_wheels_take_the_pitching_moment_as_an_axle(narrower):
     spec = load_vehicle("tricycle")
     front, left, right = spec.wheels
-    spec = replace(spec, wheels=(front, left, replace(right, x_m=right.x_m + 0.1)))
+    moved = replace(right, x_m=right.x_m + 0.1, y_m=narrower * right.y_m)
+    spec = replace(spec, wheels=(front, left, moved))
     braking, straight = torch.tensor([-0.5]).double(), torch.zeros(1).double()
     found = loads(DiffGM3(spec).double(), braking, straight)[:, 0]
     moment = found @ torch.tensor(spec.per_wheel("x_m")).double()
