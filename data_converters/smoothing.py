@@ -163,7 +163,7 @@ class CausalSmoother(PolynomialSmoother):
         return self.window_s / 2.0
 
     def ready_s(self, time_s: Array) -> float:
-        """After the warm-up, and not before there are enough samples for the polynomial."""
+        """After the warm-up, and not before enough samples for the polynomial; shape (n,)."""
         apart = self._apart(time_s)
         enough = apart[self.order] if len(apart) > self.order else len(time_s) - 1
         return max(super().ready_s(time_s), float(time_s[enough]))

@@ -279,7 +279,8 @@ class DynamicsModel(nn.Module, ABC):
     def physical_parameters(self) -> dict[str, Tensor]:
         """Values of all physical parameters in physical units by their names, learned or frozen.
 
-        Empty for a model without any, such as a baseline that only follows tracks.
+        Of shape (), or one entry per wheel. Empty for a model without any, such as a baseline that
+        only follows tracks.
         """
         return {
             name: module()

@@ -51,7 +51,7 @@ class MeanByMode(Metric):
         self.missing.index_add_(0, mode, (~known.all(0)).to(self.missing))
 
     def compute(self) -> dict[str, Tensor]:
-        """Means as `score` over all samples and `mode/score` over those of a mode.
+        """Means of shape () as `score` over all samples and `mode/score` over those of a mode.
 
         Absent where no sample could be judged. `n_missing` and `mode/n_missing` count the samples
         that at least one score could not judge.

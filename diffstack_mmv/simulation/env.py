@@ -208,7 +208,7 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
                 "scene": a scene of one's own, in m and rad.
 
         Returns:
-            Observation, and phase and case.
+            Observation by name in the shapes of `observation_space`, and phase and case.
 
         Raises:
             ValueError: An option, phase or case does not exist, or the start is impossible.

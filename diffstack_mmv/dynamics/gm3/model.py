@@ -206,8 +206,7 @@ class DiffGM3(DynamicsModel):
         difference of their forces push it on besides, by 0.9 m/s² in the tightest turn of the
         wheelchair, which is taken off the acceleration.
         """
-        command = self.steer_for(state, curvature)
-        pair = torch.broadcast_tensors(acceleration, command)
+        pair = torch.broadcast_tensors(acceleration, self.steer_for(state, curvature))
         control = self.within_bounds(torch.stack(pair, -1))
         if not isinstance(self.spec.steering, DifferentialDrive):
             return control

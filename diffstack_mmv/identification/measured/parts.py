@@ -69,7 +69,7 @@ def priors_as_tensor(priors: InstrumentPriors) -> Tensor:
 
 
 def priors_from_tensor(values: Tensor) -> InstrumentPriors:
-    """The inverse of `priors_as_tensor`."""
+    """The inverse of `priors_as_tensor`: from shape (2 n + 1,)."""
     *pairs, share = values.tolist()
     names = [each.name for each in fields(InstrumentPriors)][:-1]
     gaussians = dict(zip(names, map(Gaussian, pairs[::2], pairs[1::2]), strict=True))

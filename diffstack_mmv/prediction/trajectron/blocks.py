@@ -40,7 +40,7 @@ class Scaling:
     scale: float
 
     def tensors(self, like: Tensor) -> tuple[Tensor, Tensor]:
-        """Its numbers as a library reads them."""
+        """Its numbers as a library reads them, (m,) and (2,)."""
         spans = like.new_tensor([self.log_range, self.scale])
         return self.width.detach().to(like.dtype).contiguous(), spans
 
@@ -50,7 +50,7 @@ class Blocks:
     """The recurrences in blocks of rows, for tensors on a CPU with a compiler."""
 
     def fit(self, like: Tensor) -> bool:
-        """Whether rows like these can be taken."""
+        """Whether rows like these, of any shape, can be taken."""
         plain = on_host(like) and like.dtype in REALS and like.numel() > 0
         return plain and library(like.dtype) is not None
 
