@@ -57,7 +57,7 @@ class GradientTuner:
     """
 
     rounds: int = 30
-    learning_rate: float = 0.2
+    learning_rate: float = 0.4
     largest: float = 1.0
 
     def __post_init__(self) -> None:
