@@ -5,6 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least
+from diffstack_mmv.geometry import length
 from diffstack_mmv.simulation.decisions import Controller, decide
 from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.world import World
@@ -76,4 +77,4 @@ def way_left_loss(world: World, scene: Scene, learner: Controller, steps: int) -
         action, known = decide(learner, known, world.observe(state))
         state = world.step(state, action).state
     way = world.observe(state).motion.position - state.goal
-    return way.square().sum(-1).sqrt().mean()
+    return length(way).mean()

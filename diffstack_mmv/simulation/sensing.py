@@ -40,6 +40,7 @@ class LimitedSensing:
         """Check the settings once, at the border."""
         if self.range_m is not None:
             require_positive("range_m", self.range_m)
+        require_positive("view_deg", self.view_deg)
         require_between("view_deg", self.view_deg, 0, 360)
         require_at_least("position_noise_m", self.position_noise_m, 0)
         require_at_least("velocity_noise_mps", self.velocity_noise_mps, 0)

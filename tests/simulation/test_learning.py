@@ -65,6 +65,23 @@ def test_the_way_left_falls_along_its_gradient(setting, converging):
     assert float(way_left_loss(*setting, learner, 3).detach()) < float(loss.detach())
 
 
+def test_whoever_stands_on_the_goal_has_a_finite_gradient(setting):
+    """The root of the distance has none of its own there."""
+    world, scene = setting
+    scene = scene._replace(robot_goal=scene.robot_position)
+    push = torch.zeros((), requires_grad=True)
+
+    class Resting:
+        def init(self, observation):
+            return
+
+        def act(self, state, observation):
+            return push * torch.ones(len(observation.time), 2), None
+
+    (gradient,) = torch.autograd.grad(way_left_loss(world, scene, Resting(), 1), push)
+    assert bool(gradient.isfinite())
+
+
 @pytest.mark.parametrize("loss", [imitation_loss, way_left_loss])
 def test_no_step_is_refused(loss, setting, converging):
     world, scene = setting

@@ -100,3 +100,9 @@ def test_who_was_never_seen_stays_unseen(seen):
 def test_every_setting_of_a_sensor_can_be_given_on_the_command_line(path):
     told = set(load_plain(path.read_text(encoding="utf-8"))) - {"_target_"}
     assert told == {each.name for each in fields(LimitedSensing)}
+
+
+@pytest.mark.parametrize("view_deg", [0.0, -90.0, 400.0])
+def test_a_field_of_view_is_an_angle_up_to_a_whole_turn(view_deg):
+    with pytest.raises(ValueError, match="view_deg"):
+        LimitedSensing(view_deg=view_deg)
