@@ -8,7 +8,6 @@ import re
 import shlex
 import sys
 import warnings
-from importlib.util import find_spec
 from io import StringIO
 
 import pytest
@@ -359,8 +358,9 @@ def test_two_commands_never_share_a_folder(run, tmp_path):
     assert run("needed=1")[0] is not None
 
 
-@pytest.mark.skipif(find_spec("stable_baselines3") is not None, reason="the extra `rl` is there")
-def test_a_training_by_reinforcement_names_the_extra_that_it_needs(refusal, tmp_path):
+def test_a_training_by_reinforcement_names_the_extra_that_it_needs(refusal, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)  # as if it was not installed
+    monkeypatch.delitem(sys.modules, "diffstack_mmv.simulation.reinforcement", raising=False)
     told = refusal("train_policy", f"out={tmp_path / 'policy'}")
     assert told.startswith("`stable_baselines3` must be installed")
     assert "diffstack_mmv[rl]" in told

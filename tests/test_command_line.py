@@ -8,11 +8,11 @@ from diffstack_mmv.command_line import understood
 @pytest.mark.parametrize(
     ("given", "meant"),
     [
-        ("out=~/runs", "out='/home/me/runs'"),
-        ("out='~/my runs'", "out='/home/me/my runs'"),
-        ('data.cache="~/ü"', "data.cache='/home/me/ü'"),
-        ("out=~", "out='/home/me'"),
-        ("vehicle=~/trike.yaml", "vehicle_file='/home/me/trike.yaml'"),
+        ("out=~/runs", "out='/of/me/runs'"),
+        ("out='~/my runs'", "out='/of/me/my runs'"),
+        ('data.cache="~/ü"', "data.cache='/of/me/ü'"),
+        ("out=~", "out='/of/me'"),
+        ("vehicle=~/trike.yaml", "vehicle_file='/of/me/trike.yaml'"),
         ("out=~nobody_of_that_name/runs", "out=~nobody_of_that_name/runs"),
         ("out=runs~/1", "out=runs~/1"),
         ("out='~/a,~/b'", "out='~/a,~/b'"),
@@ -21,5 +21,5 @@ from diffstack_mmv.command_line import understood
 )
 def test_a_path_may_begin_with_the_home_folder(given, meant, monkeypatch):
     """In a folder named `~` nobody looks, and who removes it may remove the home folder."""
-    monkeypatch.setenv("HOME", "/home/me")
+    monkeypatch.setenv("HOME", "/of/me")
     assert understood([given], "train") == [meant]

@@ -26,6 +26,10 @@ def work(config):
         os.kill(os.getpid(), sent)
 command(folder, "task")(work)()
 """
+# work that would go on, had the signal not come again; it ends after half a second
+CARELESS_WORK = "time.sleep(20)"
+# longer than the half second after which a signal comes again
+PUTTING_IN_ORDER = "time.sleep(1.2)"
 SWALLOWED = "try:\n    os.kill(os.getpid(), sent)\nexcept BaseException:\n    pass\n"
 IMPORTING = f"""
 from diffstack_mmv.endings import endings_raised
@@ -40,17 +44,17 @@ import time
 from diffstack_mmv.endings import endings_raised
 with endings_raised():
     {SWALLOWED.strip().replace(chr(10), chr(10) + " " * 4)}
-    time.sleep(20)
+    {CARELESS_WORK}
     print("went on")
 """
-SLOW = """
+SLOW = f"""
 import time
 from diffstack_mmv.endings import endings_raised
 with endings_raised():
     try:
         os.kill(os.getpid(), sent)
     finally:
-        time.sleep(1.2)
+        {PUTTING_IN_ORDER}
         print("in order")
 """
 FORKED = f"""
@@ -105,7 +109,7 @@ def test_what_is_put_in_order_is_not_interrupted(tmp_path):
     assert (process.returncode, process.stdout) == (143, "in order\n")
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks a worker")
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system forks no workers")
 @pytest.mark.parametrize(("sent", "status"), [("SIGTERM", -signal.SIGTERM), ("SIGINT", 0)])
 def test_workers_that_were_forked_off_answer_as_usual(sent, status, tmp_path):
     assert ended(FORKED, tmp_path, sent).stdout == f"{status}\n"
