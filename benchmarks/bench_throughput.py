@@ -51,7 +51,7 @@ def _resolved(arguments):
     from hydra.core.hydra_config import HydraConfig
     from omegaconf import OmegaConf, open_dict
 
-    import diffstack_mmv.cli  # noqa: F401  registers the resolvers
+    import diffstack_mmv.commands.cli  # noqa: F401  registers the resolvers
     from diffstack_mmv.vehicles import config_folder
 
     with initialize_config_dir(str(config_folder()), version_base="1.3"):

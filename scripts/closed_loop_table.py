@@ -8,12 +8,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate, settings_in
-from diffstack_mmv.command_line import quoted
-from diffstack_mmv.config_checks import require_checkpoint
-from diffstack_mmv.data_checks import Conversion, require_conversions
-from diffstack_mmv.jobs import Job
-from diffstack_mmv.table_jobs import TableJobs, require_same_jobs
+from diffstack_mmv.commands.cli import DictConfig, OmegaConf, command, instantiate, settings_in
+from diffstack_mmv.commands.command_line import quoted
+from diffstack_mmv.commands.config_checks import require_checkpoint
+from diffstack_mmv.commands.data_checks import Conversion, require_conversions
+from diffstack_mmv.commands.jobs import Job
+from diffstack_mmv.commands.table_jobs import TableJobs, require_same_jobs
 from dmmv_conventions.checks import require
 from dmmv_conventions.configs import config_folder
 

@@ -3,8 +3,8 @@
 import logging
 from pathlib import Path
 
-from diffstack_mmv.cli import DictConfig, command, instantiate
-from diffstack_mmv.run_checks import require_reports
+from diffstack_mmv.commands.cli import DictConfig, command, instantiate
+from diffstack_mmv.commands.run_checks import require_reports
 from dmmv_conventions.checks import require_one_of
 from dmmv_conventions.configs import config_folder
 

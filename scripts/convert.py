@@ -3,8 +3,8 @@
 import logging
 from pathlib import Path
 
-from diffstack_mmv.cli import DictConfig, command, instantiate
-from diffstack_mmv.config_checks import require_folder
+from diffstack_mmv.commands.cli import DictConfig, command, instantiate
+from diffstack_mmv.commands.config_checks import require_folder
 from dmmv_conventions.cache import REPORT_FILE
 from dmmv_conventions.checks import require
 from dmmv_conventions.configs import config_folder

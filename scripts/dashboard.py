@@ -2,8 +2,8 @@
 
 import logging
 
-from diffstack_mmv.cli import DictConfig, command
-from diffstack_mmv.data_checks import require_modes
+from diffstack_mmv.commands.cli import DictConfig, command
+from diffstack_mmv.commands.data_checks import require_modes
 from dmmv_conventions.checks import require
 from dmmv_conventions.configs import config_folder
 

@@ -7,10 +7,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
-from diffstack_mmv.data_checks import other_history, other_modes, require_same_horizon, told_of_data
+from diffstack_mmv.commands.cli import DictConfig, OmegaConf, command, instantiate
+from diffstack_mmv.commands.data_checks import (
+    other_history,
+    other_modes,
+    require_same_horizon,
+    told_of_data,
+)
+from diffstack_mmv.commands.evaluation_checks import require_evaluation
 from diffstack_mmv.device_checks import usable_device
-from diffstack_mmv.evaluation_checks import require_evaluation
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.versions import code_version, file_hash

@@ -3,8 +3,8 @@
 import logging
 from pathlib import Path
 
-from diffstack_mmv.cli import DictConfig, command, instantiate
-from diffstack_mmv.config_checks import require_checkpoint
+from diffstack_mmv.commands.cli import DictConfig, command, instantiate
+from diffstack_mmv.commands.config_checks import require_checkpoint
 from dmmv_conventions.checks import require_at_least, require_positive
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path

@@ -6,9 +6,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
-from diffstack_mmv.data_checks import require_step_of, require_tracks
-from diffstack_mmv.run_checks import require_same_run
+from diffstack_mmv.commands.cli import DictConfig, OmegaConf, command, instantiate
+from diffstack_mmv.commands.data_checks import require_step_of, require_tracks
+from diffstack_mmv.commands.run_checks import require_same_run
 from dmmv_conventions.checks import message, require
 from dmmv_conventions.configs import config_folder
 

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from diffstack_mmv.cli import (
+from diffstack_mmv.commands.cli import (
     DictConfig,
     OmegaConf,
     as_written,
@@ -15,7 +15,7 @@ from diffstack_mmv.cli import (
     get_class,
     instantiate,
 )
-from diffstack_mmv.drive_checks import require_drive
+from diffstack_mmv.commands.drive_checks import require_drive
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.versions import code_version, file_hash

@@ -4,8 +4,8 @@ import logging
 import sys
 from pathlib import Path
 
-from diffstack_mmv.cli import DictConfig, command, folders_as
-from diffstack_mmv.run_checks import require_results
+from diffstack_mmv.commands.cli import DictConfig, command, folders_as
+from diffstack_mmv.commands.run_checks import require_results
 from dmmv_conventions.checks import require, require_at_least
 from dmmv_conventions.configs import config_folder
 

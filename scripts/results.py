@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from diffstack_mmv.cli import DictConfig, command, instantiate
-from diffstack_mmv.data_checks import require_modes
-from diffstack_mmv.experiment_jobs import BEST, Experiment
-from diffstack_mmv.table_jobs import TableJobs, require_same_jobs
+from diffstack_mmv.commands.cli import DictConfig, command, instantiate
+from diffstack_mmv.commands.data_checks import require_modes
+from diffstack_mmv.commands.experiment_jobs import BEST, Experiment
+from diffstack_mmv.commands.table_jobs import TableJobs, require_same_jobs
 from dmmv_conventions.checks import require, require_at_least, require_one_of
 from dmmv_conventions.configs import config_folder
 

@@ -4,8 +4,8 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
-from diffstack_mmv.config_checks import require_file
+from diffstack_mmv.commands.cli import DictConfig, OmegaConf, command, instantiate
+from diffstack_mmv.commands.config_checks import require_file
 from dmmv_conventions.checks import message, require, require_one_of
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.differences import first_difference

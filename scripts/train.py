@@ -7,17 +7,17 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
-from diffstack_mmv.config_checks import require_checkpoint
-from diffstack_mmv.data_checks import (
+from diffstack_mmv.commands.cli import DictConfig, OmegaConf, command, instantiate
+from diffstack_mmv.commands.config_checks import require_checkpoint
+from diffstack_mmv.commands.data_checks import (
     require_data,
     require_own_vehicle,
     require_recordings,
     require_windows,
     told_of_data,
 )
+from diffstack_mmv.commands.training_checks import require_places, require_training
 from diffstack_mmv.device_checks import require_accelerator
-from diffstack_mmv.training_checks import require_places, require_training
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 

@@ -5,8 +5,8 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from diffstack_mmv.cli import DictConfig, OmegaConf, command, instantiate
-from diffstack_mmv.run_checks import require_same_run
+from diffstack_mmv.commands.cli import DictConfig, OmegaConf, command, instantiate
+from diffstack_mmv.commands.run_checks import require_same_run
 from dmmv_conventions.checks import require, require_at_least
 from dmmv_conventions.configs import config_folder
 

@@ -12,9 +12,9 @@ from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-import diffstack_mmv.cli  # noqa: F401  registers the resolvers
+import diffstack_mmv.commands.cli  # noqa: F401  registers the resolvers
+from diffstack_mmv.commands.experiment_jobs import Experiment
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.experiment_jobs import Experiment
 from diffstack_mmv.stack import DiffStackMMV
 from dmmv_conventions.arguments import require_arguments
 from dmmv_conventions.foretold import require_foretold

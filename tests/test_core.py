@@ -89,7 +89,7 @@ PARTS = {
     "data_converters:ThabVruDataset": "data_converters",
     "data_converters:ImptcDataset": "data_converters.imptc",
     "diffstack_mmv.metrics:MeanByMode": "diffstack_mmv.metrics",
-    "diffstack_mmv.cli": "the command lines",
+    "diffstack_mmv.commands.cli": "the command lines",
     "scripts.train": "the command lines",
     "diffstack_mmv.simulation.drawing": "pictures of the environment",
 }

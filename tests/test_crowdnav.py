@@ -11,7 +11,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 
-import diffstack_mmv.cli  # noqa: F401  registers the resolvers
+import diffstack_mmv.commands.cli  # noqa: F401  registers the resolvers
 from diffstack_mmv.crowdnav import LIMITS, CrowdNav
 from diffstack_mmv.dynamics.config_files import names_in
 from diffstack_mmv.simulation import DiffMPCController, drive

@@ -14,7 +14,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
 
-import diffstack_mmv.cli  # noqa: F401  registers the resolvers
+import diffstack_mmv.commands.cli  # noqa: F401  registers the resolvers
 
 ROOT = Path(__file__).resolve().parents[1]
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
+from diffstack_mmv.commands.data_checks import other_history, require_same_horizon
 from diffstack_mmv.control import ILQR, Bounds
-from diffstack_mmv.data_checks import other_history, require_same_horizon
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle, rollout
 from diffstack_mmv.dynamics.manoeuvres import RecordedControls
 from diffstack_mmv.vehicles import load_vehicle

@@ -2,7 +2,7 @@
 
 import pytest
 
-from diffstack_mmv.cli import folders_as
+from diffstack_mmv.commands.cli import folders_as
 from diffstack_mmv.reporting.html import names_apart
 from tests.reporting.html import runs
 

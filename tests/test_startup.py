@@ -17,18 +17,18 @@ ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = sorted(path.stem for path in (ROOT / "scripts").glob("*.py") if path.stem != "__init__")
 LIGHT = {
     "dmmv_conventions",
-    "diffstack_mmv.cli",
-    "diffstack_mmv.command_line",
-    "diffstack_mmv.config_checks",
-    "diffstack_mmv.data_checks",
+    "diffstack_mmv.commands.cli",
+    "diffstack_mmv.commands.command_line",
+    "diffstack_mmv.commands.config_checks",
+    "diffstack_mmv.commands.data_checks",
     "diffstack_mmv.device_checks",
-    "diffstack_mmv.drive_checks",
-    "diffstack_mmv.evaluation_checks",
-    "diffstack_mmv.experiment_jobs",
-    "diffstack_mmv.jobs",
-    "diffstack_mmv.run_checks",
-    "diffstack_mmv.table_jobs",
-    "diffstack_mmv.training_checks",
+    "diffstack_mmv.commands.drive_checks",
+    "diffstack_mmv.commands.evaluation_checks",
+    "diffstack_mmv.commands.experiment_jobs",
+    "diffstack_mmv.commands.jobs",
+    "diffstack_mmv.commands.run_checks",
+    "diffstack_mmv.commands.table_jobs",
+    "diffstack_mmv.commands.training_checks",
     "hydra.utils",
     "omegaconf",
     "tqdm",
@@ -40,7 +40,7 @@ OF_THE_WORK = ("matplotlib", "trajdata", "wandb", "pytorch_lightning", "torch._d
 # imports what every command imports first, and goes on with each command in a fork of its own
 SERVE = """
 import atexit, json, os, runpy, sys
-import diffstack_mmv.cli
+import diffstack_mmv.commands.cli
 for line in sys.stdin:
     heavy, file, *sys.argv = json.loads(line)
     if child := os.fork():

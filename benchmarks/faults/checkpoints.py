@@ -20,7 +20,7 @@ TARGETS = (
     "shutil.rmtree", "hydra.utils.instantiate", "hydra.utils.call", "hydra.utils.get_method",
     "importlib.import_module", "functools.partial", "torch.load", "torch.hub.load", "numpy.load",
     "pickle.loads", "yaml.unsafe_load", "pytorch_lightning.Trainer",
-    "diffstack_mmv.cli.sys.exit", "diffstack_mmv.stack.checkpoint.instantiate",
+    "diffstack_mmv.commands.cli.sys.exit", "diffstack_mmv.stack.checkpoint.instantiate",
     "diffstack_mmv.stack.load_predictor", "diffstack_mmv.vehicles.save_vehicle",
     "data_converters.imptc.download.download_imptc", "data_converters.cache.write_json",
     "dmmv_conventions.opening.CachedUnifiedDataset", "diffstack_mmv.nowhere.Nothing", 7, None,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from data_converters import ConversionError, ConversionSettings, convert
 from data_converters.recordings import RecordingDataset
 from data_converters.report import ConversionReport
-from diffstack_mmv.failures import EXPECTED
+from diffstack_mmv.commands.failures import EXPECTED
 
 
 class Result(StrEnum):

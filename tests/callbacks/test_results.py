@@ -9,7 +9,7 @@ import yaml
 from hydra import compose, initialize_config_dir
 from wandb.sdk.lib import console_capture
 
-import diffstack_mmv.cli  # noqa: F401  registers the resolvers
+import diffstack_mmv.commands.cli  # noqa: F401  registers the resolvers
 from diffstack_mmv.callbacks import CheckpointArtifact, QuietWandbLogger, WandbResults
 from diffstack_mmv.reporting.html import read_record
 from tests.reporting.html import runs

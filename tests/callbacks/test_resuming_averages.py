@@ -17,7 +17,7 @@ from omegaconf import OmegaConf
 from pytorch_lightning.callbacks import Callback
 from torch.utils.data import DataLoader
 
-import diffstack_mmv.cli  # noqa: F401  registers the resolvers
+import diffstack_mmv.commands.cli  # noqa: F401  registers the resolvers
 from diffstack_mmv.vehicles import config_folder
 from tests.callbacks.test_resuming import Killed, Line
 

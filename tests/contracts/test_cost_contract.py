@@ -7,7 +7,7 @@ import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-import diffstack_mmv.cli  # noqa: F401  registers the resolvers
+import diffstack_mmv.commands.cli  # noqa: F401  registers the resolvers
 from diffstack_mmv.costs import WeightedCost
 from diffstack_mmv.geometry import direction, rotate
 from diffstack_mmv.types import (

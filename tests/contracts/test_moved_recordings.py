@@ -7,7 +7,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-import diffstack_mmv.cli  # noqa: F401  registers the resolvers
+import diffstack_mmv.commands.cli  # noqa: F401  registers the resolvers
 from tests.data_converters.synthetic import WRITERS
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"

@@ -8,7 +8,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-import diffstack_mmv.cli  # noqa: F401  registers the resolvers
+import diffstack_mmv.commands.cli  # noqa: F401  registers the resolvers
 from data_converters import ConversionSettings, ResampleSettings, convert
 from diffstack_mmv.data import DirectWindows
 from tests.data_converters.synthetic import WRITERS

@@ -26,7 +26,7 @@ HOSTILE = (
     "functools.partial",
     "pytorch_lightning.cli.LightningCLI",
     # through names of this project
-    "diffstack_mmv.cli.sys.exit",
+    "diffstack_mmv.commands.cli.sys.exit",
     "diffstack_mmv.stack.checkpoint.instantiate",
     "diffstack_mmv.stack.checkpoint.torch.load",
     "diffstack_mmv.dynamics.catalogue.load_dynamics",

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from diffstack_mmv.cli import DictConfig
+from diffstack_mmv.commands.cli import DictConfig
 from diffstack_mmv.types import Mode
 from scripts.navigate import _controllers
 from tests.data.conftest import ToyAgent, write_cache

@@ -14,7 +14,7 @@ import pytest
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
-from diffstack_mmv.cli import admit_any, command, save_config
+from diffstack_mmv.commands.cli import admit_any, command, save_config
 from dmmv_conventions.extras import needs
 from dmmv_conventions.locks import alone_in
 

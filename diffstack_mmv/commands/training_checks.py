@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from diffstack_mmv.config_checks import require_share
+from diffstack_mmv.commands.config_checks import require_share
 from diffstack_mmv.metrics import OF_THE_PREDICTION, OPEN_LOOP
 from dmmv_conventions.checks import message, require, require_at_least, require_one_of
 from dmmv_conventions.targets import nodes

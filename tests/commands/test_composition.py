@@ -8,9 +8,9 @@ from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
-from diffstack_mmv import composition
-from diffstack_mmv.cli import command
-from diffstack_mmv.composition import as_written, changed_defaults, settings_in
+from diffstack_mmv.commands import composition
+from diffstack_mmv.commands.cli import command
+from diffstack_mmv.commands.composition import as_written, changed_defaults, settings_in
 
 CONTENT = """
 defaults: [part: coarse, _self_]

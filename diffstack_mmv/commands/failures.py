@@ -13,8 +13,8 @@ from hydra.errors import CompactHydraException, HydraException
 from hydra.types import RunMode
 from omegaconf.errors import OmegaConfBaseException
 
-from diffstack_mmv.endings import ToldToEndError
-from diffstack_mmv.override_errors import (
+from diffstack_mmv.commands.endings import ToldToEndError
+from diffstack_mmv.commands.override_errors import (
     one_line,
     told,
     told_of_access,

@@ -9,21 +9,21 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-from diffstack_mmv.command_line import quoted
-from diffstack_mmv.experiment_jobs import Experiment
-from diffstack_mmv.jobs import Job, LocalProcesses, run_job
-from diffstack_mmv.reporting import Run
-from diffstack_mmv.table_jobs import (
+from diffstack_mmv.commands.command_line import quoted
+from diffstack_mmv.commands.experiment_jobs import Experiment
+from diffstack_mmv.commands.jobs import Job, LocalProcesses, run_job
+from diffstack_mmv.commands.table_jobs import (
     TableJobs,
     expected_seconds,
     require_same_jobs,
     run_all,
     why_failed,
 )
+from diffstack_mmv.reporting import Run
 from dmmv_conventions.configs import config_folder
 from scripts.results import check
 
-SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
 
 def job(folder, name, code):
@@ -124,7 +124,8 @@ def test_a_result_of_a_job_whose_launcher_was_killed_is_that_of_its_settings(tmp
     command = (sys.executable, "-c", code, *asked.commands[0][3:])
     killed = asked._replace(commands=(command,))
     made = repr(killed).replace("PosixPath", "Path")
-    line = f"from pathlib import Path; from diffstack_mmv.jobs import Job, run_job; run_job({made})"
+    imported = "from diffstack_mmv.commands.jobs import Job, run_job"
+    line = f"from pathlib import Path; {imported}; run_job({made})"
     subprocess.run([sys.executable, "-c", line], check=False)
     assert killed.done
     with pytest.raises(ValueError, match="another setting than epochs=2, but got epochs=1"):

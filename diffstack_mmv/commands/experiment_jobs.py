@@ -9,8 +9,8 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from diffstack_mmv.command_line import quoted
-from diffstack_mmv.jobs import Job
+from diffstack_mmv.commands.command_line import quoted
+from diffstack_mmv.commands.jobs import Job
 
 if TYPE_CHECKING:
     from diffstack_mmv.reporting import Run

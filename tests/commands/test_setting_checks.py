@@ -10,7 +10,7 @@ from pytorch_lightning.strategies import StrategyRegistry
 
 from benchmarks.faults.configuration import words
 from benchmarks.faults.workplace import base, said
-from diffstack_mmv.training_checks import (
+from diffstack_mmv.commands.training_checks import (
     ACCELERATORS,
     CHOICES,
     LEAST,

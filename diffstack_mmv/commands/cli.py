@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from diffstack_mmv.endings import endings_raised
+from diffstack_mmv.commands.endings import endings_raised
 from dmmv_conventions.extras import needs_to_run
 
 with endings_raised(), needs_to_run("stack", "the command lines"):
@@ -25,9 +25,9 @@ with endings_raised(), needs_to_run("stack", "the command lines"):
     from hydra.utils import get_class, instantiate
     from omegaconf import DictConfig, OmegaConf, read_write
 
-    from diffstack_mmv.child_processes import end_with_parent
-    from diffstack_mmv.command_line import folders_as, understood
-    from diffstack_mmv.composition import (
+    from diffstack_mmv.commands.child_processes import end_with_parent
+    from diffstack_mmv.commands.command_line import folders_as, understood
+    from diffstack_mmv.commands.composition import (
         as_written,
         change_again,
         changed_defaults,
@@ -36,9 +36,17 @@ with endings_raised(), needs_to_run("stack", "the command lines"):
         settings_in,
         value_of,
     )
-    from diffstack_mmv.config_checks import require_complete, require_same_type, require_seed
-    from diffstack_mmv.failures import composition_told, failures_told
-    from diffstack_mmv.run_checks import config_file, require_own_config, require_own_folder
+    from diffstack_mmv.commands.config_checks import (
+        require_complete,
+        require_same_type,
+        require_seed,
+    )
+    from diffstack_mmv.commands.failures import composition_told, failures_told
+    from diffstack_mmv.commands.run_checks import (
+        config_file,
+        require_own_config,
+        require_own_folder,
+    )
     from diffstack_mmv.vehicles import VehicleSpec
     from dmmv_conventions.annotations import require_types
     from dmmv_conventions.arguments import require_arguments

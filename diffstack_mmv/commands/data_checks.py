@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from diffstack_mmv.config_checks import require_folder
+from diffstack_mmv.commands.config_checks import require_folder
 from dmmv_conventions.cache import SPLITS, conversion_command, read_state
 from dmmv_conventions.checks import (
     message,

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from diffstack_mmv.config_checks import (
+from diffstack_mmv.commands.config_checks import (
     require_checkpoint,
     require_complete,
     require_file,
@@ -15,7 +15,7 @@ from diffstack_mmv.config_checks import (
     require_seed,
     require_share,
 )
-from diffstack_mmv.data_checks import (
+from diffstack_mmv.commands.data_checks import (
     require_data,
     require_own_vehicle,
     require_recordings,

@@ -18,7 +18,7 @@ folder, sent = Path(sys.argv.pop(1)), signal.Signals[sys.argv.pop(1)]
 """
 CONTENT = "out: out\nhydra: {run: {dir: '${out}'}, output_subdir: null}\n"
 COMMAND = """
-from diffstack_mmv.cli import command
+from diffstack_mmv.commands.cli import command
 from dmmv_conventions.disk import replacing
 def work(config):
     with replacing(folder / "result") as unfinished:
@@ -32,7 +32,7 @@ CARELESS_WORK = "time.sleep(20)"
 PUTTING_IN_ORDER = "time.sleep(1.2)"
 SWALLOWED = "try:\n    os.kill(os.getpid(), sent)\nexcept BaseException:\n    pass\n"
 IMPORTING = f"""
-from diffstack_mmv.endings import endings_raised
+from diffstack_mmv.commands.endings import endings_raised
 (folder / "careless.py").write_text("import os\\nfrom __main__ import sent\\n" + {SWALLOWED!r})
 sys.path.insert(0, str(folder))
 with endings_raised():
@@ -41,7 +41,7 @@ print("went on")
 """
 CARELESS = f"""
 import time
-from diffstack_mmv.endings import endings_raised
+from diffstack_mmv.commands.endings import endings_raised
 with endings_raised():
     {SWALLOWED.strip().replace(chr(10), chr(10) + " " * 4)}
     {CARELESS_WORK}
@@ -49,7 +49,7 @@ with endings_raised():
 """
 SLOW = f"""
 import time
-from diffstack_mmv.endings import endings_raised
+from diffstack_mmv.commands.endings import endings_raised
 with endings_raised():
     try:
         os.kill(os.getpid(), sent)
@@ -58,7 +58,7 @@ with endings_raised():
         print("in order")
 """
 FORKED = f"""
-from diffstack_mmv.endings import endings_raised
+from diffstack_mmv.commands.endings import endings_raised
 with endings_raised():
     worker = os.fork()
     if worker == 0:

@@ -1,4 +1,4 @@
-"""A trained stack from Python: what was observed up to now goes in, forecast and plan come out."""
+"""One decision of a trained stack: observed agents as a sample, its answer in their world."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ from diffstack_mmv.geometry import (
     rotate,
     wrap_angle,
 )
-from diffstack_mmv.online_checks import point_of, require_known_now, require_observed
+from diffstack_mmv.online.checks import point_of, require_known_now, require_observed
 from diffstack_mmv.planning import PredictedGoal, WantedGoal
 from diffstack_mmv.stack import load_stack
 from diffstack_mmv.types import Forecast, Mode, Motion, Pose, StackBatch, Tracks, map_tensors

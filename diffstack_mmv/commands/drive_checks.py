@@ -8,7 +8,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from diffstack_mmv.config_checks import require_checkpoint, require_file
+from diffstack_mmv.commands.config_checks import require_checkpoint, require_file
 from dmmv_conventions.cache import SPLITS
 from dmmv_conventions.checks import require, require_at_least, require_one_of
 from dmmv_conventions.configs import config_folder

@@ -1,8 +1,4 @@
-"""CrowdNav from Python: a vehicle that a controller drives through a crowd, with no command line.
-
-The settings are those of `scripts/navigate.py`, read from the same files, so the episodes are the
-same too.
-"""
+"""The settings of a drive by their names, and what is built and driven of them."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,7 +12,7 @@ from typing import Any, SupportsIndex
 from torch import Tensor
 
 from diffstack_mmv.checks import require, require_one_of, require_positive, require_whole
-from diffstack_mmv.drive_parts import HANDED, built_part, left_open, require_part
+from diffstack_mmv.crowdnav.parts import HANDED, built_part, left_open, require_part
 from diffstack_mmv.dynamics.catalogue import load_dynamics
 from diffstack_mmv.dynamics.config_files import chosen_in, names_in
 from diffstack_mmv.simulation import (

@@ -2,7 +2,7 @@
 
 import pytest
 
-from diffstack_mmv.command_line import understood
+from diffstack_mmv.commands.command_line import understood
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import pytest
 
-from diffstack_mmv.training_checks import require_places
+from diffstack_mmv.commands.training_checks import require_places
 
 SITE = {"site": {"_target_": "diffstack_mmv.prediction.trajectron.Site"}}
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 
-from diffstack_mmv.jobs import Job, Launcher
+from diffstack_mmv.commands.jobs import Job, Launcher
 from dmmv_conventions.checks import message
 from dmmv_conventions.progress import counted
 

@@ -5,8 +5,8 @@ As in `config_checks`, a mistake is told before what takes seconds is imported.
 
 from omegaconf import DictConfig
 
-from diffstack_mmv.config_checks import require_checkpoint
-from diffstack_mmv.data_checks import (
+from diffstack_mmv.commands.config_checks import require_checkpoint
+from diffstack_mmv.commands.data_checks import (
     require_data,
     require_recordings,
     require_situations,

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
-from diffstack_mmv.child_processes import ChildProcesses
-from diffstack_mmv.command_line import quoted
+from diffstack_mmv.commands.child_processes import ChildProcesses
+from diffstack_mmv.commands.command_line import quoted
 from dmmv_conventions.checks import require_at_least
 from dmmv_conventions.disk import replacing
 from dmmv_conventions.extras import needs

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from diffstack_mmv.config_checks import require_file, require_folder
+from diffstack_mmv.commands.config_checks import require_file, require_folder
 from dmmv_conventions.checks import message, require
 from dmmv_conventions.differences import first_difference
 from dmmv_conventions.yaml_files import load_plain

@@ -5,7 +5,7 @@ import re
 import pytest
 from omegaconf import OmegaConf
 
-from diffstack_mmv.run_checks import (
+from diffstack_mmv.commands.run_checks import (
     config_file,
     require_own_folder,
     require_reports,

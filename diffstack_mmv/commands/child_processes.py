@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from typing import IO, Self
 
-from diffstack_mmv.endings import endings_raised
+from diffstack_mmv.commands.endings import endings_raised
 
 _PARENT = "DMMV_PARENT"
 """Environment variable with the number of the process that started a command."""

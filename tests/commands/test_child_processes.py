@@ -12,14 +12,14 @@ import pytest
 LAUNCHER = """
 import signal, sys
 from pathlib import Path
-from diffstack_mmv.jobs import Job, LocalProcesses, run_job
+from diffstack_mmv.commands.jobs import Job, LocalProcesses, run_job
 signal.signal(signal.SIGINT, signal.default_int_handler)  # tests that run behind a shell ignore it
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 folder = Path(sys.argv[1])
 CHILD = '''
 import signal, sys, time
 from pathlib import Path
-from diffstack_mmv.child_processes import end_with_parent
+from diffstack_mmv.commands.child_processes import end_with_parent
 folder, name = Path(sys.argv[1]), sys.argv[2]
 def save(*_):
     time.sleep(0.3)
