@@ -4,11 +4,10 @@ import os
 import signal
 import sys
 import threading
-from _thread import interrupt_main
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 USUAL = {
     "SIGINT": signal.default_int_handler,  # Ctrl-C
@@ -18,6 +17,7 @@ USUAL = {
 """Signals to end, and what answers them where nobody has said otherwise."""
 
 _AGAIN_S = 0.5
+"""After which an exception that was swallowed is raised again."""
 
 
 class ToldToEndError(SystemExit):
@@ -32,9 +32,14 @@ class ToldToEndError(SystemExit):
 def endings_raised() -> Iterator[None]:
     """Have signals to end raise an exception, as Ctrl-C does: files and processes are then left.
 
-    Packages may swallow it: it is raised again until this is left. Within an import the process
-    ends at once, as some go on without the half that is missing. A signal that is ignored, as under
-    nohup, or that somebody else answers, stays so.
+    Such an exception may be swallowed, and the command then goes on. Within an import the process
+    ends at once: the initialisation of torch clears whatever ended its import of numpy, and goes on
+    with half of it (3 of 60 starts that were interrupted within 4 s). Elsewhere the exception is
+    raised again until this is left: Python ignores what is raised in `__del__` and in callbacks of
+    weak references, which are called all the time (1 of 120 starts, a tuning). Windows has no timer
+    for that.
+
+    A signal that is ignored, as under nohup, or that somebody else answers, stays so.
 
     Raises:
         ToldToEndError: SIGTERM or SIGHUP came.
@@ -59,49 +64,49 @@ class _Endings:
     """Raises an exception for a signal, and again where it was swallowed."""
 
     def __init__(self) -> None:
-        self._left, self._leaving = threading.Event(), threading.Lock()
         self._process = os.getpid()
-        self._raised: BaseException | None = None
-        self._again = False
+        self._number, self._raised = 0, BaseException()
+        self._unraisable = sys.unraisablehook
 
-    def end(self, number: int, frame: FrameType | None) -> None:
-        """Answer a signal."""
+    def end(self, number: int, frame: FrameType | None) -> NoReturn:
+        """Answer a signal to end."""
         if os.getpid() != self._process:
             _end_forked(number, frame)
-        again, self._again = self._again, False
-        # what is put in order meanwhile is not interrupted, but by who asks a second time
-        if again and _handled(self._raised):
-            return
-        if _importing(frame):
-            os.write(2, _told(number).encode())
-            os._exit(128 + number)
-        if self._raised is None:
-            threading.Thread(target=self._repeat, args=(number,), daemon=True).start()
-        interrupted = number == signal.SIGINT
-        self._raised = KeyboardInterrupt() if interrupted else ToldToEndError(number)
-        raise self._raised
+        if not self._number:
+            sys.unraisablehook = self._swallowed
+            if hasattr(signal, "setitimer"):
+                signal.signal(signal.SIGALRM, self._again)
+                signal.setitimer(signal.ITIMER_REAL, _AGAIN_S, _AGAIN_S)
+        self._number = number
+        self._raise(frame)
 
     def leave(self) -> None:
         """Raise nothing any more."""
-        with self._leaving:
-            self._left.set()
+        if self._number:
+            sys.unraisablehook = self._unraisable
+            if hasattr(signal, "setitimer"):
+                signal.setitimer(signal.ITIMER_REAL, 0)
 
-    def _repeat(self, number: int) -> None:
-        while not self._left.wait(_AGAIN_S):
-            with self._leaving:
-                if not self._left.is_set():
-                    self._again = True
-                    _signal_main_thread(number)
+    def _again(self, _: int, frame: FrameType | None) -> None:
+        # what is put in order because of the signal is interrupted by who asks a second time alone
+        if not _handled(self._raised):
+            self._raise(frame)
+
+    def _raise(self, frame: FrameType | None) -> NoReturn:
+        if _importing(frame):
+            os.write(2, _told(self._number).encode())
+            os._exit(128 + self._number)
+        interrupted = self._number == signal.SIGINT
+        self._raised = KeyboardInterrupt() if interrupted else ToldToEndError(self._number)
+        raise self._raised
+
+    def _swallowed(self, unraisable: Any) -> None:
+        """Python prints what it ignores, but this is raised again."""
+        if unraisable.exc_value is not self._raised:
+            self._unraisable(unraisable)
 
 
-def _signal_main_thread(number: int) -> None:
-    if hasattr(signal, "pthread_kill"):  # it ends a wait, too, but Windows has none
-        signal.pthread_kill(threading.main_thread().ident or 0, number)
-    else:
-        interrupt_main(signal.Signals(number))
-
-
-def _handled(error: BaseException | None) -> bool:
+def _handled(error: BaseException) -> bool:
     """Whether the main thread is leaving what it did because of an exception."""
     found = sys.exc_info()[1]
     while found is not None and found is not error:

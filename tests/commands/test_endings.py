@@ -47,6 +47,16 @@ with endings_raised():
     {CARELESS_WORK}
     print("went on")
 """
+# as the callbacks of weak references, which are called all the time
+IGNORED = COMMAND.replace(
+    "        os.kill(os.getpid(), sent)",
+    """        class Ignored:
+            def __del__(self):
+                os.kill(os.getpid(), sent)
+        Ignored()
+        time.sleep(20)
+        print("went on")""",
+).replace("\n", "\nimport time\n", 1)
 SLOW = f"""
 import time
 from diffstack_mmv.commands.endings import endings_raised
@@ -102,6 +112,14 @@ def test_a_signal_that_was_swallowed_comes_again(sent, tmp_path):
     process = ended(CARELESS, tmp_path, sent)
     assert process.returncode != 0
     assert process.stdout == ""
+
+
+def test_a_signal_that_python_ignores_comes_again_and_is_told_once(tmp_path):
+    (tmp_path / "task.yaml").write_text(CONTENT)
+    process = ended(IGNORED, tmp_path, "SIGTERM")
+    assert (process.returncode, process.stderr) == (143, "Ended by SIGTERM.\n")
+    assert process.stdout == ""
+    assert not list(tmp_path.glob("result*"))
 
 
 def test_what_is_put_in_order_is_not_interrupted(tmp_path):
