@@ -11,7 +11,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
-from diffstack_mmv.checks import message, require, require_one_of
+from dmmv_conventions.checks import message, require, require_one_of
 from dmmv_conventions.yaml_files import load_plain
 
 SELF = "_self_"

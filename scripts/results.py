@@ -12,6 +12,7 @@ from diffstack_mmv.commands.data_checks import require_modes
 from diffstack_mmv.commands.experiment_jobs import BEST, Experiment
 from diffstack_mmv.commands.table_jobs import TableJobs, require_same_jobs
 from dmmv_conventions.checks import require, require_at_least, require_one_of
+from dmmv_conventions.config_files import names_in
 from dmmv_conventions.configs import config_folder
 
 if TYPE_CHECKING:
@@ -73,9 +74,8 @@ def _require_conversion(experiment: Experiment, name: str) -> None:
 
 def _require_option(group: str, name: str) -> None:
     """Refuse what is neither an option of a group nor a file of one's own."""
-    known = sorted(path.stem for path in (config_folder() / group).glob("*.yaml"))
     if not Path(name).is_file():
-        require_one_of(group, name, known)
+        require_one_of(group, name, names_in(config_folder() / group))
 
 
 def admit(config: DictConfig) -> None:

@@ -13,9 +13,9 @@ from hydra.utils import instantiate
 
 import diffstack_mmv.commands.cli  # noqa: F401  registers the resolvers
 from diffstack_mmv.crowdnav import LIMITS, CrowdNav
-from diffstack_mmv.dynamics.config_files import names_in
 from diffstack_mmv.simulation import DiffMPCController, drive
 from diffstack_mmv.vehicles import config_folder, load_vehicle
+from dmmv_conventions.config_files import names_in
 
 CONTROLLERS = config_folder() / "controller"
 EGO = {"controller": "diffmpc_ego"}

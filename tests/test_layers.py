@@ -50,7 +50,8 @@ CONVENTIONS = {
     "planning": {"dmmv_conventions.libraries"},
     "prediction": {"dmmv_conventions.libraries"},
     "simulation": {"dmmv_conventions.libraries"},
-    "dynamics": {"dmmv_conventions.yaml_files"},
+    "dynamics": {"dmmv_conventions.config_files", "dmmv_conventions.configs"},
+    "crowdnav": {"dmmv_conventions.config_files", "dmmv_conventions.configs"},
     "data": {"dmmv_conventions.cache", "dmmv_conventions.opening"},
     "commands": {
         "dmmv_conventions.annotations",
@@ -58,6 +59,7 @@ CONVENTIONS = {
         "dmmv_conventions.bars",
         "dmmv_conventions.cache",
         "dmmv_conventions.checks",
+        "dmmv_conventions.config_files",
         "dmmv_conventions.configs",
         "dmmv_conventions.data_names",
         "dmmv_conventions.definitions",
@@ -71,6 +73,7 @@ CONVENTIONS = {
     },
     "vehicles": {
         "dmmv_conventions.checks",
+        "dmmv_conventions.config_files",
         "dmmv_conventions.configs",
         "dmmv_conventions.modes",
         "dmmv_conventions.yaml_files",

@@ -11,6 +11,7 @@ from omegaconf import DictConfig
 from diffstack_mmv.commands.config_checks import require_checkpoint, require_file
 from dmmv_conventions.cache import SPLITS
 from dmmv_conventions.checks import require, require_at_least, require_one_of
+from dmmv_conventions.config_files import names_in
 from dmmv_conventions.configs import config_folder
 
 logger = logging.getLogger(__name__)
@@ -36,7 +37,7 @@ def require_drive(config: DictConfig, cases: range) -> None:
         )
     require_at_least("animate", config.animate, 0)
     require_one_of("movie", config.movie, ("gif", "mp4"))
-    known = sorted(path.stem for path in (config_folder() / "controller").glob("*.yaml"))
+    known = names_in(config_folder() / "controller")
     for name in config.beside:
         require_one_of("beside", name, known)
         if name not in (config.get("baselines") or ()):

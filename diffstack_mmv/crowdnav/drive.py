@@ -14,7 +14,6 @@ from torch import Tensor
 from diffstack_mmv.checks import require, require_one_of, require_positive, require_whole
 from diffstack_mmv.crowdnav.parts import HANDED, built_part, left_open, require_part
 from diffstack_mmv.dynamics.catalogue import load_dynamics
-from diffstack_mmv.dynamics.config_files import chosen_in, names_in
 from diffstack_mmv.simulation import (
     Campaign,
     Controller,
@@ -29,8 +28,10 @@ from diffstack_mmv.simulation import (
     vehicle_robot,
     world_for,
 )
-from diffstack_mmv.vehicles import VehicleSpec, config_folder, load_vehicle
+from diffstack_mmv.vehicles import VehicleSpec, load_vehicle
 from diffstack_mmv.vehicles.reading import config_from_spec
+from dmmv_conventions.config_files import chosen_in, names_in
+from dmmv_conventions.configs import config_folder
 
 LIMITS: Mapping[str, float] = MappingProxyType(
     {"speed_max_mps": 3.0, "acceleration_min_mps2": -3.0, "acceleration_max_mps2": 2.0}

@@ -5,8 +5,8 @@ from types import MappingProxyType
 from typing import Any
 
 from diffstack_mmv.checks import require
-from diffstack_mmv.dynamics.config_files import factory, interpolations, settings_of
-from diffstack_mmv.vehicles import config_folder
+from dmmv_conventions.config_files import factory, interpolations, settings_of
+from dmmv_conventions.configs import config_folder
 
 HANDED: Mapping[str, frozenset[str]] = MappingProxyType(
     {

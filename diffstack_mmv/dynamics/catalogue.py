@@ -6,8 +6,9 @@ from typing import Protocol, runtime_checkable
 
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.dynamics.base import DynamicsModel
-from diffstack_mmv.dynamics.config_files import factory, names_in, settings_of
-from diffstack_mmv.vehicles import ParameterSpec, VehicleSpec, config_folder, load_vehicle
+from diffstack_mmv.vehicles import ParameterSpec, VehicleSpec, load_vehicle
+from dmmv_conventions.config_files import factory, names_in, settings_of
+from dmmv_conventions.configs import config_folder
 
 INERTIAS = ("yaw_inertia", "roll_inertia")
 

@@ -9,6 +9,7 @@ from typing import Any
 from diffstack_mmv.vehicles.reading import config_from_spec
 from diffstack_mmv.vehicles.spec import VehicleSpec
 from dmmv_conventions.checks import did_you_mean, message
+from dmmv_conventions.config_files import names_in
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.disk import replacing
 from dmmv_conventions.yaml_files import read_mapping, to_yaml
@@ -16,7 +17,7 @@ from dmmv_conventions.yaml_files import read_mapping, to_yaml
 
 def vehicle_names() -> list[str]:
     """Names of the vehicles that come with the package, sorted."""
-    return sorted(path.stem for path in (config_folder() / "vehicle").glob("*.yaml"))
+    return names_in(config_folder() / "vehicle")
 
 
 def load_vehicle(name_or_path: str | Path) -> VehicleSpec:
