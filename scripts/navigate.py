@@ -175,16 +175,16 @@ def _draw(
     config: DictConfig, driven: "Campaign", robot: "VehicleRobot", chunks: Sequence["Chunk"]
 ) -> None:
     """Write pictures and animations of the cases that the controller drove."""
-    from diffstack_mmv.plotting import CaseStart, save_stories
+    from diffstack_mmv.plotting import CaseStart, episode_of, save_story, worth_showing
 
-    def start(case: int) -> CaseStart:
-        return CaseStart(*driven.scenario.case(driven.phase, case).radii_and_goal())
-
-    records = [chunk.record for chunk in chunks]
-    save_stories(
-        Path(config.out), driven.cases, records, start, config.animate, config.show,
-        robot.footprint.outline(), driven.thoughts, config.movie, robot.model.Control._fields,
-    )  # fmt: skip
+    rows = {case: (each.record, row) for each in chunks for row, case in enumerate(each.cases)}
+    outcomes = {case: int(record.outcome[row]) for case, (record, row) in rows.items()}
+    outline, control_names = robot.footprint.outline(), robot.model.Control._fields
+    for case in worth_showing(outcomes, config.animate, config.show):
+        start = CaseStart(*driven.scenario.case(driven.phase, case).radii_and_goal())
+        drawn = episode_of(*rows[case], case, start, outline)
+        drawn = drawn._replace(thoughts=driven.thoughts(case), control_names=control_names)
+        save_story(Path(config.out), drawn, config.movie)
 
 
 def _tell_times(result: Mapping[str, Any]) -> None:

@@ -8,7 +8,7 @@ with needs("stack", "diffstack_mmv.plotting"):
         save_animation,
         save_side_by_side,
     )
-    from diffstack_mmv.plotting.closed_loop import save_stories
+    from diffstack_mmv.plotting.closed_loop import save_story, worth_showing
     from diffstack_mmv.plotting.episodes import CaseStart, Episode, draw_episode, episode_of
     from diffstack_mmv.plotting.estimates import (
         Estimate,
@@ -61,5 +61,6 @@ __all__ = [
     "save_figure",
     "save_identification",
     "save_side_by_side",
-    "save_stories",
+    "save_story",
+    "worth_showing",
 ]

@@ -4,7 +4,7 @@ import pytest
 import torch
 from matplotlib.patches import Circle, Polygon
 
-from diffstack_mmv.plotting import CaseStart, draw_episode, episode_of, save_stories
+from diffstack_mmv.plotting import CaseStart, draw_episode, episode_of, save_story, worth_showing
 from diffstack_mmv.types import EpisodeRecord, Motion, Outcome
 
 START = CaseStart([0.3, 0.3, 0.5], (0.0, 4.0))
@@ -59,15 +59,21 @@ def test_everybody_is_as_large_as_in_the_case(record):
     assert people == START.radii_m
 
 
+FAILED, ARRIVED = int(Outcome.COLLISION), int(Outcome.SUCCESS)
+
+
 @pytest.mark.parametrize(
-    ("animate", "chosen", "shown"),
-    [(1, (), 7), (0, [4], 4)],
-    ids=["failures first", "as asked for"],
+    ("count", "asked", "shown"),
+    [(1, (), [7]), (2, (), [7, 4]), (0, [4], [4]), (1, [4], [4, 7])],
 )
-def test_failures_and_cases_asked_for_are_shown(record, tmp_path, animate, chosen, shown):
-    save_stories(tmp_path, [4, 7], [record], lambda case: START, animate, chosen=chosen)
+def test_cases_asked_for_and_then_failures_are_worth_showing(count, asked, shown):
+    assert worth_showing({4: ARRIVED, 7: FAILED, 9: ARRIVED}, count, asked) == shown
+
+
+def test_the_story_of_a_case_is_a_picture_and_a_moving_one(record, tmp_path):
+    save_story(tmp_path, episode_of(record, 1, 7, START))
     names = sorted(path.name for path in (tmp_path / "plots").iterdir())
-    assert names == [f"case_{shown}.gif", f"case_{shown}.png"]
+    assert names == ["case_7.gif", "case_7.png"]
 
 
 def test_the_outline_of_the_robot_turns_with_its_heading(record):
@@ -82,6 +88,6 @@ def test_the_outline_of_the_robot_turns_with_its_heading(record):
     assert torch.allclose(corners.float(), box.flip(-1) * torch.tensor([-1.0, 1.0]), atol=1e-6)
 
 
-def test_a_case_that_was_not_driven_cannot_be_shown(record, tmp_path):
-    with pytest.raises(ValueError, match=r"but got \[5\]"):
-        save_stories(tmp_path, [4, 7], [record], lambda case: START, 0, chosen=[5])
+def test_a_case_that_was_not_driven_cannot_be_shown():
+    with pytest.raises(ValueError, match=r"among 4 to 7, but got \[5\]"):
+        worth_showing({4: ARRIVED, 7: FAILED}, 0, [5])
