@@ -21,7 +21,7 @@ from diffstack_mmv.planning import (
 from diffstack_mmv.simulation.decisions import Decided, continued, unbatched
 from diffstack_mmv.simulation.delay import DelayCompensation
 from diffstack_mmv.simulation.forecasters import PedestrianForecast, PedestrianForecaster
-from diffstack_mmv.simulation.observation import Observation
+from diffstack_mmv.simulation.observation import Observation, in_precision_of
 from diffstack_mmv.simulation.thoughts import Thought, joined, thought
 from diffstack_mmv.types import (
     Ego,
@@ -155,10 +155,7 @@ class DiffMPCController:
     def problem(self, observation: Observation, forecast: Forecast) -> PlanningProblem:
         """The planning problem of an observation, `*b`, in the precision of the dynamics."""
         like = self.planner.dynamics.bounds.lower
-        seen, told = map_tensors(
-            lambda entry: entry.to(like) if entry.is_floating_point() else entry,
-            (observation, forecast),
-        )
+        seen, told = in_precision_of(like, (observation, forecast))
         seen_agents = _present_first(seen, told)
         return build_problem(
             Ego(seen.motion, HeadingOf.BODY, seen.discs),

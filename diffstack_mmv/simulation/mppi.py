@@ -16,7 +16,7 @@ from diffstack_mmv.planning import (
 from diffstack_mmv.simulation.case_noise import case_noise, milliseconds
 from diffstack_mmv.simulation.decisions import Decided, continued, unbatched
 from diffstack_mmv.simulation.forecasters import PedestrianForecaster
-from diffstack_mmv.simulation.observation import Observation
+from diffstack_mmv.simulation.observation import Observation, in_precision_of
 from diffstack_mmv.types import Forecast, map_tensors
 
 COLLISION_COST = 1e3
@@ -121,9 +121,7 @@ class MPPIController:
         self, seen: Observation, plans: Float[Tensor, "r K T m"], forecast: Forecast
     ) -> Float[Tensor, "r K"]:
         """Price of every sampled plan, lack of clearance and collision in expectation."""
-        seen, forecast = map_tensors(
-            lambda entry: entry.to(plans) if entry.is_floating_point() else entry, (seen, forecast)
-        )
+        seen, forecast = in_precision_of(plans, (seen, forecast))
         start = self.dynamics.initial_state(seen.motion)
         states = rollout(self.dynamics, start.unsqueeze(1).expand(-1, self.samples, -1), plans)
         motion = self.dynamics.motion(states, torch.nn.functional.pad(plans, (0, 0, 0, 1)))

@@ -1,12 +1,12 @@
 """What a controller gets to know of the world."""
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from diffstack_mmv.simulation.pedestrians import PedestrianHistory
-from diffstack_mmv.types import Discs, Motion
+from diffstack_mmv.types import Discs, Motion, map_tensors
 
 
 class Observation(NamedTuple):
@@ -36,3 +36,8 @@ class Sensing(Protocol):
     def __call__(self, observation: Observation) -> Observation:
         """The observation with what is hidden or disturbed."""
         ...
+
+
+def in_precision_of(like: Tensor, record: Any) -> Any:
+    """A record whose real numbers have type and device of a tensor; all else stays."""
+    return map_tensors(lambda each: each.to(like) if each.is_floating_point() else each, record)

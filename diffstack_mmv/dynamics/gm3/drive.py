@@ -2,7 +2,7 @@
 
 An acceleration becomes a force demand per wheel, and the demand becomes a slip by the inverse of
 the brush law, so that in straight running the force is the demand: gain 1 at every speed, no
-memory. Source: AUDIT of the GM3 equations; GM3 itself takes wheel speeds (`SpeedDrive`).
+memory. GM3 itself takes wheel speeds (`SpeedDrive`).
 """
 
 from abc import abstractmethod

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require, require_positive, require_tensor
+from diffstack_mmv.checks import message, require_positive, require_tensor
 from diffstack_mmv.smooth import soft_clamp, tanh_ratio
 
 LOAD_FLOOR = 1e-5  # N, keeps the slip of full sliding above zero for a wheel in the air
@@ -202,6 +202,13 @@ class ConsistentBrush(Tire):
         return self.secants(slip, tire, None)
 
 
+def _angle_of(slip: TireSlip) -> Float[Tensor, "*b"]:
+    """The slip angle in rad of a law that needs it."""
+    if slip.angle is None:
+        raise ValueError(message("slip.angle", "be given to this law", "nothing"))
+    return slip.angle
+
+
 def _cubic(slide: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
     """Return f(u) = 3u - 3u² + u³ for u ≥ 0, as printed: not held at 1 above u = 1."""
     return slide * (3 - slide * (3 - slide))
@@ -250,8 +257,7 @@ class PaperBrush(Tire):
         self, slip: TireSlip, tire: TireProperties, lead: Float[Tensor, "*b"]
     ) -> TireSecants:
         """Secants of the printed law."""
-        require(slip.angle is not None, "slip.angle", "be given to this law", "nothing")
-        angle = slip.angle if slip.angle is not None else slip.across
+        angle = _angle_of(slip)
         size = (slip.along.square() + slip.across.square() + self.epsilon).sqrt()
         sided = self.steepness * tanh_ratio(self.steepness * angle)  # tanh(kα) / α
         onset = tire.onset.clamp_min(1 / (self.SLIDE_SHARE * self.steepness))
@@ -286,8 +292,7 @@ class SharpBrush(Tire):
         self, slip: TireSlip, tire: TireProperties, lead: Float[Tensor, "*b"]
     ) -> TireSecants:
         """Secants of the printed law, with their limits at zero slip."""
-        require(slip.angle is not None, "slip.angle", "be given to this law", "nothing")
-        angle = slip.angle if slip.angle is not None else slip.across
+        angle = _angle_of(slip)
         onset = tire.onset
         onset_spin = onset * (1 - lead * angle.sign())
         limit = tire.grip

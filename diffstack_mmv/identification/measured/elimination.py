@@ -78,7 +78,7 @@ class Linearisation(NamedTuple):
 
     point: RideUnknowns
     system: WindowSystem
-    cost: "RideCost"
+    cost: RideCost
 
 
 class Damping(NamedTuple):
@@ -167,7 +167,7 @@ class RideEquations:
         """What the tilt adds to the cost of a point, beyond a constant."""
         return self.tilt.sum(0) @ self.shared.penalty(point.shared)
 
-    def eliminated(self, at: Linearisation, damping: "Damping | None" = None) -> Eliminated:
+    def eliminated(self, at: Linearisation, damping: Damping | None = None) -> Eliminated:
         """Eliminate windows, then recordings; the diagonals of both may be damped."""
         share = Damping(0.0, torch.zeros_like(at.cost.window)) if damping is None else damping
         own = slice(POSE, POSE + RECORDING)
@@ -206,7 +206,7 @@ class RideEquations:
         gradient = gradient + self.tilt
         return Eliminated(Reduced(information, gradient), solved, hessian, corner, rest)
 
-    def trial(self, at: Linearisation, damping: "Damping") -> RideUnknowns:
+    def trial(self, at: Linearisation, damping: Damping) -> RideUnknowns:
         """The point a Levenberg-Marquardt step away, the vehicle within its ranges."""
         parts, point = self.eliminated(at, damping), at.point
         push = self.shared.penalty(point.shared)

@@ -28,8 +28,7 @@ from diffstack_mmv.types import Motion
 from diffstack_mmv.vehicles import VehicleSpec, turning_axle_m
 
 POSE, RECORDING, COASTING, INSTALLED = 3, len(OF_RECORDING), len(OF_FREEWHEEL), len(INSTALLED_NAMES)
-"""Numbers of unknowns: pose at the start, of a recording, freewheel, antenna and gain of the
-encoder."""
+"""Numbers of unknowns: pose at the start, recording, freewheel, antenna and gain of the encoder."""
 
 ENGAGING_MPS = 0.04
 """Width of the smooth maximum of the speeds of wheel and coasting vehicle."""
@@ -85,9 +84,8 @@ class RideSimulator:
 
     The unknowns of a window stand in one row: pose of the reference point (m, m, rad), steering
     offset and scale, speed scale, delay, excess and loss of speed of the freewheel, then the errors
-    of curvature and speed per knot. Shared
-    unknowns are θ of the vehicle, then ahead and height of the antenna in m. The antenna is moved
-    sideways by the coordinated lean atan(v r / g).
+    of curvature and speed per knot. Shared unknowns are θ of the vehicle, then ahead and height of
+    the antenna in m. The antenna is moved sideways by the coordinated lean atan(v r / g).
 
     Args:
         model: The dynamics, float64.

@@ -49,9 +49,8 @@ class RecordedCrossing:
     The phases are the splits of the recordings. A case is drawn from the seed of its number: a
     recording (the longer, the likelier), a time, a place and a direction. It is taken if the start
     is free, some agents are met, a straight drive hits somebody, nobody's track begins beside the
-    way while the vehicle is on it,
-    and the way is passable for somebody who knows where they will be; otherwise the draw is
-    repeated. The scene is turned so that the vehicle starts at
+    way while the vehicle is on it, and the way is passable for somebody who knows where they will
+    be; otherwise the draw is repeated. The scene is turned so that the vehicle starts at
     (0, -way / 2) and its goal lies at (0, way / 2). Nothing of a recording is stored.
 
     Attributes:
