@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -25,8 +24,6 @@ from data_converters.recordings import (
 from data_converters.splits import RecordingSplit
 from dmmv_conventions.modes import Mode
 
-if TYPE_CHECKING:
-    pass
 METRES_PER_PIXEL = (1e-4, 1.0)
 """Scales of a picture of people from above; in a coarser one they are smaller than a pixel."""
 
@@ -100,10 +97,11 @@ class MultiAgentDataset(RecordingDataset):
         found = "no such folder" if not self.root.is_dir() else "nothing of the kind"
         remedy = "Give data.root=FOLDER."
         require(bool(self._index), "root", f"hold {self.expects}", found, self.root, remedy)
-        sizes: Counter[str] = Counter()
+        sizes: dict[str, float] = {}
         for each in self._index.values():
             if each.split is None:
-                sizes[each.group or each.name] += each.size  # type: ignore[assignment]
+                group = each.group or each.name
+                sizes[group] = sizes.get(group, 0.0) + each.size
         dealt = self.split.deal(sizes)
         return [
             SceneSource(

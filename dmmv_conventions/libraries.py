@@ -24,6 +24,8 @@ FLAGS = (
     "-fvisibility=hidden",  # all libraries have the same names inside, which must not meet
 )
 
+REALS = {torch.float32: "float", torch.float64: "double"}
+"""Types of numbers that libraries are built for, as C++ calls them."""
 ADMINISTRATOR = 0  # whose files everyone trusts anyway
 LIMIT_S = 1200
 """Seconds that a compiler may take: on a crowded machine many times what it takes alone."""
@@ -195,6 +197,11 @@ def brought(*tensors: Tensor) -> list[Tensor]:
     return [tensor.detach().to("cpu").contiguous() for tensor in tensors]
 
 
-def pointers(*tensors: Tensor) -> list[Any]:
-    """Addresses of contiguous tensors."""
-    return [ctypes.c_void_p(tensor.data_ptr()) for tensor in tensors]
+def pointers(*tensors: Tensor | None) -> list[Any]:
+    """Addresses of contiguous tensors, none for None."""
+    return [None if each is None else ctypes.c_void_p(each.data_ptr()) for each in tensors]
+
+
+def counts(*numbers: int) -> list[Any]:
+    """Whole numbers as a library takes them."""
+    return [ctypes.c_long(number) for number in numbers]

@@ -35,10 +35,9 @@ def step_all(
 ) -> Float[Tensor, "*b T n"]:
     """One step from each of the T states; `dynamics` sees `*b n`, without the times."""
 
+    # a bare module would be printed by vmap, which no compiler likes
     def one_time(state: Tensor, control: Tensor) -> Tensor:
-        return dynamics(
-            state, control
-        )  # a bare module would be printed by vmap, which no compiler likes
+        return dynamics(state, control)
 
     return torch.vmap(one_time, (-2, -2))(states, controls).movedim(0, -2)
 
@@ -96,11 +95,18 @@ def dynamics_curvature(
     costates: Float[Tensor, "*b T n"],
 ) -> HessianBlocks:
     """Hessian of λ_{t+1} · f(x_t, u_t) at every pair."""
+    return _curvature(_pull_back(dynamics, costates), states, controls)
+
+
+def _pull_back(
+    dynamics: Dynamics, costates: Float[Tensor, "*b T n"]
+) -> Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]:
+    """Gradient of Σ λ_{t+1} · f(x_t, u_t) in states and controls."""
 
     def weighted(x: Tensor, u: Tensor) -> Tensor:
         return (costates * step_all(dynamics, x, u)).sum()
 
-    return _curvature(torch.func.grad(weighted, (0, 1)), states, controls)
+    return torch.func.grad(weighted, (0, 1))
 
 
 def differenced_curvature(
@@ -116,11 +122,7 @@ def differenced_curvature(
     """
     n, m = states.shape[-1], controls.shape[-1]
     step = torch.finfo(states.dtype).eps ** 0.5
-
-    def weighted(x: Tensor, u: Tensor) -> Tensor:
-        return (costates * step_all(dynamics, x, u)).sum()
-
-    gradient = torch.func.grad(weighted, (0, 1))
+    gradient = _pull_back(dynamics, costates)
     # the last row is not shifted: one call, and the same rounding in both parts of a difference
     shifts = step * torch.eye(n + m + 1, n + m, dtype=states.dtype, device=states.device)
 

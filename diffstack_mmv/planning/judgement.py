@@ -12,11 +12,10 @@ from torch import Tensor
 
 from diffstack_mmv.planning.clearance import ClearanceMargin, Safety
 from diffstack_mmv.types import Discs, Motion, Obstacles, on_host
-from dmmv_conventions.libraries import load_or_tell, pointers
+from dmmv_conventions.libraries import REALS, counts, load_or_tell, pointers
 
 READ = tuple(field.name for field in fields(ClearanceMargin))
 """Of a margin, all of them numbers; the library is told their names."""
-NAMES = {torch.float32: "float", torch.float64: "double"}
 
 
 class Passing(NamedTuple):
@@ -64,7 +63,7 @@ def judged(
     position, heading = motion.position, motion.heading
     given = position, heading, *discs, *obstacles[:3]
     like = position.dtype
-    plain = like in NAMES and on_host(*given) and all(e.dtype == like for e in given)
+    plain = like in REALS and on_host(*given) and all(e.dtype == like for e in given)
     if position.dim() != 4 or not plain or torch.compiler.is_compiling() or library() is None:
         return None
     problems, plans, rows, _ = position.shape
@@ -76,9 +75,9 @@ def judged(
     )
     told = position.new_empty(problems, plans, 3)
     settings = [getattr(margin, name) for name in READ]
-    sizes = ctypes.c_long(problems), ctypes.c_long(plans), rows - 1, discs.radius.shape[-1]
+    sizes = *counts(problems, plans), rows - 1, discs.radius.shape[-1]
     kept = list(wide)
-    getattr(library(), f"judge_{NAMES[like]}")(
+    getattr(library(), f"judge_{REALS[like]}")(
         *(*sizes, count, components),
         ctypes.byref(_Settings(*settings, dt_s)),
         *pointers(*kept, told),

@@ -10,13 +10,11 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import pandas as pd
 
 from diffstack_mmv.reporting.bootstrapping import bootstrap
+from diffstack_mmv.reporting.compared_runs import SAMPLE, SETTING
 from diffstack_mmv.reporting.files import read_json, read_parquet, told_as_broken, write_text
 from diffstack_mmv.reporting.table import cell
 
 logger = logging.getLogger(__name__)
-
-PLACE = ["data", "split", "goal", "mode", "vehicle"]
-SAMPLE = ["scene", "agent", "row"]
 
 
 @runtime_checkable
@@ -43,7 +41,7 @@ class PairedSamples(NamedTuple):
     """Samples that all models judged.
 
     Attributes:
-        table: One row per sample of each setting (`PLACE`), one column per model: its score, mean
+        table: One row per sample of each setting (`SETTING`), one column per model: its score, mean
             over seeds, NaN for a model that was not judged in that setting.
         models: Names of these columns.
         quantities: How hard the human rode.
@@ -57,7 +55,7 @@ class PairedSamples(NamedTuple):
         """Rows of each setting, by what it is called."""
         if self.table.empty:
             return {}
-        return {", ".join(map(str, key)): part for key, part in self.table.groupby(PLACE)}
+        return {", ".join(map(str, key)): part for key, part in self.table.groupby(SETTING)}
 
 
 def paired_samples(
@@ -95,13 +93,13 @@ def paired_samples(
         return PairedSamples(pd.DataFrame(), [], quantities)
     joined = pd.concat(parts, ignore_index=True)
     # the same sample has the same excitation up to rounding in every run: that of the first counts
-    first = joined.groupby([*PLACE, *SAMPLE])[names].transform("first")
+    first = joined.groupby([*SETTING, *SAMPLE])[names].transform("first")
     joined[names] = first.round(3)
-    wide = joined.groupby([*PLACE, *SAMPLE, *names, "dynamics"])[score].mean().unstack()
+    wide = joined.groupby([*SETTING, *SAMPLE, *names, "dynamics"])[score].mean().unstack()
     models = [str(name) for name in wide.columns]
     whole = [
         part[part[_present(part, models)].notna().all(axis=1)]
-        for _, part in wide.groupby(level=PLACE)
+        for _, part in wide.groupby(level=SETTING)
     ]
     return PairedSamples(pd.concat(whole).reset_index(), models, quantities)
 
@@ -126,11 +124,11 @@ def by_excitation(paired: PairedSamples, resamples: int = 1000) -> pd.DataFrame:
     if len(paired.models) < 2:
         return pd.DataFrame()
     rows = []
-    for place, group in paired.table.groupby(PLACE):
+    for place, group in paired.table.groupby(SETTING):
         for quantity in paired.quantities:
             ranges = pd.cut(group[quantity.name], list(quantity.edges), right=False)
             for span, part in group.groupby(ranges, observed=True):
-                where = dict(zip(PLACE, place, strict=True))
+                where = dict(zip(SETTING, place, strict=True))
                 where |= {"by": quantity.heading, "range": f"{span.left:g} to {span.right:g}"}
                 pairs = combinations(_present(group, paired.models), 2)
                 rows += [where | _pair(part, *pair, resamples) for pair in pairs]

@@ -17,12 +17,11 @@ from diffstack_mmv.control.native.capture import Recorder, Taken, Trajectory, ev
 from diffstack_mmv.control.native.code import literal
 from diffstack_mmv.control.native.generation import Library, source
 from diffstack_mmv.control.native.library import header
-from diffstack_mmv.control.native.solver import REALS
 from diffstack_mmv.control.optimizer import Dynamics
 from diffstack_mmv.control.selection import Batched
 from diffstack_mmv.types import Bounds, SolverStatus
 from dmmv_conventions.disk import replacing
-from dmmv_conventions.libraries import build
+from dmmv_conventions.libraries import REALS, build
 
 FILES = ("libplanner.so", "planner.h", "planner.cpp")
 

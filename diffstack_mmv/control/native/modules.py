@@ -1,6 +1,5 @@
 """Libraries of models that are modules: one step, with parameters and buffers as its numbers."""
 
-import ctypes
 import logging
 import time
 from collections.abc import Callable, Sequence
@@ -17,9 +16,9 @@ from diffstack_mmv.control.native.core_forms import decompositions
 from diffstack_mmv.control.native.lowering import CannotLowerError, Lowering
 from diffstack_mmv.control.native.operations import HANDLERS
 from diffstack_mmv.control.native.scalar import Program
-from diffstack_mmv.control.native.solver import LONG_SOURCE, REALS
+from diffstack_mmv.control.native.solver import LONG_SOURCE
 from diffstack_mmv.control.native.stages import StagedStep, staged_step
-from dmmv_conventions.libraries import CannotBuildError, load
+from dmmv_conventions.libraries import REALS, CannotBuildError, load
 from dmmv_conventions.progress import waiting
 
 LOGGER = logging.getLogger(__name__)
@@ -175,8 +174,3 @@ def _loaded(code: str, parts: Sequence[Part]) -> Any:
 
 
 _LIBRARIES: dict[tuple[int, Source, bool, torch.dtype], tuple[StagedStep, Any]] = {}
-
-
-def counts(*numbers: int) -> list[Any]:
-    """Whole numbers as a library takes them."""
-    return [ctypes.c_long(number) for number in numbers]

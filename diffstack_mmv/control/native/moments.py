@@ -17,11 +17,11 @@ from diffstack_mmv.control.native.code import function, into, literal, table
 from diffstack_mmv.control.native.derivative import gradient
 from diffstack_mmv.control.native.generation import LANES
 from diffstack_mmv.control.native.library import POINT, TEMPLATE, header, opening, plain
-from diffstack_mmv.control.native.modules import ModelWorkshop, Part, Ready, counts
+from diffstack_mmv.control.native.modules import ModelWorkshop, Part, Ready
 from diffstack_mmv.control.native.own_numbers import prelude_adjoint
 from diffstack_mmv.control.native.solver import QUICKLY
 from diffstack_mmv.control.native.stages import StagedStep
-from dmmv_conventions.libraries import brought, pointers, within_reach
+from dmmv_conventions.libraries import brought, counts, pointers, within_reach
 
 PARTS = (
     Part("dmmv_moments", ("-DDMMV_MOMENTS_ALONE",)),
@@ -135,9 +135,8 @@ class _Moments(torch.autograd.Function):
         found = start.new_empty(count, steps, 2), start.new_empty(count, steps, 2, 2)
         keeps, whole = any(ctx.needs_input_grad), -(-count // LANES) * LANES
         kept = start.new_empty(whole, steps, n * (1 + n + n + m)) if keeps else None
-        given = pointers(numbers, start, covariance, controls, scale, *found)
-        each = counts(count, torch.get_num_threads(), steps)
-        ready.library.dmmv_moments(*each, *given, *([None] if kept is None else pointers(kept)))
+        given = pointers(numbers, start, covariance, controls, scale, *found, kept)
+        ready.library.dmmv_moments(*counts(count, torch.get_num_threads(), steps), *given)
         if kept is not None:
             ctx.library, ctx.states = ready.library, n
             ctx.save_for_backward(numbers, controls, scale, kept)

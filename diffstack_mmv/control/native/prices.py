@@ -4,7 +4,6 @@ On tensors every operation passes over plans times agents; here eight plans at a
 registers, and the backward pass is generated as well.
 """
 
-import ctypes
 import functools
 import logging
 from collections.abc import Hashable
@@ -35,13 +34,12 @@ from diffstack_mmv.control.native.rows import (
 from diffstack_mmv.control.native.solver import (
     LONGEST_SOURCE,
     MOST_LIBRARIES,
-    REALS,
     effort_of,
 )
 from diffstack_mmv.control.native.stages import Stage, StagedProblem
 from diffstack_mmv.control.selection import Batched
 from diffstack_mmv.types import on_host
-from dmmv_conventions.libraries import CannotBuildError, load, pointers
+from dmmv_conventions.libraries import REALS, CannotBuildError, counts, load, pointers
 from dmmv_conventions.progress import waiting
 
 LOGGER = logging.getLogger(__name__)
@@ -176,10 +174,9 @@ def _value(number: int, cost: Stage) -> str:
     return with_sums(whole, cost, cost.repeated.term.outputs if cost.repeated else ())
 
 
-def _counts(states: Tensor) -> list[Any]:
+def _sizes(states: Tensor) -> list[Any]:
     """Numbers of problems, threads and plans."""
-    numbers = len(states), torch.get_num_threads(), states.shape[1]
-    return [ctypes.c_long(number) for number in numbers]
+    return counts(len(states), torch.get_num_threads(), states.shape[1])
 
 
 class _Prices(torch.autograd.Function):
@@ -196,7 +193,7 @@ class _Prices(torch.autograd.Function):
     ) -> Tensor:
         parameters = in_rows(batch.taken, tensors, len(states), states)
         costs = states.new_empty(states.shape[:3])
-        library.dmmv_prices(*_counts(states), *pointers(parameters, states, controls, costs))
+        library.dmmv_prices(*_sizes(states), *pointers(parameters, states, controls, costs))
         sizes = [one.numel() for one in batch.taken.parameters]
         ctx.library, ctx.forms = library, forms_of(tensors, sizes, ctx.needs_input_grad[4:])
         ctx.save_for_backward(parameters, states, controls)
@@ -208,5 +205,5 @@ class _Prices(torch.autograd.Function):
         parameters, states, controls = ctx.saved_tensors
         by_parameters = torch.empty_like(parameters)
         given = parameters, states, controls, slope.contiguous(), by_parameters
-        ctx.library.dmmv_prices_adjoint(*_counts(states), *pointers(*given))
+        ctx.library.dmmv_prices_adjoint(*_sizes(states), *pointers(*given))
         return None, None, None, None, *from_rows(by_parameters, ctx.forms)

@@ -4,7 +4,6 @@ A roll-out in tensors pays for every operation of every step; here a step of eig
 over generated code.
 """
 
-import ctypes
 import functools
 import logging
 from collections.abc import Callable, Hashable, Sequence
@@ -20,9 +19,16 @@ from diffstack_mmv.control.native.code import function, into
 from diffstack_mmv.control.native.library import POINT, TEMPLATE, header, opening, plain
 from diffstack_mmv.control.native.lowering import CannotLowerError, Entries
 from diffstack_mmv.control.native.scalar import Program
-from diffstack_mmv.control.native.solver import REALS
 from diffstack_mmv.control.native.stages import StagedStep, staged_step
-from dmmv_conventions.libraries import CannotBuildError, brought, load, pointers, within_reach
+from dmmv_conventions.libraries import (
+    REALS,
+    CannotBuildError,
+    brought,
+    counts,
+    load,
+    pointers,
+    within_reach,
+)
 from dmmv_conventions.progress import waiting
 
 LOGGER = logging.getLogger(__name__)
@@ -109,8 +115,8 @@ def _scanned(call: Any, taken: Taken, state: Tensor, inputs: Tensor) -> Scanned:
         given[1].new_empty(count, steps + 1, problem.state),
         given[1].new_empty(count, steps, len(problem.step.outputs) - problem.state),
     )
-    numbers = count, torch.get_num_threads(), steps
-    call(*map(ctypes.c_long, numbers), *pointers(*given, *result))
+    sizes = counts(count, torch.get_num_threads(), steps)
+    call(*sizes, *pointers(*given, *result))
     return Scanned(*(each.to(state.device) for each in result))
 
 

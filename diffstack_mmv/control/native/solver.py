@@ -26,11 +26,18 @@ from diffstack_mmv.control.native.stages import StagedProblem
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.selection import Batched, is_shared
 from diffstack_mmv.types import Solution, SolverStatus
-from dmmv_conventions.libraries import CannotBuildError, brought, load, pointers, within_reach
+from dmmv_conventions.libraries import (
+    REALS,
+    CannotBuildError,
+    brought,
+    counts,
+    load,
+    pointers,
+    within_reach,
+)
 from dmmv_conventions.progress import waiting
 
 LOGGER = logging.getLogger(__name__)
-REALS = {torch.float32: "float", torch.float64: "double"}
 MOST_SIZES = 64  # step sizes that a library tries
 MOST_LIBRARIES = 5
 """Shapes of a kind of problem that get a library; more, as of changing neighbors, take too long."""
@@ -220,11 +227,6 @@ def solved(
     return Solution(*(result.reshape(batch + result.shape[1:]) for result in results))
 
 
-def _counts(problems: int) -> tuple[Any, Any]:
-    """Numbers of problems and of threads."""
-    return ctypes.c_long(problems), ctypes.c_long(torch.get_num_threads())
-
-
 class _Solve(torch.autograd.Function):
     """The solution as a function of parameters and initial state."""
 
@@ -256,7 +258,8 @@ class _Solve(torch.autograd.Function):
         given = parameters, box, state, controls
         results = x, u, cost, residual, iterations, status
         call = library(problem, Library.SOLVE, state.dtype).dmmv_solve
-        call(*_counts(count), *pointers(*given), ctypes.byref(record), *pointers(*results))
+        sizes = counts(count, torch.get_num_threads())
+        call(*sizes, *pointers(*given), ctypes.byref(record), *pointers(*results))
         sizes = [one.numel() for one in taken.parameters]
         ctx.problem, ctx.forms = problem, forms_of(tensors, sizes, ctx.needs_input_grad[4:])
         ctx.save_for_backward(parameters, box, x, u, status)
@@ -272,7 +275,8 @@ class _Solve(torch.autograd.Function):
         by_parameters, by_state = torch.empty_like(parameters), torch.empty_like(x[:, 0])
         given = parameters, box, x, u, valid, *brought(*slopes[:3])
         call = library(ctx.problem, Library.ADJOINT, x.dtype).dmmv_adjoint
-        call(*_counts(len(x)), *pointers(*given), *pointers(by_parameters, by_state))
+        sizes = counts(len(x), torch.get_num_threads())
+        call(*sizes, *pointers(*given, by_parameters, by_state))
         hidden = from_rows(by_parameters.to(device), ctx.forms)
         return None, None, by_state.to(device), None, *hidden
 

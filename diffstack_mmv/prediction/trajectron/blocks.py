@@ -4,7 +4,6 @@ On tensors every gate of every step is an operation of its own; in the library a
 in the cache from the first step to the last. Only the states are kept for the backward pass.
 """
 
-import ctypes
 import functools
 from dataclasses import dataclass
 from typing import Any
@@ -16,10 +15,9 @@ from torch.autograd.function import once_differentiable
 
 from diffstack_mmv.prediction.trajectron.recurrence import Weights
 from diffstack_mmv.types import on_host
-from dmmv_conventions.libraries import header, load_or_tell, pointers
+from dmmv_conventions.libraries import REALS, counts, header, load_or_tell, pointers
 from dmmv_conventions.progress import waiting
 
-REALS = {torch.float32: "float", torch.float64: "double"}
 HEADERS = "lanes", "memory", "decoder", "paths"
 ROWS = {torch.float32: 64, torch.float64: 32}
 """Rows of a block."""
@@ -104,16 +102,6 @@ def library(dtype: torch.dtype) -> Any:
         return load_or_tell("the recurrences of the predictor", "\n".join(parts), "-O3")
 
 
-def counts(*numbers: int) -> list[Any]:
-    """Whole numbers as a library takes them."""
-    return [ctypes.c_long(number) for number in numbers]
-
-
-def places(*tensors: Tensor | None) -> list[Any]:
-    """Addresses of contiguous tensors, none for None."""
-    return [None if each is None else pointers(each)[0] for each in tensors]
-
-
 def _blocks(rows: int, like: Tensor) -> int:
     return -(-rows // ROWS[like.dtype])
 
@@ -145,7 +133,7 @@ class _Last(torch.autograd.Function):
             kept = [_kept(steps, size, rows, features) for _ in range(2)]
         given = features, keep.contiguous(), weight.contiguous()
         sizes_ = counts(rows, torch.get_num_threads(), *features.shape[1:], size)
-        library(weight.dtype).dmmv_lstm(*sizes_, *places(*given, last, *kept))
+        library(weight.dtype).dmmv_lstm(*sizes_, *pointers(*given, last, *kept))
         ctx.save_for_backward(*given, *kept)
         return last
 
@@ -159,7 +147,7 @@ class _Last(torch.autograd.Function):
         given = features, keep, weight, weight.T.contiguous(), grad.contiguous(), *kept
         sizes_ = counts(rows, torch.get_num_threads(), *features.shape[1:], gates // 4)
         adjoint = library(weight.dtype).dmmv_lstm_adjoint
-        adjoint(*sizes_, *places(*given, by_weight, by_features))
+        adjoint(*sizes_, *pointers(*given, by_weight, by_features))
         return by_features, None, by_weight.sum(0)[:, :width]
 
 
@@ -181,7 +169,7 @@ class _Controls(torch.autograd.Function):
         found = torch.empty_like(given[2]), hidden.new_empty(rows, steps, controls, controls)
         sizes_ = counts(rows, torch.get_num_threads(), *ctx.counts[1:])
         each = *given, *weights, width, spans, *found, kept
-        library(hidden.dtype).dmmv_controls(*sizes_, *places(*each))
+        library(hidden.dtype).dmmv_controls(*sizes_, *pointers(*each))
         ctx.save_for_backward(given[0], *weights, width, spans, kept)
         return found
 
@@ -201,7 +189,7 @@ class _Controls(torch.autograd.Function):
         given = constant, *weights, width, spans, *back, kept, by_controls, grads[1].contiguous()
         sizes_ = counts(rows, torch.get_num_threads(), *ctx.counts[1:])
         found = by_constant, by_start, by_hidden, others
-        live = library(constant.dtype).dmmv_controls_adjoint(*sizes_, *places(*given, *found))
+        live = library(constant.dtype).dmmv_controls_adjoint(*sizes_, *pointers(*given, *found))
         control, bias, head, head_bias = others[:live].sum(0).split(sizes)
         slopes = Weights(
             control=control.unflatten(0, (-1, fed)),

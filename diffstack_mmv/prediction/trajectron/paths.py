@@ -8,10 +8,11 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from diffstack_mmv.prediction.gaussian import VARIANCE_FLOOR, log_density, scale_from_covariance
-from diffstack_mmv.prediction.trajectron.blocks import Blocks, counts, library, places
+from diffstack_mmv.prediction.trajectron.blocks import Blocks, library
 from diffstack_mmv.prediction.trajectron.energy import energy_of_paths
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
 from diffstack_mmv.types import COUNTING_SHARE
+from dmmv_conventions.libraries import counts, pointers
 
 
 class PathScores(NamedTuple):
@@ -61,7 +62,7 @@ class _Scores(torch.autograd.Function):
         rows, components, steps, _ = mean.shape  # type: ignore[union-attr]
         ctx.counts = rows, torch.get_num_threads(), components, steps
         found = truth.new_empty(rows, components), truth.new_empty(rows)
-        library(truth.dtype).dmmv_paths(*counts(*ctx.counts), *places(known, *given, *found))
+        library(truth.dtype).dmmv_paths(*counts(*ctx.counts), *pointers(known, *given, *found))
         ctx.save_for_backward(known, *given)
         return found
 
@@ -75,5 +76,5 @@ class _Scores(torch.autograd.Function):
         ]
         slopes = [each.contiguous() for each in grads]  # held until the call is over
         adjoint = library(mean.dtype).dmmv_paths_adjoint
-        adjoint(*counts(*ctx.counts), *places(*given, *slopes, *found))
+        adjoint(*counts(*ctx.counts), *pointers(*given, *slopes, *found))
         return None, None, *found

@@ -17,9 +17,7 @@ from torch._functorch import pyfunctorch
 
 from diffstack_mmv.simulation.pedestrians.base import CrowdState, VisibleRobot
 from diffstack_mmv.types import on_host
-from dmmv_conventions.libraries import load_or_tell, pointers
-
-NAMES = {torch.float32: "float", torch.float64: "double"}
+from dmmv_conventions.libraries import REALS, counts, load_or_tell, pointers
 
 
 class Rolled(NamedTuple):
@@ -50,7 +48,7 @@ def library() -> Any | None:
 def is_possible(tensors: Sequence[Tensor]) -> bool:
     """Whether the library can read these tensors, and is there."""
     like = tensors[0]
-    plain = like.dtype in NAMES and not torch.compiler.is_compiling()
+    plain = like.dtype in REALS and not torch.compiler.is_compiling()
     if not plain or pyfunctorch.retrieve_all_functorch_interpreters():
         return False
     same = on_host(*tensors) and all(each.dtype == like.dtype for each in tensors)
@@ -70,8 +68,8 @@ def roll(
     given = _contiguous((*crowd, *(robot or ())))
     position, velocity = like.new_empty(2, *batch, h, steps, 2)
     addresses = pointers(*given) + [None] * (8 - len(given))
-    call = getattr(library(), f"orca_roll_{NAMES[like.dtype]}")
-    sizes = ctypes.c_long(crowd.radius[..., 0].numel()), h, steps
+    call = getattr(library(), f"orca_roll_{REALS[like.dtype]}")
+    sizes = *counts(crowd.radius[..., 0].numel()), h, steps
     numbers = ctypes.c_double(dt_s), ctypes.c_double(margin_m), ctypes.byref(rules)
     call(*sizes, *numbers, *addresses, *pointers(position, velocity))
     return Rolled(position, velocity)
@@ -87,8 +85,8 @@ def respond(
     )
     fields = crowd.position, crowd.velocity, crowd.radius, crowd.preferred_speed, goals
     given = _contiguous(fields)
-    call = getattr(library(), f"orca_respond_{NAMES[goals.dtype]}")
-    sizes = ctypes.c_long(crowd.radius[..., 0].numel()), h, k
+    call = getattr(library(), f"orca_respond_{REALS[goals.dtype]}")
+    sizes = *counts(crowd.radius[..., 0].numel()), h, k
     call(*sizes, ctypes.c_double(margin_m), ctypes.byref(rules), *pointers(*given, result))
     return result
 
