@@ -97,9 +97,7 @@ class LiveTracks:
         known = (names == ego).any()
         told = ", ".join(sorted(names.unique())[:5]) or "no agents"
         require(bool(known), "ego", f"be an agent of the table, such as {told}", ego)
-        now = float(table.loc[names == ego, "time"].max()) if now_s is None else now_s
-        there = is_number(now) and np.isfinite(now)
-        require(bool(there), "now_s", "be a finite time in s", now)
+        now = _now(table.loc[names == ego, "time"], now_s)
         # seconds since 1970 resolve a quarter of a microsecond: a sample at a row stays there
         seen = table.assign(agent=names, time=(table["time"].astype(float) - now).round(6))
         seen = seen[seen["time"] <= 0.0].sort_values("time", kind="stable")
@@ -127,13 +125,16 @@ class LiveTracks:
         velocity = present[ego].velocity
         known = np.isfinite(velocity).all(axis=1)
         self.limits.check_smoothed(velocity[known], modes[ego], f"the track of {ego!r}")
+        position, velocity, heading = (
+            np.stack(part) for part in zip(*present.values(), strict=True)
+        )
         return ObservedAgents(
             names=tuple(present),
             modes=tuple(mode.label for mode in modes.values()),
             extent=np.stack([_extent(grouped[name], mode) for name, mode in modes.items()]),
-            position=np.stack([track.position for track in present.values()]),
-            velocity=np.stack([track.velocity for track in present.values()]),
-            heading=np.stack([track.heading for track in present.values()]),
+            position=position,
+            velocity=velocity,
+            heading=heading,
             dt_s=self.settings.dt_s,
         )
 
@@ -186,6 +187,14 @@ def _require_columns(table: pd.DataFrame) -> None:
         lost = int((~np.isfinite(table[name].to_numpy(float))).sum())
         remedy = "Leave those rows out."
         require(lost == 0, name, "be finite in all rows", f"{lost} that are not", "", remedy)
+
+
+def _now(times: pd.Series, now_s: float | None) -> float:
+    """The present: what is given, or the last time of the ego."""
+    now = float(times.max()) if now_s is None else now_s
+    there = is_number(now) and np.isfinite(now)
+    require(bool(there), "now_s", "be a finite time in s", now)
+    return now
 
 
 def _mode(samples: pd.DataFrame, name: str) -> Mode:

@@ -156,17 +156,17 @@ class EgoEstimator:
         origin = past.position[:, 0]
         position = past.position - origin.unsqueeze(1)
         return RideWindows(
-            torch.arange(len(origin)),
-            tuple(str(number) for number in range(len(origin))),
-            origin,
-            position,
-            chord_course(position),
-            past.known,
-            steer,
-            rate,
-            speed,
-            past.yaw_rate[:, 1:],
-            torch.full_like(speed, torch.nan),
+            recording=torch.arange(len(origin)),
+            names=tuple(str(number) for number in range(len(origin))),
+            origin=origin,
+            position=position,
+            course=chord_course(position),
+            known=past.known,
+            steer=steer,
+            steer_rate=rate,
+            speed=speed,
+            yaw_rate=past.yaw_rate[:, 1:],
+            lean=torch.full_like(speed, torch.nan),
         )
 
 

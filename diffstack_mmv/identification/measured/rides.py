@@ -29,6 +29,11 @@ class MeasuredRide(NamedTuple):
         return self.name.partition("/")[0]
 
 
+OF_ENDS = ("position", "course", "known", "speed", "lean")
+OF_STEPS = ("steer", "steer_rate", "yaw_rate")
+"""Columns of windows with an entry for each end of a step, and for each step."""
+
+
 class RideWindows(NamedTuple):
     """Windows of equal length, `w` of them, with T steps."""
 
@@ -65,32 +70,20 @@ class RideWindows(NamedTuple):
 
     def head(self, steps: int) -> "RideWindows":
         """The first `steps` steps."""
-        ends, each = slice(0, steps + 1), slice(0, steps)
-        return self._replace(
-            position=self.position[:, ends],
-            course=self.course[:, ends],
-            known=self.known[:, ends],
-            steer=self.steer[:, each],
-            steer_rate=self.steer_rate[:, each],
-            speed=self.speed[:, ends],
-            yaw_rate=self.yaw_rate[:, each],
-            lean=self.lean[:, ends],
-        )
+        return self._replace(**self._cut(slice(0, steps + 1), slice(0, steps)))
 
     def tail(self, steps: int) -> "RideWindows":
         """All but the first `steps` steps, from the position after them."""
-        origin = self.position[:, steps]
-        return self._replace(
-            origin=self.origin + origin,
-            position=self.position[:, steps:] - origin.unsqueeze(1),
-            course=self.course[:, steps:],
-            known=self.known[:, steps:],
-            steer=self.steer[:, steps:],
-            steer_rate=self.steer_rate[:, steps:],
-            speed=self.speed[:, steps:],
-            yaw_rate=self.yaw_rate[:, steps:],
-            lean=self.lean[:, steps:],
+        rest, place = slice(steps, None), self.position[:, steps]
+        moved = self._replace(
+            origin=self.origin + place, position=self.position - place.unsqueeze(1)
         )
+        return moved._replace(**moved._cut(rest, rest))
+
+    def _cut(self, ends: slice, steps: slice) -> dict[str, Tensor]:
+        """What there is of the ends of steps, and of steps, in stretches of them."""
+        of_ends = {name: getattr(self, name)[:, ends] for name in OF_ENDS}
+        return of_ends | {name: getattr(self, name)[:, steps] for name in OF_STEPS}
 
 
 @dataclass(frozen=True)
@@ -160,7 +153,7 @@ def cut_windows(rides: Sequence[MeasuredRide], settings: RideWindowSettings) -> 
     names = tuple(sorted({ride.recording for ride in rides}))
     index = {name: number for number, name in enumerate(names)}
     parts = [
-        _windows(ride, start, index[ride.recording], names, settings.steps, settings.dt_s)
+        _window(ride, start, index[ride.recording], names, settings.steps, settings.dt_s)
         for ride in rides
         for start in _starts(ride, settings)
     ]
@@ -211,7 +204,7 @@ def _largest_jump(ride: MeasuredRide, part: slice, dt_s: float) -> float:
     return float(torch.maximum((by_position - pace * expected).abs().amax(), 0.5 * turned))
 
 
-def _windows(
+def _window(
     ride: MeasuredRide, start: int, number: int, names: tuple[str, ...], steps: int, dt_s: float
 ) -> RideWindows:
     """One window, without a leading dimension."""
@@ -224,15 +217,15 @@ def _windows(
     lean = missing if ride.lean is None else ride.lean
     origin = ride.position[start]
     return RideWindows(
-        torch.tensor(number),
-        names,
-        origin,
-        ride.position[ends] - origin,
-        chord_course(ride.position[ends]),
-        ride.known[ends],
-        ride.steer[each],
-        rate,
-        speed[ends],
-        yaw_rate[each],
-        lean[ends],
+        recording=torch.tensor(number),
+        names=names,
+        origin=origin,
+        position=ride.position[ends] - origin,
+        course=chord_course(ride.position[ends]),
+        known=ride.known[ends],
+        steer=ride.steer[each],
+        steer_rate=rate,
+        speed=speed[ends],
+        yaw_rate=yaw_rate[each],
+        lean=lean[ends],
     )

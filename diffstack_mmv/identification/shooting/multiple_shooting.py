@@ -38,7 +38,7 @@ from diffstack_mmv.identification.shooting.tracking import (
     infer_controls_with_gaps,
 )
 
-MAX_STEP = 1.0  # prior deviations that one step may step a value
+MAX_STEP = 1.0  # prior deviations by which one step may change a value
 
 
 class EstimationTask(NamedTuple):
