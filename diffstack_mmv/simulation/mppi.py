@@ -1,6 +1,7 @@
 """A plain sampling MPC (MPPI), the baseline that a gradient has to beat."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
@@ -31,6 +32,7 @@ class MPPIState(NamedTuple):
     mean: Float[Tensor, "b T m"]  # the averaged plans, shifted by a step
 
 
+@dataclass(frozen=True)
 class MPPIController:
     """Model predictive path integral control: controls averaged with weights exp(-cost / λ).
 
@@ -38,7 +40,7 @@ class MPPIController:
     arrival, plus prices of collision, lack of clearance and excess of speed. The mean is shifted by
     the time between decisions.
 
-    Args:
+    Attributes:
         dynamics: Model of the vehicle.
         forecaster: Predicts the pedestrians.
         cruise_mps: Speed that costs nothing.
@@ -58,36 +60,26 @@ class MPPIController:
         Williams et al., Information theoretic MPC for model-based reinforcement learning (2017).
     """
 
-    def __init__(  # noqa: PLR0913 - each is a setting of its own
-        self,
-        dynamics: DynamicsModel,
-        forecaster: PedestrianForecaster,
-        cruise_mps: float = 3.0,
-        steps: int = 12,
-        samples: int = 256,
-        temperature: float = 0.5,
-        deviation: float = 0.25,
-        margin_m: float = 0.3,
-        seed: int = 0,
-        actuate: Callable[[Tensor], Tensor] | None = None,
-        decision_s: float | None = None,
-    ) -> None:
-        require_at_least("steps", steps, 1)
-        require_at_least("samples", samples, 2)
-        for name, value in (
-            ("cruise_mps", cruise_mps),
-            ("temperature", temperature),
-            ("deviation", deviation),
-            ("decision_s", dynamics.dt_s if decision_s is None else decision_s),
-        ):
-            require_positive(name, value)
-        self.dynamics = dynamics
-        self.forecaster = forecaster
-        self.cruise_mps, self.steps, self.samples = cruise_mps, steps, samples
-        self.temperature, self.deviation, self.margin_m = temperature, deviation, margin_m
-        self.seed = seed
-        self.actuate = actuate
-        self._passed = 1.0 if decision_s is None else decision_s / dynamics.dt_s
+    dynamics: DynamicsModel
+    forecaster: PedestrianForecaster
+    cruise_mps: float = 3.0
+    steps: int = 12
+    samples: int = 256
+    temperature: float = 0.5
+    deviation: float = 0.25
+    margin_m: float = 0.3
+    seed: int = 0
+    actuate: Callable[[Tensor], Tensor] | None = None
+    decision_s: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the numbers once, at the border."""
+        require_at_least("steps", self.steps, 1)
+        require_at_least("samples", self.samples, 2)
+        for name in ("cruise_mps", "temperature", "deviation"):
+            require_positive(name, getattr(self, name))
+        if self.decision_s is not None:
+            require_positive("decision_s", self.decision_s)
 
     def init(self, observation: Observation) -> MPPIState:
         """State at the start of episodes: zero controls, and the samples from their beginning."""
@@ -114,7 +106,8 @@ class MPPIController:
         weight = torch.softmax(-self._cost(seen, plans, forecast) / self.temperature, -1)
         averaged = state.mean.index_copy(0, rows, (weight[..., None, None] * plans).sum(1))
         action = averaged[:, 0]
-        after = MPPIState(told.state, continued(averaged, self._passed))
+        passed = 1.0 if self.decision_s is None else self.decision_s / self.dynamics.dt_s
+        after = MPPIState(told.state, continued(averaged, passed))
         return Decided(action if self.actuate is None else self.actuate(action), after)
 
     def _cost(
