@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -102,16 +103,9 @@ class LiveTracks:
         seen = table.assign(agent=names, time=(table["time"].astype(float) - now).round(6))
         seen = seen[seen["time"] <= 0.0].sort_values("time", kind="stable")
         rows = self._rows(history_s)
+        stretches = self._stretches(seen, ego)
         order = [ego, *(name for name in dict.fromkeys(names) if name != ego)]
-        believed = Believed(self.limits, self.settings.max_gap_s)
-        grouped = {
-            str(name): believed.stretch(samples, f"the track of {str(name)!r}")
-            for name, samples in seen.groupby("agent", sort=False)
-            if samples["time"].iloc[-1] >= self._oldest_s
-        }
-        # one is enough to tell; no decision ends because of what a tracker makes of somebody else
-        believed.require_metres(seen[seen["agent"] == ego], f"the track of {ego!r}")
-        tracks = {name: self._sampled(grouped.get(name), rows) for name in order}
+        tracks = {name: self._sampled(stretches.get(name), rows) for name in order}
         present = {name: track for name, track in tracks.items() if track is not None}
         require(
             ego in present,
@@ -121,17 +115,34 @@ class LiveTracks:
             ego,
             remedy="Wait for more samples, or raise `late_s`.",
         )
-        modes = {name: _mode(grouped[name], name) for name in present}
+        return self._observed(present, stretches, ego)
+
+    def _stretches(self, seen: pd.DataFrame, ego: str) -> dict[str, pd.DataFrame]:
+        """The last stretch of each agent that is present now, without samples that jump."""
+        believed = Believed(self.limits, self.settings.max_gap_s)
+        stretches = {
+            str(name): believed.stretch(samples, f"the track of {str(name)!r}")
+            for name, samples in seen.groupby("agent", sort=False)
+            if samples["time"].iloc[-1] >= self._oldest_s
+        }
+        # one is enough to tell; no decision ends because of what a tracker makes of somebody else
+        believed.require_metres(seen[seen["agent"] == ego], f"the track of {ego!r}")
+        return stretches
+
+    def _observed(
+        self, present: Mapping[str, _Sampled], stretches: Mapping[str, pd.DataFrame], ego: str
+    ) -> ObservedAgents:
+        """All who are present, of whom the ego is no faster than its mode can be."""
+        modes = {name: _mode(stretches[name], name) for name in present}
         velocity = present[ego].velocity
         known = np.isfinite(velocity).all(axis=1)
         self.limits.check_smoothed(velocity[known], modes[ego], f"the track of {ego!r}")
-        position, velocity, heading = (
-            np.stack(part) for part in zip(*present.values(), strict=True)
-        )
+        columns = zip(*present.values(), strict=True)
+        position, velocity, heading = (np.stack(column) for column in columns)
         return ObservedAgents(
             names=tuple(present),
             modes=tuple(mode.label for mode in modes.values()),
-            extent=np.stack([_extent(grouped[name], mode) for name, mode in modes.items()]),
+            extent=np.stack([_extent(stretches[name], mode) for name, mode in modes.items()]),
             position=position,
             velocity=velocity,
             heading=heading,
