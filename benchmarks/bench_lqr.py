@@ -19,7 +19,7 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).parent))
 from peers import lqr  # noqa: E402
-from peers.times import STEPS, M, N, fastest  # noqa: E402
+from peers.times import STEPS, M, Measured, N, fastest  # noqa: E402
 
 SETS = ("test_umax10000", "test_umax1", "second_umax1")
 COMPILED = {"compile": True, "one_by_one": 1000, "tolerance": 1e-14, "max_iterations": 300}
@@ -74,7 +74,7 @@ def ours(file, limit_s, together=True, **settings):
         alone, solution = fastest(solve, limit_s)
     both, slopes = fastest(differentiate, limit_s)
     columns = [each.T.flatten() if each.dim() == 2 else each for each in slopes]
-    return alone, both, solution.controls.numpy(), torch.cat(columns).numpy()
+    return Measured(alone, solution.controls.numpy(), both, torch.cat(columns).numpy())
 
 
 def compiled(file, arguments):
@@ -112,11 +112,11 @@ def symmetric(slopes):
 
 def row(name, found, file):
     """A line of the table."""
-    alone, both, controls, slopes = found
-    error = np.abs(controls - file["u"]).max((1, 2))
-    cells = [name, f"{alone:.1f}", "-" if both is None else f"{both:.1f}"]
+    error = np.abs(found.controls - file["u"]).max((1, 2))
+    both = "-" if found.both_ms is None else f"{found.both_ms:.1f}"
+    cells = [name, f"{found.alone_ms:.1f}", both]
     cells += [f"{np.sum(error < SOLVED)}", f"{np.nanmax(error):.0e}"]
-    slopes = symmetric(slopes)
+    slopes = symmetric(found.slopes)
     exact = None if slopes is None else file["dtheta_sum"][: len(slopes)]  # some have no slope by H
     relative = None if slopes is None else np.abs(slopes - exact).max() / np.abs(exact).max()
     return " | ".join([*cells, "-" if relative is None else f"{relative:.0e}"])

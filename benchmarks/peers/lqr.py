@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from peers import lqr_convex, lqr_stages
-from peers.times import STEPS, M, N, fastest
+from peers.times import STEPS, M, Measured, N, fastest
 
 
 def in_c(program, library, settings):
@@ -46,7 +46,7 @@ def in_c(program, library, settings):
                 env=os.environ | {"LD_LIBRARY_PATH": f"{prefix}/lib"},
             )
         alone, both, *rest = map(float, done.stdout.split())
-        return alone, both, np.array(rest[2:]).reshape(-1, STEPS, M), None
+        return Measured(alone, np.array(rest[2:]).reshape(-1, STEPS, M), both)
 
     return row
 
@@ -55,7 +55,7 @@ def by_casadi(plugin, **options):
     """A solver of sparse quadratic programs in CasADi; what it does not solve counts as it is."""
     options |= {"error_on_fail": False}
 
-    def solve(file, arguments):
+    def row(file, arguments):
         import casadi
 
         count, limit = len(file["x0"]), float(file["u_max"])
@@ -80,11 +80,7 @@ def by_casadi(plugin, **options):
             ]
             return np.array(solutions).reshape(count, STEPS, width)[..., :M]
 
-        return *(fastest(all_of_them, 10.0, 3)), None
-
-    def row(file, arguments):
-        alone, controls, slopes = solve(file, arguments)
-        return alone, None, controls, slopes
+        return Measured(*fastest(all_of_them, 10.0, 3))
 
     return row
 
@@ -114,7 +110,8 @@ def mpc_pytorch(file, arguments):
         alone, controls = fastest(solve, 5.0, 3)
     both, slopes = fastest(differentiate, 5.0, 3)
     columns = [each.T.flatten() if each.dim() == 2 else each for each in slopes]
-    return alone, both, controls[:-1].movedim(0, 1).numpy(), torch.cat(columns).numpy()
+    found = controls[:-1].movedim(0, 1).numpy()
+    return Measured(alone, found, both, torch.cat(columns).numpy())
 
 
 def qpth(file, arguments):
@@ -158,7 +155,7 @@ def qpth(file, arguments):
         alone, controls = fastest(solve, 5.0, 3)
     both, slopes = fastest(differentiate, 5.0, 3)
     columns = [each.T.flatten() if each.dim() == 2 else each for each in slopes]
-    return alone, both, controls.numpy(), torch.cat(columns).numpy()
+    return Measured(alone, controls.numpy(), both, torch.cat(columns).numpy())
 
 
 HPIPM = {"test_umax10000": (1e-10, 1), "test_umax1": (1e-10, 1), "second_umax1": (1e-8, 2)}

@@ -9,7 +9,7 @@ import types
 
 import numpy as np
 
-from peers.times import STEPS, M, N, fastest
+from peers.times import STEPS, M, Measured, N, fastest
 
 WIDTH = M + N
 TIGHT = {"eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 200_000, "verbose": False}
@@ -64,9 +64,9 @@ def osqp(file, arguments):
 
     alone, controls = fastest(lambda: solve(False), 5.0, 3)
     if set(states) != {"solved"}:  # it refuses to differentiate
-        return alone, None, controls, None
+        return Measured(alone, controls)
     both, _ = fastest(lambda: solve(True), 5.0, 3)
-    return alone, both, controls, None
+    return Measured(alone, controls, both)
 
 
 def parametrised(u_max):
@@ -107,7 +107,7 @@ def cvxpylayers(file, arguments):
     with torch.no_grad():
         alone, controls = fastest(solve, 5.0, 2)
     both, slopes = fastest(differentiate, 5.0, 2)
-    return alone, both, controls.numpy(), columns(slopes)
+    return Measured(alone, controls.numpy(), both, columns(slopes))
 
 
 def cvxpygen(file, arguments):
@@ -145,7 +145,7 @@ def cvxpygen(file, arguments):
 
         alone, (controls, _) = fastest(lambda: solve(False), 5.0, 2)
         both, (_, slopes) = fastest(lambda: solve(True), 5.0, 2)
-    return alone, both, controls, columns(slopes)
+    return Measured(alone, controls, both, columns(slopes))
 
 
 SOLVERS = {"OSQP": osqp, "cvxpylayers": cvxpylayers, "cvxpygen (OSQP)": cvxpygen}

@@ -3,7 +3,7 @@
 import numpy as np
 
 from peers.problem import Problem
-from peers.times import STEPS, M, N, fastest
+from peers.times import STEPS, M, Measured, N, fastest
 
 
 def crocoddyl(file, arguments):
@@ -25,7 +25,7 @@ def crocoddyl(file, arguments):
         return np.stack(solver.us)
 
     alone, controls = fastest(lambda: np.stack([solve_one(state) for state in file["x0"]]), 10.0, 3)
-    return alone, None, controls, None
+    return Measured(alone, controls)
 
 
 def fatrop(file, arguments):
@@ -53,7 +53,7 @@ def fatrop(file, arguments):
     given = file["x0"], np.zeros((len(file["x0"]), 0)), STEPS, problem
     nlp = package.build(STEPS, problem, tolerance=1e-10)
     alone, controls = fastest(lambda: package.solve_all(nlp, *given), 10.0, 3)
-    return alone, None, controls, None
+    return Measured(alone, controls)
 
 
 SOLVERS = {"crocoddyl (BoxFDDP, its own LQR)": crocoddyl, "fatrop (CasADi)": fatrop}
