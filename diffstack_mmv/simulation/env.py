@@ -183,9 +183,7 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         Raises:
             RuntimeError: `reset` has not been called.
         """
-        if self._state is None:
-            raise RuntimeError(f"`state` must exist, but got {self._state}. Call `reset` first.")
-        return self._state
+        return begun(self._state)
 
     @property
     def human_positions(self) -> Float[np.ndarray, "humans 2"]:
@@ -283,6 +281,17 @@ def _robot(robot: str | Path | Robot, dynamics: str, dt_s: float, footprint: str
     named = isinstance(robot, str | Path)
     require(named, "robot", "be a name, a YAML file or a robot", repr(robot))
     return robot_named(robot, dynamics, dt_s, footprint)
+
+
+def begun(state: WorldState | None) -> WorldState:
+    """The state of an environment, SI units.
+
+    Raises:
+        RuntimeError: There is none: nothing has begun.
+    """
+    if state is None:
+        raise RuntimeError("`state` must exist, but got None. Call `reset` first.")
+    return state
 
 
 def require_render_mode(render_mode: str | None) -> None:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require, require_at_least, require_one_of, require_whole
 from diffstack_mmv.geometry import length
-from diffstack_mmv.simulation.env import CrowdNavEnv, require_render_mode
+from diffstack_mmv.simulation.env import CrowdNavEnv, begun, require_render_mode
 from diffstack_mmv.simulation.phases import PHASES
 from diffstack_mmv.simulation.scene import CaseSource
 from diffstack_mmv.simulation.views import View, WorldView
@@ -89,9 +89,7 @@ class CrowdNavVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         Raises:
             RuntimeError: `reset` has not been called.
         """
-        if self._state is None:
-            raise RuntimeError(f"`state` must exist, but got {self._state}. Call `reset` first.")
-        return self._state
+        return begun(self._state)
 
     def reset(
         self, *, seed: int | list[int] | None = None, options: Mapping[str, Any] | None = None
