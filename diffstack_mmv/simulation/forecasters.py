@@ -118,7 +118,7 @@ class BelievedCrowd(NamedTuple):
 
     crowd: CrowdState  # as it was observed, with the goals and speeds believed in
     seen: Bool[Tensor, "*b h"]
-    dt_s: float
+    time_s: float
     doubt: Float[Tensor, "*b h c"]  # (m/s)², discounted sum of what each course leaves unexplained
 
 
@@ -127,7 +127,9 @@ class OrcaForecaster:
     """Everybody avoids everybody else by ORCA, towards a goal inferred from the walk so far.
 
     Goals are inferred by `GoalInference`: ORCA is asked what a pedestrian would have done with each
-    of many goals in the situation before. The robot is no part of it.
+    of many goals in the situation before. The robot is no part of it. ORCA parts overlapping discs
+    within one step: in the question that is the time between the observations, in the forecast the
+    step of the forecast.
 
     At first sight nobody's goal is known. Who is at rest then may walk off in any direction: beside
     the component in which it stays there is one for each of `directions`, straight at the preferred
@@ -168,12 +170,15 @@ class OrcaForecaster:
         self, state: BelievedCrowd | None, observation: Observation, dt_s: float, steps: int
     ) -> PedestrianForecast:
         """One component, the crowd rolled forward; at first sight also walking off."""
-        believed, doubt = self._believed(state, observation)
+        now_s = float(observation.time.max())
+        # where no time has passed, the step of the forecast is as good as any
+        since_s = dt_s if state is None else now_s - state.time_s or dt_s
+        believed, doubt = self._believed(state, observation, since_s)
         mean = self.crowd.positions(believed, dt_s, steps)
         forecast = _with_spread(mean, believed.velocity, self.spread, dt_s)
         if state is None:
             forecast = self._walking_off(forecast, believed, dt_s)
-        return PedestrianForecast(forecast, BelievedCrowd(believed, observation.seen, dt_s, doubt))
+        return PedestrianForecast(forecast, BelievedCrowd(believed, observation.seen, now_s, doubt))
 
     def _walking_off(self, forecast: Forecast, crowd: CrowdState, dt_s: float) -> Forecast:
         """A forecast of one component, and one more per direction for who is at rest."""
@@ -192,7 +197,7 @@ class OrcaForecaster:
         )
 
     def _believed(
-        self, state: BelievedCrowd | None, observation: Observation
+        self, state: BelievedCrowd | None, observation: Observation, since_s: float
     ) -> tuple[CrowdState, Float[Tensor, "*b h c"]]:
         """The observed crowd with the goals believed in now, and the doubt of each course."""
         position, velocity = observation.pedestrian_position, observation.pedestrian_velocity
@@ -201,7 +206,7 @@ class OrcaForecaster:
             goal = self._at_first_sight(position, velocity, preferred)
             doubt = position.new_zeros(*position.shape[:-1], self.inference.courses)
         else:
-            goal, doubt = self.inference(self.crowd, state.crowd, velocity, state.doubt, state.dt_s)
+            goal, doubt = self.inference(self.crowd, state.crowd, velocity, state.doubt, since_s)
             known = (observation.seen & state.seen)[..., None]
             if not bool(known.all()):
                 first = self._at_first_sight(position, velocity, preferred)

@@ -94,6 +94,22 @@ def test_who_is_turned_aside_is_still_expected_at_its_goal(observed, scene_with)
     assert float(error) < 0.5 * float((straight - truth).norm(dim=-1).max())
 
 
+def test_goals_of_overlapping_pedestrians_are_asked_for_with_the_step_of_the_observations(
+    observed, scene_with
+):
+    """ORCA parts overlapping discs within one step, here 0.1 s; the plan's step is 0.25 s."""
+    scene = scene_with((3.0, 0.0), (3.0, 8.0))
+    place = torch.tensor([[3.0, 0.0], [3.55, 0.0]], dtype=torch.float64)
+    goal = torch.tensor([[3.0, 8.0], [-8.0, 4.0]], dtype=torch.float64)
+    pair = map_tensors(lambda entry: torch.cat((entry, entry)), scene.pedestrians)
+    pair = pair._replace(position=place, goal=goal)
+    first, second = observed(scene._replace(pedestrians=pair), 1, dt_s=0.1)
+    forecaster = OrcaForecaster()
+    _, state = forecaster(forecaster(None, first, 0.25, 4).state, second, 0.25, 4)
+    ways = state.crowd.goal[1] - place[1], goal[1] - place[1]
+    assert torch.cosine_similarity(*ways, dim=-1) > 0.99
+
+
 def test_slow_in_a_crowd_is_not_taken_for_arriving(observed, scenario_of):
     seen = observed(scenario_of("circle", humans=10).cases("test", range(8)), 20)
     truth = torch.stack([later.pedestrian_position for later in seen[8:21]], -2)
