@@ -101,7 +101,10 @@ class RecordedScene(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """Where a frame lies in the world of its recording."""
+    """Where a frame lies in the world of its recording, whose origin may be thousands of km away.
+
+    `data` and `online` make it in float64: float32 knows a place in a map grid to half a metre.
+    """
 
     position: Float[Tensor, "*b 2"]  # m
     heading: Float[Tensor, "*b"]  # rad

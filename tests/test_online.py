@@ -111,6 +111,16 @@ def test_the_world_may_be_turned_and_lie_far_away(online, turn):
     torch.testing.assert_close(after, before, atol=0.05, rtol=0)
 
 
+def test_the_predictor_is_told_the_exact_place_in_a_map_grid(online, monkeypatch):
+    told, predict = [], online.stack.predictor.predict
+    monkeypatch.setattr(
+        online.stack.predictor, "predict", lambda batch: told.append(batch) or predict(batch)
+    )
+    seen = observed(0.0, (511570.1, 5535358.3))
+    online(seen)
+    assert told[0].frame.position[0].tolist() == seen.position[0, -1].tolist()
+
+
 def test_a_plan_goes_to_a_given_goal(online):
     ahead = online(observed()).plan.position[-1]
     goal = ahead + torch.tensor([0.5, -0.4], dtype=torch.float64)

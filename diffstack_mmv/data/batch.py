@@ -7,6 +7,7 @@ from torch.nn.functional import pad
 from trajdata.data_structures.batch import AgentBatch
 
 from diffstack_mmv.data.motions import tracks_of
+from diffstack_mmv.data.registration import EXACT_FRAME
 from diffstack_mmv.data.settings import WindowSettings
 from diffstack_mmv.types import Motion, Pose, StackBatch, Tracks
 
@@ -22,7 +23,8 @@ def stack_batch(batch: AgentBatch, windows: WindowSettings) -> StackBatch:
         windows: Rows and step.
 
     Returns:
-        Samples in float32, in the frame of the ego at the last row of its past.
+        Samples in float32, in the frame of the ego at the last row of its past; where that lies in
+        the world is told in float64.
     """
     past, future = windows.past_rows, windows.future_rows
     ego = _states(batch.agent_hist, batch.agent_fut, past, future)
@@ -36,7 +38,7 @@ def stack_batch(batch: AgentBatch, windows: WindowSettings) -> StackBatch:
     ego_past, ego_future = _split(ego_tracks, past)
     neighbors_past, neighbors_future = _split(other_tracks, past)
     goal = ego_future.motion.position[..., -1, :]
-    frame = _pose(batch.agents_from_world_tf)
+    frame = _pose(batch.extras.get(EXACT_FRAME, batch.agents_from_world_tf).double())
     return StackBatch(
         ego_past, ego_future, neighbors_past, neighbors_future, goal, windows.dt_s, frame
     )
@@ -45,8 +47,8 @@ def stack_batch(batch: AgentBatch, windows: WindowSettings) -> StackBatch:
 def _pose(agents_from_world: Float[Tensor, "B 3 3"]) -> Pose:
     """Pose of frames in the world, from the transformations into them."""
     turn, offset = agents_from_world[:, :2, :2], agents_from_world[:, :2, 2:]
-    position = -(turn.transpose(-1, -2) @ offset).squeeze(-1).float()
-    heading = torch.atan2(turn[:, 0, 1], turn[:, 0, 0]).float()
+    position = -(turn.transpose(-1, -2) @ offset).squeeze(-1)
+    heading = torch.atan2(turn[:, 0, 1], turn[:, 0, 0])
     return Pose(position, heading, torch.ones_like(heading, dtype=torch.bool))
 
 

@@ -25,7 +25,7 @@ from diffstack_mmv.data.registration import TrajdataWindows, WindowLocation
 from diffstack_mmv.data.settings import WindowSettings
 from diffstack_mmv.types import StackBatch
 
-EXPORT_VERSION = 3
+EXPORT_VERSION = 4
 MARKER = "export.json"
 SAMPLES = "samples.parquet"
 USABLE = "usable.npy"

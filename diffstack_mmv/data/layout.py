@@ -31,7 +31,7 @@ def fields(windows: WindowSettings) -> dict[str, FieldLayout]:
         "ego": FieldLayout((rows, MOTION_COLUMNS), np.float32),
         "ego_extent": FieldLayout((2,), np.float32),
         "ego_mode": FieldLayout((), np.int16),
-        "frame": FieldLayout((FRAME_COLUMNS,), np.float32),
+        "frame": FieldLayout((FRAME_COLUMNS,), np.float64),
         "neighbors": FieldLayout((neighbors, rows, MOTION_COLUMNS), np.float32),
         "neighbors_valid": FieldLayout((neighbors, rows), np.bool_),
         "neighbors_extent": FieldLayout((neighbors, 2), np.float32),

@@ -27,6 +27,8 @@ from dmmv_conventions.cache import conversion_of
 from dmmv_conventions.opening import CachedUnifiedDataset, encoded
 
 OBSERVED = "x,y,xd,yd,h"
+EXACT_FRAME = "agent_from_world"
+"""Of the extras of an element: the transformation into its frame (3, 3), which trajdata rounds."""
 
 
 class WindowLocation(NamedTuple):
@@ -149,7 +151,7 @@ class TrajdataWindows(CachedUnifiedDataset):
         if self._opened is None or self._opened.path != path:
             self._opened = self._open(path)
         _, scene, table = self._opened
-        return AgentBatchElement(
+        element = AgentBatchElement(
             table,
             idx,
             SceneTimeAgent.from_cache(scene, row, agent, table),  # type: ignore[arg-type]
@@ -160,6 +162,8 @@ class TrajdataWindows(CachedUnifiedDataset):
             standardize_data=True,
             max_neighbor_num=self.max_neighbor_num,
         )
+        element.extras[EXACT_FRAME] = element.agent_from_world_tf
+        return element
 
     def _open(self, path: str) -> _OpenScene:
         with told_as_damage(Path(path), self._remedy(path)):

@@ -171,7 +171,7 @@ class OnlineStack:
             for part in (0, slice(1, None))
             for tracks in (past, future)
         )
-        pose = Pose(origin.float()[None], course.float()[None], torch.ones(1, dtype=torch.bool))
+        pose = Pose(origin[None], course[None], torch.ones(1, dtype=torch.bool))
         goal = torch.zeros(1, 2)
         made = StackBatch(ego_past, ego_future, others_past, others_future, goal, self.dt_s, pose)
         return map_tensors(lambda entry: entry.to(self.stack.device), made)

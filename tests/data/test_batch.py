@@ -26,13 +26,17 @@ def test_the_ego_is_the_origin_of_its_own_frame_at_the_present(source, windows):
     torch.testing.assert_close(batch.goal, batch.ego_future.motion.position[:, -1])
 
 
-@pytest.mark.parametrize("start", [(9.0, 9.0, 3.0), (-4.0, 2.0, -1.0)])
+@pytest.mark.parametrize(
+    "start",
+    [(9.0, 9.0, 3.0), (-4.0, 2.0, -1.0), (511570.123, 5535358.456, 1.0)],
+    ids=["near", "behind", "map grid"],
+)
 def test_the_frame_is_told_in_the_world(tmp_path, start):
     agent = ToyAgent("a", Mode.BICYCLE, 80, start=start, yaw_rate=0.3)
     frame, table = read(tmp_path, agent).frame, agent.table().iloc[40]
-    torch.testing.assert_close(frame.position[0].tolist(), [table.x, table.y], atol=1e-4, rtol=0)
+    torch.testing.assert_close(frame.position[0].tolist(), [table.x, table.y], atol=1e-6, rtol=0)
     turn = wrap_angle(frame.heading - table.heading)
-    assert turn.abs().max() < 1e-4
+    assert turn.abs().max() < 1e-9
     assert frame.known.all()
 
 

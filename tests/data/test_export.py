@@ -109,7 +109,7 @@ def test_a_window_with_nan_is_left_out_and_counted(export, exporting, monkeypatc
         (lambda folder: (folder / "export.json").write_text("{"), "must have a marker in JSON"),
         (
             lambda folder: (folder / "export.json").write_text(json.dumps({"version": 99})),
-            "`version` must be 3, but got 99",
+            "`version` must be 4, but got 99",
         ),
         (lambda folder: np.save(folder / "ego.npy", np.zeros(3)), "must have shape"),
         (lambda folder: (folder / "neighbors.npy").write_bytes(b""), "must be an array of shape"),

@@ -48,15 +48,19 @@ class Site(nn.Module):
         self.outputs = outputs
         self.scale_m = scale_m
         self.dropout = dropout
-        self.register_buffer("center", torch.tensor(list(center_m)))
+        # in float64, as the places are: a map grid has coordinates of millions of metres
+        self.register_buffer("center", torch.tensor(list(center_m), dtype=torch.float64))
         self.center: Tensor
         self.network = perceptron([2 + 4 * OCTAVES + 2, HIDDEN, outputs])
 
     def forward(self, place: Pose) -> Float[Tensor, "R o"]:
         """Code of each place."""
-        position = (place.position - self.center) / self.scale_m
+        like = next(self.network.parameters()).dtype
+        position = (place.position - self.center).to(like) / self.scale_m
         waves = torch.cat([math.pi * 2**octave * position for octave in range(OCTAVES)], -1)
-        seen = torch.cat([position, waves.sin(), waves.cos(), direction(place.heading)], -1)
+        seen = torch.cat(
+            [position, waves.sin(), waves.cos(), direction(place.heading.to(like))], -1
+        )
         known = place.known
         if self.training:
             known = known & (torch.rand(known.shape, device=known.device) >= self.dropout)

@@ -50,6 +50,16 @@ def test_the_same_agents_in_another_frame_get_the_same_forecast():
     torch.testing.assert_close(model.predict(other).log_weight, here.log_weight)
 
 
+def test_a_site_in_a_map_grid_is_known_as_well_as_one_at_the_origin():
+    torch.manual_seed(3)
+    here, there = Site(), Site(center_m=(511570.3, 5535358.6))
+    there.network.load_state_dict(here.network.state_dict())
+    place = Pose(torch.rand(5, 2).double(), torch.rand(5).double(), torch.ones(5).bool())
+    moved = place._replace(position=place.position + there.center)
+    assert there.center.tolist() == [511570.3, 5535358.6]
+    torch.testing.assert_close(there.eval()(moved), here.eval()(place))
+
+
 def test_in_training_some_codes_are_left_out():
     site = Site(dropout=0.5).train()
     silent = (site(pose(1.0, 2.0, 0.3, count=400)) == 0).all(-1).float().mean()
