@@ -1,5 +1,6 @@
 """Driving by the model that has explained the motion best so far, e.g. the friction of the road."""
 
+import logging
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -14,6 +15,8 @@ from diffstack_mmv.simulation.controller import DiffMPCController, DiffMPCState,
 from diffstack_mmv.simulation.decisions import Decided, unbatched
 from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.types import Motion
+
+logger = logging.getLogger(__name__)
 
 ARM_M = 0.5
 """An error of the yaw rate counts as that of the speed of a point so far from the centre."""
@@ -33,7 +36,8 @@ class AdaptiveController:
 
     After every decision each model foretells the velocity and yaw rate that its command leads to;
     the squared errors are summed with older ones discounted. The first model is driven by until
-    another one explains the motion better by more than a tolerance.
+    another one explains the motion better by more than a tolerance. A model that foretells the same
+    as one before it, such as a bicycle without tyres with less friction, is left out.
 
     Args:
         controller: Decides; its own model is the first.
@@ -56,12 +60,19 @@ class AdaptiveController:
     ) -> None:
         require_between("discount", discount, 0, 1)
         require_positive("tolerance_mps", tolerance_mps)
-        self.models = [controller.planner.dynamics, *models]
-        for model in self.models:
+        first = controller.planner.dynamics
+        for model in (first, *models):
             needs = f"have the step of a decision, {controller.dt_s:g} s"
             fits = abs(model.dt_s - controller.dt_s) < 1e-9
             require(fits, "models", needs, f"{model.dt_s:g} s", "", "Set `model.dt_s`.")
-        self.controllers = [controller, *(controller.with_model(model) for model in models)]
+        self.models = _different([first, *models])
+        if len(self.models) == 1:
+            logger.warning(
+                "All models of the adaptive controller foretell the same: it drives as the plain "
+                "one. Friction is felt by tyres alone, which dynamics=gm3 has."
+            )
+        others = (controller.with_model(model) for model in self.models[1:])
+        self.controllers = [controller, *others]
         self.discount = discount
         self.tolerance_mps = tolerance_mps
 
@@ -115,6 +126,28 @@ class AdaptiveController:
     def thoughts(self, state: AdaptiveState) -> dict[str, Float[np.ndarray, "E S *d"]]:
         """What was expected of each pedestrian, and planned by the model in use."""
         return self.controllers[0].thoughts(state.inner)
+
+
+@torch.no_grad()
+def _different(models: Sequence[DynamicsModel]) -> list[DynamicsModel]:
+    """The models that foretell something else than all before them, at speeds and turns at random.
+
+    What a model is like is told by no number alone: a friction is nothing to one without tyres.
+    """
+    lower, upper = models[0].bounds
+    share = torch.rand(16, 2 + len(lower), generator=torch.Generator().manual_seed(0)).to(lower)
+    place, command = torch.zeros_like(share[:, :2]), lower + (upper - lower) * share[:, 2:]
+    forward = torch.stack([5 * share[:, 0], place[:, 0]], -1)
+    before = Motion(place, place[:, 0], forward, 4 * share[:, 1] - 2)
+    kept: list[DynamicsModel] = []
+    told: list[Tensor] = []
+    for model in models:
+        state = model.initial_state(before)
+        after = torch.cat([state, model(state, command)], -1)
+        if not any(torch.equal(after, other) for other in told):
+            kept.append(model)
+            told.append(after)
+    return kept
 
 
 def _joined(state: DiffMPCState, known: DiffMPCState, keep: Tensor) -> DiffMPCState:

@@ -53,18 +53,28 @@ def test_thoughts_are_one_per_decision_whatever_model_took_it(seen, controller_f
 
 def test_all_models_are_planned_with_in_the_same_way():
     """Limits of the optimiser and the delay hold whatever the friction."""
-    limits = "constraints=hard", "cost=unlimited"
+    limits = "constraints=hard", "cost=unlimited", "dynamics=gm3"
     controller = instantiate(composed_navigate("controller=diffmpc_adaptive", *limits).controller)
     first, *others = controller.controllers
     delayed = instantiate(composed_navigate("controller=diffmpc_delay").controller)
     first.delay = delayed.delay
     again = AdaptiveController(first, [each.planner.dynamics for each in others])
     assert first.planner.constraints is not None
+    assert len(again.controllers) == 3
     assert first.delay is not None
     for each in again.controllers:
         assert each.planner.constraints is first.planner.constraints
         assert each.planner.coordinates is first.planner.coordinates
         assert each.delay is first.delay
+
+
+@pytest.mark.parametrize(("dynamics", "models"), [("kbm", 1), ("gm3", 3)])
+def test_models_that_foretell_the_same_are_one(dynamics, models, caplog):
+    """A kinematic bicycle has no friction to adapt to."""
+    overrides = "controller=diffmpc_adaptive", f"dynamics={dynamics}"
+    controller = instantiate(composed_navigate(*overrides).controller)
+    assert len(controller.models) == len(controller.controllers) == models
+    assert ("Friction is felt by tyres alone" in caplog.text) is (models == 1)
 
 
 def test_models_that_foretell_another_time_than_a_decision_are_refused():
