@@ -30,6 +30,7 @@ __all__ = [
     "require_multiple",
     "require_one_of",
     "require_positive",
+    "require_precision",
     "require_tensor",
     "require_whole",
 ]
@@ -45,6 +46,20 @@ def require_tensor(argument: str, value: object) -> None:
         remedy = "Write torch.as_tensor(...) around it."
         found = type(value).__name__
         raise TypeError(message(argument, "be a tensor", found, "", remedy))
+
+
+def require_precision(argument: str, dtype: torch.dtype, where: str = "", remedy: str = "") -> None:
+    """Refuse anything but single and double precision.
+
+    Half precision resolves a position of 5 m to 3 cm (bfloat16), and forces are beyond its range
+    (float16).
+
+    Raises:
+        TypeError: `dtype` is another type.
+    """
+    if dtype not in (torch.float32, torch.float64):
+        wanted = "be torch.float32 or torch.float64"
+        raise TypeError(message(argument, wanted, dtype, where, remedy))
 
 
 def require_callable(argument: str, value: object, remedy: str = "") -> None:

@@ -39,7 +39,8 @@ def _unchecked(unchecked):
         ({"controls": torch.zeros(1, 5, 3)}, ValueError, "`bounds.lower` must have shape (3,)"),
         ({"controls": torch.zeros(1, 0, 2)}, ValueError, "`controls` must cover at least one"),
         ({"controls": CONTROLS.double()}, ValueError, "`controls` must be torch.float32 as the"),
-        ({"state": STATE.long()}, TypeError, "`state` must be of a floating-point type"),
+        ({"state": STATE.long()}, TypeError, "`state` must be torch.float32 or torch.float64, but"),
+        ({"state": STATE.half()}, TypeError, "`state` must be torch.float32 or torch.float64, but"),
         ({"state": np.zeros((1, 4))}, TypeError, "`state` must be a tensor, but got ndarray"),
         ({"state": torch.zeros(1, 3)}, ValueError, "`state` must have 4 columns (position_x,"),
         ({"bounds": (-1.0, 1.0)}, TypeError, "`bounds` must be Bounds, but got tuple"),
@@ -77,6 +78,16 @@ def test_a_name_in_the_place_of_a_vehicle(model):
     told = r"`spec` must be a VehicleSpec, but got str 'bicycle'. Give load_vehicle\(NAME_OR_PATH"
     with pytest.raises(TypeError, match=told):
         model("bicycle")
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+@pytest.mark.parametrize("model", [DiffKBM, DiffGM3, ExtendedUnicycle])
+def test_a_model_in_half_precision(model, dtype):
+    built = model(BICYCLE)
+    told = f"`dtype` must be torch.float32 or torch.float64, but got {dtype} for {model.__name__}."
+    with pytest.raises(TypeError, match=re.escape(told)):
+        torch.nn.Sequential(built).to(dtype)
+    assert {buffer.dtype for buffer in built.buffers()} <= {torch.float32, torch.int64}
 
 
 def test_wheelbases_in_other_units():

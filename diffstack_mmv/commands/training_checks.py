@@ -21,6 +21,7 @@ CHOICES = {
     "profiler": ("advanced", "pytorch", "simple", "xla"),
 }
 """What Lightning knows, of arguments that are any text for their annotation."""
+PRECISIONS = ("32", "32-true", "64", "64-true")
 LEAST = {
     **{"max_epochs": -1, "max_steps": -1, "num_sanity_val_steps": -1},
     **{"min_epochs": 0, "min_steps": 0, "reload_dataloaders_every_n_epochs": 0, "fast_dev_run": 0},
@@ -61,6 +62,7 @@ def require_training(config: Mapping[str, Any]) -> None:
     _require_devices(trainer)
     _require_limits(trainer)
     _require_names(trainer)
+    _require_precision(trainer.get("precision"))
     _require_switches(trainer, callbacks)
     for name, callback in callbacks.items():
         _require_callback(f"callbacks.{name}", callback)
@@ -124,6 +126,14 @@ def _require_names(trainer: Mapping[str, Any]) -> None:
     for name, choices in CHOICES.items():
         if isinstance(trainer.get(name), str):
             require_one_of(f"trainer.{name}", trainer[name], choices)
+
+
+def _require_precision(precision: object) -> None:
+    """Refuse half precision of everything, in which covariances and dynamics lose their meaning."""
+    whole = precision is None or str(precision) in PRECISIONS
+    remedy = "Half precision where it does no harm is stack=mixed_precision."
+    wanted = f"be one of {', '.join(PRECISIONS)}"
+    require(whole, "trainer.precision", wanted, repr(precision), "", remedy)
 
 
 def _require_switches(trainer: Mapping[str, Any], callbacks: Mapping[str, Any]) -> None:

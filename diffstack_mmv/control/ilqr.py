@@ -12,6 +12,7 @@ from diffstack_mmv.checks import (
     require,
     require_at_least,
     require_positive,
+    require_precision,
     require_whole,
 )
 from diffstack_mmv.control.batch_last import to_batch_last
@@ -191,7 +192,7 @@ class ILQR:
         Raises:
             ValueError: Shapes, precision or the order of the bounds do not fit, or the callables
                 return other shapes.
-            TypeError: The state is not of a floating-point type, or something is no tensor.
+            TypeError: The state is neither float32 nor float64, or something is no tensor.
         """
         if torch.compiler.is_compiling():
             # only what stands around a solve can be compiled from outside
@@ -204,6 +205,10 @@ class ILQR:
             solve = ConstrainedILQR(self)
             return solve(dynamics, cost, listed(constraints), bounds, state, controls)
         require_tensors(bounds, state, controls)
+        if torch.is_autocast_enabled(state.device.type):
+            # products of matrices in half precision would count as converged far from the minimum
+            with torch.autocast(state.device.type, enabled=False):
+                return self(dynamics, cost, bounds, state, controls)
         check_problem(bounds, state, controls)
         require_fitting(dynamics, cost, state, controls)
         settings = self.settings(bounds, state)
@@ -296,10 +301,9 @@ def check_problem(
         ValueError: Leading dimensions, precision or number of controls differ, there is no step, or
             a bound is missing or above its partner. Another device than a CPU is not waited for:
             crossed bounds make every problem there `INFEASIBLE`.
-        TypeError: The state is not of a floating-point type.
+        TypeError: The state is neither float32 nor float64.
     """
-    if not state.is_floating_point():
-        raise TypeError(message("state", "be of a floating-point type", state.dtype))
+    require_precision("state", state.dtype)
     columns = state.dim() >= 1 and state.shape[-1] >= 1
     require(columns, "state", "have a last dimension of columns", tuple(state.shape))
     require(

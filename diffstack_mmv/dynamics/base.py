@@ -2,7 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from typing import Any, ClassVar, Self
 
@@ -10,7 +10,13 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from diffstack_mmv.checks import message, require, require_columns, require_positive
+from diffstack_mmv.checks import (
+    message,
+    require,
+    require_columns,
+    require_positive,
+    require_precision,
+)
 from diffstack_mmv.dynamics.records import DerivedQuantity, DriverInput, WheelForces
 from diffstack_mmv.types import Bounds, Motion
 from diffstack_mmv.vehicles import SoftClamped
@@ -69,6 +75,17 @@ class DynamicsModel(nn.Module, ABC):
     def bounds(self) -> Bounds:
         """Box of admissible controls (m,), SI units."""
         return Bounds(self.get_buffer("_lower"), self.get_buffer("_upper"))
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
+        """Move or convert the model.
+
+        Raises:
+            TypeError: The new type is half precision.
+        """
+        asked = fn(self.get_buffer("_lower")).dtype
+        remedy = "A predictor can work in mixed precision: stack=mixed_precision."
+        require_precision("dtype", asked, f"for {type(self).__name__}", remedy)
+        return super()._apply(fn, recurse)
 
     def forward(
         self, state: Float[Tensor, "*#b n"], control: Float[Tensor, "*#b m"]

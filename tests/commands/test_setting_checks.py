@@ -44,6 +44,7 @@ WRONG = [
     ("train", "+trainer.overfit_batches=1.5", "`trainer.overfit_batches` must lie in (0, 1]"),
     ("train", "trainer.limit_val_batches=-1", "`trainer.limit_val_batches` must lie in (0, 1]"),
     ("train", "+trainer.gradient_clip_algorithm=l2", "must be one of norm, value, but got 'l2'"),
+    ("train", "+trainer.precision=16-mixed", "Half precision where it does no harm is stack=mixed"),
     ("train", "+trainer.profiler=fast", "`trainer.profiler` must be one of advanced, pytorch"),
     ("train", "trainer.deterministic=often", "`trainer.deterministic` must be true or false"),
     ("train", "+trainer.inference_mode=often", "`trainer.inference_mode` must be true or false"),

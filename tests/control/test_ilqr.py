@@ -4,7 +4,14 @@ import pytest
 import torch
 from scipy.optimize import minimize
 
-from diffstack_mmv.control import ILQR, Batched, Bounds, DifferencedCurvature, SolverStatus
+from diffstack_mmv.control import (
+    ILQR,
+    Batched,
+    Bounds,
+    Constraints,
+    DifferencedCurvature,
+    SolverStatus,
+)
 from tests.control.problems import driving, goal_cost, rate_model, solve
 
 SOLVER = ILQR()
@@ -22,6 +29,26 @@ def quadratic(states, controls):
 
 def box(limit, m=1):
     return Bounds(-limit * torch.ones(m), limit * torch.ones(m))
+
+
+@pytest.mark.parametrize("limits", [None, Constraints(lambda x, u: x[..., 1:] - 4.0)])
+def test_autocast_around_a_solve_changes_nothing(limits):
+    transition, push = torch.tensor([[1.0, 0.0], [0.1, 1.0]]), torch.tensor([[0.0, 0.1]])
+    start = torch.tensor([0.3, -0.2])
+
+    def step(state, control):
+        return state @ transition + control @ push
+
+    def price(states, controls):
+        away = (states - 3.3) @ torch.tensor([[1.0, 0.2], [0.2, 1.0]])
+        return ((states - 3.3) * away).sum(-1) + 0.1 * controls.square().sum(-1)
+
+    def found():
+        return SOLVER(step, price, box(5.0), start, torch.zeros(8, 1), limits).states
+
+    expected = found()
+    with torch.autocast("cpu", torch.bfloat16):
+        assert torch.equal(found(), expected)
 
 
 @pytest.mark.usefixtures("double")

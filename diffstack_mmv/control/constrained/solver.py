@@ -142,7 +142,7 @@ class ConstrainedILQR:
 
         Raises:
             ValueError: Shapes, precision, the order of the bounds or a price do not fit.
-            TypeError: The state is not of a floating-point type, or something is no tensor, no
+            TypeError: The state is neither float32 nor float64, or something is no tensor, no
                 constraint or no sequence of them.
         """
         if torch.compiler.is_compiling():
@@ -150,6 +150,10 @@ class ConstrainedILQR:
             apart: Any = torch.compiler.disable(type(self).__call__)
             return apart(self, dynamics, cost, constraints, bounds, state, controls, multipliers)
         require_tensors(bounds, state, controls)
+        if torch.is_autocast_enabled(state.device.type):
+            # as in the solver without constraints
+            with torch.autocast(state.device.type, enabled=False):
+                return self(dynamics, cost, constraints, bounds, state, controls, multipliers)
         check_problem(bounds, state, controls)
         require_fitting(dynamics, cost, state, controls)
         differentiates = torch.is_grad_enabled()
