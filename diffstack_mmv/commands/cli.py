@@ -144,7 +144,7 @@ def command(
                 _no_search_for_garbage(),
                 endings_raised(),
                 composition_told(config_folder, config_name),
-                composed_once(sys.argv[1:]),
+                composed_once(sys.argv[1:], _read_vehicle_file),
             ):
                 entry()
 

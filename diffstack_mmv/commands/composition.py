@@ -4,7 +4,7 @@ Left to itself Hydra composes it a second time to find its mode, and the default
 compared with would be a third: half a second of the time until a mistake is told.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
@@ -27,19 +27,30 @@ _DEFAULTS: ContextVar[Mapping[str, Any] | None] = ContextVar("defaults", default
 
 
 @contextmanager
-def composed_once(arguments: Sequence[str]) -> Iterator[None]:
+def composed_once(
+    arguments: Sequence[str], complete: Callable[[DictConfig], object]
+) -> Iterator[None]:
     """Have Hydra keep the defaults of what it composes, and leave its mode to its own options.
+
+    What it shows (`--cfg`) is what a job would work with.
 
     No configuration of this package sets a mode; one of somebody else may.
 
     Args:
         arguments: The command line without its first word.
+        complete: Puts into a composed configuration what a job reads from files besides.
     """
     mode, applied = Hydra.get_mode, ConfigLoaderImpl._apply_overrides_to_config
+    without_hydra = Hydra.get_sanitized_cfg
 
     def keep_defaults(overrides: list[Override], cfg: DictConfig) -> None:
         _DEFAULTS.set({key: value_of(cfg, key) for key in _changed(overrides)})
         applied(overrides, cfg)
+
+    def completed(self: Hydra, cfg: DictConfig, cfg_type: str) -> DictConfig:
+        if HydraConfig.initialized():
+            complete(cfg)
+        return without_hydra(self, cfg, cfg_type)
 
     def no_mode(*_: Any, **__: Any) -> None:
         """What it would find."""
@@ -47,11 +58,13 @@ def composed_once(arguments: Sequence[str]) -> Iterator[None]:
     if not any(begin in argument for argument in arguments for begin in _ELSEWHERE):
         Hydra.get_mode = no_mode
     ConfigLoaderImpl._apply_overrides_to_config = staticmethod(keep_defaults)
+    Hydra.get_sanitized_cfg = completed
     try:
         yield
     finally:
         Hydra.get_mode = mode
         ConfigLoaderImpl._apply_overrides_to_config = staticmethod(applied)
+        Hydra.get_sanitized_cfg = without_hydra
 
 
 def changed_defaults(config_name: str) -> Mapping[str, Any]:

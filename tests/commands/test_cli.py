@@ -290,6 +290,19 @@ def test_a_configuration_is_replaced_whole(tmp_path):
     assert OmegaConf.load(tmp_path / "config.yaml").value == 2
 
 
+def test_the_shown_configuration_has_the_vehicle_of_the_file(run, tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("name: mine\nmass_kg: 90\n")
+    with contextlib.redirect_stdout(StringIO()) as shown:
+        run("needed=1", f"vehicle={file}", "vehicle.name=ours", "--cfg", "job", "-p", "vehicle")
+    assert shown.getvalue() == "# @package vehicle\nname: ours\nmass_kg: 90\n"
+
+
+def test_a_missing_vehicle_file_is_named_where_it_would_be_shown(run):
+    told = run("needed=1", "vehicle=none.yaml", "--cfg", "job")[1]
+    assert told == "`vehicle` must be a name or an existing YAML file, but got 'none.yaml'.\n"
+
+
 @pytest.mark.parametrize("target", ["os.system", "pathlib.Path.write_text"])
 def test_what_a_vehicle_file_would_have_built_is_refused(target, run, tmp_path):
     file = tmp_path / "mine.yaml"
