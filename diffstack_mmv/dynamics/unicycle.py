@@ -117,8 +117,11 @@ class ExtendedUnicycle(DynamicsModel):
     def control_for_driver(
         self, state: Float[Tensor, "*b 4"], driver: DriverInput
     ) -> Float[Tensor, "*b 2"]:
-        """Yaw rate v tan δ / L in rad/s of the kinematic bicycle at the middle of the step."""
-        speed = (state[..., 3] + 0.5 * self.dt_s * driver.acceleration).clamp_min(0)
+        """Yaw rate v tan δ / L in rad/s of the kinematic bicycle at the middle of the step.
+
+        The curve is that of the angle in reverse, too.
+        """
+        speed = state[..., 3] + 0.5 * self.dt_s * driver.acceleration
         yaw_rate = speed * driver.steer.tan() / self._wheelbase_m
         return torch.stack([yaw_rate, driver.acceleration.expand_as(yaw_rate)], -1)
 
@@ -127,8 +130,8 @@ class ExtendedUnicycle(DynamicsModel):
     ) -> DriverInput:
         """Acceleration (m/s²), and the angle (rad) of the same curve; straight at standstill."""
         yaw_rate, acceleration = control.unbind(-1)
-        speed = (state[..., 3] + 0.5 * self.dt_s * acceleration).clamp_min(0)
-        moving = speed > 0
+        speed = state[..., 3] + 0.5 * self.dt_s * acceleration
+        moving = speed != 0
         curvature = yaw_rate / torch.where(moving, speed, torch.ones_like(speed))
         curvature = torch.where(moving, curvature, torch.zeros_like(curvature))
         return DriverInput(acceleration, torch.atan(self._wheelbase_m * curvature))

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from diffstack_mmv.dynamics import ExtendedUnicycle, rollout
+from diffstack_mmv.dynamics import DriverInput, ExtendedUnicycle, rollout
 from diffstack_mmv.vehicles import load_vehicle
 
 MODEL = ExtendedUnicycle(load_vehicle("bicycle"), dt_s=0.1).double()
@@ -43,6 +43,19 @@ def test_derivatives_hold_through_zero_yaw_rate(yaw_rate):
     control = torch.tensor([yaw_rate, 0.5], dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(MODEL, (state, control))
     assert torch.autograd.gradgradcheck(MODEL, (state, control))
+
+
+@pytest.mark.parametrize("speed", [3.0, -2.0])
+def test_a_steering_angle_is_the_same_curve_ahead_and_in_reverse(speed):
+    state = torch.tensor([0.0, 0.0, 0.0, speed], dtype=torch.float64)
+    wanted = DriverInput(*torch.tensor([0.0, 0.3], dtype=torch.float64))
+    control = MODEL.control_for_driver(state, wanted)
+    states = rollout(MODEL, state, control.expand(20, 2))
+    wheelbase = load_vehicle("bicycle").wheelbase.entries()[0][0]
+    radius = wheelbase / wanted.steer.tan()
+    centre = torch.stack([torch.zeros_like(radius), radius])
+    assert torch.allclose((states[:, :2] - centre).norm(dim=-1), radius)
+    assert torch.allclose(MODEL.driver_input(state, control).steer, wanted.steer)
 
 
 def test_curvature_command_drives_that_circle():
