@@ -73,7 +73,8 @@ class ConstrainedILQR:
             where a gradient is taken.
 
     Raises:
-        ValueError: A number is not positive, or no whole one where it counts.
+        ValueError: A number is not positive, or no whole one where it counts, or the solver has
+            `Unrolled` derivatives.
         TypeError: The solver is no `ILQR`.
 
     Source:
@@ -112,6 +113,10 @@ class ConstrainedILQR:
         if not isinstance(self.solver, ILQR):
             found = repr(self.solver)
             raise TypeError(message("solver", "be an ILQR", found, "", "Write ILQR()."))
+        # it would hold for what touches no constraint alone
+        implicit = not self.solver.gradient.through_iterations
+        wanted, remedy = "be Implicit() with constraints", "Leave it out."
+        require(implicit, "solver.gradient", wanted, self.solver.gradient, "", remedy)
         require_at_least("max_iterations", self.max_iterations, 1)
         require_whole("max_iterations", self.max_iterations)
         require_positive("tolerance", self.tolerance)

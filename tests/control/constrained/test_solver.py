@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from diffstack_mmv.control import ILQR, Batched, Bounds, Constraints, SolverStatus
+from diffstack_mmv.control import ILQR, Batched, Bounds, Constraints, SolverStatus, Unrolled
 from diffstack_mmv.control.constrained import (
     ConstrainedILQR,
     Equality,
@@ -358,6 +358,14 @@ def test_constraints_of_another_kind_are_refused():
         brought(Inequality(wall))
     with pytest.raises(TypeError, match="`constraints` must be Constraints, but got list"):
         listed([wall])
+
+
+def test_derivatives_of_iterations_are_refused_with_constraints():
+    """They are implicit whatever the solver says, but for problems that touch no constraint."""
+    with pytest.raises(
+        ValueError, match=r"`solver.gradient` must be Implicit\(\) with const.*Leave"
+    ):
+        ConstrainedILQR(ILQR(gradient=Unrolled()))
 
 
 @pytest.mark.usefixtures("unchecked")
