@@ -132,9 +132,9 @@ class MeasuredStudy:
         logger.info(
             "%d windows are fitted, %d are rolled out", len(windows.origin), len(rollouts.origin)
         )
-        fitting = self._fitting(windows, rollouts)
-        judging = Judging(fitting, rollouts, self.history_steps)
         names = self._ordered(models)
+        fitting = self._fitting(windows, rollouts, names[0])
+        judging = Judging(fitting, rollouts, self.history_steps)
         whole: dict[str, Fitted] = {}
         by_recording: dict[str, HeldOut] = {}
         by_session: dict[str, HeldOut] = {}
@@ -169,17 +169,11 @@ class MeasuredStudy:
             idle = (torch.zeros(size) for size in (model.state_dim, model.control_dim))
             model.driver_input(*idle)
 
-    def _fitting(self, windows: RideWindows, rollouts: RideWindows) -> "Fitting":
+    def _fitting(self, windows: RideWindows, rollouts: RideWindows, reference: str) -> "Fitting":
         """How models are fitted, what is finished found again for the same data and settings."""
-        data = [
-            windows.position,
-            windows.steer,
-            windows.speed,
-            rollouts.position,
-            rollouts.yaw_rate,
-        ]
         settings = (self.spec, self.fitter, self.noise, self.noise_rounds, self.fitted)
-        parts = self.parts.keyed(*data, *settings, self.history_s, self.horizon_s, self.every_s)
+        times_s = (self.history_s, self.horizon_s, self.every_s)
+        parts = self.parts.keyed(*windows, *rollouts, *settings, *times_s, reference)
         return Fitting(self.spec, self.fitter, self.noise, self.noise_rounds, parts)
 
     def whole(
@@ -187,7 +181,7 @@ class MeasuredStudy:
     ) -> tuple[RideWindows, RideWindows, Fitted]:
         """Windows, roll-outs, and the fit of the reference to all recordings."""
         windows, rollouts = cut_windows(rides, self.fitted), cut_windows(rides, self._future())
-        fitting = self._fitting(windows, rollouts)
+        fitting = self._fitting(windows, rollouts, name)
         return windows, rollouts, fitting.fitted("all", windows, name, model, None)
 
     def _future(self) -> RideWindowSettings:

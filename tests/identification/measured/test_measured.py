@@ -185,6 +185,19 @@ def test_study_reports_the_keys_of_the_contract_and_goes_on_where_it_was(recorde
     assert vehicle.wheelbase.initial == pytest.approx(entry["estimate"])
 
 
+def test_parts_of_other_data_or_another_reference_are_not_found_again(recorded):
+    spec, _, synthetic = recorded
+    study = MeasuredStudy(spec, fitted=SETTINGS)
+    windows = cut_windows(synthetic.rides, SETTINGS)
+
+    def key(reference="kbm", **changed):
+        return study._fitting(windows._replace(**changed), windows, reference).parts.key
+
+    assert key() == key()
+    others = [key(**{name: -getattr(windows, name)}) for name in ("course", "steer_rate", "speed")]
+    assert len({key(), key("gm3"), key(known=~windows.known), *others}) == 6
+
+
 def test_paired_test_counts_recordings_not_windows():
     owner = torch.tensor([0, 0, 0, 1, 1])
     test = paired_by_recording(torch.zeros(5), torch.tensor([1.0, 1, 1, 2, 2]), owner)
