@@ -26,14 +26,18 @@ class Mode(IntEnum):
     TRUCK = 10
 
     @classmethod
-    def named(cls, name: str) -> "Mode":
+    def named(cls, name: str, argument: str = "mode") -> "Mode":
         """Return the mode of that name, in any case of letters.
+
+        Args:
+            name: Its name.
+            argument: Where the name was given.
 
         Raises:
             ValueError: There is no such mode.
         """
         labels = sorted(mode.label for mode in cls)
-        require_one_of("mode", name.lower(), labels)
+        require_one_of(argument, name.lower(), labels)
         return cls[name.upper()]
 
     @property

@@ -298,7 +298,7 @@ def test_resumed_run_ends_where_an_uninterrupted_one_does(workplace, tmp_path):
         ("train", ["dynamics=car"], "`dynamics` must be one of gm3,"),
         ("train", ["vehicle=hovercraft"], "but got 'hovercraft' on the command line"),
         ("train", ["vehicle=none.yaml"], "`vehicle` must be a name or an existing YAML file"),
-        ("train", ["modes=[bike]"], "`mode` must be one of"),
+        ("train", ["modes=[bike]"], "`modes` must be one of"),
         ("train", ["modes=[bicycle,scooter]"], "`modes` must be the mode of the vehicle 'bicycle'"),
         ("train", ["horizon_s=2.95"], "`horizon_s` must be a multiple of 0.1"),
         ("train", ["data.cache=nowhere"], "hold a finished conversion"),

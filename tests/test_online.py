@@ -147,7 +147,7 @@ def test_only_the_nearest_count():
         ({"heading": np.zeros((3, 41))[:2]}, None, r"`observed.heading` must have the shape"),
         ({"extent": np.ones((2, 2))}, None, "`observed.modes, extent` must be of 3 agents"),
         ({"modes": ("car", "car", "car")}, None, "`mode of the ego` must be one that"),
-        ({"modes": ("bike", "car", "car")}, None, "`mode` must be one of bicycle"),
+        ({"modes": ("bike", "car", "car")}, None, "`observed.modes` must be one of bicycle"),
         ({"position": np.full((3, 41, 2), np.nan)}, None, "`ego` must be observed now"),
         ({"heading": np.full((3, 41), np.nan)}, None, "`ego` must be observed now"),
         ({"extent": sized(float("nan"))}, None, r"`observed.extent` must be positive.*'walker'"),

@@ -76,14 +76,22 @@ def _is_folder(argument: str) -> bool:
     return named or Path(argument).is_dir()
 
 
-_IN_HOME = re.compile(r"(?P<key>[^=]+=)(?P<quote>['\"]?)(?P<path>~(/[^'\",\[\]{}]*)?)(?P=quote)")
+_IN_HOME = re.compile(
+    r"(?<=[=\[,:])(?P<blank> *)(?P<quote>['\"]?)(?P<path>~(/[^'\",\[\]{}]*)?)(?P=quote)(?=[,\]}]|$)"
+)
 
 
 def _at_home(argument: str) -> str:
-    """`out=~/runs` is in the home folder: shells leave a `~` within a word as it is."""
-    found = _IN_HOME.fullmatch(argument)
-    path = os.path.expanduser(found["path"]) if found else "~"
-    return argument if found is None or path[0] == "~" else f"{found['key']}{quoted(path)}"
+    """`out=~/runs` is in the home folder: shells leave a `~` within a word as it is.
+
+    So is `~/b` in `runs=[~/a,~/b]`, which Hydra cannot read.
+    """
+
+    def expanded(found: re.Match[str]) -> str:
+        path = os.path.expanduser(found["path"])
+        return found[0] if path[0] == "~" else f"{found['blank']}{quoted(path)}"
+
+    return _IN_HOME.sub(expanded, argument)
 
 
 def _vehicle_from_file(argument: str) -> str:

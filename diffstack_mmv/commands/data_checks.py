@@ -31,7 +31,7 @@ def require_modes(modes: Sequence[str]) -> None:
     remedy = f"Write modes=[{modes}]."
     require(not isinstance(modes, str), "modes", "be a list", repr(modes), "", remedy)
     for name in modes:
-        Mode.named(name)
+        Mode.named(name, "modes")
 
 
 def require_windows(modes: Sequence[str], dt_s: float, **durations_s: float) -> None:

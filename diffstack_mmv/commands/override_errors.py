@@ -40,6 +40,8 @@ def told(
         What is wrong, where, and what to do.
     """
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
+        if "/" not in error.missing_cfg_file:
+            return message("config-name", f"be {config_name}", error.missing_cfg_file, PLACE)
         return _unknown_option(error.missing_cfg_file, error.options or ())
     if isinstance(error, OverrideParseException):
         remedy = (

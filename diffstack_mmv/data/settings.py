@@ -47,7 +47,7 @@ class WindowSettings:
         require_positive("radius_m", self.radius_m)
         require_at_least("stride", self.stride, 1)
         for name in self.ego_modes:
-            Mode.named(name)
+            Mode.named(name, "ego_modes")
 
     @property
     def modes(self) -> tuple[Mode, ...]:

@@ -134,7 +134,7 @@ class OnlineStack:
         remedy = "Sample with the history of the stack, `history_s`."
         require(rows == steps + 1, "observed", f"have {steps + 1} rows", rows, "", remedy)
         require_known_now(observed)
-        mode = Mode.named(observed.modes[0]).label
+        mode = Mode.named(observed.modes[0], "observed.modes").label
         remedy = "Take a checkpoint of that mode."
         wanted = f"be one that the stack was trained on, {', '.join(self.modes)}"
         require(mode in self.modes, "mode of the ego", wanted, repr(mode), "", remedy)
@@ -162,7 +162,9 @@ class OnlineStack:
             ],
             -1,
         )
-        modes = torch.tensor([int(Mode.named(observed.modes[index])) for index in chosen])
+        modes = torch.tensor(
+            [int(Mode.named(observed.modes[index], "observed.modes")) for index in chosen]
+        )
         extent = torch.from_numpy(observed.extent[chosen]).float()
         past = tracks_of(states.float(), extent, modes, states.shape[-2], self.dt_s)
         future = _without_rows(past, self.stack.predictor.horizon_steps)

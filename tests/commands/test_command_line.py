@@ -16,6 +16,11 @@ from diffstack_mmv.commands.command_line import understood
         ("out=~nobody_of_that_name/runs", "out=~nobody_of_that_name/runs"),
         ("out=runs~/1", "out=runs~/1"),
         ("out='~/a,~/b'", "out='~/a,~/b'"),
+        ("runs=[~/a,b,~/c]", "runs=['/of/me/a',b,'/of/me/c']"),
+        ("runs=['~/a', ~]", "runs=['/of/me/a', '/of/me']"),
+        ("+columns={x: ~/a}", "+columns={x: '/of/me/a'}"),
+        ("checkpoint=~/a,~/b", "checkpoint='/of/me/a','/of/me/b'"),
+        ("runs=[a,b~/c]", "runs=[a,b~/c]"),
         ("~search", "~search"),
     ],
 )

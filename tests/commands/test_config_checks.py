@@ -77,7 +77,7 @@ def test_every_value_that_must_be_given_is_named():
 @pytest.mark.parametrize(
     ("mode", "horizon_s", "told"),
     [
-        ("bike", 3.0, "`mode` must be one of"),
+        ("bike", 3.0, "`modes` must be one of"),
         ("bicycle", 2.95, "`horizon_s` must be a multiple"),
     ],
 )

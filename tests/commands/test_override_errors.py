@@ -33,6 +33,7 @@ def answer(monkeypatch, capsys, tmp_path):
          "command line. Did you mean goal=future?"),
         (["dynamics=kbmm"], "but got 'kbmm' on the command line. Did you mean dynamics=kbm"),
         (["vehicle=bike"], "bicycle? A vehicle of your own is the path of a YAML file."),
+        (["--config-name", "x"], "`config-name` must be train, but got x on the command line."),
         (["epoch=3"], "`epoch` must be a key of the configuration of train, but got epoch=3 on the"
          " command line. Did you mean `epochs`?"),
         (["dynamics=KBM"], "Did you mean dynamics=kbm"),

@@ -17,7 +17,7 @@ def test_four_seconds_past_and_three_future_are_41_and_30_rows():
     [
         ({"history_s": 4.05}, "`history_s` must be a multiple of 0.1, but got 4.05"),
         ({"horizon_s": 0.0}, "`horizon_s` must be positive"),
-        ({"ego_modes": ("unicorn",)}, "`mode` must be one of .*'unicorn'"),
+        ({"ego_modes": ("unicorn",)}, "`ego_modes` must be one of .*'unicorn'"),
         ({"ego_modes": ()}, "`ego_modes` must name at least one mode"),
         ({"stride": 0}, "`stride` must be at least 1"),
         ({"radius_m": -1.0}, "`radius_m` must be positive"),
