@@ -2,10 +2,12 @@
 
 import ctypes
 import functools
+import getpass
 import hashlib
 import logging
 import os
 import platform
+import re
 import subprocess
 import tempfile
 from importlib.resources import files
@@ -109,18 +111,32 @@ def load(source: str, *flags: str) -> ctypes.CDLL:
     Raises:
         CannotBuildError: It cannot be built or read, or another user wrote it.
     """
-    from torch._inductor.runtime.cache_dir_utils import cache_dir
-
     told = (source, " ".join(FLAGS + flags), platform.machine(), processor())
     name = hashlib.sha256("\n".join(told).encode()).hexdigest()
     try:
-        path = Path(cache_dir(), "dmmv", f"{name}.so")
+        path = _compilers_folder() / "dmmv" / f"{name}.so"
         if not path.exists():
             build(source, path, "native", *flags)
         _require_own(path)
         return ctypes.CDLL(str(path))
     except OSError as failure:
         raise CannotBuildError(str(failure)) from failure
+
+
+def _compilers_folder() -> Path:
+    """Where the compiler of torch keeps what it has built.
+
+    Asked of torch itself it would take a second, for packages that a library needs in no other way.
+    """
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # one without a name, as in a container
+        user = f"uid_{os.getuid()}"
+    name = re.sub(r'[\\/:*?"<>|]', "_", user)
+    usual = Path(tempfile.gettempdir(), f"torchinductor_{name}")
+    folder = Path(os.environ.get("TORCHINDUCTOR_CACHE_DIR", usual))
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 @functools.cache

@@ -1,9 +1,12 @@
 """A library is built once, and never taken from another user."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from torch._inductor.exc import InvalidCxxCompiler
+from torch._inductor.runtime.cache_dir_utils import default_cache_dir
 
 from dmmv_conventions import libraries
 from dmmv_conventions.libraries import CannotBuildError
@@ -17,6 +20,26 @@ def test_a_library_of_another_user_is_not_loaded(tmp_path, monkeypatch):
     monkeypatch.setattr(libraries, "ADMINISTRATOR", user)
     with pytest.raises(CannotBuildError, match="belongs to another user"):
         libraries.load("int main() {}")
+
+
+def test_a_library_that_is_there_is_loaded_without_the_compiler_of_torch(tmp_path, monkeypatch):
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
+    libraries.load("int one;")
+    told = (
+        "import sys; from dmmv_conventions.libraries import load; load('int one;'); "
+        "print([name for name in ('torch._inductor', 'torch._dynamo') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_libraries_lie_where_the_compiler_of_torch_keeps_its_own(tmp_path, monkeypatch):
+    monkeypatch.setattr(libraries, "_require_own", lambda path: None)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.delenv("TORCHINDUCTOR_CACHE_DIR", raising=False)
+    libraries.load("int two;")
+    (found,) = tmp_path.rglob("*.so")
+    assert found.parents[1] == Path(default_cache_dir())
 
 
 def planted(path: Path) -> None:
