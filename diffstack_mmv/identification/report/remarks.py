@@ -18,6 +18,7 @@ LARGE_INFLUENCE = 0.5  # prior deviations
 AT_THE_EDGE = 0.01  # of the range
 NOTEWORTHY = 0.05  # share of the posterior of an optimum that gets a remark
 WEAKEST = 3  # directions that get a remark
+ROUNDING = 1e-12  # share of the prior's information below which a number is an error of rounding
 
 
 def all_remarks(
@@ -87,7 +88,7 @@ def information_directions(simulator: TrackSimulator, found: Identification) -> 
     """The least informed directions in the space of the parameters, and the best informed one."""
     names, directions = simulator.parameters.names, found.sensitivity.directions
     weak = [
-        f"Weak direction ({each.eigenvalue:.2g} of the prior's information): "
+        f"Weak direction ({_share(each.eigenvalue)} of the prior's information): "
         f"{describe_direction(each, names)}."
         for each in directions[-WEAKEST:]
     ]
@@ -97,6 +98,10 @@ def information_directions(simulator: TrackSimulator, found: Identification) -> 
         f"{describe_direction(best, names)}."
     )
     return [*weak, strong]
+
+
+def _share(eigenvalue: float) -> str:
+    return f"{eigenvalue:.2g}" if eigenvalue >= ROUNDING else "none"
 
 
 def other_optima(simulator: TrackSimulator, found: Identification) -> list[str]:

@@ -13,7 +13,7 @@ from diffstack_mmv.identification import (
     summarise,
 )
 from diffstack_mmv.identification.inference.excitation import friction_of
-from diffstack_mmv.identification.report.remarks import misfit, other_optima
+from diffstack_mmv.identification.report.remarks import information_directions, misfit, other_optima
 from tests.identification.conftest import LIVELY, synthetic_problem
 
 
@@ -41,6 +41,16 @@ def test_other_optimum_is_named_with_its_share(result):
     (remark,) = other_optima(setup.simulator, found._replace(optima=(best, far)))
     assert "50 % of the posterior: wheelbase" in remark
     assert other_optima(setup.simulator, found) == []
+
+
+@pytest.mark.parametrize("eigenvalue", [4e-33, -2e-17, 0.0])
+def test_information_within_rounding_is_none(result, eigenvalue):
+    setup, found, _ = result
+    weak = found.sensitivity.directions[-1]._replace(eigenvalue=eigenvalue)
+    directions = (*found.sensitivity.directions[:-1], weak)
+    changed = found._replace(sensitivity=found.sensitivity._replace(directions=directions))
+    remarks = information_directions(setup.simulator, changed)
+    assert remarks[-2].startswith("Weak direction (none of the prior's information): ")
 
 
 def test_residuals_above_the_noise_are_named(result):
