@@ -77,7 +77,8 @@ def _is_folder(argument: str) -> bool:
 
 
 _IN_HOME = re.compile(
-    r"(?<=[=\[,:])(?P<blank> *)(?P<quote>['\"]?)(?P<path>~(/[^'\",\[\]{}]*)?)(?P=quote)(?=[,\]}]|$)"
+    r"(?<=[=\[,:])(?P<blank> *)(?P<quote>['\"]?)(?P<path>~(/[^'\",\[\]{}]*?)?)(?P=quote)"
+    r"(?= *(?:[,\]}]|$))"
 )
 
 

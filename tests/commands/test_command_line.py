@@ -17,7 +17,7 @@ from diffstack_mmv.commands.command_line import understood
         ("out=runs~/1", "out=runs~/1"),
         ("out='~/a,~/b'", "out='~/a,~/b'"),
         ("runs=[~/a,b,~/c]", "runs=['/of/me/a',b,'/of/me/c']"),
-        ("runs=['~/a', ~]", "runs=['/of/me/a', '/of/me']"),
+        ("runs=['~/a' , ~ , ~/b c ]", "runs=['/of/me/a' , '/of/me' , '/of/me/b c' ]"),
         ("+columns={x: ~/a}", "+columns={x: '/of/me/a'}"),
         ("checkpoint=~/a,~/b", "checkpoint='/of/me/a','/of/me/b'"),
         ("runs=[a,b~/c]", "runs=[a,b~/c]"),
