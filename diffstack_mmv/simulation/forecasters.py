@@ -11,7 +11,7 @@ from torch import Tensor
 from diffstack_mmv.checks import require_at_least, require_between, require_positive
 from diffstack_mmv.geometry import length, unit_vector
 from diffstack_mmv.prediction import Spread, single_component
-from diffstack_mmv.simulation.goals import GoalInference
+from diffstack_mmv.simulation.goals import GoalBelief, GoalInference
 from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.simulation.pedestrians import CrowdState, OrcaCrowd
 from diffstack_mmv.types import Forecast
@@ -119,7 +119,7 @@ class BelievedCrowd(NamedTuple):
     crowd: CrowdState  # as it was observed, with the goals and speeds believed in
     seen: Bool[Tensor, "*b h"]
     time_s: float
-    doubt: Float[Tensor, "*b h c"]  # (m/s)², discounted sum of what each course leaves unexplained
+    goals: GoalBelief
 
 
 @dataclass(frozen=True)
@@ -173,12 +173,12 @@ class OrcaForecaster:
         now_s = float(observation.time.max())
         # where no time has passed, the step of the forecast is as good as any
         since_s = dt_s if state is None else now_s - state.time_s or dt_s
-        believed, doubt = self._believed(state, observation, since_s)
+        believed, goals = self._believed(state, observation, since_s)
         mean = self.crowd.positions(believed, dt_s, steps)
         forecast = _with_spread(mean, believed.velocity, self.spread, dt_s)
         if state is None:
             forecast = self._walking_off(forecast, believed, dt_s)
-        return PedestrianForecast(forecast, BelievedCrowd(believed, observation.seen, now_s, doubt))
+        return PedestrianForecast(forecast, BelievedCrowd(believed, observation.seen, now_s, goals))
 
     def _walking_off(self, forecast: Forecast, crowd: CrowdState, dt_s: float) -> Forecast:
         """A forecast of one component, and one more per direction for who is at rest."""
@@ -198,22 +198,20 @@ class OrcaForecaster:
 
     def _believed(
         self, state: BelievedCrowd | None, observation: Observation, since_s: float
-    ) -> tuple[CrowdState, Float[Tensor, "*b h c"]]:
-        """The observed crowd with the goals believed in now, and the doubt of each course."""
+    ) -> tuple[CrowdState, GoalBelief]:
+        """The observed crowd with the goals that are expected now, and what is believed of them."""
         position, velocity = observation.pedestrian_position, observation.pedestrian_velocity
         preferred = self._preferred(state, observation)
-        if state is None:
-            goal = self._at_first_sight(position, velocity, preferred)
-            doubt = position.new_zeros(*position.shape[:-1], self.inference.courses)
-        else:
-            goal, doubt = self.inference(self.crowd, state.crowd, velocity, state.doubt, since_s)
-            known = (observation.seen & state.seen)[..., None]
-            if not bool(known.all()):
-                first = self._at_first_sight(position, velocity, preferred)
-                goal = torch.where(known, goal, first)
-                doubt = torch.where(known, doubt, torch.zeros_like(doubt))
-        crowd = CrowdState(position, velocity, goal, observation.pedestrian_radius, preferred)
-        return crowd, doubt
+        goals = self.inference.first(position, velocity, preferred)
+        if state is not None:
+            goals = _where(
+                observation.seen & state.seen,
+                self.inference(self.crowd, state.crowd, state.goals, velocity, since_s),
+                goals,
+            )
+        expected = goals.expected(position)
+        crowd = CrowdState(position, velocity, expected, observation.pedestrian_radius, preferred)
+        return crowd, goals
 
     def _preferred(
         self, state: BelievedCrowd | None, observation: Observation
@@ -230,23 +228,15 @@ class OrcaForecaster:
         first = ~state.seen | (length(state.crowd.velocity) < RESTING_MPS) & (before == usual)
         return torch.where(walked, torch.where(first, speed, torch.maximum(speed, before)), before)
 
-    def _at_first_sight(
-        self,
-        position: Float[Tensor, "*b h 2"],
-        velocity: Float[Tensor, "*b h 2"],
-        preferred: Float[Tensor, "*b h"],
-    ) -> Float[Tensor, "*b h 2"]:
-        """Goal in m that the velocity alone suggests; somebody at rest is there already."""
-        speed = length(velocity)[..., None]
-        full = speed > 0.95 * preferred[..., None]
-        ahead = torch.where(
-            full, self.inference.far_m / speed.clamp(min=0.1), torch.full_like(speed, 1.0)
-        )
-        return position + velocity * ahead
-
 
 def _course(velocity: Float[Tensor, "*b h 2"]) -> Float[Tensor, "*b h"]:
     return torch.atan2(velocity[..., 1], velocity[..., 0])
+
+
+def _where(known: Bool[Tensor, "*b h"], then: GoalBelief, other: GoalBelief) -> GoalBelief:
+    """The first belief of who is known, the other of the rest."""
+    goal = torch.where(known[..., None, None], then.goal, other.goal)
+    return GoalBelief(goal, torch.where(known[..., None], then.log_weight, other.log_weight))
 
 
 def _with_spread(
