@@ -87,6 +87,9 @@ class ClearanceMargin:
             r² / (r² + 2 σ²) exp(-c² / (2 σ²)), one or none for a sure forecast, and for a vague one
             the density of agents times the area of contact.
         reach_m: r, the distance of the centres at contact.
+        turn_rate: How often an agent takes to another course, 1/s; after a time t the deviation is
+            that of `turn_growth` with the probability 1 - exp(-rate t).
+        turn_growth: Standard deviation per metre walked of who did.
 
     Raises:
         ValueError: A margin is negative, the way or the time not positive, or the probability
@@ -102,6 +105,8 @@ class ClearanceMargin:
     probability_min: float = 0.05
     spread_growth: float = 0.25
     reach_m: float = 0.6
+    turn_rate: float = 0.0
+    turn_growth: float = 0.8
 
     def __post_init__(self) -> None:
         """Check the numbers once, at the border."""
@@ -111,6 +116,8 @@ class ClearanceMargin:
         require_positive("horizon_s", self.horizon_s)
         require_at_least("spread_growth", self.spread_growth, 0)
         require_positive("reach_m", self.reach_m)
+        require_at_least("turn_rate", self.turn_rate, 0)
+        require_at_least("turn_growth", self.turn_growth, 0)
         require_between("probability_min", self.probability_min, 0, 1)
 
     def __call__(
@@ -144,14 +151,19 @@ class ClearanceMargin:
         self, clearance: Float[Tensor, "*b C N K T"], obstacles: Obstacles, dt_s: float
     ) -> Float[Tensor, "*b C"]:
         """Expected time of contact in s; arguments as above."""
-        contact = self._contact(clearance, _gone(obstacles).unsqueeze(-4))
+        gone = _gone(obstacles).unsqueeze(-4)
+        contact = self._contact(clearance, self.spread_growth * gone)
+        if self.turn_rate > 0:
+            time = dt_s * torch.arange(1, clearance.shape[-1] + 1).to(clearance)
+            turned = -torch.expm1(-self.turn_rate * time)
+            contact = contact + turned * (self._contact(clearance, self.turn_growth * gone) - contact)
         return (obstacles.weight[..., None, :, :, None] * contact).sum((-3, -2, -1)) * dt_s
 
     def _contact(
-        self, clearance: Float[Tensor, "*b C N K T"], gone: Float[Tensor, "*b 1 N K T"]
+        self, clearance: Float[Tensor, "*b C N K T"], deviation: Float[Tensor, "*b 1 N K T"]
     ) -> Float[Tensor, "*b C N K T"]:
-        """Probability of contact with agents who have gone so far (m), at a clearance in m."""
-        variance = (self.spread_growth * gone).square().clamp_min(1e-4)
+        """Probability of contact at a clearance in m, with agents known to a deviation in m."""
+        variance = deviation.square().clamp_min(1e-4)
         certain = self.reach_m**2 / (self.reach_m**2 + 2 * variance)
         return certain * (-0.5 * clearance.clamp_min(0).square() / variance).exp()
 

@@ -46,6 +46,7 @@ struct Asked {
   Real hard, comfort;           // margins in m
   Real lateness;                // 1 / (1 + t), zero where nothing is refused
   Real certain, sharpness;      // of the contact: certain * exp(-sharpness * c * c)
+  Real turned, wide;            // the same of who has turned off
   Real radius, weight;
 };
 
@@ -57,10 +58,13 @@ void ask(const Settings& s, int steps, const Real* position, Real radius, Real w
     gone += std::sqrt(dx * dx + dy * dy);
     const Real way = std::min(gone, Real(s.saturation_m)), deviation = Real(s.spread_growth) * gone;
     const Real variance = std::max(deviation * deviation, Real(1e-4)), reach = Real(s.reach_m * s.reach_m);
+    const Real astray = Real(s.turn_growth) * gone, vague = std::max(astray * astray, Real(1e-4));
+    const Real turned = Real(-std::expm1(-s.turn_rate * time));
     const bool counts = time <= Real(s.horizon_s + 1e-6) && weight >= Real(s.probability_min);
     asked.push_back({position[0], position[1], position[2], position[3], Real(s.hard_m) + Real(s.hard_growth) * way,
                      Real(s.comfort_m) + Real(s.comfort_growth) * way, counts ? 1 / (1 + time) : Real(0),
-                     reach / (reach + 2 * variance), Real(0.5) / variance, radius, weight});
+                     (1 - turned) * reach / (reach + 2 * variance), Real(0.5) / variance, turned * reach / (reach + 2 * vague), Real(0.5) / vague,
+                     radius, weight});
   }
 }
 
@@ -97,6 +101,7 @@ inline void judge(const Asked<Real>& a, const Real* __restrict centre, int discs
     judged.shortfall[l] = lack > judged.shortfall[l] ? lack : judged.shortfall[l];
     judged.penalty[l] += a.weight * comfort * comfort;
     judged.risk[l] += a.weight * a.certain * decay<Real>(-a.sharpness * apart * apart);
+    if (a.turned > 0) judged.risk[l] += a.weight * a.turned * decay<Real>(-a.wide * apart * apart);
   }
 }
 

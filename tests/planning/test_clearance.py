@@ -1,5 +1,7 @@
 """Clearance of plans, and what is asked of it."""
 
+import math
+
 import pytest
 import torch
 
@@ -121,7 +123,17 @@ def test_nobody_around_is_safe():
 
 
 @pytest.mark.parametrize(
-    "name", ["hard_m", "comfort_growth", "saturation_m", "horizon_s", "probability_min", "reach_m"]
+    "name",
+    [
+        "hard_m",
+        "comfort_growth",
+        "saturation_m",
+        "horizon_s",
+        "probability_min",
+        "reach_m",
+        "turn_rate",
+        "turn_growth",
+    ],
 )
 def test_numbers_out_of_range_are_refused(name):
     with pytest.raises(ValueError, match=name):
@@ -154,3 +166,26 @@ def test_a_vague_forecast_meets_whom_it_expects_as_often_as_its_spread_leaves(wa
     found = margin.risk(torch.zeros(1, 1, 1, 1, 1), agent, 0.25)
     expected = 0.25 * 0.36 / (0.36 + 2 * (0.25 * walked) ** 2)
     assert float(found) == pytest.approx(expected, rel=1e-5)
+
+
+def test_who_may_turn_off_is_a_risk_of_both_spreads():
+    turning = ClearanceMargin(spread_growth=0.25, turn_rate=0.2, turn_growth=0.8)
+    near = torch.full((1, 1, 1, 1, 4), 0.7)
+
+    def risk(spread):
+        return ClearanceMargin(spread_growth=spread).risk(near, walking(1.0), 0.25)
+
+    found = turning.risk(near, walking(1.0), 0.25)
+    assert risk(0.25) < found < risk(0.8)
+    never = ClearanceMargin(spread_growth=0.25, turn_rate=1e-9)
+    torch.testing.assert_close(never.risk(near, walking(1.0), 0.25), risk(0.25))
+    at_once = ClearanceMargin(spread_growth=0.25, turn_rate=1e3, turn_growth=0.8)
+    torch.testing.assert_close(at_once.risk(near, walking(1.0), 0.25), risk(0.8))
+
+
+def test_who_may_turn_off_has_done_so_with_the_chance_of_the_time_gone():
+    margin = ClearanceMargin(spread_growth=0.0, turn_rate=0.4, turn_growth=0.5, reach_m=0.6)
+    agent = agents(torch.tensor([[[[[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]]]]))
+    far = torch.tensor([torch.inf, 1.0]).reshape(1, 1, 1, 1, 2)
+    expected = (1 - math.exp(-0.4 * 0.5)) * 0.36 / (0.36 + 2) * math.exp(-0.5) * 0.25
+    assert float(margin.risk(far, agent, 0.25)) == pytest.approx(expected, rel=1e-5)

@@ -28,11 +28,12 @@ def people(dtype, components):
 @pytest.mark.skipif(library() is None, reason="there is no compiler")
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize(("ahead", "components", "count"), [((0.0,), 1, 5), ((-0.5, 0.7), 3, 37)])
-def test_the_library_judges_as_the_tensors(dtype, ahead, components, count):
+@pytest.mark.parametrize("turn_rate", [0.0, 0.5])
+def test_the_library_judges_as_the_tensors(dtype, ahead, components, count, turn_rate):
     motion, agents = plans(dtype, count), people(dtype, components)
     places = torch.tensor(ahead, dtype=dtype).expand(3, -1)
     discs = Discs(places, torch.full_like(places, 0.3))
-    margin = ClearanceMargin(horizon_s=1.0, hard_growth=0.1)
+    margin = ClearanceMargin(horizon_s=1.0, hard_growth=0.1, turn_rate=turn_rate)
     under_way = torch.arange(STEPS + 1) <= torch.randint(1, STEPS + 2, (3, count, 1))
     clearance = clearance_within_steps(motion, discs, agents)
     clearance = torch.where(under_way[..., None, None, :-1], clearance, torch.inf)
