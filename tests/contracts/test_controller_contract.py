@@ -50,6 +50,9 @@ def setting(request):
     config = composed_navigate(f"controller={request.param}")
     if "planner" in config.controller:
         config.controller.planner.solver.max_iterations = 3
+        config.controller.planner.steps = 8
+    if "estimator" in config.controller:
+        config.controller.estimator.iterations = 2
     controller = instantiate(config.controller)
     robot = HolonomicRobot() if is_massless(type(controller)) else instantiate(config.robot)
     return controller, World(robot, OrcaCrowd(), ExactVerdict(10.0))

@@ -29,15 +29,15 @@ CONTROLLERS = options("controller")
 
 
 def planner_of_training(name, dynamics):
-    few = ["horizon_s=1.0", "solver.max_iterations=8"]
+    few = ["horizon_s=1.0", "solver.max_iterations=4"]
     config = composed("train", f"planner={name}", f"dynamics={dynamics}", *few)
     planner = instantiate(config.stack.planner)
     return planner(dynamics=instantiate(config.stack.dynamics))
 
 
 def planner_of_controller(name, dynamics):
-    few = "controller.planner.solver.max_iterations=8"
-    config = composed_navigate(f"controller={name}", f"dynamics={dynamics}", few)
+    few = ["controller.planner.solver.max_iterations=4", "controller.planner.steps=8"]
+    config = composed_navigate(f"controller={name}", f"dynamics={dynamics}", *few)
     return instantiate(config.controller.planner)
 
 

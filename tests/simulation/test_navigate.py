@@ -23,7 +23,8 @@ def navigate(command, tmp_path):
 
 
 def test_it_writes_results_baselines_and_paired_tests_and_resumes(navigate, tmp_path):
-    assert navigate(*QUICK) == 0
+    brief = [*QUICK, "limit_s=1.0", "search.samples=64", "controller.planner.steps=8"]
+    assert navigate(*brief) == 0
     first = json.loads((tmp_path / "closed_loop.json").read_text())
     assert (first["n"], set(first["baselines"])) == (2, {"straight"})
     assert first["paired"][0]["other"] == "straight"
@@ -34,7 +35,7 @@ def test_it_writes_results_baselines_and_paired_tests_and_resumes(navigate, tmp_
         assert np.isfinite(arrays["thoughts.plan"][0, 0]).all()
         assert np.isfinite(arrays["thoughts.forecast"][0, 0]).all()
     kept = {file: file.stat().st_mtime_ns for file in (tmp_path / "episodes").rglob("*.npz")}
-    assert navigate(*QUICK, f"against=[{tmp_path}]") == 0
+    assert navigate(*brief, f"against=[{tmp_path}]") == 0
     assert {file: file.stat().st_mtime_ns for file in kept} == kept
     again = json.loads((tmp_path / "closed_loop.json").read_text())
     assert (again["chunk"], again["cases"]) == (1, first["cases"])

@@ -28,7 +28,7 @@ def moving(model, speed, yaw_rate=0.0):
 
 
 def held(model, state, acceleration, steer, steps):
-    controls = torch.tensor([acceleration, steer]).double().expand(1, steps, 2)
+    controls = torch.tensor([acceleration, steer]).double().expand(len(state), steps, 2)
     return rollout(model, state, controls)
 
 
@@ -64,12 +64,12 @@ def gained(model, controls, lean=0.0):
 @pytest.mark.parametrize(
     "name", [name for name in NAMES if name not in ("wheelchair", "hoverboard")]
 )
-@pytest.mark.parametrize("brake", [0.0, -1.0, -3.0])
-def test_energy_is_never_created_without_drive_and_camber(name, brake):
+def test_energy_is_never_created_without_drive_and_camber(name):
     spec = load_vehicle(name)
     flat = replace(spec, wheels=tuple(replace(w, camber_reduction=1.0) for w in spec.wheels))
-    controls = torch.full((64, 30, 2), brake).double()
-    controls[..., 1] = 0.1 * torch.randn(64, 30, generator=torch.Generator().manual_seed(4))
+    brake = torch.tensor([0.0, -1.0, -3.0]).double().repeat_interleave(64)
+    steer = 0.1 * torch.randn(192, 30, generator=torch.Generator().manual_seed(4)).double()
+    controls = torch.stack([brake[:, None].expand_as(steer), steer], -1)
     gain = gained(DiffGM3(flat).double().requires_grad_(False), controls)
     # at rest the smooth split of the command lets it creep by 0.3 mm/s
     assert (gain <= 1e-4).all()
@@ -98,19 +98,20 @@ def test_braking_ends_at_rest_and_stays_there(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_acceleration_command_has_gain_one(name):
     model = build(name)
-    for speed in (0.5, 2.0, 5.0):
-        end = held(model, moving(model, speed), 0.5, 0.0, 10)[0, -1, 2]
-        assert end.item() == pytest.approx(speed + 0.5, abs=0.01)
+    speeds = [0.5, 2.0, 5.0]
+    start = torch.cat([moving(model, speed) for speed in speeds])
+    end = held(model, start, 0.5, 0.0, 10)[:, -1, 2]
+    assert end.tolist() == pytest.approx([speed + 0.5 for speed in speeds], abs=0.01)
 
 
-@pytest.mark.parametrize("speed", [2.0, 5.0, 8.0])
 @pytest.mark.parametrize(
     "name", ["bicycle", "scooter", "motorcycle", "tricycle", "tadpole", "cart"]
 )
-def test_steady_circle_follows_the_linear_understeer_formula(name, speed):
+def test_steady_circle_follows_the_linear_understeer_formula(name):
     model = build(name)
-    angle = 0.01
-    state = held(model, moving(model, speed), 0.0, angle, 100)[0, -1]
+    angle, speed = 0.01, torch.tensor([2.0, 5.0, 8.0]).double()
+    start = torch.cat([moving(model, each) for each in speed.tolist()])
+    end = held(model, start, 0.0, angle, 100)[:, -1]
     spec, per_wheel = model.spec, (3 * model.physics().cornering).squeeze(-1)
     front = sum(c for c, w in zip(per_wheel, spec.wheels, strict=True) if w.x_m > 0).item()
     rear = per_wheel.sum().item() - front
@@ -119,26 +120,28 @@ def test_steady_circle_follows_the_linear_understeer_formula(name, speed):
     damping = spec.parameters["yaw_inertia"].initial * 0.2 * speed / length * (1 / front + 1 / rear)
     yaw_rate = speed * angle / (length + gradient * speed**2 + damping)
     # contact lengths, trail and camber are not in the formula
-    assert state[5].item() == pytest.approx(yaw_rate, rel=0.1)
+    assert end[:, 5].tolist() == pytest.approx(yaw_rate.tolist(), rel=0.1)
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("curvature", [0.03, -0.1])
-def test_commanded_curvature_is_held(name, curvature):
+def test_commanded_curvature_is_held(name):
     model = build(name)
-    state = moving(model, 3.0, 3.0 * curvature)
-    control = model.control_for(state, torch.zeros(1).double(), torch.tensor([curvature]).double())
-    end = rollout(model, state, control.unsqueeze(1).expand(1, 40, 2))[0, -1]
-    assert (end[5] / end[2:4].norm()).item() == pytest.approx(curvature, rel=0.06)
+    curvature = torch.tensor([0.03, -0.1]).double()
+    state = torch.cat([moving(model, 3.0, 3.0 * each) for each in curvature.tolist()])
+    control = model.control_for(state, torch.zeros(2).double(), curvature)
+    end = rollout(model, state, control.unsqueeze(1).expand(2, 40, 2))[:, -1]
+    driven = end[:, 5] / end[:, 2:4].norm(dim=-1)
+    assert driven.tolist() == pytest.approx(curvature.tolist(), rel=0.06)
 
 
 @pytest.mark.parametrize("name", SINGLE_TRACK)
-@pytest.mark.parametrize("speed", [3.0, 6.0])
-def test_lean_follows_the_lateral_acceleration_in_a_steady_turn(name, speed):
+def test_lean_follows_the_lateral_acceleration_in_a_steady_turn(name):
     model = build(name)
-    state = held(model, moving(model, speed), 0.0, 0.05, 100)[0, -1]
-    assert state[6] > 0  # a left turn leans to the left
-    assert state[6].item() == pytest.approx(math.atan(state[2] * state[5] / 9.81), rel=0.01)
+    start = torch.cat([moving(model, speed) for speed in (3.0, 6.0)])
+    end = held(model, start, 0.0, 0.05, 100)[:, -1]
+    assert (end[:, 6] > 0).all()  # a left turn leans to the left
+    expected = (end[:, 2] * end[:, 5] / 9.81).atan()
+    assert end[:, 6].tolist() == pytest.approx(expected.tolist(), rel=0.01)
 
 
 def stiff(spec, factor):
