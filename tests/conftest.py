@@ -1,17 +1,15 @@
 """Fixtures shared by all tests: the reference data beside the project, seeds, and commands."""
 
 import os
-import runpy
-import sys
 from pathlib import Path
 
 import jaxtyping
 import pytest
 import torch
-from hydra.core.global_hydra import GlobalHydra
 from hypothesis import HealthCheck, settings
 
 from tests import shape_checks
+from tests.commands import run_here
 
 shape_checks.install()
 # of the commands that log their results; the tests of that log set it anew
@@ -76,21 +74,9 @@ def double():
 
 
 @pytest.fixture
-def command(root, monkeypatch, unchecked):
-    """Run a command of scripts/ as users do, but in this process; its exit status."""
-
-    def run(script, *arguments):
-        GlobalHydra.instance().clear()
-        monkeypatch.setattr(sys, "argv", [f"{script}.py", *map(str, arguments)])
-        try:
-            runpy.run_path(str(root / "scripts" / f"{script}.py"), run_name="__main__")
-        except SystemExit as end:
-            return end.code or 0
-        finally:
-            GlobalHydra.instance().clear()
-        return 0
-
-    return run
+def command(unchecked):
+    """`run_here`, with the messages of the package itself."""
+    return run_here
 
 
 @pytest.fixture

@@ -26,6 +26,7 @@ from diffstack_mmv.simulation import (
 )
 from diffstack_mmv.stack import learned_from
 from diffstack_mmv.types import Mode
+from tests.commands import run_here
 from tests.data.conftest import ToyAgent, write_cache
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -60,12 +61,11 @@ def workplace(tmp_path_factory):
     generate_sample(place / "recordings", seed=1, sequences=(0, 50, 200), duration_s=16.0)
     data = ["data=imptc", f"data.cache={place / 'cache'}"]
     root = f"data.root={place / 'recordings'}"
-    run_alone("convert", *data, root, "workers=1", f"out={place / 'conversion'}")
+    assert run_here("convert", *data, root, "workers=1", f"out={place / 'conversion'}") == 0
     run_alone("train", *data, *SMALL, "dynamics=kbm", "epochs=1", f"out={place / 'run'}")
     checkpoint = f"checkpoint={place / 'run' / 'checkpoints' / 'best.ckpt'}"
-    run_alone(
-        "evaluate", checkpoint, *data, "data.module.export.workers=0", f"out={place / 'report'}"
-    )
+    report = "data.module.export.workers=0", f"out={place / 'report'}"
+    assert run_here("evaluate", checkpoint, *data, *report) == 0
     return place
 
 
