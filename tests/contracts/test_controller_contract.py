@@ -48,9 +48,11 @@ def forecaster(request):
 def setting(request):
     """A controller, and the world with the robot that it commands."""
     config = composed_navigate(f"controller={request.param}")
-    if "planner" in config.controller:
-        config.controller.planner.solver.max_iterations = 3
-        config.controller.planner.steps = 8
+    # `diffmpc_ego` holds the controller that it tells its motion
+    planning = config.controller.get("controller", config.controller)
+    if "planner" in planning:
+        planning.planner.solver.max_iterations = 3
+        planning.planner.steps = 8
     if "estimator" in config.controller:
         config.controller.estimator.iterations = 2
     controller = instantiate(config.controller)

@@ -62,25 +62,26 @@ def test_every_public_name_of_the_packages_can_be_had(package):
     assert [name for name in module.__all__ if getattr(module, name, None) is None] == []
 
 
-@pytest.mark.parametrize(
-    ("names", "absent"),
-    [
-        (
-            "diffstack_mmv.data import WindowSettings, Situations, Mirror",
-            "trajdata",
-        ),
-        (
-            "diffstack_mmv.data import ExportSettings, LoaderSettings, EqualModes",
-            "pytorch_lightning",
-        ),
-        ("diffstack_mmv.stack import LossWeights, PhysicsLearning", "pytorch_lightning"),
-        ("diffstack_mmv.stack import MixedPrecision, ScaledByProcesses", "pytorch_lightning"),
-    ],
-)
-def test_settings_come_without_what_the_work_needs(names, absent):
-    code = f"import sys\nfrom {names}\nprint({absent!r} in sys.modules)"
+SETTINGS = {
+    "diffstack_mmv.data import WindowSettings, Situations, Mirror": "trajdata",
+    "diffstack_mmv.data import ExportSettings, LoaderSettings, EqualModes": "pytorch_lightning",
+    "diffstack_mmv.stack import LossWeights, PhysicsLearning": "pytorch_lightning",
+    "diffstack_mmv.stack import MixedPrecision, ScaledByProcesses": "pytorch_lightning",
+}
+
+
+@pytest.fixture(scope="module")
+def brought():
+    """Whether each of `SETTINGS` has brought what it must not, after another in one process."""
+    lines = [
+        f"from {names}; print({absent!r} in sys.modules)" for names, absent in SETTINGS.items()
+    ]
+    command = [sys.executable, "-c", "\n".join(["import sys", *lines])]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    told = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
-    )
-    assert told.stdout.strip() == "False"
+    told = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    return dict(zip(SETTINGS, told.stdout.split(), strict=True))
+
+
+@pytest.mark.parametrize("names", SETTINGS)
+def test_settings_come_without_what_the_work_needs(names, brought):
+    assert brought[names] == "False"
