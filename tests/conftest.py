@@ -1,5 +1,6 @@
 """Fixtures shared by all tests: the reference data beside the project, seeds, and commands."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from hypothesis import HealthCheck, settings
 from tests import shape_checks
 from tests.commands import run_here
 
+gc.disable()  # until all tests are collected: what is imported stays
 shape_checks.install()
 # of the commands that log their results; the tests of that log set it anew
 os.environ["WANDB_MODE"] = "disabled"
@@ -32,6 +34,7 @@ def pytest_collection_finish():
     from dmmv_conventions.memory import leave_alone
 
     leave_alone()
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)
