@@ -156,7 +156,9 @@ class ClearanceMargin:
         if self.turn_rate > 0:
             time = dt_s * torch.arange(1, clearance.shape[-1] + 1).to(clearance)
             turned = -torch.expm1(-self.turn_rate * time)
-            contact = contact + turned * (self._contact(clearance, self.turn_growth * gone) - contact)
+            contact = contact + turned * (
+                self._contact(clearance, self.turn_growth * gone) - contact
+            )
         return (obstacles.weight[..., None, :, :, None] * contact).sum((-3, -2, -1)) * dt_s
 
     def _contact(
