@@ -10,7 +10,7 @@ import torch
 from hypothesis import HealthCheck, settings
 
 from tests import shape_checks
-from tests.commands import run_here
+from tests.running import run_here
 
 gc.disable()  # until all tests are collected: what is imported stays
 shape_checks.install()

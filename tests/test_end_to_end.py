@@ -26,8 +26,8 @@ from diffstack_mmv.simulation import (
 )
 from diffstack_mmv.stack import learned_from
 from diffstack_mmv.types import Mode
-from tests.commands import run_here
 from tests.data.conftest import ToyAgent, write_cache
+from tests.running import run_here
 
 ROOT = Path(__file__).resolve().parents[1]
 # how riders act is given: finding it takes most of the time of an identification

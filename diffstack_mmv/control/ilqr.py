@@ -15,6 +15,7 @@ from diffstack_mmv.checks import (
     require_precision,
     require_whole,
 )
+from diffstack_mmv.control.autocast import autocasts
 from diffstack_mmv.control.batch_last import to_batch_last
 from diffstack_mmv.control.compilation import (
     Kernels,
@@ -205,7 +206,7 @@ class ILQR:
             solve = ConstrainedILQR(self)
             return solve(dynamics, cost, listed(constraints), bounds, state, controls)
         require_tensors(bounds, state, controls)
-        if torch.is_autocast_enabled(state.device.type):
+        if autocasts(state.device):
             # products of matrices in half precision would count as converged far from the minimum
             with torch.autocast(state.device.type, enabled=False):
                 return self(dynamics, cost, bounds, state, controls)

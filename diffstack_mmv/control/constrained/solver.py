@@ -16,6 +16,7 @@ from diffstack_mmv.checks import (
     require_tensor,
     require_whole,
 )
+from diffstack_mmv.control.autocast import autocasts
 from diffstack_mmv.control.constrained.augmented import Approach, AugmentedLagrangian
 from diffstack_mmv.control.constrained.conclusion import conclude
 from diffstack_mmv.control.constrained.constraint import (
@@ -155,7 +156,7 @@ class ConstrainedILQR:
             apart: Any = torch.compiler.disable(type(self).__call__)
             return apart(self, dynamics, cost, constraints, bounds, state, controls, multipliers)
         require_tensors(bounds, state, controls)
-        if torch.is_autocast_enabled(state.device.type):
+        if autocasts(state.device):
             # as in the solver without constraints
             with torch.autocast(state.device.type, enabled=False):
                 return self(dynamics, cost, constraints, bounds, state, controls, multipliers)
