@@ -319,14 +319,6 @@ class EpisodeRecord(NamedTuple):
     dt_s: float
 
 
-def stream(seed: int, number: int) -> int:
-    """Seed of the generator of a number (of a sample, a step) below a million, for each seed apart.
-
-    Generators of a CPU take 32 bits of it.
-    """
-    return (1_000_003 * seed + number) % 2**32
-
-
 def on_host(*tensors: Tensor) -> bool:
     """Whether tensors lie in the memory of the host, which then waits for none of their values."""
     return all(tensor.device.type == "cpu" for tensor in tensors)

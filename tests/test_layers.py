@@ -21,6 +21,7 @@ ALLOWED = {
     "reporting": set(),
     "checks": set(),
     "smooth": set(),
+    "seeding": set(),
     "types": {"checks"},
     "geometry": {"types"},
     "vehicles": {"checks", "smooth"},
@@ -29,13 +30,14 @@ ALLOWED = {
     "control": {"checks", "types"},
     "prediction": BASE | {"dynamics"},
     "planning": BASE | {"dynamics", "costs", "control"},
-    "metrics": {"checks", "types", "geometry"},
+    "metrics": {"checks", "seeding", "types", "geometry"},
     "data": {"checks", "types", "geometry"},
     "plotting": {"types", "geometry"},
     "stack": {"checks", "types", "prediction", "planning", "metrics"},
     "callbacks": {"checks", "types", "metrics", "plotting"},
     "identification": {"checks", "types", "geometry", "vehicles", "dynamics", "costs", "control"},
-    "simulation": {"checks", "types", "geometry", "dynamics", "prediction", "planning", "metrics"},
+    "simulation": {"checks", "seeding", "types", "geometry"}
+    | {"dynamics", "prediction", "planning", "metrics"},
 }
 OURS = {"dmmv_conventions", "data_converters", "diffstack_mmv", "scripts"}
 # what is missing, how far something is, what is imported when, and files that are written whole

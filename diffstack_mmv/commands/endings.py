@@ -67,6 +67,7 @@ class _Endings:
         self._process = os.getpid()
         self._number, self._raised = 0, BaseException()
         self._unraisable = sys.unraisablehook
+        self._alarm: Any = None
 
     def end(self, number: int, frame: FrameType | None) -> NoReturn:
         """Answer a signal to end."""
@@ -75,7 +76,7 @@ class _Endings:
         if not self._number:
             sys.unraisablehook = self._swallowed
             if hasattr(signal, "setitimer"):
-                signal.signal(signal.SIGALRM, self._again)
+                self._alarm = signal.signal(signal.SIGALRM, self._again)
                 signal.setitimer(signal.ITIMER_REAL, _AGAIN_S, _AGAIN_S)
         self._number = number
         self._raise(frame)
@@ -86,6 +87,7 @@ class _Endings:
             sys.unraisablehook = self._unraisable
             if hasattr(signal, "setitimer"):
                 signal.setitimer(signal.ITIMER_REAL, 0)
+                signal.signal(signal.SIGALRM, self._alarm)
 
     def _again(self, _: int, frame: FrameType | None) -> None:
         # what is put in order because of the signal is interrupted by who asks a second time alone

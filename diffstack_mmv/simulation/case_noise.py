@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from diffstack_mmv.types import stream
+from diffstack_mmv.seeding import stream
 
 
 def case_noise(

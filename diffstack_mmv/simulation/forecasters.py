@@ -118,7 +118,7 @@ class BelievedCrowd(NamedTuple):
 
     crowd: CrowdState  # as it was observed, with the goals and speeds believed in
     seen: Bool[Tensor, "*b h"]
-    time_s: float
+    time: Float[Tensor, "*b"]  # s
     goals: GoalBelief
 
 
@@ -170,15 +170,13 @@ class OrcaForecaster:
         self, state: BelievedCrowd | None, observation: Observation, dt_s: float, steps: int
     ) -> PedestrianForecast:
         """One component, the crowd rolled forward; at first sight also walking off."""
-        now_s = float(observation.time.max())
-        # where no time has passed, the step of the forecast is as good as any
-        since_s = dt_s if state is None else now_s - state.time_s or dt_s
-        believed, goals = self._believed(state, observation, since_s)
+        believed, goals = self._believed(state, observation, dt_s)
         mean = self.crowd.positions(believed, dt_s, steps)
         forecast = _with_spread(mean, believed.velocity, self.spread, dt_s)
         if state is None:
             forecast = self._walking_off(forecast, believed, dt_s)
-        return PedestrianForecast(forecast, BelievedCrowd(believed, observation.seen, now_s, goals))
+        known = BelievedCrowd(believed, observation.seen, observation.time, goals)
+        return PedestrianForecast(forecast, known)
 
     def _walking_off(self, forecast: Forecast, crowd: CrowdState, dt_s: float) -> Forecast:
         """A forecast of one component, and one more per direction for who is at rest."""
@@ -197,16 +195,19 @@ class OrcaForecaster:
         )
 
     def _believed(
-        self, state: BelievedCrowd | None, observation: Observation, since_s: float
+        self, state: BelievedCrowd | None, observation: Observation, dt_s: float
     ) -> tuple[CrowdState, GoalBelief]:
         """The observed crowd with the goals that are expected now, and what is believed of them."""
         position, velocity = observation.pedestrian_position, observation.pedestrian_velocity
         preferred = self._preferred(state, observation)
         goals = self.inference.first(position, velocity, preferred)
         if state is not None:
+            # of the episodes that go on; where none has, the step of the forecast is as good as any
+            passed_s = float((observation.time - state.time).max())
+            passed_s = passed_s if passed_s > 0 else dt_s
             goals = _where(
                 observation.seen & state.seen,
-                self.inference(self.crowd, state.crowd, state.goals, velocity, since_s),
+                self.inference(self.crowd, state.crowd, state.goals, velocity, passed_s),
                 goals,
             )
         expected = goals.expected(position)

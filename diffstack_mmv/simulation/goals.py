@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require_at_least, require_between, require_positive
+from diffstack_mmv.checks import require, require_at_least, require_between, require_positive
 from diffstack_mmv.geometry import length, unit_vector
 from diffstack_mmv.simulation.pedestrians import CrowdState, OrcaCrowd
 
@@ -62,7 +62,7 @@ class GoalInference:
         change: c, probability of a new goal from one observation to the next.
 
     Raises:
-        ValueError: A number is not positive, or a probability outside of [0, 1].
+        ValueError: A number is not positive, or a probability not between 0 and 1.
     """
 
     far_m: float = 15.0
@@ -79,8 +79,8 @@ class GoalInference:
         require_between("kept", self.kept, 1, self.courses + 1)
         require_positive("deviation_mps", self.deviation_mps)
         for name in ("unexplained", "change"):
-            require_positive(name, getattr(self, name))
-            require_between(name, getattr(self, name), 0, 1)
+            share = getattr(self, name)
+            require(0 < share < 1, name, "lie between 0 and 1, without them", share)
 
     def first(
         self,

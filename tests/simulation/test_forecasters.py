@@ -94,19 +94,29 @@ def test_who_is_turned_aside_is_still_expected_at_its_goal(observed, scene_with)
     assert float(error) < 0.5 * float((straight - truth).norm(dim=-1).max())
 
 
+@pytest.mark.parametrize("beside_s", [0.0, 0.1], ids=["that began anew", "that goes on"])
 def test_goals_of_overlapping_pedestrians_are_asked_for_with_the_step_of_the_observations(
-    observed, scene_with
+    observed, scene_with, beside_s
 ):
-    """ORCA parts overlapping discs within one step, here 0.1 s; the plan's step is 0.25 s."""
+    """ORCA parts overlapping discs within one step, here 0.1 s; the plan's step is 0.25 s.
+
+    Beside it is another episode, 5 s old at first.
+    """
     scene = scene_with((3.0, 0.0), (3.0, 8.0))
     place = torch.tensor([[3.0, 0.0], [3.55, 0.0]], dtype=torch.float64)
     goal = torch.tensor([[3.0, 8.0], [-8.0, 4.0]], dtype=torch.float64)
     pair = map_tensors(lambda entry: torch.cat((entry, entry)), scene.pedestrians)
     pair = pair._replace(position=place, goal=goal)
-    first, second = observed(scene._replace(pedestrians=pair), 1, dt_s=0.1)
+    first, second = (
+        map_tensors(lambda entry: torch.stack((entry, entry)), each)
+        for each in observed(scene._replace(pedestrians=pair), 1, dt_s=0.1)
+    )
+    other = 5.0 + beside_s if beside_s else 0.0
+    first = first._replace(time=torch.tensor([0.0, 5.0]).double())
+    second = second._replace(time=torch.tensor([0.1, other]).double())
     forecaster = OrcaForecaster()
     _, state = forecaster(forecaster(None, first, 0.25, 4).state, second, 0.25, 4)
-    ways = state.crowd.goal[1] - place[1], goal[1] - place[1]
+    ways = state.crowd.goal[0, 1] - place[1], goal[1] - place[1]
     assert torch.cosine_similarity(*ways, dim=-1) > 0.99
 
 
@@ -148,3 +158,14 @@ def test_a_mixture_of_forecasts_has_the_weights_of_its_shares(
     mixed = MixedForecaster([ConstantVelocityForecaster(), StandingForecaster()], shares)
     weight = mixed(mixed.init(seen), seen, 0.25, 4)[0].log_weight.exp().flatten()
     assert weight.tolist() == pytest.approx(list(weights))
+
+
+PEOPLE = ("pedestrian_position", "pedestrian_velocity", "pedestrian_radius", "seen")
+
+
+def test_nobody_around_is_forecast_as_nobody(observed, scenario_of):
+    seen = [
+        each._replace(**{name: getattr(each, name)[:, :0] for name in PEOPLE})
+        for each in observed(scenario_of("circle").cases("test", [0, 1]), 2)
+    ]
+    assert paths(OrcaForecaster(), *seen).shape == (2, 0, 5, 2)

@@ -95,7 +95,9 @@ def test_what_is_believed_turns_with_the_crowd():
         ("kept", 74),
         ("deviation_mps", 0.0),
         ("unexplained", 0.0),
-        ("change", 1.5),
+        ("unexplained", 1.0),
+        ("change", 0.0),
+        ("change", 1.0),
     ],
 )
 def test_impossible_numbers_are_refused(name, value):

@@ -5,8 +5,9 @@ import torch
 
 from diffstack_mmv.dynamics import DiffKBM, ExtendedUnicycle, rollout
 from diffstack_mmv.dynamics.catalogue import altered, model_of
+from diffstack_mmv.seeding import stream
 from diffstack_mmv.simulation import Actuation, CircleCrossing, VehicleRobot, vehicle_robot
-from diffstack_mmv.types import Bounds, stream
+from diffstack_mmv.types import Bounds
 from diffstack_mmv.vehicles import load_vehicle
 
 SCENE = CircleCrossing().cases("test", range(3))
