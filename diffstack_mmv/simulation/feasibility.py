@@ -90,14 +90,17 @@ class AvoidanceSearch:
             foretold = _Foretold(iter(_walks(world, scene, steps)))
             world, scene = replace(world, crowd=foretold), scene._replace(itinerary=None)
         many = map_tensors(lambda part: part.expand(self.samples, *part.shape[1:]).clone(), scene)
-        state, free = world.start(many), torch.ones(self.samples, dtype=torch.bool)
+        state, free = world.start(many), torch.arange(self.samples)
         action = self._drawn(world, generator)
         for _ in range(steps):
-            state, judgement = world.step(state, action)
-            free &= judgement.outcome != Outcome.COLLISION
+            state, judgement = world.step(state, action[free])
+            passes = judgement.outcome != Outcome.COLLISION
+            state, free = map_tensors(lambda part, kept=passes: part[kept], state), free[passes]
+            if not len(free):
+                break
             held = torch.rand(self.samples, 1, generator=generator) < 0.5
             action = torch.where(held, action, self._drawn(world, generator))
-        return float(free.double().mean())
+        return len(free) / self.samples
 
     def _drawn(self, world: World, generator: torch.Generator) -> Float[Tensor, "S m"]:
         """Actions within the bounds, half of them on the bounds."""

@@ -72,9 +72,13 @@ def test_the_search_is_the_same_every_time(collided):
 
 
 class Unaware:
-    """A crowd that does not care for the robot it is shown."""
+    """A crowd that does not care for the robot it is shown, and notes how many it is shown."""
+
+    def __init__(self):
+        self.robots = []
 
     def __call__(self, crowd, dt_s, robot=None):
+        self.robots.append(len(crowd.position))
         return OrcaCrowd()(crowd, dt_s)
 
 
@@ -82,10 +86,13 @@ def test_walks_told_beforehand_are_those_walked_beside_every_sequence():
     wandering = WanderingCrossing(humans=6, circle_radius_m=3.0, arena_m=4.0, change_every_s=1.0)
     scene = replace(wandering, change_chance=0.5).cases("train", [3])
     world = world_with(1.0)
-    beside = replace(world, crowd=Unaware(), robot_visible=True)
+    beside = replace(world, crowd=(unaware := Unaware()), robot_visible=True)
     told, walked = (AvoidanceSearch(32)(each, scene, 5.0) for each in (world, beside))
     assert told == walked
     assert 0 < told < 1
+    robots = unaware.robots
+    assert robots == sorted(robots, reverse=True), "who collided is driven no further"
+    assert robots[0] == 32 > robots[-1] >= 32 * told
 
 
 def test_nothing_to_try_is_refused():
