@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from dmmv_conventions.checks import message
+from dmmv_conventions.locks import in_turn
 
 LOGGER = logging.getLogger(__name__)
 FLAGS = (
@@ -102,7 +103,7 @@ def require_machine(machine: str) -> None:
 
 @functools.cache
 def load(source: str, *flags: str) -> ctypes.CDLL:
-    """The library of a source, built at its first use on a machine.
+    """The library of a source, built at its first use on a machine: once, whoever asks meanwhile.
 
     Args:
         source: C++.
@@ -116,7 +117,9 @@ def load(source: str, *flags: str) -> ctypes.CDLL:
     try:
         path = _compilers_folder() / "dmmv" / f"{name}.so"
         if not path.exists():
-            build(source, path, "native", *flags)
+            with in_turn(path.parent, name):
+                if not path.exists():  # another process, or thread, may have built it meanwhile
+                    build(source, path, "native", *flags)
         _require_own(path)
         return ctypes.CDLL(str(path))
     except OSError as failure:

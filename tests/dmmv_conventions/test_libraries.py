@@ -2,6 +2,8 @@
 
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -33,6 +35,24 @@ def test_a_library_that_is_there_is_loaded_without_the_compiler_of_torch(tmp_pat
     assert done.stdout == "[]\n"
 
 
+def test_who_asks_while_a_library_is_built_waits_for_it(tmp_path, monkeypatch):
+    """`load` remembers per process; the function below it is as another process calls it."""
+    built, build = [], libraries.build
+
+    def slowly(source, path, *options):
+        built.append(path)
+        time.sleep(0.2)
+        build(source, path, *options)
+
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(libraries, "build", slowly)
+    asked = ["int asked_for_twice;"] * 2
+    with ThreadPoolExecutor(2) as processes:
+        found = list(processes.map(libraries.load.__wrapped__, asked))
+    assert len(built) == 1
+    assert len({library._name for library in found}) == 1
+
+
 def test_libraries_lie_where_the_compiler_of_torch_keeps_its_own(tmp_path, monkeypatch):
     monkeypatch.setattr(libraries, "_require_own", lambda path: None)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
@@ -43,7 +63,7 @@ def test_libraries_lie_where_the_compiler_of_torch_keeps_its_own(tmp_path, monke
 
 
 def planted(path: Path) -> None:
-    path.parent.mkdir()
+    path.parent.mkdir(exist_ok=True)
     path.write_bytes(b"no library")
 
 
