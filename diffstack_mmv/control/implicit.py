@@ -22,9 +22,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.checks import message
 from diffstack_mmv.control.batch_last import from_batch_last, to_batch_last, unpack
 from diffstack_mmv.control.expansion import Model, expand, pad_controls, step_all
+from diffstack_mmv.control.once import once
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.riccati import LinearQuadratic, Stationary, solve_free, stage_shapes
 
@@ -86,33 +86,7 @@ class _Implicit(torch.autograd.Function):
             parts = *(-part for part in dual), grad_cost, pulled
             # where, not a product: the adjoint of a problem that did not converge may be anything
             masked = [None if p is None else torch.where(point.valid, p, 0.0) for p in parts]
-        if torch.is_grad_enabled():
-            masked = [None if p is None else _Once.apply(p, *ctx.saved_tensors) for p in masked]
-        return *masked, None, None
-
-
-class _Once(torch.autograd.Function):
-    """A first derivative, which says so when it is differentiated again."""
-
-    @staticmethod
-    def forward(ctx: Any, derivative: Tensor, *sources: Tensor) -> Tensor:
-        return derivative.clone()
-
-    @staticmethod
-    def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor | None, ...]:
-        """Refuse.
-
-        Raises:
-            RuntimeError: Always.
-        """
-        raise RuntimeError(
-            message(
-                "solution",
-                "be differentiated once",
-                "a second derivative",
-                remedy="Set gradient=Unrolled(), which differentiates the iterations.",
-            )
-        )
+        return *once(masked, *ctx.saved_tensors), None, None
 
 
 def _adjoint(point: StationaryPoint, grad_x: Tensor, grad_u: Tensor) -> LinearQuadratic:

@@ -18,6 +18,7 @@ from diffstack_mmv.control.constrained.condensed import Condensed, assemble, chu
 from diffstack_mmv.control.constrained.local import Local, Problem, adjoint_states
 from diffstack_mmv.control.expansion import pad_controls, step_all
 from diffstack_mmv.control.implicit import Attached, joined
+from diffstack_mmv.control.once import Once
 
 WEAK = 1e-6  # of the root of the cost that letting go of a row would save; below, it is inactive
 
@@ -145,6 +146,7 @@ def attach(problem: Problem, point: KktPoint) -> AttachedRows | None:
     residual = [problem.flat(part) for part in (of_x, of_u, following, rows, bounds)]
     if not any(part.requires_grad for part in (*residual, each)):
         return None
+    *residual, each = Once.apply(*residual, each)
     x, u, rows = (problem.unflat(part) for part in _ImplicitRows.apply(*residual, point))
     multipliers = torch.where(terms.activity.active, rows, terms.multipliers)
     paid = problem.unflat(point.cost)

@@ -23,6 +23,7 @@ from diffstack_mmv.control.native.generation import Library, source
 from diffstack_mmv.control.native.lowering import CannotLowerError
 from diffstack_mmv.control.native.rows import BatchRecorder, forms_of, from_rows, in_rows
 from diffstack_mmv.control.native.stages import StagedProblem
+from diffstack_mmv.control.once import once
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.selection import Batched, is_shared
 from diffstack_mmv.types import Solution, SolverStatus
@@ -262,23 +263,25 @@ class _Solve(torch.autograd.Function):
         call(*sizes, *pointers(*given), ctypes.byref(record), *pointers(*results))
         sizes = [one.numel() for one in taken.parameters]
         ctx.problem, ctx.forms = problem, forms_of(tensors, sizes, ctx.needs_input_grad[4:])
-        ctx.save_for_backward(parameters, box, x, u, status)
         returned = tuple(each.to(device) for each in results)
+        # the states as they are returned have a graph
+        ctx.save_for_backward(parameters, box, x, u, status, returned[0])
         ctx.mark_non_differentiable(*returned[3:])
         return returned
 
     @staticmethod
-    @torch.autograd.function.once_differentiable
     def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor | None, ...]:
-        parameters, box, x, u, status = ctx.saved_tensors
-        valid, device = status == SolverStatus.CONVERGED, slopes[0].device
-        by_parameters, by_state = torch.empty_like(parameters), torch.empty_like(x[:, 0])
-        given = parameters, box, x, u, valid, *brought(*slopes[:3])
-        call = library(ctx.problem, Library.ADJOINT, x.dtype).dmmv_adjoint
-        sizes = counts(len(x), torch.get_num_threads())
-        call(*sizes, *pointers(*given, by_parameters, by_state))
-        hidden = from_rows(by_parameters.to(device), ctx.forms)
-        return None, None, by_state.to(device), None, *hidden
+        *held, status, states = ctx.saved_tensors
+        parameters, x = held[0], held[2]
+        with torch.no_grad():
+            by_parameters, by_state = torch.empty_like(parameters), torch.empty_like(x[:, 0])
+            given = *held, status == SolverStatus.CONVERGED, *brought(*slopes[:3])
+            call = library(ctx.problem, Library.ADJOINT, x.dtype).dmmv_adjoint
+            sizes = counts(len(x), torch.get_num_threads())
+            call(*sizes, *pointers(*given, by_parameters, by_state))
+            hidden = from_rows(by_parameters.to(states.device), ctx.forms)
+        of_state, *hidden = once([by_state.to(states.device), *hidden], states)
+        return None, None, of_state, None, *hidden
 
 
 @functools.cache

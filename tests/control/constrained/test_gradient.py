@@ -160,5 +160,15 @@ def test_infeasible_problem_has_a_gradient_of_zero():
     assert (place.grad[0] != 0).any()
 
 
+@pytest.mark.parametrize("part", ["cost", "states", "controls"])
+def test_a_second_derivative_is_refused_and_not_wrong(solved, part):
+    drive, start = solved
+    radius = drive.radius.clone().requires_grad_()
+    found = solve(EXACT, drive._replace(radius=radius), start.controls, start.multipliers)
+    slope = torch.autograd.grad(getattr(found, part).sum(), radius, create_graph=True)[0]
+    with pytest.raises(RuntimeError, match="be differentiated once"):
+        torch.autograd.grad(slope.sum() + radius.square().sum(), radius)
+
+
 def test_nothing_requires_a_gradient_then_neither_does_the_solution():
     assert not brought(SLACKS["hard"]).controls.requires_grad

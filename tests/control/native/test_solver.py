@@ -84,6 +84,16 @@ def test_solutions_and_gradients_equal_the_eager_ones_to_rounding(count):
     assert (expected.controls.abs().amax((1, 2)) == 1.0).all()  # some bounds are active
 
 
+@pytest.mark.parametrize("part", ["cost", "states"])
+def test_a_second_derivative_is_refused_where_slopes_are_constant_too(part):
+    arguments, leaves = problem(3)
+    value = getattr(natively(EXACT, *arguments), part).sum()
+    slopes = torch.autograd.grad(value, leaves, create_graph=True)
+    for slope, leaf in zip(slopes, leaves, strict=True):
+        with pytest.raises(RuntimeError, match="be differentiated once"):
+            torch.autograd.grad(slope.sum() + leaf.square().sum(), leaf, retain_graph=True)
+
+
 @pytest.mark.usefixtures("double")
 def test_slopes_by_learned_numbers_of_the_dynamics_equal_the_eager_ones():
     """Eight of the eleven times are differentiated at once, then three, by every operation."""
