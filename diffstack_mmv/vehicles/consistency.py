@@ -75,15 +75,17 @@ def require_parameters(
 
 
 def require_wheelbase(wheelbase: ParameterSpec, where: str) -> None:
-    """Refuse a wheelbase in another unit than metres, or one that may be zero.
+    """Refuse several wheelbases, one in another unit than metres, or one that may be zero.
 
     Raises:
         ValueError: It is.
     """
     _require_unit("wheelbase", wheelbase, "m", where)
-    for _, low, _ in wheelbase.entries():
-        remedy = "A vehicle with one axle takes a virtual wheelbase."
-        require_positive("wheelbase.low", low, where, remedy)
+    found = f"{wheelbase.length} entries"
+    require(wheelbase.length is None, "wheelbase", "be one number", found, where)
+    ((_, low, _),) = wheelbase.entries()
+    remedy = "A vehicle with one axle takes a virtual wheelbase."
+    require_positive("wheelbase.low", low, where, remedy)
 
 
 def require_wheelbase_of_wheels(

@@ -9,6 +9,7 @@ from dmmv_conventions.checks import require
 Numbers = float | tuple[float, ...]
 _ROUNDING = 1e-6  # relative, of numbers that were kept in single precision
 _EDGE = 1e-6  # an estimate at the very edge of its range is moved inside by this share of the range
+_RESOLVED = 0.5 * _EDGE  # less is next to nothing in single precision, and such a wheelbase zero
 
 
 def as_numbers(values: float | Sequence[float]) -> Numbers:
@@ -20,6 +21,29 @@ def as_numbers(values: float | Sequence[float]) -> Numbers:
 
 def _broadcast(values: Numbers, length: int) -> tuple[float, ...]:
     return values if isinstance(values, tuple) else (values,) * length
+
+
+def _require_range(initial: float, low: float, high: float) -> None:
+    """Refuse a prior that its range does not hold, or does not resolve.
+
+    Raises:
+        ValueError: It is one.
+    """
+    require(math.isfinite(low) and math.isfinite(high), "low, high", "be finite", (low, high))
+    require(low <= high, "low", f"be at most high = {high:g}", low)
+    if low == initial == high:
+        return
+    remedy = "Widen the range, or set low = initial = high for a constant."
+    wanted = f"lie between low = {low:g} and high = {high:g}"
+    require(low < initial < high, "initial", wanted, initial, remedy=remedy)
+    wanted = f"lie inside of its range by {_RESOLVED:g} of it, or single precision loses it"
+    require(
+        min(initial - low, high - initial) >= _RESOLVED * (high - low),
+        "initial",
+        wanted,
+        f"{initial:g} between low = {low:g} and high = {high:g}",
+        remedy="Narrow the range to what is possible.",
+    )
 
 
 @dataclass(frozen=True)
@@ -36,8 +60,9 @@ class ParameterSpec:
         tied: Whether wheels move together (one learned number) or each for itself.
 
     Raises:
-        ValueError: A number is not finite, outside of its range, or the lengths differ; unit or
-            source is missing.
+        ValueError: A number is not finite, outside of its range or so near to an end of a wide one
+            that single precision cannot tell them apart, or the lengths differ; unit or source is
+            missing.
     """
 
     initial: Numbers
@@ -60,19 +85,7 @@ class ParameterSpec:
             remedy="Give one number for all wheels, or one per wheel.",
         )
         for initial, low, high in self.entries():
-            require(
-                math.isfinite(low) and math.isfinite(high), "low, high", "be finite", (low, high)
-            )
-            require(low <= high, "low", f"be at most high = {high:g}", low)
-            inside = low < initial < high or low == initial == high
-            remedy = "Widen the range, or set low = initial = high for a constant."
-            require(
-                inside,
-                "initial",
-                f"lie between low = {low:g} and high = {high:g}",
-                initial,
-                remedy=remedy,
-            )
+            _require_range(initial, low, high)
         require(
             bool(self.unit),
             "unit",

@@ -77,6 +77,8 @@ def test_constants_follow_device_and_type():
         ({"low": 2.0}, "`low` must be at most"),
         ({"initial": (0.8, 0.8), "low": (0.3,)}, "same number of entries"),
         ({"high": math.inf}, "must be finite"),
+        ({"high": 1e7}, "or single precision loses it, but got 0.8 between low = 0.3"),
+        ({"initial": 1.1 - 1e-7}, "`initial` must lie inside of its range by 5e-07 of it"),
     ],
 )
 def test_impossible_range_is_refused(changes, told):

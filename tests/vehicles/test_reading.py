@@ -68,6 +68,8 @@ MISTAKES = [
     ("steering", {"trucks": {"gain": 1.0, "pivot_rad": 0}}, "pivot_rad` must be positive"),
     ("wheels/rear-left", {"x_m": -1.5, "y_m": 0.0, "radius_m": 0.3}, "letters, digits and under"),
     ("wheelbase/unit", "cm", "must be 'm', but got 'cm' for vehicle 'bicycle'. Convert initial"),
+    ("wheelbase/high", [1.2, 1.3], "`wheelbase` must be one number, but got 2 entries"),
+    ("wheelbase/high", 1e9, "single precision loses it, but got 1.05 between low = 0.89"),
     ("parameters/friction/unit", "%", "but got '%' for vehicle 'bicycle'. Convert initial, low"),
     ("wheels/front/x_m", 60, "`wheels.front.x_m` must be at most 10 times the footprint of 1.8 m"),
     ("wheels/front/radius_m", 34.0, "but got 34 for vehicle 'bicycle'. Give metres."),
