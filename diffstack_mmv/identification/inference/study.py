@@ -11,6 +11,7 @@ from diffstack_mmv.checks import (
     require_at_least,
     require_columns,
     require_one_of,
+    require_whole,
 )
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.identification.inference.assumptions import TrackingAssumptions
@@ -89,7 +90,8 @@ class IdentificationStudy:
         profile: Names of the parameters whose profile likelihood is computed.
 
     Raises:
-        ValueError: A number is too small, or `prediction_s` too long for the segments.
+        ValueError: A number is too small, a count is not whole, segments or selection have another
+            step, or `prediction_s` is too long for the segments.
     """
 
     spec: VehicleSpec
@@ -109,6 +111,13 @@ class IdentificationStudy:
     def __post_init__(self) -> None:
         require_at_least("tracks", self.tracks, 1)
         require_at_least("heldout", self.heldout, 1)
+        for name in ("tracks", "heldout", "folds"):
+            require_whole(name, getattr(self, name))
+        steps = {"segments.dt_s": self.segments.dt_s}
+        if isinstance(self.selection, ExcitationSelection):
+            steps["selection.dt_s"] = self.selection.dt_s
+        for name, step_s in steps.items():
+            require(step_s == self.dt_s, name, f"be that of the study, {self.dt_s}", step_s)
         fits = self.folds == 0 or self.folds >= 2
         require(fits, "folds", "be 0 or at least 2", self.folds)
         require_at_least("prediction_s", self.prediction_s, self.dt_s)

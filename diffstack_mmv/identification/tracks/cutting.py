@@ -36,7 +36,7 @@ class SegmentSettings:
         trim_s: Left out at both ends of a track, where its smoother looked past the end.
 
     Raises:
-        ValueError: A number is not positive, or the shortest is longer than the longest.
+        ValueError: A number is not positive and finite, or the shortest is longer than the longest.
     """
 
     dt_s: float = 0.1
@@ -46,7 +46,7 @@ class SegmentSettings:
     trim_s: float = 0.5
 
     def __post_init__(self) -> None:
-        for name in ("dt_s", "min_s", "speed_min_mps"):
+        for name in ("dt_s", "min_s", "max_s", "speed_min_mps"):
             require_positive(name, getattr(self, name))
         require_at_least("max_s", self.max_s, self.min_s)
         require_at_least("trim_s", self.trim_s, 0.0)
@@ -60,8 +60,8 @@ def cut_tracks(recordings: Recordings, settings: SegmentSettings) -> list[TrackS
         settings: What a segment must be.
 
     Raises:
-        ValueError: No track holds a segment of the shortest length, or what was measured beside a
-            track is of another length, or of no track.
+        ValueError: No track holds a segment of the shortest length, the noise is no pair, or what
+            was measured beside a track is of another length, or of no track.
     """
     _require_rows(recordings)
     longest = round(settings.max_s / settings.dt_s) + 1
@@ -79,9 +79,11 @@ def cut_tracks(recordings: Recordings, settings: SegmentSettings) -> list[TrackS
 
 
 def _require_rows(recordings: Recordings) -> None:
-    """Refuse what was measured beside a track without a row for each of its times."""
-    motions = recordings.motions
+    """Refuse no tracks, and what was measured beside one without a row for each of its times."""
+    motions, noise = recordings.motions, recordings.noise_m
     require(len(motions) > 0, "motions", "hold at least one track", "none")
+    pair = noise is None or (isinstance(noise, Sequence) and len(noise) == 2)
+    require(pair, "noise_m", "be a pair in m, along and across the motion", noise)
     for kind in ("leans", "controls"):
         for name, rows in (getattr(recordings, kind) or {}).items():
             require(name in motions, kind, f"be of tracks such as {next(iter(motions))!r}", name)

@@ -9,6 +9,7 @@ import torch
 from diffstack_mmv.dynamics import DiffKBM
 from diffstack_mmv.dynamics.catalogue import model_of
 from diffstack_mmv.identification import (
+    ExcitationSelection,
     IdentificationStudy,
     Identifier,
     LongestSelection,
@@ -48,15 +49,12 @@ def recordings(turns=(0.3, -0.4, 0.5, -0.6)):
 
 
 def study(**options):
+    parts = {"segments": SegmentSettings(max_s=4.0), "selection": LongestSelection()}
     return IdentificationStudy(
         load_vehicle("bicycle"),
         TrackingAssumptions(**RIDER, controls=options.pop("controls", NOISE)),
         Identifier(starts=0),
-        SegmentSettings(max_s=4.0),
-        LongestSelection(),
-        tracks=3,
-        heldout=1,
-        **options,
+        **{"tracks": 3, "heldout": 1} | parts | options,
     )
 
 
@@ -137,6 +135,8 @@ def test_models_that_are_none_or_built_already_are_refused(models, error, told):
     [
         ({"folds": 1}, "`folds` must be 0 or at least 2, but got 1"),
         ({"folds": -1}, "`folds` must be 0 or at least 2"),
+        ({"dt_s": 0.05}, "`segments.dt_s` must be that of the study, 0.05, but got 0.1"),
+        ({"selection": ExcitationSelection(dt_s=0.2)}, "`selection.dt_s` must be that of the"),
         ({"prediction_s": 2.1}, "`prediction_s` must be at most half of a segment, but got 2.1 of"),
         ({"prediction_s": 0.0}, "`prediction_s` must be at least 0.1"),
     ],
@@ -144,6 +144,13 @@ def test_models_that_are_none_or_built_already_are_refused(models, error, told):
 def test_a_study_that_cannot_be_is_refused_before_it_begins(options, told):
     with pytest.raises(ValueError, match=told):
         study(**options)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("name", ["tracks", "heldout", "folds"])
+def test_a_count_that_is_not_whole_is_refused_before_it_begins(name):
+    with pytest.raises(ValueError, match=f"`{name}` must be a whole number, but got 2.5"):
+        study(**{name: 2.5})
 
 
 @pytest.mark.parametrize("names", [["holonomic"], ["kbm", "holonomic"]])

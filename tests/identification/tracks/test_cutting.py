@@ -1,8 +1,11 @@
 """Cutting recorded tracks into segments."""
 
+import math
+
 import pytest
 import torch
 
+from diffstack_mmv.identification import SegmentSettings
 from tests.identification.tracks.conftest import circling, cut
 
 
@@ -66,3 +69,15 @@ def test_tracks_without_controls_where_they_are_asked_for_are_refused():
 def test_what_does_not_fit_the_tracks_is_refused(tracks, beside, told):
     with pytest.raises(ValueError, match=told):
         cut(tracks, **beside)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("noise", [0.1, (0.1,), (0.1, 0.1, 0.1)])
+def test_a_noise_that_is_no_pair_is_refused(noise):
+    with pytest.raises(ValueError, match="`noise_m` must be a pair in m, along and across"):
+        cut({"a": circling(6.0)}, noise_m=noise)
+
+
+def test_segments_without_an_end_are_refused():
+    with pytest.raises(ValueError, match="`max_s` must be positive, but got inf"):
+        SegmentSettings(max_s=math.inf)
