@@ -10,7 +10,7 @@ from torch._functorch import pyfunctorch
 from diffstack_mmv.checks import message, require, require_callable, require_tensor
 from diffstack_mmv.control.expansion import pad_controls
 from diffstack_mmv.control.optimizer import Cost, Dynamics
-from diffstack_mmv.control.selection import kind
+from diffstack_mmv.control.selection import Batched, kind
 from diffstack_mmv.types import Bounds, on_host
 
 MOVED = 0.3
@@ -59,11 +59,14 @@ def require_fitting(
 
     Raises:
         ValueError: A result has the wrong shape or precision or no gradient, the cost of a time
-            depends on another one, or `vmap` cannot call one of them, as with an `if` on tensors.
-        TypeError: One of them cannot be called, or a result is no tensor.
+            depends on another one, `vmap` cannot call one of them, as with an `if` on tensors, or
+            a tensor that `Batched` names has not one entry per problem.
+        TypeError: One of them cannot be called, or a result or such a tensor is no tensor.
     """
     require_callable("dynamics", dynamics, "It gives the next state: (state, control) -> state.")
     require_callable("cost", cost, "It gives one cost per time: (states, controls) -> cost.")
+    for name, function in (("dynamics", dynamics), ("cost", cost)):
+        _require_entries(name, function, state.shape[:-1])
     key = (kind(dynamics), kind(cost), state.shape, controls.shape, state.dtype)
     if key in _known or controls.numel() == 0:
         return
@@ -104,13 +107,30 @@ def require_fitting_constraint(
 
     Raises:
         ValueError: The value has the wrong precision or no gradient, that of a time depends on
-            another one, or `vmap` cannot call the constraint.
+            another one, `vmap` cannot call the constraint, or a tensor that `Batched` names has not
+            one entry per problem.
     """
+    _require_entries(name, constraint, states.shape[:-2])
     key = (kind(constraint), states.shape, controls.shape, states.dtype)
     if key in _known or value.numel() == 0:
         return
     _require_stagewise(name, constraint, states, controls, value)
     _known.add(key)
+
+
+def _require_entries(name: str, function: object, batch: torch.Size) -> None:
+    """Refuse named tensors that are not of each problem: those of some problems would be others'.
+
+    Asked in every solve, since the tensors are those of a solve; it takes no time.
+    """
+    if not isinstance(function, Batched) or len(batch) != 1:
+        return
+    remedy = "Let the function hold what all problems share, and expand what one entry stands for."
+    for tensor in function.tensors:
+        require_tensor(f"{name}.tensors", tensor)
+        wanted, found = f"have one entry for each of {batch[0]} problems", tuple(tensor.shape)
+        fits = tensor.shape[:1] == batch
+        require(fits, f"{name}.tensors", wanted, f"shape {found}", "", remedy)
 
 
 def _require_stagewise(

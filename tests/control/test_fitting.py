@@ -1,6 +1,7 @@
 """What the callables of a problem have to return."""
 
 import functools
+import re
 
 import pytest
 import torch
@@ -11,6 +12,7 @@ from diffstack_mmv.control.constrained import ConstrainedILQR, Inequality
 STATE, CONTROLS = torch.zeros(3, 2), torch.zeros(3, 8, 1)
 BOX = Bounds(-torch.ones(1), torch.ones(1))
 WEIGHT = torch.ones(3)
+REST = BOX, STATE, CONTROLS
 
 
 def step(state, control):
@@ -171,3 +173,32 @@ def test_costs_of_one_time_are_accepted_at_any_scale(scale):
     ramp = scale * torch.linspace(0, 1, 9).exp()
     cost = functools.partial(lambda x, u, weight: ramp * fitting(x, u, weight), weight=WEIGHT)
     assert ILQR()(step, cost, BOX, STATE, CONTROLS).converged.all()
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("weight", "error", "told"),
+    [
+        (torch.ones(1), ValueError, "one entry for each of 3 problems, but got shape (1,)"),
+        (torch.tensor(1.0), ValueError, "but got shape (). Let the function hold what all"),
+        (1.0, TypeError, "be a tensor, but got float"),
+    ],
+)
+def test_named_tensors_are_of_every_problem_in_every_solve(weight, error, told):
+    """Each solve: the first one may have had other tensors, and has all open till its end."""
+    assert ILQR()(step, Batched(fitting, WEIGHT), BOX, STATE, CONTROLS).converged.all()
+
+    def shared(states, controls, weight):
+        return fitting(states, controls, WEIGHT) * torch.as_tensor(weight)
+
+    with pytest.raises(error, match=f"`cost.tensors` must .*{re.escape(told)}"):
+        ILQR()(step, Batched(shared, weight), *REST)
+    with pytest.raises(error, match=re.escape(told)):
+        ILQR()(Batched(lambda x, u, _: step(x, u), weight), Batched(fitting, WEIGHT), *REST)
+
+
+def test_named_tensors_of_a_constraint_are_of_every_problem():
+    wall = Batched(lambda states, controls, place: states[..., :1] - place, torch.ones(1, 1, 1))
+    cost = Batched(fitting, WEIGHT)
+    with pytest.raises(ValueError, match=r"one entry for each of 3 problems, but got shape \(1, 1"):
+        ConstrainedILQR()(step, cost, [Inequality(wall)], BOX, STATE, CONTROLS)
