@@ -109,7 +109,7 @@ class Tire(ABC):
         """Forces of one tyre or of many.
 
         Args:
-            normal_load: F_z in N, not negative.
+            normal_load: F_z in N; one below zero counts as none, since the road does not pull.
             slip_x: Theoretical slip σ_x, dimensionless.
             slip_y: Theoretical slip σ_y, positive where the contact drifts to the right.
             slip_angle: α = atan2(-V_y, V_x) in rad.
@@ -137,7 +137,7 @@ class Tire(ABC):
         for name, value in given.items():
             require_tensor(name, value)
         third = 2 / 3 * tread_stiffness * contact_half_length.square()
-        tire = loaded_tire(normal_load, friction, third, contact_half_length)
+        tire = loaded_tire(normal_load.clamp_min(0), friction, third, contact_half_length)
         slip = TireSlip(slip_x, slip_y, spin, slip_angle)
         lead = spin * contact_half_length / tire.onset
         secants = self.secants(slip, tire, lead)

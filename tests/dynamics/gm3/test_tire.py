@@ -53,6 +53,13 @@ def test_consistent_force_never_leaves_the_friction_circle(slip_x, slip_y, load,
     assert torch.hypot(force_x, force_y) <= 0.8 * load * (1 + 1e-9) + 1e-4
 
 
+@pytest.mark.parametrize("law", [ConsistentBrush(), PaperBrush(), SharpBrush()])
+def test_the_road_does_not_pull(law):
+    pulled, none = (bicycle_forces(law, 0.02, 0.1, load) for load in (-500.0, 0.0))
+    assert pulled == none
+    assert abs(none.force_y) < 0.1  # N, of 242 N with that load
+
+
 @pytest.mark.parametrize("law", [PaperBrush(), SharpBrush()])
 def test_printed_laws_leave_the_friction_circle_in_combined_slip(law):
     force_x, force_y, _ = bicycle_forces(law, 1.0, 1.0)
