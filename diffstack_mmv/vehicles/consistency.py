@@ -14,6 +14,7 @@ from dmmv_conventions.checks import require, require_at_least, require_positive
 
 WHEELBASE_APART = 1.5  # times what the wheels say, or a part of it; calibrated ones differ by less
 FOOTPRINTS_MAX = 10.0  # a length beyond is in another unit than metres
+_ROUNDED = 5e-3  # relative, of what a file gives in two or three digits
 _POSITIVE = (
     "friction",
     "tread_stiffness",
@@ -113,11 +114,11 @@ def require_roll_inertia(
     """Refuse a roll inertia of a leaning vehicle below m h², that of a point on a rod.
 
     Raises:
-        ValueError: It is.
+        ValueError: It is, by more than rounding.
     """
     swing = mass_kg * height_m**2
     require(
-        roll_inertia.entries()[0][0] >= swing * (1 - 1e-6),
+        roll_inertia.entries()[0][0] >= swing * (1 - _ROUNDED),
         "parameters.roll_inertia.initial",
         f"be at least m h² = {swing:g} of a leaning vehicle",
         roll_inertia.initial,

@@ -76,6 +76,15 @@ def test_every_number_has_a_source(name):
             assert sources[path[0]], path
 
 
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("end", ["low", "high"])
+def test_every_vehicle_survives_a_fit_that_ends_where_its_ranges_end(name, end, tmp_path):
+    spec = load_vehicle(name)
+    moved = spec.with_values({each: getattr(p, end) for each, p in spec.parameters.items()}, "fit")
+    save_vehicle(moved, tmp_path / "fitted.yaml")
+    assert load_vehicle(tmp_path / "fitted.yaml").parameters == moved.parameters
+
+
 def test_calibrated_values_replace_the_priors():
     spec = load_vehicle("bicycle").with_values({"friction": [0.6, 0.7], "wheelbase": 1.1}, "fit")
     assert spec.parameters["friction"].initial == (0.6, 0.7)
