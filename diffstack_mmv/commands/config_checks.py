@@ -39,25 +39,29 @@ def _leaves(place: str, content: Any) -> Iterable[tuple[str, Any]]:
 def require_same_type(key: str, default: Any, value: Any) -> None:
     """Refuse a value that cannot stand where its default does.
 
-    A string is accepted in place of a mapping (the name of a file), a list in place of a number
-    (one entry per wheel). Where there is no default, and for none, anything goes.
+    A string is accepted in place of a mapping (the name of a file), and within a part a list in
+    place of a number (one entry per wheel, numbers of devices), which a setting of the command
+    itself never is. Where there is no default, and for none, anything goes.
 
     Raises:
-        ValueError: Text instead of a number, a truth value or a list; a number instead of a list of
-            text or of a mapping; a fraction instead of a whole number.
+        ValueError: Text instead of a number, a truth value or a list; a list instead of a number of
+            the command; a number instead of a list of text or of a mapping; a fraction instead of a
+            whole number.
     """
     if isinstance(default, Mapping) and isinstance(value, Mapping):
         for name in default.keys() & value.keys():
             require_same_type(f"{key}.{name}", default[name], value[name])
     elif value is not None:
-        wanted = _refusal(default, value)
+        wanted = _refusal(default, value, in_part="." in key)
         remedy = f"Write ++{key}=VALUE to have it all the same."
         if wanted == "a list":
             remedy = f"Write {key}=[{value}]."
+        elif wanted in ("a number", "true or false") and isinstance(value, list):
+            remedy = f"Give one; -m {key}=A,B runs the command for each of several."
         require(not wanted, key, f"be {wanted}", repr(value), "", remedy)
 
 
-def _refusal(default: Any, value: Any) -> str:
+def _refusal(default: Any, value: Any, in_part: bool) -> str:
     """What the value should be, "" if it may be what it is."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if isinstance(default, bool):
@@ -67,7 +71,7 @@ def _refusal(default: Any, value: Any) -> str:
     if isinstance(default, int) and isinstance(value, float):
         return "" if value.is_integer() else "a whole number"
     if isinstance(default, int | float):
-        return "" if number or isinstance(value, list) else "a number"
+        return "" if number or (in_part and isinstance(value, list)) else "a number"
     if isinstance(default, list):
         of_numbers = bool(default) and isinstance(default[0], int | float)
         return "" if isinstance(value, list) or (number and of_numbers) else "a list"

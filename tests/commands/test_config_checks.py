@@ -59,7 +59,6 @@ def test_one_value_instead_of_a_list_is_told_how_a_list_is_written(value):
         (1, None),
         (1, 2.0),
         (1.0, 1),
-        (0.8, [0.8, 0.9]),
         ([0.8, 0.9], 0.8),
         ({"b": 1}, "name of a file"),
         ("auto", 2),
@@ -67,6 +66,15 @@ def test_one_value_instead_of_a_list_is_told_how_a_list_is_written(value):
 )
 def test_values_that_mean_something_pass(default, value):
     require_same_type("a", default, value)
+
+
+def test_a_list_in_place_of_a_number_is_for_parts_alone():
+    require_same_type("vehicle.friction.initial", 0.8, [0.8, 0.9])
+    require_same_type("vehicle", {"friction": 0.8}, {"friction": [0.8, 0.9]})
+    require_same_type("trainer.devices", 1, [0, 1])
+    told = "`seed` must be a number, but got [0, 1]. Give one; -m seed=A,B runs the command fo"
+    with pytest.raises(ValueError, match=re.escape(told)):
+        require_same_type("seed", 0, [0, 1])
 
 
 def test_every_value_that_must_be_given_is_named():
