@@ -9,7 +9,7 @@ import yaml
 
 from dmmv_conventions.checks import message, require
 from dmmv_conventions.extras import needs
-from dmmv_conventions.targets import NOTHING, require_buildable
+from dmmv_conventions.targets import NOTHING, nodes, require_buildable
 
 MOST_VALUES = 100_000
 """Values that a file may hold, each alias counted with all that it repeats."""
@@ -59,20 +59,37 @@ def read_mapping(path: Path, argument: str) -> dict[str, Any]:
         ValueError: The file is no YAML, no mapping, too large or too deep, or names what is to be
             built from it.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-        values = _size(yaml.compose(text, Loader=yaml.SafeLoader), {})
-        found = f"{values} in {path}"
-        require(values <= MOST_VALUES, argument, f"hold at most {MOST_VALUES} values", found)
-        content = load_plain(text)
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as problem:
-        raise _no_yaml(argument, path, problem) from problem
-    if not isinstance(content, dict):
-        raise ValueError(message(argument, "be a mapping of keys", f"{path}: {content!r}"))
-    if "${" in text:
+    content = read_plain(path, argument)
+    if any(isinstance(value, str) and "${" in value for _, value in nodes(content)):
         content = _resolved(content, path, argument)
     require_buildable(content, NOTHING, f"in {path}")
     return {str(key): value for key, value in content.items()}
+
+
+def read_plain(path: Path, argument: str, remedy: str = "") -> dict[Any, Any]:
+    """Plain values of a YAML file as they stand; what they would have built is not looked at.
+
+    Args:
+        path: The file.
+        argument: Name of what names it, for messages.
+        remedy: What to do about a file that is none, for messages.
+
+    Raises:
+        ValueError: The file is no YAML, no mapping, too large or too deep.
+    """
+    try:
+        loader = _Loader(path.read_text(encoding="utf-8"))
+        node = loader.get_single_node()
+        values = _size(node, {})
+        found, wanted = f"{values} in {path}", f"hold at most {MOST_VALUES} values"
+        require(values <= MOST_VALUES, argument, wanted, found, "", remedy)
+        content = None if node is None else loader.construct_document(node)
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as problem:
+        raise _no_yaml(argument, path, problem, remedy) from problem
+    if not isinstance(content, dict):
+        found = f"{path}: {content!r}"
+        raise ValueError(message(argument, "be a mapping of keys", found, "", remedy))
+    return content
 
 
 def load_plain(text: str) -> Any:
@@ -115,9 +132,9 @@ def _resolved(content: dict[Any, Any], path: Path, argument: str) -> Any:
         raise _no_yaml(argument, path, problem) from problem
 
 
-def _no_yaml(argument: str, path: Path, problem: Exception) -> ValueError:
+def _no_yaml(argument: str, path: Path, problem: Exception, remedy: str = "") -> ValueError:
     told = " ".join(f"{path}: {problem}".split())
-    return ValueError(message(argument, "be a YAML file", told))
+    return ValueError(message(argument, "be a YAML file", told, "", remedy))
 
 
 def _size(node: yaml.Node | None, known: dict[int, int]) -> int:

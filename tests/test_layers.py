@@ -52,6 +52,7 @@ CONVENTIONS = {
     "planning": {"dmmv_conventions.libraries"},
     "prediction": {"dmmv_conventions.libraries"},
     "simulation": {"dmmv_conventions.libraries"},
+    "reporting": {"dmmv_conventions.yaml_files"},
     "dynamics": {"dmmv_conventions.config_files", "dmmv_conventions.configs"},
     "crowdnav": {"dmmv_conventions.config_files", "dmmv_conventions.configs"},
     "data": {"dmmv_conventions.cache", "dmmv_conventions.opening"},

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from diffstack_mmv.commands.config_checks import require_file, require_folder
 from dmmv_conventions.checks import message, require
 from dmmv_conventions.differences import first_difference
-from dmmv_conventions.yaml_files import load_plain
+from dmmv_conventions.yaml_files import read_plain
 
 
 def require_reports(runs: Sequence[str]) -> None:
@@ -95,16 +95,16 @@ def require_same_run(out: Path, name: str, config: Mapping[str, Any]) -> None:
         config: Its configuration, resolved, as plain containers.
 
     Raises:
-        ValueError: A setting differs from that in `config.yaml`.
+        ValueError: A setting differs from that in `config.yaml`, or that file is broken.
     """
     file = out / "config.yaml"
     if not file.is_file() or next(out.glob(OF_A_COMMAND[name]), None) is None:
         return
-    before: Any = load_plain(file.read_text(encoding="utf-8"))
+    remedy = f"Give another out=FOLDER, or delete {out}."
+    before = read_plain(file, "out", remedy)
     found = first_difference(before, config, _SHOWN)
     if found is not None:
         wanted = f"hold no result of {name} with another {found.place} than {found.now!r}"
-        remedy = f"Give another out=FOLDER, or delete {out}."
         raise ValueError(message("out", wanted, repr(found.before), f"in {file}", remedy))
 
 

@@ -10,6 +10,7 @@ import pandas as pd
 from pyarrow.lib import ArrowException
 
 from dmmv_conventions.disk import replacing
+from dmmv_conventions.yaml_files import read_plain
 
 
 def write_text(path: Path, text: str) -> None:
@@ -53,6 +54,16 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ValueError(f"`{path}` must hold a JSON object, but got {type(content).__name__}.")
     return content
+
+
+def read_config(folder: Path) -> dict[str, Any]:
+    """The configuration of a run, empty where its folder holds none.
+
+    Raises:
+        ValueError: The file is no YAML, or no mapping.
+    """
+    file = folder / "config.yaml"
+    return read_plain(file, file.name) if file.is_file() else {}
 
 
 def write_parquet(path: Path, frame: pd.DataFrame) -> None:

@@ -76,6 +76,14 @@ def test_results_of_other_settings_are_not_replaced(tmp_path):
         require_same_run(tmp_path, "tune", again | {"loss": {"_target_": "a.Loss", "margin": 2.0}})
 
 
+@pytest.mark.parametrize("text", ["a: [", ""])
+def test_a_folder_whose_configuration_is_broken_is_refused(tmp_path, text):
+    (tmp_path / "config.yaml").write_text(text)
+    (tmp_path / "rounds.json").touch()
+    with pytest.raises(ValueError, match=r"`out` must be a .*config.yaml.* Give another out=FOL"):
+        require_same_run(tmp_path, "tune", {"seed": 0})
+
+
 def test_an_identification_of_other_settings_is_not_replaced(tmp_path):
     """Its vehicle, and figures that only one of them draws, would be taken for those of both."""
     (tmp_path / "config.yaml").write_text(f"out: {tmp_path}\nprofile: [wheelbase]\n")

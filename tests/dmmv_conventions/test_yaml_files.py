@@ -16,6 +16,7 @@ LAUGHS = "a: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
     [
         ("a: [1", "`vehicle` must be a YAML file"),
         ("[1, 2]", "`vehicle` must be a mapping"),
+        ("", "`vehicle` must be a mapping"),
         ("a: ${b}", "`vehicle` must be a YAML file"),
         ("a: " + "[" * 5000 + "]" * 5000, "`vehicle` must be a YAML file"),
         (LAUGHS, "`vehicle` must hold at most 100000 values"),

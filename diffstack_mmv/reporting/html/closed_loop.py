@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import yaml
 
 from diffstack_mmv.reporting.closed_loop import closed_loop_table
-from diffstack_mmv.reporting.files import read_json
+from diffstack_mmv.reporting.files import read_config, read_json
 from diffstack_mmv.reporting.html.blocks import (
     Block,
     Chart,
@@ -108,8 +107,7 @@ def _episodes(
 
 def _surroundings(folder: Path, result: Mapping[str, Any]) -> Surroundings:
     """What the configuration of the run tells of the world."""
-    file = folder / "config.yaml"
-    config = yaml.safe_load(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    config = read_config(folder)
     scenario = config.get("scenario", {})
     drawn = "arena_m" in scenario  # then every case has a goal of its own
     reach = None if drawn else scenario.get("circle_radius_m")

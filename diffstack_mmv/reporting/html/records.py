@@ -4,9 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
-
-from diffstack_mmv.reporting.files import read_json
+from diffstack_mmv.reporting.files import read_config, read_json
 from diffstack_mmv.reporting.html.blocks import Gallery, Table
 from diffstack_mmv.reporting.html.readers import Titles, read_page
 from diffstack_mmv.reporting.table import NONE
@@ -46,8 +44,7 @@ def read_record(folder: Path, titles: Titles) -> RunRecord:
     tables = {each.title: _rows(each) for each in blocks if isinstance(each, Table)}
     galleries = [each for each in blocks if isinstance(each, Gallery)]
     pictures = {file.stem: file for each in galleries for file in each.files}
-    file = folder / "config.yaml"
-    config = yaml.safe_load(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    config = read_config(folder)
     known = [folder / name for name in FILES if (folder / name).is_file()]
     numbers = {key: value for each in known for key, value in _numbers("", read_json(each))}
     return RunRecord(config, tables, numbers, pictures)

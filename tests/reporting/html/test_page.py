@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from diffstack_mmv.reporting.html import read_page, render, write_page
+from diffstack_mmv.reporting.html import read_page, read_record, render, write_page
 from diffstack_mmv.reporting.html.blocks import Gallery, plain
 from diffstack_mmv.reporting.table import cell
 from tests.reporting.html import runs
@@ -145,6 +145,17 @@ def test_a_report_of_an_earlier_version_is_shown_as_far_as_it_goes(tmp_path):
 def test_a_folder_without_results_is_refused(tmp_path):
     with pytest.raises(ValueError, match="`runs` must name folders with results, but got none in"):
         page_of(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["scenario: [", ""])
+def test_a_configuration_that_is_broken_is_told(tmp_path, text):
+    driven, evaluated = runs.drive(tmp_path / "drive"), runs.evaluation(tmp_path / "evaluation")
+    for folder in (driven, evaluated):
+        (folder / "config.yaml").write_text(text)
+    with pytest.raises(ValueError, match=r"`config.yaml` must be a .*config.yaml"):
+        page_of(driven)
+    with pytest.raises(ValueError, match=r"`config.yaml` must be a .*config.yaml"):
+        read_record(evaluated, runs.TITLES)
 
 
 def test_a_table_tells_no_more_digits_than_anybody_reads(tmp_path):
