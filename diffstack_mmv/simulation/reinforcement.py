@@ -4,12 +4,14 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from gymnasium import spaces
 
-from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.checks import message, require, require_at_least, require_positive
 from diffstack_mmv.simulation.vector_env import CrowdNavVectorEnv
 from dmmv_conventions.disk import replacing
 from dmmv_conventions.extras import needs
@@ -111,7 +113,7 @@ class PPOTraining:
     Attributes:
         seconds: Processor time.
         steps: Per episode and update.
-        minibatch: Steps per gradient.
+        minibatch: Steps per gradient, at least two.
         epochs: Passes over the steps of an update.
         learning_rate: Of Adam; falls to zero with the time.
         discount: Of rewards one step later.
@@ -119,7 +121,7 @@ class PPOTraining:
         seed: Of weights, actions and cases.
 
     Raises:
-        ValueError: A number is not positive.
+        ValueError: A number is not positive, or too small or large for what it is.
 
     Source:
         Schulman et al., Proximal Policy Optimization Algorithms (2017).
@@ -137,8 +139,10 @@ class PPOTraining:
     def __post_init__(self) -> None:
         """Check the numbers once, at the border."""
         require_at_least("steps", self.steps, 1)
-        for name in ("seconds", "minibatch", "epochs", "learning_rate", "discount"):
+        require_at_least("minibatch", self.minibatch, 2)
+        for name in ("seconds", "epochs", "learning_rate", "discount"):
             require_positive(name, getattr(self, name))
+        require(self.discount <= 1, "discount", "lie in (0, 1]", self.discount)
 
     def __call__(self, env: CrowdNavVectorEnv, path: Path) -> list[dict[str, Any]]:
         """Train, and keep the policy in a file, all or nothing.
@@ -149,7 +153,12 @@ class PPOTraining:
 
         Returns:
             Per update: steps so far, processor seconds, and how often each outcome was met.
+
+        Raises:
+            ValueError: An update is of a single step, or the time is too short for any update.
         """
+        of_update = self.steps * env.num_envs
+        require(of_update >= 2, "steps", "give two in all episodes of an update", of_update)
         clock = _Clock(self.seconds)
 
         def rate(_: float) -> float:
@@ -162,11 +171,28 @@ class PPOTraining:
             policy_kwargs={"net_arch": list(self.layers), "log_std_init": -0.5}, seed=self.seed,
         )  # fmt: skip
         model.learn(2**40, callback=clock)
+        wanted = f"suffice for an update of {of_update} steps"
+        require(len(clock.curve) > 0, "seconds", wanted, self.seconds)
         with replacing(path) as unfinished, unfinished.open("wb") as stream:
             model.save(stream)
         return clock.curve
 
 
 def load_policy(path: Path) -> Any:
-    """The trained policy in a file."""
-    return PPO.load(path, device="cpu").policy
+    """The trained policy in a file, which is to be trusted like code: it holds pickles.
+
+    Raises:
+        ValueError: The file holds none.
+    """
+    try:
+        return PPO.load(path, device="cpu").policy
+    except _BROKEN as broken:
+        found = f"{type(broken).__name__}: {broken}".splitlines()[0]
+        remedy = "Train one: dmmv-train-policy, policy=DIR/policy.zip."
+        told = message("policy", "be readable", found, f"in {path}", remedy)
+        raise ValueError(told) from broken
+
+
+# what stable-baselines3 raises where an archive holds something else than it writes
+_BROKEN = (ArithmeticError, AssertionError, AttributeError, BadZipFile, LookupError)
+_BROKEN += (RuntimeError, TypeError, UnpicklingError, ValueError)

@@ -1,5 +1,7 @@
 """A policy is trained in the vectorised crowd, kept, and driven; needs the extra `rl`."""
 
+from zipfile import ZipFile
+
 import numpy as np
 import pytest
 import torch
@@ -45,10 +47,36 @@ def test_a_policy_that_is_not_written_whole_leaves_the_earlier_one(env, tmp_path
 
     monkeypatch.setattr(PPO, "save", break_off)
     (tmp_path / "policy.zip").write_bytes(b"earlier")
-    training = PPOTraining(seconds=1e-3, steps=2, minibatch=4, epochs=1, layers=(8,))
+    training = PPOTraining(seconds=1.0, steps=2, minibatch=4, epochs=1, layers=(8,))
     with pytest.raises(KeyboardInterrupt):
         training(env, tmp_path / "policy.zip")
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"earlier"]
+
+
+def test_a_training_without_any_update_is_none(env, tmp_path):
+    from diffstack_mmv.simulation.reinforcement import PPOTraining
+
+    training = PPOTraining(seconds=1e-6, steps=2, minibatch=4, epochs=1, layers=(8,))
+    with pytest.raises(ValueError, match="`seconds` must suffice for an update of 8 steps"):
+        training(env, tmp_path / "policy.zip")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("name", "value"), [("minibatch", 1), ("discount", 1.1), ("steps", 0)])
+def test_what_no_training_can_have_is_refused(name, value):
+    from diffstack_mmv.simulation.reinforcement import PPOTraining
+
+    with pytest.raises(ValueError, match=f"`{name}` must"):
+        PPOTraining(**{name: value})
+
+
+def test_an_archive_of_something_else_is_no_policy(tmp_path):
+    from diffstack_mmv.simulation.reinforcement import load_policy
+
+    with ZipFile(tmp_path / "policy.zip", "w") as archive:
+        archive.writestr("a", "b")
+    with pytest.raises(ValueError, match="`policy` must be readable, but got AssertionError"):
+        load_policy(tmp_path / "policy.zip")
 
 
 def test_shares_of_the_bounds_become_controls(env):
