@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Mapping, Sequence
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,6 +43,8 @@ def check(config: DictConfig) -> None:
     for whose in ("actual", "believed"):
         _tell_unfelt_friction(whose, config[whose])
     require_drive(config, _cases(config))
+    if config.names.controller == "ppo":
+        import_module("diffstack_mmv.simulation.reinforcement")  # tells the extra that it needs
     driven = (config.actual, config.believed, config.search)
     for part in (config.scenario, config.world, config.controller, *driven):
         instantiate(part)
@@ -125,9 +128,10 @@ def _campaign(
 
 
 def _weights(config: DictConfig) -> dict[str, str | None]:
-    """What the people's forecasts have learned, for the header and for what tells runs apart."""
+    """What forecasts and policy have learned, for the header and for what tells runs apart."""
     learned = config.people_checkpoint
-    return {"people_checkpoint": file_hash(checkpoint_path(learned)) if learned else None}
+    hashes = {"people_checkpoint": file_hash(checkpoint_path(learned)) if learned else None}
+    return hashes | ({"policy": file_hash(Path(config.policy))} if config.policy else {})
 
 
 @command(config_folder(), "navigate", check, admit)

@@ -4,13 +4,20 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from diffstack_mmv.commands.cli import DictConfig, OmegaConf, command, instantiate
+from diffstack_mmv.commands.cli import DictConfig, command, instantiate
 from diffstack_mmv.commands.config_checks import require_file
-from dmmv_conventions.checks import message, require, require_one_of
+from diffstack_mmv.commands.drive_checks import require_movie
+from dmmv_conventions.checks import message, require
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.differences import first_difference
+from dmmv_conventions.targets import OF_A_RUN, require_buildable
+from dmmv_conventions.yaml_files import read_plain
 
 logger = logging.getLogger(__name__)
+
+OF_A_CASE = ("phase", "scenario")
+"""By what the number of a case is a case, in the configuration of a drive."""
+REMEDY = "Give folders DIR/episodes/NAME that navigate wrote."
 
 
 def check(config: DictConfig) -> None:
@@ -19,14 +26,13 @@ def check(config: DictConfig) -> None:
     Raises:
         ValueError: A setting is none of those, or the runs are of different cases.
     """
-    remedy = "Give folders DIR/episodes/NAME that navigate wrote."
-    require(len(config.runs) >= 2, "runs", "name at least two", list(config.runs), "", remedy)
+    require(len(config.runs) >= 2, "runs", "name at least two", list(config.runs), "", REMEDY)
     require(len(config.cases) >= 1, "cases", "name at least one", "[]", "", "Give cases=[0].")
-    require_one_of("movie", config.movie, ("gif", "mp4"))
+    require_movie(config.movie)
     named = len(config.names) in (0, len(config.runs))
     require(named, "names", "be one per run, or none", list(config.names))
     for run in config.runs:
-        require_file("runs", str(_settings(run)), remedy)
+        require_file("runs", str(_file(run)), REMEDY)
     first, *others = config.runs
     for run in others:
         found = first_difference(_cases_of(first), _cases_of(run))
@@ -37,13 +43,27 @@ def check(config: DictConfig) -> None:
 
 def _cases_of(run: str) -> dict[str, Any]:
     """By what the number of a case is a case."""
-    settings: Any = OmegaConf.to_container(OmegaConf.load(_settings(run)))
-    return {name: settings[name] for name in ("phase", "scenario")}
+    settings = _settings(run)
+    return {name: settings[name] for name in OF_A_CASE}
 
 
-def _settings(run: str | Path) -> Path:
-    """The configuration of the drive whose episodes these are."""
+def _file(run: str | Path) -> Path:
+    """Where the configuration of the drive stands whose episodes these are."""
     return Path(run).parent.parent / "config.yaml"
+
+
+def _settings(run: str | Path) -> dict[str, Any]:
+    """The configuration of a drive, which may come from somebody else.
+
+    Raises:
+        ValueError: It is broken, that of another command, or builds what a file may not.
+    """
+    file = _file(run)
+    settings = read_plain(file, "runs", REMEDY)
+    absent = [name for name in OF_A_CASE if name not in settings]
+    require(not absent, "runs", "be drives", f"no {' and no '.join(absent)}", f"in {file}", REMEDY)
+    require_buildable(settings, OF_A_RUN, f"in {file}")
+    return settings
 
 
 @command(config_folder(), "side_by_side", check)
@@ -63,11 +83,11 @@ def main(config: DictConfig) -> None:
     names = list(config.names) or [run.name for run in runs]
 
     def episode(run: Path, case: int) -> Episode:
-        settings = OmegaConf.load(_settings(run))
-        scenario, robot = instantiate(settings.scenario), instantiate(settings.robot)
+        settings = _settings(run)
+        scenario, robot = instantiate(settings["scenario"]), instantiate(settings["robot"])
         record, row = read_episode(run, case)
         outline = robot.footprint.outline()
-        start = CaseStart(*scenario.case(settings.phase, case).radii_and_goal())
+        start = CaseStart(*scenario.case(settings["phase"], case).radii_and_goal())
         drawn = episode_of(record, row, case, start, outline)
         return drawn._replace(thoughts=read_thoughts(run, case))
 

@@ -4,6 +4,8 @@ As in `config_checks`, a mistake is told before what takes seconds is imported.
 """
 
 import logging
+import zipfile
+from importlib import import_module
 from pathlib import Path
 
 from omegaconf import DictConfig
@@ -13,6 +15,7 @@ from dmmv_conventions.cache import SPLITS
 from dmmv_conventions.checks import require, require_at_least, require_one_of
 from dmmv_conventions.config_files import names_in
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.extras import needs
 
 logger = logging.getLogger(__name__)
 
@@ -32,11 +35,9 @@ def require_drive(config: DictConfig, cases: range) -> None:
     if "predictor" in config.people:
         require_checkpoint("people_checkpoint", config.people.predictor.path)
     if config.names.controller == "ppo":
-        require_file(
-            "policy", config.policy, "Train one: dmmv-train-policy, policy=DIR/policy.zip."
-        )
+        _require_policy(config.policy)
     require_at_least("animate", config.animate, 0)
-    require_one_of("movie", config.movie, ("gif", "mp4"))
+    require_movie(config.movie)
     known = names_in(config_folder() / "controller")
     for name in config.beside:
         require_one_of("beside", name, known)
@@ -53,3 +54,27 @@ def require_drive(config: DictConfig, cases: range) -> None:
     remedy = "Add search=null, or search.samples=NUMBER."
     named = isinstance(config.search, str)
     require(not named, "search", "be settings of a search or none", config.search, "", remedy)
+
+
+def require_movie(movie: str) -> None:
+    """Refuse a format of moving pictures that is none, or that nothing installed can write.
+
+    Args:
+        movie: The format, gif or mp4.
+
+    Raises:
+        ValueError: It is another one.
+        MissingExtraError: It is mp4, and the extra `video` is not installed.
+    """
+    require_one_of("movie", movie, ("gif", "mp4"))
+    if movie == "mp4":
+        with needs("video", "moving pictures as MP4"):
+            import_module("imageio_ffmpeg")
+
+
+def _require_policy(policy: str | None) -> None:
+    """Refuse a policy that is not there, or no archive as stable-baselines3 writes it."""
+    remedy = "Train one: dmmv-train-policy, policy=DIR/policy.zip."
+    require_file("policy", policy, remedy)
+    whole = zipfile.is_zipfile(str(policy))
+    require(whole, "policy", "be readable", "no archive", f"in {policy}", remedy)

@@ -9,6 +9,7 @@ import shlex
 import sys
 import warnings
 from io import StringIO
+from zipfile import ZipFile
 
 import pytest
 from hydra.core.global_hydra import GlobalHydra
@@ -17,6 +18,7 @@ from omegaconf import OmegaConf
 from diffstack_mmv.commands.cli import admit_any, command, save_config
 from dmmv_conventions.extras import needs
 from dmmv_conventions.locks import alone_in
+from scripts import navigate
 
 CONTENT = """
 vehicle: {name: bicycle}
@@ -371,12 +373,35 @@ def test_two_commands_never_share_a_folder(run, tmp_path):
     assert run("needed=1")[0] is not None
 
 
+def test_a_drive_whose_film_nothing_can_write_is_not_begun(refusal, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)  # as if it was not installed
+    told = refusal("navigate", "movie=mp4", "controller=straight", f"out={tmp_path}")
+    assert told.startswith("`imageio_ffmpeg` must be installed for moving pictures as MP4")
+    assert not (tmp_path / "episodes").exists()
+
+
+def test_episodes_of_two_policies_are_told_apart(tmp_path):
+    """One that is trained anew stands at the same path, and `out` would hold cases of both."""
+    policy, found = tmp_path / "policy.zip", []
+    for content in (b"one", b"two"):
+        policy.write_bytes(content)
+        settings = OmegaConf.create({"people_checkpoint": None, "policy": str(policy)})
+        found.append(navigate._weights(settings))
+    assert found[0] != found[1]
+
+
 def test_a_training_by_reinforcement_names_the_extra_that_it_needs(refusal, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)  # as if it was not installed
     monkeypatch.delitem(sys.modules, "diffstack_mmv.simulation.reinforcement", raising=False)
     told = refusal("train_policy", f"out={tmp_path / 'policy'}")
     assert told.startswith("`stable_baselines3` must be installed")
     assert "diffstack_mmv[rl]" in told
+    with ZipFile(tmp_path / "policy.zip", "w"):
+        policy = f"policy={tmp_path / 'policy.zip'}"
+    # before any baseline has driven
+    told = refusal("navigate", "controller=ppo", policy, f"out={tmp_path / 'drive'}")
+    assert told.startswith("`stable_baselines3` must be installed")
+    assert not (tmp_path / "drive" / "episodes").exists()
 
 
 @pytest.mark.parametrize(

@@ -103,6 +103,33 @@ def test_drives_of_other_cases_side_by_side_are_refused(monkeypatch, capsys, tmp
     assert f"`runs` must {wanted}" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("phase: [", "`runs` must be a YAML file, but got {file}: while parsing"),
+        ("seed: 0", "`runs` must be drives, but got no phase and no scenario in {file}. Give"),
+        (
+            "phase: test\nscenario: {_target_: logging.getLogger}",
+            "`_target_` must name what a file may have built, but got 'logging.getLogger' at scena",
+        ),
+    ],
+)
+def test_side_by_side_builds_nothing_that_a_drive_of_others_may_not(
+    text, told, monkeypatch, capsys, tmp_path
+):
+    """The folder of a drive may come from somebody else, and Hydra would call any function."""
+    file = tmp_path / "config.yaml"
+    file.write_text(text)
+    runs = ",".join(str(tmp_path / "episodes" / name) for name in ("mppi", "orca"))
+    arguments = ["side_by_side.py", f"runs=[{runs}]", "cases=[3]", f"out={tmp_path / 'out'}"]
+    GlobalHydra.instance().clear()
+    monkeypatch.setattr(sys, "argv", arguments)
+    with pytest.raises(SystemExit):
+        side_by_side()
+    GlobalHydra.instance().clear()
+    assert capsys.readouterr().err.startswith(told.format(file=file))
+
+
 def test_a_job_of_a_sweep_that_fails_is_named(answer):
     lines = answer("-m", "data.cache=nowhere", "seed=0").splitlines()
     assert lines[0].startswith(
