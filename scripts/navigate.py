@@ -119,7 +119,7 @@ def _campaign(
     from diffstack_mmv.simulation import Campaign, Method, world_for
 
     # an episode alone and in a batch differ by rounding: the size of a batch is a setting as well
-    parts = OmegaConf.create([controller, config.world, _weights(config)])
+    parts = OmegaConf.create([controller, config.world, _contents(config)])
     settings = f"{OmegaConf.to_yaml(parts)}chunk: {config.chunk}"
     place = world_for(world, get_class(controller._target_))
     method = Method(name, place, partial(instantiate, controller), settings, code_version())
@@ -127,11 +127,19 @@ def _campaign(
     return Campaign(method, scenario, _cases(config), folder, config.chunk, config.phase)
 
 
-def _weights(config: DictConfig) -> dict[str, str | None]:
-    """What forecasts and policy have learned, for the header and for what tells runs apart."""
+def _contents(config: DictConfig) -> dict[str, str | None]:
+    """Hashes of what may change at its place, for the header and for what tells runs apart.
+
+    What forecasts and policy have learned, and the recordings.
+    """
     learned = config.people_checkpoint
-    hashes = {"people_checkpoint": file_hash(checkpoint_path(learned)) if learned else None}
-    return hashes | ({"policy": file_hash(Path(config.policy))} if config.policy else {})
+    found = {"people_checkpoint": file_hash(checkpoint_path(learned)) if learned else None}
+    if config.policy:
+        found["policy"] = file_hash(Path(config.policy))
+    if "recordings" in config.scenario:
+        recordings = instantiate(config.scenario.recordings)
+        found["recordings"] = recordings.source.identity()["content"]
+    return found
 
 
 @command(config_folder(), "navigate", check, admit)
@@ -158,7 +166,7 @@ def main(config: DictConfig) -> None:
     chunks = list(own.run())
     header: Any = OmegaConf.to_container(config.header)
     # a reactive crowd sees the robot whatever the configuration says
-    header |= {"code": code_version(), "robot_visible": world.robot_visible} | _weights(config)
+    header |= {"code": code_version(), "robot_visible": world.robot_visible} | _contents(config)
     header |= models_told(actual, believed, world.robot, instantiate(config.model))
     result = header | summarise(chunks)
     search = instantiate(config.search)

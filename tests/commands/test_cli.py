@@ -18,7 +18,6 @@ from omegaconf import OmegaConf
 from diffstack_mmv.commands.cli import admit_any, command, save_config
 from dmmv_conventions.extras import needs
 from dmmv_conventions.locks import alone_in
-from scripts import navigate
 
 CONTENT = """
 vehicle: {name: bicycle}
@@ -378,16 +377,6 @@ def test_a_drive_whose_film_nothing_can_write_is_not_begun(refusal, monkeypatch,
     told = refusal("navigate", "movie=mp4", "controller=straight", f"out={tmp_path}")
     assert told.startswith("`imageio_ffmpeg` must be installed for moving pictures as MP4")
     assert not (tmp_path / "episodes").exists()
-
-
-def test_episodes_of_two_policies_are_told_apart(tmp_path):
-    """One that is trained anew stands at the same path, and `out` would hold cases of both."""
-    policy, found = tmp_path / "policy.zip", []
-    for content in (b"one", b"two"):
-        policy.write_bytes(content)
-        settings = OmegaConf.create({"people_checkpoint": None, "policy": str(policy)})
-        found.append(navigate._weights(settings))
-    assert found[0] != found[1]
 
 
 def test_a_training_by_reinforcement_names_the_extra_that_it_needs(refusal, monkeypatch, tmp_path):

@@ -72,7 +72,7 @@ def test_a_list_in_place_of_a_number_is_for_parts_alone():
     require_same_type("vehicle.friction.initial", 0.8, [0.8, 0.9])
     require_same_type("vehicle", {"friction": 0.8}, {"friction": [0.8, 0.9]})
     require_same_type("trainer.devices", 1, [0, 1])
-    told = "`seed` must be a number, but got [0, 1]. Give one; -m seed=A,B runs the command fo"
+    told = "`seed` must be a number, but got [0, 1]. Give one; -m seed=A,B runs the command for"
     with pytest.raises(ValueError, match=re.escape(told)):
         require_same_type("seed", 0, [0, 1])
 
