@@ -194,5 +194,14 @@ def load_policy(path: Path) -> Any:
 
 
 # what stable-baselines3 raises where an archive holds something else than it writes
-_BROKEN = (ArithmeticError, AssertionError, AttributeError, BadZipFile, LookupError)
-_BROKEN += (RuntimeError, TypeError, UnpicklingError, ValueError)
+_BROKEN = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    BadZipFile,
+    LookupError,
+    RuntimeError,
+    TypeError,
+    UnpicklingError,
+    ValueError,
+)
