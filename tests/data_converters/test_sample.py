@@ -112,12 +112,14 @@ def test_the_clock_steps_by_forty_milliseconds_with_jitter():
     [
         ({"duration_s": 10.0}, "duration_s"),
         ({"sequences": (10_000,)}, "sequences"),
-        ({"sequences": (-1,)}, "-1"),
+        ({"sequences": (3, -1)}, "-1"),
+        ({"sequences": (3, 3)}, "once"),
     ],
 )
-def test_impossible_samples_are_refused(tmp_path, options, says):
+def test_impossible_samples_are_refused_before_anything_is_written(tmp_path, options, says):
     with pytest.raises(ConversionError, match=says):
         generate_sample(tmp_path, **options)
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_existing_sample_is_not_overwritten(tmp_path):

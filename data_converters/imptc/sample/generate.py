@@ -50,8 +50,8 @@ def generate_sample(
         The folders written.
 
     Raises:
-        ConversionError: If the duration is too short, a number is not in 0..9999, or a folder
-            exists.
+        ConversionError: If the duration is too short, a number is not in 0..9999 or given twice, or
+            a folder exists.
     """
     folders = []
     for sequence in _simulated(seed, sequences, duration_s):
@@ -114,9 +114,11 @@ def _simulated(seed: int, sequences: Sequence[int], duration_s: float) -> Iterat
     remedy = "Shorter ones hold no window of 4 s + 3 s for late starters."
     require(duration_s >= 16.0, "duration_s", "be at least 16", duration_s, "", remedy)
     for number in sequences:
-        require(
-            0 <= number <= 9999, "sequences", "lie in 0..9999", number, "", "Sets are 0 to 269."
-        )
+        fits = 0 <= number <= 9999
+        require(fits, "sequences", "lie in 0..9999", number, "", "Sets are 0 to 269.")
+    once = len(set(sequences)) == len(sequences)
+    require(once, "sequences", "name each sequence once", list(sequences))
+    for number in sequences:
         yield _simulate(seed, number, duration_s)
 
 
