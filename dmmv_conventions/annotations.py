@@ -6,12 +6,11 @@ an array or a variable of types, is for the part itself to judge.
 
 import ast
 from collections.abc import Iterator, Mapping
-from operator import itemgetter
 from typing import Any
 
 from dmmv_conventions.checks import message
 from dmmv_conventions.definitions import Annotation, assigned, defined
-from dmmv_conventions.targets import nodes
+from dmmv_conventions.targets import parts
 
 _PLAIN = {
     "int": (int, "a whole number"),
@@ -29,7 +28,8 @@ def require_types(content: Any) -> None:
     """Refuse values of another type than that of the argument; nothing is imported.
 
     Constructors of Lightning and of torch are judged, whose arguments are not all in the
-    configuration. A whole number may stand for a fraction, a part that is still to be built for
+    configuration; those of this project judge themselves, but for lists, which few comparisons with
+    a number survive. A whole number may stand for a fraction, a part that is still to be built for
     anything.
 
     Args:
@@ -38,14 +38,15 @@ def require_types(content: Any) -> None:
     Raises:
         ValueError: A value cannot be what its argument is annotated with.
     """
-    for place, node in sorted(nodes(content), key=itemgetter(0)):
-        if not isinstance(node, Mapping) or "_target_" not in node:
-            continue
+    for place, node in parts(content):
         found = defined(str(node["_target_"]))
-        if found is None or (found.is_own and found.constructor() is not None):
+        if found is None:
             continue
+        judges_itself = found.is_own and (found.constructor() or any(found.fields()))
         for name, annotation in found.annotations():
-            if name in node and fits(node[name], annotation) is False:
+            if name not in node or (judges_itself and not isinstance(node[name], list)):
+                continue
+            if fits(node[name], annotation) is False:
                 key = f"{place}.{name}".lstrip(".")
                 wanted = f"be {' or '.join(dict.fromkeys(_told(annotation)))}"
                 raise ValueError(message(key, wanted, repr(node[name]), "in the configuration"))

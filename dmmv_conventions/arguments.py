@@ -4,13 +4,11 @@ A word too many is otherwise told when the part is built, after everything that 
 imported, and with a traceback.
 """
 
-from collections.abc import Mapping
-from operator import itemgetter
 from typing import Any
 
 from dmmv_conventions.checks import did_you_mean, message
 from dmmv_conventions.definitions import defined
-from dmmv_conventions.targets import nodes
+from dmmv_conventions.targets import parts
 
 _OF_HYDRA = frozenset({"_target_", "_partial_", "_args_", "_convert_", "_recursive_"})
 
@@ -26,10 +24,7 @@ def require_arguments(content: Any) -> None:
     Raises:
         ValueError: A part has no argument of that name.
     """
-    # in the order of the keys: a group stands before the part that it is handed to
-    for place, node in sorted(nodes(content), key=itemgetter(0)):
-        if not isinstance(node, Mapping) or "_target_" not in node:
-            continue
+    for place, node in parts(content):
         target = str(node["_target_"])
         found = defined(target)
         taken = found.arguments() if found is not None else None

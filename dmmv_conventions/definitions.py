@@ -26,6 +26,14 @@ class Annotation(NamedTuple):
         return self._replace(node=node)
 
 
+class Field(NamedTuple):
+    """A field of a data class or a named tuple."""
+
+    name: str
+    annotation: Annotation
+    default: ast.expr | None
+
+
 class Definition(NamedTuple):
     """A class or a function, and the source in which it stands."""
 
@@ -86,35 +94,37 @@ class Definition(NamedTuple):
         marks = {ast.unparse(each).partition("(")[0] for each in self.node.decorator_list}
         marks |= {ast.unparse(each) for each in self.node.bases}
         if marks & {"dataclass", "NamedTuple"}:
-            return frozenset(name for name, _ in self.fields())
+            return frozenset(field.name for field in self.fields())
         first = next(self.bases(), None)
         return None if first is None else first.arguments()
 
     def annotations(self) -> Iterator[tuple[str, Annotation]]:
         """Arguments of the constructor with their types, as far as they are written."""
         found = self.constructor()
-        if found is None:
-            first = next(self.bases(), None)
-            yield from () if first is None else first.annotations()
-        else:
+        if found is not None and found[0].name != "__post_init__":
             taken = found[0].args
             for each in (*taken.posonlyargs, *taken.args, *taken.kwonlyargs):
                 if each.annotation is not None:
                     yield each.arg, Annotation(each.annotation, found[1].source)
+            return
+        yield from ((field.name, field.annotation) for field in self.fields())
+        if found is None and (first := next(self.bases(), None)) is not None:
+            yield from first.annotations()
 
-    def fields(self) -> Iterator[tuple[str, ast.expr | None]]:
-        """Fields of a data class or a named tuple with their defaults, inherited ones first."""
+    def fields(self) -> Iterator[Field]:
+        """Fields of a data class or a named tuple, inherited ones first."""
         for base in self.own_bases():
             yield from base.fields()
         for each in self.node.body:
             if isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name):
-                yield each.target.id, each.value
+                annotation = Annotation(each.annotation, self.source)
+                yield Field(each.target.id, annotation, each.value)
 
     def defaults(self) -> Iterator[tuple[str, Any]]:
         """Fields whose default is a plain value."""
-        for name, value in self.fields():
-            if value is not None:
-                yield from _literal(name, value)
+        for field in self.fields():
+            if field.default is not None:
+                yield from _literal(field.name, field.default)
 
     def constants(self) -> Iterator[tuple[str, Any]]:
         """Plain values that stand at the top of the module."""

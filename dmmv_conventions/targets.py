@@ -140,6 +140,23 @@ def nodes(content: Any, place: str = "") -> Iterator[tuple[str, Any]]:
             pending += [(f"{place}[{index}]", value) for index, value in enumerate(node)]
 
 
+def parts(content: Any) -> list[tuple[str, Mapping[str, Any]]]:
+    """What is built, with its place; a group stands before the parts that it is handed to.
+
+    Args:
+        content: Plain containers; interpolations have to be resolved.
+
+    Returns:
+        Place and settings of each, those nearer to the top first.
+    """
+    built = [
+        (place, node)
+        for place, node in nodes(content)
+        if isinstance(node, Mapping) and "_target_" in node
+    ]
+    return sorted(built, key=lambda part: (part[0].count("."), part[0]))
+
+
 def _is_allowed(name: str, allowed: Buildable) -> bool:
     if name in allowed.names or (allowed is OF_A_RUN and name in _shipped()):
         return True

@@ -10,7 +10,7 @@ import math
 import shlex
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,9 @@ with endings_raised(), needs_to_run("stack", "the command lines"):
         change_again,
         changed_defaults,
         composed_once,
+        is_in_part,
         require_resolvable,
+        require_resolved,
         settings_in,
         value_of,
     )
@@ -160,8 +162,9 @@ def _resolve(config: DictConfig, config_name: str) -> None:
     defaults = changed_defaults(config_name)
     require_resolvable(config, defaults)
     for key, default in defaults.items():
-        require_same_type(key, default, value_of(config, key))
-    OmegaConf.resolve(config)
+        require_same_type(key, default, value_of(config, key), is_in_part(config, key))
+    _judge_vehicle(config)  # before others compute with its numbers
+    require_resolved(config)
     require_seed(config.get("seed"))
     content: Any = OmegaConf.to_container(config)
     require_buildable(content, OF_A_RUN, "in the configuration")
@@ -224,17 +227,27 @@ def _read_vehicle_file(config: DictConfig) -> None:
     change_again(config, "vehicle")
 
 
+def _judge_vehicle(config: DictConfig) -> None:
+    """Have the vehicle that a command builds judge itself, for which it needs no tensor."""
+    vehicle, written = value_of(config, "vehicle"), OmegaConf.to_container(config)
+    if not isinstance(vehicle, Mapping) or not any(
+        isinstance(node, Mapping) and node.get("_target_") == _VEHICLE for _, node in nodes(written)
+    ):
+        return
+    try:
+        VehicleSpec.from_config(vehicle)
+    except ValueError as problem:
+        file = config.get("vehicle_file")
+        if file is None:
+            raise
+        raise ValueError(f"{problem} (file {file})") from problem
+
+
 def _judge_vehicles(content: Any) -> None:
-    """Have the vehicles of a configuration judge themselves, for which they need no tensor."""
+    """The same for vehicles that stand elsewhere."""
     for _, node in nodes(content):
         if isinstance(node, dict) and node.get("_target_") == _VEHICLE:
-            try:
-                VehicleSpec.from_config(node["mapping"])
-            except ValueError as problem:
-                file = content.get("vehicle_file")
-                if file is None or node["mapping"] != content.get("vehicle"):
-                    raise
-                raise ValueError(f"{problem} (file {file})") from problem
+            VehicleSpec.from_config(node["mapping"])
 
 
 @contextmanager

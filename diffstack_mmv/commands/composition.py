@@ -4,6 +4,7 @@ Left to itself Hydra composes it a second time to find its mode, and the default
 compared with would be a third: half a second of the time until a mistake is told.
 """
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -19,6 +20,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
 
+from diffstack_mmv.commands.config_checks import leaves
 from dmmv_conventions.checks import message
 
 _ELSEWHERE = ("--config", "-cd", "-cn", "-cp", "hydra")
@@ -168,6 +170,38 @@ def require_resolvable(config: DictConfig, keys: Iterable[str]) -> None:
         except InterpolationResolutionError as error:
             found = f"an interpolation that leads to none ({str(error).splitlines()[0]})"
             raise ValueError(message(key, "be a value", found)) from error
+
+
+def require_resolved(config: DictConfig) -> None:
+    """Put its value in the place of every interpolation.
+
+    Args:
+        config: A configuration.
+
+    Raises:
+        ValueError: One leads to no value, or its formula does not take the values it is given.
+    """
+    try:
+        OmegaConf.resolve(config)
+    except InterpolationResolutionError:
+        written = leaves("", OmegaConf.to_container(config))
+        require_resolvable(config, (key for key, value in written if "${" in str(value)))
+        raise
+
+
+def is_in_part(config: DictConfig, key: str) -> bool:
+    """Whether a key belongs to something that is built from it: a part, or the vehicle.
+
+    Args:
+        config: A configuration.
+        key: Names and dots.
+    """
+    places = itertools.accumulate(key.split(".")[:-1], "{}.{}".format)
+    above = ((place, value_of(config, place)) for place in places)
+    return any(
+        place == "vehicle" or (isinstance(found, Mapping) and "_target_" in found)
+        for place, found in above
+    )
 
 
 def _resolved(config: DictConfig, key: str) -> Any:

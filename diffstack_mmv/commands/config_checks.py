@@ -22,26 +22,38 @@ def require_complete(content: Any) -> None:
     Raises:
         ValueError: A value is `???`.
     """
-    missing = sorted(key for key, value in _leaves("", content) if value == "???")
+    missing = sorted(key for key, value in leaves("", content) if value == "???")
     if missing:
         given = " ".join(f"{key}=VALUE" for key in missing)
         raise ValueError(f"`{missing[0]}` must be given. Add {given}, or see --help.")
 
 
-def _leaves(place: str, content: Any) -> Iterable[tuple[str, Any]]:
+def leaves(place: str, content: Any) -> Iterable[tuple[str, Any]]:
+    """Keys of all values of a configuration, each with its value; a list is one.
+
+    Args:
+        place: Where the content stands, "" for all of it.
+        content: Plain containers.
+    """
     if isinstance(content, Mapping):
         for key, value in content.items():
-            yield from _leaves(f"{place}.{key}" if place else str(key), value)
+            yield from leaves(f"{place}.{key}" if place else str(key), value)
     else:
         yield place, content
 
 
-def require_same_type(key: str, default: Any, value: Any) -> None:
+def require_same_type(key: str, default: Any, value: Any, in_part: bool = False) -> None:
     """Refuse a value that cannot stand where its default does.
 
     A string is accepted in place of a mapping (the name of a file), and within a part a list in
     place of a number (one entry per wheel, numbers of devices), which a setting of the command
     itself never is. Where there is no default, and for none, anything goes.
+
+    Args:
+        key: Where it stands, names and dots.
+        default: What stands there by default.
+        value: What is to stand there.
+        in_part: Whether it belongs to something that is built, which judges it as well.
 
     Raises:
         ValueError: Text instead of a number, a truth value or a list; a list instead of a number of
@@ -49,10 +61,11 @@ def require_same_type(key: str, default: Any, value: Any) -> None:
             whole number.
     """
     if isinstance(default, Mapping) and isinstance(value, Mapping):
+        inside = in_part or "_target_" in default
         for name in default.keys() & value.keys():
-            require_same_type(f"{key}.{name}", default[name], value[name])
+            require_same_type(f"{key}.{name}", default[name], value[name], inside)
     elif value is not None:
-        wanted = _refusal(default, value, in_part="." in key)
+        wanted = _refusal(default, value, in_part)
         remedy = f"Write ++{key}=VALUE to have it all the same."
         if wanted == "a list":
             remedy = f"Write {key}=[{value}]."

@@ -109,7 +109,7 @@ def require_situations(names: Sequence[str]) -> None:
         ValueError: A name is unknown.
     """
     found = defined("diffstack_mmv.data.Situations")
-    known = [] if found is None else [name for name, _ in found.fields()]
+    known = [] if found is None else [field.name for field in found.fields()]
     for name in names:
         require_one_of("situations", name, known)
 

@@ -10,7 +10,13 @@ from omegaconf import OmegaConf
 
 from diffstack_mmv.commands import composition
 from diffstack_mmv.commands.cli import command
-from diffstack_mmv.commands.composition import as_written, changed_defaults, settings_in
+from diffstack_mmv.commands.composition import (
+    as_written,
+    changed_defaults,
+    is_in_part,
+    require_resolved,
+    settings_in,
+)
 
 CONTENT = """
 defaults: [part: coarse, _self_]
@@ -91,3 +97,26 @@ def test_interpolations_are_seen_as_they_were_written(run):
     assert run("+twice=${count}", "count=3", task=written) == [
         {"part": {"step": 0.5}, "count": 3, "twice": "${count}"}
     ]
+
+
+@pytest.mark.parametrize(
+    ("key", "inside"),
+    [
+        ("part.size", True),
+        ("part.deep.size", True),
+        ("vehicle.friction", True),
+        ("limits.speed", False),
+        ("part", False),
+        ("seed", False),
+    ],
+)
+def test_a_key_within_what_is_built_is_told_from_a_setting_of_the_command(key, inside):
+    part = {"_target_": "some.Part", "size": 1, "deep": {"size": 2}}
+    config = OmegaConf.create({"part": part, "limits": {"speed": 1}, "vehicle": {}, "seed": 0})
+    assert is_in_part(config, key) is inside
+
+
+def test_a_formula_that_does_not_take_its_values_is_named():
+    config = OmegaConf.create({"a": {"low": "${smaller:${b},1.0}"}, "b": "fast", "c": "${b}"})
+    with pytest.raises(ValueError, match="`a.low` must be a value, but got an interpolation"):
+        require_resolved(config)

@@ -69,12 +69,16 @@ def test_values_that_mean_something_pass(default, value):
 
 
 def test_a_list_in_place_of_a_number_is_for_parts_alone():
-    require_same_type("vehicle.friction.initial", 0.8, [0.8, 0.9])
-    require_same_type("vehicle", {"friction": 0.8}, {"friction": [0.8, 0.9]})
-    require_same_type("trainer.devices", 1, [0, 1])
-    told = "`seed` must be a number, but got [0, 1]. Give one; -m seed=A,B runs the command for"
+    require_same_type("vehicle.friction.initial", 0.8, [0.8, 0.9], in_part=True)
+    require_same_type("vehicle", {"friction": 0.8}, {"friction": [0.8, 0.9]}, in_part=True)
+    require_same_type("trainer", {"_target_": "T", "devices": 1}, {"devices": [0, 1]})
+
+
+@pytest.mark.parametrize("key", ["seed", "limits.speed_max_mps"])
+def test_a_list_in_place_of_a_number_of_the_command_is_refused(key):
+    told = f"`{key}` must be a number, but got [0, 1]. Give one; -m {key}=A,B runs the command for"
     with pytest.raises(ValueError, match=re.escape(told)):
-        require_same_type("seed", 0, [0, 1])
+        require_same_type(key, 0, [0, 1])
 
 
 def test_every_value_that_must_be_given_is_named():

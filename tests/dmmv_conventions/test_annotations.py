@@ -99,3 +99,28 @@ def test_a_base_class_of_lightning_judges_for_a_part_of_ours():
 def test_what_is_given_rightly_passes():
     optimizer = {"_target_": "torch.optim.AdamW", "lr": 1, "betas": [0.9, 0.99], "fused": None}
     require_types({"optimizer": optimizer})
+
+
+@pytest.mark.parametrize(
+    ("target", "name"),
+    [
+        ("prediction.Trajectron", "components"),
+        ("control.ILQR", "max_iterations"),
+        ("control.constrained.ConstrainedILQR", "persistent"),
+        ("prediction.Sizes", "history"),
+    ],
+)
+def test_a_list_in_place_of_one_value_of_ours_is_named_by_its_whole_key(target, name):
+    part = {"_target_": f"diffstack_mmv.{target}", "_partial_": True, name: [1]}
+    with pytest.raises(ValueError, match=rf"`the.part.{name}` must be .*, but got \[1\]"):
+        require_types({"the": {"part": part}})
+
+
+def test_the_key_of_the_group_is_named_rather_than_that_of_a_part_it_is_handed_to():
+    solver = {"_target_": "diffstack_mmv.control.ILQR", "max_iterations": [1]}
+    with pytest.raises(ValueError, match="`solver.max_iterations` must be"):
+        require_types({"planner": {"solver": solver}, "solver": solver})
+
+
+def test_what_else_our_parts_are_given_they_judge_themselves():
+    require_types({"_target_": "diffstack_mmv.control.ILQR", "max_iterations": "many"})
