@@ -164,6 +164,8 @@ def main(config: DictConfig) -> None:
     own = campaigns.pop(config.names.controller)
     rows = {name: summarise(list(each.run())) for name, each in campaigns.items()}
     chunks = list(own.run())
+    for campaign in (*campaigns.values(), own):
+        campaign.remove_parts()
     header: Any = OmegaConf.to_container(config.header)
     # a reactive crowd sees the robot whatever the configuration says
     header |= {"code": code_version(), "robot_visible": world.robot_visible} | _contents(config)

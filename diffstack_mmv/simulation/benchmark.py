@@ -15,6 +15,7 @@ from diffstack_mmv.checks import require, require_at_least, require_whole
 from diffstack_mmv.simulation.chunks import (
     Chunk,
     Origin,
+    cases_of,
     read_chunk_of,
     thoughts_in,
     write_chunk,
@@ -135,15 +136,37 @@ class Campaign:
     def require_same_origin(self) -> None:
         """Refuse a folder with chunks of anything else, before anything is driven.
 
-        Other cases may lie there, but what reads the folder takes all of them for one campaign.
+        Other cases may lie there, but what reads the folder takes all of them for one campaign. So
+        no case may be in two files: `remove_parts` takes away those that hold part of a chunk, any
+        other one that shares cases with a chunk is in its way.
 
         Raises:
             ValueError: The folder holds chunks of other settings, of another phase or of another
-                version of the code.
+                version of the code, or one that goes beyond a chunk of these cases.
         """
         origin = self._origin()
         for file in sorted(self.folder.glob("*.npz")):
-            read_chunk_of(file, origin)
+            chunk = read_chunk_of(file, origin)
+            if chunk is not None:
+                self._require_apart(chunk.cases, file)
+
+    def _require_apart(self, cases: list[int], file: Path) -> None:
+        """Refuse cases of an earlier run that a chunk holds in part only."""
+        for numbers, _ in self._files():
+            beyond = set(cases) - set(numbers)
+            apart = not beyond or beyond == set(cases)
+            wanted = f"hold no other cases in a file with those from {numbers[0]} to {numbers[-1]}"
+            remedy = f"Choose another `out`, drive those as well, or delete {file.parent}."
+            found = f"cases {cases[0]} to {cases[-1]}"
+            require(apart, "out", wanted, found, f"in {file}", remedy)
+
+    def remove_parts(self) -> None:
+        """Remove files of earlier runs all of whose cases stand in a finished chunk of this one."""
+        finished = {file: set(numbers) for numbers, file in self._files() if file.is_file()}
+        for file in set(self.folder.glob("*.npz")) - finished.keys():
+            cases = set(cases_of(file, self._origin()))
+            if cases and any(cases <= numbers for numbers in finished.values()):
+                file.unlink()
 
     def thoughts(self, case: int) -> dict[str, Float[np.ndarray, "S ..."]]:
         """What the controller expected and planned in a finished case, see `read_thoughts`."""

@@ -114,6 +114,16 @@ def read_episode(folder: Path, case: int) -> StoredEpisode:
     raise ValueError(message("folder", f"hold case {case}", folder, "", remedy))
 
 
+def cases_of(file: Path, origin: Origin) -> list[int]:
+    """Cases in a readable chunk of this origin, none in anything else."""
+    try:
+        with np.load(file) as stored:
+            made = {name: str(stored[f"origin.{name}"]) for name in Origin._fields}
+            return stored["cases"].tolist() if made == origin._asdict() else []
+    except (OSError, ValueError, KeyError, BadZipFile):
+        return []
+
+
 def read_chunk_of(file: Path, origin: Origin | None) -> Chunk | None:
     """A chunk of this origin, if the file holds one; of any if none is given.
 

@@ -132,6 +132,44 @@ def test_other_cases_of_the_same_settings_may_lie_in_the_folder_those_of_a_phase
         Campaign(straight, scenario, range(6, 9), tmp_path, 3, "val").require_same_origin()
 
 
+@pytest.mark.parametrize(
+    ("earlier", "now"),
+    [(range(3), range(2)), (range(3), range(1, 4)), (range(2, 5), range(6))],
+)
+def test_a_batch_that_holds_some_of_the_cases_beside_others_is_in_the_way(
+    earlier, now, straight, scenario_of, tmp_path
+):
+    def campaign(cases):
+        return Campaign(straight, scenario_of("circle"), cases, tmp_path, 3)
+
+    [*_] = campaign(earlier).run()
+    told = f"hold no other cases in a file .* got cases {earlier[0]} to {earlier[-1]} in .*npz. "
+    with pytest.raises(ValueError, match=told + "Choose another `out`, drive those as well, or"):
+        campaign(now).require_same_origin()
+    campaign(earlier).require_same_origin()
+
+
+def test_more_cases_take_the_place_of_a_batch_that_was_cut_short(straight, scenario_of, tmp_path):
+    for count in (1, 4, 5):
+        campaign = Campaign(straight, scenario_of("circle"), range(count), tmp_path, 3)
+        campaign.require_same_origin()
+        [*_] = campaign.run()
+        campaign.remove_parts()
+    assert sorted(file.name for file in tmp_path.iterdir()) == [
+        "test_00000-00002.npz", "test_00003-00004.npz",
+    ]  # fmt: skip
+    assert straight.controller.made == 4  # the first batch was driven once
+
+
+def test_what_others_have_made_is_no_part_of_a_batch(straight, scenario_of, tmp_path):
+    [*_] = Campaign(straight, scenario_of("square"), range(1), tmp_path, 3).run()
+    (tmp_path / "test_00001-00001.npz").write_text("broken")
+    campaign = Campaign(straight, scenario_of("circle"), range(3), tmp_path, 3)
+    [*_] = campaign.run()
+    campaign.remove_parts()
+    assert len(list(tmp_path.iterdir())) == 3
+
+
 def test_a_case_shows_the_thoughts_of_its_own_batch(straight, scenario_of, tmp_path):
     campaigns = [Campaign(straight, scenario_of("circle"), range(3), tmp_path, n) for n in (2, 3)]
     for number, campaign in enumerate(campaigns):
