@@ -5,17 +5,21 @@ As in `config_checks`, a mistake is told before what takes seconds is imported.
 
 import logging
 import zipfile
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from diffstack_mmv.commands.config_checks import require_checkpoint, require_file
 from dmmv_conventions.cache import SPLITS
-from dmmv_conventions.checks import require, require_at_least, require_one_of
+from dmmv_conventions.checks import message, require, require_at_least, require_one_of
 from dmmv_conventions.config_files import names_in
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.differences import first_difference
 from dmmv_conventions.extras import needs
+from dmmv_conventions.yaml_files import read_plain
 
 logger = logging.getLogger(__name__)
 
@@ -29,13 +33,14 @@ def require_drive(config: DictConfig, cases: range) -> None:
 
     Raises:
         ValueError: A name or a number is out of its range, a file that is read is not there, or the
-            steps of controller and world differ.
+            steps of controller and world differ, or a policy was trained for another vehicle.
     """
     require_one_of("phase", config.phase, SPLITS)
     if "predictor" in config.people:
         require_checkpoint("people_checkpoint", config.people.predictor.path)
     if config.names.controller == "ppo":
         _require_policy(config.policy)
+        require_trained_for(config)
     require_at_least("animate", config.animate, 0)
     require_movie(config.movie)
     known = names_in(config_folder() / "controller")
@@ -78,3 +83,42 @@ def _require_policy(policy: str | None) -> None:
     require_file("policy", policy, remedy)
     whole = zipfile.is_zipfile(str(policy))
     require(whole, "policy", "be readable", "no archive", f"in {policy}", remedy)
+
+
+def require_trained_for(config: DictConfig) -> None:
+    """Refuse a policy for what it was not trained with: its shares of the bounds mean other things.
+
+    A file beside it tells; the robot may still differ from what the controller believes.
+
+    Args:
+        config: Configuration of the command `navigate`.
+
+    Raises:
+        ValueError: Vehicle, dynamics, limits, step or view differ from those of the training.
+    """
+    file = Path(config.policy).parent / "config.yaml"
+    trained = read_plain(file, "policy") if file.is_file() else {}
+    if not {"training", "actual", "dt_s", "view"} <= trained.keys():
+        logger.warning(
+            "No config.yaml of train_policy beside %s tells what it was trained with: it drives %s "
+            "(%s) all the same.", config.policy, config.vehicle.name, config.names.dynamics,
+        )  # fmt: skip
+        return
+    now: Any = OmegaConf.to_container(config)
+    before = _driven_by(trained["actual"], trained["dt_s"], trained["view"])
+    after = _driven_by(now["believed"], now["dt_s"], now["controller"]["view"])
+    for first, second in zip(before, after, strict=True):
+        if (found := first_difference(first, second)) is not None:
+            wanted = f"be that of the policy's training, {found.before!r}"
+            remedy = "Give it so, or train a policy for this one (dmmv-train-policy)."
+            place = f"(training: {file})"
+            raise ValueError(message(found.place, wanted, repr(found.now), place, remedy))
+
+
+def _driven_by(
+    vehicle: Mapping[str, Any], dt_s: float, view: Mapping[str, Any]
+) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    """What gives the numbers of a policy their meaning: names, and all that stands behind them."""
+    names = {"vehicle": vehicle["vehicle"]["name"], "dynamics": vehicle["name"], "dt_s": dt_s}
+    settings = {name: vehicle[name] for name in ("vehicle", "limits")}
+    return names, settings | {"controller": {"view": view}}
