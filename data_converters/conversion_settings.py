@@ -11,6 +11,7 @@ from data_converters.errors import require
 from data_converters.recordings import RecordingDataset, SceneSource, fingerprint
 from data_converters.tracks import ResampleSettings
 from dmmv_conventions.cache import FORMAT_VERSION, staging_folder
+from dmmv_conventions.checks import require_switch
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,8 @@ class ConversionSettings:
 
     def __post_init__(self) -> None:
         require(self.workers >= 1, "workers", "be at least 1", self.workers, "", "Give 1.")
+        for flag in ("strict", "replace", "progress"):
+            require_switch(flag, getattr(self, flag))
 
     def content(self) -> dict[str, Any]:
         """The settings that change the cache, as plain values."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from data_converters.errors import require
 from data_converters.smoothing import CausalSmoother, Smoother
+from dmmv_conventions.checks import require_switch
 from dmmv_conventions.modes import Mode
 
 if TYPE_CHECKING:
@@ -77,6 +78,7 @@ class ResampleSettings:
         for name in ("dt_s", "max_gap_s", "min_duration_s", "standstill_mps"):
             value = getattr(self, name)
             require(value > 0.0, name, "be positive", value, "", "Give SI units.")
+        require_switch("backfill_heading", self.backfill_heading)
 
 
 class Residual(NamedTuple):

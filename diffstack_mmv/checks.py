@@ -16,6 +16,7 @@ from dmmv_conventions.checks import (
     require_multiple,
     require_one_of,
     require_positive,
+    require_switch,
     require_whole,
 )
 
@@ -31,6 +32,7 @@ __all__ = [
     "require_one_of",
     "require_positive",
     "require_precision",
+    "require_switch",
     "require_tensor",
     "require_whole",
 ]

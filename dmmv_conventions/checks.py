@@ -67,6 +67,15 @@ def require_whole(argument: str, value: object, where: str = "") -> None:
     require(whole, argument, "be a whole number", repr(value), where)
 
 
+def require_switch(argument: str, value: object, where: str = "") -> None:
+    """Refuse anything but true and false, or 1 and 0: text such as "no" would count as true.
+
+    Raises:
+        ValueError: `value` is neither.
+    """
+    require(value in (True, False), argument, "be true or false", repr(value), where)
+
+
 def require_positive(argument: str, value: float | int, where: str = "", remedy: str = "") -> None:
     """Refuse a number that is not finite and above zero.
 

@@ -1,5 +1,7 @@
 """The one form in which a bad argument is told."""
 
+import re
+
 import numpy as np
 import pytest
 import torch
@@ -34,6 +36,15 @@ def test_only_whole_numbers_are_whole(value):
     checks.require_whole("humans", np.int64(2))
     with pytest.raises(ValueError, match="`humans` must be a whole number, but got"):
         checks.require_whole("humans", value)
+
+
+@pytest.mark.parametrize("value", ["yes", "no", "", None, 2, [True]])
+def test_what_only_counts_as_true_or_false_is_no_switch(value):
+    for switch in (True, False, 1, 0, np.bool_(True)):
+        checks.require_switch("compile", switch)
+    told = re.escape(f"`compile` must be true or false, but got {value!r}.")
+    with pytest.raises(ValueError, match=told):
+        checks.require_switch("compile", value)
 
 
 @pytest.mark.parametrize(("value", "steps"), [(3.0, 30), (0.1, 1), (4.0, 40), (0.3, 3)])

@@ -23,6 +23,7 @@ from data_converters.imptc.cuboid import measure_cuboids
 from data_converters.imptc.modes import CLASS_MODES
 from data_converters.limits import USUAL, RecordingLimits
 from data_converters.plain_files import require_plain
+from dmmv_conventions.checks import require_switch
 from dmmv_conventions.modes import Mode
 
 if TYPE_CHECKING:
@@ -49,6 +50,9 @@ class TrackFilter:
     min_status: int = 1
     min_class_prob: float = 0.0
     utm: bool = False
+
+    def __post_init__(self) -> None:
+        require_switch("utm", self.utm)
 
 
 class TrackFile(NamedTuple):

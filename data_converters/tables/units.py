@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from data_converters.errors import require
-from dmmv_conventions.checks import is_number
+from dmmv_conventions.checks import is_number, require_switch
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "ft": 0.3048}
@@ -73,6 +73,7 @@ class TableUnits:
         fits, needs = len(self.origin_m) == len(numbers) == 2, "be two numbers"
         remedy = "Give data.units.origin_m=[X,Y] in m."
         require(fits, "units.origin_m", needs, list(self.origin_m), "", remedy)
+        require_switch("units.y_down", self.y_down)
 
     def settings(self) -> dict[str, object]:
         """All units as plain values."""

@@ -7,6 +7,8 @@ from typing import Any, Protocol, runtime_checkable
 
 import wandb
 
+from diffstack_mmv.checks import require_switch
+
 
 @runtime_checkable
 class TableLike(Protocol):
@@ -61,6 +63,7 @@ class WandbResults:
     """
 
     def __init__(self, save_dir: str, project: str, kind: str, offline: bool = True) -> None:
+        require_switch("offline", offline)
         self.save_dir = save_dir
         self.project = project
         self.kind = kind

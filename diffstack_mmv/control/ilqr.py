@@ -13,6 +13,7 @@ from diffstack_mmv.checks import (
     require_at_least,
     require_positive,
     require_precision,
+    require_switch,
     require_whole,
 )
 from diffstack_mmv.control.autocast import autocasts
@@ -89,8 +90,8 @@ class ILQR:
             On a CPU this is the faster way for any number whose shapes stay the same.
 
     Raises:
-        ValueError: A number is not positive, one that counts is not whole, or `Unrolled` is to run
-            compiled kernels.
+        ValueError: A number is not positive, one that counts is not whole, `compile` is neither
+            true nor false, or `Unrolled` is to run compiled kernels.
 
     Source:
         Tassa et al., Control-Limited Differential Dynamic Programming, ICRA 2014; differs in the
@@ -141,6 +142,7 @@ class ILQR:
         for name, least in (("max_iterations", 1), ("line_search_steps", 1), ("one_by_one", 0)):
             require_at_least(name, getattr(self, name), least)
             require_whole(name, getattr(self, name))
+        require_switch("compile", self.compile)
         eager = not (self.compile and self.gradient.through_iterations)
         require(eager, "compile", f"be false with {self.gradient}", self.compile)
 

@@ -3,7 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
-from diffstack_mmv.checks import require, require_at_least, require_multiple, require_positive
+from diffstack_mmv.checks import (
+    require,
+    require_at_least,
+    require_multiple,
+    require_positive,
+    require_switch,
+)
 from diffstack_mmv.types import Mode
 
 
@@ -117,3 +123,4 @@ class ExportSettings:
 
     def __post_init__(self) -> None:
         require_at_least("workers", self.workers, 0)
+        require_switch("progress", self.progress)

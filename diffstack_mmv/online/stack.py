@@ -9,7 +9,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require, require_at_least, require_positive, require_whole
+from diffstack_mmv.checks import (
+    require,
+    require_at_least,
+    require_positive,
+    require_switch,
+    require_whole,
+)
 from diffstack_mmv.data.motions import tracks_of
 from diffstack_mmv.device_checks import usable_device
 from diffstack_mmv.geometry import (
@@ -65,6 +71,7 @@ class OnlineStack:
         require_whole("neighbors", neighbors)
         require_at_least("neighbors", neighbors, 0)
         require_positive("radius_m", radius_m)
+        require_switch("compiled", compiled)
         self.stack, config = load_stack(checkpoint, usable_device(str(device)))
         if compiled:
             self.stack.compile_kernels()

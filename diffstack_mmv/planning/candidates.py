@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.checks import require_at_least, require_positive, require_switch
 from diffstack_mmv.control import pad_controls
 from diffstack_mmv.control.native.scan import scan
 from diffstack_mmv.dynamics import DynamicsModel
@@ -90,6 +90,7 @@ class CandidateFan:
         ):
             require_positive(name, value)
         require_positive("offset_share", offset_share)
+        require_switch("compile", compile)
         self.speeds = speeds
         self.offsets = offsets
         self.speed_change_mps = speed_change_mps

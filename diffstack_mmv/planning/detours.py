@@ -8,7 +8,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require, require_at_least, require_between, require_positive
+from diffstack_mmv.checks import (
+    require,
+    require_at_least,
+    require_between,
+    require_positive,
+    require_switch,
+)
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.planning.candidates import Candidates, roll_out
 from diffstack_mmv.planning.pursuit import Leg, Pursuit
@@ -94,6 +100,7 @@ class DetourFan:
         require_at_least("drawn", drawn, 0)
         require_positive("drawn_until_s", drawn_until_s)
         require_at_least("backing", backing, 0)
+        require_switch("compile", compile)
         one_side = [math.radians(offset) for offset in offsets_deg]
         both = torch.tensor([-offset for offset in reversed(one_side)] + [0.0] + one_side)
         grid = torch.cartesian_prod(both, torch.tensor(speed_shares), torch.tensor(durations_s))

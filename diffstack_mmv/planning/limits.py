@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.checks import require_at_least, require_positive, require_switch
 from diffstack_mmv.control import ILQR, Batched, Bounds, Solution
 from diffstack_mmv.control.constrained import HARD, ConstrainedILQR, Inequality, Slack
 from diffstack_mmv.control.optimizer import Cost, Dynamics
@@ -126,6 +126,9 @@ class PlanConstraints:
     max_iterations: int = 40
     tolerance: float = 1e-3
     persistent: bool = False
+
+    def __post_init__(self) -> None:
+        require_switch("persistent", self.persistent)
 
     def solve(
         self,

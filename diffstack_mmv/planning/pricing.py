@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.checks import require_at_least, require_positive, require_switch
 from diffstack_mmv.planning.clearance import ClearanceMargin, clearance_within_steps
 from diffstack_mmv.planning.judgement import Passing, judged
 from diffstack_mmv.types import Motion, PlanningProblem
@@ -129,6 +129,7 @@ class PlanPrice:
             require_at_least(name, getattr(self, name), 0)
         require_positive("patience_s", self.patience_s)
         require_positive("goal_tolerance_m", self.goal_tolerance_m)
+        require_switch("compile", self.compile)
 
     @torch.no_grad()
     def __call__(self, plans: Plans, situation: Situation) -> ScoredPlans:

@@ -16,6 +16,7 @@ from diffstack_mmv.checks import (
     require_finite,
     require_one_of,
     require_positive,
+    require_switch,
     require_whole,
 )
 from diffstack_mmv.dynamics import DynamicsModel
@@ -128,6 +129,7 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
     ) -> None:
         self._scenario = _scenario_named(scenario, humans)
         require_positive("limit_s", limit_s)
+        require_switch("robot_visible", robot_visible)
         self._use(
             World(
                 robot=_robot(robot, dynamics, dt_s, footprint),

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require_at_least, require_between, require_positive
+from diffstack_mmv.checks import require_at_least, require_between, require_positive, require_switch
 from diffstack_mmv.geometry import length, unit_vector
 from diffstack_mmv.prediction import Spread, single_component
 from diffstack_mmv.simulation.goals import GoalBelief, GoalInference
@@ -161,6 +161,7 @@ class OrcaForecaster:
         require_at_least("directions", self.directions, 1)
         require_between("stays", self.stays, 0, 1)
         require_positive("preferred_speed_mps", self.preferred_speed_mps)
+        require_switch("observed_speed", self.observed_speed)
 
     def init(self, observation: Observation) -> None:
         """Nothing has been seen yet."""

@@ -14,6 +14,7 @@ from diffstack_mmv.checks import (
     require_finite,
     require_multiple,
     require_positive,
+    require_switch,
 )
 from diffstack_mmv.simulation.observation import Observation, Sensing
 from diffstack_mmv.simulation.pedestrians import (
@@ -74,8 +75,9 @@ class World:
     sensing: Sensing | None = None
 
     def __post_init__(self) -> None:
-        """Check the times once, at the border."""
+        """Check the settings once, at the border."""
         require_positive("dt_s", self.dt_s)
+        require_switch("robot_visible", self.robot_visible)
         require_multiple("limit_s", self.verdict.limit_s, self.dt_s, "for the step `dt_s`")
         if self.reveals_s:
             require_multiple("reveals_s", self.reveals_s, self.dt_s, "for the step `dt_s`")

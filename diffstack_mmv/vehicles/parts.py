@@ -3,7 +3,12 @@
 import math
 from dataclasses import dataclass
 
-from dmmv_conventions.checks import require, require_between, require_positive
+from dmmv_conventions.checks import (
+    require,
+    require_between,
+    require_positive,
+    require_switch,
+)
 
 WHEEL_PARAMETERS = {"friction": "1", "tread_stiffness": "N/m^2", "contact_half_length": "m"}
 BODY_PARAMETERS = {
@@ -63,6 +68,8 @@ class WheelSpec:
         require(math.isfinite(self.x_m), "x_m", "be finite", self.x_m, where)
         require(math.isfinite(self.y_m), "y_m", "be finite", self.y_m, where)
         require_positive("radius_m", self.radius_m, where)
+        for flag in ("steered", "driven", "braked", "caster"):
+            require_switch(flag, getattr(self, flag), where)
         require(
             self.truck in (-1, 0, 1),
             "truck",

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dmmv_conventions.checks import require
+from dmmv_conventions.checks import require, require_switch
 
 Numbers = float | tuple[float, ...]
 _ROUNDING = 1e-6  # relative, of numbers that were kept in single precision
@@ -84,6 +84,8 @@ class ParameterSpec:
             sorted(lengths),
             remedy="Give one number for all wheels, or one per wheel.",
         )
+        for flag in ("learn", "tied"):
+            require_switch(flag, getattr(self, flag))
         for initial, low, high in self.entries():
             _require_range(initial, low, high)
         require(

@@ -23,7 +23,7 @@ from diffstack_mmv.vehicles.parts import (
 from diffstack_mmv.vehicles.quantity import ParameterSpec
 from diffstack_mmv.vehicles.reading import fields_from_config
 from diffstack_mmv.vehicles.reference import fields_from_reference
-from dmmv_conventions.checks import message, require, require_positive
+from dmmv_conventions.checks import message, require, require_positive, require_switch
 from dmmv_conventions.modes import Mode
 
 
@@ -88,6 +88,8 @@ class VehicleSpec:
         Mode.named(self.mode)
         require_positive("mass_kg", self.mass_kg, where, "Give the mass with the rider.")
         require_positive("height_m", self.height_m, where)
+        for flag in ("leans", "balanced", "reverse"):
+            require_switch(flag, getattr(self, flag), where)
         if self.leans:
             lean, remedy = self.limits.lean_max_rad, "A leaning vehicle needs it."
             require_positive("limits.lean_max_rad", lean, where, remedy)

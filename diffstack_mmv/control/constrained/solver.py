@@ -13,6 +13,7 @@ from diffstack_mmv.checks import (
     require,
     require_at_least,
     require_positive,
+    require_switch,
     require_tensor,
     require_whole,
 )
@@ -121,6 +122,7 @@ class ConstrainedILQR:
         require_at_least("max_iterations", self.max_iterations, 1)
         require_whole("max_iterations", self.max_iterations)
         require_positive("tolerance", self.tolerance)
+        require_switch("persistent", self.persistent)
 
     def __call__(
         self,

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from diffstack_mmv.checks import require_switch
 from diffstack_mmv.identification.measured.elimination import (
     Damping,
     Linearisation,
@@ -65,6 +66,9 @@ class MeasuredFitter:
     iterations: int = 40
     tolerance: float = 0.01
     with_gyro: bool = False
+
+    def __post_init__(self) -> None:
+        require_switch("with_gyro", self.with_gyro)
 
     def __call__(
         self,

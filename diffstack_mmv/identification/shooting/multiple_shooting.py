@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.checks import require_at_least, require_positive, require_switch
 from diffstack_mmv.identification.shooting.block_arrowhead import StepBounds, solve_arrowhead
 from diffstack_mmv.identification.shooting.fit import (
     NO_STOPPING,
@@ -98,6 +98,7 @@ class MultipleShooting:
         require_at_least("max_iterations", self.max_iterations, 1)
         require_at_least("heldout_iterations", self.heldout_iterations, 1)
         require_positive("tolerance", self.tolerance)
+        require_switch("restart", self.restart)
 
     def unstopped(self) -> "MultipleShooting":
         """The same algorithm, which no held-out track ends."""

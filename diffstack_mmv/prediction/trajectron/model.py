@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from diffstack_mmv.checks import require, require_at_least
+from diffstack_mmv.checks import require, require_at_least, require_switch
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.prediction.base import GaussianRollout, Predictor, all_agents
 from diffstack_mmv.prediction.gaussian import log_of_sum
@@ -119,6 +119,7 @@ class Trajectron(Predictor):
     ) -> None:
         super().__init__(horizon_steps, ego_dynamics.dt_s)
         require_at_least("neighbor_components", neighbor_components, 0)
+        require_switch("rough", rough)
         self.forecast_neighbors = neighbor_components > 0
         models = {EGO: ego_dynamics, VEHICLE: vehicle_dynamics, PEDESTRIAN: pedestrian_dynamics}
         steps = [model.dt_s for model in models.values()]
