@@ -113,6 +113,16 @@ class ImptcDataset(RecordingDataset):
         """Split and filter."""
         return {"split": asdict(self.split), "keep": asdict(self.keep)}
 
+    def notes(self) -> Mapping[str, object]:
+        """Sequence folders that are left out: repeated ones, and those of sets without a split."""
+        taken = find_sequences(self.root)
+        repeated = set(_sequence_folders(self.root)) - set(taken.values())
+        unused = [folder for name, folder in taken.items() if self._split_of(name) is None]
+        return {
+            "repeated_sequences": [str(each.relative_to(self.root)) for each in sorted(repeated)],
+            "unused_sequences": [str(each.relative_to(self.root)) for each in unused],
+        }
+
     def scenes(self) -> list[SceneSource]:
         """One scene per sequence folder.
 
@@ -125,7 +135,7 @@ class ImptcDataset(RecordingDataset):
             refuse_missing("sequence folders NNNN_YYYYMMDD_HHMMSS", "none", self.root)
         scenes = []
         for name, folder in folders.items():
-            split = self.split.of(int(name[:4]))
+            split = self._split_of(name)
             if split is not None:
                 key = str(folder.relative_to(self.root))
                 scenes.append(SceneSource(name, split, key, _fingerprint(folder)))
@@ -180,6 +190,9 @@ class ImptcDataset(RecordingDataset):
         """Origin of the local frame: in UTM where positions are given so."""
         return UTM32_OFFSET_M if self.keep.utm else super().origin_m
 
+    def _split_of(self, sequence: str) -> str | None:
+        return self.split.of(int(sequence[:4]))
+
     def _parsed(self, path: Path) -> TrackFile:
         return parse_track(load_json(path), str(path), self.keep, self.limits)
 
@@ -220,12 +233,15 @@ def find_sequences(root: Path) -> dict[str, Path]:
     the same time, the one below a folder named after a set is taken.
     """
     found: dict[str, Path] = {}
-    paths = [path for pattern in ("*", "*/*", "*/*/*") for path in root.glob(pattern)]
-    for path in sorted(paths, key=lambda path: (not _in_set(path, root), path.name)):
-        match = SEQUENCE.fullmatch(path.name)
-        if match and path.is_dir():
-            found.setdefault(match[2], path)
+    folders = _sequence_folders(root)
+    for path in sorted(folders, key=lambda path: (not _in_set(path, root), path.name)):
+        found.setdefault(path.name.partition("_")[2], path)
     return {path.name: path for path in sorted(found.values(), key=lambda path: path.name)}
+
+
+def _sequence_folders(root: Path) -> list[Path]:
+    paths = (path for pattern in ("*", "*/*", "*/*/*") for path in root.glob(pattern))
+    return [path for path in paths if SEQUENCE.fullmatch(path.name) and path.is_dir()]
 
 
 def _in_set(path: Path, root: Path) -> bool:

@@ -71,6 +71,18 @@ def test_a_sample_sequence_that_repeats_one_of_the_sets_is_read_once(tmp_path):
     assert list(find_sequences(tmp_path)) == ["0123_20230523_105516"]
 
 
+def test_sequences_that_are_left_out_stand_in_the_report(tmp_path):
+    repeated, taken, unused = (
+        "samples/0001_20230523_105516", "set_03/0123_20230523_105516", "0270_20230524_100000",
+    )  # fmt: skip
+    for place in (repeated, taken, unused):
+        (tmp_path / place).mkdir(parents=True)
+    assert ImptcDataset(tmp_path).notes() == {
+        "repeated_sequences": [repeated],
+        "unused_sequences": [unused],
+    }
+
+
 def test_read_tracks_lists_all_samples_of_a_sequence(sample):
     folder = next(sample.glob("0000_*"))
     table = ImptcDataset(sample).read_tracks(folder)
