@@ -156,9 +156,11 @@ def require_one_of(argument: str, value: str, choices: Sequence[str], where: str
     Raises:
         ValueError: `value` is not in `choices`.
     """
+    if value in choices:  # a question takes a hundred times as long
+        return
     needs = f"be one of {', '.join(sorted(choices))}"
-    known, meant = value in choices, did_you_mean(str(value), choices)
-    require(known, argument, needs, repr(value), where, meant)
+    meant = did_you_mean(str(value), choices)
+    raise ValueError(message(argument, needs, repr(value), where, meant))
 
 
 def require_multiple(argument: str, value: float | int, step: float | int, where: str = "") -> int:

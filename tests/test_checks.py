@@ -7,6 +7,8 @@ import pytest
 import torch
 
 from diffstack_mmv import checks
+from diffstack_mmv.vehicles.values import require_keys
+from dmmv_conventions.checks import require_one_of
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
@@ -95,3 +97,22 @@ def test_a_refusal_tells_what_is_wrong(check, arguments, told):
 def test_values_outside_a_range_are_refused(check, arguments):
     with pytest.raises(ValueError, match="`n` must"):
         check(*arguments)
+
+
+def ask_for_nothing(*_):
+    raise AssertionError("a question for what needs none")
+
+
+@pytest.mark.parametrize(
+    "judge",
+    [
+        lambda: require_one_of("phase", "test", ("train", "val", "test")),
+        lambda: require_keys({"mass_kg": 80.0}, ["mass_kg"], ["name"], "", ""),
+    ],
+    ids=["a name", "keys of a vehicle"],
+)
+def test_what_else_was_meant_is_looked_for_only_where_something_is_wrong(monkeypatch, judge):
+    """It takes a hundred times as long as the check, which stands in every drive."""
+    for place in ("dmmv_conventions.checks", "diffstack_mmv.vehicles.values"):
+        monkeypatch.setattr(f"{place}.did_you_mean", ask_for_nothing)
+    judge()

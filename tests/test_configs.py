@@ -108,11 +108,11 @@ def test_experiments_only_override(experiment):
         assert composed("train", f"experiment={experiment}").epochs > 0
 
 
-def test_the_quickstart_takes_any_predictor():
-    for name in ("constant_velocity", "trajectron"):
-        config = composed("train", "experiment=quickstart", f"predictor={name}")
-        assert config.predictor == composed("train", f"predictor={name}").predictor
-    assert composed("train", "experiment=quickstart").predictor.components == 10
+@pytest.mark.parametrize("given", [[], ["predictor=constant_velocity"], ["predictor=trajectron"]])
+def test_the_quickstart_takes_any_predictor_and_has_a_small_one(given):
+    chosen = given or ["predictor=trajectron_small"]
+    config = composed("train", "experiment=quickstart", *given)
+    assert config.predictor == composed("train", *chosen).predictor
 
 
 @pytest.mark.usefixtures("unchecked")

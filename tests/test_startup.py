@@ -166,10 +166,11 @@ def test_values_are_judged_before_the_work_is_imported(
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "configs").glob("*.yaml")))
-def test_help_can_be_shown(name):
+def test_help_can_be_shown_and_has_an_example(name):
     content = yaml.safe_load((ROOT / "configs" / f"{name}.yaml").read_text(encoding="utf-8"))
     template = content.get("hydra", {}).get("help", {}).get("template", "")
     assert string.Template(template.replace("${hydra", "")).is_valid()
+    assert name == "command" or f"python scripts/{name}.py" in template
 
 
 def test_the_solver_is_imported_without_the_compiler_of_torch():

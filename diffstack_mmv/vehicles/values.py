@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
 from typing import Any
 
-from dmmv_conventions.checks import did_you_mean, require
+from dmmv_conventions.checks import did_you_mean, message, require
 
 
 def require_keys(
@@ -31,15 +31,10 @@ def require_keys(
     )
     known = [*required, *optional]
     for key in mapping:
-        hint = did_you_mean(str(key), known, "`", 0.5) or "Remove it."
-        require(
-            key in known,
-            f"{path}{key}",
-            f"be one of {', '.join(known)}",
-            "an unknown key",
-            where,
-            hint,
-        )
+        if key not in known:
+            hint = did_you_mean(str(key), known, "`", 0.5) or "Remove it."
+            needs = f"be one of {', '.join(known)}"
+            raise ValueError(message(f"{path}{key}", needs, "an unknown key", where, hint))
     for key in required:
         require(key in mapping, f"{path}{key}", "be given", "nothing", where, f"Add `{key}`.")
 

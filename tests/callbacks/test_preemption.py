@@ -86,3 +86,16 @@ def test_a_job_of_slurm_is_put_back_into_its_queue(job, asked, tmp_path, monkeyp
     with pytest.raises(InterruptedError):
         fit(tmp_path, trainer)
     assert said.read_text() == asked
+
+
+@pytest.mark.parametrize(("status", "told"), [(0, []), (1, ["job 17: no such job"])])
+def test_a_queue_that_takes_no_job_back_is_told(status, told, tmp_path, monkeypatch, caplog):
+    tool = tmp_path / "scontrol"
+    tool.write_text(f"#!/bin/sh\necho no such job >&2\nexit {status}\n")
+    tool.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    monkeypatch.setenv("SLURM_JOB_ID", "17")
+    with pytest.raises(InterruptedError):
+        fit(tmp_path, Counter(signal.SIGUSR1, 0))
+    found = [each.getMessage() for each in caplog.records if "scontrol" in each.getMessage()]
+    assert [each.partition("requeue ")[2] for each in found] == told

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from diffstack_mmv.callbacks import EarlyStopping, Provenance, RandomState, resume_point
+from diffstack_mmv.callbacks.reproducibility import current_commit
 
 CONFIG = {
     **{"data": "a", "dynamics": "kbm", "seed": 0, "epochs": 2, "out": "here", "start": None},
@@ -132,3 +133,22 @@ def test_a_checkpoint_tells_configuration_commit_and_versions(tmp_path):
     stored = torch.load(save(tmp_path, CONFIG), weights_only=True)["provenance"]
     assert stored["config"] == CONFIG
     assert {"commit", "torch", "diffstack_mmv"} <= set(stored)
+
+
+@pytest.mark.parametrize(
+    "content", [{}, {"provenance": None}, {"provenance": {"config": "text"}}, [1]]
+)
+def test_a_checkpoint_without_its_configuration_is_refused_with_a_remedy(content, tmp_path):
+    path = tmp_path / "last.ckpt"
+    torch.save(content, path)
+    with pytest.raises(ValueError, match=r"`checkpoint` must hold its configuration.*Delete it to"):
+        resume_point(path, CONFIG)
+
+
+@pytest.mark.parametrize("installed", [False, True], ids=["no git", "no repository"])
+def test_a_commit_that_cannot_be_told_is_unknown(installed, tmp_path, monkeypatch):
+    if installed:
+        (tmp_path / "git").write_text("#!/bin/sh\nexit 128\n")
+        (tmp_path / "git").chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert current_commit() == "unknown"

@@ -63,10 +63,27 @@ def test_a_setting_that_leads_back_to_itself_or_nowhere_is_named(run, value):
     assert told.count("\n") == 1
 
 
-def test_a_value_that_must_be_given_is_named(run):
-    config, told = run()
+@pytest.mark.parametrize(
+    ("arguments", "wanted"),
+    [
+        ([], "`needed` must be given. Add needed=VALUE"),
+        (["needed=1", "+cache=Läufe(1"], "letters such as ü in quotes"),
+        (
+            ["needed=1", "+model={_target_: os.system, _args_: [ls]}"],
+            "`_target_` must name what a file may have built, but got 'os.system' at model",
+        ),
+        (
+            ["needed=1", "vehicle=nowhere.yaml"],
+            "must be a name or an existing YAML file, but got 'nowhere.yaml'",
+        ),
+    ],
+    ids=["not given", "not to be read", "not to be built", "no vehicle"],
+)
+def test_what_no_task_can_be_run_with_is_told(run, arguments, wanted):
+    config, told = run(*arguments)
     assert config is None
-    assert "`needed` must be given. Add needed=VALUE" in told
+    assert wanted in told
+    assert "Traceback" not in told
 
 
 def test_the_search_for_garbage_is_on_during_the_work_and_afterwards(run):
@@ -116,35 +133,18 @@ def test_options_that_exclude_each_other_are_told_in_one_line(run):
     assert told.splitlines()[-1].startswith("Only one of --run, --multirun, --cfg, --info")
 
 
-def test_a_vehicle_comes_from_a_file(run, tmp_path):
-    file = tmp_path / "mine.yaml"
+@pytest.mark.parametrize(("place", "quote"), [("mine.yaml", ""), ("veh dir (ü)/own.yaml", "'")])
+def test_a_vehicle_comes_from_a_file(run, tmp_path, place, quote):
+    file = tmp_path / place
+    file.parent.mkdir(exist_ok=True)
     file.write_text("name: mine\n")
-    config, _ = run("needed=1", f"vehicle={file}")
+    config, _ = run("needed=1", f"vehicle={quote}{file}{quote}")
     assert config.vehicle == {"name": "mine"}
-
-
-def test_a_vehicle_comes_from_a_file_in_quotes(run, tmp_path):
-    file = tmp_path / "veh dir (ü)" / "own.yaml"
-    file.parent.mkdir()
-    file.write_text("name: own\n")
-    config, _ = run("needed=1", f"vehicle='{file}'")
-    assert config.vehicle.name == "own"
-
-
-def test_a_path_that_hydra_cannot_read_says_to_quote_it(run):
-    config, told = run("needed=1", "+cache=Läufe(1")
-    assert config is None
-    assert "letters such as ü in quotes" in told
 
 
 def test_a_dry_run_leaves_no_configuration(run, tmp_path):
     run("needed=1", "+dry_run=true")
     assert not (tmp_path / "out" / "config.yaml").exists()
-
-
-def test_a_missing_vehicle_file_is_named(run):
-    _, told = run("needed=1", "vehicle=nowhere.yaml")
-    assert "must be a name or an existing YAML file, but got 'nowhere.yaml'" in told
 
 
 def test_the_command_line_changes_the_vehicle_of_a_file(run, tmp_path):
@@ -167,12 +167,25 @@ def test_an_impossible_vehicle_is_told_with_its_file(refusal, root, tmp_path):
     assert told.strip().endswith(f"(file {file})")
 
 
-def test_a_failure_shows_no_traceback(run):
-    def fail(config):
-        raise KeyError("key")
+def wrong_key(config):
+    raise KeyError("key")
 
-    _, told = run("needed=1", task=fail)
-    assert "KeyError: 'key'" in told
+
+def lacking(config):
+    with needs("dashboard", "the dashboard"):
+        import nowhere_to_be_found  # noqa: F401
+
+
+@pytest.mark.parametrize(
+    ("task", "wanted"),
+    [
+        (wrong_key, "KeyError: 'key'"),
+        (lacking, "`nowhere_to_be_found` must be installed for the dashboard"),
+    ],
+)
+def test_a_failure_shows_no_traceback(run, task, wanted):
+    _, told = run("needed=1", task=task)
+    assert told.startswith(wanted)
     assert "Traceback" not in told
 
 
@@ -230,16 +243,6 @@ def test_a_log_that_cannot_be_written_is_told_with_its_folder(run, tmp_path):
     _, told = run("needed=1", "hydra.job.name=task")
     assert told.startswith("`out` must be a folder that can be written, but got")
     assert str(tmp_path / "out" / "task.log") in told
-
-
-def test_a_part_that_is_not_installed_shows_no_traceback(run):
-    def lack(config):
-        with needs("dashboard", "the dashboard"):
-            import nowhere_to_be_found  # noqa: F401
-
-    _, told = run("needed=1", task=lack)
-    assert told.startswith("`nowhere_to_be_found` must be installed for the dashboard")
-    assert "Traceback" not in told
 
 
 @pytest.mark.parametrize("category", [DeprecationWarning, FutureWarning])
@@ -314,12 +317,6 @@ def test_what_a_vehicle_file_would_have_built_is_refused(target, run, tmp_path):
     assert "Traceback" not in told
 
 
-def test_what_a_configuration_would_have_built_is_refused(run):
-    config, told = run("needed=1", "+model={_target_: os.system, _args_: [ls]}")
-    assert config is None
-    assert "`_target_` must name what a file may have built, but got 'os.system' at model" in told
-
-
 def test_the_saved_configuration_begins_with_the_words_of_the_command(run, tmp_path):
     run("needed=1 2")
     first = (tmp_path / "out" / "config.yaml").read_text().splitlines()[0]
@@ -356,7 +353,8 @@ def test_a_refused_sample_leaves_the_configuration_of_the_folder(succeed, refusa
 
 
 def test_a_refused_drive_leaves_the_configuration_of_the_folder(succeed, refusal, tmp_path):
-    given = ["controller=straight", "beside=[]", "cases=1", "limit_s=1", "wandb=none", "animate=0"]
+    given = ["controller=straight", "beside=[]", "cases=1", "limit_s=1", "search=null", "animate=0"]
+    given.append("wandb=none")
     succeed("navigate", *given, f"out={tmp_path}")
     before = (tmp_path / "config.yaml").read_text()
     told = refusal("navigate", *given, "scenario.humans=3", f"out={tmp_path}")

@@ -81,19 +81,18 @@ def test_a_cost_that_does_not_fit_is_refused_after_one_that_does(form, cost):
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_dynamics_of_other_precision_are_refused():
-    with pytest.raises(ValueError, match=r"`dynamics` must return torch.float32"):
-        ILQR()(
-            lambda x, u: step(x, u).double(), functools.partial(fitting, weight=WEIGHT), BOX, STATE,
-            CONTROLS,
-        )  # fmt: skip
-
-
-@pytest.mark.usefixtures("unchecked")
-def test_dynamics_cut_off_from_their_arguments_are_refused():
+@pytest.mark.parametrize(
+    ("dynamics", "told"),
+    [
+        (lambda x, u: step(x, u).double(), "return torch.float32"),
+        (lambda x, u: step(x, u).detach(), "be differentiable in state or control"),
+    ],
+    ids=["of other precision", "cut off from their arguments"],
+)
+def test_dynamics_that_do_not_fit_are_refused(dynamics, told):
     cost = functools.partial(fitting, weight=WEIGHT)
-    with pytest.raises(ValueError, match="`dynamics` must be differentiable in state or control"):
-        ILQR()(lambda x, u: step(x, u).detach(), cost, BOX, STATE, CONTROLS)
+    with pytest.raises(ValueError, match=f"`dynamics` must {told}"):
+        ILQR()(dynamics, cost, BOX, STATE, CONTROLS)
 
 
 @pytest.mark.usefixtures("unchecked")

@@ -144,16 +144,22 @@ def test_bounds_have_a_gradient(part, compiled):
     assert torch.autograd.gradcheck(solved, bounds, eps=1e-5, atol=1e-5)
 
 
-def test_a_second_derivative_is_refused_and_not_wrong():
+def second_derivative(solver, part):
+    """Of the sum of the squares of a part of the solution by the goal."""
     goal = torch.tensor(2.0, requires_grad=True)
     guess = torch.zeros(1, STEPS, 1)
-    for part in ("cost", "states"):
-        problem = double_integrator, reach(goal), box(50.0), torch.zeros(1, 2), guess
-        value = getattr(ILQR()(*problem), part).square().sum()
-        slope = torch.autograd.grad(value, goal, create_graph=True)[0]
-        assert slope.isfinite()
-        with pytest.raises(RuntimeError, match=r"be differentiated once.*gradient=Unrolled"):
-            torch.autograd.grad(slope, goal)
-    unrolled = ILQR(gradient=Unrolled())(*problem).states.square().sum()
-    slope = torch.autograd.grad(unrolled, goal, create_graph=True)[0]
-    assert torch.autograd.grad(slope, goal)[0].isfinite()
+    solution = solver(double_integrator, reach(goal), box(50.0), torch.zeros(1, 2), guess)
+    value = getattr(solution, part).square().sum()
+    slope = torch.autograd.grad(value, goal, create_graph=True)[0]
+    assert slope.isfinite()
+    return torch.autograd.grad(slope, goal)[0]
+
+
+@pytest.mark.parametrize("part", ["cost", "states"])
+def test_a_second_derivative_is_refused_and_not_wrong(part):
+    with pytest.raises(RuntimeError, match=r"be differentiated once.*gradient=Unrolled"):
+        second_derivative(ILQR(), part)
+
+
+def test_iterations_that_are_kept_have_a_second_derivative():
+    assert second_derivative(ILQR(gradient=Unrolled()), "states").isfinite()

@@ -7,7 +7,15 @@ import torch
 
 from diffstack_mmv import costs
 from diffstack_mmv.geometry import rotate
-from diffstack_mmv.types import Discs, Ego, HeadingOf, Motion, Obstacles, PlanningProblem
+from diffstack_mmv.types import (
+    Discs,
+    Ego,
+    HeadingOf,
+    Motion,
+    Obstacles,
+    PlanningProblem,
+    map_tensors,
+)
 
 TERMS = [
     costs.RunningGoal(),
@@ -112,44 +120,32 @@ def test_no_agents_is_no_special_case(term, double):
     assert torch.isfinite(term(motion, controls, problem)).all()
 
 
-def test_outline_clearance_is_paid_within_the_margin_of_the_outline_only(double):
-    term = costs.OutlineClearance(margin_m=0.2)
+def paid_beside(term, discs, x, y, radius):
+    """What a vehicle at rest in the origin pays for one agent at (x, y) m of a radius in m."""
     motion, controls, problem = random_case(batch=1, times=1, neighbors=1, components=1)
-    still = Motion(torch.zeros(1, 1, 2), torch.zeros(1, 1), torch.zeros(1, 1, 2), torch.zeros(1, 1))
+    still = map_tensors(torch.zeros_like, motion)
+    place = torch.tensor([x, y]).reshape(1, 1, 1, 1, 2)
+    agent = Obstacles(place, torch.ones(1, 1, 1), torch.full((1, 1), radius), torch.ones(1, 1) > 0)
+    ego = problem.ego._replace(discs=discs)
+    return term(still, controls, problem._replace(obstacles=agent, ego=ego)).item()
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "paid"), [(0.5, 0.76, 0.0), (-2.0, 0.0, 0.0), (0.5, 0.55, 0.04), (1.55, 0.0, 0.04)]
+)
+def test_outline_clearance_is_paid_within_the_margin_of_the_outline_only(x, y, paid, double):
     discs = Discs(torch.tensor([[-1.0, 1.0]]), torch.full((1, 2), 0.3))
-
-    def value(x, y):
-        place = torch.tensor([x, y]).reshape(1, 1, 1, 1, 2)
-        agent = Obstacles(
-            place, torch.ones(1, 1, 1), torch.full((1, 1), 0.25), torch.ones(1, 1) > 0
-        )
-        ego = problem.ego._replace(discs=discs)
-        return term(still, controls, problem._replace(obstacles=agent, ego=ego)).item()
-
-    assert value(0.5, 0.76) == value(-2.0, 0.0) == 0.0
-    assert value(0.5, 0.55) == pytest.approx(0.04, rel=1e-4)
-    assert value(1.55, 0.0) == pytest.approx(0.04, rel=1e-4)
+    found = paid_beside(costs.OutlineClearance(margin_m=0.2), discs, x, y, 0.25)
+    assert found == pytest.approx(paid, rel=1e-4)
 
 
-def test_barrier_is_active_only_where_both_turns_are_obstructed(double):
+@pytest.mark.parametrize(
+    ("x", "y", "active"), [(0.5, 0.0, True), (0.0, 1.0, False), (5.0, 0.0, False)]
+)
+def test_barrier_is_active_only_where_both_turns_are_obstructed(x, y, active, double):
     term = costs.TurningCircleBarrier(radius_min_m=1.0, margin_m=0.0)
-    motion, controls, problem = random_case(batch=1, times=1, neighbors=1, components=1)
-    still = Motion(torch.zeros(1, 1, 2), torch.zeros(1, 1), torch.zeros(1, 1, 2), torch.zeros(1, 1))
-
-    def value(x, y):
-        obstacles = Obstacles(
-            torch.tensor([x, y]).reshape(1, 1, 1, 1, 2),
-            torch.ones(1, 1, 1),
-            torch.full((1, 1), 0.3),
-            torch.ones(1, 1, dtype=torch.bool),
-        )
-        discs = Discs(torch.zeros(1, 1), torch.full((1, 1), 0.3))
-        ego = problem.ego._replace(discs=discs)
-        return term(still, controls, problem._replace(obstacles=obstacles, ego=ego))
-
-    assert value(0.5, 0.0).item() > 0
-    assert value(0.0, 1.0).item() == 0
-    assert value(5.0, 0.0).item() == 0
+    discs = Discs(torch.zeros(1, 1), torch.full((1, 1), 0.3))
+    assert (paid_beside(term, discs, x, y, 0.3) > 0) is active
 
 
 @pytest.mark.parametrize("lead_m", [-0.5, 0.0, 0.4])

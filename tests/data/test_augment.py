@@ -100,12 +100,11 @@ def test_samples_that_are_left_as_they_are_know_their_place(batch, augmentation)
     assert 0.2 < same.float().mean() < 0.8
 
 
-def test_samples_without_a_frame_are_scaled_and_mirrored_as_well(batch):
-    bare = batch._replace(frame=None)
-    for augmentation in (Mirror(1.0), SpeedScale()):
-        changed = augmentation(bare, generator())
-        assert changed.frame is None
-        assert torch.equal(changed.goal, augmentation(batch, generator()).goal)
+@pytest.mark.parametrize("augmentation", [Mirror(1.0), SpeedScale()])
+def test_samples_without_a_frame_are_scaled_and_mirrored_as_well(augmentation, batch):
+    changed = augmentation(batch._replace(frame=None), generator())
+    assert changed.frame is None
+    assert torch.equal(changed.goal, augmentation(batch, generator()).goal)
 
 
 def test_a_turned_frame_leaves_the_agents_where_they_are_in_the_world(batch):

@@ -26,10 +26,12 @@ def test_what_earlier_trainings_learned_from_is_kept():
     assert joined_recordings({}, second) == second
 
 
-def test_a_recording_of_the_same_name_in_another_data_set_is_another():
+@pytest.mark.parametrize(
+    ("trained", "seen"), [({"b": ["1", "2"]}, ["b/1"]), ({"a": ["2"]}, ["a/2"]), ({}, [])]
+)
+def test_a_recording_of_the_same_name_in_another_data_set_is_another(trained, seen):
     samples = windows(("a", "1"), ("a", "2"), ("b", "1"))
-    assert seen_recordings(samples, {"b": ["1", "2"]}) == ["b/1"]
-    assert seen_recordings(samples, {}) == []
+    assert seen_recordings(samples, trained) == seen
 
 
 def test_a_split_with_recordings_of_the_training_is_refused_by_their_names():

@@ -179,17 +179,23 @@ def test_a_stray_sample_is_left_out(back):
         np.testing.assert_array_equal(one, other)
 
 
-def test_what_a_tracker_makes_of_others_ends_no_decision():
-    table, other = samples(), samples("other", "pedestrian")
-    two = other.tail(2).assign(x=[0.0, 20.0])
-    flickering = other.assign(x=other["x"] + 30.0 * (np.arange(len(other)) % 3 == 0))
-    moped = other.assign(x=17.0 * other["time"])
-    unknown = other.head(5).assign(mode="drone")
-    alone = LiveTracks()(table, "me")
-    for others in (two, flickering, moped, unknown):
-        found = LiveTracks()(pd.concat([table, others]), "me")
-        np.testing.assert_array_equal(found.position[0], alone.position[0])
-    assert LiveTracks()(pd.concat([table, moped]), "me").names == ("me", "other")
+WALKER = samples("other", "pedestrian")
+
+
+@pytest.mark.parametrize(
+    ("others", "names"),
+    [
+        (WALKER.tail(2).assign(x=[0.0, 20.0]), ("me",)),
+        (WALKER.assign(x=WALKER["x"] + 30.0 * (np.arange(len(WALKER)) % 3 == 0)), ("me", "other")),
+        (WALKER.assign(x=17.0 * WALKER["time"]), ("me", "other")),
+        (WALKER.head(5).assign(mode="drone"), ("me",)),
+    ],
+    ids=["two far samples", "flickering", "as fast as a moped", "of an unknown mode"],
+)
+def test_what_a_tracker_makes_of_others_ends_no_decision(others, names):
+    found = LiveTracks()(pd.concat([samples(), others]), "me")
+    np.testing.assert_array_equal(found.position[0], LiveTracks()(samples(), "me").position[0])
+    assert found.names == names
 
 
 @pytest.mark.usefixtures("unchecked")

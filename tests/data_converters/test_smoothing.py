@@ -104,19 +104,29 @@ def test_impossible_settings_are_refused(options):
         ZeroPhaseSmoother(**options)
 
 
-def test_unsmoothed_samples_come_back_with_backward_differences():
-    time_s = np.array([0.0, 0.4, 0.8, 1.2])
-    smooth = Unsmoothed()(time_s, np.array([[0.0], [1.0], [3.0], [6.0]]), np.append(time_s, 1.4))
-    np.testing.assert_allclose(smooth.value[:, 0], [0.0, 1.0, 3.0, 6.0, 7.5])
-    np.testing.assert_allclose(smooth.rate[:, 0], [0.0, 2.5, 5.0, 7.5, 7.5])
-    np.testing.assert_allclose(smooth.curvature[:, 0], [0.0, 0.0, 6.25, 6.25, 6.25])
-
-
-def test_unsmoothed_differences_are_divided_by_the_step_to_their_sample():
-    time_s = np.array([0.0, 1.0, 3.0, 4.0])
-    smooth = Unsmoothed()(time_s, np.array([[0.0], [1.0], [5.0], [8.0]]), time_s)
-    np.testing.assert_allclose(smooth.rate[:, 0], [0.0, 1.0, 2.0, 3.0])
-    np.testing.assert_allclose(smooth.curvature[:, 0], [0.0, 0.0, 0.5, 1.0])
+@pytest.mark.parametrize(
+    ("time_s", "samples", "after_s", "expected"),
+    [
+        (
+            [0.0, 0.4, 0.8, 1.2],
+            [0.0, 1.0, 3.0, 6.0],
+            [1.4],
+            ([0.0, 1.0, 3.0, 6.0, 7.5], [0.0, 2.5, 5.0, 7.5, 7.5], [0.0, 0.0, 6.25, 6.25, 6.25]),
+        ),
+        (
+            [0.0, 1.0, 3.0, 4.0],
+            [0.0, 1.0, 5.0, 8.0],
+            [],
+            ([0.0, 1.0, 5.0, 8.0], [0.0, 1.0, 2.0, 3.0], [0.0, 0.0, 0.5, 1.0]),
+        ),
+    ],
+    ids=["equal steps and one after the last", "a longer step"],
+)
+def test_unsmoothed_samples_have_backward_differences(time_s, samples, after_s, expected):
+    column = np.array(samples)[:, None]
+    smooth = Unsmoothed()(np.array(time_s), column, np.array([*time_s, *after_s]))
+    for found, wanted in zip((smooth.value, smooth.rate, smooth.curvature), expected, strict=True):
+        np.testing.assert_allclose(found[:, 0], wanted)
 
 
 @pytest.mark.parametrize("apart_s", [1e-3, 0.01, 0.02, 0.05])

@@ -17,17 +17,18 @@ def written(tmp_path, content, **options):
     return TableDataset(tmp_path, **options)
 
 
-def test_a_byte_order_mark_and_decimal_commas_are_read(tmp_path):
-    text = table().to_csv(index=False, sep=";", decimal=",")
-    (track,) = first_scene(written(tmp_path, text.encode("utf-8-sig"), units=COMMA)).tracks
-    np.testing.assert_allclose(track.time_s, TABLE_TIME_S, atol=1e-9)
-    np.testing.assert_allclose(track.position[:, 0], 4.0 * TABLE_TIME_S, atol=1e-9)
-
-
-def test_blanks_around_the_names_of_columns_do_not_matter(tmp_path):
-    text = table(agent="0007").to_csv(index=False).replace(",", " , ")
-    (track,) = first_scene(written(tmp_path, text.encode("utf-8-sig"))).tracks
+@pytest.mark.parametrize(
+    ("text", "options"),
+    [
+        (table(agent="0007").to_csv(index=False, sep=";", decimal=","), {"units": COMMA}),
+        (table(agent="0007").to_csv(index=False).replace(",", " , "), {}),
+    ],
+    ids=["decimal commas", "blanks around names"],
+)
+def test_a_byte_order_mark_and_the_spelling_of_numbers_do_not_matter(tmp_path, text, options):
+    (track,) = first_scene(written(tmp_path, text.encode("utf-8-sig"), **options)).tracks
     assert track.name == "0007"
+    np.testing.assert_allclose(track.time_s, TABLE_TIME_S, atol=1e-9)
     np.testing.assert_allclose(track.position[:, 0], 4.0 * TABLE_TIME_S, atol=1e-9)
 
 

@@ -323,15 +323,17 @@ def test_what_commands_wrote_below_the_tables_is_no_recording(dataset, tmp_path,
     assert [scene.name for scene in found.scenes()] == ["a", "sub_b"]
 
 
-def test_the_configuration_of_a_recorder_marks_no_output(dataset, tmp_path):
-    (tmp_path / "sub").mkdir()
-    (tmp_path / "sub" / "config.yaml").write_text("camera: left\n")
-    assert len(dataset(tables={"sub/b": table()}).scenes()) == 1
-
-
-def test_a_folder_of_recordings_may_itself_be_that_of_a_run(dataset, tmp_path):
-    (tmp_path / "config.yaml").write_text("out: .\n")
-    assert len(dataset(tables={"a": table()}).scenes()) == 1
+@pytest.mark.parametrize(
+    ("place", "content", "stem"),
+    [("sub/config.yaml", "camera: left\n", "sub/b"), ("config.yaml", "out: .\n", "a")],
+    ids=["of a recorder", "of the folder itself"],
+)
+def test_a_configuration_that_marks_no_output_hides_no_table(
+    dataset, tmp_path, place, content, stem
+):
+    (tmp_path / place).parent.mkdir(exist_ok=True)
+    (tmp_path / place).write_text(content)
+    assert len(dataset(tables={stem: table()}).scenes()) == 1
 
 
 @pytest.mark.parametrize(

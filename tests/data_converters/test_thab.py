@@ -107,25 +107,47 @@ def test_shares_must_add_up(tmp_path, shares):
 
 
 @pytest.fixture(scope="module")
-def real(shared, tmp_path_factory):
-    """The real tracks, converted."""
+def cyclists(shared, tmp_path_factory):
+    """The real cyclists alone: pedestrians are converted only where it makes a difference."""
+    raw = tmp_path_factory.mktemp("raw")
+    (raw / "cyclists.tar.gz").symlink_to(shared / "data" / "thab_vru" / "cyclists.tar.gz")
+    return raw
+
+
+@pytest.fixture(scope="module")
+def real(cyclists, tmp_path_factory):
+    """The real tracks of cyclists, converted."""
     cache = tmp_path_factory.mktemp("real")
-    dataset = ThabVruDataset(shared / "data" / "thab_vru")
-    return convert(ConversionSettings(dataset, cache, workers=2, progress=False)), cache, dataset
+    return convert(
+        ConversionSettings(ThabVruDataset(cyclists), cache, workers=2, progress=False)
+    ), cache
+
+
+@pytest.fixture(scope="module")
+def everybody(shared):
+    """The real tracks of all, as they are split."""
+    return ThabVruDataset(shared / "data" / "thab_vru")
 
 
 @pytest.mark.slow
-def test_the_known_faults_of_the_real_tracks_are_found(real):
-    report = real[0]
+def test_the_known_faults_of_the_real_tracks_are_found(everybody, tmp_path):
+    report = convert(ConversionSettings(everybody, tmp_path, workers=2, progress=False))
     assert report.rejected_by_reason["contained_in_another_file"] == 79
     assert report.rejected_by_reason["repeated_timestamps"] == 1
     assert report.totals()["tracks_read"] == 936
+    counts = np.array([report.agents()[split]["pedestrian"] for split in ("train", "val", "test")])
+    np.testing.assert_allclose(counts / counts.sum(), [0.70, 0.15, 0.15], atol=0.02)
 
 
-@pytest.mark.parametrize("mode", ["bicycle", "pedestrian"])
-def test_the_real_split_has_its_shares(real, mode):
-    agents = real[0].agents()
-    counts = np.array([agents[split][mode] for split in ("train", "val", "test")])
+def test_what_is_converted_of_the_real_split_has_its_shares(real):
+    counts = np.array([real[0].agents()[split]["bicycle"] for split in ("train", "val", "test")])
+    np.testing.assert_allclose(counts / counts.sum(), [0.70, 0.15, 0.15], atol=0.02)
+
+
+@pytest.mark.parametrize("kind", ["cyclists", "pedestrians"])
+def test_the_real_split_has_its_shares(everybody, kind):
+    splits = [scene.split for scene in everybody.scenes() if scene.key.startswith(kind)]
+    counts = np.array([splits.count(split) for split in ("train", "val", "test")])
     np.testing.assert_allclose(counts / counts.sum(), [0.70, 0.15, 0.15], atol=0.02)
 
 
@@ -143,11 +165,10 @@ def test_real_cyclists_ride_at_plausible_speeds_and_accelerations(real):
     assert pull[speed > 0.5].quantile(0.95) < 3.5
 
 
-def test_no_run_of_real_samples_stands_in_two_splits(real):
-    dataset = real[2]
+def test_no_run_of_real_samples_stands_in_two_splits(everybody):
     owner = {}
-    for scene in dataset.scenes():
-        samples = dataset._index.samples.get(scene.key, np.zeros((0, 3)))[:, 1:]
+    for scene in everybody.scenes():
+        samples = everybody._index.samples.get(scene.key, np.zeros((0, 3)))[:, 1:]
         for start in range(0, len(samples) - 12, 3):
             run = samples[start : start + 12].tobytes()
             assert owner.setdefault(run, scene.split) == scene.split
@@ -167,12 +188,10 @@ def test_real_windows_are_iterated(real):
     np.testing.assert_allclose(np.asarray(element.agent_history_np)[-1, :2], 0.0, atol=1e-9)
 
 
-def test_the_causal_cache_of_real_cyclists_has_no_invalid_row(shared, tmp_path):
-    raw, cache = tmp_path / "raw", tmp_path / "cache"
-    raw.mkdir()
-    (raw / "cyclists.tar.gz").symlink_to(shared / "data" / "thab_vru" / "cyclists.tar.gz")
+def test_the_causal_cache_of_real_cyclists_has_no_invalid_row(cyclists, tmp_path):
     resample = ResampleSettings(smoother=CausalSmoother())
-    settings = ConversionSettings(ThabVruDataset(raw), cache, resample, workers=2, progress=False)
-    assert convert(settings).totals()["scenes"] > 200
-    table = pd.concat(pd.read_feather(p) for p in cache.glob("thab_vru/*/agent_data*.feather"))
+    dataset = ThabVruDataset(cyclists)
+    report = convert(ConversionSettings(dataset, tmp_path, resample, workers=2, progress=False))
+    assert report.totals()["scenes"] > 200
+    table = pd.concat(pd.read_feather(p) for p in tmp_path.glob("thab_vru/*/agent_data*.feather"))
     assert np.isfinite(table[["x", "y", "vx", "vy", "ax", "ay", "heading"]]).all().all()

@@ -83,17 +83,24 @@ def test_what_only_the_part_can_judge_is_left_to_it(annotation, value):
     assert fits(value, annotated(annotation)) is None
 
 
-def test_the_message_names_the_key_and_what_it_may_be():
-    trainer = {"_target_": "pytorch_lightning.Trainer", "min_epochs": "few"}
-    told = "`trainer.min_epochs` must be a whole number or null, but got 'few' in the configuration"
+@pytest.mark.parametrize(
+    ("target", "given", "told"),
+    [
+        (
+            "pytorch_lightning.Trainer",
+            {"min_epochs": "few"},
+            "`part.min_epochs` must be a whole number or null, but got 'few' in the configuration",
+        ),
+        (  # by what its base class of Lightning tells
+            "diffstack_mmv.callbacks.EarlyStopping",
+            {"patience": "much"},
+            "`part.patience` must be a whole number",
+        ),
+    ],
+)
+def test_the_message_names_the_key_and_what_it_may_be(target, given, told):
     with pytest.raises(ValueError, match=told):
-        require_types({"trainer": trainer})
-
-
-def test_a_base_class_of_lightning_judges_for_a_part_of_ours():
-    stopping = {"_target_": "diffstack_mmv.callbacks.EarlyStopping", "patience": "much"}
-    with pytest.raises(ValueError, match="`patience` must be a whole number"):
-        require_types(stopping)
+        require_types({"part": {"_target_": target, **given}})
 
 
 def test_what_is_given_rightly_passes():

@@ -37,23 +37,20 @@ def test_a_name_comes_from_the_module_that_the_list_tells_and_stays(listed):
         del here.median
 
 
-def test_a_name_outside_of_the_list_is_no_attribute(listed):
-    with pytest.raises(AttributeError, match="module 'package' has no attribute 'variance'"):
-        on_demand("package", listed, "stack")("variance")
-
-
-def test_a_missing_package_is_told_with_its_extra(tmp_path):
+@pytest.mark.parametrize(
+    ("module", "name", "error", "told"),
+    [
+        ("statistics", "variance", AttributeError, "'package' has no attribute 'variance'"),
+        ("no_such_one", "mean", ModuleNotFoundError, r"`no_such_one` must .* '.\[stack\]'"),
+        ("package.mean", "mean", ValueError, "`mean` must not be the name of its module"),
+    ],
+    ids=["not in the list", "not installed", "hidden by its module"],
+)
+def test_a_name_that_cannot_come_is_told(tmp_path, module, name, error, told):
     source = tmp_path / "__init__.py"
-    source.write_text(LISTS.replace("statistics", "no_such_package"))
-    with pytest.raises(ModuleNotFoundError, match=r"`no_such_package` must .* '.\[stack\]'"):
-        on_demand("package", str(source), "stack")("mean")
-
-
-def test_a_name_that_its_own_module_would_hide_is_refused(tmp_path):
-    source = tmp_path / "__init__.py"
-    source.write_text(LISTS.replace("statistics import mean", "package.mean import mean"))
-    with pytest.raises(ValueError, match="`mean` must not be the name of its module"):
-        on_demand("package", str(source), "stack")
+    source.write_text(LISTS.replace("statistics", module))
+    with pytest.raises(error, match=told):
+        on_demand("package", str(source), "stack")(name)
 
 
 @pytest.mark.parametrize("package", ["diffstack_mmv.data", "diffstack_mmv.stack"])

@@ -19,15 +19,18 @@ def run(model, manoeuvre):
     return drive(model, manoeuvre(1.05, 0.1), manoeuvre.speed_mps)
 
 
-@pytest.mark.parametrize("angle", [math.pi / 2, -math.pi])
-def test_turn_ends_at_its_angle(angle):
-    motion = run(ExtendedUnicycle, Turn(4.0, angle, 6.0)).motion
-    assert motion.heading[-1].item() == pytest.approx(angle, abs=0.1)
-
-
-def test_slalom_comes_back_to_its_heading():
-    motion = run(ExtendedUnicycle, Slalom(4.0, 0.1, 6.0, 3)).motion
-    assert motion.heading[-1].abs() < 0.05
+@pytest.mark.parametrize(
+    ("manoeuvre", "heading", "off"),
+    [
+        (Turn(4.0, math.pi / 2, 6.0), math.pi / 2, 0.1),
+        (Turn(4.0, -math.pi, 6.0), -math.pi, 0.1),
+        (Slalom(4.0, 0.1, 6.0, 3), 0.0, 0.05),
+    ],
+    ids=["left", "back by the right", "slalom"],
+)
+def test_a_manoeuvre_ends_at_its_heading(manoeuvre, heading, off):
+    motion = run(ExtendedUnicycle, manoeuvre).motion
+    assert motion.heading[-1].item() == pytest.approx(heading, abs=off)
 
 
 @pytest.mark.parametrize("model", [DiffGM3, DiffKBM, ExtendedUnicycle])
@@ -100,17 +103,17 @@ def test_file_without_controls_is_refused(tmp_path, text):
         RecordedControls(tmp_path / "controls.csv")(1.0, 0.1)
 
 
-def test_recorded_controls_may_have_a_clock_and_other_columns(tmp_path):
-    text = "time_s,acceleration_mps2,steer_rad,note\n3.0,0.5,0.1,x\n3.1,0.6,0.2,y\n"
-    (tmp_path / "controls.csv").write_text(text)
-    inputs = RecordedControls(tmp_path / "controls.csv")(1.0, 0.1)
-    assert inputs.acceleration.tolist() == [0.5, 0.6]
-    assert inputs.steer.tolist() == [0.1, 0.2]
-
-
-def test_a_byte_order_mark_and_blanks_in_a_table_of_controls_do_not_matter(tmp_path):
-    text = " time_s , acceleration_mps2, steer_rad \n3.0, 0.5, 0.1\n 3.1 ,0.6 , 0.2 \n"
-    (tmp_path / "controls.csv").write_text(text, encoding="utf-8-sig")
+@pytest.mark.parametrize(
+    ("text", "encoding"),
+    [
+        ("time_s,acceleration_mps2,steer_rad,note\n3.0,0.5,0.1,x\n3.1,0.6,0.2,y\n", "utf-8"),
+        (" time_s , acceleration_mps2, steer_rad \n3.0, 0.5, 0.1\n 3.1 ,0.6 , 0.2 \n", "utf-8-sig"),
+        ("steer_rad,acceleration_mps2\n0.1,0.5\n0.2,0.6\n", "utf-8"),
+    ],
+    ids=["a clock and other columns", "a byte order mark and blanks", "another order"],
+)
+def test_tables_of_controls_are_read_by_their_columns(tmp_path, text, encoding):
+    (tmp_path / "controls.csv").write_text(text, encoding=encoding)
     inputs = RecordedControls(tmp_path / "controls.csv")(1.0, 0.1)
     assert inputs.acceleration.tolist() == [0.5, 0.6]
     assert inputs.steer.tolist() == [0.1, 0.2]

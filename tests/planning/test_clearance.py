@@ -77,9 +77,9 @@ def judged(clearance, walked, **settings):
     return ClearanceMargin(**settings)(near, walking(walked), 0.25)
 
 
-def test_a_pedestrian_who_walks_needs_more_room_than_one_at_rest():
-    assert bool(judged(0.12, 0.0, hard_m=0.1, hard_growth=0.05).safe)
-    assert not bool(judged(0.12, 1.0, hard_m=0.1, hard_growth=0.05).safe)
+@pytest.mark.parametrize(("walked", "safe"), [(0.0, True), (1.0, False)])
+def test_a_pedestrian_who_walks_needs_more_room_than_one_at_rest(walked, safe):
+    assert bool(judged(0.12, walked, hard_m=0.1, hard_growth=0.05).safe) is safe
 
 
 def test_comfort_is_priced_and_not_required():
@@ -88,12 +88,11 @@ def test_comfort_is_priced_and_not_required():
     assert float(judgement.penalty) == pytest.approx(0.15**2, rel=1e-5)
 
 
-def test_refusal_looks_no_further_than_its_horizon():
+@pytest.mark.parametrize(("horizon_s", "safe"), [(0.75, True), (1.0, False)])
+def test_refusal_looks_no_further_than_its_horizon(horizon_s, safe):
     clearance = torch.tensor([1.0, 1.0, 1.0, -1.0]).reshape(1, 1, 1, 1, 4)
-    near = ClearanceMargin(horizon_s=0.75)(clearance, walking(0.0), 0.25)
-    far = ClearanceMargin(horizon_s=1.0)(clearance, walking(0.0), 0.25)
-    assert bool(near.safe)
-    assert not bool(far.safe)
+    margin = ClearanceMargin(horizon_s=horizon_s)
+    assert bool(margin(clearance, walking(0.0), 0.25).safe) is safe
 
 
 def test_an_early_lack_of_clearance_weighs_more():

@@ -12,24 +12,22 @@ def straight(y, times=9):
     return torch.stack([x, torch.full_like(x, y)], -1)
 
 
-def test_passing_left_and_right_are_different_classes():
-    plans = torch.stack([straight(0.5), straight(0.7), straight(-0.5)])[None]
-    agent = torch.zeros(1, 1, 9, 2)
-    left, also_left, right = homotopy_class(plans, agent)[0].tolist()
-    assert left == also_left != right
+AHEAD = torch.tensor([0.8, 0.0])
 
 
-def test_passing_before_and_behind_a_pedestrian_are_different_classes():
-    agent = straight(0.0).flip(-1)[None, None]
-    fast, slow = straight(0.0) + torch.tensor([0.8, 0.0]), straight(0.0) - torch.tensor([0.8, 0.0])
-    first, second = homotopy_class(torch.stack([fast, slow])[None], agent)[0].tolist()
-    assert first != second
-
-
-def test_agents_far_away_do_not_tell_classes_apart():
-    plans = torch.stack([straight(0.5), straight(-0.5)])[None]
-    agent = torch.full((1, 1, 9, 2), 9.0)
-    assert homotopy_class(plans, agent).unique().numel() == 1
+@pytest.mark.parametrize(
+    ("agent", "plans", "classes"),
+    [
+        (torch.zeros(9, 2), [straight(0.5), straight(0.7), straight(-0.5)], [0, 0, 1]),
+        (straight(0.0).flip(-1), [straight(0.0) + AHEAD, straight(0.0) - AHEAD], [0, 1]),
+        (torch.full((9, 2), 9.0), [straight(0.5), straight(-0.5)], [0, 0]),
+    ],
+    ids=["left and right", "before and behind", "far away"],
+)
+def test_ways_around_an_agent_are_classes_of_their_own(agent, plans, classes):
+    found = homotopy_class(torch.stack(plans)[None], agent[None, None])[0]
+    expected = torch.tensor(classes)
+    assert torch.equal(found[:, None] == found, expected[:, None] == expected)
 
 
 @pytest.mark.parametrize(

@@ -177,9 +177,8 @@ def test_possible_components_are_agents_of_their_own():
     assert found.weight[1, 0].item() == 1.0
 
 
-def test_where_all_components_are_possible_or_none_nothing_changes():
-    weight, radius = torch.ones(2, 3, 1), torch.ones(2, 3)
-    for there in (True, False):
-        valid = torch.full((2, 3), there)
-        agents = Obstacles(torch.randn(2, 3, 1, 4, 2), weight, radius, valid)
-        assert possible(agents) is agents
+@pytest.mark.parametrize("there", [True, False])
+def test_where_all_components_are_possible_or_none_nothing_changes(there):
+    weight, radius, valid = torch.ones(2, 3, 1), torch.ones(2, 3), torch.full((2, 3), there)
+    agents = Obstacles(torch.randn(2, 3, 1, 4, 2), weight, radius, valid)
+    assert possible(agents) is agents

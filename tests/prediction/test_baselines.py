@@ -49,20 +49,26 @@ def test_stand_still_stays_at_the_last_position():
     assert torch.allclose(mean, batch.ego_past.motion.position[:, -1:].expand_as(mean))
 
 
-def test_unfading_ctra_continues_an_acceleration():
-    batch = straight(scene(history=41), acceleration=-0.5)
-    predictor = ConstantTurnRateAcceleration(10, DT_S, acceleration_fade_s=1e4)
+@pytest.mark.parametrize(
+    ("make", "settings", "off_m"),
+    [
+        (
+            lambda: straight(scene(history=41), acceleration=-0.5),
+            {"acceleration_fade_s": 1e4},
+            1e-2,
+        ),
+        (
+            lambda: scene(neighbors=0, history=41),
+            {"memory_s": 0.3, "yaw_rate_fade_s": 1e4, "walking_mps": 1e-3},
+            0.1,
+        ),
+    ],
+    ids=["an acceleration", "a circle"],
+)
+def test_unfading_ctra_continues_what_was_begun(make, settings, off_m):
+    batch, predictor = make(), ConstantTurnRateAcceleration(10, DT_S, **settings)
     mean = ego_forecast(predictor.predict(batch)).mean[:, 0]
-    assert torch.allclose(mean, batch.ego_future.motion.position, atol=1e-2)
-
-
-def test_unfading_ctra_continues_a_circle():
-    batch = scene(neighbors=0, history=41)
-    predictor = ConstantTurnRateAcceleration(
-        10, DT_S, memory_s=0.3, yaw_rate_fade_s=1e4, walking_mps=1e-3
-    )
-    mean = ego_forecast(predictor.predict(batch)).mean[:, 0]
-    assert torch.allclose(mean, batch.ego_future.motion.position, atol=0.1)
+    assert torch.allclose(mean, batch.ego_future.motion.position, atol=off_m)
 
 
 def test_ctra_stops_and_does_not_reverse():

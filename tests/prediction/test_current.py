@@ -43,19 +43,15 @@ def test_trend_of_a_short_track_relies_on_its_measured_velocity(rows):
     assert now.acceleration.abs().max() < 2.0
 
 
-def test_mean_velocity_is_the_way_over_the_window():
-    now = mean_velocity(parabola(), 5, DT_S)
-    assert torch.allclose(now, torch.tensor([[1.875, 1.25]], dtype=torch.float64))
-
-
-def test_mean_velocity_skips_missing_rows():
+@pytest.mark.parametrize(
+    ("missing", "velocity"), [(0, [1.875, 1.25]), (-3, [1.95, 1.1])], ids=["all rows", "three rows"]
+)
+def test_mean_velocity_is_the_way_over_the_rows_of_the_window(missing, velocity):
     tracks = parabola()
     valid = tracks.valid.clone()
-    valid[:, :-3] = False
-    assert torch.allclose(
-        mean_velocity(tracks._replace(valid=valid), 5, DT_S),
-        torch.tensor([[1.95, 1.1]], dtype=torch.float64),
-    )
+    valid[:, :missing] = False
+    now = mean_velocity(tracks._replace(valid=valid), 5, DT_S)
+    assert torch.allclose(now, torch.tensor([velocity], dtype=torch.float64))
 
 
 def test_nobody_moves_who_is_not_observed():

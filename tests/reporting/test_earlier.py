@@ -11,25 +11,23 @@ HEADER = {
 }  # fmt: skip
 
 
-def test_an_empty_folder_and_the_same_evaluation_are_accepted(tmp_path):
+def test_an_empty_folder_is_accepted(tmp_path):
     require_same_evaluation(tmp_path, HEADER)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"code": "2"},
+        {"ego_modes": ["bicycle"], "history_s": 4.0},
+        {"checkpoint_sha256": "b"},
+        {"checkpoint": "elsewhere/best.ckpt"},
+    ],
+    ids=["of other code", "of an earlier version", "trained on", "moved"],
+)
+def test_the_report_of_the_same_evaluation_may_be_replaced(tmp_path, changed):
     write_json(tmp_path / "metrics.json", HEADER)
-    require_same_evaluation(tmp_path, HEADER | {"code": "2"})
-
-
-def test_a_report_of_an_earlier_version_is_replaced(tmp_path):
-    write_json(tmp_path / "metrics.json", HEADER)
-    require_same_evaluation(tmp_path, HEADER | {"ego_modes": ["bicycle"], "history_s": 4.0})
-
-
-def test_a_run_that_was_trained_on_is_the_same_run(tmp_path):
-    write_json(tmp_path / "metrics.json", HEADER)
-    require_same_evaluation(tmp_path, HEADER | {"checkpoint_sha256": "b"})
-
-
-def test_a_checkpoint_that_was_moved_is_the_same(tmp_path):
-    write_json(tmp_path / "metrics.json", HEADER)
-    require_same_evaluation(tmp_path, HEADER | {"checkpoint": "elsewhere/best.ckpt"})
+    require_same_evaluation(tmp_path, HEADER | changed)
 
 
 @pytest.mark.parametrize(

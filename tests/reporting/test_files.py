@@ -33,3 +33,9 @@ def test_what_a_reader_stumbles_over_is_the_fault_of_the_file(error, tmp_path):
 def test_a_message_that_names_the_fault_stays(tmp_path):
     with pytest.raises(ValueError, match="`x` must be positive"), told_as_broken(tmp_path):
         raise ValueError("`x` must be positive")
+
+
+@pytest.mark.parametrize("read", [read_json, read_parquet])
+def test_a_result_that_is_not_there_is_told_with_the_step_that_writes_it(read, tmp_path):
+    with pytest.raises(ValueError, match=r"`.*gone` must exist.*Run the step that writes it"):
+        read(tmp_path / "gone")

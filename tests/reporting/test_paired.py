@@ -77,21 +77,25 @@ def test_an_earlier_run_is_named_with_its_belief(tmp_path):
     assert paired_table([pair], CLOSED_LOOP)["success only here / there"].tolist() == ["0 / 0"]
 
 
-def test_runs_under_other_settings_are_refused(tmp_path):
+def test_a_run_under_other_settings_is_not_paired(tmp_path):
     run = HEADER | {"cases": [case(0)]}
     (tmp_path / "closed_loop.json").write_text(json.dumps(run | {"limit_s": 25.0}))
     with pytest.raises(ValueError, match="limit_s"):
         paired_with_run(run, tmp_path)
-    (tmp_path / "closed_loop.json").write_text(json.dumps(run | {"data": "citr"}))
-    with pytest.raises(ValueError, match="runs with data dut, but got citr in"):
-        require_comparable(run | {"data": "dut"}, [0], tmp_path)
 
 
-def test_runs_to_compare_with_are_refused_before_anything_is_driven(tmp_path):
-    run = HEADER | {"cases": [case(0), case(4)]}
-    (tmp_path / "closed_loop.json").write_text(json.dumps(run))
-    require_comparable(HEADER, range(4, 9), tmp_path)
-    with pytest.raises(ValueError, match="share cases with the run, but got none in"):
-        require_comparable(HEADER, range(1, 4), tmp_path)
-    with pytest.raises(ValueError, match="limit_s"):
-        require_comparable(HEADER | {"limit_s": 25.0}, range(4, 9), tmp_path)
+@pytest.mark.parametrize(
+    ("run", "cases", "told"),
+    [
+        (HEADER, range(1, 4), "share cases with the run, but got none in"),
+        (HEADER | {"limit_s": 25.0}, range(4, 9), "limit_s"),
+        (HEADER | {"data": "dut"}, range(4, 9), "runs with data dut, but got citr in"),
+    ],
+    ids=["other cases", "another limit", "other data"],
+)
+def test_runs_to_compare_with_are_refused_before_anything_is_driven(tmp_path, run, cases, told):
+    earlier = HEADER | {"cases": [case(0), case(4)], "data": "citr"}
+    (tmp_path / "closed_loop.json").write_text(json.dumps(earlier))
+    require_comparable(HEADER | {"data": "citr"}, range(4, 9), tmp_path)
+    with pytest.raises(ValueError, match=told):
+        require_comparable({"data": "citr"} | run, cases, tmp_path)

@@ -29,9 +29,12 @@ def test_the_deviation_is_that_of_the_sample_and_needs_two_values(values, told):
     assert mean_std(values) == told
 
 
-def test_an_interval_stands_in_brackets_even_around_nothing():
-    assert with_interval(0.5, (0.25, 0.75)) == "0.500 [0.250, 0.750]"
-    assert with_interval(None, [0.0, 1.0]) == "– [0.000, 1.000]"
+@pytest.mark.parametrize(
+    ("value", "interval", "told"),
+    [(0.5, (0.25, 0.75), "0.500 [0.250, 0.750]"), (None, [0.0, 1.0], "– [0.000, 1.000]")],
+)
+def test_an_interval_stands_in_brackets_even_around_nothing(value, interval, told):
+    assert with_interval(value, interval) == told
 
 
 def test_a_table_is_written_thrice(tmp_path):

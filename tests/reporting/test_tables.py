@@ -114,16 +114,19 @@ def test_comparison_averages_over_seeds(runs):
     assert "±" in row["plan ADE [m]"]
 
 
-def test_runs_that_judged_other_windows_are_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"frame": samples().iloc[::2]}, "the same windows for .*bicycle, but got 40 in .* and 20"),
+        ({"smoother": "ZeroPhaseSmoother"}, "the same smoother for .*ZeroPhaseSmoother"),
+    ],
+    ids=["fewer", "smoothed otherwise"],
+)
+def test_runs_that_judged_other_windows_are_refused(tmp_path, given, told):
     """The one with the easier windows would be the best in bold."""
     whole = write_run(tmp_path / "whole", "kbm", 0)
-    part = write_run(tmp_path / "part", "unicycle", 0, frame=samples().iloc[::2])
-    with pytest.raises(
-        ValueError, match=r"the same windows for .*bicycle, but got 40 in .* and 20"
-    ):
-        read_runs([whole, part])
-    other = write_run(tmp_path / "other", "unicycle", 0, smoother="ZeroPhaseSmoother")
-    with pytest.raises(ValueError, match="the same smoother for .*ZeroPhaseSmoother"):
+    other = write_run(tmp_path / "other", "unicycle", 0, **given)
+    with pytest.raises(ValueError, match=told):
         read_runs([whole, other])
 
 

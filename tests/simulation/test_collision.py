@@ -27,23 +27,27 @@ def approach_of(start, end, heading=0.0, radius=0.3):
     return ClosestApproach(start, end, radius * each, heading * each, heading * each)
 
 
-def test_distance_to_a_segment_equals_the_smallest_sampled_one():
-    start, end = random_segments(200)
-    sampled = (start + SAMPLES * (end - start)).norm(dim=-1).amin(dim=0)
-    assert torch.allclose(distance_to_segment(start, end), sampled, atol=2e-3)
+BOX = torch.tensor((0.9, 0.3), dtype=torch.float64)
+
+
+@pytest.mark.parametrize(
+    ("distance", "half", "off"),
+    [
+        (distance_to_segment, torch.zeros(2, dtype=torch.float64), 2e-3),
+        (lambda start, end: distance_box_to_segment(BOX, start, end), BOX, 3e-3),
+    ],
+    ids=["of a point", "of a box"],
+)
+def test_distance_to_a_segment_equals_the_smallest_sampled_one(distance, half, off):
+    start, end = random_segments(300)
+    points = start + SAMPLES * (end - start)
+    sampled = (points.abs() - half).clamp(min=0).norm(dim=-1).amin(dim=0)
+    assert torch.allclose(distance(start, end), sampled, atol=off)
 
 
 def test_distance_to_a_segment_without_length_is_that_to_the_point():
     start, _ = random_segments(10)
     assert torch.allclose(distance_to_segment(start, start), start.norm(dim=-1))
-
-
-def test_distance_of_a_box_equals_the_smallest_sampled_one():
-    start, end = random_segments(300)
-    half = torch.tensor((0.9, 0.3), dtype=torch.float64)
-    points = start + SAMPLES * (end - start)
-    sampled = (points.abs() - half).clamp(min=0).norm(dim=-1).amin(dim=0)
-    assert torch.allclose(distance_box_to_segment(half, start, end), sampled, atol=3e-3)
 
 
 @pytest.mark.parametrize("end", [(5.0, 0.0), (0.0, 5.0), (-4.0, 0.0)])

@@ -95,11 +95,12 @@ def test_walks_told_beforehand_are_those_walked_beside_every_sequence():
     assert robots[0] == 32 > robots[-1] >= 32 * told
 
 
-def test_nothing_to_try_is_refused():
-    with pytest.raises(ValueError, match="samples"):
-        AvoidanceSearch(0)
-    with pytest.raises(ValueError, match="until_s"):
-        AvoidanceSearch(1)(world_with(1.0), SCENARIO.cases("train", [0]), torch.inf)
+@pytest.mark.parametrize(
+    ("samples", "until_s", "told"), [(0, 1.0, "samples"), (1, torch.inf, "until_s")]
+)
+def test_nothing_to_try_is_refused(samples, until_s, told):
+    with pytest.raises(ValueError, match=told):
+        AvoidanceSearch(samples)(world_with(1.0), SCENARIO.cases("train", [0]), until_s)
 
 
 def test_the_way_has_to_be_free_beyond_the_collision(monkeypatch):

@@ -40,9 +40,14 @@ def turned_deg(crowd, goal):
     return torch.rad2deg(cosine.clamp(-1, 1).acos())
 
 
-def test_the_course_of_who_walks_alone_is_known_after_one_step():
-    crowd, goal = inferred(crowd_of((0.0, 0.0, 6.0, 3.0)), 1, 1)
-    assert turned_deg(crowd, goal).max() < 1.0
+@pytest.mark.parametrize(
+    ("walker", "steps", "turns", "off_deg"),
+    [((0.0, 0.0, 6.0, 3.0), 1, {}, 1.0), ((0.0, 0.0, 9.0, 3.0), 10, {"turns_at": 8}, 2.0)],
+    ids=["after one step", "half a second after a turn"],
+)
+def test_the_course_of_who_walks_alone_is_known_soon(walker, steps, turns, off_deg):
+    crowd, goal = inferred(crowd_of(walker), steps, 1, **turns)
+    assert turned_deg(crowd, goal).max() < off_deg
 
 
 def test_goals_are_known_behind_an_avoidance_of_somebody_out_of_sight():
@@ -57,11 +62,6 @@ def test_a_goal_is_remembered_on_a_detour():
     course = torch.atan2(crowd.velocity[:, 1], crowd.velocity[:, 0])
     assert crowd.velocity[0, 1].abs() > 0.05, course
     assert turned_deg(crowd, goal).max() < 1.5
-
-
-def test_a_new_goal_is_believed_in_within_half_a_second():
-    crowd, goal = inferred(crowd_of((0.0, 0.0, 9.0, 3.0)), 10, 1, turns_at=8)
-    assert turned_deg(crowd, goal).max() < 2.0
 
 
 def test_who_slows_down_at_its_goal_is_not_taken_to_walk_on():

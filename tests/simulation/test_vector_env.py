@@ -158,8 +158,13 @@ def test_cases_are_drawn_from_the_phase_and_told(crowds, phase):
     assert torch.allclose(state.goal, envs.state.goal)
 
 
-def test_one_case_for_several_episodes_is_refused(crowds):
-    with pytest.raises(ValueError, match="`cases` must be 3, one per episode, but got 1"):
-        crowds(count=3).reset(options={"cases": 5})
-    with pytest.raises(ValueError, match="`phase` must be one of"):
-        crowds(count=3).reset(options={"phase": "sunday"})
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"cases": 5}, "`cases` must be 3, one per episode, but got 1"),
+        ({"phase": "sunday"}, "`phase` must be one of"),
+    ],
+)
+def test_cases_that_there_are_not_are_refused(crowds, options, told):
+    with pytest.raises(ValueError, match=told):
+        crowds(count=3).reset(options=options)

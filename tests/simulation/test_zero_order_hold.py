@@ -152,15 +152,18 @@ def test_the_hardest_braking_that_only_stops_ends_at_rest(name):
     assert held.motion(held(state, control), control).velocity[..., 0].abs() < 0.02
 
 
-def test_the_acceleration_to_rest_stops_at_the_end_of_the_hold():
+@pytest.mark.parametrize(("share", "stopped"), [(1.0, True), (0.9, False)])
+def test_the_acceleration_to_rest_stops_at_the_end_of_the_hold(share, stopped):
     held = ZeroOrderHold(MODELS["kbm"](0.05).double(), 5)
     state = going(held, (0.2, 0.5))
-    rest = held.acceleration_to_rest(state)
-    for share, stopped in ((1.0, True), (0.9, False)):
-        states = rollout(held, state, torch.stack([share * rest, 0 * rest], -1)[:, None])
-        assert bool((states[:, -1, 3].abs() < 1e-12).all()) == stopped
-    smooth = DiffKBM(load_vehicle("bicycle"), 0.05, SoftplusFloor())
-    assert ZeroOrderHold(smooth, 5).acceleration_to_rest(state) is None
+    rest = share * held.acceleration_to_rest(state)
+    states = rollout(held, state, torch.stack([rest, 0 * rest], -1)[:, None])
+    assert bool((states[:, -1, 3].abs() < 1e-12).all()) == stopped
+
+
+def test_who_never_quite_stops_has_no_acceleration_to_rest():
+    smooth = ZeroOrderHold(DiffKBM(load_vehicle("bicycle"), 0.05, SoftplusFloor()), 5)
+    assert smooth.acceleration_to_rest(going(smooth, (0.2, 0.5))) is None
 
 
 def test_what_a_model_says_of_itself_holds_for_its_hold():

@@ -54,9 +54,22 @@ def test_a_checkpoint_builds_nothing_but_ours(tmp_path, hidden):
     assert not mark.exists()
 
 
-def test_what_is_built_has_to_be_a_stack(tmp_path):
-    node = {"_target_": "diffstack_mmv.vehicles.load_vehicle", "_args_": ["bicycle"]}
-    with pytest.raises(ValueError, match="`checkpoint` must describe a stack, but got VehicleSpec"):
+@pytest.mark.parametrize(
+    ("node", "told"),
+    [
+        (
+            {"_target_": "diffstack_mmv.vehicles.load_vehicle", "_args_": ["bicycle"]},
+            "`checkpoint` must describe a stack, but got VehicleSpec",
+        ),
+        (
+            {"_target_": "diffstack_mmv.stack.assemble", "horse": 1},
+            "`checkpoint` must describe a stack that this version",
+        ),
+    ],
+    ids=["another thing", "of another version"],
+)
+def test_what_is_built_has_to_be_a_stack(tmp_path, node, told):
+    with pytest.raises(ValueError, match=told):
         load_stack(building(tmp_path / "a.ckpt", node))
 
 
@@ -116,12 +129,6 @@ def test_a_changed_bit_is_no_other_weight(tmp_path):
     (tmp_path / "a.ckpt").write_bytes(changed)
     with pytest.raises(ValueError, match="must be readable, but got a wrong checksum"):
         read_checkpoint(tmp_path / "a.ckpt")
-
-
-def test_a_stack_that_cannot_be_built_is_told(tmp_path):
-    node = {"_target_": "diffstack_mmv.stack.assemble", "horse": 1}
-    with pytest.raises(ValueError, match="`checkpoint` must describe a stack that this version"):
-        load_stack(building(tmp_path / "a.ckpt", node))
 
 
 def test_weights_that_are_lost_are_refused(tmp_path):

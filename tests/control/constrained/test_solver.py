@@ -348,16 +348,47 @@ def test_constraints_that_do_not_fit_are_refused(limit, given, told):
         brought([Inequality(limit, **given)])
 
 
+def beside_a_wall(**given):
+    return brought([Inequality(wall)], **given)
+
+
 @pytest.mark.usefixtures("unchecked")
-def test_constraints_of_another_kind_are_refused():
-    with pytest.raises(TypeError, match=r"constraints\[0\]` must be an Inequality or an Equality"):
-        brought([wall])
-    with pytest.raises(TypeError, match=r"constraints\[0\].slack` must be a Slack, but got float"):
-        brought([Inequality(wall, slack=5.0)])
-    with pytest.raises(TypeError, match="`constraints` must be a sequence, but got Inequality"):
-        brought(Inequality(wall))
-    with pytest.raises(TypeError, match="`constraints` must be Constraints, but got list"):
-        listed([wall])
+@pytest.mark.parametrize(
+    ("attempt", "told"),
+    [
+        (lambda: brought([wall]), r"constraints\[0\]` must be an Inequality or an Equality"),
+        (
+            lambda: brought([Inequality(wall, slack=5.0)]),
+            r"\[0\].slack` must be a Slack, but got fl",
+        ),
+        (lambda: brought(Inequality(wall)), "`constraints` must be a sequence, but got Inequality"),
+        (lambda: listed([wall]), "`constraints` must be Constraints, but got list"),
+        (lambda: beside_a_wall(box=tuple(BOX)), "`bounds` must be Bounds, but got tuple"),
+        (lambda: beside_a_wall(box=Bounds([-1.0], [1.0])), "`bounds.lower` must be a tensor, but"),
+        (lambda: beside_a_wall(multipliers=[[0.0]]), r"`multipliers\[0\]` must be a tensor, but"),
+        (lambda: ConstrainedILQR(None), "`solver` must be an ILQR, but got None"),
+    ],
+)
+def test_what_is_of_another_kind_is_refused(attempt, told):
+    with pytest.raises(TypeError, match=told):
+        attempt()
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("attempt", "told"),
+    [
+        (
+            lambda: beside_a_wall(multipliers=[torch.zeros(3, 16, 2)]),
+            "multipliers.*must have shape",
+        ),
+        (lambda: ConstrainedILQR(tolerance=0.0), "tolerance.*must be positive"),
+    ],
+    ids=["multipliers", "tolerance"],
+)
+def test_what_does_not_fit_a_constrained_problem_is_refused(attempt, told):
+    with pytest.raises(ValueError, match=told):
+        attempt()
 
 
 def test_derivatives_of_iterations_are_refused_with_constraints():
@@ -368,18 +399,6 @@ def test_derivatives_of_iterations_are_refused_with_constraints():
         ConstrainedILQR(ILQR(gradient=Unrolled()))
 
 
-@pytest.mark.usefixtures("unchecked")
-def test_what_is_no_tensor_is_refused_as_without_constraints():
-    with pytest.raises(TypeError, match="`bounds` must be Bounds, but got tuple"):
-        brought([Inequality(wall)], box=tuple(BOX))
-    with pytest.raises(TypeError, match=r"`bounds.lower` must be a tensor, but got list"):
-        brought([Inequality(wall)], box=Bounds([-1.0], [1.0]))
-    with pytest.raises(TypeError, match=r"`multipliers\[0\]` must be a tensor, but got list"):
-        brought([Inequality(wall)], multipliers=[[0.0]])
-    with pytest.raises(TypeError, match="`solver` must be an ILQR, but got None"):
-        ConstrainedILQR(None)
-
-
 def test_constraints_without_rows_constrain_nothing():
     """Such as those of nobody to keep clear of."""
     nobody = Inequality(lambda x, u: x[..., :0])
@@ -387,14 +406,6 @@ def test_constraints_without_rows_constrain_nothing():
     assert all((a == b).all() for a, b in zip(free.solution, none.solution, strict=True))
     assert [each.shape for each in none.multipliers] == [(3, 16, 0)]
     assert brought([nobody], multipliers=none.multipliers).converged.all()
-
-
-@pytest.mark.usefixtures("unchecked")
-def test_multipliers_and_a_tolerance_that_do_not_fit_are_refused():
-    with pytest.raises(ValueError, match="multipliers.*must have shape"):
-        brought([Inequality(wall)], multipliers=[torch.zeros(3, 16, 2)])
-    with pytest.raises(ValueError, match="tolerance.*must be positive"):
-        ConstrainedILQR(tolerance=0.0)
 
 
 def test_a_price_per_problem_is_selected_with_it():

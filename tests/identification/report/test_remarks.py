@@ -6,6 +6,7 @@ from diffstack_mmv.dynamics.catalogue import altered, model_of
 from diffstack_mmv.identification import (
     IdentifiabilityThresholds,
     Identifier,
+    MultipleShooting,
     ParameterVector,
     TrackingModel,
     TrackingSettings,
@@ -80,7 +81,7 @@ def test_adhesion_is_judged_by_the_friction_of_the_model(bicycle, dynamics, fric
 
 def test_the_friction_of_the_adhesion_limit_is_told():
     setup = synthetic_problem("gm3", {}, known=False, manoeuvres=LIVELY[:1])
-    found = Identifier(starts=0)(setup.simulator, setup.data)
+    found = Identifier(MultipleShooting(max_iterations=1), starts=0)(setup.simulator, setup.data)
     summary = summarise(setup.simulator, setup.data, found, IdentifiabilityThresholds())
     assert summary["excitation"]["friction"] == pytest.approx(0.8)
     (remark,) = [each for each in summary["remarks"] if each.startswith("friction is not")]

@@ -11,6 +11,7 @@ from diffstack_mmv.identification import (
     BilevelFit,
     IdentifiabilityThresholds,
     Identifier,
+    MultipleShooting,
     TrackingSettings,
     lean_agreement,
     summarise,
@@ -120,6 +121,6 @@ def test_model_without_parameters_only_follows_tracks():
 @pytest.mark.filterwarnings("error::UserWarning")
 def test_parameters_that_are_left_out_do_not_warn():
     setup = synthetic_problem("gm3", {}, manoeuvres=LIVELY[:1], parameters=["tread_stiffness"])
-    found = Identifier(starts=0)(setup.simulator, setup.data)
+    found = Identifier(MultipleShooting(max_iterations=1), starts=0)(setup.simulator, setup.data)
     summary = summarise(setup.simulator, setup.data, found, IdentifiabilityThresholds())
     assert any(entry["std"] > 0 for entry in summary["combinations"].values())

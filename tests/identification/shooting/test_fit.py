@@ -24,16 +24,18 @@ def with_costs(blank, costs):
     return blank._replace(heldout=blank.heldout._replace(simulated=simulated))
 
 
-def test_fit_ends_at_the_last_iterate_before_all_held_out_tracks_get_worse(blank):
-    fits = [with_costs(blank, [cost] * 9) for cost in (3.0, 2.0, 2.5, 2.6, 2.7)]
-    monitor = HeldoutMonitor(HeldoutStopping(patience=3), fits[0])
-    goes_on = [monitor.observe(fit, 0.0) for fit in fits]
-    assert goes_on == [True, True, True, True, False]
-    assert monitor.best is fits[1]
-
-
-def test_held_out_tracks_that_disagree_stop_nothing(blank):
-    fits = [with_costs(blank, costs) for costs in ([3.0, 3.0, 3.0], [2.0, 3.5, 4.5])]
-    monitor = HeldoutMonitor(HeldoutStopping(patience=1), fits[0])
-    assert all(monitor.observe(fit, 0.0) for fit in fits)
+@pytest.mark.parametrize(
+    ("costs", "patience", "goes_on"),
+    [
+        ([[cost] * 9 for cost in (3.0, 2.0, 2.5, 2.6, 2.7)], 3, [True] * 4 + [False]),
+        ([[3.0, 3.0, 3.0], [2.0, 3.5, 4.5]], 1, [True, True]),
+    ],
+    ids=["all get worse", "they disagree"],
+)
+def test_a_fit_ends_at_the_last_iterate_before_all_held_out_tracks_get_worse(
+    blank, costs, patience, goes_on
+):
+    fits = [with_costs(blank, each) for each in costs]
+    monitor = HeldoutMonitor(HeldoutStopping(patience=patience), fits[0])
+    assert [monitor.observe(fit, 0.0) for fit in fits] == goes_on
     assert monitor.best is fits[1]

@@ -86,18 +86,24 @@ def test_guess_without_the_recorded_rates_does_little_harm():
     assert float(costs[5].sum()) < 0.2 * float(costs[None].sum())
 
 
-def test_refit_from_the_optimum_stays_there():
-    setup = synthetic_problem("kbm", {"wheelbase": 1.15})
-    one = fitted(setup)
+@pytest.fixture(scope="module")
+def optimum():
+    """A problem and its fit."""
+    with double_precision():
+        setup = synthetic_problem("kbm", {"wheelbase": 1.15})
+        return setup, fitted(setup)
+
+
+def test_refit_from_the_optimum_stays_there(optimum):
+    setup, one = optimum
     active = torch.ones_like(one.theta, dtype=torch.bool)
     two = MultipleShooting(restart=False)(setup.simulator, setup.data, one, active)
     torch.testing.assert_close(two.theta, one.theta, rtol=1e-4, atol=1e-4)
     assert len(two.history) <= 3
 
 
-def test_what_ends_above_the_cost_before_is_fitted_from_there():
-    setup = synthetic_problem("kbm", {"wheelbase": 1.15})
-    one = fitted(setup)
+def test_what_ends_above_the_cost_before_is_fitted_from_there(optimum):
+    setup, one = optimum
     active = torch.ones_like(one.theta, dtype=torch.bool)
     # one iteration from the recorded track cannot reach the optimum
     two = MultipleShooting(max_iterations=1)(setup.simulator, setup.data, one, active)

@@ -38,11 +38,6 @@ def test_measured_lean_travels_with_its_segment():
     torch.testing.assert_close(segment.lean, lean[5:46])
 
 
-def test_tracks_too_short_are_refused_with_a_remedy():
-    with pytest.raises(ValueError, match="`tracks` must hold a segment of 2 s above 1 m/s.*Lower"):
-        cut({"a": circling(1.5)})
-
-
 def test_where_controls_are_asked_for_segments_have_them_all_along():
     controls = torch.zeros(len(circling(12.0).heading), 2)
     controls[:30] = torch.nan
@@ -52,21 +47,18 @@ def test_where_controls_are_asked_for_segments_have_them_all_along():
     assert all(bool(each.controls.isfinite().all()) for each in segments)
 
 
-def test_tracks_without_controls_where_they_are_asked_for_are_refused():
-    with pytest.raises(ValueError, match="`tracks` must hold a segment .* with recorded controls"):
-        cut({"a": circling(12.0)}, controls={})
-
-
 @pytest.mark.parametrize(
     ("tracks", "beside", "told"),
     [
         ({}, {}, "`motions` must hold at least one track"),
+        ({"a": circling(1.5)}, {}, "`tracks` must hold a segment of 2 s above 1 m/s.*Lower"),
+        ({"a": circling(12.0)}, {"controls": {}}, "hold a segment .* with recorded controls"),
         ({"a": circling(6.0)}, {"controls": {"a": torch.zeros(60, 2)}}, "have 61 rows,.*got 60"),
         ({"a": circling(6.0)}, {"leans": {"a": torch.zeros(62)}}, "have 61 rows,.*got 62 for"),
         ({"a": circling(6.0)}, {"leans": {"b": torch.zeros(61)}}, "`leans` must be of tracks"),
     ],
 )
-def test_what_does_not_fit_the_tracks_is_refused(tracks, beside, told):
+def test_tracks_that_cannot_be_cut_are_refused(tracks, beside, told):
     with pytest.raises(ValueError, match=told):
         cut(tracks, **beside)
 

@@ -8,6 +8,7 @@ import pytest
 
 from diffstack_mmv.reporting.html import read_page, read_record, render, write_page
 from diffstack_mmv.reporting.html.blocks import Gallery, plain
+from diffstack_mmv.reporting.html.tables import read_trajectories
 from diffstack_mmv.reporting.table import cell
 from tests.reporting.html import runs
 
@@ -178,3 +179,9 @@ def test_unknown_numbers_are_none_in_records_and_dashes_in_tables():
     assert [cell(value) for value in (float("nan"), None, 0.12345, "x", 3)] == [
         "–", "–", "0.123", "x", "3",
     ]  # fmt: skip
+
+
+def test_a_drive_without_a_step_is_told(tmp_path):
+    (tmp_path / "trajectory_kbm.csv").write_text("time_s,position_x_m\n")
+    with pytest.raises(ValueError, match="`trajectory` must hold a row per step, but got none"):
+        read_trajectories(tmp_path)

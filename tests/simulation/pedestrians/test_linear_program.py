@@ -63,19 +63,20 @@ def test_without_lines_the_preferred_velocity_is_only_cut_to_the_top_speed():
     assert torch.allclose(velocity, torch.tensor([[0.3, 0.0], [0.6, 0.8]]))
 
 
-def test_a_degenerate_plane_forbids_nothing():
-    planes = planes_of(1, 2)
-    planes.direction[0, 0] = torch.nan
-    alone = HalfPlanes(*(field[:, 1:] for field in planes))
-    preferred, limit = torch.zeros(1, 2, dtype=torch.float64), torch.ones(1, dtype=torch.float64)
-    expected = safest_velocity(alone, limit, preferred)
-    assert torch.equal(safest_velocity(planes, limit, preferred), expected)
+def degenerate(planes):
+    direction = planes.direction.clone()
+    direction[:, :2] = torch.nan
+    return planes._replace(direction=direction)
 
 
-def test_planes_that_are_not_valid_forbid_nothing():
+def not_valid(planes):
+    return planes._replace(valid=torch.arange(5).expand(40, 5) < 3)
+
+
+@pytest.mark.parametrize(("spoilt", "rest"), [(degenerate, slice(2, None)), (not_valid, slice(3))])
+def test_planes_that_are_none_forbid_nothing(spoilt, rest):
     planes = planes_of(40, 5)
-    some = planes._replace(valid=torch.arange(5).expand(40, 5) < 3)
-    alone = HalfPlanes(*(field[:, :3] for field in planes))
+    alone = HalfPlanes(*(field[:, rest] for field in planes))
     preferred, limit = torch.randn(40, 2, dtype=torch.float64), torch.ones(40, dtype=torch.float64)
     expected = safest_velocity(alone, limit, preferred)
-    assert torch.equal(safest_velocity(some, limit, preferred), expected)
+    assert torch.equal(safest_velocity(spoilt(planes), limit, preferred), expected)

@@ -98,10 +98,14 @@ def test_nobody_appears_beside_the_way(crossing):
     assert (apart[..., 9:32][entered] >= 4).all()
 
 
-def test_recordings_that_are_too_short_or_too_empty_are_refused():
-    short = RecordedCrossing(Reader({"test": {"one": stream(rows=60)}}), history_s=2.0)
-    with pytest.raises(ValueError, match="`least_s` must leave recordings of 8 s"):
-        short.case("test", 0)
-    still = recorded(torch.zeros(1, 200, 2).double())
-    with pytest.raises(ValueError, match="`met` must leave a passable crossing"):
-        RecordedCrossing(Reader({"test": {"one": still}})).case("test", 0)
+@pytest.mark.parametrize(
+    ("recording", "settings", "told"),
+    [
+        (stream(rows=60), {"history_s": 2.0}, "`least_s` must leave recordings of 8 s"),
+        (recorded(torch.zeros(1, 200, 2).double()), {}, "`met` must leave a passable crossing"),
+    ],
+    ids=["too short", "too empty"],
+)
+def test_recordings_without_a_crossing_are_refused(recording, settings, told):
+    with pytest.raises(ValueError, match=told):
+        RecordedCrossing(Reader({"test": {"one": recording}}), **settings).case("test", 0)

@@ -146,12 +146,18 @@ def test_the_future_is_told_only_where_the_world_reveals_it(world, crossing):
         other.observe(other.start(CircleCrossing().cases("test", [0])))
 
 
-def test_a_replay_needs_a_recording_of_its_own_step(world, crossing, unchecked):
-    with pytest.raises(ValueError, match="`crowd` must have a recording"):
-        world.step(world.start(CircleCrossing().cases("test", [0])), torch.zeros(1, 2).double())
-    scene = crossing(dt_s=0.5).cases("test", [0])
-    with pytest.raises(ValueError, match=r"`dt_s` must be the 0\.5 s"):
-        world.step(world.start(scene), torch.zeros(1, 2).double())
+@pytest.mark.parametrize(
+    ("scenario", "told"),
+    [
+        (lambda recorded: CircleCrossing(), "`crowd` must have a recording"),
+        (lambda recorded: recorded(dt_s=0.5), r"`dt_s` must be the 0\.5 s"),
+    ],
+    ids=["nothing recorded", "another step"],
+)
+def test_a_replay_needs_a_recording_of_its_own_step(world, crossing, unchecked, scenario, told):
+    start = world.start(scenario(crossing).cases("test", [0]))
+    with pytest.raises(ValueError, match=told):
+        world.step(start, torch.zeros(1, 2).double())
 
 
 def test_episodes_of_one_batch_begin_in_one_row(crossing):
