@@ -45,8 +45,8 @@ class FinalGoal(CostTerm):
 class HeadingToGoal(CostTerm):
     """Misalignment 1 - cos(θ - θ_des), with θ_des the direction to the goal.
 
-    Near the goal that direction is meaningless: the term fades as d / sqrt(d² + d₀²), written with
-    the offset itself so that nothing is divided by zero.
+    Near the goal that direction is meaningless: the term fades as d² / (d² + d₀²). A fade as d
+    itself would leave a cone at the goal, and a plan that ends on its tip has no derivatives there.
 
     Args:
         fade_m: d₀ in m.
@@ -67,7 +67,7 @@ class HeadingToGoal(CostTerm):
         offset = _offset_to_goal(motion, problem)
         ahead = offset[..., 0] * motion.heading.cos() + offset[..., 1] * motion.heading.sin()
         distance = safe_norm(offset)
-        return (distance - ahead) / (distance.square() + self.fade_m**2).sqrt()
+        return distance * (distance - ahead) / (distance.square() + self.fade_m**2)
 
 
 class ReferenceSpeed(CostTerm):

@@ -200,6 +200,23 @@ def test_braking_profile_asks_near_the_goal_for_what_it_says(double, braking, di
     assert costs.BrakingProfile(braking)(at, controls, problem).item() < 1e-5
 
 
+@pytest.mark.parametrize("term", [costs.RunningGoal(), costs.FinalGoal(), costs.HeadingToGoal()])
+@pytest.mark.parametrize("course", [0.0, 1.0, 2.0, 3.0])
+def test_no_term_has_a_tip_at_the_goal(double, term, course):
+    # a plan that ends on a tip cannot be told from one that is not solved
+    _, controls, problem = random_case(batch=1, times=1)
+    problem = problem._replace(goal=torch.zeros(1, 2), reference_speed=torch.full((1,), 3.0))
+
+    def slope(place):
+        place = torch.tensor(place, requires_grad=True)
+        at = moving((0.0, 0.0))._replace(position=place[None, None])
+        (found,) = torch.autograd.grad(term(at, controls, problem).sum(), place)
+        return found
+
+    step = [1e-5 * math.cos(course), 1e-5 * math.sin(course)]
+    assert (slope(step) - slope([-way for way in step])).norm() < 0.02
+
+
 @pytest.mark.parametrize("width", [0.0, -1.0])
 def test_impossible_constants_are_refused(width):
     for make in (costs.HeadingToGoal, costs.ExpectedCollision, costs.BrakingProfile):
@@ -223,8 +240,8 @@ def moving(position, heading=0.0, velocity=(1.0, 0.0), yaw_rate=0.0):
 
 
 VALUES = {
-    "the goal behind fades": (costs.HeadingToGoal(2.0), moving((2.0, 0.0)), 4 / math.sqrt(8)),
-    "the goal abeam fades": (costs.HeadingToGoal(0.5), moving((0.0, 1.0)), 1 / math.sqrt(1.25)),
+    "the goal behind fades": (costs.HeadingToGoal(2.0), moving((2.0, 0.0)), 8 / 8),
+    "the goal abeam fades": (costs.HeadingToGoal(0.5), moving((0.0, 1.0)), 1 / 1.25),
     "a goal on the left": (costs.GoalOutsideTurn(1.0), moving((0.0, -0.5)), 0.25),
     "a goal on the right": (costs.GoalOutsideTurn(1.0), moving((0.0, 0.5)), 0.25),
     "a turn": (costs.YawRate(), moving((0.0, 0.0), 0.0, (3.0, 0.2), 0.5), 0.25),
