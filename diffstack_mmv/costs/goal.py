@@ -83,14 +83,15 @@ class ReferenceSpeed(CostTerm):
 class BrakingProfile(CostTerm):
     """Squared deviation in (m/s)² from v_ref = min(v_max, sqrt(2 a d)), towards the goal.
 
-    d is the distance to the goal, rounded by 1 cm; the root is smoothed to sqrt(2 a d + w²) - w and
-    the minimum over a width w of 0.1 m/s, so that both have slopes at the goal. v_ref is about w
-    below sqrt(2 a d) on the way and is not zero at the goal, with a cruising speed of 3 m/s:
+    d is the distance to the goal, rounded to sqrt(d² + r²) - r over r = 3 cm; the root is smoothed
+    to sqrt(2 a d + w²) - w and the minimum over a width w of 0.1 m/s. So v_ref is zero at the goal
+    and has slopes everywhere: with a tip there, a plan that ends at the goal would not converge.
+    It is about w below sqrt(2 a d) on the way; with a cruising speed of 3 m/s it is
 
-    | a [m/s²] | v_ref at 0.3 m, where an episode has arrived | at the goal |
+    | a [m/s²] | at 0.3 m, where an episode has arrived | 3 cm before the goal |
     |---|---|---|
-    | 1.5 | 0.85 m/s | 0.10 m/s |
-    | 2.8 (`configs/cost`) | 1.20 m/s | 0.16 m/s |
+    | 1.5 | 0.81 m/s | 0.12 m/s |
+    | 3.0 (`configs/cost`) | 1.18 m/s | 0.19 m/s |
 
     So at the edge of the goal it asks for no stop.
     Source: design of the closed-loop cost of DMMV, Sec. IV-B.
@@ -111,8 +112,8 @@ class BrakingProfile(CostTerm):
         self, motion: Motion, controls: Float[Tensor, "*b t m"], problem: PlanningProblem
     ) -> Float[Tensor, "*b t"]:
         """Value in (m/s)² at each time."""
-        width = 0.1
-        distance = safe_norm(_offset_to_goal(motion, problem), 1e-4)
+        width, rounding = 0.1, 0.03
+        distance = safe_norm(_offset_to_goal(motion, problem), rounding**2) - rounding
         stopping = (2 * self.braking_mps2 * distance + width**2).sqrt() - width
         cruise = problem.reference_speed.unsqueeze(-1)
         reference = 0.5 * (stopping + cruise - ((stopping - cruise).square() + width**2).sqrt())
