@@ -21,8 +21,10 @@ def drawn_rows(
         first: Number of the first forecast among all that are judged; the others follow.
     """
     count = torch.Size(shape).numel()
-    generators = (torch.Generator().manual_seed(stream(seed, first + i)) for i in range(count))
-    drawn = torch.stack([draw(generator) for generator in generators])
+    # one draw even for no forecast, which tells the shape
+    numbers = range(first, first + max(count, 1))
+    generators = (torch.Generator().manual_seed(stream(seed, number)) for number in numbers)
+    drawn = torch.stack([draw(generator) for generator in generators])[:count]
     return drawn.reshape(*shape, *drawn.shape[1:])
 
 

@@ -36,7 +36,7 @@ def test_weights_need_not_sum_to_one(scale):
     assert torch.equal(components_of((scale * weight).log(), share), same)
 
 
-@pytest.mark.parametrize("shape", [(), (4,), (2, 3)])
+@pytest.mark.parametrize("shape", [(), (4,), (2, 3), (0,), (2, 0)])
 def test_draws_have_the_dimensions_of_the_forecasts_before_their_own(shape):
     assert drawn_rows(shape, normal, seed=0, first=0).shape == (*shape, 3)
 

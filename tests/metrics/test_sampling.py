@@ -5,7 +5,14 @@ import math
 import pytest
 import torch
 
-from diffstack_mmv.metrics import best_of_samples, energy_score, sampled_paths, spread_paths
+from diffstack_mmv.metrics import (
+    best_of_samples,
+    coverages,
+    energy_score,
+    judged_levels,
+    sampled_paths,
+    spread_paths,
+)
 from diffstack_mmv.types import Forecast, Motion, Tracks
 
 
@@ -156,3 +163,16 @@ def test_the_best_of_many_is_the_same_in_a_turned_scene(angle):
     for name in ("best_of_20_ade", "best_of_20_fde"):
         value = plain[name]
         assert turned[name].mean().item() == pytest.approx(value.mean().item(), rel=0.04)
+
+
+@pytest.mark.parametrize(
+    "score",
+    [
+        energy_score,
+        lambda forecast, future: best_of_samples(forecast, future)["best_of_20_spread_fde"],
+        lambda forecast, future: coverages(judged_levels(forecast, future))["coverage_50"],
+        lambda forecast, future: coverages(judged_levels(forecast, future))["area_90"],
+    ],
+)
+def test_of_no_forecast_there_is_no_score(score):
+    assert score(forecast_of(0), future_of(torch.zeros(0, 6, 2))).shape == (0,)
