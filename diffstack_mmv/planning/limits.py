@@ -14,6 +14,7 @@ from diffstack_mmv.control.constrained import HARD, ConstrainedILQR, Inequality,
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import clearance_lack
+from diffstack_mmv.planning.coordinates import ControlCoordinates
 from diffstack_mmv.planning.objective import joined, parted
 from diffstack_mmv.types import GRAVITY, Motion, PlanningProblem
 
@@ -134,27 +135,47 @@ class PlanConstraints:
         self,
         solver: ILQR,
         dynamics: DynamicsModel,
+        coordinates: ControlCoordinates,
         problem: PlanningProblem,
         cost: Cost,
-        controls: Float[Tensor, "B T m"],
+        guess: Float[Tensor, "B T m"],
         state: Float[Tensor, "B n"],
     ) -> Solution:
         """Solve problems with one leading dimension under the limits.
 
         A problem whose limits cannot be met has the status INFEASIBLE, and the least violation.
+
+        Args:
+            solver: Which keeps to nothing but a box.
+            dynamics: The model.
+            coordinates: In which the optimiser sees its controls; the limits see those in SI units.
+            problem: The problems.
+            cost: Of states and coordinates.
+            guess: Coordinates to start from.
+            state: Where the plans begin.
+
+        Returns:
+            The solution, with coordinates as its controls.
         """
-        constraints = [self._constraint(each, dynamics, problem) for each in self.limits.values()]
+        constraints = [
+            self._constraint(each, dynamics, coordinates, problem) for each in self.limits.values()
+        ]
         constrained = ConstrainedILQR(solver, self.max_iterations, self.tolerance, self.persistent)
-        step: Dynamics = Batched(dynamics)
-        box: Bounds = dynamics.bounds
-        return constrained(step, cost, constraints, box, state, controls).solution
+        step: Dynamics = Batched(coordinates.step)
+        box: Bounds = coordinates.bounds
+        return constrained(step, cost, constraints, box, state, guess).solution
 
     def _constraint(
-        self, limit: PlanLimit, dynamics: DynamicsModel, problem: PlanningProblem
+        self,
+        limit: PlanLimit,
+        dynamics: DynamicsModel,
+        coordinates: ControlCoordinates,
+        problem: PlanningProblem,
     ) -> Inequality:
         heading_of, column = problem.ego.heading_of, _acceleration_column(dynamics)
 
-        def values(states: Tensor, controls: Tensor, *tensors: Tensor) -> Tensor:
+        def values(states: Tensor, given: Tensor, *tensors: Tensor) -> Tensor:
+            controls = coordinates.padded_controls(states, given)
             motion = dynamics.motion(states, controls)
             command = controls[..., column] if column is not None else 0 * controls[..., 0]
             return limit(motion, command, joined(heading_of, tensors))

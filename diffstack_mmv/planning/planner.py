@@ -227,15 +227,14 @@ class MPCPlanner(Planner):
             return wide.flatten(0, batch_dims)
 
         each, proposed = map_tensors(repeated, problem), guess.flatten(0, batch_dims)
-        # the limits are those of controls in SI units
-        limited = self.constraints is not None and self.constraints.limits and len(proposed)
-        coordinates = (PhysicalControls if limited else self.coordinates)(self.dynamics)
+        coordinates = self.coordinates(self.dynamics)
         cost = batched_objective(self, self.dynamics, each, coordinates)
         start = initial_state(self.dynamics, each.ego)
         first = coordinates.coordinates(start.detach(), proposed, self._in_library)
+        limited = self.constraints is not None and self.constraints.limits and len(proposed)
         if self.constraints is not None and limited and isinstance(self.solver, ILQR):
-            solve = self.constraints.solve
-            solution = solve(self.solver, self.dynamics, each, cost, first, start)
+            solve, model = self.constraints.solve, self.dynamics
+            solution = solve(self.solver, model, coordinates, each, cost, first, start)
         else:
             model = Batched(coordinates.step)
             solution = self.solver(model, cost, coordinates.bounds, start, first)

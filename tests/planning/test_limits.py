@@ -6,7 +6,13 @@ import pytest
 import torch
 
 from diffstack_mmv.control import ILQR
-from diffstack_mmv.planning import ClearanceKept, FrictionCircle, PlanConstraints, SpeedWithin
+from diffstack_mmv.planning import (
+    ClearanceKept,
+    FrictionCircle,
+    PlanConstraints,
+    SpeedWithin,
+    above_rest,
+)
 from diffstack_mmv.types import Motion, SolverStatus
 from tests.planning.test_planner import STEPS, problem, training
 
@@ -105,6 +111,20 @@ def test_plans_keep_to_limits_that_the_plain_optimum_breaks(linear):
     assert (lack < 1e-4).all()
     planner.constraints = dataclasses.replace(planner.constraints, limits={})
     assert (worst(planner)[1] > 0.1).all()
+
+
+@pytest.mark.parametrize("linear", [float("inf"), 100.0])
+def test_plans_that_stop_under_limits_converge(linear):
+    # without coordinates above rest they stay where they start: on the kink of the floor at rest
+    planner = limited(linear)
+    planner.coordinates = above_rest
+    problems = doubled(problem(4))
+    problems.ego.motion.velocity[:, 0] = torch.tensor([3.0, 2.5, 2.0, 1.0])
+    problems.goal[:] = torch.tensor([0.3, 0.0])
+    problems = problems._replace(reference_speed=torch.full((4,), 3.0).double())
+    plan = planner(problems)
+    assert plan.solution.states[..., 3].amin(-1).max() < 1e-3
+    assert plan.solution.converged.all()
 
 
 def test_what_cannot_be_kept_to_is_told():
