@@ -153,7 +153,7 @@ class Forecast(NamedTuple):
         return self.likeliest().mean.squeeze(-3)
 
     def likeliest(self) -> "Forecast":
-        """The component with the largest weight alone, which keeps its weight: `*b 1`."""
+        """The component with the largest weight alone, which keeps its weight; shape `*b 1`."""
         return taken(self, self.log_weight.argmax(-1, keepdim=True))
 
     def expected(self) -> Float[Tensor, "*b T 2"]:

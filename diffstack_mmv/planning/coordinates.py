@@ -32,13 +32,13 @@ class ControlCoordinates(Protocol):
     def controls(
         self, states: Float[Tensor, "*b n"], coordinates: Float[Tensor, "*b m"]
     ) -> Float[Tensor, "*b m"]:
-        """Controls in SI units at some states."""
+        """Controls `*b m` in SI units at some states `*b n`."""
         ...
 
     def padded_controls(
         self, states: Float[Tensor, "*b T1 n"], coordinates: Float[Tensor, "*b T1 m"]
     ) -> Float[Tensor, "*b T1 m"]:
-        """Controls along a plan, with a last row of zeros."""
+        """Controls `*b T1 m` along a plan, with a last row of zeros."""
         ...
 
     def coordinates(
@@ -135,7 +135,7 @@ class SharesAboveRest:
     def controls(
         self, states: Float[Tensor, "*b n"], coordinates: Float[Tensor, "*b m"]
     ) -> Float[Tensor, "*b m"]:
-        """Controls in SI units at some states."""
+        """Controls `*b m` in SI units at some states `*b n`."""
         columns = list(coordinates.unbind(-1))
         least, most = self._range(states)
         columns[self.column] = torch.lerp(least, most, columns[self.column])
@@ -144,7 +144,7 @@ class SharesAboveRest:
     def padded_controls(
         self, states: Float[Tensor, "*b T1 n"], coordinates: Float[Tensor, "*b T1 m"]
     ) -> Float[Tensor, "*b T1 m"]:
-        """Controls along a plan, with a last row of zeros."""
+        """Controls `*b T1 m` along a plan, with a last row of zeros."""
         steps = torch.arange(states.shape[-2], device=states.device)
         acting = (steps < states.shape[-2] - 1).to(states.dtype)
         return self.controls(states, coordinates) * acting.unsqueeze(-1)
@@ -153,7 +153,7 @@ class SharesAboveRest:
     def coordinates(
         self, start: Float[Tensor, "b n"], controls: Float[Tensor, "b T m"], compile: bool = False
     ) -> Float[Tensor, "b T m"]:
-        """Shares along the motions; braking beyond rest is braking to rest."""
+        """Shares `b T m` along the motions; braking beyond rest is braking to rest."""
         found = scan(self._told, start, controls, [self.dynamics]) if compile else None
         if found is not None:
             return found.outputs

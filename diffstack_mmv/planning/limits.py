@@ -151,8 +151,8 @@ class PlanConstraints:
             coordinates: In which the optimiser sees its controls; the limits see those in SI units.
             problem: The problems.
             cost: Of states and coordinates.
-            guess: Coordinates to start from.
-            state: Where the plans begin.
+            guess: Coordinates to start from, `B T m`.
+            state: Where the plans begin, `B n`.
 
         Returns:
             The solution, with coordinates as its controls.

@@ -46,7 +46,7 @@ class Planner(nn.Module, ABC):
 
     @abstractmethod
     def forward(self, problem: PlanningProblem, state: PlannerState | None = None) -> Plan:
-        """Plan for every problem, `*b`.
+        """Plan for every problem, of the shape `*b`.
 
         Args:
             problem: The problems.

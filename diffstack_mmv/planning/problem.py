@@ -128,7 +128,7 @@ def possible(obstacles: Obstacles) -> Obstacles:
     ones. On a device all are kept: to count them the host would have to wait.
 
     Args:
-        obstacles: Agents with one leading dimension, `b N K`.
+        obstacles: Agents of the shape `b N K`, with one leading dimension.
     """
     if not on_host(obstacles.weight):
         return obstacles

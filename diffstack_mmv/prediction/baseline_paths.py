@@ -30,7 +30,7 @@ class PredictedPath:
         return self.forecast(batch).most_likely()
 
     def forecast(self, batch: StackBatch) -> Forecast:
-        """What it forecasts of the ego, `B K T`."""
+        """What it forecasts of the ego, of the shape `B K T`."""
         return ego_forecast(self.predictor.predict(batch))
 
 

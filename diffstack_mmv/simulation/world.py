@@ -88,7 +88,7 @@ class World:
         return round(self.verdict.limit_s / self.dt_s)
 
     def start(self, scene: Scene) -> WorldState:
-        """State at the start of scenes, `*b`.
+        """State at the start of scenes of the shape `*b`.
 
         Raises:
             ValueError: A pedestrian stands in the robot at the start.

@@ -23,7 +23,7 @@ def scenes(agents: Tracks) -> Tracks:
 
 
 def nobody(agents: Tracks, components: int, steps: int) -> Forecast:
-    """Forecast of standing still, with 1 m of uncertainty, for agents `B A` in one dimension."""
+    """Forecast of standing still, with 1 m of uncertainty, for agents of the shape `B A`."""
     position = current_position(agents).flatten(0, 1)
     mean = position[:, None, None, :].expand(-1, components, steps, 2)
     scale_tril = torch.eye(2, dtype=mean.dtype, device=mean.device).expand(*mean.shape, 2)
