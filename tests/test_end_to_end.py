@@ -351,7 +351,10 @@ def test_checkpoint_of_another_architecture_is_refused(refusal, workplace, tmp_p
     assert "predictor.components 3 there, 7 here" in message
 
 
-@pytest.mark.parametrize("script", ["train", "download_imptc"])
+@pytest.mark.parametrize(
+    "script",
+    ["train", "evaluate", "convert", "compare", "identify", "generate_sample", "download_imptc"],
+)
 def test_help_shows_an_example(succeed, script):
     assert f"python scripts/{script}.py" in succeed(script, "--help")
 

@@ -246,7 +246,8 @@ def _judge_vehicle(config: DictConfig) -> None:
 def _judge_vehicles(content: Any) -> None:
     """The same for vehicles that stand elsewhere."""
     for _, node in nodes(content):
-        if isinstance(node, dict) and node.get("_target_") == _VEHICLE:
+        built = isinstance(node, dict) and node.get("_target_") == _VEHICLE
+        if built and node["mapping"] != content.get("vehicle"):
             VehicleSpec.from_config(node["mapping"])
 
 

@@ -1,28 +1,16 @@
 """Plans that end at their goal converge in single precision too."""
 
+from copy import deepcopy
+
 import pytest
 import torch
 
-from diffstack_mmv import costs
 from diffstack_mmv.control import ILQR
 from diffstack_mmv.dynamics import DiffKBM
 from diffstack_mmv.planning import SharesAboveRest
 from diffstack_mmv.types import Discs, Ego, HeadingOf, Motion, Obstacles, PlanningProblem
 from diffstack_mmv.vehicles import load_vehicle
-
-WEIGHTS = {"position": 0.05, "final": 0.2, "heading": 0.2, "speed": 0.2, "effort": 0.05}
-
-
-def closed_loop():
-    """The terms of `configs/cost/closed_loop.yaml` that pull a plan to its goal."""
-    terms = {
-        "position": costs.RunningGoal(),
-        "final": costs.FinalGoal(),
-        "heading": costs.HeadingToGoal(),
-        "speed": costs.BrakingProfile(3.0),
-        "effort": costs.ControlEffort(),
-    }
-    return costs.WeightedCost(terms, WEIGHTS)
+from tests.contracts.test_cost_contract import build
 
 
 def alone(goal):
@@ -42,11 +30,12 @@ def alone(goal):
 
 
 @pytest.mark.parametrize("precision", [torch.float32, torch.float64])
-def test_a_plan_that_ends_at_its_goal_converges(precision):
+@pytest.mark.parametrize("name", ["closed_loop", "unlimited"])
+def test_a_plan_that_ends_at_its_goal_converges(name, precision):
     # the way that a vehicle at 3 m/s has to stop at the goal, and less and more of it
     torch.manual_seed(0)
-    model, cost = DiffKBM(load_vehicle("bicycle"), dt_s=0.25), closed_loop()
-    model, cost = model.to(precision), cost.to(precision)
+    model = DiffKBM(load_vehicle("bicycle"), dt_s=0.25).to(precision)
+    cost = deepcopy(build(name)).to(precision)
     goal = torch.rand(64, 2, dtype=precision) * torch.tensor([4.0, 0.5]) + torch.tensor([2.5, 0.0])
     shares, problem = SharesAboveRest(model), alone(goal)
 

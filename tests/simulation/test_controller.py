@@ -42,9 +42,10 @@ def test_it_gives_way_to_somebody_head_on(crossing_world, scene_with, controller
 
 def test_an_episode_does_not_depend_on_its_batch_mates(crossing_world, scenario_of, controller_for):
     scene = scenario_of("circle").cases("train", [0, 1])
-    short = replace(crossing_world, verdict=ExactVerdict(12 * crossing_world.dt_s))
-    both, _ = drive(short, scene, controller_for(starts=0))
-    alone, _ = drive(short, map_tensors(lambda field: field[1:], scene), controller_for(starts=0))
+    both, _ = drive(crossing_world, scene, controller_for(starts=0))
+    alone, _ = drive(
+        crossing_world, map_tensors(lambda field: field[1:], scene), controller_for(starts=0)
+    )
     steps = int(alone.steps)
     assert torch.allclose(both.controls[1, :steps], alone.controls[0], atol=1e-4)
 

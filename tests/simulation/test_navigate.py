@@ -22,11 +22,8 @@ def navigate(command, tmp_path):
     return lambda *arguments, out=tmp_path: command("navigate", *arguments, f"out={out}")
 
 
-# the libraries of solver, fan and prices have tests of their own among the fast ones
-@pytest.mark.parametrize("compiled", ["false", pytest.param("true", marks=pytest.mark.slow)])
-def test_it_writes_results_baselines_and_paired_tests_and_resumes(navigate, tmp_path, compiled):
+def test_it_writes_results_baselines_and_paired_tests_and_resumes(navigate, tmp_path):
     brief = [*QUICK, "limit_s=1.0", "search.samples=64", "controller.planner.steps=8"]
-    brief.append(f"compile={compiled}")
     assert navigate(*brief) == 0
     first = json.loads((tmp_path / "closed_loop.json").read_text())
     assert (first["n"], set(first["baselines"])) == (2, {"straight"})
