@@ -7,11 +7,10 @@ import torch
 from torch import Tensor
 
 from diffstack_mmv.control.constrained.activity import Activity, classify
-from diffstack_mmv.control.constrained.constraint import ConstraintRows
 from diffstack_mmv.control.constrained.implicit import AttachedRows, KktPoint
 from diffstack_mmv.control.constrained.local import Problem, expand_problem
 from diffstack_mmv.control.constrained.newton import free_controls
-from diffstack_mmv.control.constrained.phases import Progress
+from diffstack_mmv.control.constrained.progress import Progress
 from diffstack_mmv.control.constrained.solution import ConstrainedSolution
 from diffstack_mmv.control.expansion import pad_controls
 from diffstack_mmv.types import SolverStatus
@@ -43,7 +42,7 @@ def conclude(problem: Problem, progress: Progress) -> Conclusion:
     activity = classify(progress.multipliers + values, problem.rows)
     multipliers = activity.multipliers(progress.multipliers).nan_to_num(0.0)
     slack = torch.where(activity.side != 0, values.abs(), torch.zeros_like(values))
-    total = problem.cost(x, acting).sum(-1) + paid(problem.rows, slack)
+    total = problem.cost(x, acting).sum(-1) + problem.rows.paid(slack)
     local = expand_problem(problem, x, u, multipliers)
     gradient = local.gradient.view(u.shape)
     residual = (u - (u - gradient).clamp(lower, upper)).abs().amax((-2, -1))
@@ -60,9 +59,3 @@ def conclude(problem: Problem, progress: Progress) -> Conclusion:
     violation = problem.rows.violation(values).nan_to_num(torch.inf)
     parts = (x, u, cost, residual, progress.iterations, status, violation)
     return Conclusion(point, parts, multipliers)
-
-
-def paid(rows: ConstraintRows, slack: Tensor) -> Tensor:
-    """Price of the violations (*b, T+1, K) of soft rows, of each problem."""
-    linear = torch.where(rows.linear.isfinite(), rows.linear, torch.zeros_like(slack))
-    return (linear * slack + 0.5 * rows.quadratic * slack.square()).sum((-2, -1))

@@ -118,6 +118,11 @@ class ConstraintRows(NamedTuple):
         hard = self.linear.isinf() & self.applies
         return torch.where(hard, above, torch.zeros_like(above)).amax((-2, -1))
 
+    def paid(self, slack: Float[Tensor, "*b T1 K"]) -> Float[Tensor, "*b"]:
+        """Price of the violations of soft rows."""
+        linear = torch.where(self.linear.isfinite(), self.linear, torch.zeros_like(slack))
+        return (linear * slack + 0.5 * self.quadratic * slack.square()).sum((-2, -1))
+
 
 def joined(
     functions: Sequence[ConstraintFunction],

@@ -28,7 +28,8 @@ from diffstack_mmv.control.selection import SMALLEST
 FIRST = 0.1  # barrier parameter μ, for a cost whose gradient is scaled to STEEPEST
 FINE, COARSE = 0.7, 0.4  # powers of the precision that are the last μ: 1e-11, 5e-7 in float64
 STEEPEST, DEAREST = 10.0, 100.0  # of the scaled cost: largest gradient, largest price
-REDUCTION, POWER, ENOUGH = 0.2, 1.5, 10.0
+REDUCTION, POWER = 0.2, 1.5
+ENOUGH, AT_LAST = 10.0, 30.0  # units of μ that a problem is solved to, at the last μ with rounding
 NEAR = 1e-4  # μ from which on the active set may be known, should the last μ not be reached
 INSIDE = 1e-2  # of the box, distance of the first controls from the bounds; smallest first slack
 DECAY, LIFT = 0.3, 30.0  # of the shift, after a step and after none
@@ -209,7 +210,7 @@ def _lowered(central: Central, error: Tensor, products: list[Tensor]) -> Central
     for _ in range(4):
         away = [(p - mu[..., None, None]).abs().nan_to_num(0.0).flatten(-2) for p in products]
         total = torch.maximum(error, torch.cat(away, -1).amax(-1))
-        close = total <= ENOUGH * mu
+        close = total <= torch.where(mu <= last, AT_LAST, ENOUGH) * mu
         less = torch.maximum(torch.minimum(REDUCTION * mu, mu**POWER), last)
         solved = close & (mu <= last) & central.open
         near = near | (close & (mu <= NEAR) & central.open)

@@ -47,6 +47,7 @@ class Polished(NamedTuple):
 
     point: PrimalDual
     solved: Bool[Tensor, "*b"]
+    began: Bool[Tensor, "*b"]  # at a point without violation that is a strict minimum
     steps: Int[Tensor, "*b"]
 
 
@@ -74,11 +75,12 @@ def polish(
     """
     point, open_ = start, chosen
     solved, steps = torch.zeros_like(chosen), torch.zeros_like(chosen, dtype=torch.long)
+    began = torch.zeros_like(chosen)
     small, before = (
         torch.zeros_like(chosen),
         torch.zeros_like(problem.state[..., 0]) + NEAR / GROWTH,
     )
-    for _ in range(STEPS):
+    for count in range(STEPS):
         if not bool(open_.any()):
             break
         x = problem.rollout(point.u)
@@ -92,14 +94,16 @@ def polish(
             open_.shape
         )
         was_small, small = small, size <= tiny
-        good = convex & (pull <= ROUNDING * tiny) & (problem.rows.violation(values) <= tolerance)
+        clear = problem.rows.violation(values) <= tolerance
+        good = open_ & clear & convex & (pull <= ROUNDING * tiny)
+        began = good if count == 0 else began
         failed = ~(size <= torch.maximum(GROWTH * before, tiny))
         steps = steps + open_
         point = _moved(problem, point, multipliers, step, open_ & ~failed)
-        solved = solved | (open_ & small & was_small & good)
+        solved = solved | (small & was_small & good)
         open_ = open_ & ~failed & ~solved
         before = size
-    return Polished(point, solved, steps)
+    return Polished(point, solved, began, steps)
 
 
 def _moved(

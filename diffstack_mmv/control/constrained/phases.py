@@ -1,19 +1,18 @@
 """The phases of a solve, each for the problems that the one before has left."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.control.constrained.constraint import ConstraintRows
 from diffstack_mmv.control.constrained.interior import COARSE, FINE, Found, enter, follow
 from diffstack_mmv.control.constrained.local import Problem, linearise_rows
 from diffstack_mmv.control.constrained.newton import PrimalDual, polish
+from diffstack_mmv.control.constrained.progress import Progress, begin, judge
 from diffstack_mmv.control.expansion import expand_cost, pad_controls
 from diffstack_mmv.control.ilqr import ILQR
-from diffstack_mmv.control.iteration import OPEN
 from diffstack_mmv.types import SolverStatus
 
 PRICES = 1e3, 1e6  # of a violation in the elastic problem, the gradient of the cost being scaled
@@ -22,48 +21,21 @@ NARROW = (
 )
 
 
-class Progress(NamedTuple):
-    """Where each problem stands."""
-
-    u: Float[Tensor, "*b T m"]
-    multipliers: Float[Tensor, "*b T1 K"]
-    status: Int[Tensor, "*b"]
-    iterations: Int[Tensor, "*b"]
-
-    @property
-    def is_open(self) -> Bool[Tensor, "*b"]:
-        """Which problems are still being solved."""
-        return self.status == OPEN
-
-    def where(
-        self, mask: Bool[Tensor, "*b"], point: PrimalDual, status: SolverStatus
-    ) -> "Progress":
-        """With the problems of the mask finished at a point."""
-        wide = mask[..., None, None]
-        return self._replace(
-            u=torch.where(wide, point.u, self.u),
-            multipliers=torch.where(wide, point.multipliers, self.multipliers),
-            status=torch.where(mask, int(status), self.status),
-        )
-
-    def counted(self, iterations: Int[Tensor, "*b"]) -> "Progress":
-        """With the iterations of a phase added to the open problems."""
-        return self._replace(iterations=self.iterations + iterations * self.is_open)
-
-
-def begin(u: Float[Tensor, "*b T m"], guess: Float[Tensor, "*b T1 K"]) -> Progress:
-    """Progress at a guess of controls and multipliers."""
-    count = torch.zeros(u.shape[:-2], dtype=torch.long, device=u.device)
-    return Progress(u, guess, count + OPEN, count)
-
-
 @dataclass(frozen=True)
 class Phases:
-    """The settings, see `ConstrainedILQR`."""
+    """The settings, see `ConstrainedILQR`.
+
+    Args:
+        solver: Without constraints, and its tolerance.
+        most: Iterations of one phase.
+        tolerance: Violation that counts as none.
+        exact: Whether only what Newton's method confirms is a solution, as a gradient needs it.
+    """
 
     solver: ILQR
     most: int
     tolerance: float
+    exact: bool
 
     def run(self, problem: Problem, guess: Tensor, start: PrimalDual | None) -> Progress:
         """Solve every problem or find out why not.
@@ -73,7 +45,7 @@ class Phases:
             guess: Of the controls, of shape (*b, T, m).
             start: What may be near a solution, which Newton's method tries first.
         """
-        progress = begin(guess, torch.zeros_like(problem.rows.linear))
+        progress = begin(problem, guess)
         activation = activation_weight(problem, problem.rollout(guess), guess)
         if start is not None:
             progress = self._polished(problem, progress, start, activation, progress.is_open)
@@ -85,6 +57,8 @@ class Phases:
             if bool(progress.is_open.any()):
                 last = price == PRICES[-1]
                 progress = self._elastic(problem, progress, guess, activation, price, last)
+        if bool(progress.is_open.any()):
+            progress = self._interior(problem, progress, progress.u, activation)
         limit = torch.where(progress.is_open, SolverStatus.ITERATION_LIMIT, progress.status)
         return progress._replace(status=limit)
 
@@ -101,8 +75,8 @@ class Phases:
         progress = progress.counted(plain.iterations)
         point = PrimalDual(plain.controls, torch.zeros_like(values))
         for end in (SolverStatus.CONVERGED, SolverStatus.UNBOUNDED):
-            progress = progress.where(free & (plain.status == end), point, end)
-        return progress
+            progress = progress.finished(free & (plain.status == end), point, end)
+        return progress.offered(problem, point, self.tolerance)
 
     def _interior(
         self, problem: Problem, progress: Progress, guess: Tensor, activation: Tensor
@@ -111,9 +85,10 @@ class Phases:
         progress = progress.counted(found.iterations)
         lost = progress.is_open & ~found.started
         at_guess = PrimalDual(guess, torch.zeros_like(progress.multipliers))
-        progress = progress.where(lost, at_guess, SolverStatus.NOT_FINITE)
-        start = PrimalDual(found.u, found.multipliers)
-        return self._polished(problem, progress, start, activation, progress.is_open & found.near)
+        progress = progress.finished(lost, at_guess, SolverStatus.NOT_FINITE)
+        start = PrimalDual(found.u.clamp(*problem.bounds), found.multipliers)
+        near = progress.is_open & found.near
+        return self._polished(problem, progress, start, activation, near, found.solved)
 
     def _elastic(
         self,
@@ -129,18 +104,15 @@ class Phases:
         elastic = problem._replace(rows=_soft(problem.rows, price / scale[..., None, None]))
         found = self._followed(elastic, guess, progress.is_open, COARSE if last else FINE)
         progress = progress.counted(found.iterations)
-        start = PrimalDual(found.u, found.multipliers)
-        chosen = progress.is_open & found.solved
+        start = PrimalDual(found.u.clamp(*problem.bounds), found.multipliers)
         near = progress.is_open & found.near
         progress = self._polished(problem, progress, start, activation, near)
         if not last:
             return progress
-        u = found.u.clamp(*problem.bounds)
-        values = problem.rows.values(problem.rollout(u), pad_controls(u))
         # what is less than the last phase resolves in this precision shows nothing
-        told = max(self.tolerance, torch.finfo(u.dtype).eps ** COARSE)
-        stuck = chosen & progress.is_open & (problem.rows.violation(values) > told)
-        return progress.where(stuck, PrimalDual(u, found.multipliers), SolverStatus.INFEASIBLE)
+        told = max(self.tolerance, torch.finfo(guess.dtype).eps ** COARSE)
+        stuck = progress.is_open & found.solved & (judge(problem, start.u).violation > told)
+        return progress.finished(stuck, start, SolverStatus.INFEASIBLE)
 
     def _followed(
         self, problem: Problem, guess: Tensor, which: Tensor, accuracy: float = FINE
@@ -162,14 +134,24 @@ class Phases:
         start: PrimalDual,
         activation: Tensor,
         chosen: Bool[Tensor, "*b"],
+        solved: Bool[Tensor, "*b"] | None = None,
     ) -> Progress:
-        """Newton's method where a phase came near a solution; what it solves is finished."""
-        start = start._replace(u=start.u.clamp(*problem.bounds))
+        """Newton's method where a phase came near a solution; what it solves is finished.
+
+        Unless it has to be exact, so is what was `solved` before where Newton's method fails: there
+        so many constraints are nearly active that rounding decides which ones are. Of open
+        problems the best of all points is kept.
+        """
+        progress = progress.offered(problem, start, self.tolerance)
         accuracy = problem.state.new_tensor(self.solver.tolerance)
         tolerance = problem.state.new_tensor(self.tolerance)
         polished = polish(problem, start, activation, chosen, accuracy, tolerance)
         progress = progress.counted(polished.steps)
-        return progress.where(polished.solved, polished.point, SolverStatus.CONVERGED)
+        point, end = polished.point, SolverStatus.CONVERGED
+        progress = progress.finished(polished.solved, point, end)
+        if solved is not None and not self.exact:
+            progress = progress.finished(progress.is_open & solved & polished.began, start, end)
+        return progress.offered(problem, point, self.tolerance)
 
 
 def _soft(rows: ConstraintRows, price: Float[Tensor, "*b 1 1"]) -> ConstraintRows:

@@ -186,7 +186,8 @@ class ConstrainedILQR:
                 if not differentiates:
                     return self._completed(fixed, u, approach)
                 start = PrimalDual(approach.plain.controls, approach.multipliers)
-            conclusion = conclude(fixed, self._phases(fixed).run(fixed, u, start))
+            phases = self._phases(fixed, exact=differentiates)
+            conclusion = conclude(fixed, phases.run(fixed, u, start))
         attached = attach(posed, conclusion.point) if differentiates else None
         return conclusion.solution(posed.rows.widths, attached)
 
@@ -203,8 +204,8 @@ class ConstrainedILQR:
         return ConstrainedSolution(*plain, torch.zeros_like(plain.cost).detach(), multipliers)
 
     def _approached(self, problem: Problem, u: Tensor, multipliers: Tensor) -> Approach:
-        tolerance = self._phases(problem).tolerance
-        return AugmentedLagrangian(self.solver, tolerance)(problem, u, multipliers)
+        rounds = AugmentedLagrangian(self.solver, self._told(problem))
+        return rounds(problem, u, multipliers)
 
     def _completed(self, problem: Problem, u: Tensor, approach: Approach) -> ConstrainedSolution:
         """The solution, without derivatives; what the approach has not solved goes through all."""
@@ -214,14 +215,18 @@ class ConstrainedILQR:
             return found
         rest = problem.select(index)
         start = PrimalDual(approach.plain.controls[index], approach.multipliers[index])
-        conclusion = conclude(rest, self._phases(rest).run(rest, u[index], start))
+        phases = self._phases(rest, exact=False)
+        conclusion = conclude(rest, phases.run(rest, u[index], start))
         return found.replaced(index, conclusion.solution(problem.rows.widths, None))
 
-    def _phases(self, problem: Problem) -> Phases:
-        finest = FINEST * torch.finfo(problem.state.dtype).eps
+    def _phases(self, problem: Problem, exact: bool) -> Phases:
         # the rounds have a library of their own: one of the bare cost is not worth its time
         plain = replace(self.solver, compile=False) if problem.selectable else self.solver
-        return Phases(plain, self.max_iterations, max(self.tolerance, finest))
+        return Phases(plain, self.max_iterations, self._told(problem), exact)
+
+    def _told(self, problem: Problem) -> float:
+        """Violation that counts as none."""
+        return max(self.tolerance, FINEST * torch.finfo(problem.state.dtype).eps)
 
 
 def _given(multipliers: Sequence[Tensor] | None, rows: ConstraintRows) -> Tensor:
