@@ -51,7 +51,8 @@ def wilson_interval(
     middle = share + quantile**2 / (2 * total)
     scale = 1 + quantile**2 / total
     low, high = (middle - spread) / scale, (middle + spread) / scale
-    return Interval(low.clamp(min=0), high.clamp(max=1))
+    # the ends 0 and 1 are exact, which rounding is not
+    return Interval(low.masked_fill(share == 0, 0.0), high.masked_fill(share == 1, 1.0))
 
 
 def uneasy_steps(record: EpisodeRecord) -> Bool[Tensor, "E T1"]:

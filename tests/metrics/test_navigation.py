@@ -155,6 +155,15 @@ def test_wilson_intervals_have_the_known_ends(hits, total, low, high):
     assert float(interval.high) == pytest.approx(high, abs=1e-4)
 
 
+@pytest.mark.parametrize("total", [1.0, 3.0, 7.0, 500.0])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_intervals_of_none_and_all_end_at_zero_and_one(total, dtype):
+    cases = torch.tensor([0.0, total], dtype=dtype)
+    interval = wilson_interval(cases, torch.full_like(cases, total))
+    assert interval.low[0] == 0 < interval.low[1]
+    assert interval.high[0] < 1 == interval.high[1]
+
+
 def test_a_rate_comes_with_the_interval_around_it():
     metric = SuccessRate()
     metric.update(record_of())
