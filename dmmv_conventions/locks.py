@@ -16,6 +16,11 @@ LOCK_FILE = ".lock"
 _RANKS = ("LOCAL_RANK", "RANK", "SLURM_PROCID")
 
 
+def is_first_process() -> bool:
+    """Whether this is the first of the processes of a run, or the only one."""
+    return all(os.environ.get(rank, "0") == "0" for rank in _RANKS)
+
+
 @contextmanager
 def alone_in(folder: Path, argument: str) -> Iterator[None]:
     """Be the only process that works in a folder; processes that a run starts belong to it.
@@ -27,7 +32,7 @@ def alone_in(folder: Path, argument: str) -> Iterator[None]:
     Raises:
         ValueError: Another process works in it.
     """
-    if any(os.environ.get(rank, "0") != "0" for rank in _RANKS):
+    if not is_first_process():
         yield
         return
     folder.mkdir(parents=True, exist_ok=True)

@@ -19,6 +19,7 @@ from diffstack_mmv.commands.data_checks import (
 from diffstack_mmv.commands.training_checks import require_places, require_training
 from diffstack_mmv.device_checks import require_accelerator
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.locks import is_first_process
 from dmmv_conventions.pretrained import checkpoint_path
 
 logger = logging.getLogger(__name__)
@@ -90,6 +91,9 @@ def main(config: DictConfig) -> float | None:
             _save_as_it_is(trainer, stack, checkpoints)
         return None
     stack.require_learnable()  # before the windows are exported
+    if is_first_process():
+        # what is wrong with the data is told before there are others, which would fail over it
+        data.prepare_splits([data.splits.train, data.splits.val])
     for each in loggers:
         each.log_hyperparams(content)
     with own_processes(), interrupts_raised():

@@ -321,6 +321,16 @@ def test_bad_input_ends_with_one_message(refusal, script, arguments, told, workp
     assert told in refusal(script, *data, *arguments, f"out={tmp_path}")
 
 
+def test_what_is_wrong_with_the_data_is_told_before_there_are_more_processes(
+    refusal, workplace, tmp_path
+):
+    ddp = ["trainer=ddp", "trainer.accelerator=cpu", "trainer.devices=2"]
+    out = f"out={tmp_path}"
+    told = refusal("train", *data_of(workplace), *SMALL, *ddp, "data.sequences=[nobody]", out)
+    assert "`sequences` must name scenes" in told
+    assert "distributed" not in (tmp_path / "train.log").read_text()
+
+
 def test_other_run_in_the_same_folder_is_refused_and_left_alone(refusal, workplace):
     last = workplace / "run" / "checkpoints" / "last.ckpt"
     config = (workplace / "run" / "config.yaml").read_bytes()

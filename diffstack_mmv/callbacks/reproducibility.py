@@ -25,6 +25,9 @@ from dmmv_conventions.versions import installed_version
 class Provenance(Callback):
     """Stores in every checkpoint configuration, recordings, commit and versions.
 
+    A run whose folder was moved goes on with its best score: Lightning keeps that only where the
+    checkpoints lie at their old place, and a worse one would then take the place of `best.ckpt`.
+
     Args:
         config: The resolved configuration as plain containers.
         learned_from: Tells the names of the recordings by data set, once they are read.
@@ -49,6 +52,31 @@ class Provenance(Callback):
             "torch": str(torch.__version__),
             "diffstack_mmv": installed_version(),
         }
+
+    def on_load_checkpoint(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, checkpoint: dict[str, Any]
+    ) -> None:
+        """Have the checkpoints of a run lie where its folder is now."""
+        states = checkpoint.get("callbacks", {})
+        for each in trainer.checkpoint_callbacks:
+            if not isinstance(each, callbacks.ModelCheckpoint) or each.state_key not in states:
+                continue
+            if each.dirpath is not None:
+                states[each.state_key] = _moved(states[each.state_key], str(each.dirpath))
+
+
+def _moved(state: Mapping[str, Any], folder: str) -> dict[str, Any]:
+    """The state of a `ModelCheckpoint`, its paths in another folder."""
+    before = str(state["dirpath"])
+
+    def moved(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {moved(key): each for key, each in value.items()}
+        if isinstance(value, str) and Path(value).is_relative_to(before):
+            return str(Path(folder) / Path(value).relative_to(before))
+        return value
+
+    return {key: moved(value) for key, value in state.items()} | {"dirpath": folder}
 
 
 def current_commit() -> str:

@@ -23,6 +23,7 @@ from diffstack_mmv.commands.override_errors import (
 )
 from dmmv_conventions.disk import disk_is_full
 from dmmv_conventions.extras import MissingExtraError
+from dmmv_conventions.locks import is_first_process
 
 EXPECTED = (
     ValueError,
@@ -104,6 +105,9 @@ def failures_told() -> Iterator[None]:
     try:
         yield
     except InterruptedError as told_to_end:
+        if not is_first_process():
+            # all end together, and the first tells it: it would be killed over a failed one
+            raise SystemExit(0) from None
         _exit(_told(told_to_end))
     except EXPECTED as error:
         if raising and HydraConfig.get().mode is RunMode.RUN:

@@ -151,27 +151,27 @@ class TrajdataModule(LightningDataModule):
         dataset = self.dataset(self.splits.train)
         weights = None if self.balance is None else self.balance.weights(dataset.samples)
         share, loading = self._share(), self.loading
-        enough = len(dataset) >= share.processes
-        require(
-            enough, "processes", f"be at most {len(dataset)} (training samples)", share.processes
-        )
+        self._require_enough(self.splits.train)
         sampler = TrainingSampler(len(dataset), loading.batch_size, loading.seed, share, weights)
         sampler.set_epoch(self.trainer.current_epoch if self.trainer else 0)
         loader = WindowLoader(DrawnWindows(dataset, self.augmentation), sampler, loading.workers)
         if self.trainer:
             limit = self.trainer.limit_train_batches
-            require_a_batch("trainer.limit_train_batches", limit or 0, len(loader))
+            require_a_batch("trainer.limit_train_batches", limit or 0, sampler.fewest)
         return loader
 
     def val_dataloader(self) -> WindowLoader:
         """Batches for validation, in order.
 
         Raises:
-            ValueError: The trainer takes a share that holds no batch.
+            ValueError: There are fewer samples than processes, or the trainer takes a share that
+                holds no batch.
         """
+        self._require_enough(self.splits.val)
         loader = self.evaluation_loader(self.splits.val)
         if self.trainer:
-            require_a_batch("validation.share", self.trainer.limit_val_batches or 0, len(loader))
+            limit = self.trainer.limit_val_batches
+            require_a_batch("validation.share", limit or 0, loader.sampler.fewest)
         return loader
 
     def test_dataloader(self) -> WindowLoader:
@@ -189,6 +189,13 @@ class TrajdataModule(LightningDataModule):
             len(dataset), self.loading.batch_size, self.loading.seed, self._share()
         )
         return WindowLoader(DrawnWindows(dataset), sampler, self.loading.workers)
+
+    def _require_enough(self, split: str) -> None:
+        """Refuse a process without a sample: the others would wait for it for ever."""
+        samples, processes = len(self.dataset(split)), self._share().processes
+        needs = f"be at most {samples}, the samples of the split '{split}'"
+        remedy = "Lower `trainer.devices`."
+        require(samples >= processes, "processes", needs, processes, "", remedy)
 
     def _digest(self) -> str:
         told = {key: each for key, each in self.source.identity().items() if key not in _READING}

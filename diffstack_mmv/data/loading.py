@@ -104,7 +104,7 @@ def require_a_batch(argument: str, share: float, batches: int) -> None:
     Args:
         argument: Name of the setting.
         share: A share in (0, 1], or a whole number of batches.
-        batches: Batches of the epoch, of this process.
+        batches: Batches of the epoch, of the process that takes fewest.
 
     Raises:
         ValueError: Not one batch is left.

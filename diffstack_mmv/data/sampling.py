@@ -116,6 +116,11 @@ class WindowSampler(DistributedSampler[Draw], ABC):
     def share_size(self) -> int:
         """How many samples this process takes in an epoch."""
 
+    @property
+    def fewest(self) -> int:
+        """Batches of a whole epoch in the process that takes fewest."""
+        return -(-(self.count // self.share.processes) // self.batch_size)
+
     def __len__(self) -> int:
         """Batches of a whole epoch, wherever it starts."""
         return -(-self.share_size // self.batch_size)

@@ -17,7 +17,7 @@ from omegaconf import OmegaConf
 from pytorch_lightning.callbacks import Callback
 from torch.utils.data import DataLoader, TensorDataset
 
-from diffstack_mmv.callbacks import ResumableCSVLogger
+from diffstack_mmv.callbacks import Provenance, ResumableCSVLogger
 from diffstack_mmv.vehicles import config_folder
 
 pytestmark = pytest.mark.usefixtures("unchecked")
@@ -184,6 +184,18 @@ def test_a_killed_run_ends_as_the_uninterrupted_one(kill, whole, tmp_path):
         assert all(torch.equal(found[name], expected[name]) for name in expected)
     assert told == whole[2]
     assert table[CLOCKS[0]].dropna().is_monotonic_increasing
+
+
+def test_a_run_whose_folder_was_moved_keeps_its_best_checkpoint(whole, tmp_path):
+    fit(tmp_path / "before", extra=[Provenance({})], epochs=2)
+    (tmp_path / "before").rename(tmp_path / "now")
+    trainer = fit(tmp_path / "now", extra=[Provenance({})])
+    _, weights, told = result(tmp_path / "now")
+    assert told == whole[2]
+    assert all(torch.equal(weights[0][name], whole[1][0][name]) for name in weights[0])
+    best = tmp_path / "now" / "checkpoints" / "best.ckpt"
+    assert trainer.checkpoint_callback.best_model_path == str(best)
+    assert not (tmp_path / "before").exists()
 
 
 def test_a_run_that_stopped_early_stays_stopped(tmp_path):

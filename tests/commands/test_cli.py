@@ -429,3 +429,25 @@ def test_a_job_that_is_told_to_end_takes_the_sweep_with_it(failure, begun, run):
     _, told = run("-m", "needed=1,2", task=end)
     assert seen == begun
     assert "`out` must be told" in told
+
+
+@pytest.mark.parametrize("rank", ["LOCAL_RANK", "RANK", "SLURM_PROCID"])
+def test_of_processes_that_are_told_to_end_together_the_first_alone_tells_it(
+    tmp_path, monkeypatch, capsys, rank
+):
+    """A failed one would have the first killed while it puts its things in order."""
+
+    def end(config):
+        raise InterruptedError("Stopped by SIGTERM.")
+
+    (tmp_path / "task.yaml").write_text(CONTENT)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["task", "needed=1"])
+    for number, status in (("0", 1), ("1", 0)):
+        monkeypatch.setenv(rank, number)
+        GlobalHydra.instance().clear()
+        with pytest.raises(SystemExit) as ended:
+            command(tmp_path, "task")(end)()
+        assert ended.value.code == status
+        assert ("Stopped by SIGTERM." in capsys.readouterr().err) == (status == 1)
+    GlobalHydra.instance().clear()

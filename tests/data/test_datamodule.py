@@ -1,6 +1,7 @@
 """The data module inside and outside of Lightning."""
 
 import shutil
+from types import SimpleNamespace
 
 import pytest
 import pytorch_lightning as pl
@@ -117,6 +118,34 @@ def test_a_share_that_holds_no_batch_is_refused_with_the_least_that_does(
     taken = trainer(tmp_path, max_epochs=1, **{f"limit_{limit}_batches": 0.5})
     with pytest.raises(ValueError, match=wanted):
         taken.fit(Recorder(), datamodule=built)
+
+
+@pytest.mark.parametrize("split", ["train", "val"])
+def test_a_process_without_a_sample_is_refused_in_all_of_them(module, split):
+    built = module()
+    built.prepare_data()
+    count = len(built.dataset(split))
+    limits = {"limit_train_batches": 1.0, "limit_val_batches": 1.0, "current_epoch": 0}
+    loader = getattr(built, f"{split}_dataloader")
+    for rank in (0, count - 1):
+        built.trainer = SimpleNamespace(global_rank=rank, world_size=count, **limits)
+        assert len(loader()) == 1
+        built.trainer = SimpleNamespace(global_rank=rank, world_size=count + 1, **limits)
+        wanted = f"`processes` must be at most {count}, the samples of the split '{split}'"
+        with pytest.raises(ValueError, match=wanted):
+            loader()
+
+
+@pytest.mark.parametrize("rank", [0, 1])
+def test_a_share_that_holds_no_batch_of_one_process_is_refused_in_all_of_them(module, rank):
+    built = module()
+    built.prepare_data()
+    count = len(built.dataset("val"))
+    built.loading = LoaderSettings(count // 2, 0, 3)
+    assert count % 2 == 1, "the first process has a batch more"
+    built.trainer = SimpleNamespace(global_rank=rank, world_size=2, limit_val_batches=0.5)
+    with pytest.raises(ValueError, match="`validation.share` must be at least 1, one of 1 batches"):
+        built.val_dataloader()
 
 
 @pytest.mark.parametrize("workers", [0, 2])
