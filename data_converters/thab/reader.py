@@ -41,11 +41,11 @@ class ThabFile(NamedTuple):
 
 
 def read_files(root: Path) -> list[ThabFile]:
-    """All csv files below `root`, sorted by path; folders are preferred to archives.
+    """All csv files below `root`, sorted by path; folders with files are preferred to archives.
 
     Raises:
-        ConversionError: If neither folders nor archives with the known names are there, or an
-            archive is broken.
+        ConversionError: If neither folders nor archives with the known names are there, one of them
+            holds no file, or an archive is broken.
     """
     files = [file for group in FOLDER_MODES for file in _read_group(root, group)]
     names = ", ".join(f"{group}/ or {group}.tar.gz" for group in FOLDER_MODES)
@@ -55,14 +55,19 @@ def read_files(root: Path) -> list[ThabFile]:
     return sorted(files, key=lambda file: file.path)
 
 
-def _read_group(root: Path, group: str) -> Iterator[ThabFile]:
+def _read_group(root: Path, group: str) -> list[ThabFile]:
+    """The files of a group, none where neither its folder nor its archive is there."""
     folder, archive = root / group, root / f"{group}.tar.gz"
-    if folder.is_dir():
-        for phase in PHASES:
-            for path in (folder / phase).glob("*.csv"):
-                yield ThabFile(group, phase, path.stem, _content(path))
-    elif archive.is_file():
-        yield from _read_archive(archive, group)
+    paths = [(phase, path) for phase in PHASES for path in (folder / phase).glob("*.csv")]
+    files = [ThabFile(group, phase, path.stem, _content(path)) for phase, path in paths]
+    place = folder
+    if not files and archive.is_file():
+        place, files = archive, list(_read_archive(archive, group))
+    found, phases = "none", f"files such as {PHASES[0]}/1.csv (also {', '.join(PHASES[1:])})"
+    remedy = f"Unpack {group}.tar.gz again, or remove what is empty."
+    there = bool(files) or not (folder.exists() or archive.exists())
+    require(there, group, f"hold {phases}", found, place, remedy)
+    return files
 
 
 def _content(path: Path) -> bytes | TrackError:

@@ -34,6 +34,22 @@ def test_archives_and_folders_hold_the_same_tracks(thab, tmp_path):
     assert ThabVruDataset(packed).scenes() == ThabVruDataset(thab).scenes()
 
 
+@pytest.mark.parametrize("inside", ["", "moving", "cyclists/moving"])
+def test_an_archive_is_read_although_a_folder_without_files_lies_beside_it(thab, tmp_path, inside):
+    with tarfile.open(tmp_path / "cyclists.tar.gz", "w:gz") as tar:
+        tar.add(thab / "cyclists", arcname="cyclists")
+    (tmp_path / "cyclists" / inside).mkdir(parents=True)
+    assert ThabVruDataset(tmp_path).scenes() == ThabVruDataset(thab).scenes()
+
+
+def test_a_group_without_files_is_not_left_out_in_silence(thab, tmp_path):
+    (tmp_path / "cyclists").symlink_to(thab / "cyclists")
+    (tmp_path / "pedestrians" / "pedestrians" / "moving").mkdir(parents=True)
+    told = r"`pedestrians` must hold files such as moving/1.csv .*, but got 'none' in .*pedestrians"
+    with pytest.raises(ConversionError, match=told):
+        ThabVruDataset(tmp_path).scenes()
+
+
 def test_a_cut_off_archive_is_named(thab, tmp_path):
     with tarfile.open(tmp_path / "cyclists.tar.gz", "w:gz") as tar:
         tar.add(thab / "cyclists", arcname="cyclists")
