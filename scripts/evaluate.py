@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from diffstack_mmv.commands.cli import DictConfig, OmegaConf, command, instantiate
 from diffstack_mmv.commands.data_checks import (
+    new_modes,
     other_history,
     other_modes,
     require_same_horizon,
@@ -139,6 +140,8 @@ def main(config: DictConfig) -> None:
     vehicle = trained["vehicle"]["name"]
     for mode in header["modes_of_other_vehicles"]:
         logger.warning("Agents of mode '%s' are driven with the vehicle '%s'.", mode, vehicle)
+    if told := new_modes(config.modes, trained):
+        logger.warning(told)
     metrics = summarise_modes(evaluation.samples, config.situations, vehicle, scores)
     for mode in set(config.modes) - set(metrics["modes"]):
         logger.warning(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from diffstack_mmv.commands.data_checks import other_history, require_same_horizon
+from diffstack_mmv.commands.data_checks import new_modes, other_history, require_same_horizon
 from diffstack_mmv.control import ILQR, Bounds
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle, rollout
 from diffstack_mmv.dynamics.manoeuvres import RecordedControls
@@ -137,3 +137,22 @@ def test_another_past_than_that_of_the_checkpoint_is_told():
     told = other_history({"history_s": 4.0}, {"history_s": 2.0})
     assert told is not None
     assert "Give history_s=2" in told
+
+
+@pytest.mark.parametrize(
+    ("modes", "epochs", "told"),
+    [
+        (["bicycle"], 2, None),
+        (["Bicycle", "scooter"], 2, None),
+        (["pedestrian", "bicycle"], 0, None),
+        (
+            ["pedestrian", "bicycle"],
+            2,
+            "Egos of mode pedestrian are judged, but the checkpoint was",
+        ),
+    ],
+)
+def test_modes_that_the_training_had_none_of_are_told(modes, epochs, told):
+    found = new_modes(modes, {"modes": ["scooter", "bicycle"], "epochs": epochs})
+    assert (found or "").startswith(told or "")
+    assert (found is None) == (told is None)

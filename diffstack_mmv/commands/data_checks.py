@@ -145,6 +145,26 @@ def other_history(config: Mapping[str, Any], trained: Mapping[str, Any]) -> str 
     )
 
 
+def new_modes(modes: Sequence[str], trained: Mapping[str, Any]) -> str | None:
+    """What to tell of egos of modes that the training had none of, None without.
+
+    Args:
+        modes: Modes of transport of the ego, as they are judged.
+        trained: Configuration of the training.
+
+    Returns:
+        The sentence; what has learned nothing (`epochs=0`) knows no mode better than another.
+    """
+    known = {mode.lower() for mode in trained["modes"]}
+    others = sorted({mode.lower() for mode in modes} - known)
+    if not others or trained["epochs"] == 0:
+        return None
+    return (
+        f"Egos of mode {', '.join(others)} are judged, but the checkpoint was trained with those "
+        f"of {', '.join(sorted(known))} alone."
+    )
+
+
 def require_recordings(source: Mapping[str, Any]) -> None:
     """Refuse a source of recordings that is not there.
 
