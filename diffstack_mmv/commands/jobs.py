@@ -1,7 +1,9 @@
 """Many command lines, side by side: on this machine or on a cluster, each done once."""
 
 import json
+import logging
 import os
+import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
@@ -11,9 +13,14 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from diffstack_mmv.commands.child_processes import ChildProcesses
 from diffstack_mmv.commands.command_line import quoted
-from dmmv_conventions.checks import require_at_least
+from dmmv_conventions.checks import message, require, require_at_least
 from dmmv_conventions.disk import replacing
 from dmmv_conventions.extras import needs
+
+logger = logging.getLogger(__name__)
+
+_LOOK_S = 1.0
+"""Time in s between two looks at the jobs of a cluster."""
 
 
 class Job(NamedTuple):
@@ -164,15 +171,57 @@ class Slurm:
         return 10
 
     def __call__(self, jobs: Sequence[Job]) -> Iterator[JobOutcome]:
-        """Submit all, and yield each one as soon as it ended."""
+        """Submit all, and yield each one as soon as it ended.
+
+        One that the cluster ended, for its time or memory, has failed, and the others go on. Where
+        this is interrupted, those that have not ended are cancelled.
+
+        Raises:
+            ValueError: There is no cluster, or it refuses the jobs.
+        """
+        start = time.monotonic()
+        waiting = list(zip(self._submitted(jobs), jobs, strict=True))
+        try:
+            while waiting:
+                ended = [number for number, (each, _) in enumerate(waiting) if each.done()]
+                for number in reversed(ended):
+                    yield _outcome(*waiting.pop(number), start)
+                if not ended:
+                    time.sleep(_LOOK_S)
+        finally:
+            for each, _ in waiting:
+                each.cancel(check=False)
+
+    def _submitted(self, jobs: Sequence[Job]) -> list[Any]:
+        """What submitit makes of each job."""
         import submitit  # an extra  # pyright: ignore[reportMissingImports]
 
-        executor = submitit.AutoExecutor(self.folder, cluster=self.cluster)
+        # submitit would run all of them here, at the same time
+        there = self.cluster is not None or shutil.which("srun") is not None
+        remedy = (
+            "launcher=local runs the jobs here, some at a time; launcher.cluster=local tries it."
+        )
+        require(
+            there, "launcher", "be slurm where srun is found", "nothing of that name", "", remedy
+        )
         given = {name: value for name, value in self.parameters.items() if value is not None}
-        executor.update_parameters(**given)
-        submitted = executor.map_array(run_job, list(jobs))
-        with ThreadPoolExecutor(max(len(submitted), 1)) as waiting:
-            yield from _ended([waiting.submit(job.result) for job in submitted])
+        try:
+            executor = submitit.AutoExecutor(self.folder, cluster=self.cluster)
+            executor.update_parameters(**given)
+            return executor.map_array(run_job, list(jobs))
+        except (RuntimeError, NameError, AssertionError) as refused:
+            wanted, found = "be what the cluster takes", " ".join(str(refused).split())
+            raise ValueError(message("launcher.parameters", wanted, found)) from refused
+
+
+def _outcome(submitted: Any, job: Job, start: float) -> JobOutcome:
+    """How a job of a cluster ended."""
+    try:
+        return submitted.result()
+    except RuntimeError as error:  # of submitit: time, memory or a node was lost
+        lines = str(error).strip().splitlines() or [type(error).__name__]
+        logger.warning("%s: %s", job.name, " ".join(lines[:2]))
+        return JobOutcome(job, time.monotonic() - start, job.done)
 
 
 def _ended(futures: list[Future[JobOutcome]]) -> Iterator[JobOutcome]:

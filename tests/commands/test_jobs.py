@@ -1,9 +1,11 @@
 """Jobs run side by side, once each, and tell how they ended."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hydra import compose, initialize_config_dir
@@ -11,7 +13,7 @@ from hydra.utils import instantiate
 
 from diffstack_mmv.commands.command_line import quoted
 from diffstack_mmv.commands.experiment_jobs import Experiment
-from diffstack_mmv.commands.jobs import Job, LocalProcesses, run_job
+from diffstack_mmv.commands.jobs import Job, LocalProcesses, Slurm, run_job
 from diffstack_mmv.commands.table_jobs import (
     TableJobs,
     expected_seconds,
@@ -190,6 +192,79 @@ def test_jobs_run_through_the_launcher_of_clusters(tmp_path):
     ended = {outcome.job.name: outcome.succeeded for outcome in instantiate(config)(jobs)}
     assert ended == {"good": True, "bad": False}
     assert list((tmp_path / "slurm").glob("*_log.out"))
+
+
+class Submitted:
+    """A job of a cluster: one that waits for ever, that the cluster ended, or that succeeded."""
+
+    def __init__(self, run, job):
+        self.run, self.job, self.cancelled = run, job, False
+
+    def done(self):
+        return self.job.name != "waiting"
+
+    def result(self):
+        if self.job.name == "ended":
+            raise RuntimeError("Job 7 with path 7.pkl\nhas not produced any output (TIMEOUT)\n...")
+        return self.run(self.job)
+
+    def cancel(self, check):
+        self.cancelled = True
+
+
+@pytest.fixture
+def cluster(monkeypatch):
+    """A stand-in for submitit; what was submitted, and a switch for what it refuses."""
+    told = SimpleNamespace(submitted=[], refusal=None)
+
+    def submit(run, jobs):
+        if told.refusal is not None:
+            raise told.refusal
+        told.submitted = [Submitted(run, job) for job in jobs]
+        return told.submitted
+
+    executor = SimpleNamespace(update_parameters=lambda **_: None, map_array=submit)
+    standin = SimpleNamespace(AutoExecutor=lambda folder, cluster: executor)
+    monkeypatch.setitem(sys.modules, "submitit", standin)
+    return told
+
+
+def test_a_job_that_a_cluster_ended_has_failed_and_the_others_go_on(tmp_path, cluster, caplog):
+    jobs = [job(tmp_path, name, WRITE) for name in ("ended", "good")]
+    launcher = Slurm(str(tmp_path), {}, cluster="slurm")
+    assert run_all(launcher, jobs, "table", "job") == jobs[:1]
+    assert "ended: Job 7 with path 7.pkl has not produced any output (TIMEOUT)" in caplog.text
+    assert jobs[1].done
+
+
+def test_jobs_of_a_cluster_are_cancelled_where_nobody_waits_for_them_any_more(tmp_path, cluster):
+    jobs = [job(tmp_path, name, WRITE) for name in ("waiting", "good")]
+    outcomes = Slurm(str(tmp_path), {}, cluster="slurm")(jobs)
+    assert next(outcomes).job == jobs[1]
+    outcomes.close()
+    assert [each.cancelled for each in cluster.submitted] == [True, False]
+
+
+@pytest.mark.parametrize(
+    "refusal",
+    [
+        RuntimeError("sbatch: error: invalid partition specified: gpu"),
+        NameError("Unknown argument 'partitions' for executor 'slurm'"),
+    ],
+)
+def test_what_a_cluster_refuses_is_told_in_one_line(tmp_path, cluster, refusal):
+    cluster.refusal = refusal
+    told = f"`launcher.parameters` must be what the cluster takes, but got {refusal}"
+    with pytest.raises(ValueError, match=re.escape(told)):
+        list(Slurm(str(tmp_path), {}, cluster="slurm")([job(tmp_path, "good", WRITE)]))
+
+
+def test_without_a_cluster_not_all_jobs_are_begun_here_at_once(tmp_path, cluster, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    launcher = Slurm(str(tmp_path), {})
+    with pytest.raises(ValueError, match="`launcher` must be slurm where srun is found"):
+        list(launcher([job(tmp_path, "good", WRITE)]))
+    assert not cluster.submitted
 
 
 @pytest.mark.parametrize(
