@@ -20,7 +20,7 @@ from data_converters.remarks import refuse_all, warn_of_empty_splits, warn_of_st
 from data_converters.report import ConversionReport, SceneReport
 from data_converters.scene_conversion import finished_scene
 from data_converters.workers import converted_scenes
-from dmmv_conventions.cache import FORMAT_VERSION, REFUSED_FILE, REPORT_FILE, STATE_FILE
+from dmmv_conventions.cache import FORMAT_VERSION, REPORT_FILE, STATE_FILE
 from dmmv_conventions.checks import message
 from dmmv_conventions.disk import disk_is_full
 from dmmv_conventions.locks import in_turn
@@ -38,8 +38,7 @@ def convert(settings: ConversionSettings) -> ConversionReport:
 
     Returns:
         The report, also written to `cache`/`name`/conversion_report.json and, for the latest
-        conversion, to `cache`/conversion_report.json; that of a data set without a usable track to
-        `cache`/conversion_refused.json.
+        conversion, to `cache`/conversion_report.json.
 
     Raises:
         ConversionError: If the data set is missing or holds no usable track, the cache holds other
@@ -107,8 +106,7 @@ def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> Convers
     """Write lists and reports, then put the environment in its place.
 
     Raises:
-        ConversionError: If no scene holds an agent; the report is written all the same, under
-            another name: whoever finds a report takes the cache for finished.
+        ConversionError: If no scene holds an agent; the report is written all the same.
     """
     name = settings.dataset.name
     report = ConversionReport(
@@ -121,7 +119,7 @@ def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> Convers
     )
     usable = [scene for scene in reports if scene.usable]
     if not usable:
-        write_json(settings.cache / REFUSED_FILE, report.as_dict())
+        write_json(settings.cache / REPORT_FILE, report.as_dict())
         refuse_all(settings, report)
     warn_of_empty_splits(reports)
     warn_of_standstill(settings, usable)
@@ -134,7 +132,6 @@ def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> Convers
     write_json(settings.staging / REPORT_FILE, report.as_dict())
     write_json(settings.staging / STATE_FILE, _state(settings, usable))
     _replace_folder(settings.staging, settings.cache / name)
-    (settings.cache / REFUSED_FILE).unlink(missing_ok=True)
     write_json(settings.cache / REPORT_FILE, report.as_dict())
     return report
 

@@ -7,7 +7,7 @@ from data_converters.conversion_settings import ConversionSettings
 from data_converters.errors import ConversionError
 from data_converters.heading import HeadingSource
 from data_converters.report import ConversionReport, SceneReport
-from dmmv_conventions.cache import REFUSED_FILE
+from dmmv_conventions.cache import REPORT_FILE
 from dmmv_conventions.checks import message
 
 logger = logging.getLogger(__name__)
@@ -28,7 +28,7 @@ def refuse_all(settings: ConversionSettings, report: ConversionReport) -> NoRetu
     faults = [item["detail"] for scene in report.scenes for item in scene.rejected]
     tracks = sum(scene.tracks_read for scene in report.scenes)
     found = f"0 of {tracks} ({report.rejected_by_reason})"
-    remedy = f"All are in {settings.cache / REFUSED_FILE}."
+    remedy = f"All are in {settings.cache / REPORT_FILE}."
     if faults:
         remedy = f"The first fault: {faults[0]} {remedy}"
     where = f"in {settings.dataset.root}"

@@ -16,7 +16,6 @@ from dmmv_conventions.data_names import choice_of
 FORMAT_VERSION = 1
 STATE_FILE = "cache.json"
 REPORT_FILE = "conversion_report.json"
-REFUSED_FILE = "conversion_refused.json"
 SPLITS = ("train", "val", "test")
 
 LEAN_TABLE = "lean"

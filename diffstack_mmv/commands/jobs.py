@@ -78,7 +78,8 @@ class JobOutcome(NamedTuple):
 def run_job(job: Job, children: ChildProcesses | None = None) -> JobOutcome:
     """Run the commands of a job, one thread each, until one fails; all they say goes to its log.
 
-    Its record tells the settings from the beginning: who is killed cannot tell them at the end.
+    What one that fails has written in place of the result is kept as `failed_NAME`. The record
+    tells the settings from the beginning: who is killed cannot tell them at the end.
     """
     if children is None:
         with ChildProcesses() as own:
@@ -89,10 +90,10 @@ def run_job(job: Job, children: ChildProcesses | None = None) -> JobOutcome:
     _write_record(job, told)
     environment = os.environ | {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     with job.log.open("a", encoding="utf-8") as log:
-        for command in job.commands:
-            if children.run(command, log, environment) != 0:
-                break
+        failed = any(children.run(command, log, environment) != 0 for command in job.commands)
     seconds = time.monotonic() - start
+    if failed and job.done:  # such as the report of a conversion that found nothing to use
+        job.result.replace(job.result.with_name(f"failed_{job.result.name}"))
     if job.done:
         _write_record(job, told | {"seconds": seconds})
     return JobOutcome(job, seconds, job.done)

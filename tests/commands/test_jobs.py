@@ -48,6 +48,14 @@ def test_jobs_that_write_their_result_succeed_and_the_others_fail(tmp_path):
     assert not jobs[1].done
 
 
+def test_what_a_failed_command_leaves_is_kept_but_no_result(tmp_path):
+    """Such as the report of a conversion that found nothing to use."""
+    refused = job(tmp_path, "refused", f"{WRITE}; raise SystemExit(1)")
+    assert not run_job(refused).succeeded
+    assert (tmp_path / "failed_refused.txt").read_text() == "done"
+    assert run_job(refused._replace(commands=job(tmp_path, "refused", WRITE).commands)).succeeded
+
+
 def test_a_command_after_a_failed_one_does_not_run(tmp_path):
     bad, good = job(tmp_path, "bad", "raise SystemExit(1)"), job(tmp_path, "good", WRITE)
     both = good._replace(commands=(*bad.commands, *good.commands))
