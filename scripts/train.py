@@ -94,9 +94,9 @@ def main(config: DictConfig) -> float | None:
     if is_first_process():
         # what is wrong with the data is told before there are others, which would fail over it
         data.prepare_splits([data.splits.train, data.splits.val])
-    for each in loggers:
-        each.log_hyperparams(content)
     with own_processes(), interrupts_raised():
+        for each in loggers:
+            each.log_hyperparams(content)
         trainer.fit(stack, data, ckpt_path=resume)
     best = trainer.checkpoint_callback
     if trainer.is_global_zero:

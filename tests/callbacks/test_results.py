@@ -65,7 +65,8 @@ def test_columns_of_numbers_are_numbers(tmp_path):
     assert record.pictures.keys() == {"plans_bicycle"}
 
 
-def test_nothing_is_logged_where_the_environment_says_so(tmp_path):
+def test_nothing_is_logged_where_the_environment_says_so(tmp_path, monkeypatch):
+    monkeypatch.setenv("WANDB_MODE", "disabled")
     folder = runs.comparison(tmp_path / "run")
     WandbResults(str(folder), "project", "compare")(read_record(folder, runs.TITLES))
     assert not (folder / "wandb").exists()
