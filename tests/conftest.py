@@ -44,6 +44,13 @@ def seeded():
     shape_checks.begin_test()
 
 
+@pytest.fixture(autouse=True)
+def logged_nowhere():
+    """No test switches the log on for those after it, as the logger of Lightning does."""
+    yield
+    assert os.environ["WANDB_MODE"] == "disabled"
+
+
 @pytest.fixture
 def unchecked():
     """Let wrong shapes and types through to the messages of the package itself."""
