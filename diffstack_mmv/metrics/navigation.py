@@ -52,7 +52,10 @@ def wilson_interval(
     scale = 1 + quantile**2 / total
     low, high = (middle - spread) / scale, (middle + spread) / scale
     # the ends 0 and 1 are exact, which rounding is not
-    return Interval(low.masked_fill(share == 0, 0.0), high.masked_fill(share == 1, 1.0))
+    return Interval(
+        low.clamp(min=0).masked_fill(share == 0, 0.0),
+        high.clamp(max=1).masked_fill(share == 1, 1.0),
+    )
 
 
 def uneasy_steps(record: EpisodeRecord) -> Bool[Tensor, "E T1"]:
