@@ -6,18 +6,25 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 _PACKAGES = ("diffstack_mmv", "dmmv_conventions")
+_SOURCES = (".py", ".hpp")
+"""Endings of what runs: the libraries in C++ are built from headers."""
 
 
 @cache
 def code_version() -> str:
     """Version of the package and a hash of its sources, in a checkout as where it is installed."""
+    return f"{installed_version()}+{sources_hash(Path(__file__).resolve().parents[1])}"
+
+
+def sources_hash(root: Path) -> str:
+    """Hash of names and contents of the sources in the folder of the packages, 16 digits."""
     digest = hashlib.sha256()
-    root = Path(__file__).resolve().parents[1]
     for package in _PACKAGES:
-        for path in sorted((root / package).rglob("*.py")):
-            digest.update(path.relative_to(root).as_posix().encode())
-            digest.update(path.read_bytes())
-    return f"{installed_version()}+{digest.hexdigest()[:16]}"
+        for path in sorted((root / package).rglob("*")):
+            if path.suffix in _SOURCES:
+                digest.update(path.relative_to(root).as_posix().encode())
+                digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def installed_version() -> str:

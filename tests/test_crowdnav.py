@@ -3,6 +3,7 @@
 import copy
 import math
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +14,9 @@ from hydra.utils import instantiate
 
 import diffstack_mmv.commands.cli  # noqa: F401  registers the resolvers
 from diffstack_mmv.crowdnav import LIMITS, CrowdNav
+from diffstack_mmv.crowdnav import drive as of_a_drive
 from diffstack_mmv.simulation import DiffMPCController, drive
-from diffstack_mmv.vehicles import config_folder, load_vehicle
+from diffstack_mmv.vehicles import config_folder, load_vehicle, save_vehicle
 from dmmv_conventions.config_files import names_in
 
 CONTROLLERS = config_folder() / "controller"
@@ -98,6 +100,38 @@ def test_cases_are_driven_and_kept(tmp_path):
     assert result["success_rate"] + result["collision_rate"] + result["incomplete_rate"] == 1
     assert study.drive(range(2), folder=tmp_path)["cases"] == result["cases"]
     assert math.isfinite(study.drive([0])["mean_episode_min_dist_m"])
+
+
+def _of_another_vehicle(monkeypatch, file):
+    slower = replace(load_vehicle(file).limits, speed_max_mps=1.0)
+    save_vehicle(replace(load_vehicle(file), limits=slower), file)
+
+
+def _of_another_file(monkeypatch, file):
+    monkeypatch.setattr(of_a_drive, "settings_of", lambda name, folder: {"changed": True})
+
+
+def _of_another_code(monkeypatch, file):
+    monkeypatch.setattr(of_a_drive, "code_version", lambda: "another")
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        (_of_another_vehicle, "same settings .vehicle.limits: .'speed_max_mps': 1.0"),
+        (_of_another_file, "same settings .constraints none: .'changed': True"),
+        (_of_another_code, "same code .another"),
+    ],
+)
+def test_kept_episodes_are_those_of_the_same_files_and_code(monkeypatch, tmp_path, changed, told):
+    file, folder = tmp_path / "mine.yaml", tmp_path / "episodes"
+    save_vehicle(load_vehicle("bicycle"), file)
+    study = CrowdNav(file, controller="blind", limit_s=0.5)
+    study.drive([0], folder=folder)
+    study.drive([0], folder=folder)
+    changed(monkeypatch, file)
+    with pytest.raises(ValueError, match=told):
+        study.drive([0], folder=folder)
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,11 @@ CONVENTIONS = {
     "simulation": {"dmmv_conventions.libraries"},
     "reporting": {"dmmv_conventions.yaml_files"},
     "dynamics": {"dmmv_conventions.config_files", "dmmv_conventions.configs"},
-    "crowdnav": {"dmmv_conventions.config_files", "dmmv_conventions.configs"},
+    "crowdnav": {
+        "dmmv_conventions.config_files",
+        "dmmv_conventions.configs",
+        "dmmv_conventions.versions",
+    },
     "data": {"dmmv_conventions.cache", "dmmv_conventions.opening"},
     "commands": {
         "dmmv_conventions.annotations",

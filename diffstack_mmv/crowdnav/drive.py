@@ -30,16 +30,17 @@ from diffstack_mmv.simulation import (
 )
 from diffstack_mmv.vehicles import VehicleSpec, load_vehicle
 from diffstack_mmv.vehicles.reading import config_from_spec
-from dmmv_conventions.config_files import chosen_in, names_in
+from dmmv_conventions.config_files import chosen_in, names_in, settings_of
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.versions import code_version
 
 LIMITS: Mapping[str, float] = MappingProxyType(
     {"speed_max_mps": 3.0, "acceleration_min_mps2": -3.0, "acceleration_max_mps2": 2.0}
 )
 """Of the vehicle among people; the tighter of these and its own hold."""
 
-_BY_DEFAULT = ("people", "cost")
-"""Parts that may be None."""
+_BY_DEFAULT: Mapping[str, str] = MappingProxyType({"people": "orca", "cost": "closed_loop"})
+"""Parts that may be None, and what they are where the file of the controller says nothing."""
 
 
 @dataclass(frozen=True)
@@ -134,9 +135,7 @@ class CrowdNav:
         vehicle = self.simulated()
         content, limits = vehicle.vehicle, vehicle.spec().limits
         wheelbase, steer = content["wheelbase"]["initial"], content["limits"]["steer_max_rad"]
-        its_own = chosen_in(self.controller, config_folder() / "controller")
-        people = self.people or its_own.get("people", "orca")
-        cost = self.cost or its_own.get("cost", "closed_loop")
+        files = self._files()
         given = {
             "dt_s": self.dt_s,
             "seed": self.seed,
@@ -144,9 +143,11 @@ class CrowdNav:
             "cruise_mps": limits.speed_max_mps,
             "model": controller_model(vehicle, vehicle, self.dt_s),
             "actuate": actuation(vehicle, vehicle),
-            "people": built_part("people", people, {"dt_s": self.dt_s, "seed": self.seed}),
-            "constraints": built_part("constraints", "none", {}),
-            "cost": built_part("cost", cost, {"turning_radius_m": wheelbase / math.tan(steer)}),
+            "people": built_part("people", files["people"], {"dt_s": self.dt_s, "seed": self.seed}),
+            "constraints": built_part("constraints", files["constraints"], {}),
+            "cost": built_part(
+                "cost", files["cost"], {"turning_radius_m": wheelbase / math.tan(steer)}
+            ),
             "actual": vehicle,
             "believed": vehicle,
             "vehicle": content,
@@ -169,20 +170,38 @@ class CrowdNav:
             cases: Their numbers.
             phase: "train", "val" or "test".
             folder: Where the episodes are kept, and found by a repeated call; nowhere if None.
+                Those of another version of the code, or of files that have changed, are refused.
 
         Returns:
             Rates, times (s) and distances (m) as in `closed_loop.json`, and the cases one by one.
 
         Raises:
             ValueError: A case is no whole number, does not exist or is named twice, or the folder
-                holds episodes of other settings.
+                holds episodes of other settings or of another version of the code.
         """
         numbers = _listed(cases)
-        method = Method(self.controller, self.world(), self.driver, repr(self))
+        made_of = self._made_of(), code_version()
+        method = Method(self.controller, self.world(), self.driver, *made_of)
         with TemporaryDirectory() as passing:
             kept = Path(passing) if folder is None else folder
             campaign = Campaign(method, self.cases(), numbers, kept, len(numbers), phase)
             return summarise(list(campaign.run()))
+
+    def _files(self) -> dict[str, str]:
+        """Name of the file of each group that a drive is made of."""
+        named = {group: getattr(self, group) for group in ("dynamics", *HANDED)}
+        its_own = chosen_in(self.controller, config_folder() / "controller")
+        usual = {group: its_own.get(group, name) for group, name in _BY_DEFAULT.items()}
+        chosen = {group: name or usual[group] for group, name in named.items()}
+        return {"constraints": "none"} | chosen
+
+    def _made_of(self) -> str:
+        """All that decides an episode: the settings, and what is behind their names at present."""
+        vehicle = self.simulated().vehicle
+        behind = {f"vehicle.{name}": value for name, value in vehicle.items()}
+        for group, name in self._files().items():
+            behind[f"{group} {name}"] = settings_of(name, config_folder() / group)
+        return "\n".join((repr(self), *(f"{name}: {each!r}" for name, each in behind.items())))
 
 
 def _listed(cases: Iterable[SupportsIndex]) -> list[int]:
