@@ -1,6 +1,7 @@
 """Identify the physical parameters of a vehicle from tracks, with or without measured controls."""
 
 import logging
+from dataclasses import replace
 from datetime import date
 from functools import partial
 from pathlib import Path
@@ -11,6 +12,7 @@ from diffstack_mmv.commands.data_checks import require_step_of, require_tracks
 from diffstack_mmv.commands.run_checks import require_same_run
 from dmmv_conventions.checks import message, require
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.versions import code_version
 
 logger = logging.getLogger(__name__)
 
@@ -116,7 +118,7 @@ def identify_measured(config: DictConfig) -> None:
     from diffstack_mmv.reporting import write_tables
     from diffstack_mmv.vehicles import save_vehicle
 
-    study, source, out = instantiate(config.measured), instantiate(config.source), Path(config.out)
+    study, source, out = measured_study(config), instantiate(config.source), Path(config.out)
     rides = measured_rides(*read_rides(source, config.splits, study.spec.mode))
     result = study(rides, builders(config))
     header = {**config.header, "date": date.today().isoformat(), "controls": MEASURED}
@@ -126,6 +128,13 @@ def identify_measured(config: DictConfig) -> None:
     told = ("tracks", "loss_before", "loss_after", "heldout_before", "heldout_after", "models")
     save_vehicle(vehicle, out / "vehicle.yaml", header | {key: content[key] for key in told})
     logger.info("Report: %s", out / "identification.md")
+
+
+def measured_study(config: DictConfig) -> Any:
+    """The study of measured rides, which finds parts of this code and of these models alone."""
+    study = instantiate(config.measured)
+    models = [OmegaConf.to_yaml(each, resolve=True) for each in (config.dynamics, config.others)]
+    return replace(study, parts=study.parts.keyed(code_version(), *models))
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ import pytest
 from hydra.utils import instantiate
 
 from diffstack_mmv.identification import IdentificationStudy
+from scripts import identify
 from tests.test_configs import CONFIGS, composed
 
 OPTIONS = [
@@ -47,3 +48,15 @@ def test_numbers_of_the_command_line_reach_the_study():
     assert (built.identifier.starts, built.identifier.thresholds.informed) == (1, 0.9)
     assert (built.segments.max_s, built.prediction_s) == (4.0, 0.5)
     assert built.parameters == ["friction"]
+
+
+def test_finished_parts_of_measured_rides_are_of_the_same_models_and_code(monkeypatch):
+    def key(*overrides):
+        config = composed("identify", "controls=measured", "out=runs", *overrides)
+        return identify.measured_study(config).parts.key
+
+    before = key()
+    assert before == key("seed=1", "tracks=7")
+    others = [key("dynamics.substeps=2"), key("others.kbm=null"), key("vehicle=autobike")]
+    monkeypatch.setattr(identify, "code_version", lambda: "another")
+    assert len({before, key(), *others}) == 5

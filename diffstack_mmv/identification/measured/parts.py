@@ -27,15 +27,15 @@ class FinishedParts:
 
     Attributes:
         folder: Where the parts are; nothing is kept by default.
-        key: Digest of data and settings.
+        key: Digest of data and settings, those of `keyed` included.
     """
 
     folder: str | Path | None = None
     key: str = ""
 
     def keyed(self, *made_of: object) -> "FinishedParts":
-        """Parts that are made of data (tensors) and settings (whose text counts)."""
-        digest = hashlib.sha256()
+        """Parts that are made of data (tensors) and settings (whose text counts) as well."""
+        digest = hashlib.sha256(self.key.encode())
         for each in made_of:
             array = each.numpy().tobytes() if isinstance(each, Tensor) else repr(each).encode()
             digest.update(array)

@@ -1,13 +1,16 @@
 """Vehicle and instruments are found again in rides of a known vehicle, and the ego on them."""
 
 import json
+from dataclasses import replace
 from functools import partial
+from types import MappingProxyType
 
 import pytest
 import torch
 
-from diffstack_mmv.dynamics import DiffKBM
+from diffstack_mmv.dynamics import DiffGM3, DiffKBM
 from diffstack_mmv.dynamics.catalogue import model_of
+from diffstack_mmv.dynamics.gm3.tire import PaperBrush
 from diffstack_mmv.identification import ParameterVector
 from diffstack_mmv.identification.inference import IdentifiabilityThresholds
 from diffstack_mmv.identification.measured import (
@@ -185,17 +188,21 @@ def test_study_reports_the_keys_of_the_contract_and_goes_on_where_it_was(recorde
     assert vehicle.wheelbase.initial == pytest.approx(entry["estimate"])
 
 
-def test_parts_of_other_data_or_another_reference_are_not_found_again(recorded):
+def test_parts_of_other_data_models_or_another_reference_are_not_found_again(recorded):
     spec, _, synthetic = recorded
     study = MeasuredStudy(spec, fitted=SETTINGS)
     windows = cut_windows(synthetic.rides, SETTINGS)
 
-    def key(reference="kbm", **changed):
-        return study._fitting(windows._replace(**changed), windows, reference).parts.key
+    def key(reference="kbm", parts=study.parts, gm3=MappingProxyType({}), **changed):
+        models = {"kbm": partial(DiffKBM, spec), "gm3": partial(DiffGM3, spec, **gm3)}
+        own = replace(study, parts=parts)
+        return own._fitting(windows._replace(**changed), windows, models, reference).parts.key
 
     assert key() == key()
     others = [key(**{name: -getattr(windows, name)}) for name in ("course", "steer_rate", "speed")]
-    assert len({key(), key("gm3"), key(known=~windows.known), *others}) == 6
+    others += [key(gm3={"tire": PaperBrush()}), key(gm3={"substeps": 2})]
+    others += [key("gm3"), key(known=~windows.known), key(parts=study.parts.keyed("other code"))]
+    assert len({key(), *others}) == 9
 
 
 def test_paired_test_counts_recordings_not_windows():
