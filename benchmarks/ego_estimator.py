@@ -2,7 +2,8 @@
 
     python benchmarks/ego_estimator.py CACHE PARTS
 
-CACHE and PARTS are those of scripts/identify.py with controls=measured: the fit of DiffKBM to all recordings is found there.
+CACHE and PARTS are those of scripts/identify.py with controls=measured: the fit of DiffKBM to all recordings is found there, if it
+is one of this version.
 Each recording is driven through by `EgoEstimator` under the vehicle and the priors that the other recordings tell, from the
 start of its first roll-out on. The estimator knows no more than a history does, but it remembers the instruments.
 """
@@ -26,6 +27,7 @@ from diffstack_mmv.identification.measured.parts import FinishedParts
 from diffstack_mmv.identification.measured.validation import folds_by, session_of
 from diffstack_mmv.types import EgoMeasurement
 from diffstack_mmv.vehicles import load_vehicle
+from dmmv_conventions.versions import code_version
 
 POSE, COASTING = 3, 2
 
@@ -78,7 +80,7 @@ def main():
     spec = load_vehicle("autobike")
     place = (ConvertedCache("autobike", options.cache), ["train", "val", "test"], spec.mode)
     rides = measured_rides(*read_rides(*place))
-    study = MeasuredStudy(spec, parts=FinishedParts(options.parts))
+    study = MeasuredStudy(spec, parts=FinishedParts(options.parts).keyed(code_version()))
     model = partial(model_of, spec, "kbm", 0.1)
     windows, rollouts, fitted = study.whole(rides, "kbm", model)
     simulator, fit = fitted

@@ -131,10 +131,9 @@ def identify_measured(config: DictConfig) -> None:
 
 
 def measured_study(config: DictConfig) -> Any:
-    """The study of measured rides, which finds parts of this code and of these models alone."""
+    """The study of measured rides, which finds finished parts of this version of the code alone."""
     study = instantiate(config.measured)
-    models = [OmegaConf.to_yaml(each, resolve=True) for each in (config.dynamics, config.others)]
-    return replace(study, parts=study.parts.keyed(code_version(), *models))
+    return replace(study, parts=study.parts.keyed(code_version()))
 
 
 if __name__ == "__main__":

@@ -50,13 +50,12 @@ def test_numbers_of_the_command_line_reach_the_study():
     assert built.parameters == ["friction"]
 
 
-def test_finished_parts_of_measured_rides_are_of_the_same_models_and_code(monkeypatch):
-    def key(*overrides):
-        config = composed("identify", "controls=measured", "out=runs", *overrides)
+def test_finished_parts_of_measured_rides_are_of_the_same_code(monkeypatch):
+    def key():
+        config = composed("identify", "controls=measured", "out=runs")
         return identify.measured_study(config).parts.key
 
     before = key()
-    assert before == key("seed=1", "tracks=7")
-    others = [key("dynamics.substeps=2"), key("others.kbm=null"), key("vehicle=autobike")]
+    assert before == key()
     monkeypatch.setattr(identify, "code_version", lambda: "another")
-    assert len({before, key(), *others}) == 5
+    assert before != key()

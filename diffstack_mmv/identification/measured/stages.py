@@ -103,8 +103,10 @@ class Fitting:
                 return _kept(self._learned(windows, model, start))
             return _kept(self._given(windows, model, reference, start))
 
-        part = self.parts(f"{label}-{name}", make)
-        self.count(name, part)
+        # a name says little of a model: another tyre law may stand behind it
+        told = [model().description()]
+        told += [] if reference is None else [reference.simulator.model.description()]
+        part = self.part(name, self.parts.keyed(told)(f"{label}-{name}", make))
         fitter = replace(self.fitter, priors=priors_from_tensor(part["priors"]))
         noise = replace(self.noise, **dict(zip(SIZES, part["noise"].tolist(), strict=True)))
         simulator = self.simulator(model, noise)
@@ -114,9 +116,10 @@ class Fitting:
         fit = fitter.result(simulator, windows, point, part["tilt"], taken, ended)
         return Fitted(simulator, fit)
 
-    def count(self, name: str, part: Part) -> None:
-        """Add the processor time of a part to that of a model."""
+    def part(self, name: str, part: Part) -> Part:
+        """A part of a model, whose processor time is added to that of the model."""
         self.seconds[name] = self.seconds.get(name, 0.0) + float(part[SECONDS])
+        return part
 
     def simulator(
         self, model: Callable[[], DynamicsModel], noise: MeasurementNoise
@@ -196,7 +199,7 @@ class Judging:
             settings = (self.history, folds, gyro, coasting)
             return held_out_errors(simulator.under(fit.noise), fit, self.rollouts, *settings)
 
-        return self._judged(f"recordings-{name}", name, errors, reference)
+        return self._judged(f"recordings-{name}", name, fitted, errors, reference)
 
     def by_session(
         self,
@@ -249,28 +252,29 @@ class Judging:
             known = (fit.point.shared, given, self.history, gyro, coasting)
             return future_errors(simulator.under(fit.noise), part, *known)
 
-        return fitted, self._judged(f"session-{session}-{name}", name, errors, judged)
+        return fitted, self._judged(f"session-{session}-{name}", name, fitted, errors, judged)
 
     def _judged(
         self,
         label: str,
         name: str,
+        fitted: Fitted,
         errors: Callable[[bool, Tensor | None], RolloutErrors],
         reference: HeldOut | None,
     ) -> HeldOut:
-        """Errors without and with gyro; what coasts is as in those of the reference."""
+        """Errors of a fit without and with gyro; what coasts is as in those of the reference."""
+        coasting = [each.coasting for each in reference or ()]
 
         def make() -> Part:
-            known = (None, None) if reference is None else [each.coasting for each in reference]
-            both = [errors(gyro, known[gyro]) for gyro in (False, True)]
+            both = [errors(gyro, coasting[gyro] if coasting else None) for gyro in (False, True)]
             return {
                 f"{field}_{index}": value
                 for index, each in enumerate(both)
                 for field, value in each._asdict().items()
             }
 
-        part = self.fitting.parts(label, make)
-        self.fitting.count(name, part)
+        made_of = fitted.simulator.model.description(), *fitted.fit.point, *coasting
+        part = self.fitting.part(name, self.fitting.parts.keyed(*made_of)(label, make))
         columns = [[part[f"{name}_{index}"] for name in RolloutErrors._fields] for index in (0, 1)]
         return HeldOut(*(RolloutErrors(*each) for each in columns))
 

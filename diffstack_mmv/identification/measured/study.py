@@ -133,7 +133,7 @@ class MeasuredStudy:
             "%d windows are fitted, %d are rolled out", len(windows.origin), len(rollouts.origin)
         )
         names = self._ordered(models)
-        fitting = self._fitting(windows, rollouts, models, names[0])
+        fitting = self._fitting(windows, rollouts, names[0])
         judging = Judging(fitting, rollouts, self.history_steps)
         whole: dict[str, Fitted] = {}
         by_recording: dict[str, HeldOut] = {}
@@ -169,15 +169,11 @@ class MeasuredStudy:
             idle = (torch.zeros(size) for size in (model.state_dim, model.control_dim))
             model.driver_input(*idle)
 
-    def _fitting(
-        self, windows: RideWindows, rollouts: RideWindows, models: Models, reference: str
-    ) -> "Fitting":
-        """How models are fitted; what is finished is found again for the same data and settings."""
+    def _fitting(self, windows: RideWindows, rollouts: RideWindows, reference: str) -> "Fitting":
+        """How models are fitted, what is finished found again for the same data and settings."""
         settings = (self.spec, self.fitter, self.noise, self.noise_rounds, self.fitted)
         times_s = (self.history_s, self.horizon_s, self.every_s)
-        # a name says little of a model: another tyre law may stand behind it
-        told = [(name, models[name]().description()) for name in sorted(models)]
-        parts = self.parts.keyed(*windows, *rollouts, *settings, *times_s, told, reference)
+        parts = self.parts.keyed(*windows, *rollouts, *settings, *times_s, reference)
         return Fitting(self.spec, self.fitter, self.noise, self.noise_rounds, parts)
 
     def whole(
@@ -185,7 +181,7 @@ class MeasuredStudy:
     ) -> tuple[RideWindows, RideWindows, Fitted]:
         """Windows, roll-outs, and the fit of the reference to all recordings."""
         windows, rollouts = cut_windows(rides, self.fitted), cut_windows(rides, self._future())
-        fitting = self._fitting(windows, rollouts, {name: model}, name)
+        fitting = self._fitting(windows, rollouts, name)
         return windows, rollouts, fitting.fitted("all", windows, name, model, None)
 
     def _future(self) -> RideWindowSettings:

@@ -3,14 +3,12 @@
 import json
 from dataclasses import replace
 from functools import partial
-from types import MappingProxyType
 
 import pytest
 import torch
 
-from diffstack_mmv.dynamics import DiffGM3, DiffKBM
+from diffstack_mmv.dynamics import DiffKBM, SoftplusFloor
 from diffstack_mmv.dynamics.catalogue import model_of
-from diffstack_mmv.dynamics.gm3.tire import PaperBrush
 from diffstack_mmv.identification import ParameterVector
 from diffstack_mmv.identification.inference import IdentifiabilityThresholds
 from diffstack_mmv.identification.measured import (
@@ -27,8 +25,13 @@ from diffstack_mmv.identification.measured import (
     paired_by_recording,
 )
 from diffstack_mmv.identification.measured.parts import FinishedParts
+from diffstack_mmv.identification.measured.stages import Judging
 from diffstack_mmv.identification.measured.synthetic import record_rides
-from diffstack_mmv.identification.measured.validation import folds_by, session_of
+from diffstack_mmv.identification.measured.validation import (
+    RolloutErrors,
+    folds_by,
+    session_of,
+)
 from diffstack_mmv.identification.measured.vehicle import at_ends
 from diffstack_mmv.types import EgoMeasurement
 from diffstack_mmv.vehicles import load_vehicle
@@ -188,21 +191,34 @@ def test_study_reports_the_keys_of_the_contract_and_goes_on_where_it_was(recorde
     assert vehicle.wheelbase.initial == pytest.approx(entry["estimate"])
 
 
-def test_parts_of_other_data_models_or_another_reference_are_not_found_again(recorded):
+def test_parts_of_other_data_code_or_another_reference_are_not_found_again(recorded):
     spec, _, synthetic = recorded
     study = MeasuredStudy(spec, fitted=SETTINGS)
     windows = cut_windows(synthetic.rides, SETTINGS)
 
-    def key(reference="kbm", parts=study.parts, gm3=MappingProxyType({}), **changed):
-        models = {"kbm": partial(DiffKBM, spec), "gm3": partial(DiffGM3, spec, **gm3)}
-        own = replace(study, parts=parts)
-        return own._fitting(windows._replace(**changed), windows, models, reference).parts.key
+    def key(reference="kbm", parts=study.parts, **changed):
+        other = replace(study, parts=parts)
+        return other._fitting(windows._replace(**changed), windows, reference).parts.key
 
     assert key() == key()
     others = [key(**{name: -getattr(windows, name)}) for name in ("course", "steer_rate", "speed")]
-    others += [key(gm3={"tire": PaperBrush()}), key(gm3={"substeps": 2})]
-    others += [key("gm3"), key(known=~windows.known), key(parts=study.parts.keyed("other code"))]
-    assert len({key(), *others}) == 9
+    others += [key("gm3"), key(known=~windows.known), key(parts=study.parts.keyed("code"))]
+    assert len({key(), *others}) == 7
+
+
+def test_parts_of_another_model_of_the_same_name_are_not_found_again(recorded, tmp_path):
+    spec, _, synthetic = recorded
+    fitter, parts = MeasuredFitter(iterations=1), FinishedParts(tmp_path)
+    study = MeasuredStudy(spec, fitter, fitted=SETTINGS, noise_rounds=0, parts=parts)
+    counts = []
+    for floor in (None, None, SoftplusFloor(0.05)):
+        model = partial(DiffKBM, spec, floor=floor)
+        windows, rollouts, fitted = study.whole(synthetic.rides[:1], "kbm", model)
+        judging = Judging(study._fitting(windows, rollouts, "kbm"), rollouts, 20)
+        unknown = RolloutErrors.unknown(rollouts)
+        judging._judged("all", "kbm", fitted, lambda *_, found=unknown: found, None)
+        counts.append(len(list(tmp_path.iterdir())))
+    assert counts == [2, 2, 4]  # a fit and its errors
 
 
 def test_paired_test_counts_recordings_not_windows():
