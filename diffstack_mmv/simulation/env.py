@@ -223,7 +223,8 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
             described, scene = {"phase": "own", "case": -1}, chosen["scene"]
             require(isinstance(scene, Scene), "scene", "be a Scene", type(scene).__name__)
         else:
-            case = chosen.get("case", self.np_random.integers(PHASES[phase].cases))
+            given = "case" in chosen
+            case = chosen["case"] if given else self.np_random.integers(PHASES[phase].cases)
             require_whole("case", case)
             described = {"phase": phase, "case": int(case)}
             scene = self._scenario.case(phase, int(case))

@@ -76,6 +76,13 @@ def test_recorded_episodes_end_as_recorded(recording):
         assert told["time_s"] == recorded["global_time"][case]
 
 
+def test_a_case_that_is_given_leaves_the_cases_that_are_drawn_later():
+    env = CrowdNavEnv()
+    first = env.reset(seed=0)[1]
+    assert env.reset(seed=0, options={"case": 3})[1]["case"] == 3
+    assert env.reset()[1] == first
+
+
 def test_a_seed_without_a_case_always_draws_the_same_case():
     first, second = (CrowdNavEnv().reset(seed=11) for _ in range(2))
     assert first[1] == second[1]

@@ -115,10 +115,6 @@ class RideSimulator:
         """Number of knots over so many steps, both ends included."""
         return -(-steps // self.noise.knot_steps) + 1
 
-    def local_size(self, steps: int) -> int:
-        """Number of unknowns of a window, those of its recording included."""
-        return POSE + RECORDING + COASTING + 2 * self.knots(steps)
-
     def simulate(
         self,
         windows: RideWindows,

@@ -8,6 +8,7 @@ from diffstack_mmv.dynamics.catalogue import model_of
 from diffstack_mmv.identification import ParameterVector
 from diffstack_mmv.identification.measured import MeasurementNoise, RideSimulator, RideWindows
 from diffstack_mmv.identification.measured.rides import chord_course
+from diffstack_mmv.identification.measured.simulator import COASTING, POSE, RECORDING
 from diffstack_mmv.vehicles import load_vehicle
 
 WINDOWS, STEPS = 2, 7
@@ -31,7 +32,8 @@ def test_derivatives_are_those_of_the_simulation(dynamics, own):
         some(WINDOWS, STEPS), some(WINDOWS, STEPS),
         3 + some(WINDOWS, STEPS + 1), some(WINDOWS, STEPS), some(WINDOWS, STEPS + 1),
     )  # fmt: skip
-    local = some(WINDOWS, simulator.local_size(STEPS), scale=0.05)
+    unknowns = POSE + RECORDING + COASTING + 2 * simulator.knots(STEPS)
+    local = some(WINDOWS, unknowns, scale=0.05)
     shared = torch.cat([parameters.start(), torch.tensor([0.3, 0.5, 1.0]).double()])
     if own:
         shared = shared + some(WINDOWS, len(shared), scale=0.05)
