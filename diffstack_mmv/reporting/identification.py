@@ -122,10 +122,15 @@ def _assumed(result: Mapping[str, Any]) -> str:
 def _lean(result: Mapping[str, Any]) -> str:
     """Lean of the model against the measured one, in words."""
     lean = result["lean"]
-    return (
+    text = (
         f"\n## Lean\n\nThe model's lean differs from the measured one, which no fit uses, by "
         f"{lean['rms_difference_rad']:.3f} rad (root mean square; measured "
-        f"{lean['rms_measured_rad']:.3f}), correlation {lean['correlation']:.2f}. It comes "
+        f"{lean['rms_measured_rad']:.3f})"
+    )
+    if lean["correlation"] is None or lean["correlation_late"] is None:
+        return f"{text}. One of them does not vary: there is no correlation.\n"
+    return (
+        f"{text}, correlation {lean['correlation']:.2f}. It comes "
         f"{lean['late_s']:.1f} s late: moved back by that, the correlation is "
         f"{lean['correlation_late']:.2f}.\n"
     )

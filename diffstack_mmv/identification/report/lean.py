@@ -1,5 +1,6 @@
 """Agreement of a model's lean with the measured one."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -21,7 +22,8 @@ def lean_agreement(
 
     Returns:
         Root mean square difference in rad, correlation, number of samples; by how much the model's
-        lean comes late (s) where it fits best, with the correlation there. None without both.
+        lean comes late (s) where it fits best, with the correlation there. Both correlations and
+        the lag are None where one lean does not vary; all is None without a sample of both.
     """
     pairs = [
         (row.lean, row.segment.lean)
@@ -31,16 +33,19 @@ def lean_agreement(
     if not pairs:
         return None
     model, measured = _overlapping(pairs, 0)
+    if len(measured) == 0:
+        return None
     lags = range(round(longest_lag_s / dt_s) + 1)
-    by_lag = [float(_correlation(*_overlapping(pairs, lag))) for lag in lags]
-    best = max(lags, key=by_lag.__getitem__)
+    by_lag = {lag: _correlation(*_overlapping(pairs, lag)) for lag in lags}
+    known = {lag: found for lag, found in by_lag.items() if found is not None}
+    best = max(known, key=known.__getitem__, default=None)
     return {
         "rms_difference_rad": float((model - measured).square().mean().sqrt()),
         "rms_measured_rad": float(measured.square().mean().sqrt()),
         "correlation": by_lag[0],
         "samples": len(measured),
-        "late_s": best * dt_s,
-        "correlation_late": by_lag[best],
+        "late_s": None if best is None else best * dt_s,
+        "correlation_late": None if best is None else known[best],
     }
 
 
@@ -52,5 +57,9 @@ def _overlapping(pairs: Sequence[tuple[Tensor, Tensor]], lag: int) -> tuple[Tens
     return model[known], measured[known]
 
 
-def _correlation(first: Tensor, second: Tensor) -> Tensor:
-    return torch.corrcoef(torch.stack([first, second]))[0, 1]
+def _correlation(first: Tensor, second: Tensor) -> float | None:
+    """None where one of both does not vary."""
+    if len(first) < 2:
+        return None
+    found = float(torch.corrcoef(torch.stack([first, second]))[0, 1])
+    return found if math.isfinite(found) else None

@@ -154,7 +154,8 @@ class MultipleShooting:
         while damping <= MOST_DAMPING:
             step = _evaluate_step(task, fit, here, weights, damping)
             weights, small = step.weights, step.predicted_decrease < least
-            ratio = torch.tensor(step.decrease / step.predicted_decrease)
+            # as a tensor: tracks that are followed exactly leave nothing to divide by
+            ratio = torch.tensor(step.decrease) / step.predicted_decrease
             damping = max(damping * float(damping_factor(ratio)), LEAST_DAMPING)
             if step.decrease > 0:
                 return ShootingIterate(step.fit, weights, damping, finished=small)

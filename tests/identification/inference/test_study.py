@@ -100,6 +100,22 @@ def test_calibrated_vehicle_has_the_estimate_and_its_origin(finished):
     assert {"seed", "smoother", "assumed", "loss_after", "heldout_after"} <= set(origin)
 
 
+def straight(index, steps=60):
+    """A motion along the x axis, of constant speed, which every vehicle follows exactly."""
+    still = torch.zeros(steps)
+    ahead = torch.arange(steps) + 100.0 * index
+    velocity = torch.tensor([SPEED_MPS, 0.0]).expand(steps, 2)
+    return Motion(torch.stack([0.1 * SPEED_MPS * ahead, still], -1), still, velocity, still)
+
+
+def test_tracks_that_are_followed_exactly_have_a_flat_profile():
+    exact = Recordings({f"rider_{index}": straight(index) for index in range(2)})
+    with double_precision():
+        sized = study(controls=None, tracks=1, profile=["wheelbase"])
+        profile = sized(exact, builders("kbm")).profiles["wheelbase"]
+    assert max(profile.costs) == pytest.approx(0.0, abs=1e-9)
+
+
 def test_motions_are_given_as_arrays_of_a_figure(finished):
     names = {motion.arrays()["name"] for motion in finished[1].motions()}
     assert names == {segment.name for segment in finished[1].split.fitted}

@@ -24,3 +24,17 @@ def test_a_late_lean_is_told_by_how_much(late):
     told = lean_agreement([leaning(wave.roll(late), wave)] * 2, 0.1)
     assert told["late_s"] == pytest.approx(0.1 * late)
     assert told["correlation_late"] > 0.99
+
+
+WAVE, LEVEL = torch.linspace(-0.1, 0.3, 30).double(), torch.zeros(30).double()
+
+
+@pytest.mark.parametrize(("model", "measured"), [(WAVE, LEVEL), (LEVEL, WAVE)])
+def test_a_lean_that_does_not_vary_has_no_correlation(model, measured):
+    told = lean_agreement([leaning(model, measured)], 0.1)
+    assert (told["correlation"], told["correlation_late"], told["late_s"]) == (None, None, None)
+    assert told["rms_difference_rad"] == pytest.approx(float(WAVE.square().mean().sqrt()))
+
+
+def test_a_lean_that_was_measured_elsewhere_alone_tells_nothing():
+    assert lean_agreement([leaning(WAVE, LEVEL * torch.nan)], 0.1) is None

@@ -110,6 +110,15 @@ def test_report_tells_what_was_assumed_and_what_was_held_out(result, tmp_path):
         assert part in text
 
 
+def test_report_of_a_lean_that_does_not_vary_tells_so(result, tmp_path):
+    setup, found, summary = result
+    models = {"kbm": tracking_losses(setup.simulator, setup.data, found)}
+    lean = lean_agreement([leaning(torch.rand(30), torch.zeros(30))], 0.1)
+    write_identification(tmp_path, HEADER | summary | {"models": models, "lean": lean})
+    told = (tmp_path / "identification.md").read_text()
+    assert "One of them does not vary: there is no correlation." in told
+
+
 def test_model_without_parameters_only_follows_tracks():
     setup = synthetic_problem("unicycle", {}, known=False, manoeuvres=LIVELY[:1])
     found = Identifier(BilevelFit())(setup.simulator, setup.data)
