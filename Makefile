@@ -27,7 +27,7 @@ $(BIN)/.installed: requirements.lock requirements-cuda.lock pyproject.toml
 install: $(BIN)/.installed ## Create .venv with the locked dependencies
 
 quickstart: install ## Sample, conversion, training, per-mode table: less than 10 minutes on two cores
-	test -d $(OUT)/recordings || $(BIN)/python scripts/generate_sample.py out=$(OUT)/recordings seed=0
+	$(BIN)/python scripts/generate_sample.py out=$(OUT)/recordings seed=0
 	$(BIN)/python scripts/convert.py data=imptc data.root=$(OUT)/recordings data.cache=$(OUT)/cache
 	$(LIMIT) $(BIN)/python scripts/train.py experiment=quickstart data=imptc data.cache=$(OUT)/cache out=$(OUT)/run
 	$(LIMIT) $(BIN)/python scripts/evaluate.py checkpoint=$(OUT)/run/checkpoints/best.ckpt data=imptc data.cache=$(OUT)/cache out=$(OUT)/report

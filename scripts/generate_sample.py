@@ -4,8 +4,10 @@ import logging
 from pathlib import Path
 
 from diffstack_mmv.commands.cli import DictConfig, command
+from diffstack_mmv.commands.run_checks import config_file
 from dmmv_conventions.checks import require
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.yaml_files import read_plain
 
 logger = logging.getLogger(__name__)
 
@@ -18,23 +20,35 @@ def check(config: DictConfig) -> None:
 
 
 def admit(config: DictConfig) -> None:
-    """Refuse a folder that holds one of the sequences."""
-    remedy = "Choose another folder or remove it."
-    for number in config.sequences:
-        found = [path.name for path in Path(config.out).glob(f"{number:04d}_*")]
-        where = f"in {config.out}"
-        require(not found, "out", "not hold the sequence yet", " ".join(found), where, remedy)
+    """Refuse a folder that holds one of the sequences, unless the same words have written it."""
+    out, remedy = Path(config.out), "Choose another folder or remove it."
+    file = config_file(out, "generate_sample")
+    before = read_plain(file, "out", remedy) if file.is_file() else {}
+    same = all(before.get(name) == config[name] for name in ("seed", "duration_s"))
+    kept = before["sequences"] if same else []
+    for number, found in _present(config).items():
+        told = "not hold the sequence yet"
+        require(number in kept, "out", told, " ".join(found), f"in {out}", remedy)
+
+
+def _present(config: DictConfig) -> dict[int, list[str]]:
+    """Names of the folders of each sequence that is there already."""
+    found = {
+        number: [path.name for path in Path(config.out).glob(f"{number:04d}_*")]
+        for number in config.sequences
+    }
+    return {number: names for number, names in found.items() if names}
 
 
 @command(config_folder(), "generate_sample", check, admit)
 def main(config: DictConfig) -> None:
-    """Write the sample."""
+    """Write what is missing of the sample."""
     from data_converters import generate_sample
 
-    folders = generate_sample(
-        Path(config.out), config.seed, list(config.sequences), config.duration_s
-    )
-    logger.info("Wrote %d sequences to %s", len(folders), config.out)
+    present = _present(config)
+    missing = [number for number in config.sequences if number not in present]
+    folders = generate_sample(Path(config.out), config.seed, missing, config.duration_s)
+    logger.info("Wrote %d sequences to %s, kept %d", len(folders), config.out, len(present))
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import shutil
 from collections import Counter
 
 import numpy as np
@@ -130,9 +131,49 @@ def test_an_existing_sample_is_not_overwritten(tmp_path):
     assert digest(tmp_path) == before
 
 
-def test_the_command_writes_the_sequences_that_are_asked_for(succeed, tmp_path):
-    succeed("generate_sample", "sequences=[7,203]", "duration_s=16", f"out={tmp_path / 'raw'}")
-    assert sorted(p.name[:4] for p in (tmp_path / "raw").glob("0*")) == ["0007", "0203"]
+def test_a_sequence_appears_when_it_is_complete(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("data_converters.imptc.sample.generate.write_context", full)
+        with pytest.raises(OSError, match="No space left"):
+            generate_sample(tmp_path, sequences=(3,), duration_s=16.0)
+    assert not list(tmp_path.iterdir())
+    killed = tmp_path / ".partial_0003_20230322_083006" / "vrus"
+    killed.mkdir(parents=True)
+    (made,) = generate_sample(tmp_path, sequences=(3,), duration_s=16.0)
+    assert list(tmp_path.iterdir()) == [made]
+
+
+def test_the_command_given_again_writes_what_is_missing(succeed, tmp_path):
+    given = ["sequences=[7,203]", "duration_s=16", f"out={tmp_path}"]
+    succeed("generate_sample", *given)
+    first, second = sorted(tmp_path.glob("0*"))
+    assert (first.name[:4], second.name[:4]) == ("0007", "0203")
+    before = digest(second)
+    (first / "kept").touch()
+    shutil.rmtree(second)
+    assert "Wrote 1 sequences" in succeed("generate_sample", *given)
+    assert digest(second) == before
+    assert (first / "kept").exists()
+
+
+@pytest.mark.parametrize(
+    ("earlier", "then"),
+    [
+        (["seed=0 sequences=[7]"], "seed=1 sequences=[7]"),
+        (["seed=0 sequences=[7]"], "seed=0 sequences=[7] duration_s=17"),
+        (["seed=0 sequences=[7]", "seed=1 sequences=[8]"], "seed=1 sequences=[7,8]"),
+    ],
+)
+def test_sequences_of_other_words_are_not_taken_for_those_of_the_command(
+    succeed, refusal, tmp_path, earlier, then
+):
+    for words in earlier:
+        succeed("generate_sample", "duration_s=16", *words.split(), f"out={tmp_path}")
+    told = refusal("generate_sample", "duration_s=16", *then.split(), f"out={tmp_path}")
+    assert "`out` must not hold the sequence yet, but got 0007_" in told
 
 
 @pytest.mark.parametrize(

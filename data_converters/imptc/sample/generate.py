@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -40,6 +42,8 @@ def generate_sample(
 ) -> list[Path]:
     """Write sample sequences in the IMPTC folder layout; equal arguments give equal bytes.
 
+    The folder of a sequence appears when it is complete.
+
     Args:
         out: Folder that gets one folder per sequence.
         seed: Seed of everything.
@@ -58,12 +62,13 @@ def generate_sample(
         folder = out / sequence.name
         remedy = "Choose another folder or remove it."
         require(not folder.exists(), "out", "not hold the sequence yet", folder.name, out, remedy)
-        for track, class_id, content in sequence.tracks:
-            family = "vehicles" if class_id in VEHICLE_CLASSES else "vrus"
-            write_json(folder / family / f"{track:03d}" / "track.json", content)
-        write_context(
-            folder / "context", sequence.clock_us, sequence.plan, sequence.spelling, sequence.rng
-        )
+        partial = out / f".partial_{sequence.name}"
+        shutil.rmtree(partial, ignore_errors=True)  # of one that was killed
+        try:
+            _write(sequence, partial)
+            os.replace(partial, folder)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
         folders.append(folder)
     return folders
 
@@ -108,6 +113,15 @@ def generate_vru_sample(
     for split, tracks in combined.items():
         write_json(out / f"{split}_tracks.json", tracks)
     return [out / split for split in combined]
+
+
+def _write(sequence: _Sequence, folder: Path) -> None:
+    for track, class_id, content in sequence.tracks:
+        family = "vehicles" if class_id in VEHICLE_CLASSES else "vrus"
+        write_json(folder / family / f"{track:03d}" / "track.json", content)
+    write_context(
+        folder / "context", sequence.clock_us, sequence.plan, sequence.spelling, sequence.rng
+    )
 
 
 def _simulated(seed: int, sequences: Sequence[int], duration_s: float) -> Iterator[_Sequence]:
