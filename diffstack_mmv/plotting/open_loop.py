@@ -51,7 +51,8 @@ def draw_runs(motions: Mapping[str, Motion], dt_s: float, lean: np.ndarray | Non
     figure = new_figure(9.0, 6.4)
     path, speed, yaw, roll = (figure.add_subplot(2, 2, index) for index in range(1, 5))
     for index, (name, motion) in enumerate(motions.items()):
-        style = {"color": PALETTE[index], "linewidth": 2.2 - 0.5 * index, "label": name}
+        colour, width = PALETTE[index % len(PALETTE)], max(2.2 - 0.5 * index, 0.7)
+        style = {"color": colour, "linewidth": width, "label": name}
         position = motion.position.numpy()
         time_s = dt_s * np.arange(len(position))
         path.plot(position[:, 0], position[:, 1], **style)

@@ -20,6 +20,14 @@ def test_a_model_without_lean_is_not_told_to_be_a_vehicle_that_does_not(lean, to
     assert len(roll.get_lines()) == (0 if lean is None else 1)
 
 
+def test_as_many_models_as_there_are_have_lines_that_are_seen_and_told_apart():
+    motion = Motion(torch.zeros(3, 2), torch.zeros(3), torch.ones(3, 2), torch.zeros(3))
+    figure = draw_runs({f"model {index}": motion for index in range(9)}, 0.1, None)
+    looks = [(line.get_color(), line.get_linewidth()) for line in figure.axes[0].get_lines()]
+    assert len(set(looks)) == 9
+    assert min(width for _, width in looks) > 0.5
+
+
 @pytest.mark.parametrize("wheels", [2, 5])
 def test_the_legend_of_the_loads_hides_none_of_them(wheels):
     load = torch.arange(1.0, wheels + 1).repeat(3, 1)
