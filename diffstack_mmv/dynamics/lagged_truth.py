@@ -16,6 +16,7 @@ from diffstack_mmv.dynamics.base import DynamicsModel
 from diffstack_mmv.dynamics.gm3.model import DiffGM3
 from diffstack_mmv.dynamics.gm3.wheel_speed import DiffGM3WheelSpeed
 from diffstack_mmv.dynamics.kbm import DiffKBM
+from diffstack_mmv.dynamics.rollout import rollout
 from diffstack_mmv.geometry import direction
 from diffstack_mmv.types import GRAVITY, Motion
 from diffstack_mmv.vehicles import VehicleSpec
@@ -52,15 +53,12 @@ class LaggedTruth:
     ) -> Signals:
         """Integrate in `parts` small steps per control step."""
         fine_s = dt_s / parts
-        lag = torch.tensor([self.acceleration_lag_s, self.curvature_lag_s]).to(command)
-        state = torch.zeros(2).to(command)
-        speed, intended = (torch.tensor(speed_mps).to(command) for _ in range(2))
-        position, heading = torch.zeros(2).to(command), torch.zeros(()).to(command)
+        lag = command.new_tensor([self.acceleration_lag_s, self.curvature_lag_s])
+        state, position, zero = command.new_zeros(2), command.new_zeros(2), command.new_zeros(())
+        heading, speed, intended = zero, zero + speed_mps, zero + speed_mps
         rows: list[list[Tensor]] = []
         for wanted in command:
-            before = speed
-            turned = torch.zeros(()).to(command)
-            travelled = torch.zeros(()).to(command)
+            before, turned, travelled = speed, zero, zero
             for _ in range(parts):
                 state = state + fine_s * (wanted - state) / lag
                 grip = self.friction * GRAVITY / speed.square().clamp_min(1e-6)
@@ -130,10 +128,14 @@ def command_profiles() -> dict[str, CommandProfile]:
     }
 
 
-def _start(model: DynamicsModel, speed_mps: float) -> Float[Tensor, " n"]:
-    zero = torch.zeros((), dtype=torch.float64)
+def _driven(
+    model: DynamicsModel, controls: Float[Tensor, "T m"], speed_mps: float
+) -> Float[Tensor, "T 2"]:
+    """Positions in m after each step from the origin, straight ahead at first."""
+    zero = controls.new_zeros(())
     velocity = torch.stack([zero + speed_mps, zero])
-    return model.initial_state(Motion(torch.zeros(2).double(), zero, velocity, zero))
+    start = model.initial_state(Motion(controls.new_zeros(2), zero, velocity, zero))
+    return rollout(model, start, controls)[1:, :2]
 
 
 def _gm3_path(
@@ -147,11 +149,7 @@ def _gm3_path(
     speed = signals.speed if variant.gm3_realised else signals.intended_speed
     radii = torch.tensor([w.radius_m for w in spec.wheels if w.driven]).double()
     first = speed.unsqueeze(-1) / radii if variant.gm3_by_wheel_speed else given[:, :1]
-    controls = torch.cat([first, steer.unsqueeze(-1)], -1)
-    states = [_start(model, speed_mps)]
-    for control in controls:
-        states.append(model(states[-1], control))
-    return torch.stack(states[1:])[:, :2]
+    return _driven(model, torch.cat([first, steer.unsqueeze(-1)], -1), speed_mps)
 
 
 def _kbm_path(
@@ -160,10 +158,7 @@ def _kbm_path(
     given = signals.realised if variant.kbm_realised else signals.command
     model = DiffKBM(spec, _STEP_S).double().requires_grad_(False)
     controls = torch.stack([given[:, 0], (model.wheelbase() * given[:, 1]).atan()], -1)
-    states = [_start(model, speed_mps)]
-    for control in controls:
-        states.append(model(states[-1], control))
-    return torch.stack(states[1:])[:, :2]
+    return _driven(model, controls, speed_mps)
 
 
 class FollowingError(NamedTuple):

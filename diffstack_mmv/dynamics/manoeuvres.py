@@ -79,10 +79,12 @@ class Slalom:
 class Turn:
     """Turn by an angle on a radius, eased in and out over `ramp_s`, then go straight.
 
+    A turn that takes less than a ramp at full curvature is eased in and out to a part of it.
+
     Args:
         speed_mps: Speed at the start.
-        angle_rad: Change of heading, positive to the left.
-        radius_m: Radius of the turn.
+        angle_rad: Change of heading at this speed, positive to the left.
+        radius_m: Smallest radius of the turn.
         ramp_s: Time to steer in, and to steer out.
         straight_s: Straight driving before and after.
         acceleration_mps2: Acceleration throughout.
@@ -109,9 +111,14 @@ class Turn:
         _require_duration(self._turning_s + 2 * self.straight_s, remedy)
 
     @property
+    def _at_full_s(self) -> float:
+        """How long the angle would take at full curvature."""
+        return abs(self.angle_rad) * self.radius_m / self.speed_mps
+
+    @property
     def _turning_s(self) -> float:
         # a ramp up and one down turn as far as one of them at full curvature
-        return abs(self.angle_rad) * self.radius_m / self.speed_mps + self.ramp_s
+        return max(self._at_full_s, self.ramp_s) + self.ramp_s
 
     def __call__(self, wheelbase_m: float, dt_s: float) -> DriverInput:
         """Inputs for a vehicle of this wheelbase; the hold lasts until the angle is reached."""
@@ -119,7 +126,8 @@ class Turn:
         times = _times(turning_s + 2 * self.straight_s, dt_s) - self.straight_s
         edge = torch.minimum(times, turning_s - times) / self.ramp_s
         share = 0.5 - 0.5 * (math.pi * edge.clamp(0, 1)).cos()
-        curvature = math.copysign(1 / self.radius_m, self.angle_rad) * share
+        sharpest = min(1.0, self._at_full_s / self.ramp_s) / self.radius_m
+        curvature = math.copysign(sharpest, self.angle_rad) * share
         return DriverInput(
             torch.full_like(times, self.acceleration_mps2), (wheelbase_m * curvature).atan()
         )
@@ -160,7 +168,7 @@ class Braking:
     def __call__(self, wheelbase_m: float, dt_s: float) -> DriverInput:
         """Inputs; straight for any wheelbase."""
         times = _times(self._duration_s, dt_s)
-        acceleration = torch.where(times < self.roll_s, 0.0, self.acceleration_mps2).double()
+        acceleration = self.acceleration_mps2 * (times >= self.roll_s).double()
         return DriverInput(acceleration, torch.zeros_like(times))
 
 

@@ -24,9 +24,12 @@ def run(model, manoeuvre):
     [
         (Turn(4.0, math.pi / 2, 6.0), math.pi / 2, 0.1),
         (Turn(4.0, -math.pi, 6.0), -math.pi, 0.1),
+        (Turn(4.0, -0.1, 6.0), -0.1, 0.01),
+        (Turn(15.0, math.pi / 4, 8.0), math.pi / 4, 0.02),
+        (Turn(4.0, 0.0, 6.0), 0.0, 0.0),
         (Slalom(4.0, 0.1, 6.0, 3), 0.0, 0.05),
     ],
-    ids=["left", "back by the right", "slalom"],
+    ids=["left", "back by the right", "slightly", "within the ramps", "not at all", "slalom"],
 )
 def test_a_manoeuvre_ends_at_its_heading(manoeuvre, heading, off):
     motion = run(ExtendedUnicycle, manoeuvre).motion
@@ -38,6 +41,15 @@ def test_models_agree_on_gentle_commands(model):
     gentle = Slalom(3.0, 0.02, 6.0)
     paths = [run(each, gentle).motion.position for each in (model, DiffKBM)]
     assert (paths[0] - paths[1]).norm(dim=-1).max() < 0.15
+
+
+def test_numbers_keep_their_double_precision():
+    assert Braking(4.0, -3.1)(1.05, 0.1).acceleration[-1].item() == -3.1
+    given = [torch.tensor([[0.7, 0.0]] * 5, dtype=torch.float64) for _ in range(2)]
+    whole = LaggedTruth(acceleration_lag_s=0.3, drag=0.0)(given[0], 1.1, 0.1)
+    assert whole.intended_speed[0].item() == 1.1 + 0.1 * 0.7
+    wide = LaggedTruth(acceleration_lag_s=0.3 * (1 + 1e-9), drag=0.0)(given[1], 1.1, 0.1)
+    assert (whole.speed != wide.speed).all()
 
 
 def test_braking_stops_the_vehicle():
