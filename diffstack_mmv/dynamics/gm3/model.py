@@ -221,7 +221,8 @@ class DiffGM3(DynamicsModel):
         curvature: Float[Tensor, "*b"],
     ) -> Float[Tensor, "*b"]:
         """What of a curvature (1/m) the tyres hold, see `within_grip`."""
-        asked = acceleration.clamp(self.bounds.lower[0], self.bounds.upper[0])
+        limits = self.spec.limits
+        asked = acceleration.clamp(limits.acceleration_min_mps2, limits.acceleration_max_mps2)
         return within_grip(curvature, state[..., 2], asked, self.get_submodule("friction")())
 
     def steer_for(

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from diffstack_mmv.dynamics import DriverInput
+from diffstack_mmv.dynamics import DiffGM3, DriverInput
 from diffstack_mmv.dynamics.gm3 import DiffGM3WheelSpeed
 from diffstack_mmv.vehicles import load_vehicle
 
@@ -40,6 +40,15 @@ def test_the_asked_curvature_is_held_after_ten_steps(name):
     for _ in range(10):
         state = model.step(state, model.control_for(state, torch.zeros(3).double(), asked))
     torch.testing.assert_close(state[:, 5] / state[:, 2], asked, rtol=0.05, atol=0)
+
+
+@pytest.mark.parametrize("asked", [-20.0, -3.0, 0.0, 2.0, 20.0])
+def test_tyres_hold_the_same_turn_whatever_the_controls_are(asked):
+    """What is asked beside it is an acceleration, no wheel speed."""
+    models = driven("motorcycle", 0.1), DiffGM3(load_vehicle("motorcycle")).double()
+    state, one = riding(models[0], 8.0, 14.0), torch.ones(2).double()
+    held = [each.curvature_within_grip(state, asked * one, one) for each in models]
+    torch.testing.assert_close(*held)
 
 
 @pytest.mark.parametrize("name", ["bicycle", "scooter", "motorcycle", "cart"])
