@@ -124,7 +124,8 @@ class ParameterSpec:
         """
         values = _broadcast(as_numbers(value), self.length or 1)
         count = self.length or 1
-        require(len(values) == count, "value", f"have {count} entries", len(values))
+        wanted = f"have {count} entries" if self.length else "be one number"
+        require(len(values) == count, "value", wanted, f"{len(values)} of them")
         moved = [
             _within(new, low, high)
             for new, (_, low, high) in zip(values, self.entries(), strict=True)

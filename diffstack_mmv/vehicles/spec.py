@@ -23,6 +23,7 @@ from diffstack_mmv.vehicles.parts import (
 from diffstack_mmv.vehicles.quantity import ParameterSpec
 from diffstack_mmv.vehicles.reading import fields_from_config
 from diffstack_mmv.vehicles.reference import fields_from_reference
+from diffstack_mmv.vehicles.values import built_at
 from dmmv_conventions.checks import message, require, require_positive, require_switch
 from dmmv_conventions.modes import Mode
 
@@ -153,17 +154,22 @@ class VehicleSpec:
         Raises:
             ValueError: A name is unknown or the number of values does not fit.
         """
-        parameters = dict(self.parameters)
-        wheelbase = self.wheelbase
-        for name, value in values.items():
+        parameters, wheelbase = dict(self.parameters), self.wheelbase
+
+        def moved(prior: ParameterSpec, name: str) -> ParameterSpec:
+            given = {"value": values[name], "source": source}
+            return built_at(prior.with_value, given, name, f"for vehicle '{self.name}'")
+
+        for name in values:
             if name == "wheelbase":
-                wheelbase = wheelbase.with_value(_single(value), source)
+                wheelbase = moved(wheelbase, name)
                 continue
             require(
                 name in parameters, name, f"be one of {', '.join(parameters)}", "an unknown name"
             )
-            spec = self.wheel_parameter(name) if name in WHEEL_PARAMETERS else parameters[name]
-            parameters[name] = spec.with_value(value if spec.length else _single(value), source)
+            of_wheels = name in WHEEL_PARAMETERS
+            prior = self.wheel_parameter(name) if of_wheels else parameters[name]
+            parameters[name] = moved(prior, name)
         return replace(self, parameters=parameters, wheelbase=wheelbase)
 
     @classmethod
@@ -184,7 +190,3 @@ class VehicleSpec:
             ValueError: A number is missing or impossible.
         """
         return cls(**fields_from_reference(entry))
-
-
-def _single(value: float | Sequence[float]) -> float:
-    return float(value[0]) if isinstance(value, Sequence) else float(value)

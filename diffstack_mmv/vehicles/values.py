@@ -92,7 +92,7 @@ def built_at(build: Callable[..., Any], arguments: Mapping[str, Any], path: str,
 
 
 def record_at(kind: type, mapping: Any, path: str, where: str) -> Any:
-    """Build a dataclass of numbers and flags from a mapping with the same keys.
+    """Build a dataclass of numbers from a mapping with the same keys.
 
     Raises:
         ValueError: A key is unknown or missing, or a value is impossible.
@@ -101,8 +101,5 @@ def record_at(kind: type, mapping: Any, path: str, where: str) -> Any:
     given = [key for key, field in known.items() if field.default is field.default_factory]
     optional = [key for key in known if key not in given]
     require_keys(mapping, given, optional, path, where)
-    arguments = {}
-    for key, value in mapping.items():
-        read = flag_at if known[key].type is bool else number_at
-        arguments[key] = read(value, f"{path}{key}", where)
+    arguments = {key: number_at(value, f"{path}{key}", where) for key, value in mapping.items()}
     return built_at(kind, arguments, path, where)

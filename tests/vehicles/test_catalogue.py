@@ -102,6 +102,26 @@ def test_unknown_vehicle_says_what_may_be_meant(name, remedy):
     assert str(told.value).endswith(f"but got '{name}'. {remedy}")
 
 
+@pytest.mark.parametrize(
+    ("name", "values", "wanted"),
+    [
+        ("yaw_inertia", [7.0, 99.0], "be one number, but got 2 of them"),
+        ("wheelbase", [1.1, 9.0, 9.0], "be one number, but got 3 of them"),
+        ("friction", [0.6, 0.7, 0.8], "have 2 entries, but got 3 of them"),
+        ("friction", [], "have 2 entries, but got 0 of them"),
+    ],
+)
+def test_calibrated_values_of_another_number_are_refused(name, values, wanted):
+    with pytest.raises(ValueError, match=wanted) as told:
+        load_vehicle("bicycle").with_values({name: values})
+    assert str(told.value).endswith(f"(`{name}` for vehicle 'bicycle')")
+
+
+def test_a_list_of_one_number_is_that_number():
+    spec = load_vehicle("bicycle").with_values({"wheelbase": [1.1], "yaw_inertia": [8.0]})
+    assert (spec.wheelbase.initial, spec.parameters["yaw_inertia"].initial) == (1.1, 8.0)
+
+
 def test_unknown_calibrated_name_is_refused():
     with pytest.raises(ValueError, match="`colour` must be one of"):
         load_vehicle("bicycle").with_values({"colour": 1.0})
