@@ -9,7 +9,7 @@ exact to the digit everywhere; roots, cosines and sines of torch need not be.
 import math
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.types import Discs, Motion, Obstacles
@@ -26,6 +26,16 @@ def wrap_angle(angle: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
 def direction(angle: Float[Tensor, "*b"]) -> Float[Tensor, "*b 2"]:
     """Return the unit vector (cos, sin) of an angle in rad."""
     return torch.stack([angle.cos(), angle.sin()], -1)
+
+
+def angle_of(vector: Float[Tensor, "*b 2"], known: Bool[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """Angle in rad of vectors from +x; zero, and without a slope, where it is not `known`.
+
+    A vector of length zero has none, and the slope of the angle grows without bound near it.
+    """
+    x, y = vector.unbind(-1)
+    one, zero = torch.ones_like(x), torch.zeros_like(y)
+    return torch.atan2(torch.where(known, y, zero), torch.where(known, x, one))
 
 
 def left_of(forward: Float[Tensor, "*b 2"]) -> Float[Tensor, "*b 2"]:

@@ -58,8 +58,10 @@ class DynamicsModel(nn.Module, ABC):
         for name, low, high in zip(names, control_lower, control_upper, strict=True):
             require(low < high, f"bounds of {name}", "be in rising order", (low, high))
         self.dt_s = dt_s
-        self.register_buffer("_lower", torch.tensor(control_lower), persistent=False)
-        self.register_buffer("_upper", torch.tensor(control_upper), persistent=False)
+        for which, box in (("_lower", control_lower), ("_upper", control_upper)):
+            # by a whole number a tensor would be one of whole numbers, which no model turns into
+            ends = torch.tensor(box, dtype=torch.get_default_dtype())
+            self.register_buffer(which, ends, persistent=False)
 
     @property
     def state_dim(self) -> int:

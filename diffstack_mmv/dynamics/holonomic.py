@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.dynamics.base import DynamicsModel
-from diffstack_mmv.geometry import direction, rotate
+from diffstack_mmv.geometry import angle_of, direction, rotate
 from diffstack_mmv.smooth import safe_norm, smooth_maximum
 from diffstack_mmv.types import Motion
 from diffstack_mmv.vehicles import VehicleSpec, require_vehicle
@@ -83,13 +83,11 @@ class Holonomic(DynamicsModel):
 
     def initial_state(self, motion: Motion) -> Float[Tensor, "*b 4"]:
         """Take position (m) and speed (m/s), facing the course."""
-        ahead, left = motion.velocity.unbind(-1)
-        square = ahead.square() + left.square()
-        one = torch.ones_like(square)
-        # at rest there is no course, and the speed has no slope
+        square = motion.velocity.square().sum(-1)
+        # at rest there is no course, and neither it nor the speed has a slope
         moving = square > 0
-        course = torch.atan2(left, torch.where(moving, ahead, one))
-        speed = torch.where(moving, torch.where(moving, square, one).sqrt(), 0.0)
+        course = angle_of(motion.velocity, moving)
+        speed = torch.where(moving, torch.where(moving, square, 1.0).sqrt(), 0.0)
         return torch.stack([*motion.position.unbind(-1), motion.heading + course, speed], -1)
 
     def control_for(

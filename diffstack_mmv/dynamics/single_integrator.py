@@ -8,7 +8,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.dynamics.base import DynamicsModel
-from diffstack_mmv.geometry import left_of, rotate
+from diffstack_mmv.geometry import angle_of, left_of, rotate
 from diffstack_mmv.smooth import saturate
 from diffstack_mmv.types import Motion
 
@@ -63,11 +63,7 @@ class SingleIntegrator(DynamicsModel):
         self._require_states("states", states)
         velocity = states[..., 2:]
         # the course at rest is zero, and so is its gradient
-        moving = velocity.square().sum(-1) > 0
-        course = torch.atan2(
-            velocity[..., 1],
-            torch.where(moving, velocity[..., 0], torch.ones_like(velocity[..., 0])),
-        )
+        course = angle_of(velocity, velocity.square().sum(-1) > 0)
         return Motion(states[..., :2], course, rotate(velocity, -course), torch.zeros_like(course))
 
     def initial_state(self, motion: Motion) -> Float[Tensor, "*b 4"]:

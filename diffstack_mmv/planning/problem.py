@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.geometry import angle_of
 from diffstack_mmv.types import (
     Discs,
     Ego,
@@ -75,9 +76,7 @@ def facing_the_goal(motion: Motion, goal: Float[Tensor, "*b 2"]) -> Motion:
     """Turn whoever is slower than 0.3 m/s towards a goal (m) that is further than 1 m away."""
     offset = goal - motion.position
     unknown = (motion.velocity.norm(dim=-1) < SLOW_MPS) & (offset.norm(dim=-1) > NEAR_M)
-    # atan2 has no derivative at zero offset, where its value is not used
-    safe = torch.where(unknown.unsqueeze(-1), offset, torch.ones_like(offset))
-    towards = torch.atan2(safe[..., 1], safe[..., 0])
+    towards = angle_of(offset, unknown)
     return motion._replace(heading=torch.where(unknown, towards, motion.heading))
 
 

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.geometry import direction, rotate
+from diffstack_mmv.geometry import angle_of, direction, rotate
 from diffstack_mmv.smooth import safe_norm, soft_clamp
 from diffstack_mmv.types import Motion, Tracks
 
@@ -132,9 +132,9 @@ def rest(tracks: Tracks, memory_s: float, reach_m: float, dt_s: float) -> Trend:
     """
     valid = tracks.valid & tracks.valid[..., -1:]
     rows = valid.shape[-1]
-    age = dt_s * torch.arange(rows - 1, -1, -1, device=valid.device)
-    weight = (torch.exp(-age / memory_s) * valid).unsqueeze(-1)
     offset = tracks.motion.position - current_position(tracks).unsqueeze(-2)
+    age = dt_s * torch.arange(rows - 1, -1, -1, dtype=offset.dtype, device=offset.device)
+    weight = (torch.exp(-age / memory_s) * valid).unsqueeze(-1)
     offset = torch.where(valid.unsqueeze(-1), offset, torch.zeros_like(offset))
     mean = (weight * offset).sum(-2) / weight.sum(-2).clamp_min(_PRIOR[0])
     away = safe_norm(mean).unsqueeze(-1)
@@ -175,7 +175,6 @@ def motion_along(path: Float[Tensor, "*b T 2"], tracks: Tracks, dt_s: float) -> 
         start = path[..., 0, :] - dt_s * velocity
     speed = safe_norm(velocity)
     moves = speed >= SLOW_MPS
-    safe = torch.where(moves.unsqueeze(-1), velocity, torch.ones_like(velocity))
-    heading = torch.where(moves, torch.atan2(safe[..., 1], safe[..., 0]), current_heading(tracks))
+    heading = torch.where(moves, angle_of(velocity, moves), current_heading(tracks))
     ahead = torch.stack([speed, torch.zeros_like(speed)], -1)
     return Motion(start, heading, ahead, torch.zeros_like(speed))

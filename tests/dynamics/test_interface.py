@@ -17,6 +17,7 @@ from diffstack_mmv.dynamics import (
     DriverInput,
     DynamicsModel,
     ExtendedUnicycle,
+    Holonomic,
     SingleIntegrator,
     rollout,
 )
@@ -31,7 +32,7 @@ from diffstack_mmv.simulation import (
     ZeroOrderHold,
     controller_model,
 )
-from diffstack_mmv.types import Motion
+from diffstack_mmv.types import Bounds, Motion
 from diffstack_mmv.vehicles import config_folder, load_vehicle, vehicle_names
 
 LIMITS = {"speed_max_mps": 3.0, "acceleration_min_mps2": -3.0, "acceleration_max_mps2": 2.0}
@@ -97,6 +98,25 @@ def test_a_model_without_a_bound_for_each_control_is_refused(lower, told):
     with pytest.raises(ValueError, match="must hold") as raised:
         DynamicsModel.__init__(Tricycle.__new__(Tricycle), 0.1, lower, (2.0, 1.0))
     assert told in str(raised.value)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_bounds_given_as_whole_numbers_are_real_ones(dtype):
+    model = SingleIntegrator(0.1, 4).to(dtype)
+    wanted = torch.full((2,), 4.0, dtype=dtype)
+    torch.testing.assert_close(model.bounds, Bounds(-wanted, wanted))
+    assert model(torch.zeros(4, dtype=dtype), wanted).dtype == dtype
+
+
+@pytest.mark.parametrize("model", [SingleIntegrator(), Holonomic(load_vehicle("bicycle"))])
+def test_a_course_has_no_slope_at_rest(model):
+    velocity = torch.zeros(3, 2, requires_grad=True)
+    still = Motion(torch.ones(3, 2), torch.zeros(3), velocity, torch.zeros(3))
+    state = model.initial_state(still)
+    heading = model.motion(state, torch.zeros(3, 2)).heading
+    slope = torch.autograd.grad(heading.sum(), velocity)[0]
+    assert torch.equal(heading, torch.zeros(3))
+    assert torch.equal(slope, torch.zeros(3, 2))
 
 
 @pytest.mark.parametrize("dynamics", dynamics_names())
