@@ -224,8 +224,8 @@ class PaperBrush(Tire):
         M_z = -(1 - G*) μ F_z ℓ ψ* σ_y (1 - ψ*σ̂)³
 
     with G = G(σ̂, ψ) and G* = G(σ̂, ψ*). It has no camber thrust, leaves the friction circle in
-    combined slip, and needs k / ψ ≥ 11. In a vehicle, ψ is held below `SLIDE_SHARE` · k: for a
-    wheel that leaves the ground the printed law would grow without bound.
+    combined slip, and needs k / ψ ≥ 11. One thing is added: ψ is held below `SLIDE_SHARE` · k, as
+    for a wheel that leaves the ground the printed law would grow without bound.
 
     Source:
         DMMV, Sec. III.

@@ -85,7 +85,7 @@ class ZeroOrderHoldDynamics:
         return torch.stack([east, north, rate[0], rate[1], yaw_rate, rate[2], *roll])
 
 
-class Columns(NamedTuple):
+class StateParts(NamedTuple):
     """The parts of a state: position (m), velocity (v_x, v_y, r), heading (rad), lean."""
 
     position: Float[Tensor, "2 n"]
@@ -94,8 +94,8 @@ class Columns(NamedTuple):
     lean: Lean
 
 
-def unpack(state: Float[Tensor, "8 n"]) -> Columns:
+def unpack(state: Float[Tensor, "8 n"]) -> StateParts:
     """Take a state apart."""
     forward, left, heading, yaw_rate, lean, lean_rate = state[2:].unbind(0)
     velocity = torch.stack([forward, left, yaw_rate])
-    return Columns(state[:2], velocity, heading, Lean(lean, lean_rate))
+    return StateParts(state[:2], velocity, heading, Lean(lean, lean_rate))
