@@ -62,7 +62,8 @@ class CandidateFan:
     more than its tyres hold, so all are feasible for the vehicle.
 
     Args:
-        speeds: Number of terminal speeds, evenly spread within reach.
+        speeds: Number of terminal speeds, evenly spread within reach; an odd number keeps the
+            present one.
         offsets: Number of lateral offsets, an odd number keeps the straight line.
         speed_change_mps: Largest change of speed over the horizon in m/s.
         offset_share: Largest lateral offset as a share of the length of the path.
@@ -115,15 +116,13 @@ class CandidateFan:
 
     def _lattice(self, problem: PlanningProblem, horizon_s: float) -> Arc:
         speed = problem.ego.motion.velocity[..., 0].clamp_min(0).unsqueeze(-1)
-        change = torch.linspace(-1, 1, self.speeds, device=speed.device, dtype=speed.dtype)
+        change = _spread(self.speeds, speed)
         # whoever is faster already need not brake
         fastest = speed.clamp_min(self.speed_max_mps)
         final = (speed + self.speed_change_mps * change).clamp_min(0).minimum(fastest)
         acceleration = (final - speed) / horizon_s
         length = (0.5 * (speed + final) * horizon_s).clamp_min(1.0)
-        # A share of offset 0 is 0 exactly, so an odd number of offsets contains the straight line.
-        share = torch.linspace(-1, 1, self.offsets, device=speed.device, dtype=speed.dtype)
-        curvature = 2 * self.offset_share * share / length.unsqueeze(-1)
+        curvature = 2 * self.offset_share * _spread(self.offsets, speed) / length.unsqueeze(-1)
         return Arc(
             acceleration.unsqueeze(-1).expand_as(curvature).flatten(-2), curvature.flatten(-2)
         )
@@ -141,6 +140,12 @@ class CandidateFan:
         acceleration = 2 * (length - motion.velocity[..., 0] * horizon_s) / horizon_s**2
         curvature = 2 * half_turn.sin() / chord.sqrt().clamp_min(0.5)
         return Arc(acceleration.unsqueeze(-1), curvature.unsqueeze(-1))
+
+
+def _spread(count: int, like: Tensor) -> Float[Tensor, " count"]:
+    """Numbers from -1 to 1, evenly spread; 0 exactly is among any odd number of them."""
+    end = 1 if count > 1 else 0
+    return torch.linspace(-end, end, count, device=like.device, dtype=like.dtype)
 
 
 def as_told(state: Float[Tensor, "*b n"], row: Float[Tensor, "*b m"]) -> Float[Tensor, "*b m"]:

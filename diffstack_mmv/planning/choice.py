@@ -9,7 +9,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.planning.pricing import Plans, PlanScore, ScoredPlans, Situation
-from diffstack_mmv.types import Motion, PlanOrigin, Solution, map_tensors
+from diffstack_mmv.types import Motion, PlanOrigin, Solution, map_tensors, taken
 
 
 class ChosenPlan(NamedTuple):
@@ -87,10 +87,5 @@ class CheapestSafe:
 
 def _taken(plans: Plans, index: Int[Tensor, "*b"]) -> Plans:
     """The plans with these numbers, without the dimension `C`."""
-    dim = index.dim()
-
-    def take(entry: Tensor) -> Tensor:
-        place = index.reshape(*index.shape, *(1 for _ in entry.shape[dim:]))
-        return entry.take_along_dim(place, dim).squeeze(dim)
-
-    return map_tensors(take, plans)
+    chosen = taken(plans, index.unsqueeze(-1))
+    return map_tensors(lambda entry: entry.squeeze(index.dim()), chosen)

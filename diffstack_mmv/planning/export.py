@@ -95,7 +95,7 @@ def _example(planner: MPCPlanner, agents: int, components: int, discs: int) -> P
     people = (
         futures[:, :, 0, 0],
         like.new_full((1, agents), 0.3),
-        torch.zeros(1, agents, dtype=torch.bool),
+        like.new_zeros(1, agents, dtype=torch.bool),
     )
     return build_problem(
         Ego(motion, HeadingOf.BODY, outline),

@@ -100,7 +100,8 @@ class MPCPlanner(Planner):
     ) -> None:
         super().__init__()
         require_at_least("steps", steps, 1)
-        require_at_least("solved_components", solved_components or 1, 1)
+        if solved_components is not None:
+            require_at_least("solved_components", solved_components, 1)
         require_at_least("starts", starts, 0)
         self.dynamics = dynamics
         self.cost = cost
@@ -178,7 +179,8 @@ class MPCPlanner(Planner):
         """
         controls = self._relative(pad_controls(plan.controls))
         weights = {
-            name: torch.as_tensor(weight).detach() for name, weight in self.cost.weights().items()
+            name: weight.detach() if isinstance(weight, Tensor) else weight
+            for name, weight in self.cost.weights().items()
         }
         parts = self.cost.components(plan.motion, controls, problem, weights)
         return {name: value.sum(-1) for name, value in parts.items()}

@@ -41,6 +41,14 @@ def test_straight_ahead_at_constant_speed_is_among_the_candidates(model):
     assert (ends - torch.tensor([12.0, 0.0])).norm(dim=-1).min() < 1e-3
 
 
+@pytest.mark.parametrize(("speeds", "offsets"), [(1, 1), (1, 3), (3, 1), (5, 9)])
+def test_an_odd_number_of_speeds_and_offsets_keeps_the_present_motion(speeds, offsets):
+    lattice = CandidateFan(speeds, offsets)(ExtendedUnicycle(SPEC), problem(), 30).states[0, :-1]
+    middle = lattice[len(lattice) // 2, -1]
+    torch.testing.assert_close(middle, torch.tensor([12.0, 0.0, 0.0, 4.0]))
+    torch.testing.assert_close(lattice.flip(0)[:, -1, 2], -lattice[:, -1, 2])
+
+
 @each_model
 @pytest.mark.parametrize("goal", [(11.0, 2.0), (12.0, -4.0), (14.0, 0.0)])
 def test_one_candidate_ends_near_the_goal(model, goal):

@@ -10,8 +10,8 @@ import torch
 from diffstack_mmv.control import ILQR, Batched
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM
 from diffstack_mmv.planning import PhysicalControls, PlanConstraints, SpeedWithin, initial_state
-from diffstack_mmv.planning.export import export_planner
-from diffstack_mmv.planning.objective import NAMES, batched_objective
+from diffstack_mmv.planning.export import _example, export_planner
+from diffstack_mmv.planning.objective import NAMES, batched_objective, parted
 from diffstack_mmv.vehicles import load_vehicle
 from dmmv_conventions.libraries import CannotBuildError
 from tests.planning.test_planner import problem, training
@@ -178,3 +178,8 @@ def test_a_processor_that_the_compiler_does_not_know_is_refused_before_anything_
     with pytest.raises(ValueError, match=told):
         export_planner(training(), tmp_path, machine="foo")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_planner_is_exported_where_it_is():
+    example = _example(training().to("meta"), agents=2, components=1, discs=1)
+    assert {each.device.type for each in parted(example)} == {"meta"}

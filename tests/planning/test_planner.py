@@ -237,12 +237,27 @@ def test_where_the_model_diverges_the_last_of_the_fan_is_driven():
     assert int(plan.solution.status) == SolverStatus.NOT_FINITE
 
 
-@pytest.mark.parametrize(("name", "value"), [("steps", 0), ("starts", -1)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("steps", 0), ("starts", -1), ("solved_components", 0)]
+)
 def test_numbers_out_of_range_are_refused(name, value):
     planner = training()
     parts = planner.dynamics, planner.cost, planner.solver, planner.candidates
     with pytest.raises(ValueError, match=name):
         MPCPlanner(*parts, **{name: value})
+
+
+def test_hindsight_takes_frozen_weights_as_they_are():
+    planner = training()
+    terms = {"goal": costs.FinalGoal(), "effort": costs.ControlEffort()}
+    planner.cost = costs.WeightedCost(terms, {"goal": 0.3, "effort": 0.1}, frozen=list(terms))
+    given = map_tensors(
+        lambda entry: entry.double() if entry.is_floating_point() else entry, problem()
+    )
+    plan = planner.double()(given)
+    cost = planner.cost_of(plan.motion, pad_controls(plan.controls), given).sum(-1)
+    found = sum(planner.hindsight_cost(plan, given).values())
+    torch.testing.assert_close(found, cost, rtol=1e-14, atol=0)
 
 
 def test_the_optimum_is_the_best_of_several_starts():
