@@ -4,6 +4,7 @@ SI units, oldest time first, masks true where valid. T1 are the T + 1 rows of T 
 each of them.
 """
 
+import math
 from collections.abc import Callable
 from enum import IntEnum
 from typing import Any, NamedTuple
@@ -123,6 +124,17 @@ class StackBatch(NamedTuple):
     frame: Pose | None = None  # B, of the samples in the world; None: not known of any
 
 
+def log_density(
+    error: Float[Tensor, "*#b 2"], scale_tril: Float[Tensor, "*#b 2 2"]
+) -> Float[Tensor, "*b"]:
+    """Log density in nats (per m²) of an error in m under N(0, L Lᵀ), in closed form."""
+    first, second = scale_tril[..., 0, 0], scale_tril[..., 1, 1]
+    white_first = error[..., 0] / first
+    white_second = (error[..., 1] - scale_tril[..., 1, 0] * white_first) / second
+    squared = white_first.square() + white_second.square()
+    return -0.5 * squared - (first * second).log() - math.log(2 * math.pi)
+
+
 NEAR_MEDIAN_M = 0.02
 """Distance in m below which a component counts as if it were that far from the median."""
 COUNTING_SHARE = 0.02
@@ -138,15 +150,8 @@ class Forecast(NamedTuple):
 
     def log_prob(self, position: Float[Tensor, "*#b #T 2"]) -> Float[Tensor, "*b T"]:
         """Log density in nats of a position at each time, marginal over the components."""
-        error = (position.unsqueeze(-3) - self.mean).unsqueeze(-1)
-        white = torch.linalg.solve_triangular(self.scale_tril, error, upper=False).squeeze(-1)
-        log_scale = self.scale_tril.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-        log_density = (
-            -0.5 * white.square().sum(-1)
-            - log_scale
-            - torch.log(2 * torch.pi * torch.ones_like(log_scale))
-        )
-        return torch.logsumexp(self.log_weight.unsqueeze(-1) + log_density, -2)
+        each = log_density(position.unsqueeze(-3) - self.mean, self.scale_tril)
+        return torch.logsumexp(self.log_weight.unsqueeze(-1) + each, -2)
 
     def most_likely(self) -> Float[Tensor, "*b T 2"]:
         """Mean trajectory in m of the component with the largest weight."""

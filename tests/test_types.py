@@ -2,9 +2,10 @@
 
 import pytest
 import torch
+from torch.autograd import gradcheck
 from torch.distributions import Categorical, MixtureSameFamily, MultivariateNormal
 
-from diffstack_mmv.types import Bounds, Forecast, SolverStatus, map_tensors, taken
+from diffstack_mmv.types import Bounds, Forecast, SolverStatus, log_density, map_tensors, taken
 
 
 def example_forecast(batch=(3,), components=4, steps=5):
@@ -26,6 +27,12 @@ def test_forecast_density_agrees_with_torch_distributions():
         )
         expected = mixture.log_prob(position[:, t])
         assert torch.allclose(forecast.log_prob(position)[:, t], expected, atol=1e-4)
+
+
+def test_density_has_the_gradient_of_its_value():
+    factor = torch.tensor([[[0.5, 0.0], [-0.3, 2.0]]], dtype=torch.float64, requires_grad=True)
+    error = torch.tensor([[0.7, -1.1], [0.0, 0.0]], dtype=torch.float64, requires_grad=True)
+    assert gradcheck(log_density, (error, factor))
 
 
 def test_most_likely_path_is_that_of_the_heaviest_component():

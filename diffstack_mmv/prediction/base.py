@@ -73,7 +73,9 @@ class Predictor(nn.Module, ABC):
         """Mean negative log density in nats of the true positions, over valid times and agents."""
         future = all_agents(batch.ego_future, batch.neighbors_future)
         seen = present_agents(batch).unsqueeze(-1) & future.valid
-        log_prob = self.predict(batch).log_prob(future.motion.position)
+        # what stands in rows that are not valid must not reach the gradient
+        position = torch.where(seen.unsqueeze(-1), future.motion.position, 0.0)
+        log_prob = self.predict(batch).log_prob(position)
         total = torch.where(seen, log_prob, torch.zeros_like(log_prob)).sum((-2, -1))
         return -total / seen.sum((-2, -1)).clamp_min(1)
 

@@ -46,17 +46,6 @@ def rotate_covariance(
     return torch.stack(entries, -2)
 
 
-def log_density(
-    error: Float[Tensor, "*b 2"], scale_tril: Float[Tensor, "*b 2 2"]
-) -> Float[Tensor, "*b"]:
-    """Log density in nats (per m²) of an error in m under N(0, L Lᵀ)."""
-    first, second = scale_tril[..., 0, 0], scale_tril[..., 1, 1]
-    white_first = error[..., 0] / first
-    white_second = (error[..., 1] - scale_tril[..., 1, 0] * white_first) / second
-    squared = white_first.square() + white_second.square()
-    return -0.5 * squared - (first * second).log() - math.log(2 * math.pi)
-
-
 def log_of_sum(log_joint: Float[Tensor, "*b K"]) -> Float[Tensor, "*b"]:
     """Log in nats of the sum over K components, to the digit that rounding leaves.
 

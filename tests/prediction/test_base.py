@@ -106,6 +106,33 @@ def test_loss_is_the_mean_over_agents_and_times_that_were_seen():
     assert torch.allclose(predictor.loss(batch), -(ego + other) / 15, rtol=1e-5)
 
 
+def test_what_was_not_recorded_does_not_reach_the_gradient_of_a_loss():
+    class Learned(ConstantVelocity):
+        """Learns how fast everybody is."""
+
+        def __init__(self):
+            super().__init__(10, DT_S)
+            self.share = torch.nn.Parameter(torch.ones(()))
+
+        def positions(self, tracks, time):
+            return self.share * super().positions(tracks, time)
+
+    batch = scene(neighbors=1)
+    future = batch.ego_future
+    valid = future.valid.clone()
+    valid[..., 5:] = False
+    position = torch.where(valid.unsqueeze(-1), future.motion.position, torch.nan)
+    slopes = []
+    for each in (position, position.nan_to_num(7.0)):
+        motion = future.motion._replace(position=each)
+        predictor = Learned()
+        given = batch._replace(ego_future=future._replace(motion=motion, valid=valid))
+        predictor.loss(given).sum().backward()
+        slopes.append(predictor.share.grad)
+    assert torch.isfinite(slopes[0])
+    assert torch.equal(*slopes)
+
+
 def test_loss_without_prediction_judges_the_ego_alone():
     batch = scene(neighbors=2)
     alone = scene(neighbors=0)._replace(ego_past=batch.ego_past, ego_future=batch.ego_future)

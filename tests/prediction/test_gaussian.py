@@ -1,13 +1,10 @@
 """Closed forms of Gaussians in the plane."""
 
 import torch
-from torch.autograd import gradcheck
-from torch.distributions import MultivariateNormal
 
 from diffstack_mmv.prediction.gaussian import (
     VARIANCE_FLOOR,
     covariance_along,
-    log_density,
     log_of_sum,
     rotate_covariance,
     scale_from_covariance,
@@ -31,20 +28,6 @@ def test_factor_of_a_zero_covariance_is_the_floor_with_finite_gradient():
     scale.diagonal().log().sum().backward()
     assert torch.allclose(scale.detach(), 0.02 * torch.eye(2))
     assert torch.isfinite(covariance.grad).all()
-
-
-def test_density_equals_that_of_torch_distributions():
-    covariance, error = covariances(), torch.randn(5, 2, dtype=torch.float64)
-    expected = MultivariateNormal(torch.zeros(2, dtype=torch.float64), covariance).log_prob(error)
-    assert torch.allclose(log_density(error, torch.linalg.cholesky(covariance)), expected)
-
-
-def test_density_has_the_gradient_of_its_value():
-    covariance, error = (
-        covariances(2).requires_grad_(),
-        torch.randn(2, 2, dtype=torch.float64, requires_grad=True),
-    )
-    assert gradcheck(lambda c, e: log_density(e, scale_from_covariance(c)), (covariance, error))
 
 
 def test_turning_the_axes_equals_turning_the_covariance():

@@ -207,8 +207,8 @@ class ControlDecoder(nn.Module):
         slowest = -speed / FADE_S
         acceleration = torch.maximum(along.clamp(-3.0, 3.0), slowest)
         curvature = (across / (speed.square() + 0.25)).clamp(-1.0, 1.0)
-        time = self.dynamics.dt_s * (torch.arange(self.horizon_steps, device=speed.device) + 0.5)
-        fading = torch.exp(-time / FADE_S).to(speed.dtype)
+        steps = torch.arange(self.horizon_steps, dtype=speed.dtype, device=speed.device)
+        fading = torch.exp(-self.dynamics.dt_s * (steps + 0.5) / FADE_S)
         state = self.dynamics.state_on_course(motion).unsqueeze(-2)
         return self.dynamics.control_for(
             state.expand(*speed.shape, self.horizon_steps, -1),

@@ -18,7 +18,7 @@ DEVIATION_MPS = 0.5  # and more for each second before and after
 
 
 def track_features(
-    tracks: Tracks, velocity: Float[Tensor, "*b 2"], time_s: Float[Tensor, " T"]
+    tracks: Tracks, velocity: Float[Tensor, "*b 2"], dt_s: float, now: int
 ) -> Float[Tensor, "*b T 10"]:
     """Features of order one of tracks in their own frames, zero where not valid.
 
@@ -28,9 +28,12 @@ def track_features(
     Args:
         tracks: Tracks in their own frames.
         velocity: Present velocity in m/s of the fit.
-        time_s: Times of the rows, now at 0.
+        dt_s: Length of one step in s.
+        now: Number of the row that is the present; -1 if that is the one before the first.
     """
     motion = tracks.motion
+    rows = torch.arange(tracks.valid.shape[-1], dtype=velocity.dtype, device=velocity.device)
+    time_s = dt_s * (rows - now)
     deviation = motion.position - velocity.unsqueeze(-2) * time_s.unsqueeze(-1)
     width = DEVIATION_M + DEVIATION_MPS * time_s.abs()
     features = torch.cat(

@@ -38,14 +38,9 @@ def energy_of_paths(
     counts = (weight >= COUNTING_SHARE)[..., None, None]
     path = torch.where(counts, mean, mean.detach())
     missed = safe_norm(path - truth.unsqueeze(-3))
-    first, second = _pairs(mean.shape[-3], mean.device)
+    components = mean.shape[-3]
+    first, second = torch.triu_indices(components, components, 1, device=mean.device)  # all pairs
     apart = safe_norm(path[..., first, :, :] - path[..., second, :, :])
     both = weight[..., first] * weight[..., second]
     each = (weight.unsqueeze(-1) * missed).sum(-2) - (both.unsqueeze(-1) * apart).sum(-2)
     return torch.where(valid, each, 0.0).sum(-1) / valid.sum(-1).clamp_min(1)
-
-
-def _pairs(count: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """All pairs of different components, each once."""
-    first, second = torch.triu_indices(count, count, 1, device=device)
-    return first, second

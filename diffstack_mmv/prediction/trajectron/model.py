@@ -246,8 +246,7 @@ class Trajectron(Predictor):
 
     def _row_loss(self, part: Decoded, future: Tracks) -> Float[Tensor, " S"]:
         """Negative evidence bound of each row in nats per predicted time step."""
-        steps = torch.arange(1, future.valid.shape[-1] + 1, device=future.valid.device)
-        seen = track_features(future, part.rows.velocity, self.dt_s * steps)
+        seen = track_features(future, part.rows.velocity, self.dt_s, -1)
         encoded = self.future_encoder(part.rows.kind, seen, future.valid)
         log_posterior = part.latent.log_posterior(part.context, encoded)
         weighed = part.log_prior if self.energy_weight > 0 else None

@@ -68,8 +68,8 @@ class SceneEncoder(nn.Module):
 
         With `ego_only` the context of neighbors lacks their own neighbors.
         """
-        steps = torch.arange(1 - rows.past.valid.shape[-1], 1, device=rows.velocity.device)
-        seen = track_features(rows.past, rows.velocity, self.dt_s * steps)
+        now = rows.past.valid.shape[-1] - 1
+        seen = track_features(rows.past, rows.velocity, self.dt_s, now)
         node = self.history(rows.kind, seen, rows.past.valid)
         around = self.interaction(rows, agents, node, ego_only)
         mode = nn.functional.one_hot(rows.past.mode, len(Mode)).to(node.dtype)

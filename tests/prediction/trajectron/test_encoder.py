@@ -1,10 +1,12 @@
 """Encoders of tracks."""
 
+import pytest
 import torch
 from torch import nn
 
-from diffstack_mmv.prediction.trajectron.encoder import PerKind
+from diffstack_mmv.prediction.trajectron.encoder import PerKind, track_features
 from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
+from diffstack_mmv.types import Motion, Tracks
 
 
 def test_masked_lstm_without_gaps_is_an_lstm():
@@ -22,6 +24,21 @@ def test_masked_lstm_of_a_late_agent_is_that_of_its_rows_alone():
     expected = masked(features[:, 3:], valid[:, 3:])
     features[:, :3] = torch.nan_to_num(torch.full_like(features[:, :3], torch.inf))
     assert torch.allclose(masked(features, valid), expected)
+
+
+@pytest.mark.parametrize(("dtype", "rounding"), [(torch.float32, 1e-6), (torch.float64, 1e-14)])
+def test_who_goes_on_as_fitted_deviates_by_nothing(dtype, rounding):
+    velocity = torch.tensor([[3.1, -0.7]], dtype=dtype)
+    for now in (6, -1):
+        time = 0.1 * (torch.arange(7, dtype=dtype) - now)
+        still = torch.zeros(1, 7, dtype=dtype)
+        motion = Motion(time[:, None] * velocity, still, torch.zeros(1, 7, 2, dtype=dtype), still)
+        motion = motion._replace(position=motion.position.unsqueeze(0))
+        valid = torch.ones(1, 7, dtype=torch.bool)
+        gone = Tracks(motion, torch.ones(1, 2, dtype=dtype), torch.ones(1, dtype=torch.long), valid)
+        features = track_features(gone, velocity, 0.1, now)
+        assert features.dtype == dtype
+        assert features[..., 2:4].abs().max() <= rounding
 
 
 def test_each_kind_has_its_network():
