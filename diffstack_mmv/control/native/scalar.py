@@ -20,7 +20,8 @@ TRUTHS = frozenset({"lt", "le", "gt", "ge", "eq", "ne", "and", "or", "not"})
 
 def _divided(a: float, b: float) -> float:
     if b == 0:
-        return math.nan if a == 0 or math.isnan(a) else math.copysign(math.inf, a)
+        sign = math.copysign(1.0, a) * math.copysign(1.0, b)
+        return math.nan if a == 0 or math.isnan(a) else sign * math.inf
     return a / b
 
 
@@ -29,7 +30,7 @@ FOLDS: dict[str, Callable[..., Any]] = {
     "sub": lambda a, b: a - b,
     "mul": lambda a, b: a * b,
     "div": _divided,
-    "pow": lambda a, b: a**b,
+    "pow": math.pow,  # a ** b would be complex for a fraction of a negative number
     "fmod": math.fmod,
     "atan2": math.atan2,
     "max": max,

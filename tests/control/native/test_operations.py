@@ -173,6 +173,26 @@ def test_every_operation_has_a_derivative():
     assert set(RULES) == set(FOLDS)
 
 
+@pytest.mark.parametrize(
+    ("name", "numbers", "folded"),
+    [
+        ("pow", (-8.0, 1 / 3), None),  # no number: left to the compiler
+        ("pow", (-8.0, 3.0), -512.0),
+        ("pow", (0.0, -1.0), None),
+        ("div", (1.0, 0.0), math.inf),
+        ("div", (1.0, -0.0), -math.inf),
+        ("div", (-1.0, -0.0), math.inf),
+    ],
+)
+def test_constants_are_folded_to_the_number_of_torch(name, numbers, folded):
+    program = Program()
+    node = program.apply(name, *map(program.constant, numbers))
+    assert program.value(node) == folded
+    if folded is not None:
+        function = {"pow": torch.pow, "div": torch.div}[name]
+        assert function(*(torch.tensor(each) for each in numbers)).item() == folded
+
+
 def test_equal_operations_are_one_and_zeros_are_gone():
     program = Program()
     a, b, zero, one = (
