@@ -47,13 +47,14 @@ def _is_called(node: Mapping[str, Any]) -> bool:
 
 
 class _Unbuilt:
-    """Stands for what is still to be built: nobody can compare or count with it."""
+    """Stands for what is still to be built: nobody can compare it, count it or tell its kind."""
 
     def _unknown(self, *_: object) -> bool:
         raise TypeError("It is not built yet.")
 
     __eq__ = __bool__ = __float__ = _unknown
     __hash__ = object.__hash__
+    __class__ = property(_unknown)  # pyright: ignore[reportAssignmentType]
 
 
 def _plain(value: Any) -> Any:

@@ -87,9 +87,9 @@ def _paths(
 
 
 def best_of_samples(
-    forecast: Forecast, future: Tracks, count: int = PATHS, seed: int = 0, first: int = 0
+    forecast: Forecast, future: Tracks, seed: int = 0, first: int = 0
 ) -> dict[str, Float[Tensor, "*b"]]:
-    """Smallest ADE and smallest FDE in m among sampled paths, each on its own.
+    """Smallest ADE and smallest FDE in m among 20 sampled paths, each on its own.
 
     Returns:
         best_of_20_ade and best_of_20_fde of independent draws, as published tables have them, and
@@ -98,7 +98,7 @@ def best_of_samples(
     """
     best: dict[str, Tensor] = {}
     for name, draw in (("best_of_20", sampled_paths), ("best_of_20_spread", spread_paths)):
-        distance = displacement_curve(draw(forecast, count, seed, first).movedim(-3, 0), future)
+        distance = displacement_curve(draw(forecast, PATHS, seed, first).movedim(-3, 0), future)
         average = time_mean(distance, future.valid.expand_as(distance))
         best |= {f"{name}_ade": average.amin(0), f"{name}_fde": distance[..., -1].amin(0)}
     return best

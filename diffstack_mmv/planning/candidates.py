@@ -8,7 +8,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require_at_least, require_positive, require_switch
+from diffstack_mmv.checks import (
+    require_at_least,
+    require_positive,
+    require_switch,
+    require_whole,
+)
 from diffstack_mmv.control import pad_controls
 from diffstack_mmv.control.native.scan import scan
 from diffstack_mmv.dynamics import DynamicsModel
@@ -71,7 +76,7 @@ class CandidateFan:
         compile: Roll out in a generated library where there is a C++ compiler.
 
     Raises:
-        ValueError: A number is below 1, or a range is not positive.
+        ValueError: A number is below 1 or no whole one, or a range is not positive.
     """
 
     def __init__(
@@ -83,8 +88,9 @@ class CandidateFan:
         speed_max_mps: float = 12.0,
         compile: bool = False,
     ) -> None:
-        require_at_least("speeds", speeds, 1)
-        require_at_least("offsets", offsets, 1)
+        for name, count in (("speeds", speeds), ("offsets", offsets)):
+            require_whole(name, count)
+            require_at_least(name, count, 1)
         for name, value in (
             ("speed_change_mps", speed_change_mps),
             ("speed_max_mps", speed_max_mps),

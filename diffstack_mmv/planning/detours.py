@@ -14,6 +14,7 @@ from diffstack_mmv.checks import (
     require_between,
     require_positive,
     require_switch,
+    require_whole,
 )
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.planning.candidates import Candidates, roll_out
@@ -97,9 +98,10 @@ class DetourFan:
             require_between("offsets_deg", offset, 0, 180)
         for share in speed_shares:
             require_between("speed_shares", share, 0, 1)
-        require_at_least("drawn", drawn, 0)
+        for name, count in (("drawn", drawn), ("backing", backing)):
+            require_whole(name, count)
+            require_at_least(name, count, 0)
         require_positive("drawn_until_s", drawn_until_s)
-        require_at_least("backing", backing, 0)
         require_switch("compile", compile)
         one_side = [math.radians(offset) for offset in offsets_deg]
         both = torch.tensor([-offset for offset in reversed(one_side)] + [0.0] + one_side)

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require_at_least, require_positive, require_switch
+from diffstack_mmv.checks import require_at_least, require_positive, require_switch, require_whole
 from diffstack_mmv.control import ILQR, Batched, Bounds, Solution
 from diffstack_mmv.control.constrained import HARD, ConstrainedILQR, Inequality, Slack
 from diffstack_mmv.control.optimizer import Cost, Dynamics
@@ -120,6 +120,9 @@ class PlanConstraints:
         max_iterations: Limit of iterations of each phase of the constrained solver.
         tolerance: Largest violation of a hard limit.
         persistent: See `ConstrainedILQR`; a decision in time is worth more than one solution more.
+
+    Raises:
+        ValueError: The price is negative, the tolerance not positive, or there is no iteration.
     """
 
     limits: Mapping[str, PlanLimit]
@@ -129,6 +132,10 @@ class PlanConstraints:
     persistent: bool = False
 
     def __post_init__(self) -> None:
+        require_at_least("linear", self.linear, 0)
+        require_whole("max_iterations", self.max_iterations)
+        require_at_least("max_iterations", self.max_iterations, 1)
+        require_positive("tolerance", self.tolerance)
         require_switch("persistent", self.persistent)
 
     def solve(

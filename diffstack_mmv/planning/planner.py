@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from diffstack_mmv.checks import message, require_at_least
+from diffstack_mmv.checks import message, require_at_least, require_whole
 from diffstack_mmv.control import ILQR, Batched, TrajectoryOptimizer, pad_controls
 from diffstack_mmv.costs import WeightedCost
 from diffstack_mmv.dynamics import DynamicsModel
@@ -80,8 +80,8 @@ class MPCPlanner(Planner):
 
     Raises:
         TypeError: There are constraints, but the solver is no `ILQR`.
-        ValueError: The horizon is shorter than one step, the number of starts negative, or no
-            component left.
+        ValueError: The horizon is shorter than one step, the number of starts negative, no
+            component left, or one of these no whole number.
     """
 
     def __init__(  # noqa: PLR0913 - each is a part that can be exchanged
@@ -99,10 +99,11 @@ class MPCPlanner(Planner):
         constraints: PlanConstraints | None = None,
     ) -> None:
         super().__init__()
-        require_at_least("steps", steps, 1)
-        if solved_components is not None:
-            require_at_least("solved_components", solved_components, 1)
-        require_at_least("starts", starts, 0)
+        most = 1 if solved_components is None else solved_components
+        counts = ("steps", steps, 1), ("starts", starts, 0), ("solved_components", most, 1)
+        for name, count, least in counts:
+            require_whole(name, count)
+            require_at_least(name, count, least)
         self.dynamics = dynamics
         self.cost = cost
         self.solver = solver

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from diffstack_mmv.checks import require, require_at_least, require_positive
+from diffstack_mmv.checks import require, require_at_least, require_positive, require_whole
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.types import Forecast, Motion, StackBatch, Tracks, map_tensors, taken
 
@@ -35,13 +35,14 @@ class Predictor(nn.Module, ABC):
             that of the ego does, and `forecasts_of` makes everybody an ego once.
 
     Raises:
-        ValueError: The horizon has no step, or the step is not positive.
+        ValueError: The horizon has no whole number of steps, or the step is not positive.
     """
 
     forecast_neighbors: bool = True
 
     def __init__(self, horizon_steps: int = 30, dt_s: float = 0.1) -> None:
         super().__init__()
+        require_whole("horizon_steps", horizon_steps)
         require_at_least("horizon_steps", horizon_steps, 1)
         require_positive("dt_s", dt_s)
         self.horizon_steps = horizon_steps

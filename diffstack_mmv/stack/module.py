@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from diffstack_mmv.checks import require, require_at_least
+from diffstack_mmv.checks import require, require_at_least, require_whole
 from diffstack_mmv.metrics import (
     OF_THE_PREDICTION,
     OPEN_LOOP,
@@ -80,6 +80,7 @@ class DiffStackMMV(pl.LightningModule):
         physics: PhysicsLearning | None = None,
     ) -> None:
         super().__init__()
+        require_whole("obstacle_components", obstacle_components)
         require_at_least("obstacle_components", obstacle_components, 1)
         if precision is not None:
             precision.apply(predictor)
@@ -246,10 +247,11 @@ class DiffStackMMV(pl.LightningModule):
         return {name: scores[name] for name in OPEN_LOOP}
 
     def require_learnable(self) -> None:
-        """Refuse a stack in which the loss reaches nothing that is learned.
+        """Refuse a stack in which the loss moves nothing, or less than asked for.
 
         Raises:
-            ValueError: The predictor learns nothing and no plan is in the loss, or nothing at all.
+            ValueError: The predictor learns nothing and no plan is in the loss, or nothing at all,
+                or a physical parameter that was asked for is a constant of the vehicle.
         """
         reached = self if self.loss_weights.plans else self.predictor
         some = any(each.requires_grad for each in reached.parameters())
@@ -257,6 +259,7 @@ class DiffStackMMV(pl.LightningModule):
         found = "a predictor that learns nothing" if reached is not self else "no parameter at all"
         remedy = "Give another predictor or loss, or epochs=0 for a checkpoint of it as it is."
         require(some, "loss", wanted, found, "", remedy)
+        self.physics.require_learnable(self.planner.dynamics)
 
     def configure_optimizers(self) -> Any:
         """Optimizer over all learnable parameters, with its schedule where one is given.

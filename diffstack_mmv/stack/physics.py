@@ -61,6 +61,18 @@ class PhysicsLearning:
             if name not in self.learned:
                 dynamics.get_submodule(name).requires_grad_(False)
 
+    def require_learnable(self, dynamics: PhysicalModel) -> None:
+        """Refuse to learn what the vehicle holds constant: it would stay so in silence.
+
+        Raises:
+            ValueError: Its file does not say that the parameter is learned.
+        """
+        for name in self.learned or ():
+            moves = any(each.requires_grad for each in dynamics.get_submodule(name).parameters())
+            wanted, place = "be what the vehicle lets learn", f"of {type(dynamics).__name__}"
+            remedy = "Set `learn: true` in its file."
+            require(moves, "physics.learned", wanted, name, place, remedy)
+
     def optimizer(
         self,
         make: Callable[..., torch.optim.Optimizer],

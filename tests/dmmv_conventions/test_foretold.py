@@ -11,17 +11,18 @@ SOURCE = '''
 from dataclasses import dataclass
 
 import no_such_package
-from dmmv_conventions.checks import require, require_at_least, require_positive
+from dmmv_conventions.checks import require, require_at_least, require_positive, require_whole
 
 LEAST = 2
 
 
 class Part:
-    def __init__(self, size, *, rate=1.0, weights=None, inner=None, scale=None) -> None:
+    def __init__(self, size, *, rate=1.0, weights=None, inner=None, scale=None, count=1) -> None:
         super().__init__()
         if size == 0:
             raise RuntimeError("nobody runs what does more than check")
         require_at_least("size", size, LEAST)
+        require_whole("count", count)
         require_positive("rate", rate, remedy="Take 1.0.")
         for name, weight in (weights or {}).items():
             require_positive(f"weights.{name}", weight)
@@ -134,6 +135,7 @@ def test_what_is_no_number_is_refused(package, unchecked, size, told):
             "_target_": "foretold_parts.Part",
             "size": {"_target_": "a.b"},
             "inner": {"_target_": "a"},
+            "count": {"_target_": "a"},
         },
         # behind a return
         {"_target_": "foretold_parts.Part", "size": 2, "rate": 6},

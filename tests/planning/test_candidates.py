@@ -106,11 +106,14 @@ def test_cross_entropy_is_that_of_torch():
     assert torch.allclose(cross_entropy(logits, target), expected)
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     "arguments",
     [
         {"speeds": 0},
         {"offsets": 0},
+        {"speeds": 2.5},
+        {"offsets": 3.0},
         {"speed_change_mps": 0.0},
         {"offset_share": -1.0},
         {"speed_max_mps": 0.0},

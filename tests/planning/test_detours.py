@@ -140,13 +140,16 @@ def test_drawn_candidates_come_beside_the_others_and_some_lead_back(model):
     assert float(drawn[:, 14, 0].min()) < 0 < 3.0 < float(drawn[:, 14, 0].max())
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("name", "value"),
     [
         ("offsets_deg", ()),
         ("speed_shares", (1.5,)),
         ("drawn", -1),
+        ("drawn", 2.5),
         ("backing", -1),
+        ("backing", 1.0),
         ("drawn_until_s", 0.0),
     ],
 )

@@ -140,3 +140,19 @@ def test_another_optimiser_cannot_keep_to_limits():
     arguments = {"constraints": PlanConstraints(LIMITS), "solver": print}
     with pytest.raises(TypeError, match="`solver` must be an ILQR"):
         type(planner)(planner.dynamics, planner.cost, candidates=planner.candidates, **arguments)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("linear", -1.0),
+        ("linear", float("nan")),
+        ("max_iterations", 0),
+        ("max_iterations", 2.5),
+        ("tolerance", 0.0),
+    ],
+)
+def test_settings_that_no_solver_takes_are_refused_where_they_are_given(name, value):
+    with pytest.raises(ValueError, match=f"`{name}` must be"):
+        PlanConstraints(LIMITS, **{name: value})

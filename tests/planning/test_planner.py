@@ -237,8 +237,17 @@ def test_where_the_model_diverges_the_last_of_the_fan_is_driven():
     assert int(plan.solution.status) == SolverStatus.NOT_FINITE
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
-    ("name", "value"), [("steps", 0), ("starts", -1), ("solved_components", 0)]
+    ("name", "value"),
+    [
+        ("steps", 0),
+        ("steps", 10.5),
+        ("starts", -1),
+        ("starts", 1.5),
+        ("solved_components", 0),
+        ("solved_components", 1.0),
+    ],
 )
 def test_numbers_out_of_range_are_refused(name, value):
     planner = training()

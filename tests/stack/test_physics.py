@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from diffstack_mmv.dynamics import DiffKBM, ExtendedUnicycle, SingleIntegrator
+from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle, SingleIntegrator
 from diffstack_mmv.planning import PredictedGoal
 from diffstack_mmv.prediction import Sizes, StandStill, Trajectron
 from diffstack_mmv.stack import PhysicsLearning
@@ -43,6 +43,22 @@ def test_frozen_parameters_are_in_no_group_and_have_no_gradient():
 def test_a_rate_or_a_name_that_makes_no_sense_is_refused(make, told):
     with pytest.raises(ValueError, match=told):
         make()
+
+
+@pytest.mark.parametrize("constant", ["drag", "length_scale"])
+def test_what_the_vehicle_holds_constant_is_not_learned(constant):
+    dynamics = DiffGM3(load_vehicle("bicycle"))
+    PhysicsLearning(learned=["friction", "yaw_inertia"]).require_learnable(dynamics)
+    told = f"`physics.learned` must be what the vehicle lets learn, but got {constant} of DiffGM3"
+    with pytest.raises(ValueError, match=told):
+        PhysicsLearning(learned=["friction", constant]).require_learnable(dynamics)
+
+
+def test_a_training_that_could_not_move_what_it_is_to_learn_is_refused():
+    stack = with_physics(PhysicsLearning(learned=["wheelbase"]))
+    stack.planner.dynamics.requires_grad_(False)
+    with pytest.raises(ValueError, match="`physics.learned` must be what the vehicle lets learn"):
+        stack.configure_optimizers()
 
 
 @pytest.mark.parametrize("loss", ["planning_ce", "planning_cost", "control"])

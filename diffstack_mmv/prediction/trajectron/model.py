@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from diffstack_mmv.checks import require, require_at_least, require_switch
+from diffstack_mmv.checks import require, require_at_least, require_switch, require_whole
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.prediction.base import GaussianRollout, Predictor, all_agents
 from diffstack_mmv.prediction.gaussian import log_of_sum
@@ -118,7 +118,10 @@ class Trajectron(Predictor):
         rough: bool = False,
     ) -> None:
         super().__init__(horizon_steps, ego_dynamics.dt_s)
-        require_at_least("neighbor_components", neighbor_components, 0)
+        counts = ("components", components, 1), ("neighbor_components", neighbor_components, 0)
+        for name, count, least in counts:
+            require_whole(name, count)
+            require_at_least(name, count, least)
         require_switch("rough", rough)
         self.forecast_neighbors = neighbor_components > 0
         models = {EGO: ego_dynamics, VEHICLE: vehicle_dynamics, PEDESTRIAN: pedestrian_dynamics}

@@ -161,6 +161,13 @@ def test_models_of_different_time_steps_are_refused():
         Trajectron(bicycle(), bicycle(), SingleIntegrator(0.2))
 
 
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("name", ["components", "neighbor_components", "horizon_steps"])
+def test_parts_of_a_component_or_a_step_are_refused(name):
+    with pytest.raises(ValueError, match=f"`{name}` must be a whole number, but got 2.5"):
+        Trajectron(bicycle(), bicycle(), SingleIntegrator(), **{name: 2.5})
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kinematic", [False, True])
 def test_it_can_learn_one_batch_by_heart(kinematic):
