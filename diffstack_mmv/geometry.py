@@ -155,6 +155,16 @@ def motion_from_frame(
     )
 
 
+def last_known(
+    now: Float[Tensor, "*b 2"], position: Float[Tensor, "*b T 2"], valid: Bool[Tensor, "*b T"]
+) -> Float[Tensor, "*b T 2"]:
+    """Positions in m of who stays at the last valid one before a gap, at `now` if there is none."""
+    number = torch.arange(1, valid.shape[-1] + 1, device=valid.device)
+    latest = torch.where(valid, number, 0).cummax(-1).values
+    path = torch.cat([now.unsqueeze(-2), position], -2)
+    return path.take_along_dim(latest.unsqueeze(-1), -2)
+
+
 def root(square: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
     """Correctly rounded square root, NaN below zero; its derivative at zero is told as zero.
 

@@ -2,16 +2,19 @@
 
 import math
 
+import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
 from diffstack_mmv.geometry import (
+    angle_of,
     clearance_lack,
     direction,
     distance_to_axis,
     distance_to_outline,
     distance_to_segment,
+    last_known,
     left_of,
     length,
     motion_in_frame,
@@ -85,6 +88,36 @@ def test_own_frame_puts_the_motion_at_the_origin_and_keeps_body_rates():
     assert own.heading == 0
     assert torch.equal(own.velocity, motion.velocity)
     assert own.yaw_rate == motion.yaw_rate
+
+
+def test_an_angle_that_is_not_known_is_zero_without_a_slope():
+    angles = torch.tensor([-3.0, 0.0, 0.5, 2.0])
+    vectors = (2 * direction(angles)).requires_grad_()
+    known = torch.tensor([True, True, False, True])
+    found = angle_of(vectors, known)
+    torch.testing.assert_close(found, torch.where(known, angles, 0.0))
+    slope = torch.autograd.grad(found.sum(), vectors)[0]
+    assert torch.equal(slope.abs().sum(-1) > 0, known)
+    none = torch.zeros(2, requires_grad=True)
+    found = angle_of(none, torch.tensor(False))
+    assert torch.equal(torch.autograd.grad(found, none)[0], torch.zeros(2))
+
+
+@pytest.mark.parametrize(
+    ("valid", "held"),
+    [
+        ([1, 1, 1], [1.0, 2.0, 3.0]),
+        ([0, 1, 0], [0.0, 2.0, 2.0]),
+        ([1, 0, 1], [1.0, 1.0, 3.0]),
+        ([0, 0, 0], [0.0, 0.0, 0.0]),
+    ],
+)
+def test_who_is_lost_stays_where_they_were_seen_last(valid, held):
+    known = torch.tensor(valid, dtype=torch.bool)
+    seen = torch.tensor([1.0, 2.0, 3.0]).unsqueeze(-1).expand(3, 2)
+    recorded = torch.where(known.unsqueeze(-1), seen, torch.nan)
+    found = last_known(torch.zeros(2, 2), recorded.expand(2, 3, 2), known.expand(2, 3))
+    assert torch.equal(found, torch.tensor(held).unsqueeze(-1).expand(2, 3, 2))
 
 
 def test_a_length_of_zero_has_a_derivative_of_zero():

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.geometry import angle_of
+from diffstack_mmv.geometry import angle_of, last_known
 from diffstack_mmv.types import (
     Discs,
     Ego,
@@ -177,12 +177,9 @@ def observed_obstacles(past: Tracks, future: Tracks) -> Obstacles:
         future: What follows, of shape (*b, N, T).
     """
     now = past.present()
-    start = now.motion.position.unsqueeze(-2)
-    steps = torch.arange(future.valid.shape[-1], device=future.valid.device)
-    last_seen = torch.where(future.valid, steps, -1).cummax(-1).values
-    position = torch.cat([start, future.motion.position], -2)
-    seen = position.take_along_dim((last_seen + 1).unsqueeze(-1), -2)
-    path = torch.cat([start, seen], -2).unsqueeze(-3)
+    start = now.motion.position
+    seen = last_known(start, future.motion.position, future.valid)
+    path = torch.cat([start.unsqueeze(-2), seen], -2).unsqueeze(-3)
     return Obstacles(
         position=path,
         weight=torch.ones_like(path[..., 0, 0]),

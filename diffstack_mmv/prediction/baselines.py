@@ -9,12 +9,14 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.geometry import last_known
 from diffstack_mmv.prediction.base import Predictor, all_agents
 from diffstack_mmv.prediction.current import (
     current_heading,
     current_position,
     mean_velocity,
     steady_path,
+    times_ahead,
 )
 from diffstack_mmv.prediction.gaussian import covariance_along, scale_from_covariance
 from diffstack_mmv.smooth import safe_norm
@@ -96,9 +98,7 @@ class Extrapolation(Predictor):
     def forward(self, past: Tracks, neighbors: Tracks) -> Forecast:
         """Forecast all agents, `*b 1+N`."""
         tracks = all_agents(past, neighbors)
-        given = tracks.motion.position
-        steps = torch.arange(1, self.horizon_steps + 1, dtype=given.dtype, device=given.device)
-        time = self.dt_s * steps
+        time = times_ahead(tracks.motion.position, self.horizon_steps, self.dt_s)
         heading = current_heading(tracks)
         speed = safe_norm(mean_velocity(tracks, SPREAD_ROWS, self.dt_s))
         return single_component(
@@ -174,11 +174,7 @@ class GroundTruth(Extrapolation):
             all_agents(batch.ego_past, batch.neighbors_past),
             all_agents(batch.ego_future, batch.neighbors_future),
         )
-        known = torch.cat([current_position(past).unsqueeze(-2), future.motion.position], -2)
-        valid = torch.cat([torch.ones_like(future.valid[..., :1]), future.valid], -1)
-        row = torch.arange(valid.shape[-1], device=valid.device).expand_as(valid)
-        latest = torch.where(valid, row, torch.zeros_like(row)).cummax(-1).values
-        mean = known.take_along_dim(latest.unsqueeze(-1), -2)[..., 1:, :]
+        mean = last_known(current_position(past), future.motion.position, future.valid)
         time = torch.zeros(mean.shape[-2], dtype=mean.dtype, device=mean.device)
         heading = current_heading(past)
         return single_component(

@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.prediction.current import steady_path
+from diffstack_mmv.prediction.current import steady_path, times_ahead
 from diffstack_mmv.types import Tracks
 
 STEADY_SHARE = 0.2
@@ -34,6 +34,6 @@ def combined_path(
     Returns:
         Path in m.
     """
-    time = dt_s * torch.arange(1, mean.shape[-2] + 1, dtype=mean.dtype, device=mean.device)
+    time = times_ahead(mean, mean.shape[-2], dt_s)
     steady = steady_path(past, time, max(round(WINDOW_S / dt_s), 1), dt_s)
     return torch.lerp(torch.lerp(median, mean, 0.5), steady, STEADY_SHARE)

@@ -7,7 +7,7 @@ from torch import Tensor
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.prediction.base import Predictor, all_agents
 from diffstack_mmv.prediction.baselines import single_component
-from diffstack_mmv.prediction.current import current_heading
+from diffstack_mmv.prediction.current import current_heading, times_ahead
 from diffstack_mmv.prediction.gaussian import covariance_along, scale_from_covariance
 from diffstack_mmv.types import Forecast, Tracks
 
@@ -51,8 +51,7 @@ class KalmanConstantVelocity(Predictor):
         """Forecast all agents, `*b 1+N`."""
         tracks = all_agents(past, neighbors)
         state, covariance = self.filtered(tracks)
-        steps = torch.arange(1, self.horizon_steps + 1, dtype=state.dtype, device=state.device)
-        time = self.dt_s * steps
+        time = times_ahead(state, self.horizon_steps, self.dt_s)
         column = time[:, None, None]
         position, velocity = state[..., None, :2], state[..., None, 2:]
         blocks = covariance.unsqueeze(-3)
