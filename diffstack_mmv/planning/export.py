@@ -51,8 +51,8 @@ def export_planner(
         The files, and the entries of the parameters.
 
     Raises:
-        ValueError: A number is not positive, the planner has constraints, or the compiler does not
-            build for the processor.
+        ValueError: A number is not positive, the planner has constraints, its solver more step
+            sizes than a library tries, or the compiler does not build for the processor.
         TypeError: The solver is no `ILQR`.
         CannotLowerError: Dynamics or cost have an operation that has no scalar form.
         CannotBuildError: There is no C++ compiler.

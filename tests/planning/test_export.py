@@ -183,3 +183,12 @@ def test_a_processor_that_the_compiler_does_not_know_is_refused_before_anything_
 def test_a_planner_is_exported_where_it_is():
     example = _example(training().to("meta"), agents=2, components=1, discs=1)
     assert {each.device.type for each in parted(example)} == {"meta"}
+
+
+def test_more_step_sizes_than_a_library_has_room_for_are_refused(tmp_path):
+    planner = training()
+    planner.solver = ILQR(line_search_steps=65)
+    told = "`solver.line_search_steps` must be at most 64 to export, but got 65"
+    with pytest.raises(ValueError, match=told):
+        export_planner(planner, tmp_path)
+    assert not any(tmp_path.iterdir())

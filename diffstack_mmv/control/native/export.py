@@ -17,6 +17,7 @@ from diffstack_mmv.control.native.capture import Recorder, Taken, Trajectory, ev
 from diffstack_mmv.control.native.code import literal
 from diffstack_mmv.control.native.generation import Library, source
 from diffstack_mmv.control.native.library import header
+from diffstack_mmv.control.native.solver import MOST_SIZES
 from diffstack_mmv.control.optimizer import Dynamics
 from diffstack_mmv.control.selection import Batched
 from diffstack_mmv.types import Bounds, SolverStatus
@@ -57,6 +58,11 @@ class Export:
 
     solver: ILQR
     machine: str = "native"
+
+    def __post_init__(self) -> None:
+        # a library has room for so many, and does not look
+        most, tried = MOST_SIZES, self.solver.line_search_steps
+        require(tried <= most, "solver.line_search_steps", f"be at most {most} to export", tried)
 
     def __call__(
         self,
