@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from diffstack_mmv.checks import message, require_at_least, require_whole
+from diffstack_mmv.checks import message, require, require_at_least, require_whole
 from diffstack_mmv.control import ILQR, Batched, TrajectoryOptimizer, pad_controls
 from diffstack_mmv.costs import WeightedCost
 from diffstack_mmv.dynamics import DynamicsModel
@@ -125,7 +125,11 @@ class MPCPlanner(Planner):
         The proposals are constants to the gradient; their logits carry it to the cost weights and
         to the problem where the score is differentiable, the solutions to these and to the dynamics
         as well.
+
+        Raises:
+            ValueError: Agents are foretold over another number of steps.
         """
+        self._require_horizon(problem.obstacles)
         waited = torch.zeros_like(problem.reference_speed) if state is None else state.waited
         problem = problem._replace(obstacles=problem.obstacles.of_valid())
 
@@ -185,6 +189,14 @@ class MPCPlanner(Planner):
         }
         parts = self.cost.components(plan.motion, controls, problem, weights)
         return {name: value.sum(-1) for name, value in parts.items()}
+
+    def _require_horizon(self, obstacles: Obstacles) -> None:
+        """Refuse another horizon, of which a library would take one time for another."""
+        *_, agents, _, rows, _ = obstacles.position.shape
+        wanted = f"have {self.steps + 1} rows, for now and the end of each step"
+        remedy = "Forecast as many steps as are planned."
+        fits = rows == self.steps + 1 or agents == 0
+        require(fits, "problem.obstacles.position", wanted, rows, "", remedy)
 
     def _costs(self, problem: PlanningProblem) -> PreparedCost:
         """The cost of plans, in a library where the solver is compiled."""

@@ -155,6 +155,18 @@ def test_any_number_of_starts_gives_a_plan(starts):
     assert plan.solution.controls.shape == (4, starts, STEPS, 2)
 
 
+@pytest.mark.parametrize("rows", [STEPS, STEPS + 2])
+@pytest.mark.parametrize("planner", [training(), driving()], ids=["training", "driving"])
+def test_agents_over_another_horizon_are_refused(planner, rows):
+    """A library, which knows no shapes, would take one time for another."""
+    problems = problem()
+    now = problems.obstacles.position[..., :1, :]
+    others = problems.obstacles._replace(position=now.repeat_interleave(rows, -2))
+    told = f"`problem.obstacles.position` must have 11 rows.* but got {rows}"
+    with pytest.raises(ValueError, match=told):
+        planner(problems._replace(obstacles=others))
+
+
 def test_the_optimum_of_no_start_is_refused():
     with pytest.raises(ValueError, match="`starts` must be at least 1"):
         training(starts=0)(problem())
