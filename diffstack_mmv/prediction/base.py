@@ -4,6 +4,7 @@ A predictor answers for the ego and all neighbors in one forecast: the dimension
 the agent, 0 is the ego and 1 .. N are the neighbors in the order in which they were given.
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
@@ -71,7 +72,12 @@ class Predictor(nn.Module, ABC):
         return self.predict(batch), self.loss(batch)
 
     def loss(self, batch: StackBatch) -> Float[Tensor, "*b"]:
-        """Mean negative log density in nats of the true positions, over valid times and agents."""
+        """Mean negative log density in nats of the true positions, over valid times and agents.
+
+        Raises:
+            ValueError: The samples have another step or horizon than the predictor.
+        """
+        self.require_fitting(batch)
         future = all_agents(batch.ego_future, batch.neighbors_future)
         seen = present_agents(batch).unsqueeze(-1) & future.valid
         # what stands in rows that are not valid must not reach the gradient
@@ -79,6 +85,20 @@ class Predictor(nn.Module, ABC):
         log_prob = self.predict(batch).log_prob(position)
         total = torch.where(seen, log_prob, torch.zeros_like(log_prob)).sum((-2, -1))
         return -total / seen.sum((-2, -1)).clamp_min(1)
+
+    def require_fitting(self, batch: StackBatch) -> None:
+        """Refuse to judge by samples of another step or horizon: a library would not notice.
+
+        Raises:
+            ValueError: They are.
+        """
+        step_s, rows = batch.dt_s, batch.ego_future.valid.shape[-1]
+        remedy = "Build the predictor for the samples."
+        same = math.isclose(step_s, self.dt_s, rel_tol=1e-6)
+        require(same, "batch.dt_s", f"be {self.dt_s:g} s as of the predictor", step_s, "", remedy)
+        wanted = f"have {self.horizon_steps} rows, the steps that are predicted"
+        fits = rows == self.horizon_steps
+        require(fits, "batch.ego_future", wanted, rows, "", remedy)
 
     def compile_kernels(self, moments: GaussianRollout) -> None:
         """Have expensive parts compiled at their next use; by default there is nothing to do.

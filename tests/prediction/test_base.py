@@ -133,6 +133,23 @@ def test_what_was_not_recorded_does_not_reach_the_gradient_of_a_loss():
     assert torch.equal(*slopes)
 
 
+@pytest.mark.parametrize("make", [trajectron, lambda **_: ConstantVelocity(10, DT_S)])
+@pytest.mark.parametrize(
+    ("horizon", "dt_s", "told"),
+    [
+        (9, DT_S, "`batch.ego_future` must have 10 rows, the steps that are predicted, but got 9"),
+        (12, DT_S, "`batch.ego_future` must have 10 rows"),
+        (10, 2 * DT_S, f"`batch.dt_s` must be {DT_S:g} s as of the predictor, but got {2 * DT_S}"),
+    ],
+)
+def test_samples_of_another_horizon_or_step_are_not_judged(make, horizon, dt_s, told):
+    """A library reads as many numbers as it expects, and not one more or less."""
+    predictor, batch = make(neighbor_components=2), scene(horizon=horizon)._replace(dt_s=dt_s)
+    predictor.compile_kernels(lambda *_: None)
+    with pytest.raises(ValueError, match=told):
+        predictor.predict_and_judge(batch)
+
+
 def test_loss_without_prediction_judges_the_ego_alone():
     batch = scene(neighbors=2)
     alone = scene(neighbors=0)._replace(ego_past=batch.ego_past, ego_future=batch.ego_future)

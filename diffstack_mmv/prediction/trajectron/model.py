@@ -195,6 +195,9 @@ class Trajectron(Predictor):
         with the components weighted by the posterior inside of the logarithm, as in the code of the
         sources, and the energy score of the mixture by the prior, see `energy_of_paths`. Each call
         in training mode is one step of the annealing of β.
+
+        Raises:
+            ValueError: The samples have another step or horizon than the predictor.
         """
         return self._judged(batch)[1]
 
@@ -214,6 +217,7 @@ class Trajectron(Predictor):
 
     def _judged(self, batch: StackBatch) -> tuple[list[Decoded], Float[Tensor, "*b"]]:
         """Decode the agents of a batch, and compute the loss of each sample."""
+        self.require_fitting(batch)
         agents = scenes(all_agents(batch.ego_past, batch.neighbors_past))
         futures = scenes(all_agents(batch.ego_future, batch.neighbors_future))
         rows = agent_batch(agents, self.dt_s, batch.frame)
