@@ -33,6 +33,10 @@ class Holonomic(DynamicsModel):
     Args:
         spec: The vehicle: its top speed v_max counts, nothing else.
         dt_s: Length of one step in s.
+
+    Raises:
+        TypeError: `spec` is no vehicle.
+        ValueError: The step is not positive.
     """
 
     class State(NamedTuple):

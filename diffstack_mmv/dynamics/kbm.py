@@ -84,6 +84,10 @@ class DiffKBM(DynamicsModel):
             zero, a `SoftplusFloor`, whose gradient never vanishes, or a `ReversingFloor`. By
             default the ReLU, or a `ReversingFloor` at the top speed of a vehicle with
             `reverse: true`.
+
+    Raises:
+        TypeError: `spec` is no vehicle.
+        ValueError: The step is not positive.
     """
 
     class State(NamedTuple):

@@ -29,6 +29,10 @@ class ExtendedUnicycle(DynamicsModel):
     Args:
         spec: The vehicle: limits, and axle and wheelbase for a driver who steers by an angle.
         dt_s: Length of one step in s.
+
+    Raises:
+        TypeError: `spec` is no vehicle.
+        ValueError: The step is not positive.
     """
 
     class State(NamedTuple):

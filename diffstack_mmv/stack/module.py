@@ -65,6 +65,10 @@ class DiffStackMMV(pl.LightningModule):
         precision: Precision of the layers of the predictor; float32 if none is given.
         physics: Which physical parameters are learned; all that the vehicle allows, at the rate of
             the networks, if none is given.
+
+    Raises:
+        ValueError: No neighbor has a component left, or a physical parameter that is to be learned
+            is unknown.
     """
 
     def __init__(

@@ -96,6 +96,9 @@ class CoordinatedLean:
     Attributes:
         anticipation_s: By how much the lean comes before the lateral acceleration.
         bandwidth_radps: ω.
+
+    Raises:
+        ValueError: The bandwidth is not positive.
     """
 
     anticipation_s: float = 0.1
