@@ -27,9 +27,9 @@ def check(config: DictConfig) -> None:
     require_step_of(config.data.module.source, config.dt_s)
     # for their mistakes alone, before the recordings are read
     measured = config.controls == MEASURED
-    named = isinstance(config.controls, str) and not measured
-    needs = f"be {MEASURED}, or the noise of each recorded control as in {{steer: 0.002}}"
-    require(not named, "controls", needs, config.controls)
+    understood = config.controls is None or measured or isinstance(config.controls, DictConfig)
+    needs = f"be {MEASURED}, or noise by name as in {{acceleration: 0.05, steer: 0.002}}"
+    require(understood, "controls", needs, config.controls)
     for name in ("parameters", "profile"):
         given = config.study.get(name)
         require(not isinstance(given, str), name, "be a list of names, as in [wheelbase]", given)

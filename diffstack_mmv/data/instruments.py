@@ -17,6 +17,11 @@ from diffstack_mmv.data.tracks import read_interpolated, read_tracks
 from diffstack_mmv.types import Mode, Motion
 from dmmv_conventions.cache import CONTROLS_TABLE, LEAN_TABLE, SENSORS_TABLE, side_table
 
+LONGEST_GAP_S = 0.5
+"""Gap between records that is bridged, as that between positions of a conversion."""
+LONGEST_GAP_STEPS = 1.5
+"""The same for rare records, in usual times from one to the next."""
+
 
 class RecordedRides(NamedTuple):
     """All that is recorded of rides with instruments, by "recording/agent"."""
@@ -53,7 +58,7 @@ def read_leans(source: WindowSource, splits: Sequence[str], mode: str) -> dict[s
 
     Returns:
         Lean, of shape (T,), in rad, positive to the left, by "recording/agent"; NaN where it was
-        not measured.
+        not measured, as for controls.
 
     Raises:
         ValueError: The mode is unknown, or the source is no finished converted cache.
@@ -82,7 +87,8 @@ def read_controls(
 
     Returns:
         By "recording/agent" the controls (T, m): the mean of what was recorded within each step,
-        else a value between its neighbors; NaN before the first and after the last record.
+        else a value between its neighbors; NaN before the first and after the last record, and
+        between two that are farther apart than 0.5 s and 1.5 times the usual.
 
     Raises:
         ValueError: The mode is unknown, the source is no finished converted cache, no scene has
@@ -99,7 +105,7 @@ def read_sensors(
     They stand in `sensors.parquet` of a scene.
 
     Returns:
-        By "recording/agent" the measurements (T, m); NaN before the first and after the last.
+        By "recording/agent" the measurements (T, m); NaN where there are none nearby.
 
     Raises:
         ValueError: As `read_controls`.
@@ -169,11 +175,19 @@ def _scene_controls(
 
 
 def _between(at_s: np.ndarray, time_s: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Straight lines between the numbers among values (n,); NaN before and after all of them."""
+    """Straight lines between the numbers among values (n,); NaN where none is near."""
     known = np.isfinite(time_s) & np.isfinite(values)
     if not known.any():
         return np.full(len(at_s), np.nan)
-    return np.interp(at_s, time_s[known], values[known], left=np.nan, right=np.nan)
+    time_s, values = time_s[known], values[known]
+    found = np.interp(at_s, time_s, values, left=np.nan, right=np.nan)
+    # what an instrument would have shown while it failed is not known
+    steps_s = np.diff(time_s)
+    usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
+    failed = np.flatnonzero(steps_s > max(LONGEST_GAP_S, LONGEST_GAP_STEPS * usual_s))
+    at_s = at_s[:, None]
+    inside = (at_s > time_s[failed]) & (at_s < time_s[failed + 1])
+    return np.where(inside.any(-1), np.nan, found)
 
 
 class _Measured(NamedTuple):

@@ -86,6 +86,10 @@ def recorded_noise(source: WindowSource, mode: str, dt_s: float) -> RecordedNois
         mode: Mode of transport.
         dt_s: Step of the tracks in s.
 
+    Returns:
+        The noise, 0 where a conversion without smoother left no residual; None where the report
+        has nothing of that mode.
+
     Raises:
         ValueError: The source is no converted cache.
     """
@@ -93,15 +97,16 @@ def recorded_noise(source: WindowSource, mode: str, dt_s: float) -> RecordedNois
     told = cache.report().get("totals", {}).get("smoother_residual", {}).get(mode)
     if told is None:
         return None
-    if "step_s" not in told:
+    if "step_s" in told:
+        share = math.sqrt(told["step_s"] / dt_s)
+        return RecordedNoise(share * told["noise_along_m"], share * told["noise_across_m"])
+    if max(told["along_m"], told["across_m"]) > 0.0:
         logger.warning(
             "The report of '%s' tells no noise, only what the smoother left over, which is less "
             "where samples are sparse. Convert again, or set `noise`.",
             cache.name,
         )
-        return RecordedNoise(told["along_m"], told["across_m"])
-    share = math.sqrt(told["step_s"] / dt_s)
-    return RecordedNoise(share * told["noise_along_m"], share * told["noise_across_m"])
+    return RecordedNoise(told["along_m"], told["across_m"])
 
 
 def _scene_tracks(cache: ConvertedCache, name: str, mode: Mode) -> dict[str, Motion]:

@@ -44,6 +44,11 @@ def test_a_report_without_noise_is_warned_of(told, caplog, mode, noise, warning)
     assert bool(caplog.text) == bool(warning)
 
 
+def test_what_was_not_smoothed_tells_no_noise_and_needs_no_new_conversion(told, caplog):
+    assert recorded_noise(told(along_m=0.0, across_m=0.0), "bicycle", 0.1) == (0.0, 0.0)
+    assert not caplog.text
+
+
 @pytest.fixture
 def ride(tmp_path):
     """A cache with one ride in two parts and another rider, and a writer of tables beside it."""
@@ -78,6 +83,20 @@ def test_controls_recorded_rarely_are_interpolated_and_unknown_outside(ride):
     steer = read_controls(source, ["train"], "bicycle", NAMES)["scene/track"][:, 1].numpy()
     assert steer[14] == pytest.approx(0.45)
     assert np.isfinite(steer).nonzero()[0].tolist() == list(range(10, 21))
+
+
+@pytest.mark.parametrize("step_s", [0.02, 0.1, 0.25])
+def test_what_an_instrument_shows_while_it_fails_is_not_invented(ride, step_s):
+    time_s = np.arange(0.0, 10.0, step_s)
+    steer = np.where((time_s > 1.01) & (time_s < 2.49), np.nan, time_s)
+    source = ride("controls", time_s=time_s, steer=steer, acceleration=time_s)
+    ride("lean", time_s=time_s, lean=steer)
+    found = read_controls(source, ["train"], "bicycle", NAMES)["scene/track"].numpy()
+    assert np.isfinite(found[:, 0]).all()
+    unknown = np.isnan(found[:, 1]).nonzero()[0]
+    assert set(range(11, 24)) <= set(unknown) <= set(range(10, 25))
+    lean = read_leans(source, ["train"], "bicycle")["scene/track"].numpy()
+    assert set(range(11, 25)) == set(np.isnan(lean).nonzero()[0])
 
 
 def test_rows_without_a_number_are_passed_over(ride):

@@ -3,12 +3,15 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from diffstack_mmv.checks import require_positive
+from diffstack_mmv.checks import require, require_positive
 from diffstack_mmv.identification.inference.rider_scales import estimate_rider_scales
 from diffstack_mmv.identification.shooting.settings import TrackingSettings
 from diffstack_mmv.identification.tracks.cutting import Recordings
 from diffstack_mmv.identification.tracks.segments import TrackSegment
 from diffstack_mmv.vehicles import VehicleSpec
+
+FREE_OF_NOISE_M = 1e-6
+"""Noise of positions up to which they were made up, or not smoothed: it is no scale of a fit."""
 
 
 @dataclass(frozen=True)
@@ -69,13 +72,13 @@ class TrackingAssumptions:
             dt_s: Step of the tracks.
 
         Raises:
-            ValueError: A number is not positive.
+            ValueError: A number is not positive, or neither given nor told by the recordings.
         """
         defaults = TrackingSettings()
         noise = recordings.noise_m or (defaults.along_m, defaults.across_m)
         settings = TrackingSettings(
-            along_m=_given(self.along_m, noise[0]),
-            across_m=_given(self.across_m, noise[1]),
+            along_m=_noise("along_m", self.along_m, noise[0]),
+            across_m=_noise("across_m", self.across_m, noise[1]),
             jerk_mps3=_given(self.jerk_mps3, defaults.jerk_mps3),
             curvature_rate=_given(self.curvature_rate, defaults.curvature_rate),
             steer_rate_radps=self.steer_rate_radps,
@@ -97,3 +100,10 @@ class TrackingAssumptions:
 
 def _given(value: float | None, otherwise: float) -> float:
     return otherwise if value is None else value
+
+
+def _noise(name: str, given: float | None, told: float) -> float:
+    """Noise of positions; recordings without a residual, as those not smoothed, tell none."""
+    needs, remedy = "be given where the recordings tell no noise", f"Set noise.{name}, in m."
+    require(given is not None or told > FREE_OF_NOISE_M, f"noise.{name}", needs, told, "", remedy)
+    return _given(given, told)

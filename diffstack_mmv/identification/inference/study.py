@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import torch
+
 from diffstack_mmv.checks import (
     message,
     require,
@@ -39,6 +41,9 @@ from diffstack_mmv.identification.tracks.splitting import (
 from diffstack_mmv.vehicles import VehicleSpec
 
 logger = logging.getLogger(__name__)
+
+BEYOND_LIMITS = 0.25
+"""Share of recorded controls beyond the limits of the vehicle from which on their unit is wrong."""
 
 
 class StudyResult(NamedTuple):
@@ -134,15 +139,16 @@ class IdentificationStudy:
             models: What builds each model, by its name.
 
         Raises:
-            ValueError: No model is given, the recorded controls are not those of the first model,
-                the tracks do not hold enough segments, a name of a parameter is unknown, or a model
-                is driven by no acceleration.
+            ValueError: No model is given, the recorded controls are not those of the first model
+                or mostly beyond its limits, the tracks do not hold enough segments, a name of a
+                parameter is unknown, or a model is driven by no acceleration.
             TypeError: A model stands where what builds one is asked for.
         """
         self.require_models(models)
         (name, build), *others = models.items()
         if self.assumptions.controls:
             _require_widths(recordings, build())
+            _require_units(recordings, build())
         segments = cut_tracks(recordings, self.segments)
         split = split_segments(segments, self.selection, self.tracks, self.heldout, self.seed)
         folds = cross_validation_splits(split, self.folds, self.seed) if self.folds else ()
@@ -212,3 +218,23 @@ def _require_widths(recordings: Recordings, model: DynamicsModel) -> None:
     own = model.Control._fields
     for name, controls in (recordings.controls or {}).items():
         require_columns(f"controls[{name!r}]", controls, len(own), own)
+
+
+def _require_units(recordings: Recordings, model: DynamicsModel) -> None:
+    """Refuse recorded controls that the vehicle cannot have had, as angles in degrees."""
+    recorded = list((recordings.controls or {}).values())
+    if not recorded:
+        return
+    controls = torch.cat(recorded)
+    controls = controls[controls.isfinite().all(-1)]
+    limits = zip(model.Control._fields, *(bound.tolist() for bound in model.bounds), strict=True)
+    for values, (name, low, high) in zip(controls.unbind(-1), limits, strict=True):
+        beyond = int(((values < low) | (values > high)).sum())
+        found = f"{beyond} of {len(values)} beyond, up to {float(values.abs().max()):.4g}"
+        require(
+            beyond <= BEYOND_LIMITS * len(values),
+            f"controls.{name}",
+            f"lie within the limits of the vehicle, {low:.4g} to {high:.4g}",
+            found,
+            remedy="Give rad and m/s², or widen the limits of the vehicle.",
+        )

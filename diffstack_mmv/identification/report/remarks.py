@@ -67,7 +67,11 @@ def unobservable_parameters(
 
 def _reasons(settings: TrackingSettings, demands: Excitation) -> dict[str, str]:
     """Why a parameter may not be observable, by its name."""
-    free = settings.steer_rate_radps is None and settings.control_noise is None
+    steering = "steering was not recorded and is free, so every wheelbase gives the same path"
+    if settings.control_noise is not None:
+        steering = "the recorded controls are too uncertain for it, or the tracks hardly turn"
+    elif settings.steer_rate_radps is not None:
+        steering = "the steering prior is too wide for it"
     adhesion = (
         f"{100 * demands.adhesion:.0f} % of the adhesion limit μ g, with μ = {demands.friction:.2f}"
     )
@@ -75,9 +79,7 @@ def _reasons(settings: TrackingSettings, demands: Excitation) -> dict[str, str]:
         "friction": f"the tyres are never asked for more than {adhesion}"
         if demands.adhesion < NEAR_THE_LIMIT
         else "a rider whose controls are unknown may simply have asked for less",
-        "wheelbase": "steering was not recorded and is free, so every wheelbase gives the same path"
-        if free
-        else "the steering prior is too wide for it",
+        "wheelbase": steering,
         "roll_inertia": "lean moves the path by less than the noise",
         "roll_damping": "lean moves the path by less than the noise",
         "yaw_inertia": "the yaw follows the steering faster than the tracks are sampled",

@@ -28,6 +28,14 @@ def test_noise_is_as_given_else_as_recorded(bicycle, recorded, given, expected):
     assert (found.along_m, found.across_m) == expected
 
 
+@pytest.mark.parametrize("noise_m", [(0.03, 0.0), (0.03, 1e-13)])
+def test_noise_that_no_recording_tells_must_be_given(bicycle, noise_m):
+    told = r"`noise\.across_m` must be given where the recordings tell no noise, but got"
+    with pytest.raises(ValueError, match=told):
+        settings(bicycle, noise_m, **KNOWN_RIDER)
+    assert settings(bicycle, noise_m, **KNOWN_RIDER, across_m=0.02).across_m == 0.02
+
+
 @pytest.mark.slow
 def test_rate_that_is_given_stays_and_the_other_is_estimated(bicycle):
     found = settings(bicycle, (0.03, 0.03), jerk_mps3=2.0)

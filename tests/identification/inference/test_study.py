@@ -126,6 +126,24 @@ def test_controls_of_another_model_are_refused():
         study(controls={"steer": 0.1})(recordings(), builders("kbm"))
 
 
+@pytest.mark.parametrize(
+    ("column", "unit", "told"),
+    [
+        (1, 180 / math.pi, r"`controls\.steer` must lie within .* 0\.7854, but got 244 of 244"),
+        (0, 9.81, r"`controls\.acceleration` must lie within .* -5 to 4, but got 183 of 244"),
+    ],
+    ids=["degrees", "gravities"],
+)
+def test_recorded_controls_of_another_unit_are_refused(column, unit, told):
+    given = recordings()
+    controls = {name: each.clone() for name, each in given.controls.items()}
+    for index, each in enumerate(controls.values()):
+        each[:, 0] += 0.5 * index
+        each[:, column] *= unit
+    with pytest.raises(ValueError, match=told):
+        study()(given._replace(controls=controls), builders("kbm"))
+
+
 def test_recorded_controls_of_other_columns_are_refused():
     given = recordings()
     wide = {name: torch.cat([each, each], -1) for name, each in given.controls.items()}
