@@ -57,12 +57,15 @@ class EnvStep(NamedTuple):
     info: dict[str, Any]
 
 
-def robot_named(name: str | Path, dynamics: str, dt_s: float, footprint: str = "disc") -> Robot:
+def robot_named(
+    name: str | Path, dynamics: str | None, dt_s: float, footprint: str = "disc"
+) -> Robot:
     """Build a robot from the names that an environment takes.
 
     Args:
         name: "holonomic", "unicycle", or the name or YAML file of a vehicle.
-        dynamics: Name of a vehicle's dynamics, a file of `configs/dynamics`.
+        dynamics: Name of a vehicle's dynamics, a file of `configs/dynamics`; "gm3" where it is
+            None. The other robots have none.
         dt_s: Step of the environment in s, which the vehicle's fine step divides.
         footprint: "disc", that of the benchmark, or "vehicle", the box of a vehicle.
 
@@ -75,11 +78,13 @@ def robot_named(name: str | Path, dynamics: str, dt_s: float, footprint: str = "
     require_positive("dt_s", dt_s)
     require_one_of("footprint", footprint, tuple(FOOTPRINTS))
     if isinstance(name, str) and name in POINT_ROBOTS:
-        require(footprint == "disc", "footprint", "be disc", footprint, f"for robot '{name}'")
+        where, remedy = f"for robot '{name}'", "Name a vehicle, as in robot='bicycle'."
+        require(footprint == "disc", "footprint", "be disc", footprint, where, remedy)
+        require(dynamics is None, "dynamics", "not be given", repr(dynamics), where, remedy)
         return POINT_ROBOTS[name]()
     pieces = math.ceil(dt_s / FINEST_NEEDED_S - 1e-9)
     spec = load_vehicle(name)
-    model = model_of(spec, dynamics, dt_s / pieces)
+    model = model_of(spec, dynamics or "gm3", dt_s / pieces)
     return VehicleRobot(model, footprint=FOOTPRINTS[footprint](spec, model))
 
 
@@ -99,7 +104,7 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         limit_s: Time limit, a multiple of the step.
         robot: "holonomic", "unicycle", the name or YAML file of a vehicle, or a robot.
         verdict: "crowdnav" (the original rules with their faults) or "exact".
-        dynamics: Dynamics of a vehicle that is given by its name.
+        dynamics: Dynamics of a vehicle that is given by its name, "gm3" by default.
         robot_visible: Whether the pedestrians avoid the robot.
         render_mode: "rgb_array" or None.
         footprint: Outline of a robot that is given by its name: "disc", that of the benchmark, or
@@ -122,7 +127,7 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         limit_s: float = 25.0,
         robot: str | Path | Robot = "holonomic",
         verdict: str = "crowdnav",
-        dynamics: str = "gm3",
+        dynamics: str | None = None,
         robot_visible: bool = False,
         render_mode: str | None = None,
         footprint: str = "disc",
@@ -277,7 +282,7 @@ class CrowdNavEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         return self._view(self.world.observe(self.state))
 
 
-def _robot(robot: str | Path | Robot, dynamics: str, dt_s: float, footprint: str) -> Robot:
+def _robot(robot: str | Path | Robot, dynamics: str | None, dt_s: float, footprint: str) -> Robot:
     """The robot itself, or the one of that name."""
     if isinstance(robot, Robot):
         return robot

@@ -167,6 +167,7 @@ def test_social_force_pedestrians_walk_in_the_environment(world_with):
         ({"robot": "carpet"}, "`vehicle` must be one of"),
         ({"robot": "bicycle", "footprint": "oval"}, "`footprint` must be one of disc, vehicle"),
         ({"footprint": "vehicle"}, "`footprint` must be disc.* for robot 'holonomic'"),
+        ({"dynamics": "kbm"}, "`dynamics` must not be given, but got 'kbm' for robot 'holonomic'"),
         ({"robot": "bicycle", "dynamics": "magic"}, "`dynamics` must be one of"),
         ({"verdict": "mild"}, "`verdict` must be one of crowdnav, exact"),
         ({"render_mode": "pedestrian"}, "`render_mode` must be one of rgb_array"),
