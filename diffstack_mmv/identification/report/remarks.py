@@ -117,10 +117,11 @@ def other_optima(simulator: TrackSimulator, found: Identification) -> list[str]:
         differs = ((values - best).abs() > std).tolist()
         named = zip(parameters.names, values.tolist(), differs, strict=True)
         differing = [f"{name} {value:.3g}" for name, value, apart in named if apart]
+        told = ", ".join(differing) or "no value is a deviation away"
         if share >= NOTEWORTHY:
             remarks.append(
                 f"Another optimum holds {100 * share:.0f} % of the posterior: "
-                f"{', '.join(differing)}. The deviations include it."
+                f"{told}. The deviations include it."
             )
     return remarks
 

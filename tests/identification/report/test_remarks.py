@@ -41,6 +41,8 @@ def test_other_optimum_is_named_with_its_share(result):
     far = best._replace(fit=best.fit._replace(theta=best.fit.theta + 0.5))
     (remark,) = other_optima(setup.simulator, found._replace(optima=(best, far)))
     assert "50 % of the posterior: wheelbase" in remark
+    (remark,) = other_optima(setup.simulator, found._replace(optima=(best, best)))
+    assert "50 % of the posterior: no value is a deviation away." in remark
     assert other_optima(setup.simulator, found) == []
 
 
