@@ -4,8 +4,10 @@
     python benchmarks/identification_recovery.py gm3 --controls free --seeds 5
     python benchmarks/identification_recovery.py gm3 --controls measured --manoeuvres poor --seeds 5
 
-Each seed draws a vehicle from the priors, drives it, adds 2 cm of noise to each position, and identifies it with the
-priors as they stand. Rows go to benchmarks/results/identification.jsonl, one per quantity and seed; `--table` writes
+    python benchmarks/identification_recovery.py kbm --controls measured --repeats 1 --smoother causal --seeds 12
+
+Each seed draws a vehicle from the priors, drives it, adds 2 cm of noise to each position, smooths as a conversion would if
+asked to, and identifies it with the priors as they stand. Rows go to benchmarks/results/identification.jsonl, one per quantity and seed; `--table` writes
 the table of all rows that are there.
 """
 
@@ -15,9 +17,11 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import torch
 
+from data_converters import CausalSmoother, Unsmoothed, ZeroPhaseSmoother
 from diffstack_mmv.dynamics.catalogue import dynamics_names, model_of
 from diffstack_mmv.identification import (
     DataSplit,
@@ -29,6 +33,7 @@ from diffstack_mmv.identification import (
     TrackingSettings,
 )
 from diffstack_mmv.identification.inference.combinations import combinations, quantities
+from diffstack_mmv.identification.tracks.segments import TrackSegment
 from diffstack_mmv.identification.tracks.synthetic import (
     POOR_MANOEUVRES,
     RICH_MANOEUVRES,
@@ -41,6 +46,8 @@ ROWS = Path(__file__).parent / "results" / "identification.jsonl"
 TABLE = Path(__file__).parent / "results" / "identification.md"
 NOISE_M = 0.02
 CONTROL_NOISE = (0.05, 0.002)  # m/s^2, rad
+STEP_S = 0.1
+SMOOTHERS = {"none": Unsmoothed(), "causal": CausalSmoother(), "zero_phase": ZeroPhaseSmoother()}
 MANOEUVRES = {"rich": RICH_MANOEUVRES, "poor": POOR_MANOEUVRES}
 
 
@@ -53,23 +60,38 @@ def vehicle(name, tied):
     return replace(spec, parameters=shared)
 
 
+def smoothed(segment, smoother):
+    """A segment behind a smoother, from where on it has seen enough."""
+    time_s = STEP_S * np.arange(len(segment.position))
+    position = torch.from_numpy(smoother(time_s, segment.position.numpy(), time_s).value)
+    known = position.isfinite().all(-1)
+    controls = None if segment.controls is None else segment.controls[known]
+    return TrackSegment(
+        segment.name, position[known], segment.course[known], segment.speed[known], controls
+    )
+
+
 def recover(options, seed):
     """Rows of one seed."""
     generator = torch.Generator().manual_seed(seed)
     spec = vehicle(options.vehicle, options.tied)
-    truth_model = model_of(spec, options.dynamics, 0.1).double()
+    truth_model = model_of(spec, options.dynamics, STEP_S).double()
     learned = ParameterVector(truth_model, spec)
     truth = learned.prior.draw_values(generator)
     learned.store(learned.theta_for(truth))
     noise = CONTROL_NOISE if options.controls == "measured" else None
     measurement = MeasurementModel(NOISE_M, noise)
     manoeuvres = MANOEUVRES[options.manoeuvres] * options.repeats
+    smoother = SMOOTHERS[options.smoother]
     fitted, heldout = (
-        record_manoeuvres(truth_model, spec, each, measurement, generator)
+        [
+            smoothed(segment, smoother)
+            for segment in record_manoeuvres(truth_model, spec, each, measurement, generator)
+        ]
         for each in (manoeuvres, manoeuvres[::7])
     )
     settings = TrackingSettings(NOISE_M, NOISE_M, 20.0, 2.0, control_noise=noise)
-    model = model_of(spec, options.dynamics, 0.1)
+    model = model_of(spec, options.dynamics, STEP_S)
     problem = IdentificationProblem.of(model, spec, DataSplit(fitted, heldout), settings)
     identifier = Identifier(tracking=LevenbergMarquardt(30))
     begin = time.perf_counter()
@@ -96,24 +118,26 @@ def recover(options, seed):
     ]
 
 
-SETTING = ("vehicle", "dynamics", "controls", "manoeuvres", "tied", "repeats")
+SETTING = ("vehicle", "dynamics", "controls", "smoother", "manoeuvres", "tied", "repeats")
 
 
 def table():
     """One row per setting and quantity."""
-    frame = pd.read_json(ROWS, lines=True)
-    frame["error"] = (frame["estimate"] / frame["truth"] - 1).abs()
+    frame = pd.read_json(ROWS, lines=True).fillna({"smoother": "none"})
+    frame["signed"] = frame["estimate"] / frame["truth"] - 1
+    frame["error"] = frame["signed"].abs()
     frame["covered"] = (frame["estimate"] - frame["truth"]).abs() <= 2 * frame["std"]
     frame["identifiable"] = frame["verdict"] == "identifiable"
     frame["weak"] = frame["verdict"] == "weakly identifiable"
     frame["largest_error"] = frame["error"].where(frame["identifiable"])
-    groups = frame.groupby([*SETTING[1:5], "name"], sort=False)
+    groups = frame.groupby([*SETTING[1:], "name"], sort=False)
     return groups.agg(
         seeds=("seed", "nunique"),
         identifiable=("identifiable", "mean"),
         weakly=("weak", "mean"),
         median_error=("error", "median"),
         largest_error_if_identifiable=("largest_error", "max"),
+        mean_error=("signed", "mean"),
         coverage=("covered", "mean"),
     ).reset_index()
 
@@ -125,6 +149,7 @@ def main():
     parser.add_argument("dynamics", choices=dynamics_names())
     parser.add_argument("--vehicle", default="bicycle")
     parser.add_argument("--controls", choices=("measured", "free"), default="measured")
+    parser.add_argument("--smoother", choices=tuple(SMOOTHERS), default="none")
     parser.add_argument("--manoeuvres", choices=tuple(MANOEUVRES), default="rich")
     parser.add_argument("--tied", action="store_true")
     parser.add_argument("--repeats", type=int, default=2)

@@ -18,6 +18,7 @@ LARGE_INFLUENCE = 0.5  # prior deviations
 AT_THE_EDGE = 0.01  # of the range
 NOTEWORTHY = 0.05  # share of the posterior of an optimum that gets a remark
 WEAKEST = 3  # directions that get a remark
+UNSMOOTHED = ("none", "Unsmoothed")  # how a source begins that tells of no smoother
 ROUNDING = 1e-12  # share of the prior's information below which a number is an error of rounding
 
 
@@ -44,6 +45,17 @@ def all_remarks(
         *dependence_on_assumptions(simulator, influence),
         *misfit(found),
         *estimates_at_the_edge(simulator, found),
+    ]
+
+
+def smoothed_beside_controls(smoother: str) -> list[str]:
+    """Of positions that come later, or less sharply, than the controls recorded beside them."""
+    if smoother.startswith(UNSMOOTHED):
+        return []
+    return [
+        f"The positions are smoothed ({smoother}), the recorded controls are not. Where steering "
+        "changes fast, that shifts what they tell of the vehicle by more than the deviations say. "
+        "Convert with smoother=none, and set `noise` to what this conversion reports."
     ]
 
 

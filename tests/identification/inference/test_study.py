@@ -88,6 +88,25 @@ def test_result_tells_all_models_and_assumptions(finished):
     assert (content["tracks"], content["heldout_tracks"]) == (3, 1)
 
 
+@pytest.mark.parametrize(
+    ("smoother", "controls", "warned"),
+    [
+        ("CausalSmoother, looks 0 s ahead", True, True),
+        ("CausalSmoother, looks 0 s ahead", False, False),
+        ("Unsmoothed, looks 0 s ahead", True, False),
+        ("none, tracks as trajdata reads them", True, False),
+    ],
+)
+def test_smoothed_positions_beside_recorded_controls_are_remarked(
+    finished, smoother, controls, warned
+):
+    given = recordings()._replace(smoother=smoother)
+    given = given if controls else given._replace(controls=None)
+    remarks = identification_result(finished[0], given, finished[1])["remarks"]
+    told = [each for each in remarks if each.startswith(f"The positions are smoothed ({smoother})")]
+    assert bool(told) == warned
+
+
 def test_calibrated_vehicle_has_the_estimate_and_its_origin(finished):
     whole, result = finished
     content = identification_result(whole, recordings(), result)
