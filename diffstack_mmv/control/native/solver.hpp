@@ -221,7 +221,7 @@ struct Solver {
       for (int s = first; s < std::min(first + S, sizes); ++s) least = std::min(least, costs[s]);
     }
     int chosen = 0;
-    while (!(costs[chosen] <= least + noise_)) ++chosen;
+    while (costs[chosen] > least + noise_) ++chosen;  // noise that is no number tells nothing apart: the first one
     if (sizes > S) roll(chosen / S * S, S, nullptr);
     const int lane = chosen % S;
     for (int t = 0; t <= T; ++t)
