@@ -1,6 +1,7 @@
 // Work of a library shared among threads.
 #pragma once
 #include <atomic>
+#include <system_error>
 #include <thread>
 #include <vector>
 #ifdef __SSE2__
@@ -28,7 +29,11 @@ inline void for_each(long count, long threads, F f) {
     for (long i = next++; i < count; i = next++) f(i);
   };
   std::vector<std::thread> helpers;
-  for (long k = 1; k < (threads < count ? threads : count); ++k) helpers.emplace_back(work);
+  try {
+    for (long k = 1; k < (threads < count ? threads : count); ++k) helpers.emplace_back(work);
+  } catch (const std::system_error&) {
+    // a machine that has no more threads to give: those that are there do the work
+  }
   work();
   for (auto& helper : helpers) helper.join();
 }

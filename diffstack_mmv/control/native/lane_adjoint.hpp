@@ -25,10 +25,12 @@ struct LaneAdjoint : Pivoting<P> {
     for (int lane = 0; lane < LANES; ++lane) {
       const long i = problems[lane < count ? lane : 0];
       all_new = this->load(lane, given.parameters + i * P::PARAMETERS) || all_new;
-      for (int j = 0; j < rows; ++j) x[0][j][lane] = given.x[i * rows + j];
-      for (int j = 0; j < entries; ++j) u[0][j][lane] = given.u[i * entries + j];
-      for (int j = 0; j < rows; ++j) by_x[0][j][lane] = -given.g_x[i * rows + j];
-      for (int j = 0; j < entries; ++j) by_u[0][j][lane] = -given.g_u[i * entries + j];
+      this->put(lane, given.x + i * rows, x[0], rows);
+      this->put(lane, given.u + i * entries, u[0], entries);
+      for (int t = 0; t <= T; ++t)
+        for (int j = 0; j < n; ++j) by_x[t][j][lane] = -given.g_x[i * rows + t * n + j];
+      for (int t = 0; t < T; ++t)
+        for (int j = 0; j < m; ++j) by_u[t][j][lane] = -given.g_u[i * entries + t * m + j];
     }
     this->gradients();
     this->guess_sides();

@@ -32,7 +32,8 @@ struct LinearQuadratic : Interior<P> {
       const long i = problem[lane] = numbers[lane < count ? lane : count - 1];
       all_new = this->load(lane, parameters + i * P::PARAMETERS) || all_new;
       for (int j = 0; j < n; ++j) x[0][j][lane] = state[i * n + j];
-      for (int j = 0; j < T * m; ++j) u[0][j][lane] = clipped(guess[i * T * m + j], box[0][j % m], box[1][j % m]);
+      for (int t = 0; t < T; ++t)
+        for (int j = 0; j < m; ++j) u[t][j][lane] = clipped(guess[(i * T + t) * m + j], box[0][j], box[1][j]);
     }
     if (all_new) this->begin();
     this->differentiate();

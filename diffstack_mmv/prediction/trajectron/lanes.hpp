@@ -227,8 +227,10 @@ struct Block {
       V square[LANES];
       for (int r = 0; r < LANES; ++r) {
         const long row = w * LANES + r;
+        square[r] = V{};
+        if (row >= count) continue;  // it has no place
         const Real* own = from + place(row) * stride;
-        square[r] = row >= count ? V{} : WHOLE ? loaded(own) : loaded(own, units);
+        square[r] = WHOLE ? loaded(own) : loaded(own, units);
       }
       transpose<LANES / 2>(square);
       for (int k = 0; k < (WHOLE ? LANES : units); ++k) to[k * WIDE + w] = square[k];
