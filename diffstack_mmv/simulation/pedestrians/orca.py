@@ -68,7 +68,7 @@ class OrcaCrowd:
         """
         if crowd.radius.shape[-1] == 0:
             return crowd.velocity
-        if is_possible((*crowd, *(robot or ()))):
+        if is_possible(crowd, robot):
             rolled = roll(crowd, self._rules(dt_s), self.margin_m, dt_s, 1, robot)
             return rolled.velocity.squeeze(-2)
         agents = _as_agents(crowd, towards(crowd.position, crowd.goal))
@@ -109,7 +109,7 @@ class OrcaCrowd:
         """
         if crowd.radius.shape[-1] == 0:
             return goals
-        if is_possible((*crowd, goals)):
+        if is_possible(crowd, goals=goals):
             return respond(crowd, self._rules(dt_s), self.margin_m, goals)
         agents = _as_agents(crowd, towards(crowd.position.unsqueeze(-2), goals))
         preferred = agents.preferred_velocity.float()

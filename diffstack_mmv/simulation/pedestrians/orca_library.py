@@ -45,14 +45,35 @@ def library() -> Any | None:
     return load_or_tell("ORCA", source, "-ffp-contract=off")
 
 
-def is_possible(tensors: Sequence[Tensor]) -> bool:
-    """Whether the library can read these tensors, and is there."""
-    like = tensors[0]
+def is_possible(
+    crowd: CrowdState, robot: VisibleRobot | None = None, goals: Tensor | None = None
+) -> bool:
+    """Whether the library can read these, and is there.
+
+    It reads one number after the other: what only fits by broadcasting is left to tensors.
+    """
+    others = [] if goals is None else [goals]
+    tensors, like = [*crowd, *(robot or ()), *others], crowd.position
+    if not _fit(crowd, robot, goals):
+        return False
     plain = like.dtype in REALS and not torch.compiler.is_compiling()
     if not plain or pyfunctorch.retrieve_all_functorch_interpreters():
         return False
     same = on_host(*tensors) and all(each.dtype == like.dtype for each in tensors)
     return same and library() is not None
+
+
+def _fit(crowd: CrowdState, robot: VisibleRobot | None, goals: Tensor | None) -> bool:
+    """Whether there is one number of each kind for each pedestrian, and for each episode."""
+    people, places = crowd.radius.shape, (*crowd.radius.shape, 2)
+    fits = crowd.preferred_speed.shape == people
+    fits = fits and all(each.shape == places for each in crowd[:3])
+    if robot is not None:
+        seen = (*people[:-1], 2), (*people[:-1], 2), people[:-1]
+        fits = fits and all(one.shape == whole for one, whole in zip(robot, seen, strict=True))
+    if goals is not None:
+        fits = fits and goals.shape == (*people, *goals.shape[-2:-1], 2)
+    return fits
 
 
 def roll(

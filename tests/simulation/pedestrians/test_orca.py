@@ -22,7 +22,7 @@ RECORDINGS = [
 @pytest.fixture
 def in_tensors(monkeypatch):
     """Without the library."""
-    monkeypatch.setattr(orca, "is_possible", lambda tensors: False)
+    monkeypatch.setattr(orca, "is_possible", lambda *_, **__: False)
 
 
 @pytest.fixture
@@ -88,7 +88,7 @@ def test_library_and_tensors_agree_bit_by_bit(monkeypatch, dtype, most):
 
     assert orca_library.is_possible(crowd)
     found = answers()
-    monkeypatch.setattr(orca, "is_possible", lambda tensors: False)
+    monkeypatch.setattr(orca, "is_possible", lambda *_, **__: False)
     for here, there in zip(found, answers(), strict=True):
         assert torch.equal(here.nan_to_num(7.0), there.nan_to_num(7.0))
 
@@ -159,3 +159,31 @@ def test_pedestrians_keep_clear_of_each_other(crowd):
 def test_impossible_settings_are_refused_by_name(setting, value):
     with pytest.raises(ValueError, match=f"`{setting}` must"):
         OrcaCrowd(**{setting: value})
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda crowd, robot: (crowd, VisibleRobot(*(each[:1] for each in robot))),
+        lambda crowd, robot: (crowd, VisibleRobot(*(each[0] for each in robot))),
+        lambda crowd, robot: (crowd._replace(goal=crowd.goal[:1]), robot),
+    ],
+)
+def test_what_all_episodes_share_counts_for_each(crowd, change):
+    """The library takes one number after the other, and read beyond those that are shared."""
+    crowd = crowd._replace(goal=crowd.goal[:1].expand_as(crowd.goal))
+    place = crowd.position.new_zeros(4, 2)
+    robot = VisibleRobot(place, place, place[:, 0] + 0.3)
+    assert orca_library.is_possible(crowd, robot)
+    expected = OrcaCrowd()(crowd, 0.25, robot)
+    narrow, seen = change(crowd, robot)
+    assert torch.equal(OrcaCrowd()(narrow, 0.25, seen), expected)
+
+
+def test_goals_of_other_crowds_are_not_read(crowd):
+    """One more dimension than the crowd: the library wrote beyond what there was room for."""
+    one = CrowdState(*(each[0] for each in crowd))
+    goals = crowd.goal.unsqueeze(-2).expand(4, 6, 3, 2)
+    assert not orca_library.is_possible(one, goals=goals)
+    expected = torch.stack([OrcaCrowd().responses(one, each, 0.25) for each in goals])
+    assert torch.equal(OrcaCrowd().responses(one, goals, 0.25), expected)
