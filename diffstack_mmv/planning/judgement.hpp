@@ -89,7 +89,7 @@ inline void judge(const Asked<Real>& a, const Real* __restrict centre, int discs
       along = along < 0 ? Real(0) : along > 1 ? Real(1) : along;
       const Real x = sx + along * dx, y = sy + along * dy;
       const Real found = std::sqrt(x * x + y * y) - limit;
-      clearance[l] = found < clearance[l] ? found : clearance[l];
+      clearance[l] = clearance[l] < found ? clearance[l] : found;  // what is no number is passed on
     }
   }
   for (int l = 0; l < LANES; ++l) {

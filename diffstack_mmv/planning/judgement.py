@@ -39,6 +39,17 @@ def library() -> Any | None:
     return load_or_tell("clearances", told + source, "-O3")
 
 
+def _fit(motion: Motion, discs: Discs, obstacles: Obstacles, under_way: Tensor) -> bool:
+    """Whether the sizes are those that the library takes from a few of them."""
+    plans, agents = motion.position.shape, obstacles.weight.shape
+    if len(plans) != 4 or len(agents) != 3 or not on_host(under_way, obstacles.valid):
+        return False
+    fits = motion.heading.shape == under_way.shape == plans[:-1] and plans[-1] == 2
+    fits = fits and obstacles.position.shape[1:] == (*agents[1:], plans[2], 2)
+    fits = fits and obstacles.radius.shape[1:] == obstacles.valid.shape[1:] == agents[1:2]
+    return fits and discs.ahead.shape[1:] == discs.radius.shape[1:] and discs.radius.dim() == 2
+
+
 @torch.no_grad()
 def judged(
     margin: ClearanceMargin,
@@ -54,7 +65,8 @@ def judged(
 
     Args:
         margin: What is asked.
-        motion: Motions of the plans, `*b C T1`; a library wants one leading dimension.
+        motion: Motions of the plans, `*b C T1`; a library wants one leading dimension, and all
+            else of the sizes told here.
         discs: Around the vehicle, `b D`.
         obstacles: Agents, `b N K T1`.
         under_way: Before and at the arrival; later a plan meets nobody.
@@ -64,7 +76,8 @@ def judged(
     given = position, heading, *discs, *obstacles[:3]
     like = position.dtype
     plain = like in REALS and on_host(*given) and all(e.dtype == like for e in given)
-    if position.dim() != 4 or not plain or torch.compiler.is_compiling() or library() is None:
+    plain = plain and _fit(motion, discs, obstacles, under_way)
+    if not plain or torch.compiler.is_compiling() or library() is None:
         return None
     problems, plans, rows, _ = position.shape
     _, count, components, *_ = obstacles.position.shape
@@ -83,4 +96,6 @@ def judged(
         *pointers(*kept, told),
     )
     penalty, shortfall, risk = told.unbind(-1)
-    return Passing(Safety(shortfall == 0, penalty, shortfall), risk)
+    # a clearance that is no number shows in the penalty, which is a sum
+    safe = (shortfall == 0) & ~penalty.isnan()
+    return Passing(Safety(safe, penalty, shortfall), risk)

@@ -54,3 +54,45 @@ def test_other_shapes_are_left_to_the_tensors():
     motion, agents = map_tensors(lambda entry: entry[0], given)
     discs, here = Discs(torch.zeros(1), torch.ones(1)), torch.ones(2, STEPS + 1, dtype=torch.bool)
     assert judged(ClearanceMargin(), motion, discs, agents, here, 0.25) is None
+
+
+def judged_among(motion, agents, discs, here):
+    return judged(ClearanceMargin(), motion, discs, agents, here, 0.25)
+
+
+@pytest.mark.skipif(library() is None, reason="there is no compiler")
+def test_sizes_that_do_not_fit_together_are_left_to_the_tensors():
+    motion, agents = plans(torch.float32, 5), people(torch.float32, 2)
+    places, here = torch.zeros(3, 2), torch.ones(3, 5, STEPS + 1, dtype=torch.bool)
+    discs = Discs(places, torch.full_like(places, 0.3))
+    assert judged_among(motion, agents, discs, here) is not None
+    for other in (
+        (motion, agents._replace(position=agents.position[..., :2, :]), discs, here),
+        (motion, agents._replace(weight=agents.weight[..., :1]), discs, here),
+        (motion, agents._replace(radius=agents.radius[:, :1]), discs, here),
+        (motion, agents._replace(valid=agents.valid[:, :1]), discs, here),
+        (motion._replace(heading=motion.heading[:, :1]), agents, discs, here),
+        (motion, agents, discs._replace(radius=discs.radius[:, :1]), here),
+        (motion, agents, discs, here[..., :1]),
+    ):
+        assert judged_among(*other) is None
+
+
+@pytest.mark.skipif(library() is None, reason="there is no compiler")
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_what_is_no_number_is_not_safe_in_the_library_either(dtype):
+    """It was: a clearance is the smallest one found, and nothing is smaller than what is none."""
+    motion, agents = plans(dtype, 2), people(dtype, 1)
+    agents = agents._replace(
+        position=agents.position + 100,
+        valid=torch.ones_like(agents.valid),
+        weight=agents.weight + 1,
+    )
+    motion.position[0, 0, 2], agents.position[1, 1, 0, 3] = torch.nan, torch.nan
+    discs = Discs(torch.zeros(3, 1, dtype=dtype), torch.full((3, 1), 0.3, dtype=dtype))
+    here = torch.ones(3, 2, STEPS + 1, dtype=torch.bool)
+    expected = ClearanceMargin()(clearance_within_steps(motion, discs, agents), agents, 0.25)
+    found = judged_among(motion, agents, discs, here)
+    assert torch.equal(found.safety.safe, expected.safe)
+    assert found.safety.safe.tolist() == [[False, True], [False, False], [True, True]]
+    assert torch.equal(found.safety.penalty.isnan(), expected.penalty.isnan())
