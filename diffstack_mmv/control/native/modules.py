@@ -142,6 +142,8 @@ class ModelWorkshop:
                 self.taken = taken(module, n, m, dtype)
             numbers = self.taken.numbers()
             problem = self.taken.problem
+            if (problem.state, problem.inputs, numbers.dtype) != (n, m, dtype):
+                return None  # rows that this model does not take, and tensors say so
             built = self._built(problem, source, numbers.requires_grad, dtype)
         except (CannotLowerError, CannotBuildError) as failure:
             self.is_refused = True

@@ -41,6 +41,8 @@ def moments(
 ) -> Moments | None:
     """Mean and covariance of the first two states at the times 1 .. T; None without a library.
 
+    Nor is there one where the rows are of other shapes, or of different types.
+
     The mean is the roll-out of the mean controls, the covariance follows it to first order: Σ⁺ = A
     Σ Aᵀ + B L (B L)ᵀ. Can be differentiated once; a second derivative is refused.
 
@@ -51,7 +53,8 @@ def moments(
         controls: Mean controls.
         scale: Cholesky factors L of their covariances.
     """
-    if not within_reach(start) or controls.numel() == 0:
+    rows = start, covariance, controls, scale
+    if not _fit(*rows):
         return None
     workshop = _WORKSHOPS.get(dynamics)
     if workshop is None:
@@ -62,9 +65,18 @@ def moments(
     ready = workshop.library(dynamics, *sizes, start.dtype, source)
     if ready is None:
         return None
-    rows = start, covariance, controls, scale
     found: Moments = _Moments.apply(ready, ready.numbers, *rows)  # type: ignore[no-untyped-call]
     return found
+
+
+def _fit(start: Tensor, covariance: Tensor, controls: Tensor, scale: Tensor) -> bool:
+    """Whether all are rows of the same number, of which a library knows no other than the first."""
+    if not within_reach(start) or start.dim() != 2 or controls.dim() != 3 or not controls.numel():
+        return False
+    (count, n), (*lead, m) = start.shape, controls.shape
+    fits = n >= 2 and lead[0] == count
+    fits = fits and covariance.shape == (count, n, n) and scale.shape == (*lead, m, m)
+    return fits and all(each.dtype == start.dtype for each in (covariance, controls, scale))
 
 
 _WORKSHOPS: weakref.WeakKeyDictionary[nn.Module, ModelWorkshop] = weakref.WeakKeyDictionary()

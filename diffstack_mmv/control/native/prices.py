@@ -67,16 +67,30 @@ class Pricer(NamedTuple):
 
     library: Any
     batch: TakenBatch
+    dtype: torch.dtype
 
     def __call__(
         self, states: Float[Tensor, "b C T1 n"], controls: Float[Tensor, "b C T1 m"]
     ) -> Float[Tensor, "b C T1"] | None:
-        """Cost of plans at each time, None if it had to carry a gradient to them; see `prices`."""
-        if states.requires_grad or controls.requires_grad:
+        """Cost of plans at each time, see `prices`.
+
+        None if it had to carry a gradient to them, and for plans of other sizes or types.
+        """
+        if states.requires_grad or controls.requires_grad or not self._fit(states, controls):
             return None
         plans = states.detach().contiguous(), controls.detach().contiguous()
-        priced: Tensor = _Prices.apply(*self, *plans, *self.batch.parameters)  # type: ignore[no-untyped-call]
+        given = self.library, self.batch, *plans, *self.batch.parameters
+        priced: Tensor = _Prices.apply(*given)  # type: ignore[no-untyped-call]
         return priced
+
+    def _fit(self, states: Tensor, controls: Tensor) -> bool:
+        """Whether these are plans as the library knows them: it reads so many numbers of each."""
+        n, m, steps, _ = self.batch.taken.problem.sizes
+        fits = states.dim() == 4 and states.shape[2:] == (steps + 1, n)
+        fits = fits and controls.shape == (*states.shape[:3], m) and on_host(states, controls)
+        fits = fits and states.dtype == controls.dtype == self.dtype
+        each = zip(self.batch.taken.parameters, self.batch.parameters, strict=True)
+        return fits and all(one is whole or len(whole) in (1, len(states)) for one, whole in each)
 
 
 def pricer(
@@ -84,7 +98,8 @@ def pricer(
 ) -> Pricer | None:
     """Prices plans of as many times as these, None if there is no library for it; see `prices`."""
     plain = on_host(states) and states.dtype in REALS and controls.dtype == states.dtype
-    if not (plain and states.numel() and controls.numel()):
+    alike = states.dim() == 4 and controls.shape[:-1] == states.shape[:-1]
+    if not (plain and alike and states.numel() and controls.numel()):
         return None
     key = kind(cost), states.dtype, states.shape[2:], controls.shape[-1]
     return _workshop(key)(cost, states, controls)
@@ -115,7 +130,7 @@ class _Workshop:
             self.is_refused = True
             LOGGER.info("No library for the costs of candidates (%s): tensors", failure)
             return None
-        return None if library is None else Pricer(library, taken)
+        return None if library is None else Pricer(library, taken, states.dtype)
 
     def _library(self, problem: StagedProblem, dtype: torch.dtype) -> Any | None:
         """The library of a shape, None where it would take too long to build; others may not."""

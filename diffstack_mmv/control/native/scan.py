@@ -52,17 +52,25 @@ def scan(
 ) -> Scanned | None:
     """Step rows forward, without a gradient; None if there is no library for it.
 
+    Nor is there one for states and inputs of different numbers of rows.
+
     Args:
         step: What becomes of a row in a step; the tensors that it hides are shared by all rows.
         state: At the start.
         inputs: Of each row in each step.
         parts: Functions that the step calls, which tell it from other steps of the same code.
     """
-    plainly = within_reach(state) and state.dtype in REALS and inputs.dtype == state.dtype
-    if not (plainly and state.numel() and inputs.numel()):
+    if not _fit(state, inputs):
         return None
     key = kind(step), *map(kind, parts), state.dtype, state.shape[-1], inputs.shape[-1]
     return _stepper(key, label(step))(step, state.detach(), inputs.detach())
+
+
+def _fit(state: Tensor, inputs: Tensor) -> bool:
+    """Whether both are rows of the same number and type, which a library knows of the state."""
+    plain = within_reach(state) and state.dtype in REALS and inputs.dtype == state.dtype
+    alike = state.dim() == 2 and inputs.dim() == 3 and len(state) == len(inputs)
+    return plain and alike and state.numel() > 0 and inputs.numel() > 0
 
 
 @functools.cache

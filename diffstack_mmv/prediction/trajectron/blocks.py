@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from diffstack_mmv.checks import require
 from diffstack_mmv.prediction.trajectron.recurrence import Weights
 from diffstack_mmv.types import on_host
 from dmmv_conventions.libraries import REALS, counts, header, load_or_tell, pointers
@@ -47,9 +48,10 @@ class Scaling:
 class Blocks:
     """The recurrences in blocks of rows, for tensors on a CPU with a compiler."""
 
-    def fit(self, like: Tensor) -> bool:
-        """Whether rows like these, of any shape, can be taken."""
-        plain = on_host(like) and like.dtype in REALS and like.numel() > 0
+    def fit(self, like: Tensor, *others: Tensor) -> bool:
+        """Whether rows like these, of any shape, can be taken beside tensors of the same type."""
+        plain = on_host(like, *others) and like.dtype in REALS and like.numel() > 0
+        plain = plain and all(each.dtype == like.dtype for each in others)
         return plain and library(like.dtype) is not None
 
     def last_states(
@@ -64,7 +66,13 @@ class Blocks:
             features: Of each row at each time.
             valid: Where the state goes on.
             weight: Of inputs, one and state, beside each other.
+
+        Raises:
+            ValueError: Their sizes do not fit together.
         """
+        (rows, steps, _), (gates, width) = features.shape, weight.shape
+        _require_shape("features", features, rows, steps, width - 1 - gates // 4)
+        _require_shape("valid", valid, rows, steps)
         last: Tensor = _Last.apply(features.contiguous(), valid.to(weight.dtype), weight)  # type: ignore[no-untyped-call]
         return last
 
@@ -86,7 +94,20 @@ class Blocks:
             base: Controls that the emissions are deviations from.
             weights: Weights of gates and emissions.
             scaling: What emissions are multiples of.
+
+        Raises:
+            ValueError: Their sizes do not fit together.
         """
+        (rows, size), (_, steps, m) = hidden.shape, base.shape
+        emitted = m + m * (m + 1) // 2
+        _require_shape("constant", constant, rows, 3 * size)
+        _require_shape("base", base, rows, steps, m)
+        _require_shape("weights.control", weights.control, 3 * size, m)
+        _require_shape("weights.hidden", weights.hidden, 3 * size, size)
+        _require_shape("weights.hidden_bias", weights.hidden_bias, 3 * size)
+        _require_shape("weights.head", weights.head, emitted, size)
+        _require_shape("weights.head_bias", weights.head_bias, emitted)
+        _require_shape("scaling.width", scaling.width, m)
         found: tuple[Tensor, Tensor] = _Controls.apply(  # type: ignore[no-untyped-call]
             constant, hidden, base, scaling, *weights
         )
@@ -100,6 +121,16 @@ def library(dtype: torch.dtype) -> Any:
     parts = f"typedef {REALS[dtype]} Real;", header("dmmv_conventions", "threads"), *own
     with waiting("compile the recurrences of the predictor"):
         return load_or_tell("the recurrences of the predictor", "\n".join(parts), "-O3")
+
+
+def _require_shape(name: str, tensor: Tensor, *shape: int) -> None:
+    """Refuse a tensor of which a library would read what is not there.
+
+    Raises:
+        ValueError: It has another shape.
+    """
+    found = tuple(tensor.shape)
+    require(found == shape, name, f"have the shape {shape}", found)
 
 
 def _blocks(rows: int, like: Tensor) -> int:

@@ -155,7 +155,8 @@ class ControlDecoder(nn.Module):
         """Mean controls and the Cholesky factors of their covariances."""
         width = 0.25 * (self.dynamics.bounds.upper - self.dynamics.bounds.lower)
         weights, leading = self._weights(), hidden.shape[:-1]
-        if self.blocks is not None and self.blocks.fit(hidden) and not width.requires_grad:
+        given = hidden, constant, base, *weights
+        if self.blocks is not None and self.blocks.fit(*given) and not width.requires_grad:
             scaling = Scaling(width, LOG_RANGE, START_SCALE)
             base = base.expand(*leading, *base.shape[-2:])
             first, second, third = (

@@ -47,7 +47,7 @@ class MaskedLSTM(nn.Module):
         weight = torch.cat([self.cell.weight_ih, bias.unsqueeze(-1), self.cell.weight_hh], -1)
         with torch.autocast(features.device.type, enabled=False):
             rows = features.to(weight.dtype)
-            if self.blocks is not None and self.blocks.fit(rows):
+            if self.blocks is not None and self.blocks.fit(rows, weight):
                 return self.blocks.last_states(rows, valid, weight)
             seen = torch.where(valid.unsqueeze(-1), rows, torch.zeros_like(rows))
             if not on_host(seen):

@@ -11,7 +11,7 @@ from diffstack_mmv.prediction.gaussian import VARIANCE_FLOOR, scale_from_covaria
 from diffstack_mmv.prediction.trajectron.blocks import Blocks, library
 from diffstack_mmv.prediction.trajectron.energy import energy_of_paths
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
-from diffstack_mmv.types import COUNTING_SHARE, log_density
+from diffstack_mmv.types import COUNTING_SHARE, log_density, on_host
 from dmmv_conventions.libraries import counts, pointers
 
 
@@ -38,7 +38,7 @@ def path_scores(
         valid: Where that is known.
         blocks: Takes rows together where it can; None: tensors.
     """
-    if blocks is not None and blocks.fit(moments.mean):
+    if blocks is not None and _fit(blocks, moments, log_weight, truth, valid):
         weight = log_weight.exp() if log_weight is not None else None
         given = (field.to(moments.mean.dtype) for field in (valid, truth))
         return PathScores(*_Scores.apply(*given, *moments, weight))  # type: ignore[no-untyped-call]
@@ -48,6 +48,20 @@ def path_scores(
     if log_weight is None:
         return PathScores(each.sum(-1), each.new_zeros(len(each)))
     return PathScores(each.sum(-1), energy_of_paths(log_weight, moments.mean, truth, valid))
+
+
+def _fit(
+    blocks: Blocks, moments: PositionMoments, weight: Tensor | None, truth: Tensor, valid: Tensor
+) -> bool:
+    """Whether there is a library, and all have the sizes that it takes from the means."""
+    mean, covariance = moments
+    weights = [] if weight is None else [weight]
+    if not blocks.fit(mean, covariance, *weights) or mean.dim() != 4:
+        return False
+    rows, components, steps, _ = mean.shape
+    fits = on_host(truth, valid) and covariance.shape == (*mean.shape, 2)
+    fits = fits and truth.shape == (rows, steps, 2) and valid.shape == (rows, steps)
+    return fits and all(each.shape == (rows, components) for each in weights)
 
 
 class _Scores(torch.autograd.Function):

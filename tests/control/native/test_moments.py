@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from diffstack_mmv.control.native import bending, modules
-from diffstack_mmv.control.native.moments import moments
+from diffstack_mmv.control.native.moments import _fit, moments
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle, SingleIntegrator, rollout
 from diffstack_mmv.dynamics.gm3 import PaperBrush
 from diffstack_mmv.dynamics.kbm import SoftplusFloor
@@ -202,3 +202,39 @@ def test_steps_too_long_to_be_written_out_go_row_by_row(monkeypatch):
         parameters = [each for each in dynamics.parameters() if each.requires_grad]
         results.append([*found, *torch.autograd.grad(found, [*inputs, *parameters], toward)])
     torch.testing.assert_close(*results, rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("short", range(4))
+def test_rows_that_do_not_fit_together_are_left_to_tensors(short):
+    """The library would read beyond those of which there is only one, and floats as doubles."""
+    given = [each.detach() for each in rows(model(SingleIntegrator, False))]
+    assert _fit(*given)
+    for other in (given[short][:1], given[short].float(), given[short].unsqueeze(0)):
+        assert not _fit(*given[:short], other, *given[short + 1 :])
+
+
+def test_rows_that_a_model_does_not_take_are_left_to_tensors_after_those_that_it_does():
+    """The library of those was called with others: doubles were read as floats."""
+    dynamics = model(SingleIntegrator, False)
+    given = [each.detach() for each in rows(dynamics)]
+    assert moments(dynamics, *given) is not None
+    assert moments(dynamics, *(each.float() for each in given)) is None
+    fewer = given[0][:, :3], given[1][:, :3, :3], given[2], given[3]
+    assert moments(dynamics, *fewer) is None
+    assert moments(dynamics, *given) is not None
+
+
+class OneState(torch.nn.Module):
+    """A model without a position in two coordinates."""
+
+    def __init__(self):
+        super().__init__()
+        self.gain = torch.nn.Parameter(torch.ones(1, dtype=DOUBLE))
+
+    def forward(self, state, control):
+        return state + self.gain * control
+
+
+def test_a_model_without_two_states_has_no_moments():
+    shapes = (3, 1), (3, 1, 1), (3, 4, 1), (3, 4, 1, 1)
+    assert moments(OneState(), *(torch.ones(shape, dtype=DOUBLE) for shape in shapes)) is None

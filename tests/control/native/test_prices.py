@@ -92,3 +92,20 @@ def test_however_many_plans_and_problems_there_are_it_is_one_library(monkeypatch
         assert found is not None
         torch.testing.assert_close(found, cost(states, controls, place.unsqueeze(1)))
     assert len(written) == 1
+
+
+def test_plans_of_other_sizes_or_types_are_left_to_tensors():
+    """The library would take their numbers for those of the plans that it was prepared for."""
+
+    def cost(states, controls, place):
+        return (states - place.unsqueeze(-2)).square().sum(-1) + controls.square().sum(-1)
+
+    states, controls = torch.randn(3, 4, 6, 2), torch.randn(3, 4, 6, 1)
+    ready = native.pricer(Batched(cost, torch.randn(3, 2)), states, controls)
+    assert ready(states[:, :1], controls[:, :1]) is not None  # any number of plans
+    assert ready(states[:1], controls[:1]) is None
+    assert ready(states[:, :, :3], controls[:, :, :3]) is None
+    assert ready(states.double(), controls.double()) is None
+    assert ready(states, controls.repeat(1, 1, 1, 2)) is None
+    for other in (controls[:1], controls[:, :1], controls[:, :, :5], controls[0]):
+        assert not ready._fit(states, other)

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from diffstack_mmv.control.native.scan import scan
+from diffstack_mmv.control.native.scan import _fit, scan
 from diffstack_mmv.dynamics import DiffKBM, rollout
 from diffstack_mmv.vehicles import load_vehicle
 
@@ -58,3 +58,11 @@ def plain(state, row):
 def test_what_has_no_scalar_form_no_rows_or_no_precision_has_no_library(step, rows, dtype):
     state, inputs = torch.ones(rows, 2, dtype=dtype), torch.ones(rows, 2, 1, dtype=dtype)
     assert scan(step, state, inputs) is None
+
+
+@pytest.mark.parametrize(
+    ("state", "inputs"), [((1, 2), (9, 2, 1)), ((9, 2), (3, 2, 1)), ((2,), (2, 1))]
+)
+def test_rows_that_do_not_fit_together_are_left_to_tensors(state, inputs):
+    assert _fit(torch.ones(3, 2), torch.ones(3, 2, 1))
+    assert not _fit(torch.ones(state), torch.ones(inputs))

@@ -8,10 +8,12 @@ from diffstack_mmv.dynamics import DiffKBM
 from diffstack_mmv.prediction import all_agents
 from diffstack_mmv.prediction.trajectron import blocks
 from diffstack_mmv.prediction.trajectron.agent_batch import agent_batch
-from diffstack_mmv.prediction.trajectron.blocks import Blocks
+from diffstack_mmv.prediction.trajectron.blocks import Blocks, Scaling
 from diffstack_mmv.prediction.trajectron.decoder import ControlDecoder
+from diffstack_mmv.prediction.trajectron.memory import MaskedLSTM
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
-from diffstack_mmv.prediction.trajectron.paths import path_scores
+from diffstack_mmv.prediction.trajectron.paths import _fit, path_scores
+from diffstack_mmv.prediction.trajectron.recurrence import Weights
 from diffstack_mmv.vehicles import load_vehicle
 from tests.prediction.samples import DT_S, scene
 
@@ -131,3 +133,42 @@ def test_without_a_compiler_rows_are_left_to_tensors(monkeypatch):
     assert not Blocks().fit(torch.zeros(2, 3))
     made, given = decoder(3, 3, torch.float32), seen(2, torch.float32)
     assert torch.equal(made(*given).mean, in_blocks(made)(*given).mean)
+
+
+@pytest.mark.parametrize("field", ["covariance", "weight", "truth", "valid"])
+def test_paths_of_other_sizes_are_left_to_tensors(field):
+    """The library would read beyond what all rows share."""
+    (mean, covariance, weight), truth, valid = paths(9, 3, 4, torch.float64)
+    given = {"covariance": covariance, "weight": weight, "truth": truth, "valid": valid}
+
+    def fits(covariance, weight, truth, valid):
+        return _fit(Blocks(), PositionMoments(mean, covariance), weight, truth, valid)
+
+    assert fits(**given)
+    assert fits(**{**given, "weight": None})
+    assert not fits(**{**given, field: given[field][:1]})
+
+
+def test_weights_of_another_type_are_left_to_tensors():
+    assert Blocks().fit(torch.zeros(2, 3), torch.zeros(2))
+    assert not Blocks().fit(torch.zeros(2, 3), torch.zeros(2, dtype=torch.float64))
+
+
+def test_features_that_do_not_fit_the_weights_are_refused():
+    memory = MaskedLSTM(5, 8)
+    memory.compile_kernels()
+    with pytest.raises(ValueError, match="`features` must have the shape"):
+        memory(torch.zeros(3, 4, 7), torch.ones(3, 4, dtype=torch.bool))
+
+
+@pytest.mark.parametrize("field", ["width", *Weights._fields])
+def test_weights_that_do_not_fit_the_rows_are_refused(field):
+    shapes = dict(zip(Weights._fields, [(12, 2), (12, 4), (12,), (5, 4), (5,)], strict=True))
+    shapes["width"] = (2,)
+    short = {
+        name: torch.zeros(shape[0] - (name == field), *shape[1:]) for name, shape in shapes.items()
+    }
+    scaling = Scaling(short.pop("width"), 4.0, 0.25)
+    rows = torch.zeros(9, 12), torch.zeros(9, 4), torch.zeros(9, 5, 2)
+    with pytest.raises(ValueError, match=f"{field}` must have the shape"):
+        Blocks().controls(*rows, Weights(**short), scaling)
