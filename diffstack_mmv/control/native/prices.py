@@ -68,6 +68,7 @@ class Pricer(NamedTuple):
     library: Any
     batch: TakenBatch
     dtype: torch.dtype
+    problems: int
 
     def __call__(
         self, states: Float[Tensor, "b C T1 n"], controls: Float[Tensor, "b C T1 m"]
@@ -86,11 +87,9 @@ class Pricer(NamedTuple):
     def _fit(self, states: Tensor, controls: Tensor) -> bool:
         """Whether these are plans as the library knows them: it reads so many numbers of each."""
         n, m, steps, _ = self.batch.taken.problem.sizes
-        fits = states.dim() == 4 and states.shape[2:] == (steps + 1, n)
-        fits = fits and controls.shape == (*states.shape[:3], m) and on_host(states, controls)
-        fits = fits and states.dtype == controls.dtype == self.dtype
-        each = zip(self.batch.taken.parameters, self.batch.parameters, strict=True)
-        return fits and all(one is whole or len(whole) in (1, len(states)) for one, whole in each)
+        plans = self.problems, states.shape[1], steps + 1
+        fits = states.shape == (*plans, n) and controls.shape == (*plans, m)
+        return fits and states.dtype == controls.dtype == self.dtype and on_host(states, controls)
 
 
 def pricer(
@@ -99,6 +98,7 @@ def pricer(
     """Prices plans of as many times as these, None if there is no library for it; see `prices`."""
     plain = on_host(states) and states.dtype in REALS and controls.dtype == states.dtype
     alike = states.dim() == 4 and controls.shape[:-1] == states.shape[:-1]
+    alike = alike and all(len(each) in (1, len(states)) for each in cost.tensors)
     if not (plain and alike and states.numel() and controls.numel()):
         return None
     key = kind(cost), states.dtype, states.shape[2:], controls.shape[-1]
@@ -130,7 +130,7 @@ class _Workshop:
             self.is_refused = True
             LOGGER.info("No library for the costs of candidates (%s): tensors", failure)
             return None
-        return None if library is None else Pricer(library, taken, states.dtype)
+        return None if library is None else Pricer(library, taken, states.dtype, len(states))
 
     def _library(self, problem: StagedProblem, dtype: torch.dtype) -> Any | None:
         """The library of a shape, None where it would take too long to build; others may not."""

@@ -65,12 +65,13 @@ def is_possible(
 
 def _fit(crowd: CrowdState, robot: VisibleRobot | None, goals: Tensor | None) -> bool:
     """Whether there is one number of each kind for each pedestrian, and for each episode."""
-    people, places = crowd.radius.shape, (*crowd.radius.shape, 2)
-    fits = crowd.preferred_speed.shape == people
-    fits = fits and all(each.shape == places for each in crowd[:3])
+    position, velocity, goal, radius, speed = crowd[:5]  # of a recording there are more
+    people, places = radius.shape, position.shape
+    fits = velocity.shape == goal.shape == places == (*people, 2) and speed.shape == people
     if robot is not None:
-        seen = (*people[:-1], 2), (*people[:-1], 2), people[:-1]
-        fits = fits and all(one.shape == whole for one, whole in zip(robot, seen, strict=True))
+        episodes, seen = people[:-1], robot.position.shape
+        fits = fits and robot.velocity.shape == seen == (*episodes, 2)
+        fits = fits and robot.radius.shape == episodes
     if goals is not None:
         fits = fits and goals.shape == (*people, *goals.shape[-2:-1], 2)
     return fits
