@@ -287,7 +287,7 @@ struct Solver {
     }
     if (damping > DAMPING_MAX) status = STALLED;
     if (settled) status = CONVERGED;
-    if (!finite(decrease)) status = NOT_FINITE;
+    if (!finite(decrease) || noise != noise) status = NOT_FINITE;
     ++iterations;
     near_ = decrease <= NEAR_ * magnitude;
   }

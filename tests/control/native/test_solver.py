@@ -318,8 +318,9 @@ def test_a_cost_without_minimum_is_a_status_without_gradient(power):
     assert (state.grad == 0).all()
 
 
+@pytest.mark.parametrize("guess", [0.0, 0.3])
 @pytest.mark.parametrize("count", [1, 3])
-def test_slopes_that_are_no_numbers_are_a_status(count):
+def test_slopes_that_are_no_numbers_are_a_status(count, guess):
     """Nothing is below a noise that is no number: the library looked for it beyond its costs."""
     state = torch.arange(count, dtype=torch.float64).unsqueeze(-1)  # the first at the kink
     box = Bounds(*torch.tensor([[-1.0], [1.0]], dtype=torch.float64))
@@ -330,7 +331,7 @@ def test_slopes_that_are_no_numbers_are_a_status(count):
 
     cost = Batched(root, torch.ones(count, 1, dtype=torch.float64))
     step = Batched(lambda state, control: state + control)
-    arguments = step, cost, box, state + 0, torch.zeros(count, 4, 1, dtype=torch.float64)
+    arguments = step, cost, box, state, torch.full((count, 4, 1), guess, dtype=torch.float64)
     expected, found = EXACT(*arguments), natively(EXACT, *arguments)
     assert expected.status[0] == SolverStatus.NOT_FINITE
     assert torch.equal(found.status, expected.status)
