@@ -29,6 +29,14 @@ def test_forecast_density_agrees_with_torch_distributions():
         assert torch.allclose(forecast.log_prob(position)[:, t], expected, atol=1e-4)
 
 
+def test_density_equals_that_of_torch_distributions():
+    factor = torch.randn(5, 2, 2, dtype=torch.float64).tril()
+    factor.diagonal(dim1=-2, dim2=-1).exp_()
+    error = torch.randn(5, 2, dtype=torch.float64)
+    expected = MultivariateNormal(torch.zeros(2).double(), scale_tril=factor).log_prob(error)
+    assert torch.allclose(log_density(error, factor), expected, rtol=1e-12)
+
+
 def test_density_has_the_gradient_of_its_value():
     factor = torch.tensor([[[0.5, 0.0], [-0.3, 2.0]]], dtype=torch.float64, requires_grad=True)
     error = torch.tensor([[0.7, -1.1], [0.0, 0.0]], dtype=torch.float64, requires_grad=True)
