@@ -135,6 +135,11 @@ class Limits:
             0 <= lean < right_angle, "limits.lean_max_rad", "lie in [0, π/2)", lean, remedy=advice
         )
 
+    @property
+    def acceleration_mps2(self) -> tuple[float, float]:
+        """Strongest braking and acceleration in m/s²."""
+        return self.acceleration_min_mps2, self.acceleration_max_mps2
+
 
 @dataclass(frozen=True)
 class FootprintSpec:

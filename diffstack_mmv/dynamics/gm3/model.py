@@ -221,8 +221,7 @@ class DiffGM3(DynamicsModel):
         curvature: Float[Tensor, "*b"],
     ) -> Float[Tensor, "*b"]:
         """What of a curvature (1/m) the tyres hold, see `within_grip`."""
-        limits = self.spec.limits
-        asked = acceleration.clamp(limits.acceleration_min_mps2, limits.acceleration_max_mps2)
+        asked = acceleration.clamp(*self.spec.limits.acceleration_mps2)
         return within_grip(curvature, state[..., 2], asked, self.get_submodule("friction")())
 
     def steer_for(

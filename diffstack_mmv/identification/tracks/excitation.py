@@ -20,5 +20,5 @@ def share_beyond_limits(segments: Sequence[TrackSegment], limits: Limits, dt_s: 
     """
     lag = max(round(AVERAGED_S / dt_s), 1)
     along = torch.cat([(each.speed[lag:] - each.speed[:-lag]) / (lag * dt_s) for each in segments])
-    low, high = limits.acceleration_min_mps2, limits.acceleration_max_mps2
+    low, high = limits.acceleration_mps2
     return float(((along < low) | (along > high)).double().mean())
