@@ -35,21 +35,27 @@ int main() {
 """
 
 
-def ran(source: str, folder: Path, *flags: str) -> subprocess.CompletedProcess[str]:
-    """Build a program and run it."""
+def built(source: str, folder: Path, *flags: str) -> subprocess.CompletedProcess[str]:
+    """Build a program, where there is a compiler."""
     try:
         compiler = _compiler()
     except CannotBuildError as failure:
         pytest.skip(str(failure))
-    written, program = folder / "program.cpp", folder / "program"
+    written = folder / "program.cpp"
     written.write_text(source)
     options = "-std=c++20", "-march=native", "-pthread", "-Wno-psabi", *flags
-    built = subprocess.run(
-        [compiler, *options, written, "-o", program], capture_output=True, text=True, check=False
-    )
-    if built.returncode:
-        pytest.skip(built.stderr[:200])
-    return subprocess.run([program], capture_output=True, text=True, check=False, timeout=60)
+    command = [compiler, *options, written, "-o", folder / "program"]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def ran(source: str, folder: Path, *flags: str) -> subprocess.CompletedProcess[str]:
+    """Build a program and run it."""
+    if flags and built("int main() {}", folder, *flags).returncode:
+        pytest.skip(f"the compiler has no {' '.join(flags)}")
+    done = built(source, folder, *flags)
+    assert done.returncode == 0, done.stderr
+    program = [folder / "program"]
+    return subprocess.run(program, capture_output=True, text=True, check=False, timeout=60)
 
 
 def test_a_machine_without_more_threads_does_the_work_with_those_that_are_there(tmp_path):
