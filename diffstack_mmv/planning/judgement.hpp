@@ -89,7 +89,9 @@ inline void judge(const Asked<Real>& a, const Real* __restrict centre, int discs
       along = along < 0 ? Real(0) : along > 1 ? Real(1) : along;
       const Real x = sx + along * dx, y = sy + along * dy;
       const Real found = std::sqrt(x * x + y * y) - limit;
-      clearance[l] = clearance[l] < found ? clearance[l] : found;  // what is no number is passed on
+      // what is no number is passed on, of whichever disc
+      const bool nearer = found < clearance[l] || found != found;
+      clearance[l] = nearer ? found : clearance[l];
     }
   }
   for (int l = 0; l < LANES; ++l) {

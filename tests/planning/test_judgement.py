@@ -80,7 +80,8 @@ def test_sizes_that_do_not_fit_together_are_left_to_the_tensors():
 
 @pytest.mark.skipif(library() is None, reason="there is no compiler")
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_what_is_no_number_is_not_safe_in_the_library_either(dtype):
+@pytest.mark.parametrize("unknown", [(2, 0), (2, 1)], ids=["first disc", "last disc"])
+def test_what_is_no_number_is_not_safe_in_the_library_either(dtype, unknown):
     """It was: a clearance is the smallest one found, and nothing is smaller than what is none."""
     motion, agents = plans(dtype, 2), people(dtype, 1)
     agents = agents._replace(
@@ -89,10 +90,11 @@ def test_what_is_no_number_is_not_safe_in_the_library_either(dtype):
         weight=agents.weight + 1,
     )
     motion.position[0, 0, 2], agents.position[1, 1, 0, 3] = torch.nan, torch.nan
-    discs = Discs(torch.zeros(3, 1, dtype=dtype), torch.full((3, 1), 0.3, dtype=dtype))
+    discs = Discs(torch.zeros(3, 2, dtype=dtype), torch.full((3, 2), 0.3, dtype=dtype))
+    discs.radius[unknown] = torch.nan
     here = torch.ones(3, 2, STEPS + 1, dtype=torch.bool)
     expected = ClearanceMargin()(clearance_within_steps(motion, discs, agents), agents, 0.25)
     found = judged_among(motion, agents, discs, here)
     assert torch.equal(found.safety.safe, expected.safe)
-    assert found.safety.safe.tolist() == [[False, True], [False, False], [True, True]]
+    assert found.safety.safe.tolist() == [[False, True], [False, False], [False, False]]
     assert torch.equal(found.safety.penalty.isnan(), expected.penalty.isnan())
