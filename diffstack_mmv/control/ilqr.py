@@ -51,8 +51,8 @@ class ILQR:
     batch, keeping the cheapest. Where the exact Hessian of the Lagrangian gives an indefinite Q_uu,
     Q_uu is lifted to the modulus of its curvature, and that problem tries the step of a convex
     model as well (far from the solution: alone): the diagonal of the Hessian over (x_t, u_t) is
-    raised at every time until it dominates its rows. Damping of Q_uu grows after a
-    refused step and decays after a long one. Problems converge one by one, and a finished one is
+    raised at every time until it dominates its rows, and in large models by less after every long
+    step. Damping of Q_uu grows after a refused step and decays after a long one. Problems converge one by one, and a finished one is
     frozen. What the batch mates of a problem are, NaN and infinity included, changes no bit of its
     answer, eager or compiled (see `separate_lanes`); another size of the batch may round it
     differently.
@@ -285,8 +285,10 @@ class ILQR:
             settings.box,
             iterate.damping,
             model.magnitude,
+            iterate.share,
             n,
         )
+        iterate = iterate._replace(share=policies.share)
         scale = model.magnitude, model.noise
         first = kernels.attempt(dynamics, cost, like, iterate, *scale, policies.first, settings)
         if policies.second is None:

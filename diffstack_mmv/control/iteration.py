@@ -17,6 +17,10 @@ NEAR = 0.3  # predicted decrease relative to the cost below which a problem is n
 NOISE = 8.0  # multiple of the rounding noise of the cost that counts as no decrease
 DAMPING_MAX = 1e8
 DAMPING_GROWTH, DAMPING_DECAY = 8.0, 0.2
+LONG = 0.5  # step size from which on a step is long
+LARGE = 6  # state columns from which on the lift of a convex model may come down
+SHARE_MIN = 1e-4  # least share of it
+SHARE_GROWTH, SHARE_DECAY = 4.0, 0.1
 
 
 class Iterate(NamedTuple):
@@ -26,6 +30,7 @@ class Iterate(NamedTuple):
     u: Float[Tensor, "T m N"]
     cost: Float[Tensor, " N"]
     damping: Float[Tensor, " N"]
+    share: Float[Tensor, " N"]  # of the lift of the convex model, see `definite_policies`
     status: Int[Tensor, " N"]
     iterations: Int[Tensor, " N"]
     near: Bool[Tensor, " N"]  # whether the last model promised a small decrease only
@@ -78,6 +83,7 @@ def attempt(
     # the cost is flat at its minimum: a last Newton step is good to more digits than it shows
     accepted = is_open & (lower | (flat & (trial.cost <= iterate.cost + noise)))
     damping = next_damping(iterate.damping, accepted, trial.size, settings.regularisation)
+    share = next_share(iterate.share, accepted, trial.size, len(iterate.x[0]))
     status = torch.where(damping > DAMPING_MAX, SolverStatus.STALLED, iterate.status)
     status = torch.where(settled, SolverStatus.CONVERGED, status)
     status = torch.where(policy.decrease.isfinite(), status, SolverStatus.NOT_FINITE)
@@ -86,6 +92,7 @@ def attempt(
         torch.where(accepted, trial.u, iterate.u),
         torch.where(accepted, trial.cost, iterate.cost),
         torch.where(is_open, damping, iterate.damping),
+        torch.where(is_open, share, iterate.share),
         torch.where(is_open, status, iterate.status),
         iterate.iterations + is_open.to(iterate.iterations.dtype),
         policy.decrease <= NEAR * magnitude,
@@ -120,7 +127,7 @@ def start(
     status = torch.full_like(zero, OPEN, dtype=torch.long)
     x = state.expand(T + 1, n, N).contiguous()
     count = torch.zeros_like(status)
-    nowhere = Iterate(x, controls, zero + torch.inf, zero, status, count, none)
+    nowhere = Iterate(x, controls, zero + torch.inf, zero, zero + 1, status, count, none)
     idle = Policy(controls.new_zeros(T, m + m * n, N), zero + 1, zero.clone(), none, none)
     guess = attempt(dynamics, cost, like, nowhere, zero.clone(), zero.clone(), idle, settings)
     finite = guess.cost.isfinite() & guess.x.isfinite().all(0).all(0)
@@ -128,7 +135,7 @@ def start(
     lower, upper = settings.box
     in_order = (lower <= upper).all()  # known before on a CPU; another device is not waited for
     status = torch.where(in_order, status, SolverStatus.INFEASIBLE)
-    return guess._replace(damping=zero, status=status, iterations=count)
+    return guess._replace(damping=zero, share=zero + 1, status=status, iterations=count)
 
 
 def concluded(iterate: Iterate) -> Int[Tensor, " N"]:
@@ -150,7 +157,25 @@ def next_damping(
     regularisation: Float[Tensor, ""],
 ) -> Float[Tensor, " N"]:
     """Less after a long step, none once it is small, more after a refused one."""
-    less = torch.where(size >= 0.5, damping * DAMPING_DECAY, damping)
+    less = torch.where(size >= LONG, damping * DAMPING_DECAY, damping)
     less = torch.where(less < 0.1 * regularisation, torch.zeros_like(less), less)
     more = torch.maximum(damping * DAMPING_GROWTH, regularisation)
     return torch.where(accepted, less, more)
+
+
+def next_share(
+    share: Float[Tensor, " N"],
+    accepted: Bool[Tensor, " N"],
+    size: Float[Tensor, " N"],
+    columns: int,
+) -> Float[Tensor, " N"]:
+    """Less of the lift after a long step, more after a short or a refused one.
+
+    The bound that it follows is the looser the more columns the state has. Small models keep all of
+    it: their steps are long enough, and longer ones would rather end in another minimum.
+    """
+    if columns < LARGE:
+        return share
+    less = (share * SHARE_DECAY).clamp_min(SHARE_MIN)
+    more = (share * SHARE_GROWTH).clamp_max(1)
+    return torch.where(accepted & (size >= LONG), less, more)

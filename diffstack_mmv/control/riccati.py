@@ -83,6 +83,7 @@ class Policies(NamedTuple):
     first: Policy
     second: Policy | None  # None where `first` is enough for all
     either: Bool[Tensor, " N"]  # problems for which the cheaper of both is taken
+    share: Float[Tensor, " N"]  # of the lift of the convex model; one where it is taken alone
 
 
 class Stationary(NamedTuple):
@@ -146,6 +147,7 @@ def definite_policies(
     box: Float[Tensor, "2 m"],
     damping: Float[Tensor, " N"],
     magnitude: Float[Tensor, " N"],
+    share: Float[Tensor, " N"],
     n: int,
 ) -> Policies:
     """Policies of the exact model, and of a convex one where that is not convex.
@@ -156,7 +158,9 @@ def definite_policies(
     lifted until its diagonal dominates. Far from the solution that model is taken: the exact one
     leads to worse minima. Near it both are tried. The convex one lifts far more than it needs to:
     its steps, and what they promise, may be a hundredth of what is left to gain. So it never counts
-    for convergence: what the exact model promises does, with Q_uu lifted alone.
+    for convergence: what the exact model promises does, with Q_uu lifted alone. Of the lift only a
+    share is given, which falls while the steps are long (see `next_share`), and which starts anew
+    from one as long as the problem is far from its solution.
 
     Args:
         solve: `box_policy`, or a compiled form of it.
@@ -165,6 +169,7 @@ def definite_policies(
         box: Bounds of the controls.
         damping: μ of each problem, dimensionless.
         magnitude: Σ |c_t|.
+        share: Share of the lift that the convex model is given, above zero.
         n: Number of state columns.
     """
     exact = solve(lq, gradient, box, damping, torch.zeros_like(damping), n)
@@ -172,8 +177,9 @@ def definite_policies(
     # to ask a device for the number would make it wait, and a second pass is cheap there
     index = indefinite.nonzero().squeeze(-1) if on_host(indefinite) else None
     if index is not None and len(index) == 0:
-        return Policies(exact, None, indefinite)
-    convex = _convex_policy(solve, lq, gradient, box, damping, indefinite, index, n, exact)
+        return Policies(exact, None, indefinite, share)
+    lifted = indefinite * share
+    convex = _convex_policy(solve, lq, gradient, box, damping, lifted, index, n, exact)
     # over long horizons the indefinite recursion may overflow: then it promises all there is
     usable = exact.decrease.isfinite() & exact.slope.isfinite()
     far = indefinite & (~usable | (convex.decrease > FAR * magnitude))
@@ -183,12 +189,13 @@ def definite_policies(
         "slope": torch.where(usable, torch.maximum(exact.slope, convex.slope), convex.slope),
     }
     either = indefinite & ~far
+    share = torch.where(far, torch.ones_like(share), share)
     convex = convex._replace(**promise)
     if index is not None and not bool(either.any()):
-        return Policies(convex, None, either)
+        return Policies(convex, None, either, share)
     exact = exact._replace(**promise)
     first = Policy(*(torch.where(far, c, e) for c, e in zip(convex, exact, strict=True)))
-    return Policies(first, convex, either)
+    return Policies(first, convex, either, share)
 
 
 def _convex_policy(
@@ -197,19 +204,19 @@ def _convex_policy(
     gradient: Tensor,
     box: Tensor,
     damping: Tensor,
-    indefinite: Tensor,
+    lifted: Tensor,
     index: Tensor | None,
     n: int,
     exact: Policy,
 ) -> Policy:
     """Policy of the convex model for the problems of `index`, the exact one for the others."""
     if index is None or len(damping) <= WHOLE or 2 * len(index) > len(damping):
-        return solve(lq, gradient, box, damping, indefinite.to(damping.dtype), n)
+        return solve(lq, gradient, box, damping, lifted, n)
     if len(index) == 1 < len(damping):
         index = index.repeat(2)  # a batch of one would be compiled separately
     part = LinearQuadratic(*(part.index_select(-1, index) for part in lq))
     steep, weak = gradient.index_select(-1, index), damping[index]
-    convex = solve(part, steep, box, weak, torch.ones_like(weak), n)
+    convex = solve(part, steep, box, weak, lifted[index], n)
     return Policy(
         *(whole.index_copy(-1, index, fixed) for whole, fixed in zip(exact, convex, strict=True))
     )
@@ -241,8 +248,8 @@ def box_policy(
         gradient: Derivative of the total cost by the controls.
         box: Bounds of the controls.
         damping: μ of each problem, dimensionless.
-        lifted: 1 where the Hessian of every stage is lifted until it is diagonally dominant, 0
-            elsewhere.
+        lifted: Share of what it lacks to be diagonally dominant by which the Hessian of every stage
+            is lifted, 0 for the exact model.
         n: Number of state columns.
     """
     m = box.shape[1]

@@ -58,14 +58,14 @@ inline Real largest(const Real* Q) {
   return most;
 }
 
-// what the diagonal of H lacks to dominate its rows, `outside` being the rest of each row
+// raises the diagonal of H by a share of what it lacks to dominate its rows, `outside` being the rest of each row
 template <int K>
-inline void add_dominance(Real* H, const Real* outside) {
+inline void add_dominance(Real* H, const Real* outside, Real share) {
   for (int i = 0; i < K; ++i) {
     Real row = outside ? outside[i] : Real(0);
     for (int j = 0; j < K; ++j) row += j == i ? Real(0) : std::fabs(H[i * K + j]);
     const Real lack = row - H[i * K + i];
-    if (lack > 0) H[i * K + i] += lack;
+    if (lack > 0) H[i * K + i] += share * lack;
   }
 }
 

@@ -12,8 +12,8 @@
 namespace dmmv {
 
 enum Status { OPEN = -1, CONVERGED = DMMV_CONVERGED, LIMIT = DMMV_LIMIT, STALLED = DMMV_STALLED, NOT_FINITE = DMMV_NOT_FINITE, UNBOUNDED = DMMV_UNBOUNDED };
-constexpr Real NEAR_ = Real(0.3), NOISE = 8, DAMPING_MAX = Real(1e8), GROWTH = 8, DECAY = Real(0.2), FAR = Real(3e-2), ARRIVED = Real(0.99);
-constexpr int MOST_SIZES = 64;
+constexpr Real NEAR_ = Real(0.3), NOISE = 8, DAMPING_MAX = Real(1e8), GROWTH = 8, DECAY = Real(0.2), SHARE_MIN = Real(1e-4), SHARE_GROWTH = 4, SHARE_DECAY = Real(0.1), FAR = Real(3e-2), ARRIVED = Real(0.99);
+constexpr int MOST_SIZES = 64, LARGE = 6;
 
 struct Settings {
   int max_iterations;
@@ -48,7 +48,7 @@ struct Solver {
   Real box[2][m];
 
   // where the problem stands
-  Real x[T + 1][n], u[T + 1][m], cost, damping;
+  Real x[T + 1][n], u[T + 1][m], cost, damping, share;
   int status, iterations;
   bool near_;
 
@@ -110,12 +110,13 @@ struct Solver {
     return (u[t][i] <= low && g > 0) || (u[t][i] >= high && g < 0) || low == high;
   }
 
-  void backward(bool convex) {
+  // the exact model, or with a share above zero a convex one
+  void backward(Real dominating) {
     const Real infinity = farthest();
     Real V_x[n], V_xx[n * n];
     std::memcpy(V_x, c_x[T], sizeof(V_x));
     std::memcpy(V_xx, H_xx[T], sizeof(V_xx));
-    if (convex) add_dominance<n>(V_xx, nullptr);
+    if (dominating > 0) add_dominance<n>(V_xx, nullptr, dominating);
     decrease = slope = 0;
     lifted = lifted_free = false;
     for (int t = T - 1; t >= 0; --t) {
@@ -123,7 +124,7 @@ struct Solver {
       std::memcpy(xx, H_xx[t], sizeof(xx));
       std::memcpy(ux, H_ux[t], sizeof(ux));
       std::memcpy(uu, H_uu[t], sizeof(uu));
-      if (convex) dominate(xx, ux, uu);
+      if (dominating > 0) dominate(xx, ux, uu, dominating);
       std::memcpy(Q_x, c_x[t], sizeof(Q_x));
       std::memcpy(Q_u, c_u[t], sizeof(Q_u));
       add_transposed_apply<n, n>(A[t], V_x, Q_x);
@@ -154,15 +155,15 @@ struct Solver {
     }
   }
 
-  void dominate(Real* xx, const Real* ux, Real* uu) const {
+  void dominate(Real* xx, const Real* ux, Real* uu, Real dominating) const {
     Real beside_x[n] = {}, beside_u[m] = {};
     for (int i = 0; i < m; ++i)
       for (int j = 0; j < n; ++j) {
         beside_x[j] += std::fabs(ux[i * n + j]);
         beside_u[i] += std::fabs(ux[i * n + j]);
       }
-    add_dominance<n>(xx, beside_x);
-    add_dominance<m>(uu, beside_u);
+    add_dominance<n>(xx, beside_x, dominating);
+    add_dominance<m>(uu, beside_u, dominating);
   }
 
   // k and K of one time; damps and lifts Q_uu
@@ -195,18 +196,20 @@ struct Solver {
   // as definite_policies() of riccati.py
   void policy() {
     [[maybe_unused]] const Timed timed{RECURSION};
-    backward(false);
+    backward(0);
     either = false;
     if (!lifted_free && !(lifted && decrease > FAR * magnitude)) return;
     const Gains exact = gains;
     // over long horizons the indefinite recursion may overflow: then it promises all there is
     const bool usable = finite(decrease) && finite(slope);
     const Real promised = usable ? decrease : magnitude, exact_slope = slope;
-    backward(true);
+    backward(share);
     either = usable && !(decrease > FAR * magnitude);
     if (either) {
       convex_gains = gains;
       gains = exact;
+    } else {
+      share = 1;
     }
     decrease = op_max(promised, decrease);
     if (usable) slope = op_max(exact_slope, slope);
@@ -285,6 +288,8 @@ struct Solver {
     } else {
       damping = std::max(damping * GROWTH, settings.regularisation);
     }
+    const bool is_long = accepted && best.size >= Real(0.5);
+    share = is_long ? op_max(share * SHARE_DECAY, n < LARGE ? Real(1) : SHARE_MIN) : op_min(share * SHARE_GROWTH, Real(1));
     if (damping > DAMPING_MAX) status = STALLED;
     if (settled) status = CONVERGED;
     if (!finite(decrease) || noise != noise) status = NOT_FINITE;
@@ -300,6 +305,7 @@ struct Solver {
     either = false;
     cost = INFINITY;
     damping = 0;
+    share = 1;
     iterations = 0;
     near_ = false;
     search(1, 0);
