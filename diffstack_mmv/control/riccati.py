@@ -182,6 +182,12 @@ def definite_policies(
     convex = _convex_policy(solve, lq, gradient, box, damping, lifted, index, n, exact)
     # over long horizons the indefinite recursion may overflow: then it promises all there is
     usable = exact.decrease.isfinite() & exact.slope.isfinite()
+    # one that is lifted by a share alone may too: its step is refused, the next one lifted by all
+    lost = indefinite & (share < 1) & ~(convex.decrease.isfinite() & convex.slope.isfinite())
+    convex = convex._replace(
+        decrease=torch.where(lost, magnitude, convex.decrease),
+        slope=torch.where(lost, torch.zeros_like(magnitude), convex.slope),
+    )
     far = indefinite & (~usable | (convex.decrease > FAR * magnitude))
     promised = torch.where(usable | ~indefinite, exact.decrease, magnitude)
     promise = {

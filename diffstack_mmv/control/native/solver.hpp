@@ -204,6 +204,11 @@ struct Solver {
     const bool usable = finite(decrease) && finite(slope);
     const Real promised = usable ? decrease : magnitude, exact_slope = slope;
     backward(share);
+    // one that is lifted by a share alone may too: its step is refused, and the next one is lifted by all
+    if (share < 1 && !(finite(decrease) && finite(slope))) {
+      decrease = magnitude;
+      slope = 0;
+    }
     either = usable && !(decrease > FAR * magnitude);
     if (either) {
       convex_gains = gains;
