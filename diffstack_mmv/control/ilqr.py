@@ -25,11 +25,11 @@ from diffstack_mmv.control.compilation import (
     eager_kernels,
 )
 from diffstack_mmv.control.curvature import CurvatureForm, ExactCurvature
+from diffstack_mmv.control.definite import definite_policies
 from diffstack_mmv.control.fitting import require_fitting, require_tensors
 from diffstack_mmv.control.gradient import Call, GradientMode, Implicit
 from diffstack_mmv.control.iteration import OPEN, Iterate, Settings, cheaper, concluded, start
 from diffstack_mmv.control.optimizer import Constraints, Cost, Dynamics
-from diffstack_mmv.control.riccati import definite_policies
 from diffstack_mmv.control.selection import Workload
 from diffstack_mmv.types import Bounds, Solution, on_host
 
@@ -52,10 +52,10 @@ class ILQR:
     Q_uu is lifted to the modulus of its curvature, and that problem tries the step of a convex
     model as well (far from the solution: alone): the diagonal of the Hessian over (x_t, u_t) is
     raised at every time until it dominates its rows, and in large models by less after every long
-    step. Damping of Q_uu grows after a refused step and decays after a long one. Problems converge one by one, and a finished one is
-    frozen. What the batch mates of a problem are, NaN and infinity included, changes no bit of its
-    answer, eager or compiled (see `separate_lanes`); another size of the batch may round it
-    differently.
+    step. Damping of Q_uu grows after a refused step and decays after a long one. Problems converge
+    one by one, and a finished one is frozen. What the batch mates of a problem are, NaN and
+    infinity included, changes no bit of its answer, eager or compiled (see `separate_lanes`);
+    another size of the batch may round it differently.
 
     A problem has converged when two conditions hold. Its exact model promises a decrease of the
     cost that is below ζ = `tolerance` · Σ|c|, or below what the precision resolves:

@@ -1,6 +1,5 @@
 """Riccati recursions over a batch of linear-quadratic problems, the batch in the last dimension."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -25,10 +24,7 @@ from diffstack_mmv.control.box_qp import (
     regular_inverse,
     solve_box_qp,
 )
-from diffstack_mmv.types import on_host
 
-FAR = 3e-2  # predicted decrease relative to the cost above which a problem is far from its solution
-WHOLE = 256  # problems up to which a pass over all takes no longer than to pick some out
 FLAT = 16.0  # multiple of the rounding of a curvature below which a control is taken to be flat
 ARRIVED = 0.99  # share of the farthest control that counts as it
 DEFINITE = 1e-6  # smallest pivot of Q_uu relative to its largest entry, before it is lifted
@@ -75,15 +71,6 @@ class Policy(NamedTuple):
     slope: Float[Tensor, " N"]  # decrease along the projected gradient, to first order
     lifted: Bool[Tensor, " N"]  # whether Q_uu was indefinite anywhere
     lifted_free: Bool[Tensor, " N"]  # whether it was on free controls
-
-
-class Policies(NamedTuple):
-    """What one iteration tries."""
-
-    first: Policy
-    second: Policy | None  # None where `first` is enough for all
-    either: Bool[Tensor, " N"]  # problems for which the cheaper of both is taken
-    share: Float[Tensor, " N"]  # of the lift of the convex model; one where it is taken alone
 
 
 class Stationary(NamedTuple):
@@ -138,94 +125,6 @@ def dominance(H: Float[Tensor, "k k N"], outside: Float[Tensor, "k N"]) -> Float
     """
     diagonal = H.diagonal(dim1=0, dim2=1).movedim(-1, 0)
     return (H.abs().sum(1) - diagonal.abs() + outside - diagonal).clamp_min(0)
-
-
-def definite_policies(
-    solve: Callable[..., Policy],
-    lq: LinearQuadratic,
-    gradient: Float[Tensor, "T m N"],
-    box: Float[Tensor, "2 m"],
-    damping: Float[Tensor, " N"],
-    magnitude: Float[Tensor, " N"],
-    share: Float[Tensor, " N"],
-    n: int,
-) -> Policies:
-    """Policies of the exact model, and of a convex one where that is not convex.
-
-    Exact means the Hessian of the Lagrangian: Newton's method with its quadratic convergence. A
-    problem in which any Q_uu is indefinite on free controls (or on any control, far
-    from the solution) is solved a second time with the Hessian over (x_t, u_t) of every stage
-    lifted until its diagonal dominates. Far from the solution that model is taken: the exact one
-    leads to worse minima. Near it both are tried. The convex one lifts far more than it needs to:
-    its steps, and what they promise, may be a hundredth of what is left to gain. So it never counts
-    for convergence: what the exact model promises does, with Q_uu lifted alone. Of the lift only a
-    share is given, which falls while the steps are long (see `next_share`), and which starts anew
-    from one as long as the problem is far from its solution.
-
-    Args:
-        solve: `box_policy`, or a compiled form of it.
-        lq: The exact model.
-        gradient: Derivative of the total cost by the controls.
-        box: Bounds of the controls.
-        damping: μ of each problem, dimensionless.
-        magnitude: Σ |c_t|.
-        share: Share of the lift that the convex model is given, above zero.
-        n: Number of state columns.
-    """
-    exact = solve(lq, gradient, box, damping, torch.zeros_like(damping), n)
-    indefinite = exact.lifted_free | (exact.lifted & (exact.decrease > FAR * magnitude))
-    # to ask a device for the number would make it wait, and a second pass is cheap there
-    index = indefinite.nonzero().squeeze(-1) if on_host(indefinite) else None
-    if index is not None and len(index) == 0:
-        return Policies(exact, None, indefinite, share)
-    lifted = indefinite * share
-    convex = _convex_policy(solve, lq, gradient, box, damping, lifted, index, n, exact)
-    # over long horizons the indefinite recursion may overflow: then it promises all there is
-    usable = exact.decrease.isfinite() & exact.slope.isfinite()
-    # one that is lifted by a share alone may too: its step is refused, the next one lifted by all
-    lost = indefinite & (share < 1) & ~(convex.decrease.isfinite() & convex.slope.isfinite())
-    convex = convex._replace(
-        decrease=torch.where(lost, magnitude, convex.decrease),
-        slope=torch.where(lost, torch.zeros_like(magnitude), convex.slope),
-    )
-    far = indefinite & (~usable | (convex.decrease > FAR * magnitude))
-    promised = torch.where(usable | ~indefinite, exact.decrease, magnitude)
-    promise = {
-        "decrease": torch.maximum(promised, convex.decrease),
-        "slope": torch.where(usable, torch.maximum(exact.slope, convex.slope), convex.slope),
-    }
-    either = indefinite & ~far
-    share = torch.where(far, torch.ones_like(share), share)
-    convex = convex._replace(**promise)
-    if index is not None and not bool(either.any()):
-        return Policies(convex, None, either, share)
-    exact = exact._replace(**promise)
-    first = Policy(*(torch.where(far, c, e) for c, e in zip(convex, exact, strict=True)))
-    return Policies(first, convex, either, share)
-
-
-def _convex_policy(
-    solve: Callable[..., Policy],
-    lq: LinearQuadratic,
-    gradient: Tensor,
-    box: Tensor,
-    damping: Tensor,
-    lifted: Tensor,
-    index: Tensor | None,
-    n: int,
-    exact: Policy,
-) -> Policy:
-    """Policy of the convex model for the problems of `index`, the exact one for the others."""
-    if index is None or len(damping) <= WHOLE or 2 * len(index) > len(damping):
-        return solve(lq, gradient, box, damping, lifted, n)
-    if len(index) == 1 < len(damping):
-        index = index.repeat(2)  # a batch of one would be compiled separately
-    part = LinearQuadratic(*(part.index_select(-1, index) for part in lq))
-    steep, weak = gradient.index_select(-1, index), damping[index]
-    convex = solve(part, steep, box, weak, lifted[index], n)
-    return Policy(
-        *(whole.index_copy(-1, index, fixed) for whole, fixed in zip(exact, convex, strict=True))
-    )
 
 
 def box_policy(

@@ -7,7 +7,7 @@ told up to 0.8 % above the optimum in one problem of six, and hundreds of iterat
 import pytest
 import torch
 
-from diffstack_mmv.control import ILQR, Batched, Bounds
+from diffstack_mmv.control import ILQR, Batched, Bounds, iteration
 
 COUNT, STEPS, DT = 64, 30, 0.1
 
@@ -76,3 +76,51 @@ def test_controls_held_at_their_bounds_leave_the_others_the_steps_of_newton(best
     assert solution.converged.all()
     assert solution.iterations.max() <= 30
     assert (solution.cost < best[1.0] * (1 + 1e-9)).all()
+
+
+def turned_pair(dtype):
+    """Two unicycles in coordinates of which each mixes all six, and their starts.
+
+    The bound by the sums of rows is far looser in them, and the problem is the same.
+    """
+    generator = torch.Generator().manual_seed(5)
+    mixed = torch.randn(6, 6, generator=generator, dtype=torch.float64)
+    turn = torch.linalg.qr(mixed)[0].to(dtype)
+
+    def pair(state, control):
+        first, second = (state @ turn).split(3, -1)
+        moved = [
+            unicycle(*each) for each in zip((first, second), control.split(2, -1), strict=True)
+        ]
+        return torch.cat(moved, -1) @ turn.T
+
+    draw = 2 * torch.rand(COUNT, 6, generator=generator, dtype=torch.float64) - 1
+    state = draw * torch.tensor([1.0, 1.0, torch.pi] * 2)
+    return pair, state.to(dtype) @ turn.T
+
+
+def solved_pair(limit, dtype, **settings):
+    pair, state = turned_pair(dtype)
+    side, guess = torch.full((4,), limit, dtype=dtype), torch.zeros(COUNT, STEPS, 4, dtype=dtype)
+    solve = ILQR(tolerance=1e-4, one_by_one=COUNT, **settings)
+    with torch.no_grad():
+        return solve(Batched(pair), Batched(to_origin), Bounds(-side, side), state, guess)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("limit", [1.0, torch.inf])
+def test_a_large_model_that_is_lifted_by_less_needs_fewer_iterations(monkeypatch, limit, dtype):
+    """Without bounds, in single precision, a model that is lifted by too little overflows."""
+    relaxed = solved_pair(limit, dtype)
+    monkeypatch.setattr(iteration, "LARGE", 7)
+    lifted = solved_pair(limit, dtype)
+    assert relaxed.converged.all() and lifted.converged.all()
+    assert relaxed.iterations.sum() < 0.95 * lifted.iterations.sum()
+    assert torch.allclose(relaxed.cost.mean(), lifted.cost.mean(), rtol=1e-3)
+
+
+@pytest.mark.parametrize("limit", [1.0, torch.inf])
+def test_the_library_lifts_a_large_model_by_the_same_share(limit):
+    eager, compiled = (solved_pair(limit, torch.float64, compile=each) for each in (False, True))
+    assert torch.equal(eager.iterations, compiled.iterations)
+    assert torch.allclose(eager.cost, compiled.cost, rtol=1e-9)

@@ -1,9 +1,9 @@
-"""How much the next iteration is damped."""
+"""How much the next iteration is damped, and its convex model lifted."""
 
 import pytest
 import torch
 
-from diffstack_mmv.control.iteration import next_damping
+from diffstack_mmv.control.iteration import LARGE, SHARE_MIN, next_damping, next_share
 
 
 @pytest.mark.parametrize(
@@ -30,3 +30,21 @@ def test_damping_of_one_problem_is_free_of_its_mates():
     together = next_damping(damping, accepted, size, least)
     rows = zip(damping.split(1), accepted.split(1), size.split(1), strict=True)
     assert torch.equal(together, torch.cat([next_damping(*row, least) for row in rows]))
+
+
+@pytest.mark.parametrize(
+    ("share", "accepted", "size", "following"),
+    [
+        (1.0, True, 1.0, 0.1),  # a long step: less
+        (1.0, True, 0.5, 0.1),
+        (0.1, True, 0.25, 0.4),  # a short one: more
+        (0.1, False, 1.0, 0.4),  # refused: more
+        (0.5, False, 1.0, 1.0),  # and never more than all
+        (2e-4, True, 1.0, SHARE_MIN),
+    ],
+)
+def test_lift_of_a_large_model_follows_the_step(share, accepted, size, following):
+    share, size = torch.tensor([[share], [size]], dtype=torch.float64)
+    accepted = torch.tensor([accepted])
+    assert next_share(share, accepted, size, LARGE).item() == pytest.approx(following)
+    assert torch.equal(next_share(share, accepted, size, LARGE - 1), share)

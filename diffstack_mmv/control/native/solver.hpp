@@ -193,7 +193,7 @@ struct Solver {
     }
   }
 
-  // as definite_policies() of riccati.py
+  // as definite_policies() of definite.py
   void policy() {
     [[maybe_unused]] const Timed timed{RECURSION};
     backward(0);
