@@ -107,7 +107,7 @@ def _convex_policy(
 
 
 def _sound(convex: Policy, relaxed: Bool[Tensor, " N"], magnitude: Float[Tensor, " N"]) -> Policy:
-    """A relaxed model may overflow too: its step is refused then, and the next one lifted by all."""
+    """A relaxed model that overflows has its step refused, and the next one is lifted by all."""
     lost = relaxed & ~(convex.decrease.isfinite() & convex.slope.isfinite())
     decrease = torch.where(lost, magnitude, convex.decrease)
     slope = torch.where(lost, torch.zeros_like(magnitude), convex.slope)

