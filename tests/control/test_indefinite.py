@@ -124,3 +124,8 @@ def test_the_library_lifts_a_large_model_by_the_same_share(limit):
     eager, compiled = (solved_pair(limit, torch.float64, compile=each) for each in (False, True))
     assert torch.equal(eager.iterations, compiled.iterations)
     assert torch.allclose(eager.cost, compiled.cost, rtol=1e-9)
+
+
+def test_the_library_recovers_from_a_relaxed_model_that_overflows():
+    """So do 4 of the 64 in single precision, without bounds."""
+    assert solved_pair(torch.inf, torch.float32, compile=True).converged.all()
