@@ -107,7 +107,7 @@ def solved_pair(limit, dtype, **settings):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("limit", [1.0, torch.inf])
+@pytest.mark.parametrize("limit", [pytest.param(1.0, marks=pytest.mark.slow), torch.inf])
 def test_a_large_model_that_is_lifted_by_less_needs_fewer_iterations(monkeypatch, limit, dtype):
     """Without bounds, in single precision, a model that is lifted by too little overflows."""
     relaxed = solved_pair(limit, dtype)
@@ -119,7 +119,7 @@ def test_a_large_model_that_is_lifted_by_less_needs_fewer_iterations(monkeypatch
     assert torch.allclose(relaxed.cost.mean(), lifted.cost.mean(), rtol=1e-3)
 
 
-@pytest.mark.parametrize("limit", [1.0, torch.inf])
+@pytest.mark.parametrize("limit", [pytest.param(1.0, marks=pytest.mark.slow), torch.inf])
 def test_the_library_lifts_a_large_model_by_the_same_share(limit):
     eager, compiled = (solved_pair(limit, torch.float64, compile=each) for each in (False, True))
     assert torch.equal(eager.iterations, compiled.iterations)
