@@ -39,7 +39,7 @@ def judged_plans(stack: DiffStackMMV, batch: StackBatch, first: int) -> Judged:
     output = stack(batch)
     terms = stack.hindsight_costs(batch, output)
     ego = ego_forecast(output.forecast)
-    scores = stack.score(batch, output) | _further_scores(ego, batch.ego_future, first)
+    scores = stack.score(batch, output, terms) | _further_scores(ego, batch.ego_future, first)
     scores |= {f"{COST}{term}": cost for term, cost in terms.items()}
     paths = {"prediction": ego.median(), "plan": output.plan.motion.position[..., 1:, :]}
     # whoever rides to a goal that was not recorded cannot be judged

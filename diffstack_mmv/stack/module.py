@@ -1,6 +1,6 @@
 """The stack: the one place where prediction, planning and their losses meet."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import pytorch_lightning as pl
@@ -143,21 +143,28 @@ class DiffStackMMV(pl.LightningModule):
         return StackOutput(forecast, goal, problem, self.planner(problem))
 
     def planning_losses(
-        self, batch: StackBatch, output: StackOutput
+        self,
+        batch: StackBatch,
+        output: StackOutput,
+        costs: Mapping[str, Float[Tensor, " B"]] | None = None,
     ) -> dict[str, Float[Tensor, " B"]]:
         """Losses of each sample: `planning_ce` in nats, `planning_cost` (1), `control` in m² or m.
 
-        The hindsight cost is that of the plan under the true futures of the other agents. NaN where
-        the human's future or the goal of the plan was not recorded.
+        NaN where the human's future or the goal of the plan was not recorded.
+
+        Args:
+            batch: What was planned for.
+            output: What the stages made of it.
+            costs: Its `hindsight_costs` if they are known, else computed here.
         """
-        future = batch.ego_future
-        plan = output.plan
+        future, plan = batch.ego_future, output.plan
+        costs = self.hindsight_costs(batch, output) if costs is None else costs
         target = closest_candidate(
             plan.candidates.position[..., 1:, :], future.motion.position, future.valid
         )
         losses = {
             "planning_ce": cross_entropy(plan.logits, target),
-            "planning_cost": total_cost(self.hindsight_costs(batch, output)),
+            "planning_cost": total_cost(costs),
             "control": self.loss_weights.imitation(plan.motion.position[..., 1:, :], future),
         }
         judged = self._plan_judged(batch)
@@ -238,12 +245,18 @@ class DiffStackMMV(pl.LightningModule):
         """Every score of each sample, by the names of `OPEN_LOOP`."""
         return self.score(batch, self(batch))
 
-    def score(self, batch: StackBatch, output: StackOutput) -> dict[str, Float[Tensor, " B"]]:
+    def score(
+        self,
+        batch: StackBatch,
+        output: StackOutput,
+        costs: Mapping[str, Float[Tensor, " B"]] | None = None,
+    ) -> dict[str, Float[Tensor, " B"]]:
         """Scores of what the stages made of a batch, by the names of `OPEN_LOOP`.
 
         NaN where a sample cannot be judged, of the plans also where their goal is not known.
+        Arguments as of `planning_losses`.
         """
-        losses, known = self.planning_losses(batch, output), self.goal_known(batch)
+        losses, known = self.planning_losses(batch, output, costs), self.goal_known(batch)
         planned = plan_scores(batch, output, losses, self.loss_weights.hindsight)
         scores = prediction_scores(batch, output.forecast) | {
             name: where_known(value, known) for name, value in planned.items()

@@ -63,6 +63,19 @@ def test_rows_hold_every_score_and_those_of_the_baselines():
         assert curves[name].mean() == pytest.approx(evaluation.samples[score].mean(), abs=1e-6)
 
 
+def test_a_batch_is_judged_in_hindsight_once(monkeypatch):
+    stack, batch, judged = stack_of(PredictedGoal()), batch_of(), []
+    expected = stack.sample_scores(batch)
+    judge = stack.planner.hindsight_cost
+    monkeypatch.setattr(
+        stack.planner, "hindsight_cost", lambda *given: judged.append(1) or judge(*given)
+    )
+    samples = evaluate_windows(stack, {}, Recorded(batch)).samples
+    assert len(judged) == 1
+    for name, value in expected.items():
+        assert torch.equal(torch.from_numpy(samples[name].to_numpy()), value.detach()), name
+
+
 @pytest.mark.parametrize(
     ("weights", "heaviest"),
     [((0.4, 0.3, 0.3), 0.0), ((0.3, 0.4, 0.3), 1.0), ((0.3, 0.3, 0.4), 2.0)],
