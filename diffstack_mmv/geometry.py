@@ -1,4 +1,6 @@
-"""Angles, rotations, frames and distances in the plane: y left of x, angles counter-clockwise.
+"""Angles, rotations, frames and distances in the plane, and the times of a path.
+
+y is left of x, angles are counter-clockwise.
 
 `root`, `length`, `unit_vector` and `distance_to_segment` are correctly rounded, whatever vector
 library torch was built on: a benchmark case is decided by comparisons and goes on for a hundred
@@ -163,6 +165,11 @@ def last_known(
     latest = torch.where(valid, number, 0).cummax(-1).values
     path = torch.cat([now.unsqueeze(-2), position], -2)
     return path.take_along_dim(latest.unsqueeze(-1), -2)
+
+
+def times_ahead(like: Tensor, steps: int, dt_s: float) -> Float[Tensor, " T"]:
+    """Times in s from now to the end of each of so many steps, in type and place like a tensor."""
+    return dt_s * torch.arange(1, steps + 1, dtype=like.dtype, device=like.device)
 
 
 def root(square: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:

@@ -21,6 +21,7 @@ from diffstack_mmv.geometry import (
     position_from_frame,
     position_in_frame,
     rotate,
+    times_ahead,
     wrap_angle,
 )
 from diffstack_mmv.types import Discs, Motion, Obstacles
@@ -118,6 +119,12 @@ def test_who_is_lost_stays_where_they_were_seen_last(valid, held):
     recorded = torch.where(known.unsqueeze(-1), seen, torch.nan)
     found = last_known(torch.zeros(2, 2), recorded.expand(2, 3, 2), known.expand(2, 3))
     assert torch.equal(found, torch.tensor(held).unsqueeze(-1).expand(2, 3, 2))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_times_ahead_are_those_of_the_ends_of_the_steps(dtype):
+    times = times_ahead(torch.zeros(2, dtype=dtype), 3, 0.25)
+    assert torch.equal(times, torch.tensor([0.25, 0.5, 0.75], dtype=dtype))
 
 
 def test_a_length_of_zero_has_a_derivative_of_zero():

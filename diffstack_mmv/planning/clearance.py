@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_between, require_positive
-from diffstack_mmv.geometry import direction
+from diffstack_mmv.geometry import direction, times_ahead
 from diffstack_mmv.types import Discs, Motion, Obstacles
 
 
@@ -133,7 +133,7 @@ class ClearanceMargin:
         Returns:
             The judgement.
         """
-        time = _ends_of_steps(clearance, dt_s)
+        time = times_ahead(clearance, clearance.shape[-1], dt_s)
         way = _gone(obstacles).clamp(max=self.saturation_m).unsqueeze(-4)
         weight = obstacles.weight[..., None, :, :, None]
         lack = self.hard_m + self.hard_growth * way - clearance
@@ -153,7 +153,8 @@ class ClearanceMargin:
         gone = _gone(obstacles).unsqueeze(-4)
         contact = self._contact(clearance, self.spread_growth * gone)
         if self.turn_rate > 0:
-            turned = -torch.expm1(-self.turn_rate * _ends_of_steps(clearance, dt_s))
+            time = times_ahead(clearance, clearance.shape[-1], dt_s)
+            turned = -torch.expm1(-self.turn_rate * time)
             contact = contact + turned * (
                 self._contact(clearance, self.turn_growth * gone) - contact
             )
@@ -166,12 +167,6 @@ class ClearanceMargin:
         variance = deviation.square().clamp_min(1e-4)
         certain = self.reach_m**2 / (self.reach_m**2 + 2 * variance)
         return certain * (-0.5 * clearance.clamp_min(0).square() / variance).exp()
-
-
-def _ends_of_steps(clearance: Float[Tensor, "*b T"], dt_s: float) -> Float[Tensor, " T"]:
-    """Times in s at the ends of as many steps as there are clearances."""
-    steps = clearance.shape[-1]
-    return dt_s * torch.arange(1, steps + 1, dtype=clearance.dtype, device=clearance.device)
 
 
 def _gone(obstacles: Obstacles) -> Float[Tensor, "*b N K T"]:

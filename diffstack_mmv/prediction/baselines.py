@@ -9,14 +9,13 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.geometry import last_known
+from diffstack_mmv.geometry import last_known, times_ahead
 from diffstack_mmv.prediction.base import Predictor, all_agents
 from diffstack_mmv.prediction.current import (
     current_heading,
     current_position,
     mean_velocity,
     steady_path,
-    times_ahead,
 )
 from diffstack_mmv.prediction.gaussian import covariance_along, scale_from_covariance
 from diffstack_mmv.smooth import safe_norm

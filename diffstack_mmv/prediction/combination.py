@@ -4,7 +4,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.prediction.current import steady_path, times_ahead
+from diffstack_mmv.geometry import times_ahead
+from diffstack_mmv.prediction.current import steady_path
 from diffstack_mmv.types import Tracks
 
 STEADY_SHARE = 0.2

@@ -68,11 +68,6 @@ def mean_velocity(tracks: Tracks, rows: int, dt_s: float) -> Float[Tensor, "*b 2
     return torch.where(observed, way / (first.clamp_min(1) * dt_s), current_velocity(tracks))
 
 
-def times_ahead(like: Tensor, steps: int, dt_s: float) -> Float[Tensor, " T"]:
-    """Times in s from now to the end of each of so many steps."""
-    return dt_s * torch.arange(1, steps + 1, dtype=like.dtype, device=like.device)
-
-
 def steady_path(
     tracks: Tracks, time: Float[Tensor, " T"], rows: int, dt_s: float
 ) -> Float[Tensor, "*b T 2"]:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_between, require_positive, require_switch
-from diffstack_mmv.geometry import length, unit_vector
+from diffstack_mmv.geometry import length, times_ahead, unit_vector
 from diffstack_mmv.prediction import Spread, single_component
 from diffstack_mmv.simulation.goals import GoalBelief, GoalInference
 from diffstack_mmv.simulation.observation import Observation
@@ -78,8 +78,8 @@ class ConstantVelocityForecaster:
     ) -> PedestrianForecast:
         """One component along straight lines."""
         position, velocity = observation.pedestrian_position, self.velocity(observation)
-        ahead = dt_s * torch.arange(1, steps + 1, dtype=position.dtype, device=position.device)
-        mean = position.unsqueeze(-2) + velocity.unsqueeze(-2) * ahead[:, None]
+        ahead = times_ahead(position, steps, dt_s).unsqueeze(-1)
+        mean = position.unsqueeze(-2) + velocity.unsqueeze(-2) * ahead
         return PedestrianForecast(_with_spread(mean, velocity, self.spread, dt_s), None)
 
 
@@ -183,8 +183,8 @@ class OrcaForecaster:
         """A forecast of one component, and one more per direction for who is at rest."""
         mean, count = forecast.mean, self.directions
         turns = 2 * math.pi / count * torch.arange(count).to(mean)
-        ahead = dt_s * torch.arange(1, mean.shape[-2] + 1).to(mean)
-        way = self.preferred_speed_mps * ahead[:, None] * unit_vector(turns)[:, None]
+        ahead = times_ahead(mean, mean.shape[-2], dt_s).unsqueeze(-1)
+        way = self.preferred_speed_mps * ahead * unit_vector(turns)[:, None]
         resting = (length(crowd.velocity) < RESTING_MPS)[..., None, None, None]
         off = torch.where(resting, crowd.position[..., None, None, :] + way, mean)
         weight = mean.new_tensor([self.stays] + count * [(1 - self.stays) / count])
@@ -245,5 +245,5 @@ def _with_spread(
     mean: Float[Tensor, "*b h T 2"], velocity: Float[Tensor, "*b h 2"], spread: Spread, dt_s: float
 ) -> Forecast:
     """One component of positions in m whose uncertainty grows along and across the course."""
-    time = dt_s * torch.arange(1, mean.shape[-2] + 1, dtype=mean.dtype, device=mean.device)
+    time = times_ahead(mean, mean.shape[-2], dt_s)
     return single_component(mean, spread.scale_tril(_course(velocity), length(velocity), time))
