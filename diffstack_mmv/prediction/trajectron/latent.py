@@ -9,6 +9,9 @@ from torch import Tensor, nn
 from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.prediction.trajectron.encoder import perceptron
 
+HIDDEN = 32
+"""Units of the hidden layer of prior and posterior."""
+
 
 class Latent(nn.Module):
     """Prior p(z|x) and posterior q(z|x, y) over K components.
@@ -17,19 +20,16 @@ class Latent(nn.Module):
         context_size: Size of the encoding of x, the present scene.
         future_size: Size of the encoding of y, the future.
         components: K.
-        hidden: Size of the hidden layer.
 
     Raises:
         ValueError: There is no component.
     """
 
-    def __init__(
-        self, context_size: int, future_size: int, components: int, hidden: int = 32
-    ) -> None:
+    def __init__(self, context_size: int, future_size: int, components: int) -> None:
         super().__init__()
         require_at_least("components", components, 1)
-        self.prior = perceptron([context_size, hidden, components])
-        self.posterior = perceptron([context_size + future_size, hidden, components])
+        self.prior = perceptron([context_size, HIDDEN, components])
+        self.posterior = perceptron([context_size + future_size, HIDDEN, components])
 
     def log_prior(self, context: Float[Tensor, "R c"]) -> Float[Tensor, "R K"]:
         """Return log p(z|x)."""
