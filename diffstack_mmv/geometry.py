@@ -16,6 +16,8 @@ from torch import Tensor
 
 from diffstack_mmv.types import Discs, Motion, Obstacles
 
+VARIANCE_FLOOR = 4e-4
+"""m²: 2 cm, the noise that smoothing leaves on measured positions."""
 SPLIT = 2.0**27 + 1
 """Splits a float64 number into two halves whose products are exact."""
 
@@ -227,3 +229,25 @@ def symmetric_root(scale_tril: Float[Tensor, "*b 2 2"]) -> Float[Tensor, "*b 2 2
     trace = (covariance.diagonal(dim1=-2, dim2=-1).sum(-1) + 2 * determinant).sqrt()  # of S
     identity = torch.eye(2, dtype=scale_tril.dtype, device=scale_tril.device)
     return (covariance + determinant[..., None, None] * identity) / trace[..., None, None]
+
+
+def scale_from_covariance(
+    covariance: Float[Tensor, "*b 2 2"], floor: float = VARIANCE_FLOOR
+) -> Float[Tensor, "*b 2 2"]:
+    """Lower Cholesky factor in m of a covariance in m², with `floor` in m² on its diagonal."""
+    first = (covariance[..., 0, 0] + floor).sqrt()
+    cross = covariance[..., 1, 0] / first
+    # exact arithmetic leaves at least `floor` here; rounding may not
+    second = (covariance[..., 1, 1] + floor - cross.square()).clamp_min(0.5 * floor).sqrt()
+    top = torch.stack([first, torch.zeros_like(first)], -1)
+    return torch.stack([top, torch.stack([cross, second], -1)], -2)
+
+
+def solve_symmetric(
+    matrix: Float[Tensor, "*b 2 2"], vector: Float[Tensor, "*b 2"]
+) -> Float[Tensor, "*b 2"]:
+    """S⁻¹ v of a symmetric matrix S that is not singular, by its adjugate."""
+    first, cross, second = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 1]
+    x, y = vector.unbind(-1)
+    solved = torch.stack([second * x - cross * y, first * y - cross * x], -1)
+    return solved / (first * second - cross.square()).unsqueeze(-1)

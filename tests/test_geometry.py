@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diffstack_mmv.geometry import (
+    VARIANCE_FLOOR,
     angle_of,
     clearance_lack,
     direction,
@@ -21,6 +22,9 @@ from diffstack_mmv.geometry import (
     position_from_frame,
     position_in_frame,
     rotate,
+    scale_from_covariance,
+    solve_symmetric,
+    symmetric_root,
     times_ahead,
     wrap_angle,
 )
@@ -167,3 +171,30 @@ def test_distance_to_an_outline_is_that_to_the_axis_between_its_outer_discs(x, y
     ends = place + torch.tensor([[-0.5], [1.5]]) * direction(turn)
     expected = distance_to_segment(*(ends - agents[0, 0, 0]))
     assert torch.allclose(found.flatten(), expected.flatten(), atol=1e-4)
+
+
+def covariances(count=5):
+    factor = torch.randn(count, 2, 2, dtype=torch.float64)
+    return factor @ factor.mT + 0.1 * torch.eye(2, dtype=torch.float64)
+
+
+def test_factor_equals_cholesky():
+    covariance = covariances()
+    floored = covariance + VARIANCE_FLOOR * torch.eye(2, dtype=torch.float64)
+    assert torch.allclose(scale_from_covariance(covariance), torch.linalg.cholesky(floored))
+
+
+def test_factor_of_a_zero_covariance_is_the_floor_with_finite_gradient():
+    covariance = torch.zeros(2, 2, requires_grad=True)
+    scale = scale_from_covariance(covariance)
+    scale.diagonal().log().sum().backward()
+    assert torch.allclose(scale.detach(), 0.02 * torch.eye(2))
+    assert torch.isfinite(covariance.grad).all()
+
+
+def test_symmetric_root_and_its_inverse_are_those_of_the_covariance():
+    covariance, vector = covariances(), torch.randn(5, 2, dtype=torch.float64)
+    found = symmetric_root(torch.linalg.cholesky(covariance))
+    assert torch.allclose(found, found.mT)
+    assert torch.allclose(found @ found, covariance)
+    assert torch.allclose(solve_symmetric(found, vector), torch.linalg.solve(found, vector))

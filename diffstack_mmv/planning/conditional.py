@@ -5,8 +5,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
-from diffstack_mmv.geometry import symmetric_root
-from diffstack_mmv.types import Forecast
+from diffstack_mmv.geometry import scale_from_covariance, solve_symmetric, symmetric_root
+from diffstack_mmv.types import Forecast, log_density
 
 WIDTH_M = 0.1
 
@@ -38,15 +38,10 @@ def given_end(forecast: Forecast, end: Float[Tensor, "*b 2"], width_m: float = W
     error = end.unsqueeze(-2) - mean[..., -1, :]
     steps = mean.shape[-2]
     share = torch.arange(1, steps + 1, dtype=mean.dtype, device=mean.device) / steps
-    root, last = symmetric_root(scale), scale[..., -1, :, :]
-    precise = torch.cholesky_solve(error.unsqueeze(-1), last)  # Σ_T⁻¹ (g - μ_T)
-    white = (root[..., -1, :, :] @ precise).unsqueeze(-3)
-    moved = mean + share.sqrt().unsqueeze(-1) * (root @ white).squeeze(-1)
-    floor = width_m**2 * torch.eye(2, dtype=mean.dtype, device=mean.device)
-    covariance = scale @ scale.mT
-    rest = torch.linalg.cholesky((1 - share)[:, None, None] * covariance + floor)
-    blurred = torch.linalg.cholesky(covariance[..., -1, :, :] + floor)
-    surprise = torch.linalg.solve_triangular(blurred, error.unsqueeze(-1), upper=False)
-    log_density = -0.5 * surprise.square().sum((-2, -1))
-    log_density = log_density - blurred.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-    return Forecast((forecast.log_weight + log_density).log_softmax(-1), moved, rest)
+    root, covariance = symmetric_root(scale), scale @ scale.mT
+    white = solve_symmetric(root[..., -1, :, :], error).unsqueeze(-2)
+    moved = mean + share.sqrt().unsqueeze(-1) * (root * white.unsqueeze(-2)).sum(-1)
+    rest = scale_from_covariance((1 - share)[:, None, None] * covariance, width_m**2)
+    blurred = scale_from_covariance(covariance[..., -1, :, :], width_m**2)
+    log_weight = forecast.log_weight + log_density(error, blurred)
+    return Forecast(log_weight.log_softmax(-1), moved, rest)

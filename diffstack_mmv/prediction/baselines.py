@@ -9,7 +9,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.geometry import last_known, times_ahead
+from diffstack_mmv.geometry import last_known, scale_from_covariance, times_ahead
 from diffstack_mmv.prediction.base import Predictor, all_agents
 from diffstack_mmv.prediction.current import (
     current_heading,
@@ -17,7 +17,7 @@ from diffstack_mmv.prediction.current import (
     mean_velocity,
     steady_path,
 )
-from diffstack_mmv.prediction.gaussian import covariance_along, scale_from_covariance
+from diffstack_mmv.prediction.gaussian import covariance_along
 from diffstack_mmv.smooth import safe_norm
 from diffstack_mmv.types import Forecast, StackBatch, Tracks
 

@@ -8,20 +8,6 @@ from torch import Tensor
 
 from diffstack_mmv.geometry import direction, left_of
 
-VARIANCE_FLOOR = 4e-4  # m²: 2 cm, the noise that smoothing leaves on measured positions
-
-
-def scale_from_covariance(
-    covariance: Float[Tensor, "*b 2 2"], floor: float = VARIANCE_FLOOR
-) -> Float[Tensor, "*b 2 2"]:
-    """Lower Cholesky factor in m of a covariance in m², with `floor` in m² on its diagonal."""
-    first = (covariance[..., 0, 0] + floor).sqrt()
-    cross = covariance[..., 1, 0] / first
-    # exact arithmetic leaves at least `floor` here; rounding may not
-    second = (covariance[..., 1, 1] + floor - cross.square()).clamp_min(0.5 * floor).sqrt()
-    top = torch.stack([first, torch.zeros_like(first)], -1)
-    return torch.stack([top, torch.stack([cross, second], -1)], -2)
-
 
 def covariance_along(
     course: Float[Tensor, "*b"], along: Float[Tensor, "*b"], across: Float[Tensor, "*b"]

@@ -5,11 +5,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
-from diffstack_mmv.geometry import times_ahead
+from diffstack_mmv.geometry import scale_from_covariance, times_ahead
 from diffstack_mmv.prediction.base import Predictor, all_agents
 from diffstack_mmv.prediction.baselines import single_component
 from diffstack_mmv.prediction.current import current_heading
-from diffstack_mmv.prediction.gaussian import covariance_along, scale_from_covariance
+from diffstack_mmv.prediction.gaussian import covariance_along
 from diffstack_mmv.types import Forecast, Tracks
 
 

@@ -6,6 +6,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from torch.distributions import MultivariateNormal
 
 from diffstack_mmv.planning.conditional import given_end
 from diffstack_mmv.types import Forecast
@@ -67,6 +68,25 @@ def test_a_forecast_that_is_told_its_end_turns_with_the_frame(angle):
     assert torch.allclose(other.mean, told.mean @ frame.mT, atol=1e-9)
     left = frame @ told.scale_tril @ told.scale_tril.mT @ frame.mT
     assert torch.allclose(other.scale_tril @ other.scale_tril.mT, left, atol=1e-9)
+
+
+def test_a_forecast_that_is_told_its_end_is_that_of_linear_algebra():
+    _, plain = turning(0.4, batch=2)
+    aside = torch.arange(3.0).double()[:, None, None] * torch.tensor([0.2, -0.4]).double()
+    mean, scale = plain.mean + aside, plain.scale_tril.expand(2, 3, 10, 2, 2)
+    forecast = Forecast(torch.randn(2, 3).double().log_softmax(-1), mean, scale)
+    end, covariance, floor = mean[:, 0, -1] + 0.5, scale @ scale.mT, 0.01 * torch.eye(2).double()
+    told = given_end(forecast, end)
+    values, vectors = torch.linalg.eigh(covariance)
+    root = vectors * values.sqrt().unsqueeze(-2) @ vectors.mT
+    share = torch.arange(1, 11).double()[:, None, None] / 10
+    error = (end.unsqueeze(1) - mean[..., -1, :])[..., None, :, None]
+    moved = share.sqrt() * root @ torch.linalg.solve(root[..., -1:, :, :], error)
+    rest = torch.linalg.cholesky((1 - share) * covariance + floor)
+    at_end = MultivariateNormal(mean[..., -1, :], covariance[..., -1, :, :] + floor)
+    weight = forecast.log_weight + at_end.log_prob(end.unsqueeze(1))
+    expected = Forecast(weight.log_softmax(-1), mean + moved.squeeze(-1), rest)
+    torch.testing.assert_close(told, expected, rtol=1e-11, atol=1e-11)
 
 
 def test_gradients_of_a_forecast_that_is_told_its_end():

@@ -4,9 +4,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.geometry import position_from_frame
+from diffstack_mmv.geometry import position_from_frame, scale_from_covariance
 from diffstack_mmv.prediction.current import current_position
-from diffstack_mmv.prediction.gaussian import rotate_covariance, scale_from_covariance
+from diffstack_mmv.prediction.gaussian import rotate_covariance
 from diffstack_mmv.prediction.trajectron.agent_batch import AgentBatch
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
 from diffstack_mmv.prediction.trajectron.rows import ChosenRows

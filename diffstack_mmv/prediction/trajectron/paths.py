@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from diffstack_mmv.prediction.gaussian import VARIANCE_FLOOR, scale_from_covariance
+from diffstack_mmv.geometry import VARIANCE_FLOOR, scale_from_covariance
 from diffstack_mmv.prediction.trajectron.blocks import Blocks, library
 from diffstack_mmv.prediction.trajectron.energy import energy_of_paths
 from diffstack_mmv.prediction.trajectron.mixture import PositionMoments
