@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Self
 
 import torch
 from jaxtyping import Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 
 from diffstack_mmv.checks import (
     message,
@@ -19,10 +19,10 @@ from diffstack_mmv.checks import (
 )
 from diffstack_mmv.dynamics.records import DerivedQuantity, DriverInput, WheelForces
 from diffstack_mmv.types import Bounds, Motion
-from diffstack_mmv.vehicles import SoftClamped
+from diffstack_mmv.vehicles import ExactBuffers, SoftClamped
 
 
-class DynamicsModel(nn.Module, ABC):
+class DynamicsModel(ExactBuffers, ABC):
     """A vehicle as x⁺ = f(x, u; ρ) with the control held over `dt_s` seconds.
 
     A model names its columns by two named tuples and writes `step`, `motion`, `initial_state` and
@@ -38,6 +38,11 @@ class DynamicsModel(nn.Module, ABC):
         control_lower: Lower end of the box of admissible controls, one number per control, SI
             units.
         control_upper: Upper end of the box.
+
+    Attributes:
+        control_lower: Lower end of the box as it was given, from which `bounds` are made in every
+            precision.
+        control_upper: Upper end of it.
 
     Raises:
         ValueError: The step is not positive, or a bound is missing or reversed.
@@ -58,10 +63,9 @@ class DynamicsModel(nn.Module, ABC):
         for name, low, high in zip(names, control_lower, control_upper, strict=True):
             require(low < high, f"bounds of {name}", "be in rising order", (low, high))
         self.dt_s = dt_s
-        for which, box in (("_lower", control_lower), ("_upper", control_upper)):
-            # by a whole number a tensor would be one of whole numbers, which no model turns into
-            ends = torch.tensor(box, dtype=torch.get_default_dtype())
-            self.register_buffer(which, ends, persistent=False)
+        self.control_lower, self.control_upper = tuple(control_lower), tuple(control_upper)
+        self.register_exact("_lower", self.control_lower)
+        self.register_exact("_upper", self.control_upper)
 
     @property
     def state_dim(self) -> int:

@@ -53,6 +53,8 @@ class LearnedPolicy:
     def act(self, state: None, observation: Observation) -> Decided:
         """The mean of the policy, in the units of the robot."""
         share, _ = self._policy.predict(self.view(observation), deterministic=True)
-        lower, upper = (bound.double() for bound in self.dynamics.bounds)
         share = torch.as_tensor(share, dtype=torch.float64).clamp(-1, 1)
+        lower, upper = map(
+            share.new_tensor, (self.dynamics.control_lower, self.dynamics.control_upper)
+        )
         return Decided(self.actuate(lower + 0.5 * (share + 1) * (upper - lower)), None)

@@ -42,8 +42,7 @@ class ZeroOrderHold(DynamicsModel):
         require_at_least("repeats", repeats, 1)
         for record in ("State", "Control"):
             setattr(self, record, getattr(model, record))
-        lower, upper = (bound.tolist() for bound in model.bounds)
-        super().__init__(model.dt_s * repeats, lower, upper)
+        super().__init__(model.dt_s * repeats, model.control_lower, model.control_upper)
         self.model = model
         # in a tuple it is no part of its own, with the parameters a second time
         self._lengthened = (model.lengthened(repeats),)

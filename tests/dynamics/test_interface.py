@@ -108,6 +108,27 @@ def test_bounds_given_as_whole_numbers_are_real_ones(dtype):
     assert model(torch.zeros(4, dtype=dtype), wanted).dtype == dtype
 
 
+@pytest.mark.parametrize("dynamics", dynamics_names())
+@pytest.mark.parametrize("held", [False, True])
+def test_bounds_are_those_that_were_given_in_every_precision(dynamics, held):
+    model = model_of("scooter", dynamics, 0.05)
+    model = ZeroOrderHold(model, 2) if held else model
+    given = [list(model.control_lower), list(model.control_upper)]
+    for precise in (copy.deepcopy(model).double(), copy.deepcopy(model).double().float().double()):
+        assert [bound.tolist() for bound in precise.bounds] == given
+    for bound, numbers in zip(model.bounds, given, strict=True):
+        assert torch.equal(bound, torch.tensor(numbers))
+    assert not {name for name in model.state_dict() if name.endswith(("_lower", "_upper"))}
+
+
+@pytest.mark.parametrize("vehicle", vehicle_names())
+def test_bounds_in_double_precision_are_the_numbers_of_the_file(vehicle):
+    limits = yaml.safe_load((config_folder() / "vehicle" / f"{vehicle}.yaml").read_text())["limits"]
+    lower, upper = DiffKBM(load_vehicle(vehicle)).double().bounds
+    assert lower.tolist() == [limits["acceleration_min_mps2"], -limits["steer_max_rad"]]
+    assert upper.tolist() == [limits["acceleration_max_mps2"], limits["steer_max_rad"]]
+
+
 @pytest.mark.parametrize("model", [SingleIntegrator(), Holonomic(load_vehicle("bicycle"))])
 def test_a_course_has_no_slope_at_rest(model):
     velocity = torch.zeros(3, 2, requires_grad=True)
