@@ -44,6 +44,7 @@ with endings_raised(), needs_to_run("stack", "the command lines"):
         require_seed,
     )
     from diffstack_mmv.commands.failures import composition_told, failures_told
+    from diffstack_mmv.commands.new_folder import declare_new_folders
     from diffstack_mmv.commands.run_checks import (
         config_file,
         require_own_config,
@@ -76,6 +77,7 @@ __all__ = [
     "settings_in",
 ]
 
+declare_new_folders()
 # `${smaller:a,b}`, and the smallest turning radius of a vehicle
 OmegaConf.register_new_resolver("smaller", min, replace=True)
 OmegaConf.register_new_resolver(

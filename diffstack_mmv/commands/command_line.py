@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
+NEW_FOLDER = "${new_folder:"
+"""Begins a folder that is to be a new one."""
+
 
 def understood(arguments: Sequence[str], name: str) -> list[str]:
     """Command line as Hydra understands it.
@@ -34,7 +37,7 @@ def _sweep_in_folder(arguments: Sequence[str], name: str) -> list[str]:
     """Give a sweep its folder: Hydra resolves it before it knows the name of the command."""
     sweeping = any(each in ("-m", "--multirun", "hydra.mode=MULTIRUN") for each in arguments)
     given = any(each.startswith(("out=", "hydra.sweep.dir=")) for each in arguments)
-    folder = f"outputs/{name}/{datetime.now():%Y-%m-%d_%H-%M-%S}"
+    folder = f"{NEW_FOLDER}outputs/{name}/{datetime.now():%Y-%m-%d_%H-%M-%S}}}"
     return [*arguments, f"out={folder}"] if sweeping and not given else list(arguments)
 
 
