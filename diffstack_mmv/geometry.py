@@ -174,6 +174,22 @@ def times_ahead(like: Tensor, steps: int, dt_s: float) -> Float[Tensor, " T"]:
     return dt_s * torch.arange(1, steps + 1, dtype=like.dtype, device=like.device)
 
 
+def shares_ahead(like: Tensor, steps: int) -> Float[Tensor, " T"]:
+    """Part t / T of the way through so many steps at the end of each, as `times_ahead`."""
+    return torch.arange(1, steps + 1, dtype=like.dtype, device=like.device) / steps
+
+
+def between_rows(
+    rows: Float[Tensor, "*b n c"], place: Float[Tensor, " k"]
+) -> Float[Tensor, "*b k c"]:
+    """Values at fractional rows; beyond the last row the last difference goes on."""
+    if rows.shape[-2] == 1:
+        return rows.expand(*rows.shape[:-2], len(place), rows.shape[-1])
+    lower = place.floor().long().clamp(0, rows.shape[-2] - 2)
+    share = (place - lower).to(rows).unsqueeze(-1)
+    return rows[..., lower, :] + share * (rows[..., lower + 1, :] - rows[..., lower, :])
+
+
 def root(square: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
     """Correctly rounded square root, NaN below zero; its derivative at zero is told as zero.
 

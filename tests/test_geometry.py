@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from diffstack_mmv.geometry import (
     VARIANCE_FLOOR,
     angle_of,
+    between_rows,
     clearance_lack,
     direction,
     distance_to_axis,
@@ -23,6 +24,7 @@ from diffstack_mmv.geometry import (
     position_in_frame,
     rotate,
     scale_from_covariance,
+    shares_ahead,
     solve_symmetric,
     symmetric_root,
     times_ahead,
@@ -127,8 +129,19 @@ def test_who_is_lost_stays_where_they_were_seen_last(valid, held):
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_times_ahead_are_those_of_the_ends_of_the_steps(dtype):
-    times = times_ahead(torch.zeros(2, dtype=dtype), 3, 0.25)
-    assert torch.equal(times, torch.tensor([0.25, 0.5, 0.75], dtype=dtype))
+    like = torch.zeros(2, dtype=dtype)
+    assert torch.equal(times_ahead(like, 3, 0.25), torch.tensor([0.25, 0.5, 0.75], dtype=dtype))
+    assert torch.equal(shares_ahead(like, 4), torch.tensor([0.25, 0.5, 0.75, 1.0], dtype=dtype))
+
+
+@pytest.mark.parametrize(
+    ("rows", "values"),
+    [([1.0, 2.0, 4.0], [0.0, 1.0, 1.5, 3.0, 6.0]), ([3.0], [3.0] * 5)],
+)
+def test_between_rows_values_are_interpolated_and_beyond_them_they_go_on(rows, values):
+    place = torch.tensor([-1.0, 0.0, 0.5, 1.5, 3.0])
+    found = between_rows(torch.tensor(rows).unsqueeze(-1), place)
+    assert found.squeeze(-1).tolist() == values
 
 
 def test_a_length_of_zero_has_a_derivative_of_zero():

@@ -1,11 +1,15 @@
 """A forecast of somebody whose destination is known."""
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
-from diffstack_mmv.geometry import scale_from_covariance, solve_symmetric, symmetric_root
+from diffstack_mmv.geometry import (
+    scale_from_covariance,
+    shares_ahead,
+    solve_symmetric,
+    symmetric_root,
+)
 from diffstack_mmv.types import Forecast, log_density
 
 WIDTH_M = 0.1
@@ -36,8 +40,7 @@ def given_end(forecast: Forecast, end: Float[Tensor, "*b 2"], width_m: float = W
     require_positive("width_m", width_m)
     mean, scale = forecast.mean, forecast.scale_tril
     error = end.unsqueeze(-2) - mean[..., -1, :]
-    steps = mean.shape[-2]
-    share = torch.arange(1, steps + 1, dtype=mean.dtype, device=mean.device) / steps
+    share = shares_ahead(mean, mean.shape[-2])
     root, covariance = symmetric_root(scale), scale @ scale.mT
     white = solve_symmetric(root[..., -1, :, :], error).unsqueeze(-2)
     moved = mean + share.sqrt().unsqueeze(-1) * (root * white.unsqueeze(-2)).sum(-1)

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.dynamics import DynamicsModel
-from diffstack_mmv.geometry import angle_of, last_known
+from diffstack_mmv.geometry import angle_of, last_known, shares_ahead
 from diffstack_mmv.types import (
     Discs,
     Ego,
@@ -218,7 +218,7 @@ def bent_to_goal(
     which adds the least squared acceleration that leads to the goal g, free at its end. Bent
     constant velocity is the cubic Hermite spline to the goal.
     """
-    share = _shares(path)
+    share = shares_ahead(path, path.shape[-2]).unsqueeze(-1)
     shape = 0.5 * share.square() * (3 - share)
     return path + shape * (goal - path[..., -1, :]).unsqueeze(-2)
 
@@ -232,10 +232,5 @@ def straightened(
     """
     first, second = path[..., :1, :], path[..., 1:2, :]
     start = 2 * first - second if path.shape[-2] > 1 else first
-    return torch.lerp(start, goal.unsqueeze(-2), _shares(path))
-
-
-def _shares(path: Float[Tensor, "*b T 2"]) -> Float[Tensor, "T 1"]:
-    """The part s = t / T of the horizon at each position of a path."""
-    steps = path.shape[-2]
-    return torch.arange(1, steps + 1, device=path.device, dtype=path.dtype).unsqueeze(-1) / steps
+    share = shares_ahead(path, path.shape[-2]).unsqueeze(-1)
+    return torch.lerp(start, goal.unsqueeze(-2), share)

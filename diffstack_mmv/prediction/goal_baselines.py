@@ -1,10 +1,9 @@
 """Trajectories to a known goal: what a plan with a given goal has to beat."""
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.geometry import rotate
+from diffstack_mmv.geometry import rotate, shares_ahead
 from diffstack_mmv.types import Motion
 
 
@@ -12,7 +11,7 @@ def straight_line(
     motion: Motion, goal: Float[Tensor, "*b 2"], steps: int, dt_s: float
 ) -> Float[Tensor, "*b steps 2"]:
     """Positions in m on the line to the goal: p(s) = p₀ + s (g - p₀), s = t / T."""
-    share = _share(motion, steps)
+    share = shares_ahead(motion.position, steps).unsqueeze(-1)
     return motion.position.unsqueeze(-2) + share * (goal - motion.position).unsqueeze(-2)
 
 
@@ -23,7 +22,7 @@ def constant_acceleration(
 
     p(s) = p₀ + s v₀ T + s² (g - p₀ - v₀ T), s = t / T.
     """
-    share = _share(motion, steps)
+    share = shares_ahead(motion.position, steps).unsqueeze(-1)
     coast = _coast(motion, steps, dt_s)
     rest = goal - motion.position - coast
     return (
@@ -39,7 +38,7 @@ def hermite_spline(
     p(s) = h₀₀ p₀ + h₁₀ T v₀ + h₀₁ g + h₁₁ T v₁. The velocity at the goal is not known; the natural
     end, without acceleration at the goal, gives v₁ = (3 (g - p₀) / T - v₀) / 2.
     """
-    share = _share(motion, steps)
+    share = shares_ahead(motion.position, steps).unsqueeze(-1)
     coast = _coast(motion, steps, dt_s)
     way = goal - motion.position
     end = 0.5 * (3 * way - coast)
@@ -52,13 +51,6 @@ def hermite_spline(
         + goal_weight * way.unsqueeze(-2)
         + end_weight * end.unsqueeze(-2)
     )
-
-
-def _share(motion: Motion, steps: int) -> Float[Tensor, "steps 1"]:
-    position = motion.position
-    return (
-        torch.arange(1, steps + 1, device=position.device, dtype=position.dtype) / steps
-    ).unsqueeze(-1)
 
 
 def _coast(motion: Motion, steps: int, dt_s: float) -> Float[Tensor, "*b 2"]:

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_multiple, require_positive
-from diffstack_mmv.geometry import length, rotate, wrap_angle
+from diffstack_mmv.geometry import between_rows, length, rotate, times_ahead, wrap_angle
 from diffstack_mmv.prediction import Predictor, forecasts_of, strongest
 from diffstack_mmv.simulation.forecasters import PedestrianForecast
 from diffstack_mmv.simulation.observation import Observation
@@ -86,11 +86,12 @@ class LearnedForecaster:
         likely = strongest(forecasts_of(self.predictor, neighbors), self.components)
         now = observation.pedestrian_position[..., None, None, :].to(likely.mean)
         path = torch.cat((now.expand_as(likely.mean[..., :1, :]), likely.mean), -2)
-        place = dt_s / self.predictor.dt_s * torch.arange(1, steps + 1, dtype=path.dtype)
-        place = place.to(path.device)
+        place = times_ahead(path, steps, dt_s / self.predictor.dt_s)  # in rows of the path
         last = likely.scale_tril.shape[-3] - 1
-        scale = _at(likely.scale_tril.flatten(-2), (place - 1).clamp(0, last))
-        forecast = Forecast(likely.log_weight, _at(path, place), scale.unflatten(-1, (2, 2)))
+        scale = between_rows(likely.scale_tril.flatten(-2), (place - 1).clamp(0, last))
+        forecast = Forecast(
+            likely.log_weight, between_rows(path, place), scale.unflatten(-1, (2, 2))
+        )
         wide = map_tensors(lambda entry: entry.to(observation.pedestrian_position.dtype), forecast)
         return PedestrianForecast(wide, seen)
 
@@ -121,7 +122,7 @@ class LearnedForecaster:
         present = torch.stack([each.present for each in seen], -1)
         lower, upper = (place + 1e-6).floor().long(), (place - 1e-6).ceil().long().clamp(min=0)
         valid = present[..., lower] & present[..., upper] & known.to(present.device)
-        position = _at(torch.stack([each.position for each in seen], -2), place)
+        position = between_rows(torch.stack([each.position for each in seen], -2), place)
         # a velocity holds up to the observation that tells of it
         velocities = torch.stack([each.velocity for each in seen], -2)
         velocity = velocities[..., upper, :]
@@ -175,12 +176,3 @@ def _since_last_row(
     both = (valid[..., 1:] & valid[..., :-1]).unsqueeze(-1)
     later = torch.where(both, position.diff(dim=-2) / step_s, velocity[..., 1:, :])
     return torch.cat((velocity[..., :1, :], later), -2)
-
-
-def _at(rows: Float[Tensor, "*b n c"], place: Float[Tensor, " k"]) -> Float[Tensor, "*b k c"]:
-    """Values at fractional rows; beyond the last row the last difference goes on."""
-    if rows.shape[-2] == 1:
-        return rows.expand(*rows.shape[:-2], len(place), rows.shape[-1])
-    lower = place.floor().long().clamp(0, rows.shape[-2] - 2)
-    share = (place - lower).to(rows).unsqueeze(-1)
-    return rows[..., lower, :] + share * (rows[..., lower + 1, :] - rows[..., lower, :])

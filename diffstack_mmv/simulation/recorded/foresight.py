@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 
 from diffstack_mmv.checks import message, require_positive
+from diffstack_mmv.geometry import between_rows, times_ahead
 from diffstack_mmv.prediction import single_component
 from diffstack_mmv.simulation.forecasters import PedestrianForecast
 from diffstack_mmv.simulation.observation import Observation
@@ -49,11 +50,8 @@ class KnownFuture:
             remedy = "Set world.reveals_s to the horizon of the plan."
             raise ValueError(message("reveals_s", "be positive for this forecast", 0, "", remedy))
         path = torch.cat((observation.pedestrian_position.unsqueeze(-2), future), -2)
-        place = dt_s / self.world_step_s * torch.arange(1, steps + 1, dtype=path.dtype)
-        place = place.to(path.device).clamp(max=path.shape[-2] - 1)
-        lower = place.floor().long().clamp(max=path.shape[-2] - 2)
-        share = (place - lower).unsqueeze(-1)
-        mean = path[..., lower, :] + share * (path[..., lower + 1, :] - path[..., lower, :])
+        place = times_ahead(path, steps, dt_s / self.world_step_s)  # in rows of the path
+        mean = between_rows(path, place.clamp(max=path.shape[-2] - 1))
         scale = DEVIATION_M * torch.eye(2, dtype=mean.dtype, device=mean.device)
         scale = scale.expand(*mean.shape, 2)
         return PedestrianForecast(single_component(mean, scale), None)
