@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from data_converters.believed import Believed
+from data_converters.believed import Believed, Samples
 from data_converters.errors import require
 from data_converters.heading import heading_from_motion
 from data_converters.limits import RecordingLimits
@@ -91,7 +91,7 @@ class LiveTracks:
         Raises:
             ConversionError: The table is no DataFrame, a column is missing, a value is none of its
                 kind, an agent has two samples of one time or two modes, or the ego is not present
-                now or faster than its mode.
+                now, faster than its mode, or seen so rarely that its times are no seconds.
         """
         _require_columns(table)
         names, ego = table["agent"].astype(str), str(ego)
@@ -99,12 +99,9 @@ class LiveTracks:
         told = ", ".join(sorted(names.unique())[:5]) or "no agents"
         require(bool(known), "ego", f"be an agent of the table, such as {told}", ego)
         now = _now(table.loc[names == ego, "time"], now_s)
-        # seconds since 1970 resolve a quarter of a microsecond: a sample at a row stays there
-        seen = table.assign(agent=names, time=(table["time"].astype(float) - now).round(6))
-        seen = seen[seen["time"] <= 0.0].sort_values("time", kind="stable")
         rows = self._rows(history_s)
-        stretches = self._stretches(seen, ego)
-        order = [ego, *(name for name in dict.fromkeys(names) if name != ego)]
+        stretches = self._stretches(_samples(table, names, now), ego)
+        order = [ego, *(name for name in stretches if name != ego)]
         tracks = {name: self._sampled(stretches.get(name), rows) for name in order}
         present = {name: track for name, track in tracks.items() if track is not None}
         require(
@@ -117,20 +114,23 @@ class LiveTracks:
         )
         return self._observed(present, stretches, ego)
 
-    def _stretches(self, seen: pd.DataFrame, ego: str) -> dict[str, pd.DataFrame]:
+    def _stretches(self, seen: Mapping[str, Samples], ego: str) -> dict[str, Samples]:
         """The last stretch of each agent that is present now, without samples that jump."""
         believed = Believed(self.limits, self.settings.max_gap_s)
         stretches = {
-            str(name): believed.stretch(samples, f"the track of {str(name)!r}")
-            for name, samples in seen.groupby("agent", sort=False)
-            if samples["time"].iloc[-1] >= self._oldest_s
+            name: believed.stretch(samples, f"the track of {name!r}")
+            for name, samples in seen.items()
+            if samples.time_s[-1] >= self._oldest_s
         }
         # one is enough to tell; no decision ends because of what a tracker makes of somebody else
-        believed.require_metres(seen[seen["agent"] == ego], f"the track of {ego!r}")
+        if ego in seen:
+            believed.require_metres(seen[ego], f"the track of {ego!r}")
+            if ego not in stretches or len(stretches[ego].time_s) == 1:
+                believed.require_seconds(seen[ego], f"the track of {ego!r}")
         return stretches
 
     def _observed(
-        self, present: Mapping[str, _Sampled], stretches: Mapping[str, pd.DataFrame], ego: str
+        self, present: Mapping[str, _Sampled], stretches: Mapping[str, Samples], ego: str
     ) -> ObservedAgents:
         """All who are present, of whom the ego is no faster than its mode can be."""
         modes = {name: _mode(stretches[name], name) for name in present}
@@ -160,11 +160,11 @@ class LiveTracks:
         """Time of the last sample of whoever is present now, at least."""
         return -self.late_s - 1e-9
 
-    def _sampled(self, samples: pd.DataFrame | None, rows: int) -> _Sampled | None:
+    def _sampled(self, samples: Samples | None, rows: int) -> _Sampled | None:
         """A stretch, with NaN before its start; None if it is absent now."""
         if samples is None:
             return None
-        time_s = samples["time"].to_numpy(float)
+        time_s = samples.time_s
         smoother, dt_s = self.settings.smoother, self.settings.dt_s
         late = time_s[-1] < self._oldest_s
         if late or len(time_s) < smoother.samples_needed:
@@ -174,8 +174,7 @@ class LiveTracks:
         at_s = dt_s * np.arange(first, 1)
         if len(at_s) == 0:
             return None
-        place = samples[["x", "y"]].to_numpy(float)
-        smooth = smoother(time_s, place, at_s)
+        smooth = smoother(time_s, samples.place, at_s)
         heading = heading_from_motion(smooth.rate, self.settings.standstill_mps, backfill=False)
         found = np.column_stack([smooth.value, smooth.rate, heading.angle])[-rows:]
         sampled = np.full((rows, found.shape[1]), np.nan)
@@ -190,13 +189,15 @@ def _require_columns(table: pd.DataFrame) -> None:
     absent = [name for name in COLUMNS if name not in table]
     have = ", ".join(map(str, table.columns))
     require(not absent, "table", f"have the columns {', '.join(COLUMNS)}", have)
+    nameless = int(table["agent"].isna().sum())
+    remedy = "Leave those rows out."
+    require(nameless == 0, "agent", "be given in all rows", f"{nameless} without", "", remedy)
     for name in NUMBERS:
         if name not in table:
             continue
         number = pd.api.types.is_numeric_dtype(table[name])
         require(number, name, "hold numbers", table[name].dtype, "the table")
         lost = int((~np.isfinite(table[name].to_numpy(float))).sum())
-        remedy = "Leave those rows out."
         require(lost == 0, name, "be finite in all rows", f"{lost} that are not", "", remedy)
 
 
@@ -208,16 +209,34 @@ def _now(times: pd.Series, now_s: float | None) -> float:
     return now
 
 
-def _mode(samples: pd.DataFrame, name: str) -> Mode:
-    told = sorted({str(each) for each in samples["mode"]})
+def _samples(table: pd.DataFrame, names: pd.Series, now_s: float) -> dict[str, Samples]:
+    """Samples of each agent up to now, with times since then, in the order of the table."""
+    # seconds since 1970 resolve a quarter of a microsecond: a sample at a row stays there
+    time_s = (table["time"].to_numpy(float) - now_s).round(6)
+    size = table[list(SIZE)].to_numpy(float) if all(name in table for name in SIZE) else None
+    place, modes = table[["x", "y"]].to_numpy(float), table["mode"].astype(str).to_numpy(object)
+    agent, labels = pd.factorize(names)
+    order = np.lexsort((time_s, agent))
+    order = order[time_s[order] <= 0.0]
+    sorted_samples = Samples(time_s, place, modes, size).taken(order)
+    begins = np.searchsorted(agent[order], np.arange(len(labels) + 1))
+    return {
+        str(label): sorted_samples.taken(slice(begin, end))
+        for label, begin, end in zip(labels, begins[:-1], begins[1:], strict=True)
+        if end > begin
+    }
+
+
+def _mode(samples: Samples, name: str) -> Mode:
+    told = sorted(set(samples.modes))
     where = f"the track of {name!r}"
     require(len(told) == 1, "mode", "be the same in all rows", " and ".join(told), where)
     return Mode.named(told[0])
 
 
-def _extent(samples: pd.DataFrame, mode: Mode) -> Array:
-    if all(name in samples for name in SIZE):
-        size = samples[list(SIZE)].to_numpy(float)[-1]
+def _extent(samples: Samples, mode: Mode) -> Array:
+    if samples.size is not None:
+        size = samples.size[-1]
         require(bool((size > 0.0).all()), "length, width", "be positive", size.tolist())
         return size
     length_m, width_m, _ = usual_size(mode)

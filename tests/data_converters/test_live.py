@@ -116,6 +116,10 @@ def test_a_size_that_was_not_measured_is_that_of_the_mode(given, size):
             "`mode` must be the same in all rows, but got 'bicycle and car'",
         ),
         (lambda rows: rows.assign(length=0.0, width=1.0), "`length, width` must be positive"),
+        (
+            lambda rows: rows.assign(agent=["me", None, *["me"] * 74]),
+            "`agent` must be given in all rows, but got '1 without'",
+        ),
         (lambda rows: rows.assign(agent="you"), "`ego` must be an agent of the table, such as you"),
         (lambda rows: rows[:3], "`ego` must be observed for 0.6 s and more"),
         (lambda rows: rows[:0], "`ego` must be an agent of the table, such as no agents"),
@@ -149,6 +153,14 @@ def test_positions_in_another_unit_are_told_with_agent_speed_and_unit(metres, un
     told = f"most 30 m/s for mode 'scooter', .* in the track of 'me'.*positions were in {unit}"
     with pytest.raises(ValueError, match=f"`speed` must be at {told}"):
         LiveTracks()(table, "me")
+
+
+@pytest.mark.parametrize(("unit", "step"), [(1e3, "80 s"), (1e6, "80000 s"), (1e9, r"8e\+07 s")])
+def test_times_in_another_unit_are_told_with_agent_and_step(unit, step):
+    table = pd.concat([samples(), samples("other")])
+    told = f"`time` must rise by at most 0.5 s .* got '{step} as a rule' in the track of 'me'"
+    with pytest.raises(ValueError, match=told):
+        LiveTracks()(table.assign(time=unit * table["time"]), "me")
 
 
 def test_a_jump_parts_a_track_as_a_gap_does():
