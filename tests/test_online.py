@@ -1,5 +1,7 @@
 """A trained stack from Python, outside of any data set."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 import torch
@@ -8,6 +10,7 @@ from diffstack_mmv.data import ConvertedCache, WindowSettings, stack_batch
 from diffstack_mmv.geometry import motion_from_frame, rotate
 from diffstack_mmv.online import OnlineStack
 from diffstack_mmv.planning import PredictedGoal, WantedGoal
+from diffstack_mmv.stack import DiffStackMMV
 from diffstack_mmv.types import Mode
 from dmmv_conventions.observed import ObservedAgents
 from tests.data.conftest import ToyAgent, write_cache
@@ -137,6 +140,47 @@ def test_only_the_nearest_count():
     assert one.names == ("me", "walker")
     assert none.names == ("me",)
     assert none.forecast.mean.shape[0] == 1
+
+
+@pytest.fixture
+def told_to_compile(monkeypatch):
+    """A stack that is told to compile and does not; and how many agents its planner saw."""
+    counts, plan = [], DiffStackMMV.plan
+
+    def counted(self, batch, forecast, source=None):
+        counts.append(batch.neighbors_past.mode.shape[1])
+        return plan(self, batch, forecast, source)
+
+    monkeypatch.setattr(DiffStackMMV, "compile_kernels", lambda self: None)
+    monkeypatch.setattr(DiffStackMMV, "plan", counted)
+    return OnlineStack("pretrained", neighbors=5, compiled=True), counts
+
+
+def test_a_compiled_stack_has_one_shape_for_any_number_of_agents(online, told_to_compile):
+    compiled, counts = told_to_compile
+    assert counts == [5], "it compiles before the first decision"
+    for present in (3, 1, 2):
+        seen = observed()
+        seen.position[present:, -1] = np.nan
+        here, there = online(seen), compiled(seen)
+        assert here.names == there.names == ("me", "walker", "late")[:present]
+        assert there.forecast.mean.shape[0] == present
+        for part in ("mean", "log_weight", "scale_tril"):
+            found, expected = (getattr(each.forecast, part) for each in (there, here))
+            torch.testing.assert_close(found, expected, atol=1e-4, rtol=0, msg=part)
+        torch.testing.assert_close(there.plan.position, here.plan.position, atol=2e-3, rtol=0)
+    assert counts[1::2] == [2, 0, 1], "of the other one"
+    assert set(counts[2::2]) == {5}
+
+
+def test_decisions_of_threads_wait_for_one_another(online):
+    """Forward derivatives are those of the process: two at once end each other."""
+    places = [(10.0 * number, 0.0) for number in range(3)]
+    alone = [online(observed(0.0, place)) for place in places]
+    with ThreadPoolExecutor(3) as pool:
+        together = list(pool.map(lambda place: online(observed(0.0, place)), places))
+    for one, other in zip(alone, together, strict=True):
+        torch.testing.assert_close(one.plan.position, other.plan.position, atol=1e-9, rtol=0)
 
 
 @pytest.mark.usefixtures("unchecked")

@@ -1,5 +1,6 @@
 """One decision of a trained stack: observed agents as a sample, its answer in their world."""
 
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -8,6 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn.functional import pad
 
 from diffstack_mmv.checks import (
     require,
@@ -31,6 +33,9 @@ from diffstack_mmv.stack import load_stack
 from diffstack_mmv.types import Forecast, Mode, Motion, Pose, StackBatch, Tracks, map_tensors
 from dmmv_conventions.observed import ObservedAgents
 
+_ALONE = threading.Lock()
+"""Held while a stack computes: the forward derivatives of torch are those of the whole process."""
+
 
 class Decision(NamedTuple):
     """What a stack decides, in the world of the observed agents and in float64."""
@@ -48,13 +53,17 @@ class Decision(NamedTuple):
 class OnlineStack:
     """Forecasts all agents around an ego and plans for it, outside of any data set.
 
+    It keeps nothing of a decision for the next one. Threads may share it, or have one each: their
+    decisions wait for one another.
+
     Args:
         checkpoint: A checkpoint of a training, or the name of a shipped one: pretrained.
         neighbors: At most so many of the nearest agents count.
         radius_m: Agents further away do not.
         device: Where the stack is to be; auto is a GPU where there is one.
-        compiled: Whether expensive parts are compiled at the first decision, which then takes half
-            a minute if the disk does not hold them, and later ones a fraction of the time.
+        compiled: Whether expensive parts are compiled now, which takes half a minute if the disk
+            does not hold them, and decisions a fraction of the time. All decisions then have the
+            shapes of `neighbors` agents, however many there are, so that none compiles anew.
 
     Raises:
         ValueError: There is no usable checkpoint or no such device, or a number is out of range.
@@ -73,14 +82,16 @@ class OnlineStack:
         require_positive("radius_m", radius_m)
         require_switch("compiled", compiled)
         self.stack, config = load_stack(checkpoint, usable_device(str(device)))
-        if compiled:
-            self.stack.compile_kernels()
         self.neighbors = neighbors
         self.radius_m = radius_m
         self.dt_s: float = config["dt_s"]
         self.history_s: float = config["history_s"]
         self.horizon_s: float = config["horizon_s"]
         self.modes: tuple[str, ...] = tuple(config["modes"])
+        self._least_agents = 1 + neighbors if compiled else 1
+        if compiled:
+            self.stack.compile_kernels()
+            self(self._one_of_each_kind())
 
     @torch.no_grad()
     def __call__(self, observed: ObservedAgents, goal: Sequence[float] | None = None) -> Decision:
@@ -112,7 +123,8 @@ class OnlineStack:
             source = WantedGoal()
             place = position_in_frame(point_of(goal), origin, course).unsqueeze(0)
             batch = batch._replace(goal=place.to(batch.goal))
-        output = self.stack.plan(batch, self.stack.predictor.predict(batch), source)
+        with _ALONE:
+            output = self.stack.plan(batch, self.stack.predictor.predict(batch), source)
         motion, controls, aim = map_tensors(
             lambda entry: entry.squeeze(0).double().cpu(),
             (output.plan.motion, output.plan.controls, output.goal),
@@ -128,9 +140,21 @@ class OnlineStack:
             solved=bool(output.plan.converged),
             goal=wish,
             miss_m=float((plan.position[-1] - wish).norm()),
-            forecast=_forecast_in_world(output.forecast, origin, course),
+            forecast=_forecast_in_world(output.forecast, len(chosen), origin, course),
             names=tuple(observed.names[index] for index in chosen),
         )
+
+    def _one_of_each_kind(self) -> ObservedAgents:
+        """An ego that rides along, and who is forecast in another way than it: what to compile."""
+        modes = (self.modes[0], Mode.PEDESTRIAN.label, Mode.CAR.label)
+        count, rows = len(modes), round(self.history_s / self.dt_s) + 1
+        position = np.zeros((count, rows, 2))
+        position[..., 0] = self.dt_s * np.arange(1 - rows, 1)
+        position[:, :, 1] = min(2.0, self.radius_m / count) * np.arange(count)[:, None]
+        velocity = np.tile([1.0, 0.0], (count, rows, 1))
+        extent, heading = np.ones((count, 2)), np.zeros((count, rows))
+        names = tuple(map(str, range(count)))
+        return ObservedAgents(names, modes, extent, position, velocity, heading, self.dt_s)
 
     def _require_fitting(self, observed: ObservedAgents) -> None:
         require_positive("observed.dt_s", observed.dt_s)
@@ -156,7 +180,7 @@ class OnlineStack:
     def _batch(
         self, observed: ObservedAgents, chosen: list[int], origin: Tensor, course: Tensor
     ) -> StackBatch:
-        """One sample without a future, in the frame of the ego now."""
+        """One sample without a future in the frame of the ego now, filled up with absent agents."""
         position, velocity, heading = (
             torch.from_numpy(np.ascontiguousarray(part[chosen])).double()
             for part in (observed.position, observed.velocity, observed.heading)
@@ -173,6 +197,9 @@ class OnlineStack:
             [int(Mode.named(observed.modes[index], "observed.modes")) for index in chosen]
         )
         extent = torch.from_numpy(observed.extent[chosen]).float()
+        absent = max(self._least_agents - len(chosen), 0)
+        states = pad(states, (0, 0, 0, 0, 0, absent), value=torch.nan)
+        extent, modes = pad(extent, (0, 0, 0, absent)), pad(modes, (0, absent))
         past = tracks_of(states.float(), extent, modes, states.shape[-2], self.dt_s)
         future = _without_rows(past, self.stack.predictor.horizon_steps)
         ego_past, ego_future, others_past, others_future = (
@@ -193,9 +220,9 @@ def _without_rows(tracks: Tracks, rows: int) -> Tracks:
     return tracks._replace(motion=map_tensors(torch.zeros_like, motion), valid=absent)
 
 
-def _forecast_in_world(forecast: Forecast, origin: Tensor, course: Tensor) -> Forecast:
-    """A forecast `1 A` of the frame of the ego as one `A` of the world."""
-    here = map_tensors(lambda entry: entry.squeeze(0).double().cpu(), forecast)
+def _forecast_in_world(forecast: Forecast, count: int, origin: Tensor, course: Tensor) -> Forecast:
+    """A forecast `1 A` of the frame of the ego as one of the first `count` agents in the world."""
+    here = map_tensors(lambda entry: entry[0, :count].double().cpu(), forecast)
     turned = rotate(here.scale_tril.mT, course).mT
     return Forecast(
         here.log_weight,
