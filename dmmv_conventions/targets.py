@@ -128,6 +128,12 @@ def require_buildable(
                 raise error(message("_target_", needed, told, where, _REMEDY))
 
 
+def trusted_packages() -> list[str]:
+    """Packages of one's own whose names a file may hold, as the environment tells."""
+    told = os.environ.get(TRUSTED_VARIABLE, "").split(",")
+    return [each.strip() for each in told if each.strip()]
+
+
 def nodes(content: Any, place: str = "") -> Iterator[tuple[str, Any]]:
     """All containers and values with their dotted places, outer ones first; no recursion."""
     pending = [(place, content)]
@@ -161,8 +167,7 @@ def _is_allowed(name: str, allowed: Buildable) -> bool:
     if name in allowed.names or (allowed is OF_A_RUN and name in _shipped()):
         return True
     package = name.partition(".")[0]
-    trusted = [each.strip() for each in os.environ.get(TRUSTED_VARIABLE, "").split(",")]
-    if package and package in trusted and allowed is not NOTHING:
+    if package in trusted_packages() and allowed is not NOTHING:
         return True
     if package not in PROJECT or not allowed.packages:
         return False

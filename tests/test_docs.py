@@ -107,6 +107,8 @@ def settings():
         swept = [key for key in given if key.startswith("hydra") or "," in given[key].split("[")[0]]
         if given.get("vehicle", "").endswith(".yaml"):
             swept.append("vehicle")
+        if "--config-dir" in words:  # of a model of one's own
+            swept.append("dynamics")
         kept = {key: word for key, word in given.items() if key not in swept}
         choice = Path(script).stem, *(given.get(key, "") for key in ("data", "experiment", "table"))
         found.setdefault(choice, {}).update(kept)

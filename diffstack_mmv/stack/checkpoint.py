@@ -65,15 +65,21 @@ def load_stack(path: Path | str, device: torch.device | str = "cpu") -> TrainedS
     try:
         stack = instantiate(config["stack"])
     except HydraException as fault:
-        cause = fault.__cause__ or fault
-        told = f"{type(cause).__name__}: {cause}".splitlines()[0]
-        wanted = "describe a stack that this version builds"
-        raise ValueError(message("checkpoint", wanted, told, f"in {path}", _REMEDY)) from fault
+        raise ValueError(_unbuildable(fault.__cause__ or fault, path)) from fault
     found = type(stack).__name__
     requirement = "describe a stack"
     require(isinstance(stack, DiffStackMMV), "checkpoint", requirement, found, f"in {path}")
     load_weights(stack, path)
     return TrainedStack(stack.eval().to(device), config)
+
+
+def _unbuildable(cause: BaseException, path: Path) -> str:
+    """The message for a stack that could not be built; Hydra tells in two lines what it misses."""
+    lines, missing = f"{type(cause).__name__}: {cause}".splitlines(), isinstance(cause, ImportError)
+    told = " ".join(lines[: 2 if missing else 1])
+    own = "A package of your own has to be installed, or its folder to be in PYTHONPATH."
+    wanted = "describe a stack that this version builds"
+    return message("checkpoint", wanted, told, f"in {path}", own if missing else _REMEDY)
 
 
 def load_ensemble(paths: Sequence[Path | str], device: torch.device | str = "cpu") -> TrainedStack:

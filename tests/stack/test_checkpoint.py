@@ -73,6 +73,13 @@ def test_what_is_built_has_to_be_a_stack(tmp_path, node, told):
         load_stack(building(tmp_path / "a.ckpt", node))
 
 
+def test_a_package_that_is_not_there_is_told(tmp_path, monkeypatch):
+    monkeypatch.setenv("DMMV_TRUSTED_PACKAGES", "mine_of_old")
+    told = r"No module named 'mine_of_old'.* A package of your own has to be installed, or its"
+    with pytest.raises(ValueError, match=told):
+        load_stack(building(tmp_path / "a.ckpt", {"_target_": "mine_of_old.Model"}))
+
+
 def in_a_plain_file(content, path):
     path.write_bytes(pickle.dumps(content))
 
