@@ -21,7 +21,7 @@ def understood(arguments: Sequence[str], name: str) -> list[str]:
         name: Name of the command.
     """
     words = _options_last(_sweep_in_folder(arguments, name))
-    return [_vehicle_from_file(_at_home(each)) for each in words]
+    return _of_its_file([_vehicle_from_file(_at_home(each)) for each in words])
 
 
 def _options_last(arguments: Sequence[str]) -> list[str]:
@@ -106,3 +106,12 @@ def _vehicle_from_file(argument: str) -> str:
     bare = argument.rstrip("'\"")  # a path with blanks or brackets stands in quotes
     is_file = bare.startswith("vehicle=") and bare.endswith((".yaml", ".yml"))
     return argument.replace("vehicle=", "vehicle_file=", 1) if is_file else argument
+
+
+def _of_its_file(words: Sequence[str]) -> list[str]:
+    """Keys of a vehicle in a file, which Hydra does not know: it composes another vehicle.
+
+    What the vehicle itself does not know is refused by it.
+    """
+    in_file = any(each.startswith("vehicle_file=") for each in words)
+    return [f"++{each}" if in_file and each.startswith("vehicle.") else each for each in words]

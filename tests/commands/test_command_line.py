@@ -5,6 +5,18 @@ import pytest
 from diffstack_mmv.commands.command_line import understood
 
 
+def test_keys_of_a_vehicle_in_a_file_are_those_of_the_file():
+    """Hydra knows the keys of the default vehicle, whose wheels have other names."""
+    changes = ["vehicle.wheels.rear_left.x_m=-0.5", "vehicle.mass_kg=80,90"]
+    told = understood(["vehicle=trike.yaml", *changes, "~vehicle.sources"], "simulate")
+    assert told == [
+        "vehicle_file=trike.yaml",
+        *(f"++{each}" for each in changes),
+        "~vehicle.sources",
+    ]
+    assert understood(["vehicle=cart", *changes], "simulate") == ["vehicle=cart", *changes]
+
+
 @pytest.mark.parametrize(
     ("given", "meant"),
     [
