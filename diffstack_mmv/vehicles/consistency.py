@@ -13,6 +13,7 @@ from diffstack_mmv.vehicles.quantity import ParameterSpec
 from dmmv_conventions.checks import require, require_at_least, require_positive
 
 WHEELBASE_APART = 1.5  # times what the wheels say, or a part of it; calibrated ones differ by less
+FOOTPRINTS_OF_GYRATION = 50.0  # a mass as near to its middle as this part of the footprint is none
 FOOTPRINTS_MAX = 10.0  # a length beyond is in another unit than metres
 _ROUNDED = 5e-3  # relative, of what a file gives in two or three digits
 _POSITIVE = (
@@ -125,6 +126,53 @@ def require_roll_inertia(
         where,
         "It is that about the line on the ground.",
     )
+
+
+def require_yaw_inertia(
+    yaw_inertia: ParameterSpec, mass_kg: float, footprint: FootprintSpec, where: str
+) -> None:
+    """Refuse a yaw inertia or a mass in another unit: no such mass lies within the footprint.
+
+    Raises:
+        ValueError: The radius of gyration is longer than the footprint, or next to nothing.
+    """
+    high = mass_kg * (footprint.length_m**2 + footprint.width_m**2)
+    low = high / FOOTPRINTS_OF_GYRATION**2
+    inertia = yaw_inertia.entries()[0][0]
+    require(
+        low <= inertia <= high,
+        "parameters.yaw_inertia.initial",
+        f"lie between {low:.3g} and {high:.3g} for a mass of {mass_kg:g} kg on the footprint",
+        inertia,
+        where,
+        "Give kg for the mass, kg m^2 for the inertia.",
+    )
+
+
+def require_footprint_of_wheels(
+    footprint: FootprintSpec, wheels: Sequence[WheelSpec], where: str
+) -> None:
+    """Refuse a footprint that wheels stand out of, or one in another unit than their positions.
+
+    Raises:
+        ValueError: It is smaller than the way between its outermost wheels, or more than
+            `FOOTPRINTS_MAX` times as large.
+    """
+    spans = [
+        max(positions) - min(positions)
+        for positions in ([w.x_m for w in wheels], [w.y_m for w in wheels])
+    ]
+    sizes = {"length_m": footprint.length_m, "width_m": footprint.width_m}
+    most = FOOTPRINTS_MAX * max(spans)
+    for (key, size), least in zip(sizes.items(), spans, strict=True):
+        require(
+            least * (1 - _ROUNDED) <= size <= most,
+            f"footprint.{key}",
+            f"lie between {least:g}, as far as the wheels are apart, and {most:g}",
+            size,
+            where,
+            "Give metres, and the outline of vehicle and rider.",
+        )
 
 
 def _require_unit(place: str, parameter: ParameterSpec, unit: str, where: str) -> None:

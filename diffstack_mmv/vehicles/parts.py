@@ -23,6 +23,10 @@ BODY_PARAMETERS = {
 }
 
 
+FASTEST_TURN_RADPS = 20.0
+"""Three turns per second; a yaw rate beyond is one in degrees."""
+
+
 @dataclass(frozen=True)
 class WheelSpec:
     """One wheel.
@@ -116,7 +120,9 @@ class Limits:
     def __post_init__(self) -> None:
         require_positive("limits.speed_max_mps", self.speed_max_mps)
         require_positive("limits.acceleration_max_mps2", self.acceleration_max_mps2)
-        require_positive("limits.yaw_rate_max_radps", self.yaw_rate_max_radps)
+        rate, remedy = self.yaw_rate_max_radps, "Give radians per second."
+        require_between("limits.yaw_rate_max_radps", rate, 0.0, FASTEST_TURN_RADPS, remedy=remedy)
+        require_positive("limits.yaw_rate_max_radps", rate)
         braking = self.acceleration_min_mps2
         require(
             -math.inf < braking < 0,

@@ -23,6 +23,7 @@ from diffstack_mmv.vehicles.values import (
     number_at,
     record_at,
     require_keys,
+    require_mapping,
     whole_number_at,
 )
 from dmmv_conventions.checks import message, require
@@ -106,7 +107,8 @@ def fields_from_config(mapping: Mapping[str, Any]) -> dict[str, Any]:
     where = f"for vehicle '{mapping.get('name', '?')}'" if isinstance(mapping, Mapping) else ""
     require_keys(mapping, _REQUIRED, _OPTIONAL, "", where)
     for key in ("name", "mode"):
-        require(isinstance(mapping[key], str | int), key, "be text", repr(mapping[key]), where)
+        told = mapping[key]
+        require(isinstance(told, str | int) and told != "", key, "be text", repr(told), where)
     for group in ("wheels", "parameters"):
         require(
             isinstance(mapping[group], Mapping),
@@ -115,6 +117,9 @@ def fields_from_config(mapping: Mapping[str, Any]) -> dict[str, Any]:
             repr(mapping[group]),
             where,
         )
+    notes = {key: mapping.get(key) or {} for key in ("sources", "provenance")}
+    for key, value in notes.items():
+        require_mapping(value, key, where)
     known = [*WHEEL_PARAMETERS, *BODY_PARAMETERS]
     required = [name for name in known if name not in _NEUTRAL]
     require_keys(mapping["parameters"], required, tuple(_NEUTRAL), "parameters.", where)
@@ -139,7 +144,7 @@ def fields_from_config(mapping: Mapping[str, Any]) -> dict[str, Any]:
             key: flag_at(mapping.get(key, False), key, where)
             for key in ("leans", "balanced", "reverse")
         },
-        **{key: dict(mapping.get(key) or {}) for key in ("sources", "provenance")},
+        **{key: dict(value) for key, value in notes.items()},
     }
 
 

@@ -5,11 +5,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from diffstack_mmv.vehicles.consistency import (
+    require_footprint_of_wheels,
     require_metres,
     require_parameters,
     require_roll_inertia,
     require_wheelbase,
     require_wheelbase_of_wheels,
+    require_yaw_inertia,
 )
 from diffstack_mmv.vehicles.layout import require_possible_layout
 from diffstack_mmv.vehicles.parts import (
@@ -99,6 +101,9 @@ class VehicleSpec:
         require_parameters(self.parameters, len(self.wheels), where)
         require_wheelbase(self.wheelbase, where)
         require_wheelbase_of_wheels(self.wheelbase, self.wheels, where)
+        require_footprint_of_wheels(self.footprint, self.wheels, where)
+        yaw_inertia = self.parameters["yaw_inertia"]
+        require_yaw_inertia(yaw_inertia, self.mass_kg, self.footprint, where)
         if self.leans:
             inertia = self.parameters["roll_inertia"]
             require_roll_inertia(inertia, self.mass_kg, self.height_m, where)

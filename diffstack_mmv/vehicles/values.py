@@ -22,21 +22,24 @@ def require_keys(
     Raises:
         ValueError: It does not fit; the message names the key that was meant.
     """
-    require(
-        isinstance(mapping, Mapping),
-        path or "vehicle",
-        "be a mapping of keys",
-        repr(mapping),
-        where,
-    )
+    require_mapping(mapping, path.rstrip(".") or "vehicle", where)
     known = [*required, *optional]
     for key in mapping:
         if key not in known:
             hint = did_you_mean(str(key), known, "`", 0.5) or "Remove it."
-            needs = f"be one of {', '.join(known)}"
+            needs = f"be one of {', '.join(known)}" if known else "be left out"
             raise ValueError(message(f"{path}{key}", needs, "an unknown key", where, hint))
     for key in required:
         require(key in mapping, f"{path}{key}", "be given", "nothing", where, f"Add `{key}`.")
+
+
+def require_mapping(value: Any, path: str, where: str) -> None:
+    """Refuse what is no mapping of keys.
+
+    Raises:
+        ValueError: It is none.
+    """
+    require(isinstance(value, Mapping), path, "be a mapping of keys", repr(value), where)
 
 
 def number_at(value: Any, path: str, where: str) -> float:

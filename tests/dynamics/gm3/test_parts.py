@@ -57,6 +57,7 @@ def test_loads_sum_to_the_weight_and_are_never_negative(vehicle):
 
 def test_wheel_without_load_is_refused():
     spec = load_vehicle("tricycle")
+    spec = replace(spec, footprint=replace(spec.footprint, width_m=2.0))
     front, *others = spec.wheels
     with pytest.raises(ValueError, match="`wheels` must have the centre of gravity within"):
         replace(spec, wheels=(replace(front, y_m=1.0), *others))
