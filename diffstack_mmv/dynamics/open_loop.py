@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from diffstack_mmv.checks import message
 from diffstack_mmv.dynamics.base import DynamicsModel
 from diffstack_mmv.dynamics.records import DriverInput, WheelForces
 from diffstack_mmv.geometry import direction
@@ -36,7 +37,8 @@ def drive(model: DynamicsModel, inputs: DriverInput, speed_mps: float) -> OpenLo
         States, controls and motion, without gradients.
 
     Raises:
-        ValueError: The model does not say what a steering angle does.
+        ValueError: The model does not say what a steering angle does, or its states do not stay
+            finite.
     """
     zero = torch.zeros((), dtype=inputs.steer.dtype)
     ahead = -model.reference_ahead_m
@@ -55,8 +57,19 @@ def drive(model: DynamicsModel, inputs: DriverInput, speed_mps: float) -> OpenLo
         motion = model.motion(torch.stack(states), torch.stack(held))
     shifted = motion.position + ahead * direction(motion.heading)
     columns, whole = model.State._fields, torch.stack(states)
+    _require_finite(model, whole)
     lean = whole[:, columns.index("lean")] if "lean" in columns else None
     return OpenLoopRun(whole, torch.stack(controls), motion._replace(position=shifted), lean)
+
+
+def _require_finite(model: DynamicsModel, states: Float[Tensor, "T1 n"]) -> None:
+    """Refuse a drive of which nothing could be drawn."""
+    bad = (~states.isfinite()).nonzero()
+    if len(bad):
+        row, column = bad[0].tolist()
+        found = f"{model.State._fields[column]} = {float(states[row, column])}"
+        where = f"after {row * model.dt_s:g} s with {type(model).__name__}"
+        raise ValueError(message("states", "stay finite", found, where, "Look at its `step`."))
 
 
 def wheel_history(model: DynamicsModel, run: OpenLoopRun) -> WheelForces | None:

@@ -43,6 +43,19 @@ def test_models_agree_on_gentle_commands(model):
     assert (paths[0] - paths[1]).norm(dim=-1).max() < 0.15
 
 
+class Unbounded(DiffKBM):
+    """Leaves the numbers there are within half a second."""
+
+    def step(self, state, control):
+        return super().step(state, control) * 1e100
+
+
+def test_a_drive_that_leaves_the_numbers_is_told_with_time_and_column():
+    told = r"`states` must stay finite, but got \w+ = (nan|inf) after 0.4 s with Unbounded. Look at"
+    with pytest.raises(ValueError, match=told):
+        run(Unbounded, Slalom(3.0, 0.02, 6.0))
+
+
 def test_numbers_keep_their_double_precision():
     assert Braking(4.0, -3.1)(1.05, 0.1).acceleration[-1].item() == -3.1
     given = [torch.tensor([[0.7, 0.0]] * 5, dtype=torch.float64) for _ in range(2)]
