@@ -135,11 +135,10 @@ class _Workshop:
     def _library(self, problem: StagedProblem, dtype: torch.dtype) -> Any | None:
         """The library of a shape, None where it would take too long to build; others may not."""
         if id(problem) not in self.built:
-            if len(self.built) >= MOST_LIBRARIES:
-                raise CannotLowerError(f"more than {MOST_LIBRARIES} shapes")
-            code = source(problem, REALS[dtype])
-            library = None
-            if effort_of(code) > LONGEST_SOURCE:
+            code, library = source(problem, REALS[dtype]), None
+            if sum(each is not None for _, each in self.built.values()) >= MOST_LIBRARIES:
+                LOGGER.info("Costs of candidates in more than %d shapes: tensors", MOST_LIBRARIES)
+            elif effort_of(code) > LONGEST_SOURCE:
                 LOGGER.info("A source of %d characters takes too long: tensors", effort_of(code))
             else:
                 with waiting("compile the costs of candidates"):

@@ -40,8 +40,9 @@ from dmmv_conventions.progress import waiting
 
 LOGGER = logging.getLogger(__name__)
 MOST_SIZES = 64  # step sizes that a library tries
-MOST_LIBRARIES = 5
-"""Shapes of a kind of problem that get a library; more, as of changing neighbors, take too long."""
+MOST_LIBRARIES = 7
+"""Shapes of a kind of problem that get a library; more take too long, and outgrow the compiler's
+list of 8 graphs. A planner that fills its neighbors up to 4, 8, 16, ... has 7 with up to 128."""
 LONGEST_SOURCE = 800_000
 """Characters of a library without its tables, beyond which a compiler takes a minute and more.
 DiffGM3 has 0.4 to 0.65 of it, whatever the number of agents, and takes up to 40 s, where kernels on
@@ -115,6 +116,7 @@ class SolverWorkshop:
         self.recorder = BatchRecorder()
         self.known: dict[Library, set[int]] = {each: set() for each in Library}
         self.is_refused = False
+        self.is_full = False
 
     def solve(
         self,
@@ -129,6 +131,8 @@ class SolverWorkshop:
             at = _anywhere(state, controls)
             taken, parameters = self.recorder(dynamics, cost, at, state.dtype)
             hidden = any(each.requires_grad for each in (state, *parameters))
+            if not self._has_room(taken.problem):
+                return None
             self._prepare(taken.problem, state.dtype, hidden and torch.is_grad_enabled())
         except (CannotLowerError, CannotBuildError, *refusals().failed) as failure:
             self.is_refused = True
@@ -136,6 +140,20 @@ class SolverWorkshop:
             LOGGER.info("No library for %s (%s): kernels on tensors", self.problem, reason)
             return None
         return solved(taken, parameters, numbers, state, controls)
+
+    def _has_room(self, problem: StagedProblem) -> bool:
+        """Whether a problem has a library or may get one; those that are there stay in use."""
+        known = self.known[Library.SOLVE]
+        fits = id(problem) in known or len(known) < MOST_LIBRARIES
+        if not fits and not self.is_full:
+            self.is_full = True
+            LOGGER.warning(
+                "No library for %s in more than %d shapes: kernels on tensors for all others. "
+                "Fill problems up to few shapes, with agents that are absent.",
+                self.problem,
+                MOST_LIBRARIES,
+            )
+        return fits
 
     def _prepare(self, problem: StagedProblem, dtype: torch.dtype, differentiates: bool) -> None:
         """Have the solver at hand, and its derivatives if they are asked for.
@@ -147,8 +165,6 @@ class SolverWorkshop:
         missing = [name for name in wanted if id(problem) not in self.known[name]]
         if not missing:
             return
-        if Library.SOLVE in missing and len(self.known[Library.SOLVE]) >= MOST_LIBRARIES:
-            raise CannotLowerError(f"more than {MOST_LIBRARIES} shapes")
         began_s = time.perf_counter()
         told = " and ".join(missing)
         LOGGER.info("Compiling the solver for %s: one library (%s)", self.problem, told)

@@ -232,17 +232,35 @@ def test_a_cost_that_sees_another_time_is_refused():
         staged(program, [x[0]], costs, Sizes(1, 1, 2, 0))
 
 
-@pytest.mark.parametrize(
-    ("limit", "value", "told"),
-    [("LONGEST_SOURCE", 100, "takes too long"), ("MOST_LIBRARIES", 0, "more than 0 shapes")],
-)
 @pytest.mark.usefixtures("forget")
-def test_what_would_compile_too_long_is_left_to_tensors(monkeypatch, caplog, limit, value, told):
+def test_what_would_compile_too_long_is_left_to_tensors(monkeypatch, caplog):
     caplog.set_level("INFO")
-    monkeypatch.setattr(native_solver, limit, value)
+    monkeypatch.setattr(native_solver, "LONGEST_SOURCE", 100)
     arguments, _ = problem(2)
     assert natively(EXACT, *arguments) is None
-    assert told in caplog.text
+    assert "takes too long" in caplog.text
+
+
+def many_goals(states, controls, goals):
+    """A cost whose tensor has another shape for every number of goals."""
+    way = states[..., None, :2] - goals[:, None]
+    return way.square().sum((-2, -1)) + controls.square().sum(-1)
+
+
+@pytest.mark.usefixtures("forget")
+def test_shapes_beyond_the_limit_are_left_to_tensors_and_the_others_keep_their_libraries(
+    monkeypatch, caplog
+):
+    monkeypatch.setattr(native_solver, "MOST_LIBRARIES", 2)
+    (dynamics, _, *rest), _ = problem(2)
+    rest[1] = rest[1].detach()
+
+    def found(goals):
+        cost = Batched(many_goals, torch.ones(2, goals, 2, dtype=torch.float64))
+        return by_library(dynamics, cost, *rest)
+
+    assert [found(goals) is not None for goals in (1, 2, 3, 4, 2, 1)] == [1, 1, 0, 0, 1, 1]
+    assert caplog.text.count("in more than 2 shapes") == 1
 
 
 @pytest.mark.usefixtures("double")
