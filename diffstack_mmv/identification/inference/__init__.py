@@ -25,7 +25,7 @@ from diffstack_mmv.identification.inference.optima import (
     is_same_optimum,
     mixture_variance,
     posterior_shares,
-    sobol_starts,
+    relevant_optima,
 )
 from diffstack_mmv.identification.inference.profile_likelihood import (
     ProfileLikelihood,
@@ -44,6 +44,7 @@ from diffstack_mmv.identification.inference.sensitivity import (
     describe_direction,
     sensitivity,
 )
+from diffstack_mmv.identification.inference.starts import calm_starts, error_growth, sobol_starts
 from diffstack_mmv.identification.inference.study import IdentificationStudy, StudyResult
 from diffstack_mmv.identification.inference.validation import (
     ValidationErrors,
@@ -74,9 +75,11 @@ __all__ = [
     "TrackingAssumptions",
     "ValidationErrors",
     "analyse_optimum",
+    "calm_starts",
     "combinations",
     "combined_sensitivity",
     "concatenate_errors",
+    "error_growth",
     "describe_direction",
     "drop_last_samples",
     "estimate_rider_scales",
@@ -88,6 +91,7 @@ __all__ = [
     "quantities",
     "rate_scales",
     "regularisation_influence",
+    "relevant_optima",
     "sensitivity",
     "sobol_starts",
     "thin_samples",

@@ -14,14 +14,14 @@ from diffstack_mmv.identification.inference.optima import (
     analyse_optimum,
     combined_sensitivity,
     is_same_optimum,
-    posterior_shares,
-    sobol_starts,
+    relevant_optima,
 )
 from diffstack_mmv.identification.inference.sensitivity import (
     Identifiability,
     IdentifiabilityThresholds,
     Sensitivity,
 )
+from diffstack_mmv.identification.inference.starts import calm_starts
 from diffstack_mmv.identification.shooting.fit import (
     EstimationData,
     FitMethod,
@@ -36,6 +36,8 @@ from diffstack_mmv.identification.shooting.tracking import LevenbergMarquardt, i
 from dmmv_conventions.progress import counted, waiting
 
 logger = logging.getLogger(__name__)
+
+HOPELESS = 10.0  # times the cost of the first fit: a start that stays above it is given up
 
 
 class Identification(NamedTuple):
@@ -69,7 +71,7 @@ class Identifier:
     tracking: LevenbergMarquardt = LevenbergMarquardt(60)
     thresholds: IdentifiabilityThresholds = IdentifiabilityThresholds()
     starts: int = 8
-    search: FitMethod = field(default_factory=MultipleShooting)
+    search: MultipleShooting = field(default_factory=MultipleShooting)
 
     def __post_init__(self) -> None:
         require_at_least("starts", self.starts, 0)
@@ -122,22 +124,38 @@ class Identifier:
         found = [first]
         if not bool(active.any()):
             return (first,)
-        starts = sobol_starts(simulator.parameters, self.starts)
-        for theta in counted(starts, "search other optima", "start"):
-            start = torch.where(active, theta, first.fit.theta)
-            before = self._from(simulator, data, first.fit, start)
-            fit = self._fitted(self.search, simulator, data, before, active)
-            other = analyse_optimum(simulator, data.fitted, fit, active)
+        starts = calm_starts(simulator, data.fitted, first.fit.theta, active, self.starts)
+        for start in counted(starts, "search other optima", "start"):
+            other = self._searched(simulator, data, first, start, active)
+            if other is None:
+                continue
             known = any(is_same_optimum(each, other, simulator.parameters) for each in found)
-            if not known and not significantly_worse(fit, first.fit):
+            if not known and not significantly_worse(other.fit, first.fit):
                 found.append(other)
-                logger.info("Another optimum: cost %.3f", total_cost(simulator, fit))
-        best = found[int(posterior_shares(found).argmax())]
-        if best is first:
-            return tuple(found)
-        fit = self._fitted(self.method, simulator, data, best.fit, active)
-        others = [each for each in found if each is not best]
-        return (analyse_optimum(simulator, data.fitted, fit, active), *others)
+                logger.info("Another optimum: cost %.3f", other.cost)
+        best, *others = relevant_optima(found)
+        if best is not first:
+            fit = self._fitted(self.method, simulator, data, best.fit, active)
+            best = analyse_optimum(simulator, data.fitted, fit, active)
+        return (best, *others)
+
+    def _searched(
+        self,
+        simulator: TrackSimulator,
+        data: EstimationData,
+        first: LocalOptimum,
+        start: Float[Tensor, " p"],
+        active: Bool[Tensor, " p"],
+    ) -> LocalOptimum | None:
+        """The optimum that a start ends at; None where it does not come near the first one."""
+        bound = HOPELESS * (first.cost + 1)
+        before = self._from(simulator, data, first.fit, start)
+        found = self.search.searching(bound)(simulator, data, before, active)
+        if not total_cost(simulator, found) <= bound:
+            logger.info("A start was given up")
+            return None
+        fit = self._tracked(simulator, data, found.theta, found)
+        return analyse_optimum(simulator, data.fitted, fit, active)
 
     def _from(
         self,

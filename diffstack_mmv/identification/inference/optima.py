@@ -25,8 +25,8 @@ from diffstack_mmv.identification.shooting.normal_equations import normal_equati
 from diffstack_mmv.identification.shooting.parameters import ParameterVector
 from diffstack_mmv.identification.shooting.problem import TrackingProblem
 
-MAX_DEVIATIONS = 1.9  # prior deviations: the range ends at two
 DISTINCT = 0.5  # standard deviations between two different optima
+NEGLIGIBLE = 1e-3  # share of the posterior of an optimum that is as good as none
 
 
 class LocalOptimum(NamedTuple):
@@ -94,6 +94,13 @@ def posterior_shares(optima: Sequence[LocalOptimum]) -> Float[Tensor, " k"]:
     return torch.softmax(torch.tensor(logs, dtype=torch.float64), 0)
 
 
+def relevant_optima(optima: Sequence[LocalOptimum]) -> tuple[LocalOptimum, ...]:
+    """The optima whose share of the posterior counts, that of the largest one first."""
+    shares = posterior_shares(optima).tolist()
+    order = sorted(range(len(optima)), key=lambda index: -shares[index])
+    return tuple(optima[index] for index in order if shares[index] >= NEGLIGIBLE)
+
+
 def mixture_variance(
     optima: Sequence[LocalOptimum], values: Float[Tensor, "k q"], variances: Float[Tensor, "k q"]
 ) -> Float[Tensor, " q"]:
@@ -121,12 +128,3 @@ def is_same_optimum(one: LocalOptimum, other: LocalOptimum, parameters: Paramete
     """Whether two optima are the same within their accuracy."""
     apart = parameters.values(one.fit.theta) - parameters.values(other.fit.theta)
     return bool((apart.abs() <= DISTINCT * one.sensitivity.std).all())
-
-
-def sobol_starts(parameters: ParameterVector, count: int) -> Float[Tensor, "count p"]:
-    """θ spread over the prior by a Sobol sequence, the same in every call."""
-    engine = torch.quasirandom.SobolEngine(max(len(parameters), 1), scramble=True, seed=0)
-    # an engine cannot draw zero points
-    uniform = engine.draw(max(count, 1), dtype=parameters.middle.dtype)[:count, : len(parameters)]
-    deviations = torch.special.ndtri(uniform).clamp(-MAX_DEVIATIONS, MAX_DEVIATIONS)
-    return parameters.theta_for(parameters.prior.mean + deviations * parameters.prior.std)

@@ -38,6 +38,7 @@ from diffstack_mmv.identification.shooting.tracking import (
     infer_controls_with_gaps,
 )
 
+PATIENCE = 10  # iterations within which a fit from a poor start comes down
 MAX_STEP = 1.0  # prior deviations by which one step may change a value
 
 
@@ -83,6 +84,8 @@ class MultipleShooting:
         restart: Whether the fitted tracks begin at their nodes as recorded, which rarely ends in a
             poor optimum, rather than at the last solution. A fit that ends above the cost of that
             solution is repeated from there.
+        give_up_above: Cost above which a fit is given up after `PATIENCE` iterations, and not
+            repeated; None to go on.
 
     Raises:
         ValueError: A limit is below one, or the tolerance is not positive.
@@ -93,6 +96,7 @@ class MultipleShooting:
     stopping: HeldoutStopping = HeldoutStopping()
     heldout_iterations: int = 1
     restart: bool = True
+    give_up_above: float | None = None
 
     def __post_init__(self) -> None:
         require_at_least("max_iterations", self.max_iterations, 1)
@@ -103,6 +107,10 @@ class MultipleShooting:
     def unstopped(self) -> "MultipleShooting":
         """The same algorithm, which no held-out track ends."""
         return replace(self, stopping=NO_STOPPING)
+
+    def searching(self, cost: float) -> "MultipleShooting":
+        """The same algorithm for one start of many, given up where it stays above a cost."""
+        return replace(self, give_up_above=cost)
 
     def __call__(
         self,
@@ -119,7 +127,8 @@ class MultipleShooting:
         simulated = simulator.simulate(before.theta, data.fitted, guess)
         recorded = TrackingSolution(guess, simulated, before.fitted.converged)
         fit = self._run(task, before, before._replace(fitted=recorded))
-        if total_cost(simulator, fit) <= total_cost(simulator, before):
+        once = self.give_up_above is not None
+        if once or total_cost(simulator, fit) <= total_cost(simulator, before):
             return fit
         return self._run(task, before, before)
 
@@ -129,7 +138,9 @@ class MultipleShooting:
         monitor = HeldoutMonitor(self.stopping, before)
         monitor.observe(before, total_cost(simulator, before))
         now = ShootingIterate(start, torch.zeros_like(start.fitted.simulated.gap), FIRST_DAMPING)
-        for _ in range(self.max_iterations):
+        for iteration in range(self.max_iterations):
+            if iteration >= PATIENCE and self._is_hopeless(total_cost(simulator, now.fit)):
+                break
             now = self._next(task, now)
             if now.improved:
                 now = now._replace(fit=self._with_heldout(simulator, data, now.fit))
@@ -143,6 +154,10 @@ class MultipleShooting:
             heldout=close_gaps(simulator, best.theta, data.heldout, best.heldout),
             history=tuple(monitor.history),
         )
+
+    def _is_hopeless(self, cost: float) -> bool:
+        """Whether a fit that costs so much is given up."""
+        return self.give_up_above is not None and not cost <= self.give_up_above
 
     def _next(self, task: EstimationTask, now: ShootingIterate) -> ShootingIterate:
         """Linearise, and damp the step until it lowers the merit."""
@@ -193,8 +208,7 @@ def _evaluate_step(
     deviations = torch.zeros_like(fit.theta)
     deviations[active] = shared
     change = parameters.prior.std * deviations
-    values = parameters.values(fit.theta) + change
-    theta = torch.where(active, parameters.theta_for(values), fit.theta)
+    theta = torch.where(active, parameters.moved(fit.theta, deviations), fit.theta)
     step = ShootingStep(local, change / parameters.slope(fit.theta), closing)
     trial = try_step(simulator, theta, data.fitted, here, step, weights)
     prior = parameters.penalty(fit.theta)
@@ -213,5 +227,5 @@ def _step_box(
     parameters: ParameterVector, theta: Float[Tensor, " p"], active: Bool[Tensor, " p"]
 ) -> StepBounds:
     """Bounds of a step of the active values: their ranges, and the longest step."""
-    lower, upper = parameters.step_bounds(theta)
+    lower, upper = parameters.bounds_of_moves(theta)
     return StepBounds(lower[active].clamp_min(-MAX_STEP), upper[active].clamp_max(MAX_STEP))

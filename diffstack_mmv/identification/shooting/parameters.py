@@ -88,9 +88,35 @@ class ParameterVector:
 
     def step_bounds(self, theta: Float[Tensor, " p"]) -> StepBounds:
         """How far each value may still move, in its prior standard deviations."""
-        values, reach = self.values(theta), MAX_SHARE_OF_RANGE * self.half
-        lower = (self.middle - reach - values) / self.prior.std
-        return StepBounds(lower, (self.middle + reach - values) / self.prior.std)
+        values, (low, high) = self.values(theta), self._ends
+        return StepBounds((low - values) / self.prior.std, (high - values) / self.prior.std)
+
+    @property
+    def _ends(self) -> tuple[Tensor, Tensor]:
+        """Least and largest value that a step may reach."""
+        reach = MAX_SHARE_OF_RANGE * self.half
+        return self.middle - reach, self.middle + reach
+
+    def moved(
+        self, theta: Float[Tensor, " p"], deviations: Float[Tensor, " p"]
+    ) -> Float[Tensor, " p"]:
+        """θ after a step of the values by so many prior standard deviations, to first order.
+
+        Values above zero move by factors, v exp(d σ / v): what they act by are mostly products, as
+        the cornering stiffness 2 c_p ℓ², along which such steps go straight.
+        """
+        values, change = self.values(theta), deviations * self.prior.std
+        factors = values * torch.exp(change / values)
+        return self.theta_for(torch.where(self.prior.low > 0, factors, values + change))
+
+    def bounds_of_moves(self, theta: Float[Tensor, " p"]) -> StepBounds:
+        """The largest `deviations` of `moved` within the ranges."""
+        values, ends = self.values(theta), self._ends
+        above = self.prior.low > 0
+        changes = (
+            torch.where(above, values * torch.log(end / values), end - values) for end in ends
+        )
+        return StepBounds(*(change / self.prior.std for change in changes))
 
     def tensors(self, theta: Float[Tensor, " p"], prefix: str = "") -> dict[str, Tensor]:
         """Offsets by their names in the model, for a functional call."""

@@ -9,7 +9,7 @@ from diffstack_mmv.identification.inference.optima import (
     is_same_optimum,
     mixture_variance,
     posterior_shares,
-    sobol_starts,
+    relevant_optima,
 )
 from tests.identification.conftest import double_precision, synthetic_problem
 
@@ -47,6 +47,12 @@ def test_larger_noise_makes_costs_differ_less(known):
     torch.testing.assert_close(posterior_shares(noisy), torch.softmax(torch.tensor([0.0, -1.0]), 0))
 
 
+def test_optimum_without_a_share_of_the_posterior_is_none(known):
+    best = known[1].optima[0]._replace(noise_factor=1.0)
+    near, far = another(best, 0.5, -1.0), another(best, -0.5, 1e7)
+    assert relevant_optima([best, far, near]) == (near, best)
+
+
 def test_second_optimum_widens_the_deviation_to_its_distance(known):
     setup, found = known
     parameters, best = setup.simulator.parameters, found.optima[0]
@@ -78,13 +84,6 @@ def test_optima_are_alike_within_their_accuracy(known):
     step = best.sensitivity.std / parameters.slope(best.fit.theta)
     assert is_same_optimum(best, another(best, 0.3 * step, 0.0), parameters)
     assert not is_same_optimum(best, another(best, 0.9 * step, 0.0), parameters)
-
-
-def test_starts_lie_inside_the_ranges_and_differ(known):
-    parameters = known[0].simulator.parameters
-    values = parameters.values(sobol_starts(parameters, 8))
-    assert bool(((values > parameters.prior.low) & (values < parameters.prior.high)).all())
-    assert len(values.unique()) == 8
 
 
 def test_negative_number_of_starts_is_refused():

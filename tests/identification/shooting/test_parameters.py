@@ -62,6 +62,31 @@ def test_steps_keep_inside_of_the_range(bicycle):
     assert 1.206 < float(ends[1]) < 1.2075
 
 
+def test_move_goes_straight_along_a_product(bicycle):
+    learned = ParameterVector(DiffGM3(bicycle).double(), bicycle)
+    stiffness, length = (
+        learned.names.index(f"{name}.front") for name in ("tread_stiffness", "contact_half_length")
+    )
+    start = learned.values(learned.start())
+    relative = torch.zeros(len(learned))
+    relative[stiffness], relative[length] = 0.6, -0.3
+    moved = learned.values(learned.moved(learned.start(), relative * start / learned.prior.std))
+    before, after = (each[stiffness] * each[length] ** 2 for each in (start, moved))
+    torch.testing.assert_close(after, before)
+
+
+def test_move_is_the_step_to_first_order_and_ends_at_the_range(bicycle):
+    learned = ParameterVector(DiffGM3(bicycle).double(), bicycle)
+    theta, step = learned.start(), 1e-4 * torch.ones(len(learned))
+    change = learned.values(learned.moved(theta, step)) - learned.values(theta)
+    torch.testing.assert_close(change, step * learned.prior.std, rtol=1e-3, atol=0.0)
+    room = learned.bounds_of_moves(theta)
+    ends = [learned.values(learned.moved(theta, each)) for each in room]
+    margin = 0.002 * (learned.prior.high - learned.prior.low)
+    assert bool(((ends[0] - learned.prior.low).abs() < margin).all())
+    assert bool(((ends[1] - learned.prior.high).abs() < margin).all())
+
+
 def test_unknown_parameter_is_refused_by_name(bicycle):
     with pytest.raises(ValueError, match="`parameters` must be one of .*friction.*but got 'grip'"):
         ParameterVector(DiffGM3(bicycle).double(), bicycle, ["grip"])
