@@ -14,6 +14,7 @@ from diffstack_mmv.identification.inference.optima import LocalOptimum, mixture_
 from diffstack_mmv.identification.inference.sensitivity import (
     Identifiability,
     IdentifiabilityThresholds,
+    owed_to_priors,
 )
 from diffstack_mmv.identification.shooting.parameters import ParameterVector
 
@@ -83,6 +84,7 @@ def combinations(
     )
     estimate, initial = all_values[0], quantities_of(start)
     variance = torch.maximum(mixture_variance(optima, all_values, variances), variances[0])
+    owed = owed_to_priors(variances[0], variance_of(optima[0].fit.theta, found.of_noise))
     found_rows = []
     units = {name: each.unit for name, each in model.derived_quantities().items()}
     for index, (name, unit) in enumerate(units.items()):
@@ -90,7 +92,7 @@ def combinations(
         value = float(estimate[index])
         ratio = std / prior_std if prior_std > 0 else 1.0
         verdict = thresholds.classify(
-            ratio, std / abs(value) if value else math.inf, found.noise_factor
+            ratio, std / abs(value) if value else math.inf, found.noise_factor, float(owed[index])
         )
         numbers = (float(initial[index]), value, std, prior_std)
         found_rows.append(Combination(name, unit, *numbers, verdict))

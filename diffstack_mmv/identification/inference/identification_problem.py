@@ -14,6 +14,11 @@ from diffstack_mmv.identification.shooting.linearisation import TrackSimulator
 from diffstack_mmv.identification.shooting.parameters import ParameterVector
 from diffstack_mmv.identification.shooting.settings import TrackingSettings
 from diffstack_mmv.identification.shooting.tracking_model import TrackingModel
+from diffstack_mmv.identification.shooting.wheel_positions import (
+    LENGTH_SCALE,
+    free_positions,
+    with_uncertain_positions,
+)
 from diffstack_mmv.identification.tracks.segments import TrackSegment, stack_segments
 from diffstack_mmv.identification.tracks.splitting import DataSplit
 from diffstack_mmv.vehicles import VehicleSpec
@@ -70,6 +75,8 @@ class IdentificationProblem(NamedTuple):
         Raises:
             ValueError: A name is unknown, or a physical model has nothing to learn.
         """
+        spec = with_uncertain_positions(spec)
+        free_positions(model, spec)
         model = model.double()
         learned = ParameterVector(model, spec, parameters)
         require(
@@ -103,7 +110,9 @@ class IdentificationProblem(NamedTuple):
             )
             if active
         }
-        return spec.with_values({n: v for n, v in values.items() if n in moved}, source)
+        moved_values = {n: v for n, v in values.items() if n in moved}
+        vehicle = with_uncertain_positions(spec) if LENGTH_SCALE in moved else spec
+        return vehicle.with_values(moved_values, source)
 
     def fitted_motions(self, found: Identification) -> list[FittedMotion]:
         """Each fitted segment with the motion, the controls and the lean of the fit."""

@@ -2,8 +2,14 @@
 
 All in physical units: with S_v the Schur complement of the Gauss-Newton Hessian (the Fisher
 information of the positions about the values v) and P the precision of the priors, the posterior
-covariance is (S_v + P)⁻¹. A parameter is judged by two ratios of its posterior to its prior
-standard deviation: marginal (all others unknown) and conditional (all others known).
+covariance is Σ = (S_v + P)⁻¹. A parameter is judged by two ratios of its posterior to its prior
+standard deviation: marginal (all others unknown) and conditional (all others known). The posterior
+may be narrow for priors of *other* parameters; so it is divided into
+
+    Σ = Σ S_v Σ + Σ P Σ
+
+what the noise of the tracks does to the estimates, and what errors of the priors do. What owes most
+of its variance to priors is known as far as the other parameters are: only in combination.
 """
 
 from collections.abc import Sequence
@@ -24,7 +30,8 @@ class Identifiability(StrEnum):
     """What the data say about one parameter.
 
     Identifiable: its posterior is narrow and precise. Weakly identifiable: its posterior is
-    narrower than its prior. Only in combination: it would be identifiable if the others were known.
+    narrower than its prior. Only in combination: it would be identifiable if the others were known,
+    and what is left unknown of it is the error of their priors.
     """
 
     IDENTIFIABLE = "identifiable"
@@ -43,27 +50,31 @@ class IdentifiabilityThresholds:
             above it stays at its prior.
         precise: Largest standard deviation relative to the value of an identifiable quantity; one
             that the tracks inform less precisely is weakly identifiable.
+        owed: Largest share of the variance of an identifiable quantity that errors of priors cause;
+            above it, it is known in combination with others alone.
         misfit: Largest ratio of residuals to assumed noise of a trusted fit; above it nothing
             is called identifiable.
 
     Raises:
-        ValueError: A ratio is not between 0 and 1, `precise` is not positive, or `misfit` is below
-            1.
+        ValueError: A ratio or share is not between 0 and 1, `precise` is not positive, or `misfit`
+            is below 1.
     """
 
     identifiable: float = 0.4
     informed: float = 0.8
     precise: float = 0.015
+    owed: float = 0.5
     misfit: float = 1.25
 
     def __post_init__(self) -> None:
         require_between("identifiable", self.identifiable, 0.0, 1.0)
         require_between("informed", self.informed, self.identifiable, 1.0)
         require_positive("precise", self.precise)
+        require_between("owed", self.owed, 0.0, 1.0)
         require_at_least("misfit", self.misfit, 1.0)
 
     def classify(
-        self, marginal: float, relative_std: float, noise_factor: float = 1.0
+        self, marginal: float, relative_std: float, noise_factor: float = 1.0, owed: float = 0.0
     ) -> Identifiability:
         """Identifiability of a quantity.
 
@@ -71,9 +82,12 @@ class IdentifiabilityThresholds:
             marginal: Posterior over prior standard deviation.
             relative_std: Posterior standard deviation over value.
             noise_factor: Residuals over assumed noise.
+            owed: Share of the posterior variance that errors of priors cause.
         """
         if marginal > self.identifiable:
             return Identifiability.NOT_IDENTIFIABLE
+        if owed > self.owed:
+            return Identifiability.COMBINED
         sure = relative_std <= self.precise and noise_factor <= self.misfit
         return Identifiability.IDENTIFIABLE if sure else Identifiability.WEAK
 
@@ -90,6 +104,7 @@ class Sensitivity(NamedTuple):
 
     information: Float[Tensor, "p p"]  # S_v, of the data alone
     covariance: Float[Tensor, "p p"]  # posterior
+    of_noise: Float[Tensor, "p p"]  # the part of it that noise causes; the rest is of priors
     std: Float[Tensor, " p"]
     marginal_ratio: Float[Tensor, " p"]
     conditional_ratio: Float[Tensor, " p"]
@@ -101,9 +116,10 @@ class Sensitivity(NamedTuple):
     ) -> list[Identifiability]:
         """Identifiability of each parameter, given the estimates."""
         relative = (self.std / values.abs()).tolist()
+        owed = owed_to_priors(self.covariance.diagonal(), self.of_noise.diagonal()).tolist()
         found = []
         for index, marginal in enumerate(self.marginal_ratio.tolist()):
-            verdict = thresholds.classify(marginal, relative[index], self.noise_factor)
+            verdict = thresholds.classify(marginal, relative[index], self.noise_factor, owed[index])
             conditional = float(self.conditional_ratio[index])
             if verdict is Identifiability.NOT_IDENTIFIABLE and conditional <= thresholds.informed:
                 alone = conditional <= thresholds.identifiable
@@ -135,7 +151,7 @@ def sensitivity(
     )
     precision = parameters.prior.std**-2
     fitted = torch.ones_like(precision) > 0 if active is None else active
-    covariance = _covariance(information, precision, fitted)
+    covariance, of_noise = _covariance(information, precision, fitted)
     std = covariance.diagonal().sqrt()
     conditional = (information.diagonal().clamp_min(0) + precision).rsqrt()
     scale = parameters.prior.std
@@ -145,27 +161,51 @@ def sensitivity(
         for value, vector in zip(values.flip(0), vectors.mT.flip(0), strict=True)
     )
     return Sensitivity(
-        information, covariance, std, std / scale, conditional / scale, directions, noise_factor
+        information,
+        covariance,
+        of_noise,
+        std,
+        std / scale,
+        conditional / scale,
+        directions,
+        noise_factor,
     )
+
+
+def owed_to_priors(
+    variance: Float[Tensor, " q"], of_noise: Float[Tensor, " q"]
+) -> Float[Tensor, " q"]:
+    """Share of variances that errors of priors cause.
+
+    Args:
+        variance: Of some quantities.
+        of_noise: The part that noise causes.
+    """
+    share = 1 - of_noise / variance
+    # a quantity that no parameter moves has no variance
+    return torch.where(variance > 0, share, 1.0).clamp(0.0, 1.0)
 
 
 def _covariance(
     information: Float[Tensor, "p p"],
     precision: Float[Tensor, " p"],
     active: Bool[Tensor, " p"],
-) -> Float[Tensor, "p p"]:
+) -> tuple[Float[Tensor, "p p"], Float[Tensor, "p p"]]:
     """Covariance of the errors when only the active values are estimated, the others assumed.
 
     With A = (S_aa + P_a)⁻¹ and the gain G = [-A S_ab; 1] on the errors of the assumed values b, it
-    is A on the active block plus G P_b⁻¹ Gᵀ (Schmidt's consider covariance).
+    is A on the active block plus G P_b⁻¹ Gᵀ (Schmidt's consider covariance). Noise causes
+    A S_aa A of it, the second result.
     """
-    covariance = torch.zeros_like(information)
+    covariance, of_noise = torch.zeros_like(information), torch.zeros_like(information)
     block = information[active][:, active] + precision[active].diag()
     inverse = torch.linalg.inv(block)
     gain = torch.eye(len(precision), dtype=information.dtype)[:, ~active]
     gain[active] = -inverse @ information[active][:, ~active]
-    covariance[active.unsqueeze(-1) & active] = inverse.flatten()
-    return covariance + (gain / precision[~active]) @ gain.mT
+    both = active.unsqueeze(-1) & active
+    covariance[both] = inverse.flatten()
+    of_noise[both] = (inverse - (inverse * precision[active]) @ inverse).flatten()
+    return covariance + (gain / precision[~active]) @ gain.mT, of_noise
 
 
 def describe_direction(

@@ -31,6 +31,10 @@ from diffstack_mmv.identification.inference.profile_likelihood import (
 from diffstack_mmv.identification.shooting.parameters import ParameterVector
 from diffstack_mmv.identification.shooting.settings import TrackingSettings
 from diffstack_mmv.identification.shooting.tracking_model import require_driven
+from diffstack_mmv.identification.shooting.wheel_positions import (
+    free_positions,
+    with_uncertain_positions,
+)
 from diffstack_mmv.identification.tracks.cutting import Recordings, SegmentSettings, cut_tracks
 from diffstack_mmv.identification.tracks.selection import ExcitationSelection, SegmentSelection
 from diffstack_mmv.identification.tracks.splitting import (
@@ -189,6 +193,7 @@ class IdentificationStudy:
         own, known = model.Control._fields, tuple(self.assumptions.controls or ())
         expected = f"name {', '.join(own)} in this order"
         require(not known or own == known, "controls", expected, ", ".join(known))
+        free_positions(model, with_uncertain_positions(self.spec))
         learned = ParameterVector(model, self.spec, self.parameters).names
         for each in self.profile:
             require_one_of("profile", each, learned)

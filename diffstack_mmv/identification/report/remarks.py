@@ -92,6 +92,7 @@ def _reasons(settings: TrackingSettings, demands: Excitation) -> dict[str, str]:
         if demands.adhesion < NEAR_THE_LIMIT
         else "a rider whose controls are unknown may simply have asked for less",
         "wheelbase": steering,
+        "length_scale": steering,
         "roll_inertia": "lean moves the path by less than the noise",
         "roll_damping": "lean moves the path by less than the noise",
         "yaw_inertia": "the yaw follows the steering faster than the tracks are sampled",

@@ -19,6 +19,7 @@ from diffstack_mmv.identification.inference.optima import analyse_optimum
 from diffstack_mmv.identification.inference.sensitivity import (
     InformationDirection,
     describe_direction,
+    owed_to_priors,
 )
 from diffstack_mmv.identification.shooting.fit import NO_STOPPING, HeldoutStopping
 from tests.identification.conftest import LIVELY, double_precision, synthetic_problem
@@ -74,19 +75,41 @@ def test_value_that_was_not_fitted_keeps_its_prior_and_hands_its_error_on(tyres)
 
 
 @pytest.mark.parametrize(
-    ("ratio", "precision", "noise_factor", "expected"),
+    ("ratio", "precision", "noise_factor", "owed", "expected"),
     [
-        (0.1, 0.01, 1.0, Identifiability.IDENTIFIABLE),
-        (0.1, 0.05, 1.0, Identifiability.WEAK),
-        (0.9, 0.01, 1.0, Identifiability.NOT_IDENTIFIABLE),
-        (0.1, 0.01, 1.5, Identifiability.WEAK),
+        (0.1, 0.01, 1.0, 0.2, Identifiability.IDENTIFIABLE),
+        (0.1, 0.05, 1.0, 0.2, Identifiability.WEAK),
+        (0.9, 0.01, 1.0, 0.2, Identifiability.NOT_IDENTIFIABLE),
+        (0.1, 0.01, 1.5, 0.2, Identifiability.WEAK),
+        (0.1, 0.01, 1.0, 0.8, Identifiability.COMBINED),
     ],
-    ids=["narrow and precise", "not precise", "as wide as the prior", "tracks not explained"],
+    ids=["precise", "not precise", "as wide as the prior", "tracks not explained", "by priors"],
 )
-def test_identifiability_needs_a_ratio_a_precision_and_a_fit(
-    ratio, precision, noise_factor, expected
+def test_identifiability_needs_a_ratio_a_precision_a_fit_and_tracks(
+    ratio, precision, noise_factor, owed, expected
 ):
-    assert IdentifiabilityThresholds().classify(ratio, precision, noise_factor) is expected
+    assert IdentifiabilityThresholds().classify(ratio, precision, noise_factor, owed) is expected
+
+
+def test_variance_is_divided_into_that_of_noise_and_that_of_priors(tyres):
+    """Of values that are fitted, noise causes Σ S Σ; of the others, priors cause all."""
+    setup, found = tyres
+    theta = found.after.theta
+    active = torch.arange(len(theta)) > 2
+    part = analyse_optimum(setup.simulator, setup.data.fitted, found.after, active).sensitivity
+    whole = analyse_optimum(setup.simulator, setup.data.fitted, found.after).sensitivity
+    expected = whole.covariance @ whole.information @ whole.covariance
+    torch.testing.assert_close(whole.of_noise, expected, rtol=1e-6, atol=1e-9)
+    rest = part.covariance - part.of_noise
+    assert float(torch.linalg.eigvalsh(rest / rest.diagonal().max()).min()) > -1e-9
+    owed = owed_to_priors(part.covariance.diagonal(), part.of_noise.diagonal())
+    torch.testing.assert_close(owed[~active], torch.ones(3))
+    assert bool((owed[active] < 1).all())
+
+
+def test_share_of_priors_of_what_no_parameter_moves_is_all():
+    nothing = torch.zeros(1)
+    assert float(owed_to_priors(nothing, nothing)) == 1.0
 
 
 def test_direction_is_told_by_its_largest_parts():
