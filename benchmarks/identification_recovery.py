@@ -6,8 +6,8 @@
 
     python benchmarks/identification_recovery.py kbm --controls measured --repeats 1 --smoother causal --seeds 12
 
-Each seed draws a vehicle from the priors, drives it, adds 2 cm of noise to each position, smooths as a conversion would if
-asked to, and identifies it with the priors as they stand. Rows go to benchmarks/results/identification.jsonl, one per quantity and seed; `--table` writes
+Each seed draws a vehicle from the priors, drives it, adds 2 cm of noise to each position, smooths positions and controls as
+`identify` would if asked to, and identifies it with the priors as they stand. Rows go to benchmarks/results/identification.jsonl, one per quantity and seed; `--table` writes
 the table of all rows that are there.
 """
 
@@ -17,11 +17,10 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import torch
 
-from data_converters import CausalSmoother, Unsmoothed, ZeroPhaseSmoother
+from data_converters import CausalSmoother, Unsmoothed, ZeroPhaseSmoother, smoothed_beside
 from diffstack_mmv.dynamics.catalogue import dynamics_names, model_of
 from diffstack_mmv.identification import (
     DataSplit,
@@ -61,11 +60,14 @@ def vehicle(name, tied):
 
 
 def smoothed(segment, smoother):
-    """A segment behind a smoother, from where on it has seen enough."""
-    time_s = STEP_S * np.arange(len(segment.position))
-    position = torch.from_numpy(smoother(time_s, segment.position.numpy(), time_s).value)
+    """A segment behind a smoother, its controls as well, from where on it has seen enough."""
+
+    def through(values):
+        return torch.from_numpy(smoothed_beside(smoother, values.numpy(), STEP_S))
+
+    position = through(segment.position)
     known = position.isfinite().all(-1)
-    controls = None if segment.controls is None else segment.controls[known]
+    controls = None if segment.controls is None else through(segment.controls)[known]
     return TrackSegment(
         segment.name, position[known], segment.course[known], segment.speed[known], controls
     )

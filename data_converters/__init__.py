@@ -9,6 +9,7 @@ from dmmv_conventions.on_demand import on_demand
 
 if TYPE_CHECKING:
     from data_converters.autobike import AutobikeDataset
+    from data_converters.beside import smoothed_beside, smoother_of
     from data_converters.conversion import convert
     from data_converters.conversion_settings import ConversionSettings
     from data_converters.errors import CacheError, ConversionError, RejectReason, TrackError
@@ -65,4 +66,6 @@ __all__ = [
     "generate_sample",
     "generate_vru_sample",
     "open_cache",
+    "smoothed_beside",
+    "smoother_of",
 ]

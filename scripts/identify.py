@@ -68,7 +68,7 @@ def main(config: DictConfig) -> None:
     study, source, out = instantiate(config.study), instantiate(config.source), Path(config.out)
     import torch
 
-    from diffstack_mmv.data import read_controls, read_leans, read_tracks, recorded_noise
+    from diffstack_mmv.data import read_leans, read_tracks, recorded_noise
     from diffstack_mmv.identification import Recordings, identification_result, vehicle_provenance
     from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
     from diffstack_mmv.plotting import FittedTrack, save_identification
@@ -83,7 +83,7 @@ def main(config: DictConfig) -> None:
         read_tracks(*place),
         read_leans(*place),
     )
-    controls = read_controls(*place, columns) if config.controls else None
+    controls = smoothed_controls(*place, columns, config.dt_s) if config.controls else None
     noise = recorded_noise(source, study.spec.mode, config.dt_s)
     recordings = Recordings(motions, leans, controls, noise, source.smoother())
     try:
@@ -105,6 +105,23 @@ def main(config: DictConfig) -> None:
     if config.get("wandb"):
         instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))
     logger.info("Report: %s; as a page: dmmv-report %s", out / "identification.md", out)
+
+
+def smoothed_controls(
+    source: Any, splits: Any, mode: Any, columns: tuple[str, ...], dt_s: float
+) -> dict[str, Any]:
+    """Recorded controls of the tracks, through the smoother that the positions went through."""
+    import torch
+
+    from data_converters import smoothed_beside, smoother_of
+    from diffstack_mmv.data import read_controls
+
+    recorded = read_controls(source, splits, mode, columns)
+    smoother = smoother_of(source.smoother_settings())
+    return {
+        name: torch.from_numpy(smoothed_beside(smoother, rows.double().numpy(), dt_s)).to(rows)
+        for name, rows in recorded.items()
+    }
 
 
 def identify_measured(config: DictConfig) -> None:

@@ -89,8 +89,17 @@ class ConvertedCache:
         Raises:
             ValueError: The cache is absent, unfinished or of another version.
         """
-        used = self._state()["smoother"]
+        used = self.smoother_settings()
         return f"{used['name']}, looks {used['lookahead_s']:g} s ahead"
+
+    def smoother_settings(self) -> dict[str, Any]:
+        """Name, fields and look-ahead in s of the smoother.
+
+        Raises:
+            ValueError: The cache is absent, unfinished or of another version.
+        """
+        settings: dict[str, Any] = self._state()["smoother"]
+        return settings
 
     def scenes(self) -> list[dict[str, Any]]:
         """Name, split, steps and agents per mode of every scene.

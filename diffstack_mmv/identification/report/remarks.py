@@ -49,12 +49,13 @@ def all_remarks(
 
 
 def smoothed_beside_controls(smoother: str) -> list[str]:
-    """Of positions that come later, or less sharply, than the controls recorded beside them."""
+    """Of positions and controls that passed through a smoother, which bends what turns fast."""
     if smoother.startswith(UNSMOOTHED):
         return []
     return [
-        f"The positions are smoothed ({smoother}), the recorded controls are not. Where steering "
-        "changes fast, that shifts what they tell of the vehicle by more than the deviations say. "
+        f"The positions are smoothed ({smoother}), and the recorded controls by the same filter. "
+        "That leaves their relation as it is where the vehicle turns little within the window of "
+        "the smoother; where it turns fast, estimates are off by more than the deviations say. "
         "Convert with smoother=none, and set `noise` to what this conversion reports."
     ]
 
