@@ -18,7 +18,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from diffstack_mmv.identification.inference.clusters import cluster_std, track_scores
 from diffstack_mmv.identification.inference.sensitivity import Sensitivity, sensitivity
+from diffstack_mmv.identification.shooting.block_arrowhead import BlockArrowhead
 from diffstack_mmv.identification.shooting.fit import ParameterFit, total_cost
 from diffstack_mmv.identification.shooting.linearisation import TrackSimulator
 from diffstack_mmv.identification.shooting.normal_equations import normal_equations
@@ -60,10 +62,32 @@ def analyse_optimum(
     recorded = simulator.vehicle.recorded_columns(simulated.residual.shape[-1])
     noise = _noise_factor(problem, simulated.residual, jacobian.local, factor, recorded)
     found = sensitivity(system, simulator.parameters, fit.theta, max(noise, 1.0), active)
+    found = found.widened(_spread_of_tracks(simulator, fit, system, jacobian.shared, active))
     scale = simulator.parameters.prior.std
     spread = found.covariance / (scale * scale.unsqueeze(-1))
     volume = 0.5 * torch.logdet(spread) - factor.diagonal(dim1=-2, dim2=-1).log().sum()
     return LocalOptimum(fit, found, noise, total_cost(simulator, fit), float(volume))
+
+
+def _spread_of_tracks(
+    simulator: TrackSimulator,
+    fit: ParameterFit,
+    system: BlockArrowhead,
+    rows: Float[Tensor, "N r p"],
+    active: Bool[Tensor, " p"] | None,
+) -> Float[Tensor, " p"]:
+    """Deviations of the fitted values by the sandwich over tracks, zero for the others."""
+    fitted = torch.ones_like(fit.theta) > 0 if active is None else active
+    slope = simulator.parameters.slope(fit.theta)[fitted]
+    residual = fit.fitted.simulated.residual.flatten(1)
+    information, gradient = track_scores(system.restricted(fitted), rows[..., fitted], residual)
+    std = torch.zeros_like(fit.theta)
+    std[fitted] = cluster_std(
+        information / (slope * slope.unsqueeze(-1)),
+        gradient / slope,
+        simulator.parameters.prior.std[fitted] ** -2,
+    )
+    return std
 
 
 def _noise_factor(

@@ -111,6 +111,21 @@ class Sensitivity(NamedTuple):
     directions: tuple[InformationDirection, ...]  # from the best to the least informed one
     noise_factor: float  # residuals over assumed noise, at least 1
 
+    def widened(self, std: Float[Tensor, " p"]) -> "Sensitivity":
+        """The same with deviations that are at least these, up to those of the priors.
+
+        Correlations stay, and what is added counts as caused by noise.
+        """
+        prior = self.std / self.marginal_ratio
+        factor = torch.minimum(torch.maximum(std, self.std), prior).clamp_min(self.std) / self.std
+        covariance = self.covariance * factor * factor.unsqueeze(-1)
+        return self._replace(
+            covariance=covariance,
+            of_noise=covariance - (self.covariance - self.of_noise),
+            std=self.std * factor,
+            marginal_ratio=self.marginal_ratio * factor,
+        )
+
     def classify(
         self, values: Float[Tensor, " p"], thresholds: IdentifiabilityThresholds
     ) -> list[Identifiability]:
