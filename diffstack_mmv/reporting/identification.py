@@ -68,6 +68,22 @@ def _rows(entries: Mapping[str, Mapping[str, Any]], ranged: bool) -> pd.DataFram
     return pd.DataFrame(rows)
 
 
+def _verdicts(parameters: Mapping[str, Mapping[str, Any]]) -> str:
+    """How many parameters the tracks inform, and how the table is to be read."""
+    names = [name for name, each in parameters.items() if each["verdict"] == "identifiable"]
+    known = [each["verdict"] for each in parameters.values()]
+    silent = known.count("not identifiable")
+    told = f"Identifiable: {', '.join(names) or 'none'} (of {len(parameters)} parameters)."
+    if silent == len(parameters):
+        told += " The tracks inform no parameter: vehicle.yaml has the numbers it had before."
+    elif silent:
+        told += f" {silent} of them stay at their priors."
+    return (
+        f"{told} Prior and estimate are told with one standard deviation. Identifiability is the "
+        "share of the prior's deviation that the tracks removed, 0 for none and 1 for all.\n\n"
+    )
+
+
 def models_table(models: Mapping[str, Mapping[str, float]]) -> pd.DataFrame:
     """Tracking errors in m of each model, on fitted and on held-out tracks."""
     rows = [{"model": name, **errors} for name, errors in models.items()]
@@ -153,7 +169,8 @@ def _markdown(result: Mapping[str, Any]) -> str:
     if "validation" in result:
         parts += ["\n\n## Models on held-out segments\n\n", _validation(result)]
     if result["parameters"]:
-        parts += ["\n\n## Parameters\n\n", _text(_rows(result["parameters"], True))]
+        parts += ["\n\n## Parameters\n\n", _verdicts(result["parameters"])]
+        parts.append(_text(_rows(result["parameters"], True)))
     if result["combinations"]:
         parts += ["\n\n## Combinations\n\n", _text(_rows(result["combinations"], False))]
     parts += ["\n\n## What the tracks say\n\n", *[f"- {each}\n" for each in result["remarks"]]]

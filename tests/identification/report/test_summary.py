@@ -52,6 +52,22 @@ def test_report_tells_parameters_models_and_remarks(result, tmp_path):
     assert json.loads((tmp_path / "identification.json").read_text())["seed"] == 0
 
 
+@pytest.mark.parametrize(
+    ("verdict", "told"),
+    [
+        ("identifiable", "Identifiable: wheelbase (of 1 parameters)."),
+        ("weakly identifiable", "Identifiable: none (of 1 parameters)."),
+        ("not identifiable", "The tracks inform no parameter"),
+    ],
+)
+def test_report_begins_with_how_many_parameters_are_informed(result, tmp_path, verdict, told):
+    summary = result[2]
+    parameters = {"wheelbase": summary["parameters"]["wheelbase"] | {"verdict": verdict}}
+    changed = HEADER | summary | {"models": {}, "parameters": parameters}
+    write_identification(tmp_path, changed)
+    assert told in (tmp_path / "identification.md").read_text()
+
+
 def test_figures_are_drawn(result, tmp_path):
     setup, found, summary = result
     tracks = [FittedTrack(**motion.arrays()) for motion in setup.fitted_motions(found)]
