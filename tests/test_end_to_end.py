@@ -242,7 +242,7 @@ def circles(tmp_path):
     scenes = {agent.name: ("train", [agent]) for agent in agents}
     write_cache(tmp_path, scenes, "thab_vru")
     state = tmp_path / "thab_vru" / "cache.json"
-    smoother = {"smoother": {"name": "none", "lookahead_s": 0.0}}
+    smoother = {"smoother": {"name": "Unsmoothed", "lookahead_s": 0.0}}
     state.write_text(json.dumps(json.loads(state.read_text()) | smoother))
     for agent in agents:
         steer = math.atan(1.1 * agent.yaw_rate / agent.speed)
@@ -266,6 +266,24 @@ def test_recorded_controls_tell_the_wheelbase(succeed, circles, tmp_path):
     assert wheelbase["estimate"] == pytest.approx(1.1, rel=0.01)
     assert wheelbase["verdict"] == "identifiable"
     assert set(result["models"]) == {"kbm"}
+
+
+def test_recorded_controls_pass_through_the_smoother_of_the_positions(succeed, circles, tmp_path):
+    """Of steady turns a smoother changes nothing; its warm-up has no controls."""
+    state = tmp_path / "thab_vru" / "cache.json"
+    causal = {"name": "CausalSmoother", "window_s": 1.2, "order": 2, "lookahead_s": 0.0}
+    state.write_text(json.dumps(json.loads(state.read_text()) | {"smoother": causal}))
+    options = [
+        "dynamics=kbm",
+        "tracks=3",
+        "heldout=2",
+        "controls={acceleration: 0.1, steer: 0.002}",
+    ]
+    succeed("identify", *circles, *options, *RIDER, f"out={tmp_path / 'out'}")
+    result = json.loads((tmp_path / "out" / "identification.json").read_text())
+    assert result["parameters"]["wheelbase"]["estimate"] == pytest.approx(1.1, rel=0.01)
+    assert "the recorded controls by the same filter" in result["remarks"][-1]
+    assert result["smoother"] == "CausalSmoother, looks 0 s ahead"
 
 
 def test_controls_of_another_model_are_refused(refusal, circles, tmp_path):
