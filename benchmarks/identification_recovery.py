@@ -32,6 +32,10 @@ from diffstack_mmv.identification import (
     TrackingSettings,
 )
 from diffstack_mmv.identification.inference.combinations import combinations, quantities
+from diffstack_mmv.identification.shooting.wheel_positions import (
+    free_positions,
+    with_uncertain_positions,
+)
 from diffstack_mmv.identification.tracks.segments import TrackSegment
 from diffstack_mmv.identification.tracks.synthetic import (
     POOR_MANOEUVRES,
@@ -76,8 +80,9 @@ def smoothed(segment, smoother):
 def recover(options, seed):
     """Rows of one seed."""
     generator = torch.Generator().manual_seed(seed)
-    spec = vehicle(options.vehicle, options.tied)
+    spec = with_uncertain_positions(vehicle(options.vehicle, options.tied))
     truth_model = model_of(spec, options.dynamics, STEP_S).double()
+    free_positions(truth_model, spec)
     learned = ParameterVector(truth_model, spec)
     truth = learned.prior.draw_values(generator)
     learned.store(learned.theta_for(truth))

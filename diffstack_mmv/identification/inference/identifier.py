@@ -89,7 +89,9 @@ class Identifier:
         theta = simulator.parameters.start()
         with waiting("track with the prior"):
             before = self._tracked(simulator, data, theta, None)
-        logger.info("Tracked with the prior: cost %.3f", float(before.fitted.simulated.cost.sum()))
+        cost = float(before.fitted.simulated.cost.sum())
+        name = type(simulator.vehicle.model).__name__
+        logger.info("%s tracks with its priors: cost %.3f", name, cost)
         prior = analyse_optimum(simulator, data.fitted, before).sensitivity
         informed = prior.conditional_ratio <= self.thresholds.informed
         active = torch.zeros_like(informed)
@@ -136,7 +138,9 @@ class Identifier:
         best, *others = relevant_optima(found)
         if best is not first:
             fit = self._fitted(self.method, simulator, data, best.fit, active)
-            best = analyse_optimum(simulator, data.fitted, fit, active)
+            again = analyse_optimum(simulator, data.fitted, fit, active)
+            # tracks that begin as recorded may end at another optimum, which is known already
+            best = again if is_same_optimum(best, again, simulator.parameters) else best
         return (best, *others)
 
     def _searched(

@@ -53,6 +53,18 @@ def test_optimum_without_a_share_of_the_posterior_is_none(known):
     assert relevant_optima([best, far, near]) == (near, best)
 
 
+def test_a_last_fit_that_ends_at_another_optimum_leaves_the_best_one(known, monkeypatch):
+    """The tracks of a fit begin as they were recorded, which led it away from where it was."""
+    setup, found = known
+    monkeypatch.setattr(
+        Identifier, "_searched", lambda _, simulator, data, first, *rest: another(first, 0.5, -5.0)
+    )
+    best, second = Identifier(starts=1)(setup.simulator, setup.data).optima
+    apart = best.fit.theta - second.fit.theta
+    torch.testing.assert_close(apart, torch.full_like(apart, 0.5))
+    torch.testing.assert_close(second.fit.theta, found.optima[0].fit.theta)
+
+
 def test_second_optimum_widens_the_deviation_to_its_distance(known):
     setup, found = known
     parameters, best = setup.simulator.parameters, found.optima[0]
