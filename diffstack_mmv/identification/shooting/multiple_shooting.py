@@ -85,7 +85,7 @@ class MultipleShooting:
             poor optimum, rather than at the last solution. A fit that ends above the cost of that
             solution is repeated from there.
         give_up_above: Cost above which a fit is given up after `PATIENCE` iterations, and not
-            repeated; None to go on.
+            repeated.
 
     Raises:
         ValueError: A limit is below one, or the tolerance is not positive.
@@ -96,7 +96,7 @@ class MultipleShooting:
     stopping: HeldoutStopping = HeldoutStopping()
     heldout_iterations: int = 1
     restart: bool = True
-    give_up_above: float | None = None
+    give_up_above: float = torch.inf
 
     def __post_init__(self) -> None:
         require_at_least("max_iterations", self.max_iterations, 1)
@@ -127,7 +127,7 @@ class MultipleShooting:
         simulated = simulator.simulate(before.theta, data.fitted, guess)
         recorded = TrackingSolution(guess, simulated, before.fitted.converged)
         fit = self._run(task, before, before._replace(fitted=recorded))
-        once = self.give_up_above is not None
+        once = self.give_up_above < torch.inf
         if once or total_cost(simulator, fit) <= total_cost(simulator, before):
             return fit
         return self._run(task, before, before)
@@ -139,7 +139,7 @@ class MultipleShooting:
         monitor.observe(before, total_cost(simulator, before))
         now = ShootingIterate(start, torch.zeros_like(start.fitted.simulated.gap), FIRST_DAMPING)
         for iteration in range(self.max_iterations):
-            if iteration >= PATIENCE and self._is_hopeless(total_cost(simulator, now.fit)):
+            if iteration >= PATIENCE and not total_cost(simulator, now.fit) <= self.give_up_above:
                 break
             now = self._next(task, now)
             if now.improved:
@@ -154,10 +154,6 @@ class MultipleShooting:
             heldout=close_gaps(simulator, best.theta, data.heldout, best.heldout),
             history=tuple(monitor.history),
         )
-
-    def _is_hopeless(self, cost: float) -> bool:
-        """Whether a fit that costs so much is given up."""
-        return self.give_up_above is not None and not cost <= self.give_up_above
 
     def _next(self, task: EstimationTask, now: ShootingIterate) -> ShootingIterate:
         """Linearise, and damp the step until it lowers the merit."""
