@@ -32,6 +32,7 @@ from tests.running import run_here
 ROOT = Path(__file__).resolve().parents[1]
 # how riders act is given: finding it takes most of the time of an identification
 RIDER = ("tracking.jerk_mps3=2.0", "tracking.curvature_rate=0.4", "starts=1")
+MEASURED = (*RIDER, "dynamics=kbm", "heldout=2", "controls={acceleration: 0.1, steer: 0.002}")
 # small enough for seconds: everything is there, nothing is trained to any purpose
 SMALL = (
     "modes=[bicycle,scooter,motorcycle]",
@@ -252,13 +253,7 @@ def circles(tmp_path):
 
 
 def test_recorded_controls_tell_the_wheelbase(succeed, circles, tmp_path):
-    options = [
-        "dynamics=kbm",
-        "tracks=9",
-        "heldout=2",
-        "controls={acceleration: 0.1, steer: 0.002}",
-    ]
-    succeed("identify", *circles, *options, *RIDER, f"out={tmp_path / 'out'}")
+    succeed("identify", *circles, *MEASURED, "tracks=9", f"out={tmp_path / 'out'}")
     told = (tmp_path / "out" / "identify.log").read_text()
     assert "5 tracks were fitted, 9 were asked for." in told
     result = json.loads((tmp_path / "out" / "identification.json").read_text())
@@ -273,13 +268,7 @@ def test_recorded_controls_pass_through_the_smoother_of_the_positions(succeed, c
     state = tmp_path / "thab_vru" / "cache.json"
     causal = {"name": "CausalSmoother", "window_s": 1.2, "order": 2, "lookahead_s": 0.0}
     state.write_text(json.dumps(json.loads(state.read_text()) | {"smoother": causal}))
-    options = [
-        "dynamics=kbm",
-        "tracks=3",
-        "heldout=2",
-        "controls={acceleration: 0.1, steer: 0.002}",
-    ]
-    succeed("identify", *circles, *options, *RIDER, f"out={tmp_path / 'out'}")
+    succeed("identify", *circles, *MEASURED, "tracks=3", f"out={tmp_path / 'out'}")
     result = json.loads((tmp_path / "out" / "identification.json").read_text())
     assert result["parameters"]["wheelbase"]["estimate"] == pytest.approx(1.1, rel=0.01)
     assert "the recorded controls by the same filter" in result["remarks"][-1]

@@ -121,15 +121,27 @@ def test_a_plan_comes_closer_to_its_goal(planner):
     assert (way.amin(-1) < 0.6 * way[:, 0]).all()
 
 
-def test_problems_do_not_see_their_batch_mates(planner, double):
-    """In double precision, where the rounding of a batch is far below the solver's tolerance.
-
-    A solve that is cut off before it converges multiplies that rounding by up to 1e10.
-    """
-    planner = copy.deepcopy(planner).double()
-    planner.solver = replace(planner.solver, max_iterations=20)
+def asked_of_three(planner):
+    """Three problems, of which the middle one has another goal."""
     asked = problem(planner, batch=3)
     asked.goal[1] = torch.tensor([2.0, -2.0])
+    return asked
+
+
+def test_problems_do_not_see_their_batch_mates(planner, double):
+    planner = copy.deepcopy(planner).double()
+    asked = asked_of_three(planner)
+    alike = map_tensors(lambda entry: entry[1:2].expand_as(entry).clone(), asked)
+    with torch.no_grad():
+        one, other = (planner(each, memory(planner, 3)).controls[1] for each in (asked, alike))
+    assert torch.equal(one, other)
+
+
+def test_a_problem_alone_has_the_plan_that_it_has_in_a_batch(planner, double):
+    """Converged: before, differenced curvatures multiply the rounding of a batch by up to 1e10."""
+    planner = copy.deepcopy(planner).double()
+    planner.solver = replace(planner.solver, max_iterations=20)
+    asked = asked_of_three(planner)
     with torch.no_grad():
         together = planner(asked, memory(planner, 3)).controls[1]
         row = map_tensors(lambda entry: entry[1:2], asked)
