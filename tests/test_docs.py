@@ -65,6 +65,7 @@ def test_links_lead_to_files_and_headings(path):
         ["README.md"],
         ["docs/tutorials/solver.md"],
         ["docs/tutorials/online.md"],
+        ["docs/dynamics.md"],
         pytest.param(["docs/diffmpc.md"], marks=pytest.mark.slow),
         pytest.param(["docs/closed_loop.md"], marks=pytest.mark.slow),
         pytest.param(
