@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from diffstack_mmv.metrics import Calibration, coverages, judged_levels
+from diffstack_mmv.metrics.calibration import DensityLevels, drawn_densities
 from diffstack_mmv.types import Forecast
 from tests.stack.test_module import straight_tracks
 
@@ -85,3 +86,57 @@ def test_without_held_out_truths_a_region_is_the_whole_plane():
 def test_the_level_of_a_region_is_the_rank_of_split_conformal(count, ranks):
     levels = torch.arange(1.0, count + 1).flip(0)[:, None]
     assert Calibration.fitted(levels, levels > 0).levels[:, 0].tolist() == list(ranks)
+
+
+def apart(count, times):
+    """Two components far from each other and from the origin, unlike in weight, size and time."""
+    weight = torch.tensor([0.8, 0.2])
+    roots = torch.tensor([[[0.5, 0.0], [0.3, 1.5]], [[2.0, 0.0], [-1.0, 0.7]]])
+    centre = torch.tensor([[900.0, -400.0], [-700.0, 300.0]])[:, None, :]
+    mean = centre + 50.0 * torch.arange(times)[:, None]
+    root = roots[:, None].expand(2, times, 2, 2)
+    return Forecast(
+        weight.log().expand(count, 2),
+        mean.expand(count, 2, times, 2),
+        root.expand(count, 2, times, 2, 2),
+    )
+
+
+@pytest.mark.parametrize("count", [1, 9])
+def test_log_densities_of_draws_have_the_negative_entropy_of_the_mixture_as_mean(count):
+    weights, determinants = (0.8, 0.2), (0.5 * 1.5, 2.0 * 0.7)
+    entropy = sum(
+        weight * (1 + math.log(2 * math.pi) + math.log(determinant) - math.log(weight))
+        for weight, determinant in zip(weights, determinants, strict=True)
+    )
+    drawn = drawn_densities(apart(count, 2), samples=4000, seed=0)
+    assert drawn.shape == (count, 4000, 2)
+    assert drawn.mean((0, 1)).tolist() == pytest.approx([-entropy] * 2, abs=0.07)
+
+
+def test_every_third_truth_is_judged_by_the_forecast_of_its_own_time():
+    one, judged = apart(3, 8), torch.tensor([2, 5])
+    off = torch.full((3, 8, 2), 1e5)
+    off[:, judged] = one.mean[:, 0, judged]
+    known = torch.zeros(3, 8, dtype=torch.bool)
+    known[:, judged] = True
+    future = straight_tracks(torch.zeros(3, 2), torch.ones(3, 2), 8, 0)
+    future = future._replace(motion=future.motion._replace(position=off), valid=known)
+    found = judged_levels(one, future, samples=50)
+    assert found.valid.tolist() == [[True, True]] * 3
+    assert found.level.tolist() == [[0.0, 0.0]] * 3
+
+
+@pytest.mark.parametrize(
+    ("level", "area"),
+    [
+        (0.5, (1 + math.e) / 4),
+        (0.6, (1 + math.e) / 4),
+        (1.0, (1 + math.e + math.e**2 + math.e**4) / 4),
+        (2.5, (1 + 1.5 / 4) * (1 + math.e + math.e**2 + math.e**4) / 4),
+    ],
+)
+def test_beyond_all_samples_a_region_grows_in_proportion_to_the_nats(level, area):
+    drawn = torch.tensor([-2.0, 0.0, -4.0, -1.0]).reshape(1, 4, 1)
+    levels = DensityLevels(torch.zeros(1, 1), torch.ones(1, 1) > 0, drawn)
+    assert levels.area(torch.tensor([level])).item() == pytest.approx(area, rel=1e-5)
