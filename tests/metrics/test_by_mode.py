@@ -69,6 +69,17 @@ def test_mode_without_samples_is_absent():
     assert set(metric.compute()) == {"ade", "bicycle/ade", "n_missing", "bicycle/n_missing"}
 
 
+def test_a_score_that_judged_no_sample_is_absent_where_that_is_so():
+    metric = MeanByMode(["ade", "fde"])
+    nan = torch.nan
+    scores = {"ade": torch.tensor([1.0, 2.0]), "fde": torch.tensor([nan, nan])}
+    metric.update(scores, torch.tensor([3, 5]))
+    assert not any("fde" in name for name in metric.compute())
+    metric.update({"ade": torch.tensor([1.0]), "fde": torch.tensor([4.0])}, torch.tensor([5]))
+    found = {name: float(value) for name, value in metric.compute().items() if "fde" in name}
+    assert found == {"fde": 4.0, "scooter/fde": 4.0}
+
+
 def test_no_score_is_refused():
     with pytest.raises(ValueError, match="`names` must hold at least one score"):
         MeanByMode([])

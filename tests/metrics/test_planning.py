@@ -60,6 +60,15 @@ def test_overlap_at_the_start_is_no_fault_of_the_plan():
     assert hit_by(plan, torch.tensor([0.3]), standing_agent(-0.2, 0.0)).tolist() == [0.0]
 
 
+@pytest.mark.parametrize("row", [0, 1, 2, 30])
+def test_an_overlap_at_any_single_time_after_now_is_a_collision(row):
+    agents = standing_agent(50.0, 0.0)
+    position = agents.position.clone()
+    position[..., row, :] = straight_plan()[:, row]
+    met = hit_by(straight_plan(), torch.tensor([0.3]), agents._replace(position=position))
+    assert met.tolist() == [float(row > 0)]
+
+
 def test_collisions_equal_a_loop():
     position = torch.randn(4, 6, 2)
     agents = Obstacles(
@@ -91,7 +100,10 @@ def ridden(valid):
     """Past and future of somebody who rides straight on, 10 m in 30 steps."""
     plan, recorded = straight_plan(), torch.tensor([valid]).expand(1, 30)
     future = tracks(plan[:, 1:].masked_fill(~recorded.unsqueeze(-1), torch.nan), recorded)
-    return tracks(plan[:, :1], torch.ones(1, 1, dtype=torch.bool)), future
+    heading = future.motion.heading.masked_fill(~recorded, torch.nan)
+    future = future._replace(motion=future.motion._replace(heading=heading))
+    past = torch.cat([plan[:, :1] - 5.0, plan[:, :1]], 1)
+    return tracks(past, torch.ones(1, 2, dtype=torch.bool)), future
 
 
 DISCS = Discs(torch.zeros(1, 1), torch.full((1, 1), 0.3))

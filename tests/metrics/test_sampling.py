@@ -54,6 +54,29 @@ def test_the_best_of_many_is_near_and_draws_are_repeatable():
     assert torch.equal(best["best_of_20_ade"], again["best_of_20_ade"])
 
 
+@pytest.mark.parametrize(("name", "draw"), [("", sampled_paths), ("_spread", spread_paths)])
+def test_the_best_of_twenty_is_the_nearest_of_twenty_paths(name, draw):
+    forecast, truth = forecast_of(3), torch.randn(3, 6, 2)
+    found = best_of_samples(forecast, future_of(truth), seed=4, first=7)
+    paths = draw(forecast, count=20, seed=4, first=7)
+    for row in range(3):
+        away = [
+            [math.dist(path[t].tolist(), truth[row, t].tolist()) for t in range(6)]
+            for path in paths[row]
+        ]
+        ade, fde = min(sum(each) / 6 for each in away), min(each[-1] for each in away)
+        assert found[f"best_of_20{name}_ade"][row].item() == pytest.approx(ade, rel=1e-5)
+        assert found[f"best_of_20{name}_fde"][row].item() == pytest.approx(fde, rel=1e-5)
+
+
+@pytest.mark.parametrize("draw", [sampled_paths, spread_paths])
+def test_the_last_of_twenty_paths_is_one_of_them(draw):
+    forecast = forecast_of(3)
+    best = best_of_samples(forecast, future_of(draw(forecast, count=20)[:, 19]))
+    name = "best_of_20_ade" if draw is sampled_paths else "best_of_20_spread_ade"
+    assert best[name].max() < 1e-6
+
+
 def test_times_that_were_not_recorded_do_not_count():
     forecast = forecast_of()
     future = future_of(forecast.mean[:, 0])
