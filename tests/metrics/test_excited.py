@@ -59,3 +59,36 @@ def test_the_slower_than_walking_the_less_lateral_acceleration_counts(speed):
     found = excitation(on_a_circle(speed, 0.5))
     expected = torch.full((2,), 0.5 * speed * speed / 0.5)
     assert torch.allclose(found[LATERAL], expected, rtol=0.03)
+
+
+def along_chords(dt_s=0.1):
+    """The ego at 3 m/s straight on, as seen every half second from now on; noise in between."""
+    given = scene(batch=(2,), horizon=30)
+    way = 3.0 * dt_s * torch.arange(31.0)
+    path = torch.stack([way, torch.zeros(31)], -1).expand(2, 31, 2).clone()
+    between = torch.arange(31) % 5 != 0
+    path[:, between] += torch.randn(2, int(between.sum()), 2)
+    past = given.ego_past.motion.position.clone()
+    past[:, -1] = path[:, 0]
+    ego = [
+        tracks._replace(motion=tracks.motion._replace(position=position))
+        for tracks, position in ((given.ego_past, past), (given.ego_future, path[:, 1:]))
+    ]
+    return given._replace(ego_past=ego[0], ego_future=ego[1])
+
+
+def test_noise_between_the_ends_of_half_seconds_is_no_excitation():
+    found = excitation(along_chords())
+    assert torch.allclose(found[SPEED], torch.tensor(3.0))
+    assert found[LATERAL].max() < 1e-4
+
+
+@pytest.mark.parametrize("row", [5, 10, 15, 30])
+def test_no_chord_reaches_over_a_time_that_was_not_recorded(row):
+    batch = along_chords()
+    future = batch.ego_future
+    future.motion.position[:, row - 1] = torch.tensor([40.0, 40.0])
+    future.valid[:, row - 1] = False
+    found = excitation(batch)
+    assert torch.allclose(found[SPEED], torch.tensor(3.0))
+    assert found[LATERAL].max() < 1e-4
