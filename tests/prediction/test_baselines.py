@@ -1,5 +1,6 @@
 """Predictors that learn nothing."""
 
+import numpy as np
 import pytest
 import torch
 
@@ -127,6 +128,18 @@ def test_spread_grows_with_time_and_speed():
     scale = Spread().scale_tril(torch.zeros(2), torch.tensor([0.0, 5.0]), time)[..., 0, 0]
     assert (scale.diff(dim=-1) > 0).all()
     assert (scale[1] > scale[0]).all()
+
+
+@pytest.mark.parametrize("course", [0.0, 0.9, -2.4])
+def test_spread_is_that_of_an_unknown_acceleration_along_and_across_the_course(course):
+    spread = Spread(position_m=0.2, rest_mps2=0.3, along_per_s=0.4, across_per_s=0.1)
+    scale = spread.scale_tril(torch.tensor([course]), torch.tensor([5.0]), torch.tensor([0.5, 2.0]))
+    turn = np.array([[np.cos(course), -np.sin(course)], [np.sin(course), np.cos(course)]])
+    for root, time in zip(scale[0].double().numpy(), (0.5, 2.0), strict=True):
+        along, across = (0.3 + gain * 5.0 for gain in (0.4, 0.1))
+        variance = [0.2**2 + (0.5 * unknown * time**2) ** 2 for unknown in (along, across)]
+        expected = turn @ np.diag(variance) @ turn.T + 4e-4 * np.eye(2)
+        np.testing.assert_allclose(root @ root.T, expected, rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("options", [{"window_s": 0.0}, {"window_s": -1.0}])
