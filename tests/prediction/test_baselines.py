@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from scipy.integrate import trapezoid
 
 from diffstack_mmv.geometry import wrap_angle
 from diffstack_mmv.prediction import (
@@ -142,10 +143,53 @@ def test_spread_is_that_of_an_unknown_acceleration_along_and_across_the_course(c
         np.testing.assert_allclose(root @ root.T, expected, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.parametrize("predictor", [StandStill, ConstantVelocity])
+def test_a_forecast_spreads_by_the_heading_and_the_way_of_the_last_half_second(predictor):
+    batch = straight(scene(neighbors=1), acceleration=2.0, history=21)
+    forecast = predictor(10, DT_S).predict(batch)
+    mean_speed = (4 * 0.5 - 0.5 * 2.0 * 0.5**2) / 0.5
+    time = DT_S * torch.arange(1, 11)
+    expected = Spread().scale_tril(torch.zeros(1), torch.tensor([mean_speed]), time)
+    torch.testing.assert_close(ego_forecast(forecast).scale_tril[:1, 0], expected)
+
+
+@pytest.mark.parametrize("options", [{"rest_mps2": 0.0}, {"across_per_s": -1.0}])
+def test_an_impossible_spread_is_refused(options):
+    with pytest.raises(ValueError, match=f"`{next(iter(options))}` must be positive"):
+        Spread(**options)
+
+
 @pytest.mark.parametrize("options", [{"window_s": 0.0}, {"window_s": -1.0}])
 def test_impossible_window_is_refused(options):
     with pytest.raises(ValueError, match="`window_s` must be positive"):
         ConstantVelocity(10, DT_S, **options)
+
+
+@pytest.mark.parametrize(("forward", "leftward"), [(0.8, -0.6), (-0.4, 0.9), (9.0, 30.0)])
+def test_ctra_fades_what_it_measured_within_its_limits(forward, leftward):
+    """The integral of v₀ + a₀ τ (1 - exp(-t/τ)) along the course that fades likewise."""
+    rows, course, speed = 41, 0.7, 4.0
+    batch = straight(scene(batch=(1,), neighbors=0, history=rows), history=rows)
+    axes = np.array([[np.cos(course), np.sin(course)], [-np.sin(course), np.cos(course)]])
+    way = DT_S * np.arange(1 - rows, 1)[:, None]
+    position = speed * way * axes[0] + way**2 / 2 * (forward * axes[0] + leftward * axes[1])
+    motion = batch.ego_past.motion._replace(
+        position=torch.tensor(position, dtype=torch.float32)[None],
+        heading=torch.full((1, rows), course),
+    )
+    batch = batch._replace(ego_past=batch.ego_past._replace(motion=motion))
+    found = ego_forecast(ConstantTurnRateAcceleration(10, DT_S).predict(batch)).mean[0, 0, -1]
+    faster = np.clip(forward, -3.0, 3.0)
+    turning = np.clip(leftward * speed / (speed**2 + 0.5**2), -1.0, 1.0)
+
+    def velocity(time):
+        faded = 0.3 * (1 - np.exp(-time / 0.3))
+        angle = course + turning * faded
+        return (speed + faster * faded) * np.array([np.cos(angle), np.sin(angle)])
+
+    time = np.linspace(0, 1.0, 2001)
+    expected = trapezoid(velocity(time), time, axis=-1)
+    np.testing.assert_allclose(found.numpy(), expected, atol=6e-3)
 
 
 @pytest.mark.parametrize("walking", [0.5, 3.0])
