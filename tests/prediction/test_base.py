@@ -12,6 +12,7 @@ from diffstack_mmv.prediction import (
     neighbors_forecast,
     strongest,
 )
+from diffstack_mmv.prediction.base import present_agents
 from diffstack_mmv.types import Forecast, map_tensors
 from tests.prediction.samples import DT_S, scene, trajectron
 
@@ -49,6 +50,27 @@ def test_ego_comes_first():
     agents = all_agents(batch.ego_past, batch.neighbors_past)
     assert torch.equal(agents.motion.position[:, 0], batch.ego_past.motion.position)
     assert torch.equal(agents.valid[:, 1:], batch.neighbors_past.valid)
+
+
+def test_who_is_not_seen_now_is_not_present_and_not_judged():
+    batch = scene(batch=(2,), neighbors=3)
+    valid = batch.neighbors_past.valid.clone()
+    valid[0, 1, -1], valid[1, 2, :-1] = False, False
+    gone = batch._replace(neighbors_past=batch.neighbors_past._replace(valid=valid))
+    assert present_agents(gone).tolist() == [[True, True, False, True], [True] * 4]
+    predictor = ConstantVelocity(10, DT_S)
+    future = batch.neighbors_future.motion.position.clone()
+    future[0, 1] = 1e5
+    motion = batch.neighbors_future.motion._replace(position=future)
+    moved = gone._replace(neighbors_future=batch.neighbors_future._replace(motion=motion))
+    assert torch.equal(predictor.loss(moved), predictor.loss(gone))
+
+
+@pytest.mark.parametrize("steps", [0, 2.5])
+def test_a_horizon_without_whole_steps_is_refused(steps, unchecked):
+    with pytest.raises(ValueError, match="`horizon_steps` must be"):
+        ConstantVelocity(steps, DT_S)
+    assert ConstantVelocity(1, DT_S).predict(scene()).mean.shape[-2] == 1
 
 
 def test_ego_and_others_together_are_the_forecast():

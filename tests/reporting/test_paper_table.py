@@ -61,6 +61,15 @@ def test_bootstrap_draws_recordings_and_not_samples():
         assert np.isnan(bootstrap(pd.Series(values), recordings % fewer, 200)).all()
 
 
+def test_bootstrap_leaves_out_recordings_of_which_nothing_is_known():
+    rng = np.random.default_rng(0)
+    values, recordings = pd.Series(rng.normal(size=80)), pd.Series(np.repeat(np.arange(10), 8))
+    unknown = recordings >= 8
+    told = bootstrap(values.mask(unknown), recordings, 200)
+    assert told == bootstrap(values[~unknown], recordings[~unknown], 200)
+    assert np.isnan(bootstrap(values.mask(recordings >= 7), recordings, 200)).all()
+
+
 def test_nothing_is_told_against_another_model_than_the_first(runs):
     for run in runs[:2]:
         (run.report / "metrics.json").unlink()
