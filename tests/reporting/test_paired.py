@@ -57,6 +57,15 @@ def test_cases_are_matched_by_number():
     assert (pair["n"], pair["discomfort"]["mean"]) == (2, pytest.approx(0.25))
 
 
+def test_discomfort_is_the_difference_of_the_shares_of_uneasy_steps():
+    own, other = [case(1, uneasy=3), case(2, uneasy=6)], [case(1, uneasy=8), case(2, uneasy=1)]
+    own[0]["steps"], other[0]["steps"], other[1]["steps"] = 30, 16, 4
+    told = paired_cases(own, other)["discomfort"]
+    assert told["mean"] == pytest.approx(((0.1 - 0.5) + (0.5 - 0.25)) / 2)
+    back = paired_cases(other, own)["discomfort"]
+    assert (told["pairs"], back["mean"]) == (2, pytest.approx(-told["mean"]))
+
+
 def test_runs_without_common_cases_are_refused():
     with pytest.raises(ValueError, match="share cases"):
         paired_cases([case(1)], [case(2)])
@@ -75,6 +84,12 @@ def test_an_earlier_run_is_named_with_its_belief(tmp_path):
     pair = paired_with_run(run, tmp_path)
     assert pair["other"] == f"diffmpc (gm3 bicycle), believes in kbm in {tmp_path}"
     assert paired_table([pair], CLOSED_LOOP)["success only here / there"].tolist() == ["0 / 0"]
+
+
+def test_an_earlier_run_that_believes_in_its_own_dynamics_is_named_without(tmp_path):
+    run = HEADER | {"cases": [case(0)], "believed_dynamics": "gm3"}
+    (tmp_path / "closed_loop.json").write_text(json.dumps(run))
+    assert paired_with_run(run, tmp_path)["other"] == f"diffmpc (gm3 bicycle) in {tmp_path}"
 
 
 def test_a_run_under_other_settings_is_not_paired(tmp_path):
