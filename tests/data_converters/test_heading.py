@@ -23,7 +23,7 @@ def velocity(speeds, angle):
     return np.asarray(speeds)[:, None] * np.array([np.cos(angle), np.sin(angle)])
 
 
-@pytest.mark.parametrize("angle", [0.0, 1.0, -2.5, 3.1])
+@pytest.mark.parametrize("angle", [0.0, 1.0, np.pi / 2, -2.5, 3.1])
 def test_heading_is_held_while_the_agent_stands(angle):
     moving, still = velocity([2.0, 2.0], angle), velocity([0.1, 0.1], angle + 2.0)
     heading = heading_from_motion(np.vstack([moving, still]), STANDSTILL, backfill=True)
@@ -61,7 +61,7 @@ def test_noise_at_standstill_does_not_turn_a_resampled_agent(make_track):
     assert np.ptp(heading[95:]) == pytest.approx(0.0, abs=0.05)
 
 
-@pytest.mark.parametrize("course", np.linspace(-3.0, 3.0, 7))
+@pytest.mark.parametrize("course", [*np.linspace(-3.0, 3.0, 7), np.pi / 2])
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_cuboid_axis_takes_the_sign_of_the_motion(course, turned):
     time_s = 0.04 * np.arange(100)
@@ -106,6 +106,17 @@ def test_without_look_ahead_the_sign_is_that_of_the_motion_so_far():
     np.testing.assert_allclose(wrap(sign[0].angle[:20] - 0.5), 0.0, atol=1e-9)
     np.testing.assert_allclose(np.abs(wrap(sign[1].angle - 0.5)), np.pi, atol=1e-9)
     assert set(sign[0].source[:10]) == {HeadingSource.UNKNOWN}
+
+
+@pytest.mark.parametrize("smoother", [CausalSmoother(), ZeroPhaseSmoother()], ids=repr)
+def test_what_drifts_at_standstill_does_not_count_for_the_sign(smoother):
+    time_s, at_s = 0.04 * np.arange(300), np.arange(2.0, 11.0, 0.1)
+    speed = np.where(at_s < 3.0, 2.0, -0.35)  # back again and farther, but as slow as noise
+    heading = heading_from_axis(
+        np.full(300, 0.5), time_s, at_s, velocity(speed, 0.5), smoother, STANDSTILL
+    )
+    np.testing.assert_allclose(wrap(heading.angle - 0.5), 0.0, atol=1e-9)
+    assert set(heading.source) == {HeadingSource.MEASURED}
 
 
 TIMES = 0.1 * np.arange(40)

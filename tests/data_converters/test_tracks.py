@@ -108,12 +108,15 @@ def test_a_causal_track_starts_after_half_a_window(make_track, window_s, first):
     np.testing.assert_allclose(agent.rows.vx, 2.0, atol=1e-9)
 
 
-def test_the_residual_tells_noise_along_from_noise_across(make_track):
-    rng = np.random.default_rng(0)
+@pytest.mark.parametrize("course", [0.0, 0.8, np.pi / 2, -2.2])
+def test_the_residual_tells_noise_along_from_noise_across(make_track, course):
+    rng, time_s = np.random.default_rng(0), 0.04 * np.arange(2000)
+    along, across = 4.0 * time_s + rng.normal(0, 0.08, 2000), rng.normal(0, 0.02, 2000)
+    cosine, sine = np.cos(course), np.sin(course)
     track = make_track(
-        0.04 * np.arange(2000),
-        lambda t: 4.0 * t + rng.normal(0, 0.08, len(t)),
-        lambda t: rng.normal(0, 0.02, len(t)),
+        time_s,
+        lambda _: cosine * along - sine * across,
+        lambda _: sine * along + cosine * across,
     )
     residual = resample(track, SETTINGS).residual
     assert residual.count == 2000
