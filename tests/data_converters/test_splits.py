@@ -1,5 +1,7 @@
 """Whole recordings are dealt, reproducibly, and none of the splits stays empty."""
 
+from hashlib import sha256
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -26,6 +28,29 @@ def test_a_recording_that_is_most_of_all_leaves_no_split_empty(shares):
 def test_shares_hold_where_recordings_are_many():
     dealt = list(RecordingSplit().deal(dict.fromkeys(map(str, range(1000)), 1)).values())
     assert [dealt.count(split) for split in ("train", "val", "test")] == [700, 150, 150]
+
+
+def test_another_salt_deals_the_recordings_otherwise():
+    sizes = dict.fromkeys(map(str, range(100)), 1)
+    plain, salted = RecordingSplit().deal(sizes), RecordingSplit(salt="a").deal(sizes)
+    assert plain != salted
+    assert salted == RecordingSplit(salt="a").deal(sizes)
+
+
+def test_recordings_are_dealt_by_the_middle_of_their_size_in_the_order_of_their_hash():
+    sizes = {str(number): float(1 + number % 7) for number in range(40)}
+    order = sorted(sizes, key=lambda name: sha256(f"x{name}".encode()).hexdigest())
+    total, before, expected = sum(sizes.values()), 0.0, {}
+    for name in order:
+        middle = (before + sizes[name] / 2) / total
+        expected[name] = "train" if middle <= 0.5 else "val" if middle <= 0.8 else "test"
+        before += sizes[name]
+    assert RecordingSplit((0.5, 0.3, 0.2), "x").deal(sizes) == expected
+
+
+def test_all_recordings_may_be_given_their_splits():
+    given = {"a": "test", "b": "val", "c": "train"}
+    assert RecordingSplit(given=given).deal(dict.fromkeys("cab", 1)) == given
 
 
 def test_given_splits_are_kept_and_unknown_names_refused():

@@ -56,6 +56,20 @@ def test_only_gaps_longer_than_half_a_second_split_a_track(make_track, gap, part
     assert names == ["agent", "agent_s1"][:parts]
 
 
+def test_stretches_hold_all_samples_of_a_track_with_all_that_was_measured_of_them(make_track):
+    time_s = np.array([0.0, 0.1, 0.2, 2.0, 2.1, 4.0, 4.1, 4.2, 4.3])
+    measured = {name: np.arange(9.0) + first for name, first in
+                (("axis", 10), ("speed", 20), ("heading", 30))}  # fmt: skip
+    track = make_track(time_s, lambda t: 3.0 * t, **measured)
+    parts = split_at_gaps(track, 0.5)
+    assert [len(part.time_s) for part in parts] == [3, 2, 4]
+    for name in ("time_s", "position", *measured):
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        np.testing.assert_array_equal(joined, getattr(track, name))
+    bare = split_at_gaps(make_track(time_s, lambda t: t), 0.5)
+    assert {(part.axis, part.speed, part.heading) for part in bare} == {(None, None, None)}
+
+
 def test_a_stretch_takes_no_name_of_another_agent(make_track):
     track = make_track(np.array([0.0, 0.1, 2.0, 2.1, 4.0]), lambda t: t)
     names = [part.name for part in split_at_gaps(track, 0.5, {"agent_s1", "agent_s3"})]
