@@ -138,6 +138,19 @@ def test_the_outline_is_where_the_clearance_of_a_point_vanishes(footprint):
     assert corners.norm(dim=-1).max() == pytest.approx(footprint.radius_m)
 
 
+@pytest.mark.parametrize(
+    ("footprint", "area"),
+    [
+        (DiscFootprint(0.4), 24 * 0.4**2 * math.sin(2 * math.pi / 48)),
+        (RectangleFootprint(1.8, 0.6, 0.525), 1.8 * 0.6),
+    ],
+)
+def test_the_outline_runs_once_around_the_area_counter_clockwise(footprint, area):
+    x, y = footprint.outline().unbind(-1)
+    found = 0.5 * (x * y.roll(-1) - x.roll(-1) * y).sum().item()
+    assert found == pytest.approx(area)
+
+
 @pytest.mark.parametrize("size", [0.0, -1.0, math.nan, math.inf])
 def test_a_footprint_without_size_is_refused(size):
     with pytest.raises(ValueError, match="`radius_m` must be positive"):

@@ -1,9 +1,16 @@
 """What each verdict makes of the same step."""
 
+import math
+
 import pytest
 import torch
 
-from diffstack_mmv.simulation import CrowdNavVerdict, DiscFootprint, ExactVerdict
+from diffstack_mmv.simulation import (
+    CrowdNavVerdict,
+    DiscFootprint,
+    ExactVerdict,
+    RectangleFootprint,
+)
 from diffstack_mmv.simulation.pedestrians import CrowdState
 from diffstack_mmv.simulation.verdict import Encounter, RobotPath
 from diffstack_mmv.types import Outcome
@@ -91,6 +98,23 @@ def test_clearance_is_that_to_the_nearest_pedestrian(verdict):
     still = torch.zeros(2, 2, dtype=torch.float64)
     judgement = verdict(step._replace(pedestrians=crowd, pedestrian_velocity=still))
     assert judgement.clearance == pytest.approx(0.4)
+
+
+@BOTH
+def test_at_rest_clearance_is_that_at_the_end_of_the_path_wherever_the_robot_is(verdict):
+    crowd = encounter(pedestrian=(4.0, 2.5)).pedestrians
+    end = torch.stack((vector(9, 9), vector(4, 1)))
+    path = RobotPath(end, torch.tensor([0.3, math.pi / 2], dtype=torch.float64))
+    footprint = RectangleFootprint(1.8, 0.6, ahead_m=0.2)
+    assert float(verdict.at_rest(path, footprint, crowd)) == pytest.approx(1.5 - 1.1 - 0.3)
+    nobody = type(crowd)(*(field[:0] for field in crowd))
+    assert float(verdict.at_rest(path, footprint, nobody)) == math.inf
+
+
+@pytest.mark.parametrize("kind", [CrowdNavVerdict, ExactVerdict])
+@pytest.mark.parametrize(("tolerance", "outcome"), [(0.25, 0), (0.2500001, Outcome.SUCCESS)])
+def test_the_goal_is_reached_where_a_step_ends_closer_than_its_tolerance(kind, tolerance, outcome):
+    assert kind(10.0, tolerance)(encounter(goal=(0, 0.5))).outcome == outcome
 
 
 @pytest.mark.parametrize("limit", [0.0, -5.0, float("nan")])
