@@ -1,5 +1,6 @@
 """Deviations from how much tracks contradict each other."""
 
+import numpy as np
 import pytest
 import torch
 
@@ -23,6 +24,17 @@ def test_deviation_of_a_mean_is_that_of_its_tracks():
     errors = torch.tensor([0.3, -0.5, 0.1, 0.4, -0.3])
     std = cluster_std(torch.ones(5, 1, 1), errors.unsqueeze(-1), torch.zeros(1))
     torch.testing.assert_close(std, (errors.std() / 5**0.5).reshape(1))
+
+
+def test_deviations_of_several_values_are_those_of_the_sandwich():
+    rng = np.random.default_rng(0)
+    roots, gradient = rng.normal(size=(6, 3, 3)), rng.normal(size=(6, 3))
+    information, precision = roots @ roots.transpose(0, 2, 1), np.array([0.5, 2.0, 7.0])
+    bread = np.linalg.inv(information.sum(0) + np.diag(precision))
+    spread = 6 / 5 * sum(np.outer(each, each) for each in gradient)
+    expected = np.sqrt(np.diag(bread @ spread @ bread))
+    std = cluster_std(*(torch.tensor(entry) for entry in (information, gradient, precision)))
+    np.testing.assert_allclose(std.numpy(), expected)
 
 
 def test_two_tracks_tell_no_spread():
