@@ -1,5 +1,7 @@
 """Cost weights learn from closed-loop episodes."""
 
+import math
+
 import pytest
 import torch
 
@@ -35,6 +37,42 @@ def converging(controller_for):
 def test_who_acts_like_the_teacher_has_no_loss(setting, converging):
     loss = imitation_loss(*setting, converging(), converging(), 1)
     assert float(loss.detach()) < 1e-9
+
+
+class Steady:
+    """Acts alike at every step, one row of actions for each episode."""
+
+    def __init__(self, *actions):
+        self.actions = torch.tensor(actions, dtype=torch.float64)
+
+    def init(self, observation):
+        return 0
+
+    def act(self, state, observation):
+        return self.actions, state + 1
+
+
+def test_imitation_is_the_mean_square_of_what_differs_by_the_largest_control(setting):
+    world, scene = setting
+    bounds = list(zip(*(bound.tolist() for bound in world.robot.bounds), strict=True))
+    assert (-3.0, 2.0) in bounds
+    own, taught = ([0.3, 0.2], [-0.1, 0.4]), ([-0.9, 0.25], [-0.1, -0.2])
+    expected = [
+        ((mine - theirs) / max(high, -low)) ** 2
+        for rows in zip(own, taught, strict=True)
+        for mine, theirs, (low, high) in zip(*rows, bounds, strict=True)
+    ]
+    for steps in (1, 3):
+        loss = imitation_loss(world, scene, Steady(*own), Steady(*taught), steps)
+        assert float(loss) == pytest.approx(sum(expected) / 4, rel=1e-5)
+
+
+def test_the_way_left_is_the_mean_distance_from_where_the_steps_end(world_with, scenario_of):
+    world, scene = world_with(exact=True), scenario_of("circle").cases("train", range(2))
+    found = way_left_loss(world, scene, Steady([0.5, 1.0], [-0.2, 0.3]), 3)
+    ends = scene.robot_position + 3 * 0.25 * torch.tensor([[0.5, 1.0], [-0.2, 0.3]]).double()
+    away = [math.dist(*pair) for pair in zip(ends.tolist(), scene.robot_goal.tolist(), strict=True)]
+    assert float(found) == pytest.approx(sum(away) / 2)
 
 
 @pytest.mark.slow
