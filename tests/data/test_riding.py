@@ -1,5 +1,7 @@
 """Situations of windows."""
 
+import math
+
 import pytest
 import torch
 
@@ -34,6 +36,8 @@ def path(speed, yaw_rate=0.0):
         (path(lambda t: 3.0 + 0 * t), {"moving", "straight"}),
         (path(lambda t: 3.0 + 0 * t, 0.2), {"moving", "turning"}),
         (path(lambda t: 3.0 + 0 * t, 0.03), {"moving", "straight"}),
+        (path(lambda t: 3.0 + 0 * t, math.radians(19.5) / 6), {"moving", "straight"}),
+        (path(lambda t: 3.0 + 0 * t, math.radians(-20.5) / 6), {"moving", "turning"}),
         (path(lambda t: 0 * t), {"standing"}),
         (path(lambda t: 0.5 * (t - 3).clamp(min=0)), {"starting"}),
         (path(lambda t: 1.5 * (t - 3).clamp(min=0)), {"starting", "moving", "straight"}),
