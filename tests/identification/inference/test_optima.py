@@ -5,12 +5,14 @@ import torch
 
 from diffstack_mmv.identification import Identifier
 from diffstack_mmv.identification.inference.optima import (
+    analyse_optimum,
     combined_sensitivity,
     is_same_optimum,
     mixture_variance,
     posterior_shares,
     relevant_optima,
 )
+from diffstack_mmv.identification.shooting.normal_equations import normal_equations
 from tests.identification.conftest import double_precision, synthetic_problem
 
 
@@ -96,6 +98,38 @@ def test_optima_are_alike_within_their_accuracy(known):
     step = best.sensitivity.std / parameters.slope(best.fit.theta)
     assert is_same_optimum(best, another(best, 0.3 * step, 0.0), parameters)
     assert not is_same_optimum(best, another(best, 0.9 * step, 0.0), parameters)
+
+
+def test_the_volume_of_an_optimum_is_that_of_its_unknowns_and_values_over_their_priors(known):
+    setup, found = known
+    best, simulator = found.optima[0], setup.simulator
+    unknowns, simulated, _ = best.fit.fitted
+    jacobian = simulator.jacobian(best.fit.theta, setup.data.fitted, unknowns, simulated)
+    local = normal_equations(jacobian, simulated.residual, unknowns).local
+    ratio = best.sensitivity.covariance.diagonal().sqrt() / simulator.parameters.prior.std
+    assert len(ratio) == 1
+    expected = ratio.log().sum() - 0.5 * torch.logdet(local).sum()
+    assert best.log_volume == pytest.approx(float(expected))
+
+
+def test_tracks_inform_of_the_values_as_much_one_by_one_as_together(known, monkeypatch):
+    setup, found = known
+    told = []
+    monkeypatch.setattr(
+        "diffstack_mmv.identification.inference.optima.cluster_std",
+        lambda *entries: told.append(entries) or torch.zeros_like(entries[-1]),
+    )
+    best = analyse_optimum(setup.simulator, setup.data.fitted, found.after)
+    information, gradient, precision = told[0]
+    noise = max(best.noise_factor, 1.0)
+    whole = torch.linalg.inv(information.sum(0) / noise**2 + precision.diag())
+    torch.testing.assert_close(whole, best.sensitivity.covariance)
+    assert len(information) == len(gradient) == 3
+    # at the optimum the tracks pull as hard as the prior does
+    values = setup.simulator.parameters.values(found.after.theta)
+    prior = setup.simulator.parameters.prior
+    pull = precision * (values - prior.mean)
+    torch.testing.assert_close(gradient.sum(0), -pull, rtol=1e-2, atol=1e-2 * float(pull.abs()))
 
 
 def test_negative_number_of_starts_is_refused():
