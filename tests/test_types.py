@@ -5,7 +5,16 @@ import torch
 from torch.autograd import gradcheck
 from torch.distributions import Categorical, MixtureSameFamily, MultivariateNormal
 
-from diffstack_mmv.types import Bounds, Forecast, SolverStatus, log_density, map_tensors, taken
+from diffstack_mmv.types import (
+    Bounds,
+    Forecast,
+    Obstacles,
+    SolverStatus,
+    log_density,
+    map_tensors,
+    taken,
+)
+from tests.prediction.samples import scene
 
 
 def example_forecast(batch=(3,), components=4, steps=5):
@@ -82,6 +91,43 @@ def test_components_that_hardly_count_get_no_gradient_from_the_median():
     Forecast(weight, mean, scale).median().sum().backward()
     reached = mean.grad.abs().amax((1, 2)) > 0
     assert reached.tolist() == [True, True, False]
+
+
+@pytest.mark.parametrize("batch", [(4,), (2, 4)])
+def test_the_median_of_a_forecast_does_not_depend_on_those_beside_it(batch):
+    """As many forecasts as components: a sum over the wrong ones would have the right shape."""
+    forecast = example_forecast(batch)
+    together = forecast.median().reshape(-1, 5, 2)
+    single = Forecast(*(entry.flatten(0, len(batch) - 1) for entry in forecast))
+    for row, path in enumerate(together):
+        alone = Forecast(*(entry[row] for entry in single)).median()
+        torch.testing.assert_close(path, alone)
+
+
+@pytest.mark.parametrize("agents", ["ego_past", "neighbors_past"])
+def test_the_present_is_the_last_row_of_every_field(agents):
+    tracks = getattr(scene(batch=(2,), neighbors=3), agents)
+    tracks.valid[..., -1].flatten()[0] = False
+    now = tracks.present()
+    leading = tracks.mode.shape
+    assert now.valid.shape == leading
+    assert torch.equal(now.valid, tracks.valid[..., -1])
+    assert torch.equal(now.motion.position, tracks.motion.position[..., -1, :])
+    assert torch.equal(now.motion.velocity, tracks.motion.velocity[..., -1, :])
+    assert torch.equal(now.motion.heading, tracks.motion.heading[..., -1])
+    assert torch.equal(now.motion.yaw_rate, tracks.motion.yaw_rate[..., -1])
+
+
+def test_whoever_is_not_valid_has_zeros_for_all_numbers():
+    valid = torch.tensor([[True, False], [False, True]])
+    position, weight = torch.ones(2, 2, 3, 4, 2), torch.ones(2, 2, 3)
+    radius = torch.ones(2, 2)
+    for entry in (position, weight, radius):
+        entry[~valid] = torch.nan
+    kept = Obstacles(position, weight, radius, valid).of_valid()
+    for entry in kept[:3]:
+        assert (entry[valid] == 1).all()
+        assert (entry[~valid] == 0).all()
 
 
 def test_mapping_reaches_every_tensor_and_keeps_the_rest():

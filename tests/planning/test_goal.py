@@ -5,11 +5,12 @@ import math
 import pytest
 import torch
 
-from diffstack_mmv.planning import FutureGoal, WantedGoal, predicted_reference
+from diffstack_mmv.planning import FutureGoal, PredictedGoal, WantedGoal, predicted_reference
 from diffstack_mmv.planning.conditional import given_end
 from diffstack_mmv.planning.problem import bent_to_goal
 from diffstack_mmv.prediction import hermite_spline
 from diffstack_mmv.types import Forecast, Motion
+from tests.prediction.samples import scene
 
 STEPS, DT_S = 30, 0.1
 
@@ -69,3 +70,12 @@ def test_a_wish_bends_the_path_and_not_its_start():
     expected = WantedGoal().expected_path(paths, goal)
     assert torch.equal(expected, paths.median())
     assert FutureGoal().expected_path(paths, goal)[0, 0, 0] > 1.2 * expected[0, 0, 0]
+
+
+def test_the_predicted_goal_is_the_end_of_the_path_that_the_majority_takes():
+    paths, goal = forecast([9.0, 0.0], [9.0, 0.0], [0.0, 9.0]), PredictedGoal()
+    found = goal(scene(batch=(1,)), paths)
+    torch.testing.assert_close(found, torch.tensor([[9.0, 0.0]]), atol=0.1, rtol=0)
+    path = goal.expected_path(paths, found)
+    assert torch.equal(path[:, -1], found)
+    torch.testing.assert_close(path[:, 14], found / 2, atol=0.05, rtol=0)
