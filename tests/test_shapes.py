@@ -1,5 +1,8 @@
 """The shapes and types in the annotations of the package are checked while the tests run."""
 
+import ast
+from pathlib import Path
+
 import pytest
 import torch
 from beartype import beartype
@@ -91,3 +94,22 @@ def test_a_compiled_function_is_not_checked():
     whole = torch.compile(rotate, fullgraph=True, backend="eager")
     vector, angle = torch.rand(4, 2), torch.rand(4)
     assert torch.allclose(whole(vector, angle), rotate(vector, angle))
+
+
+def attributes_of_protocols():
+    """Class, name and names in the type of every attribute that a protocol asks for."""
+    for path in sorted((Path(__file__).parents[1] / "diffstack_mmv").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef) and "Protocol" in map(ast.unparse, node.bases):
+                for line in node.body:
+                    if isinstance(line, ast.AnnAssign):
+                        names = [n.id for n in ast.walk(line.annotation) if isinstance(n, ast.Name)]
+                        yield node.name, ast.unparse(line.target), names
+
+
+def test_protocols_ask_for_plain_attributes_only():
+    """Python 3.12 does not find what a module keeps apart: parameters, buffers and parts."""
+    found = list(attributes_of_protocols())
+    assert ("GoalSource", "name", ["str"]) in found
+    plain = {"bool", "int", "float", "str", "list", "dict", "tuple"}
+    assert [each for each in found if not plain.issuperset(each[2])] == []

@@ -61,6 +61,10 @@ class WeightedCost(nn.Module):
         """Whether every term is a sum over the components of all agents, see `CostTerm`."""
         return all(getattr(term, "adds_components", False) for term in self.terms.values())
 
+    def learnable(self) -> nn.Parameter:
+        """Logarithms of the `learned` weights, one of each: what an optimiser may change."""
+        return self.log_weight
+
     def weights(self) -> dict[str, Tensor | float]:
         """Present weight of every term."""
         learned = self.scale * torch.softmax(self.log_weight, 0)

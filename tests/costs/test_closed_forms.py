@@ -35,9 +35,8 @@ class At:
     def __init__(self, motion, controls, problem, row, time):
         self.place = motion.position[row, time].tolist()
         self.angle = float(motion.heading[row, time])
-        self.speed, self.yaw_rate = float(motion.velocity[row, time, 0]), float(
-            motion.yaw_rate[row, time]
-        )  # fmt: skip
+        self.speed = float(motion.velocity[row, time, 0])
+        self.yaw_rate = float(motion.yaw_rate[row, time])
         self.controls, self.last = controls[row, time].tolist(), time == controls.shape[1] - 1
         self.goal, self.wanted = problem.goal[row].tolist(), problem.reference[row, time].tolist()
         self.wanted_mps = float(problem.reference_speed[row])

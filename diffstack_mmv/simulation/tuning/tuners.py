@@ -22,8 +22,15 @@ Loss = Callable[[], Float[Tensor, ""]]
 class LearnableWeights(Protocol):
     """Positive weights by name, of which some are learned by their logarithms."""
 
-    log_weight: torch.nn.Parameter
     learned: list[str]
+
+    def learnable(self) -> torch.nn.Parameter:
+        """Logarithms of the `learned` weights, one of each.
+
+        A method, since Python 3.12 looks for attributes of a protocol where a module does not keep
+        its parameters.
+        """
+        ...
 
     def weights(self) -> Mapping[str, Tensor | float]:
         """Present weight of every term."""
@@ -70,22 +77,23 @@ class GradientTuner:
         """Change the weights of a cost round by round.
 
         Args:
-            cost: Its `log_weight` changes.
+            cost: Its `learnable` logarithms change.
             loss: Of the present weights, with a gradient.
 
         Yields:
             Weights and loss before each change.
         """
-        optimizer = torch.optim.Adam([cost.log_weight], lr=self.learning_rate)
+        log_weight = cost.learnable()
+        optimizer = torch.optim.Adam([log_weight], lr=self.learning_rate)
         began = time.process_time()
         for number in range(self.rounds):
             optimizer.param_groups[0]["lr"] = self.learning_rate * (1 - number / self.rounds)
             weights, value = weights_of(cost), loss()
             optimizer.zero_grad()
             value.backward()
-            torch.nn.utils.clip_grad_norm_([cost.log_weight], self.largest)
+            torch.nn.utils.clip_grad_norm_([log_weight], self.largest)
             yield Round(weights, float(value.detach()), time.process_time() - began)
-            if cost.log_weight.grad is not None and bool(cost.log_weight.grad.isfinite().all()):
+            if log_weight.grad is not None and bool(log_weight.grad.isfinite().all()):
                 optimizer.step()
             else:
                 LOGGER.warning("The gradient is not finite: the weights stay for a round.")
@@ -117,7 +125,7 @@ class OptunaTuner:
         """Try weights of a cost round by round.
 
         Args:
-            cost: Its `log_weight` changes.
+            cost: Its `learnable` logarithms change.
             loss: Of the present weights.
 
         Yields:
@@ -127,14 +135,15 @@ class OptunaTuner:
             import optuna  # pyright: ignore[reportMissingImports]
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=self.seed))
-        initial = cost.log_weight.detach().clone()
+        log_weight = cost.learnable()
+        initial = log_weight.detach().clone()
         study.enqueue_trial(dict.fromkeys(cost.learned, 0.0))
         reach, began = math.log(self.factor), time.process_time()
         for _ in range(self.rounds):
             trial = study.ask()
             shift = [trial.suggest_float(name, -reach, reach) for name in cost.learned]
             with torch.no_grad():
-                cost.log_weight.copy_(initial + initial.new_tensor(shift))
+                log_weight.copy_(initial + initial.new_tensor(shift))
                 value = float(loss())
             study.tell(trial, value)
             yield Round(weights_of(cost), value, time.process_time() - began)
