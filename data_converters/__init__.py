@@ -9,7 +9,7 @@ from dmmv_conventions.on_demand import on_demand
 
 if TYPE_CHECKING:
     from data_converters.autobike import AutobikeDataset
-    from data_converters.beside import smoothed_beside, smoother_of
+    from data_converters.beside import DrivenTrack, matched, smoother_of
     from data_converters.conversion import convert
     from data_converters.conversion_settings import ConversionSettings
     from data_converters.errors import CacheError, ConversionError, RejectReason, TrackError
@@ -40,6 +40,7 @@ __all__ = [
     "ConversionError",
     "ConversionReport",
     "ConversionSettings",
+    "DrivenTrack",
     "DutDataset",
     "EthUcyDataset",
     "ImptcDataset",
@@ -65,7 +66,7 @@ __all__ = [
     "default_extent",
     "generate_sample",
     "generate_vru_sample",
+    "matched",
     "open_cache",
-    "smoothed_beside",
     "smoother_of",
 ]

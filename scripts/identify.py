@@ -83,7 +83,8 @@ def main(config: DictConfig) -> None:
         read_tracks(*place),
         read_leans(*place),
     )
-    controls = smoothed_controls(*place, columns, config.dt_s) if config.controls else None
+    driven = driven_tracks(place, columns, motions, config.dt_s) if config.controls else None
+    motions, controls = driven or (motions, None)
     noise = recorded_noise(source, study.spec.mode, config.dt_s)
     recordings = Recordings(motions, leans, controls, noise, source.smoother())
     try:
@@ -107,21 +108,33 @@ def main(config: DictConfig) -> None:
     logger.info("Report: %s; as a page: dmmv-report %s", out / "identification.md", out)
 
 
-def smoothed_controls(
-    source: Any, splits: Any, mode: Any, columns: tuple[str, ...], dt_s: float
-) -> dict[str, Any]:
-    """Recorded controls of the tracks, through the smoother that the positions went through."""
+def driven_tracks(
+    place: tuple[Any, Any, Any], columns: tuple[str, ...], motions: dict[str, Any], dt_s: float
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Motions and recorded controls that belong together, whatever smoothed the positions."""
     import torch
 
-    from data_converters import smoothed_beside, smoother_of
-    from diffstack_mmv.data import read_controls
+    from data_converters import CausalSmoother, DrivenTrack, matched, smoother_of
+    from diffstack_mmv.data import (
+        motion_through,
+        read_controls,
+        read_interpolated,
+        recorded_step,
+    )
 
-    recorded = read_controls(source, splits, mode, columns)
+    source, _, mode = place
     smoother = smoother_of(source.smoother_settings())
-    return {
-        name: torch.from_numpy(smoothed_beside(smoother, rows.double().numpy(), dt_s)).to(rows)
-        for name, rows in recorded.items()
-    }
+    step_s = recorded_step(source, mode) or dt_s
+    bridged, moved, controls = read_interpolated(*place), {}, {}
+    for name, rows in read_controls(*place, columns).items():
+        position, gaps = motions[name].position.numpy(), bridged[name].numpy()
+        recorded = DrivenTrack(position, rows.double().numpy(), gaps)
+        track = matched(smoother, recorded, dt_s, step_s)
+        controls[name] = torch.from_numpy(track.controls)
+        if isinstance(smoother, CausalSmoother):
+            position = torch.from_numpy(track.position)
+            moved[name] = motion_through(position, motions[name].heading, dt_s)
+    return motions | moved, controls
 
 
 def identify_measured(config: DictConfig) -> None:

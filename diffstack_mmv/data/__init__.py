@@ -32,13 +32,19 @@ if TYPE_CHECKING:
         seen_recordings,
     )
     from diffstack_mmv.data.loading import WindowLoader
+    from diffstack_mmv.data.motions import motion_through
     from diffstack_mmv.data.noise import PositionNoise, RecordingNoise
     from diffstack_mmv.data.recorded_scenes import RecordedScenes
     from diffstack_mmv.data.riding import Situations, situations
     from diffstack_mmv.data.sampling import Balance, EqualModes, SituationShare
     from diffstack_mmv.data.settings import ExportSettings, LoaderSettings, WindowSettings
     from diffstack_mmv.data.sources import ConvertedCache, NamedDataset, WindowSource
-    from diffstack_mmv.data.tracks import read_interpolated, read_tracks, recorded_noise
+    from diffstack_mmv.data.tracks import (
+        read_interpolated,
+        read_tracks,
+        recorded_noise,
+        recorded_step,
+    )
 
 __getattr__ = on_demand(__name__, __file__, "stack")
 __all__ = [
@@ -73,6 +79,7 @@ __all__ = [
     "WindowSource",
     "export_windows",
     "joined_recordings",
+    "motion_through",
     "read_controls",
     "read_interpolated",
     "read_leans",
@@ -80,6 +87,7 @@ __all__ = [
     "read_sensors",
     "read_tracks",
     "recorded_noise",
+    "recorded_step",
     "recordings_of",
     "require_unseen",
     "seen_recordings",

@@ -50,6 +50,21 @@ def tracks_of(
     return Tracks(motion, size, known, valid)
 
 
+def motion_through(
+    position: Float[Tensor, "T 2"], heading: Float[Tensor, " T"], dt_s: float
+) -> Motion:
+    """The motion of a track, velocities from differences of positions; it looks a row ahead.
+
+    Args:
+        position: m, in the world.
+        heading: rad.
+        dt_s: Step of the rows in s.
+    """
+    (velocity,) = torch.gradient(position, spacing=dt_s, dim=0)
+    moving = velocity.norm(dim=-1) >= STANDSTILL_MPS
+    return Motion(position, heading, rotate(velocity, -heading), yaw_rate(heading, moving, dt_s))
+
+
 def yaw_rate(
     heading: Float[Tensor, "*b T"], moving: Bool[Tensor, "*b T"], dt_s: float
 ) -> Float[Tensor, "*b T"]:

@@ -94,7 +94,7 @@ def recorded_noise(source: WindowSource, mode: str, dt_s: float) -> RecordedNois
         ValueError: The source is no converted cache.
     """
     cache = converted(source)
-    told = cache.report().get("totals", {}).get("smoother_residual", {}).get(mode)
+    told = _residual(cache, mode)
     if told is None:
         return None
     if "step_s" in told:
@@ -107,6 +107,27 @@ def recorded_noise(source: WindowSource, mode: str, dt_s: float) -> RecordedNois
             cache.name,
         )
     return RecordedNoise(told["along_m"], told["across_m"])
+
+
+def recorded_step(source: WindowSource, mode: str) -> float | None:
+    """Usual step in s between two samples of the recordings of a mode, as the report tells it.
+
+    Args:
+        source: A cache that scripts/convert.py wrote.
+        mode: Mode of transport.
+
+    Returns:
+        The step; None where the report has none, as with no moving agent or no smoother.
+
+    Raises:
+        ValueError: The source is no converted cache.
+    """
+    return (_residual(converted(source), mode) or {}).get("step_s")
+
+
+def _residual(cache: ConvertedCache, mode: str) -> dict[str, float] | None:
+    """What the smoother of the positions left of the noise of a mode."""
+    return cache.report().get("totals", {}).get("smoother_residual", {}).get(mode)
 
 
 def _scene_tracks(cache: ConvertedCache, name: str, mode: Mode) -> dict[str, Motion]:

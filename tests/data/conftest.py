@@ -45,7 +45,8 @@ class ToyAgent:
         columns |= {"vx": self.speed * np.cos(heading), "vy": self.speed * np.sin(heading)}
         columns |= {"ax": 0.0 * x, "ay": 0.0 * x, "heading": heading}
         steps = self.first + np.arange(self.rows)
-        return pd.DataFrame(columns).assign(agent_id=self.name, scene_ts=steps)
+        beside = {"agent_id": self.name, "scene_ts": steps, "interpolated": False}
+        return pd.DataFrame(columns).assign(**beside)
 
 
 def write_cache(folder: Path, scenes: dict[str, tuple[str, list[ToyAgent]]], name: str = "toy"):

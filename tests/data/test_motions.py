@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from diffstack_mmv.data.motions import tracks_of, yaw_rate
+from diffstack_mmv.data.motions import motion_through, tracks_of, yaw_rate
 
 
 def rows_of(count=6):
@@ -63,3 +63,13 @@ def test_a_yaw_rate_is_the_mean_of_the_turns_seen_before_and_after(moving, expec
     heading = torch.tensor([3.0, 3.1, 3.3 - 2 * math.pi, 5.3 - 2 * math.pi])
     found = yaw_rate(heading, torch.tensor(moving), 0.1)
     assert found.tolist() == pytest.approx(expected, abs=1e-5)
+
+
+def test_motion_through_positions_on_a_circle_turns_and_moves_evenly():
+    heading = 0.05 * torch.arange(40, dtype=torch.float64)
+    position = 6.0 * torch.stack([heading.sin(), -heading.cos()], -1)
+    found = motion_through(position, heading, 0.1)
+    ahead = torch.tensor([3.0, 0.0], dtype=torch.float64).expand(38, 2)
+    torch.testing.assert_close(found.velocity[1:-1], ahead, atol=2e-3, rtol=0)
+    torch.testing.assert_close(found.yaw_rate, torch.full_like(heading, 0.5))
+    assert torch.equal(found.position, position)

@@ -6,7 +6,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from diffstack_mmv.data import ConvertedCache, read_controls, read_leans, recorded_noise
+from diffstack_mmv.data import (
+    ConvertedCache,
+    read_controls,
+    read_leans,
+    recorded_noise,
+    recorded_step,
+)
 from diffstack_mmv.types import Mode
 from tests.data.conftest import ToyAgent, write_cache
 
@@ -47,6 +53,15 @@ def test_a_report_without_noise_is_warned_of(told, caplog, mode, noise, warning)
 def test_what_was_not_smoothed_tells_no_noise_and_needs_no_new_conversion(told, caplog):
     assert recorded_noise(told(along_m=0.0, across_m=0.0), "bicycle", 0.1) == (0.0, 0.0)
     assert not caplog.text
+
+
+@pytest.mark.parametrize(
+    ("residual", "step_s"), [({"step_s": 0.08}, 0.08), ({}, None)], ids=("told", "older report")
+)
+def test_recorded_step_is_that_of_the_report(told, residual, step_s):
+    source = told(along_m=0.1, **residual)
+    assert recorded_step(source, "bicycle") == step_s
+    assert recorded_step(source, "scooter") is None
 
 
 @pytest.fixture

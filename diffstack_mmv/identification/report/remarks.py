@@ -19,6 +19,7 @@ AT_THE_EDGE = 0.01  # of the range
 NOTEWORTHY = 0.05  # share of the posterior of an optimum that gets a remark
 WEAKEST = 3  # directions that get a remark
 UNSMOOTHED = ("none", "Unsmoothed")  # how a source begins that tells of no smoother
+LAGGING = "CausalSmoother"  # how one begins that tells of a smoother with a lag
 ROUNDING = 1e-12  # share of the prior's information below which a number is an error of rounding
 
 
@@ -49,14 +50,22 @@ def all_remarks(
 
 
 def smoothed_beside_controls(smoother: str) -> list[str]:
-    """Of positions and controls that passed through a smoother, which bends what turns fast."""
+    """Of smoothed positions beside recorded controls: what was done, and what it does not mend."""
     if smoother.startswith(UNSMOOTHED):
         return []
+    told = (
+        "and the recorded controls by the same filter. That leaves their relation as it is where "
+        "the vehicle turns little within the window of the smoother; where it turns fast"
+    )
+    if smoother.startswith(LAGGING):
+        told = (
+            "and the lag of the smoother was undone, as if samples had come at equal steps from "
+            "the first one of each track on. Where they did not and the vehicle turns fast"
+        )
     return [
-        f"The positions are smoothed ({smoother}), and the recorded controls by the same filter. "
-        "That leaves their relation as it is where the vehicle turns little within the window of "
-        "the smoother; where it turns fast, estimates are off by more than the deviations say. "
-        "Convert with smoother=none, and set `noise` to what this conversion reports."
+        f"The positions are smoothed ({smoother}), {told}, estimates are off by more than the "
+        "deviations say. Convert with smoother=none, and set `noise` to what this conversion "
+        "reports."
     ]
 
 
