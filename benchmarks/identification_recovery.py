@@ -6,8 +6,8 @@
 
     python benchmarks/identification_recovery.py kbm --controls measured --repeats 1 --smoother causal --seeds 12
 
-Each seed draws a vehicle from the priors, drives it, adds 2 cm of noise to each position, smooths positions and controls as
-`identify` would if asked to, and identifies it with the priors as they stand. Rows go to benchmarks/results/identification.jsonl, one per quantity and seed; `--table` writes
+Each seed draws a vehicle from the priors, drives it, adds 2 cm of noise to each position, smooths positions as a conversion and
+matches controls as `identify` would, and identifies it with the priors as they stand. Rows go to benchmarks/results/identification.jsonl, one per quantity and seed; `--table` writes
 the table of all rows that are there.
 """
 
@@ -17,11 +17,19 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import torch
 
-from data_converters import CausalSmoother, Unsmoothed, ZeroPhaseSmoother, smoothed_beside
+from data_converters import (
+    CausalSmoother,
+    DrivenTrack,
+    Unsmoothed,
+    ZeroPhaseSmoother,
+    matched,
+)
 from diffstack_mmv.dynamics.catalogue import dynamics_names, model_of
+from diffstack_mmv.dynamics.manoeuvres import Slalom, Turn
 from diffstack_mmv.identification import (
     DataSplit,
     IdentifiabilityThresholds,
@@ -51,7 +59,24 @@ NOISE_M = 0.02
 CONTROL_NOISE = (0.05, 0.002)  # m/s^2, rad
 STEP_S = 0.1
 SMOOTHERS = {"none": Unsmoothed(), "causal": CausalSmoother(), "zero_phase": ZeroPhaseSmoother()}
-MANOEUVRES = {"rich": RICH_MANOEUVRES, "poor": POOR_MANOEUVRES}
+QUICK = (
+    Slalom(3.0, 0.30, 1.6, 6),
+    Slalom(4.0, 0.22, 1.2, 8),
+    Slalom(6.0, 0.12, 0.8, 12),
+    Turn(5.0, 6.0, 5.5, 0.4, 1.0),
+)
+GENTLE = (
+    Turn(5.0, 6.0, 5.5, 1.0, 1.0),
+    Turn(7.0, -4.5, 10.0, 1.0, 1.0),
+    Turn(6.0, 5.5, 7.5, 1.0, 1.0),
+    Slalom(5.0, 0.10, 5.0, 2),
+)
+MANOEUVRES = {
+    "rich": RICH_MANOEUVRES,
+    "poor": POOR_MANOEUVRES,
+    "quick": QUICK,
+    "gentle": GENTLE,
+}
 
 
 def vehicle(name, tied):
@@ -63,18 +88,24 @@ def vehicle(name, tied):
     return replace(spec, parameters=shared)
 
 
+def rows_of(segment, rows):
+    name, position, course, speed, controls, _ = segment
+    controls = None if controls is None else controls[rows]
+    return TrackSegment(name, position[rows], course[rows], speed[rows], controls)
+
+
 def smoothed(segment, smoother):
-    """A segment behind a smoother, its controls as well, from where on it has seen enough."""
-
-    def through(values):
-        return torch.from_numpy(smoothed_beside(smoother, values.numpy(), STEP_S))
-
-    position = through(segment.position)
-    known = position.isfinite().all(-1)
-    controls = None if segment.controls is None else through(segment.controls)[known]
-    return TrackSegment(
-        segment.name, position[known], segment.course[known], segment.speed[known], controls
-    )
+    """A segment behind a smoother, as `identify` takes it from where on that has seen enough."""
+    time_s = STEP_S * np.arange(len(segment.speed))
+    position = torch.from_numpy(smoother(time_s, segment.position.numpy(), time_s).value)
+    segment = rows_of(segment._replace(position=position), position.isfinite().all(-1))
+    if segment.controls is None:
+        return segment
+    nowhere = np.zeros(len(segment.speed), dtype=bool)
+    track = DrivenTrack(segment.position.numpy(), segment.controls.numpy(), nowhere)
+    position, controls, _ = map(torch.from_numpy, matched(smoother, track, STEP_S, STEP_S))
+    segment = segment._replace(position=position, controls=controls)
+    return rows_of(segment, controls.isfinite().all(-1))
 
 
 def recover(options, seed):
