@@ -64,7 +64,10 @@ class FitMethod(Protocol):
 
 @dataclass(frozen=True)
 class HeldoutStopping:
-    """Ends a fit when it explains held-out tracks significantly worse.
+    """Ends a fit when it explains held-out tracks significantly worse, and its own not.
+
+    Multiple shooting begins with open gaps, and the values may go far astray until they close. So
+    iterations above the cost of the start do not count.
 
     Args:
         patience: Iterations that may be worse before the fit ends.
@@ -109,7 +112,8 @@ class HeldoutMonitor:
             "Iteration %d: cost %.3f, held-out tracks %.3f", len(self.history) - 1, cost, heldout
         )
         if significantly_worse(fit, reference, self.stopping.significance):
-            self.waited += 1
+            # above the cost of the start nothing is learned by heart yet: gaps are still closing
+            self.waited += cost <= self.history[0].cost
         else:
             self.waited, self.best = 0, fit
         self.reference = fit if heldout <= heldout_cost(reference) else reference

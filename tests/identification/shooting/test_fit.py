@@ -39,3 +39,21 @@ def test_a_fit_ends_at_the_last_iterate_before_all_held_out_tracks_get_worse(
     monitor = HeldoutMonitor(HeldoutStopping(patience=patience), fits[0])
     assert [monitor.observe(fit, 0.0) for fit in fits] == goes_on
     assert monitor.best is fits[1]
+
+
+@pytest.mark.parametrize(
+    ("own", "goes_on", "best"),
+    [
+        ((10.0, 9e5, 8e4, 7e3, 60.0, 5.0), [True] * 6, 5),
+        ((10.0, 9.0, 8.0, 7.0, 6.0, 5.0), [True] * 3 + [False], 0),
+    ],
+    ids=["while gaps close", "learned by heart"],
+)
+def test_worse_on_held_out_tracks_counts_only_where_the_fitted_ones_are_explained_better(
+    blank, own, goes_on, best
+):
+    fits = [with_costs(blank, [cost] * 9) for cost in (3.0, 5.0, 6.0, 7.0, 8.0, 2.0)]
+    monitor = HeldoutMonitor(HeldoutStopping(patience=3), fits[0])
+    taken = list(zip(fits, own, strict=True))[: len(goes_on)]
+    assert [monitor.observe(fit, cost) for fit, cost in taken] == goes_on
+    assert monitor.best is fits[best]
