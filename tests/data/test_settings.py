@@ -43,3 +43,46 @@ def test_windows_are_counted_at_the_stride(rows, kept):
     counts = WindowCounts(WindowSettings())
     counts.add(Mode.BICYCLE, rows)
     assert counts.as_dict()["bicycle"].get("window", 0) == kept
+
+
+@pytest.mark.parametrize(
+    ("mode", "rows", "fates"),
+    [
+        (Mode.CAR, 71, {"mode_is_no_ego_mode": 71}),
+        (Mode.BICYCLE, 70, {"track_shorter_than_a_window": 70}),
+        (
+            Mode.BICYCLE,
+            84,  # presents of full windows are rows 40 to 53: 40, 45 and 50 at the stride
+            {"no_full_history": 40, "no_full_future": 30, "between_strides": 11, "window": 3},
+        ),
+    ],
+)
+def test_rows_are_counted_by_what_they_lack(mode, rows, fates):
+    counts = WindowCounts(WindowSettings())
+    counts.add(mode, rows)
+    found = counts.as_dict()[mode.label]
+    assert {fate: count for fate, count in found.items() if count} == fates
+
+
+def test_windows_that_are_not_finite_are_counted_as_such_and_as_no_windows():
+    counts = WindowCounts(WindowSettings())
+    counts.add(Mode.BICYCLE, 171)
+    counts.add(Mode.BICYCLE, 71)
+    counts.drop(Mode.BICYCLE, 4)
+    counts.drop(Mode.BICYCLE, 1)
+    found = counts.as_dict()["bicycle"]
+    assert (found["window"], found["not_finite"]) == (22 - 5, 5)
+    assert sum(found.values()) == 171 + 71
+
+
+@pytest.mark.parametrize("dropped", [0, 1])
+def test_a_data_set_whose_windows_are_all_dropped_is_refused(dropped):
+    counts = WindowCounts(WindowSettings())
+    counts.add(Mode.BICYCLE, 71)
+    counts.add(Mode.CAR, 90)
+    counts.drop(Mode.BICYCLE, dropped)
+    if not dropped:
+        counts.require_windows("toy")
+        return
+    with pytest.raises(ValueError, match=r"1 rows not_finite.*other modes: car in 'toy'"):
+        counts.require_windows("toy")

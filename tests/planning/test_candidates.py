@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle, rollout
+from diffstack_mmv.geometry import rotate
 from diffstack_mmv.planning import CandidateFan, closest_candidate, cross_entropy
 from diffstack_mmv.planning.problem import observed_obstacles
 from diffstack_mmv.types import Motion, map_tensors
@@ -54,6 +55,21 @@ def test_an_odd_number_of_speeds_and_offsets_keeps_the_present_motion(speeds, of
 def test_one_candidate_ends_near_the_goal(model, goal):
     ends = CandidateFan()(model, problem(goal=goal), 30).motion.position[0, -1, -1]
     assert (ends - torch.tensor(goal)).norm() < 0.3
+
+
+def test_the_fans_of_turned_and_moved_problems_are_turned_and_moved():
+    model = ExtendedUnicycle(SPEC)
+    straight = CandidateFan()(model, problem(goal=(11.0, 4.0)), 30).motion
+    angle, away = torch.tensor([2.2, -0.7]), torch.tensor([[3.0, -8.0], [-1.0, 5.0]])
+    one = problem(goal=(11.0, 4.0))
+    both = map_tensors(lambda entry: entry.repeat(2, *[1] * (entry.dim() - 1)), one)
+    motion = both.ego.motion._replace(position=away, heading=angle)
+    goal = rotate(both.goal, angle) + away
+    turned = both._replace(ego=both.ego._replace(motion=motion), goal=goal)
+    fan = CandidateFan()(model, turned, 30).motion
+    expected = rotate(straight.position, angle[:, None, None]) + away[:, None, None]
+    torch.testing.assert_close(fan.position, expected, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(fan.velocity, straight.velocity.expand_as(fan.velocity))
 
 
 @each_model

@@ -16,11 +16,7 @@ from diffstack_mmv.identification import (
 from diffstack_mmv.identification.inference.combinations import quantities
 from diffstack_mmv.identification.inference.influence import regularisation_influence
 from diffstack_mmv.identification.inference.optima import analyse_optimum
-from diffstack_mmv.identification.inference.sensitivity import (
-    InformationDirection,
-    describe_direction,
-    owed_to_priors,
-)
+from diffstack_mmv.identification.inference.sensitivity import owed_to_priors
 from diffstack_mmv.identification.shooting.fit import NO_STOPPING, HeldoutStopping
 from tests.identification.conftest import LIVELY, double_precision, synthetic_problem
 
@@ -74,23 +70,6 @@ def test_value_that_was_not_fitted_keeps_its_prior_and_hands_its_error_on(tyres)
     torch.testing.assert_close(none.std, parameters.prior.std)
 
 
-@pytest.mark.parametrize(
-    ("ratio", "precision", "noise_factor", "owed", "expected"),
-    [
-        (0.1, 0.01, 1.0, 0.2, Identifiability.IDENTIFIABLE),
-        (0.1, 0.05, 1.0, 0.2, Identifiability.WEAK),
-        (0.9, 0.01, 1.0, 0.2, Identifiability.NOT_IDENTIFIABLE),
-        (0.1, 0.01, 1.5, 0.2, Identifiability.WEAK),
-        (0.1, 0.01, 1.0, 0.8, Identifiability.COMBINED),
-    ],
-    ids=["precise", "not precise", "as wide as the prior", "tracks not explained", "by priors"],
-)
-def test_identifiability_needs_a_ratio_a_precision_a_fit_and_tracks(
-    ratio, precision, noise_factor, owed, expected
-):
-    assert IdentifiabilityThresholds().classify(ratio, precision, noise_factor, owed) is expected
-
-
 def test_variance_is_divided_into_that_of_noise_and_that_of_priors(tyres):
     """Of values that are fitted, noise causes Σ S Σ; of the others, priors cause all."""
     setup, found = tyres
@@ -105,18 +84,6 @@ def test_variance_is_divided_into_that_of_noise_and_that_of_priors(tyres):
     owed = owed_to_priors(part.covariance.diagonal(), part.of_noise.diagonal())
     torch.testing.assert_close(owed[~active], torch.ones(3))
     assert bool((owed[active] < 1).all())
-
-
-def test_share_of_priors_of_what_no_parameter_moves_is_all():
-    nothing = torch.zeros(1)
-    assert float(owed_to_priors(nothing, nothing)) == 1.0
-
-
-def test_direction_is_told_by_its_largest_parts():
-    told = describe_direction(
-        InformationDirection(1.0, (-0.9, 0.05, 0.4)), ["mass", "drag", "friction"]
-    )
-    assert told == "+0.90 mass, -0.40 friction"
 
 
 def test_combinations_follow_their_formulas(bicycle):
