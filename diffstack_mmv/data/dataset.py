@@ -90,7 +90,8 @@ class ExportedWindows(WindowDataset):
         except (OSError, EOFError, ValueError) as error:
             raise ValueError(_damaged(path, f"be an array of shape {wanted}", error)) from error
         if array.shape != wanted or array.dtype != layout.dtype:
-            raise ValueError(_damaged(path, f"have shape {wanted}", array.shape))
+            needs = f"have shape {wanted} of {np.dtype(layout.dtype)}"
+            raise ValueError(_damaged(path, needs, f"{array.shape} of {array.dtype}"))
         return array
 
     def __reduce__(self) -> tuple[type["ExportedWindows"], tuple[Path]]:

@@ -6,6 +6,7 @@ import pickle
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from torch.utils._pytree import tree_flatten
@@ -18,6 +19,7 @@ from diffstack_mmv.data import (
     export_chunks,
     export_windows,
 )
+from diffstack_mmv.data import dataset
 from diffstack_mmv.data import export as module
 
 
@@ -112,6 +114,10 @@ def test_a_window_with_nan_is_left_out_and_counted(export, exporting, monkeypatc
             "`version` must be 4, but got 99",
         ),
         (lambda folder: np.save(folder / "ego.npy", np.zeros(3)), "must have shape"),
+        (
+            lambda folder: np.save(folder / "ego.npy", np.load(folder / "ego.npy").astype("f8")),
+            r"must have shape .* of float32, but got \(.*\) of float64",
+        ),
         (lambda folder: (folder / "neighbors.npy").write_bytes(b""), "must be an array of shape"),
     ],
 )
@@ -124,6 +130,41 @@ def test_a_damaged_or_foreign_export_names_the_file_and_the_remedy(
         ExportedWindows(folder)
     assert str(folder) in str(error.value)
     assert "Delete" in str(error.value)
+
+
+def test_a_table_of_other_windows_is_refused(export, exporting):
+    exported = ExportedWindows(export_windows(export, exporting))
+    path = exported.folder / "samples.parquet"
+    pd.read_parquet(path).iloc[1:].to_parquet(path)
+    with pytest.raises(ValueError, match="`export` must have a row per window") as error:
+        exported.samples  # noqa: B018
+    assert str(path) in str(error.value)
+
+
+def with_another_agent(folder):
+    table = pd.read_parquet(folder / "samples.parquet")
+    table.loc[len(table) - 1, "agent"] = "someone"
+    table.to_parquet(folder / "samples.parquet")
+
+
+def with_another_number(folder):
+    ego = np.load(folder / "ego.npy")
+    ego[-1].flat[0] += 1.0
+    np.save(folder / "ego.npy", ego)
+
+
+def test_the_digest_tells_any_change_of_the_samples_and_of_their_names(
+    export, exporting, monkeypatch
+):
+    monkeypatch.setattr(dataset, "PIECE", 10)
+    folder = export_windows(export, exporting)
+    digests = [ExportedWindows(folder).digest()]
+    assert ExportedWindows(folder).digest() == digests[0]
+    assert len(ExportedWindows(folder)) > 20  # the last of them is in another piece
+    for change in (with_another_agent, with_another_number):
+        change(folder)
+        digests.append(ExportedWindows(folder).digest())
+    assert len(set(digests)) == 3
 
 
 def test_a_pickled_export_holds_a_path_and_no_samples(export, exporting):
