@@ -16,10 +16,10 @@ from diffstack_mmv.data import (
     Export,
     ExportedWindows,
     ExportSettings,
+    dataset,
     export_chunks,
     export_windows,
 )
-from diffstack_mmv.data import dataset
 from diffstack_mmv.data import export as module
 
 

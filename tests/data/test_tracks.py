@@ -42,10 +42,16 @@ def test_steps_between_sparse_samples_count_for_less(told, step_s, share):
 
 @pytest.mark.parametrize(
     ("mode", "noise", "warning"),
-    [("bicycle", (0.08, 0.06), "Convert again"), ("scooter", None, "")],
+    [
+        ("bicycle", (0.08, 0.06), "Convert again"),
+        ("bicycle", (0.08, 0.0), "Convert again"),
+        ("bicycle", (0.0, 0.06), "Convert again"),
+        ("scooter", None, ""),
+    ],
 )
 def test_a_report_without_noise_is_warned_of(told, caplog, mode, noise, warning):
-    assert recorded_noise(told(along_m=0.08, across_m=0.06), mode, 0.1) == noise
+    along_m, across_m = noise or (0.08, 0.06)
+    assert recorded_noise(told(along_m=along_m, across_m=across_m), mode, 0.1) == noise
     assert warning in caplog.text
     assert bool(caplog.text) == bool(warning)
 
