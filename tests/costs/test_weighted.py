@@ -3,7 +3,13 @@
 import pytest
 import torch
 
-from diffstack_mmv.costs import ControlEffort, ReferenceTracking, WeightedCost, YawRate
+from diffstack_mmv.costs import (
+    ControlEffort,
+    ExpectedCollision,
+    ReferenceTracking,
+    WeightedCost,
+    YawRate,
+)
 from tests.costs.test_terms import random_case
 
 TERMS = {"tracking": ReferenceTracking(), "effort": ControlEffort(), "yaw": YawRate()}
@@ -42,3 +48,13 @@ def test_learning_keeps_weights_positive_and_their_sum_and_spares_the_frozen():
 def test_inconsistent_weights_are_refused(weights, frozen, told):
     with pytest.raises(ValueError, match=told):
         WeightedCost(TERMS, weights, frozen)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("term", "adds"),
+    [(ControlEffort(), True), (ExpectedCollision(), False), (torch.nn.Identity(), False)],
+)
+def test_a_sum_adds_up_components_if_every_term_says_that_it_does(term, adds):
+    cost = WeightedCost({"yaw": YawRate(), "other": term}, {"yaw": 1.0, "other": 1.0})
+    assert cost.adds_components is adds
