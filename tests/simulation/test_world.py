@@ -111,6 +111,17 @@ def test_times_that_do_not_fit_are_refused(world_with, settings, argument):
         world_with(**settings)
 
 
+@pytest.mark.parametrize(("dt_s", "steps"), [(0.25, 40), (0.5, 20), (2.0, 5)])
+def test_an_episode_has_as_many_steps_as_fit_into_the_limit(world_with, dt_s, steps):
+    assert world_with(dt_s=dt_s, limit_s=10.0).max_steps == steps
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_whether_the_robot_is_seen_is_a_switch(world_with):
+    with pytest.raises(ValueError, match="`robot_visible` must be"):
+        replace(world_with(), robot_visible="no")
+
+
 def test_an_action_of_the_wrong_size_is_refused(world_with):
     world = world_with()
     with pytest.raises(ValueError, match="`action` must have 2 columns"):

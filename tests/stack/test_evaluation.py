@@ -63,6 +63,19 @@ def test_rows_hold_every_score_and_those_of_the_baselines():
         assert curves[name].mean() == pytest.approx(evaluation.samples[score].mean(), abs=1e-6)
 
 
+def test_without_plans_the_prediction_is_judged_as_it_is_beside_them():
+    stack = stack_of(FutureGoal(), ThreeWays(STEPS, 0.1))
+    beside, alone = (
+        evaluate_windows(stack, BASELINES, Recorded(batch_of()), plans=plans)
+        for plans in (True, False)
+    )
+    assert {"median_ade", "miss_rate", "nll", "energy_score"} < set(alone.samples.columns)
+    pd.testing.assert_frame_equal(alone.samples, beside.samples[alone.samples.columns])
+    assert set(beside.errors["bicycle"]) - set(alone.errors["bicycle"]) == {"plan"}
+    for name, curve in alone.errors["bicycle"].items():
+        assert np.array_equal(curve, beside.errors["bicycle"][name])
+
+
 def test_a_batch_is_judged_in_hindsight_once(monkeypatch):
     stack, batch, judged = stack_of(PredictedGoal()), batch_of(), []
     expected = stack.sample_scores(batch)

@@ -127,7 +127,9 @@ def test_a_batch_is_its_cases_one_by_one(world, crossing):
 def test_the_known_future_is_the_recording(crossing):
     world = World(HolonomicRobot(), ReplayCrowd(), ExactVerdict(8.0), reveals_s=2.0)
     state = world.start(crossing().cases("test", range(2)))
-    path = paths(KnownFuture(), world.observe(state), dt_s=0.25, steps=8)[..., 1:, :].squeeze(-3)
+    seen = world.observe(state)
+    assert seen.future.shape[-2] == 8  # 2 s in steps of 0.25 s
+    path = paths(KnownFuture(), seen, dt_s=0.25, steps=8)[..., 1:, :].squeeze(-3)
     crowd = state.pedestrians
     stays = crowd.present & torch.stack([crowd.inside_after(k) for k in range(1, 9)]).all(0)
     truth = torch.stack([crowd.recorded(k) for k in range(1, 9)], -2)
