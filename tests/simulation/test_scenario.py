@@ -153,11 +153,26 @@ def test_a_place_that_is_hard_to_find_is_found_and_one_that_is_not_there_is_refu
         crowded.case("val", 213)
 
 
+@BOTH
+def test_a_scene_knows_the_numbers_of_its_cases(scenario):
+    assert scenario.cases("val", (4, 9)).case_numbers().tolist() == [4, 9]
+    assert scenario.case("test", 7).case_numbers().tolist() == 7
+
+
+def test_a_batch_without_a_case_is_refused():
+    with pytest.raises(ValueError, match="^`numbers` must name at least one case"):
+        CircleCrossing().cases("test", [])
+
+
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("setting", "value"),
     [
         ("humans", -1),
+        ("humans", 2.5),
         ("circle_radius_m", -4.0),
+        ("pedestrian_radius_m", 0.0),
+        ("robot_radius_m", -0.3),
         ("pedestrian_speed_mps", 0.0),
         ("clearance_m", -0.1),
     ],

@@ -55,6 +55,17 @@ def test_a_point_ahead_moves_sideways_in_a_turn():
     assert torch.allclose(offset, 0.45 * torch.cat([heading.cos(), heading.sin()], -1), atol=1e-6)
 
 
+@pytest.mark.parametrize(("name", "ahead_m"), [("kbm", 0.5), ("gm3", -0.45)])
+def test_a_state_on_course_has_the_point_where_it_was_asked_for(name, ahead_m):
+    model = model_of("bicycle", name, 0.05)
+    held = ZeroOrderHold(model, 2, ahead_m)
+    straight = turning()._replace(velocity=torch.tensor([[2.0, 0.0]]), yaw_rate=torch.zeros(1))
+    found = held.motion(held.state_on_course(straight), torch.zeros(1, 2))
+    assert torch.allclose(found.position, straight.position, atol=1e-6)
+    assert torch.allclose(found.heading, straight.heading)
+    assert held.reference_ahead_m == pytest.approx(model.reference_ahead_m + ahead_m)
+
+
 def test_no_step_is_refused(inner):
     with pytest.raises(ValueError, match="repeats"):
         ZeroOrderHold(inner, 0)

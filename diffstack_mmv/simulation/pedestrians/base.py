@@ -65,7 +65,6 @@ class Itinerary(NamedTuple):
         """
         arrived = length(crowd.goal - crowd.position) < crowd.radius
         due = (self.times > before[..., None]) & (self.times <= after[..., None])
-        due = due & (self.times > 0)
         changes = arrived | (self.gives_up & due[..., None, :]).any(-1)
         last = self.goals.shape[-2] - 1
         index = self.taken.clamp(max=last)[..., None, None]

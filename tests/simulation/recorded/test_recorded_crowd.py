@@ -64,6 +64,16 @@ def test_who_enters_has_come_from_where_it_was_recorded_and_who_leaves_is_far_aw
     assert not crowd.velocity[1:].any()
 
 
+def test_who_stays_moves_as_it_likes_and_who_enters_as_recorded():
+    crowd = walked(0)
+    assert crowd.stays().tolist() == [True, False, False]
+    moved = crowd.moved(torch.full((3, 2), 0.25).double(), STEP_S)
+    assert moved.position[:2].tolist() == [[1.125, 0.125], [5.0, 4.0]]
+    assert moved.velocity[:2].tolist() == [[0.25, 0.25], [0.0, -2.0]]
+    assert moved.stays().tolist() == [True, True, False]
+    assert walked(2).stays().tolist() == [True, False, False]
+
+
 def test_those_who_are_absent_are_far_from_everything_and_from_each_other():
     place = far_away(torch.zeros(2, 3, 2).double())
     assert place.shape == (2, 3, 2)
