@@ -23,6 +23,8 @@ RECORDINGS = [
 def in_tensors(monkeypatch):
     """Without the library."""
     monkeypatch.setattr(orca, "is_possible", lambda *_, **__: False)
+    for used in ("roll", "respond"):
+        monkeypatch.setattr(orca, used, lambda *_: pytest.fail("there is no library"))
 
 
 @pytest.fixture
@@ -88,6 +90,8 @@ def test_library_and_tensors_agree_bit_by_bit(monkeypatch, dtype, most):
 
     assert orca_library.is_possible(crowd)
     found = answers()
+    for used in ("roll", "respond"):
+        monkeypatch.setattr(orca, used, lambda *_: pytest.fail("there is no library"))
     monkeypatch.setattr(orca, "is_possible", lambda *_, **__: False)
     for here, there in zip(found, answers(), strict=True):
         assert torch.equal(here.nan_to_num(7.0), there.nan_to_num(7.0))
@@ -132,6 +136,13 @@ def test_pedestrians_give_way_to_a_robot_nearby(crowd, away_m, matters):
     robot = VisibleRobot(place, torch.zeros_like(place), torch.full((4,), 0.3, dtype=torch.float64))
     alone = OrcaCrowd()(crowd, 0.25)
     assert torch.equal(OrcaCrowd()(crowd, 0.25, robot), alone) != matters
+
+
+def test_where_nobody_is_nobody_moves():
+    crowd = CircleCrossing(humans=0).cases("test", range(2)).pedestrians
+    assert OrcaCrowd()(crowd, 0.25).shape == (2, 0, 2)
+    assert OrcaCrowd().positions(crowd, 0.25, 3).shape == (2, 0, 3, 2)
+    assert OrcaCrowd().responses(crowd, torch.zeros(2, 0, 4, 2), 0.25).shape == (2, 0, 4, 2)
 
 
 def test_nobody_is_faster_than_preferred(crowd):
