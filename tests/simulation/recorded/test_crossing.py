@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from diffstack_mmv.simulation import CrossingRules, PassageRules, RecordedCrossing
-from diffstack_mmv.simulation.recorded.crossing import rows_of
+from diffstack_mmv.simulation.recorded.crossing import RecordedRows, rows_of
 from diffstack_mmv.simulation.recorded.passage import Walks
 from diffstack_mmv.types import map_tensors
 from tests.simulation.recorded.conftest import Reader, recorded, stream
@@ -55,6 +55,42 @@ def test_rows_between_two_recorded_ones_are_between_them():
     assert np.allclose(rows.position[0, 1:6], expected)
     # nobody is there before the second known row, nor after the last one
     assert rows.inside[0].tolist() == [False, False, True, True, False, False, False]
+
+
+def test_nobody_is_there_after_the_end_and_who_comes_later_is_left_out():
+    scene = recorded(torch.arange(16.0).reshape(2, 4, 2).double() / 10)
+    scene.tracks.valid[1, :3] = False
+    rows = rows_of(scene, 0.1 * np.arange(6))
+    assert rows.inside.tolist() == [[False, True, True, True, False, False], [False] * 6]
+    assert len(rows_of(scene, 0.1 * np.arange(3)).position) == 1
+
+
+def test_the_way_is_drawn_on_both_sides_of_the_right_angle_to_the_flow():
+    time = np.arange(30) * 0.25
+    position = np.stack([np.stack([time * v, np.full(30, y)], -1) for v, y in ((1, 0), (-1, 1))])
+    rows = RecordedRows(position, np.ones((2, 30), dtype=bool), np.full(2, 0.3))
+    random, rules = np.random.RandomState(0), CrossingRules(turn_deg=20.0)
+    headings = [rules.draw(rows, 2, 0.25, random).heading for _ in range(60)]
+    across = np.sin(headings)
+    assert 0.3 < (across > 0).mean() < 0.7
+    away = np.rad2deg(np.arcsin(np.cos(headings)) * np.sign(across))
+    assert np.abs(away).max() < 20
+    assert away.min() < -12
+    assert away.max() > 12
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"from_s": -0.1}, "`from_s` must be at least 0"),
+        ({"from_s": 3.0, "until_s": 3.0}, "`until_s - from_s` must be positive"),
+        ({"turn_deg": -1.0}, "`turn_deg` must be at least 0"),
+    ],
+)
+def test_a_place_that_is_never_busy_is_refused(given, told):
+    assert CrossingRules(from_s=0.0, turn_deg=0.0).from_s == 0.0
+    with pytest.raises(ValueError, match=told):
+        CrossingRules(**given)
 
 
 def walks(*positions, rows=60):

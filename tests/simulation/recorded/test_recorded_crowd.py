@@ -16,7 +16,7 @@ STEP_S, LEAD, WAY_M = 0.5, 2, 10.0
 TRACKS = np.array(
     [
         [[0.0, 0.0], [0.4, 0.0], [1.0, 0.0], [1.6, 0.0], [2.4, 0.2], [3.0, 0.2]],
-        [[5.0, 5.0], [5.0, 5.0], [5.0, 5.0], [5.0, 4.0], [5.0, 3.5], [5.0, 3.5]],
+        [[9.0, 9.0], [5.0, 5.0], [5.0, 5.0], [5.0, 4.0], [5.0, 3.5], [5.0, 3.5]],
     ]
 )
 INSIDE = np.array([[False, True, True, True, True, True], [False, False, False, True, True, False]])
@@ -183,6 +183,15 @@ def test_a_drive_waits_until_the_way_is_free():
     assert not _reaches_end(free, 2)
 
 
+@pytest.mark.parametrize(("place", "reached"), [(14, True), (12, False)])
+def test_a_drive_does_not_stop_at_once(place, reached):
+    """From place 9 at index 3 the next index is 2 or 3, and the place at least 5 further."""
+    free = np.zeros((12, 16), dtype=bool)
+    free[range(5), [0, 1, 4, 9, place]] = True
+    free[5:] = True
+    assert _reaches_end(free, 4) == reached
+
+
 def test_points_within_the_distance_of_an_outline_are_not_free():
     place = np.zeros((1, 2, 2))
     path = np.array([[0.0, 0.0], [0.74, 0.0], [0.0, -0.76]])
@@ -192,7 +201,15 @@ def test_points_within_the_distance_of_an_outline_are_not_free():
 
 @pytest.mark.parametrize(("rows", "passable"), [(14, True), (13, False)])
 def test_a_passage_ends_before_the_rows_do(rows, passable):
-    """4 m at up to 1 m/s, from rest at 1 m/s²: half a metre in the first second, then 3.5 s."""
+    """3.9 m at up to 1 m/s, from rest at 1 m/s²: half a metre in the first second, then 3.4 s."""
     rules = PassageRules(speed_max_mps=1.0, acceleration_mps2=1.0)
     far = Walks(np.full((1, rows + 5, 2), 99.0), np.ones((1, rows + 5)) > 0, np.ones(1), 0.25)
-    assert rules.passable(far, 4.0, 0.3) == passable
+    assert rules.passable(far, 3.9, 0.3) == passable
+
+
+@pytest.mark.parametrize(("x", "passable"), [(0.9, True), (0.65, False)])
+def test_who_stands_beside_the_way_is_passed_with_the_margin(x, passable):
+    """Radii of 0.3 m each, and 0.25 m between them."""
+    beside = Walks(np.full((1, 60, 2), [x, 0.0]), np.ones((1, 60)) > 0, np.array([0.3]), 0.25)
+    rules = PassageRules(bulges_m=(0.0,), margin_m=0.25)
+    assert rules.passable(beside, 10.0, 0.3) == passable

@@ -1,5 +1,7 @@
 """People who walk as recorded: exactly so, and without a word about the future."""
 
+from types import SimpleNamespace
+
 import pytest
 import torch
 
@@ -135,6 +137,23 @@ def test_the_known_future_is_the_recording(crossing):
     truth = torch.stack([crowd.recorded(k) for k in range(1, 9)], -2)
     assert stays.any()
     assert torch.allclose(path[stays], truth[stays])
+
+
+@pytest.mark.usefixtures("unchecked")  # an observation of the future alone
+@pytest.mark.parametrize(
+    ("dt_s", "places"),  # rows of 0, 1, 1 and 3 m, 0.25 s apart
+    [(0.375, [1.0, 3.0, 3.0]), (0.25, [1.0, 1.0, 3.0]), (0.125, [0.5, 1.0, 1.0])],
+)
+def test_the_known_future_is_between_its_rows_and_ends_with_them(dt_s, places):
+    along = torch.tensor([[[1.0], [1.0], [3.0]]]) * torch.tensor([1.0, -2.0])
+    seen = SimpleNamespace(future=along, pedestrian_position=torch.zeros(1, 2))
+    forecast, _ = KnownFuture(0.25)(None, seen, dt_s, 3)
+    expected = torch.tensor([places]).unsqueeze(-1) * torch.tensor([1.0, -2.0])
+    torch.testing.assert_close(forecast.most_likely(), expected)
+    scale = 0.01 * torch.eye(2)
+    assert torch.equal(forecast.scale_tril, scale.expand_as(forecast.scale_tril))
+    with pytest.raises(ValueError, match="`world_step_s` must be positive"):
+        KnownFuture(0.0)
 
 
 def test_the_future_is_told_only_where_the_world_reveals_it(world, crossing):
