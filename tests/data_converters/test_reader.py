@@ -13,6 +13,7 @@ from data_converters.imptc.reader import (
     load_json,
     microseconds,
     parse_track,
+    time_span_us,
 )
 
 KEEP = TrackFilter()
@@ -55,7 +56,20 @@ def test_keys_and_timestamps_are_read_in_every_spelling(key, kind, scale):
     np.testing.assert_array_equal(track.timestamp, START + 40_000 * np.arange(5))
 
 
-@pytest.mark.parametrize("value", [0, 12, 1_679_472_906, 10**18, -5])
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        (10**11, 10**14),  # of 1973 in milliseconds
+        (10**14 - 1, (10**14 - 1) * 1000),
+        (10**14, 10**14),  # of the same day in microseconds
+        (10**17 - 1, 10**17 - 1),
+    ],
+)
+def test_a_timestamp_is_milliseconds_below_those_of_1973_in_microseconds(value, expected):
+    assert microseconds(value, "here") == microseconds(str(value), "here") == expected
+
+
+@pytest.mark.parametrize("value", [0, 12, 1_679_472_906, 10**11 - 1, 10**17, 10**18, -5])
 def test_a_timestamp_of_unknown_magnitude_is_refused(value):
     with pytest.raises(TrackError, match=f"microseconds.*got {value} in here") as caught:
         microseconds(value, "here")
@@ -116,6 +130,7 @@ def test_samples_that_are_dropped_are_counted(changes, keep, kept):
         (content(), TrackFilter(min_class_prob=0.95), RejectReason.LOW_PROBABILITY, "0.9"),
         ({"track_data": content()["track_data"]}, KEEP, RejectReason.MISSING_FIELD, "overview"),
         ([], KEEP, RejectReason.NO_TIMESTAMPS, "track_data"),
+        ({"track_data": [1, 2]}, KEEP, RejectReason.NO_TIMESTAMPS, "track_data"),
     ],
 )
 def test_a_faulty_track_names_field_value_and_file(file, keep, reason, says):
@@ -123,6 +138,14 @@ def test_a_faulty_track_names_field_value_and_file(file, keep, reason, says):
         parse_track(file, "here", keep)
     assert caught.value.reason is reason
     assert "here" in str(caught.value)
+
+
+def test_the_span_of_a_track_is_from_its_earliest_to_its_latest_sample():
+    file = content(4)
+    file["track_data"] = dict(reversed(file["track_data"].items())) | {"5": "torn"}
+    assert time_span_us(file, "here") == (START, START + 120_000)
+    with pytest.raises(TrackError, match="`track_data` must hold samples, but got 'none' in here"):
+        time_span_us({"track_data": {"1": "torn"}}, "here")
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"overview": {}, "track_da'])
