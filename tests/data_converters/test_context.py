@@ -1,0 +1,50 @@
+"""Tables beside a sequence: their order, and columns of one kind."""
+
+import json
+
+import pytest
+
+from data_converters.imptc.context import read_table
+
+START_US = 1_679_472_905_000_000
+
+
+@pytest.fixture
+def told(tmp_path):
+    """The table of these entries, which begin a second after the scene and are a second apart."""
+
+    def build(*entries):
+        keyed = {str(START_US + 1_000_000 * (n + 1)): entry for n, entry in enumerate(entries)}
+        path = tmp_path / "weather.json"
+        path.write_text(json.dumps({"weather_data": dict(reversed(keyed.items()))}))
+        return read_table(path, "weather_data", START_US)
+
+    return build
+
+
+def test_entries_are_in_the_order_of_time(told):
+    table = told({"rain": 0.0}, {"rain": 0.5}, {"rain": 2.0})
+    assert table["time_s"].tolist() == [1.0, 2.0, 3.0]
+    assert table["rain"].tolist() == [0.0, 0.5, 2.0]
+    assert table.index.tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ([1, 2], [1, 2]),
+        (["wet", None], ["wet", None]),
+        (["wet", 1], ["wet", "1"]),
+        ([{"a": 1}, [2]], ["{'a': 1}", "[2]"]),
+    ],
+)
+def test_values_of_several_kinds_become_texts(told, values, expected):
+    assert told(*({"road": value} for value in values))["road"].tolist() == expected
+
+
+@pytest.mark.parametrize("content", [[], {}, {"weather_data": {}}, {"weather_data": [1]}])
+def test_a_file_without_entries_is_no_table(tmp_path, content):
+    path = tmp_path / "weather.json"
+    assert read_table(path, "weather_data", 0) is None
+    path.write_text(json.dumps(content))
+    assert read_table(path, "weather_data", 0) is None
