@@ -124,14 +124,15 @@ def driven_tracks(
 
     source, _, mode = place
     smoother = smoother_of(source.smoother_settings())
-    step_s = recorded_step(source, mode) or dt_s
+    lagging = isinstance(smoother, CausalSmoother)
+    step_s = recorded_step(source, mode, dt_s) if lagging else dt_s
     bridged, moved, controls = read_interpolated(*place), {}, {}
     for name, rows in read_controls(*place, columns).items():
         position, gaps = motions[name].position.numpy(), bridged[name].numpy()
         recorded = DrivenTrack(position, rows.double().numpy(), gaps)
         track = matched(smoother, recorded, dt_s, step_s)
         controls[name] = torch.from_numpy(track.controls)
-        if isinstance(smoother, CausalSmoother):
+        if lagging:
             position = torch.from_numpy(track.position)
             moved[name] = motion_through(position, motions[name].heading, dt_s)
     return motions | moved, controls

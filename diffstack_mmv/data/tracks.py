@@ -109,20 +109,28 @@ def recorded_noise(source: WindowSource, mode: str, dt_s: float) -> RecordedNois
     return RecordedNoise(told["along_m"], told["across_m"])
 
 
-def recorded_step(source: WindowSource, mode: str) -> float | None:
+def recorded_step(source: WindowSource, mode: str, dt_s: float) -> float:
     """Usual step in s between two samples of the recordings of a mode, as the report tells it.
 
     Args:
         source: A cache that scripts/convert.py wrote.
         mode: Mode of transport.
-
-    Returns:
-        The step; None where the report has none, as with no moving agent or no smoother.
+        dt_s: Step of the tracks in s, taken with a warning where the report tells none.
 
     Raises:
         ValueError: The source is no converted cache.
     """
-    return (_residual(converted(source), mode) or {}).get("step_s")
+    cache = converted(source)
+    told = (_residual(cache, mode) or {}).get("step_s")
+    if told is None:
+        logger.warning(
+            "The report of '%s' tells no step of the recordings of '%s': %g s is taken, that of "
+            "the tracks. Convert again.",
+            cache.name,
+            mode,
+            dt_s,
+        )
+    return told or dt_s
 
 
 def _residual(cache: ConvertedCache, mode: str) -> dict[str, float] | None:

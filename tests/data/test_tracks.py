@@ -62,12 +62,17 @@ def test_what_was_not_smoothed_tells_no_noise_and_needs_no_new_conversion(told, 
 
 
 @pytest.mark.parametrize(
-    ("residual", "step_s"), [({"step_s": 0.08}, 0.08), ({}, None)], ids=("told", "older report")
+    ("residual", "step_s", "warned"),
+    [({"step_s": 0.08}, 0.08, False), ({}, 0.1, True)],
+    ids=("told", "older report"),
 )
-def test_recorded_step_is_that_of_the_report(told, residual, step_s):
+def test_recorded_step_is_that_of_the_report_or_said_to_be_taken(
+    told, caplog, residual, step_s, warned
+):
     source = told(along_m=0.1, **residual)
-    assert recorded_step(source, "bicycle") == step_s
-    assert recorded_step(source, "scooter") is None
+    assert recorded_step(source, "bicycle", 0.1) == step_s
+    assert ("0.1 s is taken, that of the tracks. Convert again" in caplog.text) == warned
+    assert recorded_step(source, "scooter", 0.1) == 0.1
 
 
 @pytest.fixture
