@@ -148,6 +148,14 @@ def _require_steering(wheels: Sequence[WheelSpec], steering: Steering, where: st
     }
     kind = type(steering)
     require(able[kind], "wheels", f"have {need[kind]} for {kind.__name__}", "none such", where)
+    require(
+        kind is DifferentialDrive or steered_length_m(wheels) >= SAME_PLACE_M,
+        "wheels",
+        "steer at some distance from the axle that does not",
+        f"x_m of {', '.join(f'{wheel.x_m:g}' for wheel in steered + trucks)}",
+        where,
+        "A vehicle with one axle turns by its driven wheels, `steering: {differential: ...}`.",
+    )
 
 
 def require_possible_layout(

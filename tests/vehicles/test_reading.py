@@ -167,3 +167,9 @@ def test_the_centre_of_gravity_lies_between_the_wheels(content, second, told):
     else:
         with pytest.raises(ValueError, match=told):
             VehicleSpec.from_config(three_wheeler(content, second))
+
+
+def test_a_steered_axle_needs_another_one_to_turn_about(content):
+    left, right = (wheel(0.0, y, steered=True, driven=True) for y in (0.3, -0.3))
+    with pytest.raises(ValueError, match="steer at some distance from the axle that does not"):
+        VehicleSpec.from_config(on_wheels(content, left=left, right=right))
