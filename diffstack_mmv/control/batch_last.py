@@ -61,9 +61,10 @@ def walk(
     """Carry a value through time, forward or backward, and stack the outputs, oldest time first.
 
     One tensor each is carried, read and written, so that a compiled step costs one slice. Compiled,
-    the step becomes one loop body (a graph as long as one step); eagerly it is a Python loop.
+    the step becomes one loop body (a graph as long as one step); eagerly it is a Python loop. So is
+    a single step in any case: the compiler writes code that is none for a loop of one.
     """
-    if torch.compiler.is_compiling():
+    if torch.compiler.is_compiling() and len(inputs) > 1:
         return _compiled_walk(step, carry, inputs, reverse)
     outputs: list[Tensor] = []
     for row in inputs.flip(0) if reverse else inputs:

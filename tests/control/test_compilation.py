@@ -109,6 +109,23 @@ def test_a_loop_over_steps_of_a_model_serves_every_batch(model):
     assert len(graphs) == 1
 
 
+@pytest.mark.parametrize(("steps", "loops"), [(1, 0), (2, 1)])
+def test_a_walk_of_one_step_is_no_loop(steps, loops):
+    code = []
+
+    def backend(graph, example):
+        code.append(graph.code)
+        return graph.forward
+
+    def rolled(state, rows):
+        return walk(lambda state, row: (state + row, 2 * row), state, rows, reverse=True)
+
+    given = torch.rand(3, 9), torch.rand(steps, 3, 9)
+    found = torch.compile(rolled, backend=backend, fullgraph=True)(*given)
+    torch.testing.assert_close(found, rolled(*given))
+    assert code[0].count("higher_order.scan") == loops
+
+
 @pytest.mark.parametrize("size", [4, 12])
 @pytest.mark.parametrize("cut", [slice(2), slice(1, None), slice(-3, -1), slice(0, 4, 2), slice(0)])
 def test_a_slice_by_entries_equals_the_slice(size, cut):
