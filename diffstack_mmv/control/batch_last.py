@@ -44,7 +44,9 @@ def symmetric(P: Float[Tensor, "a a N"]) -> Tensor:
 def unpack(packed: Float[Tensor, "*t R N"], *shapes: tuple[int, ...]) -> tuple[Tensor, ...]:
     """Cut rows into matrices and vectors of these shapes, views all of them."""
     parts = packed.split([math.prod(shape) for shape in shapes], -2)
-    return tuple(part.unflatten(-2, shape) for part, shape in zip(parts, shapes, strict=True))
+    pairs = zip(parts, shapes, strict=True)
+    # not the method: a mode as `ShapePolymorphic` makes it one that the compiler refuses
+    return tuple(torch.unflatten(part, -2, shape) for part, shape in pairs)
 
 
 def pack(*parts: Float[Tensor, "... N"]) -> Float[Tensor, "R N"]:
@@ -61,10 +63,9 @@ def walk(
     """Carry a value through time, forward or backward, and stack the outputs, oldest time first.
 
     One tensor each is carried, read and written, so that a compiled step costs one slice. Compiled,
-    the step becomes one loop body (a graph as long as one step); eagerly it is a Python loop. So is
-    a single step in any case: the compiler writes code that is none for a loop of one.
+    the step becomes one loop body (a graph as long as one step); eagerly it is a Python loop.
     """
-    if torch.compiler.is_compiling() and len(inputs) > 1:
+    if torch.compiler.is_compiling():
         return _compiled_walk(step, carry, inputs, reverse)
     outputs: list[Tensor] = []
     for row in inputs.flip(0) if reverse else inputs:
@@ -76,7 +77,13 @@ def walk(
 def _compiled_walk(
     step: Callable[..., Any], carry: Tensor, inputs: Tensor, reverse: bool
 ) -> tuple[Tensor, Tensor]:
-    """The same as one loop in the graph, whose carry and output must not share memory."""
+    """The same as one loop in the graph, whose carry and output must not share memory.
+
+    A single step is none: what the compiler writes for a loop of one does not compile.
+    """
+    if len(inputs) == 1:
+        following, output = step(carry, inputs[0])
+        return following, output.unsqueeze(0)
 
     def separate(carry: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
         following, output = step(carry, row)
