@@ -5,10 +5,11 @@ import logging
 import time
 import types
 from collections.abc import Callable, Hashable, Iterable, Iterator
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any, NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.control.curvature import CurvatureForm, LocalModel
@@ -170,13 +171,27 @@ def _kernel(
     longest_row: int,
     device: str,
     fixed_shapes: bool,
+    fixed_numbers: bool,
     problem: str,
 ) -> Kernel:
     """The kernel of a function for one kind of dynamics and cost."""
     if fixed_shapes:
         return Kernel(function, _options(device), varying=False, problem=problem)
-    context = functools.partial(ShapePolymorphic, longest_row)
+    opened = with_fixed_numbers if fixed_numbers else ShapePolymorphic
+    context = functools.partial(opened, longest_row)
     return Kernel(function, _options(device), context, problem=problem)
+
+
+@contextmanager
+def with_fixed_numbers(longest_row: int) -> Iterator[None]:
+    """`ShapePolymorphic` in which a number that is no tensor belongs to the graph.
+
+    One that has changed once is an input of it else, and of single precision inside of a loop.
+    """
+    from torch._dynamo import config
+
+    with ShapePolymorphic(longest_row), config.patch(specialize_float=True):
+        yield
 
 
 def compiled_kernels(
@@ -184,7 +199,7 @@ def compiled_kernels(
     dynamics: Dynamics,
     cost: Cost,
     static: tuple[int, int, bool, int, int],
-    device: str,
+    state: Float[Tensor, "*b n"],
 ) -> Kernels:
     """Kernels for problems of this kind, compiled at their first use.
 
@@ -194,14 +209,18 @@ def compiled_kernels(
         cost: The cost.
         static: Numbers a kernel is compiled for: n, m, whether the batch is one problem, leading
             dimensions, step sizes.
-        device: Type of the device.
+        state: For its device and precision.
     """
+    device, is_double = state.device.type, state.dtype == torch.float64
     policy, free = _recursions(*static[:3], device)
-    key = kind(dynamics), kind(cost), static
+    key = kind(dynamics), kind(cost), static, is_double
     longest = max(*static[:2], LARGEST_ROW)
 
     def compiled(function: Callable[..., Any], fixed_shapes: bool = False) -> Kernel:
-        return _kernel(key, function, longest, device, fixed_shapes, label(dynamics))
+        # the only one in which callables are called in a loop
+        fixed_numbers = is_double and function is attempt
+        problem = label(dynamics)
+        return _kernel(key, function, longest, device, fixed_shapes, fixed_numbers, problem)
 
     model = curvature.local_model(is_shared(dynamics) and device == "cpu", compiled)
     return Kernels(model, policy, compiled(attempt), free)

@@ -257,7 +257,7 @@ class ILQR:
             return eager_kernels(self.curvature)
         n, m = state.shape[-1], controls.shape[-1]
         static = (n, m, state.numel() == n, state.dim(), self.line_search_steps)
-        return compiled_kernels(self.curvature, dynamics, cost, static, state.device.type)
+        return compiled_kernels(self.curvature, dynamics, cost, static, state)
 
     def minimise(self, call: Call) -> Iterate:
         """Iterate until every problem is finished; the arguments are checked already."""

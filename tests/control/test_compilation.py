@@ -1,15 +1,22 @@
 """Compiled and eager solves agree; a kernel is compiled once per code; failure falls back."""
 
 import logging
+from functools import partial
 
 import pytest
 import torch
 from torch._dynamo.decorators import maybe_mark_dynamic
 from torch._dynamo.utils import counters
 
-from diffstack_mmv.control import ILQR, Bounds
+from diffstack_mmv.control import ILQR, Bounds, ExactCurvature
 from diffstack_mmv.control.batch_last import unpack, walk
-from diffstack_mmv.control.compilation import Kernel, hidden_tensors, kind
+from diffstack_mmv.control.compilation import (
+    Kernel,
+    compiled_kernels,
+    hidden_tensors,
+    kind,
+    with_fixed_numbers,
+)
 from diffstack_mmv.control.shape_polymorphic import ShapePolymorphic
 from diffstack_mmv.dynamics import DiffKBM, ExtendedUnicycle, SingleIntegrator
 from diffstack_mmv.vehicles import load_vehicle
@@ -60,6 +67,31 @@ def test_new_closures_and_batch_sizes_are_not_compiled_again():
     once(40, 1.2)
     once(16, 1.3)
     assert counters["stats"]["unique_graphs"] == before
+
+
+@pytest.mark.parametrize(
+    ("dtype", "context"), [(torch.float32, ShapePolymorphic), (torch.float64, with_fixed_numbers)]
+)
+def test_numbers_belong_to_the_roll_out_in_double_precision_alone(dtype, context):
+    problem = rate_model(1.0), goal_cost(torch.zeros(2), torch.ones(3))
+    state = torch.zeros(9, 4, dtype=dtype)
+    kernels = compiled_kernels(ExactCurvature(), *problem, (4, 2, False, 1, 8), state)
+    assert kernels.attempt.context.func is context
+    assert kernels.expand.context.func is ShapePolymorphic
+
+
+def test_a_number_that_changes_keeps_its_digits_in_a_loop():
+    def decay(rate):
+        return lambda state: rate * (state - rate)
+
+    def rolled(model, state, rows):
+        return walk(lambda state, row: (model(state + row), model(state)), state, rows)
+
+    kernel = Kernel(rolled, {}, partial(with_fixed_numbers, 8), varying=False)
+    given = torch.rand(3, 9).double(), torch.rand(4, 3, 9).double()
+    for rate in (0.1, 0.2):
+        found, wanted = kernel(decay(rate), *given), rolled(decay(rate), *given)
+        torch.testing.assert_close(found, wanted, rtol=1e-12, atol=1e-15)
 
 
 def test_concatenation_by_padding_equals_concatenation():
