@@ -128,7 +128,7 @@ def enter(problem: Problem, u: Float[Tensor, "*b T m"]) -> tuple[Barrier, Centra
     values = problem.rows.values(x, pad_controls(u))
     g = barrier.rows.inequalities(values)
     zero, mu = torch.zeros_like(g), torch.full_like(scale, FIRST)
-    sigma = torch.where(barrier.yields, g.clamp_min(0) + INSIDE, zero)
+    sigma = torch.where(barrier.yields, g.clamp_min(0) + _first_violation(barrier), zero)
     s = (sigma - g).clamp_min(INSIDE)
     z = torch.where(barrier.rows.applies, FIRST / s, zero)
     y = values.new_zeros(*values.shape[:-1], len(barrier.rows.equality))
@@ -143,6 +143,14 @@ def enter(problem: Problem, u: Float[Tensor, "*b T m"]) -> tuple[Barrier, Centra
     return barrier, Central(
         start, start, none, mu, mu, torch.zeros_like(scale), finite, finite, none, count, nowhere
     )
+
+
+def _first_violation(barrier: Barrier) -> Float[Tensor, "*b T1 I"]:
+    """σ with σ (w₁ + w₂ σ) = μ: at a low price a smaller one is far from the central path."""
+    scale = barrier.scale[..., None, None]
+    linear, quadratic = scale * barrier.rows.linear, scale * barrier.rows.quadratic
+    root = (linear.square() + 4 * FIRST * quadratic).sqrt()
+    return (2 * FIRST / (linear + root)).clamp_min(INSIDE)
 
 
 def _iterate(barrier: Barrier, central: Central) -> Central:

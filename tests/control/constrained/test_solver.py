@@ -118,6 +118,30 @@ def test_a_low_price_is_paid(kind, slack):
     torch.testing.assert_close(solution.cost, bare + paid)
 
 
+@pytest.mark.parametrize("price", [1e-3, 0.7, 20.0])
+def test_a_price_of_squares_alone_is_a_term_of_the_cost(price):
+    torch.manual_seed(4)
+    across, gain, goal = 0.3 * torch.randn(3, 3), torch.randn(2, 3), torch.randn(8, 1, 3)
+    given = Bounds(-torch.ones(2), torch.ones(2)), 0.3 * torch.randn(8, 3), torch.zeros(8, 4, 2)
+
+    def step(state, control):
+        return torch.tanh(state @ across) + control @ gain
+
+    def cost(states, controls):
+        return (states - goal).square().sum(-1) + 0.3 * (controls + 0.1).square().sum(-1)
+
+    def beyond(states, controls):
+        return states[..., :2] - 0.25
+
+    def priced(states, controls):
+        paid = beyond(states, controls).clamp_min(0).square().sum(-1)
+        return cost(states, controls) + 0.5 * price * paid
+
+    found = SOLVER(step, cost, [Inequality(beyond, Slack(quadratic=price))], *given)
+    assert found.converged.all()
+    torch.testing.assert_close(found.cost, ILQR()(step, priced, *given).cost)
+
+
 def test_contradictory_constraints_are_infeasible():
     solution = brought(
         [Inequality(wall), Inequality(lambda x, u: 2.5 - x[..., :1], times=slice(-1, None))]
