@@ -6,7 +6,7 @@
 
     python benchmarks/identification_recovery.py kbm --controls measured --repeats 1 --smoother causal --seeds 12
 
-Each seed draws a vehicle from the priors, drives it, adds 2 cm of noise to each position, smooths positions as a conversion and
+Each seed draws a vehicle from the priors, drives it (where its model is of first order by steps of 5 ms), adds 2 cm of noise to each position, smooths positions as a conversion and
 matches controls as `identify` would, and identifies it with the priors as they stand. Rows go to benchmarks/results/identification.jsonl, one per quantity and seed; `--table` writes
 the table of all rows that are there.
 """
@@ -58,6 +58,7 @@ TABLE = Path(__file__).parent / "results" / "identification.md"
 NOISE_M = 0.02
 CONTROL_NOISE = (0.05, 0.002)  # m/s^2, rad
 STEP_S = 0.1
+FINE_STEPS = 20
 SMOOTHERS = {"none": Unsmoothed(), "causal": CausalSmoother(), "zero_phase": ZeroPhaseSmoother()}
 QUICK = (
     Slalom(3.0, 0.30, 1.6, 6),
@@ -112,13 +113,15 @@ def recover(options, seed):
     """Rows of one seed."""
     generator = torch.Generator().manual_seed(seed)
     spec = with_uncertain_positions(vehicle(options.vehicle, options.tied))
-    truth_model = model_of(spec, options.dynamics, STEP_S).double()
+    model = model_of(spec, options.dynamics, STEP_S)
+    finer = FINE_STEPS if model.acts_a_step_late else 1
+    truth_model = model_of(spec, options.dynamics, STEP_S / finer).double()
     free_positions(truth_model, spec)
     learned = ParameterVector(truth_model, spec)
     truth = learned.prior.draw_values(generator)
     learned.store(learned.theta_for(truth))
     noise = CONTROL_NOISE if options.controls == "measured" else None
-    measurement = MeasurementModel(NOISE_M, noise)
+    measurement = MeasurementModel(NOISE_M, noise, finer)
     manoeuvres = MANOEUVRES[options.manoeuvres] * options.repeats
     smoother = SMOOTHERS[options.smoother]
     fitted, heldout = (
@@ -129,7 +132,6 @@ def recover(options, seed):
         for each in (manoeuvres, manoeuvres[::7])
     )
     settings = TrackingSettings(NOISE_M, NOISE_M, 20.0, 2.0, control_noise=noise)
-    model = model_of(spec, options.dynamics, STEP_S)
     problem = IdentificationProblem.of(model, spec, DataSplit(fitted, heldout), settings)
     identifier = Identifier(tracking=LevenbergMarquardt(30))
     begin = time.perf_counter()

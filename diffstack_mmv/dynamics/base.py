@@ -177,6 +177,15 @@ class DynamicsModel(ExactBuffers, ABC):
         return math.inf
 
     @property
+    def acts_a_step_late(self) -> bool:
+        """Whether a control moves the vehicle from the next step on only; not by default.
+
+        So it does in an explicit Euler step, whose positions follow a control half a step later
+        than those of a vehicle that moves in continuous time.
+        """
+        return False
+
+    @property
     def moves_with_pose(self) -> bool:
         """Whether a moved and turned vehicle does the same, moved and turned; not by default.
 

@@ -132,6 +132,11 @@ class DiffKBM(DynamicsModel):
         return EULER_STEP_S
 
     @property
+    def acts_a_step_late(self) -> bool:
+        """It does: the position moves with the old speed and heading."""
+        return True
+
+    @property
     def can_reverse(self) -> bool:
         """It can with a `ReversingFloor`."""
         return isinstance(self.floor, ReversingFloor)

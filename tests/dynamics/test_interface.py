@@ -253,10 +253,12 @@ def test_the_reference_point_is_the_centre_of_gravity_or_the_axle_that_does_not_
     assert ExtendedUnicycle(spec).reference_ahead_m == pytest.approx(axle_m)
 
 
-def test_only_an_explicit_scheme_bounds_its_step():
+def test_only_an_explicit_scheme_bounds_its_step_and_acts_a_step_late():
     spec = load_vehicle("bicycle")
     assert DiffKBM(spec).longest_step_s == 0.05
     assert DiffGM3(spec).longest_step_s == float("inf")
+    assert DiffKBM(spec).acts_a_step_late
+    assert not DiffGM3(spec).acts_a_step_late
 
 
 @pytest.mark.parametrize(

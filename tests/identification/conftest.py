@@ -40,7 +40,8 @@ def synthetic_problem(
     """A problem of a vehicle whose parameters differ from the priors by `truth` (name: value)."""
     generator = torch.Generator().manual_seed(seed)
     spec = load_vehicle("bicycle")
-    actual = model_of(spec, dynamics, 0.1).double()
+    finer = 10 if model_of(spec, dynamics, 0.1).acts_a_step_late else 1
+    actual = model_of(spec, dynamics, 0.1 / finer).double()
     if truth:
         learned = ParameterVector(actual, spec)
         values = learned.prior.mean.clone()
@@ -48,7 +49,7 @@ def synthetic_problem(
             values[learned.names.index(name)] = value
         learned.store(learned.theta_for(values))
     noise = CONTROL_NOISE if known else None
-    measurement = MeasurementModel(NOISE_M, noise)
+    measurement = MeasurementModel(NOISE_M, noise, finer)
     fitted, heldout = (
         record_manoeuvres(actual, spec, each, measurement, generator)
         for each in (manoeuvres, manoeuvres[:1])

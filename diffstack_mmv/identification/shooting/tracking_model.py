@@ -175,6 +175,7 @@ class TrackingModel(nn.Module):
         # the last row has no control of its own
         acting = pad(weight[:, 1:], (0, 1)).unsqueeze(-1)
         precision = acting / weight.new_tensor(noise)
+        controls = _half_a_step_on(controls) if self.model.acts_a_step_late else controls
         return Measurements(segments.position, segments.course, weight, controls, precision)
 
     def _commands(self, segments: SegmentBatch) -> Float[Tensor, "N T1 2"]:
@@ -187,3 +188,18 @@ class TrackingModel(nn.Module):
         acceleration = acceleration.clamp(float(lower[which]), float(upper[which]))
         both = torch.stack([acceleration, curvature], -1)
         return torch.cat([both, both[:, -1:]], 1)
+
+
+def _half_a_step_on(controls: Float[Tensor, "N T1 m"]) -> Float[Tensor, "N T1 m"]:
+    """What a model that acts a step late has to do to move as the recorded vehicle did.
+
+    Its control of a step turns the way from this step to the next. The vehicle turned between the
+    two by its control around their border, with weights that fall to zero over a step: exact here
+    for controls that are cubic in time. Noise that changes slowly stays as it is.
+
+    Args:
+        controls: Means of what was recorded within each step.
+    """
+    first, last = controls[:, :1], controls[:, -1:]
+    around = torch.cat([first, controls, last, last], 1)
+    return (13 * (around[:, 1:-2] + around[:, 2:-1]) - around[:, :-3] - around[:, 3:]) / 24

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor
 
-from diffstack_mmv.checks import require, require_positive
+from diffstack_mmv.checks import require, require_at_least, require_positive
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.dynamics.manoeuvres import Braking, Slalom, Turn
 from diffstack_mmv.dynamics.open_loop import OpenLoopRun, drive
@@ -45,16 +45,19 @@ class MeasurementModel:
     Args:
         position_m: Standard deviation of each coordinate of a position.
         controls: Standard deviation of each measured control, None if controls are not recorded.
+        every: Steps of the vehicle per row: it moves in finer ones than it is recorded.
 
     Raises:
-        ValueError: A number is not positive.
+        ValueError: A number is not positive, or there is not at least one step per row.
     """
 
     position_m: float = 0.02
     controls: tuple[float, ...] | None = None
+    every: int = 1
 
     def __post_init__(self) -> None:
         require_positive("position_m", self.position_m)
+        require_at_least("every", self.every, 1)
         for deviation in self.controls or ():
             require_positive("controls", deviation)
 
@@ -62,6 +65,8 @@ class MeasurementModel:
         self, name: str, model: DynamicsModel, run: OpenLoopRun, generator: Generator
     ) -> TrackSegment:
         """Record a run; course and speed, of which only the initial guess is made, are exact.
+
+        Controls of a row are means over its steps.
 
         Args:
             name: Name of the segment.
@@ -72,12 +77,14 @@ class MeasurementModel:
         Raises:
             ValueError: The number of measured controls is not that of the model.
         """
-        motion = model.motion(run.states, torch.cat([run.controls, run.controls[-1:]]))
+        rows = len(run.controls) // self.every
+        driven = run.controls[: rows * self.every].unflatten(0, (rows, self.every)).mean(1)
+        controls = torch.cat([driven, driven[-1:]])
+        motion = model.motion(run.states[: rows * self.every + 1 : self.every], controls)
         noise = self.position_m * _normal(motion.position, generator)
         left, forward = motion.velocity[:, 1], motion.velocity[:, 0]
         measured = None
         if self.controls is not None:
-            controls = torch.cat([run.controls, run.controls[-1:]])
             scale = controls.new_tensor(self.controls)
             require(len(scale) == controls.shape[-1], "controls", "fit the model", len(scale))
             measured = controls + scale * _normal(controls, generator)
