@@ -22,6 +22,10 @@ SPACINGS = 20
 """Samples that a window counts at most: in any usual recording it then holds enough of them."""
 
 
+SAME_TIME_S = 1e-6
+"""Times that differ by less are equal: seconds since 1970 resolve a quarter of a microsecond."""
+
+
 CLOSEST_S = 1e-3
 """Of samples closer than this a spline takes one: it would swing through the noise of both."""
 
@@ -170,12 +174,12 @@ class CausalSmoother(PolynomialSmoother):
 
     def __call__(self, time_s: Array, values: Array, at_s: Array) -> SmoothSeries:
         """See `Smoother`; shapes (n,), (n, k), (m,). Times in the warm-up get NaN."""
-        last = np.searchsorted(time_s, at_s + 1e-9, side="right")
-        first = np.searchsorted(time_s, at_s - self.window_s + 1e-9)
+        last = np.searchsorted(time_s, at_s + SAME_TIME_S, side="right")
+        first = np.searchsorted(time_s, at_s - self.window_s + SAME_TIME_S)
         apart = self._apart(time_s)
         counted = np.searchsorted(apart, last)  # samples before `last` that count
         first = np.minimum(first, apart[np.maximum(counted - self.order - 2, 0)])
-        usable = at_s >= self.ready_s(time_s) - 1e-9
+        usable = at_s >= self.ready_s(time_s) - SAME_TIME_S
         result = np.full((3, len(at_s), values.shape[1]), np.nan)
         for d, part in enumerate(
             self._fit(time_s, values, at_s[usable], first[usable], last[usable])
@@ -185,7 +189,7 @@ class CausalSmoother(PolynomialSmoother):
 
     def _apart(self, time_s: Array) -> NDArray[np.int64]:
         """Indices of the samples that count, each `window_s` / `SPACINGS` after the one before."""
-        return _apart(time_s, self.window_s / SPACINGS - 1e-9)
+        return _apart(time_s, self.window_s / SPACINGS - SAME_TIME_S)
 
     def _fit(
         self,
@@ -234,6 +238,6 @@ class Unsmoothed(Smoother):
         curvature = np.vstack(
             [np.zeros((2, values.shape[1])), np.diff(rate[1:], axis=0) / step[1:]]
         )
-        last = np.maximum(np.searchsorted(time_s, at_s + 1e-6, side="right") - 1, 0)
+        last = np.maximum(np.searchsorted(time_s, at_s + SAME_TIME_S, side="right") - 1, 0)
         since = (at_s - time_s[last])[:, None]
         return SmoothSeries(values[last] + since * rate[last], rate[last], curvature[last])

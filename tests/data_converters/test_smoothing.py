@@ -75,6 +75,16 @@ def test_causal_values_do_not_change_with_later_samples(smoother):
     np.testing.assert_array_equal(before, smoother(time_s, disturbed, at_s))
 
 
+@pytest.mark.parametrize("smoother", [CausalSmoother(), Unsmoothed()], ids=str)
+def test_samples_at_rows_stay_there_on_a_clock_since_1970(smoother):
+    at_s = np.round(0.1 * np.arange(200), 1)
+    clock_s = (1.7e9 + at_s) - 1.7e9
+    assert (clock_s != at_s).any()
+    weave = np.sin(2.0 * np.pi * at_s)[:, None]
+    expected = smoother(at_s, weave, at_s).value
+    np.testing.assert_allclose(smoother(clock_s, weave, at_s).value, expected, atol=1e-5)
+
+
 def test_zero_phase_looks_no_further_than_it_says():
     rng = np.random.default_rng(3)
     smoother = ZeroPhaseSmoother()
