@@ -24,6 +24,7 @@ import torch
 from data_converters import (
     CausalSmoother,
     DrivenTrack,
+    Sampling,
     Unsmoothed,
     ZeroPhaseSmoother,
     matched,
@@ -99,12 +100,14 @@ def smoothed(segment, smoother):
     """A segment behind a smoother, as `identify` takes it from where on that has seen enough."""
     time_s = STEP_S * np.arange(len(segment.speed))
     position = torch.from_numpy(smoother(time_s, segment.position.numpy(), time_s).value)
-    segment = rows_of(segment._replace(position=position), position.isfinite().all(-1))
+    put_out = position.isfinite().all(-1)
+    sampling = Sampling(STEP_S * int(put_out.int().argmax()), STEP_S)
+    segment = rows_of(segment._replace(position=position), put_out)
     if segment.controls is None:
         return segment
     nowhere = np.zeros(len(segment.speed), dtype=bool)
     track = DrivenTrack(segment.position.numpy(), segment.controls.numpy(), nowhere)
-    position, controls, _ = map(torch.from_numpy, matched(smoother, track, STEP_S, STEP_S))
+    position, controls, _ = map(torch.from_numpy, matched(smoother, track, STEP_S, sampling))
     segment = segment._replace(position=position, controls=controls)
     return rows_of(segment, controls.isfinite().all(-1))
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from data_converters.eth_ucy import EthUcyDataset
     from data_converters.imptc import ImptcDataset, ImptcVruDataset, SequenceSplit, TrackFilter
     from data_converters.imptc.sample import generate_sample, generate_vru_sample
+    from data_converters.lag import from_the_first_sample
     from data_converters.limits import RecordingLimits
     from data_converters.live import LiveTracks
     from data_converters.modes import default_extent
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from data_converters.splits import RecordingSplit
     from data_converters.tables import TableColumns, TableDataset, TableUnits
     from data_converters.thab import ThabVruDataset
-    from data_converters.tracks import ResampleSettings
+    from data_converters.tracks import ResampleSettings, Sampling
     from data_converters.two_wheeler import TwoWheelerDataset
     from data_converters.vci import CitrDataset, DutDataset
     from dmmv_conventions.modes import Mode
@@ -51,6 +52,7 @@ __all__ = [
     "RecordingSplit",
     "RejectReason",
     "ResampleSettings",
+    "Sampling",
     "SddDataset",
     "SequenceSplit",
     "TableColumns",
@@ -64,6 +66,7 @@ __all__ = [
     "ZeroPhaseSmoother",
     "convert",
     "default_extent",
+    "from_the_first_sample",
     "generate_sample",
     "generate_vru_sample",
     "matched",

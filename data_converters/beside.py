@@ -26,6 +26,7 @@ from data_converters.smoothing import (
     Unsmoothed,
     ZeroPhaseSmoother,
 )
+from data_converters.tracks import Sampling
 
 SMOOTHERS = {each.__name__: each for each in (CausalSmoother, Unsmoothed, ZeroPhaseSmoother)}
 
@@ -75,14 +76,14 @@ def smoothed_beside(smoother: Smoother, values: Array, dt_s: float) -> Array:
     return result
 
 
-def matched(smoother: Smoother, track: DrivenTrack, dt_s: float, recorded_s: float) -> DrivenTrack:
+def matched(smoother: Smoother, track: DrivenTrack, dt_s: float, sampling: Sampling) -> DrivenTrack:
     """A track whose controls and positions belong together.
 
     Args:
         smoother: What the positions went through.
         track: Smoothed positions, and controls as they were recorded.
         dt_s: Step of the track in s.
-        recorded_s: Step of the recording in s.
+        sampling: When the track was sampled, which only the lag of a causal smoother depends on.
 
     Returns:
         Behind a causal smoother, positions without its lag; the controls are NaN where those are
@@ -96,6 +97,6 @@ def matched(smoother: Smoother, track: DrivenTrack, dt_s: float, recorded_s: flo
     window = np.ones(ceil(smoother.window_s / dt_s - 1e-6))
     uncertain = np.convolve(after, window)[: len(after)] > 0
     return track._replace(
-        position=without_lag(smoother, track.position, dt_s, recorded_s),
+        position=without_lag(smoother, track.position, dt_s, sampling),
         controls=np.where(uncertain[:, None], np.nan, track.controls),
     )

@@ -27,7 +27,8 @@ from scipy import sparse
 from scipy.interpolate import CubicSpline
 from scipy.sparse.linalg import spsolve
 
-from data_converters.smoothing import Array, CausalSmoother
+from data_converters.smoothing import SAME_TIME_S, Array, CausalSmoother
+from data_converters.tracks import Sampling
 
 CUTOFF_HZ = 3.0
 """Where half of an amplitude is left: vehicles turn more slowly than that."""
@@ -42,27 +43,41 @@ SAME_CLOCK = 0.02
 """Relative deviation up to which a recorded step counts as a multiple or part of that of rows."""
 
 
-def without_lag(smoother: CausalSmoother, rows: Array, dt_s: float, recorded_s: float) -> Array:
+def from_the_first_sample(smoother: CausalSmoother, dt_s: float, recorded_s: float) -> Sampling:
+    """Sampling of a track of which only the usual step is known: its first sample was at a row.
+
+    Args:
+        smoother: What the track went through.
+        dt_s: Step of the rows in s.
+        recorded_s: Step of the recording in s.
+    """
+    recorded_s = _on_the_clock(recorded_s, dt_s)
+    ready_s = smoother.ready_s(recorded_s * np.arange(_enough(smoother, recorded_s)))
+    return Sampling(dt_s * ceil(ready_s / dt_s - 1e-6), recorded_s)
+
+
+def without_lag(smoother: CausalSmoother, rows: Array, dt_s: float, sampling: Sampling) -> Array:
     """Rows of a causally smoothed track without the lag of the smoother.
 
     Args:
         smoother: What the track went through.
         rows: (T, k), from the first one on that the smoother put out.
         dt_s: Step of the rows in s.
-        recorded_s: Step of the recording in s, taken for regular from the first sample on.
+        sampling: When the track was sampled; its step is taken for regular.
 
     Returns:
         Of shape (T, k). Within the first `smoother.window_s` they owe much to samples before the
         first row, which are not known, and are several times less certain.
     """
-    recorded_s = _on_the_clock(recorded_s, dt_s)
-    enough = ceil(smoother.window_s / recorded_s) + smoother.samples_needed
-    first = ceil(smoother.ready_s(recorded_s * np.arange(enough)) / dt_s - 1e-6)
-    at_s = dt_s * np.arange(first, first + len(rows))
-    time_s = recorded_s * np.arange(max(floor(at_s[-1] / recorded_s + 1e-6) + 1, enough))
+    lead_s, step_s = sampling
+    enough = _enough(smoother, step_s)
+    # samples that were not quite regular may have been enough a little earlier
+    ready_s = smoother.ready_s(step_s * np.arange(enough))
+    at_s = max(lead_s, ready_s) + dt_s * np.arange(len(rows))
+    time_s = step_s * np.arange(max(floor(at_s[-1] / step_s + 1e-6) + 1, enough))
     # a smoother keeps constants: far from the origin, less is lost by rounding
     origin = rows[:1]
-    motion = _motion(response(smoother, time_s, at_s), rows - origin, recorded_s)
+    motion = _motion(response(smoother, time_s, at_s), rows - origin, step_s)
     return CubicSpline(time_s, motion)(at_s) + origin
 
 
@@ -95,12 +110,17 @@ def response(smoother: CausalSmoother, time_s: Array, at_s: Array) -> sparse.coo
     reach = ceil(smoother.window_s / (time_s[1] - time_s[0])) + smoother.order + 3
     trains = np.eye(reach)[np.arange(len(time_s)) % reach]
     found = smoother(time_s, trains, at_s).value
-    latest = np.searchsorted(time_s, at_s + 1e-9, side="right") - 1
+    latest = np.searchsorted(time_s, at_s + SAME_TIME_S, side="right") - 1
     sample = latest[:, None] - np.arange(reach)
     row = np.broadcast_to(np.arange(len(at_s))[:, None], sample.shape)
     known = sample >= 0
     weight = found[row, sample % reach][known]
     return sparse.coo_array((weight, (row[known], sample[known])), shape=(len(at_s), len(time_s)))
+
+
+def _enough(smoother: CausalSmoother, step_s: float) -> int:
+    """Samples of a track that is long enough for the smoother."""
+    return ceil(smoother.window_s / step_s) + smoother.samples_needed
 
 
 def _on_the_clock(recorded_s: float, dt_s: float) -> float:

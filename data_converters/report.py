@@ -23,7 +23,7 @@ class SceneReport:
 
     `residual` holds the sums of `Residual` per mode; older reports lack the last two. `windows`
     counts per mode the time steps with 4 s of history and 3 s of future. `fastest_mps` is the
-    largest smoothed speed; older reports lack it.
+    largest smoothed speed; older reports lack it. `sampling` holds the `Sampling` of each agent.
     """
 
     name: str
@@ -41,6 +41,7 @@ class SceneReport:
     rejected: list[dict[str, str]] = field(default_factory=list)
     notes: dict[str, int] = field(default_factory=dict)
     fastest_mps: float | None = None
+    sampling: dict[str, list[float]] = field(default_factory=dict)
 
     @property
     def usable(self) -> bool:
@@ -49,8 +50,12 @@ class SceneReport:
 
     @property
     def current(self) -> bool:
-        """Whether it has the present names of modes; an earlier report calls a car a vehicle."""
-        return set(self.agents) <= {mode.label for mode in Mode}
+        """Whether it has all that a present one has.
+
+        An earlier report calls a car a vehicle, or does not tell when its agents were sampled.
+        """
+        named = set(self.agents) <= {mode.label for mode in Mode}
+        return named and len(self.sampling) == sum(self.agents.values())
 
 
 def report_scene(
@@ -79,6 +84,7 @@ def report_scene(
         _add(report.windows, mode, max(0, len(agent.rows) - window_steps))
         _count_rows(report, agent)
         _add_residual(report.residual, mode, agent.residual)
+        report.sampling[agent.name] = list(agent.sampling)
         if np.isfinite(agent.speed_error):
             report.speed_errors_mps.append(round(agent.speed_error, 4))
         report.steps = max(report.steps, agent.first_step + len(agent.rows))

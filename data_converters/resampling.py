@@ -17,7 +17,14 @@ from data_converters.heading import (
 )
 from data_converters.modes import default_extent
 from data_converters.smoothing import SmoothSeries
-from data_converters.tracks import AgentRows, Array, RawTrack, ResampleSettings, Residual
+from data_converters.tracks import (
+    AgentRows,
+    Array,
+    RawTrack,
+    ResampleSettings,
+    Residual,
+    Sampling,
+)
 
 PROBES = 8
 """Series of white noise that are smoothed beside a track; more tell its noise more precisely."""
@@ -67,6 +74,7 @@ def resample(track: RawTrack, settings: ResampleSettings) -> AgentRows:
         rows=_rows(track, steps, at_s, settings),
         residual=_residual(track, raw, left, settings.standstill_mps),
         speed_error=_speed_error(track, raw),
+        sampling=Sampling.of(track.time_s, float(at_s[0])),
     )
 
 

@@ -100,6 +100,25 @@ class Residual(NamedTuple):
     seconds: float
 
 
+class Sampling(NamedTuple):
+    """When a gap-free stretch was sampled, beside its rows.
+
+    Attributes:
+        lead_s: Time in s from the first sample to the first row.
+        step_s: Usual time in s between two samples.
+    """
+
+    lead_s: float
+    step_s: float
+
+    @classmethod
+    def of(cls, time_s: Array, first_row_s: float) -> Sampling:
+        """That of samples at `time_s` (n,) s of which some may be missing."""
+        span_s = float(time_s[-1] - time_s[0])
+        steps = max(round(span_s / float(np.median(np.diff(time_s)))), 1)
+        return cls(first_row_s - float(time_s[0]), span_s / steps)
+
+
 class AgentRows(NamedTuple):
     """One gap-free stretch of an agent.
 
@@ -114,6 +133,7 @@ class AgentRows(NamedTuple):
     rows: pd.DataFrame
     residual: Residual
     speed_error: float
+    sampling: Sampling
 
 
 def split_at_gaps(track: RawTrack, max_gap_s: float, taken: Collection[str] = ()) -> list[RawTrack]:

@@ -1,6 +1,7 @@
 """Identify the physical parameters of a vehicle from tracks, with or without measured controls."""
 
 import logging
+from collections.abc import Collection
 from dataclasses import replace
 from datetime import date
 from functools import partial
@@ -114,28 +115,41 @@ def driven_tracks(
     """Motions and recorded controls that belong together, whatever smoothed the positions."""
     import torch
 
-    from data_converters import CausalSmoother, DrivenTrack, matched, smoother_of
-    from diffstack_mmv.data import (
-        motion_through,
-        read_controls,
-        read_interpolated,
-        recorded_step,
-    )
+    from data_converters import CausalSmoother, DrivenTrack, Sampling, matched, smoother_of
+    from diffstack_mmv.data import motion_through, read_controls, read_interpolated
 
-    source, _, mode = place
-    smoother = smoother_of(source.smoother_settings())
+    smoother = smoother_of(place[0].smoother_settings())
     lagging = isinstance(smoother, CausalSmoother)
-    step_s = recorded_step(source, mode, dt_s) if lagging else dt_s
     bridged, moved, controls = read_interpolated(*place), {}, {}
-    for name, rows in read_controls(*place, columns).items():
+    recorded = read_controls(*place, columns)
+    samplings = dict.fromkeys(recorded, Sampling(0.0, dt_s))
+    if lagging:
+        samplings = track_samplings(place, smoother, recorded, dt_s)
+    for name, rows in recorded.items():
         position, gaps = motions[name].position.numpy(), bridged[name].numpy()
-        recorded = DrivenTrack(position, rows.double().numpy(), gaps)
-        track = matched(smoother, recorded, dt_s, step_s)
+        driven = DrivenTrack(position, rows.double().numpy(), gaps)
+        track = matched(smoother, driven, dt_s, samplings[name])
         controls[name] = torch.from_numpy(track.controls)
         if lagging:
             position = torch.from_numpy(track.position)
             moved[name] = motion_through(position, motions[name].heading, dt_s)
     return motions | moved, controls
+
+
+def track_samplings(
+    place: tuple[Any, Any, Any], smoother: Any, names: Collection[str], dt_s: float
+) -> dict[str, Any]:
+    """When each track was sampled; from a row on where the report does not tell."""
+    from data_converters import Sampling, from_the_first_sample
+    from diffstack_mmv.data import recorded_sampling, recorded_step
+
+    source, _, mode = place
+    told = recorded_sampling(source, names)
+    found = {name: Sampling(*times) for name, times in told.items()}
+    if len(found) < len(names):
+        usual = from_the_first_sample(smoother, dt_s, recorded_step(source, mode, dt_s))
+        found = dict.fromkeys(names, usual) | found
+    return found
 
 
 def identify_measured(config: DictConfig) -> None:

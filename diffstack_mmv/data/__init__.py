@@ -43,6 +43,7 @@ if TYPE_CHECKING:
         read_interpolated,
         read_tracks,
         recorded_noise,
+        recorded_sampling,
         recorded_step,
     )
 
@@ -87,6 +88,7 @@ __all__ = [
     "read_sensors",
     "read_tracks",
     "recorded_noise",
+    "recorded_sampling",
     "recorded_step",
     "recordings_of",
     "require_unseen",

@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import pandas as pd
@@ -131,6 +131,38 @@ def recorded_step(source: WindowSource, mode: str, dt_s: float) -> float:
             dt_s,
         )
     return told or dt_s
+
+
+def recorded_sampling(
+    source: WindowSource, names: Collection[str]
+) -> dict[str, tuple[float, float]]:
+    """When tracks were sampled, as the report tells it.
+
+    Args:
+        source: A cache that scripts/convert.py wrote.
+        names: "recording/agent" of the tracks; of those that the report does not tell a warning
+            is given.
+
+    Returns:
+        By name the time in s from the first sample to the first row, and that between two samples.
+
+    Raises:
+        ValueError: The source is no converted cache.
+    """
+    cache = converted(source)
+    told = {
+        f"{scene['name']}/{agent}": (lead_s, step_s)
+        for scene in cache.report().get("scenes", ())
+        for agent, (lead_s, step_s) in scene.get("sampling", {}).items()
+    }
+    known = {name: told[name] for name in names if name in told}
+    if len(known) < len(names):
+        logger.warning(
+            "The report of '%s' does not tell when %d of %d tracks were sampled: equal steps from "
+            "a row on are taken. Convert again.",
+            *(cache.name, len(names) - len(known), len(names)),
+        )
+    return known
 
 
 def _residual(cache: ConvertedCache, mode: str) -> dict[str, float] | None:

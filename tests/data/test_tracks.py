@@ -11,6 +11,7 @@ from diffstack_mmv.data import (
     read_controls,
     read_leans,
     recorded_noise,
+    recorded_sampling,
     recorded_step,
 )
 from diffstack_mmv.types import Mode
@@ -73,6 +74,24 @@ def test_recorded_step_is_that_of_the_report_or_said_to_be_taken(
     assert recorded_step(source, "bicycle", 0.1) == step_s
     assert ("0.1 s is taken, that of the tracks. Convert again" in caplog.text) == warned
     assert recorded_step(source, "scooter", 0.1) == 0.1
+
+
+@pytest.mark.parametrize(
+    ("scene", "found", "warned"),
+    [
+        ({"sampling": {"a": [0.65, 0.1], "b": [0.6, 0.08]}}, {"scene/a": (0.65, 0.1)}, False),
+        ({}, {}, True),
+    ],
+    ids=("told", "older report"),
+)
+def test_a_report_tells_when_tracks_were_sampled_or_is_warned_of(
+    tmp_path, caplog, scene, found, warned
+):
+    (tmp_path / "toy").mkdir()
+    report = json.dumps({"scenes": [{"name": "scene"} | scene]})
+    (tmp_path / "toy" / "conversion_report.json").write_text(report)
+    assert recorded_sampling(ConvertedCache("toy", str(tmp_path)), ["scene/a"]) == found
+    assert ("when 1 of 1 tracks were sampled" in caplog.text) == warned
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ from data_converters import (
     CausalSmoother,
     ConversionError,
     DrivenTrack,
+    Sampling,
     Unsmoothed,
     ZeroPhaseSmoother,
     matched,
@@ -15,6 +16,7 @@ from data_converters import (
 from data_converters.beside import smoothed_beside
 
 STEP_S = 0.1
+SAMPLING = Sampling(0.6, STEP_S)
 
 
 @pytest.mark.parametrize(
@@ -78,7 +80,7 @@ def told_wheelbase(track):
 
 def test_controls_tell_the_wheelbase_behind_the_causal_smoother():
     track = driven(CausalSmoother())
-    assert told_wheelbase(matched(CausalSmoother(), track, STEP_S, STEP_S)) == pytest.approx(
+    assert told_wheelbase(matched(CausalSmoother(), track, STEP_S, SAMPLING)) == pytest.approx(
         1.05, rel=0.01
     )
     assert abs(told_wheelbase(track) - 1.05) > 0.1
@@ -87,7 +89,7 @@ def test_controls_tell_the_wheelbase_behind_the_causal_smoother():
 def test_controls_are_unknown_where_the_lag_could_not_be_undone():
     track = driven(CausalSmoother())
     track.bridged[30:32] = True
-    found = matched(CausalSmoother(), track, STEP_S, STEP_S)
+    found = matched(CausalSmoother(), track, STEP_S, SAMPLING)
     unknown = [*range(12), *range(30, 43)]
     assert np.flatnonzero(np.isnan(found.controls[:, 1])).tolist() == unknown
     assert np.isfinite(found.position).all()
@@ -98,7 +100,7 @@ def test_controls_are_unknown_where_the_lag_could_not_be_undone():
 @pytest.mark.parametrize("smoother", [Unsmoothed(), ZeroPhaseSmoother()], ids=str)
 def test_positions_without_a_lag_stay_and_controls_pass_through_their_smoother(smoother):
     track = driven(smoother)
-    found = matched(smoother, track, STEP_S, STEP_S)
+    found = matched(smoother, track, STEP_S, SAMPLING)
     np.testing.assert_array_equal(found.position, track.position)
     passed = smoothed_beside(smoother, track.controls, STEP_S)
     np.testing.assert_array_equal(found.controls, passed)

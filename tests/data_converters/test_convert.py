@@ -160,12 +160,13 @@ def test_only_changed_files_are_converted_again(thab_settings, thab, monkeypatch
     assert written == ["cyclists_moving_25"]
 
 
-def test_a_scene_that_names_modes_as_earlier_reports_did_is_converted_again(
-    thab_settings, monkeypatch
+@pytest.mark.parametrize("earlier", [{"agents": {"vehicle": 1}}, {"sampling": {}}], ids=str)
+def test_a_scene_that_tells_what_earlier_reports_did_is_converted_again(
+    thab_settings, monkeypatch, earlier
 ):
     convert(thab_settings())
     path = thab_settings().cache / "thab_vru" / "cyclists_moving_25" / "conversion.json"
-    path.write_text(path.read_text().replace('"bicycle"', '"vehicle"'))
+    path.write_text(json.dumps(json.loads(path.read_text()) | earlier))
     written = count_scenes(monkeypatch)
     assert set(convert(thab_settings()).agents()["train"]) == {"bicycle"}
     assert written == ["cyclists_moving_25"]

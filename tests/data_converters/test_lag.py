@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data_converters import CausalSmoother
+from data_converters import CausalSmoother, Sampling, from_the_first_sample
 from data_converters.lag import response, without_lag
 
 STEP_S = 0.1
@@ -15,9 +15,9 @@ def weave(time_s):
     return np.stack([5.0 * time_s + 4e5, across - 3e6], -1)
 
 
-def recorded(smoother, recorded_s, noise_m=0.0):
+def recorded(smoother, recorded_s, noise_m=0.0, begin_s=0.0):
     """Times of the rows of a weave, and the rows."""
-    time_s = recorded_s * np.arange(round(20.0 / recorded_s) + 1)
+    time_s = begin_s + recorded_s * np.arange(round(20.0 / recorded_s) + 1)
     first = np.ceil(smoother.ready_s(time_s) / STEP_S - 1e-6)
     at_s = STEP_S * np.arange(first, 201)
     noise = noise_m * np.random.default_rng(0).normal(size=(len(time_s), 2))
@@ -29,30 +29,46 @@ def recorded(smoother, recorded_s, noise_m=0.0):
 def test_a_weave_comes_back(smoother, recorded_s):
     at_s, rows = recorded(smoother, recorded_s)
     settled = slice(round(smoother.window_s / STEP_S), -5)  # not at the ends
-    found = without_lag(smoother, rows, STEP_S, recorded_s)
+    sampling = from_the_first_sample(smoother, STEP_S, recorded_s)
+    found = without_lag(smoother, rows, STEP_S, sampling)
     assert np.abs(found - weave(at_s))[settled].max() < 0.012
     assert np.abs(rows - weave(at_s))[settled].max() > 0.1
 
 
+@pytest.mark.parametrize("begin_s", [0.02, 0.05, 0.08])
+@pytest.mark.parametrize("recorded_s", [0.08, 0.1, 0.2])
+def test_samples_beside_the_rows_are_told(recorded_s, begin_s):
+    smoother = CausalSmoother()
+    at_s, rows = recorded(smoother, recorded_s, begin_s=begin_s)
+    found = without_lag(smoother, rows, STEP_S, Sampling(at_s[0] - begin_s, recorded_s))
+    assert np.abs(found - weave(at_s))[13:-5].max() < 0.012
+
+
+def test_a_first_row_that_a_regular_recording_has_not_yet_stays_finite():
+    _, rows = recorded(CausalSmoother(), STEP_S)
+    found = without_lag(CausalSmoother(), rows, STEP_S, Sampling(0.59, STEP_S))
+    assert np.isfinite(found).all()
+
+
 def test_noise_is_no_more_than_that_of_the_samples():
     at_s, rows = recorded(CausalSmoother(), STEP_S, noise_m=0.02)
-    found = without_lag(CausalSmoother(), rows, STEP_S, STEP_S)
+    sampling = from_the_first_sample(CausalSmoother(), STEP_S, STEP_S)
+    found = without_lag(CausalSmoother(), rows, STEP_S, sampling)
     assert (found - weave(at_s))[12:].std() < 0.02
 
 
-def test_a_recorded_step_that_was_rounded_is_that_of_the_rows():
-    _, rows = recorded(CausalSmoother(), STEP_S)
-    exact = without_lag(CausalSmoother(), rows, STEP_S, STEP_S)
-    np.testing.assert_array_equal(without_lag(CausalSmoother(), rows, STEP_S, 0.0999), exact)
-    found = without_lag(CausalSmoother(), rows, STEP_S, 0.0501)
-    np.testing.assert_array_equal(found, without_lag(CausalSmoother(), rows, STEP_S, 0.05))
+@pytest.mark.parametrize(("rounded_s", "step_s"), [(0.0999, 0.1), (0.0501, 0.05), (0.08, 0.08)])
+def test_a_recorded_step_that_was_rounded_is_that_of_the_rows(rounded_s, step_s):
+    found = from_the_first_sample(CausalSmoother(), STEP_S, rounded_s)
+    assert found == pytest.approx((0.6, step_s))
 
 
 @pytest.mark.parametrize("rows", [1, 2, 5])
 def test_a_track_of_few_rows_stays_finite(rows):
     _, long = recorded(CausalSmoother(), STEP_S)
     for recorded_s in (0.02, 0.1, 0.5):
-        found = without_lag(CausalSmoother(), long[:rows], STEP_S, recorded_s)
+        sampling = from_the_first_sample(CausalSmoother(), STEP_S, recorded_s)
+        found = without_lag(CausalSmoother(), long[:rows], STEP_S, sampling)
         assert found.shape == (rows, 2)
         assert np.isfinite(found).all()
 

@@ -49,6 +49,12 @@ def test_rows_cover_every_step_of_the_track(make_track):
     assert (agent.first_step, len(agent.rows)) == (0, 80)
 
 
+def test_sampling_is_told_beside_the_rows_whatever_is_missing(make_track):
+    time_s = 0.13 + np.delete(0.04 * np.arange(100), [7, 50, 51])
+    agent = resample(make_track(time_s, lambda t: t), ResampleSettings(smoother=CausalSmoother()))
+    assert agent.sampling == pytest.approx((0.1 * agent.first_step - 0.13, 0.04))
+
+
 @pytest.mark.parametrize(("gap", "parts"), [(0.3, 1), (0.5, 1), (0.52, 2), (2.0, 2)])
 def test_only_gaps_longer_than_half_a_second_split_a_track(make_track, gap, parts):
     time_s = np.concatenate([0.04 * np.arange(100), 0.04 * np.arange(100) + 3.96 + gap])
