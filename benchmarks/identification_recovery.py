@@ -4,7 +4,7 @@
     python benchmarks/identification_recovery.py gm3 --controls free --seeds 5
     python benchmarks/identification_recovery.py gm3 --controls measured --manoeuvres poor --seeds 5
 
-    python benchmarks/identification_recovery.py kbm --controls measured --repeats 1 --smoother causal --seeds 12
+    python benchmarks/identification_recovery.py kbm --controls measured --repeats 1 --smoother causal --starts 0 --seeds 12
 
 Each seed draws a vehicle from the priors, drives it (where its model is of first order by steps of 5 ms), adds 2 cm of noise to each position, smooths positions as a conversion and
 matches controls as `identify` would, and identifies it with the priors as they stand. Rows go to benchmarks/results/identification.jsonl, one per quantity and seed; `--table` writes
@@ -136,7 +136,7 @@ def recover(options, seed):
     )
     settings = TrackingSettings(NOISE_M, NOISE_M, 20.0, 2.0, control_noise=noise)
     problem = IdentificationProblem.of(model, spec, DataSplit(fitted, heldout), settings)
-    identifier = Identifier(tracking=LevenbergMarquardt(30))
+    identifier = Identifier(tracking=LevenbergMarquardt(30), starts=options.starts)
     begin = time.perf_counter()
     found = identifier(problem.simulator, problem.data)
     seconds = time.perf_counter() - begin
@@ -198,6 +198,7 @@ def main():
     parser.add_argument("--repeats", type=int, default=2)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--starts", type=int, default=8, help="searches for other optima")
     parser.add_argument("--table", action="store_true")
     options = parser.parse_args()
     torch.set_default_dtype(torch.float64)

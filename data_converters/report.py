@@ -155,7 +155,7 @@ class ConversionReport:
 
     @property
     def residual_m(self) -> dict[str, dict[str, float]]:
-        """Per mode: root mean square residual of the smoother, and the noise that it tells of.
+        """Per mode: root mean square residual of the noise smoother, and the noise it tells of.
 
         Number of moving samples; residual along and across the motion in m; standard deviation of
         one recorded position in m, corrected for the share that the smoother takes up; usual step

@@ -62,10 +62,10 @@ def resample(track: RawTrack, settings: ResampleSettings) -> AgentRows:
     at_s = np.clip(np.arange(first, last + 1) * settings.dt_s, track.time_s[0], end)
     probes = _probes(track)
     values = np.column_stack([track.position, probes])
-    smooth = smoother(track.time_s, values, np.concatenate([at_s, track.time_s]))
-    steps = SmoothSeries(*(part[: len(at_s), :3] for part in smooth))
-    raw = SmoothSeries(*(part[len(at_s) :, :3] for part in smooth))
-    left = probes - smooth.value[len(at_s) :, 3:]
+    smooth = smoother.noise_smoother(track.time_s, values, track.time_s)
+    raw = SmoothSeries(*(part[:, :3] for part in smooth))
+    left = probes - smooth.value[:, 3:]
+    steps = smoother(track.time_s, track.position, at_s)
     return AgentRows(
         name=track.name,
         mode=track.mode,

@@ -73,6 +73,11 @@ class Smoother(ABC):
         """Time after the first sample, in s, before which nothing is put out."""
         return 0.0
 
+    @property
+    def noise_smoother(self) -> Smoother:
+        """The smoother whose residual is noise, which that of one that lags is not."""
+        return self
+
     def ready_s(self, time_s: Array) -> float:
         """Time in s from which a series with these sample times (n,) s is put out."""
         return float(time_s[0]) + self.warmup_s
@@ -165,6 +170,11 @@ class CausalSmoother(PolynomialSmoother):
     def warmup_s(self) -> float:
         """Half the window, in s."""
         return self.window_s / 2.0
+
+    @property
+    def noise_smoother(self) -> Smoother:
+        """The zero-phase one: in a turn the lag of this one is several times the noise."""
+        return ZeroPhaseSmoother()
 
     def ready_s(self, time_s: Array) -> float:
         """After the warm-up, and not before enough samples for the polynomial; shape (n,)."""

@@ -168,6 +168,20 @@ def test_the_noise_is_told_at_any_rate(make_track, rate_hz, share, smoother):
     assert found.seconds == pytest.approx(found.count / rate_hz)
 
 
+@pytest.mark.parametrize("smoother", [CausalSmoother(), ZeroPhaseSmoother()], ids=str)
+def test_fast_turns_are_not_taken_for_noise(make_track, smoother):
+    """The residual of the causal smoother itself told 9 cm."""
+    rng, time_s = np.random.default_rng(1), 0.1 * np.arange(600)
+    noise = rng.normal(0.0, 0.02, (2, len(time_s)))
+    track = make_track(
+        time_s,
+        lambda t: 5.0 * t + noise[0],
+        lambda t: 0.2 * np.sin(2.0 * np.pi * t / 1.5) + noise[1],
+    )
+    found = resample(track, ResampleSettings(smoother=smoother)).residual
+    assert (found.across / found.white) ** 0.5 == pytest.approx(0.02, rel=0.3)
+
+
 def test_hardly_any_residual_is_left_where_samples_are_sparse(make_track):
     rng = np.random.default_rng(0)
     track = make_track(0.5 * np.arange(200), lambda t: 4.0 * t + rng.normal(0, 0.06, len(t)))

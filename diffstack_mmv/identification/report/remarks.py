@@ -59,8 +59,8 @@ def smoothed_beside_controls(smoother: str) -> list[str]:
     )
     if smoother.startswith(LAGGING):
         told = (
-            "and the lag of the smoother was undone, as if samples had come at equal steps from "
-            "the first one of each track on. Where they did not and the vehicle turns fast"
+            "and the lag of the smoother was undone, as if samples of a track had come at equal "
+            "steps. Where they did not and the vehicle turns fast"
         )
     return [
         f"The positions are smoothed ({smoother}), {told}, estimates are off by more than the "
