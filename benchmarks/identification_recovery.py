@@ -15,6 +15,7 @@ import argparse
 import json
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -34,8 +35,8 @@ from diffstack_mmv.dynamics.manoeuvres import Slalom, Turn
 from diffstack_mmv.identification import (
     DataSplit,
     IdentifiabilityThresholds,
-    IdentificationProblem,
     Identifier,
+    ModelComparison,
     LevenbergMarquardt,
     ParameterVector,
     TrackingSettings,
@@ -116,8 +117,8 @@ def recover(options, seed):
     """Rows of one seed."""
     generator = torch.Generator().manual_seed(seed)
     spec = with_uncertain_positions(vehicle(options.vehicle, options.tied))
-    model = model_of(spec, options.dynamics, STEP_S)
-    finer = FINE_STEPS if model.acts_a_step_late else 1
+    build = partial(model_of, spec, options.dynamics, STEP_S)
+    finer = FINE_STEPS if build().acts_a_step_late and not options.own_steps else 1
     truth_model = model_of(spec, options.dynamics, STEP_S / finer).double()
     free_positions(truth_model, spec)
     learned = ParameterVector(truth_model, spec)
@@ -135,10 +136,10 @@ def recover(options, seed):
         for each in (manoeuvres, manoeuvres[::7])
     )
     settings = TrackingSettings(NOISE_M, NOISE_M, 20.0, 2.0, control_noise=noise)
-    problem = IdentificationProblem.of(model, spec, DataSplit(fitted, heldout), settings)
     identifier = Identifier(tracking=LevenbergMarquardt(30), starts=options.starts)
+    compare = ModelComparison(spec, DataSplit(fitted, heldout), settings, identifier)
     begin = time.perf_counter()
-    found = identifier(problem.simulator, problem.data)
+    problem, found, _ = compare(build)
     seconds = time.perf_counter() - begin
     values = problem.simulator.parameters.values(found.after.theta)
     names, std = problem.simulator.parameters.names, found.sensitivity.std
@@ -147,7 +148,10 @@ def recover(options, seed):
         for i, name in enumerate(names)
     ]
     both = combinations(
-        model, problem.simulator.parameters, found.optima, IdentifiabilityThresholds()
+        problem.simulator.vehicle.model,
+        problem.simulator.parameters,
+        found.optima,
+        IdentifiabilityThresholds(),
     )
     exact = quantities(truth_model)
     rows += [(c.name, exact[i], c.estimate, c.std, c.verdict) for i, c in enumerate(both)]
@@ -161,12 +165,21 @@ def recover(options, seed):
     ]
 
 
-SETTING = ("vehicle", "dynamics", "controls", "smoother", "manoeuvres", "tied", "repeats")
+SETTING = (
+    "vehicle",
+    "dynamics",
+    "controls",
+    "smoother",
+    "manoeuvres",
+    "tied",
+    "repeats",
+    "own_steps",
+)
 
 
 def table():
     """One row per setting and quantity."""
-    frame = pd.read_json(ROWS, lines=True).fillna({"smoother": "none"})
+    frame = pd.read_json(ROWS, lines=True).fillna({"smoother": "none", "own_steps": False})
     frame["signed"] = frame["estimate"] / frame["truth"] - 1
     frame["error"] = frame["signed"].abs()
     frame["covered"] = (frame["estimate"] - frame["truth"]).abs() <= 2 * frame["std"]
@@ -195,6 +208,9 @@ def main():
     parser.add_argument("--smoother", choices=tuple(SMOOTHERS), default="none")
     parser.add_argument("--manoeuvres", choices=tuple(MANOEUVRES), default="rich")
     parser.add_argument("--tied", action="store_true")
+    parser.add_argument(
+        "--own-steps", action="store_true", help="the vehicle moves by those of its model"
+    )
     parser.add_argument("--repeats", type=int, default=2)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=0)

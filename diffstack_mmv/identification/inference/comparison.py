@@ -12,6 +12,7 @@ from diffstack_mmv.identification.inference.validation import (
     concatenate_errors,
     validation_errors,
 )
+from diffstack_mmv.identification.shooting.fit import total_cost
 from diffstack_mmv.identification.shooting.settings import TrackingSettings
 from diffstack_mmv.identification.tracks.splitting import DataSplit
 from diffstack_mmv.vehicles import VehicleSpec
@@ -34,7 +35,8 @@ class ModelComparison:
     Args:
         spec: The vehicle.
         split: Segments to fit and to hold out.
-        settings: Noise and regularisation, the same for every model.
+        settings: Noise and regularisation, the same for every model; whether recorded controls are
+            a model's own steps is found for each.
         identifier: What identifies.
         prediction_steps: How many samples at the end of a segment are predicted.
         folds: Splits to validate on in turn; on `split` alone if there are none.
@@ -58,22 +60,43 @@ class ModelComparison:
             ValueError: A held-out segment is too short, a name is unknown, or a physical model has
                 nothing to learn.
         """
-        identified = self._identified(build, parameters, self.split, self.identifier)
-        # other optima are searched for once: they widen deviations, and hardly change errors
-        once = replace(self.identifier, starts=0)
-        folds = [self._identified(build, parameters, fold, once) for fold in self.folds]
+        settings = self._settings(build, parameters)
+        identified = self._identified(build, parameters, self.split, settings, self.identifier)
+        folds = [
+            self._identified(build, parameters, fold, settings, self._once) for fold in self.folds
+        ]
         errors = [
             validation_errors(*part, self.identifier, self.prediction_steps)
             for part in folds or [identified]
         ]
         return ModelResult(*identified, concatenate_errors(errors))
 
+    @property
+    def _once(self) -> Identifier:
+        """Without other optima, which widen deviations, and hardly change errors."""
+        return replace(self.identifier, starts=0)
+
+    def _settings(self, build: ModelBuilder, parameters: Sequence[str] | None) -> TrackingSettings:
+        """The settings, with recorded controls taken for the model's own where that fits better."""
+        if self.settings.control_noise is None or not build().acts_a_step_late:
+            return self.settings
+        either = [replace(self.settings, own_steps=own) for own in (False, True)]
+        costs = [self._cost(build, parameters, each) for each in either]
+        return either[costs.index(min(costs))]
+
+    def _cost(
+        self, build: ModelBuilder, parameters: Sequence[str] | None, settings: TrackingSettings
+    ) -> float:
+        problem, found = self._identified(build, parameters, self.split, settings, self._once)
+        return total_cost(problem.simulator, found.after)
+
     def _identified(
         self,
         build: ModelBuilder,
         parameters: Sequence[str] | None,
         split: DataSplit,
+        settings: TrackingSettings,
         identifier: Identifier,
     ) -> tuple[IdentificationProblem, Identification]:
-        problem = IdentificationProblem.of(build(), self.spec, split, self.settings, parameters)
+        problem = IdentificationProblem.of(build(), self.spec, split, settings, parameters)
         return problem, identifier(problem.simulator, problem.data)

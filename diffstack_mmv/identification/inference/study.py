@@ -166,7 +166,7 @@ class IdentificationStudy:
         problem, found, _ = results[name]
         method = self.identifier.method
         profiles = profile_likelihoods(problem.simulator, problem.data, found, method, self.profile)
-        return StudyResult(results, split, settings, profiles)
+        return StudyResult(results, split, problem.simulator.vehicle.settings, profiles)
 
     def require_models(self, models: Mapping[str, ModelBuilder]) -> None:
         """Refuse models that cannot be identified, before the work begins.

@@ -45,6 +45,7 @@ def all_remarks(
         *other_optima(simulator, found),
         *dependence_on_assumptions(simulator, influence),
         *misfit(found),
+        *simulated_controls(simulator),
         *estimates_at_the_edge(simulator, found),
     ]
 
@@ -169,6 +170,17 @@ def misfit(found: Identification) -> list[str]:
     return [
         f"The residuals are {found.noise_factor:.2f} times the assumed noise: the model does "
         "not explain the tracks, or the fit ended in a poor optimum. Do not trust it."
+    ]
+
+
+def simulated_controls(simulator: TrackSimulator) -> list[str]:
+    """Controls that fit as those of the model, not as those of a vehicle."""
+    if not simulator.vehicle.settings.own_steps:
+        return []
+    name = type(simulator.vehicle.model).__name__
+    return [
+        f"The recorded controls fit best as those of {name}'s own steps, as in a simulation with "
+        "it. A vehicle moves half a step earlier: if one was recorded, its clocks differ by that."
     ]
 
 

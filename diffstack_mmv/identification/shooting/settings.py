@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from diffstack_mmv.checks import require_positive
+from diffstack_mmv.checks import require_positive, require_switch
 
 
 @dataclass(frozen=True)
@@ -21,9 +21,12 @@ class TrackingSettings:
         start_course_rad: The same for the initial course.
         start_speed_mps: The same for the initial speed.
         segment_steps: Largest number of steps of a shooting interval; None for single shooting.
+        own_steps: Whether measured controls are those of the model's own steps, as in a simulation
+            with it; else they moved a vehicle in continuous time. Only a model that acts a step
+            late tells the two apart.
 
     Raises:
-        ValueError: A number is not positive.
+        ValueError: A number is not positive, or `own_steps` neither true nor false.
     """
 
     along_m: float = 0.08
@@ -36,10 +39,12 @@ class TrackingSettings:
     start_course_rad: float = 0.5
     start_speed_mps: float = 1.0
     segment_steps: int | None = 5
+    own_steps: bool = False
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            numbers = value if isinstance(value, tuple) else (value,)
-            for number in numbers:
+        numbers = dict(vars(self))
+        require_switch("own_steps", numbers.pop("own_steps"))
+        for name, value in numbers.items():
+            for number in value if isinstance(value, tuple) else (value,):
                 if number is not None:
                     require_positive(name, number)

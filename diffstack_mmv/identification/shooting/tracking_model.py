@@ -175,7 +175,8 @@ class TrackingModel(nn.Module):
         # the last row has no control of its own
         acting = pad(weight[:, 1:], (0, 1)).unsqueeze(-1)
         precision = acting / weight.new_tensor(noise)
-        controls = _half_a_step_on(controls) if self.model.acts_a_step_late else controls
+        if self.model.acts_a_step_late and not self.settings.own_steps:
+            controls = _half_a_step_on(controls)
         return Measurements(segments.position, segments.course, weight, controls, precision)
 
     def _commands(self, segments: SegmentBatch) -> Float[Tensor, "N T1 2"]:
