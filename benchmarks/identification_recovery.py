@@ -181,6 +181,7 @@ SETTING = (
 def table():
     """One row per setting and quantity."""
     frame = pd.read_json(ROWS, lines=True).fillna({"smoother": "none", "own_steps": False})
+    frame = frame.astype({"own_steps": bool})
     frame["signed"] = frame["estimate"] / frame["truth"] - 1
     frame["error"] = frame["signed"].abs()
     frame["covered"] = (frame["estimate"] - frame["truth"]).abs() <= 2 * frame["std"]
