@@ -78,8 +78,8 @@ class LiveTracks:
 
         Args:
             table: One row per agent and time, in any order: `time` in s on one clock, `agent`,
-                `mode` (such as bicycle), `x` and `y` in m; `length` and `width` in m where they are
-                measured. A few seconds more than `history_s` are enough.
+                `mode` (such as bicycle), `x` and `y` in m; `length` and `width` in m, NaN where
+                they were not measured. A few seconds more than `history_s` are enough.
             ego: Name of the agent that decides.
             history_s: Length of the past, a multiple of the step.
             now_s: The present; by default the time of the last sample of the ego. Later samples are
@@ -197,7 +197,9 @@ def _require_columns(table: pd.DataFrame) -> None:
             continue
         number = pd.api.types.is_numeric_dtype(table[name])
         require(number, name, "hold numbers", table[name].dtype, "the table")
-        lost = int((~np.isfinite(table[name].to_numpy(float))).sum())
+        values = table[name].to_numpy(float)
+        unusable = np.isinf(values) if name in SIZE else ~np.isfinite(values)
+        lost = int(unusable.sum())
         require(lost == 0, name, "be finite in all rows", f"{lost} that are not", "", remedy)
 
 
@@ -235,9 +237,12 @@ def _mode(samples: Samples, name: str) -> Mode:
 
 
 def _extent(samples: Samples, mode: Mode) -> Array:
-    if samples.size is not None:
-        size = samples.size[-1]
-        require(bool((size > 0.0).all()), "length, width", "be positive", size.tolist())
-        return size
+    """The size that was measured last, as converters the usual one of the mode where none was."""
     length_m, width_m, _ = usual_size(mode)
-    return np.array([length_m, width_m])
+    usual = np.array([length_m, width_m])
+    if samples.size is None:
+        return usual
+    measured = pd.DataFrame(samples.size).ffill().to_numpy()[-1]
+    size = np.where(np.isnan(measured), usual, measured)
+    require(bool((size > 0.0).all()), "length, width", "be positive", size.tolist())
+    return size

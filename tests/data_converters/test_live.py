@@ -94,7 +94,13 @@ def test_whoever_has_not_moved_yet_has_no_course():
 
 
 @pytest.mark.parametrize(
-    ("given", "size"), [({}, (1.8, 0.6)), ({"length": 2.5, "width": 0.9}, (2.5, 0.9))]
+    ("given", "size"),
+    [
+        ({}, (1.8, 0.6)),
+        ({"length": 2.5, "width": 0.9}, (2.5, 0.9)),
+        ({"length": np.nan, "width": np.nan}, (1.8, 0.6)),
+        ({"length": [2.5, *[np.nan] * 75], "width": np.nan}, (2.5, 0.6)),
+    ],
 )
 def test_a_size_that_was_not_measured_is_that_of_the_mode(given, size):
     assert tuple(LiveTracks()(samples(**given), "me").extent[0]) == size
@@ -115,6 +121,7 @@ def test_a_size_that_was_not_measured_is_that_of_the_mode(given, size):
             lambda rows: rows.assign(mode=["bicycle", *["car"] * 75]),
             "`mode` must be the same in all rows, but got 'bicycle and car'",
         ),
+        (lambda rows: rows.assign(length=np.inf, width=1.0), "`length` must be finite in all rows"),
         (lambda rows: rows.assign(length=0.0, width=1.0), "`length, width` must be positive"),
         (
             lambda rows: rows.assign(agent=["me", None, *["me"] * 74]),
