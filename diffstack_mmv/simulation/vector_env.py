@@ -147,7 +147,7 @@ class CrowdNavVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         told: dict[str, Any] = {
             "outcome": outcome.numpy(),
             "clearance_m": judgement.clearance.numpy(),
-            "time_s": after.time.numpy(),
+            "time_s": after.time.numpy().copy(),  # else a view of the clock of the episodes
         }
         ended = terminated | truncated
         if bool(ended.any()):

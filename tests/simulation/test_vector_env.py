@@ -56,6 +56,14 @@ def test_who_has_ended_starts_anew_and_the_others_go_on(crowds):
     assert not np.array_equal(told["final_obs"]["humans"], seen["humans"])
 
 
+def test_what_is_told_can_be_written_to(crowds):
+    many = crowds()
+    many.reset(seed=3)
+    *_, told = many.step(np.zeros((3, 2)))
+    told["time_s"][:] = 9.0
+    assert (many.state.time == 0.25).all()
+
+
 def test_a_row_that_starts_anew_leaves_its_mates_alone(crowds):
     many, alone = crowds(), crowds()
     for env in (many, alone):
