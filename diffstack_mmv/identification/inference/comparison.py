@@ -19,6 +19,9 @@ from diffstack_mmv.vehicles import VehicleSpec
 
 ModelBuilder = Callable[[], DynamicsModel]
 
+EVIDENCE_NATS = 10.0
+"""By how much tracks have to speak for a simulation: what is recorded is a vehicle, as a rule."""
+
 
 class ModelResult(NamedTuple):
     """A model with its tracks, its identification, and its errors on held-out segments."""
@@ -80,9 +83,9 @@ class ModelComparison:
         """The settings, with recorded controls taken for the model's own where that fits better."""
         if self.settings.control_noise is None or not build().acts_a_step_late:
             return self.settings
-        either = [replace(self.settings, own_steps=own) for own in (False, True)]
-        costs = [self._cost(build, parameters, each) for each in either]
-        return either[costs.index(min(costs))]
+        own = replace(self.settings, own_steps=True)
+        gain = self._cost(build, parameters, self.settings) - self._cost(build, parameters, own)
+        return own if gain > EVIDENCE_NATS else self.settings
 
     def _cost(
         self, build: ModelBuilder, parameters: Sequence[str] | None, settings: TrackingSettings

@@ -62,3 +62,13 @@ def test_the_tracks_tell_whose_steps_the_recorded_controls_were(bicycle, finer):
     assert bool(simulated_controls(problem.simulator)) == (finer == 1)
     told = float(problem.simulator.parameters.values(found.after.theta))
     assert told == pytest.approx(float(actual.wheelbase().detach()), rel=0.005)
+
+
+def test_tracks_that_do_not_tell_are_those_of_a_vehicle(bicycle):
+    straight = segment_along_circle("a")
+    straight = straight._replace(controls=torch.zeros(31, 2))
+    settings = TrackingSettings(control_noise=CONTROL_NOISE)
+    split = DataSplit([straight], [straight])
+    compare = ModelComparison(bicycle, split, settings, Identifier(starts=0))
+    found = compare(lambda: model_of(bicycle, "kbm", 0.1))
+    assert not found.problem.simulator.vehicle.settings.own_steps
