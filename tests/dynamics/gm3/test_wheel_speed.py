@@ -51,15 +51,18 @@ def test_tyres_hold_the_same_turn_whatever_the_controls_are(asked):
     torch.testing.assert_close(*held)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.998, 1.002], ids=["locked", "slower", "faster"])
 @pytest.mark.parametrize("name", ["bicycle", "scooter", "motorcycle", "cart"])
-def test_a_locked_wheel_brakes_with_the_load_that_its_braking_leaves_on_it(name):
+def test_wheels_have_the_load_that_their_driving_or_braking_leaves_on_them(name, share):
     """Brakes of other wheels take no load off it: they do nothing here."""
-    model = driven(name, 0.02)
+    model = driven(name, 0.002)  # short: the first moment, before the speeds are equal
     state, control = riding(model, 3.0), torch.zeros(1, len(model.Control._fields)).double()
-    braking = (model.step(state, control) - state)[0, 2] / 0.02
+    radii = [wheel.radius_m for wheel in model.spec.wheels if wheel.driven]
+    control[0, :-1] = 3.0 * share / torch.tensor(radii)
+    pushing = (model.step(state, control) - state)[0, 2] / 0.002
     places = torch.tensor(model.spec.per_wheel("x_m")).double()
     moment = (model.wheel_forces(state, control).normal_load * places).sum()
-    pitching = -model.spec.mass_kg * model.spec.height_m * braking
+    pitching = -model.spec.mass_kg * model.spec.height_m * pushing
     assert torch.allclose(moment, pitching, rtol=0.05)  # the air brakes too
 
 
