@@ -134,6 +134,14 @@ def test_a_plan_goes_to_a_given_goal(online):
     assert decided.controls.shape == (30, 2)
 
 
+def test_a_stack_may_work_in_double_precision(online):
+    exact = OnlineStack("pretrained")
+    exact.stack.double()
+    found, expected = exact(observed()), online(observed())
+    torch.testing.assert_close(found.plan.position, expected.plan.position, atol=2e-3, rtol=0)
+    torch.testing.assert_close(found.forecast.mean, expected.forecast.mean, atol=1e-3, rtol=0)
+
+
 def test_only_the_nearest_count():
     one = OnlineStack("pretrained", neighbors=1)(observed())
     none = OnlineStack("pretrained", radius_m=1.0)(observed())

@@ -196,11 +196,12 @@ class OnlineStack:
         modes = torch.tensor(
             [int(Mode.named(observed.modes[index], "observed.modes")) for index in chosen]
         )
-        extent = torch.from_numpy(observed.extent[chosen]).float()
+        dtype = self.stack.planner.dynamics.bounds.lower.dtype
+        extent = torch.from_numpy(observed.extent[chosen]).to(dtype)
         absent = max(self._least_agents - len(chosen), 0)
         states = pad(states, (0, 0, 0, 0, 0, absent), value=torch.nan)
         extent, modes = pad(extent, (0, 0, 0, absent)), pad(modes, (0, absent))
-        past = tracks_of(states.float(), extent, modes, states.shape[-2], self.dt_s)
+        past = tracks_of(states.to(dtype), extent, modes, states.shape[-2], self.dt_s)
         future = _without_rows(past, self.stack.predictor.horizon_steps)
         ego_past, ego_future, others_past, others_future = (
             map_tensors(lambda entry, part=part: entry[part].unsqueeze(0), tracks)
@@ -208,7 +209,7 @@ class OnlineStack:
             for tracks in (past, future)
         )
         pose = Pose(origin[None], course[None], torch.ones(1, dtype=torch.bool))
-        goal = torch.zeros(1, 2)
+        goal = torch.zeros(1, 2, dtype=dtype)
         made = StackBatch(ego_past, ego_future, others_past, others_future, goal, self.dt_s, pose)
         return map_tensors(lambda entry: entry.to(self.stack.device), made)
 

@@ -127,9 +127,10 @@ class MPCPlanner(Planner):
         as well.
 
         Raises:
-            ValueError: Agents are foretold over another number of steps.
+            ValueError: Agents are foretold over another number of steps, or the problem is in
+                single precision and the model in double.
         """
-        self._require_horizon(problem.obstacles)
+        self._require_fitting(problem)
         waited = torch.zeros_like(problem.reference_speed) if state is None else state.waited
         problem = problem._replace(obstacles=problem.obstacles.of_valid())
 
@@ -190,9 +191,15 @@ class MPCPlanner(Planner):
         parts = self.cost.components(plan.motion, controls, problem, weights)
         return {name: value.sum(-1) for name, value in parts.items()}
 
-    def _require_horizon(self, obstacles: Obstacles) -> None:
-        """Refuse another horizon, of which a library would take one time for another."""
-        *_, agents, _, rows, _ = obstacles.position.shape
+    def _require_fitting(self, problem: PlanningProblem) -> None:
+        """Refuse another horizon, of which a library would take one time for another.
+
+        And a problem that is less precise than the model.
+        """
+        given, own = problem.goal.dtype, self.dynamics.bounds.lower.dtype
+        precise, remedy = torch.promote_types(given, own) == given, "Convert the one or the other."
+        require(precise, "problem", f"be {own} as the dynamics", given, "", remedy)
+        *_, agents, _, rows, _ = problem.obstacles.position.shape
         wanted = f"have {self.steps + 1} rows, for now and the end of each step"
         remedy = "Forecast as many steps as are planned."
         fits = rows == self.steps + 1 or agents == 0

@@ -167,6 +167,11 @@ def test_agents_over_another_horizon_are_refused(planner, rows):
         planner(problems._replace(obstacles=others))
 
 
+def test_a_problem_that_is_less_precise_than_the_model_is_refused():
+    with pytest.raises(ValueError, match="`problem` must be torch.float64 as the dynamics, but"):
+        training().double()(problem())
+
+
 def test_the_optimum_of_no_start_is_refused():
     with pytest.raises(ValueError, match="`starts` must be at least 1"):
         training(starts=0)(problem())

@@ -238,6 +238,9 @@ class Trajectron(Predictor):
 
     def _decoded(self, rows: AgentBatch, agents: int) -> Iterator[Decoded]:
         """Encode all rows at once, and decode them by their roles."""
+        given, own = rows.origin.dtype, next(self.parameters()).dtype
+        remedy = "Convert the tracks, or the predictor by .float() or .double()."
+        require(given == own, "past.motion", f"be {own} as the predictor", given, "", remedy)
         context = self.scene_encoder(rows, agents, not self.forecast_neighbors)
         for role, branch in enumerate(self._branches()):
             if role != EGO and not self.forecast_neighbors:

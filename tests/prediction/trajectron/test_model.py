@@ -191,3 +191,14 @@ def test_it_can_learn_one_batch_by_heart(kinematic):
         ego_forecast(model.eval().predict(batch)).most_likely() - batch.ego_future.motion.position
     )
     assert error.norm(dim=-1).mean() < 0.4 * swerve.norm(dim=-1).mean()
+
+
+@pytest.mark.parametrize("ask", [Trajectron.predict, Trajectron.loss], ids=["predict", "loss"])
+@pytest.mark.parametrize(
+    ("own", "given"), [(torch.float64, torch.float32), (torch.float32, torch.float64)]
+)
+def test_tracks_of_another_precision_are_refused(ask, own, given):
+    model = trajectron().to(own)
+    with pytest.raises(ValueError, match=f"`past.motion` must be {own} as the predictor, but got"):
+        ask(model, scene(dtype=given))
+    assert ask(model, scene(dtype=own))[0].dtype == own
