@@ -9,9 +9,12 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require, require_at_least, require_positive
-from diffstack_mmv.geometry import wrap_angle
+from diffstack_mmv.geometry import direction, wrap_angle
 from diffstack_mmv.identification.tracks.segments import TrackSegment
 from diffstack_mmv.types import Motion
+
+MOST_APART = 1.5
+"""Factor between the way of tracks and what their velocities make of it: a wrong unit or step."""
 
 
 class Recordings(NamedTuple):
@@ -60,8 +63,9 @@ def cut_tracks(recordings: Recordings, settings: SegmentSettings) -> list[TrackS
         settings: What a segment must be.
 
     Raises:
-        ValueError: No track holds a segment of the shortest length, the noise is no pair, or what
-            was measured beside a track is of another length, or of no track.
+        ValueError: No track holds a segment of the shortest length, the noise is no pair, what was
+            measured beside a track is of another length, or of no track, or positions do not move
+            as the velocities say, as those of another step.
     """
     _require_rows(recordings)
     longest = round(settings.max_s / settings.dt_s) + 1
@@ -75,6 +79,7 @@ def cut_tracks(recordings: Recordings, settings: SegmentSettings) -> list[TrackS
                 if rows.stop - start >= shortest:
                     segments.append(_segment(name, motion, beside, rows, settings.dt_s))
     _require_some(segments, recordings, settings)
+    _require_one_motion(segments, settings.dt_s)
     return segments
 
 
@@ -120,6 +125,23 @@ def _require_some(
         f"{len(motions)} tracks, the longest of {longest_s:g} s, without one",
         remedy="Lower `stretch.min_s` or `stretch.speed_min_mps`.",
     )
+
+
+def _require_one_motion(segments: Sequence[TrackSegment], dt_s: float) -> None:
+    """Refuse tracks of another step, and headings and velocities of another unit or frame.
+
+    The way along the course does not grow with the noise of positions.
+    """
+    way_m, told_m = 0.0, 0.0
+    for each in segments:
+        course, speed = direction(each.course[:-1]), each.speed[:-1]
+        way_m += float((each.position.diff(dim=0) * course).sum())
+        told_m += dt_s * float(speed.sum())
+    share = way_m / told_m
+    wanted = f"move as their velocities say in steps of {dt_s:g} s"
+    remedy = "Give their step as `dt_s`, velocities in the frame of the body in m/s, and radians."
+    fits = 1 / MOST_APART < share < MOST_APART
+    require(fits, "motions", wanted, f"{share:.2g} times as far along them", "", remedy)
 
 
 def _runs(moving: Bool[Tensor, " T"]) -> list[tuple[int, int]]:

@@ -63,6 +63,34 @@ def test_tracks_that_cannot_be_cut_are_refused(tracks, beside, told):
         cut(tracks, **beside)
 
 
+def with_step(motion, dt_s):
+    """The motion, as somebody would hand it over who sampled it every dt_s seconds."""
+    return motion._replace(position=motion.position * dt_s / 0.1)
+
+
+@pytest.mark.parametrize(
+    ("motion", "told"),
+    [
+        (
+            with_step(circling(6.0), 0.2),
+            "move as their velocities say .* of 0.1 s, but got 2 times",
+        ),
+        (with_step(circling(6.0), 0.05), "but got 0.5 times as far along them. Give their step"),
+        (circling(6.0)._replace(heading=torch.full((61,), 90.0)), "in m/s, and radians"),
+    ],
+    ids=["every 0.2 s", "every 0.05 s", "degrees"],
+)
+def test_tracks_that_do_not_move_as_they_say_are_refused(motion, told):
+    with pytest.raises(ValueError, match=told):
+        cut({"a": motion})
+
+
+def test_noise_of_positions_is_no_other_step():
+    motion = circling(20.0, speed=1.1)
+    noise = 0.2 * torch.randn(201, 2, generator=torch.Generator().manual_seed(0))
+    assert cut({"a": motion._replace(position=motion.position + noise)})
+
+
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("noise", [0.1, (0.1,), (0.1, 0.1, 0.1)])
 def test_a_noise_that_is_no_pair_is_refused(noise):
