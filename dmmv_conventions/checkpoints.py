@@ -1,34 +1,13 @@
 """Reading of a checkpoint without running code that stands in it."""
 
-import pickle
 import re
-import struct
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from dmmv_conventions.archives import BROKEN, require_sums
 from dmmv_conventions.checks import message, require
-
-# what a damaged archive makes the reader raise, whichever part of it is hit
-_BROKEN = (
-    ArithmeticError,
-    AssertionError,
-    AttributeError,
-    EOFError,
-    LookupError,
-    MemoryError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-    pickle.UnpicklingError,
-    struct.error,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 
 _FOREIGN = re.compile(r"\bGLOBAL ([\w.]+)")
 """How torch names what a pickle would call."""
@@ -46,9 +25,9 @@ def read_plain(path: Path, remedy: str) -> Any:
     """
     require(path.is_file(), "checkpoint", "be an existing file", repr(str(path)), "", remedy)
     try:
-        _require_sums(path)
+        require_sums(path)
         return torch.load(path, map_location="cpu", weights_only=True)
-    except _BROKEN as broken:
+    except BROKEN as broken:
         needed, told = _told(str(broken) or type(broken).__name__)
         raise ValueError(message("checkpoint", needed, told, f"in {path}", remedy)) from broken
 
@@ -60,17 +39,3 @@ def _told(broken: str) -> tuple[str, str]:
         return "be readable without running code", f"{foreign[1]} in it"
     first = broken.splitlines()[0]
     return "be readable", "no checkpoint" if first.startswith("Weights only") else first
-
-
-def _require_sums(path: Path) -> None:
-    """Compare the checksums in an archive, which torch does not: a changed bit is another weight.
-
-    Raises:
-        BadZipFile: A part is not what was written.
-    """
-    if not zipfile.is_zipfile(path):
-        return
-    with zipfile.ZipFile(path) as archive:
-        changed = archive.testzip()
-    if changed is not None:
-        raise zipfile.BadZipFile(f"a wrong checksum of {changed}")

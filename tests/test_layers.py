@@ -51,8 +51,9 @@ CONVENTIONS = {
     "control": {"dmmv_conventions.libraries"},
     "planning": {"dmmv_conventions.libraries"},
     "prediction": {"dmmv_conventions.libraries"},
-    "simulation": {"dmmv_conventions.libraries"},
-    "reporting": {"dmmv_conventions.yaml_files"},
+    "identification": {"dmmv_conventions.archives"},
+    "simulation": {"dmmv_conventions.archives", "dmmv_conventions.libraries"},
+    "reporting": {"dmmv_conventions.archives", "dmmv_conventions.yaml_files"},
     "dynamics": {"dmmv_conventions.config_files", "dmmv_conventions.configs"},
     "crowdnav": {
         "dmmv_conventions.config_files",

@@ -4,7 +4,6 @@ import logging
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -13,6 +12,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import message
 from diffstack_mmv.types import EpisodeRecord, Motion
+from dmmv_conventions.archives import opened_arrays
 from dmmv_conventions.disk import replacing
 
 LOGGER = logging.getLogger(__name__)
@@ -83,7 +83,7 @@ def read_thoughts(folder: Path, case: int) -> dict[str, Float[np.ndarray, "S ...
 
 def thoughts_in(file: Path, case: int) -> dict[str, Float[np.ndarray, "S ..."]]:
     """`read_thoughts` from one chunk; empty if it does not hold the case."""
-    with np.load(file) as stored:
+    with opened_arrays(file) as stored:
         cases = stored["cases"].tolist()
         names = [name for name in stored.files if name.startswith("thoughts.") and case in cases]
         return {name.removeprefix("thoughts."): stored[name][cases.index(case)] for name in names}
@@ -117,10 +117,10 @@ def read_episode(folder: Path, case: int) -> StoredEpisode:
 def cases_of(file: Path, origin: Origin) -> list[int]:
     """Cases in a readable chunk of this origin, none in anything else."""
     try:
-        with np.load(file) as stored:
+        with opened_arrays(file) as stored:
             made = {name: str(stored[f"origin.{name}"]) for name in Origin._fields}
             return stored["cases"].tolist() if made == origin._asdict() else []
-    except (OSError, ValueError, KeyError, BadZipFile):
+    except ValueError:
         return []
 
 
@@ -133,11 +133,11 @@ def read_chunk_of(file: Path, origin: Origin | None) -> Chunk | None:
     if not file.is_file():
         return None
     try:
-        with np.load(file) as stored:
+        with opened_arrays(file) as stored:
             kept = (name for name in stored.files if not name.startswith("thoughts."))
             arrays = {name: stored[name] for name in kept}
         record = _record(arrays)
-    except (OSError, ValueError, KeyError, BadZipFile) as broken:
+    except (ValueError, KeyError) as broken:
         LOGGER.warning("`%s` is not readable (%s) and is made anew.", file, broken)
         return None
     if origin is not None:

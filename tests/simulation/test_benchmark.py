@@ -203,6 +203,16 @@ def test_a_broken_file_is_made_anew(straight, scenario_of, tmp_path):
     assert read_chunk(file).cases == [0, 1, 2]
 
 
+def test_episodes_whose_thoughts_are_damaged_are_driven_anew(straight, scenario_of, tmp_path):
+    chunks(straight, scenario_of("circle"), tmp_path)
+    file, thought = sorted(tmp_path.iterdir())[0], np.full(100, 7.0)
+    with np.load(file) as stored:
+        np.savez(file, **dict(stored), **{"thoughts.plan": thought})
+    file.write_bytes(file.read_bytes().replace(thought.tobytes(), (thought + 1).tobytes()))
+    chunks(straight, scenario_of("circle"), tmp_path)
+    assert straight.controller.made == 3
+
+
 def test_the_summary_has_the_keys_of_the_contract(straight, scenario_of, tmp_path):
     told = summarise(chunks(straight, scenario_of("circle"), tmp_path))
     assert set(told) >= KEYS

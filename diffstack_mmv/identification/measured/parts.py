@@ -1,6 +1,7 @@
 """Finished parts of a study on disk, so that a study that was interrupted goes on where it was."""
 
 import hashlib
+import logging
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import astuple, dataclass, fields, replace
@@ -11,7 +12,10 @@ import torch
 from torch import Tensor
 
 from diffstack_mmv.identification.measured.instruments import Gaussian, InstrumentPriors
+from dmmv_conventions.archives import opened_arrays
 from dmmv_conventions.disk import replacing
+
+logger = logging.getLogger(__name__)
 
 Part = dict[str, Tensor]
 
@@ -23,7 +27,8 @@ class FinishedParts:
     """Computes parts, or reads them where they are finished.
 
     A part is found again under its name and the key of what it was made of. A file is written
-    beside its place and then moved there, so that it is whole or missing.
+    beside its place and then moved there, so that it is whole or missing; a damaged one is made
+    anew.
 
     Attributes:
         folder: Where the parts are; nothing is kept by default.
@@ -46,14 +51,25 @@ class FinishedParts:
         if self.folder is None:
             return _timed(make)
         path = Path(self.folder) / f"{name}-{self.key}.npz"
-        if path.is_file():
-            with np.load(path, allow_pickle=False) as arrays:
-                return {key: torch.from_numpy(arrays[key]) for key in arrays.files}
+        if part := _read(path):
+            return part
         part = _timed(make)
         with replacing(path) as unfinished, unfinished.open("wb") as stream:
             # the types of numpy take names of arrays for its own arguments
             np.savez(stream, **{key: value.numpy() for key, value in part.items()})  # pyright: ignore[reportArgumentType]
         return part
+
+
+def _read(path: Path) -> Part:
+    """A finished part, empty where there is none or its file is damaged."""
+    if not path.is_file():
+        return {}
+    try:
+        with opened_arrays(path) as arrays:
+            return {key: torch.from_numpy(arrays[key]) for key in arrays.files}
+    except ValueError as damaged:
+        logger.warning("A part is computed again: %s", damaged)
+        return {}
 
 
 def _timed(make: Callable[[], Mapping[str, Tensor]]) -> Part:

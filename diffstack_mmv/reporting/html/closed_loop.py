@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from diffstack_mmv.reporting.closed_loop import closed_loop_table
@@ -20,6 +19,7 @@ from diffstack_mmv.reporting.html.blocks import (
 from diffstack_mmv.reporting.html.scenes import Surroundings, driven_scene, side_by_side
 from diffstack_mmv.reporting.paired import CASES, paired_table, require_same
 from diffstack_mmv.reporting.scores import Scores
+from dmmv_conventions.archives import opened_arrays
 
 RADIUS_M = 0.3  # of a pedestrian, where the run does not say
 COLUMNS = ("case", "outcome", "time_s", "min_clearance_m", "discomfort_steps")
@@ -94,7 +94,7 @@ def _episodes(
     wanted = {case["case"]: case for case in cases}
     found: dict[int, dict[str, Any]] = {}
     for file in sorted((folder / "episodes" / result["controller"]).glob("*.npz")):
-        with np.load(file) as stored:
+        with opened_arrays(file) as stored:
             inside = [case for case in stored["cases"].tolist() if case in wanted]
             arrays = {name: stored[name] for name in stored.files} if inside else {}
         for case in inside:

@@ -28,6 +28,15 @@ def test_part_is_made_once_for_the_same_data_and_settings(tmp_path):
     assert not list(tmp_path.glob("*.part"))
 
 
+def test_a_damaged_part_is_made_anew(tmp_path):
+    parts = FinishedParts(tmp_path)
+    for _ in range(2):
+        part = parts("fit", lambda: {"values": torch.arange(3.0)})
+        torch.testing.assert_close(part["values"], torch.arange(3.0))
+        (file,) = tmp_path.iterdir()
+        file.write_bytes(file.read_bytes()[:100])
+
+
 def test_part_that_fails_leaves_nothing(tmp_path):
     def fails():
         raise ValueError("singular")

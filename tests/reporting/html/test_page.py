@@ -159,6 +159,15 @@ def test_a_configuration_that_is_broken_is_told(tmp_path, text):
         read_record(evaluated, runs.TITLES)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
+def test_episodes_that_are_cut_off_are_told_with_their_file(tmp_path, share):
+    folder = runs.drive(tmp_path / "drive")
+    (file,) = folder.glob("episodes/*/*.npz")
+    file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
+    with pytest.raises(ValueError, match=r"`file` must hold arrays .*test_00000-00001.npz"):
+        page_of(folder)
+
+
 def test_a_table_tells_no_more_digits_than_anybody_reads(tmp_path):
     (tmp_path / "tests.csv").write_text("pair,Δ,n\na - b,-0.10888412594795227,2\nc,0.1,-\n")
     (section,) = read_page(tmp_path, runs.TITLES).sections
