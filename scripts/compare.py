@@ -34,6 +34,7 @@ def main(config: DictConfig) -> None:
     from diffstack_mmv.reporting import (
         bootstrap,
         compare,
+        markdown_table,
         paired_samples,
         paired_tests,
         read_runs,
@@ -51,7 +52,7 @@ def main(config: DictConfig) -> None:
     titles = {each.name: each.heading for each in EXCITATION}
     heading, picture = OPEN_LOOP[config.score].heading, Path(config.out) / "excitation.png"
     save_by_excitation(picture, paired.by_setting(), paired.models, titles, heading, bootstrap)
-    logger.info("\n%s", comparison.table.to_markdown(index=False))
+    logger.info("\n%s", markdown_table(comparison.table))
     if config.get("wandb"):
         instantiate(config.wandb)(read_record(Path(config.out), Titles(OPEN_LOOP, CLOSED_LOOP)))
     places = " ".join(str(run) for run in (config.out, *config.runs))

@@ -41,6 +41,7 @@ with needs("stack", "diffstack_mmv.reporting"):
     from diffstack_mmv.reporting.prediction_table import prediction_table
     from diffstack_mmv.reporting.runs import Run
     from diffstack_mmv.reporting.scores import ScoreHeading, Scores
+    from diffstack_mmv.reporting.table import markdown_table
 
 __all__ = [
     "ablation_table",
@@ -55,6 +56,7 @@ __all__ = [
     "closed_loop_table",
     "compare",
     "joint_table",
+    "markdown_table",
     "models_table",
     "paired_cases",
     "paired_samples",

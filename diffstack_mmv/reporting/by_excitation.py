@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Sequence
-from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -12,7 +11,7 @@ import pandas as pd
 from diffstack_mmv.reporting.bootstrapping import bootstrap
 from diffstack_mmv.reporting.compared_runs import SAMPLE, SETTING
 from diffstack_mmv.reporting.files import read_json, read_parquet, told_as_broken, write_text
-from diffstack_mmv.reporting.table import cell
+from diffstack_mmv.reporting.table import markdown_table
 
 logger = logging.getLogger(__name__)
 
@@ -155,6 +154,5 @@ def write_by_excitation(folder: Path, paired: PairedSamples) -> None:
     table = by_excitation(paired)
     if table.empty:
         return
-    told = table.map(partial(cell, form=".4f")).to_markdown(index=False, disable_numparse=True)
-    write_text(folder / "excitation.md", f"{told}\n")
+    write_text(folder / "excitation.md", f"{markdown_table(table, '.4f')}\n")
     write_text(folder / "excitation.csv", str(table.to_csv(index=False)))

@@ -9,7 +9,7 @@ import pandas as pd
 from diffstack_mmv.reporting.files import write_json, write_text
 from diffstack_mmv.reporting.paired import paired_table
 from diffstack_mmv.reporting.scores import Scores
-from diffstack_mmv.reporting.table import NONE, cell, with_interval
+from diffstack_mmv.reporting.table import cell, markdown_table, with_interval
 
 WITH_INTERVAL = ("success_rate", "collision_rate")
 # what a published row and a drive share where they can be compared
@@ -102,7 +102,7 @@ def _summary(
         f"controller believes in {_model(result['believed_dynamics'], result['believed_model'])}. "
         f"{_choices(result)}Brackets: Wilson intervals of 95 %.\n\n"
     )
-    table = closed_loop_table(result, baselines, scores).to_markdown()
+    table = markdown_table(closed_loop_table(result, baselines, scores), index=True)
     table = f"{table}\n\n{_times(result)}" if "real_time_factor" in result else table
     failed = [case for case in result["cases"] if case["outcome"] != "success"]
     table = f"{table}\n\n{_feasible(result)}" if "feasible" in result else table
@@ -170,7 +170,7 @@ def _paired(pairs: Sequence[Mapping[str, Any]], scores: Scores) -> str:
         "Case by case; differences are this run minus the other. Success and collision: McNemar's "
         "exact test; time (where both succeed) and discomfort: Wilcoxon's signed-rank test."
     )
-    return f"## Paired tests\n\n{told}\n\n{paired_table(pairs, scores).to_markdown(index=False)}"
+    return f"## Paired tests\n\n{told}\n\n{markdown_table(paired_table(pairs, scores))}"
 
 
 def _same_setting(published: Mapping[str, Any], result: Mapping[str, Any]) -> bool:
@@ -183,7 +183,7 @@ def _published(published: Sequence[Mapping[str, Any]]) -> str:
     if not published:
         return ""
     frame = pd.DataFrame(published).astype(object).drop(columns=SETTING, errors="ignore")
-    table = frame.where(frame.notna(), NONE).to_markdown(index=False)
+    table = markdown_table(frame, "g")
     return f"## Published methods\n\nOther robots, limits and rules: see each source.\n\n{table}"
 
 
@@ -195,4 +195,4 @@ def _failures(cases: Sequence[Mapping[str, Any]]) -> str:
     frame = pd.DataFrame(cases)
     if "avoidable" in frame:
         columns.append("avoidable")
-    return frame[columns].to_markdown(index=False, floatfmt=".2f")
+    return markdown_table(frame[columns], ".2f")

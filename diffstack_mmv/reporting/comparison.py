@@ -10,7 +10,13 @@ from diffstack_mmv.reporting.compared_runs import COMPARED, GROUP, IN_EVERY_REPO
 from diffstack_mmv.reporting.files import write_text
 from diffstack_mmv.reporting.metrics_table import MISSING
 from diffstack_mmv.reporting.scores import Scores
-from diffstack_mmv.reporting.table import NONE, known_mean, latex_table, mean_std, write_table
+from diffstack_mmv.reporting.table import (
+    known_mean,
+    latex_table,
+    markdown_table,
+    mean_std,
+    write_table,
+)
 
 # private characters that no escaping touches, in place of LaTeX commands
 OPEN, CLOSE = "\ue000", "\ue001"
@@ -69,11 +75,10 @@ def write_comparison(folder: Path, comparison: Comparison, tests: pd.DataFrame) 
 
     The best method of a setting is bold in the first two.
     """
-    sections = [str(_marked(comparison, "**", "**").to_markdown(index=False))]
+    sections = [markdown_table(_marked(comparison, "**", "**"))]
     if not tests.empty:
         told = "Paired by scene, Wilcoxon signed-rank (p from six unequal pairs on):"
-        shown = tests.astype(object).replace(np.nan, None)
-        sections += [told, str(shown.to_markdown(index=False, floatfmt=".4g", missingval=NONE))]
+        sections += [told, markdown_table(tests, ".4g")]
     latex = latex_table(_marked(comparison, OPEN, CLOSE))
     latex = latex.replace(OPEN, r"\textbf{").replace(CLOSE, "}")
     write_table(folder, "table", comparison.table, "\n\n".join(sections) + "\n", latex)

@@ -7,6 +7,7 @@ from typing import Any
 import pandas as pd
 
 from diffstack_mmv.reporting.files import write_json, write_text
+from diffstack_mmv.reporting.table import markdown_table
 
 BEYOND = 0.01  # share of the samples beyond the limits of the vehicle that is told
 
@@ -43,7 +44,7 @@ def write_tables(
     parts = [f"# {result['vehicle']}: {result['dynamics']}, measured controls"]
     for heading, rows in tables.items():
         table = pd.DataFrame(list(rows))
-        parts.append(f"## {heading}\n\n" + _text(table.round(4)))
+        parts.append(f"## {heading}\n\n" + markdown_table(table.round(4), ""))
         name = heading.lower().replace("-", "")
         write_text(folder / f"{name}.csv", table.to_csv(index=False, lineterminator="\n"))
     write_text(folder / "identification.md", "\n\n".join(parts) + "\n")
@@ -115,7 +116,7 @@ def _validation(result: Mapping[str, Any]) -> str:
         f"and held. Changes are means over the segments, against {result['dynamics']}, with "
         "standard errors.\n\n"
     )
-    return text + _text(validation_table(told["models"])) + "\n"
+    return text + markdown_table(validation_table(told["models"])) + "\n"
 
 
 def _assumed(result: Mapping[str, Any]) -> str:
@@ -162,7 +163,7 @@ def _markdown(result: Mapping[str, Any]) -> str:
     parts = [
         title,
         setting,
-        models_table(result["models"]).to_markdown(index=False, floatfmt=".4f"),
+        markdown_table(models_table(result["models"]), ".4f"),
     ]
     if "assumed" in result:
         parts.append(_assumed(result))
@@ -170,19 +171,15 @@ def _markdown(result: Mapping[str, Any]) -> str:
         parts += ["\n\n## Models on held-out segments\n\n", _validation(result)]
     if result["parameters"]:
         parts += ["\n\n## Parameters\n\n", _verdicts(result["parameters"])]
-        parts.append(_text(_rows(result["parameters"], True)))
+        parts.append(markdown_table(_rows(result["parameters"], True)))
     if result["combinations"]:
-        parts += ["\n\n## Combinations\n\n", _text(_rows(result["combinations"], False))]
+        parts += ["\n\n## Combinations\n\n", markdown_table(_rows(result["combinations"], False))]
     parts += ["\n\n## What the tracks say\n\n", *[f"- {each}\n" for each in result["remarks"]]]
     if result.get("lean"):
         parts.append(_lean(result))
     if result["regularisation_influence"]:
         parts += ["\n## Influence of the regularisation\n\n", _influence(result)]
     return "".join(parts).rstrip() + "\n"
-
-
-def _text(frame: pd.DataFrame) -> str:
-    return frame.to_markdown(index=False, disable_numparse=True)
 
 
 def _influence(result: Mapping[str, Any]) -> str:
@@ -192,4 +189,4 @@ def _influence(result: Mapping[str, Any]) -> str:
     )
     frame = pd.DataFrame(result["regularisation_influence"])
     frame.index.name = "parameter"
-    return told + frame.to_markdown(floatfmt=".2f") + "\n"
+    return told + markdown_table(frame, ".2f", index=True) + "\n"

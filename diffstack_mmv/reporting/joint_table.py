@@ -10,7 +10,7 @@ from diffstack_mmv.reporting.closed_loop import score_cells
 from diffstack_mmv.reporting.files import read_json, write_text
 from diffstack_mmv.reporting.paired import paired_cases, paired_table
 from diffstack_mmv.reporting.scores import Scores
-from diffstack_mmv.reporting.table import NONE, cell, write_table
+from diffstack_mmv.reporting.table import NONE, cell, markdown_table, write_table
 
 SHOWN = (
     "success_rate",
@@ -20,6 +20,7 @@ SHOWN = (
     "discomfort_frequency",
     "mean_episode_min_dist_m",
 )
+FAILURES = ("cases of", "row", "case", "outcome", "time [s]", "avoidable")
 
 
 class DrivenRow(NamedTuple):
@@ -69,7 +70,8 @@ def joint_failures(rows: Sequence[DrivenRow]) -> pd.DataFrame:
                 line = {"cases of": row.place, "row": row.name, "case": case["case"]}
                 line |= {"outcome": case["outcome"], "time [s]": cell(case["time_s"])}
                 told.append(line | {"avoidable": cell(case.get("avoidable"))})
-    return pd.DataFrame(told)
+    # named also where nothing failed: a file without a column is none
+    return pd.DataFrame(told, columns=list(FAILURES))
 
 
 def write_joint_table(
@@ -77,9 +79,9 @@ def write_joint_table(
 ) -> None:
     """Write `table.md`, `table.tex` and `table.csv`, and `failures.csv`, into a folder."""
     table, pairs = joint_table(rows, scores), joint_pairs(rows, scores)
-    parts = [f"# {title}", str(table.to_markdown(index=False))]
+    parts = [f"# {title}", markdown_table(table)]
     if len(pairs):
-        parts.append(f"Paired, row minus the other:\n\n{pairs.to_markdown(index=False)}")
+        parts.append(f"Paired, row minus the other:\n\n{markdown_table(pairs)}")
     parts.append("\n".join(f"- {remark}" for remark in remarks))
     write_table(folder, "table", table, "\n\n".join(part for part in parts if part) + "\n")
     write_text(folder / "failures.csv", str(joint_failures(rows).to_csv(index=False)))

@@ -12,7 +12,7 @@ from diffstack_mmv.reporting.compared_runs import SAMPLE
 from diffstack_mmv.reporting.files import read_parquet
 from diffstack_mmv.reporting.runs import Run
 from diffstack_mmv.reporting.scores import ScoreHeading, Scores
-from diffstack_mmv.reporting.table import NONE, cell, with_interval, write_table
+from diffstack_mmv.reporting.table import NONE, cell, markdown_table, with_interval, write_table
 
 SHOWN = (
     "ade",
@@ -78,8 +78,7 @@ def paper_table(
 
 def write_paper_table(folder: Path, table: pd.DataFrame, remarks: Sequence[str]) -> None:
     """Write `results.md`, `results.tex` and `results.csv`; remarks go below the first."""
-    told = table.to_markdown(index=False, disable_numparse=True)  # or 0.410 became 0.41
-    text = str(told) if len(table) else "No run has ended."
+    text = markdown_table(table) if len(table) else "No run has ended."
     below = "\n".join(f"- {remark}" for remark in remarks)
     whole = f"{text}\n\n{below}\n" if below else f"{text}\n"
     write_table(folder, "results", table, whole)

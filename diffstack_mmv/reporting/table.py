@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,12 @@ def write_table(folder: Path, name: str, table: pd.DataFrame, text: str, latex: 
     write_text(folder / f"{name}.md", text)
     write_text(folder / f"{name}.tex", latex or latex_table(table))
     write_text(folder / f"{name}.csv", str(table.to_csv(index=False)))
+
+
+def markdown_table(table: pd.DataFrame, form: str = ".3f", index: bool = False) -> str:
+    """A table for Markdown: numbers in this form, text as it is (0.410 would become 0.41)."""
+    told = table.map(partial(cell, form=form))
+    return str(told.to_markdown(index=index, disable_numparse=True))
 
 
 def latex_table(table: pd.DataFrame) -> str:

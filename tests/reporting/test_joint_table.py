@@ -2,6 +2,7 @@
 
 import json
 
+import pandas as pd
 import pytest
 
 from diffstack_mmv.metrics import CLOSED_LOOP
@@ -61,3 +62,18 @@ def test_the_files_hold_table_pairs_and_failures(rows, tmp_path):
     assert (tmp_path / "out" / "table.tex").is_file()
     assert len((tmp_path / "out" / "table.csv").read_text().splitlines()) == 4
     assert len((tmp_path / "out" / "failures.csv").read_text().splitlines()) == 4
+
+
+@pytest.mark.parametrize(("name", "mark"), [("table.md", "|"), ("table.tex", "&")])
+def test_markdown_and_latex_hold_the_cells_of_the_csv(rows, tmp_path, name, mark):
+    write_joint_table(tmp_path, "A title", rows, CLOSED_LOOP)
+    held = pd.read_csv(tmp_path / "table.csv", dtype=str)
+    assert held.loc[0, "incomplete"] == "0.000"
+    lines = (tmp_path / name).read_text().replace("\\\\", mark).splitlines()
+    shown = [[cell.strip() for cell in line.strip(f"{mark} ").split(mark)] for line in lines]
+    assert [each for each in held.to_numpy().tolist() if each not in shown] == []
+
+
+def test_a_table_without_a_failure_lists_none(rows, tmp_path):
+    write_joint_table(tmp_path, "A title", rows[2:], CLOSED_LOOP)
+    assert len(pd.read_csv(tmp_path / "failures.csv")) == 0

@@ -6,7 +6,14 @@ import pytest
 
 from diffstack_mmv.metrics import OPEN_LOOP
 from diffstack_mmv.reporting.metrics_table import baseline_table
-from diffstack_mmv.reporting.table import NONE, cell, mean_std, with_interval, write_table
+from diffstack_mmv.reporting.table import (
+    NONE,
+    cell,
+    markdown_table,
+    mean_std,
+    with_interval,
+    write_table,
+)
 
 
 @pytest.mark.parametrize(
@@ -42,6 +49,13 @@ def test_a_table_is_written_thrice(tmp_path):
     assert (tmp_path / "table.md").read_text() == "text\n"
     assert r"share [\%]" in (tmp_path / "table.tex").read_text()
     assert (tmp_path / "table.csv").read_text() == "share [%]\n1\n"
+
+
+def test_text_of_a_markdown_table_stays_as_it_is_and_numbers_have_their_form():
+    table = pd.DataFrame({"told": ["0.410", "+0.8333"], "number": [0.5, None], "n": [3, 10]})
+    lines = [line.split() for line in markdown_table(table, ".2f").splitlines()[2:]]
+    assert lines[0] == ["|", "0.410", "|", "0.50", "|", "3", "|"]
+    assert lines[1] == ["|", "+0.8333", "|", "–", "|", "10", "|"]
 
 
 def test_the_most_likely_path_and_the_median_stand_beside_the_baselines():
