@@ -21,7 +21,7 @@ def understood(arguments: Sequence[str], name: str) -> list[str]:
         name: Name of the command.
     """
     words = _options_last(_sweep_in_folder(arguments, name))
-    return _of_its_file([_vehicle_from_file(_at_home(each)) for each in words])
+    return _of_its_file(_last_vehicle([_vehicle_from_file(_at_home(each)) for each in words]))
 
 
 def _options_last(arguments: Sequence[str]) -> list[str]:
@@ -98,6 +98,9 @@ def _at_home(argument: str) -> str:
     return _IN_HOME.sub(expanded, argument)
 
 
+_FILE = "vehicle_file="
+
+
 def _vehicle_from_file(argument: str) -> str:
     """`vehicle=NAME` selects an option of a group, as Hydra knows it.
 
@@ -105,7 +108,13 @@ def _vehicle_from_file(argument: str) -> str:
     """
     bare = argument.rstrip("'\"")  # a path with blanks or brackets stands in quotes
     is_file = bare.startswith("vehicle=") and bare.endswith((".yaml", ".yml"))
-    return argument.replace("vehicle=", "vehicle_file=", 1) if is_file else argument
+    return argument.replace("vehicle=", _FILE, 1) if is_file else argument
+
+
+def _last_vehicle(words: Sequence[str]) -> list[str]:
+    """Of several values of a key the last one holds, also where a name follows upon a file."""
+    last = max((n for n, each in enumerate(words) if each.startswith("vehicle=")), default=-1)
+    return [each for n, each in enumerate(words) if n > last or not each.startswith(_FILE)]
 
 
 def _of_its_file(words: Sequence[str]) -> list[str]:
@@ -113,5 +122,5 @@ def _of_its_file(words: Sequence[str]) -> list[str]:
 
     What the vehicle itself does not know is refused by it.
     """
-    in_file = any(each.startswith("vehicle_file=") for each in words)
+    in_file = any(each.startswith(_FILE) for each in words)
     return [f"++{each}" if in_file and each.startswith("vehicle.") else each for each in words]

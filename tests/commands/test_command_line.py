@@ -18,6 +18,20 @@ def test_keys_of_a_vehicle_in_a_file_are_those_of_the_file():
 
 
 @pytest.mark.parametrize(
+    ("words", "understood_as"),
+    [
+        ("vehicle=trike.yaml out=a vehicle=cart", "out=a vehicle=cart"),
+        ("vehicle_file=trike.yaml vehicle=cart", "vehicle=cart"),
+        ("vehicle=cart vehicle=trike.yaml", "vehicle=cart vehicle_file=trike.yaml"),
+        ("vehicle=a.yaml vehicle=cart vehicle=b.yaml", "vehicle=cart vehicle_file=b.yaml"),
+        ("vehicle_file=trike.yaml", "vehicle_file=trike.yaml"),
+    ],
+)
+def test_the_last_of_several_vehicles_holds_whether_name_or_file(words, understood_as):
+    assert understood(words.split(), "simulate") == understood_as.split()
+
+
+@pytest.mark.parametrize(
     ("given", "meant"),
     [
         ("out=~/runs", "out='/of/me/runs'"),
