@@ -77,6 +77,7 @@ CONVENTIONS = {
         "dmmv_conventions.modes",
         "dmmv_conventions.pretrained",
         "dmmv_conventions.targets",
+        "dmmv_conventions.versions",
         "dmmv_conventions.yaml_files",
     },
     "vehicles": {

@@ -16,6 +16,7 @@ from diffstack_mmv.commands.command_line import quoted
 from dmmv_conventions.checks import message, require, require_at_least
 from dmmv_conventions.disk import replacing
 from dmmv_conventions.extras import needs
+from dmmv_conventions.versions import file_hash
 
 logger = logging.getLogger(__name__)
 
@@ -62,6 +63,13 @@ class Job(NamedTuple):
         return [[each.replace(root, "OUT") if root else each for each in line] for line in lines]
 
     @property
+    def files(self) -> dict[str, Path]:
+        """Files by the settings that name them, such as a vehicle; none that jobs have written."""
+        words = (word for line in self.settings for word in line)
+        named = {word: word.partition("=")[2].strip("'\"") for word in words}
+        return {word: Path(name) for word, name in named.items() if os.path.isfile(name)}
+
+    @property
     def record(self) -> Path:
         """File that tells how its result was made."""
         return self.log.with_suffix(".json")
@@ -86,7 +94,8 @@ def run_job(job: Job, children: ChildProcesses | None = None) -> JobOutcome:
             return run_job(job, own)
     start = time.monotonic()
     job.log.parent.mkdir(parents=True, exist_ok=True)
-    told: dict[str, Any] = {"kind": job.kind, "commands": job.settings}
+    contents = {word: file_hash(path) for word, path in job.files.items()}
+    told: dict[str, Any] = {"kind": job.kind, "commands": job.settings, "files": contents}
     _write_record(job, told)
     environment = os.environ | {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     with job.log.open("a", encoding="utf-8") as log:

@@ -4,12 +4,15 @@ import json
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import zip_longest
 from pathlib import Path
+from typing import NoReturn
 
 from diffstack_mmv.commands.jobs import Job, Launcher
 from dmmv_conventions.checks import message
 from dmmv_conventions.progress import counted
+from dmmv_conventions.versions import file_hash
 
 logger = logging.getLogger(__name__)
 
@@ -67,20 +70,29 @@ class TableJobs:
 def require_same_jobs(jobs: Sequence[Job]) -> None:
     """Refuse jobs whose result, or the part that there is of it, was made with other settings.
 
-    Results of earlier versions, which kept no settings, are taken as they are.
+    Results of earlier versions, which kept no settings, or not what is in files, are taken as they
+    are.
 
     Raises:
-        ValueError: A setting of such a job differs.
+        ValueError: A setting of such a job differs, or a file that it names has changed.
     """
+    hash_of = cache(file_hash)  # most jobs name the same files
     for job in (each for each in jobs if each.has_results and each.record.is_file()):
-        made = json.loads(job.record.read_text(encoding="utf-8")).get("commands")
-        if made is None or made == job.settings:
-            continue
-        before, now = _first_difference(made, job.settings)
-        where = f"in {job.record}"
-        remedy = f"Give another out=FOLDER, or delete {job.folder or job.result.parent}."
-        wanted = f"hold no result of {job.name} with another setting than {now}"
-        raise ValueError(message("out", wanted, before, where, remedy))
+        told = json.loads(job.record.read_text(encoding="utf-8"))
+        made = told.get("commands", job.settings)
+        if made != job.settings:
+            before, now = _first_difference(made, job.settings)
+            _refuse(job, f"another setting than {now}", before)
+        contents = told.get("files", {})
+        for word, path in job.files.items():
+            if contents.get(word, hash_of(path)) != hash_of(path):
+                _refuse(job, f"another content of {word}", "what the file held before")
+
+
+def _refuse(job: Job, other: str, found: str) -> NoReturn:
+    remedy = f"Give another out=FOLDER, or delete {job.folder or job.result.parent}."
+    wanted = f"hold no result of {job.name} with {other}"
+    raise ValueError(message("out", wanted, found, f"in {job.record}", remedy))
 
 
 def _first_difference(before: list[list[str]], now: list[list[str]]) -> tuple[str, str]:

@@ -128,6 +128,28 @@ def test_a_finished_job_is_that_of_its_settings_alone(tmp_path):
         require_same_jobs([trained(tmp_path, "seed=0", "epochs=1")])
 
 
+def test_a_finished_job_is_that_of_the_files_that_its_settings_name(tmp_path):
+    file = tmp_path / "rad (1).yaml"
+    file.write_text("mass_kg: 90")
+    asked = trained(tmp_path / "out", f"vehicle={quoted(file)}", "epochs=1")
+    run_job(asked)
+    require_same_jobs([asked])
+    file.write_text("mass_kg: 120")
+    with pytest.raises(ValueError, match=r"no result of run with another content of vehicle='.*"):
+        require_same_jobs([asked])
+    told = json.loads(asked.record.read_text())
+    asked.record.write_text(json.dumps({key: told[key] for key in ("kind", "commands")}))
+    require_same_jobs([asked])
+
+
+def test_a_file_that_jobs_have_written_may_change(tmp_path):
+    asked = trained(tmp_path, f"start='{tmp_path / 'last.ckpt'}'")
+    (tmp_path / "last.ckpt").write_text("before")
+    run_job(asked)
+    (tmp_path / "last.ckpt").write_text("now")
+    require_same_jobs([asked])
+
+
 def test_a_result_of_a_job_whose_launcher_was_killed_is_that_of_its_settings(tmp_path):
     asked = trained(tmp_path, "epochs=1")
     code = "import os, sys; open(sys.argv[1][5:-1], 'w').close(); os.kill(os.getppid(), 9)"
