@@ -6,6 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+UNFINISHED = ".part"
+"""Among the endings of a file that is being written; who is killed leaves it behind."""
+
 
 def disk_is_full(error: OSError) -> bool:
     """Whether no space, or no quota, is left, or a file may not be as large (`ulimit -f`)."""
@@ -13,7 +16,7 @@ def disk_is_full(error: OSError) -> bool:
 
 
 @contextmanager
-def replacing(path: Path, ending: str = ".part") -> Iterator[Path]:
+def replacing(path: Path, ending: str = UNFINISHED) -> Iterator[Path]:
     """Write a file all or nothing: a reader sees the old one or the whole new one.
 
     What is written beside it takes its place at the end; if the body fails, it is removed and the

@@ -26,7 +26,7 @@ from diffstack_mmv.plotting.episodes import (
 )
 from diffstack_mmv.plotting.figures import PALETTE, control_title, new_figure
 from diffstack_mmv.types import EpisodeRecord
-from dmmv_conventions.disk import replacing
+from dmmv_conventions.disk import UNFINISHED, replacing
 from dmmv_conventions.extras import needs
 
 
@@ -134,7 +134,7 @@ def _write(
         wanted = " or ".join(FORMATS)
         raise ValueError(f"`path` must end in {wanted}, but got {path.name}. Choose a format.")
     animation = FuncAnimation(figure, step, frames=frames)
-    with replacing(path, f".part{path.suffix}") as unfinished:
+    with replacing(path, f"{UNFINISHED}{path.suffix}") as unfinished:
         save(animation, unfinished, round(1 / dt_s))
 
 

@@ -12,6 +12,7 @@ from diffstack_mmv.reporting.html.identification import read_identification
 from diffstack_mmv.reporting.html.tables import read_tables, read_trajectories
 from diffstack_mmv.reporting.html.training import read_training
 from diffstack_mmv.reporting.scores import Scores
+from dmmv_conventions.disk import UNFINISHED
 
 PLACES = ("", "plots", "figures")
 
@@ -86,6 +87,6 @@ def _pictures(folder: Path) -> list[Section]:
         file
         for place in PLACES
         for file in sorted((folder / place).glob("*"))
-        if file.suffix in PICTURES
+        if file.suffix in PICTURES and UNFINISHED not in file.suffixes
     ]
     return [Section("Figures", [Gallery("", files)])] if files else []

@@ -190,6 +190,16 @@ def test_unknown_numbers_are_none_in_records_and_dashes_in_tables():
     ]  # fmt: skip
 
 
+def test_an_animation_that_was_cut_off_is_no_figure(tmp_path):
+    folder = runs.drive(tmp_path / "drive")
+    (folder / "plots").mkdir()
+    for name in ("case_0.gif", "case_1.gif.part.gif"):
+        (folder / "plots" / name).write_bytes(b"GIF89a")
+    sections = read_page(folder, runs.TITLES).sections
+    (figures,) = (each for each in sections if each.title == "Figures")
+    assert [file.name for file in figures.blocks[0].files] == ["case_0.gif"]
+
+
 def test_a_drive_without_a_step_is_told(tmp_path):
     (tmp_path / "trajectory_kbm.csv").write_text("time_s,position_x_m\n")
     with pytest.raises(ValueError, match="`trajectory` must hold a row per step, but got none"):
