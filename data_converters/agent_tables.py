@@ -34,7 +34,8 @@ def named_agents(table: pd.DataFrame, source: str, raw: RawScene, *, strict: boo
     unnamed = table["agent"].isna() if len(table) else pd.Series(dtype=bool)
     if not unnamed.any():
         return table
-    found, remedy = f"none in {int(unnamed.sum())} of {len(table)} rows", "Name it in every row."
+    found = f"none in {int(unnamed.sum())} of {len(table)} rows"
+    remedy = "Name it in every row; in a text file NA, null, None and nan are no names."
     told = fault("agent", "have a name", found, source, remedy)
     raw.reject("unnamed", source, TrackError(told, RejectReason.NO_AGENT), strict=strict)
     return table[~unnamed]

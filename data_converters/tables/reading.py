@@ -45,7 +45,10 @@ def read_table(path: Path, names: Collection[str], numbers: Collection[str] = ()
 
     try:
         require_plain(path)
-        return pd.read_parquet(path).reset_index(drop=True)
+        table = pd.read_parquet(path)
+        # pandas keeps in it that a column was the index of the table
+        own = [name for name in table.index.names if name and name not in table.columns]
+        return table.reset_index(own).reset_index(drop=True)
     except TrackError:
         raise
     except (OSError, ValueError, TypeError, ArrowException) as error:

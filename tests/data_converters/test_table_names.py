@@ -70,6 +70,21 @@ def test_names_in_a_parquet_file_are_those_of_a_csv_file(tmp_path):
     assert again.where(again.notna(), None).tolist() == names
 
 
+@pytest.mark.parametrize("index", ["agent", ["agent", "time"]])
+def test_columns_that_pandas_kept_as_the_index_of_a_parquet_file_are_read(tmp_path, index):
+    rows = table(agent="a")
+    rows.set_index(index).to_parquet(tmp_path / "day.parquet")
+    read = read_table(tmp_path / "day.parquet", {"agent"})
+    pd.testing.assert_frame_equal(read[rows.columns], rows.reset_index(drop=True))
+
+
+@pytest.mark.parametrize("name", ["NA", "null", "None", "nan"])
+def test_words_that_stand_for_nothing_in_a_text_file_are_told_to_be_no_names(dataset, name):
+    rows = pd.concat([table(agent=name), table(agent="Nora", y=5.0)])
+    with pytest.raises(TrackError, match=f"none in 120 of 240 rows.* {name}.* no names"):
+        first_scene(dataset(tables={"day": rows}))
+
+
 def test_stretches_and_agents_of_one_scene_have_names_of_their_own(dataset, tmp_path):
     rows = table(agent="a")[(TABLE_TIME_S < 5.0) | (TABLE_TIME_S > 7.0)]
     found = dataset(tables={"day": pd.concat([rows, table(agent="a_s1", y=9.0)])})
