@@ -25,10 +25,10 @@ ROWS = ("methods", "sets")
 
 def check(config: DictConfig) -> None:
     """Refuse a table of nothing, and names that no command knows."""
-    size = config.size
+    size, experiment = config.size, _experiment(config)
     for name, parts in (
-        ("size.seeds", size.seeds), ("size.goals", size.goals), ("models", config.models),
-        ("sets", config.sets),
+        ("size.seeds", size.seeds), ("size.goals", size.goals), ("models", experiment.models),
+        ("sets", experiment.sets),
     ):  # fmt: skip
         require(len(parts) > 0, name, "name at least one", "none")
     _require_each_once(size)
@@ -43,13 +43,12 @@ def check(config: DictConfig) -> None:
         require(not config.plans, "plans", "be false with rows=sets, a table of predictions", True)
     for goal in size.goals:
         _require_option("goal", goal)
-    experiment = _experiment(config)
     for model in experiment.models:
         _require_option("dynamics", model)
     for name, told in experiment.sets.items():
         _require_conversion(experiment, name)
         _require_option("data", told.data)
-        for vehicle in told.modes.values():
+        for vehicle in experiment.modes(name).values():
             _require_option("vehicle", vehicle)
         require_modes([str(mode) for mode in told.modes])
     instantiate(config.launcher)

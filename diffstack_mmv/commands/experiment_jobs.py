@@ -66,6 +66,11 @@ class Experiment:
         """Data sets in the table; those set to null are left out."""
         return {str(name): told for name, told in self.config.sets.items() if told is not None}
 
+    def modes(self, name: str) -> dict[str, str]:
+        """Vehicle of each mode of a data set; modes set to null are left out."""
+        told = self.config.sets[name].modes.items()
+        return {str(mode): vehicle for mode, vehicle in told if vehicle is not None}
+
     @property
     def available(self) -> set[str]:
         """Data sets whose recordings can be had; those without a folder are generated."""
@@ -77,9 +82,11 @@ class Experiment:
         from diffstack_mmv.reporting import Run
 
         size = self.config.size
-        goals = size.goals if self.config.plans else size.goals[:1]
-        for name, told in self.sets.items():
-            for mode, model, goal, seed in product(told.modes, self.models, goals, size.seeds):
+        goals: Sequence[str] = size.goals if self.config.plans else size.goals[:1]
+        seeds: Sequence[int] = size.seeds
+        for name in self.sets:
+            modes = self.modes(name)
+            for mode, model, goal, seed in product(modes, self.models, goals, seeds):
                 folder = self.out / "runs" / name / mode / model / goal / str(seed)
                 yield Run(name, mode, model, goal, seed, folder / "report")
 
@@ -181,7 +188,11 @@ class Experiment:
         """Training with these settings, and evaluation of its best epoch."""
         config, told, folder = self.config, self.config.sets[run.data], run.report.parent
         small = config.size.overrides if config.plans else []
-        asked = f"vehicle={_vehicle(told.modes[run.mode])}", f"goal={run.goal}", f"seed={run.seed}"
+        asked = (
+            f"vehicle={_vehicle(self.modes(run.data)[run.mode])}",
+            f"goal={run.goal}",
+            f"seed={run.seed}",
+        )
         train = self._script(
             "train", *self._data(run), *asked, f"out={quoted(folder)}", *small,
             *self._windows(run), *config.overrides, *told.get("training", []), *settings,

@@ -362,6 +362,22 @@ def test_sets_and_models_of_null_are_left_out(succeed, tmp_path):
     assert "10 of 10 jobs to do" in succeed("results", *arguments)
 
 
+def test_modes_of_null_are_left_out(tmp_path):
+    with initialize_config_dir(str(config_folder()), version_base="1.3"):
+        config = compose("results", ["sets.sample.modes.scooter=null"])
+    runs = Experiment(config, tmp_path, SCRIPTS).runs()
+    assert {run.mode for run in runs if run.data == "sample"} == {"bicycle", "motorcycle"}
+    check(config)
+
+
+def test_a_table_all_of_whose_models_are_null_is_refused():
+    with initialize_config_dir(str(config_folder()), version_base="1.3"):
+        names = ("unicycle", "kbm", "gm3", "gm3_paper")
+        config = compose("results", [f"models.{name}=null" for name in names])
+    with pytest.raises(ValueError, match="`models` must name at least one, but got none"):
+        check(config)
+
+
 def test_sets_that_differ_in_their_training_share_a_conversion(succeed, tmp_path):
     given = ["experiment=predictor_ablation", f"raw={tmp_path}", f"out={tmp_path / 'out'}"]
     (tmp_path / "thab_vru").mkdir()
