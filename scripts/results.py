@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from diffstack_mmv.commands.cli import DictConfig, command, instantiate
 from diffstack_mmv.commands.data_checks import require_modes
@@ -14,6 +14,8 @@ from diffstack_mmv.commands.table_jobs import TableJobs, require_same_jobs
 from dmmv_conventions.checks import require, require_at_least, require_one_of
 from dmmv_conventions.config_files import names_in
 from dmmv_conventions.configs import config_folder
+from dmmv_conventions.targets import OF_A_RUN, require_buildable
+from dmmv_conventions.yaml_files import read_plain
 
 if TYPE_CHECKING:
     from diffstack_mmv.reporting import Run
@@ -176,14 +178,27 @@ def _draw(config: DictConfig, runs: Sequence[Run], out: Path) -> None:
     number = representative(samples)[ended[0].mode]["median"]
     scenes = []
     for run in ended:
-        path = run.report.parent / BEST
-        stack, trained = load_stack(path)
-        data = instantiate(trained["data"]["module"])
+        stack = load_stack(run.report.parent / BEST)[0]
+        data = instantiate(judged_data(_experiment(config), run))
         planned = outputs_of(stack, split_windows(data, config.split), [number])
         scenes += scenes_of(*planned, [config.models[run.model]])
     first = ended[0]
     name = f"{first.data}_{first.mode}_{first.goal}.png"
     save_figure(draw_scenes(scenes, columns=2), out / "figures" / name)
+
+
+def judged_data(experiment: Experiment, run: Run) -> dict[str, Any]:
+    """The data of the evaluation of a run, whose windows are numbered in `samples.parquet`.
+
+    That of the training may have others. The cache is that of the results, which may have been
+    moved since.
+    """
+    file = run.report / "config.yaml"
+    module = read_plain(file, "out")["data"]["module"]
+    require_buildable(module, OF_A_RUN, f"in {file}")
+    cache = experiment.conversion(experiment.source(run.data)).result.parent
+    module["source"]["folder"], module["export"]["folder"] = str(cache), str(cache / "exports")
+    return module
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from diffstack_mmv.commands.table_jobs import (
 )
 from diffstack_mmv.reporting import Run
 from dmmv_conventions.configs import config_folder
-from scripts.results import check
+from scripts.results import check, judged_data
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
@@ -360,6 +360,20 @@ def test_sets_and_models_of_null_are_left_out(succeed, tmp_path):
     arguments = ["experiment=eth_ucy", f"raw={tmp_path}", "dry_run=true", f"out={tmp_path / 'out'}"]
     (tmp_path / "eth_ucy").mkdir()
     assert "10 of 10 jobs to do" in succeed("results", *arguments)
+
+
+def test_figures_show_the_windows_of_the_evaluation_in_the_present_cache(tmp_path):
+    """The training may have had others (`overrides`), and results may have been moved since."""
+    with initialize_config_dir(str(config_folder()), version_base="1.3"):
+        experiment = Experiment(compose("results", []), tmp_path, SCRIPTS)
+    run = next(iter(experiment.runs()))
+    source = {"_target_": "diffstack_mmv.data.ConvertedCache", "folder": "/before/cache"}
+    module = {"source": source, "export": {"folder": "/before/cache/exports"}, "windows": {"a": 1}}
+    run.report.mkdir(parents=True)
+    (run.report / "config.yaml").write_text(json.dumps({"data": {"module": module}}))
+    found, cache = judged_data(experiment, run), tmp_path / "data" / run.data / "cache"
+    assert found["source"] == source | {"folder": str(cache)}
+    assert (found["export"], found["windows"]) == ({"folder": str(cache / "exports")}, {"a": 1})
 
 
 def test_modes_of_null_are_left_out(tmp_path):
