@@ -150,7 +150,8 @@ class PlanConstraints:
     ) -> Solution:
         """Solve problems with one leading dimension under the limits.
 
-        A problem whose limits cannot be met has the status INFEASIBLE, and the least violation.
+        A problem whose limits cannot be met has the status INFEASIBLE once no step lowers the
+        violation, or ITERATION_LIMIT where one still does.
 
         Args:
             solver: Which keeps to nothing but a box.
