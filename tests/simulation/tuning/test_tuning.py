@@ -48,16 +48,24 @@ def test_optuna_begins_with_the_weights_given(cost):
     assert best(rounds).loss < rounds[0].loss
 
 
-def test_who_stands_has_the_whole_way_left(circle, driven):
-    class Standing:
-        def init(self, observation):
-            return
+class Standing:
+    """A driver that stays where it is."""
 
-        def act(self, state, observation):
-            return torch.zeros(len(observation.time), 2), None
+    def init(self, observation):
+        return
 
-    loss = DrivingLoss(clearance_weight=0.0, steps=8)(*circle, Standing())
-    assert loss.tolist() == pytest.approx([2.0] * 3)
+    def act(self, state, observation):
+        return torch.zeros(len(observation.time), 2), None
+
+
+@pytest.mark.parametrize(("way_m", "second"), [(8.0, 0.94), (0.5, 0.5)], ids=["far", "near"])
+def test_who_stands_pays_for_the_time_also_half_a_metre_short_of_the_goal(circle, way_m, second):
+    world, scene = circle
+    gap = scene.robot_goal - scene.robot_position
+    goal = scene.robot_position + way_m * gap / gap.norm(dim=-1, keepdim=True)
+    loss = DrivingLoss(clearance_weight=0.0, steps=8)
+    paid = loss(world, scene._replace(robot_goal=goal), Standing())
+    assert paid.tolist() == pytest.approx([2 * second] * 3, abs=0.01)
 
 
 def test_contact_costs_and_arrival_ends_the_count(circle, driven):
@@ -86,6 +94,7 @@ def test_the_loss_has_a_gradient_in_the_weights(circle, controller_for):
         (lambda: OptunaTuner(factor=1.0), "factor"),
         (lambda: DrivingLoss(steps=0), "steps"),
         (lambda: DrivingLoss(clearance_m=0.0), "clearance_m"),
+        (lambda: DrivingLoss(near_m=0.0), "near_m"),
     ],
 )
 def test_numbers_out_of_range_are_refused(build, name):
