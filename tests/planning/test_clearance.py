@@ -1,12 +1,13 @@
 """Clearance of plans, and what is asked of it."""
 
 import math
+from dataclasses import fields
 
 import pytest
 import torch
 
 from diffstack_mmv.planning import ClearanceMargin, clearance_within_steps
-from diffstack_mmv.types import Discs, Motion, Obstacles
+from diffstack_mmv.types import Discs, Motion, Obstacles, map_tensors
 
 
 def moving(position):
@@ -77,6 +78,18 @@ def judged(clearance, walked, **settings):
     return ClearanceMargin(**settings)(near, walking(walked), 0.25)
 
 
+@pytest.mark.parametrize("number", range(3))
+def test_each_problem_of_a_batch_is_judged_among_its_own_agents(number):
+    def alone(record):
+        return map_tensors(lambda entry: entry[number, None], record)
+
+    margin, clearance = ClearanceMargin(turn_rate=0.3), 0.3 * torch.randn(3, 4, 2, 2, 4)
+    around = agents(0.2 * torch.randn(3, 2, 2, 5, 2).cumsum(-2))
+    for judge in (margin, margin.risk):
+        expected = judge(alone(clearance), alone(around), 0.25)
+        torch.testing.assert_close(alone(judge(clearance, around, 0.25)), expected)
+
+
 @pytest.mark.parametrize(("walked", "safe"), [(0.0, True), (1.0, False)])
 def test_a_pedestrian_who_walks_needs_more_room_than_one_at_rest(walked, safe):
     assert bool(judged(0.12, walked, hard_m=0.1, hard_growth=0.05).safe) is safe
@@ -86,6 +99,12 @@ def test_comfort_is_priced_and_not_required():
     judgement = judged(0.2, 0.0, hard_m=0.1, comfort_m=0.35)
     assert bool(judgement.safe)
     assert float(judgement.penalty) == pytest.approx(0.15**2, rel=1e-5)
+
+
+@pytest.mark.parametrize(("walked", "lack"), [(0.0, 0.0), (1.0, 0.05), (5.0, 0.1)])
+def test_comfort_is_asked_of_more_room_the_further_somebody_has_walked_up_to_a_limit(walked, lack):
+    judgement = judged(0.3, walked, comfort_m=0.25, comfort_growth=0.1, saturation_m=1.5)
+    assert float(judgement.penalty) == pytest.approx(lack**2, rel=1e-4)
 
 
 @pytest.mark.parametrize(("horizon_s", "safe"), [(0.75, True), (1.0, False)])
@@ -121,19 +140,7 @@ def test_nobody_around_is_safe():
     assert (safety.shortfall == 0).all()
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "hard_m",
-        "comfort_growth",
-        "saturation_m",
-        "horizon_s",
-        "probability_min",
-        "reach_m",
-        "turn_rate",
-        "turn_growth",
-    ],
-)
+@pytest.mark.parametrize("name", [field.name for field in fields(ClearanceMargin)])
 def test_numbers_out_of_range_are_refused(name):
     with pytest.raises(ValueError, match=name):
         ClearanceMargin(**{name: -1.0})
@@ -158,12 +165,14 @@ def test_absent_agents_are_no_risk():
     assert float(ClearanceMargin().risk(nowhere, walking(1.0), 0.25)) == 0
 
 
+@pytest.mark.parametrize("gap", [0.0, 0.3])
 @pytest.mark.parametrize("walked", [0.5, 1.0, 3.0])
-def test_a_vague_forecast_meets_whom_it_expects_as_often_as_its_spread_leaves(walked):
+def test_a_vague_forecast_meets_whom_it_expects_as_often_as_its_spread_leaves(walked, gap):
     margin = ClearanceMargin(spread_growth=0.25, reach_m=0.6)
     agent = agents(torch.tensor([[[[[0.0, 0.0], [walked, 0.0]]]]]))
-    found = margin.risk(torch.zeros(1, 1, 1, 1, 1), agent, 0.25)
-    expected = 0.25 * 0.36 / (0.36 + 2 * (0.25 * walked) ** 2)
+    found = margin.risk(torch.full((1, 1, 1, 1, 1), gap), agent, 0.25)
+    spread = 2 * (0.25 * walked) ** 2
+    expected = 0.25 * 0.36 / (0.36 + spread) * math.exp(-(gap**2) / spread)
     assert float(found) == pytest.approx(expected, rel=1e-5)
 
 

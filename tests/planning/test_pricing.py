@@ -1,5 +1,7 @@
 """What plans are worth."""
 
+from dataclasses import fields
+
 import pytest
 import torch
 
@@ -61,6 +63,23 @@ def test_who_waits_cares_less_for_comfort_and_more_for_what_is_left(waited, pati
     assert float(priced.cost) == pytest.approx(13 + (1 - patience) * 10.0 * 5.0)
 
 
+@pytest.mark.parametrize("compile", [False, True])
+@pytest.mark.parametrize("number", range(3))
+def test_each_problem_of_a_batch_is_priced_by_itself(number, compile):
+    def alone(record):
+        return map_tensors(lambda entry: entry[number, None], record)
+
+    problem, plans = map_tensors(lambda entry: torch.cat([entry] * 3), along_y(goal=8.0))
+    problem.goal[:, 1] = torch.tensor([1.0, 2.0, 8.0])
+    problem.obstacles.position[..., 0] += torch.tensor([0.1, 0.7, 9.0])[:, None, None, None]
+    waited = torch.tensor([0.0, 1.0, 3.0])
+    together = Situation(problem, one_per_step, waited, 0.25)
+    found = PlanPrice(risk_weight=7.0, compile=compile)(plans, together)
+    own = waiting(alone(problem), float(waited[number]))
+    expected = PlanPrice(risk_weight=7.0)(alone(plans), own)
+    torch.testing.assert_close(alone(found), expected)
+
+
 def test_nothing_is_left_of_the_way_of_a_plan_that_passes_its_goal_and_goes_on():
     problem, plans = along_y(goal=2.0, agent=30.0)
     price = PlanPrice(time_weight=0.0, left_weight=10.0)
@@ -112,7 +131,10 @@ def test_the_best_is_the_cheapest_safe_or_the_least_unsafe(cost, safe, shortfall
     assert twice.plans.motion.heading.shape == (1, 6, 13)
 
 
-@pytest.mark.parametrize("name", ["comfort_weight", "left_weight", "patience_s"])
+NUMBERS = [field.name for field in fields(PlanPrice) if field.type is float]
+
+
+@pytest.mark.parametrize("name", NUMBERS)
 def test_numbers_out_of_range_are_refused(name):
     with pytest.raises(ValueError, match=name):
         PlanPrice(**{name: -1.0})
