@@ -5,7 +5,7 @@ import torch
 
 from diffstack_mmv.planning import CheapestSafe, Plans, ScoredPlans, TakeOptimum
 from diffstack_mmv.planning.choice import Options
-from diffstack_mmv.types import Motion, PlanOrigin, Solution
+from diffstack_mmv.types import Motion, PlanOrigin, Solution, map_tensors
 
 INF = float("inf")
 FAN = 2  # plans 0 and 1; plan 2 is the previous one, plans 3 and 4 are solutions
@@ -79,6 +79,21 @@ def test_where_nothing_is_safe_the_plan_that_lacks_least_clearance_is_a_fallback
 @pytest.mark.usefixtures("unchecked")
 def test_where_no_plan_is_finite_the_last_of_the_fan_is_the_fallback():
     assert chosen([(INF, False, INF)] * 5) == (FAN - 1, PlanOrigin.FALLBACK)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_each_problem_of_a_batch_chooses_for_itself():
+    def scored(numbers, cost):
+        plans = map_tensors(lambda entry: torch.cat([entry] * 3), plans_numbered(*numbers))
+        return ScoredPlans(plans, cost, cost.isfinite(), torch.zeros_like(cost))
+
+    first = scored((0, 1, 2), torch.tensor([[5.0, 4.0, 6.0], [5.0, 4.0, 3.0], [INF] * 3]))
+    solved = scored((3, 4), torch.tensor([[7.0, 7.0], [2.0, 7.0], [INF] * 2]))
+    found = CheapestSafe()(options_of(scored=first), lambda *_: solved, None)
+    assert found.controls[:, 0, 0].tolist() == [1, 3, FAN - 1]
+    assert torch.equal(found.motion.heading[:, 0], found.controls[:, 0, 0])
+    names = [PlanOrigin.CANDIDATE, PlanOrigin.OPTIMISED, PlanOrigin.FALLBACK]
+    assert found.origin.tolist() == names
 
 
 @pytest.mark.usefixtures("unchecked")
