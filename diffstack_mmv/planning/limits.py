@@ -10,7 +10,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive, require_switch, require_whole
 from diffstack_mmv.control import ILQR, Batched, Bounds, Solution
-from diffstack_mmv.control.constrained import HARD, ConstrainedILQR, Inequality, Slack
+from diffstack_mmv.control.constrained import ConstrainedILQR, Inequality, Slack
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import clearance_lack
@@ -188,9 +188,9 @@ class PlanConstraints:
             command = controls[..., column] if column is not None else 0 * controls[..., 0]
             return limit(motion, command, joined(heading_of, tensors))
 
-        slack = HARD if self.linear == float("inf") else Slack(self.linear)
         # the present state is as it is
-        return Inequality(Batched(values, *parted(problem)), slack, slice(1, None))
+        later = slice(1, None)
+        return Inequality(Batched(values, *parted(problem)), Slack(self.linear), later)
 
 
 def _acceleration_column(dynamics: DynamicsModel) -> int | None:

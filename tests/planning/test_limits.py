@@ -127,11 +127,15 @@ def test_plans_that_stop_under_limits_converge(linear):
     assert plan.solution.converged.all()
 
 
-def test_what_cannot_be_kept_to_is_told():
+@pytest.mark.parametrize(
+    ("linear", "status"),
+    [(float("inf"), SolverStatus.INFEASIBLE), (100.0, SolverStatus.CONVERGED)],
+)
+def test_what_cannot_be_kept_to_is_told_or_paid(linear, status):
     problems = doubled(problem(1))
     inside = problems.obstacles._replace(radius=problems.obstacles.radius + 40)
-    plan = limited()(problems._replace(obstacles=inside))
-    assert plan.solution.status.tolist() == [[SolverStatus.INFEASIBLE]]
+    plan = limited(linear)(problems._replace(obstacles=inside))
+    assert plan.solution.status.tolist() == [[status]]
     assert plan.controls.shape == (1, STEPS, 2)
 
 
