@@ -33,7 +33,7 @@ class Detour(NamedTuple):
 def drawn_detours(count: int, until_s: float) -> Detour:
     """Two legs per candidate in any direction, at any speed, that end by a time: Sobol's points.
 
-    A third of the legs are at rest and a third at full speed, so that waiting and fleeing are among
+    A sixth of the legs are at rest and a sixth at full speed, so that waiting and fleeing are among
     few draws already.
     """
     points = torch.quasirandom.SobolEngine(6).draw(count + 1)[1:]

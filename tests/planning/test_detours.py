@@ -7,7 +7,7 @@ import torch
 
 from diffstack_mmv.dynamics import DiffGM3, DiffKBM, ExtendedUnicycle, Holonomic, ReversingFloor
 from diffstack_mmv.planning import DetourFan, Pursuit, Reference, build_problem
-from diffstack_mmv.planning.detours import Detour, backing_detours
+from diffstack_mmv.planning.detours import Detour, backing_detours, drawn_detours
 from diffstack_mmv.planning.pursuit import Leg
 from diffstack_mmv.simulation.zero_order_hold import ZeroOrderHold
 from diffstack_mmv.types import Discs, Ego, HeadingOf, Motion, Obstacles, map_tensors
@@ -232,3 +232,39 @@ def test_a_turn_to_the_goal_is_as_slow_as_its_yaw_rate_asks(yaw_rate, speed):
 def test_no_backing_leg_is_slow():
     first = backing_detours(16, 4.0).speed_share[:, 0]
     assert -1 <= float(first.min()) < float(first.max()) <= -0.5
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_each_problem_of_a_batch_has_the_fan_to_its_own_goal(number):
+    def alone(record):
+        return map_tensors(lambda entry: entry[number, None], record)
+
+    both = map_tensors(lambda entry: torch.cat([entry, entry]), problem())
+    both.goal[1], both.reference_speed[1] = torch.tensor([-1.0, 2.0]), 2.0
+    both.ego.motion.velocity[1, 0] = 1.0
+    model, fan = ExtendedUnicycle(load_vehicle("wheelchair"), dt_s=0.25), DetourFan(drawn=2)
+    found, expected = alone(fan(model, both, 6)), fan(model, alone(both), 6)
+    torch.testing.assert_close(found.motion, expected.motion)
+    torch.testing.assert_close(found.controls, expected.controls)
+
+
+def test_legs_follow_each_other_and_then_the_goal_is_made_for():
+    detour = Detour(*torch.tensor([[[1.0, -2.0]], [[0.2, 0.8]], [[0.5, 1.0]]]))
+    driven, braking = DetourFan()._scheduled(detour, 6, 0.25)
+    offset, share, detours, brakes = driven.T.tolist()
+    assert offset[:4] == [1.0, 1.0, -2.0, -2.0]
+    assert share[:4] == pytest.approx([0.2, 0.2, 0.8, 0.8])
+    assert detours == [1, 1, 1, 1, 0, 0]
+    assert brakes == [0] * 6
+    assert braking[:, -1].tolist() == [1] * 6
+
+
+def test_drawn_legs_go_anywhere_and_wait_or_flee_in_a_sixth_each():
+    drawn = drawn_detours(1023, 4.0)
+    assert drawn.offset.mean(0).abs().max() < 0.05
+    assert drawn.offset.abs().amax(0).tolist() == pytest.approx([torch.pi] * 2, abs=0.01)
+    for share in (0, 1):
+        waiting = (drawn.speed_share == share).double().mean(0)
+        assert waiting.tolist() == pytest.approx([1 / 6] * 2, abs=0.01)
+    assert (drawn.until.diff() >= 0).all()
+    assert 3.9 < float(drawn.until.max()) <= 4.0

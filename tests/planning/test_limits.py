@@ -6,15 +6,19 @@ import pytest
 import torch
 
 from diffstack_mmv.control import ILQR
+from diffstack_mmv.dynamics import Holonomic
 from diffstack_mmv.planning import (
     ClearanceKept,
+    DetourFan,
     FrictionCircle,
+    MPCPlanner,
     PlanConstraints,
     SpeedWithin,
     above_rest,
 )
 from diffstack_mmv.types import Motion, SolverStatus
-from tests.planning.test_planner import STEPS, problem, training
+from diffstack_mmv.vehicles import load_vehicle
+from tests.planning.test_planner import STEPS, problem, training, weighted_cost
 
 LIMITS = {
     "speed": SpeedWithin(),
@@ -137,6 +141,22 @@ def test_what_cannot_be_kept_to_is_told_or_paid(linear, status):
     plan = limited(linear)(problems._replace(obstacles=inside))
     assert plan.solution.status.tolist() == [[status]]
     assert plan.controls.shape == (1, STEPS, 2)
+
+
+def test_a_model_that_takes_no_acceleration_commands_none():
+    """Its first control, a velocity, is well above what the limit would let an acceleration be."""
+
+    def gentle(motion, acceleration, problems):
+        return acceleration.unsqueeze(-1) - 0.1
+
+    def plan(constraints):
+        model = Holonomic(load_vehicle("wheelchair"), 0.25)
+        parts = weighted_cost(), ILQR(max_iterations=60), DetourFan(), STEPS
+        return MPCPlanner(model, *parts, constraints=constraints)(problem(1))
+
+    free, limited = plan(None), plan(PlanConstraints({"gentle": gentle}))
+    assert (free.controls[..., 0] > 1).any()
+    assert torch.equal(limited.controls, free.controls)
 
 
 def test_another_optimiser_cannot_keep_to_limits():
