@@ -9,14 +9,17 @@ from diffstack_mmv.planning.problem import (
     bent_to_goal,
     build_problem,
     disc_radius,
+    end_discs,
     facing_the_goal,
     filled_up,
     initial_state,
+    likeliest,
     observed_obstacles,
     possible,
     predicted_obstacles,
     predicted_reference,
     straight_reference,
+    straightened,
     tracked_ego,
 )
 from diffstack_mmv.prediction.goal_baselines import hermite_spline
@@ -97,6 +100,39 @@ def test_disc_has_the_area_of_the_box():
     assert torch.pi * radius.square() == pytest.approx(8.0)
 
 
+@pytest.mark.parametrize(("length", "width", "reach"), [(1.8, 0.6, 0.6), (0.6, 1.0, 0.0)])
+def test_discs_at_the_ends_of_a_box_have_a_hull_as_long_and_as_wide(length, width, reach):
+    ahead, radius = end_discs(torch.tensor([[length, width]]))
+    assert ahead.tolist() == [pytest.approx([-reach, reach])]
+    assert radius.tolist() == [pytest.approx([width / 2, width / 2])]
+
+
+def test_the_likeliest_component_of_each_agent_is_taken_as_sure():
+    weight = torch.tensor([[[0.2, 0.8], [0.7, 0.3]], [[0.9, 0.1], [0.4, 0.6]]])
+    size, position = torch.rand(2, 2), torch.randn(2, 2, 2, 4, 2)
+    found = likeliest(Obstacles(position, weight, size, size > 0.5))
+    best = [[position[0, 0, 1], position[0, 1, 0]], [position[1, 0, 0], position[1, 1, 1]]]
+    assert torch.equal(found.position[:, :, 0], torch.stack([torch.stack(row) for row in best]))
+    assert torch.equal(found.weight, torch.ones(2, 2, 1))
+    assert torch.equal(found.radius, size)
+
+
+def test_a_straightened_path_begins_and_ends_alike_and_keeps_its_speed():
+    """It begins where the ego is now, a step before the first position."""
+    path = torch.tensor([[[1.5, 1.0], [2.0, 2.0], [9.0, 9.0], [7.0, 0.0]]])
+    found = straightened(path, torch.tensor([[5.0, 4.0]]))
+    assert found.tolist() == [[[2.0, 1.0], [3.0, 2.0], [4.0, 3.0], [5.0, 4.0]]]
+    one = straightened(path[:, :1], torch.tensor([[5.0, 4.0]]))
+    assert one.tolist() == [[[5.0, 4.0]]]
+
+
+def test_the_speed_of_a_predicted_reference_is_its_length_by_its_time():
+    motion = Motion(torch.zeros(1, 2), torch.zeros(1), torch.zeros(1, 2), torch.zeros(1))
+    path = torch.tensor([[[3.0, 0.0], [3.0, 4.0]]])
+    speed = predicted_reference(motion, path, path[:, -1], 0.5).speed
+    assert speed.tolist() == pytest.approx([7.0])
+
+
 def test_problem_without_neighbors_is_a_problem():
     ego = tracks(2, rows=5)
     none = observed_obstacles(tracks(2, 0, rows=5), tracks(2, 0, rows=6))
@@ -107,7 +143,12 @@ def test_problem_without_neighbors_is_a_problem():
 
 @pytest.mark.parametrize(
     ("speed", "goal", "heading"),
-    [(0.0, (0.0, 5.0), torch.pi / 2), (3.0, (0.0, 5.0), 0.0), (0.0, (0.0, 0.5), 0.0)],
+    [
+        (0.0, (0.0, 5.0), torch.pi / 2),
+        (0.29, (0.0, 1.01), torch.pi / 2),
+        (0.31, (0.0, 5.0), 0.0),
+        (0.0, (0.0, 0.99), 0.0),
+    ],
 )
 def test_only_who_stands_and_has_somewhere_to_go_faces_the_goal(speed, goal, heading):
     motion = Motion(
