@@ -54,6 +54,37 @@ def test_only_a_model_with_a_kink_at_rest_gets_other_coordinates(model, kind):
     assert isinstance(above_rest(model), kind)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
+def test_a_share_is_one_of_the_way_from_stopping_within_the_step_to_the_limit(share):
+    model = kbm()
+    least, most = (float(bound[0]) for bound in model.bounds)
+    speed = torch.tensor([0.0, 0.5, 8.0])
+    states = torch.nn.functional.pad(speed.unsqueeze(-1), (3, 0))
+    found = SharesAboveRest(model).controls(states, torch.tensor([share, 0.1]).expand(3, 2))
+    rest = [max(least, -each / 0.25) for each in speed.tolist()]
+    expected = [each + share * (most - each) for each in rest]
+    assert found[:, 0].tolist() == pytest.approx(expected, abs=1e-4)
+    assert found[:, 1].tolist() == pytest.approx([0.1] * 3)
+
+
+def test_the_box_of_shares_is_that_of_the_controls_but_for_the_acceleration():
+    model = kbm()
+    before = map_tensors(torch.clone, model.bounds)
+    box = SharesAboveRest(model).bounds
+    assert (float(box.lower[0]), float(box.upper[0])) == (0.0, 1.0)
+    assert (box.lower[1], box.upper[1]) == (before.lower[1], before.upper[1])
+    assert torch.equal(model.bounds.lower, before.lower)
+    assert torch.equal(model.bounds.upper, before.upper)
+
+
+def test_beyond_the_end_of_a_plan_its_controls_are_zero():
+    coordinates, states, shares = SharesAboveRest(kbm()), torch.rand(3, 5, 4), torch.rand(3, 5, 2)
+    padded = coordinates.padded_controls(states, shares)
+    assert torch.equal(padded[:, :-1], coordinates.controls(states, shares)[:, :-1])
+    assert (padded[:, -1] == 0).all()
+    assert (padded[:, :-1] != 0).all()
+
+
 def test_coordinates_and_controls_are_each_others_inverse_but_for_braking_beyond_rest():
     generator = torch.Generator().manual_seed(0)
     coordinates, model = SharesAboveRest(kbm().double()), kbm().double()

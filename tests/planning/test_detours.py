@@ -51,6 +51,7 @@ def test_the_last_candidate_brakes_to_a_stop(fan):
     candidates, _ = fan
     assert float(candidates.motion.velocity[0, -1, -1, 0].abs()) < 0.05
     assert float(candidates.motion.position[0, -1, -1, 0]) < 1.2
+    assert float(candidates.motion.position[0, -1, :, 1].abs().max()) < 1e-5  # straight on
 
 
 @pytest.mark.parametrize("speed", [2.0, -0.8])
