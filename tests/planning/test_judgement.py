@@ -78,6 +78,27 @@ def test_sizes_that_do_not_fit_together_are_left_to_the_tensors():
         assert judged_among(*other) is None
 
 
+def in_precision(dtype, *records):
+    def moved(entry):
+        return entry.to(dtype) if entry.is_floating_point() else entry
+
+    return [map_tensors(moved, record) for record in records]
+
+
+@pytest.mark.skipif(library() is None, reason="there is no compiler")
+def test_numbers_of_unlike_or_low_precision_are_left_to_the_tensors():
+    """The library would read them as others than they are."""
+    motion, agents = plans(torch.float32, 5), people(torch.float32, 2)
+    here = torch.ones(3, 5, STEPS + 1, dtype=torch.bool)
+    given = [motion, agents, Discs(torch.zeros(3, 2), torch.full((3, 2), 0.3))]
+    for number in range(3):
+        unlike = given.copy()
+        unlike[number : number + 1] = in_precision(torch.float64, given[number])
+        assert judged_among(*unlike, here) is None
+    assert judged_among(*in_precision(torch.float64, *given), here) is not None
+    assert judged_among(*in_precision(torch.bfloat16, *given), here) is None
+
+
 @pytest.mark.skipif(library() is None, reason="there is no compiler")
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("unknown", [(2, 0), (2, 1)], ids=["first disc", "last disc"])
