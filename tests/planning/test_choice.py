@@ -82,14 +82,18 @@ def test_where_no_plan_is_finite_the_last_of_the_fan_is_the_fallback():
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_each_problem_of_a_batch_chooses_for_itself():
+@pytest.mark.parametrize("shape", [(3,), (1, 3), (3, 1)])
+def test_each_problem_of_a_batch_chooses_for_itself(shape):
     def scored(numbers, cost):
         plans = map_tensors(lambda entry: torch.cat([entry] * 3), plans_numbered(*numbers))
-        return ScoredPlans(plans, cost, cost.isfinite(), torch.zeros_like(cost))
+        whole = ScoredPlans(plans, cost, cost.isfinite(), torch.zeros_like(cost))
+        return map_tensors(lambda entry: entry.unflatten(0, shape), whole)
 
     first = scored((0, 1, 2), torch.tensor([[5.0, 4.0, 6.0], [5.0, 4.0, 3.0], [INF] * 3]))
     solved = scored((3, 4), torch.tensor([[7.0, 7.0], [2.0, 7.0], [INF] * 2]))
     found = CheapestSafe()(options_of(scored=first), lambda *_: solved, None)
+    assert found.controls.shape == (*shape, 2, 2)
+    found = map_tensors(torch.Tensor.squeeze, found)
     assert found.controls[:, 0, 0].tolist() == [1, 3, FAN - 1]
     assert torch.equal(found.motion.heading[:, 0], found.controls[:, 0, 0])
     names = [PlanOrigin.CANDIDATE, PlanOrigin.OPTIMISED, PlanOrigin.FALLBACK]
