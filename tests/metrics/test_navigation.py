@@ -104,6 +104,20 @@ def test_start_and_end_of_an_episode_are_no_uneasy_steps():
     assert uneasy_steps(record)[0].tolist() == [False, True, True, True] + 5 * [False]
 
 
+@pytest.mark.parametrize(
+    ("clearance", "uneasy"), [(-0.01, False), (0.0, True), (0.19, True), (0.2, False)]
+)
+def test_a_step_is_uneasy_from_touching_on_and_below_a_fifth_of_a_metre(clearance, uneasy):
+    near = torch.full((1, 9), clearance, dtype=torch.float64)
+    record = record_of(torch.tensor([3]), steps=torch.tensor([4]), clearance=near)
+    assert bool(uneasy_steps(record)[0, 2]) is uneasy
+
+
+def test_without_cases_an_interval_is_unknown():
+    none = torch.zeros(())
+    assert all(end.isnan() for end in wilson_interval(none, none))
+
+
 @pytest.mark.parametrize("metric", METRICS)
 def test_records_in_parts_score_like_the_whole(metric):
     whole = record_of()

@@ -77,6 +77,14 @@ def test_the_box_of_shares_is_that_of_the_controls_but_for_the_acceleration():
     assert torch.equal(model.bounds.upper, before.upper)
 
 
+@pytest.mark.parametrize(("acceleration", "share"), [(99.0, 1.0), (-99.0, 0.0)])
+def test_controls_beyond_the_limits_are_shares_at_them(acceleration, share):
+    controls = torch.tensor([acceleration, 0.0]).expand(4, 3, 2)
+    start = torch.nn.functional.pad(SPEEDS.unsqueeze(-1), (3, 0))
+    found = SharesAboveRest(kbm()).coordinates(start, controls)
+    assert (found[..., 0] == share).all()
+
+
 def test_beyond_the_end_of_a_plan_its_controls_are_zero():
     coordinates, states, shares = SharesAboveRest(kbm()), torch.rand(3, 5, 4), torch.rand(3, 5, 2)
     padded = coordinates.padded_controls(states, shares)
