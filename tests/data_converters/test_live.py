@@ -73,6 +73,31 @@ def test_who_was_seen_just_before_now_is_present(late_s, present):
     assert ("late" in seen.names) == present
 
 
+def test_how_late_somebody_may_be_is_a_setting():
+    late = samples("late", time_s=TIME_S[TIME_S <= 5.2])
+    table = pd.concat([samples(), late])
+    assert LiveTracks()(table, "me").names == ("me",)
+    assert LiveTracks(late_s=1.0)(table, "me").names == ("me", "late")
+
+
+def test_now_is_when_the_ego_was_seen_last():
+    table = pd.concat([samples("other"), samples(time_s=TIME_S[TIME_S <= 4.0])])
+    seen = LiveTracks()(table, "me")
+    assert seen.names == ("me", "other"), "the ego comes first, wherever it stands in the table"
+    told = LiveTracks()(table, "me", now_s=TIME_S[TIME_S <= 4.0][-1])
+    np.testing.assert_array_equal(seen.position, told.position)
+    assert abs(seen.position[1, -1, 0] - 16.0) < 0.2
+
+
+@pytest.mark.parametrize("history_s", [0.1, 2.0])
+def test_a_shorter_history_is_the_end_of_a_longer_one(history_s):
+    whole, short = (LiveTracks()(samples(), "me", each) for each in (4.0, history_s))
+    rows = round(history_s / 0.1) + 1
+    assert short.heading.shape == (1, rows)
+    for name in ("position", "velocity", "heading"):
+        np.testing.assert_array_equal(getattr(short, name), getattr(whole, name)[:, -rows:])
+
+
 def test_who_is_late_moves_on():
     late = samples("late", time_s=TIME_S[:-1])
     seen = LiveTracks()(pd.concat([samples(), late]), "me")
