@@ -150,6 +150,19 @@ def test_only_the_nearest_count():
     assert none.forecast.mean.shape[0] == 1
 
 
+def test_others_come_from_the_nearest_to_the_furthest_in_whatever_order_they_are_given(online):
+    whole, order = observed(), [0, 2, 1]
+    parts = {name: getattr(whole, name)[order] for name in ("extent", "position", "velocity")}
+    names, modes = ([part[index] for index in order] for part in (whole.names, whole.modes))
+    mixed = whole._replace(names=names, modes=modes, heading=whole.heading[order], **parts)
+    found, expected = online(mixed), online(whole)
+    away = [np.linalg.norm(place - whole.position[0, -1]) for place in whole.position[1:, -1]]
+    assert away == sorted(away)
+    assert found.names == expected.names == whole.names
+    assert torch.equal(found.forecast.mean, expected.forecast.mean)
+    assert torch.equal(found.plan.position, expected.plan.position)
+
+
 @pytest.fixture
 def told_to_compile(monkeypatch):
     """A stack that is told to compile and does not; and how many agents its planner saw."""

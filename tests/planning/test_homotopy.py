@@ -21,8 +21,9 @@ AHEAD = torch.tensor([0.8, 0.0])
         (torch.zeros(9, 2), [straight(0.5), straight(0.7), straight(-0.5)], [0, 0, 1]),
         (straight(0.0).flip(-1), [straight(0.0) + AHEAD, straight(0.0) - AHEAD], [0, 1]),
         (torch.full((9, 2), 9.0), [straight(0.5), straight(-0.5)], [0, 0]),
+        (torch.zeros(9, 2), [straight(1.0), straight(-1.0), straight(3.0)], [0, 1, 2]),
     ],
-    ids=["left and right", "before and behind", "far away"],
+    ids=["left and right", "before and behind", "far away", "left, right or far away"],
 )
 def test_ways_around_an_agent_are_classes_of_their_own(agent, plans, classes):
     found = homotopy_class(torch.stack(plans)[None], agent[None, None])[0]
