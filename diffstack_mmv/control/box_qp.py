@@ -48,10 +48,6 @@ def solve_box_qp(
     return k, (k > lower) & (k < upper)
 
 
-def _value(H: Tensor, g: Tensor, k: Tensor) -> Tensor:
-    return ((0.5 * apply(H, k) + g) * k).sum(0)
-
-
 def _minimum_of_active_sets(H: Tensor, g: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
     """The unconstrained minimiser if it lies inside, else the best of the four edges.
 

@@ -7,7 +7,13 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffstack_mmv.control.box_qp import positive_lift, solve_box_qp
+from diffstack_mmv.control.box_qp import (
+    free_inverse,
+    parted,
+    positive_lift,
+    regular_inverse,
+    solve_box_qp,
+)
 
 pytestmark = pytest.mark.usefixtures("double")
 
@@ -109,3 +115,50 @@ def test_lift_of_a_matrix_that_is_not_finite_stays_with_it(m):
     alone = positive_lift(Q[..., :2], DEFINITE)
     Q[..., 2] = torch.nan
     assert torch.equal(positive_lift(Q, DEFINITE)[:, :2], alone)
+
+
+def symmetric(m, count=50):
+    """Indefinite matrices that are far from singular, and some of their rows."""
+    basis = torch.linalg.qr(torch.randn(count, m, m)).Q
+    values = (0.5 + torch.rand(count, 1, m)) * torch.randn(count, 1, m).sign()
+    return ((basis * values) @ basis.mT).movedim(0, -1), torch.rand(m, count) < 0.6
+
+
+@pytest.mark.parametrize("m", [1, 2, 3, 5])
+@pytest.mark.parametrize("inverse", [free_inverse, regular_inverse])
+def test_the_inverse_is_that_of_the_free_rows_and_columns(m, inverse):
+    H, free = symmetric(m)
+    noise = [torch.full((m, 50), 1e-13)] if inverse is regular_inverse else []
+    found = inverse(H, free, *noise)
+    for number in range(50):
+        rows = free[:, number].nonzero().squeeze(-1)
+        expected = torch.zeros(m, m)
+        block = H[rows][:, rows, number]
+        expected[rows.unsqueeze(-1), rows] = torch.linalg.inv(block)
+        scale = expected.abs().max().clamp_min(1)
+        torch.testing.assert_close(found[..., number] / scale, expected / scale)
+
+
+@pytest.mark.parametrize("rank", [1, 2])
+def test_of_a_singular_matrix_as_many_rows_are_inverted_as_its_rank(rank):
+    """With them every equation that can be met is met; what is left over stays at zero."""
+    factor = torch.randn(50, 4, rank)
+    H = (factor @ factor.mT).movedim(0, -1)
+    found = regular_inverse(H, torch.ones(4, 50) > 0, torch.full((4, 50), 1e-9)).movedim(-1, 0)
+    assert ((found != 0).any(-1).sum(-1) == rank).all()
+    each = H.movedim(-1, 0)
+    torch.testing.assert_close(each @ found @ each, each)
+
+
+def test_the_noise_of_a_row_tells_whether_it_has_an_inverse():
+    H = torch.diag(torch.tensor([4.0, 1e-3, 1e-3]))[..., None]
+    noise = torch.tensor([1e-6, 1e-2, 1e-6])[:, None]
+    found = regular_inverse(H, torch.ones(3, 1) > 0, noise)[..., 0]
+    torch.testing.assert_close(found, torch.diag(torch.tensor([0.25, 0.0, 1e3])))
+
+
+def test_a_row_that_is_not_free_keeps_its_diagonal_alone():
+    Q = torch.tensor([[1.0, 2.0, 3.0], [2.0, 4.0, 5.0], [3.0, 5.0, 6.0]])
+    free = torch.tensor([True, False, True])
+    alone = [[1.0, 0.0, 3.0], [0.0, 4.0, 0.0], [3.0, 0.0, 6.0]]
+    assert parted(Q[..., None], free[:, None])[..., 0].tolist() == alone
