@@ -21,10 +21,19 @@ def test_initial_weights_are_those_asked_for():
     assert {name: pytest.approx(float(weight)) for name, weight in weights.items()} == WEIGHTS
 
 
-def test_value_is_the_weighted_sum_of_the_terms():
+@pytest.mark.parametrize("frozen", [[], ["yaw"], list(TERMS)])
+def test_value_is_the_weighted_sum_of_the_terms(frozen):
     case = random_case()
     expected = sum(WEIGHTS[name] * term(*case) for name, term in TERMS.items())
-    assert torch.allclose(WeightedCost(TERMS, WEIGHTS)(*case), expected, atol=1e-5)
+    assert torch.allclose(WeightedCost(TERMS, WEIGHTS, frozen)(*case), expected, atol=1e-5)
+
+
+def test_terms_are_told_one_by_one_with_their_weights_or_with_others():
+    case, others = random_case(), {"tracking": 5.0, "effort": 0.0, "yaw": 7.0}
+    cost = WeightedCost(TERMS, WEIGHTS)
+    for weights, given in ((WEIGHTS, {}), (others, {"weights": others})):
+        for name, value in cost.components(*case, **given).items():
+            torch.testing.assert_close(value, weights[name] * TERMS[name](*case))
 
 
 def test_learning_keeps_weights_positive_and_their_sum_and_spares_the_frozen():
