@@ -61,6 +61,20 @@ def test_a_price_of_each_problem_stays_with_it():
     assert some.linear.shape == (2, 3, 1)
 
 
+@pytest.mark.parametrize(
+    ("which", "prices", "told"),
+    [
+        ("linear", [1.0, -1.0, 1.0], "`.*slack.linear` must be zero or positive"),
+        ("quadratic", [1.0, 0.0, -1.0], "`.*slack.quadratic` must be zero or positive"),
+        ("quadratic", [1.0, torch.inf, 1.0], "`.*slack.quadratic` must be finite"),
+    ],
+)
+def test_one_price_among_many_that_is_none_is_refused(which, prices, told):
+    slack = Slack(**{which: torch.tensor(prices)[:, None, None]})
+    with pytest.raises(ValueError, match=told):
+        rows_of(Inequality(place, slack), batch=3)
+
+
 FREE, HOLDS, PAYS, YIELDS = (0, 0), (1, 0), (0, 1), (1, 0)
 
 
