@@ -6,6 +6,7 @@ import torch
 from diffstack_mmv.control import Batched
 from diffstack_mmv.control.constrained import HARD, Equality, Inequality, Slack
 from diffstack_mmv.control.constrained.activity import classify
+from diffstack_mmv.control.constrained.barrier_rows import barrier_rows
 from diffstack_mmv.control.constrained.constraint import gather
 
 LATER = slice(1, None)
@@ -59,6 +60,22 @@ def test_a_price_of_each_problem_stays_with_it():
     assert some.linear[:, 0, 0].tolist() == [3.0, 1.0]
     assert some.quadratic[:, 2, 0].tolist() == [6.0, 2.0]
     assert some.linear.shape == (2, 3, 1)
+
+
+def test_a_soft_equality_is_two_inequalities_and_a_hard_one_stays_what_it_is():
+    found = barrier_rows(rows_of(Inequality(place), Equality(speed), Equality(place, Slack(0.5))))
+    values, both = torch.tensor([2.0, 3.0, 5.0]).expand(1, 3, 3), torch.tensor([1.0, 7.0, 4.0])
+    assert found.inequalities(values)[0, 0].tolist() == [2.0, 5.0, -5.0]
+    assert values[..., found.equality][0, 0].tolist() == [3.0]
+    assert found.soft[0, 0].tolist() == [False, True, True]
+    assert found.linear[0, 0].tolist() == [0.0, 0.5, 0.5]
+    pressing = found.multipliers(both.expand(1, 3, 3), torch.full((1, 3, 1), -6.0), 3)
+    assert pressing[0, 0].tolist() == [1.0, -6.0, 7.0 - 4.0]
+
+
+def test_a_violation_without_a_price_and_times_without_a_constraint_are_left_out():
+    found = barrier_rows(rows_of(Inequality(place, Slack()), Inequality(speed, times=LATER)))
+    assert found.applies[0].tolist() == [[False, False], [False, True], [False, True]]
 
 
 @pytest.mark.parametrize(
