@@ -52,3 +52,28 @@ def test_a_row_gives_way_as_far_as_is_cheapest(kind, slack, multiplier):
     expected = torch.tensor([cheapest(kind, slack, multiplier, each) for each in PLACES])
     told = torch.stack([paid, found.slack[:, -1, 0], found.multipliers[:, -1, 0]], -1)
     torch.testing.assert_close(told, expected, rtol=0, atol=1e-3)
+
+
+def test_cost_and_rows_keep_their_own_tensors_and_go_with_their_problems():
+    """Two of the cost, one of the first row, none of the second."""
+    count, index = 5, torch.tensor([4, 1])
+    near, far, limit = torch.rand(3, count)
+    states, controls = torch.randn(count, 3, 2), torch.randn(count, 3, 1)
+    cost = Batched(lambda x, u, a, b: a[:, None] * x[..., 0] + b[:, None] * u[..., 0], near, far)
+    first = Inequality(Batched(lambda x, u, c: x[..., :1] - c[:, None, None], limit), Slack(0.5))
+    second = Equality(Batched(lambda x, u: x[..., 1:]))
+    enclosed = Inequality(Batched(lambda x, u: x[..., :1] - limit[:, None, None]), Slack(0.5))
+    box, weight = Bounds(-torch.ones(1), torch.ones(1)), torch.full((count, 1, 1), PENALTY)
+
+    def priced_with(*rows):
+        gathered = gather(rows, states, controls[:, :-1])
+        problem = Problem(Batched(lambda x, u: x), cost, gathered, box, states[:, 0])
+        return priced_cost(problem, torch.zeros_like(gathered.linear), weight)
+
+    both, bare = priced_with(first, second), cost(states, controls)
+    alone = sum(priced_with(row)(states, controls) - bare for row in (enclosed, second))
+    whole = both(states, controls)
+    torch.testing.assert_close(whole, bare + alone)
+    some = both.select(index)(states[index], controls[index])
+    torch.testing.assert_close(some, whole[index])
+    assert len(both.tensors) == 4 + 3
