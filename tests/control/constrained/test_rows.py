@@ -99,6 +99,8 @@ FREE, HOLDS, PAYS, YIELDS = (0, 0), (1, 0), (0, 1), (1, 0)
     ("kind", "slack", "raw", "how", "side"),
     [
         (Inequality, HARD, -0.1, FREE, 0),
+        (Inequality, HARD, 0.0, FREE, 0),  # reached without a multiplier
+        (Equality, HARD, 0.0, HOLDS, 0),
         (Inequality, HARD, 9.0, HOLDS, 0),
         (Equality, HARD, -9.0, HOLDS, 0),
         (Inequality, Slack(0.5), -0.7, FREE, 0),
