@@ -251,6 +251,22 @@ def test_whoever_has_a_position_now_needs_the_rest(online, part, value):
 
 
 @pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(("number", "name"), [(1, "walker"), (2, "late")])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_whoever_has_half_a_size_or_half_a_velocity_is_told_by_name(online, number, name, axis):
+    whole = observed()
+    whole.extent[number, axis] = 0.0
+    with pytest.raises(ValueError, match=f"`observed.extent` must be positive.* agent '{name}'"):
+        online(whole)
+    whole = observed()
+    whole.velocity[number, -1, axis] = np.nan
+    with pytest.raises(ValueError, match=f"`observed.velocity` must be finite.* agent '{name}'"):
+        online(whole)
+    whole.position[number, -1, axis] = np.nan
+    assert name not in online(whole).names, "half a position is none"
+
+
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("change", "told"),
     [
