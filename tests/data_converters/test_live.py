@@ -76,7 +76,8 @@ def test_who_was_seen_just_before_now_is_present(late_s, present):
 def test_how_late_somebody_may_be_is_a_setting():
     late = samples("late", time_s=TIME_S[TIME_S <= 5.2])
     table = pd.concat([samples(), late])
-    assert LiveTracks()(table, "me").names == ("me",)
+    for strict in (LiveTracks(), LiveTracks(late_s=0.0)):
+        assert strict(table, "me").names == ("me",)
     assert LiveTracks(late_s=1.0)(table, "me").names == ("me", "late")
 
 
@@ -193,6 +194,13 @@ def test_times_in_another_unit_are_told_with_agent_and_step(unit, step):
     told = f"`time` must rise by at most 0.5 s .* got '{step} as a rule' in the track of 'me'"
     with pytest.raises(ValueError, match=told):
         LiveTracks()(table.assign(time=unit * table["time"]), "me")
+
+
+def test_times_in_milliseconds_are_told_to_who_gives_the_present_in_them_too():
+    """The last sample then lies tens of seconds back: the ego would be absent."""
+    table = samples().assign(time=1e3 * TIME_S)
+    with pytest.raises(ValueError, match="`time` must rise by at most .* in the track of 'me'"):
+        LiveTracks()(table, "me", now_s=1e3 * TIME_S[-1] + 40.0)
 
 
 def test_a_jump_parts_a_track_as_a_gap_does():

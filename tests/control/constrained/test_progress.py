@@ -93,6 +93,20 @@ def test_what_is_not_finite_is_never_kept(value):
     assert kept.merit.cost.isfinite().all()
 
 
+def test_a_motion_that_ends_nowhere_is_no_good_even_if_no_part_of_the_problem_sees_it():
+    problem, controls = carts([0.0])
+    problem = problem._replace(cost=Batched(lambda x, u: x[..., 0].square()))
+    controls[:, -1] = torch.inf  # of the speed at the end
+    assert problem.cost(problem.rollout(controls), controls).isfinite().all()
+    assert all(part.isinf().all() for part in judge(problem, controls))
+
+
+def test_a_cost_that_is_no_number_is_infinite():
+    problem, controls = carts([0.0])
+    lost = problem._replace(cost=Batched(lambda x, u: torch.nan * x[..., 0]))
+    assert judge(lost, controls).cost.isposinf().all()
+
+
 def test_the_better_point_of_each_open_problem_is_kept():
     problem, controls = carts([0.0, 1.0, 0.0])
     pushed = torch.zeros_like(controls)
