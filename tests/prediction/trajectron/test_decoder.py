@@ -73,3 +73,10 @@ def test_a_correlation_does_not_depend_on_the_deviations(raw):
     leaning = 4 * math.tanh(raw / 4)
     expected = leaning / math.hypot(1, leaning)
     assert correlation.tolist() == pytest.approx([expected] * 2)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("steps", [0, -1])
+def test_a_horizon_without_a_step_is_refused(steps):
+    with pytest.raises(ValueError, match="`horizon_steps` must be at least 1"):
+        ControlDecoder(bicycle(), 2, 1, steps)
