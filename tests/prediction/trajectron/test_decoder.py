@@ -80,3 +80,14 @@ def test_a_correlation_does_not_depend_on_the_deviations(raw):
 def test_a_horizon_without_a_step_is_refused(steps):
     with pytest.raises(ValueError, match="`horizon_steps` must be at least 1"):
         ControlDecoder(bicycle(), 2, 1, steps)
+
+
+def test_before_training_nothing_is_added_to_the_fading_turn_whatever_the_context():
+    """The deviation is a quarter of a quarter of the box, the place is known to centimetres."""
+    made, hidden = decoder(), torch.randn(3, 4).double()
+    fading = torch.randn(3, STEPS, 2).double()
+    controls, scale = made._controls(torch.randn(3, 12).double(), hidden, fading)
+    assert torch.equal(controls, fading)
+    box = made.dynamics.bounds.upper - made.dynamics.bounds.lower
+    torch.testing.assert_close(scale, torch.diag(box / 16).expand(3, STEPS, 2, 2))
+    assert (made.start_head(hidden) == 0).all()
