@@ -219,11 +219,25 @@ def test_no_term_has_a_tip_at_the_goal(double, term, course):
     assert (slope(step) - slope([-way for way in step])).norm() < 0.02
 
 
-@pytest.mark.parametrize("width", [0.0, -1.0])
-def test_impossible_constants_are_refused(width):
-    for make in (costs.HeadingToGoal, costs.ExpectedCollision, costs.BrakingProfile):
-        with pytest.raises(ValueError, match="must be positive"):
-            make(width)
+@pytest.mark.parametrize(
+    ("make", "name", "least"),
+    [
+        (costs.HeadingToGoal, "fade_m", "positive"),
+        (costs.BrakingProfile, "braking_mps2", "positive"),
+        (costs.GoalOutsideTurn, "radius_min_m", "positive"),
+        (costs.ExpectedCollision, "bandwidth_m", "positive"),
+        (costs.OutlineClearance, "margin_m", "at least 0"),
+        (costs.TurningCircleBarrier, "radius_min_m", "positive"),
+        (costs.TurningCircleBarrier, "friction", "positive"),
+        (costs.TurningCircleBarrier, "margin_m", "at least 0"),
+    ],
+)
+def test_impossible_constants_are_refused(make, name, least):
+    for value in (-1.0, *([0.0] if least == "positive" else [])):
+        with pytest.raises(ValueError, match=f"`{name}` must be {least}"):
+            make(**{name: value})
+    if least != "positive":
+        make(**{name: 0.0})
 
 
 def test_the_speed_limit_holds_backwards_too(double):
