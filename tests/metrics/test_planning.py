@@ -96,6 +96,13 @@ def test_a_plan_that_is_not_finite_is_not_free_of_collisions(spoiler):
     assert found == pytest.approx([0.0, math.nan], nan_ok=True)
 
 
+def test_a_plan_whose_heading_is_not_finite_is_not_free_of_collisions_either():
+    plan, heading = straight_plan().expand(2, 31, 2), torch.zeros(2, 31)
+    heading[1, 20] = torch.nan
+    found = hit_by(plan, torch.tensor([0.3, 0.3]), standing_agent(50.0, 0.0), heading).tolist()
+    assert found == pytest.approx([0.0, math.nan], nan_ok=True)
+
+
 def ridden(valid):
     """Past and future of somebody who rides straight on, 10 m in 30 steps."""
     plan, recorded = straight_plan(), torch.tensor([valid]).expand(1, 30)
