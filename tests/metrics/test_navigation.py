@@ -203,3 +203,11 @@ def test_a_ride_is_as_rough_as_its_changes_of_velocity():
     rough = ride(record._replace(motion=motion))
     assert rough.acceleration[:3].tolist() == pytest.approx([3.0, 0.8, 0.0], abs=1e-3)
     assert rough.jerk[:3].tolist() == pytest.approx([0.0, 0.32, 0.0], abs=1e-3)
+
+
+def test_a_ride_of_one_step_has_an_acceleration_and_no_jerk():
+    record = record_of(torch.tensor([3]), steps=torch.tensor([1]))
+    velocity = record.motion.velocity.clone()
+    velocity[0, 1, 0] = 0.5
+    rough = ride(record._replace(motion=record.motion._replace(velocity=velocity)))
+    assert (float(rough.acceleration), float(rough.jerk)) == (2.0, 0.0)
