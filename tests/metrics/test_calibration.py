@@ -28,6 +28,15 @@ def test_level_of_one_gaussian_is_that_of_its_ellipse(distance):
     assert found.level.mean().item() == pytest.approx(expected, abs=0.01)
 
 
+def test_beyond_all_samples_a_level_counts_the_nats_below_the_least_dense_of_them():
+    one = forecast(2)
+    position = torch.tensor([0.0, 8.0]) @ one.scale_tril[0, 0, 0].T
+    future = straight_tracks(position.expand(2, 2), torch.zeros(2, 2), 6, 0)
+    found = judged_levels(one, future)
+    own = -0.5 * 8**2 - math.log(2 * math.pi * 2.0)  # the determinant of the root is 2
+    torch.testing.assert_close(found.level, 1 + found.drawn.amin(-2) - own, rtol=1e-4, atol=1e-3)
+
+
 @pytest.mark.parametrize(
     ("scale", "low", "high"), [(1.0, 0.46, 0.54), (0.5, 0.0, 0.3), (2.0, 0.7, 1)]
 )
