@@ -54,6 +54,13 @@ def test_a_long_vehicle_is_its_outline_and_not_a_disc(heading, expected):
     assert hit_by(plan, radius, beside, turned, reach=0.8).tolist() == [float(expected)]
 
 
+@pytest.mark.parametrize("radii", [[0.3, 0.1], [0.1, 0.3]])
+def test_the_wider_disc_of_a_vehicle_hits_as_it_passes(radii):
+    discs, plan = Discs(torch.tensor([[-0.8, 0.8]]), torch.tensor([radii])), straight_plan()
+    found = collided(plan, torch.zeros(1, 31), discs, standing_agent(5.0, 0.55))
+    assert found.tolist() == [1.0]
+
+
 def test_overlap_at_the_start_is_no_fault_of_the_plan():
     plan = straight_plan() + torch.tensor([1.0, 0.0])
     plan[:, 0] = 0.0
