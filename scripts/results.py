@@ -155,11 +155,8 @@ def _write_excitation(judged: Sequence[Run], out: Path) -> None:
     reports, sets = [run.report for run in judged], [run.data for run in judged]
     paired = paired_samples(reports, "plan_ade", EXCITATION, sets)
     write_by_excitation(out, paired)
-    titles, heading = (
-        {each.name: each.heading for each in EXCITATION},
-        OPEN_LOOP["plan_ade"].heading,
-    )
-    picture = out / "excitation.png"
+    titles = {each.name: each.heading for each in EXCITATION}
+    heading, picture = OPEN_LOOP["plan_ade"].heading, out / "excitation.png"
     save_by_excitation(picture, paired.by_setting(), paired.models, titles, heading, bootstrap)
 
 

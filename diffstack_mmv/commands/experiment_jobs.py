@@ -188,11 +188,8 @@ class Experiment:
         """Training with these settings, and evaluation of its best epoch."""
         config, told, folder = self.config, self.config.sets[run.data], run.report.parent
         small = config.size.overrides if config.plans else []
-        asked = (
-            f"vehicle={_vehicle(self.modes(run.data)[run.mode])}",
-            f"goal={run.goal}",
-            f"seed={run.seed}",
-        )
+        vehicle = _vehicle(self.modes(run.data)[run.mode])
+        asked = f"vehicle={vehicle}", f"goal={run.goal}", f"seed={run.seed}"
         train = self._script(
             "train", *self._data(run), *asked, f"out={quoted(folder)}", *small,
             *self._windows(run), *config.overrides, *told.get("training", []), *settings,

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.checks import message, require, require_positive
+from diffstack_mmv.checks import require, require_positive
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.types import EpisodeRecord, Outcome
 
@@ -121,11 +121,9 @@ class EpisodeMean(ABC):
         Raises:
             ValueError: An episode has not ended.
         """
-        if bool((record.outcome < Outcome.COLLISION).any()):
-            unfinished = int((record.outcome < Outcome.COLLISION).sum())
-            raise ValueError(
-                message("record", "hold ended episodes only", f"{unfinished} that still run")
-            )
+        unfinished = int((record.outcome < Outcome.COLLISION).sum())
+        found = f"{unfinished} that still run"
+        require(not unfinished, "record", "hold ended episodes only", found)
         self.total += self._values(record).double().sum()
         self.weight += self._weights(record).double().sum()
 

@@ -193,9 +193,8 @@ class OnlineStack:
             ],
             -1,
         )
-        modes = torch.tensor(
-            [int(Mode.named(observed.modes[index], "observed.modes")) for index in chosen]
-        )
+        names = (observed.modes[index] for index in chosen)
+        modes = torch.tensor([int(Mode.named(name, "observed.modes")) for name in names])
         dtype = self.stack.planner.dynamics.bounds.lower.dtype
         extent = torch.from_numpy(observed.extent[chosen]).to(dtype)
         absent = max(self._least_agents - len(chosen), 0)
