@@ -66,7 +66,9 @@ def _first(function: Any, originals: dict[int, Tensor]) -> Any:
     """A callable for the first problem of a batch; tells where its tensors come from."""
     if not isinstance(function, Batched):
         return function
-    slices = [each.detach()[:1].contiguous() for each in function.tensors]
+    # copied: else a stride of the one row tells what it was cut from, which is one more shape
+    laid_out = {"memory_format": torch.contiguous_format}
+    slices = [each.detach()[:1].clone(**laid_out) for each in function.tensors]
     originals.update(zip(map(id, slices), function.tensors, strict=True))
     return Batched(function.function, *slices)
 

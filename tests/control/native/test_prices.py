@@ -94,6 +94,20 @@ def test_however_many_plans_and_problems_there_are_it_is_one_library(monkeypatch
     assert len(written) == 1
 
 
+def test_costs_of_tensors_cut_from_others_are_one_library(monkeypatch):
+    written, source = [], native.source
+    monkeypatch.setattr(native, "source", lambda *told: written.append(told) or source(*told))
+
+    def cost(states, controls, place):
+        return (states - place.unsqueeze(-2)).square().sum(-1) - controls.sum(-1)
+
+    for place in (torch.randn(1, 2), torch.randn(1, 30, 2)[:, -1], torch.randn(4, 30, 2)[:, -1]):
+        states, controls = torch.randn(len(place), 3, 5, 2), torch.randn(len(place), 3, 5, 1)
+        found = prices(Batched(cost, place), states, controls)
+        torch.testing.assert_close(found, cost(states, controls, place.unsqueeze(1)))
+    assert len(written) == 1
+
+
 def test_plans_of_other_sizes_or_types_are_left_to_tensors():
     """The library would take their numbers for those of the plans that it was prepared for."""
 
