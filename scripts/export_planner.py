@@ -3,7 +3,7 @@
 import logging
 from pathlib import Path
 
-from diffstack_mmv.commands.cli import DictConfig, command, instantiate
+from diffstack_mmv.commands.cli import DictConfig, command, instantiate, refuse_beside
 from diffstack_mmv.commands.config_checks import require_checkpoint
 from dmmv_conventions.checks import require_at_least, require_positive
 from dmmv_conventions.configs import config_folder
@@ -11,14 +11,18 @@ from dmmv_conventions.pretrained import checkpoint_path
 
 logger = logging.getLogger(__name__)
 
+REPLACED = "vehicle", "vehicle_file", "dynamics", "cost", "solver", "planner", "steps", "dt_s"
+"""What the planner of a checkpoint brings along."""
+
 
 def check(config: DictConfig) -> None:
-    """Refuse sizes that are none, and a checkpoint that is not there."""
+    """Refuse sizes that are none, and a checkpoint that is not there or not all of the planner."""
     for name in ("agents", "components", "discs", "steps"):
         require_at_least(name, config[name], 1)
     require_positive("dt_s", config.dt_s)
     if config.checkpoint:
         require_checkpoint("checkpoint", config.checkpoint)
+        refuse_beside("checkpoint", REPLACED)
     else:
         instantiate(config.planner)
 

@@ -33,6 +33,7 @@ with endings_raised(), needs_to_run("stack", "the command lines"):
         changed_defaults,
         composed_once,
         is_in_part,
+        refuse_beside,
         require_resolvable,
         require_resolved,
         settings_in,
@@ -73,6 +74,7 @@ __all__ = [
     "folders_as",
     "get_class",
     "instantiate",
+    "refuse_beside",
     "save_config",
     "settings_in",
 ]

@@ -5,7 +5,7 @@ compared with would be a third: half a second of the time until a mistake is tol
 """
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
@@ -21,7 +21,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
 
 from diffstack_mmv.commands.config_checks import leaves
-from dmmv_conventions.checks import message
+from dmmv_conventions.checks import message, require
 
 _ELSEWHERE = ("--config", "-cd", "-cn", "-cp", "hydra")
 """What in a command line may change the mode of Hydra, besides its own options for that."""
@@ -135,6 +135,22 @@ def settings_in(words: Iterable[str]) -> dict[str, Any]:
         if not parsed.is_delete():
             found[key] = parsed.value()
     return found
+
+
+def refuse_beside(argument: str, replaced: Collection[str]) -> None:
+    """Refuse settings of the present job that another one replaces: they would change nothing.
+
+    Args:
+        argument: The setting that replaces them.
+        replaced: Groups or keys that it replaces, each with all that is below it.
+
+    Raises:
+        ValueError: The command line has one of them.
+    """
+    for key in settings_in(HydraConfig.get().overrides.task):
+        name = key.partition("@")[0].partition(".")[0]
+        remedy = f"Leave out {name}, or {argument}."
+        require(name not in replaced, argument, "be without what it replaces", key, "", remedy)
 
 
 def _changed(overrides: Sequence[Override]) -> list[str]:

@@ -14,6 +14,7 @@ from diffstack_mmv.commands.composition import (
     as_written,
     changed_defaults,
     is_in_part,
+    refuse_beside,
     require_resolved,
     settings_in,
 )
@@ -120,3 +121,21 @@ def test_a_formula_that_does_not_take_its_values_is_named():
     config = OmegaConf.create({"a": {"low": "${smaller:${b},1.0}"}, "b": "fast", "c": "${b}"})
     with pytest.raises(ValueError, match="`a.low` must be a value, but got an interpolation"):
         require_resolved(config)
+
+
+@pytest.mark.parametrize("word", ["part=fine", "part.step=2", "+part.new=3"])
+def test_what_another_setting_replaces_is_refused_by_name(run, word):
+    def task(_):
+        with pytest.raises(ValueError, match="`count` must be without what it replaces, .* part"):
+            refuse_beside("count", ["part"])
+        return {"out": None}
+
+    assert run("count=2", word, task=task) == [{}]
+
+
+def test_other_settings_beside_it_are_kept(run):
+    def task(config):
+        refuse_beside("count", ["part"])
+        return dict(config)
+
+    assert run("count=2", task=task) == [{"count": 2, "part": {"step": 0.5}}]
