@@ -78,10 +78,11 @@ def composition_told(folder: Path, config_name: str) -> Iterator[None]:
         # outside of a job Hydra touches the disk for nothing else
         _exit(told_of_folder(error))
     except ValueError as error:
-        # what a job raises is told within it: this is of options that exclude each other, or of a
-        # log that cannot be written
-        of_log = error.__cause__
-        _exit(told_of_folder(of_log) if isinstance(of_log, OSError) else one_line(str(error)))
+        # what a job raises is told within it: this is of options that exclude each other, of a
+        # group without a name, or of a log that cannot be written
+        if isinstance(error.__cause__, OSError):
+            _exit(told_of_folder(error.__cause__))
+        _exit(told(error, arguments, folder, config_name))
     finally:
         del os.environ[FULL_ERROR]
         _RAISING.reset(before)

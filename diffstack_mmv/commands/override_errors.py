@@ -7,11 +7,13 @@ from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from dmmv_conventions.checks import alike, did_you_mean, message
+from dmmv_conventions.config_files import names_in
 
 PLACE = "on the command line"
 _ALL_KEYS = "`--cfg job` prints all keys."
@@ -19,11 +21,12 @@ _EXTRAS = {"hydra/sweeper/optuna": "sweep", "hydra/launcher/submitit": "sweep"}
 _UNKNOWN_KEY = re.compile(r"Could not (?:override|delete from config\.|delete) '?([^'\s]+)'")
 _NO_CHOICE = re.compile(r"You must specify '(\S+)',.*?Available options:(.*)", re.DOTALL)
 _NOT_MERGED = re.compile(r"Error merging override ([^=\s]+)=")
+_NO_NAME = "Config group override must be a string or a list."
 _TWICE = re.compile(r"Multiple values for (\S+)\.")
 
 
 def told(
-    error: HydraException | OmegaConfBaseException,
+    error: HydraException | OmegaConfBaseException | ValueError,
     arguments: Sequence[str],
     folder: Path,
     config_name: str,
@@ -58,6 +61,8 @@ def told(
         bare = found[1].lstrip("+~")
         needs = "have a value of the kind of its default, such as settings with their names"
         return message(bare, needs, _given(bare, arguments), PLACE, "`--cfg job` prints it.")
+    if isinstance(error, ValueError) and str(error).startswith(_NO_NAME):
+        return _no_option(error, arguments, folder)
     if found := _UNKNOWN_KEY.match(str(error)):
         return _unknown_key(found[1], arguments, folder, config_name)
     return one_line(str(error))
@@ -113,6 +118,19 @@ def _unknown_option(file: str, options: Sequence[str]) -> str:
     elif group == "vehicle":
         remedy = f"{remedy} A vehicle of your own is the path of a YAML file.".lstrip()
     return message(group, f"be one of {', '.join(options)}", repr(name), PLACE, remedy)
+
+
+def _no_option(error: ValueError, arguments: Sequence[str], folder: Path) -> str:
+    """The message for a group that is given a number, a truth value or null."""
+    groups = (each for each in arguments if _key_of(each) and (folder / _key_of(each)).is_dir())
+    for word in groups:
+        given = OverridesParser.create().parse_override(word)
+        if given.is_delete() or isinstance(given.value(), str | list):
+            continue
+        group, value = given.key_or_group, "null" if given.value() is None else given.value()
+        wanted = f"be one of {', '.join(names_in(folder / group))}"
+        return message(group, wanted, value, PLACE, "Leave it out for the default.")
+    return one_line(str(error))
 
 
 def _unknown_key(key: str, arguments: Sequence[str], folder: Path, config_name: str) -> str:

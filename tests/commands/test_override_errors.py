@@ -31,6 +31,9 @@ def answer(monkeypatch, capsys, tmp_path):
     [
         (["goal=futur"], "`goal` must be one of future, predicted, wanted, but got 'futur' on the "
          "command line. Did you mean goal=future?"),
+        (["goal=null"], "`goal` must be one of future, predicted, wanted, but got null on the "
+         "command line. Leave it out for the default."),
+        (["epochs=3", "dynamics=1"], "`dynamics` must be one of gm3, "),
         (["dynamics=kbmm"], "but got 'kbmm' on the command line. Did you mean dynamics=kbm"),
         (["vehicle=bike"], "bicycle? A vehicle of your own is the path of a YAML file."),
         (["--config-name", "x"], "`config-name` must be train, but got x on the command line."),
