@@ -39,7 +39,7 @@ STEP_S = 0.01
 
 def check(config: DictConfig) -> None:
     """Refuse a world or a controller that cannot be built, before any baseline has driven."""
-    _tell_unknown_delay(config)
+    _tell_unused(config)
     for whose in ("actual", "believed"):
         _tell_unfelt_friction(whose, config[whose])
     require_drive(config, _cases(config))
@@ -61,21 +61,26 @@ def _tell_unfelt_friction(whose: str, vehicle: DictConfig) -> None:
         )  # fmt: skip
 
 
-def _tell_unknown_delay(config: DictConfig) -> None:
-    """Warn of a delay that no controller is told; in a sweep, another job's may be."""
-    if "known_delay_s" not in changed_defaults("navigate"):
-        return
-    if not any(_uses_delay(each) for _, each in _controllers(as_written("navigate"))):
+def _tell_unused(config: DictConfig) -> None:
+    """Warn of settings that nobody who drives here reads; in a sweep, another job's may."""
+    who = {
+        "known_delay_s": "controller=diffmpc_delay does; the robot's delay is robot.delay_s",
+        "people_checkpoint": "people=predictor does",
+        "policy": "controller=ppo does",
+    }
+    changed = changed_defaults("navigate")
+    for name in (name for name in who if name in changed and not _is_used(name)):
         logger.warning(
-            "controller=%s makes up for no delay: known_delay_s=%s changes nothing. "
-            "controller=diffmpc_delay does; the robot's delay is robot.delay_s.",
-            config.names.controller, config.known_delay_s,
+            "%s=%s changes nothing: neither controller=%s nor who drives beside it uses it. %s.",
+            name, config[name], config.names.controller, who[name],
         )  # fmt: skip
 
 
-def _uses_delay(controller: DictConfig) -> bool:
-    """Whether a controller refers to the known delay."""
-    return "${known_delay_s}" in OmegaConf.to_yaml(controller)
+def _is_used(name: str) -> bool:
+    """Whether people or anybody who drives here refer to a setting."""
+    written = as_written("navigate")
+    parts = [written.people, *(controller for _, controller in _controllers(written))]
+    return any(f"${{{name}}}" in OmegaConf.to_yaml(part) for part in parts)
 
 
 def admit(config: DictConfig) -> None:
@@ -133,9 +138,11 @@ def _contents(config: DictConfig) -> dict[str, str | None]:
     What forecasts and policy have learned, and the recordings.
     """
     learned = config.people_checkpoint
-    found = {"people_checkpoint": file_hash(checkpoint_path(learned)) if learned else None}
-    if config.policy:
-        found["policy"] = file_hash(Path(config.policy))
+    files = {"people_checkpoint": learned and checkpoint_path(learned), "policy": config.policy}
+    found: dict[str, str | None] = {"people_checkpoint": None}
+    # what is read is known to be there, see `require_drive`; anything else changes nothing
+    there = {name: Path(file) for name, file in files.items() if file and Path(file).is_file()}
+    found |= {name: file_hash(file) for name, file in there.items()}
     if "recordings" in config.scenario:
         recordings = instantiate(config.scenario.recordings)
         found["recordings"] = recordings.source.identity()["content"]

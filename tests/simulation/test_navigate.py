@@ -42,22 +42,30 @@ def test_it_writes_results_baselines_and_paired_tests_and_resumes(navigate, tmp_
     assert again["paired"][1]["success"] == {"only_own": 0, "only_other": 0, "p": None}
 
 
+DELAYED = ["beside=[own]", "+controller@baselines.own=diffmpc_delay"]
+DRIVEN = ["beside=[own]", "+controller@baselines.own=ppo"]
+
+
 @pytest.mark.parametrize(
-    ("controller", "warned"),
+    ("name", "value", "given", "warned"),
     [
-        (["controller=straight"], True),
-        (["controller=straight", "beside=[own]", "+controller@baselines.own=diffmpc_delay"], False),
-        (["controller.planner.score.margin.horizon_s=${known_delay_s}"], False),
+        ("known_delay_s", "0.2", ["controller=straight"], True),
+        ("known_delay_s", "0.2", ["controller=straight", *DELAYED], False),
+        ("known_delay_s", "0.2", ["controller.planner.score.margin.horizon_s=${known_delay_s}"],
+         False),
+        ("policy", "nowhere.zip", [], True),
+        ("policy", "nowhere.zip", DRIVEN, False),
+        ("people_checkpoint", "nowhere.ckpt", [], True),
+        ("people_checkpoint", "pretrained", ["people=predictor"], False),
     ],
-    ids=["nobody", "a baseline", "under a key of one's own"],
-)
-def test_a_delay_that_nobody_makes_up_for_is_told(command, capfd, tmp_path, controller, warned):
+)  # fmt: skip
+def test_a_setting_that_nobody_uses_is_told(command, capfd, tmp_path, name, value, given, warned):
     # what follows the warning is refused, so that nothing is driven
-    given = ["known_delay_s=0.2", "animate=-1", f"out={tmp_path}"]
-    assert command("navigate", *controller, *given) == 1
+    setting = f"{name}={value}"
+    assert command("navigate", *given, setting, "animate=-1", f"out={tmp_path}") == 1
     told = "".join(capfd.readouterr())
     assert "`animate` must be at least 0" in told
-    assert ("known_delay_s=0.2 changes nothing" in told) == warned
+    assert (f"{setting} changes nothing" in told) == warned
 
 
 @pytest.mark.parametrize(("dynamics", "warned"), [("kbm", True), ("gm3", False)])
