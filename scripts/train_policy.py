@@ -37,8 +37,12 @@ def main(config: DictConfig) -> None:
     from diffstack_mmv.reporting import write_text
     from diffstack_mmv.simulation import CrowdNavVectorEnv
 
+    out = Path(config.out)
+    if (out / "curve.json").is_file():
+        logger.info("The policy is there: %s. Delete the folder to train it again.", out)
+        return
     torch.manual_seed(config.seed)
-    world, out = instantiate(config.world), Path(config.out)
+    world = instantiate(config.world)
     rewards = replace(world.verdict.rewards, collision=config.collision_reward)
     world = replace(world, verdict=replace(world.verdict, rewards=rewards))
     scenario, view = instantiate(config.scenario), instantiate(config.view)

@@ -63,7 +63,7 @@ OF_A_COMMAND = {
     "closed_loop_table": "drives",
     "simulate": "trajectory_*.csv",
     "tune": "rounds.json",
-    "train_policy": "policy.zip",
+    "train_policy": "policy*.zip",
 }
 """By what the folder of a command is known; its `config.yaml` is that of this command."""
 

@@ -15,6 +15,7 @@ from diffstack_mmv.checks import message, require, require_at_least, require_pos
 from diffstack_mmv.simulation.vector_env import CrowdNavVectorEnv
 from dmmv_conventions.disk import replacing
 from dmmv_conventions.extras import needs
+from dmmv_conventions.progress import waiting
 
 with needs("rl", "reinforcement learning"):
     from stable_baselines3 import PPO  # pyright: ignore[reportMissingImports]
@@ -22,6 +23,9 @@ with needs("rl", "reinforcement learning"):
         BaseCallback,
     )
     from stable_baselines3.common.vec_env import VecEnv  # pyright: ignore[reportMissingImports]
+
+KEPT_EVERY_S = 10.0
+"""Processor time between two states of a training that are kept in case it is interrupted."""
 
 
 class StableBaselinesEnv(VecEnv):
@@ -85,14 +89,23 @@ class StableBaselinesEnv(VecEnv):
 
 
 class _Clock(BaseCallback):
-    """Ends a training after a processor time, and counts outcomes per update."""
+    """Ends a training after a processor time, counts outcomes per update, and keeps its state."""
 
-    def __init__(self, seconds: float) -> None:
+    def __init__(self, seconds: float, curve: list[dict[str, Any]], kept: Path) -> None:
         super().__init__()
         self.seconds = seconds
-        self.began = time.process_time()
+        self.began = time.process_time() - (curve[-1]["seconds"] if curve else 0.0)
+        self.last_kept = time.process_time()
         self.outcomes: list[int] = []
-        self.curve: list[dict[str, Any]] = []
+        self.curve = curve
+        self.kept = kept
+
+    def _on_rollout_start(self) -> None:
+        """Between two updates: what is kept has learned from all that it counts."""
+        if time.process_time() - self.last_kept >= KEPT_EVERY_S:
+            self.model.curve = self.curve
+            _save(self.model, self.kept)
+            self.last_kept = time.process_time()
 
     def _on_step(self) -> bool:
         """Note who has ended; go on while there is time."""
@@ -104,6 +117,19 @@ class _Clock(BaseCallback):
         row = {"steps": self.num_timesteps, "seconds": time.process_time() - self.began}
         self.curve.append(row | {"outcomes": counts.tolist()})
         self.outcomes = []
+
+
+@dataclass(frozen=True)
+class _FallingRate:
+    """A learning rate that falls to nearly zero with the processor time."""
+
+    first: float
+    seconds: float
+    began: float
+
+    def __call__(self, _: float) -> float:
+        left = 1 - (time.process_time() - self.began) / self.seconds
+        return self.first * max(left, 0.02)
 
 
 @dataclass(frozen=True)
@@ -147,6 +173,9 @@ class PPOTraining:
     def __call__(self, env: CrowdNavVectorEnv, path: Path) -> list[dict[str, Any]]:
         """Train, and keep the policy in a file, all or nothing.
 
+        The state of a training that was interrupted lies beside the file, and is gone on with; the
+        crowds begin anew.
+
         Args:
             env: Where it drives.
             path: The file, .zip.
@@ -159,23 +188,35 @@ class PPOTraining:
         """
         of_update = self.steps * env.num_envs
         require(of_update >= 2, "steps", "give two in all episodes of an update", of_update)
-        clock = _Clock(self.seconds)
-
-        def rate(_: float) -> float:
-            left = 1 - (time.process_time() - clock.began) / self.seconds
-            return self.learning_rate * max(left, 0.02)
-
-        model = PPO(
-            "MlpPolicy", StableBaselinesEnv(env), learning_rate=rate, n_steps=self.steps,
-            batch_size=self.minibatch, n_epochs=self.epochs, gamma=self.discount, device="cpu",
-            policy_kwargs={"net_arch": list(self.layers), "log_std_init": -0.5}, seed=self.seed,
-        )  # fmt: skip
-        model.learn(2**40, callback=clock)
+        kept = path.with_name(f"{path.stem}_unfinished{path.suffix}")
+        before = PPO.load(kept, device="cpu") if kept.is_file() else None
+        clock = _Clock(self.seconds, [] if before is None else before.curve, kept)
+        model = self._model(StableBaselinesEnv(env), clock)
+        if before is not None:
+            model.set_parameters(before.get_parameters())
+            model.num_timesteps = before.num_timesteps
+        with waiting(f"train a policy for {self.seconds:g} s of a processor"):
+            model.learn(2**40, callback=clock, reset_num_timesteps=False)
         wanted = f"suffice for an update of {of_update} steps"
         require(len(clock.curve) > 0, "seconds", wanted, self.seconds)
-        with replacing(path) as unfinished, unfinished.open("wb") as stream:
-            model.save(stream)
+        _save(model, path)
+        kept.unlink(missing_ok=True)
         return clock.curve
+
+    def _model(self, env: StableBaselinesEnv, clock: _Clock) -> PPO:
+        rate = _FallingRate(self.learning_rate, self.seconds, clock.began)
+        # other crowds than those from which it has learned before it was interrupted
+        seed = self.seed + len(clock.curve)
+        return PPO(
+            "MlpPolicy", env, learning_rate=rate, n_steps=self.steps, batch_size=self.minibatch,
+            n_epochs=self.epochs, gamma=self.discount, device="cpu", seed=seed,
+            policy_kwargs={"net_arch": list(self.layers), "log_std_init": -0.5},
+        )  # fmt: skip
+
+
+def _save(model: PPO, path: Path) -> None:
+    with replacing(path) as unfinished, unfinished.open("wb") as stream:
+        model.save(stream)
 
 
 def load_policy(path: Path) -> Any:

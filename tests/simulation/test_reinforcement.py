@@ -1,5 +1,6 @@
 """A policy is trained in the vectorised crowd, kept, and driven; needs the extra `rl`."""
 
+import dataclasses
 from zipfile import ZipFile
 
 import numpy as np
@@ -51,6 +52,34 @@ def test_a_policy_that_is_not_written_whole_leaves_the_earlier_one(env, tmp_path
     with pytest.raises(KeyboardInterrupt):
         training(env, tmp_path / "policy.zip")
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"earlier"]
+
+
+def test_an_interrupted_training_goes_on_with_what_it_has_learned(env, tmp_path, monkeypatch):
+    from diffstack_mmv.simulation import reinforcement
+
+    monkeypatch.setattr(reinforcement, "KEPT_EVERY_S", 0.0)
+    first = reinforcement.PPOTraining(3.0, 4, 8, epochs=1, learning_rate=1.0, layers=(8,))
+    step, left = env.step, iter(range(10))
+
+    def broken_off(controls):
+        if next(left, None) is None:
+            raise KeyboardInterrupt
+        return step(controls)
+
+    monkeypatch.setattr(env, "step", broken_off)
+    with pytest.raises(KeyboardInterrupt):
+        first(env, tmp_path / "policy.zip")
+    monkeypatch.setattr(env, "step", step)
+    [kept] = tmp_path.iterdir()
+    learned = reinforcement.PPO.load(kept).get_parameters()["policy"]
+
+    second = dataclasses.replace(first, learning_rate=1e-9)  # stays where it begins
+    curve = second(env, tmp_path / "policy.zip")
+    policy = reinforcement.PPO.load(tmp_path / "policy.zip").get_parameters()["policy"]
+    torch.testing.assert_close(policy, learned)
+    assert [row["steps"] for row in curve] == [16 * (1 + row) for row in range(len(curve))]
+    assert len(curve) > 2
+    assert [each.name for each in tmp_path.iterdir()] == ["policy.zip"]
 
 
 def test_a_training_without_any_update_is_none(env, tmp_path):
