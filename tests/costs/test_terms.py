@@ -115,6 +115,22 @@ def test_derivatives_are_finite_on_top_of_goal_and_obstacle(term, double):
 
 
 @each_term
+def test_cases_in_a_grid_are_scored_as_in_a_row(term, double) -> None:
+    case = random_case(batch=6)
+    grid = map_tensors(lambda tensor: tensor.unflatten(0, (2, 3)), case)
+    assert torch.equal(term(*grid).flatten(0, 1), term(*case))
+
+
+@each_term
+def test_many_candidates_are_scored_against_one_problem(term, double) -> None:
+    motion, controls, problem = random_case(batch=3)
+    grid = map_tensors(lambda tensor: torch.stack([tensor, 2 * tensor]), (motion, controls))
+    for number, value in enumerate(term(*grid, problem)):
+        alone = map_tensors(lambda tensor, number=number: tensor[number], grid)
+        assert torch.allclose(value, term(*alone, problem))
+
+
+@each_term
 def test_no_agents_is_no_special_case(term, double):
     motion, controls, problem = random_case(neighbors=0)
     assert torch.isfinite(term(motion, controls, problem)).all()

@@ -15,6 +15,7 @@ from data_converters.imptc.reader import (
     parse_track,
     time_span_us,
 )
+from data_converters.imptc.sample.sensor import cuboid_edges
 
 KEEP = TrackFilter()
 START = 1_679_472_906_000_000
@@ -146,6 +147,26 @@ def test_the_span_of_a_track_is_from_its_earliest_to_its_latest_sample():
     assert time_span_us(file, "here") == (START, START + 120_000)
     with pytest.raises(TrackError, match="`track_data` must hold samples, but got 'none' in here"):
         time_span_us({"track_data": {"1": "torn"}}, "here")
+
+
+@pytest.mark.parametrize("place", [[1.0, float("inf"), 0.0], [1.0, 2.0, 0.0, 3.0], None])
+def test_one_impossible_place_among_good_ones_is_named(place) -> None:
+    file = content(5)
+    file["track_data"]["3"]["coordinates"] = place
+    with pytest.raises(TrackError, match=f"`coordinates`.*ts {START + 80_000}") as caught:
+        parse_track(file, "here", KEEP)
+    assert caught.value.reason is RejectReason.NOT_FINITE
+
+
+@pytest.mark.parametrize("without", [["1"], ["3", "4"], ["5"], ["1", "2", "3", "4", "5"]])
+def test_a_track_has_a_body_if_every_sample_has_a_cuboid(without) -> None:
+    file = content(5, cuboid=cuboid_edges(np.zeros(3), 0.3, (4.0, 2.0, 1.5)).tolist())
+    whole = parse_track(file, "here", KEEP)
+    assert (whole.axis.shape, whole.extent.width) == ((5,), pytest.approx(2.0))
+    for key in without:
+        del file["track_data"][key]["cuboid"]
+    part = parse_track(file, "here", KEEP)
+    assert (part.axis, part.extent) == (None, None)
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"overview": {}, "track_da'])

@@ -96,6 +96,33 @@ def test_zero_phase_looks_no_further_than_it_says():
     np.testing.assert_allclose(before.value, after.value, atol=1e-4)
 
 
+@pytest.mark.parametrize("window_s", [0.6, 0.9, 1.5])
+@pytest.mark.parametrize(("beyond_s", "seen"), [(-0.15, True), (0.15, False)])
+def test_zero_phase_looks_half_a_window_ahead(window_s, beyond_s, seen) -> None:
+    smoother, time_s = ZeroPhaseSmoother(window_s), 0.02 * np.arange(500)
+    later = (time_s > 5.0 + smoother.lookahead_s + beyond_s).astype(float)[:, None]
+    assert smoother.lookahead_s == pytest.approx(window_s / 2)
+    assert (abs(smoother(time_s, later, np.array([5.0])).value.item()) > 1e-3) is seen
+
+
+@pytest.mark.parametrize("order", [2, 3])
+@pytest.mark.parametrize("step_s", [0.002, 0.01, 0.02])
+def test_a_series_shorter_than_the_grid_comes_back_exactly(order, step_s) -> None:
+    time_s = step_s * np.arange(ZeroPhaseSmoother.samples_needed)
+    smooth = ZeroPhaseSmoother(order=order)(time_s, (2.0 - 3.0 * time_s)[:, None], time_s)
+    np.testing.assert_allclose(smooth.value[:, 0], 2.0 - 3.0 * time_s, atol=1e-9)
+    np.testing.assert_allclose(smooth.rate, -3.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("window_s", [0.8, 1.2])
+@pytest.mark.parametrize("begin_s", [0.0, 3.5])
+def test_nothing_is_put_out_in_the_first_half_window(window_s, begin_s) -> None:
+    smoother, time_s = CausalSmoother(window_s), begin_s + 0.1 * np.arange(40)
+    known = np.isfinite(smoother(time_s, time_s[:, None], time_s).value[:, 0])
+    assert time_s[known][0] == pytest.approx(begin_s + window_s / 2)
+    assert known.sum() == 40 - round(5 * window_s)
+
+
 @pytest.mark.parametrize(
     ("smoother", "left"), [(ZeroPhaseSmoother(), 0.6), (CausalSmoother(), 0.9)]
 )

@@ -37,15 +37,16 @@ def test_another_salt_deals_the_recordings_otherwise():
     assert salted == RecordingSplit(salt="a").deal(sizes)
 
 
-def test_recordings_are_dealt_by_the_middle_of_their_size_in_the_order_of_their_hash():
+@pytest.mark.parametrize("salt", ["x", "z", "c"])
+def test_recordings_are_dealt_by_the_middle_of_their_size_in_the_order_of_their_hash(salt):
     sizes = {str(number): float(1 + number % 7) for number in range(40)}
-    order = sorted(sizes, key=lambda name: sha256(f"x{name}".encode()).hexdigest())
+    order = sorted(sizes, key=lambda name: sha256(f"{salt}{name}".encode()).hexdigest())
     total, before, expected = sum(sizes.values()), 0.0, {}
     for name in order:
         middle = (before + sizes[name] / 2) / total
         expected[name] = "train" if middle <= 0.5 else "val" if middle <= 0.8 else "test"
         before += sizes[name]
-    assert RecordingSplit((0.5, 0.3, 0.2), "x").deal(sizes) == expected
+    assert RecordingSplit((0.5, 0.3, 0.2), salt).deal(sizes) == expected
 
 
 def test_all_recordings_may_be_given_their_splits():

@@ -76,12 +76,43 @@ def test_a_faulty_file_is_refused_with_its_name(text, reason):
     assert caught.value.reason is reason
 
 
+@pytest.mark.parametrize("stamps", [[0.0], [5.0], [1.0, 2.0], [2.0, 1.0, 3.0]])
+def test_a_file_of_any_length_is_read_as_it_is(stamps) -> None:
+    lines = [f"{row},{stamp},{row},-{row}" for row, stamp in enumerate(stamps)]
+    text = "\n".join([",timestamp,x,y", *lines]).encode()
+    values = parse(ThabFile("cyclists", "moving", "1", text))
+    rows = np.arange(len(stamps))
+    np.testing.assert_array_equal(values, np.column_stack([stamps, rows, -rows]))
+
+
 @pytest.mark.parametrize(
     "piece", [slice(0, 15), slice(10, 25), slice(20, 40), slice(30, 40), slice(0, 40)]
 )
 def test_a_file_cut_out_of_another_is_contained_in_it(piece):
     long, other = walk(0), walk(1)
     assert find_contained({"a": long, "b": long[piece], "c": other}) == {"b": "a"}
+
+
+@pytest.mark.parametrize(("noise_m", "held"), [(0.0, {"b": "a"}), (0.004, {"b": "a"}), (0.006, {})])
+def test_samples_repeat_others_if_equal_to_the_centimetre(noise_m, held) -> None:
+    track = walk(0)
+    assert find_contained({"a": track, "b": track[5:30] - noise_m}) == held
+
+
+@pytest.mark.parametrize("begin", [0, 12, -10])
+@pytest.mark.parametrize(("count", "held"), [(9, {}), (10, {"b": "a"})])
+def test_fewer_than_ten_samples_may_agree_by_chance(begin, count, held) -> None:
+    track = walk(0)
+    assert find_contained({"a": track, "b": track[begin:][:count]}) == held
+
+
+@pytest.mark.parametrize("last", [True, False])
+@pytest.mark.parametrize(("count", "groups"), [(9, {"1", "2"}), (10, {"1"}), (15, {"1"})])
+def test_ten_shared_samples_make_one_recording(last, count, groups) -> None:
+    shared = walk(2, count)
+    pairs = {name: [walk(seed), shared] for seed, name in enumerate("ab")}
+    tracks = {name: np.concatenate(pair if last else pair[::-1]) for name, pair in pairs.items()}
+    assert set(group_recordings(tracks, {"a": "1", "b": "2"}).values()) == groups
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,15 @@ def test_time_mean_equals_a_loop():
         assert mean == pytest.approx(expected, rel=1e-5, nan_ok=True)
 
 
+@pytest.mark.parametrize("shape", [(), (3,), (3, 2), (2, 0)])
+def test_time_mean_is_over_the_last_dimension_alone(shape) -> None:
+    values, valid = torch.randn(6, 5), torch.rand(6, 5) < 0.5
+    count = math.prod(shape)
+    case = [each[:count].reshape(*shape, 5) for each in (values, valid)]
+    expected = time_mean(values, valid)[:count].reshape(shape)
+    torch.testing.assert_close(time_mean(*case), expected, equal_nan=True)
+
+
 @pytest.mark.parametrize("spoiler", [torch.nan, torch.inf, 1e9])
 def test_what_stands_at_times_not_valid_does_not_count(spoiler):
     values, valid = torch.randn(3, 4), torch.ones(3, 4, dtype=torch.bool)
@@ -30,6 +39,7 @@ def test_what_stands_at_times_not_valid_does_not_count(spoiler):
     [
         ([1.0, 3.0], [True, True], 2.0),
         ([1.0, math.nan, 3.0], [True, False, True], 2.0),
+        ([1.0, 3.0], [False, True], 3.0),
         ([1.0, 3.0], [False, False], 0.0),
         ([math.nan], [False], 0.0),
         ([], [], 0.0),

@@ -4,12 +4,14 @@ import pytest
 import yaml
 
 from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP, Score
+from diffstack_mmv.metrics.scores import EVALUATED
 from diffstack_mmv.simulation.summary import episode_scores
 
-ALL = [*OPEN_LOOP.values(), *CLOSED_LOOP.values()]
+ALL = [*EVALUATED.values(), *CLOSED_LOOP.values()]
+GROWING = ["solved", "coverage", "success", "avg_min_dist", "mean_episode_min_dist"]
 
 
-@pytest.mark.parametrize("registry", [OPEN_LOOP, CLOSED_LOOP], ids=["open", "closed"])
+@pytest.mark.parametrize("registry", [EVALUATED, CLOSED_LOOP], ids=["open", "closed"])
 def test_names_and_headings_are_unique(registry):
     assert all(name == score.name for name, score in registry.items())
     assert len({score.heading for score in registry.values()}) == len(registry)
@@ -17,9 +19,14 @@ def test_names_and_headings_are_unique(registry):
 
 @pytest.mark.parametrize("score", ALL, ids=lambda score: score.name)
 def test_unit_is_a_unit_and_agrees_with_the_name(score):
-    assert score.unit in ("m", "s", "ms", "m/s²", "m/s³", "nats", "1")
+    assert score.unit in ("m", "s", "ms", "m²", "m/s²", "m/s³", "nats", "1")
     *_, ending = score.name.split("_")
     assert ending not in ("m", "s", "ms") or ending == score.unit
+
+
+@pytest.mark.parametrize("score", ALL, ids=lambda score: score.name)
+def test_less_is_better_but_for_success_coverage_and_clearance(score) -> None:
+    assert score.lower_is_better is not score.name.startswith(tuple(GROWING))
 
 
 @pytest.mark.parametrize(("unit", "heading"), [("m", "ADE [m]"), ("1", "ADE")])
