@@ -2,9 +2,11 @@
 
 import json
 
+import pandas as pd
 import pytest
+from trajdata.maps.traffic_light_status import TrafficLightStatus
 
-from data_converters.imptc.context import read_table
+from data_converters.imptc.context import read_table, signals_per_step
 
 START_US = 1_679_472_905_000_000
 
@@ -48,3 +50,12 @@ def test_a_file_without_entries_is_no_table(tmp_path, content):
     assert read_table(path, "weather_data", 0) is None
     path.write_text(json.dumps(content))
     assert read_table(path, "weather_data", 0) is None
+
+
+@pytest.mark.parametrize("step", [0, 3, 6, 7])
+@pytest.mark.parametrize(("code", "name"), [(4, "GREEN"), (10, "RED"), (20, "UNKNOWN")])
+def test_a_state_recorded_at_a_step_holds_from_that_step_on(step, code, name) -> None:
+    lights = pd.DataFrame({"time_s": [step / 10], "k1": [code]})
+    found = signals_per_step(lights, 9, 0.1).loc["k1", "status"].tolist()
+    before, after = TrafficLightStatus.NO_DATA, TrafficLightStatus[name]
+    assert found == [before] * step + [after] * (9 - step)

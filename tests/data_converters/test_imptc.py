@@ -158,8 +158,9 @@ SECOND = 1_000_000
         ([(0, 10), (11, 20), (60, 70)], [0, 0, 2]),
         ([(0, 10), (0, 4000), (5, 12)], [0, 1, 0]),
         ([(0, 10), (0, -1), (5, 12)], [0, 1, 0]),
+        ([(5, 12), (0, 3600), (3630, 3631), (3662, 3663)], [1, 1, 1, 3]),
     ],
-    ids=["a chain", "a short and a long pause", "a broken clock", "no clock"],
+    ids=["a chain", "a short and a long pause", "a broken clock", "no clock", "just the longest"],
 )
 def test_tracks_are_grouped_by_their_times(spans, groups):
     tracks = [VruTrack(str(n), "", "", a * SECOND, b * SECOND) for n, (a, b) in enumerate(spans)]

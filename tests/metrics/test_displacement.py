@@ -94,6 +94,16 @@ def test_best_of_one_component_is_the_most_likely_one():
     assert torch.allclose(best_average_displacement(forecast, future, 1), alone, equal_nan=True)
 
 
+@pytest.mark.parametrize(("rank", "counts"), [(0, True), (4, True), (5, False), (6, False)])
+def test_the_best_displacement_is_among_the_five_heaviest_components(rank, counts) -> None:
+    forecast, future = sample(components=7)
+    weight = torch.tensor([0.25, 0.2, 0.15, 0.12, 0.11, 0.1, 0.07]).log().expand(6, 7)
+    mean = torch.full_like(forecast.mean, 50.0)
+    mean[:, rank] = future.motion.position.nan_to_num(0.0)
+    found = best_average_displacement(forecast._replace(log_weight=weight, mean=mean), future)
+    assert (found[[0, 2, 3]] == 0.0).tolist() == [counts] * 3
+
+
 @pytest.mark.parametrize("offset_m", [0.0, 1.0])
 @pytest.mark.parametrize(
     "score",

@@ -97,6 +97,16 @@ def test_draws_belong_to_the_forecast_and_not_to_its_batch(draw):
     assert not torch.equal(draw(forecast, seed=1)[0], together[0])
 
 
+@pytest.mark.parametrize("draw", [sampled_paths, spread_paths])
+@pytest.mark.parametrize("shape", [(), (2, 3), (3, 1, 2)])
+def test_a_grid_of_forecasts_has_the_draws_of_a_row(draw, shape) -> None:
+    row = forecast_of(count=max(math.prod(shape), 1))
+    grid = Forecast(*(entry.reshape(*shape, *entry.shape[1:]) for entry in row))
+    paths = draw(grid, count=7, seed=3, first=5)
+    assert paths.shape == (*shape, 7, 6, 2)
+    torch.testing.assert_close(paths.reshape(-1, 7, 6, 2), draw(row, count=7, seed=3, first=5))
+
+
 def gaussian(spread, count=3000, steps=2):
     """Many equal forecasts around the origin."""
     return Forecast(
