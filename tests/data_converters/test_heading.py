@@ -17,6 +17,7 @@ from data_converters.resampling import resample
 from data_converters.two_wheeler.reader import lean_to_the_left
 
 STANDSTILL = 0.4
+TIMES = 0.1 * np.arange(40)
 
 
 def velocity(speeds, angle):
@@ -72,6 +73,25 @@ def test_a_cuboid_axis_takes_the_sign_of_the_motion(course, turned):
     np.testing.assert_allclose(wrap(heading.angle - course), 0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("course", [-2.5, -0.4, 0.1, 1.5, 3.1])
+@pytest.mark.parametrize("drift", [-1.4, -0.5, 0.5, 1.4])
+def test_a_body_that_drifts_faces_the_nearer_end_of_its_axis(course, drift) -> None:
+    moved = velocity(np.full(len(TIMES), 2.0), course + drift)
+    axis = np.full(len(TIMES), course) % np.pi
+    heading = heading_from_axis(axis, TIMES, TIMES, moved, ZeroPhaseSmoother(), STANDSTILL)
+    np.testing.assert_allclose(wrap(heading.angle - course), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("smoother", [CausalSmoother(), ZeroPhaseSmoother()], ids=repr)
+@pytest.mark.parametrize(("start", "rate"), [(-2.0, 0.0), (3.0, 0.3), (-3.0, -0.3), (0.5, 0.3)])
+def test_a_recorded_heading_is_followed_across_the_seam(smoother, start, rate) -> None:
+    recorded, at_s = start + rate * TIMES, TIMES[10:]
+    heading = heading_measured(wrap(recorded), TIMES, at_s, smoother)
+    np.testing.assert_allclose(wrap(heading.angle - recorded[10:]), 0.0, atol=2e-3)
+    assert (np.abs(heading.angle) <= np.pi).all()
+    assert set(heading.source) == {HeadingSource.MEASURED}
+
+
 def test_a_turning_cuboid_is_followed_through_half_turns():
     time_s = 0.04 * np.arange(250)
     course = 0.6 * time_s
@@ -119,7 +139,6 @@ def test_what_drifts_at_standstill_does_not_count_for_the_sign(smoother):
     assert set(heading.source) == {HeadingSource.MEASURED}
 
 
-TIMES = 0.1 * np.arange(40)
 DIRECTED = {
     "motion": lambda: heading_from_motion(np.ones((40, 3))[:, :2], STANDSTILL, backfill=False),
     "axis": lambda: heading_from_axis(

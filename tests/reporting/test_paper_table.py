@@ -61,6 +61,15 @@ def test_bootstrap_draws_recordings_and_not_samples():
         assert np.isnan(bootstrap(pd.Series(values), recordings % fewer, 200)).all()
 
 
+@pytest.mark.parametrize(("factor", "shift"), [(-1.0, 0.0), (2.0, 3.0), (-0.5, 1.0)])
+def test_bootstrap_in_another_unit_is_the_same_interval(factor, shift) -> None:
+    values = pd.Series(np.random.default_rng(0).exponential(size=80))
+    recordings = pd.Series(np.repeat(np.arange(10), 8))
+    ends = [factor * end + shift for end in bootstrap(values, recordings, 200)]
+    found = bootstrap(factor * values + shift, recordings, 200)
+    assert found == pytest.approx(sorted(ends), rel=1e-9)
+
+
 def test_bootstrap_leaves_out_recordings_of_which_nothing_is_known():
     rng = np.random.default_rng(0)
     values, recordings = pd.Series(rng.normal(size=80)), pd.Series(np.repeat(np.arange(10), 8))
