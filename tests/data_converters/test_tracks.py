@@ -11,6 +11,7 @@ from data_converters import (
     Mode,
     RejectReason,
     ResampleSettings,
+    Sampling,
     TrackError,
     Unsmoothed,
     ZeroPhaseSmoother,
@@ -53,6 +54,16 @@ def test_sampling_is_told_beside_the_rows_whatever_is_missing(make_track):
     time_s = 0.13 + np.delete(0.04 * np.arange(100), [7, 50, 51])
     agent = resample(make_track(time_s, lambda t: t), ResampleSettings(smoother=CausalSmoother()))
     assert agent.sampling == pytest.approx((0.1 * agent.first_step - 0.13, 0.04))
+
+
+@pytest.mark.parametrize(
+    ("time_s", "step_s"),
+    [([0.0, 0.1], 0.1), ([2.0, 2.5, 3.0], 0.5), ([1.0, 1.2, 1.4, 2.0, 2.2], 0.2)],
+    ids=["two samples", "three samples", "two of seven missing"],
+)
+def test_the_usual_step_is_that_of_a_clock_without_gaps(time_s, step_s) -> None:
+    found = Sampling.of(np.array(time_s), time_s[0] + 0.05)
+    assert found == pytest.approx((0.05, step_s))
 
 
 @pytest.mark.parametrize(("gap", "parts"), [(0.3, 1), (0.5, 1), (0.52, 2), (2.0, 2)])

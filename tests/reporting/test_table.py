@@ -9,6 +9,7 @@ from diffstack_mmv.reporting.metrics_table import baseline_table
 from diffstack_mmv.reporting.table import (
     NONE,
     cell,
+    known_mean,
     markdown_table,
     mean_std,
     with_interval,
@@ -34,6 +35,11 @@ def test_a_number_has_the_form_that_is_asked_for():
 )
 def test_the_deviation_is_that_of_the_sample_and_needs_two_values(values, told):
     assert mean_std(values) == told
+
+
+@pytest.mark.parametrize(("known", "mean"), [([], np.nan), ([0.5], 0.5), ([1.0, 2.0, 6.0], 3.0)])
+def test_the_mean_of_nothing_is_no_number(known, mean) -> None:
+    assert known_mean(np.array(known)) == pytest.approx(mean, nan_ok=True)
 
 
 @pytest.mark.parametrize(
