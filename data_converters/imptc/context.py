@@ -29,7 +29,7 @@ WEATHER_FILE = "weather_data.json"
 
 
 def read_table(path: Path, section: str, origin_us: int) -> pd.DataFrame | None:
-    """One row per entry of a context file, ordered by time.
+    """One row per entry of a context file, ordered by time, those of one time as in the file.
 
     The time is the inner `ts` where there is one, else the key (the documents show both).
 
@@ -51,7 +51,7 @@ def read_table(path: Path, section: str, origin_us: int) -> pd.DataFrame | None:
     if not isinstance(entries, dict) or not entries:
         return None
     rows = [_row(key, entry, origin_us, path) for key, entry in entries.items()]
-    table = pd.DataFrame(rows).sort_values("time_s", ignore_index=True)
+    table = pd.DataFrame(rows).sort_values("time_s", kind="stable", ignore_index=True)
     return table.assign(**{str(name): _one_kind(table[name]) for name in table if name != "time_s"})
 
 

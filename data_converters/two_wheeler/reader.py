@@ -47,13 +47,15 @@ def read_boxes(path: Path, limits: RecordingLimits = USUAL) -> Boxes:
 
     The files are in the frame of the sensor with y up; z, x and y become east, north and up, which
     keeps left turns left. The upright axis is the one of the box that is steepest over the file.
+    Of several boxes at one time the first one of the file counts.
 
     Raises:
         TrackError: If the file is no table, lacks a column, a number is missing or beyond the
             limits, a box has no orientation, or fewer than `SAMPLES_NEEDED` times are left.
     """
     table = read_numbers(path, COLUMNS, path)
-    table = table[table["obj_id"] == RIDER].sort_values("time_s").drop_duplicates("time_s")
+    table = table[table["obj_id"] == RIDER].sort_values("time_s", kind="stable")
+    table = table.drop_duplicates("time_s")
     values = table[list(COLUMNS)].to_numpy(dtype=np.float64)
     broken = ~np.isfinite(values).all(axis=1)
     if broken.any() or len(values) == 0:

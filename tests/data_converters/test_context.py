@@ -31,6 +31,15 @@ def test_entries_are_in_the_order_of_time(told):
     assert table.index.tolist() == [0, 1, 2]
 
 
+@pytest.mark.parametrize("count", [2, 40])
+def test_entries_of_one_time_stay_in_the_order_of_the_file(told, count) -> None:
+    times = [str(START_US + 1_000_000 * (number // 2)) for number in range(count)]
+    table = told(*({"ts": time, "entry": number} for number, time in enumerate(times)))
+    for _, together in table.groupby("time_s"):
+        first, second = together["entry"]
+        assert first == second + 1  # the file holds them from the last to the first
+
+
 @pytest.mark.parametrize(
     ("values", "expected"),
     [

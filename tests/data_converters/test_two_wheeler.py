@@ -62,6 +62,16 @@ def test_a_left_turn_leans_to_the_left(rides):
     np.testing.assert_allclose(lean_to_the_left(boxes.upright, velocity)[1:-1], LEAN, atol=1e-3)
 
 
+@pytest.mark.parametrize("moved_m", [0.0, 2.0])
+def test_of_two_boxes_at_one_time_the_first_is_taken(rides, moved_m) -> None:
+    alone = read_boxes(rides / "bicycle.csv")
+    table = pd.read_csv(rides / "bicycle.csv")
+    pd.concat([table, table.assign(x=table["x"] + moved_m)]).to_csv(rides / "bicycle.csv")
+    both = read_boxes(rides / "bicycle.csv")
+    np.testing.assert_array_equal(both.time_s, alone.time_s)
+    np.testing.assert_array_equal(both.ground, alone.ground)
+
+
 @pytest.mark.parametrize(("stem", "mode"), zip(STEMS, MODES, strict=True))
 def test_pieces_share_no_sample_and_fill_all_splits(rides, stem, mode):
     dataset = TwoWheelerDataset(rides)

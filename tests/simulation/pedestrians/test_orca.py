@@ -138,6 +138,16 @@ def test_pedestrians_give_way_to_a_robot_nearby(crowd, away_m, matters):
     assert torch.equal(OrcaCrowd()(crowd, 0.25, robot), alone) != matters
 
 
+@pytest.mark.parametrize(("most", "matters"), [(1, False), (2, True)])
+def test_only_as_many_neighbors_as_asked_for_are_avoided(most, matters) -> None:
+    place = torch.tensor([[0.0, 0.0], [0.8, 0.3], [0.9, -0.4]], dtype=torch.float64)
+    still, ones = torch.zeros_like(place), torch.ones(3, dtype=torch.float64)
+    crowd = CrowdState(place, still, place + torch.tensor([4.0, 0.0]), 0.3 * ones, ones)
+    away = crowd._replace(position=place + torch.tensor([[0.0], [0.0], [1.0]]))
+    both = [OrcaCrowd(max_neighbors=most)(each, 0.25)[0] for each in (crowd, away)]
+    assert torch.equal(*both) is not matters
+
+
 def test_where_nobody_is_nobody_moves():
     crowd = CircleCrossing(humans=0).cases("test", range(2)).pedestrians
     assert OrcaCrowd()(crowd, 0.25).shape == (2, 0, 2)
