@@ -7,7 +7,7 @@ import torch
 
 from diffstack_mmv.metrics import Calibration, coverages, judged_levels
 from diffstack_mmv.metrics.calibration import DensityLevels, drawn_densities
-from diffstack_mmv.types import Forecast
+from diffstack_mmv.types import Forecast, map_tensors
 from tests.stack.test_module import straight_tracks
 
 
@@ -134,6 +134,15 @@ def test_every_third_truth_is_judged_by_the_forecast_of_its_own_time():
     found = judged_levels(one, future, samples=50)
     assert found.valid.tolist() == [[True, True]] * 3
     assert found.level.tolist() == [[0.0, 0.0]] * 3
+
+
+@pytest.mark.parametrize("shape", [(2, 6), (3, 2, 2)])
+def test_a_grid_of_forecasts_is_judged_as_a_row(shape) -> None:
+    row, future = forecast(12, components=3), truths_of(12, 0)
+    grids = map_tensors(lambda entry: entry.reshape(*shape, *entry.shape[1:]), (row, future))
+    found, expected = judged_levels(*grids, samples=20), judged_levels(row, future, samples=20)
+    torch.testing.assert_close(found.level.reshape(12, 2), expected.level)
+    torch.testing.assert_close(found.drawn.reshape(12, 20, 2), expected.drawn)
 
 
 @pytest.mark.parametrize(
