@@ -133,3 +133,23 @@ def test_a_date_that_is_none_is_told(dataset):
 def test_a_table_that_would_be_misread_is_refused(tmp_path, content, says):
     raw = first_scene(written(tmp_path, content), strict=False)
     assert says in raw.rejected[0].detail
+
+
+@pytest.mark.parametrize(
+    ("unit", "read", "told", "known"),
+    [
+        ({"speed": "km/h"}, "metres_per_second", 36.0, 10.0),
+        ({"speed": "mph"}, "metres_per_second", 100.0, 44.704),
+        ({"length": "ft"}, "metres", 3.0, 0.9144),
+        ({"length": "mm"}, "metres", 1500.0, 1.5),
+        ({"length": "km"}, "metres", 0.2, 200.0),
+        ({"time": "ns"}, "seconds", 2.5e9, 2.5),
+        ({"angle": "deg"}, "radians", 90.0, np.pi / 2),
+        ({"angle": "compass_deg"}, "radians", 90.0, 0.0),
+        ({"angle": "compass_deg"}, "radians", 0.0, np.pi / 2),
+        ({"angle": "deg", "y_down": True}, "radians", 90.0, -np.pi / 2),
+    ],
+)
+def test_a_number_in_its_unit_is_read_in_si_units(unit, read, told, known) -> None:
+    found = getattr(TableUnits(**unit), read)(pd.Series([told]))
+    assert found.item() == pytest.approx(known)

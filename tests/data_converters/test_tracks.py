@@ -122,6 +122,14 @@ def test_a_stretch_with_too_few_samples_is_refused(make_track, step_s, count, se
     assert caught.value.reason is RejectReason.TOO_SHORT
 
 
+@pytest.mark.parametrize(("smoother", "step_s"), [(ZeroPhaseSmoother(), 0.4), (Unsmoothed(), 1.2)])
+def test_as_few_samples_as_a_smoother_needs_make_rows(make_track, smoother, step_s) -> None:
+    time_s = step_s * np.arange(smoother.samples_needed)
+    rows = resample(make_track(time_s, lambda t: 2.0 * t), ResampleSettings(smoother=smoother)).rows
+    assert len(rows) == 13
+    np.testing.assert_allclose(rows.x.iloc[[0, -1]], [0.0, 2.4], atol=1e-9)
+
+
 @pytest.mark.parametrize("smoother", [CausalSmoother(), Unsmoothed()], ids=repr)
 @pytest.mark.parametrize("step_s", [0.4, 0.5])
 def test_a_sparse_track_is_kept_without_look_ahead(make_track, smoother, step_s):
