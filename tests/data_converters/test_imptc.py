@@ -148,6 +148,15 @@ def test_a_recording_with_one_published_split_keeps_it(folder, split):
     assert recording_splits([0, 0, 0], tracks, {}) == {0: split}
 
 
+@pytest.mark.parametrize(
+    "folders", [("train", "test"), ("test", "eval"), ("eval", "test", "train")]
+)
+@pytest.mark.parametrize("known", ["train", "val", "test"])
+def test_a_recording_of_several_splits_takes_that_of_its_sequence(folders, known) -> None:
+    tracks = [VruTrack(f"{folder}/0", "", "a", 0, 1) for folder in folders]
+    assert recording_splits([0] * len(folders), tracks, {"a": known}) == {0: known}
+
+
 SECOND = 1_000_000
 
 

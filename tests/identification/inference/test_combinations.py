@@ -1,5 +1,7 @@
 """Combinations of parameters: their deviations follow from those of the parameters."""
 
+from typing import Any
+
 import pytest
 import torch
 
@@ -17,7 +19,8 @@ def optimum(theta, covariance, of_noise=1.0, noise_factor=1.0) -> LocalOptimum:
     found = Sensitivity(
         covariance, covariance, of_noise * covariance, std, std, std, (), noise_factor
     )
-    fit = ParameterFit(theta, *[None] * (len(ParameterFit._fields) - 1))
+    unknown: Any = None
+    fit = ParameterFit(theta, unknown, unknown, ())
     return LocalOptimum(fit, found, noise_factor, 0.0, 0.0)
 
 
@@ -123,3 +126,11 @@ def test_a_surer_optimum_elsewhere_does_not_make_the_estimate_surer(ridden) -> N
 def test_a_model_without_combinations_tells_none(bicycle) -> None:
     plain = Ridden(bicycle, ExtendedUnicycle)
     assert plain.told(optimum(plain.start, plain.prior)) == []
+
+
+def test_a_combination_of_which_nothing_is_learned_is_not_identifiable(bicycle) -> None:
+    model = DiffKBM(bicycle).double()
+    nothing = ParameterVector(model, bicycle, names=())
+    known = optimum(torch.zeros(0), torch.zeros(0, 0))
+    (row,) = combinations(model, nothing, [known], IdentifiabilityThresholds())
+    assert (row.estimate, row.std, row.verdict) == (row.initial, 0.0, "not identifiable")
