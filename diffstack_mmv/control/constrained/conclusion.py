@@ -42,7 +42,8 @@ def conclude(problem: Problem, progress: Progress) -> Conclusion:
     activity = classify(progress.multipliers + values, problem.rows)
     multipliers = activity.multipliers(progress.multipliers).nan_to_num(0.0)
     slack = torch.where(activity.side != 0, values.abs(), torch.zeros_like(values))
-    total = problem.cost(x, acting).sum(-1) + problem.rows.paid(slack)
+    # of an open problem rows may be violated beyond what the multipliers tell
+    total = problem.cost(x, acting).sum(-1) + problem.rows.paid(problem.rows.excess(values))
     local = expand_problem(problem, x, u, multipliers)
     gradient = local.gradient.view(u.shape)
     residual = (u - (u - gradient).clamp(lower, upper)).abs().amax((-2, -1))

@@ -112,9 +112,13 @@ class ConstraintRows(NamedTuple):
             functions=functions, linear=self.linear[index], quadratic=self.quadratic[index]
         )
 
+    def excess(self, values: Float[Tensor, "*b T1 K"]) -> Float[Tensor, "*b T1 K"]:
+        """By how much each row is violated."""
+        return torch.where(self.signed, values.abs(), values.clamp_min(0))
+
     def violation(self, values: Float[Tensor, "*b T1 K"]) -> Float[Tensor, "*b"]:
         """Largest violation of a hard row."""
-        above = torch.where(self.signed, values.abs(), values.clamp_min(0))
+        above = self.excess(values)
         hard = self.linear.isinf() & self.applies
         return torch.where(hard, above, torch.zeros_like(above)).amax((-2, -1))
 

@@ -75,8 +75,7 @@ def judge(problem: Problem, u: Float[Tensor, "*b T m"]) -> Merit:
     """Violation and cost of controls, infinite where they are not finite."""
     x, acting = problem.rollout(u), pad_controls(u)
     values, rows = problem.rows.values(x, acting), problem.rows
-    slack = torch.where(rows.signed, values.abs(), values.clamp_min(0))
-    cost = problem.cost(x, acting).sum(-1) + rows.paid(slack)
+    cost = problem.cost(x, acting).sum(-1) + rows.paid(rows.excess(values))
     finite = x.isfinite().all(-1).all(-1)
     merit = Merit(rows.violation(values), cost)
     return Merit(*(torch.where(finite & part.isfinite(), part, torch.inf) for part in merit))
