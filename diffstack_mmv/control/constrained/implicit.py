@@ -162,17 +162,20 @@ class _Terms:
         self.problem, rows, shaped = problem, problem.rows, problem.unflat
         self.valid = shaped(point.valid)[..., None, None]
         self.activity = Activity(*(shaped(part) for part in point.activity))
-        side, beyond = self.activity.side, self.activity.offset != 0
+        yields, side = self.activity.compliance > 0, self.activity.side
+        beyond = self.activity.saturated | yields
         priced = torch.where(rows.linear.isfinite(), rows.linear, 0.0)
         self.offset = torch.where(beyond, side * priced, 0.0)
+        self.slack = self._constant(shaped(point.slack))
+        # a price of squares that is zero has a derivative as well: it grows by the violation
+        pressing = self.offset + side * rows.quadratic * self.slack
+        pressing = torch.where(self.valid, pressing, pressing.detach())
         constant = self._constant(shaped(point.multipliers))
-        self.multipliers = torch.where(self.activity.saturated, self.offset, constant)
-        yields = self.activity.compliance > 0
+        self.multipliers = torch.where(self.activity.saturated, pressing, constant)
         price = torch.where(yields, rows.quadratic, torch.ones_like(side))
         self.compliance = torch.where(yields, 1 / price, 0.0)
-        self.prices = priced, torch.where(yields, price, 0.0)
+        self.prices = priced, rows.quadratic
         self.costates = self._constant(shaped(point.local.costates))
-        self.slack = self._constant(shaped(point.slack))
         lower, upper = (bound.to(problem.state) for bound in problem.bounds)
         u, press = shaped(point.u), shaped(point.local.gradient)
         on_bound = ~shaped(point.free).reshape(u.shape)
