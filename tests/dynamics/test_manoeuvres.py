@@ -43,6 +43,18 @@ def test_models_agree_on_gentle_commands(model):
     assert (paths[0] - paths[1]).norm(dim=-1).max() < 0.15
 
 
+@pytest.mark.parametrize("straight_s", [0.0, 0.5, 2.0])
+def test_a_turn_is_straight_before_and_after_for_as_long_as_asked(straight_s: float) -> None:
+    turn = Turn(4.0, math.pi / 2, 6.0, ramp_s=1.0, straight_s=straight_s)
+    steer, ends = turn(1.05, 0.1).steer, round(10 * straight_s)
+    turning = steer[ends : len(steer) - ends]
+    assert (steer[:ends] == 0).all()
+    assert steer[len(steer) - ends :].abs().sum() < 1e-9
+    # a ramp turns half as far as the same time at the full curvature
+    assert len(turning) == round(10 * (math.pi / 2 * 6.0 / 4.0 + 1.0))
+    assert (turning[1:] > 0).all()
+
+
 class Unbounded(DiffKBM):
     """Leaves the numbers there are within half a second."""
 
@@ -86,11 +98,13 @@ def test_braking_stops_the_vehicle():
         (Slalom, {"periods": 0}, "`periods` must be at least 1"),
         (Slalom, {"periods": 1.5}, "`periods` must be a whole number"),
         (Slalom, {"period_s": 1e9}, "`manoeuvre` must take at most 3600 s"),
+        (Slalom, {"period_s": 0.0}, "`period_s` must be positive"),
         (Slalom, {"curvature": math.inf}, "`curvature` must lie in [-1000, 1000]"),
         (Slalom, {"speed_mps": -1.0}, "`speed_mps` must lie in [0, 1000]"),
         (Turn, {"speed_mps": 1e-9}, "Give a higher speed_mps, or a smaller radius_m."),
         (Turn, {"angle_rad": math.nan}, "`angle_rad` must lie in [-1000, 1000]"),
         (Turn, {"straight_s": -1.0}, "`straight_s` must be at least 0"),
+        (Turn, {"straight_s": 1799.5}, "`manoeuvre` must take at most 3600 s"),
         (Turn, {"acceleration_mps2": math.inf}, "`acceleration_mps2` must lie in"),
         (RecordedControls, {"speed_mps": math.nan}, "`speed_mps` must lie in [0, 1000]"),
     ],

@@ -6,9 +6,15 @@ import pytest
 import torch
 
 from diffstack_mmv.dynamics.gm3 import CoordinatedLean, DiffGM3, PrescribedLean
-from diffstack_mmv.dynamics.gm3.lean import Lean, RollBody, lean_after
+from diffstack_mmv.dynamics.gm3.lean import (
+    Lean,
+    LeanLaw,
+    RollBody,
+    lean_acceleration,
+    lean_after,
+)
 from diffstack_mmv.dynamics.rollout import rollout
-from diffstack_mmv.types import Motion
+from diffstack_mmv.types import GRAVITY, Motion
 from diffstack_mmv.vehicles import load_vehicle
 
 LAWS = [PrescribedLean(), CoordinatedLean()]
@@ -38,6 +44,38 @@ def test_slow_turns_show_the_delay_of_the_law(law, late_s):
     lean = response(law, lateral, 0.02)
     expected = 0.2 / 9.81 * torch.sin(0.3 * (time[1:] - late_s))
     assert float((lean - expected)[1000:].abs().max()) < 0.02 * 0.2 / 9.81
+
+
+@pytest.mark.parametrize("step_s", [0.01, 0.3])
+@pytest.mark.parametrize("law", LAWS, ids=repr)
+def test_a_step_is_the_trapezoid_of_the_accelerations_at_its_ends(
+    law: LeanLaw, step_s: float
+) -> None:
+    pendulum = law.pendulum(RollBody(90.0, torch.tensor(99.0), torch.tensor(473.0)))
+    before, lateral = Lean(torch.tensor([0.2]), torch.tensor([-0.4])), torch.tensor([1.5])
+    frozen = pendulum.secant(before.angle)
+    after = lean_after(before, lateral, frozen, step_s)
+    ends = [lean_acceleration(each, lateral, frozen) for each in (before, after)]
+    torch.testing.assert_close(after.rate - before.rate, step_s * sum(ends) / 2)
+    torch.testing.assert_close(after.angle - before.angle, step_s * (before.rate + after.rate) / 2)
+
+
+@pytest.mark.parametrize("law", LAWS, ids=repr)
+@pytest.mark.parametrize("lateral", [-4.0, 0.0, 4.0])
+def test_a_vehicle_that_leans_as_its_turn_asks_is_at_rest(law: LeanLaw, lateral: float) -> None:
+    pendulum = law.pendulum(RollBody(90.0, torch.tensor(99.0), torch.tensor(473.0)))
+    asked = torch.tensor([math.atan(lateral / GRAVITY)])
+    turn = torch.tensor([lateral])
+    lean = Lean(asked, torch.zeros(1))
+    assert lean_acceleration(lean, turn, pendulum.secant(asked)).abs() < 1e-5
+    falling = Lean(asked, torch.tensor([0.5]))
+    assert lean_acceleration(falling, turn, pendulum.secant(asked)) < -1.0
+
+
+@pytest.mark.parametrize("bandwidth", [0.0, -8.0])
+def test_a_rider_without_a_bandwidth_is_refused(bandwidth: float) -> None:
+    with pytest.raises(ValueError, match="`bandwidth_radps` must be positive"):
+        CoordinatedLean(bandwidth_radps=bandwidth)
 
 
 def test_law_is_part_of_the_model():
