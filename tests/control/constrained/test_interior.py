@@ -1,16 +1,19 @@
 """Where the interior-point method begins, and what it measures there."""
 
 import math
+from collections.abc import Callable
 
 import pytest
 import torch
+from torch import Tensor
 
 from diffstack_mmv.control import Batched, Bounds
 from diffstack_mmv.control.constrained import HARD, Inequality, Slack
+from diffstack_mmv.control.constrained.barrier import Barrier
 from diffstack_mmv.control.constrained.constraint import gather
-from diffstack_mmv.control.constrained.interior import FIRST, enter
+from diffstack_mmv.control.constrained.interior import FIRST, STEEPEST, Central, enter
 from diffstack_mmv.control.constrained.local import Problem
-from tests.control.constrained.test_progress import cart, reach
+from tests.control.constrained.test_progress import cart, carts, reach
 
 pytestmark = pytest.mark.usefixtures("double")
 LATER = slice(1, None)
@@ -94,3 +97,48 @@ def test_a_side_without_a_bound_and_a_control_that_is_fixed_have_no_distance():
     barrier, central = begun(HARD, low=0.5, high=0.5)
     assert all(gap.isinf().all() for gap in barrier.gaps(central.point.u))
     assert (central.point.u == 0.5).all()
+
+
+def entered(cost: Callable[..., Tensor], speed: float = 0.0) -> tuple[Barrier, Central]:
+    """Where it begins with the two carts at 0 and 1, at a speed and a cost of one's own."""
+    problem, controls = carts([0.0, 1.0])
+    state = problem.state + torch.tensor([0.0, speed])
+    return enter(problem._replace(cost=Batched(cost), state=state), controls)
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1.0, 1e4])
+@pytest.mark.parametrize(
+    "slope", [lambda x, u: -x[..., 1] + 0 * u[..., 0], lambda x, u: 3 * u[..., 0] + 0 * x[..., 0]]
+)
+def test_the_unit_of_the_cost_is_taken_out_by_its_steepest_slope(
+    slope: Callable[..., Tensor], unit: float
+) -> None:
+    steepest = abs(float(slope(torch.ones(1, 2), torch.ones(1, 1))))
+    barrier, _ = entered(lambda x, u: unit * slope(x, u))
+    torch.testing.assert_close(barrier.scale * unit * steepest, torch.full((2,), STEEPEST))
+
+
+@pytest.mark.parametrize(
+    "cost",
+    [lambda x, u: x[..., 0].sqrt(), lambda x, u: torch.nan * x[..., 0]],
+    ids=["infinitely steep", "no number"],
+)
+def test_it_does_not_begin_where_a_cost_has_no_finite_slope(cost: Callable[..., Tensor]) -> None:
+    _, central = entered(cost)
+    assert not central.started[0]
+    assert not central.open[0]
+
+
+@pytest.mark.parametrize("speed", [torch.nan, torch.inf])
+def test_it_does_not_begin_on_a_motion_that_is_not_finite(speed: float) -> None:
+    _, central = entered(lambda x, u: u[..., 0].square() + 0 * x[..., 0].detach(), speed)
+    assert not central.started.any()
+
+
+@each_price
+def test_it_begins_on_the_central_path_of_its_first_barrier(slack) -> None:
+    barrier, central = begun(slack)
+    products = (central.point.s * central.point.z)[barrier.rows.applies]
+    assert (products <= FIRST + 1e-12).all()  # less where the price bounds the multiplier
+    assert slack is not HARD or (products >= FIRST - 1e-12).all()
+    assert (central.point.y == 0).all()
