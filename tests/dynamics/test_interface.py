@@ -229,6 +229,14 @@ def test_a_control_means_the_input_it_was_made_for(kind, vehicle):
     assert torch.allclose(found.steer, wanted.steer, atol=1e-9)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_model_says_whether_its_control_means_the_same_at_every_speed(kind) -> None:
+    model = kind(load_vehicle("bicycle")).double()
+    found = model.driver_input(states_of(model), (model.bounds.upper / 4).expand(3, -1))
+    same = all(bool((part == part[0]).all()) for part in found)
+    assert same is not model.driver_input_needs_state
+
+
 def test_a_unicycle_at_rest_goes_straight():
     model = ExtendedUnicycle(load_vehicle("bicycle"))
     found = model.driver_input(torch.zeros(4), torch.tensor([0.5, 0.0]))

@@ -58,6 +58,15 @@ def test_a_steering_angle_is_the_same_curve_ahead_and_in_reverse(speed):
     assert torch.allclose(MODEL.driver_input(state, control).steer, wanted.steer)
 
 
+@pytest.mark.parametrize("speed", [-2.0, 0.0, 3.0])
+def test_its_state_is_taken_from_the_motion_that_it_tells(speed: float) -> None:
+    state = torch.tensor([1.0, -2.0, 0.4, speed], dtype=torch.float64)
+    motion = MODEL.motion(state, torch.tensor([0.3, 0.0], dtype=torch.float64))
+    assert motion.velocity.tolist() == [speed, 0.0]
+    assert torch.equal(MODEL.initial_state(motion), state)
+    assert MODEL.can_reverse
+
+
 def test_curvature_command_drives_that_circle():
     state = torch.tensor([0.0, 0.0, 0.0, 5.0], dtype=torch.float64)
     control = MODEL.control_for(state, torch.tensor(0.0), torch.tensor(0.2, dtype=torch.float64))

@@ -92,6 +92,15 @@ def test_wheel_angles_match_the_reference(vehicle, reference, helpers):
     assert close(angles.expand_as(expected), expected, 1.0)
 
 
+@pytest.mark.parametrize("vehicle", vehicle_names())
+def test_the_direction_of_every_wheel_has_the_length_of_one(vehicle: str) -> None:
+    steering = DiffGM3(load_vehicle(vehicle)).double().chassis.steering
+    angle = steering.limit_rad * torch.linspace(-1, 1, 9).double()
+    sine, cosine = steering(angle, torch.tensor(0.9).double())
+    lengths = torch.hypot(sine, cosine)
+    torch.testing.assert_close(lengths, torch.ones_like(lengths))
+
+
 @pytest.mark.parametrize("vehicle", ["bicycle", "cart", "skateboard", "wheelchair"])
 def test_steering_command_inverts_the_soft_clamp(vehicle, reference):
     steering = reference.model(vehicle).chassis.steering

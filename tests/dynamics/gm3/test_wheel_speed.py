@@ -1,5 +1,7 @@
 """Controls by which the wheel-speed model does what it is asked for."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -93,3 +95,18 @@ def test_who_coasts_in_a_turn_drives_each_wheel_at_the_speed_of_its_hub(name, ya
     wheels = [wheel for wheel in model.spec.wheels if wheel.driven]
     expected = [(1.0 - yaw_rate * wheel.y_m) / wheel.radius_m for wheel in wheels]
     assert speeds == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+@pytest.mark.parametrize("name", ["bicycle", "wheelchair", "cart"])
+def test_wheels_may_turn_as_fast_as_the_vehicle_may_go_and_back_if_it_does(
+    name: str, reverse: bool
+) -> None:
+    spec = replace(load_vehicle(name), reverse=reverse)
+    lower, upper = DiffGM3WheelSpeed(spec).double().bounds
+    radii = torch.tensor([wheel.radius_m for wheel in spec.wheels if wheel.driven]).double()
+    fastest = torch.full_like(radii, spec.limits.speed_max_mps)
+    torch.testing.assert_close(upper[:-1] * radii, fastest)
+    torch.testing.assert_close(lower[:-1] * radii, -fastest if reverse else 0 * fastest)
+    of_other = DiffGM3(spec).double().bounds
+    assert (lower[-1], upper[-1]) == (of_other.lower[-1], of_other.upper[-1])

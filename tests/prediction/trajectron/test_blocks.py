@@ -154,6 +154,24 @@ def test_weights_of_another_type_are_left_to_tensors():
     assert not Blocks().fit(torch.zeros(2, 3), torch.zeros(2, dtype=torch.float64))
 
 
+@pytest.mark.parametrize(
+    "rows",
+    [torch.zeros(2, 3).half(), torch.zeros(2, 3).bfloat16(), torch.zeros(2, 3, dtype=torch.long)]
+    + [torch.zeros(0, 3), torch.zeros(2, 3, device="meta")],
+    ids=["half", "bfloat16", "whole", "none", "elsewhere"],
+)
+def test_rows_that_no_library_takes_are_left_to_tensors(rows: torch.Tensor) -> None:
+    assert not Blocks().fit(rows)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(("rows", "steps"), [(2, 4), (3, 3), (3, 5)])
+def test_a_mask_of_other_rows_or_steps_is_refused(rows: int, steps: int) -> None:
+    weight, mask = torch.zeros(8, 8), torch.ones(rows, steps, dtype=torch.bool)
+    with pytest.raises(ValueError, match="`valid` must have the shape"):
+        Blocks().last_states(torch.zeros(3, 4, 5), mask, weight)
+
+
 def test_features_that_do_not_fit_the_weights_are_refused():
     memory = MaskedLSTM(5, 8)
     memory.compile_kernels()
