@@ -88,3 +88,15 @@ def test_law_is_part_of_the_model():
         states = rollout(model, model.initial_state(start), torch.tensor([[[0.0, 0.1]] * 4]))
         leans.append(states[0, -1, model.State._fields.index("lean")].item())
     assert leans[1] > 2 * leans[0] > 0
+
+
+@pytest.mark.parametrize("law", LAWS, ids=repr)
+def test_a_lean_is_nearly_the_same_by_ever_finer_steps(law: LeanLaw) -> None:
+    zero, speed = torch.zeros(1), torch.tensor([[4.0, 0.0]])
+    start = Motion(torch.zeros(1, 2), zero, speed, zero)
+    controls, leans = torch.tensor([[[0.0, 0.1]] * 5]), []
+    for substeps in (1, 8):
+        model = DiffGM3(load_vehicle("bicycle"), lean=law, substeps=substeps).requires_grad_(False)
+        states = rollout(model, model.initial_state(start), controls)
+        leans.append(float(states[0, -1, model.State._fields.index("lean")]))
+    assert leans[0] == pytest.approx(leans[1], rel=0.1)
