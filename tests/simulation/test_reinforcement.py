@@ -109,7 +109,7 @@ def test_an_archive_of_something_else_is_no_policy(tmp_path):
 
 
 def test_shares_of_the_bounds_become_controls(env):
-    from diffstack_mmv.simulation.reinforcement import StableBaselinesEnv
+    from diffstack_mmv.simulation.stable_baselines_env import StableBaselinesEnv
 
     adapted = StableBaselinesEnv(env)
     adapted.seed(3)

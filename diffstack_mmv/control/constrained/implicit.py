@@ -163,9 +163,8 @@ class _Terms:
         self.valid = shaped(point.valid)[..., None, None]
         self.activity = Activity(*(shaped(part) for part in point.activity))
         yields, side = self.activity.compliance > 0, self.activity.side
-        beyond = self.activity.saturated | yields
         priced = torch.where(rows.linear.isfinite(), rows.linear, 0.0)
-        self.offset = torch.where(beyond, side * priced, 0.0)
+        self.offset = torch.where(self.activity.saturated | yields, side * priced, 0.0)
         self.slack = self._constant(shaped(point.slack))
         # a price of squares that is zero has a derivative as well: it grows by the violation
         pressing = self.offset + side * rows.quadratic * self.slack
