@@ -134,8 +134,9 @@ def main(config: DictConfig) -> None:
         baselines |= instantiate(config.baselines.to_goal)
     calibration = _calibration(config, stack, module)
     evaluation = evaluate_windows(
-        stack, baselines, windows, config.batch_size, config.plans, calibration, config.compile_from
-    )
+        stack, baselines, windows, config.batch_size, config.plans, calibration,
+        config.compile_from, config.seed,
+    )  # fmt: skip
     scores = EVALUATED if config.plans else PREDICTED
     vehicle = trained["vehicle"]["name"]
     for mode in header["modes_of_other_vehicles"]:
@@ -176,6 +177,7 @@ def _header(
         "data": config.data.name,
         "split": config.split,
         "seed": trained["seed"],
+        "draws_seed": config.seed,
         "smoother": module.source.smoother(),
         "calibrated_on": config.calibration.split,
         "ego_modes": sorted(config.modes),

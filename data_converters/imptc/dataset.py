@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from math import floor
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
@@ -218,7 +219,8 @@ class ImptcDataset(RecordingDataset):
         lights = raw.side_tables.get("traffic_lights")
         if lights is not None:
             last = max(float(track.time_s[-1]) for track in raw.tracks)
-            raw.signals = signals_per_step(lights, int(last / dt_s) + 1, dt_s)
+            # as many steps as the agents have, see `resample`
+            raw.signals = signals_per_step(lights, floor(last / dt_s + 1e-6) + 1, dt_s)
 
 
 def sequences_at(folder: str | None) -> ImptcDataset | None:

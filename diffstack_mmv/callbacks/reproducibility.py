@@ -105,35 +105,52 @@ class EarlyStopping(callbacks.EarlyStopping):
 
 
 class RandomState(Callback):
-    """Saves and restores all random generators: a resumed run goes on as if never stopped."""
+    """Saves and restores all random generators: a resumed run goes on as if never stopped.
+
+    Each process has its own. One that a run did not have before keeps the state it begins with.
+    """
 
     def __init__(self) -> None:
-        self._restored: dict[str, Any] | None = None
+        self._restored: list[dict[str, Any]] = []
 
     def state_dict(self) -> dict[str, Any]:
-        """State of the generators of Python, numpy, torch and every CUDA device."""
-        return {
-            "python": random.getstate(),
-            "numpy": _numpy_state(),
-            "torch": torch.get_rng_state(),
-            "cuda": torch.cuda.get_rng_state_all() if torch.cuda.is_available() else [],
-        }
+        """States of the generators of Python, numpy, torch and every CUDA device by process.
+
+        All processes ask for it together, since they save together.
+        """
+        states: list[Any] = [_generators()]
+        if torch.distributed.is_available() and torch.distributed.is_initialized():
+            [own] = states
+            states = [None] * torch.distributed.get_world_size()
+            torch.distributed.all_gather_object(states, own)
+        return {"processes": states}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Keep a state until training starts: building the loaders draws numbers, too."""
-        self._restored = state_dict
+        """Keep the states until training starts: building the loaders draws numbers, too."""
+        # checkpoints of earlier versions hold that of the first process alone
+        self._restored = state_dict.get("processes", [state_dict])
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Restore the generators."""
-        if self._restored is None:
+        states, self._restored = self._restored, []
+        if trainer.global_rank >= len(states):
             return
-        state, self._restored = self._restored, None
+        state = states[trainer.global_rank]
         version, internal, gauss = state["python"]
         random.setstate((version, tuple(internal), gauss))
         _set_numpy_state(state["numpy"])
         torch.set_rng_state(state["torch"].cpu())
         if state["cuda"] and torch.cuda.is_available():
             torch.cuda.set_rng_state_all([value.cpu() for value in state["cuda"]])
+
+
+def _generators() -> dict[str, Any]:
+    return {
+        "python": random.getstate(),
+        "numpy": _numpy_state(),
+        "torch": torch.get_rng_state(),
+        "cuda": torch.cuda.get_rng_state_all() if torch.cuda.is_available() else [],
+    }
 
 
 def _numpy_state() -> dict[str, Any]:

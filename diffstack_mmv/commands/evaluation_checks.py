@@ -33,6 +33,9 @@ def require_evaluation(config: DictConfig) -> None:
         config.modes or [], config.dt_s, history_s=config.history_s, horizon_s=config.horizon_s
     )
     require_data(config.data.module.windows, config.batch_size)
+    exported = config.data.module.get("export") is not None
+    remedy = "Leave it out: an evaluation is told by situations, which stand in the export."
+    require(exported, "data.module.export", "say where windows are kept", None, "", remedy)
     require_recordings(config.data.module.source)
     require_split("split", config.split, config.data.module.source)
     fitted_on = config.calibration.split

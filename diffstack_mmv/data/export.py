@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 from torch.utils.data import DataLoader
 from tqdm import tqdm
 
@@ -105,6 +106,8 @@ def _write(export: Export, settings: ExportSettings, target: Path) -> None:
         num_workers=settings.workers,
         multiprocessing_context="fork" if settings.workers else None,
         collate_fn=unchanged,  # type: ignore[arg-type]
+        # else a training that writes its export would go on with other random numbers
+        generator=torch.Generator(),
     )
     title = f"export {export.source.name} {export.split}"
     with tqdm(total=count, desc=title, unit="window", disable=not settings.progress) as bar:

@@ -9,7 +9,7 @@ from diffstack_mmv.reporting.files import read_json
 IDENTITY = (
     *("data", "split", "goal", "dynamics", "vehicle", "seed", "smoother", "calibrated_on"),
     *("ego_modes", "plans", "history_s", "stride", "judged_situations", "solver", "ensemble"),
-    "steadiness",
+    *("steadiness", "draws_seed"),
 )
 """What tells reports apart: not the code, so that an evaluation can be repeated by another one."""
 

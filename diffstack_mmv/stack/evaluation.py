@@ -68,8 +68,9 @@ def evaluate_windows(
     plans: bool = True,
     calibration: Calibration | None = None,
     compile_from: float = math.inf,
+    seed: int = 0,
 ) -> Evaluation:
-    """Score every sample, in order and without randomness, on the device of the stack.
+    """Score every sample, in order, on the device of the stack.
 
     Args:
         stack: The trained stack.
@@ -80,6 +81,7 @@ def evaluate_windows(
         calibration: Corrects the regions whose coverage is told, see `fitted_calibration`.
         compile_from: Number of samples from which on the kernels are compiled, which may change
             scores in their last digit.
+        seed: Of the paths that are drawn for scores; nothing else is random.
 
     Raises:
         ValueError: There is no sample.
@@ -95,8 +97,8 @@ def evaluate_windows(
     judge = judged_plans if plans else judged_predictions
     for start in tqdm(range(0, len(windows), batch_size), desc="evaluate", unit="batch"):
         batch = _batch(stack, windows, start, batch_size)
-        judged = judge(stack, batch, start)
-        found = judged_levels(judged.forecast, batch.ego_future, first=start)
+        judged = judge(stack, batch, start, seed)
+        found = judged_levels(judged.forecast, batch.ego_future, seed=seed, first=start)
         row, error = beside_baselines(judged, baselines, batch)
         row |= coverages(found, calibration) | excitation(batch)
         levels.append(where_known(found.level, found.valid).cpu().numpy())

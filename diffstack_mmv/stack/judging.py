@@ -34,12 +34,20 @@ class Judged(NamedTuple):
 
 
 @torch.no_grad()
-def judged_plans(stack: DiffStackMMV, batch: StackBatch, first: int) -> Judged:
-    """What a stack predicts and plans for a batch; `first` is the number of its first sample."""
+def judged_plans(stack: DiffStackMMV, batch: StackBatch, first: int, seed: int = 0) -> Judged:
+    """What a stack predicts and plans for a batch.
+
+    Args:
+        stack: The stack.
+        batch: The samples.
+        first: Number of the first one.
+        seed: Of the paths that are drawn for scores; with the number it decides on them.
+    """
     output = stack(batch)
     terms = stack.hindsight_costs(batch, output)
     ego = ego_forecast(output.forecast)
-    scores = stack.score(batch, output, terms) | _further_scores(ego, batch.ego_future, first)
+    further = _further_scores(ego, batch.ego_future, first, seed)
+    scores = stack.score(batch, output, terms) | further
     scores |= {f"{COST}{term}": cost for term, cost in terms.items()}
     paths = {"prediction": ego.median(), "plan": output.plan.motion.position[..., 1:, :]}
     # whoever rides to a goal that was not recorded cannot be judged
@@ -48,19 +56,20 @@ def judged_plans(stack: DiffStackMMV, batch: StackBatch, first: int) -> Judged:
 
 
 @torch.no_grad()
-def judged_predictions(stack: DiffStackMMV, batch: StackBatch, first: int) -> Judged:
+def judged_predictions(stack: DiffStackMMV, batch: StackBatch, first: int, seed: int = 0) -> Judged:
     """What a stack predicts for a batch, nothing planned; as `judged_plans`."""
     forecast = stack.predictor.predict(batch)
     ego = ego_forecast(forecast)
-    scores = prediction_scores(batch, forecast) | _further_scores(ego, batch.ego_future, first)
+    further = _further_scores(ego, batch.ego_future, first, seed)
+    scores = prediction_scores(batch, forecast) | further
     return Judged(scores, {"prediction": ego.median()}, batch.goal, ego)
 
 
-def _further_scores(forecast: Forecast, future: Tracks, first: int) -> dict[str, Tensor]:
+def _further_scores(forecast: Forecast, future: Tracks, first: int, seed: int) -> dict[str, Tensor]:
     """What a training does not log: scores of drawn paths."""
     return {
-        **best_of_samples(forecast, future, first=first),
-        "energy_score": energy_score(forecast, future, first=first),
+        **best_of_samples(forecast, future, seed, first),
+        "energy_score": energy_score(forecast, future, seed=seed, first=first),
     }
 
 

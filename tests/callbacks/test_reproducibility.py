@@ -37,22 +37,51 @@ def save(folder, config):
     return path
 
 
-def test_generators_go_on_as_if_never_stopped(tmp_path):
-    saved = RandomState()
-    torch.save(saved.state_dict(), tmp_path / "state.pt")
-    expected = draw()
-    restored = RandomState()
-    restored.load_state_dict(torch.load(tmp_path / "state.pt", weights_only=True))
+def restored(state, rank=0):
+    """What a process draws first that goes on from a saved state."""
+    generators = RandomState()
+    generators.load_state_dict(state)
     draw()
-    restored.on_train_start(None, None)
-    assert draw() == expected
+    generators.on_train_start(SimpleNamespace(global_rank=rank), None)
+    return draw()
+
+
+def test_generators_go_on_as_if_never_stopped(tmp_path):
+    torch.save(RandomState().state_dict(), tmp_path / "state.pt")
+    expected = draw()
+    assert restored(torch.load(tmp_path / "state.pt", weights_only=True)) == expected
+
+
+def test_each_process_goes_on_with_its_own_numbers():
+    states, expected = [], []
+    for seed in (1, 2):
+        torch.manual_seed(seed)
+        states += RandomState().state_dict()["processes"]
+        expected.append(draw())
+    assert expected[0] != expected[1]
+    for rank in (0, 1):
+        assert restored({"processes": states}, rank) == expected[rank]
+
+
+def test_a_process_that_was_not_there_before_keeps_its_numbers():
+    state = RandomState().state_dict()
+    torch.manual_seed(5)
+    expected = [draw()[2] for _ in range(2)][1]
+    torch.manual_seed(5)
+    assert restored(state, rank=1)[2] == expected
+
+
+def test_a_checkpoint_of_an_earlier_version_restores_the_first_process():
+    [state] = RandomState().state_dict()["processes"]
+    expected = draw()
+    assert restored(state) == expected
 
 
 def test_a_fresh_run_leaves_the_generators_alone():
     torch.manual_seed(3)
     expected = torch.rand(()).item()
     torch.manual_seed(3)
-    RandomState().on_train_start(None, None)
+    RandomState().on_train_start(SimpleNamespace(global_rank=0), None)
     assert torch.rand(()).item() == expected
 
 

@@ -103,6 +103,7 @@ WRONG = [
     ("evaluate", "device=9", "`device` must be auto, cpu, or a device of this machine"),
     ("evaluate", "horizon_s=x", "`horizon_s` must be a number"),
     ("evaluate", "situations=[horse]", "`situations` must be one of moving"),
+    ("evaluate", "data.module.export=null", "`data.module.export` must say where windows are"),
     ("compare", "score=horse", "`score` must be one of"),
     ("identify", "tracks=0", "`tracks` must be at least 1"),
     ("identify", "dt_s=0.2", "`dt_s` must be 0.1 as in the conversion"),

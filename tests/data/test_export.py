@@ -45,6 +45,16 @@ def test_an_export_holds_the_samples_that_trajdata_gives(export, exporting, work
     assert exported.samples[direct.samples.columns].equals(direct.samples)
 
 
+@pytest.mark.parametrize("workers", [0, 2])
+def test_random_numbers_do_not_tell_whether_an_export_was_there(export, exporting, workers):
+    numbers = []
+    for _ in ("made", "found"):
+        torch.manual_seed(0)
+        export_windows(export, ExportSettings(exporting.folder, workers, progress=False))
+        numbers.append(torch.rand(3))
+    assert torch.equal(*numbers)
+
+
 def test_an_export_is_made_once(export, exporting, monkeypatch):
     folder = export_windows(export, exporting)
     monkeypatch.setattr(module, "_write", lambda *_: pytest.fail("made again"))

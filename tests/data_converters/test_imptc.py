@@ -100,6 +100,23 @@ def test_lights_and_weather_stand_beside_the_scene(converted):
     assert set(signals["status"]) <= {status.value for status in TrafficLightStatus}
 
 
+@pytest.mark.parametrize("last", [7, 29, 46, 57])
+def test_lights_have_as_many_steps_as_the_agents(tmp_path, last) -> None:
+    start, folder = 1_672_574_400_000_000, tmp_path / "raw" / "0000_20230101_120000"
+    samples = {
+        str(n): {"ts": str(start + 100_000 * n), "coordinates": [0.3 * n, 0.0, 0.0], "status": 2}
+        for n in range(last + 1)
+    }
+    track = {"overview": {"class_id": 2}, "track_data": samples}
+    lights = {"status_data": {f"ts_{start}": {"k1": 4, "f1": 10}}}
+    for file, content in {"vrus/0/track": track, "context/traffic_light_signals": lights}.items():
+        (folder / file).parent.mkdir(parents=True)
+        (folder / f"{file}.json").write_text(json.dumps(content))
+    dataset = ImptcDataset(tmp_path / "raw")
+    raw = dataset.read(dataset.scenes()[0], 0.1, strict=True)
+    assert raw.signals.index.get_level_values("scene_ts").max() == last
+
+
 def test_a_step_takes_the_latest_state_and_none_before_the_first():
     lights = pd.DataFrame({"time_s": [0.25, 0.55], "k1": [10, 4], "f1": [4, 10]})
     status = signals_per_step(lights, 8, 0.1)["status"]

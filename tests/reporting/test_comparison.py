@@ -28,3 +28,15 @@ def test_pairs_that_all_differ_the_same_way_have_the_least_p_value(count):
 @pytest.mark.parametrize("difference", [[], [0.0] * 9, [1.0] * 5, [1.0] * 5 + [0.0] * 9])
 def test_too_few_unequal_pairs_decide_nothing(difference):
     assert math.isnan(signed_rank(np.array(difference)))
+
+
+@pytest.mark.parametrize("scale", [4e-8, -4e-8])
+def test_what_rounding_makes_differ_decides_nothing(scale):
+    assert math.isnan(signed_rank(scale * np.arange(1.0, 12)))
+
+
+@given(st.lists(st.integers(-9, 9), min_size=8, max_size=20))
+def test_differences_that_rounding_sets_apart_are_ties(tenths):
+    exact = np.array(tenths) / 10
+    shifted = (exact + 0.7) - 0.7
+    assert np.array_equal(signed_rank(shifted), signed_rank(exact), equal_nan=True)

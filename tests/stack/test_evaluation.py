@@ -127,6 +127,18 @@ def test_no_score_knows_how_many_samples_were_judged_at_once():
     assert np.allclose(first, second, atol=2e-3)
 
 
+@pytest.mark.parametrize("plans", [True, False])
+def test_the_seed_decides_on_drawn_paths_alone(plans):
+    stack, windows = stack_of(PredictedGoal(), ThreeWays(STEPS, 0.1)), Recorded(batch_of())
+    first, again, other = (
+        evaluate_windows(stack, {}, windows, plans=plans, seed=seed).samples for seed in (1, 1, 2)
+    )
+    assert first.equals(again)
+    changed = {name for name in first if not first[name].equals(other[name])}
+    assert {"best_of_20_ade", "energy_score"} <= changed
+    assert not {"ade", "fde", "nll"} & changed
+
+
 @pytest.mark.parametrize(("compile_from", "compiled"), [(3, 1), (4, 0)])
 def test_kernels_are_compiled_for_many_windows_only(compile_from, compiled, monkeypatch):
     stack, calls = stack_of(PredictedGoal()), []
