@@ -1,6 +1,7 @@
 """Drive a vehicle through a crowd, case by case, beside its baselines."""
 
 import logging
+import re
 from collections.abc import Mapping, Sequence
 from functools import partial
 from importlib import import_module
@@ -11,9 +12,9 @@ from diffstack_mmv.commands.cli import (
     DictConfig,
     OmegaConf,
     as_written,
-    changed_defaults,
     command,
     get_class,
+    given_settings,
     instantiate,
 )
 from diffstack_mmv.commands.drive_checks import require_drive
@@ -61,26 +62,35 @@ def _tell_unfelt_friction(whose: str, vehicle: DictConfig) -> None:
         )  # fmt: skip
 
 
+READERS = {
+    "known_delay_s": "controller=diffmpc_delay does; the robot's delay is robot.delay_s",
+    "people_checkpoint": "people=predictor does",
+    "policy": "controller=ppo does",
+    "people": "controller=diffmpc does",
+    "cost": "controller=diffmpc does",
+    "constraints": "controller=diffmpc does",
+}
+"""Settings that not everybody who drives uses, and who does."""
+
+
 def _tell_unused(config: DictConfig) -> None:
-    """Warn of settings that nobody who drives here reads; in a sweep, another job's may."""
-    who = {
-        "known_delay_s": "controller=diffmpc_delay does; the robot's delay is robot.delay_s",
-        "people_checkpoint": "people=predictor does",
-        "policy": "controller=ppo does",
-    }
-    changed = changed_defaults("navigate")
-    for name in (name for name in who if name in changed and not _is_used(name)):
+    """Warn of settings that nobody who drives here uses; in a sweep, another job's may."""
+    given = given_settings()
+    for name in (name for name in READERS if name in given and not _is_used(name)):
         logger.warning(
             "%s=%s changes nothing: neither controller=%s nor who drives beside it uses it. %s.",
-            name, config[name], config.names.controller, who[name],
+            name, given[name], config.names.controller, READERS[name],
         )  # fmt: skip
 
 
 def _is_used(name: str) -> bool:
-    """Whether people or anybody who drives here refer to a setting."""
+    """Whether anybody who drives here, or the forecast of the people, refers to a setting."""
     written = as_written("navigate")
-    parts = [written.people, *(controller for _, controller in _controllers(written))]
-    return any(f"${{{name}}}" in OmegaConf.to_yaml(part) for part in parts)
+    parts = [controller for _, controller in _controllers(written)]
+    if name != "people":
+        parts.append(written.people)
+    reference = re.compile(rf"\$\{{{name}[.}}]")
+    return any(reference.search(OmegaConf.to_yaml(part)) for part in parts)
 
 
 def admit(config: DictConfig) -> None:
@@ -88,9 +98,8 @@ def admit(config: DictConfig) -> None:
     if config.against:
         from diffstack_mmv.reporting import require_comparable
 
-        header: Any = OmegaConf.to_container(config.header)
         for folder in config.against:
-            require_comparable(header, _cases(config), Path(folder))
+            require_comparable(_header(config), _cases(config), Path(folder))
     if not (Path(config.out) / "episodes").is_dir():
         return
     from diffstack_mmv.reporting import require_same_drive
@@ -149,6 +158,14 @@ def _contents(config: DictConfig) -> dict[str, str | None]:
     return found
 
 
+def _header(config: DictConfig) -> dict[str, Any]:
+    """What was driven; `drawn_by` is what the cases are drawn by, but for the recordings."""
+    header: Any = OmegaConf.to_container(config.header)
+    drawn_by: Any = OmegaConf.to_container(config.scenario)
+    drawn_by.pop("recordings", None)
+    return header | {"drawn_by": drawn_by} | _contents(config)
+
+
 @command(config_folder(), "navigate", check, admit)
 def main(config: DictConfig) -> None:
     """Run the benchmark of the controller and of its baselines; write tables, plots, animations."""
@@ -173,9 +190,9 @@ def main(config: DictConfig) -> None:
     chunks = list(own.run())
     for campaign in (*campaigns.values(), own):
         campaign.remove_parts()
-    header: Any = OmegaConf.to_container(config.header)
+    header = _header(config)
     # a reactive crowd sees the robot whatever the configuration says
-    header |= {"code": code_version(), "robot_visible": world.robot_visible} | _contents(config)
+    header |= {"code": code_version(), "robot_visible": world.robot_visible}
     header |= models_told(actual, believed, world.robot, instantiate(config.model))
     result = header | summarise(chunks)
     search = instantiate(config.search)

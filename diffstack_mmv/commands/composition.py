@@ -137,6 +137,11 @@ def settings_in(words: Iterable[str]) -> dict[str, Any]:
     return found
 
 
+def given_settings() -> dict[str, Any]:
+    """Key -> value of each setting on the command line of the present job, groups as well."""
+    return settings_in(HydraConfig.get().overrides.task)
+
+
 def refuse_beside(argument: str, replaced: Collection[str]) -> None:
     """Refuse settings of the present job that another one replaces: they would change nothing.
 
@@ -147,7 +152,7 @@ def refuse_beside(argument: str, replaced: Collection[str]) -> None:
     Raises:
         ValueError: The command line has one of them.
     """
-    for key in settings_in(HydraConfig.get().overrides.task):
+    for key in given_settings():
         name = key.partition("@")[0].partition(".")[0]
         remedy = f"Leave out {name}, or {argument}."
         require(name not in replaced, argument, "be without what it replaces", key, "", remedy)

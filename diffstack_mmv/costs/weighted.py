@@ -67,6 +67,8 @@ class WeightedCost(nn.Module):
 
     def weights(self) -> dict[str, Tensor | float]:
         """Present weight of every term."""
+        if not self.learned:  # generated libraries know no softmax of nothing
+            return dict(self.fixed)
         learned = self.scale * torch.softmax(self.log_weight, 0)
         return {**dict(zip(self.learned, learned.unbind(0), strict=True)), **self.fixed}
 

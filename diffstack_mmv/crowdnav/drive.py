@@ -151,9 +151,6 @@ class CrowdNav:
             "actual": vehicle,
             "believed": vehicle,
             "vehicle": content,
-            "dynamics": vehicle.dynamics,
-            "limits": vehicle.limits,
-            "names.dynamics": vehicle.name,
             "known_delay_s": self.delay_s,
         }
         return built_part("controller", self.controller, given)

@@ -15,8 +15,7 @@ HANDED: Mapping[str, frozenset[str]] = MappingProxyType(
         "controller": frozenset(
             {
                 *("dt_s", "seed", "compile", "cruise_mps", "model", "actuate", "people", "cost"),
-                *("constraints", "actual", "believed", "vehicle", "dynamics", "limits"),
-                *("names.dynamics", "known_delay_s"),
+                *("constraints", "actual", "believed", "vehicle", "known_delay_s"),
             }
         ),
         "people": frozenset({"dt_s", "seed"}),

@@ -8,7 +8,7 @@ import pandas as pd
 
 from diffstack_mmv.reporting.closed_loop import score_cells
 from diffstack_mmv.reporting.files import read_json, write_text
-from diffstack_mmv.reporting.paired import paired_cases, paired_table
+from diffstack_mmv.reporting.paired import CASES, paired_cases, paired_table, require_same
 from diffstack_mmv.reporting.scores import Scores
 from diffstack_mmv.reporting.table import NONE, cell, markdown_table, write_table
 
@@ -48,14 +48,19 @@ def joint_table(rows: Sequence[DrivenRow], scores: Scores) -> pd.DataFrame:
 
 
 def joint_pairs(rows: Sequence[DrivenRow], scores: Scores) -> pd.DataFrame:
-    """Paired tests of the rows that ask for them: McNemar and Wilcoxon, see `paired_cases`."""
-    ended = {(row.place, row.name): _cases(row) for row in rows if row.result.is_file()}
+    """Paired tests of the rows that ask for them: McNemar and Wilcoxon, see `paired_cases`.
+
+    Raises:
+        ValueError: Two rows that are to be compared drove other cases.
+    """
+    ended = {(row.place, row.name): row for row in rows if row.result.is_file()}
     told = []
     for row in rows:
-        own = ended.get((row.place, row.name))
-        others = [name for name in row.against if (row.place, name) in ended]
-        for name in others if own is not None else ():
-            pair = {"other": name} | paired_cases(own or [], ended[row.place, name])
+        others = [ended[row.place, name] for name in row.against if (row.place, name) in ended]
+        for other in others if (row.place, row.name) in ended else ():
+            own, its = read_json(row.result), read_json(other.result)
+            require_same(CASES, own, its, "against", other.folder)
+            pair = {"other": other.name} | paired_cases(own["cases"], its["cases"])
             [tests] = paired_table([pair], scores).to_dict("records")
             told.append({"cases of": row.place, "row": row.name} | tests)
     return pd.DataFrame(told)

@@ -13,8 +13,10 @@ from diffstack_mmv.reporting.paired_tests import signed_rank
 from diffstack_mmv.reporting.scores import Scores
 from diffstack_mmv.reporting.table import cell
 
-CASES = ("scenario", "data", "humans", "phase")
-"""By what the number of a case is a case; `data` of recorded people alone."""
+CASES = ("scenario", "data", "humans", "phase", "drawn_by", "recordings")
+"""By what the number of a case is a case; `data` and `recordings` of recorded people alone."""
+LATER = ("drawn_by", "recordings")
+"""Entries that headers of earlier versions do not have."""
 SETTINGS = (*CASES, "limit_s", "dt_s", "verdict")
 """What two runs have to share to be compared case by case."""
 OUTCOMES = {"success": "success_rate", "collision": "collision_rate"}
@@ -91,7 +93,8 @@ def require_same(
         ValueError: A setting differs.
     """
     for name in names:
-        if other.get(name) != result.get(name):
+        known = name not in LATER or (name in result and name in other)
+        if known and other.get(name) != result.get(name):
             raise ValueError(
                 f"`{argument}` must name runs with {name} {result.get(name)}, but got "
                 f"{other.get(name)} in {folder}. Compare runs of one setting."

@@ -1,6 +1,6 @@
 """Closed-loop simulation: scenarios, pedestrians, robots, verdicts and the environment."""
 
-from diffstack_mmv.simulation.adaptation import AdaptiveController
+from diffstack_mmv.simulation.adaptation import AdaptiveController, models_by_friction
 from diffstack_mmv.simulation.assembly import (
     SimulatedVehicle,
     actuation,
@@ -143,6 +143,7 @@ __all__ = [
     "controller_model",
     "drive",
     "imitation_loss",
+    "models_by_friction",
     "models_told",
     "read_chunk",
     "read_episode",

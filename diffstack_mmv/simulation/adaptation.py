@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require, require_between, require_positive
 from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.simulation.assembly import SimulatedVehicle, controller_model
 from diffstack_mmv.simulation.controller import DiffMPCController, DiffMPCState, merged
 from diffstack_mmv.simulation.decisions import Decided, unbatched
 from diffstack_mmv.simulation.observation import Observation
@@ -20,6 +22,24 @@ logger = logging.getLogger(__name__)
 
 ARM_M = 0.5
 """An error of the yaw rate counts as that of the speed of a point so far from the centre."""
+
+
+def models_by_friction(
+    believed: SimulatedVehicle, actual: SimulatedVehicle, dt_s: float, frictions: Sequence[float]
+) -> list[DynamicsModel]:
+    """What a controller believes of the robot, once for each friction of its tyres.
+
+    Args:
+        believed: Vehicle and dynamics that the controller believes in.
+        actual: The vehicle that drives, for its reference point.
+        dt_s: Time for which a control is held.
+        frictions: Friction coefficients of all tyres.
+
+    Raises:
+        ValueError: A friction is none, or the step does not fit.
+    """
+    each = (replace(believed, friction=friction) for friction in frictions)
+    return [controller_model(vehicle, actual, dt_s) for vehicle in each]
 
 
 class AdaptiveState(NamedTuple):

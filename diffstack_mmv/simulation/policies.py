@@ -1,10 +1,11 @@
 """The simplest controllers: baselines of the benchmark, and the shortest complete examples."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ClassVar
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
@@ -101,30 +102,41 @@ class BlindDriver(_Memoryless):
         dynamics: Model of the vehicle, whose step is the time between two decisions.
         cruise_mps: Cruising speed.
         braking_mps2: Deceleration towards the goal.
+        actuate: Turns controls of the model into those of the robot; None: they are the same.
 
     Raises:
         ValueError: A number is not positive.
     """
 
     def __init__(
-        self, dynamics: DynamicsModel, cruise_mps: float = 3.0, braking_mps2: float = 2.8
+        self,
+        dynamics: DynamicsModel,
+        cruise_mps: float = 3.0,
+        braking_mps2: float = 2.8,
+        actuate: Callable[[Tensor], Tensor] | None = None,
     ) -> None:
         require_positive("cruise_mps", cruise_mps)
         require_positive("braking_mps2", braking_mps2)
         self.dynamics = dynamics
         self.cruise_mps = cruise_mps
         self.braking_mps2 = braking_mps2
+        self.actuate = actuate
 
     def act(self, state: None, observation: Observation) -> Decided:
-        """Control in SI units."""
+        """Control of the robot in SI units."""
         like = self.dynamics.bounds.lower
         motion = Motion(*(field.to(like) for field in observation.motion))
-        way = (observation.goal.to(like) - motion.position).square().sum(-1).sqrt()
-        target = (2 * self.braking_mps2 * way).sqrt().clamp(max=self.cruise_mps)
-        acceleration = (target - motion.velocity[..., 0]) / self.dynamics.dt_s
+        acceleration = self._acceleration(motion, observation)
         vehicle = self.dynamics.initial_state(motion)
         straight = torch.zeros_like(acceleration)
-        return Decided(self.dynamics.control_for(vehicle, acceleration, straight), None)
+        action = self.dynamics.control_for(vehicle, acceleration, straight)
+        return Decided(action if self.actuate is None else self.actuate(action), None)
+
+    def _acceleration(self, motion: Motion, observation: Observation) -> Float[Tensor, "*b"]:
+        """Acceleration in m/s² along the straight way to the goal."""
+        way = (observation.goal.to(motion.position) - motion.position).square().sum(-1).sqrt()
+        target = (2 * self.braking_mps2 * way).sqrt().clamp(max=self.cruise_mps)
+        return (target - motion.velocity[..., 0]) / self.dynamics.dt_s
 
 
 class StopAndGoDriver(BlindDriver):
@@ -140,6 +152,7 @@ class StopAndGoDriver(BlindDriver):
         margin_m: Clearance that is kept at the sides.
         ahead_m: Clearance that is kept ahead.
         ahead_s: How far the walks are continued.
+        actuate: As that of `BlindDriver`.
 
     Raises:
         ValueError: A number is not positive.
@@ -153,8 +166,9 @@ class StopAndGoDriver(BlindDriver):
         margin_m: float = 0.3,
         ahead_m: float = 1.0,
         ahead_s: float = 2.0,
+        actuate: Callable[[Tensor], Tensor] | None = None,
     ) -> None:
-        super().__init__(dynamics, cruise_mps, braking_mps2)
+        super().__init__(dynamics, cruise_mps, braking_mps2, actuate)
         require_positive("margin_m", margin_m)
         require_positive("ahead_m", ahead_m)
         require_positive("ahead_s", ahead_s)
@@ -162,18 +176,12 @@ class StopAndGoDriver(BlindDriver):
         self.ahead_m = ahead_m
         self.ahead_s = ahead_s
 
-    def act(self, state: None, observation: Observation) -> Decided:
-        """Control in SI units."""
-        like = self.dynamics.bounds.lower
-        motion = Motion(*(field.to(like) for field in observation.motion))
-        freely = super().act(state, observation).action
+    def _acceleration(self, motion: Motion, observation: Observation) -> Float[Tensor, "*b"]:
+        """Acceleration in m/s² on the way to the goal, or to a standstill where that is blocked."""
         speed = motion.velocity[..., 0]
-        braking = -torch.minimum(
-            speed / self.dynamics.dt_s, torch.full_like(speed, self.braking_mps2)
-        )
-        vehicle = self.dynamics.initial_state(motion)
-        stop = self.dynamics.control_for(vehicle, braking, torch.zeros_like(braking))
-        return Decided(torch.where(self._blocked(observation)[..., None], stop, freely), None)
+        braking = -(speed / self.dynamics.dt_s).clamp(max=self.braking_mps2)
+        freely = super()._acceleration(motion, observation)
+        return torch.where(self._blocked(observation), braking, freely)
 
     def _blocked(self, observation: Observation) -> Bool[Tensor, "*b"]:
         """Whether somebody is in the strip ahead, or will be."""

@@ -49,6 +49,7 @@ def test_learning_keeps_weights_positive_and_their_sum_and_spares_the_frozen():
 def test_all_weights_may_be_frozen():
     cost = WeightedCost(TERMS, WEIGHTS, frozen=list(TERMS))
     assert cost.weights() == WEIGHTS
+    assert cost.weights() == WEIGHTS
     assert cost.log_weight.numel() == 0
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from diffstack_mmv.metrics import CLOSED_LOOP
 from diffstack_mmv.reporting import DrivenRow, joint_table, write_joint_table
+from diffstack_mmv.reporting.joint_table import joint_pairs
 
 
 def told(outcomes):
@@ -37,6 +38,18 @@ def rows(tmp_path):
     against = {"second": ("first", "absent")}
     names = (*driven, "absent")
     return [DrivenRow("circle", name, tmp_path / name, against.get(name, ())) for name in names]
+
+
+@pytest.mark.parametrize(("radius_m", "fits"), [(0.3, True), (1.5, False)])
+def test_rows_over_cases_that_were_drawn_otherwise_are_not_compared(rows, radius_m, fits) -> None:
+    for row, radius in zip(rows[:2], (0.3, radius_m), strict=True):
+        drawn_by = {"drawn_by": {"robot_radius_m": radius}}
+        row.result.write_text(json.dumps(json.loads(row.result.read_text()) | drawn_by))
+    if fits:
+        assert len(joint_pairs(rows, CLOSED_LOOP)) == 1
+    else:
+        with pytest.raises(ValueError, match="`against` must name runs with drawn_by"):
+            joint_pairs(rows, CLOSED_LOOP)
 
 
 @pytest.mark.parametrize(

@@ -99,6 +99,19 @@ def test_a_run_under_other_settings_is_not_paired(tmp_path):
         paired_with_run(run, tmp_path)
 
 
+@pytest.mark.parametrize("name", ["drawn_by", "recordings"])
+@pytest.mark.parametrize(("before", "fits"), [({}, True), ("same", True), ("another", False)])
+def test_a_run_over_cases_of_another_origin_is_not_paired(tmp_path, name, before, fits) -> None:
+    earlier = HEADER | {"cases": [case(0)]} | ({name: before} if before else {})
+    (tmp_path / "closed_loop.json").write_text(json.dumps(earlier))
+    run = HEADER | {name: "same", "cases": [case(0)]}
+    if fits:
+        assert paired_with_run(run, tmp_path)["success"]["p"] is None
+    else:
+        with pytest.raises(ValueError, match=f"runs with {name} same, but got another in"):
+            paired_with_run(run, tmp_path)
+
+
 @pytest.mark.parametrize(
     ("run", "cases", "told"),
     [

@@ -77,6 +77,22 @@ def test_models_that_foretell_the_same_are_one(dynamics, models, caplog):
     assert ("Friction is felt by tyres alone" in caplog.text) is (models == 1)
 
 
+@pytest.mark.parametrize("factor", [1.0, 1.5])
+def test_other_frictions_are_those_of_the_vehicle_that_is_believed_in(factor) -> None:
+    overrides = "controller=diffmpc_adaptive", "dynamics=gm3", f"believed.mass_factor={factor}"
+    first, *others = instantiate(composed_navigate(*overrides).controller).models
+    mass = 1 / first.model.chassis.inverse_mass[..., 0]
+    assert len(others) == 2
+    for each in others:
+        torch.testing.assert_close(1 / each.model.chassis.inverse_mass[..., 0], mass)
+
+
+@pytest.mark.parametrize(("name", "models"), [("kbm", 1), ("gm3", 3)])
+def test_other_frictions_are_of_the_dynamics_that_are_believed_in(name, models) -> None:
+    overrides = "controller=diffmpc_adaptive", "dynamics=gm3", f"believed.dynamics={name}"
+    assert len(instantiate(composed_navigate(*overrides).controller).models) == models
+
+
 def test_models_that_foretell_another_time_than_a_decision_are_refused():
     """Who decides every 0.1 s cannot judge what a model foretells for 0.25 s."""
     with pytest.raises(ValueError, match=r"`models` must have the step of a decision, 0.1 s"):

@@ -10,7 +10,7 @@ from diffstack_mmv.reporting.html.readers import Titles, read_page
 from diffstack_mmv.reporting.table import NONE
 
 FILES = ("metrics.json", "closed_loop.json", "identification.json")
-LONG = ("cases", "baselines", "situations", "paired")
+LONG = ("cases", "baselines", "situations", "paired", "drawn_by")
 """Parts of these files that are tables, not numbers."""
 
 

@@ -46,8 +46,8 @@ class Round(NamedTuple):
 
 
 def best(rounds: Sequence[Round]) -> Round:
-    """The try with the smallest loss."""
-    return min(rounds, key=lambda each: each.loss)
+    """The try with the smallest loss; one that is no number is none."""
+    return min(rounds, key=lambda each: math.inf if math.isnan(each.loss) else each.loss)
 
 
 @dataclass(frozen=True)

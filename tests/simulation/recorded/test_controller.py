@@ -1,6 +1,9 @@
 """The controller among people who come and go."""
 
+import pytest
 import torch
+from hydra.errors import InstantiationException
+from hydra.utils import instantiate
 
 from diffstack_mmv.simulation import (
     BlindDriver,
@@ -16,7 +19,8 @@ from diffstack_mmv.simulation import (
     drive,
     vehicle_robot,
 )
-from diffstack_mmv.types import Outcome
+from diffstack_mmv.types import Outcome, map_tensors
+from tests.simulation.conftest import composed_navigate
 from tests.simulation.recorded.conftest import Reader, recorded
 
 TIME = 0.1 * torch.arange(251, dtype=torch.float64)
@@ -56,3 +60,21 @@ def test_stop_and_go_stops_for_who_walks_in_front(driven):
     assert record.outcome.tolist() == [Outcome.SUCCESS]
     assert float(record.clearance.min()) > 0
     assert record.steps >= blind.steps
+
+
+@pytest.mark.parametrize("driver", [BlindDriver, StopAndGoDriver])
+def test_a_driver_gives_controls_of_the_robot(driver, driven, world_with, scene_with) -> None:
+    world = world_with(vehicle_robot(driven(), footprint=DiscFootprint()), exact=True, limit_s=2.0)
+    scene = map_tensors(lambda field: field.unsqueeze(0), scene_with((9.0, 0.0), (9.0, 1.0)))
+    seen, model = world.observe(world.start(scene)), controller_model(driven(), driven())
+    plain = driver(model).act(None, seen).action
+    turned = driver(model, actuate=lambda control: control.flip(-1)).act(None, seen).action
+    assert torch.equal(turned, plain.flip(-1))
+    assert not torch.equal(turned, plain)
+
+
+@pytest.mark.parametrize("name", ["blind", "stop_and_go"])
+def test_who_believes_in_controls_of_another_kind_is_refused(name) -> None:
+    config = composed_navigate(f"controller={name}", "believed.dynamics=unicycle")
+    with pytest.raises(InstantiationException, match="share its controls with the robot's"):
+        instantiate(config.controller)
