@@ -52,7 +52,7 @@ def convert(settings: ConversionSettings) -> ConversionReport:
             settings.staging.mkdir(parents=True, exist_ok=True)
             write_origin(settings, sources)
             reports = _convert_scenes(settings, sources)
-            return _finish(settings, reports)
+            return _finish(settings, sources, reports)
     except OSError as error:
         told = _told_of_cache(error, settings.cache)
         if not told:
@@ -102,7 +102,9 @@ def _convert_scenes(settings: ConversionSettings, sources: list[SceneSource]) ->
     return [done[source.name] for source in sources]
 
 
-def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> ConversionReport:
+def _finish(
+    settings: ConversionSettings, sources: list[SceneSource], reports: list[SceneReport]
+) -> ConversionReport:
     """Write lists and reports, then put the environment in its place.
 
     Raises:
@@ -130,7 +132,7 @@ def _finish(settings: ConversionSettings, reports: list[SceneReport]) -> Convers
     _remove_leftovers(settings.staging, {scene.name for scene in reports})
     EnvCache(settings.staging).save_env_scenes_list(".", listed)  # type: ignore[arg-type]
     write_json(settings.staging / REPORT_FILE, report.as_dict())
-    write_json(settings.staging / STATE_FILE, _state(settings, usable))
+    write_json(settings.staging / STATE_FILE, _state(settings, sources, usable))
     _replace_folder(settings.staging, settings.cache / name)
     write_json(settings.cache / REPORT_FILE, report.as_dict())
     return report
@@ -143,7 +145,11 @@ def _remove_leftovers(staging: Path, scenes: set[str]) -> None:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def _state(settings: ConversionSettings, usable: list[SceneReport]) -> dict[str, Any]:
+def _state(
+    settings: ConversionSettings, sources: list[SceneSource], usable: list[SceneReport]
+) -> dict[str, Any]:
+    named = {source.name: source.recording for source in sources}
+    own = {name: {"recording": whole} for name, whole in named.items() if whole not in ("", name)}
     return {
         "format_version": FORMAT_VERSION,
         "dataset": settings.dataset.name,
@@ -153,7 +159,9 @@ def _state(settings: ConversionSettings, usable: list[SceneReport]) -> dict[str,
         "smoother": settings.resample.smoother.settings(),
         "location": settings.dataset.location,
         "scenes": [
-            {"name": s.name, "split": s.split, "steps": s.steps, "agents": s.agents} for s in usable
+            {"name": s.name, "split": s.split, "steps": s.steps, "agents": s.agents}
+            | own.get(s.name, {})
+            for s in usable
         ],
     }
 

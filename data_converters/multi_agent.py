@@ -32,7 +32,7 @@ class Recording(NamedTuple):
     """One recording before it is read: its name, which is that of its scene, and its files.
 
     `split` is None where the recording is to be dealt, then together with all that name the same
-    `group`; without one it is a group of its own.
+    `group`, of which they are parts; without one it is a group of its own.
     """
 
     name: str
@@ -109,6 +109,7 @@ class MultiAgentDataset(RecordingDataset):
                 each.split or dealt[each.group or each.name],
                 each.name,
                 fingerprint(repr([self._marks[path] for path in each.files]).encode()),
+                each.group,
             )
             for each in self._index.values()
         ]

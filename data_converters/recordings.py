@@ -22,12 +22,14 @@ class SceneSource(NamedTuple):
     """One scene before it is read.
 
     `key` is whatever its data set finds it by, `fingerprint` changes when its files change.
+    Scenes that name one `recording` are parts of it and resemble each other; "" is one of its own.
     """
 
     name: str
     split: str
     key: str
     fingerprint: str
+    recording: str = ""
 
 
 class Rejection(NamedTuple):

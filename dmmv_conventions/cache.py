@@ -6,6 +6,7 @@
 import json
 import os
 import shlex
+from collections.abc import Iterable, Mapping
 from functools import cache as remembered
 from pathlib import Path
 from typing import Any
@@ -78,6 +79,11 @@ def read_state(cache: Path, name: str, error: type[ValueError] = ValueError) -> 
         found = state.get(field)
         require(found == wanted, field, f"be {told}", found, place, remedy, error)
     return state
+
+
+def recordings_by_scene(scenes: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    """By its name the recording that each of the `scenes` of a state is part of, or is itself."""
+    return {scene["name"]: scene.get("recording", scene["name"]) for scene in scenes}
 
 
 def conversion_of(name: str, cache: Path) -> str:

@@ -69,7 +69,7 @@ def main(config: DictConfig) -> None:
     study, source, out = instantiate(config.study), instantiate(config.source), Path(config.out)
     import torch
 
-    from diffstack_mmv.data import read_leans, read_tracks, recorded_noise
+    from diffstack_mmv.data import read_leans, read_recordings, read_tracks, recorded_noise
     from diffstack_mmv.identification import Recordings, identification_result, vehicle_provenance
     from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
     from diffstack_mmv.plotting import FittedTrack, save_identification
@@ -79,15 +79,13 @@ def main(config: DictConfig) -> None:
 
     name, place = config.names.dynamics, (source, config.splits, study.spec.mode)
     models = builders(config)
-    columns, motions, leans = (
-        models[name]().Control._fields,
-        read_tracks(*place),
-        read_leans(*place),
-    )
+    columns = models[name]().Control._fields
+    motions, leans = read_tracks(*place), read_leans(*place)
     driven = driven_tracks(place, columns, motions, config.dt_s) if config.controls else None
     motions, controls = driven or (motions, None)
     noise = recorded_noise(source, study.spec.mode, config.dt_s)
-    recordings = Recordings(motions, leans, controls, noise, source.smoother())
+    parts_of = read_recordings(source)
+    recordings = Recordings(motions, leans, controls, noise, source.smoother(), parts_of)
     try:
         result = study(recordings, models)
     except torch.linalg.LinAlgError as singular:

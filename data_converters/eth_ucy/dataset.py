@@ -77,7 +77,7 @@ class EthUcyDataset(MultiAgentDataset):
             for name, path in self._files(part):
                 cut = PART.fullmatch(name)
                 if cut is not None and cut[1] not in test:
-                    found.append(Recording(name, (path,), part))
+                    found.append(Recording(name, (path,), part, cut[1]))
         parts = {recording.split for recording in found}
         absent = sorted({"train", "val", "test"} - parts)
         remedy = "Give the folder with all_data, train and val."

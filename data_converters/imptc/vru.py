@@ -38,11 +38,12 @@ class Overlap(NamedTuple):
 
 
 class _VruScene(NamedTuple):
-    """Tracks that overlap in time, and the split of their recording."""
+    """Tracks that overlap in time, and their recording, named after its first scene."""
 
     name: str
     split: str
     tracks: tuple[VruTrack, ...]
+    recording: str
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ class ImptcVruDataset(RecordingDataset):
         for scene in self._scenes.values():
             marks = [[t.key, t.mark, t.key in self._conflicts] for t in scene.tracks]
             mark = fingerprint(repr(marks).encode())
-            scenes.append(SceneSource(scene.name, scene.split, scene.name, mark))
+            scenes.append(SceneSource(scene.name, scene.split, scene.name, mark, scene.recording))
         return scenes
 
     def read(self, scene: SceneSource, dt_s: float, *, strict: bool) -> RawScene:
@@ -178,10 +179,13 @@ class ImptcVruDataset(RecordingDataset):
             tracks[members[0]].key: tuple(tracks[number] for number in members)
             for members in grouped.values()
         }
-        split = {track.key: splits[recordings[n]] for n, track in enumerate(tracks)}
+        recording = {track.key: recordings[n] for n, track in enumerate(tracks)}
         names = scene_names(chosen)
+        first = {recording[key]: names[key] for key in reversed(chosen)}
         return {
-            names[key]: _VruScene(names[key], split[key], together)
+            names[key]: _VruScene(
+                names[key], splits[recording[key]], together, first[recording[key]]
+            )
             for key, together in chosen.items()
         }
 

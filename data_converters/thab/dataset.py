@@ -90,6 +90,7 @@ class ThabVruDataset(RecordingDataset):
                 self._index.splits[path],
                 path,
                 self._fingerprint(path),
+                self._index.groups.get(path, ""),
             )
             for path in self._index.modes
         ]

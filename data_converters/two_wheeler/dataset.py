@@ -75,7 +75,9 @@ class TwoWheelerDataset(RecordingDataset):
         found = bool(rides.boxes or rides.faults)
         require(found, "root", f"hold one of {names}", "none", self.root, remedy)
         pieces = [
-            SceneSource(f"{stem}_{number}", TURNS[number % len(TURNS)], f"{stem}/{number}", mark)
+            SceneSource(
+                f"{stem}_{number}", TURNS[number % len(TURNS)], f"{stem}/{number}", mark, stem
+            )
             for stem, boxes in rides.boxes.items()
             for mark in [hashlib.sha256(np.concatenate(boxes, axis=None).tobytes()).hexdigest()]
             for number in np.unique(self._piece(boxes)).tolist()

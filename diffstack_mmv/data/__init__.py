@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from diffstack_mmv.data.sources import ConvertedCache, NamedDataset, WindowSource
     from diffstack_mmv.data.tracks import (
         read_interpolated,
+        read_recordings,
         read_tracks,
         recorded_noise,
         recorded_sampling,
@@ -84,6 +85,7 @@ __all__ = [
     "read_controls",
     "read_interpolated",
     "read_leans",
+    "read_recordings",
     "read_rides",
     "read_sensors",
     "read_tracks",

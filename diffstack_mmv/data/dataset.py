@@ -46,11 +46,13 @@ class WindowDataset(Dataset[StackBatch], ABC):
     @property
     @abstractmethod
     def samples(self) -> pd.DataFrame:
-        """One row per sample: dataset, scene, agent, row (time index of the present), mode."""
+        """One row per sample: dataset, scene, agent, row (time index), mode, recording."""
 
     def digest(self) -> str:
         """SHA-256 of all samples and of where they come from, hexadecimal."""
-        digest = hashlib.sha256(self.samples.to_csv(index=False).encode())
+        # which scenes are of one recording changes no sample
+        where = self.samples.drop(columns="recording", errors="ignore")
+        digest = hashlib.sha256(where.to_csv(index=False).encode())
         for first in range(0, len(self), PIECE):
             batch = self[range(first, min(first + PIECE, len(self)))]
             for part in tree_leaves(batch):
@@ -114,7 +116,9 @@ class ExportedWindows(WindowDataset):
 
     @cached_property
     def samples(self) -> pd.DataFrame:
-        """One row per sample: dataset, scene, agent, row, mode and the situations.
+        """One row per sample: dataset, scene, agent, row, mode, recording and the situations.
+
+        In exports of before recordings were told, each scene is one.
 
         Raises:
             ValueError: The file is damaged, or of another export.
@@ -126,7 +130,8 @@ class ExportedWindows(WindowDataset):
             raise ValueError(_damaged(path, "be a table of the windows", error)) from error
         if len(table) != self.content["windows"]:
             raise ValueError(_damaged(path, "have a row per window", len(table)))
-        return table.iloc[self._usable].reset_index(drop=True)
+        table = table.iloc[self._usable].reset_index(drop=True)
+        return table if "recording" in table else table.assign(recording=table["scene"])
 
 
 class DirectWindows(WindowDataset):
@@ -152,14 +157,14 @@ class DirectWindows(WindowDataset):
 
     @cached_property
     def samples(self) -> pd.DataFrame:
-        """One row per sample: dataset, scene, agent, row, mode."""
+        """One row per sample: dataset, scene, agent, row, mode, recording."""
         return sample_table(self._locations, self._dataset)
 
 
 def sample_table(where: WindowLocation, dataset: str) -> pd.DataFrame:
-    """Identity of each window: dataset, scene, agent, row (time index of the present), mode."""
-    columns = {"scene": where.scene, "agent": where.agent, "row": where.row, "mode": where.mode}
-    return pd.DataFrame({"dataset": dataset, **columns})
+    """Identity of each window: dataset, scene, agent, row (time index), mode, recording."""
+    columns = ("scene", "agent", "row", "mode", "recording")
+    return pd.DataFrame({"dataset": dataset} | {name: getattr(where, name) for name in columns})
 
 
 def _marker(folder: Path) -> dict[str, Any]:

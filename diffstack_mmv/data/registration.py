@@ -39,6 +39,7 @@ class WindowLocation(NamedTuple):
     agent: list[str]
     row: NDArray[np.int64]  # time index of the present within the scene
     mode: NDArray[np.int64]
+    recording: list[str]  # that the scene is part of
 
 
 class _OpenScene(NamedTuple):
@@ -84,6 +85,7 @@ class TrajdataWindows(CachedUnifiedDataset):
         environments: Sequence[RawDataset] = (),
         raw_folders: Mapping[str, str] | None = None,
         corrections: Sequence[DatasetAugmentation] = (),
+        recordings: Mapping[str, str] | None = None,
     ) -> None:
         """Open the scenes whose tags match `query`.
 
@@ -94,10 +96,12 @@ class TrajdataWindows(CachedUnifiedDataset):
             environments: Converted data sets; none if trajdata itself knows the data set.
             raw_folders: Folder of the recordings of each data set that trajdata itself knows.
             corrections: Repairs applied to each scene that is opened.
+            recordings: Recording that a scene is part of, by its name; else the scene is one.
         """
         self._opened: _OpenScene | None = None
         self._modes: list[list[int]] = []
         self._corrections = tuple(corrections)
+        self._recordings = dict(recordings or {})
         self.windows = windows
         self._remedies = {each.name: conversion_of(each.name, cache) for each in environments}
         self.counts = WindowCounts(windows)
@@ -198,4 +202,5 @@ class TrajdataWindows(CachedUnifiedDataset):
                 scenes += [scene] * len(row)
                 agents += [str(agent, encoding="utf-8")] * len(row)
         joined = [np.concatenate(parts) for parts in (elements, rows, modes)]
-        return WindowLocation(joined[0], scenes, agents, joined[1], joined[2])
+        recordings = [self._recordings.get(scene, scene) for scene in scenes]
+        return WindowLocation(joined[0], scenes, agents, joined[1], joined[2], recordings)

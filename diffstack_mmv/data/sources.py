@@ -24,6 +24,7 @@ from dmmv_conventions.cache import (
     STATE_FILE,
     conversion_of,
     read_state,
+    recordings_by_scene,
     require_own,
 )
 from dmmv_conventions.opening import CachedEnvironment
@@ -146,8 +147,14 @@ class ConvertedCache:
                 conversion_of(self.name, Path(self.folder)),
             )
             require(path.is_file(), "cache", needs, "no such file", f"at {path}", remedy)
-        environment = CachedEnvironment(Path(self.folder), state)
-        return TrajdataWindows(f"{self.name}-{split}", windows, Path(self.folder), [environment])
+        cache = Path(self.folder)
+        return TrajdataWindows(
+            f"{self.name}-{split}",
+            windows,
+            cache,
+            [CachedEnvironment(cache, state)],
+            recordings=recordings_by_scene(state["scenes"]),
+        )
 
     def _chosen(self, state: dict[str, Any]) -> dict[str, Any]:
         """The state with the chosen scenes alone.

@@ -15,6 +15,7 @@ from diffstack_mmv.data.motions import STANDSTILL_MPS, yaw_rate
 from diffstack_mmv.data.sources import ConvertedCache, WindowSource
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.types import Mode, Motion
+from dmmv_conventions.cache import recordings_by_scene
 
 logger = logging.getLogger(__name__)
 
@@ -72,6 +73,15 @@ def read_interpolated(source: WindowSource, splits: Sequence[str], mode: str) ->
             mask = rows["interpolated"].to_numpy(dtype=bool)
             found[f"{scene['name']}/{agent}"] = torch.from_numpy(mask.copy())
     return found
+
+
+def read_recordings(source: WindowSource) -> dict[str, str]:
+    """By its name the recording that each scene is part of, or is itself.
+
+    Raises:
+        ValueError: The source is no finished converted cache.
+    """
+    return recordings_by_scene(converted(source).scenes())
 
 
 def recorded_noise(source: WindowSource, mode: str, dt_s: float) -> RecordedNoise | None:

@@ -36,8 +36,8 @@ def draw_by_excitation(
     """Draw mean errors over quantiles of the excitation: a row per setting, a column per quantity.
 
     Args:
-        settings: Title -> one row per sample: `scene`, the quantities, and the error of each model,
-            NaN where it was not judged.
+        settings: Title -> one row per sample: `recording`, the quantities, and the error of each
+            model, NaN where it was not judged.
         models: Columns with errors.
         axes_of: Column of each quantity -> title with its unit.
         heading: Title and unit of the error.
@@ -54,7 +54,7 @@ def draw_by_excitation(
                 if part[model].isna().all():
                     continue
                 mean = np.array([own[model].mean() for own in ranges])
-                ends = np.array([interval(own[model], own["scene"]) for own in ranges])
+                ends = np.array([interval(own[model], own["recording"]) for own in ranges])
                 axes.errorbar(
                     [own[name].mean() for own in ranges], mean,
                     np.nan_to_num(np.abs(ends.T - mean)), label=model,

@@ -9,7 +9,13 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import pandas as pd
 
 from diffstack_mmv.reporting.bootstrapping import bootstrap
-from diffstack_mmv.reporting.compared_runs import SAMPLE, SETTING
+from diffstack_mmv.reporting.compared_runs import (
+    RECORDING,
+    SAMPLE,
+    SETTING,
+    identity,
+    with_recordings,
+)
 from diffstack_mmv.reporting.files import read_json, read_parquet, told_as_broken, write_text
 from diffstack_mmv.reporting.table import markdown_table
 
@@ -83,18 +89,19 @@ def paired_samples(
             if not set(names) <= set(whole):
                 logger.warning("%s has no excitation: evaluate it again for that table.", folder)
                 continue
-            part = whole[["mode", score, *SAMPLE, *names]]
+            part = whole[[*identity(whole), score, *names]]
         vehicles = [metrics["modes"][mode]["vehicle"] for mode in part["mode"]]
         place = {key: metrics[key] for key in ("data", "split", "goal", "dynamics")}
         place |= {} if sets is None else {"data": sets[index]}
         parts.append(part.assign(vehicle=vehicles, **place))
     if not parts:
         return PairedSamples(pd.DataFrame(), [], quantities)
-    joined = pd.concat(parts, ignore_index=True)
+    joined = with_recordings(pd.concat(parts, ignore_index=True), ["data"])
     # the same sample has the same excitation up to rounding in every run: that of the first counts
     first = joined.groupby([*SETTING, *SAMPLE])[names].transform("first")
     joined[names] = first.round(3)
-    wide = joined.groupby([*SETTING, *SAMPLE, *names, "dynamics"])[score].mean().unstack()
+    keys = [*SETTING, *SAMPLE, RECORDING, *names, "dynamics"]
+    wide = joined.groupby(keys)[score].mean().unstack()
     models = [str(name) for name in wide.columns]
     whole = [
         part[part[_present(part, models)].notna().all(axis=1)]
@@ -113,12 +120,12 @@ def by_excitation(paired: PairedSamples, resamples: int = 1000) -> pd.DataFrame:
 
     Args:
         paired: What is compared.
-        resamples: Draws of the bootstrap over scenes.
+        resamples: Draws of the bootstrap over recordings.
 
     Returns:
-        One row per setting, range and pair: number of samples and scenes, the mean of both, the
-        mean difference with its interval of 95 % where there are scenes enough. No row where there
-        are no two models.
+        One row per setting, range and pair: number of samples and recordings, the mean of both, the
+        mean difference with its interval of 95 % where there are recordings enough. No row where
+        there are no two models.
     """
     if len(paired.models) < 2:
         return pd.DataFrame()
@@ -136,11 +143,11 @@ def by_excitation(paired: PairedSamples, resamples: int = 1000) -> pd.DataFrame:
 
 def _pair(part: pd.DataFrame, first: str, second: str, resamples: int) -> dict[str, object]:
     difference = part[first] - part[second]
-    low, high = bootstrap(difference, part["scene"], resamples)
+    low, high = bootstrap(difference, part[RECORDING], resamples)
     return {
         "pair": f"{first} - {second}",
         "n": len(part),
-        "scenes": part["scene"].nunique(),
+        "recordings": part[RECORDING].nunique(),
         "first": part[first].mean(),
         "second": part[second].mean(),
         "Δ": difference.mean(),

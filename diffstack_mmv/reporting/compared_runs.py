@@ -19,6 +19,7 @@ way a plan takes to a known goal."""
 GIVEN = ("future", "wanted")
 """The goal with which the trivial paths to it know it; those that are forecasts have an NLL."""
 SAMPLE = ["scene", "agent", "row"]
+RECORDING = "recording"
 SETTING = ["data", "split", "goal", "mode", "vehicle"]
 GROUP = [*SETTING, "dynamics"]
 
@@ -46,6 +47,27 @@ def read_runs(folders: Sequence[Path]) -> pd.DataFrame:
     # runs of one seed share their baselines
     shared = [*GROUP, "seed", "ade", "plan_ade"]
     return pd.concat([pd.DataFrame(rows), pd.DataFrame(baselines).drop_duplicates(shared)])
+
+
+def identity(samples: pd.DataFrame) -> list[str]:
+    """Columns that tell which sample a row of `samples.parquet` is, and of which recording."""
+    return ["mode", *SAMPLE, *({RECORDING} & {*samples})]
+
+
+def with_recordings(samples: pd.DataFrame, within: Sequence[str] = ()) -> pd.DataFrame:
+    """Samples with the recording of each, over which intervals and tests are made.
+
+    Earlier evaluations do not tell it: there it is what another report says of the scene, or else
+    the scene itself.
+
+    Args:
+        samples: Rows of one report or of several, with `scene`.
+        within: Columns within which a scene has one recording, such as the data set.
+    """
+    if RECORDING not in samples:
+        return samples.assign(**{RECORDING: samples["scene"]})
+    told = samples.groupby([*within, "scene"])[RECORDING].transform("first")
+    return samples.assign(**{RECORDING: told.fillna(samples["scene"])})
 
 
 def _own_rows(folder: Path) -> list[dict[str, Any]]:

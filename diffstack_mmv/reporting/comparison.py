@@ -77,7 +77,7 @@ def write_comparison(folder: Path, comparison: Comparison, tests: pd.DataFrame) 
     """
     sections = [markdown_table(_marked(comparison, "**", "**"))]
     if not tests.empty:
-        told = "Paired by scene, Wilcoxon signed-rank (p from six unequal pairs on):"
+        told = "Paired by recording, Wilcoxon signed-rank (p from six unequal pairs on):"
         sections += [told, markdown_table(tests, ".4g")]
     latex = latex_table(_marked(comparison, OPEN, CLOSE))
     latex = latex.replace(OPEN, r"\textbf{").replace(CLOSE, "}")

@@ -1,4 +1,4 @@
-"""Whether two dynamics differ by more than chance: a test of their scores, paired by scene."""
+"""Whether two dynamics differ by more than chance: a test of their scores, paired by recording."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -10,7 +10,13 @@ import pandas as pd
 from jaxtyping import Float
 from scipy.stats import wilcoxon
 
-from diffstack_mmv.reporting.compared_runs import SAMPLE, SETTING
+from diffstack_mmv.reporting.compared_runs import (
+    RECORDING,
+    SAMPLE,
+    SETTING,
+    identity,
+    with_recordings,
+)
 from diffstack_mmv.reporting.files import read_json, read_parquet, told_as_broken
 from diffstack_mmv.reporting.scores import ScoreHeading
 from diffstack_mmv.reporting.table import NONE, known_mean
@@ -32,31 +38,32 @@ def require_score(folders: Sequence[Path], score: str) -> None:
 
 
 def paired_tests(folders: Sequence[Path], score: ScoreHeading) -> pd.DataFrame:
-    """Wilcoxon signed-rank test between the dynamics, paired by scene.
+    """Wilcoxon signed-rank test between the dynamics, paired by recording.
 
-    Windows of one scene resemble each other, so the score is averaged over those that both judged,
-    and over seeds, before the test. The table says which of both has the better mean.
+    Windows of one recording resemble each other, so the score is averaged over those that both
+    judged, and over seeds, before the test. The table says which of both has the better mean.
     """
     samples = []
     for folder in folders:
         metrics = read_json(folder / "metrics.json")
         with told_as_broken(folder / "samples.parquet"):
-            frame = read_parquet(folder / "samples.parquet")[["mode", *SAMPLE, score.name]]
-        frame["vehicle"] = [metrics["modes"][mode]["vehicle"] for mode in frame["mode"]]
+            whole = read_parquet(folder / "samples.parquet")
+            frame = whole[[*identity(whole), score.name]]
+        vehicles = [metrics["modes"][mode]["vehicle"] for mode in frame["mode"]]
         place = {key: metrics[key] for key in ("data", "split", "goal", "dynamics")}
-        samples.append(frame.assign(**place))
-    windows = (
-        pd.concat(samples).groupby([*SETTING, *SAMPLE, "dynamics"])[score.name].mean().unstack()
-    )
+        samples.append(frame.assign(vehicle=vehicles, **place))
+    joined = with_recordings(pd.concat(samples, ignore_index=True), ["data"])
+    keys = [*SETTING, *SAMPLE, RECORDING, "dynamics"]
+    windows = joined.groupby(keys)[score.name].mean().unstack()
     rows = []
     for place, group in windows.groupby(level=SETTING):
         for first, second in combinations(group.columns, 2):
             both = (group[first] - group[second]).dropna()
-            difference = both.groupby(level="scene").mean().to_numpy()
+            difference = both.groupby(level=RECORDING).mean().to_numpy()
             row = dict(zip(SETTING, place, strict=True))
             row["pair"] = f"{first} - {second}"
             mean = known_mean(difference)
-            row |= {"scenes": len(difference), f"mean Δ {score.heading}": mean}
+            row |= {"recordings": len(difference), f"mean Δ {score.heading}": mean}
             row["better"] = _better(first, second, mean, score.lower_is_better)
             rows.append(row | {"p": signed_rank(difference)})
     return pd.DataFrame(rows)

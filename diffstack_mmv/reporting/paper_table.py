@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from diffstack_mmv.reporting.bootstrapping import bootstrap
-from diffstack_mmv.reporting.compared_runs import SAMPLE
+from diffstack_mmv.reporting.compared_runs import RECORDING, SAMPLE, with_recordings
 from diffstack_mmv.reporting.files import read_parquet
 from diffstack_mmv.reporting.runs import Run
 from diffstack_mmv.reporting.scores import ScoreHeading, Scores
@@ -64,7 +64,7 @@ def paper_table(
             row["n"] = str(len(samples))
             for name in SHOWN:
                 means = [part["modes"][mode][name] for part in told if mode in part["modes"]]
-                interval = bootstrap(samples[name], samples["scene"], resamples)
+                interval = bootstrap(samples[name], samples[RECORDING], resamples)
                 row[scores[name].heading] = _cell(means, interval, first.get(name), scores[name])
                 if model == reference:
                     first[name] = _mean(means)
@@ -99,7 +99,8 @@ def _over_seeds(runs: Sequence[Run], mode: str) -> pd.DataFrame:
                 f"({len(frame)} and {len(own[0])}). Evaluate them on the same conversion."
             )
     mean = np.mean([frame[list(SHOWN)].to_numpy(np.float64) for frame in own], 0)
-    return pd.DataFrame(mean, columns=list(SHOWN)).assign(scene=own[0]["scene"])
+    recordings = with_recordings(pd.concat(own, ignore_index=True))[RECORDING][: len(mean)]
+    return pd.DataFrame(mean, columns=list(SHOWN)).assign(**{RECORDING: recordings})
 
 
 def _mean(values: Sequence[float | None]) -> float:

@@ -45,7 +45,7 @@ def test_few_scenes_have_no_interval(tmp_path):
     folders = [write_run(tmp_path / name, name, 0, frame=frame) for name in ("kbm", "gm3")]
     paired = paired_samples(folders, "plan_ade", EXCITATION)
     table = by_excitation(paired)
-    assert set(table["scenes"]) <= {1, 2, 3}
+    assert set(table["recordings"]) <= {1, 2, 3}
     assert table[["low", "high"]].isna().all(None)
     write_by_excitation(tmp_path, paired)
     rows = (tmp_path / "excitation.md").read_text().splitlines()[2:]

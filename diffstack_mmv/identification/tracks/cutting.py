@@ -25,6 +25,7 @@ class Recordings(NamedTuple):
     controls: Mapping[str, Float[Tensor, "T m"]] | None = None  # NaN where there are none
     noise_m: tuple[float, float] | None = None  # of a position, along and across the motion
     smoother: str = "none"
+    parts_of: Mapping[str, str] | None = None  # recording of a scene, where one holds several
 
 
 @dataclass(frozen=True)
@@ -73,11 +74,13 @@ def cut_tracks(recordings: Recordings, settings: SegmentSettings) -> list[TrackS
     segments = []
     for name, motion in recordings.motions.items():
         beside = _BesideMotion.of(recordings, name)
+        part_of = (recordings.parts_of or {}).get(name.partition("/")[0], "")
         for first, last in _runs(_usable(motion, beside, recordings, settings)):
             for start in range(first, last - shortest + 1, longest):
                 rows = slice(start, min(start + longest, last))
                 if rows.stop - start >= shortest:
-                    segments.append(_segment(name, motion, beside, rows, settings.dt_s))
+                    segment = _segment(name, motion, beside, rows, settings.dt_s)
+                    segments.append(segment._replace(part_of=part_of))
     _require_some(segments, recordings, settings)
     _require_one_motion(segments, settings.dt_s)
     return segments

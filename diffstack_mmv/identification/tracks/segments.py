@@ -19,11 +19,17 @@ class TrackSegment(NamedTuple):
     speed: Float[Tensor, " T1"]  # m/s
     controls: Float[Tensor, "T1 m"] | None = None  # measured, where a data set has them
     lean: Float[Tensor, " T1"] | None = None  # rad, measured, positive to the left
+    part_of: str = ""  # recording, where it is not the scene that the name begins with
+
+    @property
+    def track(self) -> str:
+        """The track it was cut from, "scene/agent" in a converted cache."""
+        return self.name.rpartition("@")[0] or self.name
 
     @property
     def recording(self) -> str:
         """The recording it was cut from: what fitted and held-out tracks must not share."""
-        return self.name.rpartition("@")[0] or self.name
+        return self.part_of or self.track.partition("/")[0]
 
 
 class SegmentBatch(NamedTuple):

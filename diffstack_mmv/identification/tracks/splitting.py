@@ -28,7 +28,7 @@ def split_segments(
 ) -> DataSplit:
     """Take the preferred segments and divide them at random, recordings kept together.
 
-    With a single recording, its segments are divided instead.
+    With a single recording, its tracks are divided instead, and of a single track its segments.
 
     Args:
         segments: All segments.
@@ -45,8 +45,8 @@ def split_segments(
     require_at_least("segments", len(segments), 2, remedy="One is fitted, one held out.")
     generator = Generator().manual_seed(seed)
     order = selection(segments, generator).argsort(descending=True).tolist()
-    several = len({each.recording for each in segments}) > 1
-    groups = [each.recording if several else each.name for each in segments]
+    groups = _kept_together(segments)
+    groups = groups if len({*groups}) > 1 else [each.name for each in segments]
     wanted = min(len(order), fitted + heldout)
     kept = max(1, min(heldout, round(wanted * heldout / (fitted + heldout)), wanted - 1))
     sizes = Counter(groups[index] for index in order[:wanted])
@@ -58,6 +58,12 @@ def split_segments(
         if len(part) < limit:
             part.append(segments[index])
     return split
+
+
+def _kept_together(segments: Sequence[TrackSegment]) -> list[str]:
+    """The recording of each segment, or its track where there is one recording alone."""
+    recordings = [each.recording for each in segments]
+    return recordings if len({*recordings}) > 1 else [each.track for each in segments]
 
 
 def _draw_groups(sizes: Counter[str], count: int, generator: Generator) -> set[str]:
@@ -72,6 +78,8 @@ def _draw_groups(sizes: Counter[str], count: int, generator: Generator) -> set[s
 def cross_validation_splits(split: DataSplit, count: int, seed: int) -> list[DataSplit]:
     """Divide all segments so that each is held out once, recordings kept together.
 
+    With a single recording, its tracks are divided instead.
+
     Args:
         split: The segments.
         count: Number of folds; no more than there are recordings.
@@ -82,14 +90,15 @@ def cross_validation_splits(split: DataSplit, count: int, seed: int) -> list[Dat
     """
     require_at_least("folds", count, 2)
     segments = [*split.fitted, *split.heldout]
-    recordings = sorted({each.recording for each in segments})
+    owners = _kept_together(segments)
+    recordings = sorted({*owners})
     require_at_least("recordings", len(recordings), 2, remedy="One is held out at a time.")
     order = torch.randperm(len(recordings), generator=Generator().manual_seed(seed)).tolist()
     fold = {recordings[index]: place % count for place, index in enumerate(order)}
     return [
         DataSplit(
-            [each for each in segments if fold[each.recording] != part],
-            [each for each in segments if fold[each.recording] == part],
+            [each for each, owner in zip(segments, owners, strict=True) if fold[owner] != part],
+            [each for each, owner in zip(segments, owners, strict=True) if fold[owner] == part],
         )
         for part in range(min(count, len(recordings)))
     ]
