@@ -3,6 +3,7 @@
 import errno
 import json
 import pickle
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ import torch
 from torch.utils._pytree import tree_flatten
 
 from diffstack_mmv.data import (
+    ConvertedCache,
     DirectWindows,
     Export,
     ExportedWindows,
@@ -189,3 +191,27 @@ def test_batches_are_trimmed_to_their_own_largest_number_of_neighbors(export, ex
     alone = exported.samples.index[exported.samples["agent"] == "alone"].tolist()
     assert exported[alone].neighbors_past.valid.shape[1] == 0
     assert exported[[0, *alone]].neighbors_past.valid.shape[1] == 3
+
+
+def test_samples_tell_the_recording_of_their_scene(cache, tmp_path, windows, exporting):
+    shutil.copytree(cache, tmp_path / "cache")
+    place = tmp_path / "cache" / "toy" / "cache.json"
+    state = json.loads(place.read_text())
+    for scene in state["scenes"][:2]:
+        scene["recording"] = "ride"
+    place.write_text(json.dumps(state))
+    export = Export(ConvertedCache("toy", str(tmp_path / "cache")), "train", windows)
+    folder = export_windows(export, exporting)
+    samples = ExportedWindows(folder).samples
+    told = dict(zip(samples["scene"], samples["recording"], strict=True))
+    assert told == {f"scene_{n}": "ride" if n < 2 else f"scene_{n}" for n in range(5)}
+
+
+def test_in_an_export_of_before_recordings_were_told_each_scene_is_one(export, exporting):
+    folder = export_windows(export, exporting)
+    digest = ExportedWindows(folder).digest()
+    table = pd.read_parquet(folder / "samples.parquet")
+    table.drop(columns="recording").to_parquet(folder / "samples.parquet", index=False)
+    earlier = ExportedWindows(folder)
+    assert earlier.samples["recording"].equals(earlier.samples["scene"])
+    assert earlier.digest() == digest

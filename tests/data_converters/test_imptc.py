@@ -16,6 +16,7 @@ from data_converters import (
     SequenceSplit,
     convert,
 )
+from data_converters.imptc import vru
 from data_converters.imptc.context import read_context, read_table, signals_per_step
 from data_converters.imptc.dataset import find_sequences
 from data_converters.imptc.vru_recordings import connected, overlapping, recording_splits
@@ -157,6 +158,16 @@ def test_tracks_of_the_vru_release_that_overlap_in_time_are_one_scene(vru_sample
 def test_recordings_of_the_vru_release_with_mixed_splits_are_dealt_as_a_whole(vru_sample):
     splits = [scene.split for scene in ImptcVruDataset(vru_sample).scenes()]
     assert sorted(splits) == ["test", "train", "val"]
+
+
+@pytest.mark.parametrize(("pause_us", "recordings"), [(vru.PAUSE_US, 3), (10**14, 1)])
+def test_scenes_with_short_pauses_between_them_are_of_one_recording(
+    vru_sample, monkeypatch, pause_us, recordings
+):
+    monkeypatch.setattr(vru, "PAUSE_US", pause_us)
+    scenes = ImptcVruDataset(vru_sample).scenes()
+    told = [scene.recording for scene in scenes]
+    assert (len(told), len({*told}), told[0]) == (3, recordings, scenes[0].name)
 
 
 @pytest.mark.parametrize(("folder", "split"), [("eval", "val"), ("test", "test")])

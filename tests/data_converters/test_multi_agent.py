@@ -79,6 +79,11 @@ def test_every_split_gets_a_whole_recording(written, name):
     assert {scene.split for scene in written(name).scenes()} == {"train", "val", "test"}
 
 
+def test_both_cuts_of_a_recording_name_it(written):
+    told = {scene.name: scene.recording for scene in written("eth_ucy").scenes()}
+    assert told == {"biwi_eth": "", "a_train": "a", "a_val": "a"}
+
+
 def test_tracks_before_the_filter_are_pixels_with_a_scale(written):
     root = written("dut").root
     table = pd.DataFrame({"id": 0, "x": 28.0 * times(23.98), "y": 14.0, "frame": range(264)})

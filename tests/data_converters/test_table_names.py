@@ -106,7 +106,8 @@ def test_scenes_of_a_recording_stay_in_one_split(dataset):
     scenes = dataset(tables={"all": rows}, columns=columns).scenes()
     assert len(scenes) == 18
     for number in range(6):
-        assert len({scene.split for scene in scenes[3 * number : 3 * number + 3]}) == 1
+        of_one = {(scene.split, scene.recording) for scene in scenes[3 * number : 3 * number + 3]}
+        assert [recording for _, recording in of_one] == [f"r{number}"]
     assert {scene.split for scene in scenes} == {"train", "val", "test"}
 
 

@@ -79,6 +79,7 @@ def test_pieces_share_no_sample_and_fill_all_splits(rides, stem, mode):
     raws = [dataset.read(scene, 0.1, strict=True) for scene in scenes]
     assert sum(len(raw.tracks[0].time_s) for raw in raws) == 78
     assert {scene.split for scene in scenes} == {"train", "val", "test"}
+    assert {scene.recording for scene in scenes} == {stem}
     assert [raw.tracks[0].mode for raw in raws] == [mode] * 4
 
 

@@ -20,6 +20,27 @@ def test_held_out_tracks_come_from_other_recordings():
     assert not {e.recording for e in split.fitted} & {e.recording for e in split.heldout}
 
 
+@pytest.mark.parametrize("parts_of", [None, {f"s{n}": f"ride {n // 2}" for n in range(6)}])
+def test_agents_of_one_scene_and_scenes_of_one_recording_stay_together(parts_of):
+    tracks = {f"s{number // 3}/agent_{number}": circling(10.0) for number in range(18)}
+    segments = cut(tracks, parts_of=parts_of)
+    split = split_segments(segments, RandomSelection(), 12, 4, seed=1)
+    for part in (split, *cross_validation_splits(split, 3, seed=0)):
+        scenes = [{each.name.partition("/")[0] for each in group} for group in part]
+        rides = [{each.recording for each in group} for group in part]
+        assert not scenes[0] & scenes[1]
+        assert not rides[0] & rides[1]
+    assert len({each.recording for each in segments}) == (3 if parts_of else 6)
+
+
+def test_the_tracks_of_a_single_recording_are_kept_whole():
+    segments = cut({f"a/agent_{number}": circling(20.0) for number in range(5)})
+    split = split_segments(segments, RandomSelection(), 12, 4, seed=0)
+    for fitted, heldout in (split, *cross_validation_splits(split, 2, seed=0)):
+        assert min(len(fitted), len(heldout)) > 0
+        assert not {each.track for each in fitted} & {each.track for each in heldout}
+
+
 def test_single_recording_is_divided_by_its_segments():
     split = split_segments(cut({"a": circling(20.0)}), RandomSelection(), 3, 1, seed=0)
     names = {each.name for each in [*split.fitted, *split.heldout]}
