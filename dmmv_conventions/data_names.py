@@ -27,6 +27,12 @@ def choice_of(name: str) -> str:
     return next(known, f"data={TABLES} data.name={name}")
 
 
+def family_of(name: str) -> str:
+    """The data set whose recordings a name holds, as eth_ucy of eth_ucy_hotel; else the name."""
+    data, _, settings = choice_of(name).removeprefix("data=").partition(" ")
+    return data if settings and data != TABLES else name
+
+
 def require_name_of_converter(data: Any) -> None:
     """Refuse a name under which a converter writes nothing: only tables have one of their own.
 

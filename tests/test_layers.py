@@ -60,7 +60,7 @@ CONVENTIONS = {
         "dmmv_conventions.configs",
         "dmmv_conventions.versions",
     },
-    "data": {"dmmv_conventions.cache", "dmmv_conventions.opening"},
+    "data": {"dmmv_conventions.cache", "dmmv_conventions.data_names", "dmmv_conventions.opening"},
     "commands": {
         "dmmv_conventions.annotations",
         "dmmv_conventions.arguments",

@@ -5,9 +5,14 @@ from collections.abc import Mapping, Sequence
 import pandas as pd
 
 from diffstack_mmv.checks import require
+from dmmv_conventions.data_names import family_of
 
 Recordings = Mapping[str, Sequence[str]]
-"""Names of scenes by the name of their data set."""
+"""Names of scenes by the name of their data set, and of recordings that others of its family hold.
+
+Data sets of a family are the same recordings with other splits, as `eth_ucy_eth` and
+`eth_ucy_hotel`.
+"""
 
 SHOWN = 5
 """Names of recordings in one message."""
@@ -17,10 +22,13 @@ def recordings_of(samples: pd.DataFrame) -> dict[str, list[str]]:
     """Recordings that windows come from, sorted.
 
     Args:
-        samples: One row per window with dataset and scene, see `WindowDataset.samples`.
+        samples: One row per window with dataset, scene and recording, see `WindowDataset.samples`;
+            without the last, a scene is one.
     """
-    scenes = samples[["dataset", "scene"]].astype(str).drop_duplicates()
-    return {str(name): sorted(rows["scene"]) for name, rows in scenes.groupby("dataset")}
+    return {
+        name: sorted({*rows["scene"], *(rows["recording"] if family_of(name) != name else ())})
+        for name, rows in _scenes(samples)
+    }
 
 
 def joined_recordings(first: Recordings, second: Recordings) -> dict[str, list[str]]:
@@ -32,15 +40,27 @@ def joined_recordings(first: Recordings, second: Recordings) -> dict[str, list[s
 def seen_recordings(samples: pd.DataFrame, learned_from: Recordings) -> list[str]:
     """Recordings of windows that are among those that a stack learned from, as "dataset/scene".
 
+    Of what it learned under another name of the family, that is the whole recording.
+
     Args:
         samples: One row per window, as in `recordings_of`.
         learned_from: What the stack learned from.
     """
-    return [
-        f"{name}/{scene}"
-        for name, scenes in recordings_of(samples).items()
-        for scene in sorted({*scenes} & {*learned_from.get(name, ())})
-    ]
+    seen: list[str] = []
+    for name, rows in _scenes(samples):
+        kin = [other for other in learned_from if family_of(other) == family_of(name) != other]
+        elsewhere = {each for other in kin if other != name for each in learned_from[other]}
+        known = rows["scene"].isin([*learned_from.get(name, ())])
+        known |= rows["recording"].isin([*elsewhere])
+        seen += [f"{name}/{scene}" for scene in sorted(rows["scene"][known])]
+    return seen
+
+
+def _scenes(samples: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
+    """By data set one row per scene of windows: scene, recording."""
+    told = samples if "recording" in samples else samples.assign(recording=samples["scene"])
+    scenes = told[["dataset", "scene", "recording"]].astype(str).drop_duplicates()
+    return [(str(name), rows) for name, rows in scenes.groupby("dataset")]
 
 
 def require_unseen(argument: str, split: str, seen: Sequence[str]) -> None:

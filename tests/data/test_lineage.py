@@ -34,6 +34,23 @@ def test_a_recording_of_the_same_name_in_another_data_set_is_another(trained, se
     assert seen_recordings(samples, trained) == seen
 
 
+@pytest.mark.parametrize(
+    ("judged", "seen"),
+    [
+        (("eth_ucy_hotel", "biwi_hotel", "biwi_hotel"), ["eth_ucy_hotel/biwi_hotel"]),
+        (("eth_ucy_eth", "biwi_hotel_val", "biwi_hotel"), []),
+        (("eth_ucy_eth", "biwi_eth", "biwi_eth"), []),
+        (("tables_b", "2", "ride"), []),
+    ],
+    ids=["held out elsewhere", "its own cut", "held out", "of the same name"],
+)
+def test_what_was_learned_under_another_name_of_the_family_is_seen(judged, seen):
+    columns = ["dataset", "scene", "recording"]
+    trained = [("eth_ucy_eth", "biwi_hotel_train", "biwi_hotel"), ("tables_a", "1", "ride")]
+    learned = recordings_of(pd.DataFrame(trained, columns=columns))
+    assert seen_recordings(pd.DataFrame([judged], columns=columns), learned) == seen
+
+
 def test_a_split_with_recordings_of_the_training_is_refused_by_their_names():
     require_unseen("split", "test", [])
     seen = [f"a/{number}" for number in range(9)]

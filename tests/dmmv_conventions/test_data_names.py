@@ -7,7 +7,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from dmmv_conventions.configs import config_folder
-from dmmv_conventions.data_names import require_name_of_converter
+from dmmv_conventions.data_names import family_of, require_name_of_converter
 
 CONVERTED = sorted(
     file.stem
@@ -21,6 +21,14 @@ def data_of(choice):
     with initialize_config_dir(str(config_folder()), version_base=None):
         made = compose("convert", ["data.root=R", "data.cache=C", *f"data={choice}".split()])
     return OmegaConf.to_container(made)["data"]
+
+
+@pytest.mark.parametrize(
+    ("name", "family"),
+    [("eth_ucy_eth", "eth_ucy"), ("thab_vru", "thab_vru"), ("csv", "csv"), ("my_own", "my_own")],
+)
+def test_names_of_one_data_set_are_a_family(name, family):
+    assert family_of(name) == family
 
 
 @pytest.mark.parametrize("script", ["convert", "train"])
