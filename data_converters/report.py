@@ -94,8 +94,7 @@ def report_scene(
 
 
 def _refused(raw: RawScene) -> int:
-    kept = {track.name for track in raw.tracks}
-    return len({item.track for item in raw.rejected} - kept)
+    return len({item.track for item in raw.rejected} - {track.name for track in raw.tracks})
 
 
 def _plain(item: Rejection) -> dict[str, str]:

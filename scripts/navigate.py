@@ -1,7 +1,6 @@
 """Drive a vehicle through a crowd, case by case, beside its baselines."""
 
 import logging
-import re
 from collections.abc import Mapping, Sequence
 from functools import partial
 from importlib import import_module
@@ -14,10 +13,9 @@ from diffstack_mmv.commands.cli import (
     as_written,
     command,
     get_class,
-    given_settings,
     instantiate,
 )
-from diffstack_mmv.commands.drive_checks import require_drive
+from diffstack_mmv.commands.drive_checks import require_drive, tell_unused
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.versions import code_version, file_hash
@@ -40,7 +38,9 @@ STEP_S = 0.01
 
 def check(config: DictConfig) -> None:
     """Refuse a world or a controller that cannot be built, before any baseline has driven."""
-    _tell_unused(config)
+    written = as_written("navigate")
+    driving = [controller for _, controller in _controllers(written)]
+    tell_unused(config.names.controller, driving, written.people)
     for whose in ("actual", "believed"):
         _tell_unfelt_friction(whose, config[whose])
     require_drive(config, _cases(config))
@@ -60,37 +60,6 @@ def _tell_unfelt_friction(whose: str, vehicle: DictConfig) -> None:
             "%s.friction=%s changes nothing: %s has no tyres. dynamics=gm3 has.",
             whose, vehicle.friction, vehicle.name,
         )  # fmt: skip
-
-
-READERS = {
-    "known_delay_s": "controller=diffmpc_delay does; the robot's delay is robot.delay_s",
-    "people_checkpoint": "people=predictor does",
-    "policy": "controller=ppo does",
-    "people": "controller=diffmpc does",
-    "cost": "controller=diffmpc does",
-    "constraints": "controller=diffmpc does",
-}
-"""Settings that not everybody who drives uses, and who does."""
-
-
-def _tell_unused(config: DictConfig) -> None:
-    """Warn of settings that nobody who drives here uses; in a sweep, another job's may."""
-    given = given_settings()
-    for name in (name for name in READERS if name in given and not _is_used(name)):
-        logger.warning(
-            "%s=%s changes nothing: neither controller=%s nor who drives beside it uses it. %s.",
-            name, given[name], config.names.controller, READERS[name],
-        )  # fmt: skip
-
-
-def _is_used(name: str) -> bool:
-    """Whether anybody who drives here, or the forecast of the people, refers to a setting."""
-    written = as_written("navigate")
-    parts = [controller for _, controller in _controllers(written)]
-    if name != "people":
-        parts.append(written.people)
-    reference = re.compile(rf"\$\{{{name}[.}}]")
-    return any(reference.search(OmegaConf.to_yaml(part)) for part in parts)
 
 
 def admit(config: DictConfig) -> None:

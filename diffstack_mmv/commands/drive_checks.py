@@ -4,14 +4,17 @@ As in `config_checks`, a mistake is told before what takes seconds is imported.
 """
 
 import logging
+import re
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from diffstack_mmv.commands.composition import given_settings
 from diffstack_mmv.commands.config_checks import require_checkpoint, require_file
 from dmmv_conventions.cache import SPLITS
 from dmmv_conventions.checks import message, require, require_at_least, require_one_of
@@ -22,6 +25,37 @@ from dmmv_conventions.extras import needs
 from dmmv_conventions.yaml_files import read_plain
 
 logger = logging.getLogger(__name__)
+
+READERS: Mapping[str, str] = MappingProxyType(
+    {
+        "known_delay_s": "controller=diffmpc_delay does; the robot's delay is robot.delay_s",
+        "people_checkpoint": "people=predictor does",
+        "policy": "controller=ppo does",
+        "people": "controller=diffmpc does",
+        "cost": "controller=diffmpc does",
+        "constraints": "controller=diffmpc does",
+    }
+)
+"""Settings that not everybody who drives uses, and who does."""
+
+
+def tell_unused(controller: str, driving: Sequence[DictConfig], people: DictConfig) -> None:
+    """Warn of given settings that nobody who drives uses; in a sweep, another job's may.
+
+    Args:
+        controller: Name of the controller, for the warning.
+        driving: It and who drives beside it, with their interpolations.
+        people: The forecast of the people, likewise.
+    """
+    given = given_settings()
+    for name in (name for name in READERS if name in given):
+        reference = re.compile(rf"\$\{{{name}[.}}]")
+        parts = driving if name == "people" else [*driving, people]
+        if not any(reference.search(OmegaConf.to_yaml(part)) for part in parts):
+            logger.warning(
+                "%s=%s changes nothing: neither controller=%s nor who drives beside it uses it. "
+                "%s.", name, given[name], controller, READERS[name],
+            )  # fmt: skip
 
 
 def require_drive(config: DictConfig, cases: range) -> None:
