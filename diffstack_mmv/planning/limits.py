@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -24,7 +24,10 @@ ABSENT = -1.0
 
 @runtime_checkable
 class PlanLimit(Protocol):
-    """A quantity of a plan that must not be positive."""
+    """A quantity of a plan that must not be positive.
+
+    One that depends on what is decided at a time, not on the state alone, says `of_control = True`.
+    """
 
     def __call__(
         self, motion: Motion, acceleration: Float[Tensor, "*b t"], problem: PlanningProblem
@@ -47,6 +50,7 @@ class SpeedWithin:
         excess_mps: How far the reference speed may be exceeded, in m/s.
     """
 
+    of_control: ClassVar[bool] = False
     excess_mps: float = 0.0
 
     def __call__(
@@ -68,6 +72,7 @@ class FrictionCircle:
         ValueError: The friction is not positive.
     """
 
+    of_control: ClassVar[bool] = True
     friction: float = 0.8
 
     def __post_init__(self) -> None:
@@ -95,6 +100,7 @@ class ClearanceKept:
         ValueError: The margin is negative.
     """
 
+    of_control: ClassVar[bool] = False
     margin_m: float = 0.2
 
     def __post_init__(self) -> None:
@@ -113,6 +119,8 @@ class ClearanceKept:
 @dataclass(frozen=True)
 class PlanConstraints:
     """Limits of all plans, which the optimiser keeps to from the first step on.
+
+    Those of the control hold for the first one as well, but for models whose yaw rate is a state.
 
     Args:
         limits: By name; without any the optimiser is as it is.
@@ -188,9 +196,10 @@ class PlanConstraints:
             command = controls[..., column] if column is not None else 0 * controls[..., 0]
             return limit(motion, command, joined(heading_of, tensors))
 
-        # the present state is as it is
-        later = slice(1, None)
-        return Inequality(Batched(values, *parted(problem)), Slack(self.linear), later)
+        # the present state is as it is, and so is a yaw rate that is part of it
+        decided = getattr(limit, "of_control", False) and "yaw_rate" not in dynamics.State._fields
+        times = slice(None) if decided else slice(1, None)
+        return Inequality(Batched(values, *parted(problem)), Slack(self.linear), times)
 
 
 def _acceleration_column(dynamics: DynamicsModel) -> int | None:

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from diffstack_mmv.control import ILQR
-from diffstack_mmv.dynamics import Holonomic
+from diffstack_mmv.dynamics import DiffKBM, Holonomic
 from diffstack_mmv.planning import (
     ClearanceKept,
     DetourFan,
@@ -81,7 +81,7 @@ def limited(linear=float("inf")):
     """A planner whose optimiser keeps to all limits, in float64."""
     planner = training()
     planner.solver = ILQR(max_iterations=60, tolerance=1e-8)
-    planner.constraints = PlanConstraints(LIMITS, linear, tolerance=1e-6)
+    planner.constraints = PlanConstraints(LIMITS, linear, max_iterations=80, tolerance=1e-6)
     return planner.double()
 
 
@@ -106,8 +106,9 @@ def test_plans_keep_to_limits_that_the_plain_optimum_breaks(linear):
     def worst(planner):
         plan = planner(problems)
         command = torch.nn.functional.pad(plan.controls[..., 0], (0, 1))
-        values = [limit(plan.motion, command, problems) for limit in LIMITS.values()]
-        return plan, torch.cat(values, -1)[:, 1:].amax((1, 2))
+        values = {name: limit(plan.motion, command, problems) for name, limit in LIMITS.items()}
+        decided = values.pop("friction").amax((1, 2))
+        return plan, torch.cat([*values.values()], -1)[:, 1:].amax((1, 2)).maximum(decided)
 
     planner = limited(linear)
     plan, lack = worst(planner)
@@ -115,6 +116,27 @@ def test_plans_keep_to_limits_that_the_plain_optimum_breaks(linear):
     assert (lack < 1e-4).all()
     planner.constraints = dataclasses.replace(planner.constraints, limits={})
     assert (worst(planner)[1] > 0.1).all()
+
+
+def sharp(model, friction):
+    """A plan to a goal aside of a vehicle at 4 m/s, and what the friction circle says of it."""
+    circle = FrictionCircle(friction)
+    parts = weighted_cost(), ILQR(max_iterations=200), DetourFan(), STEPS
+    limits = PlanConstraints({"circle": circle}, max_iterations=150)
+    planner = MPCPlanner(model, *parts, constraints=limits).double()
+    aside = doubled(problem(1))
+    aside.ego.motion.velocity[:, 0], aside.goal[:] = 4.0, torch.tensor([4.0, 4.0])
+    plan = planner(aside._replace(obstacles=aside.obstacles._replace(radius=torch.zeros(1, 1))))
+    command = torch.nn.functional.pad(plan.controls[..., 0], (0, 1))
+    return plan, circle(plan.motion, command, aside).squeeze(-1)
+
+
+@pytest.mark.parametrize("friction", [0.2, 0.3, 0.4])
+def test_the_control_that_is_driven_is_within_the_friction_circle(friction) -> None:
+    plan, values = sharp(DiffKBM(load_vehicle("bicycle"), 0.25), friction)
+    assert plan.solution.converged.all()
+    torch.testing.assert_close(values[:, :4], torch.zeros_like(values[:, :4]), atol=1e-9, rtol=0)
+    assert (values < 1e-9).all()
 
 
 @pytest.mark.parametrize("linear", [float("inf"), 100.0])
