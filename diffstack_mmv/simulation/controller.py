@@ -117,7 +117,7 @@ class DiffMPCController:
         )
 
     def act(self, state: DiffMPCState, observation: Observation) -> Decided:
-        """First control of the chosen plan, in the units of the robot; zero for ended episodes.
+        """First control of the chosen plan, in the units of the robot; the last for ended episodes.
 
         With gradients enabled and a planner that takes the optimum, the action is differentiable in
         cost weights, model, forecast and observed motion, so that a loss on whole episodes trains
