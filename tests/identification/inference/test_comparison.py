@@ -53,7 +53,7 @@ def test_the_tracks_tell_whose_steps_the_recorded_controls_were(bicycle, finer):
     generator = torch.Generator().manual_seed(0)
     cut = [
         TrackSegment(name, *(part[12:] for part in parts))
-        for name, *parts, _ in record_manoeuvres(actual, bicycle, RIDES, measurement, generator)
+        for name, *parts, _, _ in record_manoeuvres(actual, bicycle, RIDES, measurement, generator)
     ]
     settings = TrackingSettings(1e-3, 1e-3, 20.0, 2.0, control_noise=CONTROL_NOISE)
     compare = ModelComparison(bicycle, DataSplit(cut, cut[:1]), settings, Identifier(starts=0))

@@ -55,7 +55,7 @@ def test_rides_cut_within_a_turn_tell_the_wheelbase(bicycle):
     generator = torch.Generator().manual_seed(0)
     cut = [
         TrackSegment(name, *(part[12:] for part in parts))
-        for name, *parts, _ in record_manoeuvres(actual, bicycle, rides, EXACT, generator)
+        for name, *parts, _, _ in record_manoeuvres(actual, bicycle, rides, EXACT, generator)
     ]
     model = model_of(bicycle, "kbm", 0.1)
     problem = IdentificationProblem.of(model, bicycle, DataSplit(cut, cut[:1]), SETTINGS)
