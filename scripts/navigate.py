@@ -26,7 +26,6 @@ if TYPE_CHECKING:
         Chunk,
         RecordedCrossing,
         Scenario,
-        VehicleRobot,
         World,
     )
 
@@ -162,31 +161,32 @@ def main(config: DictConfig) -> None:
     header = _header(config)
     # a reactive crowd sees the robot whatever the configuration says
     header |= {"code": code_version(), "robot_visible": world.robot_visible}
-    header |= models_told(actual, believed, world.robot, instantiate(config.model))
+    place = own.method.world
+    header |= models_told(actual, believed, place, instantiate(config.model))
     result = header | summarise(chunks)
     search = instantiate(config.search)
-    if search is not None:
+    # a massless robot goes as fast as its controller says, so that no bounds are to be searched
+    if search is not None and place is world:
         result["feasible"] = search.judge(world, scenario, config.phase, result["cases"])
     published = [dict(each) for each in config.get("published") or ()]
     pairs = [{"other": name} | paired_cases(result["cases"], rows[name]["cases"]) for name in rows]
     pairs += [paired_with_run(result, Path(folder)) for folder in config.against]
     write_closed_loop(out, result, rows, CLOSED_LOOP, published, pairs)
-    _draw(config, own, world.robot, chunks)
+    _draw(config, own, chunks)
     _tell_times(result)
     if config.get("wandb"):
         instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))
     logger.info("Report: %s; as a page: dmmv-report %s", out / "closed_loop.md", out)
 
 
-def _draw(
-    config: DictConfig, driven: "Campaign", robot: "VehicleRobot", chunks: Sequence["Chunk"]
-) -> None:
+def _draw(config: DictConfig, driven: "Campaign", chunks: Sequence["Chunk"]) -> None:
     """Write pictures and animations of the cases that the controller drove."""
     from diffstack_mmv.plotting import CaseStart, episode_of, save_story, worth_showing
 
     rows = {case: (each.record, row) for each in chunks for row, case in enumerate(each.cases)}
     outcomes = {case: int(record.outcome[row]) for case, (record, row) in rows.items()}
-    outline, control_names = robot.footprint.outline(), robot.model.Control._fields
+    robot = driven.method.world.robot
+    outline, control_names = robot.footprint.outline(), robot.control_names
     for case in worth_showing(outcomes, config.animate, config.show):
         start = CaseStart(*driven.scenario.case(driven.phase, case).radii_and_goal())
         drawn = episode_of(*rows[case], case, start, outline)

@@ -52,8 +52,9 @@ def main(config: DictConfig) -> None:
         told = [row._asdict() for row in rounds]
         write_text(out / "rounds.json", json.dumps(told, indent=1))
         lines = [f"cost.weights.{name}={w:.6g}" for name, w in best(rounds).weights.items()]
-        steps = config.controller.planner.solver.max_iterations
-        lines.append(f"controller.planner.solver.max_iterations={steps}")
+        planner = config.controller.planner
+        lines.append(f"controller.planner.solver.max_iterations={planner.solver.max_iterations}")
+        lines.append(f"controller.planner.coordinates._target_={planner.coordinates._target_}")
         write_text(out / "settings.txt", "\n".join(lines) + "\n")
     logger.info("Drive it: dmmv-navigate ... $(cat %s)", out / "settings.txt")
 

@@ -17,7 +17,12 @@ from diffstack_mmv.checks import (
     require_positive,
     require_precision,
 )
-from diffstack_mmv.dynamics.records import DerivedQuantity, DriverInput, WheelForces
+from diffstack_mmv.dynamics.records import (
+    AccelerationRange,
+    DerivedQuantity,
+    DriverInput,
+    WheelForces,
+)
 from diffstack_mmv.types import Bounds, Motion
 from diffstack_mmv.vehicles import ExactBuffers, SoftClamped
 
@@ -201,10 +206,12 @@ class DynamicsModel(ExactBuffers, ABC):
         """
         return True
 
-    def acceleration_to_rest(self, state: Float[Tensor, "*b n"]) -> Float[Tensor, "*b"] | None:
-        """Acceleration in m/s² that stops within one step, beyond which braking changes nothing.
+    def useful_acceleration(self, state: Float[Tensor, "*b n"]) -> AccelerationRange | None:
+        """Accelerations in m/s² between two speeds that the model does not leave.
 
-        None, the default, for a model without a floor at rest.
+        A step with the least ends at the lowest speed, one with the most at the highest; what is
+        beyond changes the end of a step no more, and has no derivative. None, the default, for a
+        model that bounds its speed nowhere, or smoothly.
         """
         return None
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_positive
 from diffstack_mmv.dynamics.base import DynamicsModel
-from diffstack_mmv.dynamics.records import DerivedQuantity, DriverInput
+from diffstack_mmv.dynamics.records import AccelerationRange, DerivedQuantity, DriverInput
 from diffstack_mmv.geometry import direction
 from diffstack_mmv.smooth import floor_at_zero, saturate
 from diffstack_mmv.types import Motion
@@ -181,9 +181,14 @@ class DiffKBM(DynamicsModel):
         _, *pair = torch.broadcast_tensors(state[..., 3], acceleration, steer)
         return self.within_bounds(torch.stack(pair, -1))
 
-    def acceleration_to_rest(self, state: Float[Tensor, "*b 4"]) -> Float[Tensor, "*b"] | None:
-        """-v / dt in m/s² with the sharp floor; a smooth one is never reached."""
-        return -state[..., 3] / self.dt_s if self.floor is floor_at_zero else None
+    def useful_acceleration(self, state: Float[Tensor, "*b 4"]) -> AccelerationRange | None:
+        """At least what ends at a sharp floor, in m/s²; a smooth one is never reached."""
+        sharp = self.floor is floor_at_zero or isinstance(self.floor, ReversingFloor)
+        if not sharp:
+            return None
+        lowest = -self.floor.reverse_mps if isinstance(self.floor, ReversingFloor) else 0.0
+        least = (lowest - state[..., 3]) / self.dt_s
+        return AccelerationRange(least, torch.full_like(least, torch.inf))
 
     @property
     def driver_input_needs_state(self) -> bool:

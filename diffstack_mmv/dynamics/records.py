@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -11,6 +12,18 @@ class DriverInput(NamedTuple):
 
     acceleration: Float[Tensor, "*b"]  # m/s²
     steer: Float[Tensor, "*b"]  # rad, of the front wheel of a bicycle as long, left is positive
+
+
+class AccelerationRange(NamedTuple):
+    """Accelerations from one to another; infinite where there is no end."""
+
+    least: Float[Tensor, "*b"]  # m/s²
+    most: Float[Tensor, "*b"]  # m/s²
+
+    def within(self, other: "AccelerationRange") -> "AccelerationRange":
+        """What is in both."""
+        least = torch.maximum(self.least, other.least)
+        return AccelerationRange(least, torch.minimum(self.most, other.most))
 
 
 class DerivedQuantity(NamedTuple):

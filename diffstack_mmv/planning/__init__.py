@@ -9,10 +9,10 @@ from diffstack_mmv.planning.candidates import (
 from diffstack_mmv.planning.choice import CheapestSafe, Options, PlanChoice, TakeOptimum
 from diffstack_mmv.planning.clearance import ClearanceMargin, clearance_within_steps
 from diffstack_mmv.planning.coordinates import (
+    AccelerationShares,
     ControlCoordinates,
     Coordinates,
     PhysicalControls,
-    SharesAboveRest,
     above_rest,
 )
 from diffstack_mmv.planning.detours import DetourFan
@@ -50,6 +50,7 @@ from diffstack_mmv.planning.pursuit import Pursuit
 from diffstack_mmv.planning.selection import closest_candidate, cross_entropy
 
 __all__ = [
+    "AccelerationShares",
     "CandidateFan",
     "CandidateSource",
     "Candidates",
@@ -80,7 +81,6 @@ __all__ = [
     "Pursuit",
     "Reference",
     "ScoredPlans",
-    "SharesAboveRest",
     "Situation",
     "TakeOptimum",
     "WantedGoal",

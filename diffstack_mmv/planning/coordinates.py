@@ -11,8 +11,8 @@ from diffstack_mmv.control.native.scan import scan
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.types import Bounds
 
-SHORT_OF_REST = 4e-6
-"""Share of its speed that a vehicle keeps in the hardest step: rounding must not stop it sooner."""
+SHORT = 4e-6
+"""Share of the way to a kink that is left out: rounding must not go beyond it."""
 
 
 @runtime_checkable
@@ -96,19 +96,21 @@ class PhysicalControls:
         return controls
 
 
-class SharesAboveRest:
-    """The acceleration as its share s of the way from stopping within the step to the limit.
+class AccelerationShares:
+    """The acceleration as its share s of the way from the least to the most that is of use.
 
-        a = a₀(v) + s (a_max - a₀(v)),    0 ≤ s ≤ 1,    a₀(v) = max(a_min, -v / dt)
+        a = a₀(v) + s (a₁(v) - a₀(v)),  0 ≤ s ≤ 1,
+        a₀(v) = max(a_min, (v_low - v) / dt),  a₁(v) = min(a_max, (v_top - v) / dt)
 
-    A model that is kept from backing up by a floor has a kink where it comes to rest, and a plan
-    that brakes to rest ends on it: no derivative tells which way the cost falls. Braking harder
-    than to rest only costs effort, so nothing is lost by leaving it out. In these coordinates the
-    kink is the bound s = 0, which the optimiser holds like any other, and whose pressure has a
-    derivative.
+    A model that is kept from backing up by a floor has a kink where it comes to rest, v_low = 0,
+    and one that is governed to a top speed another there. A plan that brakes to rest, or drives at
+    its top speed, ends on it: no derivative tells which way the cost falls. Braking harder than to
+    rest only costs effort, so nothing is lost by leaving it out; speeding up harder than to the top
+    gains the part of a step. In these coordinates the kinks are the bounds s = 0 and s = 1, which
+    the optimiser holds like any other, and whose pressure has a derivative.
 
     Args:
-        dynamics: A model with `acceleration_to_rest`, and an acceleration among its controls.
+        dynamics: A model with a `useful_acceleration`, and an acceleration among its controls.
     """
 
     def __init__(self, dynamics: DynamicsModel) -> None:
@@ -153,7 +155,7 @@ class SharesAboveRest:
     def coordinates(
         self, start: Float[Tensor, "b n"], controls: Float[Tensor, "b T m"], compile: bool = False
     ) -> Float[Tensor, "b T m"]:
-        """Shares `b T m` along the motions; braking beyond rest is braking to rest."""
+        """Shares `b T m` along the motions; what is beyond an end is the end."""
         found = scan(self._told, start, controls, [self.dynamics]) if compile else None
         if found is not None:
             return found.outputs
@@ -169,7 +171,8 @@ class SharesAboveRest:
         """The next state, and the coordinates of a control."""
         columns = list(control.unbind(-1))
         least, most = self._range(state)
-        columns[self.column] = ((columns[self.column] - least) / (most - least)).clamp(0, 1)
+        way = (most - least).clamp_min(torch.finfo(most.dtype).tiny)
+        columns[self.column] = ((columns[self.column] - least) / way).clamp(0, 1)
         shares = torch.stack(columns, -1)
         return self._step(state, shares), shares
 
@@ -177,15 +180,18 @@ class SharesAboveRest:
         self, states: Float[Tensor, "*b n"]
     ) -> tuple[Float[Tensor, "*b"], Float[Tensor, "*b"]]:
         """Acceleration (m/s²) of the shares zero and one."""
-        rest = self.dynamics.acceleration_to_rest(states)
-        if rest is None:
-            rest = torch.full_like(states[..., 0], -torch.inf)
         lower, upper = (bound[self.column] for bound in self.dynamics.bounds)
-        return torch.maximum(lower, (1 - SHORT_OF_REST) * rest), upper.expand_as(rest)
+        useful = self.dynamics.useful_acceleration(states)
+        if useful is None:
+            return lower.expand_as(states[..., 0]), upper.expand_as(states[..., 0])
+        # whoever is faster than the top speed brakes to it as hard as the box allows
+        least, most = ((1 - SHORT) * end for end in useful)
+        least, most = (torch.minimum(torch.maximum(end, lower), upper) for end in (least, most))
+        return least, most
 
 
 def above_rest(dynamics: DynamicsModel) -> ControlCoordinates:
-    """Shares above rest for a model with a floor at rest, the controls themselves for any other."""
+    """Shares for a model with a kink at rest or at its top speed, its controls for any other."""
     state = torch.zeros(dynamics.state_dim, device=dynamics.bounds.lower.device)
-    kinked = dynamics.acceleration_to_rest(state) is not None
-    return SharesAboveRest(dynamics) if kinked else PhysicalControls(dynamics)
+    kinked = dynamics.useful_acceleration(state) is not None
+    return AccelerationShares(dynamics) if kinked else PhysicalControls(dynamics)

@@ -39,12 +39,13 @@ def library() -> Any | None:
     return load_or_tell("clearances", told + source, "-O3")
 
 
-def _fit(motion: Motion, discs: Discs, obstacles: Obstacles, under_way: Tensor) -> bool:
+def _fit(motion: Motion, discs: Discs, obstacles: Obstacles, driven: Tensor) -> bool:
     """Whether the sizes are those that the library takes from a few of them."""
     plans, agents = motion.position.shape, obstacles.weight.shape
-    if len(plans) != 4 or len(agents) != 3 or not on_host(under_way, obstacles.valid):
+    if len(plans) != 4 or len(agents) != 3 or not on_host(driven, obstacles.valid):
         return False
-    fits = motion.heading.shape == under_way.shape == plans[:-1] and plans[-1] == 2
+    fits = motion.heading.shape == plans[:-1] and plans[-1] == 2
+    fits = fits and driven.shape == (*plans[:2], plans[2] - 1)
     fits = fits and obstacles.position.shape[1:] == (*agents[1:], plans[2], 2)
     fits = fits and obstacles.radius.shape[1:] == obstacles.valid.shape[1:] == agents[1:2]
     return fits and discs.ahead.shape[1:] == discs.radius.shape[1:] and discs.radius.dim() == 2
@@ -56,7 +57,7 @@ def judged(
     motion: Motion,
     discs: Discs,
     obstacles: Obstacles,
-    under_way: Bool[Tensor, "*b C T1"],
+    driven: Bool[Tensor, "*b C T"],
     dt_s: float,
 ) -> Passing | None:
     """The judgement of a margin on plans, without gradients; None if there is no library for it.
@@ -69,19 +70,19 @@ def judged(
             else of the sizes told here.
         discs: Around the vehicle, `b D`.
         obstacles: Agents, `b N K T1`.
-        under_way: Before and at the arrival; later a plan meets nobody.
+        driven: Steps up to the arrival, the first of all; after them a plan meets nobody.
         dt_s: Time between two rows of a plan.
     """
     position, heading = motion.position, motion.heading
     given = position, heading, *discs, *obstacles[:3]
     like = position.dtype
     plain = like in REALS and on_host(*given) and all(e.dtype == like for e in given)
-    plain = plain and _fit(motion, discs, obstacles, under_way)
+    plain = plain and _fit(motion, discs, obstacles, driven)
     if not plain or torch.compiler.is_compiling() or library() is None:
         return None
     problems, plans, rows, _ = position.shape
     _, count, components, *_ = obstacles.position.shape
-    live = under_way[..., :-1].sum(-1).to(like)
+    live = driven.sum(-1).to(like)
     wide = (
         each.expand(problems, *each.shape[1:]).contiguous()
         for each in (position, heading, live, *discs, *obstacles[:3], obstacles.valid)

@@ -139,7 +139,9 @@ class PlanPrice:
         way = (motion.position - problem.goal[..., None, None, :]).square().sum(-1).sqrt()
         arrived = (way < self.goal_tolerance_m).long()
         under_way = (arrived.cumsum(-1) - arrived) == 0
-        safety, risk = self._judged(motion, problem, under_way, dt_s)
+        # a step belongs to the way if it begins before the arrival
+        driven = (arrived.cumsum(-1) == 0)[..., :-1]
+        safety, risk = self._judged(motion, problem, driven, dt_s)
         patience = 0.5 ** (waited.unsqueeze(-1) / self.patience_s)
         total = (running * under_way).sum(-1) + patience * self.comfort_weight * safety.penalty
         total = total + self.risk_weight * risk
@@ -158,17 +160,17 @@ class PlanPrice:
         self,
         motion: Motion,
         problem: PlanningProblem,
-        under_way: Bool[Tensor, "*b C T1"],
+        driven: Bool[Tensor, "*b C T"],
         dt_s: float,
     ) -> Passing:
         """How the plans pass the agents until they arrive."""
         margin, discs, obstacles = self.margin, problem.ego.discs, problem.obstacles
         if self.compile:
-            found = judged(margin, motion, discs, obstacles, under_way, dt_s)
+            found = judged(margin, motion, discs, obstacles, driven, dt_s)
             if found is not None:
                 return found
         clearance = clearance_within_steps(motion, discs, obstacles)
-        clearance = torch.where(under_way[..., None, None, :-1], clearance, torch.inf)
+        clearance = torch.where(driven[..., None, None, :], clearance, torch.inf)
         safety = margin(clearance, obstacles, dt_s)
         none = torch.zeros_like(safety.penalty)
         return Passing(

@@ -11,7 +11,7 @@ from torch import Tensor
 from diffstack_mmv.checks import require, require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import rotate
-from diffstack_mmv.simulation.case_noise import case_noise, milliseconds
+from diffstack_mmv.simulation.case_noise import NoiseSource, case_noise, milliseconds
 from diffstack_mmv.simulation.decisions import (
     Controller,
     Decided,
@@ -94,7 +94,7 @@ class EgoInstruments:
             case: Numbers of the cases, to which the errors belong.
             time: Time of the end in s, which tells the errors of a case apart.
         """
-        error = case_noise(case, milliseconds(time), (4,), self.seed)
+        error = case_noise(NoiseSource.EGO, case, milliseconds(time), (4,), self.seed)
         turned = 0.5 * (before.yaw_rate + now.yaw_rate).double()
         gyro = torch.nan if self.yaw_rate_radps is None else self.yaw_rate_radps
         speed = 0.5 * (before.velocity[:, 0] + now.velocity[:, 0]).double()

@@ -24,8 +24,8 @@ class AvoidanceSearch:
     """Drives many random sequences of actions through a case, with the vehicle's own dynamics.
 
     Half of the actions lie on the bounds, and each is held on with probability one half. Whoever
-    finds none that is free of collisions up to a time has no proof that there is none, but in the
-    first seconds of a case, in which a vehicle can do little, the samples lie dense.
+    finds none that arrives, or is free of collisions up to a time, has no proof that there is none,
+    but in the first seconds of a case, in which a vehicle can do little, the samples lie dense.
 
     Args:
         samples: Sequences that are tried.
@@ -72,7 +72,7 @@ class AvoidanceSearch:
 
     @torch.no_grad()
     def __call__(self, world: World, scene: Scene, until_s: float) -> float:
-        """Share of the sequences that pass without a collision.
+        """Share of the sequences that reach the goal, or pass up to a time, without a collision.
 
         Args:
             world: The world with its robot; pedestrians that see it react to every sequence.
@@ -90,17 +90,20 @@ class AvoidanceSearch:
             foretold = _Foretold(iter(_walks(world, scene, steps)))
             world, scene = replace(world, crowd=foretold), scene._replace(itinerary=None)
         many = map_tensors(lambda part: part.expand(self.samples, *part.shape[1:]).clone(), scene)
-        state, free = world.start(many), torch.arange(self.samples)
+        state, free, arrived = world.start(many), torch.arange(self.samples), 0
         action = self._drawn(world, generator)
         for _ in range(steps):
             state, judgement = world.step(state, action[free])
-            passes = judgement.outcome != Outcome.COLLISION
-            state, free = map_tensors(lambda part, kept=passes: part[kept], state), free[passes]
+            # whoever has arrived has nobody to give way to any more
+            won = judgement.outcome == Outcome.SUCCESS
+            arrived += int(won.sum())
+            kept = ~won & (judgement.outcome != Outcome.COLLISION)
+            state, free = map_tensors(lambda part, kept=kept: part[kept], state), free[kept]
             if not len(free):
                 break
             held = torch.rand(self.samples, 1, generator=generator) < 0.5
             action = torch.where(held, action, self._drawn(world, generator))
-        return len(free) / self.samples
+        return (arrived + len(free)) / self.samples
 
     def _drawn(self, world: World, generator: torch.Generator) -> Float[Tensor, "S m"]:
         """Actions within the bounds, half of them on the bounds."""

@@ -5,7 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require, require_positive
-from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.dynamics import AccelerationRange, DynamicsModel
 
 
 class Governor:
@@ -34,9 +34,14 @@ class Governor:
         self, state: Float[Tensor, "*b n"], control: Float[Tensor, "*b m"]
     ) -> Float[Tensor, "*b m"]:
         """What acts of a control in a state."""
-        speed = self.model.motion(state, control).velocity[..., 0]
-        top, dt_s = self.speed_max_mps, self.model.dt_s
-        least, most = (-top - speed) / dt_s, (top - speed) / dt_s
+        least, most = self.range(state, self.model.dt_s)
         columns = list(control.unbind(dim=-1))
         columns[self.column] = torch.clamp(columns[self.column], least, most)
         return torch.stack(columns, dim=-1)
+
+    def range(self, state: Float[Tensor, "*b n"], dt_s: float) -> AccelerationRange:
+        """Accelerations in m/s² that end within the top speed after a time in s."""
+        resting = state.new_zeros(*state.shape[:-1], self.model.control_dim)
+        speed = self.model.motion(state, resting).velocity[..., 0]
+        top = self.speed_max_mps
+        return AccelerationRange((-top - speed) / dt_s, (top - speed) / dt_s)

@@ -14,7 +14,7 @@ from diffstack_mmv.planning import (
     clearance_within_steps,
     predicted_obstacles,
 )
-from diffstack_mmv.simulation.case_noise import case_noise, milliseconds
+from diffstack_mmv.simulation.case_noise import NoiseSource, case_noise, milliseconds
 from diffstack_mmv.simulation.decisions import Decided, continued, unbatched
 from diffstack_mmv.simulation.forecasters import PedestrianForecaster
 from diffstack_mmv.simulation.observation import Observation, in_precision_of
@@ -96,7 +96,8 @@ class MPPIController:
         rows = observation.running.nonzero().squeeze(-1)
         mean, moment = state.mean[rows], milliseconds(observation.time[rows])
         shape = (self.samples, *mean.shape[1:])
-        noise = case_noise(observation.case[rows], moment, shape, self.seed).to(mean)
+        cases = observation.case[rows]
+        noise = case_noise(NoiseSource.PLANS, cases, moment, shape, self.seed).to(mean)
         noise[:, 0] = 0
         lower, upper = self.dynamics.bounds
         plans = self.dynamics.within_bounds(

@@ -37,6 +37,15 @@ class Robot(Protocol):
         """Outline around the reference point, the centre of its motion."""
         ...
 
+    @property
+    def control_names(self) -> tuple[str, ...]:
+        """Names of the columns of an action."""
+        ...
+
+    def description(self, dt_s: float) -> dict[str, Any]:
+        """What a results file tells of its dynamics, in steps of `dt_s`."""
+        ...
+
     def start(self, scene: Scene) -> Any:
         """State at rest at the start of a scene."""
         ...
@@ -84,6 +93,10 @@ class _PointRobot:
         self.max_speed_mps = max_speed_mps
         self.footprint: Footprint = DiscFootprint()
 
+    def description(self, dt_s: float) -> dict[str, Any]:
+        """The class; there is nothing else to tell."""
+        return {"class": type(self).__name__, "tyre_law": None, "step_s": dt_s, "substeps": 1}
+
     def start(self, scene: Scene) -> PointState:
         """State at rest at the start of a scene, m and rad."""
         position = scene.robot_position
@@ -113,6 +126,8 @@ class HolonomicRobot(_PointRobot):
         ValueError: The speed is not positive.
     """
 
+    control_names = ("velocity_x", "velocity_y")
+
     @property
     def bounds(self) -> Bounds:
         """Velocities in m/s."""
@@ -134,6 +149,8 @@ class UnicycleRobot(_PointRobot):
     Raises:
         ValueError: The speed is not positive.
     """
+
+    control_names = ("speed", "turn")
 
     @property
     def bounds(self) -> Bounds:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_between, require_positive
 from diffstack_mmv.geometry import wrap_angle
-from diffstack_mmv.simulation.case_noise import case_noise, milliseconds
+from diffstack_mmv.simulation.case_noise import NoiseSource, case_noise, milliseconds
 from diffstack_mmv.simulation.observation import Observation
 from diffstack_mmv.simulation.pedestrians.recorded import far_away
 
@@ -81,6 +81,7 @@ class LimitedSensing:
         if deviation == 0:
             return truth
         # the same error whatever else is asked of this instant
-        moment = milliseconds(observation.time) * 2 + position
-        error = case_noise(observation.case, moment, truth.shape[-2:], self.seed)
+        source = NoiseSource.POSITIONS if position else NoiseSource.VELOCITIES
+        moment = milliseconds(observation.time)
+        error = case_noise(source, observation.case, moment, truth.shape[-2:], self.seed)
         return truth + deviation * error.to(truth)

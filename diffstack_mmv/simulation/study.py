@@ -5,7 +5,6 @@ from typing import Any
 
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.simulation.assembly import SimulatedVehicle
-from diffstack_mmv.simulation.collision import Footprint
 from diffstack_mmv.simulation.observation import Sensing
 from diffstack_mmv.simulation.pedestrians import Crowd
 from diffstack_mmv.simulation.robot import HolonomicRobot
@@ -68,7 +67,7 @@ def is_massless(controller: type) -> bool:
 def models_told(
     actual: SimulatedVehicle,
     believed: SimulatedVehicle,
-    robot: VehicleRobot,
+    world: World,
     model: DynamicsModel,
 ) -> dict[str, Any]:
     """Which models drove and planned, for a results file.
@@ -76,21 +75,23 @@ def models_told(
     Args:
         actual: The vehicle that drives.
         believed: The one that the controller believes in.
-        robot: The robot built from the first.
+        world: Where the controller drives, with the robot built from the first; a massless
+            controller has another, which is all that is told.
         model: The model of the controller, built from the second.
 
     Returns:
         Names of both dynamics, and what their models are, with the outline that both are given.
     """
+    robot = world.robot
+    outline = {"footprint": robot.footprint.description()}
+    drives = robot.description(world.dt_s) | outline | {"controls": list(robot.control_names)}
+    if not isinstance(robot, VehicleRobot):
+        names = dict.fromkeys(("dynamics", "believed_dynamics"), "massless")
+        return names | dict.fromkeys(("actual_model", "believed_model"), drives)
+    thinks = model.description() | outline | {"controls": list(model.Control._fields)}
     return {
         "dynamics": actual.dynamics_name,
         "believed_dynamics": believed.dynamics_name,
-        "actual_model": _told(robot.model, robot.footprint),
-        "believed_model": _told(model, robot.footprint),
+        "actual_model": drives,
+        "believed_model": thinks,
     }
-
-
-def _told(model: DynamicsModel, footprint: Footprint) -> dict[str, Any]:
-    """A model, the outline of its vehicle and the names of its controls, SI units."""
-    named = {"controls": list(model.Control._fields)}
-    return model.description() | {"footprint": footprint.description()} | named

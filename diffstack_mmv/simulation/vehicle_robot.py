@@ -2,7 +2,7 @@
 
 import copy
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -17,7 +17,7 @@ from diffstack_mmv.checks import (
 )
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import rotate
-from diffstack_mmv.simulation.case_noise import case_noise
+from diffstack_mmv.simulation.case_noise import NoiseSource, case_noise
 from diffstack_mmv.simulation.collision import DiscFootprint, Footprint
 from diffstack_mmv.simulation.governor import Governor
 from diffstack_mmv.simulation.robot import Travel
@@ -119,6 +119,15 @@ class VehicleRobot:
         """Box to which actions are clipped, SI units of the model's controls."""
         return self._bounds
 
+    @property
+    def control_names(self) -> tuple[str, ...]:
+        """Names of the model's controls."""
+        return self.model.Control._fields
+
+    def description(self, dt_s: float) -> dict[str, Any]:
+        """The model with its fine step, whatever the step of the world."""
+        return self.model.description()
+
     def start(self, scene: Scene) -> VehicleState:
         """State at rest at the start of a scene (m, rad), nothing commanded yet."""
         resting = torch.zeros_like(scene.robot_heading)
@@ -185,7 +194,8 @@ class VehicleRobot:
     ) -> Float[Tensor, "*b m"]:
         """What arrives at the actuators: the action with its error, within the bounds."""
         if self.actuation.noise:
-            error = case_noise(state.case, state.steps, action.shape[-1:], self.actuation.seed)
+            seed, columns = self.actuation.seed, action.shape[-1:]
+            error = case_noise(NoiseSource.ACTUATORS, state.case, state.steps, columns, seed)
             action = action + error.to(action) * action.new_tensor(self.actuation.noise)
         if self.actuation.bias:
             action = action + action.new_tensor(self.actuation.bias)

@@ -8,7 +8,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least
-from diffstack_mmv.dynamics import DerivedQuantity, DriverInput, DynamicsModel, WheelForces
+from diffstack_mmv.dynamics import (
+    AccelerationRange,
+    DerivedQuantity,
+    DriverInput,
+    DynamicsModel,
+    WheelForces,
+)
 from diffstack_mmv.geometry import direction
 from diffstack_mmv.simulation.governor import Governor
 from diffstack_mmv.types import Motion
@@ -117,9 +123,16 @@ class ZeroOrderHold(DynamicsModel):
         """Whether the vehicle drives backwards where it brakes on."""
         return self.model.can_reverse
 
-    def acceleration_to_rest(self, state: Float[Tensor, "*b n"]) -> Float[Tensor, "*b"] | None:
-        """Acceleration in m/s² that stops at the end of the hold; harder braking stops sooner."""
-        return self._whole.acceleration_to_rest(state)
+    def useful_acceleration(self, state: Float[Tensor, "*b n"]) -> AccelerationRange | None:
+        """Accelerations in m/s² that reach an end of the speeds at the end of the hold, no sooner.
+
+        The ends are those of the model and of its governor.
+        """
+        own = self._whole.useful_acceleration(state)
+        if self.governor is None:
+            return own
+        governed = self.governor.range(state, self.dt_s)
+        return governed if own is None else own.within(governed)
 
     @property
     def driver_input_needs_state(self) -> bool:

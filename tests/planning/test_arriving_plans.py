@@ -7,7 +7,7 @@ import torch
 
 from diffstack_mmv.control import ILQR
 from diffstack_mmv.dynamics import DiffKBM
-from diffstack_mmv.planning import SharesAboveRest
+from diffstack_mmv.planning import AccelerationShares
 from diffstack_mmv.types import Discs, Ego, HeadingOf, Motion, Obstacles, PlanningProblem
 from diffstack_mmv.vehicles import load_vehicle
 from tests.contracts.test_cost_contract import build
@@ -37,7 +37,7 @@ def test_a_plan_that_ends_at_its_goal_converges(name, precision):
     model = DiffKBM(load_vehicle("bicycle"), dt_s=0.25).to(precision)
     cost = deepcopy(build(name)).to(precision)
     goal = torch.rand(64, 2, dtype=precision) * torch.tensor([4.0, 0.5]) + torch.tensor([2.5, 0.0])
-    shares, problem = SharesAboveRest(model), alone(goal)
+    shares, problem = AccelerationShares(model), alone(goal)
 
     def objective(states, coordinates):
         controls = shares.padded_controls(states, coordinates)

@@ -6,7 +6,7 @@ import torch
 from diffstack_mmv.control import ILQR
 from diffstack_mmv.control.native.scan import scan
 from diffstack_mmv.dynamics import DiffKBM, ExtendedUnicycle, SoftplusFloor, rollout
-from diffstack_mmv.planning import PhysicalControls, SharesAboveRest, above_rest
+from diffstack_mmv.planning import AccelerationShares, PhysicalControls, above_rest
 from diffstack_mmv.types import map_tensors
 from diffstack_mmv.vehicles import load_vehicle
 from tests.planning.test_planner import problem, training
@@ -37,7 +37,7 @@ def planner(coordinates):
 def test_a_step_with_the_acceleration_to_rest_ends_at_rest():
     model = kbm()
     state = torch.nn.functional.pad(SPEEDS.unsqueeze(-1), (3, 0))
-    rest = model.acceleration_to_rest(state)
+    rest = model.useful_acceleration(state).least
     after = model.step(state[:2], torch.nn.functional.pad(rest[:2, None], (0, 1)))
     assert after[:, 3].abs().max() < 1e-6
 
@@ -45,7 +45,7 @@ def test_a_step_with_the_acceleration_to_rest_ends_at_rest():
 @pytest.mark.parametrize(
     ("model", "kind"),
     [
-        (kbm(), SharesAboveRest),
+        (kbm(), AccelerationShares),
         (DiffKBM(load_vehicle("bicycle"), floor=SoftplusFloor()), PhysicalControls),
         (ExtendedUnicycle(load_vehicle("bicycle")), PhysicalControls),
     ],
@@ -60,7 +60,7 @@ def test_a_share_is_one_of_the_way_from_stopping_within_the_step_to_the_limit(sh
     least, most = (float(bound[0]) for bound in model.bounds)
     speed = torch.tensor([0.0, 0.5, 8.0])
     states = torch.nn.functional.pad(speed.unsqueeze(-1), (3, 0))
-    found = SharesAboveRest(model).controls(states, torch.tensor([share, 0.1]).expand(3, 2))
+    found = AccelerationShares(model).controls(states, torch.tensor([share, 0.1]).expand(3, 2))
     rest = [max(least, -each / 0.25) for each in speed.tolist()]
     expected = [each + share * (most - each) for each in rest]
     assert found[:, 0].tolist() == pytest.approx(expected, abs=1e-4)
@@ -70,7 +70,7 @@ def test_a_share_is_one_of_the_way_from_stopping_within_the_step_to_the_limit(sh
 def test_the_box_of_shares_is_that_of_the_controls_but_for_the_acceleration():
     model = kbm()
     before = map_tensors(torch.clone, model.bounds)
-    box = SharesAboveRest(model).bounds
+    box = AccelerationShares(model).bounds
     assert (float(box.lower[0]), float(box.upper[0])) == (0.0, 1.0)
     assert (box.lower[1], box.upper[1]) == (before.lower[1], before.upper[1])
     assert torch.equal(model.bounds.lower, before.lower)
@@ -81,12 +81,13 @@ def test_the_box_of_shares_is_that_of_the_controls_but_for_the_acceleration():
 def test_controls_beyond_the_limits_are_shares_at_them(acceleration, share):
     controls = torch.tensor([acceleration, 0.0]).expand(4, 3, 2)
     start = torch.nn.functional.pad(SPEEDS.unsqueeze(-1), (3, 0))
-    found = SharesAboveRest(kbm()).coordinates(start, controls)
+    found = AccelerationShares(kbm()).coordinates(start, controls)
     assert (found[..., 0] == share).all()
 
 
 def test_beyond_the_end_of_a_plan_its_controls_are_zero():
-    coordinates, states, shares = SharesAboveRest(kbm()), torch.rand(3, 5, 4), torch.rand(3, 5, 2)
+    coordinates = AccelerationShares(kbm())
+    states, shares = torch.rand(3, 5, 4), torch.rand(3, 5, 2)
     padded = coordinates.padded_controls(states, shares)
     assert torch.equal(padded[:, :-1], coordinates.controls(states, shares)[:, :-1])
     assert (padded[:, -1] == 0).all()
@@ -95,20 +96,20 @@ def test_beyond_the_end_of_a_plan_its_controls_are_zero():
 
 def test_coordinates_and_controls_are_each_others_inverse_but_for_braking_beyond_rest():
     generator = torch.Generator().manual_seed(0)
-    coordinates, model = SharesAboveRest(kbm().double()), kbm().double()
+    coordinates, model = AccelerationShares(kbm().double()), kbm().double()
     start = torch.nn.functional.pad(SPEEDS.double().unsqueeze(-1), (3, 0))
     controls = torch.rand(4, 10, 2, generator=generator, dtype=torch.double) - 0.6
     states = rollout(model, start, controls)
     shares = coordinates.coordinates(start, controls)
     again = coordinates.controls(states[:, :-1], shares)
     assert torch.allclose(rollout(model, start, again), states, atol=1e-5)
-    beyond = controls[..., 0] < model.acceleration_to_rest(states[:, :-1])
+    beyond = controls[..., 0] < model.useful_acceleration(states[:, :-1]).least
     assert beyond.any()
     assert torch.allclose(again[~beyond], controls[~beyond], atol=1e-4)
 
 
 def test_a_library_finds_the_same_coordinates():
-    coordinates = SharesAboveRest(kbm())
+    coordinates = AccelerationShares(kbm())
     start = torch.nn.functional.pad(SPEEDS.unsqueeze(-1), (3, 0))
     controls = torch.rand(4, 10, 2, generator=torch.Generator().manual_seed(0)) - 0.6
     found = coordinates.coordinates(start, controls, compile=True)

@@ -34,11 +34,11 @@ def test_the_library_judges_as_the_tensors(dtype, ahead, components, count, turn
     places = torch.tensor(ahead, dtype=dtype).expand(3, -1)
     discs = Discs(places, torch.full_like(places, 0.3))
     margin = ClearanceMargin(horizon_s=1.0, hard_growth=0.1, turn_rate=turn_rate)
-    under_way = torch.arange(STEPS + 1) <= torch.randint(1, STEPS + 2, (3, count, 1))
+    driven = torch.arange(STEPS) <= torch.randint(0, STEPS + 1, (3, count, 1))
     clearance = clearance_within_steps(motion, discs, agents)
-    clearance = torch.where(under_way[..., None, None, :-1], clearance, torch.inf)
+    clearance = torch.where(driven[..., None, None, :], clearance, torch.inf)
     safety, risk = margin(clearance, agents, 0.25), margin.risk(clearance, agents, 0.25)
-    found = judged(margin, motion, discs, agents, under_way, 0.25)
+    found = judged(margin, motion, discs, agents, driven, 0.25)
     assert found is not None
     near = 1e-5 if dtype == torch.float32 else 1e-12
     assert torch.equal(found.safety.safe, safety.safe)
@@ -52,7 +52,7 @@ def test_the_library_judges_as_the_tensors(dtype, ahead, components, count, turn
 def test_other_shapes_are_left_to_the_tensors():
     given = plans(torch.float32, 2), people(torch.float32, 1)
     motion, agents = map_tensors(lambda entry: entry[0], given)
-    discs, here = Discs(torch.zeros(1), torch.ones(1)), torch.ones(2, STEPS + 1, dtype=torch.bool)
+    discs, here = Discs(torch.zeros(1), torch.ones(1)), torch.ones(2, STEPS, dtype=torch.bool)
     assert judged(ClearanceMargin(), motion, discs, agents, here, 0.25) is None
 
 
@@ -63,7 +63,7 @@ def judged_among(motion, agents, discs, here):
 @pytest.mark.skipif(library() is None, reason="there is no compiler")
 def test_sizes_that_do_not_fit_together_are_left_to_the_tensors():
     motion, agents = plans(torch.float32, 5), people(torch.float32, 2)
-    places, here = torch.zeros(3, 2), torch.ones(3, 5, STEPS + 1, dtype=torch.bool)
+    places, here = torch.zeros(3, 2), torch.ones(3, 5, STEPS, dtype=torch.bool)
     discs = Discs(places, torch.full_like(places, 0.3))
     assert judged_among(motion, agents, discs, here) is not None
     for other in (
@@ -89,7 +89,7 @@ def in_precision(dtype, *records):
 def test_numbers_of_unlike_or_low_precision_are_left_to_the_tensors():
     """The library would read them as others than they are."""
     motion, agents = plans(torch.float32, 5), people(torch.float32, 2)
-    here = torch.ones(3, 5, STEPS + 1, dtype=torch.bool)
+    here = torch.ones(3, 5, STEPS, dtype=torch.bool)
     given = [motion, agents, Discs(torch.zeros(3, 2), torch.full((3, 2), 0.3))]
     for number in range(3):
         unlike = given.copy()
@@ -113,7 +113,7 @@ def test_what_is_no_number_is_not_safe_in_the_library_either(dtype, unknown):
     motion.position[0, 0, 2], agents.position[1, 1, 0, 3] = torch.nan, torch.nan
     discs = Discs(torch.zeros(3, 2, dtype=dtype), torch.full((3, 2), 0.3, dtype=dtype))
     discs.radius[unknown] = torch.nan
-    here = torch.ones(3, 2, STEPS + 1, dtype=torch.bool)
+    here = torch.ones(3, 2, STEPS, dtype=torch.bool)
     expected = ClearanceMargin()(clearance_within_steps(motion, discs, agents), agents, 0.25)
     found = judged_among(motion, agents, discs, here)
     assert torch.equal(found.safety.safe, expected.safe)

@@ -5,7 +5,14 @@ from dataclasses import fields
 import pytest
 import torch
 
-from diffstack_mmv.planning import CostScore, PlanPrice, Plans, ScoredPlans, Situation
+from diffstack_mmv.planning import (
+    ClearanceMargin,
+    CostScore,
+    PlanPrice,
+    Plans,
+    ScoredPlans,
+    Situation,
+)
 from diffstack_mmv.types import (
     Discs,
     Ego,
@@ -53,6 +60,16 @@ def test_a_plan_is_refused_for_agents_before_its_arrival_alone(goal, safe):
     problem, plans = along_y(goal)
     priced = PlanPrice()(plans, waiting(problem))
     assert priced.safe.tolist() == [[safe]]
+
+
+@pytest.mark.parametrize("compile", [False, True])
+@pytest.mark.parametrize(("agent", "safe"), [(1.44, False), (1.46, True), (1.6, True)])
+def test_the_step_after_the_arrival_is_no_part_of_the_way(agent, safe, compile):
+    """Arrived at 0.75 m, within a quarter of a metre of the goal: 0.1 m of clearance are asked."""
+    problem, plans = along_y(goal=0.9, agent=agent)
+    margin = ClearanceMargin(hard_m=0.1, hard_growth=0.0)
+    price = PlanPrice(margin, compile=compile)
+    assert price(plans, waiting(problem)).safe.tolist() == [[safe]]
 
 
 @pytest.mark.parametrize(("waited", "patience"), [(0.0, 1.0), (1.0, 0.5), (3.0, 0.125)])

@@ -14,7 +14,7 @@ from diffstack_mmv.simulation import (
     VehicleRobot,
     drive,
 )
-from diffstack_mmv.simulation.case_noise import case_noise, milliseconds
+from diffstack_mmv.simulation.case_noise import NoiseSource, case_noise, milliseconds
 from diffstack_mmv.vehicles import load_vehicle
 from tests.simulation.conftest import composed_navigate
 
@@ -37,17 +37,25 @@ def test_a_disturbed_case_is_repeated_alone(world_with):
 
 def test_cases_instants_and_seeds_have_errors_of_their_own():
     case, moment = torch.tensor([[1, 2], [3, 1]]), torch.tensor([[0, 0], [0, 1]])
-    errors = case_noise(case, moment, (5, 2), seed=0)
+    errors = case_noise(NoiseSource.EGO, case, moment, (5, 2), seed=0)
     assert errors.shape == (2, 2, 5, 2)
     assert errors.unique().numel() == errors.numel()
-    assert torch.equal(case_noise(case[0], moment[0], (5, 2), 0), errors[0])
-    assert not torch.equal(case_noise(case, moment, (5, 2), 1), errors)
-    many = case_noise(torch.arange(1000), torch.zeros(1000).long(), (4,), 0)
+    assert torch.equal(case_noise(NoiseSource.EGO, case[0], moment[0], (5, 2), 0), errors[0])
+    assert not torch.equal(case_noise(NoiseSource.EGO, case, moment, (5, 2), 1), errors)
+    many = case_noise(NoiseSource.EGO, torch.arange(1000), torch.zeros(1000).long(), (4,), 0)
     assert abs(float(many.mean())) < 0.05
     assert float(many.std()) == pytest.approx(1.0, abs=0.05)
 
 
+def test_sources_with_the_same_seed_have_errors_of_their_own():
+    case = torch.arange(2000)
+    moment = torch.zeros_like(case)
+    errors = torch.cat([case_noise(each, case, moment, (2,), 0) for each in NoiseSource], -1)
+    correlation = torch.corrcoef(errors.T) - torch.eye(2 * len(NoiseSource))
+    assert float(correlation.abs().max()) < 0.1
+
+
 def test_no_case_has_no_errors():
     empty = torch.zeros(0, dtype=torch.long)
-    assert case_noise(empty, empty, (3,), 0).shape == (0, 3)
+    assert case_noise(NoiseSource.EGO, empty, empty, (3,), 0).shape == (0, 3)
     assert milliseconds(torch.tensor([0.25, 1.0])).tolist() == [250, 1000]

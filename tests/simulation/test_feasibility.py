@@ -15,6 +15,7 @@ from diffstack_mmv.simulation import (
     World,
     drive,
 )
+from diffstack_mmv.simulation.pedestrians import CrowdState
 from diffstack_mmv.simulation.verdicts import ExactVerdict
 from diffstack_mmv.types import Outcome
 from dmmv_conventions.progress import shown_by
@@ -63,6 +64,28 @@ def test_who_cannot_move_out_of_the_way_could_not_avoid_anything(collided):
     assert set(shares) <= {0.0, 1.0}
     told = search.judge(world_with(1e-6), SCENARIO, "train", cases)
     assert told["n"] == sum(case["avoidable"] > 0 for case in cases)
+
+
+class Closing:
+    """People who close a ring around the start at a constant pace."""
+
+    def __call__(self, crowd, dt_s, robot=None):
+        return -0.375 * (crowd.position / crowd.position.norm(dim=-1, keepdim=True))
+
+
+@pytest.mark.parametrize(("ahead_m", "avoidable"), [(0.5, True), (6.0, False)])
+def test_whoever_arrives_before_it_becomes_narrow_has_avoided_it(ahead_m, avoidable):
+    angle = torch.arange(24).double() * (torch.pi / 12)
+    ring = 1.2 * torch.stack([angle.cos(), angle.sin()], -1)
+    scene, one = SCENARIO.cases("train", [0]), torch.ones(1, 24).double()
+    crowd = CrowdState(ring[None], 0 * ring[None], ring[None], 0.3 * one, one)
+    scene = scene._replace(
+        robot_position=torch.zeros(1, 2).double(),
+        robot_goal=torch.tensor([[ahead_m, 0.0]]).double(),
+        pedestrians=crowd,
+    )
+    world = replace(world_with(1.0), crowd=Closing())
+    assert (AvoidanceSearch(256)(world, scene, 3.0) > 0) == avoidable
 
 
 def test_the_search_is_the_same_every_time(collided):

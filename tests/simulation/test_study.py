@@ -26,8 +26,9 @@ def built():
 
     def build(*overrides):
         config = composed_navigate(*overrides)
-        robot, model = instantiate(config.robot), instantiate(config.model)
-        told = models_told(instantiate(config.actual), instantiate(config.believed), robot, model)
+        world, model = instantiate(config.world), instantiate(config.model)
+        robot = world.robot
+        told = models_told(instantiate(config.actual), instantiate(config.believed), world, model)
         assert json.loads(json.dumps(told)) == told
         return robot, model, told
 
@@ -101,3 +102,16 @@ def test_massless_controllers_drive_the_robot_of_the_benchmark(kind, massless, b
     place = world_for(world, kind)
     assert isinstance(place.robot, HolonomicRobot) == massless
     assert (place is world) == (not massless)
+
+
+def test_of_a_massless_controller_its_own_robot_is_told():
+    config = composed_navigate("footprint=vehicle")
+    vehicles = instantiate(config.actual), instantiate(config.believed)
+    world = world_for(instantiate(config.world), StraightLine)
+    told = models_told(*vehicles, world, instantiate(config.model))
+    assert told["dynamics"] == told["believed_dynamics"] == "massless"
+    assert told["actual_model"] == told["believed_model"]
+    assert told["actual_model"]["class"] == "HolonomicRobot"
+    assert told["actual_model"]["step_s"] == 0.25
+    assert told["actual_model"]["footprint"] == DiscFootprint(0.3).description()
+    assert told["actual_model"]["controls"] == ["velocity_x", "velocity_y"]

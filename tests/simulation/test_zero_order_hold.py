@@ -1,6 +1,7 @@
 """Longer control steps, and another point of the body."""
 
 import copy
+import dataclasses
 
 import pytest
 import torch
@@ -164,17 +165,45 @@ def test_the_hardest_braking_that_only_stops_ends_at_rest(name):
 
 
 @pytest.mark.parametrize(("share", "stopped"), [(1.0, True), (0.9, False)])
-def test_the_acceleration_to_rest_stops_at_the_end_of_the_hold(share, stopped):
+def test_the_least_useful_acceleration_stops_at_the_end_of_the_hold(share, stopped):
     held = ZeroOrderHold(MODELS["kbm"](0.05).double(), 5)
     state = going(held, (0.2, 0.5))
-    rest = share * held.acceleration_to_rest(state)
+    rest = share * held.useful_acceleration(state).least
     states = rollout(held, state, torch.stack([rest, 0 * rest], -1)[:, None])
     assert bool((states[:, -1, 3].abs() < 1e-12).all()) == stopped
 
 
-def test_who_never_quite_stops_has_no_acceleration_to_rest():
+@pytest.mark.parametrize("name", ["kbm", "unicycle", "gm3"])
+@pytest.mark.parametrize(("share", "slower"), [(1.0, False), (0.9, True)])
+def test_the_most_useful_acceleration_reaches_the_top_speed_at_the_end_of_the_hold(
+    name, share, slower
+):
+    held = ZeroOrderHold(MODELS[name](0.05).double(), 5, speed_max_mps=2.0)
+    free = ZeroOrderHold(held.model, 5)
+    state = going(held, (1.8, 1.9))
+    control = torch.zeros(2, held.control_dim).double()
+    names = list(held.Control._fields)
+    control[:, names.index("acceleration")] = share * held.useful_acceleration(state).most
+    after = rollout(held, state, control[:, None])
+    # up to it the governor is not in the way
+    assert torch.allclose(after, rollout(free, state, control[:, None]), atol=1e-12)
+    speed = held.motion(after, torch.zeros(2, 2, held.control_dim).double()).velocity[:, -1, 0]
+    reach = {"kbm": 1e-12, "unicycle": 1e-12, "gm3": 5e-3}[name]
+    assert bool((speed < 2.0 - 5e-3).all()) == slower
+    assert slower or bool(((speed - 2.0).abs() <= reach).all())
+
+
+def test_a_governed_vehicle_that_reverses_is_bounded_on_both_sides():
+    spec = dataclasses.replace(load_vehicle("bicycle"), reverse=True)
+    held = ZeroOrderHold(DiffKBM(spec, 0.05).double(), 5, speed_max_mps=1.5)
+    least, most = held.useful_acceleration(going(held, (0.5, -1.5)))
+    assert least.tolist() == pytest.approx([-8.0, 0.0])
+    assert most.tolist() == pytest.approx([4.0, 12.0])
+
+
+def test_who_never_quite_stops_has_no_end_of_its_acceleration():
     smooth = ZeroOrderHold(DiffKBM(load_vehicle("bicycle"), 0.05, SoftplusFloor()), 5)
-    assert smooth.acceleration_to_rest(going(smooth, (0.2, 0.5))) is None
+    assert smooth.useful_acceleration(going(smooth, (0.2, 0.5))) is None
 
 
 def test_what_a_model_says_of_itself_holds_for_its_hold():

@@ -114,6 +114,10 @@ def test_an_interrupted_tuning_leaves_the_best_weights_which_no_other_one_replac
     monkeypatch.setattr(GradientTuner, "__call__", rounds)
     assert "interrupted" in refusal("tune", "cases=1", f"out={tmp_path}")
     found = (tmp_path / "settings.txt").read_text().splitlines()
-    assert found == ["cost.weights.position=2", "controller.planner.solver.max_iterations=60"]
+    assert found == [
+        "cost.weights.position=2",
+        "controller.planner.solver.max_iterations=60",
+        "controller.planner.coordinates._target_=diffstack_mmv.planning.above_rest",
+    ]
     told = refusal("tune", "cases=2", f"out={tmp_path}")
     assert "`out` must hold no result of tune with another cases than 2, but got 1" in told
