@@ -7,11 +7,13 @@ from diffstack_mmv.control import ILQR
 from diffstack_mmv.control.native.scan import scan
 from diffstack_mmv.dynamics import DiffKBM, ExtendedUnicycle, SoftplusFloor, rollout
 from diffstack_mmv.planning import AccelerationShares, PhysicalControls, above_rest
+from diffstack_mmv.simulation import ZeroOrderHold
 from diffstack_mmv.types import map_tensors
 from diffstack_mmv.vehicles import load_vehicle
 from tests.planning.test_planner import problem, training
 
 SPEEDS = torch.tensor([0.0, 0.15, 0.5, 1.2])
+TOP_MPS = 2.4
 LEFT_M = torch.tensor([-0.05, 0.02, 0.05, 0.3])
 
 
@@ -138,3 +140,48 @@ def test_their_gradient_is_that_of_differences():
         ends = [made(braking(shift)).motion.position[..., -1, 0] for shift in (step, -step)]
     difference = (ends[0] - ends[1]) / (2 * step)
     assert torch.allclose(goal.grad[:, 0], difference, atol=1e-3)
+
+
+def governed(kind):
+    """A planner of a vehicle that is governed to 2.4 m/s, in steps of 0.05 s."""
+    made = planner(kind)
+    model = DiffKBM(load_vehicle("bicycle"), dt_s=0.05)
+    made.dynamics = ZeroOrderHold(model, 5, speed_max_mps=TOP_MPS).double()
+    return made
+
+
+def hurrying(shift_m=0.0):
+    """Egos at and below their top speed whose goals are further than they come."""
+    problems = map_tensors(lambda e: e.double() if e.is_floating_point() else e, problem())
+    problems.ego.motion.velocity[:, 0] = torch.tensor([1.5, 2.0, 2.39, TOP_MPS], dtype=torch.double)
+    problems.goal[:, 0] = 9.0
+    problems.goal[:, 1] += shift_m
+    return problems
+
+
+def test_plans_at_the_top_speed_are_solved_and_have_the_gradient_of_differences():
+    """With the controls themselves they end on a kink, and both derivatives are wrong."""
+    made, step = governed(above_rest), 1e-5
+    problems = hurrying()
+    goal = problems.goal.requires_grad_()
+    plan = made(problems)
+    speed = plan.motion.velocity[..., 0]
+    assert plan.converged.all()
+    assert ((speed - TOP_MPS).abs() < 1e-4).any(-1).all()
+    assert (speed <= TOP_MPS + 1e-9).all()
+    assert plan.solution.iterations.max() < 25
+    with torch.no_grad():
+        ahead, behind = (made(hurrying(shift)).motion for shift in (step, -step))
+    for name, column in (("position", 1), ("velocity", 0)):
+        row = (..., 3, column)
+        (slope,) = torch.autograd.grad(getattr(plan.motion, name)[row].sum(), goal, None, True)
+        told = (getattr(ahead, name)[row] - getattr(behind, name)[row]) / (2 * step)
+        assert torch.allclose(slope[:, 1], told, atol=1e-5)
+        assert name == "velocity" or (told.abs() > 1e-3).all()
+
+
+def test_who_speeds_up_no_harder_than_to_the_top_loses_part_of_a_step():
+    with torch.no_grad():
+        shares, physical = (governed(each)(hurrying()) for each in (above_rest, PhysicalControls))
+    assert (shares.solution.cost <= physical.solution.cost * 1.01).all()
+    assert (shares.solution.iterations < physical.solution.iterations).all()
