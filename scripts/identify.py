@@ -6,7 +6,7 @@ from dataclasses import replace
 from datetime import date
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from diffstack_mmv.commands.cli import DictConfig, OmegaConf, command, instantiate
 from diffstack_mmv.commands.data_checks import require_step_of, require_tracks
@@ -14,6 +14,9 @@ from diffstack_mmv.commands.run_checks import require_same_run
 from dmmv_conventions.checks import message, require
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.versions import code_version
+
+if TYPE_CHECKING:
+    from diffstack_mmv.identification import Recordings
 
 logger = logging.getLogger(__name__)
 
@@ -69,23 +72,16 @@ def main(config: DictConfig) -> None:
     study, source, out = instantiate(config.study), instantiate(config.source), Path(config.out)
     import torch
 
-    from diffstack_mmv.data import read_leans, read_recordings, read_tracks, recorded_noise
-    from diffstack_mmv.identification import Recordings, identification_result, vehicle_provenance
+    from diffstack_mmv.identification import identification_result, vehicle_provenance
     from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
     from diffstack_mmv.plotting import FittedTrack, save_identification
     from diffstack_mmv.reporting import write_identification
     from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.vehicles import save_vehicle
 
-    name, place = config.names.dynamics, (source, config.splits, study.spec.mode)
-    models = builders(config)
+    name, models = config.names.dynamics, builders(config)
     columns = models[name]().Control._fields
-    motions, leans = read_tracks(*place), read_leans(*place)
-    driven = driven_tracks(place, columns, motions, config.dt_s) if config.controls else None
-    motions, controls = driven or (motions, None)
-    noise = recorded_noise(source, study.spec.mode, config.dt_s)
-    parts_of = read_recordings(source)
-    recordings = Recordings(motions, leans, controls, noise, source.smoother(), parts_of)
+    recordings = recordings_of(config, (source, config.splits, study.spec.mode), columns)
     try:
         result = study(recordings, models)
     except torch.linalg.LinAlgError as singular:
@@ -105,6 +101,24 @@ def main(config: DictConfig) -> None:
     if config.get("wandb"):
         instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))
     logger.info("Report: %s; as a page: dmmv-report %s", out / "identification.md", out)
+
+
+def recordings_of(
+    config: DictConfig, place: tuple[Any, Any, Any], columns: tuple[str, ...]
+) -> "Recordings":
+    """The tracks of a source and what was recorded beside them; warn of a lag that stays."""
+    from diffstack_mmv.data import read_leans, read_recordings, read_tracks, recorded_noise
+    from diffstack_mmv.identification import Recordings, lagging_alone
+
+    source, _, mode = place
+    motions, leans = read_tracks(*place), read_leans(*place)
+    driven = driven_tracks(place, columns, motions, config.dt_s) if config.controls else None
+    motions, controls = driven or (motions, None)
+    noise = recorded_noise(source, mode, config.dt_s)
+    parts_of = read_recordings(source)
+    for told in lagging_alone(source.smoother()) if controls is None else ():
+        logger.warning(told)
+    return Recordings(motions, leans, controls, noise, source.smoother(), parts_of)
 
 
 def driven_tracks(

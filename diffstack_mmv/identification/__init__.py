@@ -22,6 +22,7 @@ from diffstack_mmv.identification.inference import (
 )
 from diffstack_mmv.identification.report import (
     identification_result,
+    lagging_alone,
     lean_agreement,
     summarise,
     tracking_losses,
@@ -89,6 +90,7 @@ __all__ = [
     "cut_tracks",
     "estimate_rider_scales",
     "identification_result",
+    "lagging_alone",
     "infer_controls",
     "lean_agreement",
     "profile_likelihoods",

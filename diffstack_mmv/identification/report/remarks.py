@@ -50,6 +50,17 @@ def all_remarks(
     ]
 
 
+def lagging_alone(smoother: str) -> list[str]:
+    """Of positions behind a smoother with a lag from which the controls are inferred."""
+    if not smoother.startswith(LAGGING):
+        return []
+    return [
+        f"The positions are smoothed ({smoother}): they come late, and what is left of their noise "
+        "counts as motion of the rider, so that controls and parameters are not to be trusted. "
+        "Convert with smoother=zero_phase into another cache; an identification may look ahead."
+    ]
+
+
 def smoothed_beside_controls(smoother: str) -> list[str]:
     """Of smoothed positions beside recorded controls: what was done, and what it does not mend."""
     if smoother.startswith(UNSMOOTHED):

@@ -6,7 +6,7 @@ from typing import Any
 
 from diffstack_mmv.identification.inference.study import IdentificationStudy, StudyResult
 from diffstack_mmv.identification.report.lean import lean_agreement
-from diffstack_mmv.identification.report.remarks import smoothed_beside_controls
+from diffstack_mmv.identification.report.remarks import lagging_alone, smoothed_beside_controls
 from diffstack_mmv.identification.report.summary import summarise, tracking_losses
 from diffstack_mmv.identification.tracks.cutting import Recordings
 from diffstack_mmv.identification.tracks.excitation import share_beyond_limits
@@ -27,7 +27,8 @@ def identification_result(
     problem, found, _ = result.identified
     used = [*result.split.fitted, *result.split.heldout]
     content = summarise(problem.simulator, problem.data, found, study.identifier.thresholds)
-    smoothed = smoothed_beside_controls(recordings.smoother) if recordings.controls else []
+    tell = smoothed_beside_controls if recordings.controls else lagging_alone
+    smoothed = tell(recordings.smoother)
     return content | {
         "remarks": content["remarks"] + smoothed,
         "models": {

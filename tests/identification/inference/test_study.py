@@ -92,15 +92,14 @@ def test_result_tells_all_models_and_assumptions(finished):
     ("smoother", "controls", "done"),
     [
         ("CausalSmoother, looks 0 s ahead", True, "the lag of the smoother was undone"),
-        ("CausalSmoother, looks 0 s ahead", False, None),
+        ("CausalSmoother, looks 0 s ahead", False, "Convert with smoother=zero_phase"),
+        ("ZeroPhaseSmoother, looks 0.45 s ahead", False, None),
         ("ZeroPhaseSmoother, looks 0.45 s ahead", True, "controls by the same filter"),
         ("Unsmoothed, looks 0 s ahead", True, None),
         ("none, tracks as trajdata reads them", True, None),
     ],
 )
-def test_smoothed_positions_beside_recorded_controls_are_remarked(
-    finished, smoother, controls, done
-):
+def test_smoothed_positions_are_remarked(finished, smoother, controls, done):
     given = recordings()._replace(smoother=smoother)
     given = given if controls else given._replace(controls=None)
     remarks = identification_result(finished[0], given, finished[1])["remarks"]
