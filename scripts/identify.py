@@ -8,7 +8,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from diffstack_mmv.commands.cli import DictConfig, OmegaConf, command, instantiate
+from diffstack_mmv.commands.cli import (
+    DictConfig,
+    OmegaConf,
+    command,
+    instantiate,
+    refuse_beside,
+)
 from diffstack_mmv.commands.data_checks import require_step_of, require_tracks
 from diffstack_mmv.commands.run_checks import require_same_run
 from dmmv_conventions.checks import message, require
@@ -24,6 +30,14 @@ logger = logging.getLogger(__name__)
 MEASURED = "measured"
 """Value of `controls` for steering and speed whose instruments are unknown too."""
 
+OF_TRACKS = frozenset(
+    {
+        *("tracks", "heldout", "folds", "foresee_s", "stretch", "choice"),
+        *("parameters", "profile", "noise", "tracking", "starts", "mode", "study"),
+    }
+)
+"""Settings that only a study of tracks reads, not one of measured controls."""
+
 
 def check(config: DictConfig) -> None:
     """Refuse a study without recordings of the vehicle, or of what cannot be identified."""
@@ -38,6 +52,7 @@ def check(config: DictConfig) -> None:
         given = config.study.get(name)
         require(not isinstance(given, str), name, "be a list of names, as in [wheelbase]", given)
     if measured:
+        refuse_beside(f"controls={MEASURED}", OF_TRACKS)
         instantiate(config.thresholds)
     study = instantiate(config.measured if measured else config.study)
     study.require_models(builders(config))

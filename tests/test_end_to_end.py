@@ -339,6 +339,7 @@ def test_resumed_run_ends_where_an_uninterrupted_one_does(workplace, tmp_path):
         ("compare", ["runs=[]"], "`runs` must name at least one folder"),
         ("compare", ["runs=reports"], "`runs` must be a list, but got 'reports'. Write runs=[re"),
         ("identify", ["vehicle=skateboard"], "`mode` must have tracks"),
+        ("identify", ["controls=measured", "tracks=3"], "Leave out tracks, or controls=measured."),
         ("identify", ["dynamics=kbm", "parameters=[grip]"], "must be one of wheelbase, but got"),
         ("identify", ["dynamics=kbm", "profile=[grip]"], "`profile` must be one of wheelbase"),
         ("identify", ["stretch.min_s=90", "stretch.max_s=90"], "`tracks` must hold a segment"),
