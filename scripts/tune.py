@@ -17,8 +17,10 @@ def check(config: DictConfig) -> None:
     """Refuse test cases, and a world or a controller that cannot be built."""
     require(config.phase != "test", "phase", "be train or val", config.phase)
     require_at_least("cases", config.cases, 1)
-    for part in (config.scenario, config.world, config.controller, config.loss, config.tuner):
+    for part in (config.scenario, config.world, config.loss, config.tuner):
         instantiate(part)
+    learned = instantiate(config.controller).planner.cost.learned
+    require(learned, "cost.frozen", "leave a weight to tune", list(config.cost.frozen))
 
 
 def admit(config: DictConfig) -> None:

@@ -102,6 +102,12 @@ def test_numbers_out_of_range_are_refused(build, name):
         build()
 
 
+def test_a_cost_without_a_weight_to_tune_is_refused(refusal, tmp_path):
+    frozen = "cost.frozen=[position,heading,speed,barrier,yaw_rate,effort]"
+    told = refusal("tune", "cases=1", frozen, f"out={tmp_path}")
+    assert "`cost.frozen` must leave a weight to tune, but got ['position', " in told
+
+
 @pytest.mark.slow
 def test_an_interrupted_tuning_leaves_the_best_weights_which_no_other_one_replaces(
     refusal, monkeypatch, tmp_path
