@@ -108,6 +108,23 @@ def test_a_controller_is_no_baseline_of_itself():
     assert _controllers(config) == [("blind", {"speed_mps": 2.0}), ("straight", {"speed_mps": 1.5})]
 
 
+def test_a_massless_controller_is_told_and_drawn_as_what_it_drives_and_not_searched(
+    navigate, tmp_path
+):
+    """It was searched as the vehicle, with the box of the vehicle, and drawn as one."""
+    given = ["controller=straight", "footprint=vehicle", "scenario.robot_radius_m=1.5", "cases=3",
+             "scenario=square_crossing", "beside=[]", "animate=1", "wandb=none"]  # fmt: skip
+    assert navigate(*given) == 0
+    found = json.loads((tmp_path / "closed_loop.json").read_text())
+    assert "collision" in {case["outcome"] for case in found["cases"]}
+    assert "feasible" not in found
+    assert found["dynamics"] == found["believed_dynamics"] == "massless"
+    assert found["actual_model"]["footprint"] == {"shape": "disc", "radius_m": 0.3}
+    told = (tmp_path / "closed_loop.md").read_text()
+    assert "The robot is massless (HolonomicRobot, step 0.25 s)" in told
+    assert list(tmp_path.rglob("*.png"))
+
+
 @pytest.mark.slow
 def test_a_controller_may_believe_in_dynamics_of_another_name(navigate, tmp_path):
     given = ["dynamics=gm3_paper", "believed.dynamics=kbm_smooth", "footprint=vehicle"]
