@@ -1,28 +1,19 @@
 """Identify the physical parameters of a vehicle from tracks, with or without measured controls."""
 
 import logging
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from datetime import date
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from diffstack_mmv.commands.cli import (
-    DictConfig,
-    OmegaConf,
-    command,
-    instantiate,
-    refuse_beside,
-)
+from diffstack_mmv.commands.cli import DictConfig, OmegaConf, command, instantiate, refuse_beside
 from diffstack_mmv.commands.data_checks import require_step_of, require_tracks
 from diffstack_mmv.commands.run_checks import require_same_run
 from dmmv_conventions.checks import message, require
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.versions import code_version
-
-if TYPE_CHECKING:
-    from diffstack_mmv.identification import Recordings
 
 logger = logging.getLogger(__name__)
 
@@ -31,10 +22,8 @@ MEASURED = "measured"
 """Value of `controls` for steering and speed whose instruments are unknown too."""
 
 OF_TRACKS = frozenset(
-    {
-        *("tracks", "heldout", "folds", "foresee_s", "stretch", "choice"),
-        *("parameters", "profile", "noise", "tracking", "starts", "mode", "study"),
-    }
+    ["tracks", "heldout", "folds", "foresee_s", "stretch", "choice", "parameters", "profile"]
+    + ["noise", "tracking", "starts", "mode", "study"]
 )
 """Settings that only a study of tracks reads, not one of measured controls."""
 
@@ -118,9 +107,7 @@ def main(config: DictConfig) -> None:
     logger.info("Report: %s; as a page: dmmv-report %s", out / "identification.md", out)
 
 
-def recordings_of(
-    config: DictConfig, place: tuple[Any, Any, Any], columns: tuple[str, ...]
-) -> "Recordings":
+def recordings_of(config: DictConfig, place: tuple[Any, Any, Any], columns: Sequence[str]) -> Any:
     """The tracks of a source and what was recorded beside them; warn of a lag that stays."""
     from diffstack_mmv.data import read_leans, read_recordings, read_tracks, recorded_noise
     from diffstack_mmv.identification import Recordings, lagging_alone
@@ -129,15 +116,14 @@ def recordings_of(
     motions, leans = read_tracks(*place), read_leans(*place)
     driven = driven_tracks(place, columns, motions, config.dt_s) if config.controls else None
     motions, controls = driven or (motions, None)
-    noise = recorded_noise(source, mode, config.dt_s)
-    parts_of = read_recordings(source)
+    noise, parts_of = recorded_noise(source, mode, config.dt_s), read_recordings(source)
     for told in lagging_alone(source.smoother()) if controls is None else ():
         logger.warning(told)
     return Recordings(motions, leans, controls, noise, source.smoother(), parts_of)
 
 
 def driven_tracks(
-    place: tuple[Any, Any, Any], columns: tuple[str, ...], motions: dict[str, Any], dt_s: float
+    place: tuple[Any, Any, Any], columns: Sequence[str], motions: dict[str, Any], dt_s: float
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Motions and recorded controls that belong together, whatever smoothed the positions."""
     import torch

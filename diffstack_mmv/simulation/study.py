@@ -86,8 +86,12 @@ def models_told(
     outline = {"footprint": robot.footprint.description()}
     drives = robot.description(world.dt_s) | outline | {"controls": list(robot.control_names)}
     if not isinstance(robot, VehicleRobot):
-        names = dict.fromkeys(("dynamics", "believed_dynamics"), "massless")
-        return names | dict.fromkeys(("actual_model", "believed_model"), drives)
+        return {
+            "dynamics": "massless",
+            "believed_dynamics": "massless",
+            "actual_model": drives,
+            "believed_model": drives,
+        }
     thinks = model.description() | outline | {"controls": list(model.Control._fields)}
     return {
         "dynamics": actual.dynamics_name,
