@@ -183,10 +183,12 @@ class DiffKBM(DynamicsModel):
 
     def useful_acceleration(self, state: Float[Tensor, "*b 4"]) -> AccelerationRange | None:
         """At least what ends at a sharp floor, in m/s²; a smooth one is never reached."""
-        sharp = self.floor is floor_at_zero or isinstance(self.floor, ReversingFloor)
-        if not sharp:
+        if self.floor is floor_at_zero:
+            lowest = 0.0
+        elif isinstance(self.floor, ReversingFloor):
+            lowest = -self.floor.reverse_mps
+        else:
             return None
-        lowest = -self.floor.reverse_mps if isinstance(self.floor, ReversingFloor) else 0.0
         least = (lowest - state[..., 3]) / self.dt_s
         return AccelerationRange(least, torch.full_like(least, torch.inf))
 

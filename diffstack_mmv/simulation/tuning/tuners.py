@@ -64,7 +64,7 @@ class GradientTuner:
     """
 
     rounds: int = 30
-    learning_rate: float = 0.4
+    learning_rate: float = 0.1
     largest: float = 1.0
 
     def __post_init__(self) -> None:
