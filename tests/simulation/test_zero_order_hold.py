@@ -108,6 +108,12 @@ def test_below_the_top_speed_nothing_is_changed(governed):
     assert torch.equal(governed(state, control), plain(state, control))
 
 
+@pytest.mark.parametrize("speed_max_mps", [0.0, -1.0])
+def test_a_top_speed_is_positive(inner, speed_max_mps):
+    with pytest.raises(ValueError, match="`speed_max_mps` must be positive"):
+        ZeroOrderHold(inner, 5, speed_max_mps=speed_max_mps)
+
+
 def test_a_top_speed_needs_an_acceleration_to_govern():
     with pytest.raises(ValueError, match=r"`controls` must contain acceleration.*top speed needs"):
         ZeroOrderHold(model_of("bicycle", "holonomic", 0.05), 5, speed_max_mps=1.0)
