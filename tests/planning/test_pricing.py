@@ -12,6 +12,7 @@ from diffstack_mmv.planning import (
     Plans,
     ScoredPlans,
     Situation,
+    clearance_within_steps,
 )
 from diffstack_mmv.types import (
     Discs,
@@ -78,6 +79,27 @@ def test_who_waits_cares_less_for_comfort_and_more_for_what_is_left(waited, pati
     price = PlanPrice(time_weight=0.0, left_weight=10.0)
     priced = price(plans, waiting(problem, waited))
     assert float(priced.cost) == pytest.approx(13 + (1 - patience) * 10.0 * 5.0)
+
+
+@pytest.mark.parametrize("patience_s", [0.5, 4.0])
+def test_patience_halves_in_its_own_time(patience_s):
+    problem, plans = along_y(goal=8.0, agent=30.0)
+    price = PlanPrice(time_weight=0.0, left_weight=10.0, patience_s=patience_s)
+    priced = price(plans, waiting(problem, 2 * patience_s))
+    assert float(priced.cost) == pytest.approx(13 + 0.75 * 10.0 * 5.0)
+
+
+@pytest.mark.parametrize("compile", [False, True])
+def test_a_risk_is_paid_by_its_weight(compile):
+    problem, plans = along_y(goal=8.0)
+    free, paid = (
+        PlanPrice(risk_weight=weight, compile=compile)(plans, waiting(problem))
+        for weight in (0.0, 7.0)
+    )
+    motion, discs, agents = plans.motion, problem.ego.discs, problem.obstacles
+    risk = ClearanceMargin().risk(clearance_within_steps(motion, discs, agents), agents, 0.25)
+    assert float(risk) > 0.1
+    assert float(paid.cost - free.cost) == pytest.approx(7.0 * float(risk), rel=1e-4)
 
 
 @pytest.mark.parametrize("compile", [False, True])

@@ -54,6 +54,7 @@ def test_collisions_of_somebody_who_could_go_elsewhere_are_avoidable(collided):
     assert "avoidable" not in cases[-1]
     assert told["n"] == len(cases)
     assert told["collision_rate"] == pytest.approx(len(collided) / len(cases))
+    assert told["success_rate"] == pytest.approx(1 / len(cases))
 
 
 def test_who_cannot_move_out_of_the_way_could_not_avoid_anything(collided):
