@@ -59,8 +59,9 @@ def require_fitting(
 
     Raises:
         ValueError: A result has the wrong shape or precision or no gradient, the cost of a time
-            depends on another one, `vmap` cannot call one of them, as with an `if` on tensors, or
-            a tensor that `Batched` names has not one entry per problem.
+            depends on another one, one of them writes into its arguments, or `vmap` cannot call
+            it, as with an `if` on tensors, or a tensor that `Batched` names has not one entry per
+            problem.
         TypeError: One of them cannot be called, or a result or such a tensor is no tensor.
     """
     require_callable("dynamics", dynamics, "It gives the next state: (state, control) -> state.")
@@ -70,14 +71,14 @@ def require_fitting(
     key = (kind(dynamics), kind(cost), state.shape, controls.shape, state.dtype)
     if key in _known or controls.numel() == 0:
         return
-    after = dynamics(state, controls[..., 0, :])
+    after = _untouched("dynamics", dynamics, state, controls[..., 0, :])
     require_tensor("dynamics(state, control)", after)
     found, wanted = tuple(after.shape), tuple(state.shape)
     require(found == wanted, "dynamics", f"return the shape {wanted} of the state", found)
     _require_precision("dynamics", after, state)
     states = state.unsqueeze(-2).repeat_interleave(controls.shape[-2] + 1, -2)
     padded = pad_controls(controls)
-    value = cost(states, padded)
+    value = _untouched("cost", cost, states, padded)
     require_tensor("cost(states, controls)", value)
     found, wanted = tuple(value.shape), tuple(states.shape[:-1])
     remedy = "Sum over the columns of states and controls only: one cost per problem and time."
@@ -131,6 +132,19 @@ def _require_entries(name: str, function: object, batch: torch.Size) -> None:
         wanted, found = f"have one entry for each of {batch[0]} problems", tuple(tensor.shape)
         fits = tensor.shape[:1] == batch
         require(fits, f"{name}.tensors", wanted, f"shape {found}", "", remedy)
+
+
+def _untouched(
+    name: str, function: Callable[[Tensor, Tensor], Tensor], *arguments: Tensor
+) -> Tensor:
+    """The result for copies; a function that writes into them, as into a state, is refused."""
+    copies = [each.clone() for each in arguments]
+    result = function(*copies)
+    # what inference mode makes counts no writes
+    same = all(each.is_inference() or each._version == 0 for each in copies)
+    remedy = "Join new columns by torch.stack, or write into a clone()."
+    require(same, name, "leave its arguments as they are", "one that writes into them", "", remedy)
+    return result
 
 
 def _require_stagewise(

@@ -129,6 +129,29 @@ def test_what_cannot_be_called_for_many_times_at_once_is_refused_with_the_remedy
         ILQR()(dynamics, cost, BOX, STATE, CONTROLS)
 
 
+def advancing(state, control):
+    position, speed = state.unbind(-1)
+    position += 0.1 * speed
+    return torch.stack([position, speed + 0.1 * control[..., 0]], -1)
+
+
+def growing(states, controls):
+    states[..., 0] += controls[..., 0]
+    return states[..., 0].square() + controls[..., 0].square()
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_what_writes_into_its_arguments_is_refused_before_it_reaches_those_of_the_caller():
+    cost = functools.partial(fitting, weight=WEIGHT)
+    start = torch.ones_like(STATE)
+    refused = "must leave its arguments as they are.*Join new columns by torch.stack"
+    with pytest.raises(ValueError, match=f"`dynamics` {refused}"):
+        ILQR()(advancing, cost, BOX, start, CONTROLS)
+    assert torch.equal(start, torch.ones_like(STATE))
+    with pytest.raises(ValueError, match=f"`cost` {refused}"):
+        ILQR()(step, growing, BOX, start, CONTROLS)
+
+
 @pytest.mark.usefixtures("unchecked")
 def test_a_cost_and_a_constraint_that_branch_are_refused_as_well():
     def dear(states, controls):
