@@ -19,7 +19,15 @@ def summary(report: ConversionReport) -> str:
     for title, counts in (("Rejected", totals["rejected"]), ("Notes", totals["notes"])):
         named = [f"{name} {number:,}" for name, number in counts.items() if number]
         told += [f"{title}: {', '.join(named)}."] if named else []
-    return "\n".join([*told, "", _agents(report)])
+    return "\n".join([*told, *_reasons(report), "", _agents(report)])
+
+
+def _reasons(report: ConversionReport) -> list[str]:
+    """The first rejection of each reason in full, which names the place and the remedy."""
+    first: dict[str, str] = {}
+    for each in (rejected for scene in report.scenes for rejected in scene.rejected):
+        first.setdefault(each["reason"], each["detail"])
+    return [f"{reason}, the first: {detail}" for reason, detail in first.items()]
 
 
 def _share(part: int, whole: int) -> str:
