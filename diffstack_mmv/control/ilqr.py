@@ -87,7 +87,8 @@ class ILQR:
             eagerly.
         one_by_one: Number of problems up to which a compiled solver solves each on its own, in a
             library that is generated for their kind: a single one in a fraction of a millisecond.
-            On a CPU this is the faster way for any number whose shapes stay the same.
+            On a CPU this is the faster way for any number whose shapes stay the same. Several
+            problems need callables that are `Batched`, which tells the tensors of each.
 
     Raises:
         ValueError: A number is not positive, one that counts is not whole, `compile` is neither

@@ -93,10 +93,27 @@ def _is_possible(dynamics: Dynamics, cost: Cost, numbers: Numbers, state: Tensor
     count = state[..., 0].numel()
     fits = 0 < count <= numbers.most and within_reach(state) and state.dtype in REALS
     fits = fits and numbers.settings.sizes.numel() <= MOST_SIZES
-    if count <= 1:
+    if count <= 1 or not fits:
         return fits
     apart = isinstance(cost, Batched) and (isinstance(dynamics, Batched) or is_shared(dynamics))
-    return fits and apart and state.dim() == 2
+    apart = apart and state.dim() == 2
+    if not apart:
+        _tell_together(label(dynamics))
+    return apart
+
+
+@functools.cache
+def _tell_together(problem: str) -> None:
+    """Say once per model why a batch waits for kernels, which take minutes where it has six states.
+
+    A library solves each problem on its own, so it has to know which tensors are whose.
+    """
+    LOGGER.info(
+        "No library for several problems of %s (which tensors belong to which problem is not "
+        "told): kernels on tensors. Give Batched(dynamics), Batched(cost, tensor, ...) and a state "
+        "of shape (b, n).",
+        problem,
+    )
 
 
 @functools.cache

@@ -210,10 +210,14 @@ def test_many_problems_are_left_to_the_tensor_kernels(count):
     assert natively(EXACT, dynamics, cost, box, *many) is None
 
 
-def test_closures_over_a_batch_are_left_to_the_tensor_kernels():
+def test_closures_over_a_batch_are_left_to_the_tensor_kernels_and_told_once(caplog):
     (_, _, box, state, controls), (_, wheelbase, weight, goal) = problem(3)
+    native_solver._tell_together.cache_clear()
     closed = goal_cost(goal, weight)
-    assert natively(EXACT, rate_model(wheelbase), closed, box, state, controls) is None
+    with caplog.at_level("INFO"):
+        for _ in range(2):
+            assert natively(EXACT, rate_model(wheelbase), closed, box, state, controls) is None
+    assert caplog.text.count("Give Batched(dynamics), Batched(cost, tensor, ...)") == 1
 
 
 def test_the_compiled_solver_uses_the_library_for_one_problem(monkeypatch):
