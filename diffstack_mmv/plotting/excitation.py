@@ -57,7 +57,7 @@ def draw_by_excitation(
                 ends = np.array([interval(own[model], own["recording"]) for own in ranges])
                 axes.errorbar(
                     [own[name].mean() for own in ranges], mean,
-                    np.nan_to_num(np.abs(ends.T - mean)), label=model,
+                    np.abs(ends.T - mean), label=model,
                     color=PALETTE[index % len(PALETTE)], marker="o", markersize=3, capsize=2,
                 )  # fmt: skip
             axes.set(xlabel=title, ylabel=heading)
