@@ -18,6 +18,7 @@ from diffstack_mmv.commands.cli import (
 from diffstack_mmv.commands.drive_checks import require_drive, tell_unused
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
+from dmmv_conventions.progress import counted
 from dmmv_conventions.versions import code_version, file_hash
 
 if TYPE_CHECKING:
@@ -187,7 +188,8 @@ def _draw(config: DictConfig, driven: "Campaign", chunks: Sequence["Chunk"]) -> 
     outcomes = {case: int(record.outcome[row]) for case, (record, row) in rows.items()}
     robot = driven.method.world.robot
     outline, control_names = robot.footprint.outline(), robot.control_names
-    for case in worth_showing(outcomes, config.animate, config.show):
+    shown = worth_showing(outcomes, config.animate, config.show)
+    for case in counted(shown, "draw episodes", "case"):
         start = CaseStart(*driven.scenario.case(driven.phase, case).radii_and_goal())
         drawn = episode_of(*rows[case], case, start, outline)
         drawn = drawn._replace(thoughts=driven.thoughts(case), control_names=control_names)
