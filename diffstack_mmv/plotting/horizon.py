@@ -7,6 +7,9 @@ from matplotlib.figure import Figure
 
 from diffstack_mmv.plotting.figures import PALETTE, new_figure
 
+OURS = {"prediction": 4.0, "plan": 1.8}
+"""Widths of the lines of the stack: a plan that does as its prediction does not hide it."""
+
 
 def draw_error_over_horizon(
     errors: Mapping[str, Mapping[str, np.ndarray]], dt_s: float, heading: str
@@ -22,14 +25,14 @@ def draw_error_over_horizon(
     for column, (mode, methods) in enumerate(errors.items()):
         axes = figure.add_subplot(1, len(errors), column + 1)
         for index, (name, error) in enumerate(methods.items()):
-            ours = name in ("prediction", "plan")
+            width = OURS.get(name)
             time_s = dt_s * np.arange(1, len(error) + 1)
             axes.plot(
                 time_s,
                 error,
                 color=PALETTE[index % len(PALETTE)],
-                linewidth=2.2 if ours else 1.1,
-                linestyle="-" if ours else "--",
+                linewidth=width or 1.1,
+                linestyle="-" if width else "--",
                 label=name.replace("_", " "),
             )
         axes.set(title=mode, xlabel="time ahead [s]", ylabel=heading)
