@@ -15,7 +15,6 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from diffstack_mmv.control.constrained.constraint import ConstraintRows
 from diffstack_mmv.control.constrained.local import Problem
 from diffstack_mmv.control.constrained.priced import priced_cost, yielding
 from diffstack_mmv.control.constrained.solution import ConstrainedSolution
@@ -50,7 +49,7 @@ class Place(NamedTuple):
 class Approach(NamedTuple):
     """Where the method ended; a problem that is not solved stands as its last round left it."""
 
-    plain: Solution  # its cost has the price of soft constraints in it
+    plain: Solution  # its cost is that of the round, with multipliers and penalty in it
     multipliers: Float[Tensor, "B T1 K"]
     values: Float[Tensor, "B T1 K"]
     error: Float[Tensor, " B"]  # violation and complementarity, |max(g - s, -ν / ρ)|
@@ -73,12 +72,17 @@ class Approach(NamedTuple):
         plain = Solution(*map(merged, self.plain, part.plain))._replace(iterations=iterations)
         return Approach(plain, *map(merged, self[1:], part[1:]))
 
-    def solution(self, rows: ConstraintRows) -> ConstrainedSolution:
+    def solution(self, problem: Problem) -> ConstrainedSolution:
         """The result; a problem that is not solved counts as the rounds have left it."""
+        rows, plain = problem.rows, self.plain
         multipliers = self.multipliers.split(list(rows.widths), -1)
         left = torch.where(self.stuck, SolverStatus.INFEASIBLE, SolverStatus.ITERATION_LIMIT)
-        status = torch.where(self.solved | self.lost, self.plain.status, left)
-        plain = self.plain._replace(status=status)
+        status = torch.where(self.solved | self.lost, plain.status, left)
+        # that of the round pays for the slack of its multipliers, which an open problem exceeds
+        total = problem.cost(plain.states, pad_controls(plain.controls)).sum(-1)
+        total = total + rows.paid(rows.excess(self.values))
+        cost = torch.where(plain.cost.isfinite(), total, plain.cost)
+        plain = plain._replace(cost=cost, status=status)
         return ConstrainedSolution(*plain, rows.violation(self.values), multipliers)
 
 
@@ -138,12 +142,10 @@ def _round(
     plain = solver(problem.dynamics, cost, problem.bounds, problem.state, place.u)
     values = rows.values(plain.states, pad_controls(plain.controls))
     multipliers = yielding(before + penalty * values, penalty, rows).multipliers
-    added = ((multipliers.square() - before.square()) / (2 * penalty)).sum((-2, -1))
     change = (multipliers - before).abs().amax((-2, -1)) / place.penalty
     violation = rows.violation(values)
     error = torch.maximum(change, violation)
     stays = (violation > STUCK * place.error) & (violation > tolerance)
-    plain = plain._replace(cost=plain.cost - added)
     solved = plain.converged & (error <= tolerance)
     return Approach(
         plain, multipliers, values, error, solved, stays & (place.penalty > DEAR * first)

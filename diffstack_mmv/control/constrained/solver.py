@@ -209,7 +209,7 @@ class ConstrainedILQR:
 
     def _completed(self, problem: Problem, u: Tensor, approach: Approach) -> ConstrainedSolution:
         """The solution, without derivatives; what the approach has not solved goes through all."""
-        found = approach.solution(problem.rows)
+        found = approach.solution(problem)
         index = (~approach.solved).nonzero().squeeze(-1)
         if len(index) == 0 or not self.persistent:
             return found

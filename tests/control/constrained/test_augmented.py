@@ -5,7 +5,14 @@ import torch
 
 from diffstack_mmv.control import ILQR, Batched, Bounds, SolverStatus
 from diffstack_mmv.control.compilation import can_compile, kind
-from diffstack_mmv.control.constrained import ConstrainedILQR, Equality, Inequality, Slack
+from diffstack_mmv.control.constrained import (
+    ConstrainedILQR,
+    Equality,
+    Inequality,
+    Slack,
+    augmented,
+)
+from diffstack_mmv.control.expansion import pad_controls
 from diffstack_mmv.control.selection import Joined
 from tests.control.constrained.problems import braking, drives, solve
 from tests.control.constrained.test_solver import BOX, cart, reach, rest
@@ -22,10 +29,11 @@ def wall(states, forces, place):
     return states[..., :1] - place[:, None, None]
 
 
-def brought(solver, place, *more):
+def brought(solver, place, *more, **settings):
     limits = [Inequality(Batched(wall, place)), *more]
     start = torch.zeros(3, 2), torch.zeros(3, 15, 1)
-    return ConstrainedILQR(solver)(Batched(cart), Batched(reach), limits, BOX, *start)
+    solve_in = ConstrainedILQR(solver, **settings)
+    return solve_in(Batched(cart), Batched(reach), limits, BOX, *start)
 
 
 @pytest.mark.parametrize(
@@ -80,6 +88,19 @@ def test_what_the_rounds_leave_is_solved_by_persistence():
     assert whole.converged.all()
     assert float(whole.violation.max()) <= 1e-6
     assert (quick.controls == whole.controls)[quick.converged].all()
+
+
+def test_the_cost_of_what_is_left_is_that_of_its_states_and_controls(monkeypatch):
+    monkeypatch.setattr(augmented, "ROUNDS", 1)
+    price, place = Slack(0.02, 0.05), torch.tensor([1.5, 2.0, 2.5])
+    with torch.no_grad():
+        found = brought(COMPILED, place, Equality(Batched(rest), price, END), persistent=False)
+    assert not found.converged.any()
+    excess = rest(found.states, None)[:, -1, 0].abs()
+    assert float(excess.min()) > 1e-3
+    driven = reach(found.states, pad_controls(found.controls)).sum(-1)
+    paid = price.linear * excess + 0.5 * price.quadratic * excess.square()
+    torch.testing.assert_close(found.cost, driven + paid, rtol=1e-12, atol=0)
 
 
 def test_a_contradiction_is_infeasible_at_once():
