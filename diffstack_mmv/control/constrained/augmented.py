@@ -75,15 +75,16 @@ class Approach(NamedTuple):
     def solution(self, problem: Problem) -> ConstrainedSolution:
         """The result; a problem that is not solved counts as the rounds have left it."""
         rows, plain = problem.rows, self.plain
-        multipliers = self.multipliers.split(list(rows.widths), -1)
+        multipliers = self.multipliers.nan_to_num(0.0).split(list(rows.widths), -1)
         left = torch.where(self.stuck, SolverStatus.INFEASIBLE, SolverStatus.ITERATION_LIMIT)
         status = torch.where(self.solved | self.lost, plain.status, left)
         # that of the round pays for the slack of its multipliers, which an open problem exceeds
         total = problem.cost(plain.states, pad_controls(plain.controls)).sum(-1)
         total = total + rows.paid(rows.excess(self.values))
-        cost = torch.where(plain.cost.isfinite(), total, plain.cost)
-        plain = plain._replace(cost=cost, status=status)
-        return ConstrainedSolution(*plain, rows.violation(self.values), multipliers)
+        finite = plain.cost.isfinite()  # elsewhere the states told are no longer those found
+        plain = plain._replace(cost=torch.where(finite, total, plain.cost), status=status)
+        violation = torch.where(finite, rows.violation(self.values), torch.inf)
+        return ConstrainedSolution(*plain, violation, multipliers)
 
 
 @dataclass(frozen=True)

@@ -51,12 +51,13 @@ def conclude(problem: Problem, progress: Progress) -> Conclusion:
     bad = (progress.status == SolverStatus.CONVERGED) & ~finite
     status = torch.where(bad, SolverStatus.NOT_FINITE, progress.status)
     valid = (status == SolverStatus.CONVERGED).reshape(-1)
-    x = x.nan_to_num(0.0)
-    cost, residual = total.nan_to_num(torch.inf), residual.nan_to_num(torch.inf)
+    x, violation = x.nan_to_num(0.0), problem.rows.violation(values)
+    cost, residual, violation = (
+        part.nan_to_num(torch.inf, torch.inf) for part in (total, residual, violation)
+    )
     flat = (problem.flat(part) for part in (x, u, cost, multipliers, slack.nan_to_num(0.0)))
     active = Activity(*(problem.flat(part) for part in activity))
     free = free_controls(problem, u, local.gradient)
     point = KktPoint(*[*flat, active, problem.rows.signed, free, valid, local])
-    violation = problem.rows.violation(values).nan_to_num(torch.inf)
     parts = (x, u, cost, residual, progress.iterations, status, violation)
     return Conclusion(point, parts, multipliers)

@@ -96,7 +96,7 @@ class ConstraintRows(NamedTuple):
         self, states: Float[Tensor, "*b T1 n"], controls: Float[Tensor, "*b T1 m"]
     ) -> Float[Tensor, "*b T1 K"]:
         """Values of all constraints, zero where they do not apply."""
-        return joined(self.functions, states, controls) * self.applies.to(states)
+        return torch.where(self.applies, joined(self.functions, states, controls), 0.0)
 
     @property
     def signed_functions(self) -> list[bool]:

@@ -163,6 +163,7 @@ class _Terms:
         self.valid = shaped(point.valid)[..., None, None]
         self.activity = Activity(*(shaped(part) for part in point.activity))
         yields, side = self.activity.compliance > 0, self.activity.side
+        self.acts = self.activity.active | self.activity.saturated
         priced = torch.where(rows.linear.isfinite(), rows.linear, 0.0)
         self.offset = torch.where(self.activity.saturated | yields, side * priced, 0.0)
         self.slack = self._constant(shaped(point.slack))
@@ -194,7 +195,9 @@ class _Terms:
         values = self.problem.rows.values(states, pad_controls(u))
         slack = self.slack
         paid = self.prices[0] * slack + 0.5 * self.prices[1] * slack.square()
-        pressed = self.multipliers * (values - self.activity.side * slack) + paid
+        # what never acts may lie at minus infinity, of which no multiplier makes zero
+        left = torch.where(self.acts, values - self.activity.side * slack, 0.0)
+        pressed = self.multipliers * left + paid
         each = (
             self.problem.cost(states, pad_controls(u)).sum(-1)
             + (self.costates * (following - x)).sum((-2, -1))

@@ -103,6 +103,16 @@ def test_the_cost_of_what_is_left_is_that_of_its_states_and_controls(monkeypatch
     torch.testing.assert_close(found.cost, driven + paid, rtol=1e-12, atol=0)
 
 
+def test_a_problem_that_is_not_finite_is_told_without_nan():
+    place = torch.tensor([1.5, torch.nan, 2.5])
+    with torch.no_grad():
+        found = brought(COMPILED, place, persistent=False)
+    assert found.converged.tolist() == [True, False, True]
+    assert found.status[1] == SolverStatus.NOT_FINITE
+    assert found.cost[1] == found.violation[1] == torch.inf
+    assert not any(each.isnan().any() for each in (*found[:-1], *found.multipliers))
+
+
 def test_a_contradiction_is_infeasible_at_once():
     contrary = Inequality(Batched(lambda x, u: 2.5 - x[..., :1]), times=END)
     limits = [Inequality(Batched(lambda x, u: x[..., :1] - 2)), contrary]

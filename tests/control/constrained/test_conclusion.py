@@ -66,6 +66,14 @@ def test_an_end_that_is_not_finite_is_no_solution_and_no_nan(
     assert not found[2][1:].isinf().any()
 
 
+def test_an_infinite_violation_and_an_infinite_cost_are_told_as_such() -> None:
+    problem, controls = carts([0.0, torch.inf])
+    found = told(problem, controls)
+    assert found.status.tolist() == [CONVERGED, LOST]
+    assert found.violation.tolist() == [0, torch.inf]
+    assert found.cost.isinf().tolist() == [False, True]
+
+
 @pytest.mark.parametrize("status", [SolverStatus.INFEASIBLE, SolverStatus.ITERATION_LIMIT])
 def test_a_problem_that_did_not_converge_keeps_its_status_and_has_no_gradient(
     status: SolverStatus,

@@ -72,3 +72,29 @@ def test_what_did_not_converge_has_no_gradient_by_its_price(part: str) -> None:
     told = found.cost if part == "cost" else found.multipliers[0].sum()
     (slope,) = torch.autograd.grad(told, price)
     assert slope == 0
+
+
+@pytest.mark.parametrize("place", [torch.inf, 30.0], ids=["nowhere", "far away"])
+def test_a_wall_out_of_reach_changes_neither_cost_nor_gradient(place: float) -> None:
+    goal = torch.tensor(1.0, requires_grad=True)
+
+    def reached(*limits: Inequality) -> Tensor:
+        def cost(states: Tensor, forces: Tensor) -> Tensor:
+            return (states[..., 0] - goal).square() + 0.01 * forces.square().sum(-1)
+
+        box = Bounds(torch.tensor([-9.0]), torch.tensor([9.0]))
+        found = EXACT(cart, cost, limits, box, torch.zeros(2), torch.zeros(10, 1))
+        slope = torch.autograd.grad(found.cost + functional(found), goal)[0]
+        return torch.stack([found.cost.detach(), slope])
+
+    wall = Inequality(lambda states, forces: states[..., :1] - place)
+    torch.testing.assert_close(reached(wall), reached())
+
+
+def test_what_a_limit_is_where_it_does_not_apply_makes_no_difference() -> None:
+    places = torch.full((11, 1), 2.0)
+    places[:5] = torch.inf
+    box = Bounds(torch.tensor([-6.0]), torch.tensor([6.0]))
+    limit = Inequality(lambda states, forces: states[..., :1] - places, times=slice(5, None))
+    found = EXACT(cart, reach, [limit], box, torch.tensor([0.3, 0.0]), torch.zeros(10, 1))
+    torch.testing.assert_close(found.cost, stopped(Slack(torch.inf), box.upper).cost)
