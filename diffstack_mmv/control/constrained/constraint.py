@@ -34,7 +34,7 @@ HARD = Slack(math.inf)
 
 @dataclass(frozen=True)
 class Inequality:
-    """g(x_t, u_t) ≤ 0.
+    """g(x_t, u_t) ≤ 0; where g is minus infinity there is no limit.
 
     Args:
         function: Gives the values of g.

@@ -91,10 +91,11 @@ def test_a_wall_out_of_reach_changes_neither_cost_nor_gradient(place: float) -> 
     torch.testing.assert_close(reached(wall), reached())
 
 
-def test_what_a_limit_is_where_it_does_not_apply_makes_no_difference() -> None:
+@pytest.mark.parametrize("times", [slice(5, None), slice(None)], ids=["not there", "infinite"])
+def test_a_limit_at_infinity_for_some_of_the_time_is_none(times: slice) -> None:
     places = torch.full((11, 1), 2.0)
     places[:5] = torch.inf
     box = Bounds(torch.tensor([-6.0]), torch.tensor([6.0]))
-    limit = Inequality(lambda states, forces: states[..., :1] - places, times=slice(5, None))
+    limit = Inequality(lambda states, forces: states[..., :1] - places, times=times)
     found = EXACT(cart, reach, [limit], box, torch.tensor([0.3, 0.0]), torch.zeros(10, 1))
     torch.testing.assert_close(found.cost, stopped(Slack(torch.inf), box.upper).cost)
