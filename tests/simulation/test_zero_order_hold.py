@@ -34,6 +34,12 @@ def test_the_step_and_the_columns_are_told(inner):
     assert held.state_dim == inner.state_dim
 
 
+def test_a_model_is_described_by_itself_however_long_it_is_held(inner):
+    held = ZeroOrderHold(inner, 3)
+    assert held.description() == inner.description()
+    assert held.derived_quantities().keys() == inner.derived_quantities().keys()
+
+
 def turning():
     """A vehicle that turns left at 2 m/s."""
     return Motion(

@@ -48,7 +48,7 @@ LIMITS = [
     Inequality(lambda x, u: x[..., 1:] - 1, Slack(4.0), slice(1, None)),
     Inequality(lambda x, u: -x[..., :1] - u[..., 1:], Slack(0.5, 2.0)),
     Equality(lambda x, u: x[..., 1:] - u[..., :1], Slack(3.0, 1.0), slice(1, 3)),
-    Equality(lambda x, u: x - 1, times=slice(-1, None)),
+    Equality(lambda x, u: 1 - x, times=slice(-1, None)),
 ]
 
 
