@@ -113,6 +113,6 @@ def _reach(value: Tensor, step: Tensor, among: Tensor | None = None) -> Tensor:
     limits = (step < 0) & (value > 0) & value.isfinite()
     limits = limits if among is None else limits & among
     sizes = torch.where(limits, -BOUNDARY * value / step, torch.ones_like(value))
-    if sizes[..., 0, :].shape[-1] == 0:
-        return torch.ones_like(sizes.sum((-2, -1)))
+    if sizes.shape[-1] == 0:
+        return sizes.new_ones(sizes.shape[:-2])
     return sizes.amin((-2, -1)).clamp_max(1.0)

@@ -12,6 +12,7 @@ from diffstack_mmv.control.constrained.barrier import Barrier, Interior
 from diffstack_mmv.control.constrained.barrier_rows import barrier_rows
 from diffstack_mmv.control.constrained.barrier_step import Newton, newton
 from diffstack_mmv.control.constrained.constraint import gather
+from diffstack_mmv.control.constrained.filter import longest
 from diffstack_mmv.control.constrained.local import Problem, expand_problem
 
 pytestmark = pytest.mark.usefixtures("double")
@@ -20,6 +21,7 @@ T = 4
 BOXES = {
     "bounded": ([-4.0, -3.0], [5.0, 2.0]),
     "one side open": ([-4.0, -torch.inf], [torch.inf, 2.0]),
+    "open": ([-torch.inf] * 2, [torch.inf] * 2),
     "one fixed": ([-4.0, 0.7], [5.0, 0.7]),
 }
 ALL = torch.tensor([True, True])
@@ -66,16 +68,17 @@ class Place(NamedTuple):
         return newton(self.barrier, local, point, residual, MU, torch.full((2,), shift), which)
 
 
-def inside(box: str, cost=quadratic) -> Place:
+def inside(box: str, cost=quadratic, limits=LIMITS) -> Place:
     bounds = Bounds(*(torch.tensor(side) for side in BOXES[box]))
     x = torch.randn(2, T + 1, 2)
     u = (0.5 * torch.randn(2, T, 2)).clamp(*bounds)
-    rows = gather(LIMITS, x, u)
+    rows = gather(limits, x, u)
     problem = Problem(sledge, cost, rows, bounds, x[:, 0])
     barrier = Barrier(problem, barrier_rows(rows), SCALE)
+    count = len(barrier.rows.sign)
     s, sigma, part, lower, upper = (
         0.1 + torch.rand(2, T + 1 - short, width)
-        for short, width in [(0, 5), (0, 5), (0, 5), (1, 2), (1, 2)]
+        for short, width in [(0, count), (0, count), (0, count), (1, 2), (1, 2)]
     )
     sigma = torch.where(barrier.yields, sigma, 0.0)
     y = torch.randn(2, T + 1, len(barrier.rows.equality))
@@ -146,3 +149,10 @@ def test_a_cost_that_is_not_convex_is_lifted_until_the_step_descends(first: floa
     torch.testing.assert_close(power, power.round())
     for part in barrier.residual(point.moved(found.step, torch.ones(2), torch.ones(2))):
         assert part.abs().max() < 1e-8
+
+
+def test_a_step_beside_nothing_goes_all_the_way() -> None:
+    """Neither bounds nor inequalities, a hard equality alone."""
+    place = inside("open", limits=LIMITS[-1:])
+    for size in longest(place.barrier, place.point, place.stepped().step):
+        assert torch.equal(size, torch.ones(2))
