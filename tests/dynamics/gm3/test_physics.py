@@ -240,7 +240,7 @@ def test_reversing_vehicle_brakes_to_a_stop_and_no_further():
     assert state[0, 2].abs() < 0.02
 
 
-def test_resistance_slows_a_coasting_vehicle():
+def test_resistance_slows_a_coasting_vehicle_straight_ahead():
     spec = load_vehicle("bicycle")
     rolling = replace(spec.parameters["rolling_resistance"], initial=0.01, low=0.0, high=0.05)
     drag = replace(spec.parameters["drag"], initial=0.3, low=0.0, high=1.0)
@@ -248,9 +248,10 @@ def test_resistance_slows_a_coasting_vehicle():
         spec, parameters={**spec.parameters, "rolling_resistance": rolling, "drag": drag}
     )
     model = DiffGM3(rough).double()
-    end = held(model, moving(model, 5.0), 0.0, 0.0, 10)[0, -1, 2].item()
+    _, left, speed, *turned = held(model, moving(model, 5.0), 0.0, 0.0, 10)[0, -1].tolist()
     expected = 5.0 - 1.0 * (0.01 * 9.81 + 0.3 / 90 * 4.92**2)
-    assert end == pytest.approx(expected, abs=0.01)
+    assert speed == pytest.approx(expected, abs=0.01)
+    assert [left, *turned] == pytest.approx([0.0] * 6, abs=1e-9)
 
 
 def test_longer_vehicle_turns_less():
