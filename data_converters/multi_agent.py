@@ -172,6 +172,25 @@ class MultiAgentDataset(RecordingDataset):
         return {recording.name: recording for recording in self.recordings()}
 
 
+def by_name(files: Iterable[tuple[str, Path]]) -> dict[str, Path]:
+    """Files by their names, of which none may take the place of another in silence.
+
+    Raises:
+        ConversionError: Two have one name, such as those of 1.csv and 1.csv.gz.
+    """
+    named: dict[str, Path] = {}
+    for name, path in files:
+        other = named.setdefault(name, path)
+        needs, remedy = f"not be called '{name}' as {other} is", "Remove or rename one of them."
+        require(other == path, "file", needs, path.name, path.parent, remedy)
+    return named
+
+
+def agent_names(kind: str, numbers: pd.Series) -> list[str]:
+    """Name of the agent of each row, such as "ped_7"; other numbers are other names."""
+    return [f"{kind}_{number:.15g}" for number in numbers]
+
+
 def modes_of(labels: pd.Series, known: Mapping[str, Mode]) -> pd.Series:
     """Mode of each label as a number, NaN where it is not known; case does not count."""
     numbers = {name.lower(): float(mode) for name, mode in known.items()}

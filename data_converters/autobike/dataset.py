@@ -12,7 +12,7 @@ import pandas as pd
 
 from data_converters.autobike.quality import LogQuality
 from data_converters.autobike.reader import Fixes, Log, read_log
-from data_converters.multi_agent import MultiAgentDataset, Recording
+from data_converters.multi_agent import MultiAgentDataset, Recording, by_name
 from data_converters.recordings import RawScene
 from dmmv_conventions.cache import CONTROLS_TABLE, LEAN_TABLE, SENSORS_TABLE, SPLITS
 from dmmv_conventions.modes import Mode
@@ -53,15 +53,18 @@ class AutobikeDataset(MultiAgentDataset):
         return {**super().settings(), "quality": asdict(self.quality), **own}
 
     def recordings(self) -> list[Recording]:
-        """One per log; known bad ones are read, so that they are counted, but not dealt."""
+        """One per log; known bad ones are read, so that they are counted, but not dealt.
+
+        Raises:
+            ConversionError: Two logs have one name.
+        """
         paths = [*self.root.glob("**/*/*.csv"), *self.root.glob("**/*/*.csv.gz")]
-        found = {}
-        for path in sorted(paths):
-            number = path.name.partition(".")[0].removeprefix("data_")
-            bad = UNCLEAN in path.relative_to(self.root).parts
-            name = f"{path.parent.name.removeprefix('Test_session_')}_{number}".replace("-", "_")
-            found[name] = Recording(name, (path,), SPLITS[0] if bad else None)
-        return list(found.values())
+        bad = {path for path in paths if UNCLEAN in path.relative_to(self.root).parts}
+        named = by_name((_recording_name(path), path) for path in sorted(paths))
+        return [
+            Recording(name, (path,), SPLITS[0] if path in bad else None)
+            for name, path in named.items()
+        ]
 
     def table(self, path: Path, recording: Recording, raw: RawScene) -> pd.DataFrame:
         """Positions of one log; its sensors go beside the scene.
@@ -109,6 +112,12 @@ class AutobikeDataset(MultiAgentDataset):
         )
         raw.side_tables[SENSORS_TABLE] = clock.assign(**{name: sensors[name] for name in SENSORS})
         raw.side_tables[LEAN_TABLE] = clock.assign(lean=sensors["lean"])
+
+
+def _recording_name(path: Path) -> str:
+    """Session and number: "09_06_1" for Test_session_09_06/data_1.csv."""
+    number = path.name.partition(".")[0].removeprefix("data_")
+    return f"{path.parent.name.removeprefix('Test_session_')}_{number}".replace("-", "_")
 
 
 def _names(pieces: np.ndarray) -> list[str]:

@@ -13,7 +13,7 @@ import pandas as pd
 
 from data_converters.csv_table import told_as_fault
 from data_converters.errors import RejectReason, refuse_track, require
-from data_converters.multi_agent import MultiAgentDataset, Recording
+from data_converters.multi_agent import MultiAgentDataset, Recording, agent_names, by_name
 from data_converters.recordings import RawScene
 from dmmv_conventions.modes import Mode
 
@@ -30,7 +30,7 @@ FRAMES_PER_SECOND = 25.0
 """Ten frame numbers are one step of 0.4 s."""
 
 COLUMNS = ("frame", "id", "x", "y")
-PART = re.compile(r"(.+)_(train|val)")
+ENDING = re.compile(r"(_train|_val)?\.txt(\.gz)?$")
 
 
 @dataclass(frozen=True)
@@ -69,20 +69,18 @@ class EthUcyDataset(MultiAgentDataset):
         """The test scene as a whole, and the cuts of all other recordings.
 
         Raises:
-            ConversionError: If a part is missing.
+            ConversionError: If a part, or a recording of the test scene, is missing.
         """
-        test = set(HELD_OUT[self.held_out])
-        found = [Recording(n, (p,), "test") for n, p in self._files("all_data") if n in test]
+        test, whole = HELD_OUT[self.held_out], self._files("all_data")
+        found = [Recording(name, (whole[name],), "test") for name in test if name in whole]
+        absent = [name for name in test if name not in whole]
         for part in ("train", "val"):
-            for name, path in self._files(part):
-                cut = PART.fullmatch(name)
-                if cut is not None and cut[1] not in test:
-                    found.append(Recording(name, (path,), part, cut[1]))
-        parts = {recording.split for recording in found}
-        absent = sorted({"train", "val", "test"} - parts)
+            cuts = [(name, path) for name, path in self._files(part).items() if name not in test]
+            found += [Recording(f"{name}_{part}", (path,), part, name) for name, path in cuts]
+            absent += [] if cuts else [part]
         remedy = "Give the folder with all_data, train and val."
-        whole = not found or not absent
-        require(whole, "root", f"hold {self.expects}", f"nothing for {absent}", self.root, remedy)
+        complete, missing = not found or not absent, f"nothing for {absent}"
+        require(complete, "root", f"hold {self.expects}", missing, self.root, remedy)
         return found
 
     def table(self, path: Path, recording: Recording, raw: RawScene) -> pd.DataFrame:
@@ -100,12 +98,12 @@ class EthUcyDataset(MultiAgentDataset):
         numbers = rows.apply(pd.to_numeric, errors="coerce").astype(np.float64)
         numbers.columns = pd.Index(COLUMNS)
         return numbers.assign(
-            agent=[f"ped_{number:g}" for number in numbers["id"]],
+            agent=agent_names("ped", numbers["id"]),
             mode=float(Mode.PEDESTRIAN),
             time_s=numbers["frame"] / FRAMES_PER_SECOND,
         )
 
-    def _files(self, part: str) -> list[tuple[str, Path]]:
-        """Names without endings and paths of the files of a folder."""
+    def _files(self, part: str) -> dict[str, Path]:
+        """Files of a folder by their names without endings."""
         paths = [*(self.root / part).glob("*.txt"), *(self.root / part).glob("*.txt.gz")]
-        return sorted((path.name.partition(".")[0], path) for path in paths)
+        return by_name(sorted((ENDING.sub("", path.name), path) for path in paths))

@@ -8,7 +8,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
-import numpy as np
 import pandas as pd
 
 from data_converters.csv_table import read_by_name, require_columns, told_as_fault
@@ -17,6 +16,8 @@ from data_converters.multi_agent import (
     METRES_PER_PIXEL,
     MultiAgentDataset,
     Recording,
+    agent_names,
+    by_name,
     modes_of,
 )
 from data_converters.recordings import RawScene
@@ -78,7 +79,7 @@ class SddDataset(MultiAgentDataset):
         # by a pattern, which finds dangling links too
         found = sorted(self.root.glob("*/*/annotations.txt*"))
         paths = [path for path in found if path.name in FILES]
-        named = {f"{path.parents[1].name}_{path.parent.name}": path for path in paths}
+        named = by_name((f"{path.parents[1].name}_{path.parent.name}", path) for path in paths)
         return [
             Recording(name, (named[name],), None if self._certain(name) else SPLITS[0])
             for name in sorted(named)
@@ -92,7 +93,7 @@ class SddDataset(MultiAgentDataset):
         """
         scale = self._scale(recording.name)
         with told_as_fault(path):
-            rows = pd.read_csv(path, sep=" ", header=None, dtype=str, quotechar='"')
+            rows = pd.read_csv(path, sep=r"\s+", header=None, dtype=str, quotechar='"')
         rows.columns = pd.Index([*COLUMNS, *range(len(rows.columns))][: len(rows.columns)])
         require_columns(rows, ("frame", "id", *BOX, "lost", "generated", "label"), path)
         numeric = list(COLUMNS[:-1])
@@ -142,8 +143,7 @@ class SddDataset(MultiAgentDataset):
         return {name: _Scale(*numbers) for name, numbers in table.items()}
 
 
-def _names(number: pd.Series, stretch: pd.Series) -> pd.Series:
-    """Name of the agent of each row: "12", and "12_v1" after it was lost once."""
-    first = "agent_" + number.map("{:g}".format)
-    later = first + "_v" + stretch.astype(int).astype(str)
-    return pd.Series(np.where(stretch == 0, first, later), index=number.index)
+def _names(number: pd.Series, stretch: pd.Series) -> list[str]:
+    """Name of the agent of each row: "agent_12", and "agent_12_v1" after it was lost once."""
+    pairs = zip(agent_names("agent", number), stretch.astype(int), strict=True)
+    return [f"{name}_v{lost}" if lost else name for name, lost in pairs]

@@ -13,7 +13,13 @@ import pandas as pd
 
 from data_converters.csv_table import read_by_name, read_numbers
 from data_converters.errors import RejectReason, refuse_track
-from data_converters.multi_agent import METRES_PER_PIXEL, MultiAgentDataset, Recording
+from data_converters.multi_agent import (
+    METRES_PER_PIXEL,
+    MultiAgentDataset,
+    Recording,
+    agent_names,
+    by_name,
+)
 from data_converters.recordings import RawScene
 from data_converters.splits import RecordingSplit
 from dmmv_conventions.modes import Mode
@@ -62,17 +68,22 @@ class VehicleCrowdDataset(MultiAgentDataset):
         return {**super().settings(), "unfiltered": self.unfiltered}
 
     def recordings(self) -> list[Recording]:
-        """One recording per clip."""
+        """One recording per clip.
+
+        Raises:
+            ConversionError: Two files of one kind have the name of one clip.
+        """
         clips: dict[str, dict[str, Path]] = {}
         for filtered in (True, False) if self.unfiltered else (False, True):
             # what is found later takes the place of what was found before
             folder = self.root / ("filtered" if filtered else "raw")
             for family, ending in self._endings(filtered).items():
-                for path in [*folder.glob(f"*{ending}.csv"), *folder.glob(f"*{ending}.csv.gz")]:
-                    clip = path.name.partition(".")[0].removesuffix(ending)
+                paths = [*folder.glob(f"*{ending}.csv"), *folder.glob(f"*{ending}.csv.gz")]
+                stems = (path.name.partition(".")[0].removesuffix(ending) for path in paths)
+                for clip, path in by_name(zip(map(_plain, stems), paths, strict=True)).items():
                     clips.setdefault(clip, {})[family] = path
         return [
-            Recording(clip.replace("-", "_"), tuple(clips[clip][f] for f in sorted(clips[clip])))
+            Recording(clip, tuple(clips[clip][f] for f in sorted(clips[clip])))
             for clip in sorted(clips)
         ]
 
@@ -93,7 +104,7 @@ class VehicleCrowdDataset(MultiAgentDataset):
             table["speed"] = table["speed"].abs()
         mode = Mode.PEDESTRIAN if family == "ped" else self.vehicle
         return table.assign(
-            agent=[f"{family}_{number:g}" for number in table["id"]],
+            agent=agent_names(family, table["id"]),
             mode=float(mode),
             time_s=table["frame"] / self.frames_per_second,
             y=-table["y"],
@@ -162,4 +173,9 @@ class DutDataset(VehicleCrowdDataset):
     @cached_property
     def _pixels_per_metre(self) -> dict[str, float]:
         table = read_by_name(self.root / "ratios.csv", ("clip",), ("pixels_per_metre",))
-        return {clip: ratio for clip, (ratio,) in table.items()}
+        return {_plain(clip): ratio for clip, (ratio,) in table.items()}
+
+
+def _plain(clip: str) -> str:
+    """Name of a clip as that of its scene, which has no "-"."""
+    return clip.replace("-", "_")

@@ -1,12 +1,14 @@
 """ETH/UCY, CITR, DUT and SDD: axes, clocks, splits, faults, and the real data."""
 
 import gzip
+import shutil
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from data_converters import (
+    AutobikeDataset,
     CitrDataset,
     ConversionError,
     ConversionSettings,
@@ -21,7 +23,13 @@ from data_converters import (
 )
 from tests.data_converters.synthetic import WRITERS, ride, times, zipped
 
-DATA_SETS = {"citr": CitrDataset, "dut": DutDataset, "eth_ucy": EthUcyDataset, "sdd": SddDataset}
+DATA_SETS = {
+    "autobike": AutobikeDataset,
+    "citr": CitrDataset,
+    "dut": DutDataset,
+    "eth_ucy": EthUcyDataset,
+    "sdd": SddDataset,
+}
 BENCHMARK = ResampleSettings(dt_s=0.4, min_duration_s=0.4, smoother=Unsmoothed())
 
 
@@ -142,6 +150,112 @@ def test_a_damaged_file_is_counted_and_the_others_kept(written, name, damage, tm
     path.write_bytes(damage(path.read_bytes()))
     report = convert(ConversionSettings(dataset, tmp_path / "cache", progress=False))
     assert report.rejected_by_reason == {RejectReason.MISSING_FIELD: 1}
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "copy"),
+    [
+        ("autobike", "recordings/09_06/1.csv.gz", "recordings/09_06/1.csv"),
+        ("autobike", "recordings/09_06/1.csv.gz", "recordings/09_06/data_1.csv.gz"),
+        ("autobike", "recordings/09_06/1.csv.gz", "old/Test_session_09_06/1.csv.gz"),
+        ("citr", "filtered/crossing_01_ped.csv.gz", "filtered/crossing_01_ped.csv"),
+        ("dut", "filtered/crossing_01_veh.csv.gz", "filtered/crossing-01_veh.csv.gz"),
+        ("eth_ucy", "all_data/biwi_eth.txt.gz", "all_data/biwi_eth.txt"),
+        ("eth_ucy", "train/a_train.txt.gz", "train/a_val.txt.gz"),
+        ("sdd", "gates/video0/annotations.txt.gz", "gates/video0/annotations.txt"),
+    ],
+)
+def test_no_file_takes_the_place_of_another_in_silence(written, name, file, copy):
+    root = written(name).root
+    (root / copy).parent.mkdir(parents=True, exist_ok=True)
+    (root / copy).write_bytes(b"other rows")
+    with pytest.raises(ConversionError, match="`file` must not be called") as caught:
+        DATA_SETS[name](root).scenes()
+    # the one stands with its folder, and so does the other
+    for path in (root / file, root / copy):
+        assert path.name in str(caught.value)
+        assert str(path.parent) in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["citr", "eth_ucy", "sdd"])
+def test_agents_of_large_numbers_are_apart(written, name):
+    dataset = written(name)
+    before = [track.position for track in read(dataset).tracks]
+    for path in dataset.root.rglob("*.gz"):
+        first, *lines = gzip.decompress(path.read_bytes()).decode().split("\n")
+        if name == "citr":
+            changed = [first] + [f"123456789{line}" if line else line for line in lines]
+        elif name == "sdd":
+            changed = [f"123456789{line}" for line in (first, *lines)]
+        else:
+            changed = [line.replace("\t", "\t123456789", 1) for line in (first, *lines)]
+        zipped(path, "\n".join(changed))
+    raw = read(dataset)
+    assert {track.name.split("_")[1][:9] for track in raw.tracks} == {"123456789"}
+    for track, position in zip(raw.tracks, before, strict=True):
+        np.testing.assert_array_equal(track.position, position)
+
+
+def test_a_clip_with_a_hyphen_keeps_its_files_together_and_its_scale(written):
+    root = written("dut").root
+    rows = pd.DataFrame({"id": 0, "x": 28.0 * times(23.98), "y": 14.0, "frame": range(264)})
+    zipped(root / "raw" / "crossing-01_ped.csv.gz", rows.to_csv(index=False))
+    (root / "ratios.csv").write_text("clip,pixels_per_metre\ncrossing-01,28.0\n")
+    scenes = DutDataset(root, unfiltered=True).scenes()
+    assert [scene.name for scene in scenes] == ["crossing_01", "crossing_02", "crossing_03"]
+    walk, drive = read(DutDataset(root, unfiltered=True)).tracks
+    np.testing.assert_allclose(walk.position[-1], [263 / 23.98, -0.5, 0.0])
+    assert drive.mode is Mode.CAR
+
+
+@pytest.mark.parametrize("blank", [" ", "  ", "\t"])
+def test_any_blanks_part_the_columns_of_boxes(written, blank):
+    dataset = written("sdd")
+    before = [track.position for track in read(dataset).tracks]
+    path = dataset.root / "gates" / "video0" / "annotations.txt.gz"
+    zipped(path, gzip.decompress(path.read_bytes()).decode().replace(" ", blank))
+    for track, position in zip(read(dataset).tracks, before, strict=True):
+        np.testing.assert_array_equal(track.position, position)
+
+
+def test_a_video_in_which_everybody_is_lost_costs_no_other(written, tmp_path):
+    dataset = written("sdd")
+    path = dataset.root / "gates" / "video0" / "annotations.txt.gz"
+    zipped(path, gzip.decompress(path.read_bytes()).decode().replace(" 0 0 1 ", " 1 0 1 "))
+    report = convert(ConversionSettings(dataset, tmp_path / "cache", progress=False))
+    assert report.rejected_by_reason == {RejectReason.TOO_SHORT: 1}
+    assert report.totals()["scenes"] == 2
+
+
+def test_every_file_of_a_part_belongs_to_it(written):
+    root = written("eth_ucy").root
+    for name in ("train/biwi_hotel", "val/biwi_hotel_train", "val/biwi_eth", "train/biwi_eth_val"):
+        zipped(root / f"{name}.txt.gz", "780 1 0 0")
+    told = {scene.name: (scene.split, scene.recording) for scene in EthUcyDataset(root).scenes()}
+    assert told == {
+        "biwi_eth": ("test", ""),
+        "a_train": ("train", "a"),
+        "biwi_hotel_train": ("train", "biwi_hotel"),
+        "a_val": ("val", "a"),
+        "biwi_hotel_val": ("val", "biwi_hotel"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("removed", "absent"), [("train", "train"), ("val", "val"), ("all_data", "biwi_eth")]
+)
+def test_a_benchmark_that_is_not_whole_is_refused(written, removed, absent):
+    root = written("eth_ucy").root
+    shutil.rmtree(root / removed)
+    with pytest.raises(ConversionError, match=rf"`root` must hold.*nothing for \['{absent}'\]"):
+        EthUcyDataset(root).scenes()
+
+
+def test_a_test_scene_of_two_recordings_needs_both(written):
+    root = written("eth_ucy").root
+    zipped(root / "all_data" / "students001.txt.gz", "780 1 0 0")
+    with pytest.raises(ConversionError, match=r"nothing for \['students003'\]"):
+        EthUcyDataset(root, held_out="univ").scenes()
 
 
 @pytest.mark.parametrize("name", DATA_SETS)
