@@ -67,7 +67,8 @@ def _row(key: str, entry: Any, origin_us: int, path: Path) -> dict[str, Any]:
         refuse_track(RejectReason.MISSING_FIELD, key, needs, entry, path, remedy)
     stamp = entry.get("ts", key.removeprefix("ts_").removeprefix("ts:"))
     time_s = (microseconds(stamp, str(path)) - origin_us) / 1e6
-    return {"time_s": time_s, **{name: value for name, value in entry.items() if name != "ts"}}
+    values = {name: value for name, value in entry.items() if name not in ("ts", "time_s")}
+    return {"time_s": time_s, **values}
 
 
 def read_context(folder: Path, origin_us: int) -> tuple[dict[str, pd.DataFrame], int]:
@@ -97,7 +98,7 @@ def read_context(folder: Path, origin_us: int) -> tuple[dict[str, pd.DataFrame],
     return tables, broken
 
 
-def signals_per_step(lights: pd.DataFrame, steps: int, dt_s: float) -> pd.DataFrame:
+def signals_per_step(lights: pd.DataFrame, steps: int, dt_s: float) -> pd.DataFrame | None:
     """Traffic lights as trajdata keeps them: the latest state at every step of dt_s s.
 
     Args:
@@ -106,7 +107,7 @@ def signals_per_step(lights: pd.DataFrame, steps: int, dt_s: float) -> pd.DataFr
         dt_s: Step in s.
 
     Returns:
-        Index lane_id (the signal group) and scene_ts, column status.
+        Index lane_id (the signal group) and scene_ts, column status; None where no group is known.
     """
     from trajdata.maps.traffic_light_status import TrafficLightStatus
 
@@ -124,6 +125,8 @@ def signals_per_step(lights: pd.DataFrame, steps: int, dt_s: float) -> pd.DataFr
         parts.append(
             pd.DataFrame({"lane_id": group, "scene_ts": np.arange(steps), "status": status})
         )
+    if not parts:
+        return None
     return pd.concat(parts, ignore_index=True).set_index(["lane_id", "scene_ts"])
 
 

@@ -80,7 +80,7 @@ def load_json(path: Path) -> Any:
     """
     try:
         require_plain(path)
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(path.read_text(encoding="utf-8-sig"))
     except TrackError:
         raise
     except OSError as error:

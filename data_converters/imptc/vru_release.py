@@ -64,8 +64,8 @@ class VruRelease:
             TrackError: It cannot be read.
         """
         folder, _, name = key.partition("/")
-        unpacked = (self._base / folder).is_dir()
-        return load_json(self.path(key)) if unpacked else self._combined[folder][name]
+        combined = self._combined.get(folder)
+        return load_json(self.path(key)) if combined is None else combined[name]
 
     @cached_property
     def _base(self) -> Path:
@@ -75,11 +75,12 @@ class VruRelease:
 
     def _tracks(self, folder: str) -> list[VruTrack]:
         """Tracks of a published split."""
-        if (self._base / folder).is_dir():
-            places = [path for path in sorted((self._base / folder).glob("*")) if path.is_dir()]
+        combined = self._combined.get(folder)
+        if combined is None:
+            places = self._unpacked(folder)
             named = {place.name: fingerprint_of(place / "track.json") for place in places}
         else:
-            named = {k: _digest(content) for k, content in sorted(self._combined[folder].items())}
+            named = {name: _digest(content) for name, content in sorted(combined.items())}
         return [self._track(f"{folder}/{name}", mark) for name, mark in named.items()]
 
     def _track(self, key: str, mark: str) -> VruTrack:
@@ -89,9 +90,15 @@ class VruRelease:
             first, last = 0, -1
         return VruTrack(key, mark, self.source(key).partition("/")[0], first, last)
 
+    def _unpacked(self, folder: str) -> list[Path]:
+        """Folders of the tracks of a published split."""
+        return [path for path in sorted((self._base / folder).glob("*")) if path.is_dir()]
+
     @cached_property
     def _combined(self) -> dict[str, dict[str, Any]]:
-        paths = {name: self._base / f"{name}_tracks.json" for name in RELEASE_SPLITS}
+        """The combined file of each published split of which no track is unpacked."""
+        packed = [name for name in RELEASE_SPLITS if not self._unpacked(name)]
+        paths = {name: self._base / f"{name}_tracks.json" for name in packed}
         content = {name: load_json(path) for name, path in paths.items() if path.is_file()}
         for name, tracks in content.items():
             needs, remedy = "hold tracks by name", "Unpack the archive again."

@@ -61,6 +61,15 @@ def test_a_file_without_entries_is_no_table(tmp_path, content):
     assert read_table(path, "weather_data", 0) is None
 
 
+def test_an_entry_does_not_tell_the_time_of_the_table(told):
+    assert told({"time_s": "noon", "rain": 0.5}).to_dict("list") == {"time_s": [1.0], "rain": [0.5]}
+
+
+@pytest.mark.parametrize("entry", [{}, {"k7": 4}])
+def test_lights_of_no_known_group_are_no_signals(told, entry) -> None:
+    assert signals_per_step(told(entry), 9, 0.1) is None
+
+
 @pytest.mark.parametrize("step", [0, 3, 6, 7])
 @pytest.mark.parametrize(("code", "name"), [(4, "GREEN"), (10, "RED"), (20, "UNKNOWN")])
 def test_a_state_recorded_at_a_step_holds_from_that_step_on(step, code, name) -> None:

@@ -221,6 +221,21 @@ def test_the_combined_files_give_the_same_tracks_as_the_folders(vru_sample, tmp_
     assert reports[0].totals() == reports[1].totals()
 
 
+@pytest.mark.parametrize("packed", ["train", "eval"])
+def test_a_combined_file_counts_although_a_folder_without_tracks_lies_beside_it(
+    vru_sample, tmp_path, packed
+):
+    root = tmp_path / "partly"
+    shutil.copytree(vru_sample, root)
+    before = ImptcVruDataset(root).scenes()
+    shutil.rmtree(root / packed)
+    (root / packed).mkdir()
+    after = ImptcVruDataset(root)
+    tracks = [len(scene.tracks) for scene in after._scenes.values()]
+    assert [scene.name for scene in after.scenes()] == [scene.name for scene in before]
+    assert sum(tracks) == len(list(vru_sample.glob("*/*/track.json")))
+
+
 def test_mixed_recordings_take_the_split_of_their_sequence(vru_sample, sample):
     sequences = ImptcDataset(sample)
     found = ImptcVruDataset(vru_sample, sequences=sequences).overlaps(sequences)

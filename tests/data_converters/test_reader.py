@@ -169,6 +169,12 @@ def test_a_track_has_a_body_if_every_sample_has_a_cuboid(without) -> None:
     assert (part.axis, part.extent) == (None, None)
 
 
+def test_a_byte_order_mark_is_no_damage(tmp_path):
+    path = tmp_path / "track.json"
+    path.write_text('\ufeff{"overview": {}}', encoding="utf-8")
+    assert load_json(path) == {"overview": {}}
+
+
 @pytest.mark.parametrize("text", ["", "{", '{"overview": {}, "track_da'])
 def test_broken_json_names_the_file(tmp_path, text):
     path = tmp_path / "track.json"
