@@ -129,9 +129,12 @@ def read_by_name(
 
 
 def _read(source: Path | io.BytesIO, columns: Sequence[str]) -> pd.DataFrame:
-    """The table of a file; slower, and all of it, where a number is missing."""
+    """The table of a file, slower where a number is missing.
+
+    All of it: of some columns alone pandas would take rows that are too long for its header.
+    """
     try:
-        return pd.read_csv(source, usecols=tuple(columns).__contains__, dtype=np.float64)
+        return pd.read_csv(source, dtype=dict.fromkeys(columns, np.float64))
     except ValueError:
         if isinstance(source, io.BytesIO):
             source.seek(0)

@@ -107,6 +107,6 @@ def fault(argument: str, requirement: str, value: object, where: object, remedy:
     Returns:
         The message.
     """
-    shown = repr(value) if isinstance(value, str) else str(value)
+    shown = repr(value) if isinstance(value, str) else str(value).strip()
     shown = shown if len(shown) <= 120 else f"{shown[:117]}..."
     return message(argument, requirement, shown, f"in {where}" if str(where) else "", remedy)

@@ -42,6 +42,7 @@ def test_text_in_the_place_of_a_number_is_none(table):
         ("t\n1\n", "missing_field"),
         ("", "missing_field"),
         ("t,x\n1,2,3\n", "missing_field"),
+        ("t,x\n1,2\n3,4,5\n", "missing_field"),
         (b"t,x\n\xff\xfe,1\n", "missing_field"),
     ],
 )
@@ -50,6 +51,7 @@ def test_what_is_no_such_table_is_refused_with_a_reason(table, text, reason):
     with pytest.raises(TrackError, match="table.csv") as told:
         read_numbers(path, ["t", "x"], path)
     assert told.value.reason == reason
+    assert "\n" not in str(told.value)
 
 
 def test_rows_are_found_by_the_names_in_them(table):
