@@ -144,7 +144,7 @@ def parse(file: ThabFile, limits: RecordingLimits = USUAL) -> NDArray[np.float64
         needs, remedy = "hold samples", "Copy the file again."
         refuse_track(RejectReason.TOO_SHORT, "file", needs, "none", file.path, remedy)
     limits.check_samples(values[:, 0], values[:, 1:], file.path)
-    if len(values) > 1 and not np.any(np.diff(values[:, 0]) > 0.0):
+    if len(values) > 1 and np.ptp(values[:, 0]) == 0.0:
         refuse_track(
             RejectReason.REPEATED_TIMESTAMPS,
             "timestamp",

@@ -85,6 +85,19 @@ def test_a_file_of_any_length_is_read_as_it_is(stamps) -> None:
     np.testing.assert_array_equal(values, np.column_stack([stamps, rows, -rows]))
 
 
+def test_a_file_from_the_end_to_the_beginning_is_put_in_order(thab):
+    path = thab / "cyclists" / "moving" / "21.csv"
+    tracks = []
+    for _ in range(2):
+        dataset = ThabVruDataset(thab)
+        scene = next(each for each in dataset.scenes() if each.name == "cyclists_moving_21")
+        tracks.append(dataset.read(scene, 0.1, strict=True).tracks[0])
+        header, *rows = path.read_text().split()
+        path.write_text("\n".join([header, *reversed(rows)]))
+    for name in ("time_s", "position"):
+        np.testing.assert_array_equal(getattr(tracks[0], name), getattr(tracks[1], name))
+
+
 @pytest.mark.parametrize(
     "piece", [slice(0, 15), slice(10, 25), slice(20, 40), slice(30, 40), slice(0, 40)]
 )
