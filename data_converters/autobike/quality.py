@@ -55,7 +55,7 @@ class LogQuality:
         if riding.sum() * STEP_S < self.moving_s:
             self._refuse_short(riding.sum() * STEP_S, where)
         wheel, gyro = (_filtered(log, name, at_s) for name in ("wheel_speed", "yaw_rate"))
-        ratio = float(np.median((self.wheel_radius_m * wheel / np.maximum(speed, 1e-3))[riding]))
+        ratio = float(np.median(self.wheel_radius_m * wheel[riding] / speed[riding]))
         low, high = self.speed_ratio
         if not low <= ratio <= high:
             needs, remedy = (
